@@ -1,4 +1,4 @@
-"""Ends an interrupted command within seconds: it may end by itself, and is killed if something hangs."""
+"""Ends an interrupted command within seconds: the command may end by itself, and is killed if something hangs."""
 
 from __future__ import annotations
 
@@ -18,41 +18,41 @@ from cli import exit_codes
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 GRACE_SECONDS = 4.0
-"""After a signal, for what a command has to close and to say; a batch system kills soon after."""
-FORCED = b"tiler: interrupted; what it was at did not stop, so it was ended\n"
+"""Time after a signal for closing files and for the last line; a batch system kills soon after."""
+FORCED = b"tiler: interrupted; the work did not stop, so the process was ended\n"
 
 
 @dataclass
 class Ending:
-    """Whether a command was told to end: a library that was called may have made another error of that."""
+    """Whether a command got a signal to end; a library may have turned the interruption into another error."""
 
     own_process: bool = False
     told: bool = False
 
     def interrupt(self, number: int, frame: object) -> NoReturn:
-        """Handle SIGINT or SIGTERM; a second one must not disturb the end, of which it is seen to that it comes."""
+        """Handle SIGINT or SIGTERM; a second one does not disturb the orderly end, which comes in any case."""
         self.told = True
         signal.signal(number, signal.SIG_IGN)
-        if self.own_process:  # what a library was just making is half made, and complains when it goes
+        if self.own_process:  # objects that a library has half made complain when they are removed
             sys.unraisablehook = lambda _: None
-            sys.excepthook = lambda *_: None  # of code in C that prints an error, and goes on
+            sys.excepthook = lambda *_: None  # code in C may print an error and go on
         raise KeyboardInterrupt
 
 
 @contextmanager
 def ended_in_time(own_process: bool) -> Iterator[Ending]:
-    """Let SIGTERM interrupt a command as Ctrl-C does, and see to it that it ends within `GRACE_SECONDS` of either.
+    """Let SIGTERM interrupt a command as Ctrl-C does, and end it within `GRACE_SECONDS` of either signal.
 
-    Python tells of a signal between two of its instructions: not while a library computes, and code that swallows the
-    interruption goes on. So a thread is woken by the signal itself. It ends this process as a kill would, which no run
-    is harmed by.
+    Python handles a signal between two of its instructions, so not while a library computes, and code that swallows
+    the interruption goes on. Therefore the signal itself wakes a thread, which ends this process as a kill would. A
+    kill harms no run.
 
     Parameters
     ----------
     own_process : bool
-        The command is all that this process does: its last moments, after the block, are watched as well.
+        Whether the process does nothing but this command. Then its last moments, after the block, are watched as well.
     """
-    reading, writing = socket.socketpair()  # a pipe that does not block is not to be had everywhere
+    reading, writing = socket.socketpair()  # not every system has a pipe that does not block
     writing.setblocking(False)
     done = threading.Event()
     threading.Thread(target=_watch, args=(reading, done), name="tiler-ending", daemon=True).start()
@@ -64,7 +64,7 @@ def ended_in_time(own_process: bool) -> Iterator[Ending]:
     try:
         yield ending
     finally:
-        for number, handler in before.items():  # what is done cannot be interrupted any more
+        for number, handler in before.items():  # a command that has ended cannot be interrupted
             signal.signal(number, handler)
         if not own_process:
             signal.set_wakeup_fd(woken_before)
@@ -75,10 +75,10 @@ def ended_in_time(own_process: bool) -> Iterator[Ending]:
 
 
 def end_at_once(code: int) -> NoReturn:
-    """End this process, once all is said, and the children that it was just starting.
+    """End this process after its last line, and the children that it was just starting.
 
-    Not by Python's way out: that waits for threads, and where the interruption hit code that was made while it ran, as
-    a dataclass is, it ends with another code.
+    Python's own way out would wait for threads. It would also end with another exit code if the interruption hit code
+    that is made at run time, such as that of a dataclass.
     """
     _end_children()
     for stream in (sys.stdout, sys.stderr):

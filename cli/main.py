@@ -1,10 +1,11 @@
-"""The entry point: finds the command, and turns whatever ends it into an exit code and one line."""
+"""Entry point of the command line: finds the command, and turns every end of it into an exit code and one line."""
 
 from __future__ import annotations
 
 import gc
 import importlib
 import os
+import re
 import sys
 import traceback
 import warnings
@@ -22,40 +23,41 @@ from tiler.errors import TilerError
 from tiler.version import __version__
 
 COMMANDS = {
-    "run": "The whole job: clouds to a DTM and classified clouds.",
-    "plan": "Dry run: what a run would do, and what it needs.",
+    "run": "Do the whole job: make a DTM and classified clouds.",
+    "plan": "Show what a run would do and what it needs, without doing it.",
     "ingest": "First stage: read the clouds into the tile store.",
     "filter": "Second stage: find the ground, tile by tile.",
     "grid": "Third stage: interpolate the ground at the pixels.",
     "export": "Fourth stage: write the DTM and the classified clouds.",
-    "classify": "Classify the points of one file; leaves no store behind.",
-    "preview": "A picture of what the settings give, in seconds.",
-    "info": "What a cloud, a store, a result folder or a raster holds.",
-    "methods": "The ground filters and their parameters.",
+    "classify": "Classify the points of one file or of many, without a store.",
+    "preview": "Draw the result of the settings in a few windows, in seconds.",
+    "info": "Describe clouds, a store, a result folder or a raster.",
+    "methods": "List the ground filters and their parameters.",
     "evaluate": "Score classes against references, or a DTM against a true one.",
-    "check": "Vertical accuracy of a DTM, its seams, and how flight strips fit.",
-    "report": "Draw OUT/report.html again, with what was measured since.",
-    "clean": "Remove what a run left behind and no later one needs.",
-    "simulate": "A cloud with true labels, and its true terrain.",
-    "config": "The effective settings, or a commented file to start from.",
-    "warm": "Compile what methods need, before their first run.",
+    "check": "Measure the accuracy of a DTM, its seams, and flight strips.",
+    "report": "Draw OUT/report.html again, with new measurements.",
+    "clean": "Remove files of a run that no later run needs.",
+    "simulate": "Simulate a cloud with true labels, and its true terrain.",
+    "config": "Print the effective settings, or a commented file to start from.",
+    "warm": "Compile the kernels of methods before their first run.",
     "qgis": "The plugin for QGIS: into a profile, or into an archive.",
-    "demo": "Simulate a small city, run the whole job on it, score it.",
+    "demo": "Simulate a small city, run the whole job on it, and score it.",
 }
-"""Commands in the order of the help, with its line for each: help must not import them all."""
+"""First line of the help of each command, in the order of the list. The list must not import all commands."""
 
 GARBAGE_OBJECTS = 100_000
-"""Imports make few objects that are garbage: looking for it after each 700 is a tenth of a command's start."""
+"""New objects between two searches for garbage. Imports make little garbage, and a search after each 700 objects takes
+a tenth of the start of a command."""
 
 STAGES = ("ingest", "filter", "grid", "export")
-"""Commands of the module of ``run``."""
+"""Commands that the module of ``run`` defines."""
 
 
 class LazyGroup(click.Group):
     """A group whose commands are modules of `cli.commands`, imported when they are used."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """The names of `COMMANDS`."""
+        """List the names of `COMMANDS`."""
         return list(COMMANDS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
@@ -67,7 +69,7 @@ class LazyGroup(click.Group):
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """The list of the help, from the table."""
+        """Write the list of commands from the table."""
         with formatter.section("Commands"):
             formatter.write_dl(list(COMMANDS.items()))
 
@@ -83,7 +85,7 @@ class LazyGroup(click.Group):
 def group(context: click.Context) -> int:
     """Turn point clouds of any size into terrain models.
 
-    `tiler run INPUT... -o OUT` does the whole job; `tiler COMMAND --help` tells the rest.
+    `tiler run INPUT... -o OUT` does the whole job; `tiler COMMAND --help` explains a command.
     """
     if context.invoked_subcommand is None:
         click.echo(context.get_help(), err=True)
@@ -97,7 +99,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Parameters
     ----------
     arguments : sequence of str, optional
-        Instead of those of the process.
+        Arguments; those of the process if left out.
 
     Returns
     -------
@@ -111,7 +113,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with open_streams(own_process), ended_in_time(own_process) as ending:
         try:
             code = _run(arguments, ending)
-        except KeyboardInterrupt:  # while an error was being told
+        except KeyboardInterrupt:  # while the line of an error was written
             code = exit_codes.INTERRUPTED
         if own_process and code == exit_codes.INTERRUPTED:
             end_at_once(code)
@@ -119,25 +121,32 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
 
 def _run(arguments: Sequence[str] | None, ending: Ending) -> int:
-    session = Session()
+    session = Session(progress=_progress_asked_for(sys.argv[1:] if arguments is None else arguments))
     try:
         code: Any = group.main(arguments, prog_name="tiler", standalone_mode=False, obj=session)
         sys.stdout.flush()
         return code if isinstance(code, int) else exit_codes.DONE
     except SystemExit:
         raise
-    except BaseException as error:  # noqa: BLE001 - a decoder may panic with what is no Exception
+    except BaseException as error:  # noqa: BLE001 - a decoder may panic with something that is no Exception
         return _end(KeyboardInterrupt() if ending.told else error, session)
 
 
+def _progress_asked_for(arguments: Sequence[str]) -> str:
+    """``json`` if the arguments ask for it: errors in these arguments are written as JSON, too."""
+    options = [*arguments, "--"]
+    words = " ".join(options[: options.index("--")])
+    return "json" if re.search(r"(^| )--progress[ =]json( |$)", words) else "auto"
+
+
 def _end(error: BaseException, session: Session) -> int:
-    """Say on stderr what ended the command, in one line; the exit code."""
+    """Write the line of the error that ended the command to stderr, and return the exit code."""
     if session.verbosity >= 2:
         for line in "".join(traceback.format_exception(error)).splitlines():
             _tell(line, session)
     if isinstance(error, KeyboardInterrupt | click.Abort):
-        warnings.simplefilter("ignore")  # of what was left half done
-        rest = "; the same command goes on where it was" if session.resumes else ""
+        warnings.simplefilter("ignore")  # work that is half done warns when it is removed
+        rest = "; the same command resumes" if session.resumes else ""
         _tell(f"tiler: interrupted{rest}", session)
         return exit_codes.INTERRUPTED
     text, code = _line_and_code(error)

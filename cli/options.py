@@ -30,14 +30,14 @@ _METAVARS = {
     "files": "FILE",
 }
 
-REPEATED = {"pairs": "the method's own", "files": "none"}
-"""Kinds of settings that may be given several times, and their defaults in words."""
+REPEATED = {"pairs": "the method's own", "files": "none", "names": "dtm"}
+"""Default in words of each kind of setting that may be given several times."""
 
 
 def config_options(only: Collection[str] | None = None) -> Callable[[Command], Command]:
     """Decorate a command with ``--config`` and an option for each setting, or for those of ``only``.
 
-    The command gets them as keyword arguments for `read_config`.
+    The command gets the options as keyword arguments, and passes them to `read_config`.
     """
 
     def decorate(command: Command) -> Command:
@@ -64,7 +64,7 @@ def read_config(settings: dict[str, Any]) -> RunConfig:
     Parameters
     ----------
     settings : dict
-        What `config_options` gave to the command.
+        Keyword arguments that the command got from `config_options`.
 
     Raises
     ------
@@ -81,7 +81,7 @@ def read_config(settings: dict[str, Any]) -> RunConfig:
 
 
 def default_text(spec: dataclasses.Field[Any]) -> str:
-    """The default of a setting as people write it; empty where it is decided from the data."""
+    """The default of a setting as people write it; empty if there is none or the data decide."""
     value = spec.default
     if value is None or value == ():
         return ""
@@ -114,6 +114,7 @@ def _option(spec: dataclasses.Field[Any]) -> Callable[[Command], Command]:
     forms: dict[str, dict[str, Any]] = {
         "pairs": {"multiple": True},
         "files": {"multiple": True},
+        "names": {"multiple": True},
         "bounds": {"nargs": 4, "type": float},
         "int": {"type": int},
         "choice": {"type": click.Choice(spec.metadata["choices"])},
@@ -124,7 +125,7 @@ def _option(spec: dataclasses.Field[Any]) -> Callable[[Command], Command]:
 
 
 inputs_argument = click.argument("inputs", nargs=-1, required=True, metavar="INPUT...")
-"""Files, folders and globs."""
+"""The argument INPUT..."""
 
 out_option = click.option(
     "-o",
@@ -132,9 +133,9 @@ out_option = click.option(
     required=True,
     type=click.Path(),
     metavar="OUT",
-    help="folder of the results, or a URL (s3://...); with the same OUT again the run resumes",
+    help="folder of the results, or a URL (s3://...); another run with the same OUT resumes",
 )
 
 json_option = click.option(
-    "--json", "as_json", is_flag=True, help="print the result as JSON to stdout [default: no, for people]"
+    "--json", "as_json", is_flag=True, help="print the result as JSON to stdout [default: no, as text]"
 )

@@ -1,7 +1,8 @@
-"""Results for stdout: JSON, tables (rich on a terminal, plain elsewhere) and lines of facts."""
+"""Writes results to stdout: JSON, tables (rich on a terminal, plain elsewhere) and lines of facts."""
 
 from __future__ import annotations
 
+import codecs
 import json
 import sys
 from bisect import bisect
@@ -17,23 +18,26 @@ SHARES = (0.3, 0.75, 1.5)
 
 
 def say(line: str, error: bool = False) -> None:
-    """Write one line to stdout, or to stderr: the one way out for text, which may hold what a file says of itself.
+    """Write one line to stdout or stderr. All text goes this way, as it may contain names and texts from files.
 
-    Nothing in it can move or colour the terminal, and no URL shows a password or token.
+    Nothing in the line can move or colour the terminal, and no URL in it shows a password or token.
     """
     encoding = (sys.stderr if error else sys.stdout).encoding or "utf-8"
     click.echo(shown(line).encode(encoding, "backslashreplace").decode(encoding), err=error)
 
 
 def print_json(value: Any) -> None:
-    """Indented JSON; what is not printable is written as its escapes."""
-    text = json.dumps(stored(value), indent=2, default=lambda v: without_secrets(str(v)), ensure_ascii=False)
+    """Write indented JSON; characters that cannot be printed are escaped, on a code page all beyond ASCII."""
+    is_utf8 = codecs.lookup(sys.stdout.encoding or "utf-8").name == "utf-8"  # JSON is in no other encoding
+    text = json.dumps(
+        stored(value), indent=2, default=lambda v: without_secrets(str(v)), ensure_ascii=not is_utf8
+    )
     for line in text.split("\n"):
         say("".join(c if c.isprintable() else json.dumps(c)[1:-1] for c in line))
 
 
 def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """A table with a heading: drawn and wrapped by rich on a terminal, aligned and unwrapped elsewhere."""
+    """Write a table with a heading, drawn and wrapped by rich on a terminal, aligned and unwrapped elsewhere."""
     if sys.stdout.isatty():
         from rich.console import Console
         from rich.markup import escape
@@ -52,14 +56,14 @@ def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]
 
 
 def map_lines(density: Mapping[str, Any], encoding: str | None) -> list[str]:
-    """A small map of shades, north up, and what they mean.
+    """Lines of a small map of shades, north up, with a legend.
 
     Parameters
     ----------
     density : mapping
         As `tiler.apps.cloud_facts.density_map` gives it.
     encoding : str or None
-        Of the terminal; shades are letters where it has no blocks.
+        Encoding of the terminal; the shades are letters if it has no blocks.
     """
     rows = density["per_m2"]
     found = sorted(value for row in rows for value in row if value > 0)
@@ -82,13 +86,13 @@ def map_lines(density: Mapping[str, Any], encoding: str | None) -> list[str]:
 
 
 def print_facts(facts: Mapping[str, Any]) -> None:
-    """One line a fact, names aligned, nested facts below theirs; facts that are None are left out."""
+    """Write a line for each fact that is not None, with aligned names and nested facts below theirs."""
     for line in fact_lines(facts):
         say(line)
 
 
 def fact_lines(facts: Mapping[str, Any], indent: str = "") -> list[str]:
-    """The lines of `print_facts`; names of ours in words, those of files and tags as they are."""
+    """The lines of `print_facts`: names of tiler in words, names of files and tags unchanged."""
     ours = (n for n in facts if n.islower() and not set(n) & set("./-"))
     words = {name: name.replace("_", " ") for name in ours}
     shown = {words.get(name, name): value for name, value in facts.items() if value is not None}

@@ -1,9 +1,9 @@
-"""State of one call of the command line (verbosity, listeners), and the base class of all commands."""
+"""The state of one call of the command line (verbosity, progress), and the base class of all commands."""
 
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
@@ -12,9 +12,6 @@ import click
 
 if TYPE_CHECKING:
     from tiler.observe.events import Listener
-
-READING = ("tiler.ingest.sources",)
-"""What a process needs that looks into clouds."""
 
 
 @dataclass
@@ -26,9 +23,9 @@ class Session:
     verbosity : int
         Number of -v, minus 1 for -q.
     resumes : bool
-        The same command would go on where this one is interrupted.
+        Whether the same command would resume after an interruption.
     progress : {"auto", "plain", "json", "none"}
-        How progress is shown; with ``json`` all that goes to stderr is.
+        Form of the progress; with ``json`` every line on stderr is JSON.
     """
 
     verbosity: int = 0
@@ -37,18 +34,18 @@ class Session:
 
     @property
     def quiet(self) -> bool:
-        """Only warnings and errors are wanted."""
+        """Whether only warnings and errors are shown."""
         return self.verbosity < 0
 
 
 def current_session() -> Session:
-    """The session of the command that runs."""
+    """The session of the running command."""
     return click.get_current_context().ensure_object(Session)
 
 
 @contextmanager
 def shown_progress() -> Iterator[Listener]:
-    """The listener that shows the progress of the command that runs as its options ask for."""
+    """The listener that shows the progress of the running command in the form that its options ask for."""
     from tiler.observe.progress import open_progress
 
     session = current_session()
@@ -57,10 +54,10 @@ def shown_progress() -> Iterator[Listener]:
 
 
 class TilerCommand(click.Command):
-    """A command with -v and -q, and with --progress where it shows some, which sets up the log before it runs.
+    """A command with -v and -q, and with --progress if it shows progress; it sets up the log before it runs.
 
-    What looks into clouds for one that ``reads`` some starts beside it, and imports what is named there while the
-    command imports its own libraries.
+    If the command ``reads`` clouds, the process that looks into them imports its libraries while the command imports
+    its own.
     """
 
     def __init__(
@@ -68,7 +65,7 @@ class TilerCommand(click.Command):
         *arguments: Any,
         resumes: bool = False,
         progress: bool = False,
-        reads: Sequence[str] = (),
+        reads: bool = False,
         **settings: Any,
     ) -> None:
         super().__init__(*arguments, **settings)
@@ -79,20 +76,20 @@ class TilerCommand(click.Command):
                 callback=_set_progress,
                 type=click.Choice(("auto", "plain", "json", "none")),
                 default="auto",
-                help="on stderr: bars on a terminal and lines elsewhere (auto), lines, a JSON object a line, or "
-                "none [default: auto]",
+                help="form of the progress on stderr: bars on a terminal and lines elsewhere (auto), lines (plain), a "
+                "JSON object a line (json), or none [default: auto]",
             )
-        said = "say more; -vv: everything, and tracebacks [default: progress, notes and warnings]"
+        said = "print more; -vv: everything, and tracebacks [default: progress, notes and warnings]"
         self._add("-v", "--verbose", callback=_louder, count=True, help=said)
-        said = "no progress, no summary: only warnings and errors [default: no]"
+        said = "print only warnings and errors, no progress and no summary [default: no]"
         self._add("-q", "--quiet", callback=_quieter, is_flag=True, help=said)
 
     def _add(self, *names: str, **settings: Any) -> None:
-        """Add an option that changes the session and that the command does not get to see."""
+        """Add an option that changes the session and is not passed to the command."""
         self.params.append(click.Option(names, expose_value=False, is_eager=True, **settings))
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run the command; what it returns is the exit code, None is 0."""
+        """Run the command, and return its exit code; None counts as 0."""
         from tiler.observe.logs import set_up_logging
 
         session = ctx.ensure_object(Session)
@@ -100,10 +97,11 @@ class TilerCommand(click.Command):
         set_up_logging(session.verbosity, as_json=session.progress == "json")
         if not self._reads or ctx.params.get("in_process"):
             return super().invoke(ctx)
+        from tiler.preparation import import_reading
         from tiler.schedule import kept_forking, prepare_children
 
         with kept_forking():
-            prepare_children(*self._reads)
+            prepare_children(import_reading)
             return super().invoke(ctx)
 
 

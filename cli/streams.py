@@ -1,4 +1,4 @@
-"""Standard output and error of a command; a reader that closes the pipe (``tiler ... | head``) is no error."""
+"""Standard output and error of a command. It is no error if a reader closes the pipe (``tiler ... | head``)."""
 
 from __future__ import annotations
 
@@ -16,20 +16,21 @@ NAMES = ("stdout", "stderr")
 
 @contextmanager
 def open_streams(own_process: bool) -> Iterator[None]:
-    """Let a command write as if somebody read all of it, and be told where its results cannot be written.
+    """Let a command write its output to the end, also if its reader has gone, and raise if results cannot be written.
 
-    A run whose output goes to ``| head`` or ``| true`` goes on to its end. What a full disk refuses of the results is
-    an error; of the progress it is not.
+    A run whose output goes to ``| head`` or ``| true`` goes on to its end. A full disk is an error for the results, but
+    not for the progress.
 
     Parameters
     ----------
     own_process : bool
-        The command is all that this process does: its streams are not given back, as Python writes to them at the end.
+        Whether the process does nothing but this command. Then its streams stay replaced, as Python writes to them at
+        the end.
     """
     before = {name: getattr(sys, name) for name in NAMES}
     with open(os.devnull, "w", encoding="utf-8") as nowhere:
         for name, stream in before.items():
-            if stream is None:  # closed by whoever started the process
+            if stream is None:  # closed by the program that started the process
                 setattr(sys, name, nowhere)
             elif own_process:
                 setattr(sys, name, _patient(stream, name))
@@ -42,10 +43,10 @@ def open_streams(own_process: bool) -> Iterator[None]:
 
 
 def _patient(stream: TextIO, name: str) -> TextIO:
-    """The same stream, over a `_Patient` one."""
+    """The same stream on top of a `_Patient` one."""
     try:
         raw = _Patient(stream.fileno(), name)
-    except OSError:  # whoever calls put something else in its place
+    except OSError:  # the caller put something else in its place
         return stream
     buffered = io.BufferedWriter(raw)
     return io.TextIOWrapper(
@@ -54,7 +55,7 @@ def _patient(stream: TextIO, name: str) -> TextIO:
 
 
 class _Patient(io.FileIO):
-    """A standard stream whose writes fail once at most, and not at all where nobody reads or it tells of progress."""
+    """A standard stream whose writes fail once at most, and not at all for progress, or where the reader has gone."""
 
     def __init__(self, descriptor: int, called: str) -> None:
         super().__init__(descriptor, "w", closefd=False)
@@ -62,7 +63,7 @@ class _Patient(io.FileIO):
         self._lost = False
 
     def write(self, data: Any) -> int:
-        """Write what the stream takes; what it does not take any more is dropped."""
+        """Write as long as the stream takes data, and drop the rest."""
         if not self._lost:
             try:
                 return super().write(data)

@@ -1,51 +1,62 @@
-"""The few lines at the end of a job, from its summary."""
+"""The lines at the end of a job, made from its summary."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from cli.made import ground_points, made_lines
 from tiler.core.products import PRODUCTS
+from tiler.core.units_text import length_text
+from tiler.core.words import counted
 from tiler.io.locations import joined
 from tiler.observe.progress import duration_text, rate_text, size_text
 
 _RASTERS = {f"{name}.{kind}": place for place, name in enumerate(PRODUCTS) for kind in ("tif", "vrt")}
-"""Names of the products' files, and their order."""
+"""Places of the files of products in the order of the products, by name."""
 
 
 def percent_text(fraction: float | None) -> str:
-    """A fraction in percent; ``-`` where there is none."""
+    """A fraction in percent; ``-`` for None."""
     return "-" if fraction is None else f"{100 * fraction:.2f} %"
 
 
 def summary_lines(summary: Mapping[str, Any], out: str, did_nothing: bool = False) -> list[str]:
-    """What a job did, as people read it.
+    """Lines about the results of a job, for people.
 
     Parameters
     ----------
     summary : mapping
-        The content of ``run.json``; a job up to an early stage has not all of it.
+        The content of ``run.json``; a job that ends after an early stage lacks some of it.
     out : str
         Folder of the results.
     did_nothing : bool
-        Everything had been done before.
+        Whether everything had been done before.
     """
     points = summary["counts"]["stored"]
     lines = ["nothing to do: everything was done before"] if did_nothing else []
     files, dropped = len(summary["inputs"]), sum(summary["counts"]["dropped"].values())
     lost = f", {dropped:,} dropped" if dropped else ""
-    lines.append(f"points      {points:,} of {files:,} file{'' if files == 1 else 's'}{lost}")
+    lines.append(f"points      {points:,} of {counted(files, 'file')}{lost}")
     if "filter" in summary:
         facts = summary["filter"]
         marked = f", {facts['marked']:,} labels not certified" if facts["marked"] else ""
-        lines.append(f"ground      {facts['ground']:,} points, in {facts['tiles']:,} tiles{marked}")
+        tiles = counted(facts["tiles"], "tile")
+        lines.append(f"ground      {counted(ground_points(summary), 'point')}, in {tiles}{marked}")
+    unit = summary.get("plan", {}).get("metres_per_unit", {}).get("horizontal", 1.0)
     rasters = sorted(_RASTERS.keys() & summary.get("outputs", {}), key=_RASTERS.__getitem__)
     for name in rasters[:1]:
         facts = summary["dtm"]
-        size = f"{facts['width']:,} x {facts['height']:,} pixels of {facts['resolution_m']:g} m"
+        pixel = length_text(facts["resolution_m"], unit)
+        size = f"{facts['width']:,} x {facts['height']:,} pixels of {pixel}"
         lines.append(f"{name.split('.')[0].upper():12s}{joined(out, name)}, {size}")
     if rasters[1:]:
         lines.append(f"products    {', '.join(joined(out, name) for name in rasters[1:])}")
+    lines.extend(made_lines(summary, out))
+    if problems := summary.get("problems"):
+        lines.append(
+            f"problems    {len(problems):,}: {', '.join(dict.fromkeys(p['what'] for p in problems))}"
+        )
     if summary.get("report"):
         lines.append(f"report      {joined(out, summary['report'])}")
     rate = "" if did_nothing else f", {rate_text(points, summary['seconds'])}"
@@ -57,7 +68,7 @@ def summary_lines(summary: Mapping[str, Any], out: str, did_nothing: bool = Fals
 
 
 def failed_lines(failed: Sequence[Mapping[str, Any]]) -> list[str]:
-    """The tasks that failed, as run.json lists them, and where each leaves a hole."""
+    """A line for each failed task of run.json, with the place of the hole that it leaves."""
     return [
         f"failed      {f.get('title', f['stage'])} {f['key']}{_place(f.get('bounds'))}: {f['error']}"
         for f in failed
@@ -69,14 +80,15 @@ def _place(bounds: Sequence[float] | None) -> str:
 
 
 def score_lines(classes: Mapping[str, Any], dtm: Mapping[str, Any] | None = None) -> list[str]:
-    """Errors of the classes, and of the DTM where its truth is known.
+    """Lines with the errors of the classes, and with those of the DTM if its truth is known.
 
     Parameters
     ----------
     classes : mapping
-        As `tiler.apps.evaluate.scores` gives them; what `tiler.apps.evaluate.evaluate_scenes` adds is told as well.
+        Scores of `tiler.apps.evaluate.scores`, or those with the further facts of
+        `tiler.apps.evaluate.evaluate_scenes`.
     dtm : mapping, optional
-        As `tiler.apps.evaluate.evaluate_dtm` gives them.
+        Errors of `tiler.apps.evaluate.evaluate_dtm`.
     """
     kappa = percent_text(classes["kappa"])
     f1 = f", F1 {percent_text(classes['f1'])}" if "f1" in classes else ""
@@ -102,7 +114,7 @@ def score_lines(classes: Mapping[str, Any], dtm: Mapping[str, Any] | None = None
 
 
 def dtm_lines(dtm: Mapping[str, Any]) -> list[str]:
-    """Differences of a DTM from its truth, as `tiler.apps.evaluate.evaluate_dtm` gives them."""
+    """Lines with the differences of a DTM from its truth, by `tiler.apps.evaluate.evaluate_dtm`."""
     unit = {"metre": "m", "foot": "ft"}.get(dtm["unit"], dtm["unit"])
     if dtm["rmse"] is None:
         return ["DTM     no pixel has both heights"]
@@ -116,4 +128,26 @@ def dtm_lines(dtm: Mapping[str, Any]) -> list[str]:
         first,
         f"        {robust}, 95 % within {dtm['p95_abs']:.3f} {unit}",
         f"        {percent_text(dtm['coverage'])} of the true pixels covered, {dtm['only_truth']:,} are not",
+        *(sigma_lines(dtm["sigma"], unit) if "sigma" in dtm else ()),
     ]
+
+
+def sigma_lines(found: Mapping[str, Any], unit: str) -> list[str]:
+    """How well standard errors tell the errors, as `tiler.apps.evaluate.sigma.SigmaTally.summary` says it."""
+    if not found["pixels"]:
+        return ["sigma   no pixel has a standard error and a true height"]
+    shares = ", ".join(percent_text(found[f"within_{k}"]) for k in (1, 2, 3))
+    lines = [
+        f"sigma   expected RMSE {found['predicted_rmse']:.3f} {unit}, true {found['rmse']:.3f} {unit}",
+        f"        errors within 1, 2, 3 sigma: {shares}",
+    ]
+    for row in found["by_slope"]:
+        if row["pixels"]:
+            expected, true = (f"{row[name]:.3f} {unit}" for name in ("predicted_rmse", "rmse"))
+            where = f"slope {row['from_deg']} to {row['to_deg']} degrees"
+            lines.append(f"        {where}: expected {expected}, true {true} over {row['pixels']:,} pixels")
+    if found["area"] is not None:
+        first = f"{percent_text(found['in_first_tenth'])} of the squared error in a tenth of the area"
+        curve = f"area under the curve {found['area']:.3f}, at best {found['area_at_best']:.3f}"
+        lines.append(f"        largest sigma first: {first}; {curve}")
+    return lines

@@ -44,6 +44,8 @@ cd "$work/out"
 env -i "${clean[@]}" "$work/src/docker/check.sh"
 
 echo "smoke: the compose file's cluster"
+# Dask imports from its temporary folder: it must be one that no other user can write into.
+clean+=("DASK_TEMPORARY_DIRECTORY=$work")
 # A port below those that the system gives to whoever asks for any.
 port=$(python3 -c 'import random, socket
 for port in random.sample(range(20000, 32000), 100):

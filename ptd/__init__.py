@@ -1,27 +1,29 @@
 """Ground filters by progressive TIN densification: arrays in, arrays out.
 
-Vocabulary: a *count* is the integer unit of coordinates (`ptd.frame.Scale` says how many metres); a
-*candidate* is a point that may become a vertex; *seeds* are the vertices of the first TIN; a *round* tests all
-candidates against one TIN and inserts those that pass; a *window* is where all points are known; a *mark* says
-that points beyond the window could change a decision; a *pass* is what a method does to every tile before it
+Vocabulary: a *count* is the integer unit of coordinates (`ptd.frame.Scale` gives its metres). A *candidate* is a
+point that may become a vertex. *Seeds* are the vertices of the first TIN. A *round* tests all candidates against
+one TIN and inserts those that pass. A *window* is a rectangle in which all points are known. A *mark* says that
+points beyond the window could change a decision. A *pass* is a step that a method does on every tile before it
 needs run-wide figures.
 """
 
 from __future__ import annotations
 
+from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from ptd.api import Result as Result
     from ptd.api import classify as classify
+    from ptd.matched.evidence import Evidence as Evidence
 
-__all__ = ["Result", "classify"]
+__all__ = ["Evidence", "Result", "classify"]
+
+_HOMES = {"Evidence": "ptd.matched.evidence"}
 
 
 def __getattr__(name: str) -> Any:
-    """Load the wrapper when it is first used: importing a part of the package stays cheap."""
+    """Load `classify` when it is first used, so that importing a part of the package stays cheap."""
     if name in __all__:
-        from ptd import api
-
-        return getattr(api, name)
+        return getattr(import_module(_HOMES.get(name, "ptd.api")), name)
     raise AttributeError(f"module 'ptd' has no attribute {name!r}")

@@ -14,40 +14,44 @@ import numpy.typing as npt
 
 from ptd.cells import lowest_per_cell
 from ptd.frame import Cells, Scale, Window
+from ptd.matched.evidence import Evidence
+from ptd.matched.survey import run_facts
 from ptd.methods import METHODS
 from ptd.params import to_json
 from ptd.passes import KINDS, Int32, Model, Pass, Points, RunFacts, UInt8, later_passes, read_at_candidates
+from ptd.places import PLACES
 
 COUNTS_PER_METRE = 1000
 BLOCK_POINTS = 8192
-"""Points that are rounded at once: what is made on the way stays in the core's cache."""
-SMALLEST_SIGMA_M, LARGEST_SIGMA_M = 1e-6, 1e3
+"""Number of points that are rounded at once, so that intermediate arrays stay in the processor's cache."""
+SMALLEST_SIGMA_M = 1e-6
+LARGEST_SIGMA_M = 1e3
 LONGEST_SHOWN = 12
-"""Values of a list that a notebook shows."""
+"""Longest list whose values a notebook shows."""
 LARGEST_EXTENT_M = 60_000.0
-"""In-circle tests are exact for differences below 2**26 counts."""
+"""Largest extent, as in-circle tests are exact for differences below 2**26 counts."""
 FARTHEST_M = 9e12
-"""Counts of x and y are exact in float64 below 2**53."""
+"""Largest distance from 0, as counts of x and y are exact in float64 below 2**53."""
 HIGHEST_M = 2_000_000.0
-"""Heights are int32 counts."""
+"""Largest height above or below 0, as heights are int32 counts."""
 MOST_CELLS = 1 << 27
-"""Of a raster of the whole extent, which takes some 35 bytes a cell."""
+"""Most cells of a raster of the whole extent. A cell takes about 35 bytes."""
 
 CLASS_NAMES = {1: "unclassified", 2: "ground", 7: "low noise"}
 
 
 @dataclass(frozen=True)
 class Result:
-    """What a filter says of a cloud; a notebook shows it as tables.
+    """Labels and decisions of a filter; a notebook shows them as tables.
 
     Attributes
     ----------
     classification : uint8 [n]
         ASPRS: 1 unclassified, 2 ground, 7 low noise.
     decisions : dict
-        Method, effective parameters, and the run-wide statistics that it rests on.
+        Method, effective parameters, and the run-wide statistics behind the labels.
     stats : dict
-        Of each pass by name: candidates, vertices, rounds, outliers.
+        Statistics of each pass by name: candidates, vertices, rounds, outliers.
     """
 
     classification: npt.NDArray[np.uint8]
@@ -56,7 +60,7 @@ class Result:
 
     @property
     def counts(self) -> dict[int, int]:
-        """Class -> points of it."""
+        """Number of points by class."""
         codes, counts = np.unique(self.classification, return_counts=True)
         return dict(zip(codes.tolist(), counts.tolist(), strict=True))
 
@@ -74,25 +78,34 @@ class Result:
 
 
 def _flat(values: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
-    """Nested values as names and texts; long lists by their length."""
+    """Nested values as pairs of name and text; a long list, and what is known by place, is shown by its length."""
     found = []
     for name, value in values.items():
-        if isinstance(value, Mapping):
+        if name == PLACES:
+            found.append((name, f"{len(value):,} values"))
+        elif isinstance(value, Mapping):
             found += _flat(value, f"{prefix}{name} / ")
         elif isinstance(value, list | tuple) and len(value) > LONGEST_SHOWN:
             found.append((f"{prefix}{name}", f"{len(value):,} values"))
         elif value is not None:
-            items = value if isinstance(value, list | tuple) else [value]
-            text = "; ".join(f"{item:.6g}" if isinstance(item, float) else str(item) for item in items)
-            found.append((f"{prefix}{name}", text))
+            items = list(value) if isinstance(value, list | tuple) else [value]
+            found.append((f"{prefix}{name}", "; ".join(_text(item) for item in items)))
     return found
 
 
+def _text(value: Any) -> str:
+    if isinstance(value, float):
+        return f"{value:.6g}"
+    return str(value)
+
+
 def _table(headings: tuple[str, str], rows: list[tuple[str, str]]) -> str:
-    """A table of texts in HTML."""
+    """HTML of a table; empty without rows."""
+    if not rows:
+        return ""
     head = "".join(f"<th>{escape(heading)}</th>" for heading in headings)
     body = "".join(f"<tr><td>{escape(name)}</td><td>{escape(value)}</td></tr>" for name, value in rows)
-    return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>" if rows else ""
+    return f"<table><thead><tr>{head}</tr></thead><tbody>{body}</tbody></table>"
 
 
 def classify(
@@ -104,6 +117,7 @@ def classify(
     returns: npt.ArrayLike | None = None,
     sigma: float | None = None,
     kind: str | None = None,
+    evidence: Evidence | None = None,
 ) -> Result:
     """Classify a cloud that fits into memory.
 
@@ -124,16 +138,21 @@ def classify(
     sigma : float, optional
         Noise of heights in metres; estimated by the methods that need it if left out.
     kind : {"lidar", "dim"}, optional
-        What made the cloud, a laser scanner or matching of images; decided from the data if left out.
+        Origin of the cloud, a laser scanner or image matching; decided from the data if left out.
+    evidence : Evidence, optional
+        Evidence on the origin of the cloud from other fields of the points; made by `Evidence.of`. Without it, the
+        positions of the points decide, and the returns if they are given.
 
     Raises
     ------
+    TypeError
+        If `xyz` is an object of laspy; pass its ``xyz``.
     ValueError
-        Not an [n, 3] array, values that are not finite, an extent above 60 km (134 km2 of a matched cloud), x or y
-        beyond 9e12 m, heights beyond 2000 km, an unknown method, parameters of another, a ``sigma`` that is not from
-        1e-6 to 1000 m, a kind that there is not, columns of another length or with values that their type cannot
-        hold, a column that the method cannot do without, or a cloud that it cannot work on
-        (`ptd.passes.MethodRefusal`).
+        If `xyz` is not an [n, 3] array, has values that are not finite, extends over more than 60 km (134 km2 for a
+        matched cloud), has x or y beyond 9e12 m or heights beyond 2000 km; if the method or the kind is unknown, or
+        the parameters belong to another method; if `sigma` is not from 1e-6 to 1000 m; if a column has another length
+        or values that its type cannot hold, or is missing although the method needs it; or if the method cannot work
+        on the cloud (`ptd.passes.MethodRefusal`).
 
     Examples
     --------
@@ -148,14 +167,19 @@ def classify(
     >>> result.decisions["parameters"]["iteration_angle_deg"]
     25.0
     """
+    if hasattr(xyz, "header") or hasattr(
+        xyz, "point_format"
+    ):  # an object of laspy, which is not imported here
+        raise TypeError(f"xyz is a {type(xyz).__name__}, must be an array (n, 3) in metres: pass las.xyz")
     points = np.asarray(xyz, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 3:
         raise ValueError(f"xyz has shape {points.shape}, must be (n, 3): x, y, z in metres")
     if method not in METHODS:
         raise ValueError(f"no method {method!r}; there are {', '.join(METHODS)}")
     wanted = METHODS[method].params
-    params = wanted() if params is None else params
-    if type(params) is not wanted:  # a method's parameters may derive from another's
+    if params is None:
+        params = wanted()
+    if type(params) is not wanted:  # parameters may derive from those of another method
         raise ValueError(f"params is {type(params).__name__}, method {method} takes {wanted.__name__}")
     if sigma is not None and not SMALLEST_SIGMA_M <= sigma <= LARGEST_SIGMA_M:
         raise ValueError(f"sigma {sigma}: must be {SMALLEST_SIGMA_M:g} to {LARGEST_SIGMA_M:g} m")
@@ -169,7 +193,7 @@ def classify(
             raise ValueError(f"method {method} needs {name}")
     if kind not in (None, *KINDS):
         raise ValueError(f"no kind {kind!r}; there are {', '.join(KINDS)}")
-    facts = RunFacts(sigma, kind)
+    facts = run_facts(sigma, kind, evidence)
     labels, state, stats = do_passes(params, counts, columns, scale, Window.everything(), facts)
     return Result(labels, {"method": method, "parameters": to_json(params), "statistics": state}, stats)
 
@@ -177,10 +201,12 @@ def classify(
 def do_passes(
     params: Any, counts: Int32, columns: dict[str, Any], scale: Scale, window: Window, facts: RunFacts
 ) -> tuple[UInt8, dict[str, Any], dict[str, Any]]:
-    """All passes of a method on one window that apply: labels, state, and the statistics of each pass."""
+    """Run all passes that apply on one window; return labels, state, and the statistics of each pass."""
     state: dict[str, Any] = {"run": asdict(facts)}
     stats = {}
-    cell = Cells.of(params.candidate_cell_m, scale) if params.candidate_cell_m else None
+    cell = None
+    if params.candidate_cell_m:
+        cell = Cells.of(params.candidate_cell_m, scale)
     cloud = _Cloud(Points(counts, np.zeros(counts.shape[1], np.uint8), **columns), cell)
     for number, step in enumerate(params.passes):
         if not step.applies(state):
@@ -199,7 +225,7 @@ def do_passes(
 
 
 def _refuse_raster(counts: Int32, cell_m: float, scale: Scale) -> None:
-    """Raise ValueError where the cells of a whole cloud's extent do not fit into memory: distant points, mostly."""
+    """Raise ValueError if the cells of a cloud's extent do not fit into memory, usually because of distant points."""
     if counts.shape[1] == 0:
         return
     sides = [float((int(axis.max()) - int(axis.min())) * scale.metres_xy) for axis in counts[:2]]
@@ -212,7 +238,7 @@ def _refuse_raster(counts: Int32, cell_m: float, scale: Scale) -> None:
 
 @dataclass
 class _Cloud:
-    """What passes see: all points, one of each of the method's cells (if it has any), and elected ones; labelled."""
+    """The points that passes see, with labels: all points, candidates (if the method has cells), elected points."""
 
     everything: Points
     cell: Cells | None
@@ -221,7 +247,7 @@ class _Cloud:
     elected: Points | None = None
 
     def seen(self, step: Pass) -> Points:
-        """What a pass looks at."""
+        """The points that a pass sees."""
         if step.elected:
             if self.elected is None:
                 raise ValueError(
@@ -230,18 +256,20 @@ class _Cloud:
             return self.elected
         if step.every_point or self.cell is None:
             return self.everything
-        if self.some is None:  # made when it is first asked for: some runs need none
+        if self.some is None:  # made on first use, as some runs need no candidates
             self.index = lowest_per_cell(*self.everything.columns(), self.cell)
             self.some = self.everything.take(self.index)
         return self.some
 
     def elect(self, xyz: Int32, model: Model | None) -> None:
-        """Other points are the elected ones, labelled by a model if there is one."""
-        labels = np.zeros(xyz.shape[1], np.uint8) if model is None else model.label(Points(xyz))[0]
+        """Replace the elected points. A model, if there is one, labels them."""
+        labels = np.zeros(xyz.shape[1], np.uint8)
+        if model is not None:
+            labels, _ = model.label(Points(xyz))
         self.elected = Points(xyz, labels)
 
     def label(self, step: Pass, model: Model, later: list[Pass]) -> None:
-        """Label what the pass is on; ``later``: the passes after it that apply."""
+        """Label the points that the pass works on; `later` lists the following passes that apply."""
         if step.elected and later:
             seen = self.seen(step)
             self.elected = replace(seen, labels=model.label(_given(seen, step))[0])
@@ -255,12 +283,11 @@ class _Cloud:
 
 
 def _given(points: Points, step: Pass) -> Points:
-    """Points with the columns that a pass names."""
     return Points(points.xyz, **{name: getattr(points, name) for name in step.columns})
 
 
 def _column(name: str, values: npt.ArrayLike | None, n: int, width: int, dtype: type) -> Any:
-    """A column [width, n] of what was given as [n, width]; None stays None."""
+    """A column [width, n] from values [n, width]; None stays None."""
     if values is None:
         return None
     found = np.asarray(values)
@@ -276,7 +303,7 @@ def _column(name: str, values: npt.ArrayLike | None, n: int, width: int, dtype: 
 
 
 def _counts(points: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.int32], Scale]:
-    """Local millimetre counts int32 [3, n], and their scale."""
+    """Local counts of a millimetre, int32 [3, n], and their scale."""
     if len(points) == 0:
         return np.zeros((3, 0), np.int32), Scale()
     low, high = np.full(3, np.inf), np.full(3, -np.inf)
@@ -303,7 +330,7 @@ def _counts(points: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.int32], Sca
     for metres in _columns(points):
         metres *= COUNTS_PER_METRE
         np.rint(metres, out=metres)
-        metres -= shift  # whole numbers below 2^53: exact
+        metres -= shift  # exact, as these are whole numbers below 2^53
         counts[:, at : at + metres.shape[1]] = metres
         at += metres.shape[1]
     unit = Fraction(1, COUNTS_PER_METRE)
@@ -311,6 +338,6 @@ def _counts(points: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.int32], Sca
 
 
 def _columns(points: npt.NDArray[np.float64]) -> Iterator[npt.NDArray[np.float64]]:
-    """Copies of successive points, float64 [3, m]: few enough to be in the processor's cache when they are used."""
+    """Copies of successive points, float64 [3, m], small enough to stay in the processor's cache."""
     for first in range(0, len(points), BLOCK_POINTS):
         yield np.array(points[first : first + BLOCK_POINTS].T, order="C")

@@ -1,4 +1,4 @@
-"""Which points lie in which cell of a square lattice, and the lowest point of each cell."""
+"""Points by the cells of a square lattice, and the lowest point of each cell."""
 
 from __future__ import annotations
 
@@ -24,20 +24,20 @@ class Xyz(NamedTuple):
 
 
 DENSE_CELLS_PER_POINT = 16
-"""A raster of cells is made only while it has at most so many cells a point; a sparse cloud is sorted instead."""
+"""Most cells per point for which a raster of cells is made; sparser clouds are sorted instead."""
 
 
 @kernel
 def quotient(value: int, divisor: int, inverse: float) -> int:
-    """Floor of an integer divided by another (above 0), given 1 / divisor: some times faster than dividing.
+    """Floor of an integer divided by another (above 0), given 1 / divisor. This is several times faster than dividing.
 
-    Exact for quotients below 2**50, as the rounded product is less than one off.
+    It is exact for quotients below 2**50, as the rounded product is less than one off.
     """
     found = math.floor(float(value) * inverse)
     rest = value - found * divisor
     if rest < 0:
         return found - 1
-    return found + 1 if rest >= divisor else found
+    return found + (rest >= divisor)
 
 
 @kernel
@@ -53,9 +53,15 @@ def cell_keys(
     return out
 
 
+def keys_in(x: Int32, y: Int32, cells: Cells, col0: int, row0: int, width: int) -> Int64:
+    """`cell_keys` for cells of a lattice."""
+    lattice = {"p": cells.p, "q": cells.q, "ox": cells.origin_x, "oy": cells.origin_y}
+    return cell_keys(x, y, **lattice, col0=col0, row0=row0, width=width)
+
+
 @kernel
 def is_lower(x: Int32, y: Int32, z: Int32, i: int, j: int) -> bool:
-    """Whether point i is lower than j; of equally high ones the one with the smaller x, then y."""
+    """Whether point i is lower than j; among equally high points the smaller x counts, then the smaller y."""
     if z[i] != z[j]:
         return bool(z[i] < z[j])
     if x[i] != x[j]:
@@ -65,11 +71,12 @@ def is_lower(x: Int32, y: Int32, z: Int32, i: int, j: int) -> bool:
 
 @kernel
 def lowest_by_key(x: Int32, y: Int32, z: Int32, keys: Int64, n_cells: int) -> Int32:
-    """Lowest point of each cell, -1 where there is none: int32 [n_cells]."""
-    lowest, height = np.full(n_cells, -1, np.int32), np.full(n_cells, 2**31 - 1, np.int32)
+    """Lowest point of each cell, -1 for empty cells: int32 [n_cells]."""
+    lowest = np.full(n_cells, -1, np.int32)
+    height = np.full(n_cells, 2**31 - 1, np.int32)
     for i in range(keys.size):
         height[keys[i]] = min(height[keys[i]], z[i])
-    for i in range(keys.size):  # next to none is as low
+    for i in range(keys.size):  # few points equal the lowest height
         if z[i] == height[keys[i]]:
             j = lowest[keys[i]]
             if j < 0 or is_lower(x, y, z, i, j):
@@ -79,7 +86,7 @@ def lowest_by_key(x: Int32, y: Int32, z: Int32, keys: Int64, n_cells: int) -> In
 
 @kernel
 def _lowest_sorted(x: Int32, y: Int32, z: Int32, keys: Int64, order: Int64) -> Int32:
-    """Lowest point of each occupied cell, from an order that sorts the keys."""
+    """Lowest point of each occupied cell, given the order that sorts the keys."""
     out = np.empty(keys.size, np.int32)
     n = 0
     for k in range(order.size):
@@ -93,9 +100,9 @@ def _lowest_sorted(x: Int32, y: Int32, z: Int32, keys: Int64, order: Int64) -> I
 
 
 def lowest_per_cell(x: Int32, y: Int32, z: Int32, cells: Cells) -> Int32:
-    """The lowest point of each cell that holds one, in row-major order of the cells.
+    """The lowest point of each occupied cell, in row-major order of the cells.
 
-    Of equal heights the lexicographically smallest (x, y), so that the order of the points changes nothing.
+    Among equal heights the lexicographically smallest (x, y) is taken, so the order of the points has no effect.
 
     Parameters
     ----------
@@ -113,8 +120,8 @@ def lowest_per_cell(x: Int32, y: Int32, z: Int32, cells: Cells) -> Int32:
     col0, row0 = cells.column(int(x.min())), cells.row(int(y.min()))
     width = cells.column(int(x.max())) - col0 + 1
     n_cells = width * (cells.row(int(y.max())) - row0 + 1)
-    keys = cell_keys(x, y, cells.p, cells.q, cells.origin_x, cells.origin_y, col0, row0, width)
-    if np.all(keys[1:] > keys[:-1]):  # one point a cell in order: what an earlier call gave
+    keys = keys_in(x, y, cells, col0, row0, width)
+    if np.all(keys[1:] > keys[:-1]):  # already one point per cell in order, from an earlier call
         return np.arange(x.size, dtype=np.int32)
     if n_cells <= DENSE_CELLS_PER_POINT * x.size + 1024:
         lowest = lowest_by_key(x, y, z, keys, n_cells)
@@ -123,14 +130,14 @@ def lowest_per_cell(x: Int32, y: Int32, z: Int32, cells: Cells) -> Int32:
 
 
 def occupied(keys: Int64, n_cells: int) -> tuple[Int64, Int64]:
-    """Sorted keys of the cells that hold a point, and the index among them of each point's cell.
+    """Sorted keys of the occupied cells, and the index among them of each point's cell.
 
     Parameters
     ----------
     keys : int64 [n]
-        From 0 on.
+        Keys of the points' cells, at least 0.
     n_cells : int
-        More than the largest key: how many cells a raster has.
+        Number of cells of a raster; more than the largest key.
 
     Returns
     -------
@@ -145,7 +152,7 @@ def occupied(keys: Int64, n_cells: int) -> tuple[Int64, Int64]:
 
 @kernel
 def _occupied_raster(keys: Int64, n_cells: int) -> tuple[Int64, Int64]:
-    """`occupied` by way of a raster."""
+    """`occupied` with the help of a raster."""
     slots = np.full(n_cells, -1, np.int32)
     for key in keys:
         slots[key] = 0
@@ -188,13 +195,13 @@ class CellTable(NamedTuple):
 
 
 class CellIndex:
-    """Points listed by cell, for searches among neighbours; memory grows with the points, not with the extent.
+    """Points listed by cell, for searches among neighbours. Memory grows with the points, not with the extent.
 
     Attributes
     ----------
     cells : Cells
     col0, row0 : int
-        Column and row of the lattice with which the table begins.
+        First column and row of the table within the lattice.
     table : CellTable
     """
 
@@ -203,11 +210,12 @@ class CellIndex:
         self.col0, self.row0 = cells.column(int(x.min())), cells.row(int(y.min()))
         width = cells.column(int(x.max())) - self.col0 + 1
         height = cells.row(int(y.max())) - self.row0 + 1
-        c = cells
-        point_keys = cell_keys(x, y, c.p, c.q, c.origin_x, c.origin_y, self.col0, self.row0, width)
+        point_keys = keys_in(x, y, cells, self.col0, self.row0, width)
         ordered = bool((point_keys[1:] >= point_keys[:-1]).all())
-        order = np.arange(x.size) if ordered else np.argsort(point_keys, kind="stable")
-        point_keys = point_keys if ordered else point_keys[order]
+        order = np.arange(x.size)
+        if not ordered:
+            order = np.argsort(point_keys, kind="stable")
+            point_keys = point_keys[order]
         first = np.flatnonzero(np.append(True, point_keys[1:] != point_keys[:-1]))
         keys = point_keys[first]
         slots = np.zeros(0, np.int32)
@@ -217,19 +225,19 @@ class CellIndex:
         self.table = CellTable(slots, keys, np.append(first, x.size).astype(np.int64), order, width, height)
 
     def places(self, x: Int32, y: Int32) -> tuple[Int64, Int64]:
-        """Columns and rows of the table for local counts: int64 [n] each."""
+        """Columns and rows of positions within the table: int64 [n] each."""
         columns, rows = self.cells.places(x, y)
         return columns - self.col0, rows - self.row0
 
     def find(self, x: Int32, y: Int32) -> Int32:
-        """Index into the table's `keys` of the cell of each of other points, -1 where it is not occupied: int32 [n]."""
+        """Index into the table's `keys` of the cell of each position, -1 for empty cells: int32 [n]."""
         c = self.cells
         return _find(x, y, c.p, c.q, c.origin_x, c.origin_y, self.col0, self.row0, self.table)
 
 
 @kernel
 def find_slot(slots: Int32, keys: Int64, width: int, height: int, column: int, row: int) -> int:
-    """`slot_of` for inner loops, from a table that was unpacked before them."""
+    """`slot_of` for inner loops, with the table unpacked beforehand."""
     if column < 0 or row < 0 or column >= width or row >= height:
         return -1
     key = row * width + column
@@ -241,7 +249,7 @@ def find_slot(slots: Int32, keys: Int64, width: int, height: int, column: int, r
 
 @inlined
 def slot_of(table: CellTable, column: int, row: int) -> int:
-    """Index of a cell among the table's occupied ones, -1 if it is empty or beyond."""
+    """Index of a cell among the table's occupied ones; -1 if it is empty or outside."""
     return find_slot(table.slots, table.keys, table.width, table.height, column, row)
 
 
@@ -259,5 +267,5 @@ def _find(
 
 
 def positions(x: Int32, y: Int32) -> Int64:
-    """One number for each position: int64 [n], different for different (x, y)."""
+    """One number for each position: int64 [n]; different positions have different numbers."""
     return (x.astype(np.int64) << 32) + y

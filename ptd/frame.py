@@ -1,4 +1,4 @@
-"""Integer coordinates (counts): their scale in metres, square cells on them, and the window that is known."""
+"""Integer coordinates (counts): their scale in metres, square cells on them, and the window of known points."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ import numpy as np
 import numpy.typing as npt
 
 OPEN = 2**40
-"""Counts beyond any coordinate: the side of a window behind which there are no points."""
+"""A count beyond any coordinate, the side of a window beyond which there are no points."""
 
 
 @dataclass(frozen=True)
 class Scale:
-    """Metres in one count, and where local count 0 lies.
+    """Metres in one count, and the position of local count 0.
 
     Attributes
     ----------
@@ -56,7 +56,7 @@ class Cells:
 
     @classmethod
     def of(cls, size_m: float, scale: Scale) -> Cells:
-        """Cells of ``size_m`` metres (taken as the decimal number that it prints as)."""
+        """Cells of ``size_m`` metres; the exact size is the decimal number that ``repr`` gives."""
         size = Fraction(repr(float(size_m))) / scale.metres_xy
         return cls(size.numerator, size.denominator, scale.origin[0], scale.origin[1])
 
@@ -65,7 +65,7 @@ class Cells:
         return ((x + self.origin_x) * self.q) // self.p
 
     def row(self, y: int) -> int:
-        """Row of local count ``y``, growing to the north."""
+        """Row of local count ``y``; rows grow to the north."""
         return ((y + self.origin_y) * self.q) // self.p
 
     def places(
@@ -97,7 +97,7 @@ class Cells:
 class Window:
     """The half-open rectangle of local counts whose points are all given.
 
-    A side is *open* (at -OPEN or OPEN) where there are no points beyond it.
+    A side is *open* (at -OPEN or OPEN) if there are no points beyond it.
     """
 
     west: int
@@ -107,7 +107,7 @@ class Window:
 
     @classmethod
     def everything(cls) -> Window:
-        """The window of a whole cloud: no point lies outside it."""
+        """The window of a whole cloud, with no points outside."""
         return cls(-OPEN, -OPEN, OPEN, OPEN)
 
     @property
@@ -116,7 +116,7 @@ class Window:
         return self != Window.everything()
 
     def inside(self, cells: Cells, steps: int = 0) -> Window:
-        """The window shrunk to whole cells, and by `steps` cells more, at the sides that are closed."""
+        """The window shrunk to whole cells, and by `steps` further cells, at its closed sides."""
 
         def first(index: int, count: int, start: int) -> int:
             return index + (start < count) + steps
@@ -135,11 +135,11 @@ class Window:
         return Window(west, south, east, north)
 
     def holds(self, west: int, south: int, east: int, north: int) -> bool:
-        """Whether a half-open rectangle of local counts lies within."""
+        """Whether a half-open rectangle of local counts lies within the window."""
         return west >= self.west and south >= self.south and east <= self.east and north <= self.north
 
     def has(self, x: npt.NDArray[np.int32], y: npt.NDArray[np.int32]) -> npt.NDArray[np.bool_]:
-        """Which positions (local counts) lie within: bool [n]."""
+        """Mask of the positions (local counts) within the window: bool [n]."""
         if not self.closed:
             return np.ones(x.shape, np.bool_)
         found: npt.NDArray[np.bool_] = (

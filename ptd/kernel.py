@@ -1,11 +1,11 @@
 """Compiling numeric functions (kernels) with numba, and the folder where their machine code is kept.
 
-Kernels compile once per machine and version. numba's cache looks at a kernel's own source file alone, so after an
-upgrade it would take old code of the kernels that it calls for fresh. Here the folder's name holds a digest of the
-package's place and of all its sources; it lies in ``NUMBA_CACHE_DIR`` if that is set, else in the user's cache folder,
-else in a folder of the user's own among the temporary files. Where none can be written each process compiles for
-itself. One in ``NUMBA_CACHE_DIR`` that belongs to root, and that nobody else can write, is taken over as a copy: an
-image brings it along for whatever user it runs as.
+Kernels compile once per machine and version. numba's cache checks only the source file of a kernel, so after an upgrade
+it would reuse old code of the kernels called from it. Therefore the folder's name holds a digest of the package's
+location and of all its sources. It lies in ``NUMBA_CACHE_DIR`` if that is set, otherwise in the user's cache folder or
+in a folder of the user among the temporary files. If none can be written, each process compiles for itself. A folder in
+``NUMBA_CACHE_DIR`` that belongs to root, and that only root can write, is copied: so the compiled kernels of an image
+serve every user.
 """
 
 import functools
@@ -25,8 +25,8 @@ from numba.core import config as numba_config
 
 __all__ = ["cache_folder", "compiled_count", "inlined", "kernel", "wide"]
 
-config: Any = numba_config  # its variables are made at run time
-# numba reads settings of a file in the current folder: one that came with the clouds must not change a result.
+config: Any = numba_config  # Any, as its variables are made at run time
+# numba would read a file of settings in the current folder. A file that came with the clouds must not change results.
 config._config_fname = os.devnull
 config.reload_config()
 
@@ -36,14 +36,17 @@ _Result = TypeVar("_Result")
 
 @functools.cache
 def cache_folder() -> Path | None:
-    """The folder of this version's machine code, made if need be; None where there is no place for one."""
+    """The folder of this version's machine code, made if necessary; None if there is no place for it."""
     package = Path(__file__).resolve().parent
-    # numba keeps the code of each installation apart: a twin in another place would take this one's for its own.
+    # numba separates installations by location. Without the location, a second installation would expect this one's
+    # code.
     digest = hashlib.blake2b(f"{numba.__version__} {package}".encode(), digest_size=8)
     for path in sorted(package.rglob("*.py")):
         digest.update(path.read_bytes())
     home = os.environ.get("XDG_CACHE_HOME") or os.path.expanduser("~/.cache")
-    user = os.getuid() if hasattr(os, "getuid") else "user"
+    user = "user"
+    if hasattr(os, "getuid"):
+        user = str(os.getuid())
     places = (os.environ.get("NUMBA_CACHE_DIR"), home, os.path.join(tempfile.gettempdir(), f"cache-{user}"))
     folders = [Path(place) / "tiler-kernels" / digest.hexdigest() for place in places if place]
     shared = [folder for folder in folders if _trusted(folder)]
@@ -56,16 +59,18 @@ def cache_folder() -> Path | None:
 
 
 def compiled_count() -> int:
-    """How many kernels are compiled in the folder of this version."""
+    """Number of compiled kernels in the folder of this version."""
     folder = cache_folder()
-    return 0 if folder is None else sum(1 for _ in folder.rglob("*.nbc"))
+    if folder is None:
+        return 0
+    return sum(1 for _ in folder.rglob("*.nbc"))
 
 
 _ROOT = 0
 
 
 def _trusted(path: Path) -> bool:
-    """Whether what is at a path is root's alone, and can be exchanged by nobody else: it holds code that is run."""
+    """Whether a path belongs to root and only root can replace it, as required of code that is run."""
     try:
         real = path.resolve(strict=True)
         stats = [place.stat() for place in (real, *real.parents)]
@@ -91,7 +96,7 @@ def _take_over(shared: Path, folder: Path) -> None:
 
 
 def _usable(folder: Path) -> bool:
-    """Whether a folder is there or can be made, is the user's own (it holds code) and can be written."""
+    """Whether a folder exists or can be made, belongs to the user (it holds code), and can be written."""
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         own = not hasattr(os, "getuid") or folder.stat().st_uid == os.getuid()
@@ -103,8 +108,8 @@ def _usable(folder: Path) -> bool:
 def kernel(function: Callable[_Parameters, _Result]) -> Callable[_Parameters, _Result]:
     """Compile `function` to machine code on its first call (cached on disk, without the GIL).
 
-    Neither ``fastmath`` nor ``parallel`` is ever set: sums and comparisons must give the same bits on each
-    run, and parallelism is over tiles.
+    Neither ``fastmath`` nor ``parallel`` is ever set, because sums and comparisons must give the same bits on
+    each run. Tiles run in parallel instead.
 
     Parameters
     ----------
@@ -121,19 +126,19 @@ def kernel(function: Callable[_Parameters, _Result]) -> Callable[_Parameters, _R
         config.CACHE_DIR = str(folder or "")
         compiled = numba.njit(cache=folder is not None, nogil=True)(function)
     finally:
-        config.CACHE_DIR = before  # other packages keep their own place
+        config.CACHE_DIR = before  # other packages keep their own folder
     return cast(Callable[_Parameters, _Result], compiled)
 
 
 def inlined(function: Callable[_Parameters, _Result]) -> Callable[_Parameters, _Result]:
-    """As `kernel`, put in the place of each call: for short kernels that take tables of arrays in inner loops.
+    """`kernel` that is inlined at each call: for short kernels that take tables of arrays in inner loops.
 
-    A call counts references to each array of a table, which there costs more than the work.
+    A call counts references to each array of a table, which would cost more than the work.
     """
     return cast(Callable[_Parameters, _Result], numba.njit(nogil=True, inline="always")(function))
 
 
 @kernel
 def wide(value: SupportsInt) -> int:
-    """A value as int64, so that a kernel is not compiled a second time for int32."""
+    """A value as int64. Otherwise a kernel would be compiled a second time for int32."""
     return np.int64(value)  # type: ignore[return-value]

@@ -1,4 +1,4 @@
-"""Parameters of methods: frozen dataclasses whose fields say what people need to know."""
+"""Parameters of methods: frozen dataclasses whose fields carry help, range, unit and source."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 UNIT_SUFFIXES = ("_m", "_deg")
 
 DECIMALS = 6
-"""Of a length: cells are exact fractions of counts, and where a point lies among them must fit int64."""
+"""Decimals of a length. Cells are exact fractions of counts, and positions among them must fit int64."""
 
 
 def parameter(
@@ -20,22 +20,25 @@ def parameter(
     unit: str = "",
     source: str = "",
 ) -> Any:
-    """A field with help, closed range, unit and the place in the literature that it comes from."""
+    """A field with help, closed range, unit and source in the literature."""
     metadata = {"help": help, "unit": unit, "minimum": minimum, "maximum": maximum, "source": source}
     return field(default=default, metadata=metadata)
 
 
 def like(cls: type[Any], name: str, default: float | int | bool | None = None) -> Any:
-    """The field of another method's dataclass, with another default if one is given."""
+    """The field of another method's dataclass, optionally with another default."""
     spec = next(spec for spec in fields(cls) if spec.name == name)
-    return field(default=spec.default if default is None else default, metadata=spec.metadata)
+    value: Any = default
+    if default is None:
+        value = spec.default
+    return field(default=value, metadata=spec.metadata)
 
 
 T = TypeVar("T")
 
 
 def check(params: Any) -> None:
-    """Refuse values of a parameter dataclass that are of the wrong kind or out of range.
+    """Refuse parameter values of the wrong type or out of range.
 
     Raises
     ------
@@ -49,7 +52,7 @@ def check(params: Any) -> None:
             raise ValueError(f"{spec.name} {value!r}: must be {_kind(spec.default)}")
         below = low is not None and not value >= low
         if below or (high is not None and not value <= high):
-            unit = f" {spec.metadata['unit']}" if spec.metadata["unit"] else ""
+            unit = f" {spec.metadata['unit']}".rstrip()
             raise ValueError(f"{spec.name} {value:g}: must be between {low:g} and {high:g}{unit}")
         if spec.metadata["unit"] == "m" and round(value, DECIMALS) != value:
             raise ValueError(
@@ -66,11 +69,13 @@ def _is_of_kind(value: Any, default: Any) -> bool:
 def _kind(default: Any) -> str:
     if isinstance(default, bool):
         return "true or false"
-    return "a whole number" if isinstance(default, int) else "a number"
+    if isinstance(default, int):
+        return "a whole number"
+    return "a number"
 
 
 def parse(cls: type[T], texts: dict[str, str]) -> T:
-    """Parameters from ``name=value`` texts; a name may leave out its unit suffix (``_m``, ``_deg``).
+    """Parameters from ``name=value`` texts; a name may omit its unit suffix (``_m``, ``_deg``).
 
     Raises
     ------

@@ -1,9 +1,9 @@
-"""How a method runs over tiles: a sequence of passes.
+"""The interface of methods: a method runs over tiles as a sequence of passes.
 
-A pass looks at the candidates of a window (`Pass.fit`) and gives a model that labels points in pieces
-(`Model.label`) and says what the window contributes to run-wide statistics (`Model.partial`); `Pass.reduce`
-merges the partials of all tiles, in any order, into the state that the next pass sees. A pass is the unit of
-scheduling and of resume.
+A pass gets the candidates of a window (`Pass.fit`) and returns a model. The model labels points in pieces
+(`Model.label`) and gives the window's part of run-wide statistics (`Model.partial`). `Pass.reduce` merges the
+partials of all tiles, in any order, into the state that the next pass gets. A pass is the unit of scheduling and of
+resume.
 """
 
 from __future__ import annotations
@@ -16,58 +16,72 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ptd import places
 from ptd.frame import Scale, Window
 
 Int32 = npt.NDArray[np.int32]
 UInt8 = npt.NDArray[np.uint8]
 UInt16 = npt.NDArray[np.uint16]
 State = Mapping[str, Any]
-"""JSON-able run-wide figures, small: each task carries them. Before the first pass: ``{"run": RunFacts as dict}``.
-``notes``, a list of lines that `Pass.reduce` may lengthen, tell the user what was decided from the data."""
+"""Figures of the run, JSON-able. At first ``{"run": RunFacts as dict}``. ``notes`` is a list of lines, which
+`Pass.reduce` may lengthen, on decisions from the data. ``places`` holds the figures of each place (`ptd.places`).
+A task carries the part that its window needs (`Pass.local`)."""
+
+LOOKED_AT = {"run": ("sigma_m", "kind"), "survey": ("kind",), "canopy": ()}
+"""Names that passes read in these entries of a state. The others are for people, and change with each added file."""
 
 
 KINDS = ("lidar", "dim")
-"""What made a cloud: laser scanning, or matching of images."""
+"""Origins of a cloud: laser scanning, or image matching."""
 
 
 def noted(state: State, *lines: str) -> list[str]:
-    """The notes of a state, and more of them."""
+    """The notes of a state and further notes."""
     return [*state.get("notes", []), *lines]
 
 
 class MethodRefusal(ValueError):
-    """The method cannot work on this run, as only its statistics show; one line for the user."""
+    """The statistics show that the method cannot work on this run; one line for the user."""
 
 
 @dataclass(frozen=True)
 class RunFacts:
-    """What is known of a run before its first pass; nothing that changes with each file that is added.
+    """Facts about a run before its first pass; none of them changes with each added file.
 
     Attributes
     ----------
     sigma_m : float or None
-        The noise of heights as the user says it (``--sigma``).
+        Noise of heights given by the user (``--sigma``).
     kind : {"lidar", "dim"} or None
-        What made the cloud as the user says it (``--kind``): laser scanning, or matching of images. None: to be
-        decided from the data.
+        Origin of the cloud, laser scanning or image matching, as the user gives it (``--kind``) or the fields of its
+        points show it. None: the positions of the points have to decide as well.
+    sure : float or None
+        Probability that the kind is right; None if the user gives it.
+    why : str or None
+        Evidence for the kind, in words.
+    evidence : dict or None
+        `ptd.Evidence` as plain values, if it does not decide alone.
     """
 
     sigma_m: float | None = None
     kind: str | None = None
+    sure: float | None = None
+    why: str | None = None
+    evidence: dict[str, float | None] | None = None
 
 
 @dataclass(frozen=True)
 class Points:
-    """Columns of ``n`` points; those that a pass does not name in `Pass.columns` are None.
+    """Columns of ``n`` points. Columns that a pass does not name in `Pass.columns` are None.
 
     Attributes
     ----------
     xyz : int32 [3, n]
         Local counts.
     labels : uint8 [n]
-        Of the last pass that gave labels; 0: none yet.
+        Labels of the last pass that gave labels; 0 before that.
     rgb : uint16 [3, n]
-        As the sources give them; all 0 where a source has none.
+        Colours of the sources; all 0 for a source without colours.
     returns : uint8 [2, n]
         Return number and number of returns; 0 where unknown.
     """
@@ -86,22 +100,26 @@ class Points:
         return x, y, z
 
     def known_labels(self) -> UInt8:
-        """The labels, of a pass that asked for them."""
+        """The labels; the pass must have named them in its columns."""
         if self.labels is None:
             raise ValueError("the pass was given no labels")
         return self.labels
 
     def take(self, index: npt.NDArray[Any] | slice) -> Points:
-        """The points of an index or mask, in that order."""
+        """The points of an index or mask, in its order."""
 
         def taken(column: Any) -> Any:
-            return None if column is None else np.ascontiguousarray(column[..., index])
+            if column is None:
+                return None
+            if isinstance(index, np.ndarray) and index.dtype.kind == "i":
+                return np.take(column, index, axis=-1)  # several times as fast
+            return np.ascontiguousarray(column[..., index])
 
         return Points(taken(self.xyz), taken(self.labels), taken(self.rgb), taken(self.returns))
 
 
 def joined(parts: Sequence[Points]) -> Points:
-    """Points (at least one part) one after the other, with the columns that all parts have."""
+    """Points of all parts (at least one), one after the other, with the columns that all parts have."""
 
     def column(name: str) -> Any:
         columns = [getattr(part, name) for part in parts]
@@ -111,54 +129,54 @@ def joined(parts: Sequence[Points]) -> Points:
 
 
 class Model(ABC):
-    """A window after a pass.
+    """The result of a pass in a window.
 
     Attributes
     ----------
     stats : dict
-        What was done, for the log: counts and rounds, JSON-able.
+        Counts and rounds for the log, JSON-able.
     """
 
     stats: dict[str, Any]
 
     @abstractmethod
     def label(self, points: Points) -> tuple[UInt8, npt.NDArray[np.bool_]]:
-        """Labels (uint8 [n], below 128) and marks (bool [n]: not certified) of points of the window.
+        """Labels (uint8 [n], below 128) and marks (bool [n], true if not certified) of points of the window.
 
-        The labels of the last pass are ASPRS classes; those of the passes before may mean anything to their method.
-        Not called if the pass gives no labels. With `Pass.label_margin_m` other points follow those to be labelled:
-        what is said of them is not used.
+        Labels of the last pass are ASPRS classes; the method defines those of earlier passes. Not called if the pass
+        gives no labels. With `Pass.label_margin_m` other points follow those to be labelled; their labels are
+        ignored.
         """
 
     def elect(self, bounds: Window) -> Int32:
         """The elected points whose x and y lie within half-open bounds: int32 [3, m], local counts.
 
-        Called only if the pass elects, for parts of the core. Which points there are and in which order must follow
-        from what lies around them alone, whatever the window and the bounds. In a tiled run the bounds are those of a
-        bucket, which keeps at most as many elected points as its rows hold of points: cells with one each nest in
-        buckets if 8 m are a whole number of them.
+        Called for parts of the core, only if the pass elects. Points and their order must follow from their
+        surroundings alone, not from the window or the bounds. In a tiled run the bounds are those of a bucket, which
+        keeps at most as many elected points as its rows hold points. Cells with one elected point each nest in
+        buckets if 8 m are a whole number of cells.
         """
         raise NotImplementedError("the pass elects no points")
 
     def partial(self) -> dict[str, Any]:
-        """What the window's core adds to the run's statistics, JSON-able; each point is in one core."""
+        """The core's part of the run's statistics, JSON-able. Each point lies in one core."""
         return {}
 
     def uncertain(self) -> int:
-        """How many points of the core `partial` may count wrongly for want of what lies beyond the window.
+        """Number of points of the core that `partial` may count wrongly, because points beyond the window are unknown.
 
-        Like a core that carries a mark, one with such points is done again with a wider halo.
+        A core with such points is done again with a wider halo, like one with a mark.
         """
         return 0
 
 
 class Measured(Model):
-    """A window of a pass that gives no labels.
+    """The result of a pass that gives no labels.
 
     Parameters
     ----------
     partial : dict
-        Of the core, see `Model.partial`.
+        The core's part of the statistics, see `Model.partial`.
     stats : dict, optional
     """
 
@@ -170,48 +188,48 @@ class Measured(Model):
         raise NotImplementedError("the pass gives no labels")
 
     def partial(self) -> dict[str, Any]:
-        """What was measured."""
+        """The measured part of the core."""
         return self._partial
 
 
 class Pass(ABC):
-    """One step of a method that needs no more than a window and the state.
+    """One step of a method that needs only a window and the state.
 
     Attributes
     ----------
     name : str
         Unique in the method; its state is kept as ``after-<name>``.
     title : str
-        What it does, in a few words for people; empty: its name says it.
+        A few words on what the pass does; if empty, the name is used.
     columns : tuple of str
-        Of `Points` besides xyz: ``labels``, ``rgb``, ``returns``.
+        Columns of `Points` that the pass needs besides xyz: ``labels``, ``rgb``, ``returns``.
     every_point : bool
-        `fit` wants all points of the window, not one candidate per cell of the method's `candidate_cell_m`.
+        Whether `fit` gets all points of the window instead of one candidate per cell of `candidate_cell_m`.
     gives_labels : bool
-        Else the pass only measures. The last pass of a method gives labels.
+        Whether the pass labels points; otherwise it only measures. The last pass of a method gives labels.
     halo_m : float or None
-        Points around a tile with which this pass seldom needs more; None: as the method says.
+        Width of the halo that this pass seldom exceeds; None: the method's.
     reach_m : float or None
-        Where nothing farther from a place than this can change anything there, so that a window with so much around
-        its core, no more and no less, gives the untiled answer: neither wider halos nor open sides are needed. 0: the
-        core alone. None: no such bound.
+        Distance beyond which nothing can change the result at a place. A window with exactly this margin around its
+        core gives the untiled answer, without wider halos or open sides. 0: the core suffices. None: no such bound.
     elects : bool
-        The pass makes points of its own (`Model.elect`), say one a cell, for the passes after it that are on `elected`
-        ones. If it gives labels, they are of these points: `Model.label` is then given elected ones, xyz alone. Another
-        such pass after it replaces them.
+        Whether the pass makes points of its own (`Model.elect`), for example one per cell, for later `elected` passes.
+        If it gives labels, `Model.label` gets these points, with xyz only, and labels them. The next such pass replaces
+        them.
     elected : bool
-        `fit` is given the elected points of the window instead of the cloud's: xyz and, if asked for, the labels of the
-        last such pass before (0: none yet). Labels of the pass are of elected points, and kept for the next such pass;
-        those of the last pass that applies are of all points, as ever. So `Model.label` is given points of that sort,
-        and labels among their columns are of points of that sort.
+        Whether `fit` gets the elected points of the window instead of the cloud's: xyz and, if named, the labels of the
+        last such pass (0 before that). `Model.label` labels elected points too, for the next such pass. Only the last
+        pass that applies labels all points of the cloud, and gets these with their labels.
     label_margin_m : float
-        `Model.label` needs the points around those that it labels: it is given those, then all others that take part
-        in filtering within this distance of the rectangle that the first ones fill, in any order.
+        Margin of points that `Model.label` needs around those that it labels. It gets these first, then all other
+        points that take part in filtering within this distance of the rectangle around the first ones, in any order.
     kind : {"lidar", "dim"} or None
-        What made the clouds that the pass is for: to others it does not apply. None: for all clouds.
+        Origin of the clouds to which the pass applies. None: all clouds.
     raster_cell_m : float
-        Side of the cells of a raster that the pass makes of its window, over voids as well: memory follows from it. 0:
-        it makes none, memory follows from the points.
+        Side of the cells of a raster of the whole window that the pass makes, and that determines its memory. 0: the
+        pass makes no such raster, and the points determine its memory.
+    by_place : bool
+        Whether `fit` reads the figures of places in the state.
     """
 
     name: str
@@ -226,49 +244,63 @@ class Pass(ABC):
     label_margin_m: float = 0.0
     kind: str | None = None
     raster_cell_m: float = 0.0
+    by_place: bool = False
 
     def applies(self, state: State) -> bool:
-        """Whether the pass is done at all, given the state after the passes before; else it is passed over.
+        """Whether the pass is done, given the state after the passes before it.
 
-        For passes of which a run needs only some, as the survey decides. What is decided must stay: asked again with
-        the state after a later pass, the answer is the same. Passes that give labels or elect ask this of all after
-        them, so whoever decides comes before these. The last pass that applies labels all points.
+        Some passes are needed only in some runs, as the survey decides. The answer must not change with the state
+        after a later pass. Passes that give labels or elect ask this of all later passes, so the deciding pass comes
+        before them. The last pass that applies labels all points.
         """
         return True
 
     @abstractmethod
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Model:
-        """Work on the points (in any order) of a window, of which only the core counts for `Model.partial`."""
+        """Work on the points of a window, in any order. Only the core counts for `Model.partial`."""
+
+    def local(self, state: State, window: Window, scale: Scale) -> dict[str, Any]:
+        """What `fit` needs of a state for a window: so far away, another file changes nothing of it."""
+        found = {name: value for name, value in state.items() if name not in ("notes", places.PLACES)}
+        for name, looked_at in LOOKED_AT.items():
+            if name in found:
+                found[name] = {key: value for key, value in found[name].items() if key in looked_at}
+        if self.by_place and places.PLACES in state:
+            found[places.PLACES] = places.near(state[places.PLACES], window, scale)
+        return found
 
     def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
-        """The state after the pass; must not depend on the order of the partials. `MethodRefusal` ends the run."""
+        """The state after the pass; it must not depend on the order of the partials. `MethodRefusal` ends the run."""
         return dict(state)
 
 
 def later_passes(passes: Sequence[Pass], number: int, state: State) -> list[Pass]:
-    """The passes after that of a number that apply, as far as the state before it tells."""
+    """The passes after number `number` that apply, as far as the state before it shows."""
     return [step for step in passes[number + 1 :] if step.applies(state)]
 
 
 def read_at_candidates(later: Sequence[Pass]) -> bool:
-    """Whether the labels that come before some passes, at least one, are asked for at candidates alone."""
-    return bool(later) and not any(step.every_point or step.label_margin_m for step in later)
+    """Whether some passes (at least one) read the labels before them at candidates only.
+
+    `Model.label` of such passes is given no labels, whatever it needs around the points.
+    """
+    return bool(later) and not any(step.every_point for step in later)
 
 
 @dataclass(frozen=True)
 class Method:
-    """A filter by name.
+    """A filter with its name and its parameters.
 
     Attributes
     ----------
     name, summary : str
     params : type
-        Frozen dataclass of `ptd.params.parameter` fields, the only home of the defaults, with the properties ``passes``
-        (tuple of `Pass`), ``halo_m`` (metres around a tile that decisions usually reach), ``align_m``
-        (windows are widened to whole cells of this lattice), ``margin_m`` (and by this beyond) and
-        ``candidate_cell_m`` (0: every point is a candidate).
+        Frozen dataclass of `ptd.params.parameter` fields, the only home of the defaults. Its properties are ``passes``
+        (tuple of `Pass`), ``halo_m`` (metres around a tile that decisions usually reach), ``align_m`` (side of the
+        lattice cells to which windows are widened), ``margin_m`` (further widening) and ``candidate_cell_m`` (0: every
+        point is a candidate).
     needs : tuple of str
-        Columns without which the method refuses: ``rgb``.
+        Columns that the method requires, such as ``rgb``.
     """
 
     name: str

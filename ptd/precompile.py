@@ -1,6 +1,6 @@
-"""Compile the kernels once per machine, before workers start that would each compile them.
+"""Compile the kernels once per machine, before workers start, which would each compile them.
 
-Where their machine code is kept: `ptd.kernel`. A file beside it says that a method's kernels are among it.
+`ptd.kernel` says where the machine code is kept. A file beside the code marks each method whose kernels are compiled.
 """
 
 from __future__ import annotations
@@ -20,13 +20,14 @@ from ptd.kernel import cache_folder
 Float64 = npt.NDArray[np.float64]
 
 GARBAGE_OBJECTS = 100_000
-"""The compiler makes objects by the million: looking for garbage after each 700 of them is a tenth of its time."""
+"""Objects between two garbage collections. The default of 700 costs the compiler a tenth of its time."""
 
 
 def _scene() -> tuple[Float64, npt.NDArray[np.uint16]]:
     """A coloured town in which every method finds what it needs: xyz [n, 3] in metres, rgb [n, 3].
 
-    60 m on a slope, 10 points/m2 with noise of 5 cm, a mound, four houses with a facade each, trees, low outliers.
+    It covers 60 m of a slope at 10 points/m2 with noise of 5 cm, with a mound, four houses with a facade each, trees,
+    and low outliers.
     """
     random = np.random.default_rng(1)
     x, y = 60 * random.random((2, 36_000))
@@ -46,7 +47,10 @@ def _scene() -> tuple[Float64, npt.NDArray[np.uint16]]:
 
 
 def has_kinds(method: str) -> bool:
-    """Whether a method has passes that do not always apply: those for one kind of clouds have kernels of their own."""
+    """Whether a method has passes that do not always apply.
+
+    Passes for one kind of clouds have kernels of their own.
+    """
     from ptd.methods import METHODS
     from ptd.passes import Pass
 
@@ -54,14 +58,14 @@ def has_kinds(method: str) -> bool:
 
 
 def warm_filters(method: str, tell: Callable[[], None], kind: str | None = None) -> None:
-    """Compile what a method uses, unless that was done; ``tell`` is called before it takes long.
+    """Compile the kernels of a method unless that was done; call ``tell`` before it takes long.
 
     Parameters
     ----------
     method : str
     tell : callable
     kind : {"lidar", "dim"} or None
-        Of the cloud, where the method has passes for one kind; None: what both need.
+        Kind of the cloud, if the method has passes for one kind. None: both kinds.
     """
     from ptd.api import do_passes
     from ptd.methods import METHODS
@@ -70,62 +74,87 @@ def warm_filters(method: str, tell: Callable[[], None], kind: str | None = None)
     def work(which: str | None) -> None:
         xyz, rgb = _scene()
         counts = np.ascontiguousarray((1000 * xyz).T.astype(np.int32))
-        # Several returns are a laser scan's: the kind is not said, so that what decides it is compiled as well.
-        returns = np.full((2, len(xyz)), 2 if which == KINDS[0] else 1, np.uint8)
+        # Several returns show a laser scan. The kind is not given, so that the passes that decide it compile as well.
+        returns = np.ones((2, len(xyz)), np.uint8)
+        if which == KINDS[0]:
+            returns += 1
         columns = {"rgb": np.ascontiguousarray(rgb.T), "returns": returns}
-        tile = Window(0, 0, 60_000, 60_000)  # points beyond it are in doubt, which has kernels of its own
+        tile = Window(0, 0, 60_000, 60_000)  # points beyond it are in doubt, which needs further kernels
         do_passes(METHODS[method].params(), counts, columns, Scale(), tile, RunFacts())
 
-    for which in ((kind,) if kind else KINDS) if has_kinds(method) else (None,):
+    kinds: tuple[str | None, ...] = (None,)
+    if has_kinds(method):
+        kinds = (kind,) if kind else KINDS
+    for which in kinds:
         _once(filters_name(method, which), tell, functools.partial(work, which))
 
 
 def filters_name(method: str, kind: str | None) -> str:
-    """What says of a method's kernels that they are compiled; ``kind`` counts where the method has passes for it."""
-    return f"{method}-{kind}" if kind and has_kinds(method) else method
+    """Name of the mark for a method's kernels; ``kind`` counts if the method has passes for it."""
+    if kind and has_kinds(method):
+        return f"{method}-{kind}"
+    return method
 
 
 def gridding_name(interpolation: str) -> str:
-    """What says of the kernels of gridding that they are compiled."""
+    """Name of the mark for the kernels of gridding."""
     return f"gridding-{interpolation}"
 
 
 def is_compiled(name: str) -> bool:
-    """Whether kernels of that name are compiled, or cannot be ahead, as there is no place for them."""
+    """Whether the kernels of that mark are compiled, or no folder can hold them."""
     folder = cache_folder()
     return folder is None or (folder / f"{name}.compiled").exists()
 
 
+def why_not_compiled(name: str) -> str:
+    """Why kernels of that name are yet to be compiled, in words."""
+    folder = cache_folder()
+    if folder is None:
+        return "no folder for machine code can be written, so each process compiles for itself"
+    if any(folder.glob("*.compiled")):
+        return f"the first run here that needs those of {name}; each kind of cloud and method has some of its own"
+    if any(other != folder for other in folder.parent.iterdir()):
+        return f"those in {folder.parent} are of another version or installation of tiler or numba"
+    return f"the first run that keeps its machine code in {folder.parent}"
+
+
 def warm_gridding(interpolation: Literal["linear", "natural"], tell: Callable[[], None]) -> None:
-    """Compile what gridding uses, unless that was done; ``tell`` is called before it takes long."""
-    from ptd.gridding import highest_returns, nearest, wall_feet
+    """Compile the kernels of gridding unless that was done; call ``tell`` before it takes long."""
+    from ptd.gridding import ground_cells, highest_returns, nearest, wall_feet
     from ptd.tin import Pixels, Tin, rasterise
     from ptd.tin import Window as Seen
 
     def work() -> None:
         pixels = Pixels(1000, 1, 0, 59, 60, 60)
         xyz = np.ascontiguousarray((1000 * _scene()[0]).T.astype(np.int32))
-        tin, window = Tin.build(*xyz), Seen(-1000, -1000, 61_000, 61_000)
+        tin = Tin.build(*xyz)
+        window = Seen(-1000, -1000, 61_000, 61_000)
         rasterise(tin, pixels, interpolator=interpolation, max_edge=5e4, max_radius=5e4, window=window)
         nearest.nearest_points(xyz[0], xyz[1], xyz[2], pixels, 1, 5e3)
         highest_returns.HighestReturns(1, 1).add(np.zeros(xyz.shape[1], np.int64), xyz)
         wall_feet.beside_objects(xyz, xyz, Fraction(1000), 1000, (0, 0))
+        cells = ground_cells.CellWindow(1000, 1, 0, 59, 60, 60)
+        ground_cells.plane_variance(xyz, cells, (2, 5))
+        ground_cells.cell_counts(xyz, cells)
 
     _once(gridding_name(interpolation), tell, work)
 
 
 def _once(name: str, tell: Callable[[], None], work: Callable[[], None]) -> None:
-    """Compile by doing some work, unless a file beside the machine code says that this was done."""
+    """Compile by running `work`, unless the mark beside the machine code exists."""
     folder = cache_folder()
-    done = None if folder is None else folder / f"{name}.compiled"
-    if done is None:
+    if folder is None:
         tell()  # every process compiles for itself
-    elif not done.exists():
-        tell()
-        often = gc.get_threshold()
-        gc.set_threshold(GARBAGE_OBJECTS)
-        try:
-            work()
-        finally:
-            gc.set_threshold(*often)
-        done.touch()
+        return
+    done = folder / f"{name}.compiled"
+    if done.exists():
+        return
+    tell()
+    threshold = gc.get_threshold()
+    gc.set_threshold(GARBAGE_OBJECTS)
+    try:
+        work()
+    finally:
+        gc.set_threshold(*threshold)
+    done.touch()

@@ -16,7 +16,12 @@ from tiler.version import __version__
 
 ROOT = Path(__file__).resolve().parents[1]
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+URLS = PROJECT.get("urls", {})
+RECIPE = yaml.safe_load((ROOT / ".ci/conda/recipe.yaml").read_text("utf-8"))
+IN_CONDA = {"dask": "dask-core"}
+"""Names of packages that conda-forge names otherwise."""
 CLOUD = {r.name: r for r in map(Requirement, PROJECT["optional-dependencies"]["cloud"])}
+DOCS = {r.name: r for r in map(Requirement, PROJECT["optional-dependencies"]["docs"])}
 REQUIREMENTS = {r.name: r for r in map(Requirement, PROJECT["dependencies"])}
 
 
@@ -31,7 +36,9 @@ def pins(path: str) -> dict[str, Version]:
     return found
 
 
-@pytest.mark.parametrize("requirement", [*REQUIREMENTS.values(), *CLOUD.values()], ids=lambda r: r.name)
+@pytest.mark.parametrize(
+    "requirement", [*REQUIREMENTS.values(), *CLOUD.values(), *DOCS.values()], ids=lambda r: r.name
+)
 def test_the_lower_bound_is_the_version_that_ci_tests(requirement: Requirement) -> None:
     (bound,) = requirement.specifier
     name = requirement.name
@@ -117,3 +124,41 @@ def test_the_changelog_knows_this_version() -> None:
 def test_typed_packages_say_so() -> None:
     for package in ("tiler", "ptd", "cli"):
         assert (ROOT / package / "py.typed").is_file()
+
+
+def test_the_conda_recipe_asks_for_the_same_versions() -> None:
+    python = f"python {PROJECT['requires-python']}"
+    lazrs = f"lazrs-python >={pins('.ci/lowest.txt')['lazrs']}"  # the extra of laspy
+    wanted = [f"{IN_CONDA.get(name, name)} {r.specifier}" for name, r in REQUIREMENTS.items()]
+    assert sorted(RECIPE["requirements"]["run"]) == sorted([python, lazrs, *wanted])
+    build = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["build-system"]["requires"]
+    backend = [f"{r.name} {r.specifier}" for r in map(Requirement, build)]
+    assert sorted(RECIPE["requirements"]["host"]) == sorted([python, "pip", *backend])
+
+
+def test_the_conda_recipe_makes_one_package_for_all_systems_with_the_same_commands() -> None:
+    assert RECIPE["package"] == {"name": PROJECT["name"], "version": __version__}
+    assert RECIPE["build"]["noarch"] == "python"
+    commands = [f"{name} = {place}" for name, place in PROJECT["scripts"].items()]
+    assert RECIPE["build"]["python"]["entry_points"] == commands
+    about = RECIPE["about"]
+    assert (about["summary"], about["license"]) == (PROJECT["description"], PROJECT["license"])
+    assert (ROOT / about["license_file"]).is_file()
+    assert (about.get("homepage"), about.get("repository")) == (URLS.get("Homepage"), URLS.get("Repository"))
+
+
+def test_the_citation_is_of_this_version() -> None:
+    citation = yaml.safe_load((ROOT / "CITATION.cff").read_text("utf-8"))
+    assert citation["cff-version"] == "1.2.0"
+    assert citation["version"] == __version__
+    assert citation["license"] == PROJECT["license"]
+    assert citation["authors"] == [{"name": author["name"]} for author in PROJECT["authors"]]
+    assert citation.get("repository-code") == URLS.get("Repository")
+    assert citation.get("url") == URLS.get("Homepage")
+
+
+def test_ci_tries_each_python_that_the_classifiers_name() -> None:
+    script = (ROOT / ".ci/run").read_text("utf-8")
+    (others,) = re.findall(r"^for version in (.*); do$", script, re.MULTILINE)
+    named = [c.rpartition(" ")[2] for c in PROJECT["classifiers"] if re.search(r"Python :: 3\.", c)]
+    assert named == [PROJECT["requires-python"].removeprefix(">="), *others.split()]

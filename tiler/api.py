@@ -8,19 +8,24 @@ way is in the result, is given to ``progress``, and goes to the logger ``tiler``
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Iterable, Mapping
+import os
+import sys
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeAlias
 
 from tiler.apps.check import PointOptions, measure, parse_requirements
-from tiler.apps.classify import classify_file
+from tiler.apps.classify import classify_file, classify_files, is_one_file
 from tiler.config import RunConfig
 from tiler.core.units import parse_length, unit_named
 from tiler.errors import ConfigError, InputError, ProcessingError, TilerError
 from tiler.io.locations import cloud_path
 from tiler.observe.events import Listener, combine
 from tiler.observe.json_lines import Progress, ProgressRecords
+from tiler.observe.notebook_bar import NotebookBar, in_notebook
+from tiler.observe.progress import open_progress
 from tiler.pipeline import run as run_job
 from tiler.report.notebook import check_markup, classified_markup
 from tiler.runs.job import RunResult
@@ -47,6 +52,9 @@ PathLike: TypeAlias = str | Path
 Settings: TypeAlias = RunConfig | Mapping[str, Any]
 """Settings of a run, by the names of ``tiler config --template``: ``{"resolution": "50cm", "products": ["dtm"]}``."""
 TellProgress: TypeAlias = Callable[[Progress], object]
+ShowProgress: TypeAlias = TellProgress | bool | None
+"""A function that is given each `Progress`; True: bars in a terminal or a notebook, and lines elsewhere; False: nothing
+is shown; None: a bar in a notebook alone."""
 
 _logger = logging.getLogger("tiler")
 _logger.addHandler(logging.NullHandler())  # who wants the log says so: Python would print warnings
@@ -58,24 +66,28 @@ def run(
     config: Settings | None = None,
     *,
     until: str = "export",
-    progress: TellProgress | None = None,
+    progress: ShowProgress = None,
+    **settings: Any,
 ) -> RunResult:
     """Turn point clouds into a terrain model and classified clouds, as ``tiler run``.
 
-    The same call again goes on where this one was interrupted.
+    After an interruption the same call resumes.
 
     Parameters
     ----------
     inputs : path or sequence of paths
-        Files, folders, globs, URLs.
+        Files, folders, globs or URLs of point clouds.
     out : path or URL
-        Folder of the results, made if it is not there.
+        Folder of the results; it is created if it does not exist.
     config : mapping or RunConfig, optional
         Settings by the names of ``tiler config --template``; lengths are metres unless written with a unit.
     until : {"ingest", "filter", "grid", "export"}
         Last stage to do.
-    progress : callable, optional
-        Given a `Progress` now and then: how far the job is, and what people should know (docs/progress.md).
+    progress : callable or bool, optional
+        A function, which is called from time to time with a `Progress` (docs/progress.md). True shows bars in a
+        terminal or a notebook, and lines elsewhere; False shows nothing. By default a bar is shown in a notebook alone.
+    **settings
+        Settings as keywords: ``resolution=0.5, crs=2154``. A setting is given once, here or in ``config``.
 
     Returns
     -------
@@ -84,40 +96,42 @@ def run(
     Raises
     ------
     TilerError
-        The one line of the command, with its ``exit_code``; nothing that was finished is lost.
+        With the line and the ``exit_code`` of the command; finished work is kept.
 
     Examples
     --------
     >>> import tiler
-    >>> result = tiler.run("clouds/", "out", {"method": "classic", "resolution": 2, "workers": 1})
+    >>> result = tiler.run("clouds/", "out", method="classic", resolution=2, workers=1)
     >>> result.exit_code, result.summary["counts"]["read"]
     (0, 1849)
     >>> sorted(name for name in result.files if name.endswith(".tif"))
     ['dtm.tif']
     >>> try:
-    ...     tiler.run("clouds/", "out", {"resolution": "fine"})
+    ...     tiler.run("clouds/", "out", resolution="fine")
     ... except tiler.TilerError as error:
     ...     print(error)
     resolution: 'fine' is no length: write a number, with a unit if it is not metres (1, 0.5, 1/3, 3ft)
     """
-    listener = _listener(progress)
-    return run_job(_texts(inputs), str(out), _settings(config), listener, until=until)
+    with _listening(progress) as listener:
+        return run_job(
+            _texts("inputs", inputs), _text("out", out), _settings(config, settings), listener, until=until
+        )
 
 
 @dataclass(frozen=True)
 class ClassifyResult:
-    """How `classify` ended; a notebook shows it as a table.
+    """Result of `classify`; a notebook shows it as a table.
 
     Attributes
     ----------
     exit_code : int
-        0, or 5 if points of tiles that failed kept their classes.
+        0, or 5 if tiles failed, whose points keep their classes, or if a file was left out.
     summary : dict
         What ``tiler classify --json`` prints: points, changed, classes, method, parameters, seconds and more.
     path : Path
-        The classified cloud.
+        Path of the classified cloud.
     notes : tuple of str
-        What was decided or found on the way.
+        Decisions and findings, a line each.
     """
 
     exit_code: int
@@ -127,7 +141,7 @@ class ClassifyResult:
 
     @property
     def classes(self) -> dict[int, int]:
-        """Class -> points of it."""
+        """Number of points by class."""
         return {int(code): points for code, points in self.summary["classes"].items()}
 
     def _repr_html_(self) -> str:
@@ -135,21 +149,24 @@ class ClassifyResult:
 
 
 def classify(
-    source: PathLike,
+    source: PathLike | Iterable[PathLike],
     target: PathLike,
     config: Settings | None = None,
     *,
-    progress: TellProgress | None = None,
+    progress: ShowProgress = None,
+    **settings: Any,
 ) -> ClassifyResult:
-    """Classify one LAS or LAZ file, as ``tiler classify``: same points, same order, new classes.
+    """Classify LAS or LAZ files, as ``tiler classify``; the points keep their order and get new classes.
 
     Parameters
     ----------
-    source : path or URL
+    source : path or URL, or several of them
+        The cloud; or several clouds, folders and globs.
     target : path
-        LAZ or LAS, by its name; it appears when it is whole.
-    config, progress
-        As of `run`.
+        The classified cloud, LAZ or LAS by its name; it appears when it is whole. Of several clouds the folder that
+        gets a LAZ file for each.
+    config, progress, **settings
+        As in `run`.
 
     Returns
     -------
@@ -158,12 +175,12 @@ def classify(
     Raises
     ------
     TilerError
-        The one line of the command, with its ``exit_code``.
+        With the line and the ``exit_code`` of the command.
 
     Examples
     --------
     >>> import tiler
-    >>> result = tiler.classify("clouds/a.las", "ground.laz", {"method": "classic", "workers": 1})
+    >>> result = tiler.classify("clouds/a.las", "ground.laz", method="classic", workers=1)
     >>> result.classes[2] > 1500
     True
     """
@@ -173,14 +190,21 @@ def classify(
         if event in ("note", "warning"):
             told.append(fields["text"])
 
-    facts = classify_file(source, target, _settings(config), combine(keep, _listener(progress)))
+    path, sources = _text("target", target), _texts("source", source)
+    with _listening(progress) as listener:
+        both, chosen = combine(keep, listener), _settings(config, settings)
+        if is_one_file(sources, path):
+            facts = classify_file(sources[0], path, chosen, both)
+        else:
+            facts = classify_files(sources, path, chosen, both)
     notes = tuple(dict.fromkeys([*told, *facts["notes"]]))
-    return ClassifyResult(5 if facts["failed_tasks"] else 0, facts, Path(target), notes)
+    partial = facts["failed_tasks"] or facts.get("quarantined")
+    return ClassifyResult(5 if partial else 0, facts, Path(path), notes)
 
 
 @dataclass(frozen=True)
 class CheckResult:
-    """What `check` measured; a notebook shows it as tables.
+    """Result of `check`; a notebook shows it as tables.
 
     Attributes
     ----------
@@ -188,7 +212,7 @@ class CheckResult:
         0, or 5 if a requirement is not met.
     summary : dict
         What ``tiler check --json`` prints: ``accuracy`` by checkpoints, ``seams``, ``strips``, ``requirements``,
-        ``figures``; the first three where there is something to measure by.
+        ``figures``. Each of the first three is there only if it was measured.
     """
 
     exit_code: int
@@ -215,7 +239,7 @@ def check(
     require: Iterable[str] = (),
     figures: PathLike | None = None,
 ) -> CheckResult:
-    """Measure how good a DTM is, as ``tiler check``: vertical accuracy, seams of tiles, fit of flight strips.
+    """Measure the vertical accuracy of a DTM, its seams, and the fit of flight strips, as ``tiler check``.
 
     Parameters
     ----------
@@ -224,17 +248,17 @@ def check(
     points : path, optional
         Checkpoints: CSV (x, y, z, type NVA or VVA, cover), GeoJSON, GeoPackage and others.
     points_crs : str, optional
-        CRS of their x and y; what the file says, else the DTM's, if left out.
+        CRS of x and y of the checkpoints; by default that of their file, or else that of the DTM.
     points_unit : {"m", "ft", "usft"}, optional
-        Of their heights; the DTM's if left out.
+        Unit of the heights of the checkpoints; by default that of the DTM.
     points_rmse : length
-        RMSE of the checkpoints' own heights, in metres or with a unit.
+        RMSE of the heights of the checkpoints themselves, in metres or with a unit.
     tile_size : length, optional
-        Look for seams at its multiples; tiles of the run.json beside the DTM if left out.
+        Distance of the seams that are looked for; by default the tile size in the run.json beside the DTM.
     strips : sequence of paths
-        Classified clouds whose flight strips are compared.
+        Classified clouds, whose flight strips are compared.
     require : sequence of str
-        ``name=value``, as ``rmse=0.1``: see ``tiler check --help``.
+        Limits as ``name=value``, such as ``rmse=0.1``; ``tiler check --help`` lists the names.
     figures : path, optional
         Folder for histogram.svg and map.svg of the checkpoints.
 
@@ -245,7 +269,7 @@ def check(
     Raises
     ------
     TilerError
-        The one line of the command, with its ``exit_code``.
+        With the line and the ``exit_code`` of the command.
 
     Examples
     --------
@@ -255,29 +279,29 @@ def check(
     (True, 3)
     """
     report = measure(
-        cloud_path(dtm),
-        None if points is None else Path(points),
+        cloud_path(_text("dtm", dtm)),
+        None if points is None else Path(_text("points", points)),
         PointOptions(
             points_crs,
             None if points_unit is None else unit_named(points_unit),
             float(parse_length(points_rmse)),
         ),
         None if tile_size is None else parse_length(tile_size),
-        _texts(strips),
-        parse_requirements(_texts(require)),
-        None if figures is None else Path(figures),
+        _texts("strips", strips),
+        parse_requirements(_texts("require", require)),
+        None if figures is None else Path(_text("figures", figures)),
     )
     met = all(requirement["met"] for requirement in report["requirements"])
     return CheckResult(0 if met else 5, report)
 
 
 def open_store(path: PathLike) -> TileStore:
-    """Open the tile store of a run, to read the points in it; cheap.
+    """Open the tile store of a run to read its points; no points are read yet.
 
     Parameters
     ----------
     path : path or URL
-        ``OUT/store.zarr``.
+        The store, ``OUT/store.zarr``.
 
     Returns
     -------
@@ -286,7 +310,7 @@ def open_store(path: PathLike) -> TileStore:
     Raises
     ------
     StoreError
-        There is none, or it is not one that this version wrote.
+        There is no store, or this version did not write it.
 
     Examples
     --------
@@ -297,22 +321,60 @@ def open_store(path: PathLike) -> TileStore:
     >>> store.meta.frame.coordinates(block.xyz).shape
     (1849, 3)
     """
-    return open_store_at(str(path))
+    return open_store_at(_text("path", path))
 
 
-def _texts(paths: PathLike | Iterable[PathLike]) -> list[str]:
-    """Paths as texts, also where there is one alone."""
-    return [str(path) for path in ([paths] if isinstance(paths, str | Path) else paths)]
+def _texts(name: str, paths: PathLike | Iterable[PathLike]) -> list[str]:
+    """Paths as texts, also where there is one alone; raises ConfigError as `_text` does."""
+    if isinstance(paths, str | bytes | os.PathLike) or not isinstance(paths, Iterable):
+        return [_text(name, paths)]
+    return [_text(name, path) for path in paths]
 
 
-def _settings(config: Settings | None) -> RunConfig:
-    return config if isinstance(config, RunConfig) else RunConfig.from_mapping(config or {})
+def _text(name: str, path: object) -> str:
+    """A path as text; ConfigError where what was given as the argument ``name`` cannot be one."""
+    if not isinstance(path, str | os.PathLike):
+        raise ConfigError(f"{name}: {path!r} is {type(path).__name__}, no path; give a str or a pathlib.Path")
+    text = str(path)
+    if "\0" in text:
+        raise ConfigError(f"{name}: {text!r} holds a NUL character, which no path can; give it without")
+    return text
 
 
-def _listener(progress: TellProgress | None) -> Listener:
-    """Who is told of a job: the log, and who asked for it."""
+def _settings(config: Settings | None, keywords: Mapping[str, Any]) -> RunConfig:
+    """The configuration that a mapping, or a RunConfig, and keywords give together."""
+    if not isinstance(config, RunConfig | Mapping | None):
+        raise ConfigError(
+            f"config: {config!r} is {type(config).__name__}, no mapping; give a dict of settings"
+        )
+    if isinstance(config, RunConfig):
+        return _over(config, keywords)
+    given = dict(config or {})
+    for name in keywords:
+        if name in given:
+            raise ConfigError(f"{name}: is given in config and as a keyword; give it once")
+    return RunConfig.from_mapping(given | dict(keywords))
+
+
+def _over(config: RunConfig, keywords: Mapping[str, Any]) -> RunConfig:
+    """A RunConfig in which keywords replace its settings."""
+    parsed = RunConfig.from_mapping(keywords)
+    return config.updated(**{name: getattr(parsed, name) for name in keywords})
+
+
+@contextmanager
+def _listening(progress: ShowProgress) -> Iterator[Listener]:
+    """The listeners of a job: the log, and what ``progress`` asks for."""
     log = ProgressRecords(_log)
-    return log if progress is None else combine(log, ProgressRecords(progress))
+    if callable(progress):
+        yield combine(log, ProgressRecords(progress))
+    elif progress is not False and in_notebook():
+        yield combine(log, ProgressRecords(NotebookBar()))
+    elif progress is True:
+        with open_progress(sys.stderr) as shown:
+            yield combine(log, shown)
+    else:
+        yield log
 
 
 def _log(record: Progress) -> None:

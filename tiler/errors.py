@@ -1,4 +1,4 @@
-"""The one exception tree; each class knows the exit code that the command line ends with."""
+"""The exception tree; each class knows the exit code of the command line."""
 
 from __future__ import annotations
 
@@ -14,24 +14,31 @@ _NEXT_TO_NOTHING_BYTES = 1 << 20
 
 
 def first_line(error: BaseException) -> str:
-    """The first line of an error's text, or what it is where it has none: libraries write several."""
+    """The first line of an error's text, or the error's name if it has no text. Libraries write several lines."""
     return (str(error) or repr(error)).splitlines()[0]
 
 
 class TilerError(Exception):
-    """Anything that tiler refuses or cannot do; the message is one line: what, where, value, remedy."""
+    """Something that tiler refuses or cannot do; the message is one line: what, where, value, remedy."""
 
     exit_code = 4
     again = False
-    """A task that ended with it may be tried again: what is wrong could have been passing."""
+    """Whether a task that ended with this error may be tried again, as the cause may be temporary."""
 
     def __init__(self, *parts: object) -> None:
-        # Messages name URLs, and reach terminals, files and other machines: here is the one place that all pass.
+        # Messages name URLs, and reach terminals, files and other machines. All of them pass here.
         super().__init__(*(without_secrets(part) if isinstance(part, str) else part for part in parts))
 
 
+def exit_code_of(error: BaseException) -> int:
+    """The exit code of a command that ends with an error or an interruption."""
+    if isinstance(error, TilerError):
+        return error.exit_code
+    return 130 if isinstance(error, KeyboardInterrupt) else TilerError.exit_code
+
+
 class ConfigError(TilerError):
-    """Usage, configuration, or a plan that cannot work."""
+    """Wrong usage or configuration, or a plan that cannot work."""
 
     exit_code = 2
 
@@ -41,22 +48,22 @@ class LockedError(ConfigError):
 
 
 class StoreError(TilerError):
-    """A store that tiler did not write, of another version, or damaged."""
+    """A store is damaged, or another version or program wrote it."""
 
 
 class ForeignStoreError(StoreError):
-    """No store of this version is where one should be: another place has to be named."""
+    """There is no store of this version at the given place; the user has to name another place."""
 
     exit_code = 2
 
 
 class DamagedError(StoreError):
-    """Objects of a store that are damaged or gone; a run does again what wrote them.
+    """Objects of a store are damaged or missing; a run repeats the tasks that wrote them.
 
     Attributes
     ----------
     keys : tuple of str
-        Their keys in the store.
+        Keys of the objects.
     """
 
     def __init__(self, text: str, keys: tuple[str, ...] = ()) -> None:
@@ -68,13 +75,13 @@ class DamagedError(StoreError):
 
 
 class InputError(TilerError):
-    """A source file that cannot be read, or a CRS that cannot be used."""
+    """A source file cannot be read, or its CRS cannot be used."""
 
     exit_code = 3
 
 
 class ProcessingError(TilerError):
-    """The work itself failed: no tile succeeded, ``--on-error stop``."""
+    """The work itself failed: no tile succeeded, or one failed with ``--on-error stop``."""
 
     again = True
 
@@ -84,22 +91,26 @@ class ConnectionLostError(ProcessingError):
 
 
 class DiskFullError(ProcessingError):
-    """No space or quota is left: every other task would fail as well, so the run ends."""
+    """No space or quota is left. The run ends, since every other task would fail as well."""
 
     again = False
 
 
+class StoreAccessError(ProcessingError):
+    """The store accepts no writes. No input or tile is the cause, so the run ends once repeated tries failed."""
+
+
 def refused_write(what: str, error: Exception, folder: Path | None = None) -> ProcessingError:
-    """The one-line error of a write that the file system refused; a `DiskFullError` where there is no space.
+    """The one-line error for a write that the file system refused; a `DiskFullError` if no space is left.
 
     Parameters
     ----------
     what : str
-        That could not be written.
+        Name of the file or object that could not be written.
     error : Exception
-        An OSError; or that of a library, which does not say why it could not write.
+        An OSError, or an error of a library, which does not say why it could not write.
     folder : Path, optional
-        Where: its free space tells what a library does not.
+        Folder of the file. If a library gives no reason, the free space of the folder does.
     """
     number = getattr(error, "errno", None)
     full = number in _NO_SPACE

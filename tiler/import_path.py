@@ -1,25 +1,34 @@
-"""Keeps the current folder out of the import path, as data folders may hold Python files."""
+"""Keeps untrusted folders out of the import path: the current folder, which may hold data, and Dask's scratch."""
 
 import os
 import sys
 
-# Nothing else is imported here: it could come from the very folder that is to be left out.
+# Nothing else is imported here, since it could come from one of the untrusted folders.
 
 _HOME = os.path.realpath(os.path.join(os.path.dirname(__file__), os.pardir))
-"""The folder that tiler itself was imported from."""
+"""The folder from which tiler itself was imported."""
+
+_SCRATCH = "dask-scratch-space"
+"""Beginning of the names of Dask's scratch folders, which by default lie in a folder that all users share."""
+
+
+def without_scratch(entries: list[str]) -> list[str]:
+    """The entries of an import path that are not in a scratch folder of Dask."""
+    return [entry for entry in entries if f"{os.sep}{_SCRATCH}" not in entry]
 
 
 def trusted_path() -> list[str]:
-    """The entries of `sys.path` without the current folder, unless tiler itself lies there.
+    """The entries of `sys.path` without Dask's folders, and without the current folder unless tiler itself lies there.
 
-    Clouds are delivered in folders: a ``laspy.py`` beside them must not be executed, and a ``random.py`` of the user's
-    own must not stand in for Python's. Python puts that folder first for ``python -m`` and ``python -c``, and for each
-    empty entry of ``PYTHONPATH``.
+    A ``laspy.py`` in a folder of clouds must not be executed, and a ``random.py`` of the user must not replace Python's
+    own. Python puts the current folder first for ``python -m`` and ``python -c``, and for each empty entry of
+    ``PYTHONPATH``.
     """
+    entries = without_scratch(sys.path)
     try:
         here = os.getcwd()
-    except FileNotFoundError:  # it was removed: nothing can be imported from there
-        return [entry for entry in sys.path if os.path.isabs(entry)]
+    except FileNotFoundError:  # the current folder was removed, so nothing can be imported from it
+        return [entry for entry in entries if os.path.isabs(entry)]
     real = os.path.realpath(here)
-    found = [os.path.join(here, entry) for entry in sys.path if entry]
+    found = [os.path.join(here, entry) for entry in entries if entry]
     return [entry for entry in found if os.path.realpath(entry) != real or real == _HOME]

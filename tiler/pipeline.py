@@ -11,25 +11,28 @@ from pathlib import Path
 from typing import Any
 
 from tiler.config import RunConfig
-from tiler.errors import ConfigError, DamagedError, ProcessingError, StoreError
-from tiler.ingest import SourceInfo
+from tiler.errors import ConfigError, DamagedError, ProcessingError, StoreError, exit_code_of
+from tiler.export.stage import export
+from tiler.filter.stage import filter_points
+from tiler.grid.stage import grid
+from tiler.grid.tasks.corrections import correct
+from tiler.grid.tasks.raster_table import wanted
+from tiler.ingest.stage import assemble, spool
+from tiler.ingest.tasks.fingerprints import numbered
+from tiler.inputs import SourceInfo
 from tiler.io.locations import is_url, joined, put_file
-from tiler.io.result_folder import EVENTS, REPORT, RUN, STORE, earlier_digests, earlier_outputs, folder_here
+from tiler.io.overwrite_check import check_names
+from tiler.io.result_folder import EVENTS, REPORT, RUN, STORE, earlier_facts, earlier_outputs, folder_here
 from tiler.observe.eventlog import EventLog
 from tiler.observe.events import Listener, combine, discreet, silent
 from tiler.plan import Plan, crs_name, make_plan, refuse, remember, stage_seconds
+from tiler.preparation import prepare_workers
 from tiler.redaction import without_secrets
 from tiler.report.html import write_report
+from tiler.report.runfile import tell_end
 from tiler.runs.job import Job, Ownership, RunResult
-from tiler.schedule import WORKING, import_dask, kept_forking, limits_memory, prepare_children
-from tiler.stages.corrections import correct
-from tiler.stages.export import export
-from tiler.stages.filter import filter_points
-from tiler.stages.fingerprints import numbered
-from tiler.stages.grid import grid
-from tiler.stages.ingest import assemble, spool
-from tiler.stages.raster_table import wanted
-from tiler.stages.repair import ROUNDS, heal
+from tiler.runs.repair import ROUNDS, heal
+from tiler.schedule import import_dask, kept_forking, limits_memory
 from tiler.store import (
     Lease,
     TileStore,
@@ -80,11 +83,12 @@ def run(
     config, products = config or RunConfig(), str(out)
     if not products:
         raise ConfigError("-o: has no name; name a folder for the results")
+    check_names("-o", products)
+    check_names("--store", config.store or products)
     out = folder_here(products)
     started = time.monotonic()
     url = config.store or joined(products, STORE)
-    if not (config.in_process or is_url(url) or store_exists(url)):  # there is something to do
-        prepare_children(*WORKING)
+    if prepare_workers(config, products):
         import_dask()  # while the headers are read
     plan = make_plan(inputs, config, products, known)
     _make_folder(out)
@@ -97,10 +101,10 @@ def run(
         job.facts["products_at"] = products if is_url(products) else None
         job.facts["given"] = [str(source) for source in inputs]
         job.facts["earlier_outputs"] = earlier_outputs(out, products)
-        job.facts["digests"] = earlier_digests(out, products)
+        job.facts["digests"], job.earlier_settings = earlier_facts(out, products)
         job.save("running")  # before any other file, which is known by it as this run's own
         with EventLog(out / EVENTS) as log:
-            job.listener = discreet(combine(listener, log))
+            job.listener = discreet(combine(listener, log, job.record.keep_warning))
             result = _locked_run(job, until, started)
         if config.clean_store and until == "export" and (left := remove_store(url)):
             listener(
@@ -163,23 +167,30 @@ def _locked_run(job: Job, until: str, started: float) -> RunResult:
     listener("job_started", {"stages": stages})
     try:
         _healing_stages(job, until)
-    except BaseException:
-        with suppress(ProcessingError):  # a full disk refuses this as well: what ended the run is told
-            job.save("interrupted")
+    except BaseException as error:
+        code = exit_code_of(error)
+        job.record.exit_code = code
+        state = "failed" if isinstance(error, Exception) else "interrupted"
+        try:
+            job.save(state)
+        except ProcessingError:  # a full disk refuses this as well: what ended the run is told
+            tell_end(job.out, state, code)
         raise
     finally:
         job.compiler.close()
-        job.crew.close()
+        job.executors.close()
     if until != "export" and job.record.computed and job.facts["earlier_outputs"]:
         job.note(
             f"files in {job.products} are those of an earlier run until `tiler export` or `tiler run` writes them anew"
         )
     job.facts["seconds"] = round(time.monotonic() - started, 3)
     remember(plan, job.record.stages)
+    job.record.exit_code = 5 if job.record.quarantined or job.record.failed else 0
     summary = _report(job)
     listener("run_finished", {"seconds": job.facts["seconds"]})
-    exit_code = 5 if job.record.quarantined or job.record.failed else 0
-    return RunResult(exit_code, summary, job.record.computed == 0, without_secrets(job.products))
+    return RunResult(
+        job.record.exit_code, summary, job.record.computed == 0, without_secrets(job.products), plan
+    )
 
 
 def _report(job: Job) -> dict[str, Any]:
@@ -224,14 +235,14 @@ def _stages(job: Job, until: str) -> None:
     assembled = assemble(job, sources, spooled)
     if until == "ingest":
         return
-    labels = filter_points(job, assembled)
+    labelled = filter_points(job, assembled)
     if until == "filter":
         return
-    labels, corrections = correct(job, assembled, labels)
-    gridding = grid(job, assembled, labels, corrections)
+    labelled, corrections = correct(job, assembled, labelled)
+    gridding = grid(job, assembled, labelled, corrections)
     if until == "grid":
         return
-    export(job, gridding, sources, spooled, labels, corrections)
+    export(job, gridding, sources, spooled, labelled, corrections)
 
 
 def _make_folder(out: Path) -> None:
@@ -279,5 +290,12 @@ def _frozen(plan: Plan, url: str) -> tuple[Plan, TileStore]:
     plan = dataclasses.replace(
         plan, meta=old, tile=tile, resolution=resolution, tile_memory=memory, thin=thin, tile_workers=workers
     )
-    refuse(plan, None)
+
+    def changed(memory: int, tile_size: Fraction | None = None, **_: Any) -> Plan:
+        """What more memory, or tiles of another size, would make of the plan; all else is settled."""
+        if tile_size in (None, plan.tile):
+            return dataclasses.replace(plan, memory=memory)
+        return dataclasses.replace(plan, memory=memory, tile=tile_size, tile_memory=memory, tile_workers=0)
+
+    refuse(plan, None, changed)
     return plan, store

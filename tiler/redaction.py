@@ -6,9 +6,9 @@ import re
 from typing import Any
 
 _USERINFO = re.compile(
-    # `ftp://anna:secret@host`; with an unescaped / ? # or @ in the password too, as what then follows the colon is no
-    # port. One slash: what `Path` makes of a URL. What stands before the @ in `abfs://container@account/path`
-    # of Azure's is the container.
+    # User and password of `ftp://anna:secret@host`. If the password holds an unescaped / ? # or @, the text after the
+    # colon is not a port. `Path` leaves one slash of the two. In Azure's `abfs://container@account/path`, the text
+    # before the @ is a container and stays.
     r"""(?i)(\b(?!(?:abfs|wasb)s?:/+[^\s"'<>/:@]*@)[a-z][a-z0-9+.-]*:/{1,2})(?:[^\s"'<>/?#]*@|[^\s"'<>/?#@:[\]]*:(?!\d*(?:[/?#\s"'<>]|$))[^\s"'<>]*@)"""
 )
 _QUERY = re.compile(r"""(:/{1,2}[^\s"'<>?]*)\?[^\s"'<>]*[^\s"'<>:;,.)\]}\\]""")
@@ -17,11 +17,13 @@ _NAMED_VALUE = re.compile(r"""\?[\w.~%-]+=[^\s"'<>]*[^\s"'<>:;,.)\]}\\]""")
 _AUTHORIZATION = re.compile(
     r"""(?i)(\bauthorization['"]?\s*[:=]\s*)(?:"[^"]*"|'[^']*'|(?:\w+ )?[^\s"'<>,;)}\]]+)"""
 )
-"""A header of a request, which libraries for the web print in their errors."""
+"""A header of a request, as libraries for the web print it in their errors."""
 
 
 def without_secrets(text: str) -> str:
-    """The text without the user, password and query of its URLs, where tokens stand, nor the login of its requests."""
+    """The text without user, password and query (which may hold a token) of URLs, and without authorization headers."""
+    if ":" not in text and "=" not in text:
+        return text
     text = _AUTHORIZATION.sub(r"\1...", text)
     if ":/" not in text:
         return text
@@ -29,19 +31,19 @@ def without_secrets(text: str) -> str:
 
 
 def printable(text: str) -> str:
-    """The text in one line that no file name can break, colour or move: what is not printable is written as escapes."""
+    """The text with escapes for what is not printable, so that no file name can break, colour or move a line."""
     if text.isprintable():
         return text
     return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
 def shown(text: str) -> str:
-    """One line for a terminal, a log or a report: `without_secrets`, and `printable`."""
+    """The text for a line in a terminal, a log or a report: `printable` and `without_secrets`."""
     return printable(without_secrets(text))
 
 
 def stored(value: Any) -> Any:
-    """A JSON-able value with `without_secrets` done to all its texts, names too: what a file may keep."""
+    """A JSON-able value for a file: `without_secrets` is applied to all its texts and names."""
     if isinstance(value, str):
         return without_secrets(value)
     if isinstance(value, dict):

@@ -25,19 +25,25 @@ HEADINGS = ("", "points", "RMSEV", "mean", "median", "NMAD", "95 % within", "lar
     help="checkpoints: CSV (x, y, z, type NVA or VVA, cover), GeoJSON or GeoPackage [default: none]",
 )
 @click.option(
-    "--points-crs", metavar="CRS", help="CRS of their x and y [default: what FILE says, else the DTM's]"
+    "--points-crs",
+    metavar="CRS",
+    help="CRS of x and y of the checkpoints [default: that of FILE, else that of the DTM]",
 )
-@click.option("--points-unit", metavar="UNIT", help="unit of their heights: m, ft, usft [default: the DTM's]")
+@click.option(
+    "--points-unit",
+    metavar="UNIT",
+    help="unit of the heights of the checkpoints: m, ft, usft [default: that of the DTM]",
+)
 @click.option(
     "--points-rmse",
     metavar="LENGTH",
     default="0",
-    help="RMSE of the checkpoints' own heights [unit: m; default: 0]",
+    help="RMSE of the heights of the checkpoints themselves [unit: m; default: 0]",
 )
 @click.option(
     "--tile-size",
     metavar="LENGTH",
-    help="look for seams at multiples of this length [unit: m; default: tiles of the run.json beside DTM]",
+    help="look for seams at multiples of this length [unit: m; default: the tile size in run.json beside DTM]",
 )
 @click.option(
     "--strips",
@@ -50,8 +56,8 @@ HEADINGS = ("", "points", "RMSEV", "mean", "median", "NMAD", "95 % within", "lar
     "--require",
     multiple=True,
     metavar="NAME=VALUE",
-    help="exit code 5 unless rmse, mean, median, nmad, p95, max, seam, strips (at most, m), outliers "
-    "(at most) or points (at least) hold; of NVA points; repeatable [default: none]",
+    help="end with exit code 5 if a limit does not hold: at most for rmse, mean, median, nmad, p95, max, seam and "
+    "strips (m) and for outliers, at least for points; by NVA checkpoints; repeatable [default: none]",
 )
 @click.option(
     "--figures",
@@ -61,11 +67,11 @@ HEADINGS = ("", "points", "RMSEV", "mean", "median", "NMAD", "95 % within", "lar
 )
 @json_option
 def command(dtm: str, as_json: bool, **options: Any) -> int:
-    """Vertical accuracy of a DTM, its seams, and how flight strips fit.
+    """Measure the accuracy of a DTM, its seams, and flight strips.
 
-    Differences are DTM minus checkpoint, bilinear between pixel centres. By the ASPRS standards, Edition 2: accuracy
-    is the RMSE of non-vegetated checkpoints (NVA), with their own error; a statement needs 30 of them at least; that of
-    vegetated ones (VVA) is reported, never judged.
+    A difference is the height of the DTM, bilinear between pixel centres, minus that of the checkpoint. By the ASPRS
+    standards, Edition 2, the accuracy is the RMSE of the non-vegetated checkpoints (NVA) including their own error, and
+    a statement needs at least 30 of them. The RMSE of vegetated checkpoints (VVA) is reported, but has no limit.
     """
     from tiler.api import check
 

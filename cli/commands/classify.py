@@ -9,7 +9,7 @@ import click
 from cli.exit_codes import DONE, PARTIAL
 from cli.options import config_options, json_option, read_config
 from cli.output import print_facts, print_json, say
-from cli.session import READING, TilerCommand, current_session, shown_progress
+from cli.session import TilerCommand, current_session, shown_progress
 from cli.summary import failed_lines
 
 SETTINGS = (
@@ -23,34 +23,51 @@ SETTINGS = (
     "workers",
     "units",
     "keep_classes",
+    "reclass",
+    "returns",
+    "scan_angle",
+    "source_id",
+    "drop_classes",
+    "withheld",
     "skip_synthetic",
     "skip_overlap",
     "salvage",
 )
 
+NOT_PRINTED = ("parameters", "failed_tasks", "quarantined")
+"""Facts that only the JSON has, or that are printed in another way."""
 
-@click.command("classify", cls=TilerCommand, progress=True, reads=READING)
-@click.argument("source", metavar="IN", type=click.Path())
-@click.argument("target", metavar="OUT.laz", type=click.Path())
+
+@click.command("classify", cls=TilerCommand, progress=True, reads=True)
+@click.argument("source", metavar="IN...", nargs=-1, required=True, type=click.Path())
+@click.argument("target", metavar="OUT", type=click.Path())
 @config_options(only=SETTINGS)
 @json_option
-def command(source: str, target: str, as_json: bool, **settings: Any) -> int:
-    """Classify the points of one file; leaves no store behind.
+def command(source: tuple[str, ...], target: str, as_json: bool, **settings: Any) -> int:
+    """Classify the points of one file or of many, without a store.
 
-    OUT.laz (or OUT.las) gets the points of IN in the same order, with new classes; OUT.copc.laz has them by place.
-    Needs no CRS: where IN has none, its coordinates are taken for metres, or for what --units says. Where a tile fails
-    its points keep the classes of IN: the tile is named, and the exit code is 5.
+    If IN is one file, OUT.laz (or OUT.las) gets its points in the same order, with new classes; OUT.copc.laz
+    orders them by place. If IN is several files, a folder or a glob, OUT is a folder and gets a LAZ file for
+    each; each file is seen with its neighbours, so no border shows. Only classes of the ground change, unless
+    --reclass all is given. A single file needs no CRS: without one, its coordinates are in metres, or in the
+    unit of --units. If a tile fails, its points keep the classes of IN, the tile is named, and the exit code is
+    5.
     """
     config = read_config(settings)
-    from tiler.apps.classify import classify_file
+    from tiler.apps.classify import classify_file, classify_files, is_one_file
 
     session = current_session()
     with shown_progress() as listener:
-        facts = classify_file(source, target, config, listener)
+        if is_one_file(source, target):
+            facts = classify_file(source[0], target, config, listener)
+        else:
+            facts = classify_files(source, target, config, listener)
     if as_json:
         print_json(facts)
     elif not session.quiet:
-        print_facts({n: value for n, value in facts.items() if n not in ("parameters", "failed_tasks")})
+        print_facts({n: value for n, value in facts.items() if n not in NOT_PRINTED})
+        for file in facts.get("quarantined", ()):
+            say(f"left out    {file['path']}: {file['error']}")
         for line in failed_lines(facts["failed_tasks"]):
             say(line)
-    return PARTIAL if facts["failed_tasks"] else DONE
+    return PARTIAL if facts["failed_tasks"] or facts.get("quarantined") else DONE

@@ -14,14 +14,14 @@ from cli.session import TilerCommand
 @click.option(
     "--store",
     metavar="URL",
-    help="where the store lies [default: as OUT/run.json says (without password or token of a URL), or OUT/store.zarr]",
+    help="place of the store [default: that in OUT/run.json (without password or token of a URL), or OUT/store.zarr]",
 )
 @json_option
 def command(out: str, store: str | None, as_json: bool) -> None:
-    """Remove what a run left behind and no later one needs.
+    """Remove files of a run that no later run needs.
 
-    Scratch files of runs that were killed, decoded points that lie sorted in the store as well, older indices. The
-    same `tiler run` still finds everything done; after a file is added it decodes again what that file touches.
+    Removes scratch files of killed runs, decoded points that the store also holds sorted, and older indices. The same
+    `tiler run` still finds everything done. If you add a file, a run decodes again the files that it touches.
     `tiler run --clean-store` removes the whole store.
     """
     from tiler.apps.clean import clean

@@ -15,21 +15,19 @@ from tiler.config.presets import preset_text
 from tiler.errors import ConfigError
 from tiler.redaction import without_secrets
 
-HEAD = (
-    "# Settings of tiler, for --config; options of the command line win. What is commented out has no value."
-)
+HEAD = "# Settings of tiler for --config; options override them. A setting in a comment has no value."
 LAST = "parameters"  # a table: TOML wants it after the plain values
 
 
 @click.command("config", cls=TilerCommand)
-@click.option("--template", is_flag=True, help="all settings with help, unit and default [default: no]")
+@click.option("--template", is_flag=True, help="print all settings with help, unit and default [default: no]")
 @config_options()
 def command(template: bool, **settings: Any) -> None:
-    """The effective settings, or a commented file to start from.
+    """Print the effective settings, or a commented file to start from.
 
-    Prints TOML: what a command with the same options (and --config FILE.toml) would work with, with every
-    parameter of the method; with --template all settings and what they mean. With --preset NAME the
-    preset's file comes first. Order: options win over --config, --config over --preset, --preset over defaults.
+    Prints as TOML the settings that a command with the same options (and --config FILE.toml) would use, with every
+    parameter of the method. With --template it prints all settings and their meaning. With --preset NAME it prints the
+    file of the preset first. Options override --config, --config overrides --preset, --preset overrides the defaults.
     """
     config = read_config(settings)
     if config.store is not None and config.store != without_secrets(config.store):
@@ -39,9 +37,7 @@ def command(template: bool, **settings: Any) -> None:
         )
     lines = [HEAD]
     if name := config.preset:
-        head = (
-            f"# Below, what the preset {name} sets is in effect unless it was overridden. The preset itself:"
-        )
+        head = f"# The values of the preset {name} hold below, unless something overrides them. The preset:"
         lines += ["#", head, *(f"#   {line}".rstrip() for line in preset_text(name).splitlines())]
     lines.append("")
     for name in (n for n in SETTINGS if n != LAST):
@@ -56,11 +52,6 @@ def command(template: bool, **settings: Any) -> None:
         say(line)
 
 
-HEAD = (
-    "# Settings of tiler, for --config; options of the command line win. What is commented out has no value."
-)
-
-
 def toml_line(name: str, value: Any) -> str:
     """``name = value`` in TOML on one line."""
     import tomli_w
@@ -72,8 +63,10 @@ def toml_line(name: str, value: Any) -> str:
 
 
 def _parameter_lines(config: RunConfig, template: bool) -> list[str]:
-    """The table of the method's parameters, every one with its effective value."""
-    lines = [f"# parameters of the method {config.method}; `tiler methods` tells more"] if template else [""]
+    """Lines of the table with the effective value of each parameter of the method."""
+    lines = (
+        [f"# parameters of the method {config.method}; `tiler methods` explains them"] if template else [""]
+    )
     lines.append("[parameters]")
     if config.method == "keep":
         return lines

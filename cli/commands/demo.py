@@ -45,10 +45,10 @@ SETTINGS = (
 @config_options(only=SETTINGS)
 @json_option
 def command(out: str, seed: int, as_json: bool, **settings: Any) -> int:
-    """Simulate a small city, run the whole job on it, score it.
+    """Simulate a small city, run the whole job on it, and score it.
 
-    OUT/input gets the city's clouds and its true classes and terrain, OUT what `tiler run` writes. Prints the
-    errors of the classes and of the DTM against the truth.
+    OUT/input gets the clouds of the city with their true classes and terrain, OUT gets the results of `tiler run`.
+    Prints the errors of the classes and of the DTM.
     """
     config = read_config(settings)
     from tiler.apps.demo import run_demo

@@ -45,9 +45,15 @@ SETTINGS = ("method", "parameters", "sigma", "kind", "units", "tile_size", "halo
 @click.option(
     "--map-cell", default="1", metavar="LENGTH", help="side of the maps' cells [unit: m; default: 1]"
 )
-@click.option("--dtm", type=click.Path(), metavar="DTM", help="raster to be judged [default: none]")
+@click.option("--dtm", type=click.Path(), metavar="DTM", help="DTM to score [default: none]")
 @click.option(
     "--true-dtm", type=click.Path(), metavar="RASTER", help="true heights on the same pixels [default: none]"
+)
+@click.option(
+    "--dtm-sigma",
+    type=click.Path(),
+    metavar="RASTER",
+    help="standard errors of the DTM, which are judged as well [default: sigma.tif beside dtm.tif, if it is there]",
 )
 @click.option(
     "--difference",
@@ -65,17 +71,18 @@ def command(
     map_cell: str,
     dtm: str | None,
     true_dtm: str | None,
+    dtm_sigma: str | None,
     difference: Path | None,
     as_json: bool,
     **settings: Any,
 ) -> None:
     """Score classes against references, or a DTM against a true one.
 
-    Class 2 is ground, every other class is not. Type I: ground that was lost; type II: objects that were taken
-    for ground; total: both, of all points; kappa: Cohen's. With --method the CLOUDs are labelled ones: each is
-    filtered, without its classes, and scored against itself (a cloud that was filtered while its noise or water was
-    labelled, without `--keep-classes none`, is scored too well). Several clouds and references are paired by their
-    names, or by their order where as many files of both are named.
+    Class 2 is ground, every other class is not. The type I error is the share of ground points that were lost, type II
+    the share of other points that were taken for ground, total the share of wrong points; kappa is Cohen's. With
+    --method the CLOUDs have true classes: each is filtered without its classes and scored against them. A cloud that
+    was filtered while its noise or water was labelled (without `--keep-classes none`) gets too good a score. Clouds and
+    references are paired by their names, or by their order if you name as many clouds as references.
     """
     if (dtm is None) != (true_dtm is None):
         raise click.UsageError("--dtm and --true-dtm belong together")
@@ -83,6 +90,8 @@ def command(
         raise click.UsageError("nothing to evaluate; name CLOUD, or --dtm and --true-dtm")
     if difference is not None and dtm is None:
         raise click.UsageError("--difference needs --dtm and --true-dtm")
+    if dtm_sigma is not None and dtm is None:
+        raise click.UsageError("--dtm-sigma needs --dtm and --true-dtm")
     filters = settings["method"] is not None
     if clouds and filters == bool(references):
         raise click.UsageError("name either --reference REF, or --method NAME to filter labelled clouds")
@@ -93,7 +102,7 @@ def command(
     if maps is not None or difference is not None:
         scenes = evaluate.find_scenes(clouds, references or clouds) if clouds else []
         read = [path for scene in scenes for path in (scene.cloud, scene.reference)]
-        rasters = [raster for raster in (dtm, true_dtm) if raster is not None]
+        rasters = [raster for raster in (dtm, true_dtm, dtm_sigma) if raster is not None]
         evaluate.refuse_targets(difference, maps, [scene.name for scene in scenes], read, rasters)
     facts: dict[str, Any] = {}
     if clouds:
@@ -109,9 +118,9 @@ def command(
                 config = read_config(settings)
                 facts = evaluate.filter_and_evaluate(clouds, config, ignored, request, listener)
     if dtm is not None and true_dtm is not None:
-        both = (Path(dtm), Path(true_dtm))
+        both, sigma = (Path(dtm), Path(true_dtm)), dtm_sigma or evaluate.sigma_beside(dtm)
         facts["dtm"] = read_apart(
-            evaluate.evaluate_dtm, *both, difference, paths=both, memory_bytes=half_of_memory()
+            evaluate.evaluate_dtm, *both, difference, sigma, paths=both, memory_bytes=half_of_memory()
         )
     if as_json:
         print_json(facts)
@@ -124,7 +133,7 @@ def command(
 
 
 def _print_scores(facts: Mapping[str, Any]) -> None:
-    """The scores of all points, by class, and of each scene where there are several."""
+    """Print the scores of all points, those by class, and those of each scene if there are several."""
     for line in score_lines(facts):
         say(line)
     rows = [

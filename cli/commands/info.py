@@ -7,22 +7,33 @@ import sys
 import click
 
 from cli.options import json_option
-from cli.output import map_lines, print_facts, print_json, say
-from cli.session import READING, TilerCommand
+from cli.output import map_lines, print_facts, print_json, print_table, say
+from cli.session import TilerCommand
+from tiler.core.words import counted
 
 
-@click.command("info", cls=TilerCommand, reads=READING)
-@click.argument("path", metavar="PATH")
+@click.command("info", cls=TilerCommand, reads=True)
+@click.argument("paths", metavar="PATH...", nargs=-1, required=True)
 @json_option
-def command(path: str, as_json: bool) -> None:
-    """What a cloud, a store, a result folder or a raster holds.
+def command(paths: tuple[str, ...], as_json: bool) -> None:
+    """Describe clouds, a store, a result folder or a raster.
 
-    Extent, CRS and units; of a cloud its point count, classes and density, with a map of it (all points are read), of
-    a store its state, of a raster its size, nodata value and heights.
+    Prints extent, CRS and units. A cloud also has its number of points, classes, and density with a map (all points are
+    read), a store has its state, a raster has its size, nodata value and heights. Several clouds, or a folder of them,
+    give a table with a row for each (only headers and a few points are read).
     """
+    from tiler.apps.info_table import COLUMNS, describe_many, is_many, rows
+
+    if is_many(paths):
+        clouds = describe_many(paths)
+        if as_json:
+            print_json(clouds)
+        else:
+            print_table(counted(len(clouds), "cloud"), COLUMNS, rows(clouds))
+        return
     from tiler.apps.info import describe
 
-    facts = describe(path)
+    facts = describe(paths[0])
     if as_json:
         print_json(facts)
     else:

@@ -19,11 +19,11 @@ COLUMNS = ("parameter", "default", "unit", "range", "source", "meaning")
 @click.argument("name", metavar="[METHOD]", required=False)
 @json_option
 def command(name: str | None, as_json: bool) -> None:
-    """The ground filters and their parameters.
+    """List the ground filters and their parameters.
 
-    Every method, or only METHOD, with default, unit, range and source of each parameter. `--method METHOD`
-    chooses one, `--set PARAMETER=VALUE` changes a parameter; the unit at the end of its name can be left out.
-    `--method keep` filters nothing: it grids the classes that the input brings.
+    Lists every method, or only METHOD, with default, unit, range and source of each parameter. In other commands
+    `--method METHOD` chooses a method, and `--set PARAMETER=VALUE` changes a parameter; the unit at the end of its name
+    can be left out. `--method keep` does not filter: it uses the classes of the input.
     """
     from ptd.methods import METHODS
 
@@ -63,7 +63,7 @@ def _text(value: Any) -> str:
 
 
 def range_text(minimum: float | None, maximum: float | None) -> str:
-    """A closed range, open where there is no limit."""
+    """The range of a value; empty if it has no limit."""
     if minimum is None and maximum is None:
         return ""
     if maximum is None:

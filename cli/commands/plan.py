@@ -8,26 +8,26 @@ import click
 
 from cli.options import config_options, inputs_argument, json_option, read_config
 from cli.output import print_json, say
-from cli.session import READING, TilerCommand
+from cli.session import TilerCommand
 
 
-@click.command("plan", cls=TilerCommand, reads=READING)
+@click.command("plan", cls=TilerCommand, reads=True)
 @inputs_argument
 @click.option(
     "-o",
     "--out",
     metavar="OUT",
-    help="OUT of the run: look at its disk, at what is there already, and whether workers reach it [default: none]",
+    help="OUT of the run: check its disk, the files that are in it, and whether workers reach it [default: none]",
 )
 @config_options()
 @json_option
 def command(inputs: tuple[str, ...], out: str | None, as_json: bool, **settings: Any) -> None:
-    """Dry run: what a run would do, and what it needs.
+    """Show what a run would do and what it needs, without doing it.
 
-    Points, tiles, memory, disk and time of `tiler run` with the same INPUT and options. Reads the headers of the
-    files and a few thousand points of each, writes nothing; what a run would refuse is refused here with the same line.
-    With --scheduler its workers are looked at as well: versions, memory, whether they read INPUT, and with -o and
-    --store whether they can write there (a file without bytes, removed at once).
+    Prints the points, tiles, memory, disk space and time of `tiler run` with the same INPUT and options. It reads the
+    headers of the files and a few thousand points of each, and writes nothing. It refuses what a run would refuse, with
+    the same line. With --scheduler it also checks the workers: versions, memory and access to INPUT, and with -o and
+    --store whether they can write there, by an empty file that is removed at once.
     """
     config = read_config(settings)
     from tiler.io.locations import joined

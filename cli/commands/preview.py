@@ -10,17 +10,17 @@ import click
 from cli.exit_codes import DONE, PARTIAL
 from cli.options import SETTINGS, config_options, inputs_argument, json_option, read_config
 from cli.output import print_json, say
-from cli.session import READING, TilerCommand, current_session, shown_progress
+from cli.session import TilerCommand, current_session, shown_progress
 from cli.summary import percent_text
 
 WITHOUT = (
-    "products", "sheets", "sheet_name", "bounds", "aoi", "store", "scheduler", "workers", "in_process", "task_seconds",
-    "compress", "nodata", "on_error", "verify", "overwrite", "force", "clean_store", "voids",
+    "products", "sheets", "sheet_name", "empty_sheets", "bounds", "aoi", "store", "scheduler", "workers", "in_process",
+    "task_seconds", "compress", "nodata", "on_error", "verify", "overwrite", "force", "clean_store", "voids", "canopy",
 )  # fmt: skip
-"""Settings of a run that no preview has."""
+"""Settings of a run that a preview does not have."""
 
 
-@click.command("preview", cls=TilerCommand, progress=True, reads=READING)
+@click.command("preview", cls=TilerCommand, progress=True, reads=True)
 @inputs_argument
 @click.option(
     "-o",
@@ -28,14 +28,14 @@ WITHOUT = (
     default="preview.png",
     type=click.Path(),
     metavar="FILE.png",
-    help="the picture; replaced if it is there [default: preview.png]",
+    help="file of the picture, replaced if it exists [default: preview.png]",
 )
 @click.option(
     "--windows",
     default=3,
     type=click.IntRange(1, 12),
     metavar="N",
-    help="number of windows, at most [default: 3]",
+    help="largest number of windows [default: 3]",
 )
 @click.option(
     "--size",
@@ -47,11 +47,11 @@ WITHOUT = (
 def command(
     inputs: tuple[str, ...], out: str, windows: int, size: str | None, as_json: bool, **settings: Any
 ) -> int:
-    """A picture of what the settings give, in seconds.
+    """Draw the result of the settings in a few windows, in seconds.
 
-    Takes a few windows of the clouds at full density, does with each what `tiler run` would do with these
-    settings, and draws the surface (above) and the terrain (below) as hillshades, a column for each window. What
-    stands in the terrain and should not, or lacks and should stand, is seen before the whole job runs.
+    Takes a few windows of the clouds at full density, works on each as `tiler run` would with these settings, and draws
+    the surface (above) and the terrain (below) as hillshades, with a column for each window. So you see before the
+    whole job which objects stay in the terrain, and which parts of the ground are missing.
     """
     config = read_config(settings)
     from tiler.apps.preview import make_preview

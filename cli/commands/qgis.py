@@ -50,11 +50,16 @@ def install(profile: str) -> None:
 
 @command.command("package", cls=TilerCommand)
 @click.argument("target", metavar="FILE.zip", type=click.Path(path_type=Path, dir_okay=False))
-def package(target: Path) -> None:
+@click.option(
+    "--upload",
+    is_flag=True,
+    help="refuse if an address is missing that the repository of QGIS plugins asks for",
+)
+def package(target: Path, upload: bool) -> None:
     """Write the plugin as an archive.
 
     QGIS installs it under Plugins > Manage and Install Plugins > Install from ZIP. There the plugin looks for tiler in
     PATH, unless its path is set under Settings > Options > Processing > Providers > tiler.
     """
-    installation.package(target)
+    installation.package(target, upload)
     say(f"written  {target}; QGIS: Plugins > Manage and Install Plugins > Install from ZIP")

@@ -11,12 +11,12 @@ from cli.session import TilerCommand
 @click.command("report", cls=TilerCommand)
 @click.argument("out", metavar="OUT")
 def command(out: str) -> None:
-    """Draw OUT/report.html again, with what was measured since.
+    """Draw OUT/report.html again, with new measurements.
 
-    Every run draws it. Do so again after an interruption, and after measuring: the report shows what OUT/check.json
-    and OUT/evaluate.json hold (`tiler check ... --json > OUT/check.json`, `tiler evaluate ... --json >
-    OUT/evaluate.json`). One file, which loads nothing: send it, or print it. Where OUT is a URL, it is drawn in the
-    folder here of the same name, which also holds these two, and copied to OUT.
+    Every run draws the report. Draw it again after an interruption and after measuring: it shows the content of
+    OUT/check.json and OUT/evaluate.json (`tiler check ... --json > OUT/check.json`, `tiler evaluate ... --json >
+    OUT/evaluate.json`). The report is one file that loads nothing, so you can send or print it. If OUT is a URL, the
+    report is drawn in the local folder of the same name, where the two JSON files are as well, and copied to OUT.
     """
     from tiler.report.html import write_report_at
 

@@ -12,7 +12,7 @@ from cli.session import TilerCommand, current_session, shown_progress
 
 
 def _list_scenes(context: click.Context, parameter: click.Parameter, wanted: bool) -> None:
-    """Print what --scene takes, and end."""
+    """Print the names that --scene takes, and end."""
     if not wanted:
         return
     from tiler.simulate import SCENES, SITES
@@ -76,7 +76,7 @@ def _list_scenes(context: click.Context, parameter: click.Parameter, wanted: boo
     default=1.0,
     type=float,
     metavar="N",
-    help="times the usual number of points far below and above the ground; 0: none [default: 1]",
+    help="number of points far below and above the ground, as a multiple of the usual one [default: 1]",
 )
 @click.option(
     "--resolution",
@@ -97,12 +97,12 @@ def command(
     resolution: str,
     as_json: bool,
 ) -> None:
-    """A cloud with true labels, and its true terrain.
+    """Simulate a cloud with true labels, and its true terrain.
 
     OUT.laz gets the points of a simulated place with their ASPRS classes: 1 cars and garden walls, 2 ground, 3, 4
     and 5 plants below 1 m, below 3 m and higher, 6 buildings and facades, 7 blunders below the ground, 9 water, 14
     wires, 15 towers, 17 bridges, 18 blunders in the air. OUT_dtm.tif beside it gets the true ground, also below
-    objects. Works patch by patch, so that the size is bounded by the disk alone.
+    objects. The work is done patch by patch, so only the disk limits the size.
     """
     from tiler.core.units import parse_length
     from tiler.simulate.files import describe_scene, write_scene

@@ -13,11 +13,11 @@ from cli.session import TilerCommand
 @click.argument("methods", metavar="[METHOD]...", nargs=-1)
 @json_option
 def command(methods: tuple[str, ...], as_json: bool) -> None:
-    """Compile what methods need, before their first run.
+    """Compile the kernels of methods before their first run.
 
-    Every METHOD named, or `auto`, and the rasters, on all cores. Without this the first run on a machine compiles
-    what it needs, while it reads the points. The machine code is kept in NUMBA_CACHE_DIR, if that is set, or in the
-    user's cache folder.
+    Compiles the kernels of each METHOD (without one, of `auto`) and of the rasters, on all cores. Otherwise the first
+    run on a machine compiles the kernels that it needs while it reads the points. The machine code is kept in
+    NUMBA_CACHE_DIR, if that is set, or in the cache folder of the user.
     """
     from tiler.apps.warm import warm
 

@@ -12,6 +12,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
+from cli.qgis.addresses import addresses, refuse_without
 from cli.qgis.table import table
 from tiler.errors import ConfigError, refused_write
 from tiler.io.partial_files import appearing
@@ -23,7 +24,7 @@ TABLE = "settings.json"
 MARK = "tiler-dtm"
 """Says in `TABLE` whose folder it is."""
 FIRST_TIME = (1980, 1, 1, 0, 0, 0)
-"""Of files in an archive: equal plugins are equal bytes."""
+"""Time of each file in an archive: equal plugins are equal bytes."""
 
 
 def plugin_files(command: str = "") -> dict[str, bytes]:
@@ -37,10 +38,9 @@ def plugin_files(command: str = "") -> dict[str, bytes]:
     found = {
         item.name: item.read_bytes()
         for item in files("cli.qgis").joinpath("plugin").iterdir()
-        if item.name.endswith((".py", ".txt"))
+        if item.name.endswith((".py", ".txt", ".png")) or item.name == "LICENSE"
     }
-    version = f"version={__version__}"
-    found["metadata.txt"] = found["metadata.txt"].replace(b"version=0.0.0", version.encode())
+    found["metadata.txt"] = _metadata(found["metadata.txt"].decode()).encode()
     content: dict[str, Any] = {
         "made_by": MARK,
         "command": command,
@@ -75,8 +75,17 @@ def install(profile: str) -> Path:
     return target
 
 
-def package(target: Path) -> None:
-    """Write the plugin into an archive, from which QGIS installs it on any machine."""
+def package(target: Path, upload: bool = False) -> None:
+    """Write the plugin into an archive, from which QGIS installs it on any machine.
+
+    Raises
+    ------
+    ConfigError
+        Something else has the name, or the archive is for ``upload`` to the repository of QGIS plugins, and lacks an
+        address.
+    """
+    if upload:
+        refuse_without(addresses())
     if target.exists() and not _is_package(target):
         raise ConfigError(f"{target}: is there and no package of this plugin; choose another name")
     try:
@@ -89,10 +98,20 @@ def package(target: Path) -> None:
         raise refused_write(str(target), error, target.parent) from error
 
 
+def _metadata(text: str) -> str:
+    """The plugin's metadata with this version, and with the addresses that the project has."""
+    values = {"version": __version__, **addresses()}
+    lines = []
+    for line in text.splitlines():
+        key = line.partition("=")[0]
+        lines.append(f"{key}={values[key]}" if key in values else line)
+    return "\n".join(lines) + "\n"
+
+
 def find_own_command() -> str:
     """The path of the command that runs. Raises ConfigError."""
     called = Path(sys.argv[0])
-    own = [str(called.absolute())] if called.name == "tiler" else []
+    own = [str(called.absolute())] if called.stem == "tiler" else []
     for place in (*own, os.path.join(sysconfig.get_path("scripts"), "tiler"), "tiler"):
         if found := shutil.which(place):
             return os.path.abspath(found)
@@ -106,7 +125,9 @@ def profiles_folder() -> Path:
     own = os.environ.get("QGIS_CUSTOM_CONFIG_PATH")
     if own:
         return Path(own) / "profiles"
-    if sys.platform == "darwin":
+    if os.environ.get("APPDATA") and sys.platform == "win32":
+        data = Path(os.environ["APPDATA"])
+    elif sys.platform == "darwin":
         data = Path.home() / "Library" / "Application Support"
     else:
         data = Path(os.environ.get("XDG_DATA_HOME") or Path.home() / ".local" / "share")

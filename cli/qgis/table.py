@@ -25,6 +25,7 @@ KINDS = {("run", "out"): "new_folder", ("preview", "out"): "new_picture", ("clas
 SHOWN_FIRST = {
     "preset", "method", "products", "resolution", "classified", "voids", "water", "bridges", "edits", "breaklines",
     "crs", "bounds", "aoi", "units", "windows", "size", "points", "points_crs", "require", "keep_classes",
+    "reclass",
 }  # fmt: skip
 """Settings that are no advanced parameters."""
 _CONFIG_DEFAULTS = RunConfig().to_json()
@@ -37,6 +38,7 @@ LABELS = {
     "STRIPS": "Classified clouds whose flight strips are compared", "HALO": "Halo of a tile",
     "WATER_MIN_LAKE": "Smallest lake", "WATER_MIN_RIVER_WIDTH": "Smallest river (width)",
     "WATER_MIN_ISLAND": "Smallest island", "SIGMA": "Noise of heights (standard deviation)",
+    "RECLASS": "Classes that change",
 }  # fmt: skip
 LABELS_OF = {
     "preview": {"OUTPUT": "Picture", "SIZE": "Side of a window", "WINDOWS": "Windows, at most"},
@@ -107,6 +109,8 @@ def _from_setting(key: str) -> dict[str, Any]:
         kind, choices = "choice", list(preset_names())
     elif kind == "pairs":
         kind = "texts"
+    elif kind == "crs":
+        kind = "text"
     default: Any = default_text(spec) or None
     value: Any = spec.default
     if kind == "flag":

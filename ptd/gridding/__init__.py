@@ -1,1 +1,1 @@
-"""Surfaces beside those of the TIN (`ptd.tin`): nearest points, inverse distances, highest returns, feet of walls."""
+"""Surfaces beside those of the TIN: nearest points, inverse distances, highest returns, feet of walls, shading."""

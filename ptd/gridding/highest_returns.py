@@ -19,7 +19,7 @@ NOTHING = np.iinfo(np.int32).min
 
 @kernel
 def _higher(ax: int, ay: int, az: int, bx: int, by: int, bz: int) -> bool:
-    """Whether return a goes before b: higher, then lexicographically smaller in (x, y)."""
+    """Whether return a ranks before b: higher, then lexicographically smaller in (x, y)."""
     if az != bz:
         return az > bz
     if ax != bx:
@@ -29,12 +29,11 @@ def _higher(ax: int, ay: int, az: int, bx: int, by: int, bz: int) -> bool:
 
 @kernel
 def _update(top: Int32, pixels: Int64, x: Int32, y: Int32, z: Int32) -> None:
-    """Enter returns into the two highest ones of their pixels."""
     for i in range(pixels.size):
         first, second = top[pixels[i], 0], top[pixels[i], 1]
         px, py, pz = wide(x[i]), wide(y[i]), wide(z[i])
         if pz == first[2] and px == first[0] and py == first[1]:
-            continue  # the same return once more is no second one
+            continue  # a repeated return does not count as the second
         if _higher(px, py, pz, wide(first[0]), wide(first[1]), wide(first[2])):
             second[0], second[1], second[2] = first[0], first[1], first[2]
             first[0], first[1], first[2] = px, py, pz
@@ -52,7 +51,7 @@ class HighestReturns:
     Attributes
     ----------
     top : int32 [rows * columns, 2, 3]
-        x, y, z of the highest and of the second, another one; z is `NOTHING` where there is none.
+        x, y, z of the highest return and of the next different one; z is `NOTHING` without a return.
     """
 
     def __init__(self, rows: int, columns: int) -> None:
@@ -65,31 +64,31 @@ class HighestReturns:
         Parameters
         ----------
         pixels : int64 [n]
-            ``row * columns + column`` of each.
+            Pixel of each point: ``row * columns + column``.
         xyz : int32 [3, n]
         """
         _update(self.top, pixels, *xyz)
 
     def supported(self, reach: int, spike: float) -> Int32:
-        """The highest return of each pixel that is no spike.
+        """The highest return of each pixel that is not a spike.
 
-        A return is one if no other return in the pixels around it reaches to within ``spike`` below it, or higher: a
-        bird, a cloud, a blunder of matching. Then the second takes its place if it is none; else the pixel
-        is empty. Returns of neighbours count as they are, so two spikes side by side stay; so does the lowest of a
-        pixel that has nothing around to compare with.
+        A return is a spike (a bird, a cloud, a blunder of matching) if no other return in the pixels around it is
+        higher or within ``spike`` below it. Then the second return of the pixel takes its place, unless it is a spike
+        too, which leaves the pixel empty. Two spikes side by side support each other and stay. So does the lowest
+        return of a pixel with no returns around it to compare with.
 
         Parameters
         ----------
         reach : int
-            Pixels around, to each side, at least 1; within that distance of the block's edge the answer holds only
-            where nothing lies beyond.
+            Pixels compared to each side, at least 1. Within this distance of the block's edge the result is right
+            only if nothing lies beyond the edge.
         spike : float
             Counts.
 
         Returns
         -------
         int32 [rows, columns, 3]
-            x, y, z; z is `NOTHING` for none.
+            x, y, z; z is `NOTHING` for empty pixels.
         """
         first, second = self.top[:, 0], self.top[:, 1]
         heights = first[:, 2].reshape(self.rows, self.columns)

@@ -1,7 +1,8 @@
 """Inverse distance weighting of the nearest points (Shepard, A two-dimensional interpolation function, 1968).
 
-Twelve neighbours with weights 1 / d2; a position on a point has its height. Neighbours are summed from near to far,
-ties in the order of (x, y, z), relative to the nearest one's height: no order, tile or frame shows.
+Twelve neighbours have weights 1 / d2; a position on a point gets the height of the point. Neighbours are summed from
+near to far, ties in the order of (x, y, z), relative to the height of the nearest one. So the result does not depend
+on order, tile or frame.
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ NEIGHBOURS = 12
 
 
 def inverse_distance(x: Int32, y: Int32, z: Int32, pixels: Pixels, reach: float) -> tuple[Float64, Float64]:
-    """Heights at pixel centres, and how far away the points are that make them.
+    """Heights at pixel centres, and the distance of the points that make them.
 
     Parameters
     ----------
@@ -27,14 +28,14 @@ def inverse_distance(x: Int32, y: Int32, z: Int32, pixels: Pixels, reach: float)
         Local counts.
     pixels : Pixels
     reach : float
-        Counts beyond which no point has a say.
+        Points farther away are ignored, counts.
 
     Returns
     -------
     heights : float64 [rows, columns]
         Counts, NaN where no point is within reach.
     distance : float64 [rows, columns]
-        Counts; to the last neighbour, ``reach`` where there are fewer than twelve.
+        Distance of the twelfth neighbour in counts, or ``reach`` if there are fewer.
     """
     squared, points = nearest_points(x, y, z, pixels, NEIGHBOURS, reach)
     there = points != NONE

@@ -1,8 +1,7 @@
 """Find the points nearest to the centre of each pixel, exactly.
 
-Points are binned by pixel and searched ring by ring.
-
-Ties are decided by the points themselves (distance, then x, y, z), so no order, tile or frame shows.
+Points are binned by pixel and searched ring by ring. Ties are decided by the points themselves (distance, then x, y,
+z), so the result does not depend on order, tile or frame.
 """
 
 from __future__ import annotations
@@ -23,7 +22,7 @@ Int32 = npt.NDArray[np.int32]
 Int64 = npt.NDArray[np.int64]
 
 NONE = -1
-"""In place of an index: there are fewer points within reach."""
+"""Index of a neighbour that does not exist within reach."""
 
 
 class Nearest(NamedTuple):
@@ -32,10 +31,10 @@ class Nearest(NamedTuple):
     Attributes
     ----------
     squared : int64 [rows, columns, k]
-        Squared distances in counts from near to far, from the centre rounded down to whole counts; 2**63 - 1 where
-        there are no more.
+        Squared distances in counts, from near to far, from the centre rounded down to whole counts; 2**63 - 1 for
+        `NONE`.
     points : int32 [rows, columns, k]
-        Their indices, `NONE` where there are no more within reach.
+        Indices of the points, `NONE` if fewer than k lie within reach.
     """
 
     squared: Int64
@@ -43,13 +42,14 @@ class Nearest(NamedTuple):
 
 
 class _Bins(NamedTuple):
-    """Points by pixel, of the raster and so many pixels around it as the search reaches.
+    """Points by pixel, for the raster and as many pixels around it as the search reaches.
 
     Attributes
     ----------
     starts : int64 [rows * columns + 1]
-        Where each pixel's points begin in the order.
+        Start of each pixel's points in ``order``.
     order : int32
+        Indices of the points, pixel by pixel.
     empty : int32 [rows, columns]
         Empty rings around each pixel.
     pad : int
@@ -66,9 +66,9 @@ class _Bins(NamedTuple):
 def _bin(
     x: Int32, y: Int32, lattice: tuple[int, int, int, int], block: tuple[int, int, int, int]
 ) -> tuple[Int64, Int32]:
-    """Points by pixel: where each pixel's begin in the order (int64 [rows * columns + 1]), and the order (int32).
+    """Sort points by pixel: the arrays ``starts`` and ``order`` of `_Bins`.
 
-    The lattice is given as in `ptd.frame.Cells`, the block as its western column, northern row, rows and columns.
+    `lattice` is that of `ptd.frame.Cells`; `block` is the western column, the northern row, rows and columns.
     """
     (p, q, ox, oy), (west, north, rows, columns) = lattice, block
     cells = np.empty(x.size, np.int64)
@@ -77,8 +77,9 @@ def _bin(
         column = ((wide(x[i]) + ox) * q) // p - west
         row = north - ((wide(y[i]) + oy) * q) // p
         inside = 0 <= column < columns and 0 <= row < rows
-        cells[i] = row * columns + column if inside else -1
+        cells[i] = -1
         if inside:
+            cells[i] = row * columns + column
             starts[cells[i] + 1] += 1
     for cell in range(rows * columns):
         starts[cell + 1] += starts[cell]
@@ -113,9 +114,9 @@ def _look_in(
     index: Int32,
     found: int,
 ) -> int:
-    """Merge the points of a cell (first, last) into the ``found`` nearest ones of a pixel, sorted; their new number.
+    """Merge the points of a cell (first, last) into the ``found`` nearest of a pixel; return their new number.
 
-    The disk, with its middle and its squared radius, is where they are looked for.
+    Only points within the disk (x, y, squared radius) count.
     """
     k = index.size
     cx, cy, reach2 = disk
@@ -140,7 +141,6 @@ def _look_in(
 
 @kernel
 def _search(points: Xyz, bins: _Bins, lattice: Lattice, reach: float, squared: Int64, index: Int32) -> None:
-    """Fill ``squared`` and ``index``."""
     x, y, z = points
     starts, order, empty, pad = bins
     x0, y0, step, scale = lattice
@@ -157,7 +157,7 @@ def _search(points: Xyz, bins: _Bins, lattice: Lattice, reach: float, squared: I
             near, which = squared[row, column], index[row, column]
             ring = wide(empty[at_row, at_column])
             while True:
-                # All points nearer than this have been seen (one count for the rounded centre).
+                # All points nearer than this have been seen; one count allows for the rounded centre.
                 seen = (float(ring) - 0.5) * size - 1.0
                 if seen > reach or (found == k and seen > 0.0 and float(near[k - 1]) < seen * seen):
                     break
@@ -182,12 +182,13 @@ def nearest_points(x: Int32, y: Int32, z: Int32, pixels: Pixels, k: int, reach: 
     Parameters
     ----------
     x, y, z : int32 [n]
-        Local counts; those farther than ``reach`` from all pixels do no harm.
+        Local counts; points farther than ``reach`` from all pixels are ignored.
     pixels : Pixels
-        Its origin has to be the points' local 0.
+        The block of pixels; its origin has to be the points' local 0.
     k : int
+        Number of neighbours.
     reach : float
-        Counts; points farther away are none.
+        Largest distance of a neighbour, counts.
 
     Returns
     -------

@@ -1,4 +1,7 @@
-"""Ground points at the foot of objects: what image matching leaves of walls, the stumps of removed buildings."""
+"""Ground points at the foot of objects.
+
+Image matching leaves such points on walls; they would be the stumps of removed buildings.
+"""
 
 from __future__ import annotations
 
@@ -26,9 +29,9 @@ def _beside(
     reach2: int,
     rise: int,
 ) -> npt.NDArray[np.bool_]:
-    """Whether an object's point lies near each point of the ground and higher by ``rise``.
+    """Whether a point of an object lies near each ground point and is higher by ``rise``.
 
-    Objects lie cell by cell; ``tops`` is the height of the highest of each cell.
+    Objects are sorted by cell; ``tops`` is the greatest height in each cell.
     """
     x, y, z = ground
     columns, rows = places
@@ -53,14 +56,14 @@ def _beside(
 def beside_objects(
     ground: Int32, objects: Int32, reach: Fraction, rise: int, origin: tuple[int, int]
 ) -> npt.NDArray[np.bool_]:
-    """Ground points within ``reach`` in plan of an object's point that is at least ``rise`` higher.
+    """Ground points that have a point of an object within ``reach`` in plan and at least ``rise`` higher.
 
     Parameters
     ----------
     ground, objects : int32 [3, n], [3, m]
         Local counts.
     reach : Fraction
-        Counts.
+        Horizontal counts.
     rise : int
         Vertical counts.
     origin : tuple of int

@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
 from ptd.cells import Int32, Int64
 from ptd.ground.morphology import EMPTY
 from ptd.kernel import kernel
+
+Float64 = npt.NDArray[np.float64]
 
 EAST = (1, 0, -1, 0, 1, -1, -1, 1)
 NORTH = (0, 1, 0, -1, 1, 1, -1, -1)
@@ -15,8 +18,8 @@ NORTH = (0, 1, 0, -1, 1, 1, -1, -1)
 
 def connected_surfaces(
     heights: Int32,
-    straight: float,
-    diagonal: float,
+    straight: float | Float64,
+    diagonal: float | Float64,
     gap: int = 1,
     tilts: tuple[Int64, Int64] | None = None,
     block: int = 1,
@@ -27,8 +30,9 @@ def connected_surfaces(
     ----------
     heights : int32 [rows, columns]
         Counts; `EMPTY` where there is none.
-    straight, diagonal : float
-        Neighbours along a row or column, and across corners, are of one surface if their heights differ by less.
+    straight, diagonal : float or float64 [rows, columns of blocks]
+        Neighbours along a row or column, and across corners, are of one surface if their heights differ by less: by
+        the larger limit of two blocks.
     gap : int
         Neighbours may be so many cells apart, with empty cells between them.
     tilts : (int64, int64), optional
@@ -47,14 +51,13 @@ def connected_surfaces(
     if tilts is None:
         block = max(*heights.shape, 1)
         tilts = np.zeros((1, 1), np.int64), np.zeros((1, 1), np.int64)
-    return _fill(
-        np.ascontiguousarray(heights), float(straight), float(diagonal), gap, tilts[0], tilts[1], block
-    )
+    limits = np.stack([np.broadcast_to(np.float64(limit), tilts[0].shape) for limit in (straight, diagonal)])
+    return _fill(np.ascontiguousarray(heights), limits, gap, tilts[0], tilts[1], block)
 
 
 @kernel
 def _fill(
-    heights: Int32, straight: float, diagonal: float, gap: int, north: Int64, east: Int64, block: int
+    heights: Int32, limits: Float64, gap: int, north: Int64, east: Int64, block: int
 ) -> tuple[Int32, int]:
     rows, columns = heights.shape
     surface = np.full((rows, columns), -1, np.int32)
@@ -72,7 +75,6 @@ def _fill(
             left -= 1
             row, column = waiting[left] // columns, waiting[left] % columns
             for way in range(8):
-                limit = straight if way < 4 else diagonal
                 for steps in range(1, gap + 1):
                     r, c = row + steps * NORTH[way], column + steps * EAST[way]
                     if r < 0 or c < 0 or r >= rows or c >= columns:
@@ -87,6 +89,10 @@ def _fill(
                         )
                         tilt += EAST[way] * (
                             east[r // block, c // block] + east[row // block, column // block]
+                        )
+                        limit = max(
+                            limits[way // 4, r // block, c // block],
+                            limits[way // 4, row // block, column // block],
                         )
                         if abs(rise) < limit or abs(rise - steps * tilt / 2) < limit:
                             surface[r, c] = n

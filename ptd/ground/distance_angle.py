@@ -108,7 +108,7 @@ def _owner(
     """The usable facet at a position off the vertices, -1 if there is none; whether that is sure.
 
     Of the two at an edge the one that `locate` gives, unless the other alone is usable: which of them owns the edge
-    depends on both, and what lies behind one that is not usable nobody needs to know.
+    depends on both, and what lies behind an unusable one is not needed.
     """
     beside = across(vertices, triangles, t, x, y)
     owner = t if usable[t] else (beside if usable[beside] else -1)
@@ -191,7 +191,7 @@ class Trial:
     def test(
         self, x: Int32, y: Int32, z: Int32, which: Bool, threshold: Threshold, doubt: Doubt
     ) -> tuple[Bool, Bool]:
-        """Which of the chosen points pass (bool [n]), and where points outside the window could change that (bool [n]).
+        """Test the chosen points: which pass, and which results points outside the window could change; bool [n] each.
 
         Parameters
         ----------

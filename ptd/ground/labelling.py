@@ -12,8 +12,9 @@ from ptd.cells import Xyz
 from ptd.ground.certificates import UInt8
 from ptd.ground.criteria import Limits, across, facet_measures, judge
 from ptd.ground.outliers import LowNoise
-from ptd.kernel import kernel, wide
+from ptd.kernel import inlined, kernel, wide
 from ptd.passes import Model, Points
+from ptd.places import Field, everywhere, value_at
 from ptd.tin.interpolation import canonical_facet
 from ptd.tin.layout import Int32Array, Mesh, is_ghost, real_neighbour
 from ptd.tin.location import coincident_vertex, locate, walk
@@ -22,6 +23,10 @@ from ptd.tin.mesh import Tin
 
 UNCLASSIFIED, GROUND, LOW_NOISE = 1, 2, 7
 """ASPRS classes that a filter gives."""
+CLEAR = 1.0 - 1e-9
+"""Factor that widens the range of limits by place by more than rounding can change them."""
+FAR, CROP, NEAR, ON = 0, 1, 2, 3
+"""Steps of closeness of a point to a TIN, see `Closeness`."""
 
 
 @kernel
@@ -61,6 +66,26 @@ def is_terrain(
     return passed, mirrored or beside != t, doubtful or unsure
 
 
+class Closeness(NamedTuple):
+    """How close to the TIN points are called `ON`, `NEAR` and `CROP`; all others are `FAR`. Horizontal counts.
+
+    Attributes
+    ----------
+    on, near : float
+        Heights above or below it.
+    on_slope, near_slope : float
+        So much more per unit of slope.
+    crop : float
+        So much more than near.
+    """
+
+    on: float = 0.0
+    on_slope: float = 0.0
+    near: float = 0.0
+    near_slope: float = 0.0
+    crop: float = 0.0
+
+
 class GroundRule(NamedTuple):
     """When a point is ground, against the finished TIN (`label_points`).
 
@@ -76,6 +101,8 @@ class GroundRule(NamedTuple):
         or below the TIN, measured upright, whatever its angle.
     per_slope : float
         Horizontal counts.
+    close : Closeness
+        For `label_by_height`.
     """
 
     limits: Limits
@@ -83,42 +110,100 @@ class GroundRule(NamedTuple):
     vertices_only: bool = False
     heights_only: bool = False
     per_slope: float = 0.0
+    close: Closeness = Closeness()
+
+
+class Bands(NamedTuple):
+    """``floor`` and ``per_slope`` of a `GroundRule` by place, horizontal counts."""
+
+    floor: Field
+    per_slope: Field
+
+
+class _Limits(NamedTuple):
+    """Least and largest figures of `Bands`: without the tables, which cost more to hand on than to use."""
+
+    floor: float
+    per_slope: float
+    most_floor: float
+    most_per_slope: float
+
+
+@kernel
+def _limits(bands: Bands) -> _Limits:
+    floor, slope = bands
+    return _Limits(floor.low, slope.low, floor.high, slope.high)
 
 
 class _Facet(NamedTuple):
-    """A real triangle and its limit, horizontal counts; corners in local counts, the smallest in (x, y) first."""
+    """A real triangle; corners in local counts, the smallest in (x, y) first.
+
+    What is the same for all facets is not kept: fewer numbers that live on from point to point are worth more than a
+    few products.
+    """
 
     t: int
     a: tuple[int, int, int]
-    b: tuple[int, int, int]
-    c: tuple[int, int, int]
+    b: tuple[int, int]
+    c: tuple[int, int]
     normal: tuple[float, float, float]
     length: float
-    allowed: float
+    cos: float
+    sin: float
 
 
-@kernel
-def _facet(vertices: Int32Array, triangles: Int32Array, t: int, rule: GroundRule) -> _Facet:
+@inlined
+def _facet(vertices: Int32Array, triangles: Int32Array, t: int, z_ratio: float) -> _Facet:
     i, j, k = canonical_facet(vertices, triangles, t)
     a = wide(vertices[4 * i]), wide(vertices[4 * i + 1]), wide(vertices[4 * i + 2])
-    b = wide(vertices[4 * j]), wide(vertices[4 * j + 1]), wide(vertices[4 * j + 2])
-    c = wide(vertices[4 * k]), wide(vertices[4 * k + 1]), wide(vertices[4 * k + 2])
-    ratio = rule.limits.z_ratio
-    bx, by, bz = float(b[0] - a[0]), float(b[1] - a[1]), (b[2] - a[2]) * ratio
-    cx, cy, cz = float(c[0] - a[0]), float(c[1] - a[1]), (c[2] - a[2]) * ratio
+    b = wide(vertices[4 * j]), wide(vertices[4 * j + 1])
+    c = wide(vertices[4 * k]), wide(vertices[4 * k + 1])
+    bx, by, bz = float(b[0] - a[0]), float(b[1] - a[1]), (vertices[4 * j + 2] - a[2]) * z_ratio
+    cx, cy, cz = float(c[0] - a[0]), float(c[1] - a[1]), (vertices[4 * k + 2] - a[2]) * z_ratio
     nx, ny, nz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
     n2 = nx * nx + ny * ny + nz * nz
     cos2 = nz * nz / n2
-    # The distance to a facet is the height above it times the cosine of its slope; so is what is allowed.
-    allowed = rule.floor * math.sqrt(cos2) + rule.per_slope * math.sqrt(max(1.0 - cos2, 0.0))
-    return _Facet(t, a, b, c, (nx, ny, nz), math.sqrt(n2), allowed)
+    return _Facet(t, a, b, c, (nx, ny, nz), math.sqrt(n2), math.sqrt(cos2), math.sqrt(max(1.0 - cos2, 0.0)))
+
+
+@inlined
+def _closeness(distance: float, cos: float, sin: float, close: Closeness) -> int:
+    """How close a point at some distance from a facet is, given the cosine and sine of the facet's slope.
+
+    The distance to a facet is the height above it times the cosine of its slope; so is what is allowed.
+    """
+    near = close.near * cos + close.near_slope * sin
+    on = distance <= close.on * cos + close.on_slope * sin
+    return int(on) + int(distance <= near) + int(distance <= near + close.crop * cos)
+
+
+@inlined
+def _distance(f: _Facet, x: int, y: int, z: int, z_ratio: float) -> float:
+    """From a facet, horizontal counts."""
+    dx, dy, dz = float(x - f.a[0]), float(y - f.a[1]), (z - f.a[2]) * z_ratio
+    return abs((f.normal[0] * dx + f.normal[1] * dy + f.normal[2] * dz) / f.length)
 
 
 @kernel
-def _fits(f: _Facet, x: int, y: int, z: int, z_ratio: float) -> bool:
-    """Whether a point lies near a facet in height."""
-    dx, dy, dz = float(x - f.a[0]), float(y - f.a[1]), (z - f.a[2]) * z_ratio
-    return abs((f.normal[0] * dx + f.normal[1] * dy + f.normal[2] * dz) / f.length) <= f.allowed
+def _fits(f: _Facet, distance: float, x: int, y: int, bands: Bands) -> bool:
+    """Whether a point at some distance from a facet is ground by the limits of its place."""
+    return distance <= value_at(bands.floor, x, y) * f.cos + value_at(bands.per_slope, x, y) * f.sin
+
+
+@inlined
+def _surely(f: _Facet, distance: float, limits: _Limits) -> tuple[bool, bool]:
+    """Whether a point at some distance from a facet is ground at any place, and whether it is at none."""
+    least = CLEAR * (limits.floor * f.cos + limits.per_slope * f.sin)
+    most = (limits.most_floor * f.cos + limits.most_per_slope * f.sin) * (1.0 / CLEAR)
+    return distance <= least, distance > most
+
+
+@kernel
+def _on_vertex(height: int, x: int, y: int, z: int, rule: GroundRule, bands: Bands) -> tuple[bool, int]:
+    """Whether a point at the position of a vertex lies near it in height, and how close."""
+    distance, close = abs(float(z - height)) * rule.limits.z_ratio, rule.close
+    fits = distance <= value_at(bands.floor, x, y)
+    return fits, _closeness(distance, 1.0, 0.0, close)
 
 
 @kernel
@@ -131,19 +216,23 @@ def _is_near(
     z: int,
     in_doubt: UInt8,
     rule: GroundRule,
-) -> tuple[bool, bool]:
-    """Whether a point in triangle t, which may be a ghost, lies near it in height, and whether that is doubtful."""
+    bands: Bands,
+) -> tuple[bool, int, bool]:
+    """Whether a point in triangle t, which may be a ghost, lies near it in height, how close, and if it is doubtful."""
     doubtful = in_doubt[t] != 0
     if is_ghost(triangles, t):
-        return False, doubtful
+        return False, FAR, doubtful
     v = coincident_vertex(vertices, triangles, x, y, t)
     if v >= 0:
-        return abs(float(z - vertices[4 * v + 2])) * rule.limits.z_ratio <= rule.floor, doubtful
+        return *_on_vertex(wide(vertices[4 * v + 2]), x, y, z, rule, bands), doubtful
     doubtful = doubtful or in_doubt[across(vertices, triangles, t, x, y)] != 0
-    return _fits(_facet(vertices, triangles, t, rule), x, y, z, rule.limits.z_ratio), doubtful
+    f = _facet(vertices, triangles, t, rule.limits.z_ratio)
+    distance = _distance(f, x, y, z, rule.limits.z_ratio)
+    fits = _fits(f, distance, x, y, bands)
+    return fits, _closeness(distance, f.cos, f.sin, rule.close), doubtful
 
 
-@kernel
+@inlined
 def _inside(f: _Facet, x: int, y: int) -> bool:
     """Whether a position lies in a triangle, and not on its border."""
     ax, ay, bx, by, cx, cy = f.a[0] - x, f.a[1] - y, f.b[0] - x, f.b[1] - y, f.c[0] - x, f.c[1] - y
@@ -152,27 +241,41 @@ def _inside(f: _Facet, x: int, y: int) -> bool:
 
 @kernel
 def _label_by_height(
-    mesh: Mesh, locator: Locator, points: Xyz, in_doubt: UInt8, rule: GroundRule
-) -> tuple[UInt8, npt.NDArray[np.bool_]]:
-    """As `_label` for `heights_only`: points that follow each other often lie in one facet, known by then."""
+    mesh: Mesh, locator: Locator, points: Xyz, in_doubt: UInt8, rule: GroundRule, bands: Bands
+) -> tuple[UInt8, npt.NDArray[np.bool_], UInt8]:
+    """Label points by height alone, and measure how close they are. Consecutive points often lie in one facet."""
     vertices, triangles = mesh
     x, y, z = points
-    labels, marked = np.empty(x.size, np.uint8), np.empty(x.size, np.bool_)
-    facet = _facet(vertices, triangles, real_neighbour(triangles, wide(0)), rule)
+    labels, marked, close = np.empty(x.size, np.uint8), np.empty(x.size, np.bool_), np.empty(x.size, np.uint8)
+    limits, z_ratio = _limits(bands), rule.limits.z_ratio
+    facet = _facet(vertices, triangles, real_neighbour(triangles, wide(0)), z_ratio)
     for i in range(x.size):
         px, py, pz = wide(x[i]), wide(y[i]), wide(z[i])
         if not _inside(facet, px, py):
             t = walk(vertices, triangles, px, py, wide(start_near(locator, x[i], y[i])))
+            v = coincident_vertex(vertices, triangles, px, py, t)
+            if v >= 0:  # as one point in ten does; `_is_near` would say the same, but locate it again
+                fits, close[i] = _on_vertex(wide(vertices[4 * v + 2]), px, py, pz, rule, bands)
+                labels[i] = GROUND if fits else UNCLASSIFIED
+                marked[i] = in_doubt[t] != 0
+                continue
             if not is_ghost(triangles, t):
-                facet = _facet(vertices, triangles, t, rule)
+                facet = _facet(vertices, triangles, t, z_ratio)
             if is_ghost(triangles, t) or not _inside(facet, px, py):
                 t = locate(vertices, triangles, px, py, t)
-                terrain, marked[i] = _is_near(vertices, triangles, t, px, py, pz, in_doubt, rule)
+                terrain, close[i], marked[i] = _is_near(
+                    vertices, triangles, t, px, py, pz, in_doubt, rule, bands
+                )
                 labels[i] = GROUND if terrain else UNCLASSIFIED
                 continue
-        labels[i] = GROUND if _fits(facet, px, py, pz, rule.limits.z_ratio) else UNCLASSIFIED
+        distance = _distance(facet, px, py, pz, z_ratio)
+        close[i] = _closeness(distance, facet.cos, facet.sin, rule.close)
+        fits, never = _surely(facet, distance, limits)
+        if not fits and not never:
+            fits = _fits(facet, distance, px, py, bands)
+        labels[i] = GROUND if fits else UNCLASSIFIED
         marked[i] = in_doubt[facet.t] != 0
-    return labels, marked
+    return labels, marked, close
 
 
 @kernel
@@ -198,7 +301,7 @@ def _label(
 
 
 def label_points(
-    tin: Tin, locator: Locator, points: Xyz, in_doubt: UInt8, rule: GroundRule
+    tin: Tin, locator: Locator, points: Xyz, in_doubt: UInt8, rule: GroundRule, bands: Bands | None = None
 ) -> tuple[UInt8, npt.NDArray[np.bool_]]:
     """Ground or not, against the finished TIN.
 
@@ -216,6 +319,8 @@ def label_points(
     in_doubt : uint8 [triangles]
         See `ptd.ground.certificates.Doubt.triangles`.
     rule : GroundRule
+    bands : Bands, optional
+        For `heights_only`, where ``floor`` and ``per_slope`` of the rule differ by place.
 
     Returns
     -------
@@ -224,10 +329,22 @@ def label_points(
     marked : bool [n]
         Points outside the window could change the label.
     """
+    if rule.heights_only and not rule.vertices_only:
+        return label_by_height(tin, locator, points, in_doubt, rule, bands)[:2]
     if points.x.size and tin.n_triangles:
-        label = _label_by_height if rule.heights_only and not rule.vertices_only else _label
-        return label(tin.mesh, locator, points, in_doubt, rule)
+        return _label(tin.mesh, locator, points, in_doubt, rule)
     return np.full(points.x.size, UNCLASSIFIED, np.uint8), np.zeros(points.x.size, np.bool_)
+
+
+def label_by_height(
+    tin: Tin, locator: Locator, points: Xyz, in_doubt: UInt8, rule: GroundRule, bands: Bands | None = None
+) -> tuple[UInt8, npt.NDArray[np.bool_], UInt8]:
+    """`label_points` for a rule of ``heights_only``, and how close to the TIN each point is: uint8 [n]."""
+    if points.x.size and tin.n_triangles:
+        bands = bands or Bands(everywhere(rule.floor), everywhere(rule.per_slope))
+        return _label_by_height(tin.mesh, locator, points, in_doubt, rule, bands)
+    n = points.x.size
+    return np.full(n, UNCLASSIFIED, np.uint8), np.zeros(n, np.bool_), np.full(n, FAR, np.uint8)
 
 
 class TinLabels(Model):
@@ -245,11 +362,15 @@ class TinLabels(Model):
         self.stats, self.low, self._closed = stats, low, closed
         self.tin: Tin | None = None
 
-    def finish(self, tin: Tin, in_doubt: UInt8, rule: GroundRule) -> None:
+    def finish(self, tin: Tin, in_doubt: UInt8, rule: GroundRule, bands: Bands | None = None) -> None:
         """Take a TIN, as it stays, to label with; see `label_points`."""
-        self.tin, self._in_doubt, self._rule = tin, in_doubt, rule
-        self._locator = Locator.of(tin)
+        self.tin, self.in_doubt, self.rule, self.bands = tin, in_doubt, rule, bands
+        self.locator = Locator.of(tin)
         self.stats.update(vertices=tin.n_vertices)
+
+    def judged(self, tin: Tin, points: Xyz) -> tuple[UInt8, npt.NDArray[np.bool_]]:
+        """Labels and marks of `label_points`, against the TIN that was taken."""
+        return label_points(tin, self.locator, points, self.in_doubt, self.rule, self.bands)
 
     def label(self, points: Points) -> tuple[UInt8, npt.NDArray[np.bool_]]:
         """ASPRS classes (uint8 [n]) and marks (bool [n]) of points, in any order."""
@@ -257,8 +378,7 @@ class TinLabels(Model):
         if self.tin is None:
             labels, marked = np.full(len(points), UNCLASSIFIED, np.uint8), np.full(len(points), self._closed)
         else:
-            labels, marked = label_points(self.tin, self._locator, xyz, self._in_doubt, self._rule)
+            labels, marked = self.judged(self.tin, xyz)
         if self.low is not None:
-            others = np.flatnonzero(labels != GROUND)
-            labels[others[self.low.holds(*(axis[others] for axis in xyz))]] = LOW_NOISE
+            labels[self.low.holds(*xyz, among=labels != GROUND)] = LOW_NOISE
         return labels, marked

@@ -157,11 +157,15 @@ class LowNoise:
         if self._index is not None:
             self._heights = np.maximum.reduceat(z[self._index.table.order], self._index.table.starts[:-1])
 
-    def holds(self, x: Int32, y: Int32, z: Int32) -> npt.NDArray[np.bool_]:
-        """Whether points are low noise: bool [n]."""
+    def holds(
+        self, x: Int32, y: Int32, z: Int32, among: npt.NDArray[np.bool_] | None = None
+    ) -> npt.NDArray[np.bool_]:
+        """Whether points are low noise, and among those of a mask if there is one: bool [n]."""
         if self._index is None:
             return np.zeros(z.size, np.bool_)
         found: npt.NDArray[np.bool_] = z <= self._heights.max()  # most lie above all of them
+        if among is not None:
+            found &= among
         low = np.flatnonzero(found)
         cell = self._index.find(x[low], y[low])
         found[low] = (cell >= 0) & (z[low] <= self._heights[cell])

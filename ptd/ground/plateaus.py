@@ -41,12 +41,13 @@ each other as ground; the last and smaller one parts roofs from the terrain besi
 ROOF_GAP_M = 8.0
 """Neighbours are no farther apart: parts of a roof lie among higher ones."""
 ROOF_VIEW_M = 24.0
-"""How far is looked around for other ground: past what stands around a roof."""
+"""Distance within which other ground is looked for: past what stands around a roof."""
 ROOF_SLOPE = 0.2
 """What is seen far away lies lower on any hill: a fall has to be steeper than this."""
-ROOF_BELOW_SHARE, ROOF_UNSEEN_SHARE = 0.9, 0.6
-"""Of the ground seen around so much at least lies below; of all looks so many at most meet no ground (trees, walls of
-courtyards, the border of the data)."""
+ROOF_BELOW_SHARE = 0.9
+"""Least share of the ground seen around a roof that lies below it."""
+ROOF_UNSEEN_SHARE = 0.6
+"""Largest share of all looks around a roof that meet no ground (trees, walls of courtyards, the border of the data)."""
 CUT_SIZE = 0.6
 """Share of the widest roof's width for roofs that the border of the data cuts: a terrace may go on there."""
 
@@ -125,7 +126,7 @@ class Plateaus:
 
 
 def on_plateaus(z: Int32, ground: Bool, before: Bool, raster: CellRaster, rule: Plateaus) -> Bool:
-    """Which points of ground lie on surfaces above their surroundings: bool [n].
+    """Find the points of ground on surfaces above their surroundings: bool [n].
 
     That is all in cells of such surfaces; and in the cells at their edges, whose lowest point lies beside the roof,
     what is higher than that by more than `Plateaus.fall`.
@@ -153,7 +154,7 @@ def on_plateaus(z: Int32, ground: Bool, before: Bool, raster: CellRaster, rule: 
 
 
 def plateaus(heights: Int32, rule: Plateaus, removed: Bool | None = None, data: Bool | None = None) -> Bool:
-    """Which cells of a raster belong to surfaces that lie above their surroundings: bool, of its shape.
+    """Find the cells of a raster on surfaces above their surroundings: bool, of its shape.
 
     Parameters
     ----------
@@ -187,7 +188,7 @@ def plateaus(heights: Int32, rule: Plateaus, removed: Bool | None = None, data: 
 def _looks(
     heights: Int32, surface: Int32, removed: Bool, data: Bool, n: int, view: int, fall: float, slope: float
 ) -> tuple[Int64, npt.NDArray[np.int64]]:
-    """Of each surface: counts `_AREA` (cells) to `_BORDER` (rays that leave the data), and its box."""
+    """Counts for each surface, `_AREA` (cells) to `_BORDER` (rays that leave the data), and its box."""
     rows, columns = heights.shape
     looks, box = np.zeros((n, _BORDER + 8), np.int64), np.zeros((n, 4), np.int64)
     for row in range(rows):

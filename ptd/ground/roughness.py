@@ -9,9 +9,9 @@ coordinate 0, and those count that are
   of the quarters leave at least `LEAST_QUARTERS` of their variance, so a bend or a step is less than the noise;
 - *ground*: no steeper than 45 degrees, and no patch within `REACH_CELLS` cells lies more than `DROP_M` below the plane.
 
-The run's noise is the lower quartile of the patches' values: lawns, fields and low plants pass all the tests of a plane
-and may be most of them, while what is smoother than a hard surface is not found. Sums are of integers and each patch
-belongs to the core that holds its first point, so neither tiles nor the order of points show.
+The noise is the lower quartile of the patches' values (`ptd.ground.noise_sums`): lawns, fields and low plants pass all
+the tests of a plane and may be most of them, while what is smoother than a hard surface is not found. Sums are of
+integers and each patch belongs to the core that holds its first point, so neither tiles nor the order of points show.
 
 Deviations from eq. 1: the sum of squares is divided by N - 3, not N (a fitted plane follows its points), and the
 average is a quartile.
@@ -20,9 +20,6 @@ average is a quartile.
 from __future__ import annotations
 
 import math
-from collections import Counter
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -30,13 +27,12 @@ import numpy.typing as npt
 
 from ptd.cells import Int32, Int64, Xyz, cell_keys, occupied
 from ptd.frame import Cells, Scale, Window
+from ptd.ground.noise_sums import BIN_M, LARGEST_SIGMA_M, PATCH_M, histogram
 from ptd.ground.planes import MOMENTS, add_point, fit_plane
 from ptd.kernel import kernel
 
-PATCH_M = 4.0
 MIN_POINTS = 16
 MIN_QUARTER = 4
-LARGEST_SIGMA_M = 0.3
 LARGEST_RESIDUAL = 4.5
 LEAST_QUARTERS = 0.5
 STEEPEST = 1.0
@@ -44,41 +40,13 @@ DROP_M = 2.0
 REACH_CELLS = 5
 REACH_M = PATCH_M * (REACH_CELLS + 1)
 """What a window must hold around its core for `measure` to give the same with any tiles."""
-LEAST_SHARE = 0.005
-"""Least share of planar patches among cells with enough points: in a wood the few that look planar tell nothing."""
-BIN_M = 0.001
 CELL_POINTS = 12
 """Least points of a quarter of a patch whose plane says how rough it is."""
-SMOOTHEST_SHARE, SMOOTHEST_FACTOR = 0.05, 1.25
-"""Noise from what is smoothest, whatever stands on the ground: this quantile of all quarters of patches, times this."""
 TALLEST_M = 8.0
 """Patches whose points span more height are no planes; keeps the sums small."""
 
 Bool = npt.NDArray[np.bool_]
 Float64 = npt.NDArray[np.float64]
-
-
-@dataclass(frozen=True)
-class Roughness:
-    """Figures of a run.
-
-    Attributes
-    ----------
-    density_m2 : float
-        Points per square metre of the cells of `PATCH_M` that hold any; 0 without points.
-    sigma_m : float or None
-        Noise of heights, metres; None if there is no planar patch, or next to none.
-    patches : int
-        How many planar patches there are, on which it rests.
-    smoothest_m : float or None
-        Noise of the smoothest places, metres, with no test of what they are: there are some in any dense cloud. None if
-        no quarter of a patch has enough points.
-    """
-
-    density_m2: float
-    sigma_m: float | None
-    patches: int
-    smoothest_m: float | None = None
 
 
 class _Moments(NamedTuple):
@@ -197,7 +165,7 @@ def _drop_raised(
     drop: float,
     z_ratio: float,
 ) -> Bool:
-    """Which patches are ground: no cell with enough points around them has its mean far below their plane."""
+    """Keep the patches of ground: no well-filled cell around them has its mean far below their plane."""
     low = moments.low
     ground = planes[:, 3] >= 0.0
     for k in range(keys.size):
@@ -216,6 +184,84 @@ def _drop_raised(
     return ground
 
 
+class Patches(NamedTuple):
+    """The cells of `PATCH_M` that a window's core holds a point of.
+
+    Attributes
+    ----------
+    columns, rows : int64 [m]
+        Places on their lattice.
+    points : int64 [m]
+        Points in the core.
+    own : bool [m]
+        The core holds the first point, so the figures of the cell are counted here.
+    full : bool [m]
+        It has at least `MIN_POINTS`.
+    noise : int64 [m]
+        Bin of `BIN_M` of the residuals of its plane; -1: no planar patch of ground.
+    quarters : int64 [m, 4]
+        The same of the planes of its quarters; -1: too few points, or too rough.
+    """
+
+    columns: Int64
+    rows: Int64
+    points: Int64
+    own: Bool
+    full: Bool
+    noise: Int64
+    quarters: Int64
+
+    def counts(self, which: Any = slice(None)) -> dict[str, Any]:
+        """What some cells add to the run's figures, see `measure`."""
+        own = self.own[which]
+        return {
+            "points": int(self.points[which].sum()),
+            "cells": int(own.sum()),
+            "full": int(np.count_nonzero(self.full[which][own])),
+            "patches": histogram(self.noise[which][own]),
+            "quarters": histogram(self.quarters[which][own].ravel()),
+        }
+
+
+def patches(xyz: Int32, core: Window, scale: Scale) -> Patches:
+    """The cells of a core by rows; see `measure` for the parameters."""
+    points = Xyz(*(np.ascontiguousarray(c) for c in xyz))
+    x, y = points.x, points.y
+    if x.size == 0:
+        none, never = np.zeros(0, np.int64), np.zeros(0, np.bool_)
+        return Patches(none, none, none, never, never, none, np.zeros((0, 4), np.int64))
+    cells = Cells.of(PATCH_M, scale)
+    inside = core.has(x, y)
+    # A margin of columns around the occupied ones, so that a key beside the raster is no cell of another row.
+    col0, row0 = cells.column(int(x.min())) - REACH_CELLS, cells.row(int(y.min()))
+    width = cells.column(int(x.max())) + REACH_CELLS + 1 - col0
+    point_keys = cell_keys(x, y, cells.p, cells.q, cells.origin_x, cells.origin_y, col0, row0, width)
+    keys, slot = occupied(point_keys, width * (cells.row(int(y.max())) - row0 + 1))
+    columns, rows = keys % width + col0, keys // width + row0
+    corners = cells.corners(columns, rows)
+    tallest, ratio = scale.counts_z(TALLEST_M), scale.z_ratio
+    moments = _sums(points, slot, corners, (cells.p, cells.q), tallest)
+    whole = moments.sums.sum(axis=1)
+    planes = _patches(moments, whole, tallest, scale.counts(LARGEST_SIGMA_M), ratio)
+    _drop_bent(points, slot, moments, planes, ratio)
+    side, drop = scale.counts(PATCH_M), scale.counts(DROP_M)
+    ground = _drop_raised(keys, width, moments, whole, planes, side, drop, ratio)
+    held = np.bincount(slot[inside], minlength=keys.size) if core.closed else whole[:, 0]
+    quarters = _quarters(moments.sums[held > 0], ratio)
+    quarters[quarters >= scale.counts(LARGEST_SIGMA_M)] = -1.0
+    noise = np.where(ground, planes[:, 3], -1.0)
+    some = held > 0
+    return Patches(
+        columns[some],
+        rows[some],
+        held[some],
+        inside[moments.first][some],
+        whole[some, 0] >= MIN_POINTS,
+        _bins(noise[some], scale),
+        _bins(quarters, scale),
+    )
+
+
 def measure(xyz: Int32, window: Window, core: Window, scale: Scale) -> dict[str, Any]:
     """What the core of a window adds to the run's figures.
 
@@ -231,66 +277,11 @@ def measure(xyz: Int32, window: Window, core: Window, scale: Scale) -> dict[str,
     -------
     dict
         ``points``, ``cells`` (of `PATCH_M`, with any point), ``full`` (with at least `MIN_POINTS`), ``patches`` and
-        ``quarters``: [[bin, count], ...] with bins of `BIN_M`.
+        ``quarters``: how many have a noise of each bin of `BIN_M`, as [first bin, count, count, ...].
     """
-    points = Xyz(*(np.ascontiguousarray(c) for c in xyz))
-    x, y = points.x, points.y
-    if x.size == 0:
-        return {"points": 0, "cells": 0, "full": 0, "patches": [], "quarters": []}
-    cells = Cells.of(PATCH_M, scale)
-    inside = core.has(x, y)
-    # A margin of columns around the occupied ones, so that a key beside the raster is no cell of another row.
-    col0, row0 = cells.column(int(x.min())) - REACH_CELLS, cells.row(int(y.min()))
-    width = cells.column(int(x.max())) + REACH_CELLS + 1 - col0
-    point_keys = cell_keys(x, y, cells.p, cells.q, cells.origin_x, cells.origin_y, col0, row0, width)
-    keys, slot = occupied(point_keys, width * (cells.row(int(y.max())) - row0 + 1))
-    corners = cells.corners(keys % width + col0, keys // width + row0)
-    tallest, ratio = scale.counts_z(TALLEST_M), scale.z_ratio
-    moments = _sums(points, slot, corners, (cells.p, cells.q), tallest)
-    whole = moments.sums.sum(axis=1)
-    planes = _patches(moments, whole, tallest, scale.counts(LARGEST_SIGMA_M), ratio)
-    _drop_bent(points, slot, moments, planes, ratio)
-    side, drop = scale.counts(PATCH_M), scale.counts(DROP_M)
-    ground = _drop_raised(keys, width, moments, whole, planes, side, drop, ratio)
-    own = inside[moments.first]
-    quarters = _quarters(moments.sums[own], ratio)
-    return {
-        "points": int(inside.sum()),
-        "cells": int(own.sum()),
-        "full": int(np.count_nonzero(whole[own, 0] >= MIN_POINTS)),
-        "patches": _binned(planes[own & ground, 3], scale),
-        "quarters": _binned(quarters[(quarters >= 0.0) & (quarters < scale.counts(LARGEST_SIGMA_M))], scale),
-    }
+    return patches(xyz, core, scale).counts()
 
 
-def _binned(noise: Float64, scale: Scale) -> list[list[int]]:
-    """Values in horizontal counts as [[bin, count], ...]."""
-    found, counts = np.unique((noise / scale.counts(BIN_M)).astype(np.int64), return_counts=True)
-    return [[int(b), int(n)] for b, n in zip(found, counts, strict=True)]
-
-
-def merge(partials: Iterable[Mapping[str, Any]]) -> Roughness:
-    """The run's figures from those of all cores, in any order."""
-    points = cells = full = 0
-    patches: Counter[int] = Counter()
-    quarters: Counter[int] = Counter()
-    for partial in partials:
-        points, cells = points + partial["points"], cells + partial["cells"]
-        full += partial["full"]
-        patches.update(dict(partial["patches"]))
-        quarters.update(dict(partial["quarters"]))
-    density = points / (cells * PATCH_M**2) if cells else 0.0
-    smoothest = _quantile(quarters, SMOOTHEST_SHARE)
-    smoothest = None if smoothest is None else round(SMOOTHEST_FACTOR * smoothest, 6)
-    sigma = None if patches.total() < LEAST_SHARE * full else _quantile(patches, 0.25)
-    return Roughness(density, sigma, patches.total(), smoothest)
-
-
-def _quantile(histogram: Counter[int], share: float) -> float | None:
-    """The value below which so much of a histogram with bins of `BIN_M` lies; None of an empty one."""
-    below = 0
-    for index in sorted(histogram):
-        below += histogram[index]
-        if below >= share * histogram.total():
-            return round((index + 0.5) * BIN_M, 6)
-    return None
+def _bins(noise: Float64, scale: Scale) -> Int64:
+    """Bins of values in horizontal counts; -1 of negative ones."""
+    return np.where(noise < 0.0, -1, noise / scale.counts(BIN_M)).astype(np.int64)

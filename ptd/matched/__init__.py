@@ -15,16 +15,22 @@ surface
     hulls of several curvatures, and the mean of the cells that lie about them.
 surroundings
     what lies around each cell: sums, shares and slopes.
+canopy
+    where crowns hide the ground, and where they were taken for it.
 growth
     ground up to the edges of terraces and banks.
 voting
     points against the surface; neighbours vote.
-passes
-    all of it as passes of `ptd.methods.auto.method`.
+last_look, trees
+    what lies around a point decides whether its label stays, by trees that were fitted to known labels.
+passes, by_side
+    all of it as passes of `ptd.methods.auto.method`; where cells of two sides meet.
+place_figures
+    what these start from at a place: density, noise, side of the cells.
 survey, penetration
     what made a cloud: a laser scanner, or matching.
 on_cells, facets
     the papers' methods on the same cells, and all points against the TIN of the cells that these take for ground.
 
-The noise of the run that they start from is that of the smoothest places (`ptd.ground.roughness`, ``smoothest_m``).
+The noise of a place that they start from is that of what is smoothest around it (`ptd.ground.noise_by_place`).
 """

@@ -12,11 +12,14 @@ import numpy.typing as npt
 from ptd.cells import Int32, Int64, cell_keys
 from ptd.frame import Cells, Scale, Window
 from ptd.kernel import kernel
+from ptd.places import Field, on_cells
 
 CELL_M = 1.0
 """Side of a cell: the detail of the surface. Tens of points average out in it; a car fills several."""
-SPARSE_M2, SPARSE_CELL_M = 3.0, 2.0
-"""In clouds of fewer points per square metre cells have this side: in most of 1 m no two points would agree."""
+SPARSE_M2 = 3.0
+"""Points per square metre below which cells are wider: in most cells of 1 m no two points would agree."""
+SPARSE_CELL_M = 2.0
+"""Side of the cells of such sparse clouds."""
 MODE_SIGMAS = 4.0
 """Height of the window that is moved up from a cell's lowest point, in standard deviations of the noise."""
 STEEPEST = 2.0
@@ -81,7 +84,7 @@ def _sort(values: Int32, room: Int32) -> None:
 
 
 @kernel
-def _level_heights(z: Int32, starts: Int64, order: Int32, width: int) -> tuple[Int64, Int64]:
+def _level_heights(z: Int32, starts: Int64, order: Int32, window: Int64) -> tuple[Int64, Int64]:
     """Height of each cell, and on how many points it rests (0: it has none)."""
     heights, counts = np.zeros(starts.size - 1, np.int64), np.zeros(starts.size - 1, np.int64)
     buffer, room = np.empty(np.diff(starts).max(), np.int32), np.empty(FEW, np.int32)
@@ -92,7 +95,7 @@ def _level_heights(z: Int32, starts: Int64, order: Int32, width: int) -> tuple[I
             for i in range(n):
                 values[i] = z[order[begin + i]]
             _sort(values, room)
-            heights[k], counts[k] = _lowest_mode(values, width, MODE_SHARE, MODE_POINTS)
+            heights[k], counts[k] = _lowest_mode(values, window[k], MODE_SHARE, MODE_POINTS)
     return heights, counts
 
 
@@ -126,7 +129,7 @@ def _tilted_heights(
     points: _ByCell,
     centre_x: Int64,
     centre_y: Int64,
-    width: int,
+    window: Int64,
     cell_counts: float,
     level: Int64,
     counts: Int64,
@@ -152,7 +155,7 @@ def _tilted_heights(
             rise = math.floor(eastward * (x[j] - cx) / span_x) + math.floor(northward * (y[j] - cy) / span_y)
             values[i] = z[j] - rise
         _sort(values, room)
-        found, agree = _lowest_mode(values, width, MODE_SHARE, MODE_POINTS)
+        found, agree = _lowest_mode(values, window[k], MODE_SHARE, MODE_POINTS)
         if agree > counts[k]:
             heights[k] = found
     return heights
@@ -163,7 +166,9 @@ def cell_side_m(density_m2: float) -> float:
     return SPARSE_CELL_M if density_m2 < SPARSE_M2 else CELL_M
 
 
-def cell_heights(xyz: Int32, bounds: Window, scale: Scale, sigma_m: float, cell_m: float = CELL_M) -> Int32:
+def cell_heights(
+    xyz: Int32, bounds: Window, scale: Scale, sigma_m: float | Field, cell_m: float = CELL_M
+) -> Int32:
     """The surface of each cell whose centre lies within bounds, as a point at its centre.
 
     Parameters
@@ -172,8 +177,8 @@ def cell_heights(xyz: Int32, bounds: Window, scale: Scale, sigma_m: float, cell_
         All points within two cells of the bounds, local counts, in any order.
     bounds : Window
     scale : Scale
-    sigma_m : float
-        The run's noise in metres.
+    sigma_m : float or Field
+        Noise of the place in metres.
     cell_m : float
         Side of the cells.
 
@@ -190,7 +195,8 @@ def cell_heights(xyz: Int32, bounds: Window, scale: Scale, sigma_m: float, cell_
     columns, rows = cells.column(int(x.max())) - col0 + 2, cells.row(int(y.max())) - row0 + 2
     keys = cell_keys(x, y, cells.p, cells.q, cells.origin_x, cells.origin_y, col0, row0, columns)
     starts, order = by_cell(keys, columns * rows)
-    window = max(round(scale.counts_z(MODE_SIGMAS * sigma_m)), 1)
+    noise = on_cells(sigma_m, cells, row0, col0, (rows, columns)).ravel()
+    window = np.maximum(np.rint(scale.counts_z(1.0) * (MODE_SIGMAS * noise)), 1.0).astype(np.int64)
     level, counts = _level_heights(z, starts, order, window)
     centre_x = np.array(
         [(cells.west(col0 + i) + cells.west(col0 + i + 1)) // 2 for i in range(columns)], np.int64

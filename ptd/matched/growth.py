@@ -19,13 +19,17 @@ from ptd.kernel import kernel
 from ptd.matched.cells import CELL_M
 
 GROWS_M = 8.0
-"""How far ground grows, at most."""
+"""Largest distance to which ground grows."""
 HIGHEST_M = 3.0
 """What lies higher above the surface does not join: roofs of houses on slopes may go on as the terrain above."""
-PLANE_CELLS, PLANE_SQUARE = 2, 5
-"""Ground cells of which a plane is made: as far along rows and columns, and the square of their distance."""
-LEAST, BESIDE = 6, 2
-"""Of how many a plane is made at least, and how many of them touch the cell."""
+PLANE_CELLS = 2
+"""Reach of the ground cells that make a plane, in cells along rows and columns."""
+PLANE_SQUARE = 5
+"""Square of the distance within which ground cells make a plane, in cells."""
+LEAST = 6
+"""Least number of ground cells that make a plane."""
+BESIDE = 2
+"""Least number of these cells that touch the cell in question."""
 BETWEEN_CELLS, BETWEEN_SHARE = 3, 0.7
 """So near are ground cells on opposite sides; a cell joins up to this share of the way from the lower to the upper."""
 LEVEL = 3.0

@@ -36,7 +36,7 @@ TILT_RADIUS, LEAST_WEIGHT = 5, 1e-3
 """Blocks at which those surroundings end, and the weight of their cells from which on there is a slope."""
 LOWEST = -(2**31) + 1
 NONE = 2**30
-"""Above the top of any paraboloid, and below what an empty cell stands for: heights are less than 1,000 km."""
+"""Number above the top of any paraboloid and below that of an empty cell: heights are less than 1,000 km."""
 
 
 @dataclass(frozen=True)

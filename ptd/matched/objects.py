@@ -9,6 +9,7 @@ terrain, so nothing farther than a fixed reach has a part in the answer.
 from __future__ import annotations
 
 import numpy as np
+import numpy.typing as npt
 
 from ptd.cells import Int32, Int64
 from ptd.frame import Scale
@@ -18,11 +19,13 @@ from ptd.kernel import kernel
 from ptd.matched.cells import CELL_M, EMPTY
 from ptd.matched.hull import ROOFS_TILT_BLOCKS, block_cells, tilts
 
+Float64 = npt.NDArray[np.float64]
+
 STEP_M, STEP_SIGMAS = 0.5, 3.0
 """Neighbours on a surface differ by less than the larger of both (by half as much again across corners)."""
 DIAGONAL = 1.4
 NEAR_M, NEAR_SHARE = 1.0, 0.2
-"""A surface of which this share lies so near the stiff hull, or more, is terrain."""
+"""Least share of a surface that lies so near the stiff hull if the surface is terrain."""
 FALL_M, FALL_CELLS, FALL_SHARE = 1.2, 2, 0.6
 """At an object's rim more than this share of the cells has another surface so far below within so many cells."""
 ALL_FALLS, FALL_LEAST = 0.9, 0.4
@@ -101,7 +104,7 @@ def reach_cells(cell_m: float) -> int:
 
 
 def judged(
-    heights: Int32, hull: Int32, removed: Bool, sigma_m: float, scale: Scale, cell_m: float = CELL_M
+    heights: Int32, hull: Int32, removed: Bool, sigma_m: float | Float64, scale: Scale, cell_m: float = CELL_M
 ) -> tuple[Bool, Bool]:
     """Cells of large objects, and cells of surfaces that are terrain.
 
@@ -113,8 +116,8 @@ def judged(
         The stiff hull of all cells.
     removed : bool [rows, columns]
         Cells of objects found before.
-    sigma_m : float
-        The run's noise in metres.
+    sigma_m : float or float64 [rows, columns]
+        Noise of the place in metres.
     scale : Scale
     cell_m : float
         Side of the cells.
@@ -123,8 +126,9 @@ def judged(
     -------
     objects, terrain : bool [rows, columns]
     """
-    step = scale.counts_z(max(STEP_M, STEP_SIGMAS * sigma_m))
     block = block_cells(cell_m)
+    noise = np.broadcast_to(sigma_m, heights.shape)[::block, ::block]
+    step = scale.counts_z(1.0) * np.maximum(STEP_M, STEP_SIGMAS * noise)
     left = np.where(removed, EMPTY, heights).astype(np.int32)
     sloped = tilts(left, ROOFS_TILT_BLOCKS, block)
     surface, n = connected_surfaces(left, step, DIAGONAL * step, tilts=sloped, block=block)

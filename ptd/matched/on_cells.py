@@ -15,21 +15,17 @@ from typing import Any, Self
 
 import numpy as np
 
+from ptd import places
 from ptd.frame import Cells, Scale, Window
 from ptd.ground.labelling import GROUND
 from ptd.matched import facets, surface, voting
 from ptd.matched.cells import CELL_M, raster_of
-from ptd.matched.passes import (
-    GROUND_M,
-    SIDES_M,
-    CellPass,
-    GroundModel,
-    MatchedPass,
-    cell_m,
-    is_matched,
-    noise_m,
-)
-from ptd.matched.survey import DIM, LIDAR, SurveyPass
+from ptd.matched.evidence import DIM, LIDAR
+from ptd.matched.ground_model import GROUND_M, GroundModel
+from ptd.matched.passes import CellPass
+from ptd.matched.place_figures import SIDES_M
+from ptd.matched.step import OneSidePass, cell_m, is_matched, noise_m
+from ptd.matched.survey import SurveyPass
 from ptd.params import parameter
 from ptd.passes import Model, Pass, Points, State, noted
 
@@ -54,7 +50,7 @@ def either_way(own: Sequence[Pass], on_cells: Sequence[Pass] | None = None, *not
     on_cells : sequence of Pass, optional
         Those that work on the cells and label them; the same if left out.
     *notes : str
-        What else is told of a matched cloud.
+        Further facts of a matched cloud.
     """
     cells = own if on_cells is None else on_cells
     return (
@@ -74,7 +70,8 @@ class MethodSurveyPass(SurveyPass):
 
     def applies(self, state: State) -> bool:
         """Unless the user says that it is a laser scan."""
-        return bool(state["run"].get("kind") != LIDAR)
+        said = state["run"].get("sure") is None
+        return not (said and state["run"].get("kind") == LIDAR)
 
     def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
         """And what follows from it."""
@@ -103,7 +100,7 @@ class _Wrapped(Pass):
 
     @property
     def title(self) -> str:  # type: ignore[override]
-        """That of the pass."""
+        """Title of the pass."""
         return self.step.title
 
     @classmethod
@@ -147,7 +144,7 @@ class OfCells(_Wrapped):
 
 
 @dataclass(frozen=True)
-class NearGroundPass(MatchedPass):
+class NearGroundPass(OneSidePass):
     """Every point against the TIN of the cells that are ground."""
 
     name: str = "near-ground"
@@ -159,6 +156,7 @@ class NearGroundPass(MatchedPass):
     )
     label_margin_m: float = voting.REACH_M
     raster_cell_m: float = CELL_M
+    by_place: bool = True
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> GroundModel:
         """Lay the TIN below the cells."""
@@ -170,7 +168,6 @@ class NearGroundPass(MatchedPass):
         raster = raster_of(points.xyz, cells)
         below = np.full(raster.heights.size, np.nan)
         below[raster.keys] = heights
-        found = surface.with_noise(
-            raster.heights, below.reshape(raster.heights.shape), noise_m(state), scale, side
-        )
+        noise = places.on_cells(noise_m(state, scale), cells, raster.row, raster.column, raster.heights.shape)
+        found = surface.with_noise(raster.heights, below.reshape(raster.heights.shape), noise, scale, side)
         return GroundModel.of(found, raster, cells, scale, state)

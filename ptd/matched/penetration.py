@@ -12,9 +12,16 @@ walls and slopes by where the points lie: below plants points lie among those ab
 them. A wide cell is *mixed* if between some `GAP_M` of height without a point, no line in the plan parts the points
 below, `BELOW` at least (blunders are fewer), from those above; it is seen through if so are `LEAST_MIXED` of the 3 x 3
 around it. Its points are `FEWEST` to `MOST`: in fewer nothing shows, and where there are more the other cells tell.
+
+*Overhangs* are counted in an eighth of the area, in cells about eight points wide, of all `OVERHANG_CELLS_M` those with
+`HANGING_FEWEST` to `HANGING_MOST` points: a cell has one if two points at least lie below and two above `HANGING_GAP_M`
+of height without a point. Lasers see below crowns and eaves; a matched cloud has next to none.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 import numpy.typing as npt
@@ -28,15 +35,27 @@ CELL_M, BIN_M = 2.0, 1.0
 GAP_BINS, LEAST_OF_9 = 2, 7
 WIDE_M, GAP_M, BELOW = 4.0, 2.0, 3
 LEAST_MIXED, FEWEST, MOST = 3, 6, 96
+OVERHANG_CELLS_M = (0.5, 1.0, 2.0, 4.0)
+HANGING_FEWEST, HANGING_MOST, HANGING_GAP_M = 24, 192, 1.0
 REACH_M = 3 * WIDE_M
 """Around the core, all points must be there for `seen_through` to give the same with any tiles."""
+
+COUNTS = (
+    "looks",
+    "through",
+    "wide_looks",
+    "wide_through",
+    "wide_gaps",
+    "overhang_looks",
+    "overhangs",
+)
 
 Bool = npt.NDArray[np.bool_]
 
 
 @kernel
 def _gaps(z: Int32, slot: Int64, low: Int32, bin_counts: float) -> Bool:
-    """Which cells have a gap: bool [cells]. Bins from the 64th on are one."""
+    """Mask of the cells with a gap: bool [cells]. All bins from the 64th on count as one."""
     filled = np.zeros(low.size, np.uint64)
     for i in range(z.size):
         k = slot[i]
@@ -69,7 +88,7 @@ def _parted(x: Int64, y: Int64, below: int) -> bool:
 def _mixed(
     x: Int32, y: Int32, z: Int32, starts: Int64, order: Int32, gap_counts: float
 ) -> tuple[Bool, Bool, Bool]:
-    """Which cells have as many points as it takes, which of these a gap, and points below it among those above."""
+    """Masks of the cells: with enough points, with a gap, and with points below the gap among those above."""
     n = starts.size - 1
     asked, gap, mixed = np.zeros(n, np.bool_), np.zeros(n, np.bool_), np.zeros(n, np.bool_)
     for k in range(n):
@@ -84,6 +103,26 @@ def _mixed(
                 gap[k] = True
                 mixed[k] |= i >= BELOW and not _parted(px, py, i)
     return asked, gap, mixed
+
+
+@kernel
+def _hanging(z: Int32, starts: Int64, order: Int32, gap_counts: float) -> tuple[Bool, Bool]:
+    """Mark the cells with as many points as it takes, and those of them with an overhang."""
+    n = starts.size - 1
+    asked, hanging = np.zeros(n, np.bool_), np.zeros(n, np.bool_)
+    for k in range(n):
+        if not HANGING_FEWEST <= starts[k + 1] - starts[k] <= HANGING_MOST:
+            continue
+        asked[k] = True
+        low = high = wide(z[order[starts[k]]])
+        for i in order[starts[k] : starts[k + 1]]:
+            low, high = min(low, wide(z[i])), max(high, wide(z[i]))
+        if high - low <= gap_counts:
+            continue
+        rising = np.sort(z[order[starts[k] : starts[k + 1]]])
+        for i in range(2, rising.size - 1):
+            hanging[k] |= wide(rising[i]) - rising[i - 1] > gap_counts
+    return asked, hanging
 
 
 @kernel
@@ -119,34 +158,79 @@ def seen_through(xyz: Int32, core: Window, scale: Scale, wide_cells: bool = True
     -------
     dict
         ``looks`` (cells of `CELL_M` with any point) and ``through``; of wide cells with as many points as it takes
-        ``wide_looks`` and ``wide_through``, and how many have a gap (``wide_gaps``).
+        ``wide_looks`` and ``wide_through``, and how many have a gap (``wide_gaps``); ``overhang_looks`` and
+        ``overhangs``.
     """
     x, y, z = (np.ascontiguousarray(c) for c in xyz)
-    nothing = dict.fromkeys(("looks", "through", "wide_looks", "wide_through", "wide_gaps"), 0)
     if x.size == 0:
-        return nothing
-    cells = Cells.of(CELL_M, scale)
-    col0, row0 = cells.column(int(x.min())) - 1, cells.row(int(y.min()))
-    width = cells.column(int(x.max())) + 2 - col0
-    point_keys = cell_keys(x, y, cells.p, cells.q, cells.origin_x, cells.origin_y, col0, row0, width)
-    keys, slot = occupied(point_keys, width * (cells.row(int(y.max())) - row0 + 1))
-    lowest = lowest_by_key(x, y, z, slot, keys.size)
-    gap = _gaps(z, slot, z[lowest], scale.counts_z(BIN_M))
-    own = core.has(x[lowest], y[lowest])
-    through = int(_seen_through(keys, gap, own, width, LEAST_OF_9))
-    found = nothing | {"looks": int(own.sum()), "through": through}
+        return dict.fromkeys(COUNTS, 0)
+    raster = _Raster.of(CELL_M, x, y, z, scale)
+    gap = _gaps(z, raster.slot, z[raster.lowest], scale.counts_z(BIN_M))
+    own = core.has(x[raster.lowest], y[raster.lowest])
+    through = int(_seen_through(raster.keys, gap, own, raster.width, LEAST_OF_9))
+    found = dict.fromkeys(COUNTS, 0) | {"looks": int(own.sum()), "through": through}
+    some = np.flatnonzero(raster.some()[raster.slot])
+    found |= _of_overhangs(x[some], y[some], z[some], core, scale)
     return found | _of_wide_cells(x, y, z, core, scale) if wide_cells else found
+
+
+def _of_overhangs(x: Int32, y: Int32, z: Int32, core: Window, scale: Scale) -> dict[str, int]:
+    """Cells of a core of all sizes, and overhangs in them."""
+    looks = overhangs = 0
+    for side_m in OVERHANG_CELLS_M if x.size else ():
+        raster = _Raster.of(side_m, x, y, z, scale)
+        asked, hanging = _hanging(z, *by_cell(raster.slot, raster.keys.size), scale.counts_z(HANGING_GAP_M))
+        own = core.has(x[raster.lowest], y[raster.lowest])
+        looks += int((own & asked).sum())
+        overhangs += int((own & hanging).sum())
+    return {"overhang_looks": looks, "overhangs": overhangs}
+
+
+@dataclass(frozen=True)
+class _Raster:
+    """The occupied cells of one size, with the lowest point of each.
+
+    Attributes
+    ----------
+    keys : int64 [cells]
+        Ascending, with a margin of a column at each end of a row.
+    slot : int64 [n]
+        Number of each point's cell.
+    lowest : int32 [cells]
+        Its index
+    col0, row0, width : int
+        First column and row, and columns.
+    """
+
+    keys: Int64
+    slot: Int64
+    lowest: Int32
+    col0: int
+    row0: int
+    width: int
+
+    @classmethod
+    def of(cls, side_m: float, x: Int32, y: Int32, z: Int32, scale: Scale) -> Self:
+        """The cells of that side, on a lattice anchored at CRS coordinate 0."""
+        cells = Cells.of(side_m, scale)
+        col0, row0 = cells.column(int(x.min())) - 1, cells.row(int(y.min()))
+        width = cells.column(int(x.max())) + 2 - col0
+        point_keys = cell_keys(x, y, cells.p, cells.q, cells.origin_x, cells.origin_y, col0, row0, width)
+        keys, slot = occupied(point_keys, width * (cells.row(int(y.max())) - row0 + 1))
+        return cls(keys, slot, lowest_by_key(x, y, z, slot, keys.size), col0, row0, width)
+
+    def some(self) -> Bool:
+        """Cells of every eighth block of two by two, evenly spread: enough to count what is common."""
+        rows, columns = np.divmod(self.keys, self.width)
+        chosen: Bool = ((columns + self.col0) // 2 + (rows + self.row0) // 2 * 3) % 8 == 0
+        return chosen
 
 
 def _of_wide_cells(x: Int32, y: Int32, z: Int32, core: Window, scale: Scale) -> dict[str, int]:
     """Wide cells of a core."""
-    cells = Cells.of(WIDE_M, scale)
-    col0, row0 = cells.column(int(x.min())) - 1, cells.row(int(y.min()))
-    width, rows = cells.column(int(x.max())) + 2 - col0, cells.row(int(y.max())) - row0 + 1
-    point_keys = cell_keys(x, y, cells.p, cells.q, cells.origin_x, cells.origin_y, col0, row0, width)
-    keys, slot = occupied(point_keys, width * rows)
-    asked, gap, mixed = _mixed(x, y, z, *by_cell(slot, keys.size), scale.counts_z(GAP_M))
-    lowest = lowest_by_key(x, y, z, slot, keys.size)
-    own = asked & core.has(x[lowest], y[lowest])
-    through = _seen_through(keys, mixed, own, width, LEAST_MIXED)
+    raster = _Raster.of(WIDE_M, x, y, z, scale)
+    starts, order = by_cell(raster.slot, raster.keys.size)
+    asked, gap, mixed = _mixed(x, y, z, starts, order, scale.counts_z(GAP_M))
+    own = asked & core.has(x[raster.lowest], y[raster.lowest])
+    through = _seen_through(raster.keys, mixed, own, raster.width, LEAST_MIXED)
     return {"wide_looks": int(own.sum()), "wide_through": int(through), "wide_gaps": int((own & gap).sum())}

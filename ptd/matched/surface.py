@@ -80,7 +80,7 @@ GAP, NARROWEST, GAP_TERRAIN = (0.1, 0.55), 0.25, 0.5
 """Contrast up to which the band above the surface is whole, and from which on it is so narrow: among low plants.
 Cells of what is terrain as a whole count less: they may be banks."""
 NOISE_M, NOISE_MOST, NOISE_FEW = 4.0, 2.5, 0.02
-"""Standard deviation of the surroundings from which noise is taken, its limit in times the run's, and the weight of
+"""Standard deviation of the surroundings from which noise is taken, its limit in times the place's, and the weight of
 that."""
 EXTENDED_M = (1.0, 6.0)
 """Beyond its cells the surface goes on as the mean of what is near: standard deviations of the surroundings. Ground is
@@ -113,7 +113,7 @@ def _scales(cell_m: float) -> list[float]:
 
 
 def _fine_scale(cell_m: float) -> float:
-    """That of the last rounds."""
+    """Scale of the last rounds."""
     return max(FINE_M / cell_m, FINE_CELLS)
 
 
@@ -135,7 +135,7 @@ def reach_cells(cell_m: float) -> int:
 def ground_surface(
     heights: Int32,
     terrain: Bool,
-    sigma_m: float,
+    sigma_m: float | Float64,
     scale: Scale,
     row: int,
     column: int,
@@ -149,8 +149,8 @@ def ground_surface(
         Vertical counts of the cells that are no large object's; `EMPTY` elsewhere, at least at the raster's edges.
     terrain : bool [rows, columns]
         Cells of surfaces that are terrain as wholes (`ptd.matched.objects`).
-    sigma_m : float
-        The run's noise in metres.
+    sigma_m : float or float64 [rows, columns]
+        Noise of the place in metres.
     scale : Scale
     row, column : int
         Place of the first cell on its lattice.
@@ -179,7 +179,7 @@ def noise_reach_cells(cell_m: float) -> int:
 
 
 def with_noise(
-    heights: Int32, ground: Float64, sigma_m: float, scale: Scale, cell_m: float = CELL_M
+    heights: Int32, ground: Float64, sigma_m: float | Float64, scale: Scale, cell_m: float = CELL_M
 ) -> Surface:
     """A surface that another method found, with the noise of the cells about it.
 
@@ -189,8 +189,8 @@ def with_noise(
         Vertical counts of the cells; `EMPTY` elsewhere, at least at the raster's edges.
     ground : float64 [rows, columns]
         Vertical counts of the ground at the cells, NaN where it is not known.
-    sigma_m : float
-        The run's noise in metres.
+    sigma_m : float or float64 [rows, columns]
+        Noise of the place in metres.
     scale : Scale
     cell_m : float
         Side of the cells.
@@ -210,7 +210,7 @@ def _ramp(values: Float64, limits: tuple[float, float]) -> Float64:
 
 
 def _contrast(
-    cells: CellsLeft, counted: Bool | Float64, surface: Float64, sigma_m: float, std_m: float
+    cells: CellsLeft, counted: Bool | Float64, surface: Float64, sigma_m: float | Float64, std_m: float
 ) -> tuple[Float64, Float64]:
     """Cells just above a surface, as far as counted, in parts of those on it, around each cell; share of the latter."""
     band = BAND_M + BAND_SIGMAS * sigma_m + BAND_SLOPE * cells.slope(surface)
@@ -220,7 +220,9 @@ def _contrast(
     return cells.around(counted * just_above, std_m) / np.maximum(on, 1e-3), on
 
 
-def _bent(cells: CellsLeft, terrain: Bool, hull: Callable[[Hull], Float64], sigma_m: float) -> Float64:
+def _bent(
+    cells: CellsLeft, terrain: Bool, hull: Callable[[Hull], Float64], sigma_m: float | Float64
+) -> Float64:
     """The hull that bends as much as the cells show."""
     stiff = hull(STIFF)
     pliable = np.maximum(hull(PLIABLE), stiff)
@@ -256,14 +258,14 @@ def _slope_around(cells: CellsLeft, surface: Float64) -> Float64:
     )
 
 
-def _of_terrain(cells: CellsLeft, terrain: Bool, surface: Float64, sigma_m: float) -> Float64:
-    """Of the cells above a surface, the share that is terrain's, around each cell."""
+def _of_terrain(cells: CellsLeft, terrain: Bool, surface: Float64, sigma_m: float | Float64) -> Float64:
+    """Share of terrain among the cells above a surface, around each cell."""
     above = cells.there & (cells.height - surface > BAND_M + BAND_SIGMAS * sigma_m)
     return cells.around(above & terrain, TERRAIN_M) / np.maximum(cells.around(above, TERRAIN_M), 1e-3)
 
 
 def _refined(
-    cells: CellsLeft, terrain: Bool, surface: Float64, sigma_m: float
+    cells: CellsLeft, terrain: Bool, surface: Float64, sigma_m: float | Float64
 ) -> tuple[Float64, Float64, Float64]:
     """The surface amid the cells that lie about it, their noise, and how much narrower the band is in plants."""
     _, _, above, below = _about(cells, terrain, surface, sigma_m)
@@ -320,7 +322,7 @@ def _to_edges(
 
 
 def _about(
-    cells: CellsLeft, terrain: Bool, surface: Float64, sigma_m: float
+    cells: CellsLeft, terrain: Bool, surface: Float64, sigma_m: float | Float64
 ) -> tuple[Float64, Float64, Float64, Float64]:
     """Noise and narrowing of the band of cells that lie about a surface, and how far it extends above and below."""
     slope, residual = cells.slope(surface), cells.height - surface
@@ -334,8 +336,8 @@ def _about(
     return sigma, narrowing, above * narrowing, below * (2.0 - narrowing)
 
 
-def _noise(cells: CellsLeft, residual: Float64, sigma_m: float) -> Float64:
-    """Root mean square of the residuals below the surface around each cell, and the run's where there are few."""
+def _noise(cells: CellsLeft, residual: Float64, sigma_m: float | Float64) -> Float64:
+    """Root mean square of the residuals below the surface around each cell, and the place's where there are few."""
     below = cells.there & (residual < 0.0) & (residual > -6.0 * sigma_m)
     weight = cells.smoothed(below.astype(np.float64), NOISE_M)
     squares = cells.smoothed(np.where(below, residual * residual, 0.0), NOISE_M)

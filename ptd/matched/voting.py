@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
+import numpy.typing as npt
 
 from ptd.cells import Int32, Int64, cell_keys
 from ptd.frame import Cells, Scale
 from ptd.ground.morphology import Bool
 from ptd.kernel import kernel, wide
 from ptd.matched.cells import by_cell
+from ptd.places import Field, as_field, values_at
+
+Float64 = npt.NDArray[np.float64]
 
 PARTS = 16
 """Residuals are whole parts of a vertical count, so that their sums do not depend on an order."""
@@ -26,11 +31,14 @@ REACH_M = ROUNDS * RADIUS_M[1]
 """Nothing farther away has a part in a point's label."""
 
 STEP = 32
-"""Neighbours that are looked at without a look at how many are left."""
+"""Neighbours that are read before the loop tests whether the vote is decided."""
+ROUNDED = 1e-9
+"""Largest difference of two lengths that count as equal."""
 FAR = 2**30
 """No residual is alike."""
-FINEST = 2**14
-"""Positions are told apart by so small a part of the radius, or by the cloud's own counts where those are coarser."""
+FINEST = 2**13
+"""Positions are told apart by so small a part of the largest radius, or by the cloud's own counts where these are
+coarser."""
 
 
 def radius_m(density_m2: float) -> float:
@@ -40,15 +48,37 @@ def radius_m(density_m2: float) -> float:
     )
 
 
+class _Voters(NamedTuple):
+    """Points by cells of a raster (`ptd.matched.cells.by_cell`), and what each of them asks of its neighbours.
+
+    Attributes
+    ----------
+    x, y : int32 [n]
+    starts : int64 [cells + 1]
+    square : int32 [n]
+        Neighbours are nearer than the root of this.
+    alike : int32 [n]
+        Their residuals differ by less than this.
+    reach : int64 [cells]
+        Cells to all sides in which there may be a neighbour of a point of a cell; 0 without points.
+    """
+
+    x: Int32
+    y: Int32
+    starts: Int64
+    square: Int32
+    alike: Int32
+    reach: Int64
+
+
 @kernel
-def _averaged(
-    x: Int32, y: Int32, residual: Int32, starts: Int64, width: int, square: int, alike: int
-) -> Int32:
+def _averaged(voters: _Voters, residual: Int32, width: int) -> Int32:
     """Mean residual of the neighbours of each point that are alike, itself among them, rounded down.
 
-    Points come by cells as wide as the radius (``starts``) in a raster with a margin of one cell all around. What may
-    be near the points of a cell is copied side by side, with points far away up to whole `STEP`: several at a time.
+    What may be near the points of a cell is copied side by side, with points far away up to whole `STEP`: several at a
+    time. The raster has a margin of as many cells all around as any cell reaches.
     """
+    x, y, starts, square, alike, reach = voters
     means = np.empty_like(residual)
     room = 32 * STEP
     near_x, near_y, near_residual = (
@@ -56,14 +86,14 @@ def _averaged(
         np.empty(room, np.int32),
         np.empty(room, np.int32),
     )
-    limit, most = np.int32(square), np.int32(alike)
-    for key in range(width + 1, starts.size - width - 2):
-        begin, end = starts[key], starts[key + 1]
+    for key in range(reach.size):
+        begin, end, far = starts[key], starts[key + 1], reach[key]
         if begin == end:
             continue
         n = 0
-        for row in (key - width, key, key + width):
-            n += starts[row + 2] - starts[row - 1]
+        for up in range(-far, far + 1):
+            row = key + up * width
+            n += starts[row + far + 1] - starts[row - far]
         if n + STEP > room:
             room = 2 * n + STEP
             near_x, near_y, near_residual = (
@@ -72,8 +102,9 @@ def _averaged(
                 np.empty(room, np.int32),
             )
         n = 0
-        for row in (key - width, key, key + width):
-            for j in range(starts[row - 1], starts[row + 2]):
+        for up in range(-far, far + 1):
+            row = key + up * width
+            for j in range(starts[row - far], starts[row + far + 1]):
                 near_x[n], near_y[n], near_residual[n] = x[j], y[j], residual[j]
                 n += 1
         filled = (n + STEP - 1) // STEP * STEP
@@ -81,6 +112,7 @@ def _averaged(
             near_x[j], near_y[j], near_residual[j] = x[begin], y[begin], FAR
         for i in range(begin, end):
             own_x, own_y, own = x[i], y[i], residual[i]
+            limit, most = square[i], alike[i]
             low, high, count = np.int32(0), np.int32(0), np.int32(0)
             for j in range(filled):  # without branches, in 32 bits: the sum is in two parts
                 dx, dy = np.int32(near_x[j] - own_x), np.int32(near_y[j] - own_y)
@@ -94,8 +126,49 @@ def _averaged(
     return means
 
 
+def _side_m(least: float, most: float) -> float:
+    """Side of the cells for radii between two: whole centimetres, which have few digits."""
+    return math.ceil(100.0 * most / round(most / least) - ROUNDED) / 100.0
+
+
+def _figures(field: Field, x: Int32, y: Int32) -> Float64:
+    """The figure of each point; a single one where it is the same everywhere."""
+    return field.values[0, :1].copy() if field.even else values_at(field, x, y)
+
+
+@kernel
+def _limits(
+    radius: Float64, noise: Float64, starts: Int64, order: Int32, counts: tuple[float, float, float]
+) -> tuple[Int32, Int32, Int64]:
+    """``square``, ``alike`` and ``reach`` of `_Voters`; counts in a radius of 1 m and on it, and the side in metres."""
+    per_radius, per_metre, side = counts
+    square, alike = np.empty(order.size, np.int32), np.empty(order.size, np.int32)
+    reach = np.zeros(starts.size - 1, np.int64)
+    last_radius, last_noise, far, near, most = -1.0, -1.0, np.int64(0), np.int32(0), np.int32(0)
+    for key in range(reach.size):
+        for i in range(starts[key], starts[key + 1]):
+            own_radius = radius[order[i] if radius.size > 1 else 0]
+            own_noise = noise[order[i] if noise.size > 1 else 0]
+            if own_radius != last_radius:  # seldom: it is the same nearly everywhere
+                last_radius = own_radius
+                near = np.int32(np.rint((per_radius * last_radius) ** 2))
+                far = np.int64(math.ceil(last_radius / side - ROUNDED))
+            if own_noise != last_noise:
+                last_noise = own_noise
+                most = np.int32(np.rint(per_metre * (ALIKE_M + ALIKE_SIGMAS * last_noise)))
+            square[i], alike[i] = near, most
+            reach[key] = max(reach[key], far)
+    return square, alike, reach
+
+
 def votes(
-    x: Int32, y: Int32, residual: Int32, asked: Bool, density_m2: float, sigma_m: float, scale: Scale
+    x: Int32,
+    y: Int32,
+    residual: Int32,
+    asked: Bool,
+    radius_m: float | Field,
+    sigma_m: float | Field,
+    scale: Scale,
 ) -> Int32:
     """Residuals after the neighbours' vote.
 
@@ -107,26 +180,30 @@ def votes(
         Height above the surface in `PARTS` of a vertical count.
     asked : bool [n]
         Points that have a residual and a vote; all others keep theirs.
-    density_m2, sigma_m : float
-        Of the run.
+    radius_m, sigma_m : float or Field
+        Radius of the neighbourhood (`radius_m`) and noise, of the place.
     scale : Scale
     """
-    voters = np.flatnonzero(asked)
-    if voters.size == 0:
+    asking = np.flatnonzero(asked)
+    if asking.size == 0:
         return residual
-    px, py, side = x[voters], y[voters], radius_m(density_m2)
-    cells = Cells.of(side, scale)
-    column, row = cells.column(int(px.min())) - 1, cells.row(int(py.min())) - 1
-    width, height = cells.column(int(px.max())) - column + 2, cells.row(int(py.max())) - row + 2
+    px, py = x[asking], y[asking]
+    radius, noise = (_figures(as_field(figure), px, py) for figure in (radius_m, sigma_m))
+    side = _side_m(float(radius.min()), float(radius.max()))
+    cells, most = Cells.of(side, scale), math.ceil(radius.max() / side - ROUNDED)
+    column, row = cells.column(int(px.min())) - most, cells.row(int(py.min())) - most
+    width = cells.column(int(px.max())) - column + 1 + most
+    height = cells.row(int(py.max())) - row + 1 + most
     keys = cell_keys(px, py, cells.p, cells.q, cells.origin_x, cells.origin_y, column, row, width)
     starts, order = by_cell(keys, width * height)
-    finer = max(math.ceil(math.log2(scale.counts(side) / FINEST)), 0)  # squares of more counts would overflow
-    px, py, voters = px[order] >> finer, py[order] >> finer, voters[order]
-    votes = residual[voters]
-    alike = round(PARTS * scale.counts_z(ALIKE_M + ALIKE_SIGMAS * sigma_m))
-    square = round((scale.counts(side) / 2**finer) ** 2)
+    finer = max(math.ceil(math.log2(scale.counts(RADIUS_M[1]) / FINEST)), 0)  # larger squares would overflow
+    per_radius, per_metre = scale.counts(1.0) / 2**finer, PARTS * scale.counts_z(1.0)
+    square, alike, reach = _limits(radius, noise, starts, order, (per_radius, per_metre, side))
+    voters = _Voters(px[order] >> finer, py[order] >> finer, starts, square, alike, reach)
+    asking = asking[order]
+    votes = residual[asking]
     for _ in range(ROUNDS):
-        votes = _averaged(px, py, votes, starts, width, square, alike)
+        votes = _averaged(voters, votes, width)
     found = residual.copy()
-    found[voters] = votes
+    found[asking] = votes
     return found

@@ -12,7 +12,7 @@ from ptd.passes import Method
 
 
 class _Methods(UserDict[str, Any]):
-    """Methods by name; one whose module is named is imported when it is asked for, as a run uses one of them."""
+    """Methods by name. A method given as a module name is imported when it is first used."""
 
     def __getitem__(self, name: str) -> Any:
         found = self.data[name]

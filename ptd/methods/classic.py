@@ -7,7 +7,7 @@ without it as well.
 parameter           paper's name and value     default  reason
 ==================  =========================  =======  ==========================================================
 max_building_size   max building size: 30      20 m     003's value; larger cells lose hill tops, smaller ones
-                    (000), 20 (003),                    take seeds on roofs. For halls and stadiums say more.
+                    (000), 20 (003),                    take seeds on roofs. Halls and stadiums need more.
                     TerraScan 60
 terrain_angle       terrain angle: 88          88 deg   the papers' value
 iteration_angle     iteration angle: 6         25 deg   6 loses a quarter of the ground of the ISPRS samples (type
@@ -16,20 +16,21 @@ iteration_distance  iteration distance: 1.4    1.4 m    the papers' value for sl
                     (slopes), 0.8 (flat)
 edge_length_reduce  L1: 5, an illustration     5 m      keeps the wide angle from climbing onto low objects where
                                                         the TIN is dense
-edge_length_stop    L2: 2, an illustration     0 (off)  its points would be lost to the TIN for nothing
+edge_length_stop    L2: 2, an illustration     0 (off)  the TIN would lose points without a gain
 rounds              none: until no point       8        later rounds are chains that climb roofs, and carry the
                     passes                              doubt of a tile's edge farther
 thin_cell           m: about the DTM's         1 m      half the time and memory, 0.03 points of error
                     resolution (003)
 low_radius, _depth, TerraScan's low points,    5 m, 4 m, a depth of 1.5 m deletes courtyards
 low_group           no values                  5
-label_pass          none                       on       ours: else points of facets that take no more vertices
-                                                        are lost (type I)
-label_floor         none                       0.3 m    ours: close to a vertex noise alone makes any angle
+label_pass          none                       on       ours: points of facets that take no more vertices would
+                                                        be lost (type I)
+label_floor         none                       0.3 m    ours: close to a vertex, noise can make any angle
 ==================  =========================  =======  ==========================================================
 
-Deviations: batch rounds instead of one point a facet at a time (001), so that order changes nothing; the mirrored
-point keeps its height; a ring of virtual seeds around the data (001, step 5), never output; the last pass.
+Deviations: points join in batches instead of one per facet at a time (001), so their order does not matter. The
+mirrored point keeps its height. A ring of virtual seeds surrounds the data (001, step 5) and is never output. The last
+pass is ours.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ from typing import Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from ptd.cells import Xyz, cell_keys, lowest_per_cell
+from ptd.cells import Xyz, keys_in, lowest_per_cell
 from ptd.frame import Cells, Scale, Window
 from ptd.ground.criteria import Limits
 from ptd.ground.densify import densify_seeds
@@ -55,7 +56,7 @@ from ptd.passes import Int32, Method, Pass, Points, State
 class Classic(Progressive):
     """Parameters of `classic`; see the module's table."""
 
-    rounds: int = parameter(8, "rounds of densification; 0: until nothing passes", 0, 1000)
+    rounds: int = parameter(8, "rounds of densification; 0: until no point passes", 0, 1000)
     label_pass: bool = parameter(
         True, "points near the finished TIN become ground too, not only its vertices"
     )
@@ -65,22 +66,24 @@ class Classic(Progressive):
 
     @property
     def passes(self) -> tuple[Pass, ...]:
-        """One pass: everything is local."""
+        """The single pass; all of it is local."""
         return (ClassicPass(self),)
 
     def ground_rule(self, limits: Limits, scale: Scale) -> GroundRule:
-        """How the finished TIN labels."""
-        floor = scale.counts(self.label_floor_m) if self.label_pass else 0.0
+        """The rule by which the finished TIN labels points."""
+        floor = 0.0
+        if self.label_pass:
+            floor = scale.counts(self.label_floor_m)
         return GroundRule(limits, floor, not self.label_pass, self.heights_only)
 
     @property
     def halo_m(self) -> float:
-        """Two seed cells for the first TIN's circles, 8 m for each round: measured to certify most tiles of a city."""
+        """Two seed cells for the circles of the first TIN, and 8 m per round; certified most tiles of a city."""
         return 2.0 * self.max_building_size_m + 8.0 * min(self.rounds or 30, 30)
 
     @property
     def candidate_cell_m(self) -> float:
-        """Cell of which the lowest point is the candidate."""
+        """Side of the cells whose lowest point is the candidate."""
         return self.thin_cell_m
 
 
@@ -102,7 +105,7 @@ class ClassicPass(Pass):
             return found
         outlier = low_outliers(x, y, z, scale, p.low_radius_m, p.low_depth_m, p.low_group)
         cells, limits = Cells.of(p.low_cell_m, scale), p.limits(scale)
-        # In a cell cut by the window another point may be the lowest; and outliers are certain a radius inside it.
+        # In a cell cut by the window another point may be the lowest. Outliers are certain one search radius inside.
         known = window.inside(cells, p.margin_cells)
         seed_cells = Cells.of(p.max_building_size_m, scale)
         tin, in_doubt, rounds = densify_seeds(
@@ -115,16 +118,16 @@ class ClassicPass(Pass):
 
 
 def thinned(columns: tuple[Int32, Int32, Int32], cell_m: float, scale: Scale) -> tuple[Int32, Int32, Int32]:
-    """The lowest candidate per cell, in row-major order of the cells; all, in such an order, if `cell_m` is 0."""
+    """The lowest candidate per cell, in row-major order of the cells. If `cell_m` is 0, all points by cells of 1 m."""
     x, y, z = columns
     if x.size == 0:
         return x, y, z
     if cell_m:
         keep: npt.NDArray[Any] = lowest_per_cell(x, y, z, Cells.of(cell_m, scale))
     else:
-        c = Cells.of(1.0, scale)
-        col0, row0 = c.column(int(x.min())), c.row(int(y.min()))
-        keys = cell_keys(x, y, c.p, c.q, c.origin_x, c.origin_y, col0, row0, 1 << 31)
+        cells = Cells.of(1.0, scale)
+        col0, row0 = cells.column(int(x.min())), cells.row(int(y.min()))
+        keys = keys_in(x, y, cells, col0, row0, 1 << 31)
         keep = np.lexsort((z, y, x, keys))
     return x[keep], y[keep], z[keep]
 

@@ -1,4 +1,4 @@
-"""Parameters that the methods of progressive densification share; each method's table says where it differs."""
+"""Parameters that all methods of progressive densification share; each method's table lists differences."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ AXELSSON = "Axelsson 2000"
 
 @dataclass(frozen=True)
 class Progressive:
-    """Outliers, seeds, facet test and final labelling."""
+    """Parameters of outliers, seeds, facet test and final labelling."""
 
     max_building_size_m: float = parameter(
         20.0, "side of the cells whose lowest point is a seed; at least the width of the largest building", unit="m",
@@ -51,7 +51,7 @@ class Progressive:
     )  # fmt: skip
     low_radius_m: float = parameter(5.0, "low outliers: radius of the search", 1.0, 50.0, "m")
     low_depth_m: float = parameter(
-        4.0, "low outliers: how far they lie below all other points within the radius", 0.1, 100.0, "m"
+        4.0, "low outliers: depth below all other points within the radius", 0.1, 100.0, "m"
     )
     low_group: int = parameter(
         5, "low outliers: largest number of points in a clump of them; 0: no search", 0, 1000
@@ -69,7 +69,7 @@ class Progressive:
         check(self)
 
     def limits(self, scale: Scale) -> Limits:
-        """The facet test's thresholds."""
+        """Thresholds of the facet test."""
         return Limits.of(
             scale, distance_m=self.iteration_distance_m, angle_deg=self.iteration_angle_deg,
             terrain_deg=self.terrain_angle_deg, reduce_m=self.edge_length_reduce_m, stop_m=self.edge_length_stop_m,
@@ -77,20 +77,20 @@ class Progressive:
 
     @property
     def align_m(self) -> float:
-        """Windows hold whole seed cells."""
+        """Side of the seed cells; windows consist of whole ones."""
         return self.max_building_size_m
 
     @property
     def low_cell_m(self) -> float:
-        """Cell of whose lowest points the low outliers are found."""
+        """Side of the cells whose lowest points are searched for low outliers."""
         return self.thin_cell_m or 1.0
 
     @property
     def margin_cells(self) -> int:
-        """Such cells that hold the radius of the search for low outliers."""
+        """Cells within the search radius of low outliers."""
         return search_margin(self.low_radius_m, self.low_group, self.low_cell_m)
 
     @property
     def margin_m(self) -> float:
-        """What lies around the whole cells of a window still decides on outliers within them."""
+        """Distance beyond the whole cells of a window at which points still decide on outliers inside."""
         return self.margin_cells * self.low_cell_m

@@ -1,9 +1,9 @@
-"""``rarefy``: thin the cloud, densify progressively, and take for ground what is near the DTM in height.
+"""``rarefy``: thin the cloud, densify progressively, and label points near the DTM as ground.
 
-What Dong et al. (2018) argue against (paper 000, section 1), for comparison: others "rarefied the point clouds", "used
-the PTD algorithm to obtain the ground points and construct the digital terrain model", and took for ground what lies
-nearer to it than a threshold. Thinning loses features of the terrain, they say, and the threshold is hard to choose.
-Composed of the parts of `classic`.
+This is the practice that Dong et al. (2018) argue against (paper 000, section 1), kept for comparison: others "rarefied
+the point clouds", "used the PTD algorithm to obtain the ground points and construct the digital terrain model", and
+labelled points below a height threshold as ground. Dong et al. say that thinning loses terrain features, and that the
+threshold is hard to choose. The method is composed of the parts of `classic`.
 
 ===================  ==============================  =======  ====================================================
 parameter            paper's name and value          default  reason
@@ -17,8 +17,8 @@ angles, distances    angle 88, angle 6, distance     classic
                      1.4 or 0.8
 ===================  ==============================  =======  ====================================================
 
-Thinning keeps the lowest point of a cell (the paper does not say which); the DTM is the TIN of the ground found; the
-distance to it is upright and counts above and below. ``label_pass`` off leaves the last step out.
+Thinning keeps the lowest point of a cell (the paper does not say which). The DTM is the TIN of the ground found. The
+vertical distance to the DTM counts, above and below. Without ``label_pass`` the last step is omitted.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ class Rarefy(Classic):
 
     label_floor_m: float = parameter(
         0.5,
-        "ground is what lies no more than this above or below the DTM",
+        "largest height of ground above or below the DTM",
         unit="m",
         minimum=0.0,
         maximum=10.0,
@@ -47,7 +47,7 @@ class Rarefy(Classic):
 
     @property
     def passes(self) -> tuple[Pass, ...]:
-        """`classic`'s TIN of the thinned cloud, another labelling."""
+        """The TIN of `classic` on the thinned cloud, with another label rule."""
         return (ClassicPass(self, "rarefy", "thin, densify, label all points"),)
 
 

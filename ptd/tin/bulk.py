@@ -89,7 +89,7 @@ def build(
     Parameters
     ----------
     vertices, triangles, counters : int32 arrays, see `ptd.tin.layout`
-        Of an empty TIN, with room for as many vertices as there are points, repeated positions included.
+        Arrays of an empty TIN, with room for a vertex per point, repeated positions included.
     x, y, z : int32 [n]
         Positions in counts, in any order. Differences of x and of y have to stay below 2**26: not checked
         here.

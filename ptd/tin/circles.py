@@ -1,4 +1,4 @@
-"""Circumcircles of facets: which facets are too wide to count, and which no point outside a window can change."""
+"""Circumcircles of facets: whether a facet is too wide to count, and whether data outside can change it."""
 
 import math
 from typing import NamedTuple
@@ -7,8 +7,8 @@ from ptd.kernel import kernel, wide
 from ptd.tin.interpolation import canonical_facet
 from ptd.tin.layout import Int32Array, is_ghost
 
-# 32 units of rounding: a bound with room to spare for the few operations that make a centre. Inputs may be
-# rounded sums of squares and products (pixel centres), so they are counted in.
+# 32 units of rounding bound the error of the few operations that make a centre, with room to spare. The bound
+# includes the rounding of the inputs, which may be sums of squares and products (pixel centres).
 _ROUNDING = 32.0 * 2.0**-53
 
 
@@ -20,8 +20,8 @@ class Rule(NamedTuple):
     max_edge2 : int64
         Square of the longest edge, counts squared; compared exactly.
     max_radius : float64
-        Largest circumradius, counts, may be infinite; compared in float64 with the edges in the order of
-        their lengths, so that the answer does not depend on insertion, tile or frame.
+        Largest circumradius, counts; may be infinite. The comparison in float64 takes the edges in the order
+        of their lengths, so the answer does not depend on insertion, tile or frame.
     """
 
     max_edge2: int
@@ -29,9 +29,9 @@ class Rule(NamedTuple):
 
 
 class Sides(NamedTuple):
-    """Sides of the window in which all points are known: float64, local counts; infinite where open.
+    """Sides of the window in which all points are known: float64, local counts.
 
-    Data are unknown at x < west, y < south, x > east, y > north. A side beyond which there are none is at
+    Data are unknown at x < west, y < south, x > east, y > north. If no data exist beyond a side, it is at
     infinity.
     """
 
@@ -82,15 +82,15 @@ def facet_passes(vertices: Int32Array, triangles: Int32Array, triangle: int, rul
 
 @kernel
 def circle_inside(x: float, y: float, bx: float, by: float, cx: float, cy: float, sides: Sides) -> bool:
-    """Whether the circle through a = (x, y), a + b and a + c surely stays inside the window.
+    """Whether the circle through a = (x, y), a + b and a + c is certain to stay inside the window.
 
-    "Surely": the bound of the rounding error is added to the radius, so the answer may be a wrong no, never a
-    wrong yes. A circle without a radius is inside nothing but the whole plane.
+    The bound of the rounding error is added to the radius, so a wrong no is possible and a wrong yes is not.
+    A degenerate circle is inside the whole plane only.
     """
     b2, c2 = bx * bx + by * by, cx * cx + cy * cy
     area = 2.0 * (bx * cy - by * cx)
     spread = abs(bx * cy) + abs(by * cx)
-    if abs(area) <= _ROUNDING * 2.0**10 * spread:  # the terms cancel: no digit of the centre can be trusted
+    if abs(area) <= _ROUNDING * 2.0**10 * spread:  # the terms cancel, so the centre is meaningless
         return unbounded(sides)
     dx = (cy * b2 - by * c2) / area
     dy = (bx * c2 - cx * b2) / area

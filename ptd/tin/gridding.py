@@ -14,7 +14,7 @@ from ptd.tin.mesh import MAX_EXTENT, Tin
 from ptd.tin.pixels import Lattice, UInt8Array
 
 _MAX_Q = 2**9 - 1
-_ALL = 2**62  # above the square of any edge
+_ALL = 2**62  # exceeds the square of any edge
 
 
 @dataclass(frozen=True)
@@ -67,7 +67,7 @@ class Pixels:
 
     @property
     def lattice(self) -> Lattice:
-        """The centres in local units of 1 / (2 q) count."""
+        """The pixel centres in local units of 1 / (2 q) count."""
         scale = 2 * self.q
         return Lattice(
             (2 * self.left + 1) * self.p - scale * self.origin_x,
@@ -79,7 +79,9 @@ class Pixels:
 
 @dataclass(frozen=True)
 class Window:
-    """The box, half-open, in local counts, in which all data are known, and the sides without data beyond.
+    """The half-open box, in local counts, in which all data are known, and its open sides.
+
+    Beyond an open side there are no data at all.
 
     Raises
     ------
@@ -103,13 +105,22 @@ class Window:
             )
 
     def sides(self) -> Sides:
-        """Limits of what is known, inclusive; infinite where open."""
-        return Sides(
-            -math.inf if self.open_west else float(self.west),
-            -math.inf if self.open_south else float(self.south),
-            math.inf if self.open_east else float(self.east - 1),
-            math.inf if self.open_north else float(self.north - 1),
+        """Inclusive limits of the known data, infinite on open sides."""
+        west, south, east, north = (
+            float(self.west),
+            float(self.south),
+            float(self.east - 1),
+            float(self.north - 1),
         )
+        if self.open_west:
+            west = -math.inf
+        if self.open_south:
+            south = -math.inf
+        if self.open_east:
+            east = math.inf
+        if self.open_north:
+            north = math.inf
+        return Sides(west, south, east, north)
 
 
 EVERYWHERE = Window(0, 0, 1, 1, open_west=True, open_south=True, open_east=True, open_north=True)
@@ -134,7 +145,10 @@ def _rule(max_edge: float, max_radius: float) -> Rule:
     for name, value in (("max_edge", max_edge), ("max_radius", max_radius)):
         if not value >= 0:
             raise ValueError(f"{name} is {value}, must be >= 0 counts")
-    return Rule(_ALL if max_edge >= 2**31 else math.floor(max_edge * max_edge), float(max_radius))
+    max_edge2 = _ALL
+    if max_edge < 2**31:
+        max_edge2 = math.floor(max_edge * max_edge)
+    return Rule(max_edge2, float(max_radius))
 
 
 def pixel_owners(
@@ -187,9 +201,9 @@ def rasterise(
     max_radius : float
         Largest circumradius of a facet that is filled, counts.
     window : Window
-        Where all data are known; by default everywhere.
+        The box in which all data are known; everywhere by default.
     interpolator : {"linear", "natural"}
-        On the plane of the facet, or Sibson's natural neighbours; both fill the same pixels.
+        The plane of the facet, or Sibson's natural neighbours. Both fill the same pixels.
 
     Returns
     -------
@@ -198,7 +212,7 @@ def rasterise(
     Raises
     ------
     ValueError
-        For an unknown interpolator and as `pixel_owners`.
+        If the interpolator is unknown, a limit is negative or not a number.
     """
     if interpolator not in ("linear", "natural"):
         raise ValueError(f"interpolator is {interpolator!r}, must be 'linear' or 'natural'")
@@ -206,7 +220,8 @@ def rasterise(
         heights = np.empty((pixels.rows, pixels.columns), np.float64)
         marks = np.empty((pixels.rows, pixels.columns), np.uint8)
         arrays = (tin.vertex_array, tin.triangle_array, tin.counters)
-        rule, no_owners = _rule(max_edge, max_radius), np.empty((0, 0), np.int32)
+        rule = _rule(max_edge, max_radius)
+        no_owners = np.empty((0, 0), np.int32)
         raster.scan(*arrays, no_owners, heights, marks, pixels.lattice, rule, window.sides())
     else:
         owners, marks = pixel_owners(tin, pixels, max_edge=max_edge, max_radius=max_radius, window=window)

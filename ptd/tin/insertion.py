@@ -1,4 +1,4 @@
-"""Insert one point into the Delaunay TIN; of points at one position the lowest stays."""
+"""Insert one point into the Delaunay TIN; at one position the lowest point stays."""
 
 from ptd.kernel import kernel, wide
 from ptd.tin.cavity import link_vertex
@@ -49,14 +49,14 @@ def start_triangulation(
     for n in range(3):
         a, b = corners[(n + 1) % 3], corners[(n + 2) % 3]
         ghost = 8 * (n + 1)
-        # Half-edge n of triangle 0 is a -> b, so ghost n + 1 is (ghost vertex, b, a).
+        # Half-edge n of triangle 0 runs a -> b, so ghost n + 1 is (ghost vertex, b, a).
         triangles[n] = ghost
         triangles[4 + n] = corners[n]
         triangles[ghost] = n
         triangles[ghost + 4] = GHOST
         triangles[ghost + 5] = b
         triangles[ghost + 6] = a
-        # Opposite b lies the edge (a, ghost), shared with the ghost of the hull edge that ends in a.
+        # The edge (a, ghost) lies opposite b. Its twin belongs to the ghost of the hull edge that ends in a.
         triangles[ghost + 1] = 8 * ((n + 2) % 3 + 1) + 2
         triangles[ghost + 2] = 8 * ((n + 1) % 3 + 1) + 1
         triangles[ghost + 3] = stamp
@@ -78,7 +78,7 @@ def insert(
     hint: int,
     stamp: int,
 ) -> int:
-    """Insert a point; of points with equal (x, y) the lowest z stays.
+    """Insert a point. If a vertex lies at the same (x, y), the lower z is kept.
 
     The triangulation after a set of insertions depends on the set alone, not on its order (vertex and
     triangle *numbers* do depend on it). Existing vertices keep their numbers.

@@ -14,12 +14,12 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.kernel import kernel, wide
-from ptd.tin.layout import Int32Array, is_ghost
+from ptd.tin.layout import N_TRIANGLES, Int32Array, is_ghost
 from ptd.tin.location import coincident_vertex, locate
 
 Float64Array = npt.NDArray[np.float64]
 
-_STEPS = 2.0**20  # of a height in one count
+_STEPS = 2.0**20  # steps of a height in one count
 
 
 @kernel
@@ -27,7 +27,7 @@ def canonical_facet(vertices: Int32Array, triangles: Int32Array, triangle: int) 
     """Vertices of a real triangle, counter-clockwise, the lexicographically smallest in (x, y) first."""
     row = 8 * triangle + 4
     a, b, c = triangles[row], triangles[row + 1], triangles[row + 2]
-    # (x, y) as one int64 in lexicographic order: comparisons without branches that nobody can predict.
+    # One int64 orders (x, y) lexicographically. Comparing it needs no branches, which would be unpredictable here.
     key_a = (wide(vertices[4 * a]) << 32) + vertices[4 * a + 1]
     key_b = (wide(vertices[4 * b]) << 32) + vertices[4 * b + 1]
     key_c = (wide(vertices[4 * c]) << 32) + vertices[4 * c + 1]
@@ -37,15 +37,35 @@ def canonical_facet(vertices: Int32Array, triangles: Int32Array, triangle: int) 
     return wide(triangles[row + first]), wide(triangles[row + second]), wide(triangles[row + third])
 
 
+@kernel
+def real_facets(vertices: Int32Array, triangles: Int32Array, counters: Int32Array) -> Int32Array:
+    """Vertex numbers of the real triangles in the order in which they are stored: int32 [m, 3].
+
+    Vertices are counter-clockwise, beginning with the lexicographically smallest in (x, y).
+    """
+    m = 0
+    for t in range(counters[N_TRIANGLES]):
+        if not is_ghost(triangles, t):
+            m += 1
+    out = np.empty((m, 3), np.int32)
+    m = 0
+    for t in range(counters[N_TRIANGLES]):
+        if not is_ghost(triangles, t):
+            a, b, c = canonical_facet(vertices, triangles, t)
+            out[m, 0], out[m, 1], out[m, 2] = a, b, c
+            m += 1
+    return out
+
+
 class Plane(NamedTuple):
     """Plane of a facet, relative to its lexicographically smallest vertex (x, y, z)."""
 
     x: int
     y: int
     z: int
-    slope_x: float  # times the area
+    slope_x: float  # multiplied by the area
     slope_y: float
-    area: float  # twice the facet's, counts squared
+    area: float  # twice the area of the facet, counts squared
 
 
 @kernel

@@ -28,7 +28,7 @@ def walk(vertices: Int32Array, triangles: Int32Array, x: int, y: int, hint: int)
     ax, ay = vertices[i] - x, vertices[i + 1] - y
     bx, by = vertices[j] - x, vertices[j + 1] - y
     cx, cy = vertices[k] - x, vertices[k + 1] - y
-    # (a, b) become the ends of the edge to cross, counter-clockwise in the triangle that is left.
+    # (a, b) become the ends of the edge to cross, counter-clockwise in the triangle behind it.
     if ax * by - ay * bx < 0:
         edge = row + 2
     elif bx * cy - by * cx < 0:
@@ -57,7 +57,7 @@ def walk(vertices: Int32Array, triangles: Int32Array, x: int, y: int, hint: int)
 
 @kernel
 def coincident_vertex(vertices: Int32Array, triangles: Int32Array, x: int, y: int, triangle: int) -> int:
-    """Give the vertex of `triangle` that lies exactly at (x, y), or -1."""
+    """The vertex of `triangle` that lies exactly at (x, y), or -1."""
     for corner in range(8 * triangle + 4, 8 * triangle + 7):
         v = int(triangles[corner])
         if v >= 0 and vertices[4 * v] == x and vertices[4 * v + 1] == y:
@@ -72,7 +72,7 @@ def locate(vertices: Int32Array, triangles: Int32Array, x: int, y: int, hint: in
     - strictly inside a triangle: that triangle;
     - on an edge: of the two triangles, the one whose opposite vertex is lexicographically smaller in
       (x, y); on the hull the real one;
-    - on a vertex: any incident real triangle (`coincident_vertex` tells);
+    - on a vertex: any incident real triangle (`coincident_vertex` finds the vertex);
     - outside the hull: a ghost triangle whose hull edge has the position strictly beyond it.
 
     Parameters

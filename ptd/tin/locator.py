@@ -1,4 +1,4 @@
-"""Start triangles for point location: a raster of triangles near each place, for points in any order."""
+"""Start triangles for point location: a raster that holds a triangle near each place."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ def _fill(row: Int32Array) -> bool:
 def _start_grid(
     vertices: Int32Array, n: int, west: int, south: int, cell: int, height: int, width: int
 ) -> Int32Array:
-    """A triangle near each cell of a raster: int32 [height * width]."""
+    """A triangle near each cell of a raster: int32 [height * width], row by row from the south-west."""
     grid, inverse = np.full(height * width, -1, np.int32), 1.0 / cell
     for v in range(n):
         row = quotient(vertices[4 * v + 1] - south, cell, inverse)
@@ -47,16 +47,16 @@ def _start_grid(
 
 
 class Locator(NamedTuple):
-    """Starts the walk of a point location near its end, so that points may come in any order.
+    """Raster of triangles from which a point location starts, so that points may come in any order.
 
     Attributes
     ----------
     grid : int32 [height * width]
         A triangle near each cell of a raster, row by row from the south-west.
     west, south : int
-        Where the raster begins, local counts.
+        South-west corner of the raster, local counts.
     cell : int
-        Its cells' side, counts.
+        Side of a cell, counts.
     inverse : float
         1 / cell.
     width, height : int
@@ -72,7 +72,7 @@ class Locator(NamedTuple):
 
     @classmethod
     def of(cls, tin: Tin) -> Locator:
-        """The raster of start triangles of a TIN, as it is now."""
+        """Raster of start triangles of a TIN in its present state."""
         n = int(tin.counters[N_VERTICES])
         xy = tin.vertex_array[: 4 * n].reshape(-1, 4)
         west, south = int(xy[:, 0].min()), int(xy[:, 1].min())

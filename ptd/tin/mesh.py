@@ -26,7 +26,7 @@ class Tin:
     """Delaunay triangulation of points with integer coordinates, unique for a set of points.
 
     It depends neither on the order of insertion nor on a translation: predicates are exact, and cocircular
-    points are told apart by a symbolic perturbation in the lexicographic order of (x, y). Of points
+    points are distinguished by a symbolic perturbation in the lexicographic order of (x, y). Among points
     with equal (x, y) the lowest z stays.
 
     The flat arrays that the kernels work on are the attributes `vertex_array`, `triangle_array` and
@@ -35,7 +35,7 @@ class Tin:
     Parameters
     ----------
     max_vertices : int
-        For how many there is room.
+        Room for vertices.
 
     Raises
     ------
@@ -49,7 +49,7 @@ class Tin:
         self.vertex_array = vertices_array(max_vertices)
         self.triangle_array = triangles_array(max_vertices)
         self.counters = counters_array()
-        self._box = (0, 0, 0, 0)  # west, east, south, north of the points it was built of, if there were any
+        self._box = (0, 0, 0, 0)  # west, east, south, north of the points given to `build`
 
     @classmethod
     def build(
@@ -76,7 +76,7 @@ class Tin:
         if px.size == 0:
             return cls(max_vertices)
         box = _refuse_wide(px, py)
-        order = bulk.insertion_order(px, py)  # first: the TIN's arrays can have the memory that sorting took
+        order = bulk.insertion_order(px, py)  # before the arrays exist, which can then reuse its memory
         tin = cls(max(px.size, max_vertices))
         tin._box = box
         bulk.build(tin.vertex_array, tin.triangle_array, tin.counters, px, py, pz, order, stamp)
@@ -110,7 +110,7 @@ class Tin:
         Raises
         ------
         ValueError
-            As `build` for the arrays, and if a position is 2**26 counts or more from a vertex.
+            If the arrays are unfit (see `build`), or a position is 2**26 counts or more from a vertex.
         """
         px, py, _ = _points(x, y, np.zeros(np.shape(x), np.int32))
         if self.n_triangles == 0 or px.size == 0:
@@ -120,7 +120,7 @@ class Tin:
 
 
 def _refuse_wide(x: Int32Array, y: Int32Array) -> tuple[int, int, int, int]:
-    """Least and greatest x and y; raises ValueError where these are so far apart that predicates would not be exact."""
+    """Least and greatest x and y. Raises ValueError if predicates would not be exact over this extent."""
     west, east, south, north = int(x.min()), int(x.max()), int(y.min()), int(y.max())
     for name, low, high in (("x", west, east), ("y", south, north)):
         if high - low >= MAX_EXTENT:

@@ -1,12 +1,12 @@
 """Natural neighbour interpolation (Sibson, A brief description of natural neighbour interpolation, 1981).
 
 The weight of a neighbour is the area that the Voronoi cell of the inserted position takes from the
-neighbour's cell. These weights reproduce linear functions, so only the heights above the plane of the facet
-that contains the position are averaged and the plane is added: planes come out to the last bit, whatever
-the rounding of the areas.
+neighbour's cell. These weights reproduce linear functions. Therefore only heights above the plane of the
+position's facet are averaged, and the plane is added afterwards: planes are exact to the last bit, however
+the areas are rounded.
 
-All lengths are relative to the position and each sum starts at the lexicographically smallest member of its
-ring or polygon, so the result does not depend on insertion, tile or frame.
+All lengths are relative to the position, and each sum starts at the lexicographically smallest member of its
+ring or polygon. So the result does not depend on insertion, tile or frame.
 """
 
 import math
@@ -21,14 +21,14 @@ from ptd.tin.pixels import Lattice, UInt8Array
 from ptd.tin.predicates import lexicographic_less
 from ptd.tin.raster import NO_OWNER
 
-# Shewchuk's bound of the error of the in-circle determinant with rounded differences and products is
-# 10 units of rounding and a bit; a position that near a circle takes no area worth counting.
+# Shewchuk's error bound of the in-circle determinant with rounded differences and products is slightly above
+# 10 units of rounding. A position that close to a circle takes a negligible area.
 _ERROR = 16.0 * 2.0**-53
 
 
 @kernel
 def _centre(bx: float, by: float, cx: float, cy: float) -> tuple[float, float]:
-    """Centre of the circle through the origin, b and c; infinite where they lie on a line as far as floats tell."""
+    """Centre of the circle through the origin, b and c; infinite if they are collinear in float64."""
     b2, c2 = bx * bx + by * by, cx * cx + cy * cy
     area = 2.0 * (bx * cy - by * cx)
     if area == 0.0:
@@ -38,7 +38,6 @@ def _centre(bx: float, by: float, cx: float, cy: float) -> tuple[float, float]:
 
 @kernel
 def _offset(vertices: Int32Array, v: int, x: int, y: int, scale: int) -> tuple[float, float]:
-    """Vertex relative to the position, counts."""
     return (
         float(scale * vertices[4 * v] - x) / scale,
         float(scale * vertices[4 * v + 1] - y) / scale,
@@ -47,9 +46,9 @@ def _offset(vertices: Int32Array, v: int, x: int, y: int, scale: int) -> tuple[f
 
 @kernel
 def _facet_centres(vertices: Int32Array, triangles: Int32Array, n: int) -> tuple[Float64Array, Int32Array]:
-    """Centres of the circumcircles of the first n triangles, relative to a vertex of each, and that vertex.
+    """Centres of the first n circumcircles, each relative to a vertex of its triangle, and that vertex.
 
-    Computed once: each centre is a corner of the cells of three vertices, for every position near it.
+    Each centre is a corner of three Voronoi cells and serves every position near them.
     """
     centres = np.empty((n, 2), np.float64)
     firsts = np.empty(n, np.int32)
@@ -71,7 +70,7 @@ def _facet_centres(vertices: Int32Array, triangles: Int32Array, n: int) -> tuple
 def _surely_inside(
     vertices: Int32Array, triangles: Int32Array, triangle: int, x: int, y: int, scale: int
 ) -> bool:
-    """Whether the position lies inside the circumcircle of a real triangle by more than rounding."""
+    """Whether the position lies inside the circumcircle of a real triangle by more than the rounding error."""
     a, b, c = canonical_facet(vertices, triangles, triangle)
     ax, ay = _offset(vertices, a, x, y, scale)
     bx, by = _offset(vertices, b, x, y, scale)
@@ -92,8 +91,8 @@ def _rim(
 ) -> int:
     """Write the rim of the triangles in conflict with the position to `scratch`, counter-clockwise.
 
-    From HEADER on the half-edges *inside*, from the middle on the stack. Returns their number, 0 if a ghost
-    is in conflict (on the hull), -1 if `scratch` is too small.
+    The half-edges *inside* begin at HEADER, the stack begins in the middle. Returns the number of half-edges,
+    0 if a ghost is in conflict (on the hull), -1 if `scratch` is too small.
     """
     room = (scratch.size - HEADER) >> 1
     bottom = HEADER + room
@@ -140,10 +139,9 @@ def _stolen_area(
 ) -> float:
     """Twice the area that the position (x, y, scale) takes from the cell of a vertex on its rim.
 
-    Two edges of the rim meet in the vertex: the first of `edges` starts there, the second ends there. The corners of
-    the area are the new centres on the second (before) and on the first (after), and the old centres of the triangles
-    around the vertex from the first back to the second. Relative to the centre before, so that far centres cancel
-    little.
+    Two edges of the rim meet in the vertex: the first of `edges` starts there, the second ends there. Corners of the
+    area are the new centres on both edges, and the old centres of the triangles around the vertex from the first
+    edge back to the second. Coordinates are relative to the new centre on the second edge, which limits cancellation.
     """
     edge, last_edge = edges
     x, y, scale = position
@@ -159,7 +157,7 @@ def _stolen_area(
         ux, uy = cx, cy
         if triangle == last_edge >> 3:
             return float(total)
-        # The edge of this triangle that ends in the vertex, seen from the other side, starts there.
+        # The edge of this triangle that ends in the vertex has a twin that starts there.
         edge = wide(triangles[previous_edge(edge)])
 
 
@@ -241,14 +239,14 @@ def natural_heights(
 ) -> Float64Array:
     """Natural neighbour heights of the owned pixels: float64 [rows, columns], counts, NaN without owner.
 
-    On a vertex the vertex's z; on an edge of the hull linear along the edge.
+    A pixel on a vertex gets the z of the vertex; heights on an edge of the hull are linear along the edge.
 
     Parameters
     ----------
     vertices, triangles, counters, owners, lattice, sides
-        As for and from `ptd.tin.raster.scan`.
+        Arguments and results of `ptd.tin.raster.scan`.
     marks : uint8 [rows, columns]
-        From there; set to 1 where data outside the window could change the neighbours.
+        Marks of that scan; set to 1 where data outside the window could change the neighbours.
     """
     x0, y0, step, scale = lattice
     out = np.empty(owners.shape, np.float64)
@@ -271,7 +269,7 @@ def natural_heights(
                 n = _rim(vertices, triangles, scratch, owner, x, y, scale)
             if n == 0:
                 out[row, column] = plane_height(vertices, triangles, owner, x, y, scale)
-                if not unbounded(sides):  # data beyond the hull would be neighbours
+                if not unbounded(sides):  # unknown data beyond the hull would be neighbours
                     marks[row, column] = 1
                 continue
             out[row, column] = _position_height(

@@ -14,9 +14,9 @@ from ptd.tin.layout import Int32Array
 
 UInt64Array = npt.NDArray[np.uint64]
 
-_KEY_BITS = 16  # of each coordinate in the sort key: 32 bits of key leave 32 for the index
-_DIGIT_BITS = 11  # sorted in one pass: 2048 counters stay in the first-level cache
-_RATIO_BITS = 2  # up to the end of each round 2**_RATIO_BITS times as many points as before it
+_KEY_BITS = 16  # bits of each coordinate in the sort key; both leave 32 bits for the index
+_DIGIT_BITS = 11  # bits sorted in one pass: 2048 counters fit the first-level cache
+_RATIO_BITS = 2  # each round multiplies the number of inserted points by 2**_RATIO_BITS
 
 
 def _hilbert_table() -> Int32Array:
@@ -45,7 +45,7 @@ _TABLE = _hilbert_table()
 
 @kernel
 def _curve_keys(x: Int32Array, y: Int32Array) -> UInt64Array:
-    """Place of each point along the Hilbert curve of the bounding square (upper half), and its index."""
+    """Sort key of each point: its place along the Hilbert curve of the bounding square, then its index."""
     low_x, high_x, low_y, high_y = x[0], x[0], y[0], y[0]
     for i in range(x.size):
         low_x, high_x = min(low_x, x[i]), max(high_x, x[i])

@@ -1,4 +1,4 @@
-"""Pixel centres on a TIN, and how much of the data around each the window holds."""
+"""Pixel centres on a TIN, and how far the data around each are known."""
 
 import math
 from typing import NamedTuple
@@ -12,7 +12,10 @@ from ptd.tin.circles import Rule, Sides
 UInt8Array = npt.NDArray[np.uint8]
 
 
-_NEAR, _FAR, OWNED = 1, 2, 4  # of a mark while the facets are scanned
+# Bits of a mark while the facets are scanned.
+_NEAR = 1
+_FAR = 2
+OWNED = 4
 
 
 class Lattice(NamedTuple):
@@ -36,7 +39,7 @@ class Lattice(NamedTuple):
 
 @kernel
 def _known_within(lattice: Lattice, sides: Sides, column: int, row: int, reach: float) -> bool:
-    """Whether the window holds everything within `reach` counts of a pixel's centre, in x and in y."""
+    """Whether the window extends `reach` counts to all four sides of a pixel's centre."""
     x = float(lattice.x0 + column * lattice.step) / lattice.scale
     y = float(lattice.y0 - row * lattice.step) / lattice.scale
     across = x - reach >= sides.west and x + reach <= sides.east
@@ -45,24 +48,28 @@ def _known_within(lattice: Lattice, sides: Sides, column: int, row: int, reach: 
 
 @kernel
 def mark_near_sides(marks: UInt8Array, lattice: Lattice, rule: Rule, sides: Sides) -> None:
-    """Note for each pixel whether unknown sides of the window are near enough to change it: `_NEAR`, `_FAR`, both."""
+    """Set `_NEAR` and `_FAR` where unknown data lie within the reach of a pixel without and with a facet."""
     slack = 1.0 + 2.0**-20
     far = 2.0 * rule.max_radius * slack + 2.0
     near = min(far, math.sqrt(float(rule.max_edge2)) * slack + 2.0)
     for row in range(marks.shape[0]):
         for column in range(marks.shape[1]):
-            mark = 0 if _known_within(lattice, sides, column, row, near) else _NEAR
-            marks[row, column] = mark | (0 if _known_within(lattice, sides, column, row, far) else _FAR)
+            mark = 0
+            if not _known_within(lattice, sides, column, row, near):
+                mark |= _NEAR
+            if not _known_within(lattice, sides, column, row, far):
+                mark |= _FAR
+            marks[row, column] = mark
 
 
 @kernel
 def settle_marks(marks: UInt8Array) -> None:
-    """Turn these notes into the final mark of each pixel: 1 if something unknown could change it, else 0.
+    """Replace the bits of each pixel by its final mark: 1 if unknown data could change it, else 0.
 
-    A pixel whose facet passes: that facet's circle, which reaches at most twice `max_radius` from the pixel, may hold
-    unknown data. A pixel without one: unknown data could give it a facet. But the corners of that lie within its
-    longest edge of the pixel, and were they all known, it would be a triangle of the window as well: empty of all data,
-    its circle is empty of the window's. So a smaller reach suffices.
+    The circle of a facet that passes reaches at most twice `max_radius` from its pixel, and may hold unknown data. A
+    pixel without such a facet could get one from unknown data. But the corners of that facet would lie within its
+    longest edge of the pixel. If all of them were known, the circle would be empty of known data too, and the facet
+    would be a triangle of this TIN. So a smaller reach suffices there.
     """
     for row in range(marks.shape[0]):
         for column in range(marks.shape[1]):

@@ -37,9 +37,9 @@ def lexicographic_less(ax: int, ay: int, bx: int, by: int) -> bool:
 def in_circle(ax: int, ay: int, bx: int, by: int, cx: int, cy: int) -> bool:
     """Whether the origin lies inside the circle through the counter-clockwise triangle (a, b, c).
 
-    Never undecided: a point on the circle is resolved by the symbolic perturbation, under which the lift of
-    the lexicographically largest of the four points is raised most. So the answer depends on the four
-    positions alone, not on the order of insertion nor on a translation.
+    The symbolic perturbation decides for points on the circle: it raises the lift of the lexicographically
+    largest of the four points most. So the answer depends on the four positions alone, neither on the order
+    of insertion nor on a translation.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ def in_circle(ax: int, ay: int, bx: int, by: int, cx: int, cy: int) -> bool:
 
 @kernel
 def _in_circle_close(ax: int, ay: int, bx: int, by: int, cx: int, cy: int) -> bool:
-    """`in_circle` where float64 cannot tell: the determinant fits int64, so wrapping is harmless."""
+    """`in_circle` in int64, for determinants too close to zero for float64."""
     exact = (
         (ax * ax + ay * ay) * (bx * cy - by * cx)
         + (bx * bx + by * by) * (cx * ay - cy * ax)
@@ -69,7 +69,7 @@ def _in_circle_close(ax: int, ay: int, bx: int, by: int, cx: int, cy: int) -> bo
     )
     if exact != 0:
         return exact > 0
-    # Four distinct points of one circle: no three are collinear, so none of the cross products is zero.
+    # Of four distinct points on a circle no three are collinear, so none of the cross products is zero.
     if lexicographic_less(ax, ay, bx, by):
         if lexicographic_less(bx, by, cx, cy):
             return lexicographic_less(wide(0), wide(0), cx, cy) and ax * by - ay * bx > 0
@@ -83,7 +83,7 @@ def _in_circle_close(ax: int, ay: int, bx: int, by: int, cx: int, cy: int) -> bo
 def ghost_conflict(ax: int, ay: int, bx: int, by: int) -> bool:
     """Whether the origin lies in the "circle" of the ghost triangle (ghost, a, b).
 
-    That is the open half-plane to the left of a -> b and the open segment a b.
+    This "circle" is the open half-plane to the left of a -> b and the open segment a b.
     """
     area = ax * by - ay * bx
     if area != 0:

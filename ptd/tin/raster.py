@@ -9,9 +9,8 @@ the cross product of the unscaled edge (below 2**26) and the scaled offset (belo
 it is below 2**63 and exact in int64.
 
 A centre on an edge belongs to the side whose opposite vertex is lexicographically smaller in (x, y), *among
-the sides that pass the rule*; a centre on a vertex takes the vertex's z if any facet around it passes. (If
-sides that do not pass had a say too, unknown data beyond the window could change a pixel from any
-distance.)
+the sides that pass the rule*. A centre on a vertex takes the vertex's z if any facet around it passes. (If
+sides that fail counted as well, unknown data could change a pixel from any distance.)
 """
 
 import math
@@ -25,10 +24,9 @@ from ptd.tin.layout import N_TRIANGLES, N_VERTICES, Int32Array, next_edge
 from ptd.tin.pixels import OWNED, Lattice, UInt8Array, mark_near_sides, settle_marks
 from ptd.tin.predicates import lexicographic_less
 
-NO_OWNER = -1  # of a pixel; below it, -2 - v stands for vertex v
+NO_OWNER = -1  # owner of a pixel without one; an owner -2 - v is vertex v
 
-
-_WIDE = 6  # columns from which on it pays to cut each row to the triangle
+_WIDE = 6  # columns from which cutting each row to the triangle saves time
 
 
 @kernel
@@ -65,7 +63,7 @@ def _own_vertices(
     rule: Rule,
     sides: Sides,
 ) -> None:
-    """Pixels whose centre is a vertex."""
+    """Assign the pixels whose centre is a vertex."""
     x0, y0, step, scale = lattice
     inverse = 1.0 / float(step)
     rows, columns = marks.shape
@@ -113,13 +111,17 @@ def _own_border(
 ) -> tuple[bool, bool]:
     """Whether facet `t` owns a centre on its border, and whether the owner is certain.
 
-    `zeros` tells which edges the centre is on; a centre on a vertex is `_own_vertices`' affair. The owner is
-    certain if both sides are, or if it is and no unknown facet can pass on the other side because the window
-    reaches far enough.
+    `zeros` says which edges the centre lies on; `_own_vertices` handles centres on a vertex. The owner is certain
+    if both facets are. It is also certain if its own facet is and the window reaches so far that no unknown facet
+    can pass on the other side.
     """
     if zeros[0] + zeros[1] + zeros[2] == 2:
         return False, False
-    edge = 8 * t + (0 if zeros[0] else (1 if zeros[1] else 2))
+    edge = 8 * t + 2
+    if zeros[0]:
+        edge = 8 * t
+    elif zeros[1]:
+        edge = 8 * t + 1
     other = wide(triangles[edge]) >> 3
     passes = facet_passes(vertices, triangles, t, rule)
     other_passes = facet_passes(vertices, triangles, other, rule)
@@ -134,7 +136,7 @@ def _own_border(
 def _cut(value: int, slope: int, low: int, high: int) -> tuple[int, int]:
     """Narrow the columns [low, high] to those where value + slope * (column - low) may be >= 0.
 
-    In float64, one column wider on either side than computed: it saves time only, the exact test follows.
+    The result is computed in float64 and one column wider on either side, because the exact test follows.
     """
     if slope == 0:
         return (low, low - 1) if value < 0 else (low, high)
@@ -160,7 +162,7 @@ def _own_facet(
     lattice: Lattice,
     judged: tuple[Rule, Sides],
 ) -> None:
-    """Pixels in the box (top, bottom, left, right, inclusive) whose centre lies in real triangle `t`."""
+    """Assign the pixels of a box (top, bottom, left, right, inclusive) whose centre lies in real triangle `t`."""
     x0, y0, step, scale = lattice
     rule, sides = judged
     top, bottom, left, right = box
@@ -171,7 +173,7 @@ def _own_facet(
     px = x0 + left * step
     known, passes, certified = False, False, False
     plane = Plane(wide(0), wide(0), wide(0), 0.0, 0.0, 1.0)
-    # Change of the three edge functions from one column to the next.
+    # The three edge functions change by this much from one column to the next.
     da, db, dc = (by - cy) * step, (cy - ay) * step, (ay - by) * step
     for row in range(top, bottom + 1):
         py = y0 - row * step
@@ -226,21 +228,20 @@ def scan(
 ) -> None:
     """Find the facet or vertex that owns each pixel centre, and the linear height there.
 
-    Heights are computed while the facet is at hand: looking it up again for each pixel takes as long as the
-    scan.
+    Heights are computed in the same scan: finding the facet again for each pixel would take as long.
 
     Parameters
     ----------
     vertices, triangles, counters : int32 arrays, see `ptd.tin.layout`
         An empty TIN, or one of collinear points, owns nothing.
-    owners : int32 [rows, columns], or [0, 0] if not wanted
+    owners : int32 [rows, columns], or [0, 0] to omit it
         Output: number of the passing facet, `NO_OWNER`, or -2 - v for vertex v.
-    heights : float64 [rows, columns], or [0, 0] if not wanted
+    heights : float64 [rows, columns], or [0, 0] to omit it
         Output: counts, NaN without owner.
     marks : uint8 [rows, columns]
         Output: 1 where data outside the window could change the pixel, else 0.
     lattice : Lattice
-        ``(rows, columns)`` pixels from it.
+        Centres of the ``(rows, columns)`` pixels.
     rule : Rule
     sides : Sides
     """
@@ -260,7 +261,7 @@ def scan(
         i, j, k = 4 * i, 4 * j, 4 * k
         low_x = scale * wide(min(vertices[i], vertices[j], vertices[k])) - x0
         high_x = scale * wide(max(vertices[i], vertices[j], vertices[k])) - x0
-        # The quotient is rounded: widen by far less than a pixel, the exact test decides.
+        # The quotient is rounded, so widen the box by far less than a pixel. The exact test decides.
         left = max(wide(0), math.ceil(float(low_x) * inverse - 1e-6))
         right = min(columns - 1, math.floor(float(high_x) * inverse + 1e-6))
         if left > right:

@@ -13,7 +13,7 @@ from unittest import mock
 import numpy as np
 
 from ptd import classify
-from ptd.matched import objects, passes, surface
+from ptd.matched import ground_model, objects, surface
 from ptd.methods.auto.method import Auto
 from tests.benchmarks.scorecard_scenes import Cloud
 from tiler.apps.evaluate import IGNORED, evaluate_labels
@@ -28,7 +28,7 @@ GROUND = 2
 
 MATCHED_SETTINGS = {
     "FALL_M": objects, "CONTRAST": surface, "RIDGE_CONTRAST": surface, "ABOVE_M": surface, "GAP": surface,
-    "SCALES_M": surface, "BESIDE": surface, "GROUND_M": passes,
+    "SCALES_M": surface, "BESIDE": surface, "GROUND_M": ground_model,
 }  # fmt: skip
 """Constants of matched clouds, at least one of each step, and their modules: the rim of large objects, which hull
 holds, what lies about the surface, over what it is averaged, what counts less beside objects, the last label."""

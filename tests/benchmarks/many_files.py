@@ -95,12 +95,14 @@ def simulate_buckets(number: int, memory: bool = False) -> dict[str, Any]:
 
     from tiler.config import RunConfig
     from tiler.core.lattice import Bounds, Cell
+    from tiler.export.tasks.files import cog_tasks, inputs_of, mosaic_tasks
+    from tiler.export.tasks.sheets import sheets, with_points
+    from tiler.filter.tasks.passes import filter_tasks, label_digests
+    from tiler.grid.tasks.gridding import Gridding
+    from tiler.grid.tasks.raster_table import wanted
+    from tiler.ingest.tasks.assembled import Assembled
+    from tiler.ingest.tasks.points import Source
     from tiler.plan import make_plan
-    from tiler.stages.file_tasks import Inputs, cog_tasks, mosaic_tasks
-    from tiler.stages.gridding import Gridding
-    from tiler.stages.ingest_tasks import Source
-    from tiler.stages.raster_table import wanted
-    from tiler.stages.tasks import Assembled, filter_tasks, label_digests
     from tiler.store import BucketInfo, create_store
 
     facts: dict[str, Any] = {"buckets": number}
@@ -145,7 +147,8 @@ def simulate_buckets(number: int, memory: bool = False) -> dict[str, Any]:
             for i in range(number // 20)
         }
         sources = [Source(plan.sources[0], i, f"{i:032x}") for i in range(number // 20)]
-        inputs = Inputs.of(sources, spooled)
+        inputs = inputs_of(sources, spooled)
+        g.sheets = timed("sheets", lambda: sheets(g, with_points(g)))
         facts["sheets"] = len(timed("tasks_sheets", lambda: list(cog_tasks(g, inputs, "x", scratch))))
         timed("tasks_vrt", lambda: list(mosaic_tasks(g, "x", scratch)))
         if memory:

@@ -90,6 +90,61 @@ def test_a_finished_job_says_that_it_did_nothing() -> None:
     assert "points/s" not in "\n".join(lines)
 
 
+MADE: dict[str, Any] = {
+    "plan": {"metres_per_unit": {"horizontal": 0.3048, "vertical": 0.3048}},
+    "dtm": {"width": 12, "height": 6, "resolution_m": 0.6096},
+    "outputs": dict.fromkeys(("dtm.tif", "contours.gpkg", "spots.gpkg", "outline.gpkg", "sheets.gpkg"), 1)
+    | {"classified/a.laz": 1},
+    "classes": {"written": {"1": 5, "2": 1_999_000}},
+    "contours": {"lines": 12, "interval": 5.0},
+    "spots": {"highs": 1, "lows": 2},
+    "water": [],
+    "bridges": [],
+    "outline": {"polygons": 1},
+    "sheets": 3,
+    "problems": [
+        {"what": "void inside the survey"},
+        {"what": "void inside the survey"},
+        {"what": "class kept"},
+    ],
+    "edits": [
+        {
+            "number": 1,
+            "action": "not_ground",
+            "points": 9,
+            "ground_before": 7,
+            "ground_after": 0,
+            "holes": 94_637,
+        },
+        {"number": 2, "action": "flat", "pixels": 1, "holes": 0},
+    ],
+}
+
+
+def test_a_summary_tells_what_was_made() -> None:
+    lines = summary_lines({**SUMMARY, **MADE}, "OUT")
+    assert lines[1:14] == [
+        "ground      1,999,000 points, in 6 tiles, 3 labels not certified",
+        "DTM         OUT/dtm.tif, 12 x 6 pixels of 2 ft",
+        "contours    12 lines every 5 ft, OUT/contours.gpkg",
+        "spots       1 top, 2 bottoms, OUT/spots.gpkg",
+        "water       none found",
+        "bridges     none found",
+        "outline     1 polygon, OUT/outline.gpkg",
+        "clouds      1 classified cloud, OUT/classified",
+        "sheets      3 sheets, OUT/sheets.gpkg",
+        "correction  1 (not_ground): 7 of 9 points were ground, 0 are; 94,637 pixels without a height",
+        "correction  2 (flat): 1 pixel",
+        "problems    3: void inside the survey, class kept",
+        "time        1:30 min, 33.3 k points/s",
+    ]
+    found = {"water": [{"kind": "lake"}, {"kind": "river"}, {"kind": "river"}], "bridges": [{}]}
+    found["outputs"] = {"water.gpkg": 1, "bridges.gpkg": 1}
+    lines = summary_lines({**SUMMARY, **found}, "OUT")
+    assert "water       1 lake, 2 rivers, OUT/water.gpkg" in lines
+    assert "bridges     1 bridge left out, OUT/bridges.gpkg" in lines
+
+
 def test_summary_of_an_early_stage() -> None:
     early = {k: v for k, v in SUMMARY.items() if k not in ("filter", "dtm", "outputs")}
     names = [line.split()[0] for line in summary_lines(early, "OUT")]

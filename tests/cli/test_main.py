@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -79,7 +81,7 @@ def test_interrupt(
 
     monkeypatch.setattr("tiler.pipeline.run", run)
     assert main(["run", "a.laz", "-o", str(tmp_path)]) == 130
-    assert capsys.readouterr().err.strip() == "tiler: interrupted; the same command goes on where it was"
+    assert capsys.readouterr().err.strip() == "tiler: interrupted; the same command resumes"
 
 
 def waiting(folder: Path) -> subprocess.Popen[str]:
@@ -164,6 +166,33 @@ def test_usage_errors_are_one_line_and_2(
     assert captured.err.count("\n") == 1
     assert text in captured.err
     assert captured.out == ""
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        ["run", "--progress", "json", "--nosuch"],
+        ["run", "--nosuch", "--progress=json"],
+        ["run", "a.laz", "--progress", "json", "-o"],
+        ["run", "a.laz", "-o", "out", "--workers", "two", "--progress", "json"],
+        ["plann", "--progress", "json"],
+    ],
+)
+def test_usage_errors_are_one_object_where_progress_is_json(
+    arguments: list[str], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert main(arguments) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    told = json.loads(line)
+    assert told["level"] == "error"
+    assert told["message"].startswith("tiler: error: ")
+
+
+@pytest.mark.parametrize("arguments", [["run", "--nosuch", "--", "--progress", "json"], ["run", "--nosuch"]])
+def test_they_are_plain_where_it_is_not(arguments: list[str], capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(arguments) == 2
+    # click 8.1 writes the option after a colon, later releases in quotes
+    assert re.match("tiler: error: No such option:? '?--nosuch", capsys.readouterr().err)
 
 
 def test_without_a_command_help_and_2(capsys: pytest.CaptureFixture[str]) -> None:

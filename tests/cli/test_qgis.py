@@ -6,9 +6,11 @@ import ast
 import configparser
 import importlib
 import json
+import re
 import sys
 import threading
 import zipfile
+from email import message_from_string
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -21,9 +23,25 @@ from cli.options import read_config
 from cli.qgis import installation
 from cli.qgis.table import NOT_IN_QGIS, SHELLS, table
 from tiler.config import RunConfig
+from tiler.version import __version__
 
 ROOT = Path(__file__).resolve().parents[2]
 SOURCES = sorted((ROOT / "cli/qgis/plugin").glob("*.py"))
+OTHER_FILES = ("LICENSE", "icon.png", "metadata.txt", "settings.json")
+ADDRESSES = {
+    "homepage": "https://example.org",
+    "tracker": "https://example.org/issues",
+    "repository": "https://example.org/code",
+    "email": "authors@example.org",
+}
+FACTS = f"""Metadata-Version: 2.4
+Name: tiler-dtm
+Author-email: the tiler authors <{ADDRESSES["email"]}>
+Project-URL: Homepage, {ADDRESSES["homepage"]}
+Project-URL: Issues, {ADDRESSES["tracker"]}
+Project-URL: Repository, {ADDRESSES["repository"]}
+"""
+NO_ENUMS = ("Qgis.QGIS_VERSION", "QDialogButtonBox.StandardButton")
 LINE = '{"stage": null, "title": "read", "progress": 0.5, "message": null, "level": "info"}'
 
 
@@ -102,7 +120,9 @@ def test_an_archive_that_qgis_takes_and_that_is_always_the_same(tmp_path: Path) 
         metadata.read_string(archive.read(f"{installation.FOLDER}/metadata.txt").decode())
         content = json.loads(archive.read(f"{installation.FOLDER}/settings.json"))
         names = {Path(name).name for name in archive.namelist()}
-        assert names == {*(p.name for p in SOURCES), "metadata.txt", "settings.json"}
+        assert names == {*(p.name for p in SOURCES), *OTHER_FILES}
+        assert archive.read(f"{installation.FOLDER}/LICENSE") == (ROOT / "LICENSE").read_bytes()
+        assert archive.read(f"{installation.FOLDER}/{metadata['general']['icon']}").startswith(b"\x89PNG")
     general = metadata["general"]
     assert {
         "name",
@@ -115,7 +135,52 @@ def test_an_archive_that_qgis_takes_and_that_is_always_the_same(tmp_path: Path) 
     } <= general.keys()
     assert general["hasProcessingProvider"] == "yes"
     assert general["version"] == content["version"]
+    assert general["changelog"].splitlines()[0] == __version__
     assert content["command"] == "", "another machine has it elsewhere"
+
+
+@pytest.mark.parametrize("lacking", [*ADDRESSES, None])
+def test_nothing_is_packaged_for_upload_without_the_addresses(
+    lacking: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """They come from the facts of the installed package, which `pyproject.toml` makes."""
+    lines = [line for line in FACTS.splitlines() if not line.endswith(tuple(taken_out(lacking)))]
+    facts = message_from_string("\n".join(lines))
+    monkeypatch.setattr("cli.qgis.addresses.metadata", lambda name: facts)
+    target = tmp_path / "a.zip"
+    code = main(["qgis", "package", "--upload", str(target)])
+    if lacking is not None:
+        assert code == 2
+        assert not target.exists()
+        assert "the repository of QGIS plugins refuses a plugin without them" in capsys.readouterr().err
+        return
+    assert code == 0
+    with zipfile.ZipFile(target) as archive:
+        metadata = configparser.ConfigParser()
+        metadata.read_string(archive.read(f"{installation.FOLDER}/metadata.txt").decode())
+    assert {key: metadata["general"][key] for key in ADDRESSES} == ADDRESSES
+
+
+def taken_out(lacking: str | None) -> list[str]:
+    """Ends of the lines of `FACTS` that hold an address."""
+    if lacking is None:
+        return []
+    return [f" {ADDRESSES[lacking]}", f"<{ADDRESSES[lacking]}>"]
+
+
+@pytest.mark.parametrize("path", SOURCES, ids=lambda p: p.name)
+def test_enums_are_named_in_full_as_qt6_asks(path: Path) -> None:
+    """``QgsX.Enum.Member``, and not ``QgsX.Member``; classes within classes are called, and are no enums."""
+    tree = ast.parse(path.read_text("utf-8"))
+    fine = {id(node.value) for node in ast.walk(tree) if isinstance(node, ast.Attribute)}
+    fine |= {id(node.func) for node in ast.walk(tree) if isinstance(node, ast.Call)}
+    fine |= {id(base) for node in ast.walk(tree) if isinstance(node, ast.ClassDef) for base in node.bases}
+    for node in ast.walk(tree):
+        if not isinstance(node, ast.Attribute) or not isinstance(node.value, ast.Name) or id(node) in fine:
+            continue
+        is_qt = re.match(r"Q(gs|t)?[A-Z]|Qt$|Qgis$", node.value.id) is not None
+        named = f"{node.value.id}.{node.attr}"
+        assert not (is_qt and node.attr[0].isupper()) or named in NO_ENUMS, f"{path.name}: {named}"
 
 
 def test_no_foreign_archive_is_replaced(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -192,6 +257,27 @@ def test_a_command_is_found_or_one_line_says_what_to_do(
     local.parent.mkdir(parents=True)
     local.touch(0o755)
     assert process.find_command("") == str(local)
+
+
+def test_the_version_of_a_command_tells_whether_it_is_the_right_one(
+    process: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    path = tmp_path / "tiler"
+    for text, told in (
+        (f"echo tiler, version {__version__}", None),
+        ("echo hello", "is not the command tiler"),
+    ):
+        path.write_text(f"#!/bin/sh\n{text}\n")
+        path.chmod(0o755)
+        if told is None:
+            assert process.version_of(str(path)) == __version__
+        else:
+            with pytest.raises(process.CommandError, match=told):
+                process.version_of(str(path))
+    monkeypatch.setattr(process, "TEST_SECONDS", 0.1)
+    path.write_text("#!/bin/sh\nexec sleep 60\n")
+    with pytest.raises(process.CommandError, match="did not answer within"):
+        process.version_of(str(path))
 
 
 def test_what_a_command_says_is_passed_on(

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import io
+import json
 import os
 import subprocess
+import sys
 from pathlib import Path
 from typing import IO, Any
 
 import pytest
 
+from cli.output import print_json
 from tests.integration.command import TIMEOUT_SECONDS, assert_one_line, command, environment
 from tests.invariants import clouds
 
@@ -40,6 +44,18 @@ def test_a_reader_that_went_away_is_no_failure(arguments: tuple[str, ...], code:
     assert done.returncode == code
     assert done.stderr.count("tiler: error") == (code != 0)
     assert done.stderr.count("\n") == (code != 0)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "cp1252", "ascii"])
+def test_json_can_be_read_back_whatever_the_code_page(encoding: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    value, written = {"unit": "0.5\N{DEGREE SIGN}", "name": "M\u011bsto \U0001f3d4 \x1b"}, io.BytesIO()
+    stream = io.TextIOWrapper(written, encoding, newline="")
+    monkeypatch.setattr(sys, "stdout", stream)
+    print_json(value)
+    stream.flush()
+    text = written.getvalue().decode("utf-8")
+    assert json.loads(text) == value
+    assert text.isascii() == (encoding != "utf-8")
 
 
 @pytest.mark.slow

@@ -119,7 +119,7 @@ def _address_in(file: Path) -> str:
 
 
 def blind(token: str) -> bool:
-    """Instead of `tiler.runs.cluster_check.sees`: a worker that sees no folder of the client."""
+    """Instead of `tiler.schedule.cluster_check.sees`: a worker that sees no folder of the client."""
     return False
 
 

@@ -9,7 +9,7 @@ from cli import ending
 from cli.main import main
 from tests.integration.command import TIMEOUT_SECONDS
 from tests.integration.deadly import HOLD, held_tile
-from tiler.stages import tasks
+from tiler.filter.tasks import passes
 
 
 def hold(out: Path) -> None:
@@ -23,6 +23,6 @@ def held(*arguments: object) -> list[str]:
 
 
 if __name__ == "__main__":
-    tasks.filter_tile = held_tile  # type: ignore[attr-defined]
+    passes.filter_tile = held_tile  # type: ignore[attr-defined]
     ending.GRACE_SECONDS = TIMEOUT_SECONDS
     sys.exit(main())

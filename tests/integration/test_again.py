@@ -27,12 +27,18 @@ from tiler.core.lattice import Cell
 from tiler.core.points import unpack_origin
 from tiler.errors import ConfigError, InputError, ProcessingError
 from tiler.filter import FilterTile, filter_tile
+from tiler.grid.roofs import Advice
 from tiler.pipeline import run
 from tiler.simulate import DemoScene
 
 pytestmark = pytest.mark.usefixtures("small_buckets")
 
-GRID = ("grid-dtm", "grid-occupancy", "grid-survey", "water-search", "grid-dtm-outlined")
+GROUND = ("grid-dtm", "grid-water-ground", "grid-water-planes", "grid-water-areas", "grid-dtm-outlined")
+"""Rasters that depend on the ground,"""
+PIXELS = ("grid-survey", "grid-domain")
+"""on the size of pixels besides the points,"""
+POINTS = ("grid-occupancy", "grid-survey-open", "grid-domain-open")
+"""and on the points alone."""
 
 
 @pytest.fixture
@@ -68,22 +74,25 @@ def test_touched_files_are_read_but_not_decoded(out: Path, demo: DemoScene) -> N
 def test_advice_on_the_terrain_is_given_again(
     out: Path, demo: DemoScene, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("tiler.stages.grid.roofs_in_terrain", lambda *_: "a roof")
+    monkeypatch.setattr("tiler.grid.roofs.roofs_in_terrain", lambda *_: Advice("a roof", 1.0, 2.0))
     assert again(demo, out, parameters={"max_building_size": "19"})["grid-dtm"]
     monkeypatch.undo()
-    monkeypatch.setattr("tiler.stages.grid.roofs_in_terrain", lambda *_: pytest.fail("looked again"))
+    monkeypatch.setattr("tiler.grid.roofs.roofs_in_terrain", lambda *_: pytest.fail("looked again"))
     options = {"parameters": {"max_building_size": "19"}, "products": "dtm,slope", "tile_size": "128"}
-    assert do(list(demo.paths), out, **options).summary["advice"] == ["a roof"]
+    summary = do(list(demo.paths), out, **options).summary
+    assert summary["advice"] == ["a roof"]
+    assert [p["where"] for p in summary["problems"] if p["why"] == "a roof"] == [(1.0, 2.0, 1.0, 2.0)]
 
 
 def test_another_resolution_only_grids(out: Path, demo: DemoScene) -> None:
-    once = (GRID[0], *GRID[2:], "export", "catalogue")
-    assert again(demo, out, resolution="0.5") == dict.fromkeys(once, 1)
+    once = (*GROUND, *PIXELS, "export", "catalogue")
+    files = {"export": 2}  # the terrain, and its outline, which follows the pixels
+    assert again(demo, out, resolution="0.5") == {**dict.fromkeys(once, 1), **files}
 
 
 def test_another_parameter_filters_but_does_not_ingest(out: Path, demo: DemoScene) -> None:
     found = again(demo, out, parameters={"iteration_distance": "1.3"})
-    assert found.keys() == {"filter0", *GRID[:2], *GRID[3:], "export", "catalogue"}
+    assert found.keys() == {"filter0", *GROUND, "grid-occupancy", "export", "catalogue"}
 
 
 def test_cells_that_the_store_was_not_made_for_are_told(out: Path, demo: DemoScene) -> None:
@@ -105,7 +114,7 @@ def test_a_lost_output_is_written_again(out: Path, demo: DemoScene) -> None:
 
 
 def test_overwrite_starts_anew(out: Path, demo: DemoScene) -> None:
-    every = {"spool", "assemble", "filter0", *GRID, "export", "catalogue"}
+    every = {"spool", "assemble", "filter0", *GROUND, *PIXELS, *POINTS, "export", "catalogue"}
     assert again(demo, out, overwrite=True).keys() == every
 
 
@@ -247,7 +256,7 @@ def test_a_tile_that_fails_leaves_no_old_labels(
             raise ProcessingError("this tile fails")
         return filter_tile(store_url, arguments)
 
-    monkeypatch.setattr("tiler.stages.tasks.filter_tile", work)
+    monkeypatch.setattr("tiler.filter.tasks.passes.filter_tile", work)
     # Kernels and neighbours are sound: the run goes on, says so, and knows nothing of the tile.
     result = do(list(demo.paths), out, parameters={"iteration_distance": "1.39"}, tile_size="128")
     assert result.exit_code == 5
@@ -271,9 +280,9 @@ def test_a_tile_that_fails_stops_a_strict_run(
     def work(store_url: str, arguments: FilterTile) -> dict[str, Any]:
         raise ZeroDivisionError("no tile succeeds")
 
-    monkeypatch.setattr("tiler.stages.tasks.filter_tile", work)
+    monkeypatch.setattr("tiler.filter.tasks.passes.filter_tile", work)
     with pytest.raises(ProcessingError, match="ZeroDivisionError: no tile succeeds .*--on-error skip"):
         do(list(demo.paths[:1]), tmp_path / "out", on_error="stop")
     with pytest.raises(ProcessingError, match=r"^no tile could be filtered; the first: ZeroDivisionError"):
         do(list(demo.paths[:1]), tmp_path / "out")
-    assert '"state": "interrupted"' in (tmp_path / "out" / "run.json").read_text()
+    assert '"state": "failed"' in (tmp_path / "out" / "run.json").read_text()

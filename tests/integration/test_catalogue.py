@@ -16,7 +16,7 @@ import pytest
 from tests.invariants import clouds
 from tests.invariants.runs import do
 from tiler.errors import InputError
-from tiler.ingest import find_inputs
+from tiler.inputs import find_inputs
 
 CITY = {"method": "classic", "tile_size": "64"}
 
@@ -109,7 +109,7 @@ def test_equal_inputs_give_equal_bytes_wherever_they_lie(folder: Path, out: Path
 def test_sheets_are_a_collection(folder: Path, tmp_path: Path) -> None:
     pystac = pytest.importorskip("pystac", reason="no STAC reader: pystac is not installed")
     out = tmp_path / "out"
-    do(folder, out, method="keep", sheets="64", products="dtm,mask")
+    do(folder, out, method="keep", ground_classes="1", sheets="64", products="dtm,mask")
     found = pystac.read_file(str(out / "stac.json"))
     items = list(found.get_items())
     assert len(items) == 6  # the city begins at no multiple of 64 m
@@ -123,7 +123,7 @@ def test_sheets_are_a_collection(folder: Path, tmp_path: Path) -> None:
         assert item.get_collection().id == found.id
         assert set(item.assets) == {"dtm", "mask"}
         assert all(Path(asset.get_absolute_href()).is_file() for asset in item.assets.values())
-    again = do(folder, out, method="keep", products="dtm")
+    again = do(folder, out, method="keep", ground_classes="1", products="dtm")
     names = {Path(item.get_self_href()).name for item in items}
     assert {path.name for path in (out / "outdated/stac").iterdir()} == names
     assert again.summary["outputs"].keys() == {"dtm.tif", "outline.gpkg", "stac.json"}

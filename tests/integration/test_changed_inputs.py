@@ -16,8 +16,10 @@ from tests.invariants import clouds
 from tests.invariants.runs import do, settings
 from tiler.apps import classify
 from tiler.errors import InputError
+from tiler.export.tasks import files as file_tasks
+from tiler.ingest.tasks import fingerprints
+from tiler.ingest.tasks import points as ingest_tasks
 from tiler.io.las.reader import PointReader
-from tiler.stages import file_tasks, fingerprints, ingest_tasks
 
 CHANGED = "was replaced or written to while the run went on"
 Work = Callable[[str, dict[str, Any]], dict[str, Any]]

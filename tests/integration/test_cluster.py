@@ -138,7 +138,7 @@ def test_workers_that_see_no_folder_of_the_client(
 ) -> None:
     """The command writes the files itself."""
     cluster.workers(1)
-    monkeypatch.setattr("tiler.runs.cluster_check.sees", blind)
+    monkeypatch.setattr("tiler.schedule.cluster_check.sees", blind)
     out = tmp_path / "out"
     changes = {"store": f"s3://{BUCKET}/blind", "scheduler": cluster.address, "in_process": False}
     result = do([f"s3://{BUCKET}/clouds"], out, **changes)  # type: ignore[list-item]
@@ -184,7 +184,7 @@ def test_a_worker_with_another_version(cluster: Cluster, cloud: Path, tmp_path: 
             f"--scheduler {cluster.address}: worker tcp://127.0.0.1:",
             f"has tiler 0.0.9, here {__version__}; install the same versions",
         )
-    assert json.loads((tmp_path / "out/run.json").read_text())["state"] == "interrupted"
+    assert json.loads((tmp_path / "out/run.json").read_text())["state"] == "failed"
 
 
 def test_workers_without_credentials(bucket: Any, cluster: Cluster, tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from tests.invariants.runs import do, dtm
 from tests.scenes.copc_files import write_copc
 from tests.tiler.servers import http_server
 from tiler.errors import InputError
-from tiler.ingest import inspect
+from tiler.inputs import inspect
 from tiler.io.las.extract import cut_windows, sample_places
 
 WINDOW = {"halo": "16", "max_edge": "10", "bounds": (500010.0, 5400010.0, 500040.0, 5400030.0)}
@@ -51,7 +51,7 @@ def test_a_window_has_the_bytes_of_the_whole_file_cropped(
     copc: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     window = do(copc, tmp_path / "window", **WINDOW)
-    for module in ("plan.area", "stages.fingerprints", "stages.ingest_tasks", "stages.file_tasks"):
+    for module in ("plan.area", "ingest.tasks.fingerprints", "ingest.tasks.points", "export.tasks.files"):
         monkeypatch.setattr(f"tiler.{module}.chunks_of", lambda plan, source, margin=None: None)
     whole = do(copc, tmp_path / "whole", **WINDOW)
     assert window.summary["counts"]["read"] < whole.summary["counts"]["read"] / 2

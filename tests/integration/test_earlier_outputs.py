@@ -70,7 +70,7 @@ def test_what_an_interrupted_export_left_is_not_taken_for_current(
     def killed(*arguments: object) -> bool:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr("tiler.stages.export._write", killed)
+    monkeypatch.setattr("tiler.export.stage._write", killed)
     with pytest.raises(KeyboardInterrupt):
         do(cloud, out, products=BOTH, max_edge="3")
     monkeypatch.undo()

@@ -8,6 +8,7 @@ from pathlib import Path
 import laspy
 import numpy as np
 import pytest
+from pyproj import CRS
 
 from tests.invariants import clouds
 from tests.invariants.runs import do, dtm
@@ -16,7 +17,7 @@ from tests.tiler.servers import http_server
 from tiler.apps.info import describe
 from tiler.config import RunConfig
 from tiler.errors import ConfigError, InputError
-from tiler.ingest import find_inputs, read_point_tiles
+from tiler.inputs import find_inputs, read_point_tiles
 from tiler.plan import make_plan, tiles_of_points
 
 SETTINGS = {"method": "classic", "halo": "8", "max_edge": "5"}
@@ -43,6 +44,8 @@ def test_its_points_give_the_terrain_of_the_cloud(city: laspy.LasData, ept: Path
     np.testing.assert_array_equal(dtm(tmp_path / "tiles")[0], dtm(tmp_path / "cloud")[0])
     written = sorted(p.name for p in (tmp_path / "tiles/classified/ept-data").iterdir())
     assert written == sorted(p.name for p in (ept.parent / "ept-data").iterdir())
+    for path in (tmp_path / "tiles/classified/ept-data").iterdir():
+        assert laspy.read(path).header.parse_crs() == city.header.parse_crs()
 
 
 def test_it_is_described_by_its_hierarchy(city: laspy.LasData, ept: Path) -> None:
@@ -53,6 +56,7 @@ def test_it_is_described_by_its_hierarchy(city: laspy.LasData, ept: Path) -> Non
     assert x0 <= city.x.min() < city.x.max() <= x1
     assert y0 <= city.y.min() < city.y.max() <= y1
     assert "UTM zone 32N" in facts["crs"]
+    assert facts["notes"] == []
 
 
 def test_a_window_over_http_reads_the_nodes_near_it(
@@ -88,8 +92,7 @@ def test_a_window_over_http_reads_the_nodes_near_it(
 def test_what_is_damaged_is_one_line(
     city: laspy.LasData, tmp_path: Path, file: str, content: object, reason: str
 ) -> None:
-    city.points = city.points[:10]
-    path = write_ept(tmp_path / "ept", city, 100)
+    path = write_ept(tmp_path / "ept", laspy.LasData(city.header, city.points[:10]), 100)
     (path.parent / file).write_text(content if isinstance(content, str) else json.dumps(content))
     with pytest.raises(InputError) as refused:
         find_inputs([str(path)])
@@ -100,3 +103,69 @@ def test_what_is_damaged_is_one_line(
 def test_a_crs_of_half_a_character_is_none(city: laspy.LasData, tmp_path: Path) -> None:
     path = write_ept(tmp_path / "ept", city, 100_000, srs={"wkt": "\ud800"})
     assert read_point_tiles(str(path)).wkt is None
+
+
+def told(path: Path, **changes: object) -> list[str]:
+    """What the plan says of point tiles."""
+    plan = make_plan([str(path)], RunConfig(in_process=True, method="keep", **changes))  # type: ignore[arg-type]
+    return [note for note in plan.notes if note.startswith(str(path))]
+
+
+SCHEMA = [{"name": axis, "type": "signed", "size": 4, "scale": 0.001, "offset": 0} for axis in "XYZ"]
+
+
+def test_what_is_true_is_not_told(ept: Path, city: laspy.LasData, tmp_path: Path) -> None:
+    assert told(ept) == []
+    assert told(write_ept(tmp_path / "ept", city, 1500, schema=SCHEMA)) == []
+
+
+@pytest.mark.parametrize(
+    ("changes", "parts"),
+    [
+        ({"points": 7}, ("says 7 points, its hierarchy ",)),
+        (
+            {"bounds": [500000.0, 5400100.0, 0.0, 500060.0, 5400160.0, 60.0]},
+            ("its bounds place the node in 500000 5400100 500060 5400160, points lie in", "in 0-0-0-0.laz ("),
+        ),
+        (
+            {"schema": [{**entry, "scale": 0.01} for entry in SCHEMA]},
+            ("its schema says scales (0.01, 0.01, 0.01), they are (0.001, 0.001, 0.001) in 0-0-0-0.laz",),
+        ),
+        (
+            {"schema": [{"name": n} for n in ("X", "Red", "Green", "Blue")]},
+            ("its schema has colours, there are none in 0-0-0-0.laz",),
+        ),
+    ],
+)
+def test_what_the_files_do_not_say_is_told(
+    changes: dict[str, object], parts: tuple[str, ...], city: laspy.LasData, tmp_path: Path
+) -> None:
+    (note,) = told(write_ept(tmp_path / "ept", city, 1500, **changes))
+    for part in (*parts, "; the files count; make it again"):
+        assert part in note
+    assert "\n" not in note
+
+
+def test_a_node_of_other_points_and_another_crs_is_told(city: laspy.LasData, tmp_path: Path) -> None:
+    path = write_ept(tmp_path / "ept", city, 1500)
+    node = path.parent / "ept-data/0-0-0-0.laz"
+    las = laspy.read(node)
+    las.points = las.points[:-5]
+    las.header.add_crs(CRS("EPSG:32632"), keep_compatibility=False)
+    las.write(node)
+    (note,) = told(path)
+    nodes = len(list(node.parent.iterdir()))
+    count = len(las.points)
+    line = f"its hierarchy says {count + 5} points, there are {count} in 0-0-0-0.laz (1 of {nodes} files)"
+    assert line in note
+    content = json.loads(path.read_text())
+    content["srs"] = {"authority": "EPSG", "horizontal": "25833"}
+    path.write_text(json.dumps(content))
+    for other in node.parent.iterdir():
+        las = laspy.read(other)
+        las.header.add_crs(CRS("EPSG:32632"), keep_compatibility=False)
+        las.write(other)
+    notes = told(path)
+    (srs,) = [note for note in notes if "srs" in note]
+    assert "its srs is ETRS89 / UTM zone 33N, the CRS is WGS 84 / UTM zone 32N in 0-0-0-0.laz" in srs
+    assert len(told(path, bounds=(500002.0, 5400002.0, 500012.0, 5400012.0))) == 2, "also of a part"

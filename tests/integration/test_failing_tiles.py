@@ -25,7 +25,7 @@ def deadly_cells(
     """The buckets of a tile that will be deadly to its worker; the ingest is done."""
     do(city, tmp_path / "out", tile_size="64", until="filter")
     cells: list[list[int]] = max(the_store(tmp_path / "out").committed("filter0").items())[1][1]["cells"]
-    monkeypatch.setattr("tiler.stages.tasks.filter_tile", deadly.deadly_tile)
+    monkeypatch.setattr("tiler.filter.tasks.passes.filter_tile", deadly.deadly_tile)
     monkeypatch.setenv(deadly.CELL, f"{cells[0][0]},{cells[0][1]}")
     return cells
 
@@ -97,7 +97,7 @@ def test_buckets_that_fail_leave_a_hole_that_is_told(
     groups = the_store(tmp_path / "peace").committed("assemble")
     key = max(groups, key=lambda k: sum(b["n"] for b in groups[k][1]["buckets"]))
     ix, iy = groups[key][1]["buckets"][0]["cell"]
-    monkeypatch.setattr("tiler.stages.ingest_tasks.assemble_buckets", deadly.failing_group)
+    monkeypatch.setattr("tiler.ingest.tasks.points.assemble_buckets", deadly.failing_group)
     monkeypatch.setenv(deadly.CELL, f"{ix},{iy}")
     result = do(city, out, **settings)
     assert result.exit_code == 5

@@ -14,10 +14,10 @@ from tests.invariants.forked import ended, forked
 from tests.invariants.runs import do, settings
 from tests.scenes.folders import content
 from tiler.errors import ConfigError, ProcessingError
+from tiler.export import stage as export
 from tiler.io.locations import cloud_path
 from tiler.io.partial_files import is_scratch, partial_path
 from tiler.pipeline import run
-from tiler.stages import export
 
 NAMES = ("dtm.tif", "run.json", "events.jsonl", "report.html", "classified/hill.laz")
 
@@ -117,7 +117,7 @@ def test_a_file_that_comes_while_the_run_goes_on_is_not_replaced(
         "runs.job.write_run_file",
         "export.cog._publish",
         "export.classified.write_back",
-        "stages.export._basis",
+        "export.stage._basis",
     ],
 )
 def test_a_killed_run_knows_its_own_files(where: str, cloud: Path, tmp_path: Path) -> None:

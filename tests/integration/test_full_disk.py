@@ -2,20 +2,26 @@
 
 from __future__ import annotations
 
+import errno
 import json
+import os
 import shutil
 import subprocess
-from collections.abc import Iterator
+import sys
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from tests.integration.command import ended
 from tests.invariants import clouds
 from tests.invariants.runs import EVERY_STAGE, WITH_EVERY_STAGE, all_digests, do, output_digests, settings
-from tiler.errors import ConfigError, DiskFullError
+from tiler.errors import ConfigError, DamagedError, DiskFullError, ProcessingError, StoreAccessError
+from tiler.ingest.tasks import points as ingest_tasks
 from tiler.observe.eventlog import EventLog
 from tiler.pipeline import run
+from tiler.store.storage import _write_file as write_file
 
 SHARES = (0.02, 0.4, 0.6, 0.95)
 """Of the room that the whole job takes."""
@@ -38,6 +44,25 @@ def whole_of_every_stage(cloud: Path, tmp_path_factory: pytest.TempPathFactory) 
     out = tmp_path_factory.mktemp("every") / "out"
     do(cloud, out, **WITH_EVERY_STAGE)
     return out
+
+
+GROWING = """
+import resource, signal, sys
+from pathlib import Path
+import numpy as np
+from tiler.errors import TilerError
+from tiler.io.geotiff import RasterLook, plain_geotiff
+
+signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 20, resource.RLIM_INFINITY))
+try:
+    look = RasterLook("EPSG:25832", "m", "heights", {})
+    with plain_geotiff(Path(sys.argv[1]), 2048, 2048, (1, 0, 0, 0, -1, 0), look) as raster:
+        raster.write(np.random.default_rng(0).random((2048, 2048), dtype=np.float32), 0, 0)
+except TilerError as error:
+    print(type(error).__name__, error)
+"""
+"""A raster in a process whose files may have 1 MiB."""
 
 
 class SmallDisk:
@@ -87,7 +112,7 @@ def test_a_disk_that_fills_up(
         if (out / name).exists():
             assert output_digests(out)[name] == expected[name]
     if (out / "run.json").exists():
-        json.loads((out / "run.json").read_text())
+        assert json.loads((out / "run.json").read_text())["state"] == "failed"
     disk.has(64 << 20, again=True)
     assert do(cloud, out).exit_code == 0
     assert output_digests(out) == expected
@@ -119,6 +144,46 @@ def test_a_disk_that_is_full_when_a_stage_begins(
     assert all_digests(out) == expected
 
 
+def refusing(key: str, number: int) -> Callable[[str, bytes], None]:
+    """Instead of what writes a file of a store: refuses those whose keys begin so."""
+
+    def write(path: str, data: bytes) -> None:
+        if f"/store.zarr/{key}" in path:
+            raise OSError(number, os.strerror(number), path)
+        write_file(path, data)
+
+    return write
+
+
+@pytest.mark.parametrize("number", [errno.EIO, errno.EFBIG])
+@pytest.mark.parametrize("key", ["spool", "commits", "points", "labels", "rasters"])
+def test_a_store_that_cannot_be_written_is_no_fault_of_the_inputs(
+    key: str, number: int, cloud: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tiler.store.storage._write_file", refusing(key, number))
+    out = tmp_path / "out"
+    with pytest.raises(StoreAccessError, match=f"store.zarr: {key}.* cannot be written") as caught:
+        do(cloud, out)
+    assert caught.value.exit_code == 4
+    assert os.strerror(number) in str(caught.value)
+    found = json.loads((out / "run.json").read_text())
+    assert (found["state"], found["quarantined"]) == ("failed", [])
+    monkeypatch.undo()
+    assert do(cloud, out).exit_code == 0
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="limits of files are the system's")
+def test_a_raster_that_may_not_grow_says_why(tmp_path: Path) -> None:
+    """GDAL does not, and rasterio names a previous exception."""
+    call = [sys.executable, "-c", GROWING, tmp_path / ".tiler-dtm.tif.partial"]
+    done = ended(call)
+    assert done.stdout.startswith(
+        f"ProcessingError {tmp_path}/.tiler-dtm.tif.partial: cannot be written (File "
+    )
+    assert "too large" in done.stdout
+    assert "previous exception" not in done.stdout
+
+
 def test_a_read_only_out_is_one_line(cloud: Path, disk: SmallDisk) -> None:
     disk.has(64 << 20)
     (disk.folder / "out").mkdir()
@@ -145,3 +210,18 @@ def test_an_event_log_on_a_full_disk_is_one_line(tmp_path: Path) -> None:
         EventLog(tmp_path / "events.jsonl") as log,
     ):
         log("note", {"text": "a"})
+
+
+def test_an_error_of_the_store_while_clouds_are_read_leaves_no_input_out(
+    cloud: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Only what reading the input says is the input's fault."""
+
+    def damaged(store_url: str, work: Any) -> Any:
+        raise DamagedError(f"{store_url}: meta.json is damaged")
+
+    monkeypatch.setattr(ingest_tasks, "spool_piece", damaged)
+    with pytest.raises(ProcessingError, match="meta.json is damaged") as caught:
+        do(cloud, tmp_path / "out")
+    assert caught.value.exit_code == 4
+    assert json.loads((tmp_path / "out" / "run.json").read_text())["quarantined"] == []

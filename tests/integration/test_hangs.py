@@ -144,4 +144,4 @@ def test_an_interruption_of_which_a_library_makes_an_error_is_one(tmp_path: Path
 def test_what_does_not_let_go_is_ended_by_force(what: str, tmp_path: Path) -> None:
     """A library that computes and looks at no signal, and one that swallows the interruption."""
     error = interrupted(tmp_path, STUCK.format(what))
-    assert error == "tiler: interrupted; what it was at did not stop, so it was ended\n"
+    assert error == "tiler: interrupted; the work did not stop, so the process was ended\n"

@@ -18,6 +18,28 @@ MODULES = """laspy lazrs random numpy tiler ptd cli json pickle queue typing zar
 sitecustomize usercustomize"""
 
 
+NEIGHBOUR = """
+import os, sys, tempfile
+from pathlib import Path
+shared = Path(tempfile.gettempdir(), "dask-scratch-space")
+make = tempfile.mkdtemp
+def watched(*arguments, **options):
+    made = Path(make(*arguments, **options))
+    if made.parent == shared:
+        made.rename(made.with_suffix(".away"))
+        made.mkdir()
+        for name in ("gilknocker", "prometheus_client"):
+            Path(made, name + ".py").write_text(f"open({sys.argv[3] + name!r}, 'w').close()")
+    return str(made)
+tempfile.mkdtemp = watched
+import tiler
+result = tiler.run(sys.argv[1], sys.argv[2], {"method": "classic", "resolution": 1, "workers": 1})
+assert result.exit_code == 0
+assert not [entry for entry in sys.path if str(shared) in entry]
+"""
+"""A run beside a neighbour who made Dask's folder first: what is made in it is replaced at once by something of his."""
+
+
 @pytest.fixture
 def folder(tmp_path: Path) -> Path:
     """A delivery: a cloud, and modules that leave a mark when they are imported."""
@@ -65,6 +87,16 @@ def test_settings_of_the_compiler_that_lie_there_are_not_read(folder: Path) -> N
     code = "from ptd import kernel; print(kernel.config.DISABLE_JIT)"
     done = ended([sys.executable, "-P", "-c", code], cwd=folder)
     assert (done.returncode, done.stdout) == (0, "0\n")
+
+
+def test_a_neighbour_who_made_the_temporary_folder_of_dask_has_nothing_imported(tmp_path: Path) -> None:
+    cloud, shared = clouds.write(tmp_path / "town.laz", clouds.city(40.0)), tmp_path / "shared"
+    (shared / "dask-scratch-space").mkdir(parents=True)
+    call = [sys.executable, "-c", NEIGHBOUR, cloud, tmp_path / "out", tmp_path / "imported-"]
+    done = ended(call, env={**os.environ, "PYTHONPATH": str(ROOT), "TMPDIR": str(shared)})
+    assert done.returncode == 0, done.stderr
+    assert not list(tmp_path.glob("imported-*"))
+    assert [path.relative_to(shared).as_posix() for path in shared.rglob("*")] == ["dask-scratch-space"]
 
 
 @pytest.mark.slow

@@ -50,6 +50,11 @@ def test_what_is_decided_of_a_matched_cloud_is_told_and_done(cloud: Path, tmp_pa
     assert np.sqrt((error**2).mean()) < 0.15
 
 
+def test_the_classes_of_a_matched_cloud_can_be_kept(cloud: Path, tmp_path: Path) -> None:
+    found = ran(cloud, tmp_path / "out", "--method", "keep", "--kind", "dim", "--ground-classes", 0)
+    assert (found["state"], found["configuration"]["surface"]) == ("done", None)
+
+
 @pytest.mark.slow
 def test_what_the_user_says_of_the_surface_is_obeyed(cloud: Path, tmp_path: Path) -> None:
     found = ran(cloud, tmp_path / "out", "--surface", "all", "--erode", 0)

@@ -62,8 +62,11 @@ def test_no_height_beyond_the_survey(shape: str, tmp_path: Path) -> None:
     assert shapely.is_valid(polygons).all()
     outline = shapely.union_all(polygons)
     assert outline.symmetric_difference(closed).area < 0.03 * closed.area
-    holes = sum(len(p.interiors) for p in polygons)
-    assert holes == {"ragged": 1, "ring": 1}.get(shape, 0)
+    assert sum(len(p.interiors) for p in polygons) == {"ragged": 1, "ring": 1}.get(shape, 0)
+    whole = shapely.union_all([shapely.Polygon(part.exterior) for part in polygons])
+    within = shapely.contains_xy(whole, x, y)
+    assert within[heights].all(), "the outline is the edge of the terrain"
+    assert (within & ~heights).sum() == json.loads((out / "run.json").read_text())["voids"]["pixels"]
 
 
 def test_the_hull_can_be_asked_for(tmp_path: Path) -> None:

@@ -10,12 +10,15 @@ import pytest
 
 from tests.invariants.runs import do
 from tiler.errors import ProcessingError
-from tiler.stages import file_tasks, ingest_tasks, raster_table, tasks
+from tiler.export.tasks import files as file_tasks
+from tiler.filter.tasks import passes
+from tiler.grid.tasks import raster_table
+from tiler.ingest.tasks import points as ingest_tasks
 
 WORKS = {
     "spool_piece": ingest_tasks,
     "assemble_buckets": ingest_tasks,
-    "filter_tile": tasks,
+    "filter_tile": passes,
     "grid_block": raster_table,
     "write_cog": file_tasks,
     "write_classified": file_tasks,

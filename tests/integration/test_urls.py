@@ -19,10 +19,11 @@ from tests.invariants import clouds
 from tests.invariants.runs import dtm, settings
 from tests.tiler.servers import ftp_server, http_server
 from tiler.errors import ConfigError, InputError
-from tiler.ingest import SpoolPiece, inspect, spool_piece
+from tiler.ingest import SpoolPiece, spool_piece
+from tiler.ingest.tasks import points as ingest_tasks
+from tiler.inputs import inspect
 from tiler.io.locations import cloud_path, list_clouds, location, state_of
 from tiler.pipeline import RunResult, run
-from tiler.stages import ingest_tasks
 
 SUFFIXES = (".las", ".laz")
 

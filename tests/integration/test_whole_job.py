@@ -11,7 +11,7 @@ from rio_cogeo.cogeo import cog_validate
 
 import tiler as package
 from cli.main import main
-from ptd.matched.passes import MatchedPass
+from ptd.matched.step import MatchedPass
 from ptd.methods.auto.method import Auto
 from tests.integration.command import tiler
 from tests.invariants.runs import computed, do, output_digests
@@ -20,7 +20,9 @@ from tiler.apps.evaluate import evaluate_dtm, evaluate_files
 from tiler.simulate import DemoScene
 
 PASSES = sum(not isinstance(step, MatchedPass) for step in Auto().passes)  # a laser scan
-GRID = ("grid-dtm", "grid-occupancy", "grid-survey", "water-search", "grid-dtm-outlined")
+SURVEY = ("grid-occupancy", "grid-survey-open", "grid-survey")
+WATER = ("grid-water-ground", "grid-domain-open", "grid-domain", "grid-water-planes", "grid-water-areas")
+GRID = ("grid-dtm", *SURVEY, *WATER, "grid-dtm-outlined")
 
 
 def test_it_succeeds_and_leaves_what_it_says(default_run: Finished, demo: DemoScene) -> None:

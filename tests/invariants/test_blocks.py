@@ -14,12 +14,13 @@ from hypothesis import strategies as st
 from tests.invariants.runs import do, dtm, metres, settings, the_store
 from tiler.core.lattice import Bounds, Lattice
 from tiler.core.raster import Block, RasterSpec
+from tiler.filter.tasks.passes import label_digests
 from tiler.grid.block import block_heights
+from tiler.grid.tasks.gridding import Gridding
+from tiler.grid.tasks.raster_table import raster_table
+from tiler.grid.tasks.rasters import terrain_tasks
+from tiler.ingest.tasks.assembled import Assembled
 from tiler.plan import make_plan
-from tiler.stages.gridding import Gridding
-from tiler.stages.raster_table import raster_table
-from tiler.stages.raster_tasks import terrain_tasks
-from tiler.stages.tasks import Assembled, label_digests
 
 SIZES = st.fractions(min_value=Fraction(1, 3), max_value=3000, max_denominator=400)
 COUNTS = st.integers(-(10**7), 10**7)

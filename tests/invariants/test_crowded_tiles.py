@@ -34,6 +34,7 @@ def test_a_tile_that_is_too_full_is_divided(
     crowded: list[Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     out = tmp_path / "out"
+    monkeypatch.setattr("tiler.plan.sizes.BUCKETS_M", (32,))
     do(crowded, tmp_path / "whole", until="filter", tile_size="256", halo=HALO_M, parameters=FINE)
     expected, doubtful = stored_labels(tmp_path / "whole")
     # So dear that the fullest windows of 64 m do not fit, those of a bucket of 32 m and its halo do.

@@ -123,12 +123,16 @@ def test_only_what_an_edit_reaches_is_done_again(quarter_files: list[Path], tmp_
     again = do(quarter_files, tmp_path / "out", **fine, edits=edits)
     assert plain.exit_code == again.exit_code == 0
     done = {stage: n for stage, n in computed(again).items() if n}
-    once = ("edits", "grid-dtm", "water-search", "grid-dtm-outlined", "grid-occupancy")  # one of four blocks
+    # One of four blocks; cells of the two blocks that see its water.
+    once = ("grid-dtm", "grid-dtm-outlined", "grid-occupancy", "grid-water-ground")
     assert done == {
         **dict.fromkeys(once, 1),
-        "export": 2,
+        "edits": 2,  # buckets
+        "grid-water-areas": 2,
+        "grid-water-planes": 2,
+        "export": 3,
         "catalogue": 2,
-    }  # the raster and one of four clouds
+    }  # files: the raster, the outline that follows its pixels, and one of four clouds
     changed = {name for name, digest in digests(tmp_path / "out").items() if digest != before[name]}
     assert changed == {"dtm.tif", "ne.laz"}
     (fact,) = again.summary["edits"]
@@ -160,12 +164,42 @@ def test_classes_and_heights_follow_edits(made: Path) -> None:
     assert '"title":"corrections"' in page.replace(" ", "")
 
 
+def test_a_correction_that_leaves_a_hole_is_a_problem(tmp_path: Path) -> None:
+    cloud = written(tmp_path / "plane.laz", ground(lambda x, y: 20 + x / 10))
+    shapes = [(shapely.box(20, 20, 40, 45), "not_ground"), (shapely.box(5, 5, 9, 8), "void")]
+    shapes.append((shapely.box(20, 50, 22, 52), "not_ground"))
+    edits = draw(tmp_path / "e.json", [(shape, {"action": action}) for shape, action in shapes])
+    options = {"method": "keep", "edits": edits, "max_edge": "8", "products": "dtm,mask"}
+    summary = do(cloud, tmp_path / "out", **options).summary
+    empty = pixels(tmp_path / "out")[1:59, 1:59] == NODATA
+    assert summary["edits"][0]["holes"] == empty[19:44, 19:39].sum() > 400
+    assert summary["edits"][1]["holes"] == summary["voids"]["asked_pixels"] == 12
+    assert summary["edits"][2]["holes"] == 0
+    assert summary["voids"]["pixels"] == empty.sum() - 12
+    assert summary["voids"]["pixels"] + 12 == summary["mask"]["hole"]
+    (void,) = summary["voids"]["largest"]
+    west, south, east, north = void["bounds"] - np.tile(CORNER, 2)
+    assert west >= 19
+    assert south >= 19
+    assert east <= 41
+    assert north <= 46
+    kinds = {problem["what"]: problem["where"] for problem in summary["problems"]}
+    assert kinds.keys() == {"void inside the survey", "hole in a correction"}
+    assert kinds["void inside the survey"] == tuple(void["bounds"])
+    page = (tmp_path / "out" / "report.html").read_text()
+    assert "100.0 %" not in page
+    assert (
+        f"correction 1 (not_ground) leaves {summary['edits'][0]['holes']:,} pixels without a height" in page
+    )
+
+
 def test_contours_agree_with_the_terrain_and_neither_cross_nor_break(made: Path) -> None:
-    meta, _, shapes, (elevation, index) = pyogrio.raw.read(made / "contours.gpkg")
+    meta, _, shapes, (elevation, index, label) = pyogrio.raw.read(made / "contours.gpkg")
     lines = shapely.from_wkb(shapes)
     assert meta["crs"] == "EPSG:32632"
     assert meta["geometry_type"] == "LineString"
-    assert list(meta["fields"]) == ["elevation", "index"]
+    assert list(meta["fields"]) == ["elevation", "index", "label"]
+    assert list(label) == [f"{height:.1f}" for height in elevation]
     assert json.loads((made / "run.json").read_text())["contours"]["lines"] == len(lines) > 10
     assert (index == (np.round(elevation / 0.5) % 5 == 0)).all()
     assert all(shapely.is_simple(lines))
@@ -197,15 +231,16 @@ def test_level_ground_and_none_at_all_have_no_contours(classes: str, tmp_path: P
 
 
 def test_spots_are_tops_and_bottoms(made: Path) -> None:
-    _, _, shapes, (elevation, kind) = pyogrio.raw.read(made / "spots.gpkg")
+    _, _, shapes, (elevation, kind, label) = pyogrio.raw.read(made / "spots.gpkg")
     assert {"high", "low"} >= set(kind) != set()
     heights = pixels(made)
     for shape, height, sort in zip(shapely.from_wkb(shapes), elevation, kind, strict=True):
         col, row = ((shapely.get_coordinates(shape)[0] - CORNER) / PIXEL).astype(int)
         near = heights[max(row - 125, 0) : row + 126, max(col - 125, 0) : col + 126]
         near = near[near != NODATA]
-        assert heights[row, col] == np.float32(height)
-        assert height == pytest.approx((near.max if sort == "high" else near.min)())
+        assert height == pytest.approx(heights[row, col], abs=0.00501)
+        assert heights[row, col] == (near.max if sort == "high" else near.min)()
+    assert list(label) == [f"{height:.2f}" for height in elevation]
 
 
 # --- what is refused

@@ -99,7 +99,7 @@ def test_order_frame_and_rows_do_not_show(
     """Buckets of several rows; little is kept for neighbours."""
     cloud, classes, expected = scene
     small_stores(monkeypatch, 500, row_points=64)
-    monkeypatch.setattr("tiler.stages.tasks.held_bytes", lambda memory: 20_000)
+    monkeypatch.setattr("tiler.filter.tasks.passes.held_bytes", lambda memory: 20_000)
     monkeypatch.setattr("tiler.plan.sizes.origin_of", lambda extent: (499_876_543, 5_400_000_077))
     order = np.random.default_rng(0).permutation(len(cloud))
     path = clouds.write(tmp_path / "shuffled.laz", cloud.take(order), classes=classes[order])

@@ -46,7 +46,7 @@ def test_pieces_of_a_file_change_nothing(
     city: Cloud, finished: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     # Of LAS: pieces of LAZ are whole chunks of 50,000.
-    monkeypatch.setattr("tiler.stages.ingest_tasks.PIECE_POINTS", 5_000)
+    monkeypatch.setattr("tiler.ingest.tasks.points.PIECE_POINTS", 5_000)
     result = do(clouds.write(tmp_path / "city.las", city), tmp_path / "out")
     assert result.summary["stages"]["spool"]["tasks"] > 1
     assert_same(tmp_path / "out", finished)

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from ptd.matched.passes import MatchedPass
+from ptd.matched.step import MatchedPass
 from ptd.methods import METHODS
 from tests.invariants import clouds
 from tests.invariants.forked import ended, forked

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -78,5 +79,9 @@ def test_the_tile_size_of_an_earlier_run_is_refused_with_less_memory(
 ) -> None:
     monkeypatch.setattr("tiler.plan.memory.VERTEX_BYTES", 60_000)
     do(city_file, tmp_path / "out", until="ingest", tile_size="512", memory="8GiB")
-    with pytest.raises(ConfigError, match=r"filter needs .* MiB are allowed"):
-        do(city_file, tmp_path / "out", until="ingest", tile_size=None, memory="800MiB")
+    settings = {"until": "ingest", "halo": "16"}
+    with pytest.raises(ConfigError, match=r"filter needs .* MiB are allowed") as refused:
+        do(city_file, tmp_path / "out", tile_size=None, memory="1500MiB", **settings)
+    memory, tile = re.findall(r"use --memory (\d+MiB) or --tile-size (\d+)$", str(refused.value))[0]
+    for values in ({"memory": memory, "tile_size": None}, {"memory": "1500MiB", "tile_size": tile}):
+        assert do(city_file, tmp_path / "out", **settings, **values).exit_code == 0, "what is named suffices"

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import pytest
 
-from tiler.runs.worker import KEPT_SHARE
+from tiler.schedule.worker import KEPT_SHARE
 
 SIDE_M = 700
 COPIES = 2
@@ -21,7 +21,7 @@ MAX_X, MIN_X, OFFSET_X = 179, 187, 155
 RUN = """
 import json, sys
 from tiler.config import RunConfig
-from tiler.runs.worker import peak_rss_bytes
+from tiler.schedule.worker import peak_rss_bytes
 from tiler.pipeline import run
 config = RunConfig.from_mapping({"workers": 1, "method": "classic", "resolution": "1", "memory": "512MiB"})
 summary = run([sys.argv[1]], sys.argv[2], config).summary

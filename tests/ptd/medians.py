@@ -1,7 +1,7 @@
-"""A method with two branches: of laser clouds the heights alone count; of others one point a cell is elected.
+"""A method with two branches: heights in laser clouds, one elected point per cell in others.
 
-It says nothing of terrain: it uses all that a `ptd.passes.Pass` can ask for, in integers, so that results are the same
-to the bit whatever the order of points and tiles.
+It has nothing to do with terrain. It uses every feature of `ptd.passes.Pass`, in integers, so results are equal to the
+bit for any order of points and tiles.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ CELL_M, SEEN_M, SPREAD_M, TERRAIN_M, MEAN_M = 1.0, 6.0, 3.0, 5.0, 1.0
 
 
 def around(of: np.ndarray, among: np.ndarray, reach: float) -> list[list[int]]:
-    """For each point (rows x, y of counts) the indices of those at most so far in x and in y."""
+    """Indices of the points at most a distance away in x and in y, for each point (rows x, y of counts)."""
     if among.shape[1] == 0 or of.shape[1] == 0:
         return [[] for _ in range(of.shape[1])]
     found: list[list[int]] = cKDTree(among[:2].T).query_ball_point(of[:2].T, reach, p=np.inf).tolist()
@@ -72,7 +72,7 @@ class SplitPass(OfLaser):
 
 
 class LaserPass(SplitPass):
-    """The last of its branch."""
+    """The last pass of its branch."""
 
     name, columns = "laser", ("labels",)
 
@@ -81,7 +81,7 @@ class LaserPass(SplitPass):
 
 
 class Medians(Model):
-    """In the middle of each cell the lower median of its heights, labelled by whether that is even."""
+    """The lower median height of each cell, at its middle, labelled by whether it is even."""
 
     def __init__(self, xyz: np.ndarray, cells: Cells) -> None:
         columns, rows = cells.places(xyz[0], xyz[1])
@@ -113,10 +113,10 @@ def parity(points: Points) -> np.ndarray:
 
 
 class Rising(Model):
-    """High is what lies more than a metre above the lowest around it."""
+    """Points more than a metre above the lowest point around them are high."""
 
     def __init__(self, points: Points, reach: float, metre: float) -> None:
-        assert np.array_equal(points.known_labels(), parity(points)), "labels of what was elected"
+        assert np.array_equal(points.known_labels(), parity(points)), "labels of the elected points"
         self.xyz, self.reach, self.metre, self.stats = points.xyz, reach, metre, {"elected": len(points)}
 
     def label(self, points: Points) -> Any:
@@ -134,7 +134,7 @@ class RisingPass(OfImages):
 
 
 class Spread(Model):
-    """High is what is near to something high, among the points to be labelled alone."""
+    """Points near a high point are high; only the points to be labelled are searched."""
 
     def __init__(self, reach: float) -> None:
         self.reach, self.stats = reach, {}
@@ -155,7 +155,7 @@ class SpreadPass(OfImages):
 
 
 class Mean(Model):
-    """Ground is where points are, on the mean, at the height of what is low around."""
+    """Points whose neighbours have, on average, the height of the low points around are ground."""
 
     def __init__(self, points: Points, scale: Scale) -> None:
         self.low, self.scale = points.take(points.known_labels() == LOW).xyz.astype(np.int64), scale

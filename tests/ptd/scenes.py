@@ -1,4 +1,4 @@
-"""Small clouds that are hard on windows: int32 [3, n] in counts of a centimetre."""
+"""Small clouds that are difficult in windows: int32 [3, n] in counts of a centimetre."""
 
 from __future__ import annotations
 

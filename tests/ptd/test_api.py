@@ -1,18 +1,19 @@
-"""The one-tile wrapper: columns reach the passes, and what does not fit is refused in one line."""
+"""The wrapper for one tile: columns reach the passes, and unfit arguments are refused in one line."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
+import laspy
 import numpy as np
 import pytest
 
 import ptd
 from ptd.frame import Scale, Window
 from ptd.methods import METHODS
-from ptd.passes import Method, Model, Pass, Points, State
+from ptd.passes import Method, Model, Pass, Points, RunFacts, State
 
 N = 50
 XYZ = np.random.default_rng(1).random((N, 3)) * 30
@@ -60,7 +61,7 @@ class Parameters:
 
 @dataclass(frozen=True)
 class Derived(Parameters):
-    """Of another method."""
+    """Parameters of another method."""
 
 
 @pytest.fixture(autouse=True)
@@ -71,7 +72,7 @@ def echo(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_columns_and_labels_go_from_pass_to_pass() -> None:
     result = ptd.classify(XYZ, "echo", rgb=RGB, returns=RETURNS, sigma=0.05)
     assert np.array_equal(result.classification, RGB[:, 0] % 100 + RETURNS[:, 1])
-    assert result.decisions["statistics"] == {"run": {"sigma_m": 0.05, "kind": None}, "n": N}
+    assert result.decisions["statistics"] == {"run": asdict(RunFacts(0.05)), "n": N}
     assert result.stats == {"first": {"given": N}, "second": {"given": N}}
 
 
@@ -99,7 +100,7 @@ def test_columns_and_labels_go_from_pass_to_pass() -> None:
         ({"rgb": RGB, "sigma": np.nan}, "^sigma nan: must be 1e-06 to 1000 m$"),
     ],
 )
-def test_what_does_not_fit_is_refused(arguments: dict[str, Any], message: str) -> None:
+def test_unfit_arguments_are_refused(arguments: dict[str, Any], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         ptd.classify(XYZ, "echo", **arguments)
 
@@ -114,8 +115,8 @@ def test_what_does_not_fit_is_refused(arguments: dict[str, Any], message: str) -
         ([-np.inf, 0.0, 0.0], "^xyz has values that are not finite"),
     ],
 )
-def test_what_no_count_holds_is_refused(place: list[float], message: str) -> None:
-    """The last of 20,000 points: in another block than the first."""
+def test_values_beyond_counts_are_refused(place: list[float], message: str) -> None:
+    """The last of 20,000 points is wrong; it lies in another block than the first."""
     xyz = np.zeros((20_000, 3))
     xyz[-1] = place
     with pytest.raises(ValueError, match=message):
@@ -123,7 +124,7 @@ def test_what_no_count_holds_is_refused(place: list[float], message: str) -> Non
 
 
 @pytest.mark.parametrize("order", ["C", "F"])
-def test_the_points_given_stay_as_they_were(order: Literal["C", "F"]) -> None:
+def test_the_given_points_are_not_changed(order: Literal["C", "F"]) -> None:
     xyz = np.asarray(np.random.default_rng(1).uniform(0, 20, (500, 3)), order=order)
     before = xyz.copy()
     ptd.classify(xyz, "classic")
@@ -147,7 +148,16 @@ def test_coordinates_that_are_not_exact_are_refused() -> None:
 
 
 @pytest.mark.parametrize("sigma", [1e-6, 1e3])
-def test_any_noise_that_is_allowed_can_be_worked_with(sigma: float) -> None:
-    """A dense cloud: the longest edges of `dong2018` follow from its noise."""
+def test_the_method_works_with_any_permitted_noise(sigma: float) -> None:
+    """In a dense cloud, the longest edges of `dong2018` follow from its noise."""
     near = np.random.default_rng(1).uniform(0, 20, (4000, 3)) * [1, 1, 0.01]
     assert (ptd.classify(near, "dong2018", sigma=sigma).classification == 2).any()
+
+
+def test_objects_of_laspy_are_refused_with_the_remedy() -> None:
+    cloud = laspy.LasData(laspy.LasHeader(point_format=6, version="1.4"))
+    cloud.x = cloud.y = cloud.z = np.arange(4.0)
+    for given in (cloud, cloud.points):
+        with pytest.raises(TypeError, match=r"must be an array \(n, 3\) in metres: pass las\.xyz$"):
+            ptd.classify(given)
+    assert ptd.classify(cloud.xyz, "classic").classification.shape == (4,)

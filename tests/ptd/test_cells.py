@@ -56,7 +56,7 @@ def test_the_lowest_of_each_cell(
 
 @pytest.mark.parametrize("spread", [1, 100_000])
 def test_dense_and_sparse_clouds_give_the_same(spread: int) -> None:
-    """Cells of the same points, near each other and far apart: a raster, and sorting."""
+    """Cells of the same points, close together (raster) and far apart (sorting)."""
     rng = np.random.default_rng(1)
     column, row, z = rng.integers(0, 20, (3, 500))
     x, y = (column * 200 * spread).astype(np.int32), (row * 200 * spread).astype(np.int32)
@@ -78,7 +78,7 @@ def test_a_shift_by_whole_cells_changes_nothing(size: float) -> None:
     assert np.array_equal(lowest_per_cell(*moved, z, cells), want)
 
 
-def test_the_frame_does_not_enter() -> None:
+def test_the_frame_has_no_effect() -> None:
     x, y, z = columns(np.random.default_rng(4).integers(-50_000, 50_000, (400, 3)).tolist())
     want = lowest_per_cell(x, y, z, Cells.of(1.0, Scale(origin=(5, 12_345))))
     moved = (x + 5).astype(np.int32), (y + 12_345).astype(np.int32)
@@ -100,7 +100,7 @@ def test_west_is_the_first_count_of_a_column(column: int, size: float, unit: Fra
     assert cells.column(west - 1) == column - 1 == cells.row(south - 1)
 
 
-def test_sizes_are_the_decimal_numbers_that_they_print_as() -> None:
+def test_sizes_are_the_decimal_numbers_of_their_text() -> None:
     assert Cells.of(0.1, Scale()) == Cells(100, 1, 0, 0)
     assert Cells.of(20, Scale(FEET, FEET)) == Cells(25_000_000, 381, 0, 0)
 

@@ -1,8 +1,8 @@
-"""Passes that only some runs need, points that a pass makes for those after it, and labels from neighbours."""
+"""Passes that only some runs need, points that a pass elects for later ones, and labels from neighbours."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,7 @@ import pytest
 import ptd
 from ptd.frame import Scale
 from ptd.methods import METHODS
-from ptd.passes import Method, Points
+from ptd.passes import Method, Points, RunFacts
 from tests.ptd import medians
 from tests.ptd.medians import METHOD, Parameters
 from tests.ptd.tiling import classify_tiled
@@ -32,7 +32,7 @@ def xyz() -> np.ndarray:
 
 
 def expected(xyz: np.ndarray) -> np.ndarray:
-    """What the passes of images say, written down a second time: one point after the other."""
+    """The passes for images, written a second time, point by point."""
     x, y, z = np.rint(1000 * xyz).astype(np.int64).T
     cells: dict[tuple[int, int], list[int]] = {}
     for place, height in zip(zip(x // 1000, y // 1000, strict=True), z, strict=True):
@@ -54,13 +54,13 @@ def expected(xyz: np.ndarray) -> np.ndarray:
     return np.array(labels)
 
 
-def test_points_elected_by_a_pass_are_what_later_passes_see_and_label(xyz: np.ndarray) -> None:
+def test_later_passes_see_and_label_elected_points(xyz: np.ndarray) -> None:
     result = ptd.classify(xyz, "medians", kind="dim")
     assert np.array_equal(result.classification, expected(xyz))
     assert 0.2 < (result.classification == 2).mean() < 0.95
     assert list(result.stats) == ["census", "medians", "rising", "spread", "mean"]
     assert 550 < result.stats["medians"]["cells"] == result.stats["rising"]["elected"] <= 24**2
-    assert result.decisions["statistics"]["run"] == {"sigma_m": None, "kind": "dim"}
+    assert result.decisions["statistics"]["run"] == asdict(RunFacts(kind="dim"))
 
 
 @pytest.mark.parametrize("tile_m", [None, 3.0, 8.0, 11.0])
@@ -76,14 +76,14 @@ def test_tiles_in_memory_do_not_show(tile_m: float | None, xyz: np.ndarray) -> N
 
 
 @pytest.mark.parametrize("kind", [None, "lidar"])
-def test_passes_that_do_not_apply_are_passed_over(kind: str | None, xyz: np.ndarray) -> None:
+def test_passes_that_do_not_apply_are_skipped(kind: str | None, xyz: np.ndarray) -> None:
     result = ptd.classify(xyz, "medians", kind=kind)
     z = np.rint(1000 * xyz[:, 2]).astype(np.int64)
     assert np.array_equal(result.classification, np.where(z > z.sum() // len(z), 1, 2))
     assert list(result.stats) == ["census", "split", "laser"]
 
 
-def test_a_kind_that_there_is_not(xyz: np.ndarray) -> None:
+def test_an_unknown_kind_is_refused(xyz: np.ndarray) -> None:
     with pytest.raises(ValueError, match="^no kind 'sonar'; there are lidar, dim$"):
         ptd.classify(xyz, "medians", kind="sonar")
 

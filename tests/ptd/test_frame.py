@@ -1,4 +1,4 @@
-"""What a window holds."""
+"""The points within a window."""
 
 from __future__ import annotations
 

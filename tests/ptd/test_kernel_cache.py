@@ -1,4 +1,4 @@
-"""Where machine code is kept, and whose is trusted."""
+"""The place of machine code, and the owners whose code is trusted."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from ptd import kernel
 
 @pytest.fixture
 def shared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
-    """A cache as an image has it, of a user who stands for root, and another user with a home.
+    """The cache of an image, owned by a user in place of root, and another user with a home.
 
-    In a place of its own: all folders above it have to be that user's as well, which the system's scratch is not.
+    It lies in a place of its own, because all folders above it must belong to that user, unlike the system's scratch.
     """
     me = os.getuid()
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "home"))
@@ -35,7 +35,7 @@ def shared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     real = Path.stat
 
     def plain(path: Path, **options: bool) -> os.stat_result:
-        """Folders above are the same user's, as they are in an image."""
+        """Let the folders above belong to the same user, as in an image."""
         found = real(path, **options)
         if path in tmp_path.parents or path == tmp_path:
             return os.stat_result((0o40755, *found[1:4], me, *found[5:]))
@@ -50,14 +50,14 @@ def shared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
 
 
 def own_of_a_stranger(folder: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path | None:
-    """The folder of another user, whose own files the test cannot make: they count as his."""
+    """The folder of another user. The test cannot make files of another user, so these count as theirs."""
     monkeypatch.setattr(
         kernel, "_usable", lambda path: path.is_relative_to(tmp_path / "home") and path.exists()
     )
     return kernel.cache_folder()
 
 
-def test_that_of_an_image_is_taken_over_as_a_copy(
+def test_the_cache_of_an_image_is_copied(
     shared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     folder = own_of_a_stranger(shared, tmp_path, monkeypatch)
@@ -69,7 +69,7 @@ def test_that_of_an_image_is_taken_over_as_a_copy(
 
 
 @pytest.mark.parametrize("open_place", ["", "ptd_1", "ptd_1/a.nbc", "../.."])
-def test_what_others_could_write_is_not(
+def test_a_cache_that_others_can_write_is_not_copied(
     open_place: str, shared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     place = shared / open_place
@@ -79,7 +79,7 @@ def test_what_others_could_write_is_not(
     assert not copied
 
 
-def test_what_is_a_link_to_elsewhere_is_not(
+def test_a_link_to_another_place_is_not_copied(
     shared: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "elsewhere").write_bytes(b"other code")
@@ -102,10 +102,10 @@ def reaches_python(user: int) -> bool:
 
 @pytest.mark.skipif(
     os.geteuid() != 0 or not reaches_python(65534),
-    reason="nobody else can start this Python, or become another user",
+    reason="no other user can start this Python, or this user cannot become another",
 )
 def test_another_user_has_the_kernels_of_root() -> None:
-    """In processes of both: the other one compiles nothing."""
+    """Both run in processes of their own; the second compiles nothing."""
     with tempfile.TemporaryDirectory(dir="/var/cache") as image, tempfile.TemporaryDirectory() as home:
         os.chmod(image, 0o755)
         os.chmod(home, 0o777)

@@ -1,4 +1,4 @@
-"""Parameters: their ranges, and what texts are read as."""
+"""Ranges of parameters, and their values from texts."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ class Sample:
         check(self)
 
 
-def test_texts_are_read_by_the_kind_of_the_default() -> None:
+def test_texts_are_read_by_the_type_of_the_default() -> None:
     texts = {"length_m": "3.5", "angle_deg": "1e1", "times": "4", "free": "-7", "switch": "no"}
     assert parse(Sample, texts) == Sample(3.5, 10.0, 4, -7.0, False)
     assert parse(Sample, {}) == Sample()
 
 
 @pytest.mark.parametrize(("alias", "full"), [("length", "length_m"), ("angle", "angle_deg")])
-def test_a_name_may_leave_out_its_unit(alias: str, full: str) -> None:
+def test_a_name_may_omit_its_unit(alias: str, full: str) -> None:
     assert parse(Sample, {alias: "4"}) == replace(Sample(), **{full: 4.0})
 
 
@@ -79,7 +79,7 @@ def test_texts_that_are_refused(texts: dict[str, str], message: str) -> None:
         ({"length_m": 1.0936132983377}, "length_m 1.0936132983377: write at most 6 decimals, as 1.093613"),
     ],
 )
-def test_values_of_another_kind_are_refused(values: dict[str, object], message: str) -> None:
+def test_values_of_another_type_are_refused(values: dict[str, object], message: str) -> None:
     with pytest.raises(ValueError) as error:
         Sample(**values)
     assert str(error.value) == message
@@ -102,7 +102,7 @@ def test_each_limit_of_each_parameter_holds(method: str) -> None:
 
 
 @pytest.mark.parametrize("method", METHODS)
-def test_each_parameter_says_what_it_is_and_names_a_source_that_people_can_find(method: str) -> None:
+def test_each_parameter_has_help_and_a_source_that_people_can_find(method: str) -> None:
     for spec in fields(METHODS[method].params):
         assert spec.metadata["help"]
         assert not spec.metadata["source"][:1].isdigit(), spec.name
@@ -142,7 +142,7 @@ def test_a_field_like_that_of_another_method() -> None:
 
 @pytest.mark.parametrize("name", METHODS)
 def test_the_table_of_a_method_names_its_parameters_and_their_defaults(name: str) -> None:
-    """In the docstring of its module; names after the first of a row may be cut to their last part."""
+    """The table in the module's docstring; names after the first of a row may be cut to their last part."""
     params = METHODS[name].params
     table = str(sys.modules[params.__module__].__doc__)
     bases = [base for base in params.__mro__[1:] if base in (Progressive, Classic)]

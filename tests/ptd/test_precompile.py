@@ -1,4 +1,4 @@
-"""What is compiled before a run starts."""
+"""Compilation before a run starts."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ from ptd.precompile import filters_name, warm_filters, warm_gridding
 
 @pytest.fixture
 def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """Where it is noted; the machine code stays where it is."""
+    """The folder of the marks; the machine code stays in its place."""
     monkeypatch.setattr(precompile, "cache_folder", lambda: tmp_path)
     return tmp_path
 
 
 @pytest.mark.parametrize("method", METHODS)
 def test_every_method_gets_through_the_scene(method: str, folder: Path) -> None:
-    """A refusal on the way would leave the kernels of later passes to the workers."""
+    """A refusal would leave the kernels of later passes to the workers."""
     told: list[str] = []
     for _ in range(2):
         warm_filters(method, lambda: told.append(method))
@@ -37,10 +37,10 @@ def test_every_method_gets_through_the_scene(method: str, folder: Path) -> None:
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_the_scene_is_taken_for_what_is_wanted(
+def test_the_scene_is_recognised_as_the_requested_kind(
     kind: str, folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """Else the passes of the other kind would be compiled."""
+    """Otherwise the passes of the other kind would be compiled."""
     done: list[dict[str, Any]] = []
     real = api.do_passes
     monkeypatch.setattr(api, "do_passes", lambda *given: done.append(real(*given)[1]))
@@ -58,7 +58,7 @@ def test_gridding(interpolation: str, folder: Path) -> None:
     assert told == [interpolation]
 
 
-def test_without_a_place_to_keep_it_nothing_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_a_folder_nothing_is_compiled(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(precompile, "cache_folder", lambda: None)
     monkeypatch.setattr(precompile, "_scene", lambda: pytest.fail("compiled for nothing"))
     told: list[str] = []
@@ -67,7 +67,7 @@ def test_without_a_place_to_keep_it_nothing_is_done(monkeypatch: pytest.MonkeyPa
 
 
 def test_another_installation_has_a_folder_of_its_own(tmp_path: Path) -> None:
-    """numba keeps code by the place of its source: what one has compiled is not the other's."""
+    """numba keeps code by the location of its source, so installations do not share it."""
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": ""}
     folders = set()
     for place in (tmp_path / "one", tmp_path / "twin"):
@@ -77,3 +77,16 @@ def test_another_installation_has_a_folder_of_its_own(tmp_path: Path) -> None:
         told = [sys.executable, "-c", "from ptd.kernel import cache_folder; print(cache_folder())"]
         folders.add(subprocess.run(told, cwd=place, env=environment, check=True, capture_output=True).stdout)
     assert len(folders) == 2
+
+
+def test_a_run_that_compiles_says_why(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path / "tiler-kernels" / "mine"
+    folder.mkdir(parents=True)
+    monkeypatch.setattr(precompile, "cache_folder", lambda: folder)
+    assert "the first run that keeps its machine code" in precompile.why_not_compiled("auto-dim")
+    (folder.parent / "other").mkdir()
+    assert "another version or installation" in precompile.why_not_compiled("auto-dim")
+    (folder / "auto-lidar.compiled").touch()
+    assert "needs those of auto-dim" in precompile.why_not_compiled("auto-dim")
+    monkeypatch.setattr(precompile, "cache_folder", lambda: None)
+    assert "each process compiles" in precompile.why_not_compiled("auto-dim")

@@ -1,4 +1,4 @@
-"""A method over tiles without a store: what `tiler.filter` does, in memory, to compare with the one-tile run."""
+"""A method over tiles without a store: `tiler.filter` in memory, for comparison with the untiled run."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ def classify_tiled(
     sigma_m: float | None = None,
     kind: str | None = None,
 ) -> tuple[np.ndarray, np.ndarray, dict[str, Any]]:
-    """Labels, marks and the last state; ``tile_m`` None: the cloud as one window with nothing beyond it.
+    """Labels, marks and the last state. With ``tile_m`` None the cloud is one window with nothing beyond it.
 
-    Windows are core and halo, widened to whole cells of `align_m`, and by `margin_m`; their sides are open where the
-    cloud ends. A pass with a fixed reach sees just that around a core. As in `tiler.filter`, a pass sees one candidate
-    per `candidate_cell_m` unless it wants every point, and a marked label in the window of a pass that reads labels
-    marks the whole core. Elected points of a core are those of its bounds; a pass on such points that is not the last
-    labels them.
+    Windows are core and halo, widened to whole cells of `align_m`, and by `margin_m`; their sides are open at the end
+    of the cloud. A pass with a fixed reach sees exactly that reach around a core. As in `tiler.filter`, a pass sees one
+    candidate per `candidate_cell_m` unless it needs every point. A marked label in the window of a pass that reads
+    labels marks the whole core. Elected points of a core are those within its bounds; a pass on such points labels
+    them, unless it is the last.
     """
     n = len(points)
     labels, marks = np.zeros(n, np.uint8), np.zeros(n, bool)
@@ -62,7 +62,8 @@ def classify_tiled(
             if params.candidate_cell_m and not step.every_point and not step.elected:
                 x, y, z = (np.ascontiguousarray(c) for c in points.xyz[:, seen])
                 seen = seen[lowest_per_cell(x, y, z, Cells.of(params.candidate_cell_m, scale))]
-            model = step.fit((sees if step.elected else given).take(seen), window, core, scale, state)
+            local = step.local(state, window, scale)
+            model = step.fit((sees if step.elected else given).take(seen), window, core, scale, local)
             partials.append(model.partial())
             if step.elects:
                 made.append(Points(model.elect(core)))

@@ -1,4 +1,4 @@
-"""A small coloured town as image matching sees it: roofs, facades, crowns without ground below, lawns and cars."""
+"""A small coloured town as in image matching: roofs, facades, crowns without ground below, lawns and cars."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ HOUSE, CAR, TREE = 6, 1, 5
 
 @dataclass(frozen=True)
 class Town:
-    """Points, and what they are: 2 ground, 3 lawn (ground, but green), 1 car, 5 tree, 6 house."""
+    """Points and their truth: 2 ground, 3 lawn (green ground), 1 car, 5 tree, 6 house."""
 
     points: Points
     truth: np.ndarray
@@ -30,7 +30,7 @@ def ground(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 
 
 def town(seed: int = 1, side: float = 120.0, density: float = 12.0, podium: bool = False) -> Town:
-    """Houses of 8 m in blocks of 30 m, a tree, a lawn and a car in each; one house on a podium of 3 m."""
+    """Blocks of 30 m, each with a house of 8 m, a tree, a lawn and a car; one house stands on a podium of 3 m."""
     rng = np.random.default_rng(seed)
     n = int(density * side**2)
     x, y = rng.random((2, n)) * side

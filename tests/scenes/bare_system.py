@@ -53,4 +53,5 @@ def bare_import(
     return BARE.get(name) or found(name, globals, locals, fromlist, level)
 
 
-builtins.__import__ = bare_import
+if __name__ in ("sitecustomize", "bare_system"):  # and not where a test imports this module to find its file
+    builtins.__import__ = bare_import

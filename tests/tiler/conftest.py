@@ -87,6 +87,21 @@ def _fill(cloud: laspy.LasData, n: int, rng: np.random.Generator) -> None:
         cloud.points.array["gps_time"][:1] = np.nan
 
 
+def without_sensor(las: laspy.LasData) -> None:
+    """Take away all that shows a sensor; places, classes and colours stay."""
+    for name in (
+        "intensity",
+        "number_of_returns",
+        "scan_angle_rank",
+        "point_source_id",
+        "edge_of_flight_line",
+    ):
+        las[name][:] = 0
+    las.scan_direction_flag[:] = 0
+    if "gps_time" in las.point_format.dimension_names:
+        las.gps_time[:] = 0
+
+
 @pytest.fixture
 def make_cloud(tmp_path: Path) -> MakeCloud:
     """A function that writes a cloud of random records and returns its path."""

@@ -141,3 +141,39 @@ def ftp_server(folder: Path) -> Iterator[str]:
     handler = type("Handler", (_Ftp,), {"folder": folder})
     with _serving(Server(("127.0.0.1", 0), handler)) as address:
         yield f"ftp://{USER}:p%2Fw%401@{address}"
+
+
+@contextlib.contextmanager
+def stalling_server(parts: int = 0) -> Iterator[str]:
+    """URL below which each file has a size, but a request for one gets headers and ``parts`` bytes, ten a second."""
+    ended = threading.Event()
+
+    class Handler(http.server.BaseHTTPRequestHandler):
+        protocol_version = "HTTP/1.1"
+
+        def do_HEAD(self) -> None:
+            self.send_response(200)
+            self.send_header("Content-Length", "1000")
+            self.end_headers()
+
+        def do_GET(self) -> None:
+            self.do_HEAD()
+            for _ in range(parts):
+                self.wfile.write(b" ")
+                ended.wait(0.1)
+            ended.wait()
+
+        def log_message(self, *_: Any) -> None:
+            pass
+
+    class Server(http.server.ThreadingHTTPServer):
+        daemon_threads = True
+
+        def handle_error(self, *_: Any) -> None:
+            """Clients close when they have waited enough."""
+
+    with _serving(Server(("127.0.0.1", 0), Handler)) as address:
+        try:
+            yield f"http://{address}"
+        finally:
+            ended.set()

@@ -17,6 +17,7 @@ from urllib.parse import unquote
 import laspy
 import numpy as np
 import pytest
+import rasterio
 from pyproj import CRS
 
 import ptd.api
@@ -25,6 +26,8 @@ from tests.integration.command import environment
 
 SIDE = 43
 PLAIN = {"method": "classic", "resolution": 2, "workers": 1, "water": "none"}
+USES_OLD_AFFINE = pytest.mark.filterwarnings("ignore:Use `@` matmul:PendingDeprecationWarning")
+"""rioxarray for Python 3.11 multiplies transforms as affine 2 did."""
 EXAMPLES = [
     test for module in (tiler.api, ptd.api) for test in doctest.DocTestFinder().find(module) if test.examples
 ]
@@ -57,7 +60,7 @@ def here(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 def in_process(monkeypatch: pytest.MonkeyPatch) -> None:
     """No processes beside this one: they take seconds to start."""
     read = tiler.api._settings
-    monkeypatch.setattr("tiler.api._settings", lambda config: read(config).updated(in_process=True))
+    monkeypatch.setattr("tiler.api._settings", lambda *given: read(*given).updated(in_process=True))
     monkeypatch.setattr(
         "tiler.apps.check.measuring.read_apart", lambda function, *arguments, **limits: function(*arguments)
     )
@@ -152,6 +155,66 @@ def test_a_run_tells_and_shows(
     assert "<b>out" not in result._repr_html_()
 
 
+def test_settings_are_keywords_too() -> None:
+    read = tiler.api._settings
+    mixed = read({"method": "classic"}, {"resolution": 0.5, "crs": 2154})
+    assert mixed == tiler.api.RunConfig.from_mapping(
+        {"method": "classic", "resolution": "0.5", "crs": "EPSG:2154"}
+    )
+    assert read(mixed, {"resolution": "2"}) == mixed.updated(resolution=2)
+
+
+@USES_OLD_AFFINE
+def test_the_terrain_as_an_array(in_process: None) -> None:
+    pytest.importorskip("rioxarray")
+    result = tiler.api.run("clouds", "array", PLAIN)
+    with rasterio.open(result.files["dtm.tif"]) as raster:
+        band = raster.read(1, masked=True).filled(np.nan)
+        bounds = raster.bounds
+    array = result.dtm()
+    assert array.dims == ("y", "x")
+    assert array.dtype == np.float32
+    np.testing.assert_array_equal(array.values, band)
+    assert array.rio.crs.to_epsg() == 25832
+    assert array.rio.bounds() == pytest.approx(tuple(bounds))
+
+
+@USES_OLD_AFFINE
+def test_the_terrain_of_sheets_is_one_array(in_process: None) -> None:
+    pytest.importorskip("rioxarray")
+    whole = tiler.api.run("clouds", "array", PLAIN).dtm()
+    cut = tiler.api.run("clouds", "cut", PLAIN, sheets=20).dtm()
+    np.testing.assert_array_equal(cut.sel(x=whole.x, y=whole.y).values, whole.values)
+
+
+def test_no_terrain_no_array(in_process: None) -> None:
+    pytest.importorskip("rioxarray")
+    result = tiler.api.run("clouds", "steep", PLAIN, products="slope")
+    with pytest.raises(tiler.api.ConfigError, match="has no terrain; run with the product dtm"):
+        result.dtm()
+
+
+def test_without_rioxarray_the_remedy_is_named(in_process: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    result = tiler.api.run("clouds", "array", PLAIN)
+    monkeypatch.setitem(sys.modules, "rioxarray", None)
+    with pytest.raises(tiler.api.ConfigError, match="pip install"):
+        result.dtm()
+
+
+def test_true_shows_progress_on_stderr(in_process: None, capsys: pytest.CaptureFixture[str]) -> None:
+    tiler.api.run("clouds", "seen", PLAIN, progress=True)
+    assert "no vertical CRS" in capsys.readouterr().err
+    tiler.api.run("clouds", "unseen", PLAIN)
+    assert capsys.readouterr().err == ""
+
+
+def test_an_open_store_says_what_it_holds(in_process: None) -> None:
+    tiler.api.run("clouds", "held", PLAIN, until="ingest")
+    text = repr(tiler.api.open_store("held/store.zarr"))
+    assert f"{SIDE * SIDE:,} points in 1 buckets, ETRS89 / UTM zone 32N" in text
+    shutil.rmtree("held/store.zarr")
+
+
 def test_a_classified_cloud_and_a_check_show(in_process: None) -> None:
     classified = tiler.classify("clouds/a.las", "shown.laz", PLAIN)
     assert f'<td class="number">{classified.classes[2]:,}</td>' in classified._repr_html_()
@@ -183,6 +246,22 @@ def test_a_filter_shows_what_it_decided() -> None:
         (lambda: tiler.classify("none.laz", "b.laz"), "none.laz: no such file"),
         (lambda: tiler.check("none.tif", "checkpoints.csv"), "none.tif: cannot be read"),
         (lambda: tiler.open_store("none"), "none: no tile store here"),
+        (
+            lambda: tiler.run(b"clouds", "o"),
+            "inputs: b'clouds' is bytes, no path; give a str or a pathlib.Path",
+        ),
+        (lambda: tiler.run(None, "o"), "inputs: None is NoneType, no path"),
+        (lambda: tiler.run(["clouds", 7], "o"), "inputs: 7 is int, no path"),
+        (lambda: tiler.run("a\0.laz", "o"), "inputs: 'a\\x00.laz' holds a NUL character"),
+        (lambda: tiler.run("clouds", None), "out: None is NoneType, no path"),
+        (lambda: tiler.run("clouds", b"o"), "out: b'o' is bytes, no path"),
+        (lambda: tiler.run("clouds", "o\0"), "out: 'o\\x00' holds a NUL character, which no path can"),
+        (lambda: tiler.run("clouds", "o", 5), "config: 5 is int, no mapping; give a dict of settings"),
+        (lambda: tiler.run("clouds", "o", {"store": "a\0"}), "store 'a\\x00': holds a NUL character"),
+        (lambda: tiler.classify(None, "b.laz"), "source: None is NoneType"),
+        (lambda: tiler.classify("none.laz", "b\0.laz"), "target: 'b\\x00.laz' holds a NUL"),
+        (lambda: tiler.check("none.tif", b"points.csv"), "points: b'points.csv' is bytes"),
+        (lambda: tiler.open_store(None), "path: None is NoneType"),
     ],
 )
 def test_what_is_refused_is_one_line(call: Callable[[], object], line: str, in_process: None) -> None:
@@ -191,6 +270,30 @@ def test_what_is_refused_is_one_line(call: Callable[[], object], line: str, in_p
     assert str(refused.value).startswith(line)
     assert "\n" not in str(refused.value)
     assert refused.value.exit_code in (2, 3)
+
+
+CONFIGURATION = """
+import copy, logging, sys
+import dask, distributed, numcodecs.blosc, numpy, zarr
+
+def configuration():
+    levels = [logging.getLogger(name).level for name in (None, "distributed", "distributed.client")]
+    found = dask.config.config, zarr.config.config, sys.path, levels, numpy.geterr(), numcodecs.blosc.use_threads
+    return copy.deepcopy(found)
+
+before = configuration()
+import tiler
+result = tiler.run("clouds", "configured", {"method": "classic", "resolution": 2, "workers": 1})
+assert result.exit_code == 0
+assert configuration() == before
+"""
+
+
+def test_a_run_leaves_the_configuration_of_libraries_as_it_was() -> None:
+    made = subprocess.run(
+        [sys.executable, "-c", CONFIGURATION], capture_output=True, text=True, check=False, env=environment()
+    )
+    assert (made.returncode, made.stderr) == (0, "")
 
 
 @pytest.mark.slow

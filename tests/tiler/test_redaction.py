@@ -1,4 +1,4 @@
-"""What terminals, logs and files get of a text."""
+"""Text for terminals, logs and files, without secrets."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from tiler.store.storage import Storage
             "headers=<D('Authorization': ..., 'A': 'b')>",
         ),
         ("authorization: Bearer abc.def-g_h\nHost: h", "authorization: ...\nHost: h"),
-        # Nothing that is no secret is lost.
+        # Text that is no secret stays.
         ("s3://bucket/a@b.laz: gone", "s3://bucket/a@b.laz: gone"),
         ("http://[::1]:80/x@y", "http://[::1]:80/x@y"),
         (
@@ -59,25 +59,25 @@ def test_values_are_stripped_whole() -> None:
     }
 
 
-def test_what_is_not_printable_is_written_as_escapes() -> None:
+def test_characters_that_are_not_printable_become_escapes() -> None:
     assert (
         printable("a\nb \x1b[2J gr\udcfcn gr\u00fcn \u202e") == "a\\nb \\x1b[2J gr\\udcfcn gr\u00fcn \\u202e"
     )
     assert shown("\x9b1m http://a:b@c") == "\\x9b1m http://c"
 
 
-def test_errors_hold_no_secret_from_the_beginning() -> None:
+def test_an_error_never_holds_a_secret() -> None:
     assert str(InputError("http://a:b@c/x?t=1: gone")) == "http://c/x: gone"
     damaged = DamagedError("http://a:b@c/store: k: damaged", ("k",))
     assert (str(damaged), damaged.keys) == ("http://c/store: k: damaged", ("k",))
 
 
-def test_another_token_is_no_other_digest() -> None:
+def test_another_token_does_not_change_the_digest() -> None:
     assert digest_of(["http://a:b@c/x?t=1"]) == digest_of(["http://a:z@c/x?t=2"])
     assert digest_of(["http://c/x"]) != digest_of(["http://c/y"])
 
 
-def test_what_opens_a_url_keeps_its_secrets() -> None:
+def test_the_path_of_a_url_keeps_its_secrets() -> None:
     pytest.importorskip("upath")
     url = "http://anna:pw@host/town.laz?token=t"
     assert location(cloud_path(url)) == url

@@ -1,1 +1,1 @@
-"""Commands that are not the pipeline itself: each uses it, or reads what it wrote."""
+"""Commands beside the pipeline, which use it or read its results."""

@@ -1,4 +1,4 @@
-"""Sums by cell, for figures that are gathered piece by piece."""
+"""Sums by cell, for figures that are collected piece by piece."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Figure = TypeVar("Figure", np.int64, np.float64)
 
 
 def summed(cells: Cells, sums: npt.NDArray[Figure]) -> tuple[Cells, npt.NDArray[Figure]]:
-    """Each cell once, sorted by the last row, then the one before, with the sums of its figures.
+    """The distinct cells, sorted by the last row, then the row before it, with the sums of their figures.
 
     Parameters
     ----------

@@ -1,29 +1,51 @@
-"""One file in, one file out: the job up to the labels, in a scratch store that is gone afterwards."""
+"""Classifies one file or many: the job up to the labels, in a temporary store."""
 
 from __future__ import annotations
 
+import glob
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
 
 from tiler.config import RunConfig
-from tiler.errors import ConfigError
+from tiler.core.classes import sum_by_class
+from tiler.core.lattice import Cell
+from tiler.errors import ConfigError, ProcessingError, TilerError
 from tiler.export import WriteClassified, write_classified
+from tiler.export.tasks.class_counts import kept_text
+from tiler.export.tasks.files import kept_pieces
 from tiler.filter import LABELS
-from tiler.ingest import inspect, inspect_guarded, read_guarded
-from tiler.io.locations import cloud_path, is_url, state_at
+from tiler.ingest.tasks.points import Source, by_source
+from tiler.inputs import find_inputs, inspect, inspect_guarded, read_guarded
+from tiler.io.locations import cloud_path, is_url, location, state_at
 from tiler.io.overwrite_check import Target, check_targets
 from tiler.io.result_folder import COPC_SUFFIX, STORE
 from tiler.observe.events import Listener, silent
 from tiler.pipeline import run
-from tiler.plan import KEEP
-from tiler.schedule import Guard
-from tiler.stages.file_tasks import kept_pieces
-from tiler.store import open_store
+from tiler.plan import KEEP, Plan
+from tiler.redaction import without_secrets
+from tiler.schedule import Guard, Guards
+from tiler.store import TileStore, open_store
 
+SUFFIXES = (".laz", ".las")
+"""Suffixes of classified files."""
 ONE_WORKER_POINTS = 1_000_000
-"""Below this a second worker costs more to start than it takes off the first."""
+"""Number of points below which starting a second worker costs more than it saves."""
+
+
+def is_one_file(sources: Sequence[str], target: str) -> bool:
+    """Whether sources and target ask for a single classified file, not for a folder of files."""
+    if len(sources) != 1 or Path(target).is_dir() or not Path(target).suffix:
+        return False
+    source = sources[0]
+    if is_url(source):
+        return True
+    is_glob = glob.has_magic(source) and not os.path.lexists(source)
+    return not (is_glob or Path(source).is_dir())
 
 
 def classify_file(
@@ -31,23 +53,23 @@ def classify_file(
 ) -> dict[str, Any]:
     """Classify one LAS or LAZ file: same points, same order, new classes.
 
-    A file without a CRS is taken to be in metres, which is noted.
+    A file without a CRS is assumed to be in metres, and a note says so.
 
     Parameters
     ----------
     source, target : path
-        The target is LAZ, LAS or, as ``.copc.laz``, COPC, where points are not in the order of the source; it
-        appears under its name only when it is whole.
+        The suffix of the target says LAZ, LAS or (``.copc.laz``) COPC, in which points have another order. The target
+        appears under its name once it is complete.
     config : RunConfig
     listener : callable
-        Told what happens, see `tiler.observe.events`.
+        Receives events, see `tiler.observe.events`.
 
     Returns
     -------
     dict
-        ``points``, ``changed``, ``classes`` (class to points), ``bytes``, ``notes``, ``seconds``, ``method``,
-        ``parameters``, ``tiles``, ``marked``, and ``failed_tasks``, as run.json lists them: the points of these keep
-        the classes of the source.
+        ``points``, ``changed``, ``classes`` (points by class), ``kept`` (points that are neither ground nor noise and
+        keep their class, by class), ``bytes``, ``notes``, ``seconds``, ``method``, ``parameters``, ``tiles``,
+        ``marked``, and ``failed_tasks`` as in run.json. Points of failed tasks keep the classes of the source.
 
     Raises
     ------
@@ -55,22 +77,171 @@ def classify_file(
     """
     if is_url(target):
         raise ConfigError(f"{target}: one file is written here; name a file, `tiler run` writes to URLs")
-    source, target, config = cloud_path(source), Path(target), config or RunConfig()
-    if config.method == KEEP:
-        raise ConfigError(
-            "--method keep changes no class; `tiler run --method keep` grids what the input brings"
-        )
-    check_targets([Target("", target, (".laz", ".las"))], [source])
+    source = cloud_path(source)
+    target = Path(target)
+    config = _checked(config)
+    check_targets([Target("", target, SUFFIXES)], [source])
     if state_at(str(source)) is None:
         raise ConfigError(f"{source}: no such file; name a LAS or LAZ file")
     with Guard() as guard:
         return _classify(guard, source, target, config, listener)
 
 
+def classify_files(
+    sources: Sequence[str], folder: str | Path, config: RunConfig | None = None, listener: Listener = silent
+) -> dict[str, Any]:
+    """Classify many LAS or LAZ files into a folder; each file is seen with its neighbours, as in a run.
+
+    Parameters
+    ----------
+    sources : sequence of str
+        Files, folders, globs and virtual point clouds.
+    folder : path
+        Each file gets the name of its source there, with the suffix ``.laz``; the folder is made if it is not there.
+        A file of that name is replaced, unless it is a source.
+    config : RunConfig
+    listener : callable
+        Receives events, see `tiler.observe.events`.
+
+    Returns
+    -------
+    dict
+        As of `classify_file`, summed up over the files; ``files`` is their number, and ``quarantined`` lists files that
+        were left out, or could not be written, as in run.json.
+
+    Raises
+    ------
+    TilerError
+    """
+    if is_url(folder):
+        raise ConfigError(f"{folder}: files are written here; name a folder, `tiler run` writes to URLs")
+    folder = Path(folder)
+    if folder.suffix.lower() in SUFFIXES:
+        raise ConfigError(f"{folder}: several clouds are classified into a folder; name a folder")
+    _refuse_own_inputs(sources, folder)
+    config = _checked(config).updated(classified="laz")
+    with _scratch_beside(folder / "file", config) as (scratch, settings):
+        result = run(list(sources), scratch, settings, listener, until="filter")
+        store = open_store(str(Path(scratch) / STORE))
+        targets = {path: folder / name for path, name in result.plan.names.items()}
+        check_targets([Target("", target) for target in targets.values()], targets)
+        works = list(_works(store, result.plan, targets))
+        for work in works:
+            Path(work.out).parent.mkdir(parents=True, exist_ok=True)
+        with Guards(result.plan.workers) as guards:
+            made = guards.each(lambda guard, work: _written(guard, store.url, work, config), works)
+            records, failed = _records(works, made)
+    if not records:
+        raise ProcessingError(f"no file could be written; the first: {failed[0]['error']}")
+    kept, classes = sum_by_class(r["kept"] for r in records), sum_by_class(r["classes"] for r in records)
+    if text := kept_text(kept, result.summary["classes"]["no_part"]):
+        listener("note", {"text": text})
+    written = {name: sum(record[name] for record in records) for name in ("points", "changed", "bytes")}
+    notes = dict.fromkeys(note for record in records for note in record["notes"])
+    return {
+        "files": len(records),
+        **written,
+        "classes": classes,
+        "kept": kept,
+        "notes": list(notes),
+        **_facts(result.summary, config),
+        "quarantined": [*result.summary["quarantined"], *failed],
+    }
+
+
+def _refuse_own_inputs(sources: Sequence[str], folder: Path) -> None:
+    """Raise ConfigError where the folder would replace inputs, or feed its files to the next call."""
+    paths = find_inputs(sources)
+    check_targets([Target("", folder / path.name) for path in paths if not is_url(path)], paths)
+    for source in (Path(source) for source in sources if not is_url(source)):
+        if source.is_dir() and folder.resolve().is_relative_to(source.resolve()):
+            raise ConfigError(f"{folder}: lies in {source}, which holds the inputs; name another folder")
+
+
+def _records(
+    works: Sequence[WriteClassified], made: Iterable[Callable[[], dict[str, Any]]]
+) -> tuple[list[dict[str, Any]], list[dict[str, str]]]:
+    """Records of the files that were written, and path and error of the others."""
+    records, failed = [], []
+    for work, record in zip(works, made, strict=True):
+        try:
+            records.append(record())
+        except TilerError as error:
+            failed.append({"path": work.path, "error": str(error)})
+    return records, failed
+
+
+def _works(store: TileStore, plan: Plan, targets: Mapping[Path, Path]) -> Iterator[WriteClassified]:
+    """A file to write for each source that was decoded."""
+    spooled, buckets = store.committed("spool"), store.buckets()
+    numbers, pieces, records = store.get_state("sources") or {}, kept_pieces(spooled), by_source(spooled)
+    for info in plan.sources:
+        known = numbers.get(without_secrets(location(info.path)))
+        if known is None:
+            continue
+        name = Source(info, known["number"], "").name
+        if name not in pieces:
+            continue
+        touched = {Cell(ix, iy) for record in records[name] for ix, iy, _ in record["buckets"]}
+        yield WriteClassified(
+            path=location(info.path),
+            source=known["number"],
+            out=str(targets[info.path]),
+            labels=LABELS,
+            cells=tuple(sorted(touched & buckets.keys())),
+            salvage=plan.config.salvage,
+            reclass=plan.config.reclass,
+            stamp=info.stamp,
+            pieces=tuple(pieces[name]),
+            wkt=None if info.has_crs else store.meta.frame.crs_wkt,
+        )
+
+
+def _checked(config: RunConfig | None) -> RunConfig:
+    config = config or RunConfig()
+    if config.method == KEEP:
+        raise ConfigError(
+            "--method keep changes no class; `tiler run --method keep` grids what the input brings"
+        )
+    return config
+
+
+@contextmanager
+def _scratch_beside(target: Path, config: RunConfig) -> Iterator[tuple[str, RunConfig]]:
+    """A temporary folder beside a target, and the settings of a run that leaves its store there."""
+    try:
+        target.parent.mkdir(parents=True, exist_ok=True)
+        folder = TemporaryDirectory(prefix=".tiler-", dir=target.parent)
+    except OSError as error:
+        raise ConfigError(
+            f"{target}: its folder cannot be made or written ({error.strerror}); name another"
+        ) from error
+    with folder as scratch:
+        yield scratch, config.updated(store=None)
+
+
+def _facts(summary: Mapping[str, Any], config: RunConfig) -> dict[str, Any]:
+    """Facts of the run that are told beside those of the files."""
+    return {
+        "seconds": summary["seconds"],
+        "method": config.method,
+        "parameters": summary["plan"]["parameters"],
+        "tiles": summary["filter"]["tiles"],
+        "marked": summary["filter"]["marked"],
+        "failed_tasks": summary["failed_tasks"],
+    }
+
+
+def _written(guard: Guard, store_url: str, work: WriteClassified, config: RunConfig) -> dict[str, Any]:
+    """Write a file in a child process, which may crash: it decodes fields that were not needed before."""
+    if config.in_process:
+        return write_classified(store_url, work)
+    return read_guarded(guard, _write, cloud_path(work.path), store_url, work)
+
+
 def _classify(
     guard: Guard, source: Path, target: Path, config: RunConfig, listener: Listener
 ) -> dict[str, Any]:
-    """`classify_file`, once it is known that it can work."""
     info = (
         inspect(source, config.salvage)
         if config.in_process
@@ -83,44 +254,17 @@ def _classify(
         config = config.updated(crs="none")
     if config.workers is None and info.points < ONE_WORKER_POINTS:
         config = config.updated(workers=1)
-    try:
-        target.parent.mkdir(parents=True, exist_ok=True)
-        folder = TemporaryDirectory(prefix=".tiler-", dir=target.parent)
-    except OSError as error:
-        raise ConfigError(
-            f"{target}: its folder cannot be made or written ({error.strerror}); name another"
-        ) from error
-    with folder as scratch:
-        config = config.updated(store=None)
-        summary = run([str(source)], scratch, config, listener, until="filter", known=[info]).summary
+    with _scratch_beside(target, config) as (scratch, settings):
+        result = run([str(source)], scratch, settings, listener, until="filter", known=[info])
         store = open_store(str(Path(scratch) / STORE))
-        work = WriteClassified(
-            path=str(source),
-            source=0,
-            out=str(target),
-            labels=LABELS,
-            cells=tuple(store.buckets()),
-            salvage=config.salvage,
-            stamp=info.stamp,
-            pieces=tuple(*kept_pieces(store.committed("spool")).values()),
-            copc=target.name.lower().endswith(COPC_SUFFIX),
-        )
-        if config.in_process:
-            record = write_classified(store.url, work)
-        else:  # other fields of the records are decoded now, which may crash where the coordinates did not
-            record = read_guarded(guard, _write, source, store.url, work)
-    written = {name: record[name] for name in ("points", "changed", "classes", "bytes", "notes")}
-    return {
-        **written,
-        "seconds": summary["seconds"],
-        "method": config.method,
-        "parameters": summary["plan"]["parameters"],
-        "tiles": summary["filter"]["tiles"],
-        "marked": summary["filter"]["marked"],
-        "failed_tasks": summary["failed_tasks"],
-    }
+        (work,) = _works(store, result.plan, {info.path: target})
+        copc = target.name.lower().endswith(COPC_SUFFIX)
+        record = _written(guard, store.url, replace(work, copc=copc), config)
+    if text := kept_text(record["kept"], result.summary["classes"]["no_part"]):
+        listener("note", {"text": text})
+    written = {name: record[name] for name in ("points", "changed", "classes", "kept", "bytes", "notes")}
+    return {**written, **_facts(result.summary, config)}
 
 
 def _write(source: Path, store_url: str, work: WriteClassified) -> dict[str, Any]:
-    """`write_classified` with the file that it reads as its first argument."""
     return write_classified(store_url, replace(work, path=str(source)))

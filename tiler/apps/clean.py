@@ -1,4 +1,4 @@
-"""`tiler clean`: removes what a run left behind and no later one needs."""
+"""`tiler clean`: remove files of earlier runs that no later run needs."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from tiler.store import locked_folder, open_store
 
 
 def clean(out: str | Path, store_url: str | None = None) -> dict[str, Any]:
-    """Remove scratch and spool of a finished or broken run; the next run finds everything else done.
+    """Remove scratch and spool of a finished or broken run; the next run finds all other work done.
 
-    Kept are the points, the labels of all passes, the rasters and what is done. A run that later has to assemble
-    buckets anew, as for one more file, decodes again the pieces that touch them, and those alone.
+    The points, the labels of all passes, the rasters and the records of finished tasks stay. If a later run has to
+    assemble buckets again, for example for a further file, it decodes only the pieces that touch them.
 
     Parameters
     ----------
     out : path or URL
-        The run's folder.
+        Folder of the run.
     store_url : str, optional
-        Where its store lies; default: as its ``run.json`` says, else ``store.zarr`` in the folder.
+        Location of its store; by default the one in its ``run.json``, or ``store.zarr`` in the folder.
 
     Returns
     -------
@@ -35,23 +35,29 @@ def clean(out: str | Path, store_url: str | None = None) -> dict[str, Any]:
     Raises
     ------
     ConfigError
-        No such folder.
+        If there is no such folder.
     StoreError
-        It has no store.
+        If it has no store.
     LockedError
-        A run is at work on the folder or its store.
+        If a run is at work on the folder or its store.
     """
-    place = str(out) if is_url(out) else str(Path(out).resolve())
-    if not (is_url(out) or Path(out).is_dir()):
-        raise ConfigError(f"{out}: no such folder; name the OUT of a run")
-    configured = (read_run(place) or {}).get("configuration")
-    named = configured.get("store") if isinstance(configured, dict) else None
-    store = open_store(str(store_url or named or joined(place, STORE)))
+    place = str(out)
+    if not is_url(out):
+        place = str(Path(out).resolve())
+        if not Path(out).is_dir():
+            raise ConfigError(f"{out}: no such folder; name the OUT of a run")
+    if not store_url:
+        configured = (read_run(place) or {}).get("configuration")
+        if isinstance(configured, dict):
+            store_url = configured.get("store")
+    store = open_store(str(store_url or joined(place, STORE)))
     with locked_folder(place), store.lock():
         before = store.usage()
         store.tidy()
         after = store.usage()
-        scratch = [] if is_url(out) else list(_scratch(Path(out)))  # objects appear whole
+        scratch = []
+        if not is_url(out):  # objects at a URL appear whole
+            scratch = list(_scratch(Path(out)))
         sizes = [path.stat().st_size for path in scratch]
         for path in scratch:
             path.unlink(missing_ok=True)
@@ -64,7 +70,7 @@ def clean(out: str | Path, store_url: str | None = None) -> dict[str, Any]:
 
 
 def _scratch(out: Path) -> Iterator[Path]:
-    """Files that killed writes left, by the names that tiler gives them, in the folders into which it writes."""
+    """Unfinished files of killed runs, recognised by their names, in the folders into which runs write."""
     if read_run(str(out)) is None:
         return
     folders = {out, *((out / path).parent for path in earlier_outputs(out, str(out.resolve())))}

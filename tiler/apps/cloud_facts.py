@@ -1,4 +1,4 @@
-"""What a cloud holds, as plain facts; imported where a cloud is described."""
+"""Facts about a cloud. Only commands that describe clouds import this module."""
 
 from __future__ import annotations
 
@@ -12,29 +12,41 @@ import numpy.typing as npt
 from tiler.core.classes import SYNTHETIC_FLAG, WITHHELD_FLAG
 from tiler.core.crs import crs_name
 from tiler.core.units import unit_label
-from tiler.ingest import inspect
-from tiler.ingest.point_tiles import node_counts, read_point_tiles
+from tiler.inputs import inspect
+from tiler.inputs.point_tiles import node_counts, read_point_tiles
 from tiler.io.las.columns import class_and_flags, coordinate
 from tiler.io.las.headers import read_header
 from tiler.io.las.reader import NEEDED, PointReader
 
 _POINTS_PER_CELL = 16
+"""Mean number of points in a cell of the raster that measures the filled part of the extent."""
 _MOST_CELLS = 1024
-"""Mean points of a cell, and most cells along a side, of the raster that measures how much of the extent is filled."""
+"""Most cells along a side of that raster, so that it takes 8 MB at most."""
 
-_MAP_COLUMNS, _MAP_ROWS = 64, 24
-"""Size of the density map at most, in characters."""
+_MAP_COLUMNS = 64
+_MAP_ROWS = 24
+"""Largest size of the density map in characters, so that it fits a terminal of 80 x 24."""
 
 
 def describe_cloud(path: Path) -> dict[str, Any]:
-    """Facts of a LAS or LAZ file: its header as far as it is true, its units, density and classes."""
+    """Facts of a LAS or LAZ file: the correct parts of its header, its units, density and classes."""
     info = inspect(path)
     place = info.georeference
+    file_format = "LAS"
+    if info.compressed:
+        file_format = "LAZ"
+    if info.copc:
+        file_format += ", COPC"
+    horizontal, vertical = "unknown", "not declared"
+    if place.horizontal:
+        horizontal = unit_label(place.horizontal)
+    if place.vertical:
+        vertical = unit_label(place.vertical)
     facts = {
         "kind": "cloud",
         "path": str(path),
         "size_bytes": info.size,
-        "format": f"{'LAZ' if info.compressed else 'LAS'}{', COPC' if info.copc else ''}",
+        "format": file_format,
         "las_version": info.version,
         "point_format": info.point_format,
         "points": info.points,
@@ -42,8 +54,8 @@ def describe_cloud(path: Path) -> dict[str, Any]:
         "scales": list(info.scales),
         "crs": place.name or "none",
         "crs_kind": place.kind,
-        "horizontal_unit": unit_label(place.horizontal) if place.horizontal else "unknown",
-        "vertical_unit": unit_label(place.vertical) if place.vertical else "not declared",
+        "horizontal_unit": horizontal,
+        "vertical_unit": vertical,
     }
     metres = float(place.horizontal or 1)
     return {**facts, **_point_facts(path, info.bounds, metres), "notes": list(info.notes)}
@@ -82,23 +94,25 @@ def _point_facts(path: Path, bounds: tuple[float, ...] | None, metres: float) ->
 
 
 def describe_point_tiles(path: str) -> dict[str, Any]:
-    """Facts of an EPT data set, from its description and its hierarchy; its points are not read."""
+    """Facts of an EPT data set from its description and its hierarchy, without reading points."""
     tiles = read_point_tiles(path)
     counts = node_counts(tiles)
+    points = sum(counts.values())
     return {
         "kind": "cloud",
         "path": path,
         "format": "EPT",
-        "points": sum(counts.values()),
+        "points": points,
         "nodes": len(counts),
         "levels": max(key[0] for key in counts) + 1,
         "bounds": list(tiles.box((0, 0, 0))),
         "crs": crs_name(tiles.wkt),
+        "notes": tiles.other_total(points),
     }
 
 
 def density_map(counts: npt.NDArray[np.int64], cell_m: float) -> dict[str, Any]:
-    """Density in places as high as two are wide, which is how a terminal's characters are.
+    """Density in cells twice as high as wide, like the characters of a terminal.
 
     Parameters
     ----------
@@ -110,10 +124,12 @@ def density_map(counts: npt.NDArray[np.int64], cell_m: float) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``width_m`` and ``height_m`` of a place, ``per_m2``: rows from north to south of points per square metre.
+        ``width_m`` and ``height_m`` of a cell; ``per_m2``: rows of points per square metre, from north to south.
     """
     filled = np.argwhere(counts)
-    high, wide = filled.max(axis=0) + 1 if len(filled) else (1, 1)
+    high, wide = 1, 1
+    if len(filled):
+        high, wide = filled.max(axis=0) + 1
     times = max(math.ceil(wide / _MAP_COLUMNS), math.ceil(high / (2 * _MAP_ROWS)))
     rows, columns = math.ceil(high / (2 * times)), math.ceil(wide / times)
     padded = np.zeros((rows * 2 * times, columns * times), np.int64)

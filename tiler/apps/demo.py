@@ -1,4 +1,4 @@
-"""The demonstration: a simulated city through the whole job, scored against what is true."""
+"""The demonstration: the whole job on a simulated city, scored against the truth."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from tiler.report.html import write_report
 from tiler.simulate import demo_city, demo_files
 
 RESOLUTION_M = Fraction(1)
-"""Pixel of the true terrain, with which the DTM is compared pixel by pixel."""
+"""Pixel of the true terrain. The DTM is compared with it pixel by pixel."""
 
 
 MARK = ".tiler-demo"
-"""Empty file in OUT/input, made before the clouds."""
+"""Empty file in OUT/input that is made before the clouds."""
 
 
 @dataclass(frozen=True)
@@ -33,11 +33,11 @@ class DemoResult:
     Attributes
     ----------
     summary : dict
-        Of the run.
+        Summary of the run.
     classes, dtm : dict
-        As `tiler.apps.evaluate.evaluate_scenes` and `tiler.apps.evaluate.evaluate_dtm` give them.
+        Results of `tiler.apps.evaluate.evaluate_scenes` and `tiler.apps.evaluate.evaluate_dtm`.
     exit_code : int
-        Of the run.
+        Exit code of the run.
     """
 
     summary: dict[str, Any]
@@ -53,16 +53,16 @@ def run_demo(out: str | Path, seed: int, config: RunConfig, listener: Listener) 
     ----------
     out : path
     seed : int
-        Of the city; the same seed gives the same clouds, so that a second demo has nothing to do.
+        Seed of the city. The same seed gives the same clouds, so a second demo has nothing to do.
     config : RunConfig
-        Of the run, but for its resolution: the DTM gets that of the true terrain, 1 m.
+        Settings of the run. The resolution is replaced by that of the true terrain, 1 m.
     listener : Listener
-        Told what happens.
+        Receives events.
 
     Raises
     ------
     TilerError
-        As `tiler.pipeline.run` does; a file of these names that no demo made is not replaced.
+        If `tiler.pipeline.run` raises it, or a file that no demo made would be replaced.
     """
     out = Path(out)
     _refuse_foreign_files(out, config)
@@ -74,14 +74,15 @@ def run_demo(out: str | Path, seed: int, config: RunConfig, listener: Listener) 
         Scene(path.stem, out / CLASSIFIED / path.name, truth)
         for path, truth in zip(scene.paths, scene.truth_paths, strict=True)
     ]
-    classes, dtm = evaluate_scenes(labelled), evaluate_dtm(out / "dtm.tif", scene.dtm_path)
+    classes = evaluate_scenes(labelled)
+    dtm = evaluate_dtm(out / "dtm.tif", scene.dtm_path)
     write_measured(out, EVALUATION, {**classes, "dtm": dtm})
     write_report(out)
     return DemoResult(result.summary, classes, dtm, result.exit_code)
 
 
 def _refuse_foreign_files(out: Path, config: RunConfig) -> None:
-    """Raise ConfigError where files would be replaced that no demo made; what a demo began is marked as such."""
+    """Raise ConfigError if files that no demo made would be replaced; mark the folder as that of a demo."""
     mark = out / "input" / MARK
     wanted = [*demo_files(out / "input"), out / EVALUATION]
     there = [path for path in wanted if os.path.lexists(path)]

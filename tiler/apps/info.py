@@ -1,4 +1,4 @@
-"""What a cloud, a tile store, a result folder or a raster holds, as plain facts."""
+"""Facts about a cloud, a tile store, a result folder or a raster."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tiler.core.crs import crs_name
 from tiler.core.units import unit_label
 from tiler.errors import InputError, StoreError
 from tiler.io.json_text import read_object
-from tiler.io.locations import cloud_path, is_url, joined, state_at, without_query
+from tiler.io.locations import cloud_path, is_url, joined, state_at, storage_errors, without_query
 from tiler.io.result_folder import RUN, STORE, read_run
 
 if TYPE_CHECKING:
@@ -32,11 +32,11 @@ _RUN_FACTS = (
     "seconds",
     "peak_rss_bytes",
 )
-"""What the description of a result tells of its run.json; the rest is to be read there."""
+"""Facts from run.json in the description of a result; the file itself has the rest."""
 
 
 def describe(path: str) -> dict[str, Any]:
-    """Say what is at a place.
+    """Describe the cloud, store, result or raster at a path.
 
     Parameters
     ----------
@@ -52,29 +52,44 @@ def describe(path: str) -> dict[str, Any]:
     Raises
     ------
     InputError
-        Nothing is there, or nothing that tiler knows.
+        If nothing is there, or nothing that tiler knows.
     StoreError
-        A store that this version did not write.
+        If another version wrote the store.
     """
     place = cloud_path(path)
-    if is_url(path) and state_at(path) is None:
-        return describe_result(place) if read_run(path) is not None else describe_store(path)
-    if not place.exists():
+    name = without_query(path).lower()
+    try:
+        with storage_errors():
+            if is_url(path):
+                missing = state_at(path) is None
+            else:
+                missing = not place.exists()
+            # Asking a web server whether a cloud is a folder would read all of it.
+            is_cloud = is_url(path) and name.endswith((*_CLOUDS, "ept.json"))
+            is_folder = not missing and not is_cloud and place.is_dir()
+    except OSError as error:
+        raise InputError(f"{path}: cannot be read ({error.strerror or error}); name what can be") from error
+    if missing and is_url(path):
+        if read_run(path) is not None:
+            return describe_result(place)
+        return describe_store(path)
+    if missing:
         raise InputError(
             f"{path}: no such file or folder; name a cloud, a store, a result folder or a raster"
         )
-    if place.is_dir():
+    if is_folder:
         return _describe_folder(place)
-    if without_query(path).endswith("ept.json"):
+    if name.endswith("ept.json"):
         from tiler.apps.cloud_facts import describe_point_tiles
+        from tiler.inputs import read_list
 
-        return describe_point_tiles(path)
-    if not without_query(path).lower().endswith(_CLOUDS):
+        return read_list(path, describe_point_tiles, path)
+    if not name.endswith(_CLOUDS):
         from tiler.schedule import half_of_memory, read_apart
 
         return read_apart(describe_raster, place, paths=(place,), memory_bytes=half_of_memory())
     from tiler.apps.cloud_facts import describe_cloud
-    from tiler.ingest import read_guarded
+    from tiler.inputs import read_guarded
     from tiler.schedule import Guard
 
     with Guard() as guard:
@@ -94,7 +109,7 @@ def _describe_folder(folder: Path) -> dict[str, Any]:
 
 
 def describe_store(url: str) -> dict[str, Any]:
-    """Facts of a tile store: what it is about, and how far its run is."""
+    """Facts of a tile store: its contents, and the progress of its run."""
     from tiler.store import open_store
 
     store = open_store(url)
@@ -118,15 +133,14 @@ def describe_store(url: str) -> dict[str, Any]:
 
 
 def _commits(store: TileStore) -> dict[str, Any]:
-    """Stage -> its commits, in the order of a run; the filter has one stage a pass."""
     found = {stage: store.committed(stage) for stage in ("spool", "assemble")}
-    for number in range(store.get_state("passes") or 0):  # of some passes there are none: they did not apply
+    for number in range(store.get_state("passes") or 0):  # passes that do not apply have none
         found[f"filter{number}"] = store.committed(f"filter{number}")
     return found | {stage: store.committed(stage) for stage in ("grid-dtm", "export")}
 
 
 def describe_result(folder: Path) -> dict[str, Any]:
-    """Facts of the OUT of a run: its run.json, and its store where it is still there."""
+    """Facts of the OUT of a run, from its run.json, and from its store if it still exists."""
     from tiler.store import store_exists
 
     try:
@@ -150,7 +164,7 @@ def describe_result(folder: Path) -> dict[str, Any]:
 
 
 def describe_raster(path: Path) -> dict[str, Any]:
-    """Facts of a raster: place, units, and of its first band the heights, read block by block."""
+    """Facts of a raster: extent, units, and the heights of its first band, read block by block."""
     from tiler.apps.evaluate.rasters import open_raster
 
     with open_raster(path, "neither a cloud nor a raster that can be read") as raster:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -12,14 +13,14 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ptd.gridding.shape import gradients, multidirectional_hillshade
 from tiler.config import RunConfig
 from tiler.core.raster import NODATA, Block, RasterSpec
 from tiler.errors import InputError
-from tiler.export.picture import write_png
-from tiler.grid.shape import gradients, multidirectional_hillshade
-from tiler.ingest import SourceInfo, read_guarded
+from tiler.inputs import SourceInfo, read_guarded
 from tiler.io.las.extract import Box, cut_windows, sample_places
 from tiler.io.overwrite_check import Target, check_targets
+from tiler.io.picture import write_png
 from tiler.io.result_folder import STORE
 from tiler.observe.events import Listener, silent
 from tiler.pipeline import run
@@ -27,17 +28,21 @@ from tiler.plan import Plan, make_plan
 from tiler.schedule import Guard
 from tiler.store import TileStore, open_store
 
-WIDEST_M, NARROWEST_M = 200.0, 20.0
+WIDEST_M = 200.0
+"""Largest default side of a window, which shows a few blocks of a town."""
+NARROWEST_M = 20.0
+"""Smallest default side of a window, below which a building would fill it."""
 MOST_POINTS = 700_000
-"""A window holds no more points, unless its side is given: one core filters and grids them in a few seconds."""
+"""Most points of a window without a given side; one core processes them in a few seconds."""
 FILES = 6
-"""Places for windows are sampled from so many files at most."""
+"""Most files that are sampled for places of windows."""
 PLACES = 24
-"""Places that are sampled from all files together, at least one from each."""
-GAP = 6
+"""Number of places that are sampled from all files together, at least one from each."""
+GAP = 6  # pixels between pictures
 WIDE_PIXELS = 320
-"""Pictures of windows have at least so many pixels a side."""
-EMPTY_GREY, PAPER = 236, 255
+"""Smallest number of pixels along a side of a window's picture."""
+EMPTY_GREY = 236  # pixels without a height, lighter than shaded ground
+PAPER = 255
 
 Shade = npt.NDArray[np.uint8]
 
@@ -52,7 +57,7 @@ class Window:
         Lowest x, y, highest x, y in units of the CRS.
     points, ground : int
     failed : int
-        Tasks that failed: where they did, the picture has a hole.
+        Number of failed tasks, which leave holes in the picture.
     """
 
     bounds: Box
@@ -70,10 +75,10 @@ def make_preview(
     number: int = 3,
     side_m: float | None = None,
 ) -> list[Window]:
-    """Shade surface and terrain of a few windows of the clouds, as a run with these settings would make them.
+    """Shade surface and terrain of a few windows of the clouds, as a run with these settings gives them.
 
-    Each window is done alone: at its border, and by statistics of a whole run, the run may differ. Of all files only
-    those that windows touch are decoded.
+    Each window is processed alone. A run may differ at the borders of the windows, and because of its run-wide
+    statistics. Only files that windows touch are decoded.
 
     Parameters
     ----------
@@ -83,18 +88,19 @@ def make_preview(
         PNG: a column for each window, the surface (highest returns) above the terrain.
     config : RunConfig
     listener : callable
-        Told what the plan notes, and each warning once.
+        Receives the notes of the plan, and each warning once.
     number : int
-        Of windows, at most: they do not overlap.
+        Most windows; they do not overlap.
     side_m : float, optional
-        Of a window, metres; default: up to 200, less where clouds are dense.
+        Side of a window, metres; by default up to 200, less in dense clouds.
 
     Raises
     ------
     TilerError
-        As `tiler.pipeline.run` does.
+        If `tiler.pipeline.run` raises it.
     """
-    config, picture = config or RunConfig(), Target("-o", target, (".png",))
+    config = config or RunConfig()
+    picture = Target("-o", target, (".png",))
     check_targets([picture], [])
     plan = make_plan(inputs, config)
     check_targets([picture], [*(s.path for s in plan.sources), *(path for path, _ in plan.unreadable)])
@@ -123,19 +129,18 @@ def make_preview(
 
 
 def _once(listener: Listener) -> Listener:
-    """A listener that passes each warning on once, and neither notes nor progress."""
-    told: set[str] = set()
+    """A listener that passes on each warning once, and neither notes nor progress."""
+    seen: set[str] = set()
 
     def tell(kind: str, facts: dict[str, Any]) -> None:
-        if kind == "warning" and facts["text"] not in told:
-            told.add(facts["text"])
+        if kind == "warning" and facts["text"] not in seen:
+            seen.add(facts["text"])
             listener(kind, facts)
 
     return tell
 
 
 def _side(plan: Plan, side_m: float | None) -> float:
-    """Side of a window in units of the CRS."""
     if side_m is None:
         side_m = min(WIDEST_M, math.sqrt(MOST_POINTS / plan.density))
         side_m = max(side_m // 10 * 10, NARROWEST_M)
@@ -160,18 +165,22 @@ def _hull(sources: Sequence[SourceInfo]) -> Box:
 def spread(places: Sequence[tuple[float, float]], number: int, side: float, hull: Box) -> list[Box]:
     """Squares around some of the places, far from one another and not overlapping, inside the hull if they fit.
 
-    The first is the place next to the middle of all; each further one is that farthest from those chosen.
+    The first place is the one nearest to the median of all; each further one is the farthest from those chosen.
     """
+    if not places:
+        return []
     where = np.array(sorted(set(places)), dtype=np.float64).reshape(-1, 2)
     half = side / 2
     for axis in (0, 1):
         low, high = hull[axis] + half, hull[axis + 2] - half
-        where[:, axis] = np.clip(where[:, axis], low, high) if low < high else (low + high) / 2
-    distance = np.abs(where - np.median(where, axis=0)).max(axis=1) if len(where) else np.zeros(0)
+        if low >= high:
+            low = high = (low + high) / 2
+        where[:, axis] = np.clip(where[:, axis], low, high)
+    distance = np.abs(where - np.median(where, axis=0)).max(axis=1)
     chosen: list[Box] = []
-    pick = int(np.argmin(distance)) if len(where) else -1
+    pick = int(np.argmin(distance))
     nearest = np.full(len(where), np.inf)
-    while len(chosen) < number and pick >= 0:
+    while len(chosen) < number:
         x, y = where[pick].tolist()
         chosen.append((x - half, y - half, x + half, y + half))
         nearest = np.minimum(nearest, np.abs(where - where[pick]).max(axis=1))
@@ -184,10 +193,10 @@ def spread(places: Sequence[tuple[float, float]], number: int, side: float, hull
 def _cut(
     guard: Guard, sources: Sequence[SourceInfo], windows: Sequence[Box], scratch: Path, salvage: bool
 ) -> list[dict[str, str]]:
-    """Files that hold the points of each window, each with the cloud that it was cut from."""
+    """Files with the points of each window, and the cloud from which each was cut."""
     files: list[dict[str, str]] = [{} for _ in windows]
     for number, source in enumerate(sources):
-        assert source.bounds is not None  # the caller's choice
+        assert source.bounds is not None  # the caller passes no others
         x0, y0, _, x1, y1, _ = source.bounds
         mine = [i for i, w in enumerate(windows) if w[0] <= x1 and x0 <= w[2] and w[1] <= y1 and y0 <= w[3]]
         if not mine:
@@ -196,14 +205,15 @@ def _cut(
         wanted = [windows[i] for i in mine]
         counts = read_guarded(guard, cut_windows, source.path, wanted, targets, salvage, source.octree)
         for i, path, count in zip(mine, targets, counts, strict=True):
-            files[i] |= {path: str(source.path)} if count else {}
+            if count:
+                files[i][path] = str(source.path)
     if not any(files):
         raise InputError("no window holds a point; name other --windows or a larger --size")
     return files
 
 
 def _settings(plan: Plan) -> RunConfig:
-    """The settings of the run, without those of extent, output and resources."""
+    """The settings of the run, without extent, output and resources."""
     return plan.config.updated(
         products=("dtm", "dsm"),
         resolution=plan.resolution,
@@ -225,11 +235,10 @@ def _settings(plan: Plan) -> RunConfig:
 def _window(
     bounds: Box, paths: Mapping[str, str], config: RunConfig, listener: Listener
 ) -> tuple[tuple[Shade, Shade], Window]:
-    """Surface and terrain of a window, shaded, and what was found in it."""
     out = Path(next(iter(paths))).with_suffix("")
 
     def tell(kind: str, facts: dict[str, Any]) -> None:
-        """Name the cloud, not the file that was cut from it."""
+        """Name the cloud instead of the file that was cut from it."""
         if kind == "warning":
             text = facts["text"]
             for path, cloud in paths.items():
@@ -239,7 +248,9 @@ def _window(
 
     summary = run(list(paths), out, config, tell, until="grid").summary
     store = open_store(str(out / STORE))
-    ground = summary["filter"]["ground"] if "filter" in summary else summary["counts"]["participating"]
+    ground = summary["counts"]["participating"]
+    if "filter" in summary:
+        ground = summary["filter"]["ground"]
     failed = summary["failed_tasks"]
     for task in failed:
         listener("warning", {"text": f"{task['title']} {task['key']} failed: {task['error']}"})
@@ -248,7 +259,6 @@ def _window(
 
 
 def _shade(store: TileStore, name: str) -> Shade:
-    """A raster of the store as a hillshade, uint8 of shape (height, width)."""
     spec = RasterSpec.from_json(store.get_state(f"raster-{name}") or {})
     heights = store.read_block(name, Block(0, 0, spec.height, spec.width)).astype(np.float64)
     heights[heights == NODATA] = np.nan
@@ -259,8 +269,8 @@ def _shade(store: TileStore, name: str) -> Shade:
 
 
 def _montage(columns: Sequence[Sequence[Shade]]) -> npt.NDArray[np.uint8]:
-    """All pictures on white paper, RGBA; small ones with larger pixels."""
-    largest = max(max(picture.shape) for column in columns for picture in column)
+    """All pictures on white paper, RGBA; small pictures are enlarged."""
+    largest = max(max(picture.shape) for picture in itertools.chain(*columns))
     times = max(math.ceil(WIDE_PIXELS / largest), 1)
     pictures = [[np.kron(p, np.ones((times, times), np.uint8)) for p in column] for column in columns]
     high = [max(column[row].shape[0] for column in pictures) for row in range(2)]

@@ -1,4 +1,4 @@
-"""Compiles all kernels of methods ahead of their first run: for images, CI, and machines without spare minutes."""
+"""Compile all kernels of methods ahead of their first run: for images, CI, and machines with little time."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tiler.schedule import Died, Guard, Guards
 
 
 def warm(methods: Sequence[str]) -> dict[str, Any]:
-    """Compile what methods and rasters use, in as many processes as there are cores.
+    """Compile the kernels of methods and rasters, in as many processes as there are cores.
 
     Returns
     -------
@@ -25,9 +25,9 @@ def warm(methods: Sequence[str]) -> dict[str, Any]:
     Raises
     ------
     ConfigError
-        A method that there is not, or no folder that can be written.
+        If a method is unknown, or no folder can be written.
     ProcessingError
-        The compiler crashed.
+        If the compiler crashes.
     """
     unknown = [name for name in methods if name not in METHODS]
     if unknown:
@@ -36,7 +36,9 @@ def warm(methods: Sequence[str]) -> dict[str, Any]:
     if folder is None:
         raise ConfigError("no folder for compiled kernels can be written; set NUMBA_CACHE_DIR to one")
     before = compiled_count()
-    wanted = [filter_kernels(method, kind) for method in methods for kind in kinds_of(method)]
+    wanted = []
+    for method in methods:
+        wanted += [filter_kernels(method, kind) for kind in kinds_of(method)]
     wanted += [grid_kernels(interpolation) for interpolation in ("linear", "natural")]
     todo = [kernels for kernels in wanted if not is_compiled(kernels.name)]
     try:

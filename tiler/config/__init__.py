@@ -1,6 +1,16 @@
-"""The settings of a run, and the presets that they may start from."""
+"""The settings of a run, and the presets from which they may start."""
 
-from tiler.config.settings import AUTO_WATER, NO_WATER, RunConfig
+from tiler.config.parsing import plain_value
+from tiler.config.settings import AUTO_WATER, LOW_AS_NOISE, NO_WATER, VOID_CANOPY, RunConfig
 from tiler.config.sources import load_config, merged_pairs
 
-__all__ = ["AUTO_WATER", "NO_WATER", "RunConfig", "load_config", "merged_pairs"]
+__all__ = [
+    "AUTO_WATER",
+    "LOW_AS_NOISE",
+    "NO_WATER",
+    "VOID_CANOPY",
+    "RunConfig",
+    "load_config",
+    "merged_pairs",
+    "plain_value",
+]

@@ -1,21 +1,24 @@
-"""Plain values of settings (TOML, JSON, options) as what they stand for; what makes no sense raises ConfigError."""
+"""Parses plain values of settings (TOML, JSON, options); a wrong value raises ConfigError."""
 
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Mapping
 from fractions import Fraction
 from typing import Any, TypeVar
 
 from tiler.core.nodata import parse_nodata
+from tiler.core.selection import parse_angle, parse_numbers, parse_returns, parse_sources
 from tiler.core.sheet_names import check_template
 from tiler.core.units import FARTHEST, parse_area, parse_length
 from tiler.errors import ConfigError
 
 Value = TypeVar("Value")
 
-_BYTES = {"": 1, "b": 1, "k": 1000, "kb": 1000, "kib": 1024, "m": 10**6, "mb": 10**6, "mib": 1 << 20,
-          "g": 10**9, "gb": 10**9, "gib": 1 << 30, "t": 10**12, "tb": 10**12, "tib": 1 << 40}  # fmt: skip
+_BYTES = {"": 1, "b": 1}
+for _power, _letter in enumerate("kmgt", start=1):
+    _BYTES |= {_letter: 1000**_power, f"{_letter}b": 1000**_power, f"{_letter}ib": 1024**_power}
 
 
 def parse_bytes(value: Any) -> int:
@@ -32,25 +35,20 @@ def parse_bytes(value: Any) -> int:
 
 
 def parse_classes(value: Any) -> tuple[int, ...]:
-    """ASPRS classes: ``7,18``, 7 or a list; ``none`` or an empty text is no class; raises ConfigError."""
+    """ASPRS classes from ``7,18``, ``3-5``, 7 or a list; none from ``none`` or an empty text. Raises ConfigError."""
     if value == "none":
         return ()
-    parts = value if isinstance(value, list | tuple) else [p for p in str(value).split(",") if p.strip()]
-    try:
-        classes = tuple(sorted({int(str(p)) for p in parts}))
-    except ValueError:
-        raise ConfigError(f"{value!r} are no classes: write numbers with commas, like 7,18") from None
-    if any(not 0 <= c <= 255 for c in classes):
-        raise ConfigError(f"{value!r}: classes are 0 to 255")
-    return classes
+    return parse_numbers(value, "classes", 0, 255)
 
 
 def parse_names(
     name: str, text: str | list[str] | tuple[str, ...], choices: tuple[str, ...]
 ) -> tuple[str, ...]:
-    """Some of ``choices``, in their order: ``dtm,slope``; raises ConfigError."""
-    parts = text.split(",") if isinstance(text, str) else list(text)
-    found = [str(p).strip() for p in parts if str(p).strip()]
+    """The named ones of the ``choices``, in the order of the choices; several texts add up; raises ConfigError."""
+    texts = [text] if isinstance(text, str) else text
+    found: list[str] = []
+    for each in texts:
+        found += [part.strip() for part in str(each).split(",") if part.strip()]
     for item in found:
         if item not in choices:
             raise ConfigError(f"{name} {item!r}: choose from {', '.join(choices)}")
@@ -60,7 +58,7 @@ def parse_names(
 
 
 def parse_surface(value: Any) -> str:
-    """``all``, ``median`` or ``p0`` to ``p100``; raises ConfigError."""
+    """The value if it is ``all``, ``median`` or ``p0`` to ``p100``; raises ConfigError."""
     if value in ("all", "median"):
         return str(value)
     if isinstance(value, str) and value[:1] == "p" and value[1:].isdecimal() and int(value[1:]) <= 100:
@@ -69,15 +67,17 @@ def parse_surface(value: Any) -> str:
 
 
 def parse_pairs(value: Any) -> tuple[tuple[str, str], ...]:
-    """``name=value`` settings of a method, from strings or a mapping; raises ConfigError."""
+    """Names and values of a method's parameters, from strings ``name=value`` or a mapping; raises ConfigError."""
     if isinstance(value, Mapping):
         return tuple((str(k), str(v)) for k, v in value.items())
     if not isinstance(value, list | tuple):
         raise ConfigError(f"parameters {value!r}: must be a table of name = value, or a list of 'name=value'")
     pairs = []
     for item in value:
-        pair = isinstance(item, list | tuple) and len(item) == 2
-        name, sign, text = (str(item[0]), "=", str(item[1])) if pair else str(item).partition("=")
+        if isinstance(item, list | tuple) and len(item) == 2:
+            name, sign, text = str(item[0]), "=", str(item[1])
+        else:
+            name, sign, text = str(item).partition("=")
         if not sign or not name:
             raise ConfigError(f"--set {item}: write name=value; `tiler methods` lists the names")
         pairs.append((name.strip(), text.strip()))
@@ -85,7 +85,7 @@ def parse_pairs(value: Any) -> tuple[tuple[str, str], ...]:
 
 
 def _named(name: str, parse: Callable[[Any], Value], value: Any) -> Value:
-    """What a parser makes of a value; an error says of which setting it is."""
+    """Parse a value; an error begins with the name of the setting."""
     try:
         return parse(value)
     except ConfigError as error:
@@ -113,8 +113,17 @@ def _bounds(value: Any) -> tuple[float, float, float, float]:
     return x0, y0, x1, y1
 
 
+def _crs(value: Any) -> str:
+    """A CRS as text; a whole number is an EPSG code."""
+    if isinstance(value, str):
+        return value
+    if isinstance(value, int) and not isinstance(value, bool):
+        return f"EPSG:{value}"
+    raise ConfigError(f"crs {value!r}: write EPSG:2154, 2154, WKT or none")
+
+
 def parse_files(name: str, value: Any) -> tuple[str, ...]:
-    """Names of files, one or a list, each once; raises ConfigError."""
+    """Names of files from one name or a list, each once; raises ConfigError."""
     files = [value] if isinstance(value, str) else value
     if not isinstance(files, list | tuple) or not all(isinstance(f, str) and f for f in files):
         raise ConfigError(f"{name} {value!r}: must be the name of a file, or a list of them")
@@ -122,27 +131,39 @@ def parse_files(name: str, value: Any) -> tuple[str, ...]:
 
 
 Parser = Callable[[Any], Any]
-_NAMED_PARSERS: dict[str, Parser] = {"area": parse_area, "bytes": parse_bytes, "classes": parse_classes}
+_NAMELESS_PARSERS: dict[str, Parser] = {
+    "area": parse_area,
+    "bytes": parse_bytes,
+    "classes": parse_classes,
+    "returns": parse_returns,
+    "sources": parse_sources,
+    "angle": parse_angle,
+}
+"""Parsers by kind of setting whose errors do not name the setting."""
 _PARSERS: dict[str, Parser] = {
     "nodata": parse_nodata,
     "surface": parse_surface,
     "pairs": parse_pairs,
     "bounds": _bounds,
+    "crs": _crs,
 }
-"""By kind of setting; those of the first table do not name it."""
+"""Parsers by kind of setting whose errors name the setting."""
 
 
 def parse_value(spec: dataclasses.Field[Any], value: Any) -> Any:
-    """One plain value as its field of `RunConfig` wants it, by the field's ``kind``; raises ConfigError."""
+    """Parse a plain value for a field of `RunConfig`, by the ``kind`` of the field; raises ConfigError."""
     kind = spec.metadata["kind"]
+    texts = value if isinstance(value, list | tuple) else [value]
+    if any(isinstance(text, str) and "\0" in text for text in texts):
+        raise ConfigError(f"{spec.name} {value!r}: holds a NUL character; write it without")
     if value is None:
         if spec.default is not None:
             raise ConfigError(f"{spec.name}: needs a value")
         return None
     if kind == "length":
         return _positive_length(spec.name, value)
-    if kind in _NAMED_PARSERS:
-        return _named(spec.name, _NAMED_PARSERS[kind], value)
+    if kind in _NAMELESS_PARSERS:
+        return _named(spec.name, _NAMELESS_PARSERS[kind], value)
     if kind in _PARSERS:
         return _PARSERS[kind](value)
     if kind == "names":
@@ -165,10 +186,14 @@ def parse_value(spec: dataclasses.Field[Any], value: Any) -> Any:
 
 
 def plain_value(value: Any) -> Any:
-    """A value of a setting as JSON and TOML can hold it."""
+    """A value of a setting for JSON and TOML."""
     if isinstance(value, Fraction):
         decimal = f"{float(value):.12g}"
-        return decimal if "e" not in decimal and Fraction(decimal) == value else str(value)
+        if "e" in decimal or Fraction(decimal) != value:
+            return str(value)
+        return decimal
     if isinstance(value, tuple):
         return [plain_value(v) for v in value]
+    if isinstance(value, float) and math.isnan(value):
+        return "nan"  # which JSON has no number for
     return value

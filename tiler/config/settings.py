@@ -1,6 +1,6 @@
-"""The run's settings: one frozen dataclass, the only home of their defaults, help texts and units.
+"""The settings of a run: one frozen dataclass, the only home of their defaults, help texts and units.
 
-The command line, ``tiler config --template`` and the documentation are generated from the fields' metadata.
+The command line, ``tiler config --template`` and the documentation are generated from the metadata of the fields.
 """
 
 from __future__ import annotations
@@ -16,36 +16,51 @@ from tiler.config.parsing import parse_value, plain_value
 from tiler.config.presets import preset_names
 from tiler.config.sources import over_preset
 from tiler.core.products import DRAWN, NODATA, PRODUCTS
+from tiler.core.reclass import ALL, ONLY_GROUND
+from tiler.core.selection import DROP_WITHHELD, KEEP_WITHHELD, Selection
 from tiler.core.sheet_names import DEFAULT as SHEET_NAME
 from tiler.errors import ConfigError
 
-NO_WATER, AUTO_WATER = "none", "auto"
-"""Values of `RunConfig.water` that are no files."""
+# Values of `RunConfig.water` that are not names of files.
+NO_WATER = "none"
+AUTO_WATER = "auto"
+
+# Values of `RunConfig.water_low`.
+LOW_AS_NOISE = "noise"
+KEEP_LOW = "keep"
+
+# Values of `RunConfig.canopy`.
+FILL_CANOPY = "fill"
+VOID_CANOPY = "void"
 
 
 UNITS = {"length": "m", "area": "m2", "bytes": "bytes"}
-"""Of the kinds of settings that have one."""
+"""Units by kind of setting."""
 
 
 def setting(
     default: Any, help: str, *, unit: str = "", kind: str = "text", choices: tuple[str, ...] = ()
 ) -> Any:
-    """A field of `RunConfig` with what people need to know about it; of some ``choices``, it is one of them."""
+    """A field of `RunConfig` with its help, unit and kind; a text with ``choices`` must be one of them."""
     if choices and kind == "text":
         kind = "choice"
-    facts = {"help": help, "unit": unit or UNITS.get(kind, ""), "kind": kind, "choices": choices}
-    return field(default=default, metadata=facts)
+    metadata = {"help": help, "unit": unit or UNITS.get(kind, ""), "kind": kind, "choices": choices}
+    return field(default=default, metadata=metadata)
 
 
-# Settings of the kinds that several are of.
-length, area, flag = (partial(setting, kind=kind) for kind in ("length", "area", "flag"))
-whole, classes = partial(setting, kind="int"), partial(setting, kind="classes")
-file, files = partial(setting, kind="file"), partial(setting, kind="files")
+# Kinds that several settings have.
+length = partial(setting, kind="length")
+area = partial(setting, kind="area")
+flag = partial(setting, kind="flag")
+whole = partial(setting, kind="int")
+classes = partial(setting, kind="classes")
+file = partial(setting, kind="file")
+files = partial(setting, kind="files")
 
 
 @dataclass(frozen=True)
 class RunConfig:
-    """Everything that a run can be told; ``None`` means "decide from the data, and say so"."""
+    """All settings of a run; ``None`` means that tiler decides from the data, and reports the decision."""
 
     preset: str | None = setting(
         None,
@@ -63,8 +78,9 @@ class RunConfig:
     products: tuple[str, ...] = setting(
         ("dtm",),
         "rasters to write, each as OUT/<name>.tif: dtm, dsm (surface), ndsm (surface above the terrain), hillshade, "
-        "slope (degrees), density (ground points per m2), distance (to the nearest ground point, m), mask (where "
-        "heights come from); as OUT/<name>.gpkg: contours (lines), spots (tops and bottoms)",
+        "slope (degrees), density (ground points per m2), distance (to the nearest ground point, m), sigma (standard "
+        "error of the heights, in their unit), mask (where heights come from); as OUT/<name>.gpkg: contours (lines), "
+        "spots (tops and bottoms)",
         kind="names",
         choices=(*PRODUCTS, *DRAWN),
     )
@@ -76,12 +92,16 @@ class RunConfig:
     sheet_name: str = setting(
         SHEET_NAME,
         "name of a sheet's file without its ending; fields: name (product), x and y (west and south edge), east and "
-        "north, in units of the CRS, and x_km, y_km, east_km, north_km in thousands of them, with a format where "
-        "wanted: {x_km:04.0f}",
+        "north, in units of the CRS, and x_km, y_km, east_km, north_km in thousands of them; a field may have a "
+        "format: {x_km:04.0f}",
         kind="template",
     )
+    empty_sheets: bool = flag(False, "also write sheets that hold points but no heights")
     resolution: Fraction | None = length(
-        None, "pixel size; default 1 m, or the spacing of the ground where that is coarser"
+        None,
+        "pixel size; default 1 m, or the spacing of the points where that is coarser; 0.1, 0.25 or 0.5 m for matched "
+        "clouds with about ten points or more in such a pixel; in feet 2 ft instead of 1 m, else one of 0.1, 0.2, 0.5, "
+        "1, 5, 10 ft",
     )
     tile_size: Fraction | None = length(None, "side of a filter tile; default from density and memory")
     halo: Fraction | None = length(None, "how far beyond its tile the filter looks; default from the method")
@@ -114,6 +134,12 @@ class RunConfig:
         "(fill, and write the mask)",
         choices=("leave", "fill", "mark"),
     )
+    canopy: str = setting(
+        FILL_CANOPY,
+        "where a closed canopy hides the ground from image matching: fill (bridge it from the ground seen around it "
+        "and in its openings; 6 in the mask) or void (no heights)",
+        choices=(FILL_CANOPY, VOID_CANOPY),
+    )
     breaklines: tuple[str, ...] = files(
         (),
         "file of lines in 3D, or with a height in a column (z, elevation), in any CRS, that the terrain follows; "
@@ -128,8 +154,14 @@ class RunConfig:
     water: str = file(
         AUTO_WATER,
         "bodies of water, level in the terrain (lakes) or falling along their flow (rivers): none, auto (found in "
-        "the data), or a file, in any CRS, of polygons and, where wanted, columns kind (lake, river) and level, and "
-        "of lines along which rivers flow",
+        "the data), or a file, in any CRS, with polygons, optional columns kind (lake, river) and level, and optional "
+        "lines along which rivers flow",
+    )
+    water_low: str = setting(
+        LOW_AS_NOISE,
+        "class in the classified clouds of returns from more than 0.5 m below the level of water: noise (7), or keep "
+        "(as other points in water)",
+        choices=(LOW_AS_NOISE, KEEP_LOW),
     )
     water_min_lake: Fraction = area(
         Fraction(8000), "smallest lake or pond that `--water auto` takes (8000, 0.8ha, 2acre)"
@@ -149,7 +181,7 @@ class RunConfig:
     contour_interval: Fraction | None = length(
         None,
         "difference of height between contours; default: a round number of the CRS's unit that gives 50 levels at "
-        "most",
+        "most, four times the noise of the ground and 0.25 m (1 ft) at least",
     )
     contour_smooth: Fraction | None = length(
         None,
@@ -196,12 +228,13 @@ class RunConfig:
     scheduler: str | None = setting(
         None, "address of a running Dask scheduler (tcp://host:8786); default: workers on this machine"
     )
-    store: str | None = setting(None, "where the tile store lies; default OUT/store.zarr")
+    store: str | None = setting(None, "place of the tile store; default OUT/store.zarr")
     crs: str | None = setting(
         None,
         "CRS of files that have none (EPSG:..., WKT; a compound one like EPSG:2154+5720 also gives its heights' "
         "datum to files that name EPSG:2154 alone), or `none`: unknown, metres assumed; default: a file without CRS "
         "is an error",
+        kind="crs",
     )
     units: str | None = setting(
         None, "units of the coordinates, h or h,v (m, ft, usft); default: those of the CRS"
@@ -222,6 +255,36 @@ class RunConfig:
         "classes that take no part in filtering and are never overwritten; `none`: the classes of the input are "
         "ignored, as a fair test on a labelled cloud needs",
     )
+    reclass: str = setting(
+        ONLY_GROUND,
+        "which classes change in the classified clouds: ground (ground gets 2, low noise 7; ground of the input that "
+        "is no ground gets 1, or 9 in water, or 17 on a bridge that is left out; every other class of the input "
+        "stays), or all (every point that takes part gets 2, 7, 17 or 1)",
+        choices=(ONLY_GROUND, ALL),
+    )
+    returns: str | None = setting(
+        None,
+        "returns that are filtered and gridded: first, last, or numbers (1, 2-4); as with the four options that "
+        "follow, the classified clouds hold all points; default: all returns",
+        kind="returns",
+    )
+    scan_angle: float | None = setting(
+        None,
+        "largest scan angle of points that are filtered and gridded; default: any",
+        unit="degrees",
+        kind="angle",
+    )
+    source_id: str | None = setting(
+        None,
+        "point source ids (flight lines) that are filtered and gridded: 12,20-31; default: all",
+        kind="sources",
+    )
+    drop_classes: tuple[int, ...] = classes((), "classes of the input that are neither filtered nor gridded")
+    withheld: str = setting(
+        DROP_WITHHELD,
+        "points flagged as withheld: drop (they are neither filtered nor gridded), or keep (as other points)",
+        choices=(DROP_WITHHELD, KEEP_WITHHELD),
+    )
     skip_synthetic: bool = flag(
         False, "points flagged as synthetic take no part in filtering and keep their class"
     )
@@ -241,12 +304,12 @@ class RunConfig:
     )
     statistics: str | None = setting(
         None,
-        "OUT folder of an earlier run of the same method: use the noise and the thresholds that it measured; "
+        "OUT folder of an earlier run of the same method: use the kind, density and noise that it found; "
         "default: measure those of this run's own points",
     )
     nodata: float = setting(
         NODATA,
-        "value of pixels without a height in rasters of heights and slopes (-999999 for USGS)",
+        "value of pixels without a height in rasters of heights and slopes (-999999 for USGS; nan is possible)",
         unit="as the raster",
         kind="nodata",
     )
@@ -264,29 +327,31 @@ class RunConfig:
 
     @property
     def surface_percent(self) -> int | None:
-        """Percentile of the heights of a cell that makes the DTM; None for all points."""
+        """Percentile of the heights in a cell that makes the DTM; None for all points."""
         if self.surface is None or self.surface == "all":
             return None
-        return 50 if self.surface == "median" else int(self.surface[1:])
+        if self.surface == "median":
+            return 50
+        return int(self.surface[1:])
 
     @property
     def erosion(self) -> Fraction:
-        """The setting `erode`, 0 where none is given."""
+        """The setting `erode`, or 0 if it is not given."""
         return Fraction(0) if self.erode is None else self.erode
 
     @property
     def water_file(self) -> str | None:
-        """The file that `water` names; None where it names none."""
+        """The file that `water` names; None if it is none or auto."""
         return None if self.water in (NO_WATER, AUTO_WATER) else self.water
 
     @property
     def source_kind(self) -> str | None:
-        """`kind` as methods know it (`ptd.passes.RunFacts`)."""
+        """The setting `kind` with the name that methods use (`ptd.passes.RunFacts`)."""
         return "lidar" if self.kind == "als" else self.kind
 
     @property
     def exported(self) -> tuple[str, ...]:
-        """The products that become rasters people open."""
+        """The products that become raster files."""
         marked = {"mask"} if self.voids == "mark" else set()
         return tuple(name for name in PRODUCTS if name in marked or name in self.products)
 
@@ -295,15 +360,26 @@ class RunConfig:
         """The products that become vector files."""
         return tuple(name for name in DRAWN if name in self.products)
 
+    @property
+    def selection(self) -> Selection:
+        """The points of the input that are filtered and gridded."""
+        return Selection(
+            self.returns,
+            self.scan_angle,
+            self.source_id,
+            self.drop_classes,
+            self.withheld == KEEP_WITHHELD,
+        )
+
     def to_json(self) -> dict[str, Any]:
-        """JSON-able settings; `from_mapping` reads them back."""
+        """The settings as JSON-able values; `from_mapping` reads them back."""
         return {f.name: plain_value(getattr(self, f.name)) for f in fields(self)}
 
     @classmethod
     def from_mapping(cls, data: Mapping[str, Any]) -> RunConfig:
         """Settings from plain values (TOML, JSON, options); unknown names and bad values raise ConfigError.
 
-        Where ``preset`` names one, its settings stand for those that are not given.
+        If there is a ``preset``, settings that are not given come from it.
         """
         known = {f.name: f for f in fields(cls)}
         for name in data:

@@ -1,4 +1,4 @@
-"""Where settings come from, and which of them win: a preset, then a TOML file, then the command line."""
+"""Combines the sources of settings: a TOML file wins over a preset, and the command line over both."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tiler.errors import ConfigError
 
 
 def over_preset(data: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The settings given over those of their preset, whose parameters are left out if they are another method's."""
+    """The settings, with those of their preset where they give none; parameters of another method are left out."""
     if data.get("preset") is None:
         return data
     base = load_preset(data["preset"])
@@ -25,10 +25,11 @@ def over_preset(data: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def merged_pairs(base: Any, given: Any) -> dict[str, str]:
-    """``name=value`` settings of a method, the given ones over the others, with or without the unit of a name."""
+    """Parameters of a method, where ``given`` wins over ``base``; a name may lack the unit at its end."""
     over = dict(parse_pairs(given))
     bare = {_without_unit(name) for name in over}
-    return {k: v for k, v in parse_pairs(base) if _without_unit(k) not in bare} | over
+    kept = {name: value for name, value in parse_pairs(base) if _without_unit(name) not in bare}
+    return kept | over
 
 
 def _without_unit(name: str) -> str:
@@ -38,11 +39,11 @@ def _without_unit(name: str) -> str:
 
 
 MOST_BYTES = 1 << 20
-"""Of a file of settings: what is read of another file is bounded."""
+"""Largest file of settings, so that a wrong file does not fill the memory."""
 
 
 def load_config(path: Path) -> dict[str, Any]:
-    """The settings of a TOML file as plain values; a table ``[parameters]`` holds those of the method."""
+    """The settings of a TOML file as plain values; its table ``[parameters]`` holds the parameters of the method."""
     import tomllib
 
     try:
@@ -50,10 +51,12 @@ def load_config(path: Path) -> dict[str, Any]:
             content = stream.read(MOST_BYTES + 1)
         if len(content) > MOST_BYTES:
             raise ConfigError(f"{path}: more than {MOST_BYTES >> 20} MiB; name a TOML file of settings")
-        return tomllib.loads(content.decode("utf-8-sig"))  # editors of Windows begin files with a mark
+        return tomllib.loads(
+            content.decode("utf-8-sig")
+        )  # Windows editors begin files with a byte order mark
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror}; name a readable TOML file") from error
     except UnicodeDecodeError as error:
         raise ConfigError(f"{path}: byte {error.start} is no UTF-8; save the file as UTF-8") from error
-    except (ValueError, RecursionError) as error:  # of numbers and nesting without end as well
+    except (ValueError, RecursionError) as error:  # also raised for endless numbers and endless nesting
         raise ConfigError(f"{path}: not valid TOML: {error}") from error

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import hashlib
-import json
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import pairwise
+from itertools import chain, pairwise, product
 
 import numpy as np
 import numpy.typing as npt
@@ -16,11 +15,15 @@ import numpy.typing as npt
 from tiler.core.lattice import Bounds, Lattice
 
 Counts = npt.NDArray[np.int64]
+
 MOST_BOXES = 1 << 14
-"""Rectangles of cells that are looked at to find those near an area: some seconds."""
+"""Most rectangles of cells that `Area.cells` divides; they take some seconds."""
+
+FEW_SIDES = 1 << 14
+"""Up to so many pairs of a place and an edge are compared in one array."""
 
 Runs = list[list[int]]
-"""Cells of a lattice: [iy, first ix, end ix] of neighbours in a row, row by row from the south-west."""
+"""Runs of neighbouring cells in rows of a lattice: [iy, first ix, end ix], row by row from the south-west."""
 
 LONGEST_EDGE = 1 << 30
 """Longest edge of a polygon, in counts along each axis, with which the exact test of a point stays within int64."""
@@ -28,53 +31,64 @@ LONGEST_EDGE = 1 << 30
 
 @dataclass(frozen=True, eq=False)
 class Area:
-    """Polygons of an area; a place is inside if it is inside of one of them.
+    """Polygons; a place is inside the area if it is inside one of them.
 
     Attributes
     ----------
     polygons : tuple of tuple of int64 (n, 2)
-        Rings of each polygon, closed or not, in absolute counts. A place is inside of a polygon if a ray from it
-        crosses the rings an odd number of times: holes are rings like others, in whatever direction they run.
+        Rings of each polygon, closed or not, in absolute counts. A place is inside a polygon if a ray from it crosses
+        the rings an odd number of times: holes are rings like others, and the direction of rings does not matter.
 
     Notes
     -----
-    Half-open: of areas that share an edge, a place on it is inside of exactly one. A rectangle holds its lower and left
-    edge, as `Bounds` do. No edge but those along an axis may be longer than `LONGEST_EDGE`, see `shortened`.
+    Areas are half-open: a place on an edge that two areas share is inside exactly one of them. A rectangle holds its
+    lower and left edge, as `Bounds` do. Only edges along an axis may be longer than `LONGEST_EDGE`, see `shortened`.
     """
 
     polygons: tuple[tuple[Counts, ...], ...]
 
     @classmethod
     def rectangle(cls, bounds: Bounds) -> Area:
-        """The area of these bounds."""
+        """The area that equals ``bounds``."""
         x0, y0, x1, y1 = bounds.to_json()
         return cls(((np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]], np.int64),),))
 
     @cached_property
     def bounds(self) -> Bounds:
         """Bounds of all polygons."""
-        x, y = np.concatenate([ring for rings in self.polygons for ring in rings]).T
-        return Bounds(int(x.min()), int(y.min()), int(x.max()), int(y.max()))
+        rings = list(chain(*self.polygons))
+        places = np.concatenate(rings) if len(rings) > 1 else rings[0]
+        return Bounds(*places.min(axis=0).tolist(), *places.max(axis=0).tolist())
 
     @cached_property
     def key(self) -> str:
         """A digest of the polygons."""
-        return hashlib.blake2b(json.dumps(self.to_json()).encode(), digest_size=16).hexdigest()
+        found = hashlib.blake2b(digest_size=16)
+        for rings in self.polygons:
+            found.update(b"polygon %d" % len(rings))
+            for ring in rings:
+                found.update(b"ring %d" % len(ring))
+                found.update(ring.astype("<i8").tobytes())
+        return found.hexdigest()
 
     @cached_property
     def edges(self) -> tuple[Counts, ...]:
-        """The edges of each polygon but level ones: x, y of the lower end, x, y of the upper one, int64 (4, n)."""
-        return tuple(np.concatenate([_rising(ring) for ring in rings], axis=1) for rings in self.polygons)
+        """The edges of each polygon except level ones: x, y of the lower end, x, y of the upper end, int64 (4, n)."""
+        return tuple(_rising(rings) for rings in self.polygons)
 
     @cached_property
     def _outline(self) -> Counts:
-        """All edges, level ones too: x0, y0, x1, y1, int64 (4, n)."""
-        return np.concatenate([_edges(ring) for rings in self.polygons for ring in rings], axis=1)
+        """All edges, including level ones: x0, y0, x1, y1, int64 (4, n)."""
+        return np.concatenate([_edges(ring) for ring in chain(*self.polygons)], axis=1)
 
     def inside(self, x: Counts, y: Counts) -> npt.NDArray[np.bool_]:
-        """Mask of the places inside, absolute counts int64 (n,)."""
+        """Mask of the places inside; x and y are absolute counts, int64 (n,)."""
         found = np.zeros(x.shape, np.bool_)
         if not x.size:
+            return found
+        if x.size * max(edges.shape[1] for edges in self.edges) <= FEW_SIDES and self._is_small:
+            for edges in self.edges:
+                found |= _few_crossed_oddly(edges, x, y)
             return found
         order = np.argsort(y, kind="stable")
         xs, ys = x[order], y[order]
@@ -83,44 +97,56 @@ class Area:
         return found
 
     def covers(self, bounds: Bounds) -> bool:
-        """Whether every count of the bounds is inside; False where an outline runs through them."""
+        """Whether every count of the bounds is inside; False if an outline runs through them."""
         return not _near(self._outline, bounds).size and self._holds_corner(bounds)
 
     def touches(self, bounds: Bounds) -> bool:
-        """Whether some count of the bounds is inside, or so near to the edge that rounding decides."""
+        """Whether some count of the bounds is inside, or is so near to an edge that rounding could decide."""
+        mine = self.bounds
+        if mine.x0 > bounds.x1 or mine.x1 < bounds.x0 or mine.y0 > bounds.y1 or mine.y1 < bounds.y0:
+            return False
+        if mine.x0 >= bounds.x0 and mine.x1 <= bounds.x1 and mine.y0 >= bounds.y0 and mine.y1 <= bounds.y1:
+            return True
         return bool(_near(self._outline, bounds).size) or self._holds_corner(bounds)
 
     def cells(self, lattice: Lattice, window: Bounds, margin: int) -> Runs | None:
-        """Cells that overlap ``window`` and come within ``margin`` counts of the area; None where it covers all of it.
+        """Cells that overlap ``window`` and come within ``margin`` counts of the area; None if it covers the window.
 
-        A cell is taken or left as a whole. Where the outline is longer than some `MOST_BOXES` cells, cells farther off
-        than ``margin`` may be among those found.
+        If the outline is longer than about `MOST_BOXES` cells, cells beyond the margin may be among them.
         """
         if self.covers(window):
             return None
-        x0, y0 = lattice.index_of(window.x0), lattice.index_of(window.y0)
-        x1, y1 = lattice.index_of(window.x1 - 1) + 1, lattice.index_of(window.y1 - 1) + 1
+        whole = Bounds(
+            lattice.index_of(window.x0),
+            lattice.index_of(window.y0),
+            lattice.index_of(window.x1 - 1) + 1,
+            lattice.index_of(window.y1 - 1) + 1,
+        )
         rows: dict[int, list[tuple[int, int]]] = {}
-        boxes, looked_at = deque([(x0, y0, x1, y1, self._outline)]), 0
+        boxes = deque([(whole, self._outline)])  # rectangles of cells, with the edges near them
+        looked_at = 0
         while boxes:
-            x0, y0, x1, y1, outline = boxes.popleft()
+            box, outline = boxes.popleft()
             looked_at += 1
-            bounds = Bounds(*(lattice.first(i) for i in (x0, y0, x1, y1)))
+            bounds = Bounds(*(lattice.first(i) for i in box.to_json()))
             outline = _near(outline, bounds.pad(margin))
-            whole = not _near(outline, bounds).size and self._holds_corner(bounds)
-            smallest = (x1 - x0, y1 - y0) == (1, 1) or looked_at > MOST_BOXES
-            if whole or (outline.size and smallest):
-                for iy in range(y0, y1):
-                    rows.setdefault(iy, []).append((x0, x1))
+            inside = not _near(outline, bounds).size and self._holds_corner(bounds)
+            smallest = box.area() == 1 or looked_at > MOST_BOXES
+            if inside or (outline.size and smallest):
+                for iy in range(box.y0, box.y1):
+                    rows.setdefault(iy, []).append((box.x0, box.x1))
             elif outline.size:
-                across, up = (x0, (x0 + x1 + 1) // 2, x1), (y0, (y0 + y1 + 1) // 2, y1)
-                boxes += [
-                    (west, south, east, north, outline)
-                    for south, north in pairwise(up)
-                    for west, east in pairwise(across)
-                    if south < north and west < east
-                ]
-        return [[iy, first, end] for iy in sorted(rows) for first, end in _joined(sorted(rows[iy]))]
+                boxes += [(quarter, outline) for quarter in _quarters(box)]
+        found = []
+        for iy in sorted(rows):
+            for first, end in _joined(sorted(rows[iy])):
+                found.append([iy, first, end])
+        return found
+
+    @cached_property
+    def _is_small(self) -> bool:
+        bounds = self.bounds
+        return max(bounds.x1 - bounds.x0, bounds.y1 - bounds.y0) <= LONGEST_EDGE
 
     def _holds_corner(self, bounds: Bounds) -> bool:
         return bool(self.inside(np.array([bounds.x0], np.int64), np.array([bounds.y0], np.int64))[0])
@@ -132,70 +158,91 @@ class Area:
     @classmethod
     def from_json(cls, data: Sequence[Sequence[Sequence[int]]]) -> Area:
         """The area that `to_json` wrote."""
-        return cls(tuple(tuple(np.array(r, np.int64).reshape(-1, 2) for r in rings) for rings in data))
+        polygons = []
+        for rings in data:
+            polygons.append(tuple(np.array(ring, np.int64).reshape(-1, 2) for ring in rings))
+        return cls(tuple(polygons))
+
+
+class Places:
+    """Places, sorted so that each of many areas is compared only with the places as far north as itself."""
+
+    def __init__(self, x: Counts, y: Counts) -> None:
+        self._order = np.argsort(y, kind="stable")
+        self._x = x[self._order]
+        self._y = y[self._order]
+
+    def inside(self, area: Area) -> npt.NDArray[np.intp]:
+        """Indices of the places inside an area, ascending."""
+        bounds = area.bounds
+        strip = slice(*np.searchsorted(self._y, (bounds.y0, bounds.y1)).tolist())
+        x = self._x[strip]
+        near = np.flatnonzero((x >= bounds.x0) & (x < bounds.x1)) + strip.start
+        return np.sort(self._order[near[area.inside(self._x[near], self._y[near])]])
 
 
 def shortened(ring: Counts) -> Counts:
-    """A ring with further points on edges that are longer than `LONGEST_EDGE` along an axis, to the next count."""
+    """A ring with further points, rounded to counts, on the edges that are longer than `LONGEST_EDGE` along an axis."""
+    if np.ptp(ring, axis=0).max() < LONGEST_EDGE:
+        return ring
     parts = []
-    for start, end in zip(ring.tolist(), np.roll(ring, -1, axis=0).tolist(), strict=True):
-        number = max(abs(e - s) for s, e in zip(start, end, strict=True)) // LONGEST_EDGE + 1
-        parts += [[s + (e - s) * i // number for s, e in zip(start, end, strict=True)] for i in range(number)]
+    for (x0, y0), (x1, y1) in zip(ring.tolist(), np.roll(ring, -1, axis=0).tolist(), strict=True):
+        number = max(abs(x1 - x0), abs(y1 - y0)) // LONGEST_EDGE + 1
+        for i in range(number):
+            parts.append([x0 + (x1 - x0) * i // number, y0 + (y1 - y0) * i // number])
     return np.array(parts, np.int64)
 
 
 def in_runs(runs: Runs, ix: Counts, iy: Counts) -> npt.NDArray[np.bool_]:
-    """Mask of the cells that are in runs of `Area.cells`."""
+    """Mask of the cells (ix, iy) that are in ``runs``."""
     if not runs:
         return np.zeros(ix.shape, np.bool_)
     row, first, end = np.array(runs, np.int64).T
     west = min(int(first.min()), int(ix.min(initial=0)))
     wide = max(int(end.max()), int(ix.max(initial=0))) - west + 1
-    run: npt.NDArray[np.intp] = (
-        np.searchsorted(row * wide + (first - west), iy * wide + (ix - west), side="right") - 1
-    )
+    starts = row * wide + (first - west)
+    run = np.searchsorted(starts, iy * wide + (ix - west), side="right") - 1
     found: npt.NDArray[np.bool_] = (run >= 0) & (row[run] == iy) & (ix < end[run])
     return found
 
 
 def _edges(ring: Counts) -> Counts:
-    """x0, y0, x1, y1 of the edges of a ring, int64 (4, n); one more closes it, if of no length where it is closed."""
-    return np.concatenate([ring, np.roll(ring, -1, axis=0)], axis=1).T
+    """x0, y0, x1, y1 of the edges of a ring, int64 (4, n). The edge that closes a closed ring has no length."""
+    following = np.concatenate((ring[1:], ring[:1]))
+    return np.concatenate((ring, following), axis=1).T
 
 
-def _rising(ring: Counts) -> Counts:
-    """The edges of a ring but level ones, from the lower end to the upper one."""
-    edges = _edges(ring)
+def _rising(rings: Sequence[Counts]) -> Counts:
+    """The edges of rings except level ones, from the lower end to the upper end."""
+    edges = _edges(rings[0]) if len(rings) == 1 else np.concatenate([_edges(ring) for ring in rings], axis=1)
     edges = edges[:, edges[1] != edges[3]]
     return np.where(edges[1] < edges[3], edges, edges[[2, 3, 0, 1]])
 
 
 def _near(edges: Counts, bounds: Bounds) -> Counts:
-    """The edges that touch closed bounds, or pass them by less than a rounding."""
+    """The edges that touch the bounds, including their upper edges, or miss them by less than a rounding."""
     x0, y0, x1, y1 = edges
     hit = (np.minimum(x0, x1) <= bounds.x1) & (np.maximum(x0, x1) >= bounds.x0)
     hit &= (np.minimum(y0, y1) <= bounds.y1) & (np.maximum(y0, y1) >= bounds.y0)
     edges = edges[:, hit]
     x0, y0, x1, y1 = edges.astype(np.float64)
-    sides = [
-        (x1 - x0) * (y - y0) - (y1 - y0) * (x - x0)
-        for x in (bounds.x0, bounds.x1)
-        for y in (bounds.y0, bounds.y1)
-    ]
+    corners = product((bounds.x0, bounds.x1), (bounds.y0, bounds.y1))
+    sides = [(x1 - x0) * (y - y0) - (y1 - y0) * (x - x0) for x, y in corners]
     slack = np.abs(x1 - x0) + np.abs(y1 - y0)
     return edges[:, (np.min(sides, axis=0) <= slack) & (np.max(sides, axis=0) >= -slack)]
 
 
 def _crossed_oddly(edges: Counts, x: Counts, y: Counts) -> npt.NDArray[np.bool_]:
-    """Places from which a ray to the east crosses an odd number of edges; y ascending.
+    """Mask of the places from which a ray to the east crosses an odd number of edges; y must be ascending.
 
-    An edge holds its lower end and not its upper one; a place on an edge is west of it only if x is lower.
+    An edge holds its lower end but not its upper end. A place on an edge is not west of it.
     """
     x0, y0, x1, y1 = edges
     facing = (y0 <= y[-1]) & (y1 > y[0]) & (np.maximum(x0, x1) > x.min())
     beyond = facing & (np.minimum(x0, x1) > x.max())
-    # All of those that lie east of the places count wherever they reach in y.
-    lower, upper = np.sort(y0[beyond]), np.sort(y1[beyond])
+    # Edges east of all places are crossed by every ray that is as far north.
+    lower = np.sort(y0[beyond])
+    upper = np.sort(y1[beyond])
     crossings = np.searchsorted(lower, y, side="right") - np.searchsorted(upper, y, side="right")
     odd: npt.NDArray[np.bool_] = crossings % 2 == 1
     for ax, ay, bx, by in edges[:, facing & ~beyond].T.tolist():
@@ -207,8 +254,25 @@ def _crossed_oddly(edges: Counts, x: Counts, y: Counts) -> npt.NDArray[np.bool_]
     return odd
 
 
+def _few_crossed_oddly(edges: Counts, x: Counts, y: Counts) -> npt.NDArray[np.bool_]:
+    """`_crossed_oddly` for a few places in any order, which compares every place with every edge."""
+    x0, y0, x1, y1 = edges[:, :, np.newaxis]
+    crossed = (x1 - x0) * (y - y0) > (x - x0) * (y1 - y0)
+    crossed &= (y0 <= y) & (y < y1)
+    odd: npt.NDArray[np.bool_] = np.logical_xor.reduce(crossed, axis=0)
+    return odd
+
+
+def _quarters(box: Bounds) -> list[Bounds]:
+    """Up to four parts of a rectangle of cells; fewer if it is one cell wide or high."""
+    xs = (box.x0, (box.x0 + box.x1 + 1) // 2, box.x1)
+    ys = (box.y0, (box.y0 + box.y1 + 1) // 2, box.y1)
+    parts = [Bounds(x0, y0, x1, y1) for (y0, y1), (x0, x1) in product(pairwise(ys), pairwise(xs))]
+    return [part for part in parts if not part.empty]
+
+
 def _joined(runs: list[tuple[int, int]]) -> list[list[int]]:
-    """Runs of a row, ascending, those that follow one another as one."""
+    """Join adjacent runs of a row; the runs are ascending."""
     found: list[list[int]] = []
     for first, end in runs:
         if found and found[-1][1] == first:

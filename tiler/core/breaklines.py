@@ -1,10 +1,10 @@
-"""Breaklines: lines of known height that the surface follows, as vertices so close that they become edges of its TIN.
+"""Breaklines: lines of known height, divided into pieces so short that they become edges of the TIN.
 
-A piece of a line is an edge of the Delaunay triangulation if no other vertex lies within the circle around it. Ground
-points nearer to a line than half a pixel are left out, and no piece is longer than a pixel: so no ground point lies
-there. Where other lines come near, pieces are as much shorter. All of that follows from the lines and the pixel alone,
-so blocks, tiles and the order of the lines do not show. The alternative, a triangulation with constrained edges, would
-be no longer Delaunay, and so neither unique nor of a reach that a block can certify.
+A piece of a line is an edge of the Delaunay triangulation if no other vertex lies in the circle that has the piece as
+its diameter. No ground point lies there, since no piece is longer than a pixel and ground points within half a pixel
+of a line are left out. No other line lies there, since pieces are shorter where lines come near each other. The pieces
+depend on the lines and the pixel alone, so blocks, tiles and the order of the lines do not change the result. A
+triangulation with constrained edges would not be Delaunay: it would not be unique, and a block could not certify it.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from fractions import Fraction
 from functools import cached_property
+from itertools import product
 
 import numpy as np
 import numpy.typing as npt
@@ -25,25 +26,28 @@ from tiler.core.lattice import Bounds, Cell, Lattice
 Counts = npt.NDArray[np.int64]
 
 SHORTEST_M = Fraction(1, 50)
-"""Length below which a piece is not divided any more: where lines meet at sharp angles, or lie on one another."""
-
+"""Shorter pieces are not divided, even where lines meet at sharp angles or lie on each other."""
 
 LONGEST_SEGMENT = 1 << 32
-"""Counts along an axis between two vertices with which a segment is divided within int64."""
+"""Longest segment between two vertices, in counts along an axis, that can be divided within int64."""
+
 ALIKE = 10
-"""Counts by which heights of lines that meet may differ."""
+"""Largest difference of the heights of two lines where they meet, in counts."""
+
+
+_NO_PIECES = np.empty((0, 6), np.int64)
 
 
 @dataclass(frozen=True, eq=False)
 class Breaklines:
-    """Pieces of lines.
+    """Breaklines, divided into pieces.
 
     Attributes
     ----------
     pieces : int64 (n, 6)
-        x, y, z of both ends in absolute counts, sorted, each once.
+        The x, y, z of both ends in absolute counts, sorted, each piece once.
     pixel : Fraction
-        Counts of a pixel's side, at most the length of a piece.
+        Side of a pixel in counts, which is the greatest length of a piece.
     """
 
     pieces: Counts
@@ -58,12 +62,11 @@ class Breaklines:
         lines : iterable of int64 (n, 3)
             Vertices x, y, z in absolute counts.
         pixel, shortest : Fraction
-            Counts: the longest piece, and the length below which none is divided any more.
+            Length of the longest piece, and the length below which a piece is not divided, in counts.
         data : Bounds
-            Of all points of the run; what is farther from them than pieces are long is left out.
+            Bounds of all points of the run; pieces more than three pixels outside are left out.
         """
-        found = [_segments(line) for line in lines]
-        segments = np.unique(np.concatenate([np.empty((0, 6), np.int64), *found]), axis=0)
+        segments = np.unique(np.concatenate([_NO_PIECES, *map(_segments, lines)]), axis=0)
         return cls(_divided(segments, float(pixel), float(shortest), data.pad(int(3 * pixel))), pixel)
 
     @cached_property
@@ -78,21 +81,22 @@ class Breaklines:
 
     def digests(self, lattice: Lattice) -> dict[Cell, str]:
         """Digest of the pieces that begin in each cell of a lattice."""
-        ix, iy = lattice.index(self.pieces[:, 0]), lattice.index(self.pieces[:, 1])
+        ix = lattice.index(self.pieces[:, 0])
+        iy = lattice.index(self.pieces[:, 1])
         order = np.lexsort((ix, iy))
         ends = np.flatnonzero(np.diff(ix[order]) | np.diff(iy[order])) + 1
-        return {
-            Cell(int(ix[rows[0]]), int(iy[rows[0]])): hashlib.blake2b(
-                np.ascontiguousarray(self.pieces[rows]).tobytes(), digest_size=16
-            ).hexdigest()
-            for rows in np.split(order, ends)
-            if len(rows)
-        }
+        found = {}
+        for rows in np.split(order, ends):
+            if len(rows):
+                cell = Cell(int(ix[rows[0]]), int(iy[rows[0]]))
+                content = np.ascontiguousarray(self.pieces[rows]).tobytes()
+                found[cell] = hashlib.blake2b(content, digest_size=16).hexdigest()
+        return found
 
     def applied(
         self, xyz: npt.NDArray[np.int32], window: Bounds, data: Bounds, origin: tuple[int, int]
     ) -> npt.NDArray[np.int32]:
-        """The points of a window that make its TIN: ground that is not too near to a line, and the lines.
+        """The points for the TIN of a window: ground points that are not too near to a line, and vertices of lines.
 
         Parameters
         ----------
@@ -100,7 +104,7 @@ class Breaklines:
             Ground points, local counts.
         window : Bounds
         data : Bounds
-            Of all points of the run, beyond which lines have no influence.
+            Bounds of all points of the run; vertices outside are left out.
         origin : tuple of int
             Absolute counts of the local 0.
         """
@@ -117,28 +121,28 @@ class Breaklines:
         return np.concatenate((kept, local.T), axis=1)
 
     def _within(self, bounds: Bounds) -> Counts:
-        """Pieces that begin in some bounds."""
+        """The pieces that begin in ``bounds``."""
         first, last = np.searchsorted(self.pieces[:, 0], (bounds.x0, bounds.x1))
         found = self.pieces[first:last]
         return found[(found[:, 1] >= bounds.y0) & (found[:, 1] < bounds.y1)]
 
     def _beside(self, xy: Counts, pieces: Counts) -> npt.NDArray[np.bool_]:
-        """Which places, int64 (n, 2), are within half a pixel of some pieces."""
+        """Mask of the places, int64 (n, 2), that are within half a pixel of a piece."""
+        import shapely
+
         found = np.zeros(len(xy), np.bool_)
+        # Only places in pixels next to the end of a piece can be so near.
         lattice = Lattice(self.pixel)
         ends = lattice.index(pieces.reshape(-1, 3)[:, :2])
         west, south = ends.min(axis=0) - 1
         wide = int(ends[:, 0].max()) - int(west) + 2
         keys = np.unique((ends[:, 1] - south) * wide + ends[:, 0] - west)
-        around = np.unique(
-            np.concatenate([keys + down * wide + right for down in (-1, 0, 1) for right in (-1, 0, 1)])
-        )
+        steps = [down * wide + right for down, right in product((-1, 0, 1), repeat=2)]
+        around = np.unique(np.concatenate([keys + step for step in steps]))
         cells = lattice.index(xy) - (west, south)
         possible = (cells[:, 0] >= 0) & (cells[:, 0] < wide)
         rows = np.flatnonzero(possible & np.isin(cells[:, 1] * wide + cells[:, 0], around))
-        import shapely
-
-        # Counts are whole numbers that float64 holds, and a distance follows from one place and one piece alone.
+        # The distance depends on one place and one piece alone, and float64 holds their counts exactly.
         tree = shapely.STRtree(_as_lines(pieces))
         hits = tree.query(shapely.points(xy[rows]), predicate="dwithin", distance=float(self.pixel / 2))
         found[rows[hits[0]]] = True
@@ -160,22 +164,20 @@ def two_heights(lines: Iterable[Counts]) -> Counts:
     """Places where lines meet or cross at heights that differ by more than `ALIKE`: int64 (n, 4), x, y and both z."""
     import shapely
 
-    segments = np.unique(
-        np.concatenate([np.empty((0, 6), np.int64), *(_segments(line) for line in lines)]), axis=0
-    )
+    segments = np.unique(np.concatenate([_NO_PIECES, *map(_segments, lines)]), axis=0)
     shapes = _as_lines(segments)
     one, other = shapely.STRtree(shapes).query(shapes, predicate="intersects")
     one, other = one[one < other], other[one < other]
-    places = shapely.get_coordinates(
-        shapely.point_on_surface(shapely.intersection(shapes[one], shapes[other]))
-    )
-    z = [_heights_at(segments[rows], places) for rows in (one, other)]
-    found = np.rint(np.column_stack((places, *z))).astype(np.int64)
-    return np.unique(found[np.abs(z[0] - z[1]) > ALIKE], axis=0)
+    common = shapely.intersection(shapes[one], shapes[other])
+    places = shapely.get_coordinates(shapely.point_on_surface(common))
+    z_one = _heights_at(segments[one], places)
+    z_other = _heights_at(segments[other], places)
+    found = np.rint(np.column_stack((places, z_one, z_other))).astype(np.int64)
+    return np.unique(found[np.abs(z_one - z_other) > ALIKE], axis=0)
 
 
 def _heights_at(segments: Counts, places: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """Heights of segments at places on them."""
+    """The height of each segment at a place that lies on it."""
     way = segments[:, 3:] - segments[:, :3]
     along = ((places - segments[:, :2]) * way[:, :2]).sum(axis=1) / (way[:, :2] ** 2).sum(axis=1)
     heights: npt.NDArray[np.float64] = segments[:, 2] + along * way[:, 2]
@@ -183,21 +185,24 @@ def _heights_at(segments: Counts, places: npt.NDArray[np.float64]) -> npt.NDArra
 
 
 def _segments(line: Counts) -> Counts:
-    """Straight parts of a line, int64 (n, 6), from the lower end in (x, y) on; upright ones are left out."""
+    """Straight parts of a line, int64 (n, 6), the smaller end by (x, y) first; vertical parts are left out."""
     found = np.concatenate((line[:-1], line[1:]), axis=1)
     x0, y0, _, x1, y1, _ = found.T
-    found = np.where(((x0 > x1) | ((x0 == x1) & (y0 > y1)))[:, None], found[:, [3, 4, 5, 0, 1, 2]], found)
+    backwards = (x0 > x1) | ((x0 == x1) & (y0 > y1))
+    found = np.where(backwards[:, None], found[:, [3, 4, 5, 0, 1, 2]], found)
     kept: Counts = found[(x0 != x1) | (y0 != y1)]
     return kept
 
 
 def _divided(segments: Counts, longest: float, shortest: float, wanted: Bounds) -> Counts:
-    """Segments halved until no other one comes into the circle around a piece, sorted; those in some bounds."""
+    """Halve segments until no other one enters the circle around a piece; sorted pieces that touch ``wanted``."""
     import shapely
 
-    done = [np.empty((0, 6), np.int64)]
+    done = [_NO_PIECES]
     tree = shapely.STRtree(_as_lines(segments))
-    parents, number, parts = (np.arange(len(segments)), np.zeros(len(segments), np.int64), 1)
+    parents = np.arange(len(segments))
+    number = np.zeros(len(segments), np.int64)
+    parts = 1
     while len(parents):
         pieces = _part(segments[parents], number, parts)
         inside = _touching(pieces, wanted)
@@ -218,16 +223,18 @@ def _divided(segments: Counts, longest: float, shortest: float, wanted: Bounds) 
 
 
 def _touching(pieces: Counts, bounds: Bounds) -> npt.NDArray[np.bool_]:
-    """Pieces whose own bounds touch some others."""
-    x, y = pieces[:, [0, 3]], pieces[:, [1, 4]]
+    """Mask of the pieces whose bounds touch ``bounds``."""
+    x = pieces[:, [0, 3]]
+    y = pieces[:, [1, 4]]
     found: npt.NDArray[np.bool_] = (x.max(axis=1) >= bounds.x0) & (x.min(axis=1) < bounds.x1)
     found &= (y.max(axis=1) >= bounds.y0) & (y.min(axis=1) < bounds.y1)
     return found
 
 
 def _part(segments: Counts, number: Counts, parts: int) -> Counts:
-    """One of ``parts`` equal parts of each segment, its ends rounded to counts."""
-    start, way = segments[:, :3], segments[:, 3:] - segments[:, :3]
+    """Part ``number`` of the ``parts`` equal parts of each segment, its ends rounded to counts."""
+    start = segments[:, :3]
+    way = segments[:, 3:] - start
     ends = [start + (2 * way * (number + more)[:, None] + parts) // (2 * parts) for more in (0, 1)]
     return np.concatenate(ends, axis=1)
 

@@ -1,4 +1,4 @@
-"""Horizontal and vertical parts of a CRS, and whether two mean the same plane."""
+"""Horizontal and vertical parts of a CRS, their names, and the scale of a projection."""
 
 from __future__ import annotations
 
@@ -9,13 +9,14 @@ from pyproj.exceptions import ProjError
 
 
 def split(crs: CRS) -> tuple[CRS | None, CRS | None]:
-    """The horizontal CRS and the one that declares heights (vertical, or of three axes); else None."""
+    """The horizontal CRS and the one that defines heights (vertical, or with three axes), or None in place of each."""
     if crs.is_bound and crs.source_crs is not None:
         return split(crs.source_crs)
     if crs.is_compound:
         parts = [split(part) for part in crs.sub_crs_list]
         horizontal = next((h for h, _ in parts if h is not None), None)
-        return horizontal, next((v for _, v in parts if v is not None), None)
+        vertical = next((v for _, v in parts if v is not None), None)
+        return horizontal, vertical
     if crs.is_vertical:
         return None, crs
     if len(crs.axis_info) == 3 and not crs.is_geocentric:
@@ -24,7 +25,7 @@ def split(crs: CRS) -> tuple[CRS | None, CRS | None]:
 
 
 def vertical_name(wkt: str | None) -> str | None:
-    """What the heights of a CRS refer to, ``NAVD88 height (EPSG:5703)``; None where nothing says it."""
+    """Name of the height reference of a CRS, like ``NAVD88 height (EPSG:5703)``; None if the CRS defines none."""
     if wkt is None:
         return None
     vertical = split(CRS.from_wkt(wkt))[1]
@@ -35,7 +36,7 @@ def vertical_name(wkt: str | None) -> str | None:
 
 
 def same_horizontal(one: CRS, other: CRS) -> bool:
-    """Equal definitions, whatever their names and axis order, or the same EPSG code and unit."""
+    """Whether the definitions are equal except for names and the order of axes, or the EPSG codes and units are."""
     if one == other or one.equals(other, ignore_axis_order=True):
         return True
     code = one.to_epsg()
@@ -44,7 +45,7 @@ def same_horizontal(one: CRS, other: CRS) -> bool:
 
 
 def crs_name(wkt: str | None) -> str:
-    """The name of a CRS and its code, where it has one; ``none`` for no CRS."""
+    """The name of a CRS, with its code if it has one; ``none`` for no CRS."""
     if wkt is None:
         return "none"
     crs = CRS.from_user_input(wkt)
@@ -55,7 +56,7 @@ def crs_name(wkt: str | None) -> str:
 def length_scale(wkt: str, x: float, y: float) -> float | None:
     """Length in the plane of the CRS over length on the ground at a place: 1.5 in Web Mercator at 48 degrees.
 
-    Of the directions the one that differs most from 1; None where PROJ cannot tell.
+    The scale in the direction in which it differs most from 1; None if PROJ does not know it.
     """
     horizontal = split(CRS.from_wkt(wkt))[0]
     if horizontal is None or not horizontal.is_projected:

@@ -1,4 +1,4 @@
-"""Corrections that a person drew: polygons that say which points are ground, or what height the terrain has."""
+"""Corrections that a user draws: polygons that say which points are ground, or what height the terrain has."""
 
 from __future__ import annotations
 
@@ -12,32 +12,45 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from tiler.core.area import Area
-from tiler.core.classes import BRIDGE, GROUND, MARK_BIT, NOISE, UNCLASSIFIED, WATER, WITHHELD_FLAG
+from tiler.core.area import Area, Places
+from tiler.core.area_index import AreaIndex
+from tiler.core.classes import BRIDGE, GROUND, MARK_BIT, NOISE, UNCLASSIFIED, UNSEEN_FLAGS, WATER
 from tiler.core.frame import COUNTS_PER_UNIT
-from tiler.core.lattice import Bounds, Lattice
+from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.points import PointBlock
-from tiler.core.raster import NODATA, Block, RasterSpec
+from tiler.core.raster import NODATA, Block, RasterSpec, within
 
-NOT_GROUND, TO_GROUND, VOID, FLAT = "not_ground", "ground", "void", "flat"
+NOT_GROUND = "not_ground"
+TO_GROUND = "ground"
+VOID = "void"
+FLAT = "flat"
 ACTIONS = (NOT_GROUND, TO_GROUND, VOID, FLAT)
+"""What a user can ask for."""
 DECK = "deck"
-"""In place of an action that a person asks for: points on the deck of a bridge that was found."""
-OF_POINTS, OF_PIXELS = (NOT_GROUND, TO_GROUND, DECK), (VOID, FLAT)
-"""Those that say what points are, and those that say what the terrain holds."""
+"""The action of an edit that tiler makes itself, for the deck of a bridge that it found."""
+DrawnDeck = tuple[tuple[int, ...], float, float, float, int]
+"""Outline as x, y, x, y, ... in counts; length, width and clearance in metres; points seen beneath."""
+OF_POINTS = (NOT_GROUND, TO_GROUND, DECK)
+"""Actions that change the class of points."""
+OF_PIXELS = (VOID, FLAT)
+"""Actions that change the height of pixels."""
 
-UNTOUCHED, FORCED_OFF, FORCED_ON, FORCED_BRIDGE = -1, 0, 1, 2
-"""What edits say of a point: nothing, not ground, ground, bridge."""
+# Decisions of the edits about a point.
+UNTOUCHED = -1
+FORCED_OFF = 0
+FORCED_ON = 1
+FORCED_BRIDGE = 2
 
 Int8 = npt.NDArray[np.int8]
 Classes = npt.NDArray[np.uint8]
+Rows = npt.NDArray[np.intp]
 
 
 @dataclass(frozen=True)
 class DeckSurface:
-    """Height of a deck: a + b s + c s^2 + d t, of the places (x, y) + s (ux, uy) + t (-uy, ux); all of it in counts.
+    """Surface of a deck: its height is a + b s + c s^2 + d t at the place (x, y) + s (ux, uy) + t (-uy, ux), in counts.
 
-    ``low``, ``high``: counts by which a point of it may lie below and above.
+    A point of the deck may lie ``low`` counts below the surface and ``high`` counts above it.
     """
 
     x: float
@@ -54,9 +67,11 @@ class DeckSurface:
     def holds(
         self, x: npt.NDArray[np.int64], y: npt.NDArray[np.int64], z: npt.NDArray[np.int32]
     ) -> npt.NDArray[np.bool_]:
-        """Which points are as high as the deck."""
-        dx, dy = x - self.x, y - self.y
-        s, t = dx * self.ux + dy * self.uy, dy * self.ux - dx * self.uy
+        """Mark the points that are as high as the deck."""
+        dx = x - self.x
+        dy = y - self.y
+        s = dx * self.ux + dy * self.uy
+        t = dy * self.ux - dx * self.uy
         off = z - (self.a + self.b * s + self.c * s * s + self.d * t)
         found: npt.NDArray[np.bool_] = (off >= -self.low) & (off <= self.high)
         return found
@@ -64,20 +79,20 @@ class DeckSurface:
 
 @dataclass(frozen=True, eq=False)
 class Edit:
-    """One polygon, or several of one feature, and what is done inside.
+    """The polygons of one feature, and what is done inside them.
 
     Attributes
     ----------
     number : int
-        Of the feature in its file, from 1 on.
+        Number of the feature in its file; the first is 1.
     action : str
-        One of `ACTIONS`.
+        One of `ACTIONS`, or `DECK`.
     z : int or None
-        Counts of the height of `FLAT`.
+        Height that `FLAT` sets, in counts.
     lowest : bool
-        `TO_GROUND` takes the lowest point of each cell, as the input calls none inside ground.
+        `TO_GROUND` takes the lowest point of each cell. It does so if the input has no ground inside.
     deck : DeckSurface or None
-        Of `DECK`.
+        Surface of the deck, for `DECK` only.
     """
 
     number: int
@@ -89,9 +104,11 @@ class Edit:
 
     @cached_property
     def digest(self) -> list[Any]:
-        """What a result depends on."""
-        deck = [] if self.deck is None else list(astuple(self.deck))
-        return [self.action, self.area.key, self.z, self.lowest, *deck]
+        """The values on which a result depends."""
+        found = [self.action, self.area.key, self.z, self.lowest]
+        if self.deck is not None:
+            found += astuple(self.deck)
+        return found
 
     def to_json(self) -> dict[str, Any]:
         """A JSON-able description."""
@@ -107,19 +124,25 @@ class Edit:
     @classmethod
     def from_json(cls, data: dict[str, Any]) -> Edit:
         """The edit that `to_json` described."""
-        deck = None if data.get("deck") is None else DeckSurface(*data["deck"])
-        area = Area.from_json(data["rings"])
-        return cls(data["number"], data["action"], area, data["z"], data["lowest"], deck)
+        return cls(
+            number=data["number"],
+            action=data["action"],
+            area=Area.from_json(data["rings"]),
+            z=data["z"],
+            lowest=data["lowest"],
+            deck=DeckSurface(*data["deck"]) if data.get("deck") else None,
+        )
 
 
 @dataclass(frozen=True, eq=False)
 class Edits:
-    """Edits in the order of their file; where they overlap, the last one holds.
+    """Edits in the order of their file; if two overlap, the later one wins.
 
     Attributes
     ----------
+    edits : tuple of Edit
     cell : Lattice
-        `TO_GROUND` takes the lowest point of each of its cells, where it takes lowest points.
+        Cells in which `TO_GROUND` takes the lowest point.
     """
 
     edits: tuple[Edit, ...]
@@ -127,68 +150,89 @@ class Edits:
 
     @cached_property
     def key(self) -> str:
-        """A digest of them all."""
+        """A digest of all edits."""
         text = json.dumps([self.cell.to_json(), *([edit.number, *edit.digest] for edit in self.edits)])
         return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
+    @cached_property
+    def _index(self) -> AreaIndex:
+        return AreaIndex([edit.area for edit in self.edits])
+
     def near(self, bounds: Bounds, actions: Iterable[str]) -> Edits:
-        """Those of some actions that touch the bounds."""
-        found = (e for e in self.edits if e.action in actions and e.area.bounds.overlaps(bounds))
-        return replace(self, edits=tuple(e for e in found if e.area.touches(bounds)))
+        """The edits that have one of the actions and touch the bounds."""
+        found = (self.edits[i] for i in self._index.touching(bounds))
+        return replace(self, edits=tuple(edit for edit in found if edit.action in actions))
+
+    def by_cell(self, lattice: Lattice, cells: Iterable[Cell]) -> dict[Cell, list[Edit]]:
+        """The edits of points that touch each cell; cells without edits are left out."""
+        found = {}
+        for cell, near in self._index.by_cell(lattice, cells).items():
+            edits = [self.edits[i] for i in near if self.edits[i].action in OF_POINTS]
+            if edits:
+                found[cell] = edits
+        return found
 
     def digest(self, bounds: Bounds, actions: Iterable[str]) -> list[Any]:
-        """What results within some bounds depend on; empty where no edit touches them."""
+        """The values on which results inside the bounds depend; empty if no edit touches the bounds."""
         found = self.near(bounds, actions).edits
-        return [self.cell.to_json(), *(edit.digest for edit in found)] if found else []
+        if not found:
+            return []
+        return [self.cell.to_json(), *(edit.digest for edit in found)]
 
     def forced(self, block: PointBlock, classes: Classes, origin: tuple[int, int]) -> Int8:
-        """What the edits say of each point of a bucket: `UNTOUCHED`, `FORCED_OFF` or `FORCED_ON`.
+        """Decide for each point of a bucket: `UNTOUCHED`, `FORCED_OFF`, `FORCED_ON` or `FORCED_BRIDGE`.
 
         Parameters
         ----------
         block : PointBlock
-            With flags and the input's classes.
+            Points with the flags and classes of the input.
         classes : uint8 (n,)
-            As they are without edits, with or without `MARK_BIT`.
+            Classes without edits, with or without `MARK_BIT`.
+        origin : tuple of int
+            Absolute counts of the local 0.
         """
         found = np.full(len(classes), UNTOUCHED, np.int8)
-        x, y = (block.xyz[axis].astype(np.int64) + origin[axis] for axis in (0, 1))
+        points = EditedPoints(block, classes, origin)
         for edit in self.edits:
-            inside = edit.area.inside(x, y)
+            rows = points.inside(edit.area)
             if edit.action == NOT_GROUND:
-                found[inside] = FORCED_OFF
+                found[rows] = FORCED_OFF
             elif edit.deck is not None:
-                found[inside & edit.deck.holds(x, y, block.xyz[2])] = FORCED_BRIDGE
-            elif edit.action == TO_GROUND and inside.any():
-                possible = inside & can_be_ground(block, classes)
-                rows = np.flatnonzero(
-                    possible if edit.lowest else possible & (block.classification == GROUND)
-                )
-                if edit.lowest:
-                    rows = rows[_lowest(x[rows], y[rows], block.xyz[2][rows], self.cell)]
-                found[rows] = FORCED_ON
+                found[points.on_deck(rows, edit.deck)] = FORCED_BRIDGE
+            elif edit.action == TO_GROUND:
+                found[points.to_ground(rows, self.cell if edit.lowest else None)] = FORCED_ON
         return found
 
     def labels(self, block: PointBlock, labels: Classes, origin: tuple[int, int]) -> Classes:
-        """Labels of the points of a bucket as the edits want them."""
+        """The labels of a bucket's points after the edits."""
         forced = self.forced(block, labels, origin)
-        found = labels & ~np.uint8(MARK_BIT)
-        off = (forced == FORCED_OFF) & (found == GROUND)
-        bridge = (forced == FORCED_BRIDGE) & np.isin(found, (GROUND, UNCLASSIFIED))
-        labels = np.where(bridge, np.uint8(BRIDGE), np.where(off, np.uint8(UNCLASSIFIED), labels))
-        return np.where(forced == FORCED_ON, np.uint8(GROUND), labels)
+        classes = labels & ~np.uint8(MARK_BIT)
+        edited = labels.copy()
+        edited[(forced == FORCED_OFF) & (classes == GROUND)] = UNCLASSIFIED
+        edited[(forced == FORCED_BRIDGE) & np.isin(classes, (GROUND, UNCLASSIFIED))] = BRIDGE
+        edited[forced == FORCED_ON] = GROUND
+        return edited
 
     def set_heights(
         self, spec: RasterSpec, block: Block, heights: npt.NDArray[np.float32]
     ) -> list[tuple[int, int]]:
-        """Set the heights of a block's pixels, in units of the CRS; number of each edit and how many it changed."""
+        """Set the heights of a block's pixels, in units of the CRS.
+
+        Returns
+        -------
+        list of tuple of int
+            Number of each edit, and how many pixels it changed.
+        """
         changed = []
         for edit in self.edits:
-            if edit.action in OF_PIXELS:
-                z = np.float32(NODATA if edit.z is None else edit.z / COUNTS_PER_UNIT)
-                inside = spec.inside(block, edit.area) & (heights != z)
-                heights[inside] = z
-                changed.append((edit.number, int(inside.sum())))
+            if edit.action not in OF_PIXELS:
+                continue
+            z = np.float32(NODATA if edit.z is None else edit.z / COUNTS_PER_UNIT)
+            part = spec.part(block, edit.area.bounds)
+            pixels = heights[within(part, block)]
+            inside = spec.inside(part, edit.area) & (pixels != z)
+            pixels[inside] = z
+            changed.append((edit.number, int(inside.sum())))
         return changed
 
     def to_json(self) -> dict[str, Any]:
@@ -201,26 +245,72 @@ class Edits:
         return cls(tuple(Edit.from_json(e) for e in data["edits"]), Lattice.from_json(data["cell"]))
 
 
+class EditedPoints:
+    """The points of a bucket, prepared for queries of many edits.
+
+    Parameters
+    ----------
+    block : PointBlock
+        Points with the flags and classes of the input.
+    classes : uint8 (n,)
+        Classes without edits, with or without `MARK_BIT`.
+    origin : tuple of int
+        Absolute counts of the local 0.
+    """
+
+    def __init__(self, block: PointBlock, classes: Classes, origin: tuple[int, int]) -> None:
+        self._block = block
+        self._classes = classes
+        self._x = block.xyz[0].astype(np.int64) + origin[0]
+        self._y = block.xyz[1].astype(np.int64) + origin[1]
+
+    @cached_property
+    def _places(self) -> Places:
+        return Places(self._x, self._y)
+
+    @cached_property
+    def _can_be_ground(self) -> npt.NDArray[np.bool_]:
+        return can_be_ground(self._block, self._classes)
+
+    def inside(self, area: Area) -> Rows:
+        """Rows of the points inside an area, ascending."""
+        return self._places.inside(area)
+
+    def on_deck(self, rows: Rows, deck: DeckSurface) -> Rows:
+        """The ``rows`` whose points are as high as a deck."""
+        return rows[deck.holds(self._x[rows], self._y[rows], self._block.xyz[2][rows])]
+
+    def to_ground(self, rows: Rows, cell: Lattice | None) -> Rows:
+        """The ``rows`` that become ground: the lowest of each cell, or without ``cell`` the ground of the input."""
+        rows = rows[self._can_be_ground[rows]]
+        if cell is None:
+            given = self._block.classification
+            return rows if given is None else rows[given[rows] == GROUND]
+        lowest = _lowest(self._x[rows], self._y[rows], self._block.xyz[2][rows], cell)
+        return rows[lowest]
+
+
 def ground_with(is_ground: npt.NDArray[np.bool_], forced: Int8) -> npt.NDArray[np.bool_]:
-    """Which points are ground after the edits."""
+    """Mark the points that are ground after the edits."""
     found: npt.NDArray[np.bool_] = (is_ground & (forced == UNTOUCHED)) | (forced == FORCED_ON)
     return found
 
 
 def can_be_ground(block: PointBlock, classes: Classes) -> npt.NDArray[np.bool_]:
-    """Points that are not noise, water or bridge by the input or now, and not withheld."""
-    none = (*NOISE, WATER, BRIDGE)
+    """Mark the points that the run sees, and that are no noise, water or bridge in the input or in ``classes``."""
+    excluded = (*NOISE, WATER, BRIDGE)
     if block.flags is None or block.classification is None:
         raise ValueError("needs the flags and classes of the points")
-    found: npt.NDArray[np.bool_] = (block.flags & WITHHELD_FLAG) == 0
-    found &= ~np.isin(classes & ~np.uint8(MARK_BIT), none) & ~np.isin(block.classification, none)
+    found: npt.NDArray[np.bool_] = (block.flags & UNSEEN_FLAGS) == 0
+    found &= ~np.isin(classes & ~np.uint8(MARK_BIT), excluded)
+    found &= ~np.isin(block.classification, excluded)
     return found
 
 
 def _lowest(
     x: npt.NDArray[np.int64], y: npt.NDArray[np.int64], z: npt.NDArray[np.int32], cell: Lattice
-) -> Any:
-    """Indices of the lowest point of each cell; ties by (x, y)."""
+) -> Rows:
+    """Indices of the lowest point of each cell; of equally low points, the first by (x, y)."""
     ix, iy = cell.index(x), cell.index(y)
     order = np.lexsort((y, x, z, ix, iy))
     first = np.ones(len(order), np.bool_)

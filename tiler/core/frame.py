@@ -1,4 +1,4 @@
-"""The integer frame: coordinates are int32 counts of a thousandth of the CRS's unit."""
+"""The integer frame: coordinates are int32 counts of a thousandth of a unit of the CRS."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ import numpy.typing as npt
 from tiler.core.units import Units
 
 COUNTS_PER_UNIT = 1000
-"""A millimetre where the CRS is in metres, 0.3 mm in feet; fixed, never read from a header."""
+"""A count is a millimetre if the CRS is in metres, 0.3 mm if it is in feet. The scales of the files do not matter."""
 
 INT32_LIMIT = 2**31 - 1
 
 
 @dataclass(frozen=True)
 class CoordFrame:
-    """What an int32 count means.
+    """The meaning of the int32 counts.
 
     An *absolute* count is ``round(coordinate * 1000)``, an int64; the *local* count that is stored is the
     absolute one minus ``origin``. Heights have no origin: int32 counts reach 2147 km. All lattices

@@ -27,7 +27,7 @@ class Bounds:
         return self.x0 >= self.x1 or self.y0 >= self.y1
 
     def pad(self, counts: int) -> Bounds:
-        """Wider by ``counts`` on every side."""
+        """These bounds, made wider by ``counts`` on every side."""
         return Bounds(self.x0 - counts, self.y0 - counts, self.x1 + counts, self.y1 + counts)
 
     def union(self, other: Bounds) -> Bounds:
@@ -37,13 +37,13 @@ class Bounds:
         )
 
     def intersection(self, other: Bounds) -> Bounds:
-        """The bounds that lie in both; empty where none do."""
+        """The counts that both bounds hold; may be empty."""
         return Bounds(
             max(self.x0, other.x0), max(self.y0, other.y0), min(self.x1, other.x1), min(self.y1, other.y1)
         )
 
     def overlaps(self, other: Bounds) -> bool:
-        """Whether some count lies in both."""
+        """Whether both bounds hold some count."""
         return self.x0 < other.x1 and other.x0 < self.x1 and self.y0 < other.y1 and other.y0 < self.y1
 
     def area(self) -> int:
@@ -106,8 +106,12 @@ class Lattice:
         """The cell index of one absolute count."""
         return (absolute * self.q) // self.p
 
+    def end_of(self, absolute: int) -> int:
+        """The index of the first cell that begins at or beyond one absolute count."""
+        return -((-absolute * self.q) // self.p)
+
     def first(self, index: int) -> int:
-        """The first absolute count that belongs to cell ``index`` (the next cell's first is its end)."""
+        """The first absolute count that belongs to cell ``index``."""
         return -((-index * self.p) // self.q)
 
     def bounds(self, cell: Cell) -> Bounds:
@@ -117,7 +121,7 @@ class Lattice:
         )
 
     def cells(self, bounds: Bounds) -> Iterator[Cell]:
-        """Every cell that holds a count of ``bounds``, row by row from the south-west: for small bounds alone."""
+        """Every cell that overlaps ``bounds``, row by row from the south-west. Use it for small bounds only."""
         if bounds.empty:
             return
         for iy in range(self.index_of(bounds.y0), self.index_of(bounds.y1 - 1) + 1):
@@ -125,10 +129,10 @@ class Lattice:
                 yield Cell(ix, iy)
 
     def among(self, bounds: Bounds, occupied: Collection[Cell]) -> list[Cell]:
-        """Those of the occupied cells that hold a count of ``bounds``, row by row from the south-west.
+        """The occupied cells that overlap ``bounds``, row by row from the south-west.
 
-        Looks at the cells of the bounds or at the occupied ones, whichever are fewer: points may lie anywhere, so
-        the bounds of a few of them can have a thousand million cells.
+        It goes through the cells of the bounds or through the occupied cells, whichever are fewer: the bounds of a few
+        distant points can have a thousand million cells.
         """
         if bounds.empty:
             return []
@@ -140,7 +144,7 @@ class Lattice:
         return sorted(found, key=row_by_row)
 
     def around(self, bounds: Bounds) -> Bounds:
-        """The counts of all cells that ``bounds`` (not empty) touch."""
+        """The counts of all cells that overlap ``bounds``, which must not be empty."""
         index = self.index_of
         return Bounds(
             self.first(index(bounds.x0)),
@@ -150,7 +154,7 @@ class Lattice:
         )
 
     def within(self, bounds: Bounds) -> Bounds:
-        """The counts of all cells that ``bounds`` hold whole; empty where there is none."""
+        """The counts of all cells that lie inside ``bounds`` as a whole; empty if there is no such cell."""
         index = self.index_of
         return Bounds(
             self.first(index(bounds.x0 - 1) + 1),
@@ -160,7 +164,7 @@ class Lattice:
         )
 
     def hull(self, cells: Iterable[Cell]) -> Bounds:
-        """The smallest bounds that hold some cells, of which there is one at least."""
+        """The smallest bounds that hold all ``cells`` (at least one)."""
         return reduce(Bounds.union, map(self.bounds, cells))
 
     def to_json(self) -> str:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-OUTSIDE, MEASURED, INTERPOLATED, FILLED, HOLE, WATER = range(6)
+OUTSIDE, MEASURED, INTERPOLATED, FILLED, HOLE, WATER, CANOPY = range(7)
 
 MASK_VALUES = {
     OUTSIDE: "outside the survey",
@@ -11,4 +11,5 @@ MASK_VALUES = {
     FILLED: "filled beyond the limit",
     HOLE: "hole: no height inside the survey, or a tile that failed",
     WATER: "water: level, or falling along its flow",
+    CANOPY: "canopy, bridged: crowns hide the ground",
 }

@@ -16,7 +16,7 @@ Index: TypeAlias = "npt.NDArray[np.intp] | npt.NDArray[np.bool_] | slice"
 
 @dataclass(frozen=True)
 class PointBlock:
-    """Columns of ``n`` points; columns that were not asked for, or that the sources lack, are None.
+    """Columns of ``n`` points; columns that were not read, or that the sources lack, are None.
 
     Attributes
     ----------
@@ -31,9 +31,9 @@ class PointBlock:
     rgb : uint16, shape (3, n)
         Red, green, blue as the source gives them.
     origin : int64, shape (n,)
-        ``source id << 40 | source row``: so that a classified file goes back in its input's own order.
+        ``source id << 40 | source row``, so that a classified file has its points in the order of its input.
     labels : uint8, shape (n,)
-        Of a pass of the filter.
+        Labels from a pass of the filter.
     """
 
     xyz: npt.NDArray[np.int32]
@@ -52,14 +52,16 @@ class PointBlock:
         if not isinstance(index, slice) and index.dtype == np.bool_ and index.all():
             return self
         taken: dict[str, Any] = {}
-        for name in (f.name for f in fields(PointBlock)):
-            column = getattr(self, name)
-            taken[name] = None if column is None else _take(column, index)
+        for field in fields(PointBlock):
+            column = getattr(self, field.name)
+            if column is not None:
+                taken[field.name] = _take(column, index)
         return PointBlock(**taken)
 
     def inside(self, bounds: Bounds, origin: tuple[int, int]) -> npt.NDArray[np.bool_]:
         """Mask of the points in ``bounds`` (absolute counts), given the frame's origin."""
-        (x, y, _), (ox, oy) = self.xyz, origin
+        x, y, _ = self.xyz
+        ox, oy = origin
         mask: npt.NDArray[np.bool_] = x >= bounds.x0 - ox
         mask &= x < bounds.x1 - ox
         mask &= y >= bounds.y0 - oy
@@ -70,14 +72,15 @@ class PointBlock:
     def concatenate(blocks: Sequence[PointBlock]) -> PointBlock:
         """All points of ``blocks`` (at least one) in order; a column that one block lacks is None."""
         joined: dict[str, Any] = {}
-        for name in (f.name for f in fields(PointBlock)):
-            columns = [getattr(b, name) for b in blocks]
-            joined[name] = None if any(c is None for c in columns) else np.concatenate(columns, axis=-1)
+        for field in fields(PointBlock):
+            columns = [getattr(block, field.name) for block in blocks]
+            if all(column is not None for column in columns):
+                joined[field.name] = np.concatenate(columns, axis=-1)
         return PointBlock(**joined)
 
 
 def _take(column: npt.NDArray[Any], index: Index) -> npt.NDArray[Any]:
-    """``column[..., index]``; numpy takes along the last axis three times faster than it indexes with an ellipsis."""
+    """``column[..., index]``, but three times faster."""
     if isinstance(index, slice):
         return column[..., index]
     if index.dtype == np.bool_:
@@ -86,7 +89,7 @@ def _take(column: npt.NDArray[Any], index: Index) -> npt.NDArray[Any]:
 
 
 SOURCE_SHIFT = 40
-"""Rows of one source fit 2**40; so do 2**23 sources in an int64."""
+"""An origin has room for 2**40 rows of each source, and for 2**23 sources."""
 
 
 def pack_origin(source: int, rows: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:

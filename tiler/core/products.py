@@ -1,48 +1,52 @@
-"""The products of a run: what each raster holds, and how its file says so. The only place that lists them."""
+"""The products of a run: what each raster holds, and how its file describes it. This is the only list of them."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-from tiler.core.mask_values import FILLED, HOLE, INTERPOLATED, MASK_VALUES, MEASURED, OUTSIDE, WATER
+from tiler.core.mask_values import CANOPY, FILLED, HOLE, INTERPOLATED, MASK_VALUES, MEASURED, OUTSIDE, WATER
 from tiler.core.nodata import NODATA as NODATA
 
 CONTOURS, SPOTS = "contours", "spots"
 DRAWN = (CONTOURS, SPOTS)
-"""Products that are no rasters: lines and points of a GeoPackage each."""
+"""Products that are not rasters but GeoPackages, of lines and of points."""
 
-BEYOND, BORDER, SURVEYED, VOID = range(4)
-"""Values of a coarse cell of the survey (`tiler.grid.survey`): outside; the survey's outermost ring of cells, which its
-outline cuts, so that a pixel without a height there is no hole; inside; enclosed without points, wider than the gaps
-that are bridged."""
+# Values of a coarse cell of the survey (`tiler.grid.survey`).
+BEYOND = 0
+"""Outside the survey."""
+BORDER = 1
+"""The outermost ring of the survey's cells. Its outline cuts them, so a pixel without a height there is no hole."""
+SURVEYED = 2
+VOID = 3
+"""Inside the survey, but without points, and wider than the gaps that are bridged."""
 
 HEIGHT = "height"
-"""In place of a unit: the vertical unit of the CRS."""
+"""Stands for the vertical unit of the CRS."""
 
 
 @dataclass(frozen=True)
 class Product:
-    """One raster that people open.
+    """A raster that users open.
 
     Attributes
     ----------
     description : str
-        Of the band.
+        Description of the band.
     unit : str
-        Of the band as GDAL names it, `HEIGHT`, or empty for none.
+        Unit of the band as GDAL names it, `HEIGHT`, or empty for none.
     dtype : str
         ``float32`` or ``uint8``.
     nodata : float or None
-        None: every pixel has a value.
+        None if every pixel has a value.
     resampling : str
-        Of the overviews, a name of GDAL's COG driver.
+        Resampling of the overviews, as GDAL's COG driver names it.
     predictor : str
-        Of the compression, a name of GDAL's COG driver.
+        Predictor of the compression, as GDAL's COG driver names it.
     colours : mapping of int to (red, green, blue)
         Colour table, empty for none.
     values : mapping of int to str
-        What the values mean where they are classes.
+        Meaning of each value, if the values are classes.
     """
 
     description: str
@@ -56,7 +60,7 @@ class Product:
 
     @property
     def categories(self) -> tuple[str, ...]:
-        """Names of the values 0, 1, 2 ... where they are classes."""
+        """Names of the values 0, 1, 2 ..., if the values are classes."""
         return tuple(self.values.get(value, "") for value in range(max(self.values, default=-1) + 1))
 
 
@@ -68,10 +72,24 @@ PRODUCTS: dict[str, Product] = {
     "slope": Product("slope", "degree"),
     "density": Product("ground points per square metre", "1/m2", nodata=None),
     "distance": Product("distance to the nearest ground point", "metre", nodata=None),
+    "sigma": Product("standard error of the terrain height"),
     "mask": Product(
-        "where the terrain height comes from", "", "uint8", OUTSIDE, "NEAREST", "NO",
-        {OUTSIDE: (255, 255, 255), MEASURED: (90, 150, 90), INTERPOLATED: (190, 210, 150), FILLED: (230, 150, 60),
-         HOLE: (150, 30, 50), WATER: (70, 130, 200)}, MASK_VALUES,
+        "where the terrain height comes from",
+        unit="",
+        dtype="uint8",
+        nodata=OUTSIDE,
+        resampling="NEAREST",
+        predictor="NO",
+        colours={
+            OUTSIDE: (255, 255, 255),
+            MEASURED: (90, 150, 90),
+            INTERPOLATED: (190, 210, 150),
+            FILLED: (230, 150, 60),
+            HOLE: (150, 30, 50),
+            WATER: (70, 130, 200),
+            CANOPY: (30, 90, 70),
+        },
+        values=MASK_VALUES,
     ),
-}  # fmt: skip
-"""In the order in which they are made."""
+}
+"""The products by name, in the order in which they are made."""

@@ -12,10 +12,15 @@ import numpy.typing as npt
 
 from tiler.core.area import Area
 from tiler.core.lattice import Bounds, Cell, Lattice, row_by_row
-from tiler.core.nodata import NODATA as NODATA  # here for those that deal with rasters
+from tiler.core.nodata import NODATA as NODATA  # modules that work with rasters import it from here
 
 BLOCK_PIXELS = 512
-"""Side of a block of a raster: what one task makes, a chunk in the store, and a tile in the files."""
+"""Side of a block of a raster. One task makes a block; a block is a chunk in the store and a tile in the files."""
+SMALLEST_PART = 32
+"""Blocks of this many pixels a side, or fewer, are not divided further."""
+
+FEW_PIXELS = 4096
+"""Up to so many pixels are tested one by one, since a look at the outline of the area would take as long."""
 
 
 @dataclass(frozen=True)
@@ -38,11 +43,20 @@ def north_west(block: Block) -> tuple[int, int]:
     return block.row, block.col
 
 
+def within(part: Block, block: Block) -> tuple[slice, slice]:
+    """Rows and columns of ``part`` in an array of the pixels of ``block``."""
+    row = part.row - block.row
+    col = part.col - block.col
+    return slice(row, row + part.height), slice(col, col + part.width)
+
+
 def hull_of(blocks: Iterable[Block]) -> Block:
-    """The smallest block that holds some blocks, of which there is one at least."""
+    """The smallest block that holds all ``blocks`` (at least one)."""
     found = list(blocks)
-    row, col = min(b.row for b in found), min(b.col for b in found)
-    bottom, right = max(b.row + b.height for b in found), max(b.col + b.width for b in found)
+    row = min(b.row for b in found)
+    col = min(b.col for b in found)
+    bottom = max(b.row + b.height for b in found)
+    right = max(b.col + b.width for b in found)
     return Block(row, col, bottom - row, right - col)
 
 
@@ -63,8 +77,23 @@ class RasterSpec:
     @classmethod
     def covering(cls, lattice: Lattice, extent: Bounds) -> RasterSpec:
         """The smallest raster whose pixels hold every count of ``extent``."""
-        west, south = lattice.index_of(extent.x0), lattice.index_of(extent.y0)
-        east, north = lattice.index_of(extent.x1 - 1) + 1, lattice.index_of(extent.y1 - 1) + 1
+        west = lattice.index_of(extent.x0)
+        south = lattice.index_of(extent.y0)
+        east = lattice.index_of(extent.x1 - 1) + 1
+        north = lattice.index_of(extent.y1 - 1) + 1
+        return cls(lattice, west, north, north - south, east - west)
+
+    @classmethod
+    def enclosing(cls, lattice: Lattice, extent: Bounds) -> RasterSpec:
+        """The smallest raster that has every count of ``extent`` in its pixels or on its outer edge.
+
+        Points on the edge alone would add a row or column of pixels without heights. The raster has at least one row
+        and one column.
+        """
+        west = lattice.index_of(extent.x0)
+        south = lattice.index_of(extent.y0)
+        east = max(lattice.end_of(extent.x1 - 1), west + 1)
+        north = max(lattice.end_of(extent.y1 - 1), south + 1)
         return cls(lattice, west, north, north - south, east - west)
 
     def blocks(self, size: int) -> Iterator[Block]:
@@ -74,20 +103,20 @@ class RasterSpec:
                 yield self.block_at(row, col, size)
 
     def block_at(self, row: int, col: int, size: int) -> Block:
-        """The one of the `blocks` whose north-west pixel this is."""
+        """The block whose north-west pixel is (row, col)."""
         return Block(row, col, min(size, self.height - row), min(size, self.width - col))
 
     def block_named(self, name: str, size: int) -> Block:
-        """The one of the `blocks` with this `Block.name`."""
+        """The block with this `Block.name`."""
         row, _, col = name.removeprefix("r").partition("c")
         return self.block_at(int(row), int(col), size)
 
     def blocks_near(
         self, lattice: Lattice, cells: Iterable[Cell], size: int, reach: int = 0
     ) -> dict[Block, list[Cell]]:
-        """The `blocks` within ``reach`` counts of some cells, row by row, each with these cells, row by row.
+        """The `blocks` within ``reach`` counts of ``cells``, each with its cells; both are in order, row by row.
 
-        Follows the cells: of a raster that is mostly empty the blocks are not looked at one by one.
+        The cost follows the number of cells, not the number of blocks in the raster.
         """
         found: dict[Block, list[Cell]] = defaultdict(list)
         for cell in sorted(cells, key=row_by_row):
@@ -96,12 +125,14 @@ class RasterSpec:
         return {block: found[block] for block in sorted(found, key=north_west)}
 
     def blocks_within(self, bounds: Bounds, size: int) -> Iterator[Block]:
-        """Those of the `blocks` that hold a count of ``bounds``, in the same order."""
+        """The `blocks` that overlap ``bounds``, in the same order."""
         if bounds.empty:
             return
         index = self.lattice.index_of
-        left, right = index(bounds.x0) - self.west, index(bounds.x1 - 1) - self.west
-        top, bottom = self.north - 1 - index(bounds.y1 - 1), self.north - 1 - index(bounds.y0)
+        left = index(bounds.x0) - self.west
+        right = index(bounds.x1 - 1) - self.west
+        top = self.north - 1 - index(bounds.y1 - 1)
+        bottom = self.north - 1 - index(bounds.y0)
         for row in range(max(top, 0) // size * size, min(bottom + 1, self.height), size):
             for col in range(max(left, 0) // size * size, min(right + 1, self.width), size):
                 yield self.block_at(row, col, size)
@@ -109,31 +140,54 @@ class RasterSpec:
     def block_bounds(self, block: Block) -> Bounds:
         """The absolute counts that the pixels of a block cover."""
         first = self.lattice.first
-        west, north = self.west + block.col, self.north - block.row
+        west = self.west + block.col
+        north = self.north - block.row
         return Bounds(first(west), first(north - block.height), first(west + block.width), first(north))
 
     def centres(self, block: Block) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-        """Absolute counts, x and y, at the centres of the pixels of a block or next below, shape (height, width)."""
+        """Centres x and y of the pixels of a block, in absolute counts rounded down, each of shape (height, width)."""
         p, q = self.lattice.p, self.lattice.q
-        cols = np.arange(self.west + block.col, self.west + block.col + block.width, dtype=np.int64)
-        rows = np.arange(
-            self.north - block.row - 1, self.north - block.row - 1 - block.height, -1, dtype=np.int64
-        )
+        west = self.west + block.col
+        north = self.north - block.row
+        cols = np.arange(west, west + block.width, dtype=np.int64)
+        rows = np.arange(north - 1, north - 1 - block.height, -1, dtype=np.int64)
         x, y = np.meshgrid(((2 * cols + 1) * p) // (2 * q), ((2 * rows + 1) * p) // (2 * q))
         return x, y
 
+    def window(self, block: Block) -> RasterSpec:
+        """The pixels of a block as a raster of their own."""
+        west = self.west + block.col
+        north = self.north - block.row
+        return RasterSpec(self.lattice, west, north, block.height, block.width)
+
     def inside(self, block: Block, area: Area | None) -> npt.NDArray[np.bool_]:
-        """Mask of the pixels of a block whose centres lie in an area, shape (height, width); None: all."""
-        shape, bounds = (block.height, block.width), self.block_bounds(block)
-        if area is None or area.covers(bounds):
+        """Mask of the pixels of a block whose centres lie in ``area``, shape (height, width); all pixels for None."""
+        shape = (block.height, block.width)
+        if area is None:
             return np.ones(shape, np.bool_)
-        if not area.touches(bounds):
-            return np.zeros(shape, np.bool_)
-        x, y = self.centres(block)
-        return area.inside(x.ravel(), y.ravel()).reshape(shape)
+        found = np.zeros(shape, np.bool_)
+        part = self.part(block, area.bounds)
+        if part.height * part.width > FEW_PIXELS:
+            bounds = self.block_bounds(part)
+            if part == block and area.covers(bounds):
+                return np.ones(shape, np.bool_)
+            if not area.touches(bounds):
+                return found
+        x, y = self.centres(part)
+        found[within(part, block)] = area.inside(x.ravel(), y.ravel()).reshape(x.shape)
+        return found
+
+    def part(self, block: Block, bounds: Bounds) -> Block:
+        """The pixels of a block that touch ``bounds``; a block of no height or width if none does."""
+        index = self.lattice.index_of
+        left = max(index(bounds.x0) - self.west, block.col)
+        right = min(index(bounds.x1) - self.west + 1, block.col + block.width)
+        top = max(self.north - 1 - index(bounds.y1), block.row)
+        bottom = min(self.north - index(bounds.y0), block.row + block.height)
+        return Block(top, left, max(bottom - top, 0), max(right - left, 0))
 
     def transform(self, counts_per_unit: int) -> tuple[float, float, float, float, float, float]:
-        """Affine coefficients (a, b, c, d, e, f), GDAL order of rasterio's ``Affine``, units of the CRS."""
+        """Affine coefficients (a, b, c, d, e, f) in the order of rasterio's ``Affine``, in units of the CRS."""
         size = self.lattice.size / counts_per_unit
         return float(size), 0.0, float(self.west * size), 0.0, -float(size), float(self.north * size)
 
@@ -150,6 +204,4 @@ class RasterSpec:
     @classmethod
     def from_json(cls, data: dict[str, Any]) -> RasterSpec:
         """The raster that `to_json` described."""
-        return cls(
-            Lattice.from_json(data["lattice"]), data["west"], data["north"], data["height"], data["width"]
-        )
+        return cls(**{**data, "lattice": Lattice.from_json(data["lattice"])})

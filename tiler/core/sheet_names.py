@@ -11,15 +11,15 @@ DEFAULT = "{name}_{x}_{y}"
 EDGES = ("x", "y", "east", "north")
 """West, south, east and north edge of a sheet, in units of the CRS."""
 FIELDS = ("name", *EDGES, *(f"{edge}_km" for edge in EDGES))
-"""What a template may hold: the product, the edges, and these in thousands of units."""
+"""Fields of a template: the product, the edges, and the edges in thousands of units."""
 LONGEST = 200
-"""Characters of a name without its ending."""
+"""Most bytes of a name without its ending."""
 FORBIDDEN = '/\\:*?"<>|'
-"""Characters that no name of a file may hold on every system, besides control characters."""
+"""Characters that some system does not allow in the name of a file, besides control characters."""
 
 
 class _Place(float):
-    """A coordinate that without a format has as many digits as it needs: ``2600000``, ``0.5``."""
+    """A coordinate that is written without superfluous zeros if the template gives no format: ``2600000``, ``0.5``."""
 
     def __format__(self, spec: str) -> str:
         return super().__format__(spec) if spec else f"{float(self):.3f}".rstrip("0").rstrip(".")
@@ -31,7 +31,7 @@ def sheet_name(template: str, product: str, x: float, y: float, side: float) -> 
     Parameters
     ----------
     template : str
-        As `check_template` accepts it.
+        A template that `check_template` accepts.
     product : str
     x, y : float
         The south-west corner.
@@ -44,7 +44,7 @@ def sheet_name(template: str, product: str, x: float, y: float, side: float) -> 
 
 
 def beginning(template: str, product: str) -> str:
-    """What the names of all sheets of a product begin with."""
+    """The text with which the names of all sheets of a product begin."""
     found = ""
     for text, field, _, _ in Formatter().parse(template):
         found += text
@@ -56,7 +56,7 @@ def beginning(template: str, product: str) -> str:
 
 
 def check_template(template: str) -> str:
-    """The template; raises ConfigError where it cannot name sheets."""
+    """The template; raises ConfigError if it cannot name sheets."""
     try:
         fields = [field for _, field, _, _ in Formatter().parse(template) if field is not None]
         unknown = [field for field in fields if field not in FIELDS]
@@ -71,19 +71,25 @@ def check_template(template: str) -> str:
             f"sheet_name {template!r}: sheets side by side would have one name; write one like {DEFAULT}"
         )
     for name in names:
-        bad = sorted({c for c in name if c in FORBIDDEN or ord(c) < ord(" ")})
-        if bad or name.startswith(".") or name != name.strip() or not name.isprintable():
-            what = (
-                f"holds {' '.join(map(repr, bad))}" if bad else "begins or ends as no name of a file should"
-            )
-            raise ConfigError(f"sheet_name {template!r}: {name!r} {what}; write one like {DEFAULT}")
+        wrong = _wrong_with(name)
+        if wrong:
+            raise ConfigError(f"sheet_name {template!r}: {name!r} {wrong}; write one like {DEFAULT}")
         if len(name.encode()) > LONGEST:
             raise ConfigError(f"sheet_name {template!r}: more than {LONGEST} bytes; write a shorter one")
     return template
 
 
+def _wrong_with(name: str) -> str:
+    bad = sorted({c for c in name if c in FORBIDDEN or ord(c) < ord(" ")})
+    if bad:
+        return f"holds {' '.join(map(repr, bad))}"
+    if name.startswith(".") or name != name.strip() or not name.isprintable():
+        return "begins or ends as no name of a file should"
+    return ""
+
+
 def refuse_alike(template: str, names: Iterable[str]) -> None:
-    """Raise ConfigError where two of the names are the same on a disk that ignores case."""
+    """Raise ConfigError if two of the names are the same on a disk that ignores case."""
     seen: set[str] = set()
     for name in names:
         if name.lower() in seen:

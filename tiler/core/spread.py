@@ -1,4 +1,4 @@
-"""Mean, RMSE and percentiles of height differences, exactly or in bounded memory."""
+"""Mean, RMSE and percentiles of height differences: exact ones, or estimates in bounded memory."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ import numpy as np
 import numpy.typing as npt
 
 STEP = 1e-4
-"""Differences are counted in steps of this size, in units of the heights: a tenth of a millimetre in metres."""
+"""A tally rounds differences to this step, in units of the heights: a tenth of a millimetre in metres."""
 
 MOST_STEPS = 2_000_000
-"""Different values that a tally keeps apart; beyond, its step becomes ten times as large."""
+"""Different values in a tally; if there are more, its step becomes ten times as large."""
 
 NMAD_FACTOR = 1.4826
-"""Makes the median absolute deviation an estimate of the standard deviation where errors are normal."""
+"""Turns the median absolute deviation into the standard deviation if the errors are normally distributed."""
 
 NAMES = ("rmse", "bias", "median", "nmad", "p5", "p25", "p75", "p95", "p95_abs", "max_abs")
 
@@ -24,21 +24,23 @@ Int64s = npt.NDArray[np.int64]
 
 
 class SpreadTally:
-    """Differences that come in pieces; memory is bounded by `MOST_STEPS`, however many there are.
+    """Counts differences that come in pieces; `MOST_STEPS` bounds its memory.
 
-    Mean and root mean square are those of the values as they come; medians and percentiles are of the values rounded
-    to `step`.
+    Mean and root mean square are those of the unrounded values, medians and percentiles those of the values rounded to
+    `step`.
     """
 
     def __init__(self) -> None:
         self.n = 0
         self.step = STEP
-        self._sum = self._squares = self._largest = 0.0
+        self._sum = 0.0
+        self._squares = 0.0
+        self._largest = 0.0
         self._values: Int64s = np.empty(0, np.int64)
         self._counts: Int64s = np.empty(0, np.int64)
 
     def add(self, differences: Float64s) -> None:
-        """Count finite differences, float64 of any shape, units of the heights."""
+        """Count finite differences, float64 of any shape, in units of the heights."""
         if differences.size == 0:
             return
         self.n += differences.size
@@ -56,12 +58,11 @@ class SpreadTally:
         self._counts = np.bincount(at.ravel(), counts, self._values.size).astype(np.int64)
 
     def summary(self) -> dict[str, float | None]:
-        """Number, mean, RMSE and percentiles, as `spread` gives them."""
+        """The figures of `spread`."""
         if self.n == 0:
             return dict.fromkeys(NAMES)
-        moments = (self._squares / self.n, self._sum / self.n, self._largest)
         values = self._values.astype(np.float64) * self.step
-        return _summary(values, self._counts, *moments)
+        return _summary(values, self._counts, self._squares / self.n, self._sum / self.n, self._largest)
 
 
 def spread(differences: Float64s) -> dict[str, float | None]:
@@ -70,7 +71,7 @@ def spread(differences: Float64s) -> dict[str, float | None]:
     Parameters
     ----------
     differences : float64, any shape
-        Finite, in units of the heights.
+        Finite differences, in units of the heights.
 
     Returns
     -------
@@ -78,7 +79,7 @@ def spread(differences: Float64s) -> dict[str, float | None]:
         In the same unit: ``rmse``; ``bias`` (the mean); ``median``; ``nmad``, 1.4826 times the median absolute
         deviation from the median (Hoehle and Hoehle 2009, ISPRS J. 64, table 2); percentiles ``p5``, ``p25``,
         ``p75``, ``p95`` (linear between order statistics); ``p95_abs``, ``max_abs`` of the absolute values. All
-        None without a value.
+        are None if there are no differences.
     """
     values = np.sort(np.asarray(differences, np.float64), axis=None)
     if values.size == 0:
@@ -89,40 +90,36 @@ def spread(differences: Float64s) -> dict[str, float | None]:
 
 
 def _summary(values: Float64s, counts: Int64s, square: float, mean: float, largest: float) -> dict[str, Any]:
-    """The figures of ascending values with their counts, mean square, mean and largest absolute value."""
-    low, quarter, middle, three_quarters, high = quantiles(values, counts, (5, 25, 50, 75, 95))
-    (deviation,) = _quantiles_of_absolute(values - middle, counts, (50,))
-    (absolute,) = _quantiles_of_absolute(values, counts, (95,))
-    figures = (
-        np.sqrt(square),
-        mean,
-        middle,
-        NMAD_FACTOR * deviation,
-        low,
-        quarter,
-        three_quarters,
-        high,
-        absolute,
-        largest,
-    )
-    return {name: float(value) for name, value in zip(NAMES, figures, strict=True)}
+    """The figures of ascending values; each occurs ``counts`` times, and ``square`` is their mean square."""
+    p5, p25, median, p75, p95 = quantiles(values, counts, (5, 25, 50, 75, 95))
+    figures = {
+        "rmse": np.sqrt(square),
+        "bias": mean,
+        "median": median,
+        "nmad": NMAD_FACTOR * _quantile_of_absolute(values - median, counts, 50),
+        "p5": p5,
+        "p25": p25,
+        "p75": p75,
+        "p95": p95,
+        "p95_abs": _quantile_of_absolute(values, counts, 95),
+        "max_abs": largest,
+    }
+    return {name: float(figures[name]) for name in NAMES}
 
 
-def _quantiles_of_absolute(values: Float64s, counts: Int64s, percents: Sequence[float]) -> list[float]:
+def _quantile_of_absolute(values: Float64s, counts: Int64s, percent: float) -> float:
     absolute = np.abs(values)
     order = np.argsort(absolute, kind="stable")
-    return quantiles(absolute[order], counts[order], percents)
+    return quantiles(absolute[order], counts[order], (percent,))[0]
 
 
 def quantiles(values: Float64s, counts: Int64s, percents: Sequence[float]) -> list[float]:
-    """Percentiles of ascending values that occur so many times, linear between order statistics as numpy's."""
+    """Percentiles of ascending values, linear between order statistics; each value occurs ``counts`` times."""
     ends = np.cumsum(counts)
     found = []
     for percent in percents:
-        place = percent / 100 * (int(ends[-1]) - 1)
-        below, above = (
-            values[np.searchsorted(ends, int(rank), side="right")]
-            for rank in (np.floor(place), np.ceil(place))
-        )
-        found.append(float(below + (above - below) * (place % 1.0)))
+        rank = percent / 100 * (int(ends[-1]) - 1)
+        below = values[np.searchsorted(ends, int(np.floor(rank)), side="right")]
+        above = values[np.searchsorted(ends, int(np.ceil(rank)), side="right")]
+        found.append(float(below + (above - below) * (rank % 1.0)))
     return found

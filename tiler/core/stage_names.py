@@ -1,11 +1,13 @@
-"""Titles of the stages for people; their keys in the store, run.json and the events are others."""
+"""Titles of the stages, as progress and log show them; store, run.json and events use the keys of the stages."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
-FILTER, GRID = "filter", "grid-"
-"""How the keys of stages begin that are a pass of the method, and a raster."""
+FILTER = "filter"
+"""The keys of the method's passes begin with it; the number of the pass follows."""
+GRID = "grid-"
+"""The keys of the rasters begin with it; the name of the raster follows."""
 
 _TITLES = {
     "identify": "look whether inputs changed",
@@ -16,6 +18,7 @@ _TITLES = {
     "edits": "look at the corrections",
     "water-search": "find water",
     "water": "find how high water stands",
+    "sheets": "look which sheets have heights",
     "verify": "look whether results changed",
     "export": "write the files",
     "mosaic": "write the mosaics",
@@ -26,27 +29,46 @@ _RASTERS = {
     "dsm": "surface model",
     "ndsm": "heights above the terrain",
     "occupancy": "where points are",
+    "canopy": "closed canopy",
     "survey": "outline of the survey",
+    "domain": "where water could be",
 }
-_FORMS = {"voids": "voids", "filled": "voids filled", "outlined": "cut at the outline"}
+_FORMS = {
+    "voids": "voids",
+    "filled": "voids filled",
+    "outlined": "cut at the outline",
+    "open": "gaps",
+    "terrain": "terrain in cells",
+    "ground": "heights of the cells",
+    "areas": "candidates",
+    "rims": "land around the candidates",
+    "sure": "candidates that are water",
+    "planes": "level areas",
+    "plane-rims": "land around the level areas",
+    "plane-sure": "level areas that are water",
+    "cells": "bridges and islands",
+}
 
 
 def stage_title(stage: str, passes: Sequence[str] = ()) -> str:
-    """A stage in words.
+    """The title of a stage.
 
     Parameters
     ----------
     stage : str
-        Its key: ``spool``, ``filter3``, ``grid-dtm-outlined``.
+        Key of the stage: ``spool``, ``filter3``, ``grid-dtm-outlined``.
     passes : sequence of str
-        What each pass of the method does; a pass that is not among them has its number.
+        What each pass of the method does; a pass beyond them is titled by its number.
     """
-    number = stage.removeprefix(FILTER)
-    if stage.startswith(FILTER) and number.isdecimal():
-        known = int(number) < len(passes)
-        return f"filter: {passes[int(number)]}" if known else f"filter, pass {int(number) + 1}"
+    if stage in _TITLES:
+        return _TITLES[stage]
     if stage.startswith(GRID):
         name, _, form = stage.removeprefix(GRID).partition("-")
-        words = f"grid: {_RASTERS.get(name, name)}"
-        return f"{words}, {_FORMS.get(form, form)}" if form else words
-    return _TITLES.get(stage, stage)
+        title = f"grid: {_RASTERS.get(name, name)}"
+        return f"{title}, {_FORMS.get(form, form)}" if form else title
+    number = stage.removeprefix(FILTER)
+    if not stage.startswith(FILTER) or not number.isdecimal():
+        return stage
+    if int(number) < len(passes):
+        return f"filter: {passes[int(number)]}"
+    return f"filter, pass {int(number) + 1}"

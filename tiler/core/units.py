@@ -13,20 +13,38 @@ FOOT = Fraction(3048, 10000)
 US_SURVEY_FOOT = Fraction(1200, 3937)
 
 FARTHEST = 9e12
-"""Units of the CRS: what is not nearer to its origin is no coordinate, see `tiler.ingest.requantise.BEYOND`."""
+"""Largest coordinate, in units of the CRS; see `tiler.inputs.requantise.BEYOND`."""
+
+FEET = ("ft", "foot", "feet")
+"""Names of the foot of whatever CRS; `tiler.plan.feet` says which one that is."""
 
 _NAMES = {
-    "m": METRE, "metre": METRE, "meter": METRE, "metres": METRE, "meters": METRE,
-    "cm": Fraction(1, 100), "mm": Fraction(1, 1000), "km": Fraction(1000),
-    "ft": FOOT, "foot": FOOT, "feet": FOOT, "ift": FOOT,
-    "usft": US_SURVEY_FOOT, "us-ft": US_SURVEY_FOOT, "ftus": US_SURVEY_FOOT, "us_survey_foot": US_SURVEY_FOOT,
-    "us survey foot": US_SURVEY_FOOT,
-}  # fmt: skip
+    **dict.fromkeys(("m", "metre", "meter", "metres", "meters"), METRE),
+    "cm": METRE / 100,
+    "mm": METRE / 1000,
+    "km": METRE * 1000,
+    **dict.fromkeys(("ft", "foot", "feet", "ift"), FOOT),
+    **dict.fromkeys(("usft", "us-ft", "ftus", "us_survey_foot", "us survey foot"), US_SURVEY_FOOT),
+}
+_ACRE = 43560 * FOOT**2
 _AREAS = {
-    "": METRE, "m2": METRE, "ha": Fraction(10_000), "km2": Fraction(10**6), "ft2": FOOT**2, "acre": 43560 * FOOT**2,
-    "acres": 43560 * FOOT**2,
-}  # fmt: skip
+    "": METRE,
+    "m2": METRE,
+    "ha": Fraction(10_000),
+    "km2": Fraction(10**6),
+    "ft2": FOOT**2,
+    "acre": _ACRE,
+    "acres": _ACRE,
+}
 _LENGTH = re.compile(r"\s*([0-9]*\.?[0-9]+(?:/0*[1-9][0-9]*)?)\s*([a-zA-Z_-]*)\s*$")
+
+
+class BareLength(Fraction):
+    """A length in metres that was written without a unit."""
+
+
+class FeetLength(Fraction):
+    """A length in metres that was written in feet, without saying which."""
 
 
 def unit_named(name: str) -> Fraction:
@@ -40,13 +58,13 @@ def unit_named(name: str) -> Fraction:
 
 
 def unit_label(metres: Fraction) -> str:
-    """The GDAL-style name of a linear unit: ``metre``, ``foot``, ``US survey foot``, else metres per unit."""
+    """The name of a linear unit in GDAL's style: ``metre``, ``foot``, ``US survey foot``, or metres per unit."""
     labels = {METRE: "metre", FOOT: "foot", US_SURVEY_FOOT: "US survey foot"}
     return labels.get(metres, f"{float(metres):.12g} m")
 
 
 def exact_unit(metres: float) -> Fraction:
-    """The exact fraction behind a floating conversion factor of a CRS (``0.3048006096...`` is 1200/3937)."""
+    """The exact fraction for a floating conversion factor of a CRS (``0.3048006096...`` is 1200/3937)."""
     for known in (METRE, FOOT, US_SURVEY_FOOT):
         if abs(metres / float(known) - 1.0) < 1e-9:
             return known
@@ -54,7 +72,7 @@ def exact_unit(metres: float) -> Fraction:
 
 
 def parse_length(text: str | float | Fraction) -> Fraction:
-    """A length in metres, exact: ``1``, ``0.5``, ``1/3``, ``3ft``, ``1usft``, ``50cm``; raises ConfigError."""
+    """An exact length in metres from text like ``1``, ``0.5``, ``1/3``, ``3ft`` or ``50cm``; raises ConfigError."""
     if isinstance(text, Fraction):
         return text
     match = _LENGTH.match(str(text))
@@ -63,12 +81,16 @@ def parse_length(text: str | float | Fraction) -> Fraction:
             f"{text!r} is no length: write a number, with a unit if it is not metres (1, 0.5, 1/3, 3ft)"
         )
     number, unit = match.groups()
-    value = Fraction(number) if "/" not in number else Fraction(*map(Fraction, number.split("/")))
-    return value * (unit_named(unit) if unit else METRE)
+    dividend, _, divisor = number.partition("/")
+    value = Fraction(dividend) / Fraction(divisor or 1)
+    if not unit:
+        return BareLength(value)
+    length = value * unit_named(unit)
+    return FeetLength(length) if unit.lower() in FEET else length
 
 
 def parse_area(text: str | float | Fraction) -> Fraction:
-    """An area in square metres, exact: ``8000``, ``0.8ha``, ``2 acres``; raises ConfigError."""
+    """An exact area in square metres from text like ``8000``, ``0.8ha`` or ``2 acres``; raises ConfigError."""
     if isinstance(text, Fraction):
         return text
     match = re.fullmatch(r"\s*([0-9]*\.?[0-9]+)\s*([a-z0-9]*)\s*", str(text).lower())

@@ -4,13 +4,13 @@ from tiler.export.bridges import write_bridges
 from tiler.export.classified import write_classified
 from tiler.export.cog import write_cog
 from tiler.export.contours import write_contours, write_spots
-from tiler.export.legend import write_legend
-from tiler.export.mosaic import write_mosaic
+from tiler.export.mosaic import write_legend, write_mosaic
 from tiler.export.outline import write_outline
-from tiler.export.sheet_index import write_sheet_index
+from tiler.export.sheets import find_sheets, write_sheet_index
 from tiler.export.water import write_water
 from tiler.export.whole_files import write_text
 from tiler.export.work import (
+    FindSheets,
     WriteBridges,
     WriteClassified,
     WriteCog,
@@ -25,6 +25,7 @@ from tiler.export.work import (
 )
 
 __all__ = [
+    "FindSheets",
     "WriteBridges",
     "WriteClassified",
     "WriteCog",
@@ -36,6 +37,7 @@ __all__ = [
     "WriteSpots",
     "WriteText",
     "WriteWater",
+    "find_sheets",
     "write_bridges",
     "write_classified",
     "write_cog",

@@ -1,4 +1,4 @@
-"""Classified clouds: a source file again as LAZ, LAS or COPC, equal but for the classes that the run found."""
+"""Writes classified clouds: a source file again as LAZ, LAS or COPC, with the classes that the run found."""
 
 from __future__ import annotations
 
@@ -12,35 +12,42 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from tiler.core.classes import LOW_NOISE, MARK_BIT, UNCLASSIFIED, WATER_BIT, WITHOUT_OBJECT, written_classes
 from tiler.core.edits import OF_POINTS
 from tiler.core.lattice import Cell
 from tiler.core.points import unpack_origin
 from tiler.errors import ProcessingError, refused_write
+from tiler.export.cloud_crs import new_crs
 from tiler.export.cloud_frame import patch_window, write_back, write_copc_back, write_copc_front, write_front
 from tiler.export.cloud_statistics import CloudStatistics
 from tiler.export.work import WriteClassified
 from tiler.io.cloud_reading import BLOCK_BYTES, digest_of_file, fetched_bytes, open_cloud
-from tiler.io.las.columns import LEGACY_CLASS_MASK, class_and_flags, is_legacy, write_classes
+from tiler.io.las.columns import class_and_flags, write_classes
 from tiler.io.las.copc_writer import CopcWriter
 from tiler.io.las.headers import LasHeader
-from tiler.io.las.newer_formats import as_newer, newer_header
+from tiler.io.las.newer_formats import as_newer, as_standard_times, newer_header
 from tiler.io.las.reader import EVERYTHING, PointReader, Records, count_decodable, record_dtype, rows_at_once
 from tiler.io.las.unchanged import refuse_changed, unchanged
 from tiler.io.las.writer import PlainWriter, PointWriter
 from tiler.io.locations import cloud_path, folder_for, state_of
-from tiler.io.partial_files import partial_path, sync_folder
+from tiler.io.partial_files import partial_path, replace_file, sync_folder
 from tiler.store import SPOOL_CHUNK, KeptRecords, TileStore, open_store
 
 ROWS_AT_ONCE = 1 << 27
-"""Labels held in memory at once, one byte each."""
+"""Most labels in memory at a time, one byte each."""
 
 _STEP = SPOOL_CHUNK
-"""Records that are read, changed and written at a time: the processor's cache holds them."""
+"""Number of records that are read, changed and written at a time, so that the processor's cache holds them."""
 _CHUNKS_A_THREAD = 2
-"""Chunks of 65,536 records that each of several threads compresses in a step; at its end they wait for one another."""
+"""Chunks of 65,536 records that each thread compresses in a step. Threads wait for one another at its end."""
+WATER_RISE_M = 1.0
+"""An object this far above the level of the water, such as a tree over a bank, is no water."""
+WATER_LOW_M = 0.5
+"""Returns from more than this below the level of the water are noise: waves are lower."""
 _FEW_BYTES = 1 << 14
-_MARK = 0x80
+"""Bytes that are read ahead if only a part of the points is needed."""
 _WAVE_FORMATS = (9, 10)
+"""Point formats with wave packets in layers."""
 
 
 def write_classified(store_url: str, work: WriteClassified) -> dict[str, Any]:
@@ -50,14 +57,16 @@ def write_classified(store_url: str, work: WriteClassified) -> dict[str, Any]:
     ----------
     store_url : str
     work : WriteClassified
-        A label of 0, a point that the store does not hold and one outside of the area keep the source's class.
+        A point keeps the source's class if its label is 0, the store does not hold it, or it lies outside the area.
+        `tiler.core.classes.written_classes` gives the classes of the other points.
 
     Returns
     -------
     dict
-        ``points``, ``changed`` (points of another class), ``classes`` (class to points, afterwards),
-        ``statistics`` (see `CloudStatistics.to_json`),
-        ``bytes``, ``digest`` (of all bytes), ``state`` (see `tiler.io.locations.State`), ``notes`` (list of str).
+        ``points``, ``changed`` (points with another class than before), ``classes`` (points by their new class),
+        ``kept`` (points that took part and keep a class of the source that is not in `WITHOUT_OBJECT`, by class),
+        ``statistics`` (see `CloudStatistics.to_json`), ``bytes``, ``digest`` (of all bytes), ``state`` (see
+        `tiler.io.locations.State`), ``notes`` (list of str).
 
     Raises
     ------
@@ -80,43 +89,40 @@ def _write(store: TileStore, header: LasHeader, work: WriteClassified, out: Path
     """Write a cloud on this machine; the record of `write_classified`."""
     partial, compressed = partial_path(out), out.suffix.lower() == ".laz"
     form = newer_header(header) if work.copc else header
+    crs = new_crs(header, work, store.meta.frame.crs_wkt)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
-        # Of a part, little but the header is asked for.
-        block_bytes = _FEW_BYTES if work.ranges else BLOCK_BYTES
+        block_bytes = BLOCK_BYTES
+        if work.ranges:  # a part of the points: the rest of the file is not read
+            block_bytes = _FEW_BYTES
         with open_cloud(header.path, block_bytes) as source, open(partial, "w+b") as target:
             if work.copc:
-                notes = write_copc_front(header, source, target, store.meta.frame.crs_wkt)
+                notes = write_copc_front(header, source, target, crs)
                 with CopcWriter(target, form, str(out.parent)) as copc:
                     record, statistics = _write_points(header, form, copc, store, work)
                     copc.close()
-                write_copc_back(header, store.meta.frame.crs_wkt, source, target, copc, statistics)
+                write_copc_back(header, source, target, crs, copc, statistics)
             else:
-                notes = write_front(header, source, target, compressed)
+                notes = write_front(header, source, target, compressed, crs)
                 writer = PointWriter(target, header, work.threads) if compressed else PlainWriter(target)
                 record, statistics = _write_points(header, form, writer, store, work)
                 writer.close()
                 if work.ranges:
                     patch_window(target, statistics)
-                write_back(header, source, target)
+                write_back(header, source, target, crs)
             target.flush()
             os.fsync(target.fileno())
         refuse_changed(header.path, header.state)
         digest = digest_of_file(partial)
-        os.replace(partial, out)
+        replace_file(partial, out)
         sync_folder(out.parent)
     except OSError as error:
         raise refused_write(str(out), error, out.parent) from error
     finally:
         partial.unlink(missing_ok=True)
-    if record["refused"]:
-        notes.append(
-            f"{record['refused']} points keep their class: format {header.point_format} has classes 0 to 31"
-        )
     return {
         "points": statistics.points,
-        "changed": record["changed"],
-        "classes": record["classes"],
+        **record,
         "statistics": statistics.to_json(),
         "bytes": out.stat().st_size,
         "digest": digest,
@@ -131,12 +137,11 @@ def _write_points(
     store: TileStore,
     work: WriteClassified,
 ) -> tuple[dict[str, Any], CloudStatistics]:
-    """All records in their order with their new classes, in the form of another header."""
-    classes = np.zeros(256, dtype=np.int64)
-    changed = refused = 0
+    """Write all records, in their order, with their new classes and in the format of the header ``form``."""
+    table = written_classes(work.reclass)
+    pairs = np.zeros(table.size, dtype=np.int64)  # number of points for each label and class of the source
     channels: set[int] = set()
     statistics = CloudStatistics(form)
-    highest = LEGACY_CLASS_MASK if is_legacy(form.point_format) else 255
     at_once = _STEP if work.threads == 1 else _STEP * _CHUNKS_A_THREAD * work.threads
     step = rows_at_once(max(header.record_length, form.record_length), at_once)
     with _reader(store, header, work) as reader:
@@ -144,9 +149,7 @@ def _write_points(
             first, last = ranges[0][0], ranges[-1][1]
             found = collect_labels(store, work, first, last)
             wanted = _inside_area(store, work, first, last) if work.ranges else None
-            for start, stop in (
-                (s, min(s + step, end)) for begin, end in ranges for s in range(begin, end, step)
-            ):
+            for start, stop in _steps(ranges, step):
                 records = reader.read(start, stop - start)
                 if isinstance(writer, PointWriter):
                     channels |= _channels(header, records)
@@ -155,39 +158,64 @@ def _write_points(
                         f"{header.path}: wave packets of scanner channels {sorted(channels)} in one LAZ file "
                         "would be damaged by the compressor; split the file by channel"
                     )
-                records = as_newer(records, header.point_format) if work.copc else records
-                before = class_and_flags(records, form.point_format)[0]
-                new = found[start - first : stop - first]
+                if work.copc:
+                    records = as_newer(as_standard_times(records, header), header.point_format)
+                labels = found[start - first : stop - first]
                 if wanted is not None:
                     inside = wanted[start - first : stop - first]
-                    records, before, new = records[inside], before[inside], new[inside]
-                refused += int(np.count_nonzero(new > highest))
-                chosen = (new != 0) & (new <= highest) & (new != before)
-                write_classes(records, form.point_format, new, chosen)
-                changed += int(np.count_nonzero(chosen))
-                classes += np.bincount(np.where(chosen, new, before), minlength=256)
+                    records, labels = records[inside], labels[inside]
+                before = class_and_flags(records, form.point_format)[0]
+                pair = labels.astype(np.intp) * len(table) + before
+                pairs += np.bincount(pair, minlength=table.size)
+                new = table.ravel()[pair]
+                write_classes(records, form.point_format, new, new != before)
                 statistics.add(records)
                 writer.write(records)
-    histogram = {str(c): int(n) for c, n in enumerate(classes.tolist()) if n}
-    record = {"changed": changed, "refused": refused, "classes": histogram}
-    return record, statistics
+    return _counts(pairs.reshape(table.shape), table), statistics
+
+
+def _steps(ranges: Iterable[tuple[int, int]], step: int) -> Iterator[tuple[int, int]]:
+    """Cut ranges (first, end) of rows into pieces of at most ``step`` rows."""
+    for first, end in ranges:
+        for start in range(first, end, step):
+            yield start, min(start + step, end)
+
+
+def _counts(pairs: npt.NDArray[np.int64], table: npt.NDArray[np.uint8]) -> dict[str, Any]:
+    """Counts of changed, new and kept classes, from the points by label (row) and class of the source (column)."""
+    before = np.arange(len(table))
+    kept = pairs[[UNCLASSIFIED, UNCLASSIFIED | WATER_BIT]].sum(axis=0) * (table[UNCLASSIFIED] == before)
+    kept[list(WITHOUT_OBJECT)] = 0
+    classes = np.zeros(len(table), np.int64)
+    np.add.at(classes, table.ravel(), pairs.ravel())
+    return {
+        "changed": int(pairs[table != before].sum()),
+        "classes": _histogram(classes),
+        "kept": _histogram(kept),
+    }
+
+
+def _histogram(counts: npt.NDArray[np.int64]) -> dict[str, int]:
+    """Class to number of points, without empty classes."""
+    return {str(c): n for c, n in enumerate(counts.tolist()) if n}
 
 
 def _reader(
     store: TileStore, header: LasHeader, work: WriteClassified
 ) -> AbstractContextManager[KeptRecords | PointReader]:
-    """The records that the store kept as they were decoded; else the source is decoded once more."""
-    kept = None
+    """Records that the store kept as they were decoded; if there are none, the source is decoded again."""
     if work.pieces and not work.ranges:
         dtype = record_dtype(header.point_format, header.record_length)
         kept = store.records(work.pieces, header.point_count, dtype)
-    return PointReader(header, EVERYTHING, ranges=work.ranges or None) if kept is None else nullcontext(kept)
+        if kept is not None:
+            return nullcontext(kept)
+    return PointReader(header, EVERYTHING, ranges=work.ranges or None)
 
 
 def _spans(ranges: Iterable[tuple[int, int]]) -> Iterator[list[tuple[int, int]]]:
-    """Ranges (start, count) of rows as (first, end), those together that lie within `ROWS_AT_ONCE` rows.
+    """Group ranges of rows, given as (start, count), into lists of (first, end) that span at most `ROWS_AT_ONCE` rows.
 
-    The buckets are read once for what is together: the nodes of an octree are many, and may be small.
+    The buckets are read once for each group, as an octree has many small nodes.
     """
     together: list[tuple[int, int]] = []
     for start, count in ranges:
@@ -204,8 +232,8 @@ def _spans(ranges: Iterable[tuple[int, int]]) -> Iterator[list[tuple[int, int]]]
 def _channels(header: LasHeader, records: Records) -> set[int]:
     """Scanner channels of records with layered wave packets; empty for other formats.
 
-    lazrs 0.8 loses wave packets where the channel changes within a chunk (what it writes it reads back
-    otherwise), in both directions and without a word; all other fields are right.
+    lazrs 0.8 silently damages wave packets if the channel changes within a chunk, both when it writes and when it
+    reads. All other fields are right.
     """
     if header.point_format not in _WAVE_FORMATS:
         return set()
@@ -213,18 +241,24 @@ def _channels(header: LasHeader, records: Records) -> set[int]:
 
 
 def collect_labels(store: TileStore, work: WriteClassified, first: int, last: int) -> npt.NDArray[np.uint8]:
-    """Final classes of the rows ``first`` to ``last`` of a source, uint8; 0 where the store or the area has none."""
+    """Final labels of the rows ``first`` to ``last`` of a source: uint8, with `WATER_BIT` for points in water.
+
+    A label is 0 if the store holds no such point or the point lies outside the area.
+    """
     found = np.zeros(last - first, dtype=np.uint8)
     for cell, rows, mine in _rows_inside(store, work, first, last):
         final = store.read_labels(work.labels, cell)
         if work.edits is not None:
             final = _corrected(store, work.edits, cell, final)
-        found[rows[mine] - first] = final[mine] & ~np.uint8(_MARK)
+        final = final & ~np.uint8(MARK_BIT)
+        if work.waters is not None:
+            final = _with_water(store, work, cell, final)
+        found[rows[mine] - first] = final[mine]
     return found
 
 
 def _inside_area(store: TileStore, work: WriteClassified, first: int, last: int) -> npt.NDArray[np.bool_]:
-    """Which of the rows ``first`` to ``last`` of a source the store holds, inside of the area."""
+    """Mask of the rows ``first`` to ``last`` of a source: True for points of the store inside the area."""
     found = np.zeros(last - first, dtype=np.bool_)
     for _, rows, mine in _rows_inside(store, work, first, last):
         found[rows[mine] - first] = True
@@ -234,7 +268,7 @@ def _inside_area(store: TileStore, work: WriteClassified, first: int, last: int)
 def _rows_inside(
     store: TileStore, work: WriteClassified, first: int, last: int
 ) -> Iterator[tuple[Cell, npt.NDArray[np.int64], npt.NDArray[np.bool_]]]:
-    """Buckets with rows ``first`` to ``last`` of a source inside of the area: cell, rows of its points, which count."""
+    """Yield buckets with such rows of a source inside the area: cell, rows of its points, mask of those rows."""
     area = store.area(work.area)
     for cell in work.cells:
         whole = area is None or area.covers(store.meta.bucket.bounds(cell))
@@ -244,7 +278,9 @@ def _rows_inside(
         sources, rows = unpack_origin(block.origin)
         mine = (sources == work.source) & (rows >= first) & (rows < last)
         if area is not None and not whole:
-            x, y = (block.xyz[axis].astype(np.int64) + store.meta.frame.origin[axis] for axis in (0, 1))
+            east, north = store.meta.frame.origin[:2]
+            x = block.xyz[0].astype(np.int64) + east
+            y = block.xyz[1].astype(np.int64) + north
             mine &= area.inside(x, y)
         if mine.any():
             yield cell, rows, mine
@@ -259,3 +295,26 @@ def _corrected(
         return labels
     points = store.read_bucket(cell, ("xyz", "classification", "flags"))
     return found.labels(points, labels, store.meta.frame.origin)
+
+
+def _with_water(
+    store: TileStore, work: WriteClassified, cell: Cell, labels: npt.NDArray[np.uint8]
+) -> npt.NDArray[np.uint8]:
+    """Labels of a bucket, with `WATER_BIT` for points in a body of water that are no tree or boat above it.
+
+    Returns from far below the water are low noise, if ``work.low_is_noise``.
+    """
+    found = store.waters(work.waters, store.meta.bucket.bounds(cell))
+    if found is None:
+        return labels
+    frame = store.meta.frame
+    xyz = store.read_bucket(cell).xyz.astype(np.int64) + np.array([[*frame.origin, 0]]).T
+    wet = found.holds(xyz[0], xyz[1])
+    objects = np.flatnonzero(wet & (labels == UNCLASSIFIED))
+    if work.low_is_noise:
+        inside = np.flatnonzero(wet & (labels != 0))
+        low = inside[found.reaches(xyz[:, inside], -WATER_LOW_M / float(frame.metres_z))]
+        labels = labels.copy()
+        labels[low] = LOW_NOISE
+    wet[objects] = found.reaches(xyz[:, objects], WATER_RISE_M / float(frame.metres_z))
+    return labels | wet * np.uint8(WATER_BIT)

@@ -1,4 +1,4 @@
-"""Statistics of the points of a cloud, exact and independent of the pieces in which they come."""
+"""Statistics of the points of a cloud. They are exact, and do not depend on the pieces in which the points come."""
 
 from __future__ import annotations
 
@@ -16,12 +16,13 @@ from tiler.io.las.reader import Records
 COORDINATES = ("X", "Y", "Z")
 
 _RETURNS = 15
-"""Number of returns of a pulse for which a header has a count."""
+"""A header counts points by return number up to this one."""
 _NOTHING = [2**63, -(2**63), 0, 0]
+"""Lowest, highest, sum and sum of squares of no value."""
 
 
 class CloudStatistics:
-    """Accumulates statistics of fields of point records; the sums are integers, so their order does not matter.
+    """Accumulates statistics of the fields of point records; with integer sums, as the order must not matter.
 
     Parameters
     ----------
@@ -54,14 +55,18 @@ class CloudStatistics:
                 self._times = [min(known), max(known)]
 
     def to_json(self) -> dict[str, Any]:
-        """``fields`` (name to ``minimum``, ``maximum``, ``average``, ``variance``), ``gps`` (adjusted standard times).
+        """Statistics as plain values.
 
-        Coordinates are those of the CRS, other fields as they are stored. ``gps`` is None where no time is known.
+        ``fields`` gives ``minimum``, ``maximum``, ``average``, ``variance`` and ``stddev`` by the name of the field:
+        coordinates in units of the CRS, other fields as they are stored. ``gps`` has the first and the last adjusted
+        standard time, or is None if no time is known.
         """
         header = self._header
         scales = dict(zip(COORDINATES, zip(header.scales, header.offsets, strict=True), strict=True))
         fields = {}
-        for name, (low, high, total, squares) in self._sums.items() if self.points else ():
+        if not self.points:
+            return {"fields": {}, "gps": self._times or None}
+        for name, (low, high, total, squares) in self._sums.items():
             scale, offset = scales.get(name, (1.0, 0.0))
             variance = (squares * self.points - total * total) / self.points**2
             fields[name] = {
@@ -75,7 +80,7 @@ class CloudStatistics:
 
 
 def _fields(records: Records, point_format: int) -> Iterator[tuple[str, npt.NDArray[Any]]]:
-    """Names, as PDAL and QGIS know them, and values."""
+    """Yield names of fields, as PDAL and QGIS know them, and their values."""
     for name in COORDINATES:
         yield name, records[name]
     yield "Intensity", records["intensity"]
@@ -89,7 +94,7 @@ def _fields(records: Records, point_format: int) -> Iterator[tuple[str, npt.NDAr
 
 
 def sums_of(values: npt.NDArray[Any]) -> tuple[int, int, int, int]:
-    """Lowest, highest, sum and sum of squares of integers of at most 32 bits, exact."""
+    """Lowest, highest, sum and sum of squares, all exact, of integers of at most 32 bits."""
     if values.dtype.itemsize <= 2:
         counts = np.bincount(values)
         found = np.flatnonzero(counts)
@@ -100,7 +105,7 @@ def sums_of(values: npt.NDArray[Any]) -> tuple[int, int, int, int]:
     total = int(raised.sum())
     if n * (high - low) ** 2 < 1 << 63:
         squares = int(np.dot(raised, raised))
-    else:  # int64 holds the sums of the products of halves of 16 bits, of up to 2**31 values
+    else:  # int64 holds sums of products of 16-bit halves, for up to 2**31 values
         upper, lower = raised >> 16, raised & 0xFFFF
         parts = [int(np.dot(a, b)) for a, b in ((upper, upper), (upper, lower), (lower, lower))]
         squares = (parts[0] << 32) + (parts[1] << 17) + parts[2]

@@ -1,8 +1,8 @@
-"""A raster of the store as a cloud-optimised GeoTIFF.
+"""Writes a raster of the store as a cloud-optimised GeoTIFF.
 
-A COG has its overviews before the full resolution, so it cannot be written as the blocks come: they go to a plain
-tiled GeoTIFF first, which GDAL's COG driver then copies with bounded memory. Both are scratch beside the target
-until the COG is whole; the scratch takes up to 4 bytes a pixel (blocks without data take none).
+A COG has its overviews before the full resolution, so blocks cannot be written in their order. They go to a plain tiled
+GeoTIFF, which GDAL's COG driver then copies with bounded memory. Both are scratch files beside the target until the COG
+is whole. The scratch takes up to 4 bytes a pixel; blocks without data take none.
 """
 
 from __future__ import annotations
@@ -25,16 +25,16 @@ from tiler.core.products import HEIGHT, PRODUCTS, Product
 from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec
 from tiler.core.units import unit_label
 from tiler.errors import ProcessingError
-from tiler.export.geotiff import CACHE_MB, RasterLook, plain_geotiff, raster_errors
 from tiler.export.whole_files import new_file
 from tiler.export.work import ProductFile, WriteCog
-from tiler.io.partial_files import partial_path, sync_folder
+from tiler.io.geotiff import CACHE_MB, RasterLook, plain_geotiff, raster_errors
+from tiler.io.partial_files import partial_path, replace_file, sync_folder
 from tiler.store import TileStore, open_store
 
 
 @dataclass(frozen=True)
 class Statistics:
-    """Statistics of the valid pixels; merges in a fixed order, so it does not depend on how the raster came about."""
+    """Statistics of the valid pixels. Blocks are merged in a fixed order, so the result does not depend on tiles."""
 
     n: int = 0
     low: float = math.inf
@@ -43,8 +43,11 @@ class Statistics:
     squares: float = 0.0
 
     def merged(self, block: npt.NDArray[Any], nodata: float | None = NODATA) -> Statistics:
-        """These and one more block's (Chan, Golub and LeVeque 1979, eq. 2.1)."""
-        values = (block.ravel() if nodata is None else block[block != np.float32(nodata)]).astype(np.float64)
+        """Statistics with one more block (Chan, Golub and LeVeque 1979, eq. 2.1)."""
+        valid = block.ravel()
+        if nodata is not None:
+            valid = valid[valid != np.float32(nodata)]
+        values = valid.astype(np.float64)
         if values.size == 0:
             return self
         n, mean = self.n + values.size, float(values.mean())
@@ -73,12 +76,12 @@ class Statistics:
 def write_cog(store_url: str, work: WriteCog) -> dict[str, Any]:
     """Write a raster of the store as ``<out>/<name>.tif``; a `tiler.schedule.task.Work`.
 
-    The same content gives the same bytes: nothing in the file tells of time, path, workers or tiles.
+    The same content gives the same bytes: the file says nothing about time, path, workers or tiles.
 
     Returns
     -------
     dict
-        As of `new_file`, and ``pixels``, ``valid``, ``min``, ``max``, ``mean`` (None without a valid pixel).
+        The record of `new_file`, and ``pixels``, ``valid``, ``min``, ``max``, ``mean`` (None without a valid pixel).
 
     Raises
     ------
@@ -87,19 +90,16 @@ def write_cog(store_url: str, work: WriteCog) -> dict[str, Any]:
     """
     with new_file(work.out, f"{work.name}.tif") as (target, record):
         found = _write(open_store(store_url), work, target)
-    return {
-        **record,
-        "pixels": work.spec.height * work.spec.width,
-        "valid": found.n,
-        "min": found.low if found.n else None,
-        "max": found.high if found.n else None,
-        "mean": found.mean if found.n else None,
-    }
+    record |= {"pixels": work.spec.height * work.spec.width, "valid": found.n}
+    if found.n:
+        return record | {"min": found.low, "max": found.high, "mean": found.mean}
+    return record | {"min": None, "max": None, "mean": None}
 
 
 def _write(store: TileStore, work: WriteCog, target: Path) -> Statistics:
-    """Write a raster on this machine."""
-    plain, partial = (partial_path(target, kind) for kind in ("plain", "cog"))
+    """Write a raster to a file on this machine."""
+    plain = partial_path(target, "plain")
+    partial = partial_path(target, "cog")
     try:
         statistics = _write_plain(store, work, plain)
         _copy_as_cog(plain, partial, work.compress, _product(work))
@@ -113,15 +113,20 @@ def _write(store: TileStore, work: WriteCog, target: Path) -> Statistics:
 
 
 def _product(work: ProductFile) -> Product:
-    """The product, with the nodata value that its file is to have."""
+    """The product, with the nodata value of its file."""
     product = PRODUCTS[work.product]
-    return product if work.nodata is None else replace(product, nodata=work.nodata)
+    if work.nodata is None:
+        return product
+    return replace(product, nodata=work.nodata)
 
 
 def _write_plain(store: TileStore, work: WriteCog, path: Path) -> Statistics:
     """Copy the raster block by block, row by row from the north-west."""
-    spec, statistics, nodata = work.spec, Statistics(), PRODUCTS[work.product].nodata
-    look, area = raster_look(store.meta.frame, work), store.area(work.area)
+    spec = work.spec
+    statistics = Statistics()
+    nodata = PRODUCTS[work.product].nodata
+    look = raster_look(store.meta.frame, work)
+    area = store.area(work.area)
     with plain_geotiff(path, spec.height, spec.width, spec.transform(COUNTS_PER_UNIT), look) as raster:
         for block in spec.blocks(BLOCK_PIXELS):
             values = _read(store, work, block)
@@ -137,7 +142,7 @@ def _write_plain(store: TileStore, work: WriteCog, path: Path) -> Statistics:
 
 
 def _read(store: TileStore, work: WriteCog, block: Block) -> npt.NDArray[np.float32]:
-    """A block of the file; where it reaches beyond the raster of the store it holds ``fill``."""
+    """A block of the file. Pixels beyond the raster of the store hold ``fill``."""
     spec, whole = work.spec, work.whole
     if whole is None:
         return store.read_block(work.raster, block)
@@ -154,7 +159,9 @@ def _read(store: TileStore, work: WriteCog, block: Block) -> npt.NDArray[np.floa
 def raster_look(frame: CoordFrame, work: ProductFile) -> RasterLook:
     """The metadata of the file of a product."""
     product = _product(work)
-    unit = unit_label(frame.units.vertical) if product.unit == HEIGHT else product.unit
+    unit = product.unit
+    if unit == HEIGHT:
+        unit = unit_label(frame.units.vertical)
     return RasterLook(
         frame.crs_wkt,
         unit,
@@ -179,7 +186,7 @@ def _copy_as_cog(plain: Path, partial: Path, compress: str, product: Product) ->
         "OVERVIEWS": "AUTO",
         "BIGTIFF": "IF_SAFER",
         "NUM_THREADS": 1,
-        "STATISTICS": "AUTO",  # AUTO: those that are there
+        "STATISTICS": "AUTO",  # keep the statistics of the plain file
     }
     with rasterio.Env(GDAL_CACHEMAX=CACHE_MB, GDAL_NUM_THREADS=1), raster_errors(partial):
         partial.unlink(missing_ok=True)
@@ -187,8 +194,9 @@ def _copy_as_cog(plain: Path, partial: Path, compress: str, product: Product) ->
 
 
 def _check(partial: Path, spec: RasterSpec) -> None:
-    """Read the last block, which ends the file: GDAL may notice a full disk only when it closes, and say nothing."""
-    row, col = ((side - 1) // BLOCK_PIXELS * BLOCK_PIXELS for side in (spec.height, spec.width))
+    """Read the last block, as GDAL may notice a full disk only when it closes the file, and may not report it."""
+    row = (spec.height - 1) // BLOCK_PIXELS * BLOCK_PIXELS
+    col = (spec.width - 1) // BLOCK_PIXELS * BLOCK_PIXELS
     last = spec.block_at(row, col, BLOCK_PIXELS)
     with raster_errors(partial), rasterio.open(partial) as raster:
         if raster.shape != (spec.height, spec.width):
@@ -197,9 +205,9 @@ def _check(partial: Path, spec: RasterSpec) -> None:
 
 
 def _publish(partial: Path, target: Path) -> None:
-    """Give a whole file its final name, durably."""
+    """Give a file that is whole its final name, and sync it to the disk."""
     with raster_errors(target):
-        with open(partial, "rb") as stream:
+        with open(partial, "rb+") as stream:  # Windows syncs no file that is open for reading alone
             os.fsync(stream.fileno())
-        os.replace(partial, target)
+        replace_file(partial, target)
         sync_folder(target.parent)

@@ -2,6 +2,8 @@
 
 A line runs from one edge between two neighbouring pixel centres to the next. A vertex is known by its edge and computed
 from the two heights at the edge's ends alone, so both blocks beside a border find the same one, and lines join exactly.
+
+Of lines that are short rings, those around small tops and pits are drawn; the noise of the heights is not.
 """
 
 from __future__ import annotations
@@ -14,6 +16,7 @@ from fractions import Fraction
 import numpy as np
 import numpy.typing as npt
 import scipy
+import shapely
 
 Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
@@ -22,10 +25,15 @@ OFF_LEVEL = 1e-6
 """Part of the interval: heights that are nearer to a level are put this far above it. So lines never run through a
 pixel centre, where they would touch, and go around a lake that lies exactly on a level."""
 
+SHORT = 10.0
+"""Pixels: shorter rings are drawn only around a top or a pit."""
+LEAST_RISE = 0.5
+"""Share of the interval by which the ground inside of a short ring differs from its level, if it is drawn."""
+
 LINES_OF_RELIEF = 50
 """Levels at most over the relief of a run where the user names no interval."""
-LEAST_RELIEF = 0.5
-"""In units of the heights: the interval of flatter land is that of land with this relief."""
+TIMES_NOISE = 4
+"""Times the noise of the ground that lines lie apart at least, where the user names no interval."""
 STEPS = (1, 2, 5)
 """Intervals are one of these times a power of ten."""
 
@@ -36,7 +44,8 @@ MOST_HELD = 4_000_000
 """Vertices of unfinished lines that are held at once; beyond it the longest are cut."""
 
 Key = tuple[int, int, int, int]
-"""Of a vertex: level, row and column of the edge's first pixel (from the north-west), 1 if it runs south, 0 east."""
+"""Name of a vertex: level, row and column of the first pixel (from the north-west) of the edge on which it lies, and 1
+if that edge runs south, 0 if it runs east."""
 
 
 @dataclass(frozen=True)
@@ -56,9 +65,21 @@ class Piece:
     places: Floats
 
 
-def default_interval(relief: float) -> Fraction:
-    """The smallest round interval that gives `LINES_OF_RELIEF` levels at most; relief and interval in one unit."""
-    least = max(relief, LEAST_RELIEF) / LINES_OF_RELIEF
+def default_interval(relief: float, floor: Fraction, noise: float = 0.0) -> Fraction:
+    """The smallest round interval of `LINES_OF_RELIEF` levels at most that is no finer than the heights are accurate.
+
+    Parameters
+    ----------
+    relief : float
+        Between low and high ground, in the unit of the heights, as all that follows.
+    floor : Fraction
+        The smallest interval.
+    noise : float
+        Standard deviation of the heights: an interval has `TIMES_NOISE` of it.
+    """
+    least = max(relief / LINES_OF_RELIEF, TIMES_NOISE * noise)
+    if least <= floor:
+        return floor
     power = math.floor(math.log10(least)) - 1
     steps = (Fraction(step) * Fraction(10) ** (power + more) for more in range(4) for step in STEPS)
     return next(step for step in steps if float(step) >= least)
@@ -219,3 +240,31 @@ def _from_least(places: Floats) -> Floats:
     ring = places[:-1]
     first = int(np.lexsort((ring[:, 1], ring[:, 0]))[0])
     return np.concatenate((ring[first:], ring[: first + 1]))
+
+
+def is_short(places: Floats) -> bool:
+    """Whether a line, of places (column, row) in pixels, is closed and shorter than `SHORT`."""
+    if len(places) > 4 * SHORT or not (places[0] == places[-1]).all():
+        return False
+    return bool(np.hypot(*np.diff(places, axis=0).T).sum() < SHORT)
+
+
+def stays(places: Floats, heights: Floats, level: float, interval: float) -> bool:
+    """Whether a short ring is the only one of a top or pit that differs from its level by `LEAST_RISE` intervals.
+
+    Parameters
+    ----------
+    places : float64 (n, 2)
+        Column and row of its vertices in `heights`.
+    heights : float64 (h, w)
+        NaN where there is none.
+    level, interval : float
+        In the unit of the heights.
+    """
+    rows, cols = np.indices(heights.shape)
+    inside = heights[shapely.contains_xy(shapely.Polygon(places), cols, rows)]
+    inside = inside[~np.isnan(inside)]
+    if not len(inside):
+        return False
+    rise = float(np.abs(inside - level).max()) / interval
+    return LEAST_RISE <= rise < 1.0

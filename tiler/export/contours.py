@@ -14,8 +14,17 @@ import shapely
 
 from tiler.core.area import Area
 from tiler.core.frame import COUNTS_PER_UNIT
-from tiler.core.raster import NODATA, Block, RasterSpec
-from tiler.export.contour_lines import Joiner, contour_block, default_interval, smoothed, smoothing_reach
+from tiler.core.raster import NODATA, Block, RasterSpec, within
+from tiler.core.units import METRE
+from tiler.export.contour_lines import (
+    Joiner,
+    contour_block,
+    default_interval,
+    is_short,
+    smoothed,
+    smoothing_reach,
+    stays,
+)
 from tiler.export.spots import HIGH, LOW, spots_of_block
 from tiler.export.whole_files import new_file
 from tiler.export.work import DrawnFile, WriteContours, WriteSpots
@@ -26,6 +35,14 @@ Floats = npt.NDArray[np.float64]
 
 BLOCK = 1024
 """Side in pixels of the blocks that are read one at a time; the lines do not depend on it."""
+FLOOR_M, FLOOR_FEET = Fraction(1, 4), Fraction(1)
+"""The smallest interval that is chosen, in metres; in feet where heights are."""
+USUAL = (0.02, 0.98)
+"""Quantiles of the heights between which the relief is taken: one tower does not change the interval."""
+BINS = 10_000
+"""Steps of the relief by which these quantiles are found."""
+NO_SPOT = 2
+"""Pixels from water within which no spot is written."""
 INDEX_EVERY = 5
 """Every fifth level is an index contour."""
 BATCH = 500_000
@@ -73,13 +90,46 @@ class _Terrain:
         return found[top : top + block.height, left : left + block.width]
 
     def relief(self) -> tuple[float, float]:
-        """Lowest and highest height; NaN where there is none."""
-        low, high = np.nan, np.nan
+        """Heights between which nearly all of the terrain lies, see `USUAL`; NaN where it has none."""
+        low, high = np.inf, -np.inf
+        for heights in self._known():
+            low, high = min(low, heights.min()), max(high, heights.max())
+        if low >= high:
+            return (np.nan, np.nan) if low > high else (float(low), float(high))
+        counts = np.zeros(BINS, np.int64)
+        for heights in self._known():
+            counts += np.histogram(heights, BINS, (low, high))[0]
+        part = np.searchsorted(np.cumsum(counts), np.array(USUAL) * counts.sum()) / BINS
+        first, last = (low + part * (high - low)).tolist()
+        return first, last
+
+    def _known(self) -> Iterator[Floats]:
+        """Heights of each block that has some."""
         for block in self.spec.blocks(BLOCK):
             heights = self.heights(block)
-            if not np.isnan(heights).all():
-                low, high = np.fmin(low, np.nanmin(heights)), np.fmax(high, np.nanmax(heights))
-        return float(low), float(high)
+            heights = heights[~np.isnan(heights)]
+            if len(heights):
+                yield heights
+
+    def wet(self, block: Block, reach: int) -> npt.NDArray[np.bool_]:
+        """Mark the pixels of a block within some pixels of water."""
+        top, left = max(block.row - reach, 0), max(block.col - reach, 0)
+        wide = Block(
+            top, left, block.row + block.height + reach - top, block.col + block.width + reach - left
+        )
+        waters = self.store.waters(self.waters, self.spec.block_bounds(wide))
+        if waters is None:
+            return np.zeros((block.height, block.width), np.bool_)
+        size = 2 * reach + 1
+        near = scipy.ndimage.binary_dilation(waters.inside(self.spec, wide), np.ones((size, size), np.bool_))
+        rows, cols = within(block, wide)
+        found: npt.NDArray[np.bool_] = near[rows, cols]
+        return found
+
+    @property
+    def decimals(self) -> int:
+        """Decimals of heights that are written: centimetres, or tenths of a foot."""
+        return 2 if self.store.meta.frame.units.vertical == METRE else 1
 
     def places(self, pixels: Floats) -> Floats:
         """Coordinates of places (column, row) in pixels from the centre of the first one."""
@@ -95,16 +145,20 @@ def write_contours(store_url: str, work: WriteContours) -> dict[str, Any]:
     -------
     dict
         As of `new_file`, and ``interval`` (units of the CRS), ``lines``, ``vertices``, ``cut``
-        (lines that were divided, as too many vertices were waiting), ``low``, ``high`` (of the terrain, or None).
+        (lines that were divided, as too many vertices were waiting), ``short`` (rings that were left out, see
+        `tiler.export.contour_lines`), ``low``, ``high`` (between which nearly all of the terrain lies, or None).
     """
     terrain = _terrain(store_url, work)
     low, high = terrain.relief()
-    interval = _interval(work.interval, low, high)
-    joiner, lines, vertices, held = Joiner(), 0, 0, 0
+    interval = _interval(work, terrain, low, high)
+    joiner, lines, vertices, held, short = Joiner(), 0, 0, 0, 0
     waiting: list[tuple[int, Floats]] = []
     crs = terrain.store.meta.frame.crs_wkt
     with new_file(work.out, "contours.gpkg") as (target, record), geopackage(target, crs) as file:
         for line in _lines(terrain, interval, work.sigma, joiner):
+            if not _stays(terrain, work.sigma, interval, *line):
+                short += 1
+                continue
             waiting.append(line)
             lines, vertices, held = lines + 1, vertices + len(line[1]), held + len(line[1])
             if held > BATCH:
@@ -117,16 +171,28 @@ def write_contours(store_url: str, work: WriteContours) -> dict[str, Any]:
         "lines": lines,
         "vertices": vertices,
         "cut": joiner.cut,
+        "short": short,
         "low": None if np.isnan(low) else low,
         "high": None if np.isnan(high) else high,
     }
 
 
-def _interval(given: Fraction | None, low: float, high: float) -> Fraction:
-    """The interval asked for, or that which the relief gives; a terrain without any height has none."""
-    if given is not None:
-        return given
-    return default_interval(0.0 if np.isnan(low) else high - low)
+def _interval(work: DrawnFile, terrain: _Terrain, low: float, high: float) -> Fraction:
+    """The interval asked for, or that which relief and noise give; a terrain without any height has none."""
+    if work.interval is not None:
+        return work.interval
+    floor = FLOOR_M if terrain.store.meta.frame.units.vertical == METRE else FLOOR_FEET
+    return default_interval(0.0 if np.isnan(low) else high - low, floor, work.noise)
+
+
+def _stays(terrain: _Terrain, sigma: float, interval: Fraction, level: int, places: Floats) -> bool:
+    """Whether a line is drawn: all but short rings around ground that hardly differs from their level."""
+    if not is_short(places):
+        return True
+    first, last = np.floor(places.min(axis=0)).astype(int), np.ceil(places.max(axis=0)).astype(int)
+    (col, row), (width, height) = first.tolist(), (last - first + 1).tolist()
+    heights = terrain.land_smoothed(Block(row, col, height, width), sigma)
+    return stays(places - first, heights, float(level * interval), float(interval))
 
 
 def _lines(
@@ -151,8 +217,15 @@ def _add_lines(
     numbers = np.repeat(np.arange(len(lines)), [len(places) for _, places in lines])
     places = np.concatenate([np.empty((0, 2)), *(places for _, places in lines)])
     shapes = shapely.linestrings(terrain.places(places), indices=numbers) if lines else []
-    columns = {"elevation": levels * float(interval), "index": levels % INDEX_EVERY == 0}
+    heights = levels * float(interval)
+    labels = np.array([f"{height:.{_decimals(interval)}f}" for height in heights], object)
+    columns = {"elevation": heights, "index": levels % INDEX_EVERY == 0, "label": labels}
     file.add("contours", "LineString", shapes, columns)
+
+
+def _decimals(interval: Fraction) -> int:
+    """The fewest decimals with which every level is written exactly, three at most."""
+    return next((n for n in range(3) if (interval * 10**n).denominator == 1), 3)
 
 
 def write_spots(store_url: str, work: WriteSpots) -> dict[str, Any]:
@@ -165,23 +238,36 @@ def write_spots(store_url: str, work: WriteSpots) -> dict[str, Any]:
     """
     terrain, reach = _terrain(store_url, work), work.reach
     low, high = terrain.relief()
-    interval = _interval(work.interval, low, high)
+    interval = _interval(work, terrain, low, high)
     counts = {HIGH: 0, LOW: 0}
     crs = terrain.store.meta.frame.crs_wkt
     with new_file(work.out, "spots.gpkg") as (target, record), geopackage(target, crs) as file:
         for block in terrain.spec.blocks(BLOCK):
             heights, top, left = terrain.around(block, 2 * reach)
+            wet = terrain.wet(block, NO_SPOT)
             for kind in counts:
                 rows, cols = spots_of_block(heights, kind, reach, float(interval))
                 mine = (rows >= top) & (rows < top + block.height)
                 mine &= (cols >= left) & (cols < left + block.width)
                 rows, cols = rows[mine], cols[mine]
+                dry = ~wet[rows - top, cols - left]
+                rows, cols = rows[dry], cols[dry]
                 counts[kind] += len(rows)
                 pixels = np.stack((cols + block.col - left, rows + block.row - top), axis=1)
-                columns = {"elevation": heights[rows, cols], "kind": np.full(len(rows), kind, object)}
+                columns = _columns_of_spots(heights[rows, cols], kind, terrain.decimals)
                 places = terrain.places(pixels.astype(np.float64))
                 file.add("spots", "Point", shapely.points(places), columns)
     return {**record, "interval": float(interval), "highs": counts[HIGH], "lows": counts[LOW]}
+
+
+def _columns_of_spots(heights: Floats, kind: str, decimals: int) -> dict[str, npt.NDArray[Any]]:
+    """All heights with the same number of decimals."""
+    labels = np.array([f"{height:.{decimals}f}" for height in heights], object)
+    return {
+        "elevation": np.round(heights, decimals),
+        "kind": np.full(len(heights), kind, object),
+        "label": labels,
+    }
 
 
 def _terrain(store_url: str, work: DrawnFile) -> _Terrain:

@@ -1,4 +1,4 @@
-"""A VRT: one raster made of the sheets of a product, for whoever wants the whole (GDAL's virtual format, in XML)."""
+"""Writes files beside rasters: a VRT (GDAL's virtual raster, in XML) over the sheets of a product, names of classes."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ from tiler.core.products import PRODUCTS
 from tiler.core.raster import BLOCK_PIXELS, RasterSpec
 from tiler.errors import ProcessingError
 from tiler.export.cog import raster_look
-from tiler.export.geotiff import RasterLook
 from tiler.export.whole_files import write_bytes
-from tiler.export.work import WriteMosaic
+from tiler.export.work import WriteLegend, WriteMosaic
+from tiler.io.geotiff import RasterLook
 from tiler.store import open_store
 
 _TYPES = {"float32": "Float32", "uint8": "Byte"}
@@ -108,3 +108,17 @@ def _add_sheet(band: ElementTree.Element, path: str, spec: RasterSpec, whole: Ra
     place = (str(spec.west - whole.west), str(whole.north - spec.north))
     for name, (x, y) in (("SrcRect", ("0", "0")), ("DstRect", place)):
         ElementTree.SubElement(source, name, xOff=x, yOff=y, xSize=size[0], ySize=size[1])
+
+
+def write_legend(store_url: str, work: WriteLegend) -> dict[str, Any]:
+    """Write ``<out>/<product>.tif.aux.xml``; a `tiler.schedule.task.Work`.
+
+    A GeoTIFF itself holds the colours of its classes, but GDAL keeps their names beside it.
+
+    The record is that of `tiler.export.whole_files.new_file`. Raises ProcessingError.
+    """
+    root = ElementTree.Element("PAMDataset")
+    band = ElementTree.SubElement(root, "PAMRasterBand", band="1")
+    band.append(category_names(PRODUCTS[work.product].categories))
+    ElementTree.indent(root)
+    return write_bytes(work.out, work.name, ElementTree.tostring(root, encoding="utf-8"))

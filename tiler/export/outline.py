@@ -7,47 +7,50 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import rasterio.features
+import rasterio.transform
 import shapely
 from affine import Affine
 
 from tiler.core.area import Area
 from tiler.core.frame import COUNTS_PER_UNIT
-from tiler.core.products import BEYOND, VOID
-from tiler.core.raster import Block, RasterSpec
+from tiler.core.map_lines import rings_of
+from tiler.core.products import SURVEYED, VOID
+from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec
 from tiler.export.whole_files import new_file
 from tiler.export.work import WriteOutline
 from tiler.io.vector import geopackage
-from tiler.store import open_store
+from tiler.store import TileStore, coarse_values, open_store
 
 LAYER = "outline"
-MOST_VERTICES = 8_000
-"""Most vertices of the outline on the map of the report."""
+POLYGON = 3
+"""Number of this type of geometry."""
 
 
 def write_outline(store_url: str, work: WriteOutline) -> dict[str, Any]:
     """Write the outline of the survey as ``<out>/outline.gpkg``; a `tiler.schedule.task.Work`.
 
-    A polygon for each part of the survey, with its voids as holes: ``area_m2`` (without them), ``void_m2``,
-    ``void_percent`` (of both together).
+    It is the edge of the terrain, pixel by pixel: a polygon for each part of the survey, with its voids as holes:
+    ``area_m2`` (without them), ``void_m2``, ``void_percent`` (of both together).
 
     Returns
     -------
     dict
         As of `new_file`; ``polygons``; ``rings``: for a map, each as
-        x, y, x, y, ... in units of the CRS, with no more detail than `MOST_VERTICES` allow.
+        x, y, x, y, ... in units of the CRS, with no more detail than `tiler.core.map_lines.MOST_VERTICES` allow.
 
     Raises
     ------
     ProcessingError
         The disk is full or the file cannot be written.
     """
-    store, spec = open_store(store_url), work.coarse
-    cells = store.read_block(work.survey, Block(0, 0, spec.height, spec.width))
-    parts = polygons_of(cells, spec, store.area(work.area))
+    store, spec = open_store(store_url), work.spec
+    area = store.area(work.area)
+    pieces = [_polygons(store, work, area, spec.block_named(name, BLOCK_PIXELS)) for name in work.blocks]
+    parts = joined(np.concatenate([np.empty(0, object), *pieces]))
     square = float(store.meta.frame.units.horizontal) ** 2
-    area = shapely.area(parts) * square
+    land = shapely.area(parts) * square
     void = np.array([sum(shapely.Polygon(ring).area for ring in part.interiors) for part in parts]) * square
-    columns = {"area_m2": area, "void_m2": void, "void_percent": 100 * void / np.maximum(area + void, 1e-9)}
+    columns = {"area_m2": land, "void_m2": void, "void_percent": 100 * void / np.maximum(land + void, 1e-9)}
     crs = store.meta.frame.crs_wkt
     with new_file(work.out, work.name) as (target, record), geopackage(target, crs) as file:
         file.add(LAYER, "Polygon", list(parts), {k: np.asarray(v, np.float64) for k, v in columns.items()})
@@ -55,47 +58,43 @@ def write_outline(store_url: str, work: WriteOutline) -> dict[str, Any]:
     return {**record, "polygons": len(parts), "rings": rings_of(parts, size)}
 
 
-def rings_of(parts: npt.NDArray[Any], size: float) -> list[list[float]]:
-    """Rings of polygons, without steps of ``size`` and, if they are too many for a page, with steps twice as wide."""
-    while True:
-        simple = shapely.simplify(parts, size)
-        simple = simple[~shapely.is_empty(simple)]
-        if shapely.get_num_coordinates(simple).sum() <= MOST_VERTICES or len(simple) > MOST_VERTICES / 4:
-            break
-        size *= 2
-    rings = shapely.get_rings(simple)[: MOST_VERTICES // 4]
-    return [np.round(shapely.get_coordinates(ring), 3).ravel().tolist() for ring in rings]
+def _polygons(store: TileStore, work: WriteOutline, area: Area | None, block: Block) -> npt.NDArray[Any]:
+    """Polygons around what a block holds of the survey: pixels with a height, and those that should have one.
+
+    Places that are enclosed without points are left out, also where facets span them.
+    """
+    cells = coarse_values(store, work.survey, work.coarse, work.spec, block)
+    covered = cells == SURVEYED
+    if not covered.all():
+        heights = store.read_block(work.terrain, block) != np.float32(NODATA)
+        covered |= heights & (cells != VOID)
+    covered &= work.spec.inside(block, area)
+    return polygons_of(covered, work.spec, block)
 
 
-def polygons_of(cells: npt.NDArray[np.float32], spec: RasterSpec, area: Area | None) -> npt.NDArray[Any]:
-    """Polygons around the cells of a survey, in units of the CRS, from the north-west; voids are holes.
+def polygons_of(inside: npt.NDArray[np.bool_], spec: RasterSpec, block: Block) -> npt.NDArray[Any]:
+    """Polygons around the pixels of a block that are marked, in units of the CRS.
 
     Parameters
     ----------
-    cells : float32, shape (height, width)
-        See `tiler.core.products.BEYOND`.
+    inside : bool, shape (height, width)
     spec : RasterSpec
-        Of the cells.
-    area : Area or None
-        What lies outside of it is left out.
+        Of all pixels.
+    block : Block
     """
-    inside = (cells != BEYOND) & (cells != VOID)
-    shapes = rasterio.features.shapes(
-        inside.astype(np.uint8), inside, transform=Affine(*spec.transform(COUNTS_PER_UNIT))
-    )
-    found = [shapely.geometry.shape(shape) for shape, _ in shapes]
-    if area is not None:
-        wanted = shapely.union_all([_polygon(rings) for rings in area.polygons])
-        parts = shapely.get_parts(shapely.intersection(np.array(found, object), wanted))
-        found = [part for part in parts if part.geom_type == "Polygon" and not part.is_empty]
-    return np.array(found, object)
+    to_units = Affine(*spec.window(block).transform(COUNTS_PER_UNIT))
+    if inside.all():
+        west, south, east, north = rasterio.transform.array_bounds(*inside.shape, to_units)
+        return np.array([shapely.box(west, south, east, north)], object)
+    shapes = rasterio.features.shapes(inside.astype(np.uint8), inside, transform=to_units)
+    return np.array([shapely.geometry.shape(shape) for shape, _ in shapes], object)
 
 
-def _polygon(rings: tuple[npt.NDArray[np.int64], ...]) -> Any:
-    """A polygon of an area, by an odd number of crossings."""
-    shape = shapely.Polygon()
-    for ring in rings:
-        shape = shapely.symmetric_difference(
-            shape, shapely.make_valid(shapely.Polygon(ring / COUNTS_PER_UNIT))
-        )
-    return shape
+def joined(pieces: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Polygons of the pieces of all blocks, those that share a side in one, from the north-west."""
+    # Corners between three blocks are vertices on straight sides.
+    parts = shapely.normalize(shapely.simplify(shapely.get_parts(shapely.union_all(pieces)), 0.0))
+    parts = parts[(shapely.get_type_id(parts) == POLYGON) & ~shapely.is_empty(parts)]
+    west, _, _, north = shapely.bounds(parts).T if len(parts) else np.empty((4, 0))
+    found: npt.NDArray[Any] = parts[np.lexsort((west, -north))]
+    return found

@@ -1,4 +1,4 @@
-"""Parts of STAC documents (SpatioTemporal Asset Catalogs): where a thing is, when it was measured, what it holds."""
+"""Parts of STAC documents (SpatioTemporal Asset Catalogs): place, dates, and contents of a cloud or raster."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from tiler.core.crs import split
 from tiler.io.las.columns import RGB_FORMATS, is_legacy
 
 Box = tuple[float, float, float, float]
-"""Lowest x, y, highest x, y in units of the CRS."""
+"""Lowest x and y, highest x and y, in units of the CRS."""
 
 UNKNOWN_DATES = {"start_datetime": "1970-01-01T00:00:00Z", "end_datetime": "9999-12-31T23:59:59Z"}
-"""Where nothing tells when a cloud was measured: STAC asks for a time in any case, and none of now is true."""
+"""Dates of a cloud of unknown age. STAC demands a time, and that of the run would be wrong."""
 
 _WGS84, _DIGITS = 4326, 7
 _GPS_EPOCH, _GPS_OFFSET_S = datetime(1980, 1, 6, tzinfo=UTC), 1_000_000_000
@@ -29,19 +29,25 @@ _FEWEST_STEPS = 8
 
 
 def horizontal_code(wkt: str | None) -> str | None:
-    """The code of the horizontal part of a CRS, ``EPSG:25832``; None where it has none. Takes a tenth of a second."""
-    horizontal = None if wkt is None else split(CRS.from_wkt(wkt))[0]
-    authority = None if horizontal is None else horizontal.to_authority()
-    return None if authority is None else ":".join(authority)
+    """Code of the horizontal part of a CRS, such as ``EPSG:25832``; None: it has none. Takes a tenth of a second."""
+    if wkt is None:
+        return None
+    horizontal, _ = split(CRS.from_wkt(wkt))
+    authority = None
+    if horizontal is not None:
+        authority = horizontal.to_authority()
+    if authority is None:
+        return None
+    return ":".join(authority)
 
 
 class Globe:
-    """Brings boxes of a CRS into longitude and latitude.
+    """Transforms boxes of a CRS to longitude and latitude.
 
     Parameters
     ----------
     wkt : str or None
-        None, or one that leads nowhere on earth: nothing has a place.
+        CRS; boxes have no place if it is None or local.
     """
 
     def __init__(self, wkt: str | None) -> None:
@@ -51,18 +57,20 @@ class Globe:
             return
         try:
             self._transformer = Transformer.from_crs(horizontal, _WGS84, always_xy=True)
-        except ProjError:  # of a local CRS
+        except ProjError:  # a local CRS
             return
 
     def bbox(self, box: Box) -> list[float] | None:
-        """West, south, east, north in degrees; across the antimeridian west is larger than east."""
+        """West, south, east and north in degrees; west is larger than east across the antimeridian."""
         if self._transformer is None:
             return None
         found = self._transformer.transform_bounds(*box, densify_pts=_FEWEST_STEPS)
-        return [round(v, _DIGITS) for v in found] if all(map(math.isfinite, found)) else None
+        if not all(map(math.isfinite, found)):
+            return None
+        return [round(v, _DIGITS) for v in found]
 
     def polygon(self, box: Box) -> dict[str, Any] | None:
-        """The box as GeoJSON in degrees; in two parts where it crosses the antimeridian (RFC 7946, 3.1.9)."""
+        """The box as GeoJSON in degrees; in two parts if it crosses the antimeridian (RFC 7946, 3.1.9)."""
         if self._transformer is None or (bbox := self.bbox(box)) is None:
             return None
         places = self._transformer.itransform(corners(box))
@@ -80,11 +88,11 @@ def _ring(places: Iterable[Iterable[float]]) -> list[list[float]]:
 
 
 def hull_of(boxes: Iterable[Sequence[float]]) -> list[float]:
-    """The narrowest bbox that holds some; one across the antimeridian has a larger west than east."""
+    """The narrowest bbox that holds all boxes; west is larger than east across the antimeridian."""
     west, south, east, north = np.array(list(boxes)).T
     east = np.where(east < west, east + 360, east)
     hulls = []
-    for turn in (0, 360):  # degrees from 0 on to the west as well, or all of them to the east
+    for turn in (0, 360):  # longitudes from -180 to 180, or from 0 to 360
         turned = np.where(west < 0, turn, 0)
         hulls.append([float((west + turned).min()), float((east + turned).max())])
     narrowest = min(hulls, key=lambda ends: round(ends[1] - ends[0], _DIGITS))
@@ -99,7 +107,7 @@ def corners(box: Box) -> list[list[float]]:
 
 
 def dates_of_header(created: tuple[int, int]) -> tuple[date, date] | None:
-    """The day on which a file was made, by year and day of the year; None where they are none."""
+    """The day on which a file was made, by year and day of the year; None if these are invalid."""
     year, day = created
     if not (1900 <= year <= 9998 and 1 <= day <= 366):
         return None
@@ -108,20 +116,23 @@ def dates_of_header(created: tuple[int, int]) -> tuple[date, date] | None:
 
 
 def dates_of_gps(times: Sequence[float] | None) -> tuple[date, date] | None:
-    """First and last day of adjusted standard GPS times; None where they are none."""
+    """First and last day of adjusted standard GPS times; None if there are none or they are invalid."""
+    if not times:
+        return None
     try:
-        first, last = (_GPS_EPOCH + timedelta(seconds=t + _GPS_OFFSET_S) for t in times or ())
+        first, last = (_GPS_EPOCH + timedelta(seconds=t + _GPS_OFFSET_S) for t in times)
     except (ValueError, OverflowError):
         return None
     return first.date(), last.date()
 
 
 def dates(found: Iterable[tuple[date, date] | None]) -> dict[str, str | None]:
-    """``datetime``, and ``start_datetime`` and ``end_datetime`` where it is no single day, of what has these dates."""
+    """Dates as STAC has them: ``datetime`` for a single day, else ``start_datetime`` and ``end_datetime`` as well."""
     known = [dates for dates in found if dates is not None]
     if not known:
         return {"datetime": None, **UNKNOWN_DATES}
-    first, last = min(a for a, _ in known), max(b for _, b in known)
+    first = min(start for start, _ in known)
+    last = max(end for _, end in known)
     if first == last:
         return {"datetime": f"{first.isoformat()}T00:00:00Z"}
     start, end = f"{first.isoformat()}T00:00:00Z", f"{last.isoformat()}T23:59:59Z"
@@ -129,7 +140,7 @@ def dates(found: Iterable[tuple[date, date] | None]) -> dict[str, str | None]:
 
 
 def schema(point_formats: Iterable[int]) -> list[dict[str, Any]]:
-    """``pc:schemas``: what points of these formats hold, by the names of PDAL and QGIS."""
+    """``pc:schemas``: fields of points of these formats, by the names of PDAL and QGIS."""
     formats = set(point_formats)
     found = [*((axis, 8, "floating") for axis in "XYZ"), ("Intensity", 2, "unsigned")]
     bytes_ = ["ReturnNumber", "NumberOfReturns", "ScanDirectionFlag", "EdgeOfFlightLine", "Classification"]

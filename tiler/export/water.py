@@ -2,33 +2,42 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import shapely
 
-from tiler.core.frame import COUNTS_PER_UNIT
-from tiler.core.water import Water
+from tiler.core.frame import COUNTS_PER_UNIT, CoordFrame
+from tiler.core.water import Counts, Water, lengths_along
 from tiler.export.whole_files import new_file
 from tiler.export.work import WriteWater
-from tiler.io.vector import geopackage
+from tiler.io.vector import GeoPackage, geopackage
 from tiler.store import open_store
 
-POLYGONS, FLOW = "water", "flow"
+POLYGONS, FLOW, REACHES, BREAKLINES = "water", "flow", "reaches", "breaklines"
 """Layers of the file."""
+STEP_SLOPE = 1.0
+"""Slope of the line of a river from which on a structure (a dam, a weir, a fall) lies across it."""
 
 
 def write_water(store_url: str, work: WriteWater) -> dict[str, Any]:
     """Write bodies of water as ``<out>/water.gpkg``; a `tiler.schedule.task.Work`.
 
     Layer ``water``: polygons with ``number``, ``kind``, ``level`` (of a river the upper one), ``level_end``,
-    ``area_m2`` and ``sure`` (0 to 1, empty where a person said so). Layer ``flow``: the line of each
-    river, with the height of the water at each vertex.
+    ``area_m2`` and ``sure`` (0 to 1, empty for water of a file). Layer ``flow``: the line of each
+    river, with the height of the water at each vertex. Layer ``reaches``: the stations of each river, downstream, with
+    ``number``, ``along`` (from the first, in the unit of the CRS), ``level``, ``seen`` (pixels of the water that the
+    level rests on), ``left``, ``right`` (levels that the banks would give) and ``slope_permille`` to the next. Layer
+    ``breaklines``: shores at their level, lines of flow, and structures in 3D, with ``number`` and ``kind`` (shore,
+    flow or structure); a structure is a line from bank to bank at a step, with the level above it.
 
     Returns
     -------
     dict
-        As of `new_file`; ``bodies``.
+        The record of `new_file`, and ``bodies``.
     """
     store = open_store(store_url)
     bodies = store.all_waters(work.waters).bodies
@@ -48,7 +57,80 @@ def write_water(store_url: str, work: WriteWater) -> dict[str, Any]:
         file.add(POLYGONS, "MultiPolygon", shapes, columns)
         lines = [shapely.LineString(flow / COUNTS_PER_UNIT) for _, flow in rivers]
         file.add(FLOW, "LineString Z", lines, {"number": np.array([n for n, _ in rivers], np.int64)})
+        _add_reaches(file, bodies, store.meta.frame)
+        _add_breaklines(file, bodies)
     return {**record, "bodies": len(bodies)}
+
+
+def _add_reaches(file: GeoPackage, bodies: Sequence[Water], frame: CoordFrame) -> None:
+    """Write the stations of rivers as layer ``reaches``."""
+    rivers = [body for body in bodies if body.stations]
+    stations = [station for body in rivers for station in body.stations]
+    along, slopes = [np.empty(0)], [np.empty(0)]
+    for body in rivers:
+        lengths = lengths_along(np.array([station[:2] for station in body.stations]))
+        fall = -np.diff([station.level for station in body.stations]) * float(frame.metres_z)
+        slope = 1000 * fall / np.maximum(np.diff(lengths) * float(frame.metres_xy), 1e-9)
+        along.append(lengths / COUNTS_PER_UNIT)
+        slopes.append(np.append(slope, np.nan))
+    z = np.array([[s.level, s.left, s.right] for s in stations], np.float64).reshape(-1, 3) / COUNTS_PER_UNIT
+    numbers = [body.number for body in rivers for _ in body.stations]
+    columns = {
+        "number": np.array(numbers, np.int64),
+        "along": np.concatenate(along),
+        "level": z[:, 0],
+        "seen": np.array([station.seen for station in stations], np.int64),
+        "left": z[:, 1],
+        "right": z[:, 2],
+        "slope_permille": np.concatenate(slopes),
+    }
+    places = [shapely.Point(np.array([s.x, s.y, s.level]) / COUNTS_PER_UNIT) for s in stations]
+    file.add(REACHES, "Point Z", places, columns)
+
+
+def _add_breaklines(file: GeoPackage, bodies: Sequence[Water]) -> None:
+    """Write shores at their level, lines of flow, and structures, as layer ``breaklines``."""
+    lines: list[Any] = []
+    numbers, kinds = list[int](), list[str]()
+    for body in bodies:
+        found = [("shore", _lifted_ring(body, ring)) for rings in body.area.polygons for ring in rings]
+        if body.flow is not None:
+            found.append(("flow", body.flow))
+            found += [("structure", line) for line in structures(body)]
+        for kind, line in found:
+            lines.append(shapely.LineString(line / COUNTS_PER_UNIT))
+            numbers.append(body.number)
+            kinds.append(kind)
+    columns = {"number": np.array(numbers, np.int64), "kind": np.array(kinds, object)}
+    file.add(BREAKLINES, "LineString Z", lines, columns)
+
+
+def structures(body: Water) -> list[npt.NDArray[np.float64]]:
+    """Lines from bank to bank across the steps of a river, float64 (2, 3) in counts, with the level above the step."""
+    flow = body.flow
+    if flow is None or flow.shape[1] < 3:
+        return []
+    shape, found = shapely.make_valid(_shape(body)), []
+    reach = math.hypot(*np.ptp(shapely.get_coordinates(shape), axis=0))
+    falls = -np.diff(flow[:, 2]) > STEP_SLOPE * np.diff(lengths_along(flow))
+    for i in np.flatnonzero(falls).tolist():
+        before, after = flow[max(i - 1, 0), :2], flow[min(i + 2, len(flow) - 1), :2]
+        place, way = (flow[i, :2] + flow[i + 1, :2]) / 2 / COUNTS_PER_UNIT, (after - before).astype(float)
+        aside = np.array([-way[1], way[0]]) / max(math.hypot(*way), 1.0) * reach
+        lines = shapely.get_parts(shapely.LineString([place + aside, place - aside]).intersection(shape))
+        lines = lines[shapely.length(lines) > 0]
+        if not len(lines):
+            continue
+        nearest = lines[shapely.distance(lines, shapely.Point(place)).argmin()]
+        ends = shapely.get_coordinates(nearest)[[0, -1]] * COUNTS_PER_UNIT
+        found.append(np.column_stack((ends, np.full(2, float(flow[i, 2])))))
+    return found
+
+
+def _lifted_ring(body: Water, ring: Counts) -> Any:
+    """A closed ring at the level of the water."""
+    closed = np.concatenate((ring, ring[:1]))
+    return np.column_stack((closed, body.heights(closed[:, 0], closed[:, 1])))
 
 
 def _shape(body: Water) -> Any:

@@ -1,4 +1,4 @@
-"""Files that tasks write into a folder or to a URL, whole or not at all, and what their records say of them."""
+"""Writes files into a folder or to a URL, whole or not at all, and makes their records."""
 
 from __future__ import annotations
 
@@ -7,16 +7,16 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from tiler.export.geotiff import raster_errors
 from tiler.export.work import WriteText
 from tiler.io.cloud_reading import digest_of_file
+from tiler.io.geotiff import raster_errors
 from tiler.io.locations import cloud_path, folder_for, joined, state_of
 from tiler.io.partial_files import write_whole
 
 
 @contextmanager
 def new_file(out: str, name: str) -> Iterator[tuple[Path, dict[str, Any]]]:
-    """Where to write a file, and the record of it, which is filled when the block has ended.
+    """Give a path for a new file, and its record, which is filled when the block ends.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def new_file(out: str, name: str) -> Iterator[tuple[Path, dict[str, Any]]]:
 
 
 def write_bytes(out: str, name: str, content: bytes) -> dict[str, Any]:
-    """Write a small file; its record, as of `new_file`. Raises ProcessingError."""
+    """Write a small file and return the record of `new_file`. Raises ProcessingError."""
     with new_file(out, name) as (target, record), raster_errors(target):
         write_whole(target, content)
     return record

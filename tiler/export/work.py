@@ -7,8 +7,10 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import Any
 
+from tiler.core.edits import DrawnDeck
 from tiler.core.lattice import Bounds, Cell, Lattice
-from tiler.core.raster import RasterSpec
+from tiler.core.raster import Block, RasterSpec
+from tiler.core.reclass import ONLY_GROUND
 from tiler.schedule import NOT_IN_DIGEST
 from tiler.store import KeptPiece
 
@@ -49,15 +51,24 @@ class WriteOutline(NamedFile):
 
     Attributes
     ----------
+    terrain : str
+        Raster of the heights that are delivered.
+    spec : RasterSpec
+        Of its pixels.
     survey : str
     coarse : RasterSpec
         Of the cells of the survey.
+    blocks : tuple of str
+        Names of the blocks of the terrain.
     area : str or None
         Key in the store of the area that is wanted.
     """
 
+    terrain: str
+    spec: RasterSpec
     survey: str
     coarse: RasterSpec
+    blocks: tuple[str, ...]
     area: str | None = None
 
 
@@ -106,15 +117,39 @@ class WriteMosaic(ProductFile):
     sheets: tuple[tuple[str, RasterSpec], ...]
 
 
-DrawnDeck = tuple[tuple[int, ...], float, float, float, int]
-"""Outline as x, y, x, y, ... in counts; length, width and clearance in metres; points seen beneath."""
-
-
 @dataclass(frozen=True, kw_only=True)
 class WriteBridges(NamedFile):
     """The decks of bridges."""
 
     decks: tuple[DrawnDeck, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class FindSheets:
+    """A block of the models, in which sheets with a height are looked for.
+
+    Attributes
+    ----------
+    rasters : tuple of str
+        Of the models in the store.
+    spec : RasterSpec
+        Of these.
+    block : Block
+    side : int
+        Pixels of a sheet's side; sheets are anchored at CRS 0, as pixels are.
+    area : str or None
+        Key in the store of the area that is wanted.
+    """
+
+    rasters: tuple[str, ...]
+    spec: RasterSpec
+    block: Block
+    side: int
+    area: str | None
+
+    def place(self, buckets: Lattice) -> Bounds | None:
+        """Bounds of the block."""
+        return self.spec.block_bounds(self.block)
 
 
 @dataclass(frozen=True)
@@ -156,6 +191,8 @@ class DrawnFile:
         Folder that exists, or a URL.
     interval : Fraction or None
         Of contours, in vertical units of the CRS; None: by the relief.
+    noise : float
+        Standard deviation of the heights in these units; 0 where it is not known.
     area, waters : str or None
         Keys in the store of the area that is wanted, and of bodies of water.
     """
@@ -164,6 +201,7 @@ class DrawnFile:
     spec: RasterSpec
     out: str
     interval: Fraction | None
+    noise: float
     area: str | None
     waters: str | None
 
@@ -206,8 +244,12 @@ class WriteClassified:
     cells : tuple of Cell
         The buckets that hold points of it.
     salvage : bool
-    area, edits : str or None
-        Keys in the store of the area and of corrections.
+    area, edits, waters : str or None
+        Keys in the store of the area, of corrections and of bodies of water in which points are water.
+    low_is_noise : bool
+        Whether returns from far below the level of water are low noise.
+    reclass : str
+        Which classes change, see `tiler.core.classes.written_classes`.
     stamp : list or None
         Of the source, as the plan found it: tells a file that was only touched from one that was changed.
     ranges : tuple of (int, int)
@@ -219,6 +261,8 @@ class WriteClassified:
         Of which the store may keep the records: the source is decoded where it does not.
     threads : int
         Number of threads that compress: more than one where there are fewer clouds than workers.
+    wkt : str or None
+        The CRS to write, where the source has none that can be read.
     """
 
     path: str
@@ -229,11 +273,15 @@ class WriteClassified:
     salvage: bool = False
     area: str | None = None
     edits: str | None = field(default=None, metadata=NOT_IN_DIGEST)
+    waters: str | None = field(default=None, metadata=NOT_IN_DIGEST)
+    low_is_noise: bool = False
+    reclass: str = ONLY_GROUND
     stamp: list[Any] | None = field(default=None, metadata=NOT_IN_DIGEST)
     ranges: tuple[tuple[int, int], ...] = ()
     copc: bool = False
     pieces: tuple[KeptPiece, ...] = field(default=(), metadata=NOT_IN_DIGEST)
     threads: int = field(default=1, metadata=NOT_IN_DIGEST)
+    wkt: str | None = None
 
     def place(self, buckets: Lattice) -> Bounds | None:
         """Bounds of the buckets."""

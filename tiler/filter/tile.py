@@ -143,7 +143,7 @@ def _elect(store: TileStore, cells: Sequence[Cell], model: Model, name: str) -> 
 
 
 def _window(store: TileStore, padded: Bounds, step: Pass, params: Any) -> tuple[Bounds, Known]:
-    """What a pass reads for a core and its halo, and what it is told of it."""
+    """Points that a pass reads for a core and its halo, and the facts about them."""
     if step.reach_m is not None:
         return padded, _local(padded, store)
     align = Lattice(store.meta.frame.counts(Fraction(repr(float(params.align_m)))))
@@ -176,7 +176,12 @@ def _known(store: TileStore, window: Bounds, reach: int) -> Known:
 
 
 def _local(bounds: Bounds, store: TileStore) -> Known:
-    ox, oy = store.meta.frame.origin
+    return local_window(bounds, store.meta.frame.origin)
+
+
+def local_window(bounds: Bounds, origin: tuple[int, int]) -> Known:
+    """Bounds in the local counts of a frame with that origin."""
+    ox, oy = origin
     return Known(bounds.x0 - ox, bounds.y0 - oy, bounds.x1 - ox, bounds.y1 - oy)
 
 

@@ -36,7 +36,8 @@ class FilterTile:
     of_elected : bool
         The labels of this pass are those of elected points.
     of_candidates, in_of_candidates : bool
-        The labels of this pass, and those of the pass before, are those of candidates: nobody asks for others.
+        Whether the labels of this pass, and those of the pass before, are those of candidates alone, as no later pass
+        reads others.
     held_bytes : int
         Of buckets kept for their neighbours.
     """

@@ -1,66 +1,128 @@
 """Grid: heights at pixel centres on the TIN of the merged ground points, and what follows, block by block."""
 
 from tiler.grid.blank import BlankBlocks, blank_blocks
-from tiler.grid.block import SMALLEST_PART, full_halo, grid_block, grid_blocks
-from tiler.grid.bridges import ExamineDecks, FindDeckCells, examine_decks, examined, find_deck_cells
+from tiler.grid.block import full_halo, grid_block, grid_blocks
+from tiler.grid.bridges.examine import (
+    ExamineDecks,
+    FindDeckCells,
+    examine_decks,
+    examined,
+    find_deck_cells,
+)
+from tiler.grid.canopy import CANOPY_AROUND, CanopyBlock, canopy_block
+from tiler.grid.coarse import blocks_of
 from tiler.grid.density import density_block
 from tiler.grid.derived import DeriveBlock, derive_block
 from tiler.grid.distance import DistanceBlock, distance_block
-from tiler.grid.edits import SurveyEdit, survey_edit
+from tiler.grid.edits import SurveyEdits, survey_edits
 from tiler.grid.ground import GroundRule
+from tiler.grid.holes import CELL_PIXELS
 from tiler.grid.mask import MaskBlock, mask_block
 from tiler.grid.outline import OutlineBlock, outline_block
+from tiler.grid.sigma import SigmaBlock, sigma_block
+from tiler.grid.sigma_measures import reach_of
 from tiler.grid.surface import DEEP_M, SurfaceBlock, reach_pixels, surface_block
-from tiler.grid.survey import MakeSurvey, blocks_of, occupancy_block, survey_raster
+from tiler.grid.survey import (
+    NO_PIECE,
+    CloseBlock,
+    SurveyBlock,
+    close_block,
+    occupancy_block,
+    survey_block,
+)
 from tiler.grid.thinning import most_of_bucket
-from tiler.grid.voids import FillBlock, Void, VoidRasters, fill_block, find_voids
-from tiler.grid.water_find import FindWater, find_bodies
+from tiler.grid.voids import FillBlock, FindVoids, Void, VoidRasters, fill_block, find_voids
+from tiler.grid.water_find import DescribeBody, describe_body
+from tiler.grid.water_finish import FinishWater, finish_water
+from tiler.grid.water_ground import GroundCells, ground_cells
 from tiler.grid.water_level import LevelWater, level_water
+from tiler.grid.water_planes import (
+    CountPlaneRims,
+    KeepPlanes,
+    count_plane_rims,
+    find_planes,
+    keep_planes,
+)
+from tiler.grid.water_search import (
+    CountRims,
+    FindAreas,
+    KeepAreas,
+    Sources,
+    count_rims,
+    find_areas,
+    keep_areas,
+)
 from tiler.grid.work import GridBlock, GridBlocks, PointsBlock
 
 __all__ = [
+    "CANOPY_AROUND",
+    "CELL_PIXELS",
     "DEEP_M",
-    "SMALLEST_PART",
+    "NO_PIECE",
     "BlankBlocks",
+    "CanopyBlock",
+    "CloseBlock",
+    "CountPlaneRims",
+    "CountRims",
     "DeriveBlock",
+    "DescribeBody",
     "DistanceBlock",
     "ExamineDecks",
     "FillBlock",
+    "FindAreas",
     "FindDeckCells",
-    "FindWater",
+    "FindVoids",
+    "FinishWater",
     "GridBlock",
     "GridBlocks",
+    "GroundCells",
     "GroundRule",
+    "KeepAreas",
+    "KeepPlanes",
     "LevelWater",
-    "MakeSurvey",
     "MaskBlock",
     "OutlineBlock",
     "PointsBlock",
+    "SigmaBlock",
+    "Sources",
     "SurfaceBlock",
-    "SurveyEdit",
+    "SurveyBlock",
+    "SurveyEdits",
     "Void",
     "VoidRasters",
     "blank_blocks",
     "blocks_of",
+    "canopy_block",
+    "close_block",
+    "count_plane_rims",
+    "count_rims",
     "density_block",
     "derive_block",
+    "describe_body",
     "distance_block",
     "examine_decks",
     "examined",
     "fill_block",
-    "find_bodies",
+    "find_areas",
     "find_deck_cells",
+    "find_planes",
     "find_voids",
+    "finish_water",
     "full_halo",
     "grid_block",
     "grid_blocks",
+    "ground_cells",
+    "keep_areas",
+    "keep_planes",
     "level_water",
     "mask_block",
     "most_of_bucket",
     "occupancy_block",
     "outline_block",
+    "reach_of",
     "reach_pixels",
+    "sigma_block",
     "surface_block",
-    "survey_edit",
-    "survey_raster",
+    "survey_block",
+    "survey_edits",
 ]

@@ -22,16 +22,12 @@ from ptd.tin.mesh import MAX_EXTENT
 from tiler.core.edits import OF_PIXELS
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds
-from tiler.core.raster import NODATA, Block, RasterSpec, hull_of
+from tiler.core.raster import NODATA, SMALLEST_PART, Block, RasterSpec, hull_of
 from tiler.errors import ProcessingError
 from tiler.grid.checksum import checksum
 from tiler.grid.thinning import most_of_bucket, surface_ground
 from tiler.grid.work import GridBlock, GridBlocks, TinBlock
 from tiler.store import TileStore, open_store
-
-SMALLEST_PART = 32
-"""Blocks of this many pixels a side, or fewer, are not divided further."""
-
 
 WIDEST_WINDOW = MAX_EXTENT // 2
 """A block whose window has a side of this many counts, or more, is divided: the TIN would not be exact."""
@@ -125,7 +121,7 @@ def _most_halo(work: GridBlock) -> int:
 def _heights(
     store: TileStore, works: Sequence[GridBlock], halo: int, tries: int
 ) -> Iterator[tuple[GridBlock, Heights, dict[str, Any]]]:
-    """As `heights_of_blocks`, in attempt number ``tries``, which uses this halo."""
+    """Heights of blocks in attempt number ``tries``, which uses this halo."""
     whole = replace(works[0], block=hull_of(work.block for work in works))
     if len(works) > 1 and _too_full(store, whole, halo):
         for work in works:

@@ -14,9 +14,9 @@ from tiler.core.area import Area
 Floats = npt.NDArray[np.float64]
 
 MOST_CELLS = 1_000_000
-"""Of the raster on which the way is looked for."""
+"""Largest number of cells of the raster on which the line is searched."""
 CELLS_ACROSS = 8
-"""Of that raster, over the mean width of the river, where there are not too many."""
+"""Cells of that raster across the mean width of the river, unless this makes too many of them."""
 
 
 def polygon_of(area: Area) -> Any:

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from ptd.gridding.shape import gradients, multidirectional_hillshade, slope_deg
 from tiler.core.raster import NODATA, Block, RasterSpec
 from tiler.grid.checksum import checksum
-from tiler.grid.shape import gradients, multidirectional_hillshade, slope_deg
 from tiler.grid.work import BlockWork
 from tiler.store import TileStore, open_store
 

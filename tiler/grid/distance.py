@@ -59,7 +59,14 @@ def ground_distance(
 ) -> npt.NDArray[np.float64]:
     """Distances in counts, float64 (height, width), infinite beyond ``reach`` counts."""
     xyz = read_ground(store, rule, spec.block_bounds(block).pad(math.ceil(reach) + 1)).xyz
-    pixels = pixels_of(spec, block, store.meta.frame.origin)
+    return distance_to(xyz, store.meta.frame.origin, spec, block, reach)
+
+
+def distance_to(
+    xyz: npt.NDArray[np.int32], origin: tuple[int, int], spec: RasterSpec, block: Block, reach: Fraction
+) -> npt.NDArray[np.float64]:
+    """The same to points that were read, int32 (3, n) in local counts, all that lie within ``reach`` of the block."""
+    pixels = pixels_of(spec, block, origin)
     nearest = nearest_points(xyz[0], xyz[1], xyz[2], pixels, 1, float(reach))
     squared = nearest.squared[..., 0].astype(np.float64)
     return np.where(nearest.points[..., 0] < 0, np.inf, np.sqrt(squared))

@@ -1,64 +1,53 @@
-"""Counts the ground points inside a correction before and after it."""
+"""Counts the ground points inside corrections before and after them, bucket by bucket."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-from tiler.core.classes import GROUND
-from tiler.core.edits import TO_GROUND, Classes, Edit, Edits, can_be_ground, ground_with
-from tiler.core.lattice import Cell, Lattice
-from tiler.core.points import PointBlock
+from tiler.core.edits import OF_POINTS, TO_GROUND, EditedPoints
+from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.grid.ground import GroundRule, read_classes
 from tiler.store import open_store
 
 
 @dataclass(frozen=True)
-class SurveyEdit:
-    """A correction whose points are counted: ``cell`` as of `tiler.core.edits.Edits`, ``cells`` that it touches."""
+class SurveyEdits:
+    """Work: count the points of one bucket that corrections touch; ``edits``: their key in the store."""
 
     rule: GroundRule
-    edit: Edit
-    cell: Lattice
-    cells: tuple[Cell, ...]
+    edits: str
+    cell: Cell
+
+    def place(self, buckets: Lattice) -> Bounds | None:
+        """Bounds of the bucket."""
+        return buckets.bounds(self.cell)
 
 
-def survey_edit(store_url: str, work: SurveyEdit) -> dict[str, Any]:
-    """Count the points of one correction, as if there were no other; a `tiler.schedule.task.Work`.
+def survey_edits(store_url: str, work: SurveyEdits) -> dict[str, Any]:
+    """Count the points of a bucket inside each correction as if there were no other; a `tiler.schedule.task.Work`.
 
     Returns
     -------
     dict
-        ``points`` inside; ``ground_before``, ``ground_after`` of them; ``lowest``: whether the lowest points become
-        ground, because the input classifies none as ground (or its own classes are being corrected).
+        ``edits``: number of each that touches the bucket; points inside; those that are ground; those that are after it
+        with the input's ground; those that are after it with the lowest points; how many the input calls ground.
     """
-    store, rule, edit = open_store(store_url), work.rule, work.edit
-    origin = store.meta.frame.origin
-
-    def buckets() -> Iterator[tuple[PointBlock, Classes, npt.NDArray[np.bool_]]]:
-        return (read_classes(store, rule, cell, needs_input=True) for cell in work.cells)
-
-    lowest = edit.action == TO_GROUND and (
-        rule.labels is None
-        or not any(_given(edit, block, classes, origin) for block, classes, _ in buckets())
-    )
-    counts = np.zeros(3, np.int64)
-    edits = Edits((replace(edit, lowest=lowest),), work.cell)
-    for block, classes, is_ground in buckets():
-        x, y = (block.xyz[axis].astype(np.int64) + origin[axis] for axis in (0, 1))
-        inside, forced = edit.area.inside(x, y), edits.forced(block, classes, origin)
-        after = ground_with(is_ground, forced)
-        counts += [inside.sum(), (inside & is_ground).sum(), (inside & after).sum()]
-    points, before, after_it = counts.tolist()
-    return {"points": points, "ground_before": before, "ground_after": after_it, "lowest": lowest}
-
-
-def _given(edit: Edit, block: PointBlock, classes: Classes, origin: tuple[int, int]) -> bool:
-    """Whether the input classifies a point inside the correction as ground."""
-    rows = np.flatnonzero((block.classification == GROUND) & can_be_ground(block, classes))
-    x, y = (block.xyz[axis][rows].astype(np.int64) + origin[axis] for axis in (0, 1))
-    return bool(edit.area.inside(x, y).any())
+    store = open_store(store_url)
+    found = store.edits(work.edits, store.meta.bucket.bounds(work.cell), OF_POINTS)
+    if found is None:
+        return {"edits": []}
+    block, classes, is_ground = read_classes(store, work.rule, work.cell, needs_input=True)
+    points = EditedPoints(block, classes, store.meta.frame.origin)
+    counts = []
+    for edit in found.edits:
+        rows = points.inside(edit.area)
+        before, after, given = int(is_ground[rows].sum()), [0, 0], 0
+        if edit.action == TO_GROUND:
+            becoming = [points.to_ground(rows, cell) for cell in (None, found.cell)]
+            after = [before + int(np.count_nonzero(~is_ground[more])) for more in becoming]
+            given = len(becoming[0])
+        counts.append([edit.number, len(rows), before, *after, given])
+    return {"edits": counts}

@@ -22,7 +22,7 @@ from tiler.store import TileStore
 
 @dataclass(frozen=True)
 class GroundRule:
-    """Which points are ground.
+    """Rule for the points that are ground.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class GroundRule:
     edits: str | None = field(default=None, metadata=NOT_IN_DIGEST)
 
     def is_ground(self) -> npt.NDArray[np.bool_]:
-        """By class or label, bool (256,)."""
+        """Whether a class or label is ground: bool (256,)."""
         table = np.zeros(256, np.bool_)
         for value in self.classes:
             table[[value, value | MARK_BIT] if self.labels is not None else [value]] = True
@@ -95,6 +95,17 @@ def read_ground(store: TileStore, rule: GroundRule, bounds: Bounds, choose: Choo
     return Ground(np.concatenate(parts, axis=1), read, int(np.concatenate(marks).sum()))
 
 
+def read_objects(store: TileStore, rule: GroundRule, bounds: Bounds) -> npt.NDArray[np.int32]:
+    """Points in ``bounds`` (absolute counts) that are neither ground nor noise, int32 (3, n), bucket by bucket."""
+    parts = [np.empty((3, 0), np.int32)]
+    for cell in store.buckets_within(bounds):
+        block, classes, is_ground = read_classes(store, rule, cell, needs_input=True)
+        chosen = _is_object(block, classes, is_ground, rule, store, cell)
+        chosen &= block.inside(bounds, store.meta.frame.origin)
+        parts.append(block.xyz[:, chosen])
+    return np.concatenate(parts, axis=1)
+
+
 def read_classes(
     store: TileStore, rule: GroundRule, cell: Cell, needs_input: bool = False
 ) -> tuple[PointBlock, npt.NDArray[np.uint8], npt.NDArray[np.bool_]]:
@@ -137,7 +148,7 @@ def _beside_objects(
     own: npt.NDArray[np.int32],
     edges: Mapping[Cell, npt.NDArray[np.int32]],
 ) -> npt.NDArray[np.bool_]:
-    """Which ground points of a bucket lie beside an object, its ``own`` or one at the edge of a bucket around it."""
+    """Mask of ground points of a bucket beside an object, its ``own`` or one at the edge of a bucket around it."""
     around = store.meta.bucket.bounds(cell).pad(math.ceil(rule.erode))
     others = [edges[other] for other in store.meta.bucket.among(around, edges) if other != cell]
     objects = np.concatenate([own, *others], axis=1)

@@ -10,15 +10,23 @@ from typing import Any
 import numpy as np
 
 from tiler.core.lattice import Bounds
-from tiler.core.mask_values import FILLED, HOLE, INTERPOLATED, MASK_VALUES, MEASURED, OUTSIDE, WATER
+from tiler.core.mask_values import (
+    CANOPY,
+    FILLED,
+    HOLE,
+    INTERPOLATED,
+    MASK_VALUES,
+    MEASURED,
+    OUTSIDE,
+    WATER,
+)
 from tiler.core.products import SURVEYED
 from tiler.core.raster import NODATA, Block, RasterSpec
 from tiler.grid.checksum import checksum
 from tiler.grid.density import ground_counts
-from tiler.grid.survey import coarse_values
 from tiler.grid.work import PointsBlock
 from tiler.schedule import NOT_IN_DIGEST
-from tiler.store import open_store
+from tiler.store import coarse_values, open_store
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,10 +40,12 @@ class MaskBlock(PointsBlock):
     survey : str
     coarse : RasterSpec
         Of the cells of the survey.
+    canopy : str or None
+        Raster of the pixels in which a canopy hides the ground.
     holes : tuple of Bounds
         Of tiles that failed.
     area : str or None
-        Key in the store of the area, outside of which all is outside.
+        Key in the store of the area; every pixel outside of it is "outside" in the mask.
     waters : str or None
         Key in the store of bodies of water; those that touch a block are in its digest.
     """
@@ -44,6 +54,7 @@ class MaskBlock(PointsBlock):
     filled: str
     survey: str
     coarse: RasterSpec
+    canopy: str | None = None
     holes: tuple[Bounds, ...] = ()
     area: str | None = None
     waters: str | None = field(default=None, metadata=NOT_IN_DIGEST)
@@ -53,7 +64,8 @@ def mask_block(store_url: str, work: MaskBlock) -> dict[str, Any]:
     """Write one block of the mask; a `tiler.schedule.task.Work`.
 
     A pixel with a height is measured if a ground point lies in it, else interpolated; one without is a hole inside
-    of the survey (see `tiler.grid.survey`), else outside. A hole that was filled is called so, and so is water.
+    of the survey (see `tiler.grid.survey`), else outside. A hole that was filled is called so, and so are water and a
+    canopy that was bridged.
     Where a tile failed there is a hole, whatever heights its surroundings lend it.
 
     Returns
@@ -71,6 +83,8 @@ def mask_block(store_url: str, work: MaskBlock) -> dict[str, Any]:
     mask = np.select(
         [heights & measured, heights, filled, inside], [MEASURED, INTERPOLATED, FILLED, HOLE], OUTSIDE
     ).astype(np.float32)
+    if work.canopy is not None:
+        mask[(store.read_block(work.canopy, block) > 0) & filled] = CANOPY
     waters = store.waters(work.waters, spec.block_bounds(block))
     if waters is not None:
         mask[waters.inside(spec, block) & filled] = WATER

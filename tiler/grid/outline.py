@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from tiler.core.products import BEYOND
+from tiler.core.products import BEYOND, SURVEYED
 from tiler.core.raster import NODATA, RasterSpec
 from tiler.grid.block import edit_heights
 from tiler.grid.checksum import checksum
-from tiler.grid.survey import coarse_values
+from tiler.grid.holes import holes_of_block
 from tiler.grid.work import BlockWork
 from tiler.schedule import NOT_IN_DIGEST
-from tiler.store import open_store
+from tiler.store import coarse_values, open_store
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,17 +30,23 @@ class OutlineBlock(BlockWork):
         Of the cells of the survey.
     cut : bool
         Whether heights beyond the survey are removed.
+    canopy : str or None
+        Raster of the pixels in which a canopy hides the ground, and which get no height.
     waters, edits : str or None
         Keys in the store of bodies of water and of corrections, which come after them; those that touch a block are
         in its digest.
+    area : str or None
+        Key in the store of the area; holes outside of it do not count.
     """
 
     heights: str
     survey: str
     coarse: RasterSpec
     cut: bool = True
+    canopy: str | None = None
     waters: str | None = field(default=None, metadata=NOT_IN_DIGEST)
     edits: str | None = field(default=None, metadata=NOT_IN_DIGEST)
+    area: str | None = None
 
 
 def outline_block(store_url: str, work: OutlineBlock) -> dict[str, Any]:
@@ -52,14 +58,20 @@ def outline_block(store_url: str, work: OutlineBlock) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``pixels``, ``filled`` (pixels with a height), ``cut`` (those that lost it), ``added`` (those that water gave
-        one), ``water`` (number and pixels of each body); ``checksum``.
+        ``pixels``, ``filled`` (pixels with a height), ``hidden`` (those that lost it to a canopy), ``cut`` (those that
+        lost it otherwise), ``added`` (those that water gave one), ``water`` (key of the area and pixels of each body);
+        ``checksum``; and as of `holes_of_block`.
     """
     store, spec, block = open_store(store_url), work.spec, work.block
     nodata = np.float32(NODATA)
     before = store.read_block(work.heights, block)
-    beyond = coarse_values(store, work.survey, work.coarse, spec, block) == BEYOND
+    cells = coarse_values(store, work.survey, work.coarse, spec, block)
+    beyond = cells == BEYOND
     heights, water = before.copy(), []
+    if work.canopy is not None:
+        heights[store.read_block(work.canopy, block) > 0] = nodata
+        edit_heights(store, work.edits, spec, block, heights)
+    hidden = int(np.count_nonzero((before != nodata) & (heights == nodata)))
     waters = store.waters(work.waters, spec.block_bounds(block))
     if waters is not None:
         wet = waters.inside(spec, block)
@@ -70,12 +82,14 @@ def outline_block(store_url: str, work: OutlineBlock) -> dict[str, Any]:
         heights[beyond] = nodata
     store.write_block(work.name, block, heights)
     filled = int(np.count_nonzero(heights != nodata))
-    cut = int(np.count_nonzero((before != nodata) & (heights == nodata)))
+    lost = int(np.count_nonzero((before != nodata) & (heights == nodata)))
     return {
         "pixels": heights.size,
         "filled": filled,
-        "cut": cut,
+        "hidden": min(hidden, lost),
+        "cut": max(lost - hidden, 0),
         "water": water,
         "checksum": checksum(heights),
-        "added": filled + cut - int(np.count_nonzero(before != nodata)),
+        "added": filled + lost - int(np.count_nonzero(before != nodata)),
+        **holes_of_block(store, spec, block, heights, cells >= SURVEYED, work.edits, store.area(work.area)),
     }

@@ -19,26 +19,37 @@ STRIP_ROWS = 256
 def within(cells: Bools, radius: float) -> Bools:
     """Cells whose centres lie within a radius, in cells, of the centre of one that is set; bool (height, width)."""
     found = np.zeros(cells.shape, np.bool_)
-    for rows, distance in _strips(cells, radius):
-        np.less_equal(distance, radius, out=found[rows])
+    for part, distance in _strips(cells, radius):
+        np.less_equal(distance, radius, out=found[part])
     return found
 
 
 def distances(cells: Bools, radius: float) -> Floats:
     """Distance of each cell from the nearest that is set, in cells; infinite beyond a radius; (height, width)."""
     found = np.full(cells.shape, np.inf)
-    for rows, distance in _strips(cells, radius):
-        np.copyto(found[rows], distance, where=distance <= radius)
+    for part, distance in _strips(cells, radius):
+        np.copyto(found[part], distance, where=distance <= radius)
     return found
 
 
-def _strips(cells: Bools, radius: float) -> Iterator[tuple[slice, Floats]]:
-    """Rows with cells that are set near them, and their distances, which are right up to the radius."""
+def box_around(cells: Bools, pad: int) -> tuple[slice, slice]:
+    """Rows and columns of the cells that are set, and so many more to each side as far as there are any."""
+    found = []
+    for axis in (1, 0):
+        lines = np.flatnonzero(cells.any(axis=axis))
+        first, last = (int(lines[0]), int(lines[-1])) if len(lines) else (0, -1)
+        found.append(slice(max(first - pad, 0), last + 1 + pad))
+    return found[0], found[1]
+
+
+def _strips(cells: Bools, radius: float) -> Iterator[tuple[tuple[slice, slice], Floats]]:
+    """Parts with cells that are set near them, and their distances, which are right up to the radius."""
     reach = max(math.floor(radius), 0)
     step = max(STRIP_ROWS, 2 * reach)
-    for first in range(0, len(cells), step):
-        top = max(first - reach, 0)
-        strip = cells[top : first + step + reach]
+    rows, cols = box_around(cells, reach)
+    for first in range(rows.start, min(rows.stop, len(cells)), step):
+        top, end = max(first - reach, 0), min(first + step, rows.stop)
+        strip = cells[top : end + reach, cols]
         if strip.any():
-            distance = scipy.ndimage.distance_transform_edt(~strip)[first - top :][:step]
-            yield slice(first, first + len(distance)), distance
+            distance = scipy.ndimage.distance_transform_edt(~strip)[first - top :][: end - first]
+            yield (slice(first, first + len(distance)), cols), distance

@@ -1,4 +1,4 @@
-"""Which ground points make the surface: all, or one of each cell where points are many or noisy."""
+"""Chooses the ground points that make the surface: all, or one of each cell if points are many or noisy."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Int64 = npt.NDArray[np.int64]
 
 
 def most_of_bucket(points: int, buckets: Lattice, thin: Lattice | None) -> int:
-    """Of the points of a bucket those that may make the surface, at most: one in each cell of ``thin``."""
+    """Most points of a bucket that may make the surface: one in each cell of ``thin``."""
     return points if thin is None else min(points, math.ceil(buckets.size / thin.size + 1) ** 2)
 
 

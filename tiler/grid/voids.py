@@ -1,7 +1,8 @@
 """Fills voids inside the survey from the TIN of each void's rim.
 
-No halo bounds the facets over a hole, so holes are found in the whole run, by coarse cells, and each is filled from all
-pixels with a height that touch it, whichever blocks they lie in. The triangulation is unique, so blocks do not show.
+No halo bounds the facets over a hole, so holes are found by coarse cells, block by block, and joined; each is filled
+from all pixels with a height that touch it, whichever blocks they lie in. The triangulation is unique, so blocks do not
+show.
 """
 
 from __future__ import annotations
@@ -17,12 +18,14 @@ from ptd.tin import Tin, rasterise
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds, Lattice
 from tiler.core.products import SURVEYED
-from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec
+from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec, north_west
 from tiler.grid.block import edit_heights, heights_in_units, pixels_of
 from tiler.grid.checksum import checksum
-from tiler.grid.survey import Bools, block_runs, blocks_of, coarse_cells, coarse_values, covered
+from tiler.grid.coarse import Bools, block_runs, blocks_of, blocks_under
+from tiler.grid.pieces import AROUND, Piece, cells_of, label_block
+from tiler.grid.work import BlockWork
 from tiler.schedule import NOT_IN_DIGEST
-from tiler.store import TileStore, open_store
+from tiler.store import TileStore, coarse_cells, coarse_values, coarse_window, open_store
 
 Int32 = npt.NDArray[np.int32]
 
@@ -31,8 +34,6 @@ PIECE = BLOCK_PIXELS
 
 NEAR = 2
 """Pixels: heights farther from a hole have no influence on how it is filled."""
-
-AROUND = np.ones((3, 3), np.bool_)
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,7 @@ class VoidRasters:
     coarse : RasterSpec
         Of the cells of the survey.
     numbers : str
-        The raster of the same cells with the number of the void in each.
+        The raster of the same cells with the label of the void in each, which differs from block to block.
     """
 
     heights: str
@@ -59,12 +60,18 @@ class VoidRasters:
     numbers: str
 
 
+@dataclass(frozen=True, kw_only=True)
+class FindVoids(BlockWork):
+    """Work: label the voids of one block of coarse cells; ``rasters``: its place in the rasters."""
+
+    rasters: VoidRasters
+
+
 @dataclass(frozen=True)
 class Void:
-    """A void of a model: its number from 1 on, and the window of coarse cells that it lies in."""
+    """A void of a model: the areas that it has in each block of coarse cells."""
 
-    number: int
-    cells: Block
+    pieces: tuple[Piece, ...]
 
 
 @dataclass(frozen=True)
@@ -93,41 +100,68 @@ class FillBlock:
         return self.rasters.spec.block_bounds(self.block)
 
 
-def find_voids(store_url: str, work: VoidRasters) -> dict[str, Any]:
-    """Number the holes of a raster of heights; a `tiler.schedule.task.Work`.
+def find_voids(store_url: str, work: FindVoids) -> dict[str, Any]:
+    """Label the holes of a raster of heights in one block of coarse cells; a `tiler.schedule.task.Work`.
 
-    Coarse cells that hold a pixel without a height inside of the survey; those that touch belong to one hole. Writes
-    the raster ``numbers`` of the cells: number of the hole, 0 for none.
+    Coarse cells that hold, or lie within, a pixel without a height inside of the survey; those that touch belong to one
+    hole.
 
     Returns
     -------
     dict
-        ``voids``: row, column, height and width of each hole in cells, from number 1 on; ``blocks``: of each the
-        blocks of the raster that it comes within `NEAR` pixels of, as `block_runs` gives them; ``checksum``.
+        ``sides`` and ``labels`` (their number), see `tiler.grid.pieces`; ``blocks``: for each label the blocks of the
+        model that it comes within `NEAR` pixels of, as `block_runs` gives them; ``filled``; ``checksum``.
     """
-    store, spec, coarse = open_store(store_url), work.spec, work.coarse
-    empty = np.zeros((coarse.height, coarse.width), np.bool_)
-    survey = store.read_block(work.survey, Block(0, 0, coarse.height, coarse.width)) >= SURVEYED
-    for block in blocks_of(block_runs(survey, coarse, spec, PIECE), spec, PIECE):
-        rows, cols = np.nonzero(_void(store, work, block))
+    store, coarse, block = open_store(store_url), work.spec, work.block
+    rasters, spec = work.rasters, work.rasters.spec
+    if spec.lattice.size > coarse.lattice.size:
+        empty = _within_large_pixels(store, rasters, block)
+    else:
+        empty = _around_small_pixels(store, rasters, block)
+    labels, sides = label_block(empty, corners=True)
+    values = labels.astype(np.float32)
+    store.write_block(work.name, block, values)
+    blocks = []
+    for number, (down, right) in enumerate(scipy.ndimage.find_objects(labels), start=1):
+        box = Block(
+            block.row + down.start, block.col + right.start, down.stop - down.start, right.stop - right.start
+        )
+        mine = labels[down, right] == number
+        blocks.append(block_runs(mine, coarse.window(box), spec, BLOCK_PIXELS, NEAR))
+    return {
+        "sides": sides,
+        "labels": len(blocks),
+        "blocks": blocks,
+        "filled": int(np.count_nonzero(values)),
+        "checksum": checksum(values),
+    }
+
+
+def _around_small_pixels(store: TileStore, rasters: VoidRasters, block: Block) -> Bools:
+    """Cells of a block that hold the centre of an empty pixel."""
+    coarse, spec = rasters.coarse, rasters.spec
+    empty = np.zeros((block.height, block.width), np.bool_)
+    for piece in blocks_under(coarse, spec, block, PIECE):
+        rows, cols = np.nonzero(_void(store, rasters, piece))
         if len(rows):
-            cell_rows, cell_cols = coarse_cells(coarse, spec, block)
-            empty[cell_rows[rows], cell_cols[cols]] = True
-    numbers, _ = scipy.ndimage.label(empty, AROUND)
-    values = numbers.astype(np.float32)
-    for b in coarse.blocks(BLOCK_PIXELS):
-        store.write_block(work.numbers, b, values[b.row : b.row + b.height, b.col : b.col + b.width])
-    boxes, blocks = [], []
-    for number, (down, right) in enumerate(scipy.ndimage.find_objects(numbers), start=1):
-        box = Block(down.start, right.start, down.stop - down.start, right.stop - right.start)
-        boxes.append([box.row, box.col, box.height, box.width])
-        blocks.append(block_runs(numbers[down, right] == number, _part(coarse, box), spec, PIECE, NEAR))
-    return {"voids": boxes, "blocks": blocks, "checksum": checksum(values)}
+            cell_rows, cell_cols = coarse_cells(coarse, spec, piece)
+            places = cell_rows[rows] - block.row, cell_cols[cols] - block.col
+            own = (places[0] >= 0) & (places[0] < block.height) & (places[1] >= 0) & (places[1] < block.width)
+            empty[places[0][own], places[1][own]] = True
+    return empty
 
 
-def _part(spec: RasterSpec, block: Block) -> RasterSpec:
-    """A window of a raster as a raster of its own."""
-    return RasterSpec(spec.lattice, spec.west + block.col, spec.north - block.row, block.height, block.width)
+def _within_large_pixels(store: TileStore, rasters: VoidRasters, block: Block) -> Bools:
+    """Cells of a block whose centre lies in an empty pixel."""
+    coarse, spec = rasters.coarse, rasters.spec
+    empty = np.zeros((block.height, block.width), np.bool_)
+    rows, cols = coarse_cells(spec, coarse, block)
+    for piece in blocks_under(coarse, spec, block, PIECE):
+        void = _void(store, rasters, piece)
+        down = np.flatnonzero((rows >= piece.row) & (rows < piece.row + piece.height))
+        right = np.flatnonzero((cols >= piece.col) & (cols < piece.col + piece.width))
+        empty[np.ix_(down, right)] = void[np.ix_(rows[down] - piece.row, cols[right] - piece.col)]
+    return empty
 
 
 def fill_block(store_url: str, work: FillBlock) -> dict[str, Any]:
@@ -145,9 +179,8 @@ def fill_block(store_url: str, work: FillBlock) -> dict[str, Any]:
     heights = store.read_block(rasters.heights, block)
     empty = _void(store, rasters, block)
     before = int(np.count_nonzero(heights != np.float32(NODATA)))
-    numbers = coarse_values(store, rasters.numbers, rasters.coarse, rasters.spec, block)
     for void in work.voids:
-        inside = empty & (numbers == void.number)
+        inside = empty & _holds(store, rasters, void, block)
         if inside.any():
             rim = _rim(store, rasters, void)
             raster = rasterise(Tin.build(*rim), pixels_of(rasters.spec, block, store.meta.frame.origin))
@@ -166,32 +199,40 @@ def _void(store: TileStore, rasters: VoidRasters, block: Block) -> npt.NDArray[n
     return empty
 
 
+def _holds(store: TileStore, rasters: VoidRasters, void: Void, block: Block) -> Bools:
+    """Pixels of a block in the coarse cells of a void."""
+    window = coarse_window(rasters.coarse, rasters.spec, block)
+    cells = cells_of(store, rasters.numbers, rasters.coarse, window, void.pieces)
+    rows, cols = coarse_cells(rasters.coarse, rasters.spec, block)
+    return cells[np.ix_(rows - window.row, cols - window.col)]
+
+
 def _rim(store: TileStore, rasters: VoidRasters, void: Void) -> tuple[Int32, Int32, Int32]:
     """Local counts x, y, z of the centres of the pixels with a height that touch a hole, piece by piece."""
-    found: list[npt.NDArray[np.int64]] = [np.empty((3, 0), np.int64)]
-    region = covered(rasters.coarse, rasters.spec, void.cells, 1)
-    mine: Bools = store.read_block(rasters.numbers, void.cells) == void.number
-    part = _part(rasters.spec, region)
-    for piece in blocks_of(block_runs(mine, _part(rasters.coarse, void.cells), part, PIECE, 1), part, PIECE):
-        core = Block(region.row + piece.row, region.col + piece.col, piece.height, piece.width)
-        found.append(_rim_of_piece(store, rasters, void.number, core))
-    x, y, z = np.concatenate(found, axis=1)
+    spec, coarse = rasters.spec, rasters.coarse
+    cores: set[Block] = set()
+    for area in void.pieces:
+        cells = coarse.block_at(area.row, area.col, BLOCK_PIXELS)
+        mine = store.read_block(rasters.numbers, cells) == area.label
+        cores.update(blocks_of(block_runs(mine, coarse.window(cells), spec, PIECE, 1), spec, PIECE))
+    found = [_rim_of_piece(store, rasters, void, piece) for piece in sorted(cores, key=north_west)]
+    x, y, z = np.concatenate([np.empty((3, 0), np.int64), *found], axis=1)
     east, north = store.meta.frame.origin
     return (x - east).astype(np.int32), (y - north).astype(np.int32), z.astype(np.int32)
 
 
-def _rim_of_piece(store: TileStore, rasters: VoidRasters, number: int, core: Block) -> npt.NDArray[np.int64]:
+def _rim_of_piece(store: TileStore, rasters: VoidRasters, void: Void, core: Block) -> npt.NDArray[np.int64]:
     """Absolute counts (3, n) of the rim's pixels in ``core``; its neighbours' empty pixels count as well."""
     spec = rasters.spec
     top, left = max(core.row - 1, 0), max(core.col - 1, 0)
     bottom, right = min(core.row + core.height + 1, spec.height), min(core.col + core.width + 1, spec.width)
     wide = Block(top, left, bottom - top, right - left)
-    mine = coarse_values(store, rasters.numbers, rasters.coarse, spec, wide) == number
+    mine = _holds(store, rasters, void, wide)
     if not mine.any():
         return np.empty((3, 0), np.int64)
     heights = store.read_block(rasters.heights, wide)
-    void = mine & _void(store, rasters, wide)
-    rim = scipy.ndimage.binary_dilation(void, AROUND) & (heights != np.float32(NODATA))
+    empty = mine & _void(store, rasters, wide)
+    rim = scipy.ndimage.binary_dilation(empty, AROUND) & (heights != np.float32(NODATA))
     rows, cols = np.nonzero(rim)
     rows, cols = rows + wide.row, cols + wide.col
     inside = (rows >= core.row) & (rows < core.row + core.height)

@@ -3,29 +3,29 @@
 Lasers get few returns from water, often none, and what returns is flat; but so are shadows of buildings, gaps between
 strips, wet asphalt, and dark lawns. Only water lies everywhere lower than what is around it. So a candidate is a
 connected area of void or sparse flat cells, and it is water if the ground some metres from its shore is higher than
-the shore almost all around, and lower nowhere.
+the shore almost all around, and lower nowhere. The land around an area is counted block by block and added up, so that
+no area needs to be seen at once.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 import scipy
 
-from tiler.grid.reach import distances, within
+from tiler.grid.reach import distances
 
 Bools = npt.NDArray[np.bool_]
 Floats = npt.NDArray[np.float64]
 
 ENOUGH_RETURNS = 8
-"""In the median of the cells with any: in cells of fewer, one without a return is an accident."""
+"""Least median of the returns in cells that have any; with fewer, an empty cell may be an accident."""
 SPARSE = 0.6
-"""Of the median number of returns: fewer, in the mean of those cells near to one that have any, are few."""
+"""Share of the median number of returns below which the mean of the cells near a cell counts as few."""
 SPARSE_CELLS = 5
 FLAT_M = 0.35
 """Difference of height between neighbouring cells of water, noise included."""
@@ -44,21 +44,12 @@ RISE_M, FALL_M = 0.3, 0.2
 """Least difference of height by which a place of the ring is above, or below, the shore."""
 LEAST_RISING, MOST_FALLING = 0.6, 0.05
 """Around water, at least this share of the ring is above the shore, and at most that share below it."""
-ALMOST_RISING = 0.45
-"""Least share above the shore before the area is extended to where returns are as many as on land."""
 LEAST_KNOWN = 0.4
 """Least share of the shore that has ground heights: with less nothing is decided."""
 LEAST_CELLS = 20
 """Fewest cells of shore and of ring with which anything is decided."""
 GIVEN_SHARE = 0.03
 """A candidate with this share of cells that the input calls water is water, unless its ring is lower."""
-
-GROW_M = 40.0
-"""How far water with returns goes on beyond the cells where they are few,"""
-LEVEL_M = 0.15
-"""while the ground is no higher than this above it."""
-BRIDGE_M, UNDER_BRIDGE_M = 14.0, 0.5
-"""Widest bridge under which water goes on, and how much higher the terrain may be there."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -104,111 +95,153 @@ class Cells:
             fours(self.domain, False).max(axis=2), 2 * self.size,
         )  # fmt: skip
 
+    def finer(self, times: int) -> Cells:
+        """Each cell as ``times`` by ``times`` cells with its values."""
 
-@dataclass(frozen=True, eq=False)
-class Found:
-    """A candidate that is water: its ``cells`` in a ``window`` of the raster, and how ``sure`` that is."""
+        def repeated(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+            return values.repeat(times, axis=0).repeat(times, axis=1)
 
-    window: tuple[slice, slice]
-    cells: Bools
-    sure: float
+        return Cells(
+            repeated(self.returns), repeated(self.given), repeated(self.ground), repeated(self.domain),
+            self.size / times,
+        )  # fmt: skip
+
+    def with_ground(self, ground: Floats) -> Cells:
+        """The same cells with other heights."""
+        return replace(self, ground=ground)
+
+    def cut(self, window: tuple[slice, slice]) -> Cells:
+        """The cells of a window."""
+        return replace(
+            self, returns=self.returns[window], given=self.given[window], ground=self.ground[window],
+            domain=self.domain[window],
+        )  # fmt: skip
 
 
-def dense_enough(cells: Cells) -> Cells:
-    """Cells merged two by two until one without a return is significant."""
-    while min(cells.returns.shape) > 8 and _usual(cells) < ENOUGH_RETURNS:
-        cells = cells.coarser()
-    return cells
+class Rim(NamedTuple):
+    """Cells of the land around an area, added up over blocks.
+
+    Attributes
+    ----------
+    beside : int
+        Cells of the domain beside the area.
+    shore : int
+        Those of them with a height and returns.
+    ring : int
+        Cells with a height and returns between the distances `RING_M`.
+    rising, falling : int
+        Those of them that are above, and below, the shore.
+    """
+
+    beside: int = 0
+    shore: int = 0
+    ring: int = 0
+    rising: int = 0
+    falling: int = 0
+
+    def plus(self, other: Rim) -> Rim:
+        """The sum of two counts."""
+        return Rim(*(mine + theirs for mine, theirs in zip(self, other, strict=True)))
+
+    @property
+    def known(self) -> bool:
+        """Whether so much of the land is known that anything can be decided."""
+        return min(self.shore, self.ring) >= LEAST_CELLS and self.shore >= LEAST_KNOWN * self.beside
+
+    @property
+    def rises(self) -> float:
+        """Share of the ring that is above the shore."""
+        return self.rising / self.ring
+
+    @property
+    def falls(self) -> float:
+        """Share of the ring that is below the shore."""
+        return self.falling / self.ring
+
+    @property
+    def sure(self) -> float:
+        """How sure it is that what lies within is water, where enough of the ring rises."""
+        return round(0.5 + 0.45 * (self.rises - LEAST_RISING) / (1 - LEAST_RISING) - 2 * self.falls, 2)
 
 
-def _usual(cells: Cells) -> float:
-    some = cells.returns[cells.returns > 0]
-    return float(np.median(some)) if len(some) else math.inf
+class Size(NamedTuple):
+    """Cells of an area, added up over blocks: all, and those that the input calls water."""
+
+    cells: int = 0
+    given: int = 0
+
+    @property
+    def is_given(self) -> bool:
+        """Whether the input calls enough of the area water."""
+        return 0 < self.given >= GIVEN_SHARE * self.cells
 
 
-def find_water(cells: Cells, trusted: bool) -> Iterator[Found]:
-    """Areas of water, however small, with what lies beneath bridges.
+def water_areas(cells: Cells, usual: float | None) -> Bools:
+    """Cells that may be water; connected ones are one candidate.
 
     Parameters
     ----------
     cells : Cells
-        As `dense_enough` gives them.
-    trusted : bool
-        Whether few returns are a sign of water; False for matched clouds, which have holes anywhere: there the input's
-        class decides.
+        Of a size at which one without a return is significant.
+    usual : float or None
+        Median of the returns of the cells around here with any; None where few returns are no sign of water, as in
+        matched clouds, which have holes anywhere: there the input's class decides.
     """
-    flat = _relief(cells.ground) < FLAT_M
-    candidates = cells.given | _sparse(cells, flat) if trusted else cells.given
+    candidates = cells.given
+    if usual is not None:
+        candidates = candidates | sparse_cells(cells, flat_cells(cells), usual)
     candidates = scipy.ndimage.binary_opening(candidates, disk(LEAST_WIDTH_M / 2 / cells.size))
     candidates |= cells.given & scipy.ndimage.binary_dilation(candidates, np.ones((3, 3), np.bool_))
-    labels, _ = scipy.ndimage.label(candidates)
-    for number, window in enumerate(scipy.ndimage.find_objects(labels), start=1):
-        wide = _padded(window, math.ceil(max(RING_M[1], GROW_M) / cells.size) + 1, labels.shape)
-        found = _judged(_cut(cells, wide), labels[wide], number, flat[wide])
-        if found is not None:
-            yield Found(wide, *found)
+    return np.asarray(candidates)
 
 
-def _sparse(cells: Cells, flat: Bools) -> Bools:
+def flat_cells(cells: Cells) -> Bools:
+    """Cells with as little relief as water has."""
+    return _relief(cells.ground) < FLAT_M
+
+
+def sparse_cells(cells: Cells, flat: Bools, usual: float) -> Bools:
     """Cells of the survey without a return, and flat ones with few returns around them."""
     some = cells.returns > 0
     total, held = (
         scipy.ndimage.uniform_filter(v.astype(np.float64), SPARSE_CELLS) for v in (cells.returns, some)
     )
-    return cells.domain & (~some | (flat & (total < SPARSE * _usual(cells) * held)))
+    return cells.domain & (~some | (flat & (total < SPARSE * usual * held)))
 
 
-def _judged(cells: Cells, labels: npt.NDArray[Any], number: int, flat: Bools) -> tuple[Bools, float] | None:
-    """A candidate as far as it is water, and how sure that is; None where it is none."""
-    mine = labels == number
-    share = float(cells.given[mine].mean())
-    rim = _rim(cells, mine, (labels > 0) & ~mine)
-    if share >= GIVEN_SHARE:
-        return (mine, 0.95) if rim is None or rim[1] < 5 * MOST_FALLING else None
-    if rim is None or rim[0] < ALMOST_RISING or rim[1] > MOST_FALLING:
+def judged(size: Size, rim: Rim) -> float | None:
+    """How sure it is that an area is water, by the land around it; None where it is none."""
+    if size.is_given:
+        return None if rim.known and rim.falls >= 5 * MOST_FALLING else 0.95
+    if not rim.known or rim.rises < LEAST_RISING or rim.falls > MOST_FALLING:
         return None
-    if float((cells.returns[mine] > 0).mean()) > 0.5:
-        grown = _grown(cells, mine, flat)
-        after = _rim(cells, grown, (labels > 0) & ~grown)
-        if after is not None and after[0] >= rim[0] and after[1] <= rim[1]:
-            mine, rim = grown, after
-    if rim[0] < LEAST_RISING:
-        return None
-    return mine, round(0.5 + 0.45 * (rim[0] - LEAST_RISING) / (1 - LEAST_RISING) - 2 * rim[1], 2)
+    return rim.sure
 
 
-def _rim(cells: Cells, mine: Bools, others: Bools) -> tuple[float, float] | None:
-    """Shares of the land around an area that rise and that fall from its shore; None where too little is known."""
+def rim_of(cells: Cells, mine: Bools, others: Bools, counted: Bools) -> Rim:
+    """The land around an area.
+
+    Parameters
+    ----------
+    cells : Cells
+    mine, others : bool, shape of the cells
+        The area, and other candidates, which are no land.
+    counted : bool
+        The cells that are counted; the others serve as neighbours.
+    """
     distance = distances(mine, RING_M[1] / cells.size + 1)
     distance *= cells.size
     land = ~np.isnan(cells.ground) & ~others & cells.domain
     beside = (distance > 0) & (distance <= SHORE_M + 0.1 * cells.size)
     shore, ring = beside & land & (cells.returns > 0), (distance > RING_M[0]) & (distance <= RING_M[1]) & land
-    ring &= cells.returns > 0
-    if (
-        min(shore.sum(), ring.sum()) < LEAST_CELLS
-        or shore.sum() < LEAST_KNOWN * (beside & cells.domain).sum()
-    ):
-        return None
+    ring &= (cells.returns > 0) & counted
+    counts = Rim(int((beside & cells.domain & counted).sum()), int((shore & counted).sum()), int(ring.sum()))
+    if not shore.any() or not counts.ring:
+        return counts
     rise = cells.ground[ring] - _near_ground(
         cells.ground, shore, np.argwhere(ring), lambda near: np.percentile(near, LOW_PERCENT, axis=1)
     )
-    return float((rise > RISE_M).mean()), float((rise < -FALL_M).mean())
-
-
-def _grown(cells: Cells, mine: Bools, flat: Bools) -> Bools:
-    """An area of water with what is flat and no higher beside it, however many returns come from there."""
-    known = mine & ~np.isnan(cells.ground)
-    near = flat & cells.domain & (distances(mine, GROW_M / cells.size + 1) * cells.size <= GROW_M) & ~mine
-    places = np.argwhere(near)
-    if not known.any() or not len(places):
-        return mine
-    level = _near_ground(cells.ground, known, places, lambda near: np.median(near, axis=1))
-    low = np.zeros_like(mine)
-    low[near] = cells.ground[near] <= level + LEVEL_M
-    low = scipy.ndimage.binary_opening(low | mine, np.ones((3, 3), np.bool_)) | mine
-    grown: Bools = scipy.ndimage.binary_propagation(mine, mask=low)
-    return grown
+    return counts._replace(rising=int((rise > RISE_M).sum()), falling=int((rise < -FALL_M).sum()))
 
 
 def _near_ground(
@@ -224,26 +257,6 @@ def _near_ground(
     return found
 
 
-def under_bridges(cells: Cells, water: Bools) -> Bools:
-    """Water with gaps closed that bridges leave, where the terrain between is about as low as the shores."""
-    pad = math.ceil(BRIDGE_M / cells.size)
-    padded = np.pad(water, pad)
-    radius = BRIDGE_M / 2 / cells.size
-    closed = ~within(~within(padded, radius), radius)[pad:-pad, pad:-pad]
-    shore = scipy.ndimage.binary_dilation(water, np.ones((3, 3), np.bool_)) & ~np.isnan(cells.ground)
-    around = 2 * pad + 1
-    low = scipy.ndimage.minimum_filter(np.where(shore, cells.ground, np.inf), around)
-    with np.errstate(invalid="ignore"):
-        return water | (closed & (cells.ground - low <= UNDER_BRIDGE_M))
-
-
-def without_narrows(water: Bools, width: float) -> Bools:
-    """Water without what is narrower than a width in cells; what is left keeps its shore."""
-    least = max(width / 2 - 0.5, 1.0)
-    inner = ~within(~np.pad(water, 1), math.nextafter(least, 0.0))[1:-1, 1:-1]
-    return water & within(inner, width / 2 + 1)
-
-
 def disk(radius: float) -> Bools:
     """Cells within a radius of the middle one."""
     reach = max(int(radius), 1)
@@ -256,17 +269,3 @@ def _relief(ground: Floats) -> Floats:
     high = scipy.ndimage.maximum_filter(np.where(np.isnan(ground), np.inf, ground), 3)
     low = scipy.ndimage.minimum_filter(np.where(np.isnan(ground), -np.inf, ground), 3)
     return np.asarray(high - low)
-
-
-def _padded(window: tuple[slice, ...], pad: int, shape: tuple[int, ...]) -> tuple[slice, slice]:
-    rows, cols = (
-        slice(max(s.start - pad, 0), min(s.stop + pad, n)) for s, n in zip(window, shape, strict=True)
-    )
-    return rows, cols
-
-
-def _cut(cells: Cells, window: tuple[slice, slice]) -> Cells:
-    return replace(
-        cells, returns=cells.returns[window], given=cells.given[window], ground=cells.ground[window],
-        domain=cells.domain[window],
-    )  # fmt: skip

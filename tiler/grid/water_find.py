@@ -1,187 +1,159 @@
-"""Finds the water of a run from the points in coarse cells and the terrain there, as polygons."""
+"""A body of water from the coarse cells that it lies in: its polygon, and whether it is a lake or a river."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import scipy
 
 from tiler.core.area import Area
 from tiler.core.products import BEYOND
-from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec
+from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec
 from tiler.core.water import LAKE, RIVER, Water
-from tiler.grid.survey import Bools, coarse_cells, survey_of
-from tiler.grid.water_cells import Cells, dense_enough, find_water, under_bridges, without_narrows
-from tiler.store import TileStore, open_store
+from tiler.grid.coarse import Bools, padded
+from tiler.grid.pieces import Piece, cells_of, components
+from tiler.grid.reach import box_around
+from tiler.grid.water_extent import smoothed
+from tiler.grid.water_search import Sources, inner_window, read_search_cells
+from tiler.grid.water_shore import MOST_M, REACH_CELLS, depths, shore_polygons
+from tiler.store import TileStore, open_store, read_cells
 
-ROUND = 0.25
+ROUND = 1 / 3
 """4 pi area / length of the shore squared, 1 for a disk: what has less is long, and so a river."""
 LEAST_LENGTH = 3
 """A river is at least so many times as long as it is wide."""
-SIMPLER = 0.75
-"""Cells by which a polygon may differ from its cells, so that its shore is smooth."""
+SIMPLER = 0.15
+"""Cells by which a polygon may differ from its shore, so that it has fewer vertices."""
+ONE_EXIT = 5
+"""Cells that leave the survey belong to one exit if they are no farther apart."""
 
 
 @dataclass(frozen=True)
-class FindWater:
-    """Work: find the water of a whole run.
+class DescribeBody:
+    """Work: describe a body of water.
 
     Attributes
     ----------
-    heights : str
-        The terrain.
-    spec : RasterSpec
-        Of its pixels.
-    blocks : tuple of str
-        Names of its blocks.
-    occupancy : str
+    pieces : tuple of Piece
+        Of its cells.
+    water : str
+        Raster of the labels of water.
+    sources : Sources
     coarse : RasterSpec
-        Of the coarse cells.
-    gap : float
-        Cells: a gap between points up to this width may be water.
-    trusted : bool
-        Whether few returns are a sign of water; False: only the input's class is.
+        Of the cells.
+    sure : float
+        How sure it is that this is water.
     lake_m2, river_width_m, island_m2 : float
         The smallest that are kept.
     """
 
-    heights: str
-    spec: RasterSpec
-    blocks: tuple[str, ...]
-    occupancy: str
+    pieces: tuple[Piece, ...]
+    water: str
+    sources: Sources
     coarse: RasterSpec
-    gap: float
-    trusted: bool
+    sure: float
     lake_m2: float
     river_width_m: float
     island_m2: float
 
 
-def find_bodies(store_url: str, work: FindWater) -> dict[str, Any]:
-    """Find bodies of water in the whole run; a `tiler.schedule.task.Work`.
+def describe_body(store_url: str, work: DescribeBody) -> dict[str, Any]:
+    """Describe a body of water, piece by piece; a `tiler.schedule.task.Work`.
 
     Returns
     -------
     dict
-        ``bodies``: of each what `Water.to_json` gives, without a level.
+        ``body``: what `Water.to_json` gives, without a level, its number 0; None where it is too small.
     """
-    store = open_store(store_url)
-    metres = float(store.meta.frame.metres_xy)
-    cells = dense_enough(_cells(store, work, float(work.coarse.lattice.size) * metres))
-    times = round(cells.size / (float(work.coarse.lattice.size) * metres))
-    sure = np.zeros(cells.returns.shape, np.float32)
-    for found in find_water(cells, work.trusted):
-        part = sure[found.window]
-        part[found.cells] = np.maximum(part[found.cells], found.sure)
-    water = under_bridges(cells, sure > 0) if sure.any() else sure > 0
-    water = _without_islands(
-        without_narrows(water, work.river_width_m / cells.size), work.island_m2 / cells.size**2
-    )
-    side = work.coarse.lattice.size * times
-    corner = (
-        float(work.coarse.west * work.coarse.lattice.size),
-        float(work.coarse.north * work.coarse.lattice.size),
-    )
-    bodies = _bodies(work, water, sure, cells, (*corner, float(side)))
-    return {"bodies": [body.to_json() for body in bodies]}
-
-
-def _cells(store: TileStore, work: FindWater, size_m: float) -> Cells:
-    """Returns, classes and ground of the coarse cells of a run."""
-    coarse, spec = work.coarse, work.spec
-    points = store.read_block(work.occupancy, Block(0, 0, coarse.height, coarse.width))
-    total, number = np.zeros(points.shape), np.zeros(points.shape, np.int32)
-    for key in work.blocks:
-        block = spec.block_named(key, BLOCK_PIXELS)
-        heights = store.read_block(work.heights, block)
-        rows, cols = np.nonzero(heights != np.float32(NODATA))
-        if rows.size == 0:
-            continue
-        cell_rows, cell_cols = coarse_cells(coarse, spec, block)
-        row, col = int(cell_rows[rows].min()), int(cell_cols[cols].min())
-        shape = int(cell_rows[rows].max()) + 1 - row, int(cell_cols[cols].max()) + 1 - col
-        places, size = (cell_rows[rows] - row) * shape[1] + (cell_cols[cols] - col), shape[0] * shape[1]
-        near = np.s_[row : row + shape[0], col : col + shape[1]]
-        total[near] += np.bincount(places, heights[rows, cols], size).reshape(shape)
-        number[near] += np.bincount(places, minlength=size).reshape(shape).astype(np.int32)
-    known = number > 0
-    ground = np.divide(total, number, out=total, where=known)
-    ground[~known] = np.nan
-    ground *= float(store.meta.frame.units.vertical)
-    del number
-    domain = survey_of(points != 0, work.gap) != BEYOND
-    return Cells(np.abs(points), points < 0, ground, domain, size_m)
-
-
-def _without_islands(water: Bools, least: float) -> Bools:
-    """Water with enclosed land of fewer cells filled."""
-    labels, number = scipy.ndimage.label(scipy.ndimage.binary_fill_holes(water) & ~water)
-    small = np.bincount(labels.ravel(), minlength=number + 1) < least
-    small[0] = False
-    filled: Bools = water | small[labels]
-    return filled
-
-
-def _bodies(
-    work: FindWater,
-    water: Bools,
-    sure: npt.NDArray[np.float32],
-    cells: Cells,
-    place: tuple[float, float, float],
-) -> list[Water]:
-    """Those areas of water that are large enough; ``place``: counts of the north-west corner, and of a cell's side."""
-    labels, _ = scipy.ndimage.label(water)
-    found: list[Water] = []
-    for number, window in enumerate(scipy.ndimage.find_objects(labels), start=1):
-        mine = labels[window] == number
-        area_m2 = float(mine.sum()) * cells.size**2
-        if area_m2 < min(work.lake_m2, LEAST_LENGTH * work.river_width_m**2):
-            continue
-        kind, width_m = _kind(mine, cells.domain, window, cells.size)
-        if area_m2 < work.lake_m2 if kind == LAKE else width_m < work.river_width_m:
-            continue
-        area = _polygon(mine, window, place)
-        known = sure[window][mine]
-        found.append(Water(len(found) + 1, kind, area, None, None, round(float(known[known > 0].mean()), 2)))
-    return found
-
-
-def _kind(mine: Bools, domain: Bools, window: tuple[slice, ...], size_m: float) -> tuple[str, float]:
-    """Lake or river, and the mean width in metres; a river is long, or leaves the survey at two places."""
-    rows, cols = window
-    wide = np.pad(domain, 1)[rows.start : rows.stop + 2, cols.start : cols.stop + 2]
-    body = np.pad(mine, 1)
-    outer = ~np.pad(scipy.ndimage.binary_fill_holes(mine), 1)
-    shore, ends = 0, np.zeros_like(body)
-    for axis, step in ((0, 1), (0, -1), (1, 1), (1, -1)):
-        edge = body & np.roll(outer, step, axis)
-        beyond = edge & ~np.roll(wide, step, axis)
-        shore += int((edge & ~beyond).sum())
-        ends |= beyond
-    _, exits = scipy.ndimage.label(scipy.ndimage.binary_dilation(ends, np.ones((5, 5), np.bool_)))
-    # Faces of cells are 4 / pi times as long as a shore, in the mean of all directions.
-    length = max(shore * size_m * math.pi / 4, size_m)
-    area = float(mine.sum()) * size_m**2
-    river = exits > 1 or 4 * math.pi * area / length**2 < ROUND
-    return (RIVER if river else LAKE), 2 * area / length
-
-
-def _polygon(mine: Bools, window: tuple[slice, ...], place: tuple[float, float, float]) -> Area:
-    """The area of some cells, in absolute counts."""
     import shapely
-    from affine import Affine
-    from rasterio.features import shapes
 
-    west, north, side = place
-    rows, cols = window
-    to_counts = Affine(side, 0, west + cols.start * side, 0, -side, north - rows.start * side)
-    parts = [shapely.geometry.shape(s) for s, _ in shapes(mine.astype(np.uint8), mine, transform=to_counts)]
-    whole = shapely.make_valid(shapely.simplify(shapely.union_all(parts), SIMPLER * side))
-    polygons = [p for p in shapely.get_parts(whole) if p.geom_type == "Polygon"]
+    store, coarse = open_store(store_url), work.coarse
+    size_m = float(coarse.lattice.size * store.meta.frame.metres_xy)
+    polygons: list[Any] = []
+    ends, faces, cells = [np.empty((0, 2), np.int64)], 0, 0
+    for block, mine in _blocks(store, work):
+        polygons += _polygons(store, work, block)
+        beyond = read_cells(store, work.sources.domain, coarse, padded(block, 1), float(BEYOND)) == BEYOND
+        leaving, sides = _leaving(mine, beyond)
+        ends.append(np.argwhere(leaving) + (block.row, block.col))
+        faces += sides
+        cells += int(mine[1:-1, 1:-1].sum())
+    side = float(coarse.lattice.size)
+    whole = _without_islands(shapely.union_all(polygons), work.island_m2 * (side / size_m) ** 2)
+    shore = shapely.get_exterior_ring(shapely.get_parts(whole))
+    length_m = (float(shapely.length(shore).sum()) / side - faces) * size_m
+    area_m2 = cells * size_m**2
+    kind, width_m = _kind(area_m2, length_m, size_m, _exits(np.concatenate(ends)))
+    small = area_m2 < work.lake_m2 if kind == LAKE else width_m < work.river_width_m
+    body = None if small else Water(0, kind, _area(whole, side), None, None, work.sure).to_json()
+    return {"body": body}
+
+
+def _blocks(store: TileStore, work: DescribeBody) -> Iterator[tuple[Block, Bools]]:
+    """Each block that holds some of a body, and its cells there; the cells around the block are not set."""
+    for row, col in sorted({(piece.row, piece.col) for piece in work.pieces}):
+        block = work.coarse.block_at(row, col, BLOCK_PIXELS)
+        yield block, np.pad(cells_of(store, work.water, work.coarse, block, work.pieces), 1)
+
+
+def _leaving(mine: Bools, beyond: Bools) -> tuple[Bools, int]:
+    """Cells of a block at the border of the survey, and how many of their sides lie there."""
+    found, sides = np.zeros_like(mine), 0
+    for axis, step in ((0, 1), (0, -1), (1, 1), (1, -1)):
+        edge = mine & np.roll(beyond, step, axis)
+        sides += int(edge.sum())
+        found |= edge
+    return found[1:-1, 1:-1], sides
+
+
+def _exits(cells: Any) -> int:
+    """Places at which some cells leave the survey."""
+    if not len(cells):
+        return 0
+    near = scipy.spatial.cKDTree(cells).query_pairs(ONE_EXIT, p=math.inf)
+    return len(components(range(len(cells)), near))
+
+
+def _kind(area_m2: float, shore_m: float, size_m: float, exits: int) -> tuple[str, float]:
+    """Lake or river, and the mean width in metres; a river is long, or leaves the survey at two places."""
+    length = max(shore_m, size_m)
+    river = exits > 1 or 4 * math.pi * area_m2 / length**2 < ROUND
+    return (RIVER if river else LAKE), 2 * area_m2 / length
+
+
+def _polygons(store: TileStore, work: DescribeBody, block: Block) -> list[Any]:
+    """Polygons of the water of a block, in absolute counts; those of neighbours overlap."""
+    window = padded(block, REACH_CELLS)
+    wet = cells_of(store, work.water, work.coarse, window, work.pieces)
+    box = box_around(wet, REACH_CELLS)
+    cells = read_search_cells(store, work.sources, work.coarse, window, 1).cut(box)
+    field = np.full(wet.shape, MOST_M)
+    field[box] = depths(cells.with_ground(smoothed(cells.ground)), wet[box])
+    cut = inner_window(padded(block, 1), REACH_CELLS - 1)
+    return shore_polygons(field[cut], work.coarse, padded(block, 1))
+
+
+def _without_islands(whole: Any, least: float) -> Any:
+    """A shape without its holes of a smaller area."""
+    import shapely
+
+    found = []
+    for polygon in shapely.get_parts(whole):
+        holes = [ring for ring in polygon.interiors if shapely.Polygon(ring).area >= least]
+        found.append(shapely.Polygon(polygon.exterior, holes))
+    return shapely.union_all(found)
+
+
+def _area(whole: Any, side: float) -> Area:
+    """The area of a polygon of cells, its shore smooth."""
+    import shapely
+
+    smooth = shapely.simplify(shapely.normalize(shapely.simplify(whole, 0.0)), SIMPLER * side)
+    polygons = [p for p in shapely.get_parts(shapely.make_valid(smooth)) if p.geom_type == "Polygon"]
     rings = [
         tuple(np.rint(shapely.get_coordinates(r)[:-1]).astype(np.int64) for r in (p.exterior, *p.interiors))
         for p in polygons

@@ -1,14 +1,13 @@
 """How high the water of a lake or river stands, from the terrain along its shore, and from that of the water itself.
 
-Water stands at a low percentile of its shore, or at the median of the terrain within it where that is lower: there its
-own returns made the terrain. A lake has one level, a river one at each place of its line, made to fall by isotonic
-regression in whichever direction fits better.
+Water stands where its own returns are, if these are smooth, else at a low percentile of its shore. A lake has one
+level, a river one at each place of its line (`tiler.grid.profile`).
 """
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -19,20 +18,19 @@ from tiler.core.area import Area
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds, Lattice
 from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec
-from tiler.core.water import RIVER, Counts, Water, lengths_along
+from tiler.core.water import RIVER, Counts, Water
 from tiler.grid.course import course_of, mean_width, polygon_of
+from tiler.grid.profile import LEAST_PIXELS, SMOOTH_M, Profile, Scale, bank_level, profile_along, water_level
 from tiler.store import TileStore, open_store
 
 Floats = npt.NDArray[np.float64]
 
 SHORE_PIXELS = 2
 """Width of the strip along the water whose heights are used."""
-SHORE_PERCENT = 10
-"""Percentile of the shore's heights at which the water stands: at or just below the bank."""
 STATION_PIXELS = 10
 """Least distance between the places along a river where its level is estimated."""
-LEAST_PIXELS = 5
-"""Fewest heights of the shore, or of the water itself, from which a level is estimated."""
+NOISE_M = 0.1
+"""Ground of the shore may be measured so much too low."""
 MOST_WITHIN = 50_000
 """About how many pixels of the water itself are used at most."""
 
@@ -49,12 +47,19 @@ class LevelWater:
     heights : str
         The terrain.
     spec : RasterSpec
+    cells : (str, str) or None
+        Rasters of the points in coarse cells, and of their heights: where there are some, they tell how high the water
+        itself lies; else the pixels of the terrain do.
+    coarse : RasterSpec
+        Of these cells.
     """
 
     body: Water
     others: tuple[Area, ...]
     heights: str
     spec: RasterSpec
+    cells: tuple[str, str] | None
+    coarse: RasterSpec
 
     def place(self, buckets: Lattice) -> Bounds | None:
         """Bounds of the water."""
@@ -68,18 +73,43 @@ def level_water(store_url: str, work: LevelWater) -> dict[str, Any]:
     -------
     dict
         ``shore``: pixels with a height along the water; ``body``: the water with its level (see `Water.to_json`), None
-        where the shore has too few.
+        where the shore has too few; ``floating``: share of the shore that lies more than `NOISE_M` below the level, and
+        its lowest place as counts x, y, None where there is none; ``uneven``: whether what was seen of a level body
+        differs by more than waves do.
     """
-    body = work.body
-    shore, within = heights_of(open_store(store_url), work)
+    store, body = open_store(store_url), work.body
+    frame = store.meta.frame
+    scale = Scale(
+        COUNTS_PER_UNIT / float(frame.units.horizontal), COUNTS_PER_UNIT / float(frame.units.vertical)
+    )
+    shore, within = heights_of(store, work)
     found: Water | None = None
-    if shore.shape[1] >= LEAST_PIXELS:
-        flow = None
+    if max(shore.shape[1], within.shape[1]) >= LEAST_PIXELS:
+        profile = None
         if body.kind == RIVER:
-            flow = _flow(body, shore, within, float(STATION_PIXELS * work.spec.lattice.size))
-        level = math.floor(_level(shore[2], within[2])) if flow is None else None
-        found = Water(body.number, body.kind, body.area, level, flow, body.sure)
-    return {"shore": shore.shape[1], "body": None if found is None else found.to_json()}
+            profile = _profile(body, shore, within, float(STATION_PIXELS * work.spec.lattice.size), scale)
+        if profile is not None and len(profile.stations) > 1:
+            found = replace(body, level=None, flow=profile.flow, stations=profile.stations)
+        else:
+            seen = water_level(within[2], scale)
+            level = bank_level(shore[2] if shore.shape[1] else within[2]) if seen is None else seen
+            found = replace(body, level=math.floor(level), flow=None)
+    low, high = np.percentile(within[2], (25, 75)) if within.shape[1] else (0.0, 0.0)
+    return {
+        "shore": shore.shape[1],
+        "body": None if found is None else found.to_json(),
+        "floating": _floating(found, shore, NOISE_M * scale.z),
+        "uneven": found is not None and found.flow is None and bool(high - low > SMOOTH_M * scale.z),
+    }
+
+
+def _floating(body: Water | None, shore: Counts, noise: float) -> tuple[float, list[int] | None]:
+    """Share of the shore that lies below the level by more than noise, and its lowest place."""
+    if body is None or not shore.shape[1]:
+        return 0.0, None
+    deep = body.heights(shore[0], shore[1]) - shore[2]
+    share = float((deep > noise).mean())
+    return share, shore[:2, int(deep.argmax())].tolist() if share else None
 
 
 def heights_of(store: TileStore, work: LevelWater) -> tuple[Counts, Counts]:
@@ -108,7 +138,28 @@ def heights_of(store: TileStore, work: LevelWater) -> tuple[Counts, Counts]:
         xyz = np.stack((x, y, np.rint(heights.astype(np.float64) * COUNTS_PER_UNIT).astype(np.int64)))
         shores.append(xyz[:, shore & known])
         insides.append(xyz[:, inside & known & some])
-    return np.concatenate(shores, axis=1), np.concatenate(insides, axis=1)
+    within = np.concatenate(insides, axis=1) if work.cells is None else _seen(store, work, *work.cells)
+    return np.concatenate(shores, axis=1), within
+
+
+def _seen(store: TileStore, work: LevelWater, points: str, ground: str) -> Counts:
+    """Absolute counts x, y, z of the cells within a body that returns came from; int64 (3, n)."""
+    coarse, area, found = work.coarse, work.body.area, [np.empty((3, 0), np.int64)]
+    cells = polygon_of(area).area / float(coarse.lattice.size) ** 2
+    step = math.ceil(math.sqrt(max(cells / MOST_WITHIN, 1.0)))
+    for block in coarse.blocks_within(area.bounds, BLOCK_PIXELS):
+        part = coarse.part(block, area.bounds)
+        seen = coarse.inside(part, area)
+        if not seen.any():
+            continue
+        some = np.zeros_like(seen)
+        some[(coarse.north - 1 - part.row) % step :: step, -(coarse.west + part.col) % step :: step] = True
+        heights = store.read_block(ground, part)
+        seen &= some & (store.read_block(points, part) != 0) & (heights != np.float32(NODATA))
+        x, y = coarse.centres(part)
+        z = np.rint(heights.astype(np.float64) * COUNTS_PER_UNIT).astype(np.int64)
+        found.append(np.stack((x, y, z))[:, seen])
+    return np.concatenate(found, axis=1)
 
 
 def _padded(spec: RasterSpec, block: Block, reach: int) -> Block:
@@ -119,62 +170,10 @@ def _padded(spec: RasterSpec, block: Block, reach: int) -> Block:
     return Block(top, left, bottom - top, right - left)
 
 
-def _level(shore: npt.NDArray[Any], within: npt.NDArray[Any]) -> float:
-    """Where water stands, from heights of the terrain beside it and within it."""
-    level = float(np.percentile(shore, SHORE_PERCENT))
-    return min(level, float(np.median(within))) if len(within) >= LEAST_PIXELS else level
-
-
-def _flow(body: Water, shore: Counts, within: Counts, least: float) -> Counts | None:
-    """The line of a river with the heights of the water; None where the river is too small for a line."""
+def _profile(body: Water, shore: Counts, within: Counts, least: float, scale: Scale) -> Profile | None:
+    """The profile of a river; None where it is too small for a line."""
     shape = polygon_of(body.area)
     line = course_of(shape) if body.flow is None else body.flow[:, :2].astype(np.float64)
     if line is None or len(line) < 2:
         return None
-    return falling_line(line, shore, within, max(least, mean_width(shape)))
-
-
-def falling_line(line: Floats, shore: Counts, within: Counts, spacing: float) -> Counts:
-    """A line with the heights of the water along it, which fall; int64 (n, 3), downstream.
-
-    Parameters
-    ----------
-    line : float64 (n, 2)
-        Absolute counts.
-    shore, within : int64 (3, n)
-        Heights of the terrain beside the water, and within it.
-    spacing : float
-        Counts between the places at which the level is looked for; each sees the terrain as far to both sides.
-    """
-    stations, levels = _levels_along(line, shore, within, spacing)
-    falling, rising = (scipy.optimize.isotonic_regression(levels, increasing=up).x for up in (False, True))
-    downstream = ((levels - falling) ** 2).sum() <= ((levels - rising) ** 2).sum()
-    lengths = lengths_along(np.rint(line).astype(np.int64))
-    places = np.unique(np.concatenate((lengths, stations.clip(0, lengths[-1]))))
-    xy = [np.interp(places, lengths, line[:, axis]) for axis in (0, 1)]
-    heights = np.interp(places, stations, falling if downstream else rising)
-    found = np.rint(np.stack((*xy, heights), axis=1)).astype(np.int64)
-    moved = np.concatenate(([True], (np.diff(found[:, :2], axis=0) != 0).any(axis=1)))
-    flow: Counts = found[moved] if downstream else found[moved][::-1].copy()
-    return flow
-
-
-def _levels_along(line: Floats, shore: Counts, within: Counts, spacing: float) -> tuple[Floats, Floats]:
-    """Stations along a line, counts from its start, and the level of the water at each."""
-    import shapely
-
-    shape = shapely.LineString(line)
-    beside, inside = (
-        shapely.line_locate_point(shape, shapely.points(xyz[0], xyz[1])) for xyz in (shore, within)
-    )
-    low, high = float(beside.min()), float(beside.max())
-    stations = np.linspace(low, high, max(round((high - low) / spacing), 1) + 1)
-    levels = np.full(len(stations), np.nan)
-    for i, station in enumerate(stations):
-        here = shore[2][np.abs(beside - station) <= spacing]
-        if len(here) >= LEAST_PIXELS:
-            levels[i] = _level(here, within[2][np.abs(inside - station) <= spacing])
-    known = ~np.isnan(levels)
-    if not known.any():
-        return stations[:1], np.array([_level(shore[2], within[2])])
-    return stations[known], levels[known]
+    return profile_along(line, shore, within, max(least, mean_width(shape)), scale)

@@ -1,4 +1,4 @@
-"""Ingest, second step: the points of a bucket gathered, duplicates found, candidates put first."""
+"""Ingest, second step: gather the points of a bucket, find duplicates, and put the candidates first."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tiler.store import open_store
 
 @dataclass(frozen=True)
 class BucketOrder:
-    """How the points of a bucket are to lie, and what was found on the way.
+    """The stored order of a bucket's points, and the duplicates among them.
 
     Attributes
     ----------
@@ -29,7 +29,7 @@ class BucketOrder:
         Candidates first, in the order of their fine cells; then the others by fine cell, z, x, y.
     n_candidates : int
     duplicates_within, duplicates_between : int
-        Points at the place of another one of the same source; further sources at the same place.
+        Points at the place of another point of the same source, and of another source.
     """
 
     order: npt.NDArray[np.intp]
@@ -40,15 +40,15 @@ class BucketOrder:
 
 @dataclass(frozen=True)
 class BucketParts:
-    """Where the points of a bucket lie in the spool.
+    """The places of a bucket's points in the spool.
 
     Attributes
     ----------
     cell : Cell
     fragments : tuple of (str, int, int)
-        Piece, first and end row of each run of points.
+        Piece, first row and end row of each run of points.
     rules : tuple of (int, Bounds)
-        Number and bounds of each source that has strays outside of these (see `tiler.ingest.strays`).
+        Number of each source that has strays, and the bounds outside which they lie (see `tiler.ingest.strays`).
     """
 
     cell: Cell
@@ -58,13 +58,13 @@ class BucketParts:
 
 @dataclass(frozen=True)
 class AssembleBuckets:
-    """Buckets to be gathered: the arguments of `assemble_buckets`.
+    """Buckets to gather: the arguments of `assemble_buckets`.
 
     Attributes
     ----------
     buckets : tuple of BucketParts
     keep_classes : tuple of int or None
-        What takes no part, see `tiler.core.classes.participates`; None: as it has it.
+        Classes that take no part in filtering; None for the default of `tiler.core.classes.participates`.
     skip_flags : int
         Bits of flags that keep a point out.
     """
@@ -74,12 +74,12 @@ class AssembleBuckets:
     skip_flags: int = WITHHELD_FLAG
 
     def place(self, buckets: Lattice) -> Bounds | None:
-        """Bounds of the buckets."""
+        """Bounds of all buckets."""
         return reduce(Bounds.union, (buckets.bounds(bucket.cell) for bucket in self.buckets))
 
 
 def assemble_buckets(store_url: str, work: AssembleBuckets) -> dict[str, Any]:
-    """Write some buckets from the fragments of the pieces that touch them.
+    """Write buckets from their fragments in the spool.
 
     Parameters
     ----------
@@ -89,10 +89,10 @@ def assemble_buckets(store_url: str, work: AssembleBuckets) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``buckets``: one dict each with ``cell`` [ix, iy], ``n``, ``n_candidates``, ``n_participating``,
-        ``duplicates`` {within, between}, ``z`` and ``bounds`` (of all points but strays, see `spool.extent`),
-        ``strays`` ([source, row, x, y, z] each), ``z_participating`` ([lowest, highest] in counts, or None),
-        ``classes`` {class: points}.
+        ``buckets`` holds a dict for each bucket: ``cell`` [ix, iy], ``n``, ``n_candidates``, ``n_participating``,
+        ``duplicates`` {within, between}, ``z`` and ``bounds`` (without strays, see `spool.extent`), ``strays``
+        ([source, row, x, y, z] each), ``z_participating`` ([lowest, highest] in counts, or None), ``classes``
+        {class: points}.
     """
     store = open_store(store_url)
     meta = store.meta
@@ -112,7 +112,6 @@ def assemble_buckets(store_url: str, work: AssembleBuckets) -> dict[str, Any]:
 
 
 def _taking_part(block: PointBlock, keep: Sequence[int] | None, skip_flags: int) -> npt.NDArray[np.bool_]:
-    """Mask of the points that take part in filtering."""
     if block.classification is None or block.flags is None:
         raise ValueError("fragments of the spool have classes and flags")
     if keep is None:
@@ -128,13 +127,14 @@ def bucket_order(
     fine: Lattice,
     cell: Cell,
 ) -> BucketOrder:
-    """Candidates first: the lowest point that takes part in each fine cell (ties: smallest x, then y, once).
+    """Find the order in which a bucket stores its points.
 
-    The result depends on the points alone, not on the order in which they come.
+    The candidate of a fine cell is the lowest point that takes part; of equally low points it is the one with the
+    smallest x, then y. The result depends on the points alone, not on the order in which they come.
     """
     origin = block.origin if block.origin is not None else np.arange(len(block), dtype=np.int64)
     keys, fine_of = _sort_keys(block.xyz, frame, bucket, fine, cell)
-    # Not a stable sort, which takes three times as long: equal points are put in order below.
+    # A stable sort would take three times as long. `_by_origin` puts equal points in order.
     order = np.lexsort(keys[::-1]) if len(keys) > 1 else np.argsort(keys[0])
     again = np.ones(len(order), dtype=np.bool_)
     again[:1] = False
@@ -155,20 +155,23 @@ def bucket_order(
 def _sort_keys(
     xyz: npt.NDArray[np.int32], frame: CoordFrame, bucket: Lattice, fine: Lattice, cell: Cell
 ) -> tuple[list[npt.NDArray[np.uint64] | npt.NDArray[np.int64]], npt.NDArray[np.int64]]:
-    """Keys by fine cell, z, x, y, the first one first, and the fine cell of each point.
+    """Keys that sort by fine cell, z, x, y, the most significant first; and the fine cell of each point.
 
-    One 64-bit key where the bits suffice (nearly always: 34 bits hold a place in 100 m), which sorts faster.
+    If 64 bits suffice, the keys are packed into one, which sorts faster. They nearly always do: a place in a bucket of
+    100 m takes 34 bits.
     """
     bounds = bucket.bounds(cell)
     x = xyz[0].astype(np.int64) + (frame.origin[0] - bounds.x0)
     y = xyz[1].astype(np.int64) + (frame.origin[1] - bounds.y0)
     z = xyz[2].astype(np.int64)
     z = z - (z.min() if z.size else 0)
-    west, south = fine.index_of(bounds.x0), fine.index_of(bounds.y0)
+    west = fine.index_of(bounds.x0)
+    south = fine.index_of(bounds.y0)
     across = fine.index_of(bounds.x1 - 1) - west + 1
-    fine_x, fine_y = fine.index(x + bounds.x0), fine.index(y + bounds.y0)
+    fine_x = fine.index(x + bounds.x0)
+    fine_y = fine.index(y + bounds.y0)
     fine_of = (fine_y - south) * across + (fine_x - west)
-    # Within its fine cell a coordinate needs few bits; -((-i * p) // q) is the cell's first count.
+    # A coordinate within its fine cell needs few bits; the first count of the cell is -((-i * p) // q).
     parts = [
         fine_of,
         z,
@@ -187,7 +190,7 @@ def _sort_keys(
 def _by_origin(
     order: npt.NDArray[np.intp], again: npt.NDArray[np.bool_], origin: npt.NDArray[np.int64]
 ) -> npt.NDArray[np.intp]:
-    """The order with equal points by source and row; `again` marks those equal to the one before."""
+    """The order with equal points by source and row; ``again`` marks each point that equals the one before."""
     if not again.any():
         return order
     runs = np.cumsum(~again)
@@ -203,7 +206,7 @@ def _by_origin(
 def _duplicates(
     order: npt.NDArray[np.intp], again: npt.NDArray[np.bool_], origin: npt.NDArray[np.int64]
 ) -> tuple[int, int]:
-    """Repeated points of one source, and further sources at the place of a point."""
+    """Number of points that repeat a point of the same source, and of those that repeat a point of another source."""
     sources = (origin >> SOURCE_SHIFT)[order]
     other = np.zeros(len(order), dtype=np.bool_)
     other[1:] = sources[1:] != sources[:-1]
@@ -220,7 +223,10 @@ def _record(
     frame: CoordFrame,
 ) -> dict[str, Any]:
     z = block.xyz[2][taking]
-    histogram = np.bincount(block.classification) if block.classification is not None else np.empty(0, int)
+    classes = {}
+    if block.classification is not None:
+        counts = np.bincount(block.classification).tolist()
+        classes = {str(number): count for number, count in enumerate(counts) if count}
     return {
         "cell": [cell.ix, cell.iy],
         "n": len(block),
@@ -228,7 +234,7 @@ def _record(
         "n_participating": int(np.count_nonzero(taking)),
         "duplicates": {"within": found.duplicates_within, "between": found.duplicates_between},
         "z_participating": [int(z.min()), int(z.max())] if z.size else None,
-        "classes": {str(c): int(n) for c, n in enumerate(histogram.tolist()) if n},
+        "classes": classes,
         "strays": places(block, strays, frame.origin),
         **extent(block.take(~strays) if strays.any() else block, frame),
     }

@@ -1,23 +1,27 @@
-"""Ingest, first step: a piece of a source decoded, put in the frame, sorted by bucket, spooled."""
+"""Ingest, first step: decode a piece of a source, convert it to the frame, sort it by bucket, and spool it."""
 
 from __future__ import annotations
 
 from collections import Counter
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from itertools import compress
 from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from tiler.core.area import Runs, in_runs
+from tiler.core.classes import UNSELECTED_FLAG, WITHHELD_FLAG
 from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Bounds, Lattice
 from tiler.core.points import PointBlock, pack_origin
-from tiler.ingest.requantise import fits_int32, to_counts
+from tiler.core.selection import EVERY_POINT, WITHHELD, Selection
+from tiler.ingest.selecting import unselected
+from tiler.inputs.requantise import fits_int32, to_counts
 from tiler.io.cloud_reading import fetched_bytes
-from tiler.io.las.columns import class_and_flags, colours, returns
+from tiler.io.las.columns import class_and_flags, colours, returns, scan_angles
 from tiler.io.las.headers import LasHeader
-from tiler.io.las.reader import EVERYTHING, NEEDED, PointReader, Records
+from tiler.io.las.reader import EVERYTHING, NEEDED, TO_SELECT, PointReader, Records
 from tiler.io.las.unchanged import unchanged
 from tiler.io.locations import cloud_path
 from tiler.schedule.task import NOT_IN_DIGEST
@@ -31,35 +35,39 @@ STEP = SPOOL_CHUNK
 """Records that are decoded, converted and kept at a time."""
 
 _RADIX_KEYS = 1 << 16
+"""Number of 16-bit keys; numpy sorts them by radix, which is several times faster."""
 
 
 @dataclass(frozen=True)
 class SpoolPiece:
-    """A piece to be decoded: the arguments of `spool_piece`.
+    """A piece to decode: the arguments of `spool_piece`.
 
     Attributes
     ----------
     path : str
-        Of the source, or its URL.
+        Path or URL of the source.
     source : int
-        Its number in the store.
+        Number of the source in the store.
     piece : str
-        Name in the spool.
+        Name of the piece in the spool.
     start, count : int
-        Records of the source.
+        First record of the piece, and number of records.
     wanted : Runs or None
-        The buckets whose points are stored, see `Area.cells`; None: all.
+        Buckets whose points are stored, see `Area.cells`; None for all.
     salvage : bool
+        Read what can be read of a damaged file.
     extent : Bounds or None
-        What the header of the source says, absolute counts.
+        Bounds in the header of the source, in absolute counts.
     identity : str or None
-        Of the piece, whatever is wanted of it.
+        Identity of the piece's content; it does not depend on ``wanted``.
     stamp : list or None
-        Of the source, as the plan found it.
+        Stamp of the source when the plan read it.
     ranges : tuple of (int, int)
-        First record and number of each part of the piece, where it is not all one; then ``count`` is their sum.
+        First record and number of records of each part, if the piece has several; ``count`` is then their sum.
     keep : bool
-        Keep the records for the classified cloud, where decoding them is work.
+        Keep the records for the classified cloud if decoding them again would be work.
+    selection : Selection
+        The points that the filter and the rasters see; the others are stored with a flag.
     """
 
     path: str
@@ -74,6 +82,7 @@ class SpoolPiece:
     stamp: list[Any] | None = field(default=None, metadata=NOT_IN_DIGEST)
     ranges: tuple[tuple[int, int], ...] = ()
     keep: bool = field(default=False, metadata=NOT_IN_DIGEST)
+    selection: Selection = EVERY_POINT
 
 
 def spool_piece(store_url: str, work: SpoolPiece) -> dict[str, Any]:
@@ -87,33 +96,37 @@ def spool_piece(store_url: str, work: SpoolPiece) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``read``, ``stored``, ``outside`` (usable points outside of ``extent``), ``dropped`` (reason to number),
-        ``largest_rounding`` (CRS units), ``buckets`` ([[ix, iy, number], ...] in the order of the piece), ``left`` (the
-        same of buckets that are not wanted), ``bounds`` (half-open absolute counts, or None), ``z`` ([lowest, highest]
-        in counts, or None), ``identity``, ``fetched`` (bytes of a source at a URL).
+        ``read``, ``stored``, ``outside`` (usable points outside ``extent``), ``dropped`` (reason to number),
+        ``largest_rounding`` (units of the CRS), ``buckets`` ([[ix, iy, number], ...] in the order of the piece),
+        ``left`` (the same for buckets that are not wanted), ``bounds`` (half-open absolute counts, or None), ``z``
+        ([lowest, highest] in counts, or None), ``identity``, ``fetched`` (bytes read of a source at a URL),
+        ``unselected`` (key of `Selection.options` to number of points that the option alone leaves out).
 
     Raises
     ------
     InputError
-        The points cannot be decoded, or the file is no longer the one that the plan read.
+        The points cannot be decoded, or the file has changed since the plan read it.
     """
-    store, before = open_store(store_url), fetched_bytes()
-    frame, lattice = store.meta.frame, store.meta.bucket
+    store = open_store(store_url)
+    frame = store.meta.frame
+    before = fetched_bytes()
     with unchanged(cloud_path(work.path), work.stamp, work.salvage) as header:
         keeper = _keeper(store, work, header)
-        selection = NEEDED if keeper is None else EVERYTHING
+        layers = TO_SELECT if work.selection.options else NEEDED
+        layers = EVERYTHING if keeper is not None else layers
         ranges = work.ranges or ((work.start, work.count),)
-        with PointReader(header, selection, ranges=work.ranges or None) as reader:
-            read = [
-                _read_step(store.meta, reader, keeper, work, first, min(STEP, start + count - first))
-                for start, count in ranges
-                for first in range(start, start + count, STEP)
-            ]
+        with PointReader(header, layers, ranges=work.ranges or None) as reader:
+            read = []
+            for start, count in ranges:
+                end = start + count
+                for first in range(start, end, STEP):
+                    read.append(_read_step(store.meta, reader, keeper, work, first, min(STEP, end - first)))
         if keeper is not None:
             keeper.close()
     dropped = sum((Counter(step.dropped) for step in read), Counter[str]())
+    unselected = sum((Counter(step.unselected) for step in read), Counter[str]())
     block = PointBlock.concatenate([step.block for step in read])
-    order, index = sort_by_bucket(block.xyz, frame, lattice)
+    order, index = sort_by_bucket(block.xyz, frame, store.meta.bucket)
     order, index, left = _of_buckets(order, index, work.wanted)
     if left:
         dropped[OUTSIDE_AREA] = sum(number for _, _, number in left)
@@ -125,6 +138,7 @@ def spool_piece(store_url: str, work: SpoolPiece) -> dict[str, Any]:
         "stored": len(block),
         "outside": sum(step.outside for step in read),
         "dropped": dict(dropped),
+        "unselected": dict(unselected),
         "largest_rounding": max(step.rounding for step in read),
         "buckets": [list(entry) for entry in index],
         "left": [list(entry) for entry in left],
@@ -136,16 +150,17 @@ def spool_piece(store_url: str, work: SpoolPiece) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class _Step:
-    """Some records of a piece: the points that can be kept, and what `spool_piece` tells of all."""
+    """Result for some records of a piece: the usable points, and figures that `spool_piece` reports."""
 
     block: PointBlock
     outside: int
     dropped: dict[str, int]
+    unselected: dict[str, int]
     rounding: float
 
 
 def _keeper(store: TileStore, work: SpoolPiece, header: LasHeader) -> RecordKeeper | None:
-    """What keeps the records of a piece, if that is wanted, saves a decoder's work, and can be done."""
+    """A keeper for the records of a piece; None if they are not wanted, not compressed, or too long."""
     if not work.keep or work.ranges or header.laz is None or header.record_length > LONGEST_BYTES:
         return None
     return store.keep_records(work.piece, work.identity, header.record_length)
@@ -159,23 +174,47 @@ def _read_step(
     start: int,
     count: int,
 ) -> _Step:
-    """Decode ``count`` records from ``start`` on: few enough that the processor's cache holds what is made of them."""
+    """Decode ``count`` records from ``start`` on; their arrays fit into the processor's cache."""
     records = reader.read(start, count)
     if keeper is not None:
         keeper.add(records)
     local, keep, dropped, rounding = place(records, reader.header, meta.frame)
     rows = np.arange(start, start + count, dtype=np.int64)
     block = columns(records, reader.header, local, work.source, rows, meta.has_rgb)
+    block, left_out = _selected(block, records, reader.header, work.selection)
+    unselected = {key: int(np.count_nonzero(mask & keep)) for key, mask in left_out.items()}
     block = block.take(keep)
-    inside = None if work.extent is None else block.inside(work.extent, meta.frame.origin)
-    outside = 0 if inside is None else len(block) - int(np.count_nonzero(inside))
-    return _Step(block, outside, dropped, rounding)
+    outside = 0
+    if work.extent is not None:
+        inside = block.inside(work.extent, meta.frame.origin)
+        outside = len(block) - int(np.count_nonzero(inside))
+    return _Step(block, outside, dropped, unselected, rounding)
+
+
+def _selected(
+    block: PointBlock, records: Records, header: LasHeader, selection: Selection
+) -> tuple[PointBlock, dict[str, npt.NDArray[np.bool_]]]:
+    """The points with the flags of a selection, and a mask of those that each of its options leaves out."""
+    if block.flags is None or block.returns is None or block.classification is None:
+        raise ValueError("points were read without their flags, returns and classes")
+    withheld = (block.flags & WITHHELD_FLAG) > 0
+    flags = block.flags
+    if selection.withheld:
+        flags = flags & ~np.uint8(WITHHELD_FLAG)
+        withheld[:] = False
+    if not selection.options:
+        return replace(block, flags=flags), {WITHHELD: withheld}
+    angles = scan_angles(records, header.point_format)
+    found = unselected(selection, block.returns, angles, records["point_source_id"], block.classification)
+    for left_out in found.values():
+        flags = flags | (left_out * np.uint8(UNSELECTED_FLAG))
+    return replace(block, flags=flags), {**found, WITHHELD: withheld}
 
 
 def place(
     records: Records, header: LasHeader, frame: CoordFrame
 ) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.bool_], dict[str, int], float]:
-    """Local counts (int32, shape (3, n)), mask of those to keep, dropped by reason, largest rounding."""
+    """Local counts (int32, shape (3, n)), mask of the usable points, dropped points by reason, largest rounding."""
     local = np.zeros((3, len(records)), dtype=np.int32)
     finite = np.ones(len(records), dtype=np.bool_)
     framed = np.ones(len(records), dtype=np.bool_)
@@ -189,11 +228,12 @@ def place(
         fits = fits_int32(shifted)
         framed &= fits
         local[axis] = np.where(fits, shifted, 0)
-    reasons = {
+    dropped = {
         NOT_FINITE: int(np.count_nonzero(~finite)),
         BEYOND_FRAME: int(np.count_nonzero(finite & ~framed)),
     }
-    return local, finite & framed, {k: v for k, v in reasons.items() if v}, rounding
+    dropped = {reason: number for reason, number in dropped.items() if number}
+    return local, finite & framed, dropped, rounding
 
 
 def columns(
@@ -204,20 +244,27 @@ def columns(
     rows: npt.NDArray[np.int64],
     has_rgb: bool,
 ) -> PointBlock:
-    """All columns of the records; colours are 0 where the store has them and the source has none."""
+    """All columns of the records; colours are 0 if the source has none but the store has."""
     classification, flags = class_and_flags(records, header.point_format)
-    rgb = colours(records, header.point_format) if has_rgb else None
-    if has_rgb and rgb is None:
-        rgb = np.zeros((3, len(records)), dtype=np.uint16)
+    rgb = None
+    if has_rgb:
+        rgb = colours(records, header.point_format)
+        if rgb is None:
+            rgb = np.zeros((3, len(records)), dtype=np.uint16)
     return PointBlock(
-        local, classification, flags, returns(records, header.point_format), rgb, pack_origin(source, rows)
+        xyz=local,
+        classification=classification,
+        flags=flags,
+        returns=returns(records, header.point_format),
+        rgb=rgb,
+        origin=pack_origin(source, rows),
     )
 
 
 def sort_by_bucket(
     local: npt.NDArray[np.int32], frame: CoordFrame, lattice: Lattice
 ) -> tuple[npt.NDArray[np.intp], list[tuple[int, int, int]]]:
-    """A stable order by bucket, row by row from the south-west, and (ix, iy, points) of each bucket there."""
+    """A stable order of the points by bucket, row by row from the south-west, and (ix, iy, points) of each bucket."""
     if local.shape[1] == 0:
         return np.empty(0, dtype=np.intp), []
     ix = lattice.index(local[0].astype(np.int64) + frame.origin[0])
@@ -225,7 +272,7 @@ def sort_by_bucket(
     west, south = int(ix.min()), int(iy.min())
     width = int(ix.max()) - west + 1
     keys = (iy - south) * width + (ix - west)
-    # numpy sorts 16-bit keys by radix, which is several times faster; wider ranges are numbered first.
+    # If the keys do not fit 16 bits, their ranks may.
     distinct: npt.NDArray[np.int64] | None = None
     if int(keys.max()) >= _RADIX_KEYS:
         distinct, keys = np.unique(keys, return_inverse=True)
@@ -236,9 +283,8 @@ def sort_by_bucket(
     used = np.flatnonzero(numbers)
     names = used if distinct is None else distinct[used]
     rows, cols = np.divmod(names.astype(np.int64), width)
-    return order, list(
-        zip((cols + west).tolist(), (rows + south).tolist(), numbers[used].tolist(), strict=True)
-    )
+    ix, iy = cols + west, rows + south
+    return order, list(zip(ix.tolist(), iy.tolist(), numbers[used].tolist(), strict=True))
 
 
 Index = list[tuple[int, int, int]]
@@ -247,21 +293,20 @@ Index = list[tuple[int, int, int]]
 def _of_buckets(
     order: npt.NDArray[np.intp], index: Index, wanted: Runs | None
 ) -> tuple[npt.NDArray[np.intp], Index, Index]:
-    """What `sort_by_bucket` gave, of the wanted buckets alone, and the index of the others."""
+    """Reduce the result of `sort_by_bucket` to the wanted buckets; the last value is the index of the others."""
     if wanted is None or not index:
         return order, index, []
     ix, iy, numbers = np.array(index, np.int64).T
-    mine = in_runs(wanted, ix, iy)
-    kept = [entry for entry, keep in zip(index, mine.tolist(), strict=True) if keep]
-    left = [entry for entry, keep in zip(index, mine.tolist(), strict=True) if not keep]
-    return order[np.repeat(mine, numbers)], kept, left
+    kept = in_runs(wanted, ix, iy)
+    return order[np.repeat(kept, numbers)], list(compress(index, kept)), list(compress(index, ~kept))
 
 
 def extent(block: PointBlock, frame: CoordFrame) -> dict[str, Any]:
-    """``bounds`` (half-open, absolute counts) and ``z`` (lowest, highest); None without points."""
+    """The ``bounds`` (half-open, absolute counts) and ``z`` (lowest, highest) of points; None without points."""
     if len(block) == 0:
         return {"bounds": None, "z": None}
-    low, high = block.xyz.min(axis=1).tolist(), block.xyz.max(axis=1).tolist()
+    low = block.xyz.min(axis=1).tolist()
+    high = block.xyz.max(axis=1).tolist()
     x, y = frame.origin
     return {
         "bounds": [low[0] + x, low[1] + y, high[0] + x + 1, high[1] + y + 1],

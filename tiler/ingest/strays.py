@@ -1,7 +1,7 @@
-"""Stray points: nearly alone and far from the rest of their file, or outside the bounds of its header.
+"""Stray points: few points far from the rest of their file, or outside the bounds of its header.
 
-A stray is not filtered, makes no raster wider, keeps its class and is written back. Each file is judged by itself and
-whole, so tiles do not show; another file, or an island of more than a handful of points, is data wherever it lies.
+A stray is not filtered, makes no raster wider, keeps its class and is written back. Each file is judged as a whole and
+by itself, so tiles do not matter. Another file, or a group of more than a few points, is data wherever it lies.
 """
 
 from __future__ import annotations
@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from fractions import Fraction
+from itertools import product
 from typing import Any
 
 import numpy as np
@@ -17,7 +18,7 @@ import numpy.typing as npt
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.points import PointBlock, unpack_origin
-from tiler.ingest.extent import FAR, few
+from tiler.inputs.extent import FAR, can_be_strays
 
 
 @dataclass(frozen=True)
@@ -27,16 +28,16 @@ class Strays:
     Attributes
     ----------
     alone : frozenset of Cell
-        Buckets in which every point of the source is one.
+        Buckets in which every point of the source is a stray.
     extent : Bounds or None
-        A point of the source outside of it is one.
+        Every point of the source outside these bounds is a stray.
     """
 
     alone: frozenset[Cell] = frozenset()
     extent: Bounds | None = None
 
     def rule(self, lattice: Lattice, cell: Cell) -> Bounds | None:
-        """Bounds outside of which a point of a bucket is a stray (empty ones: each of them); None where none is."""
+        """Bounds outside which the source's points in a bucket are strays; None if the bucket has no strays."""
         if cell in self.alone:
             return Bounds(0, 0, 0, 0)
         if self.extent is None:
@@ -51,28 +52,28 @@ def find_strays(buckets: Mapping[Cell, int], lattice: Lattice, extent: Bounds | 
     Parameters
     ----------
     buckets : mapping of Cell to int
-        Its points in each bucket.
+        Number of the source's points in each bucket.
     lattice : Lattice
-        Of the buckets.
+        Lattice of the buckets.
     extent : Bounds, optional
-        That its header gives, in absolute counts.
+        Bounds in the header of the source, in absolute counts.
     outside : int
-        Its points outside of that extent: where they are many, the header is wrong, not the points.
+        Number of points outside that extent. If they are many, the header is wrong and not the points.
     """
     total = sum(buckets.values())
     alone: set[Cell] = set()
     parts = _parts(buckets, lattice)
     largest = max(parts, key=lambda part: sum(buckets[c] for c in part), default=[])
     for part in parts:
-        if part is not largest and few(sum(buckets[c] for c in part), total):
+        if part is not largest and can_be_strays(sum(buckets[c] for c in part), total):
             alone.update(part)
-    return Strays(frozenset(alone), extent if outside and few(outside, total) else None)
+    return Strays(frozenset(alone), extent if outside and can_be_strays(outside, total) else None)
 
 
 def _parts(buckets: Mapping[Cell, int], lattice: Lattice) -> list[list[Cell]]:
-    """Buckets in parts that lie at least `FAR` from one another: cells of that size with an empty one between.
+    """Group buckets into parts at least `FAR` apart: at least one empty cell of that size lies between two parts.
 
-    Where points are so sparse that buckets are wider than that, an empty bucket lies between.
+    If points are so sparse that a bucket is wider than `FAR`, the cells are buckets.
     """
     far = Lattice(max(Fraction(int(FAR * COUNTS_PER_UNIT)), lattice.size))
     wide: dict[tuple[int, int], list[Cell]] = {}
@@ -85,11 +86,12 @@ def _parts(buckets: Mapping[Cell, int], lattice: Lattice) -> list[list[Cell]]:
         if seed not in left:
             continue
         left.discard(seed)
-        reached, part = [seed], []
+        reached = [seed]
+        part = []
         while reached:
             x, y = reached.pop()
             part += wide[x, y]
-            near = {(x + i, y + j) for i in (-1, 0, 1) for j in (-1, 0, 1)} & left
+            near = set(product((x - 1, x, x + 1), (y - 1, y, y + 1))) & left
             left -= near
             reached += near
         parts.append(part)
@@ -99,7 +101,7 @@ def _parts(buckets: Mapping[Cell, int], lattice: Lattice) -> list[list[Cell]]:
 def stray_mask(
     block: PointBlock, rules: Mapping[int, Bounds], origin: tuple[int, int]
 ) -> npt.NDArray[np.bool_]:
-    """Mask of the strays of a bucket, given the bounds of each source that has some (see `Strays.rule`)."""
+    """Mask of the strays in a bucket; ``rules`` holds the bounds of each source that has strays (see `Strays.rule`)."""
     mask = np.zeros(len(block), dtype=np.bool_)
     if not rules or block.origin is None:
         return mask
@@ -110,7 +112,7 @@ def stray_mask(
 
 
 def places(block: PointBlock, strays: npt.NDArray[np.bool_], origin: tuple[int, int]) -> list[list[Any]]:
-    """Source, row, x, y, z (units of the CRS) of each stray."""
+    """Source, row, x, y, z of each stray; the coordinates are in units of the CRS."""
     if block.origin is None or not strays.any():
         return []
     sources, rows = unpack_origin(block.origin[strays])

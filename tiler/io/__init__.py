@@ -1,1 +1,1 @@
-"""Files: where they lie, what a run may overwrite, and the formats of clouds and vectors."""
+"""Files: their places, what a run may overwrite, and the formats of clouds and vectors."""

@@ -1,4 +1,4 @@
-"""Opens files on a path or at a URL for reading anywhere in them; whatever a library raises is an OSError."""
+"""Opens files at a path or URL for random reading; every error of a library becomes an OSError."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from typing import Any, BinaryIO, cast
 from tiler.io.locations import is_url, storage_errors
 
 BLOCK_BYTES = 1 << 22
-"""Bytes of an object asked for at once: some chunks of points."""
+"""Bytes that a request to a URL asks for: some chunks of points."""
 KEPT_BLOCKS = 8
 """Blocks of an object that are kept while it is read: those of its header, its table and its points."""
-
 
 _fetched = [0]
 
 
 def fetched_bytes() -> int:
-    """Bytes that this process has read of objects at URLs so far."""
+    """Bytes that this process has read from URLs so far."""
     return _fetched[0]
 
 
 def open_cloud(path: Path, block_bytes: int = BLOCK_BYTES, parts: Sequence[tuple[int, int]] = ()) -> BinaryIO:
-    """Open for reading, anywhere in it, in pieces of ``block_bytes`` where it is a URL; raises OSError.
+    """Open a file for random reading; raises OSError.
 
-    Of a URL ``parts`` (first and end byte of each) are read at once, each with one request.
+    A URL is read in blocks of ``block_bytes``. Its ``parts`` (first and end byte of each) are read at once, each with
+    one request.
     """
     if not is_url(path):
         return open(path, "rb")
@@ -37,8 +37,8 @@ def open_cloud(path: Path, block_bytes: int = BLOCK_BYTES, parts: Sequence[tuple
     with storage_errors():
         opened = cast(Any, path).open("rb", block_size=block_bytes)
         if isinstance(opened, AbstractBufferedFile):
-            # A decoder jumps between the points, their table at the end and the header: each block is asked for once.
-            # Not by options of `open`: not all file systems take them.
+            # A decoder jumps between header, points and the table at the end; the cache fetches each block once.
+            # It is not set by options of `open`, as some file systems do not accept them.
             opened.cache = BlockCache(block_bytes, _counted(opened._fetch_range), opened.size, KEPT_BLOCKS)
         return cast(BinaryIO, _Guarded(opened, _read_parts(opened, cast(Any, path), parts)))
 
@@ -53,7 +53,7 @@ def _counted(fetch: Callable[[int, int], bytes]) -> Callable[[int, int], bytes]:
 
 
 def _read_parts(opened: Any, path: Any, parts: Sequence[tuple[int, int]]) -> list[tuple[int, bytes]]:
-    """First byte and content of each part; several are asked for at a time."""
+    """First byte and content of each part; the requests overlap."""
     if not parts:
         return []
     starts, ends = zip(*parts, strict=True)
@@ -74,21 +74,21 @@ def digest_of_file(path: Path) -> str:
 
 
 def second_view(file: BinaryIO, path: Path) -> BinaryIO:
-    """The same file once more, with a place of its own; of a URL with the blocks that were asked for already."""
+    """The same file, opened again with a position of its own; at a URL the two share their blocks."""
     if isinstance(file, _Guarded):
         return cast(BinaryIO, _Guarded(file.shared, file.parts))
     return open(path, "rb")
 
 
 class _Guarded(io.RawIOBase):
-    """A file of fsspec whose every error is an OSError; several may share one, used by one thread.
+    """A file of fsspec that raises only OSErrors; several objects in one thread may share the file.
 
     Parameters
     ----------
     shared : file object
-        Left open: nothing but its blocks are to be freed, and others may read it.
+        The file. It is never closed, as other objects may read it, and has only blocks to free.
     parts : sequence of (int, bytes)
-        First byte and content of parts that were read already.
+        First byte and content of parts that were read before.
     """
 
     def __init__(self, shared: Any, parts: Sequence[tuple[int, bytes]] = ()) -> None:
@@ -104,8 +104,10 @@ class _Guarded(io.RawIOBase):
     def seek(self, offset: int, whence: int = io.SEEK_SET) -> int:
         if whence == io.SEEK_END:
             self._place = int(self.shared.seek(offset, whence))
+        elif whence == io.SEEK_CUR:
+            self._place += offset
         else:
-            self._place = offset + (self._place if whence == io.SEEK_CUR else 0)
+            self._place = offset
         return self._place
 
     def readinto(self, target: Any) -> int:

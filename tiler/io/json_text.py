@@ -1,4 +1,4 @@
-"""Reads JSON of other people; whatever is no valid JSON object is a ValueError with the reason."""
+"""Reads JSON that other programs wrote."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from typing import Any
 
 
 def read_object(text: str | bytes) -> dict[str, Any]:
-    """The object that a JSON text holds; raises ValueError, with the reason, where it holds none."""
+    """The object in a JSON text; raises ValueError with the reason if there is none."""
     try:
         found = json.loads(text)
     except RecursionError as error:
@@ -18,12 +18,14 @@ def read_object(text: str | bytes) -> dict[str, Any]:
 
 
 def member(value: Any, name: str) -> dict[str, Any]:
-    """The object under a name of an object; empty where either is none."""
+    """The member ``name`` of an object if it is an object, too; otherwise an empty one."""
     found = value.get(name) if isinstance(value, dict) else None
     return found if isinstance(found, dict) else {}
 
 
 def excerpt(value: Any, most: int = 40) -> str:
-    """A value as an error shows it: printable, on one line, and no longer than people read."""
-    text = repr(value) if not isinstance(value, int) or abs(value) < 10**most else "a number of many digits"
+    """A value as an error shows it: printable, in one line, and at most ``most`` characters long."""
+    if isinstance(value, int) and abs(value) >= 10**most:
+        return "a number of many digits"
+    text = repr(value)
     return text if len(text) <= most else f"{text[:most]}..."

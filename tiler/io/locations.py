@@ -1,8 +1,9 @@
-"""Paths and URLs as one: what lies at a local path or at a URL (fsspec) is found, listed, moved and written alike."""
+"""Finds, lists, moves and writes files in the same way at a local path and at a URL (fsspec)."""
 
 from __future__ import annotations
 
 import os
+import re
 from collections.abc import Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -14,30 +15,41 @@ from typing import Any, cast
 from urllib.parse import unquote, urlsplit
 
 from tiler.errors import ConfigError, refused_write
-from tiler.io.partial_files import SCRATCH_PREFIX
+from tiler.io.partial_files import SCRATCH_PREFIX, replace_file
 
 ASKED_AT_ONCE = 16
-"""Objects whose size is asked for at the same time."""
+"""Objects for whose state requests are sent at the same time."""
+QUIET_SECONDS = 30.0
+"""A request fails if a web server sends nothing for so long."""
+REQUEST_SECONDS = 300.0
+"""A request to a web server fails after this time."""
+_SCHEME = re.compile(r"(?:^|(?<=::))[A-Za-z][A-Za-z0-9+.-]*(?=::|://)")
 
 
 def is_url(text: str | Path) -> bool:
-    """Whether a text is a URL and not a path of this machine."""
+    """Whether a text is a URL and not a path on this machine."""
     return "://" in str(text)
 
 
+def plain_scheme(text: str) -> str:
+    """A URL with its schemes in lower case, as libraries do not know ``HTTP://``; a path as it is."""
+    return _SCHEME.sub(lambda found: found[0].lower(), text) if is_url(text) else text
+
+
 def cloud_path(text: str | Path) -> Path:
-    """A path, or what behaves as one for a URL (``s3://bucket/town.laz``); ConfigError where no library knows it."""
+    """A path, or an object like one for a URL (``s3://bucket/town.laz``); ConfigError if no library can read it."""
     if not is_url(text):
         return Path(text)
-    refuse_unescaped(str(text))
+    url = plain_scheme(str(text))
+    refuse_unescaped(url)
     try:
-        if _of_server(str(text)):
+        if _is_on_server(url):
             from tiler.io.server_paths import server_path
 
-            return cast(Path, server_path(str(text), **_login(str(text))))
+            return cast(Path, server_path(url, **_login(url)))
         from upath import UPath
 
-        return cast(Path, UPath(str(text)))
+        return cast(Path, UPath(url, **_options(url)))
     except (ImportError, ValueError) as error:
         raise ConfigError(
             f"{text}: cannot be read ({error}); copy it here, or install 'tiler-dtm[cloud]'"
@@ -45,42 +57,58 @@ def cloud_path(text: str | Path) -> Path:
 
 
 def without_query(text: str) -> str:
-    """A path, or a URL without what follows the question mark of a web server's: it ends with the file's name."""
-    return text.partition("?")[0] if text.startswith("http") else text
+    """A URL of a web server without its query, so that it ends with the name of the file; any other text as it is."""
+    return text.partition("?")[0] if plain_scheme(text).startswith("http") else text
 
 
-def _of_server(url: str) -> bool:
-    """Whether what a URL names is reached by a host and a user: see `tiler.io.server_paths`."""
+def _is_on_server(url: str) -> bool:
+    """Whether a URL names a host and perhaps a user, see `tiler.io.server_paths`."""
     return url.startswith(("ftp://", "sftp://", "ssh://", "smb://"))
 
 
 def _login(url: str) -> dict[str, str]:
-    """User and password of a URL of a server, as they are: fsspec hands them on with their escapes."""
+    """User and password of a URL without escapes, which fsspec would not remove."""
     parts = urlsplit(url)
     named = {"username": parts.username, "password": parts.password}
     return {name: unquote(value) for name, value in named.items() if value}
+
+
+def _options(url: str) -> dict[str, Any]:
+    """Options of a file system: for web servers the time to wait, unless the configuration of fsspec sets it.
+
+    Raises ImportError if the library for web servers is not installed.
+    """
+    if not url.startswith(("http://", "https://")):
+        return {}
+    from aiohttp import ClientTimeout
+    from fsspec.config import conf
+
+    wait = ClientTimeout(total=REQUEST_SECONDS, sock_connect=QUIET_SECONDS, sock_read=QUIET_SECONDS)
+    configured = {**conf.get("http", {}), **conf.get("https", {})}.get("client_kwargs", {})
+    return {"client_kwargs": {"timeout": wait, **configured}}
 
 
 def _system(url: str) -> tuple[Any, str]:
     """The file system of a URL, and the place in it."""
     from fsspec.core import url_to_fs
 
-    if _of_server(url):
+    url = plain_scheme(url)
+    if _is_on_server(url):
         path = cast(Any, cloud_path(url))
         return path.fs, path.path
-    found: tuple[Any, str] = url_to_fs(url)
+    found: tuple[Any, str] = url_to_fs(url, **_options(url))
     return found
 
 
 def location(path: Path) -> str:
-    """The text with which a path or URL is opened from anywhere, with what its URL holds of passwords and tokens."""
+    """An absolute path, or the whole URL with its passwords and tokens, so that any process can open it."""
     return str(path) if is_url(path) else str(path.resolve())
 
 
 def refuse_unescaped(url: str) -> None:
-    """Raise ConfigError for a URL whose password breaks it apart: libraries would tell its pieces in their errors."""
+    """Raise ConfigError if a password breaks a URL into pieces, which libraries would show in their errors."""
     try:
-        urlsplit(url.rpartition("::")[2]).port  # noqa: B018 - it is the reading that fails
+        urlsplit(url.rpartition("::")[2]).port  # noqa: B018 - reading it raises the error
     except ValueError:
         raise ConfigError(
             f"{url}: no valid URL; in its user and password write / as %2F, ? as %3F, # as %23, @ as %40, % as %25"
@@ -89,10 +117,13 @@ def refuse_unescaped(url: str) -> None:
 
 @contextmanager
 def storage_errors() -> Iterator[None]:
-    """What a library of an object store raises, as an OSError: some of them have exceptions of their own."""
+    """Turn the exceptions of a library for object stores into OSErrors."""
     try:
         yield
-    except (OSError, ImportError):
+    except (OSError, ImportError) as error:
+        # If a server does not answer, fsspec reports that the file is missing.
+        if isinstance(error, TimeoutError) or isinstance(error.__cause__, TimeoutError):
+            raise OSError("its server did not answer in time") from error
         raise
     except Exception as error:
         raise OSError(f"{type(error).__name__}: {error}") from error
@@ -105,19 +136,21 @@ def stat_cloud(path: Path) -> os.stat_result:
 
 
 TAGS = ("ETag", "etag", "Content-MD5", "md5Hash", "generation", "Last-Modified")
-"""Names under which object stores and servers tell one content of an object from another."""
+"""Names under which object stores and servers give a tag that changes with the content."""
 
 
 @dataclass(frozen=True)
 class State:
-    """What tells, without reading it, whether a file is still the same.
+    """Shows whether a file is still the same, without reading it.
 
     Attributes
     ----------
-    size, mtime_ns : int
-        Bytes; time of change, 0 where a server does not tell it.
+    size : int
+        Size in bytes.
+    mtime_ns : int
+        Time of the last change; 0 if a server does not give it.
     tag : str
-        Of its content, that an object store or server gives; empty on a disk.
+        Tag that an object store or server gives to the content; empty on a disk.
     """
 
     size: int
@@ -130,7 +163,7 @@ class State:
 
 
 def state_of(path: Path) -> State:
-    """The state of a path or URL as it is now, whatever was asked before; raises OSError."""
+    """The present state of a path or URL, not from a cache; raises OSError."""
     if not is_url(path):
         stat = path.stat()
         return State(stat.st_size, stat.st_mtime_ns)
@@ -146,20 +179,21 @@ def state_of(path: Path) -> State:
 
 
 def list_clouds(url: str, suffixes: tuple[str, ...]) -> list[Path]:
-    """The clouds at a URL: an object, all below a folder, or those that a glob matches.
+    """The clouds at a URL: one object, all clouds below a folder, or those that a glob matches.
 
     Raises
     ------
     ConfigError
-        There is nothing, or it cannot be listed.
+        There is nothing, or the URL cannot be listed.
     """
-    cloud_path(url)  # says which library lacks
+    url = plain_scheme(url)
+    cloud_path(url)  # its error names the missing library
     path = without_query(url)
     try:
         with storage_errors():
             system, place = _system(url)
             if path.lower().endswith(suffixes) and not has_magic(path) and _is_object(system, place):
-                return [cloud_path(url)]  # not listed: of some servers that would be to read all of it
+                return [cloud_path(url)]  # listing it would read the whole file on some servers
             found = system.glob(place) if has_magic(place) else system.find(place)
     except (OSError, ValueError) as error:
         raise ConfigError(f"{url}: cannot be listed ({error}); see to the URL and its credentials") from error
@@ -179,14 +213,15 @@ def _is_object(system: Any, place: str) -> bool:
 
 
 def _url_of(name: str, url: str, place: str) -> str | None:
-    """The URL of what was found at another one, which begins as that does: file systems leave out host and user.
+    """The URL of a file that was found at ``url``; file systems leave out host and user.
 
-    None where the URL does not end with the place that was looked at.
+    None if ``url`` does not end with ``place``, at which the file system looked.
     """
-    head, chain, rest = (
-        url.partition("::") if not url.rstrip("/").endswith(place.rstrip("/")) else (url, "", "")
-    )
-    head, place = head.rstrip("/"), place.rstrip("/")
+    place = place.rstrip("/")
+    head, chain, rest = url, "", ""
+    if not url.rstrip("/").endswith(place):
+        head, chain, rest = url.partition("::")
+    head = head.rstrip("/")
     if not head.endswith(place):
         return None
     return f"{head.removesuffix(place)}{name}{chain}{rest}"
@@ -198,7 +233,7 @@ def joined(place: str, *names: str) -> str:
 
 
 def names_in(place: str) -> list[str]:
-    """Sorted names of the files and folders directly in a folder at a path or URL; empty where there is none."""
+    """Sorted names of the files and folders directly in a folder at a path or URL; empty if it does not exist."""
     try:
         if not is_url(place):
             return sorted(os.listdir(place))
@@ -210,7 +245,7 @@ def names_in(place: str) -> list[str]:
 
 
 def state_at(place: str) -> State | None:
-    """The state of a file at a path or URL; None where there is none."""
+    """The state of a file at a path or URL; None if it does not exist."""
     try:
         return state_of(cloud_path(place))
     except (FileNotFoundError, NotADirectoryError):
@@ -218,7 +253,7 @@ def state_at(place: str) -> State | None:
 
 
 def states_at(places: Sequence[str]) -> list[State | None]:
-    """`state_at` of many files: of objects several are asked for at a time, as each takes its time to answer."""
+    """`state_at` for many files; requests to servers overlap, as each takes its time."""
     if not any(is_url(place) for place in places):
         return [state_at(place) for place in places]
     with ThreadPoolExecutor(ASKED_AT_ONCE) as threads:
@@ -226,12 +261,12 @@ def states_at(places: Sequence[str]) -> list[State | None]:
 
 
 def sizes_at(places: Sequence[str]) -> list[int | None]:
-    """Bytes of many files at paths or URLs; None where there is none."""
+    """Sizes of many files at paths or URLs, in bytes; None for each that does not exist."""
     return [None if state is None else state.size for state in states_at(places)]
 
 
 def read_bytes(place: str) -> bytes | None:
-    """The content of a small file at a path or URL; None where there is none. Raises OSError."""
+    """The content of a small file at a path or URL; None if it does not exist. Raises OSError."""
     try:
         with storage_errors():
             return cloud_path(place).read_bytes()
@@ -240,10 +275,10 @@ def read_bytes(place: str) -> bytes | None:
 
 
 def move_file(place: str, target: str) -> None:
-    """Give a file at a path or URL another name; at a URL it is there twice for a moment. Raises OSError."""
+    """Give a file at a path or URL another name; at a URL it exists twice for a moment. Raises OSError."""
     if not is_url(place):
         Path(target).parent.mkdir(parents=True, exist_ok=True)
-        os.replace(place, target)
+        replace_file(place, target)
         return
     with storage_errors():
         system, path = _system(place)
@@ -251,7 +286,7 @@ def move_file(place: str, target: str) -> None:
 
 
 def put_file(path: Path, url: str) -> None:
-    """Copy a file to a URL, where it appears when it is whole; raises ProcessingError."""
+    """Copy a file to a URL, where it appears once it is whole; raises ProcessingError."""
     try:
         with storage_errors():
             system, place = _system(url)
@@ -262,7 +297,7 @@ def put_file(path: Path, url: str) -> None:
 
 @contextmanager
 def folder_for(place: str) -> Iterator[Path]:
-    """Where to write what belongs into a folder: in itself, or where that is a URL in one that is then copied there."""
+    """Give a folder to write to: the folder itself, or for a URL a temporary one whose files are then copied there."""
     if not is_url(place):
         yield Path(place)
         return
@@ -273,7 +308,7 @@ def folder_for(place: str) -> Iterator[Path]:
 
 
 def try_write(url: str) -> None:
-    """Write an object and remove it again; raises OSError where that fails."""
+    """Write an object and remove it; raises OSError if that fails."""
     with storage_errors():
         system, place = _system(url)
         system.pipe_file(place, b"tiler")

@@ -1,6 +1,6 @@
-"""Refuses to write over an input, whatever name leads to it.
+"""Refuses to write over an input, by whatever name the user gives it.
 
-Every command that writes where its user says hands its targets to `check_targets`, before it writes the first of them.
+Every command calls `check_targets` with the files that its user names for output, before it writes any of them.
 """
 
 from __future__ import annotations
@@ -11,21 +11,22 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tiler.errors import ConfigError
-from tiler.io.locations import is_url
+from tiler.io.locations import is_url, plain_scheme
+from tiler.io.partial_files import LONGEST_NAME, name_bytes
 
 
 @dataclass(frozen=True)
 class Target:
-    """A file that a command is to write.
+    """A file that a command will write.
 
     Attributes
     ----------
     option : str
-        By which the user named it, empty for an argument.
+        Option with which the user names the file; empty for an argument.
     path : str or Path
         Path or URL.
     suffixes : tuple of str
-        One of which its name must have; empty: it has none of its own choice.
+        Suffixes that the name may have; empty if every suffix is right.
     """
 
     option: str
@@ -34,9 +35,9 @@ class Target:
 
 
 def check_targets(targets: Iterable[Target], reads: Iterable[str | Path]) -> None:
-    """Raise ConfigError where a target is a file that the command reads, or has not the suffix of its kind.
+    """Raise ConfigError if a target is a file that the command reads, or its name is too long or has a wrong suffix.
 
-    Files are compared, not names: links, hard links and spellings of a path are seen through.
+    Files are compared and not names, so that links, hard links and other spellings of a path are recognised.
 
     Parameters
     ----------
@@ -44,13 +45,16 @@ def check_targets(targets: Iterable[Target], reads: Iterable[str | Path]) -> Non
     reads : iterable of str or Path
         Paths and URLs of all files that the command reads.
     """
-    known = {identity: place for place in reads for identity in _identities(place)}
+    known: dict[object, str | Path] = {}
+    for place in reads:
+        known.update(dict.fromkeys(_identities(place), place))
     for target in targets:
         named = f"{target.option} {target.path}".strip()
         if target.suffixes and Path(str(target.path)).suffix.lower() not in target.suffixes:
             raise ConfigError(
                 f"{named}: would be of another kind than its name says; name it {target.suffixes[0]}"
             )
+        check_names(target.option, target.path)
         for identity in _identities(target.path):
             if identity in known:
                 raise ConfigError(
@@ -58,17 +62,29 @@ def check_targets(targets: Iterable[Target], reads: Iterable[str | Path]) -> Non
                 )
 
 
+def check_names(option: str, place: str | Path) -> None:
+    """Raise ConfigError if a part of a path is longer than file systems allow."""
+    if is_url(real_place(place)):
+        return
+    for name in Path(place).parts:
+        if name_bytes(name) > LONGEST_NAME:
+            raise ConfigError(
+                f"{option} {name[:20]}...: a name of {name_bytes(name)} bytes, {LONGEST_NAME} are possible; "
+                "name it shorter".strip()
+            )
+
+
 def check_folder(option: str, folder: str | Path, others: Iterable[str | Path]) -> None:
-    """Raise ConfigError where a folder that a command makes its own is, or holds, one of some files or folders.
+    """Raise ConfigError if a folder that a command will fill is, or holds, one of the ``others``.
 
     Parameters
     ----------
     option : str
-        By which the user named it, or what it is.
+        Option with which the user names the folder, or a description of the folder.
     folder : str or Path
         Path or URL.
     others : iterable of str or Path
-        Paths and URLs: what the command reads, and where else it writes.
+        Paths and URLs that the command reads, or to which it also writes.
     """
     mine = real_place(folder)
     for other in others:
@@ -80,19 +96,19 @@ def check_folder(option: str, folder: str | Path, others: Iterable[str | Path]) 
 
 def real_place(place: str | Path) -> str:
     """A path without links and dots, or a URL without a slash at its end."""
-    text = str(place)
+    text = plain_scheme(str(place))
     for scheme in ("file://", "local://"):
         text = text.removeprefix(scheme)
     return text.rstrip("/") if is_url(text) else os.path.realpath(text)
 
 
 def _identities(place: str | Path) -> list[object]:
-    """What a place has in common with every other name of the same file."""
+    """Values that are equal for all names of the same file."""
     found: list[object] = [real_place(place)]
     if not is_url(real_place(place)):
         try:
             status = os.stat(real_place(place))
             found.append((status.st_dev, status.st_ino))
-        except OSError:  # not there yet
+        except OSError:  # the file does not exist yet
             pass
     return found

@@ -1,6 +1,6 @@
-"""Paths on servers that a URL names with host and user, which fsspec and universal-pathlib leave out of their names.
+"""Paths on servers (FTP, SSH, SMB) that keep host and user in their text, which universal-pathlib leaves out.
 
-Imported where such a URL is used: universal-pathlib need not be installed.
+This module is imported only if such a URL is used, since universal-pathlib need not be installed.
 """
 
 from __future__ import annotations
@@ -16,15 +16,20 @@ from upath.registry import register_implementation
 
 
 def _url(path: Any, text: str) -> str:
-    """The URL with which a path is opened from anywhere; what is relative stays as it is."""
+    """The whole URL of a path; a relative path stays as it is."""
     options = path.storage_options
     protocol, separator, _ = text.partition("://")
     if not separator or "host" not in options:
         return text
-    user, password = (options.get(name) for name in ("username", "password"))
-    login = "" if not user else quote(user, "") + (f":{quote(password, '')}" if password else "") + "@"
-    port = f":{options['port']}" if options.get("port") else ""
-    return f"{protocol}://{login}{options['host']}{port}{path.path}"
+    server = options["host"]
+    if options.get("port"):
+        server += f":{options['port']}"
+    if options.get("username"):
+        login = quote(options["username"], "")
+        if options.get("password"):
+            login += f":{quote(options['password'], '')}"
+        server = f"{login}@{server}"
+    return f"{protocol}://{server}{path.path}"
 
 
 class OnFtp(FTPPath):
@@ -37,7 +42,7 @@ class OnFtp(FTPPath):
 
 
 class OnSftp(SFTPPath):
-    """A path that is reached by SSH."""
+    """A path on an SSH server."""
 
     __slots__ = ()
 
@@ -46,7 +51,7 @@ class OnSftp(SFTPPath):
 
 
 class OnSmb(SMBPath):
-    """A path on a share of Windows."""
+    """A path on a Windows share."""
 
     __slots__ = ()
 
@@ -60,5 +65,5 @@ for _protocol, _class in _PATHS.items():
 
 
 def server_path(url: str, **login: str) -> Any:
-    """The path of a URL of one of these protocols, with the user and password as they are."""
+    """The path of a URL of one of these protocols; user and password are not escaped."""
     return UPath(url, **login)

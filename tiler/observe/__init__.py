@@ -1,1 +1,1 @@
-"""What a run says while it works: events, and the listeners that show or keep them."""
+"""Events of a run, and the listeners that show or keep them."""

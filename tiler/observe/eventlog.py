@@ -1,4 +1,4 @@
-"""``events.jsonl``: every event of every run on an OUT, one JSON object a line."""
+"""Writes ``events.jsonl``: all events of all runs with the same OUT, one JSON object a line."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from tiler.errors import refused_write
 
 
 class EventLog:
-    """A listener that appends each event to a file; a context manager that closes it.
+    """A listener that appends each event to a file, and a context manager that closes the file.
 
-    A line is written whole and flushed at once, so that the file can be followed while the run works and
-    holds everything up to a crash. A line that a killed run left unfinished is ended before the next is written.
+    Each line is written at once, so that users can follow the file and it holds everything up to a crash. An unfinished
+    line of a killed run is ended before the next line.
 
     Parameters
     ----------
     path : Path
-        The file; it is created with its folder, or continued.
+        The file, which is made together with its folder, or continued.
 
     Raises
     ------
@@ -34,7 +34,7 @@ class EventLog:
         self._path = path
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
-            # Not buffered: what could not be written must not come up again when the file is closed.
+            # Without a buffer, closing the file does not repeat a failed write.
             self._stream = open(path, "a+b", buffering=0)  # noqa: SIM115 - closed by close()
             if self._stream.tell() > 0:
                 self._stream.seek(-1, 2)

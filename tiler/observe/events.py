@@ -1,4 +1,4 @@
-"""What happens during a run, as plain events; whoever wants to show or keep them listens."""
+"""Events of a run, and functions that combine their listeners."""
 
 from __future__ import annotations
 
@@ -8,13 +8,13 @@ from typing import Any
 from tiler.redaction import stored
 
 Listener = Callable[[str, dict[str, Any]], None]
-"""Called with the event's name and JSON-able fields.
+"""Receives the name of an event and its JSON-able fields.
 
-Names: ``note`` (text), ``warning`` (text), ``job_started`` (stages: each with stage, title, and the seconds that it may
-take), ``stages_passed_over`` (stages: keys of those that the job turns out not to need), ``stage_started`` (stage,
-title, tasks, points, done), ``task_done`` (stage, key, points, seconds, peak_rss_bytes), ``task_again`` (stage, title,
-key, error: it failed and is tried again), ``task_failed`` (the same, and its bounds), ``stage_finished`` (stage,
-seconds), ``run_finished``. ``stage`` is a key, ``title`` the same in words.
+Names and fields: ``note`` (text), ``warning`` (text), ``job_started`` (stages: stage, title and expected seconds of
+each), ``stages_passed_over`` (stages: keys of the stages that the job does not need after all), ``stage_started``
+(stage, title, tasks, points, pixels, done), ``task_done`` (stage, key, points, pixels, seconds, peak_rss_bytes),
+``task_again`` (stage, title, key, error; the task failed and is tried again), ``task_failed`` (the same, and bounds),
+``stage_finished`` (stage, seconds), ``run_finished``. ``stage`` is a key, and ``title`` names the stage in words.
 """
 
 
@@ -23,15 +23,15 @@ def silent(event: str, fields: dict[str, Any]) -> None:
 
 
 def combine(*listeners: Listener) -> Listener:
-    """One listener that tells all of them, in that order."""
+    """One listener that passes each event to all listeners, in their order."""
 
-    def tell_all(event: str, fields: dict[str, Any]) -> None:
+    def pass_on(event: str, fields: dict[str, Any]) -> None:
         for listener in listeners:
             listener(event, fields)
 
-    return tell_all
+    return pass_on
 
 
 def discreet(listener: Listener) -> Listener:
-    """A listener that is told everything but the passwords and tokens of URLs."""
+    """A listener that passes on events without the passwords and tokens of URLs."""
     return lambda event, fields: listener(event, stored(fields))

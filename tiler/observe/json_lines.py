@@ -11,13 +11,13 @@ from tiler.observe.whole_job import WholeJob
 from tiler.redaction import stored
 
 LEAST_SECONDS = 0.2
-"""Between two lines that tell of tasks alone."""
-TOLD_BY_FILE = "spool"
-"""The stage whose failed tasks are told once for each file, as a warning that names it."""
+"""Shortest time between two lines without a message, unless a stage begins or ends."""
+REPORTED_BY_FILE = "spool"
+"""Failed tasks of this stage are not shown, since a warning names each file once."""
 
 
 class Progress(TypedDict):
-    """How far a job is: a line of ``--progress json``, with the same entries (docs/progress.md)."""
+    """Progress of a job: the entries of a line of ``--progress json`` (docs/progress.md)."""
 
     stage: str | None
     title: str | None
@@ -33,22 +33,23 @@ class Progress(TypedDict):
 def progress_record(
     message: str | None = None, level: str = "info", job: WholeJob | None = None, now: float = 0.0
 ) -> Progress:
-    """How far a job is.
+    """The progress of a job.
 
     Parameters
     ----------
     message : str, optional
-        For people; None where only numbers changed.
+        Message for the user; None if only numbers have changed.
     level : {"info", "warning", "error"}
     job : WholeJob, optional
-        How far it is.
+        The job; without it, the record has a message only.
     now : float
-        By the clock of the job.
+        Present time by the clock of the job.
     """
     record: dict[str, Any] = dict.fromkeys(("stage", "title", "done", "total", "rate", "progress", "eta"))
     if job is not None:
         record["eta"] = _rounded(job.seconds_left())
-        record["progress"] = _rounded(job.fraction(), 4) if job.known else None
+        if job.known:
+            record["progress"] = _rounded(job.fraction(), 4)
     if job is not None and job.stage is not None:
         stage = job.stage
         rate = _rounded(stage.rate(now - stage.started))
@@ -61,16 +62,19 @@ def progress_record(
 
 
 def message_of(event: str, fields: dict[str, Any]) -> tuple[str, str] | None:
-    """Text and level of a note, a warning or a task that failed; None for other events."""
-    if event in ("note", "warning"):
-        return str(fields["text"]), "info" if event == "note" else "warning"
-    if event == "task_failed" and fields["stage"] != TOLD_BY_FILE:
-        return f"{fields.get('title', fields['stage'])} {fields['key']} failed: {fields['error']}", "warning"
+    """Text and level of a note, a warning or a failed task; None for other events."""
+    if event == "note":
+        return str(fields["text"]), "info"
+    if event == "warning":
+        return str(fields["text"]), "warning"
+    if event == "task_failed" and fields["stage"] != REPORTED_BY_FILE:
+        title = fields.get("title", fields["stage"])
+        return f"{title} {fields['key']} failed: {fields['error']}", "warning"
     return None
 
 
 def json_line(message: str | None = None, level: str = "info") -> str:
-    """A line of ``--progress json`` that tells a message alone, without its end."""
+    """A line of ``--progress json`` with a message only; it has no line end."""
     return json.dumps(progress_record(message, level))
 
 
@@ -79,23 +83,25 @@ def _rounded(value: float | None, digits: int = 1) -> float | None:
 
 
 class ProgressRecords:
-    """A listener that tells of each message, beginning and end of a stage, and now and then between.
+    """A listener that makes a `Progress` for each message, begin and end of a stage, and now and then between them.
 
     Parameters
     ----------
     tell : callable
-        Given each `Progress`.
+        Receives each `Progress`.
     clock : callable
     """
 
     def __init__(
         self, tell: Callable[[Progress], object], clock: Callable[[], float] = time.monotonic
     ) -> None:
-        self._tell, self._clock, self._last = tell, clock, 0.0
+        self._tell = tell
+        self._clock = clock
+        self._last = 0.0
         self._job = WholeJob(clock)
 
     def __call__(self, event: str, fields: dict[str, Any]) -> None:
-        """Take in an event, and tell of it if it says something new."""
+        """Handle an event."""
         at_work = self._job.stage
         self._job(event, fields)
         message = message_of(event, fields)
@@ -104,7 +110,7 @@ class ProgressRecords:
         elif event == "stage_started":
             self._record()
         elif event == "stage_finished" and at_work is not None:
-            ended, self._job.stage = self._job.stage, at_work  # a last record of that stage
+            ended, self._job.stage = self._job.stage, at_work  # make a last record of that stage
             self._record()
             self._job.stage = ended
         elif event == "task_done" and self._clock() - self._last >= LEAST_SECONDS:
@@ -118,7 +124,7 @@ class ProgressRecords:
 
 
 class JsonLines(ProgressRecords):
-    """A listener that writes what `ProgressRecords` tells as lines of JSON.
+    """A listener that writes each `Progress` as a line of JSON.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Logging to stderr, as much of it as -v and -q ask for."""
+"""Sets up logging to stderr, as detailed as -v and -q say."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ _OWN_LOGGERS = ("tiler", "ptd", "cli")
 
 
 class _StderrHandler(logging.Handler):
-    """Writes to whatever `sys.stderr` is at that moment: progress bars put themselves in its place."""
+    """Writes to the present `sys.stderr`, which progress bars replace."""
 
     def emit(self, record: logging.LogRecord) -> None:
         text = self.format(record)
-        if record.name == "py.warnings":  # several lines, the last of them source code
+        if record.name == "py.warnings":  # such a text has several lines, with source code at the end
             text = " ".join(text.split())
         print(shown(text), file=sys.stderr, flush=True)
 
@@ -26,26 +26,30 @@ class _JsonHandler(_StderrHandler):
     """Writes each record as a line of ``--progress json``."""
 
     def emit(self, record: logging.LogRecord) -> None:
-        text, level = " ".join(record.getMessage().split()), record.levelno
-        name = "error" if level >= logging.ERROR else "warning" if level >= logging.WARNING else "info"
-        print(json_line(text, name), file=sys.stderr, flush=True)
+        level = "info"
+        if record.levelno >= logging.ERROR:
+            level = "error"
+        elif record.levelno >= logging.WARNING:
+            level = "warning"
+        text = " ".join(record.getMessage().split())
+        print(json_line(text, level), file=sys.stderr, flush=True)
 
 
 def set_up_logging(verbosity: int, as_json: bool = False) -> None:
-    """Send the log to stderr; calling it again replaces the earlier set-up.
+    """Send the log to stderr; another call replaces the set-up.
 
     Parameters
     ----------
     verbosity : int
-        -1 or less: errors only; 0: warnings too; 1: what tiler decides and does; 2 or more: everything
-        that tiler logs in detail, and what the libraries say (at level INFO).
+        -1 or less: errors only; 0: warnings, too; 1: decisions and steps of tiler; 2 or more: all details of tiler, and
+        messages of the libraries (from level INFO).
     as_json : bool
-        Each message is a line of ``--progress json``.
+        Write each message as a line of ``--progress json``.
     """
     level = _LEVELS.get(max(verbosity, -1), logging.DEBUG)
     handler = _JsonHandler() if as_json else _StderrHandler()
-    detailed = "%(levelname)s %(name)s: %(message)s" if verbosity >= 2 else "%(levelname)s: %(message)s"
-    handler.setFormatter(logging.Formatter(detailed))
+    form = "%(levelname)s %(name)s: %(message)s" if verbosity >= 2 else "%(levelname)s: %(message)s"
+    handler.setFormatter(logging.Formatter(form))
     root = logging.getLogger()
     for old in [h for h in root.handlers if isinstance(h, _StderrHandler)]:
         root.removeHandler(old)

@@ -1,4 +1,4 @@
-"""Progress for people: bars with rate and ETA on a terminal, a line now and then elsewhere."""
+"""Shows progress: bars with rate and ETA on a terminal, and a line now and then elsewhere."""
 
 from __future__ import annotations
 
@@ -13,19 +13,32 @@ from tiler.observe.whole_job import StageState, WholeJob
 from tiler.redaction import shown
 
 _LINE_INTERVAL_SECONDS = 15.0
+_LEAST_SECONDS = 1.0
+"""A stage that takes less has no line of its own."""
+_START_LINE_SECONDS = 5.0
+"""A stage that takes longer has a line when it begins as well, so that a log shows what is at work."""
+ALMOST = 0.999
+"""The bar is full when the run is finished."""
 TROUBLE = ("warning", "task_failed")
-"""Events that are told even when quiet."""
+"""Events that are shown even with ``--quiet``."""
 
 
-def rate_text(points: float, seconds: float) -> str:
-    """Points per second in a few letters: ``2.1 M points/s``; empty where nothing can be said."""
-    if points <= 0 or seconds <= 0:
+def rate_text(count: float, seconds: float, unit: str = "points") -> str:
+    """Points, or another unit, per second in short: ``2.1 M points/s``; empty if there is no rate yet."""
+    if count <= 0 or seconds <= 0:
         return ""
-    return f"{count_text(points / seconds)} points/s"
+    return f"{count_text(count / seconds)} {unit}/s"
+
+
+def stage_rate(stage: StageState, seconds: float) -> str:
+    """The rate of a stage so far: of pixels where it makes some, else of points."""
+    if stage.pixels:
+        return rate_text(stage.pixels_done, seconds, "pixels")
+    return rate_text(stage.points_done, seconds)
 
 
 def count_text(count: float) -> str:
-    """A count in a few letters: ``870``, ``12.3 k``, ``10.7 M``, ``1.2 G``."""
+    """A count in short: ``870``, ``12.3 k``, ``10.7 M``, ``1.2 G``."""
     for factor, letter in ((1e9, "G"), (1e6, "M"), (1e3, "k")):
         if count >= factor:
             return f"{count / factor:.1f} {letter}"
@@ -33,7 +46,7 @@ def count_text(count: float) -> str:
 
 
 def size_text(size: float) -> str:
-    """A number of bytes: ``812.0 MiB``."""
+    """A number of bytes in short: ``812.0 MiB``."""
     for factor, unit in ((1 << 30, "GiB"), (1 << 20, "MiB"), (1 << 10, "KiB")):
         if size >= factor:
             return f"{size / factor:.1f} {unit}"
@@ -41,45 +54,66 @@ def size_text(size: float) -> str:
 
 
 def duration_text(seconds: float) -> str:
-    """A duration in a few letters: ``4.2 s``, ``3:25 min``, ``1:02:07 h``."""
+    """A duration in short: ``4.2 s``, ``3:25 min``, ``1:02:07 h``."""
     if seconds < 60:
         return f"{seconds:.1f} s"
     minutes, rest = divmod(round(seconds), 60)
     hours, minutes = divmod(minutes, 60)
-    return f"{hours}:{minutes:02d}:{rest:02d} h" if hours else f"{minutes}:{rest:02d} min"
+    if hours:
+        return f"{hours}:{minutes:02d}:{rest:02d} h"
+    return f"{minutes}:{rest:02d} min"
 
 
 class PlainLines:
-    """A listener that writes a line when a stage begins and ends, and one now and then between: for logs and CI."""
+    """A listener for logs and CI that writes a line for each stage, and more lines while a long stage is at work.
+
+    A stage of less than a second has no line, and one of less than five seconds a single one, so that the log of a
+    small run is short.
+    """
 
     def __init__(self, stream: IO[str], clock: Callable[[], float] = time.monotonic) -> None:
-        self._stream, self._clock = stream, clock
+        self._stream = stream
+        self._clock = clock
         self._job = WholeJob(clock)
         self._last_line = clock()
+        self._begun = False
 
     def _write(self, text: str) -> None:
         print(shown(text), file=self._stream, flush=True)
         self._last_line = self._clock()
 
     def __call__(self, event: str, fields: dict[str, Any]) -> None:
-        """Take in an event."""
+        """Handle an event."""
         stage = self._job.stage
         self._job(event, fields)
         text = message_text(event, fields)
         if text is not None:
             self._write(text)
-        elif event == "stage_started" and self._job.stage is not None:
-            self._write(f"{self._job.stage.title}: {start_text(self._job.stage)}")
+        elif event == "stage_started":
+            self._begun = False
         elif event == "task_done" and stage is not None:
-            if self._clock() - self._last_line >= _LINE_INTERVAL_SECONDS:
-                self._write(f"{stage.title}: {self._middle(stage)}")
+            self._show(stage)
         elif event == "stage_finished" and stage is not None and stage.todo_share > 0:
             seconds = fields.get("seconds", self._clock() - stage.started)
-            rate = rate_text(stage.points_done, seconds)
-            self._write(f"{stage.title}: done in {duration_text(seconds)}" + (f", {rate}" if rate else ""))
+            if self._begun or seconds >= _LEAST_SECONDS:
+                self._write(f"{stage.title}: {self._end(stage, seconds)}")
+
+    def _end(self, stage: StageState, seconds: float) -> str:
+        parts = [f"done in {duration_text(seconds)}", stage_rate(stage, seconds)]
+        if not self._begun:
+            parts.insert(0, start_text(stage))
+        return ", ".join(filter(None, parts))
+
+    def _show(self, stage: StageState) -> None:
+        """Write a line about a stage at work: its beginning once it has taken some seconds, then its progress."""
+        if not self._begun and self._clock() - stage.started >= _START_LINE_SECONDS:
+            self._begun = True
+            self._write(f"{stage.title}: {start_text(stage)}")
+        elif self._begun and self._clock() - self._last_line >= _LINE_INTERVAL_SECONDS:
+            self._write(f"{stage.title}: {self._middle(stage)}")
 
     def _middle(self, stage: StageState) -> str:
-        parts = [f"{stage.fraction:.0%}", rate_text(stage.points_done, self._clock() - stage.started)]
+        parts = [f"{stage.fraction:.0%}", stage_rate(stage, self._clock() - stage.started)]
         left = self._job.seconds_left()
         if self._job.known:
             parts.append(f"whole job {self._job.fraction():.0%}")
@@ -89,25 +123,25 @@ class PlainLines:
 
 
 def message_text(event: str, fields: dict[str, Any]) -> str | None:
-    """The line of a note, a warning or a task that failed; None for other events."""
+    """The line for a note, a warning or a failed task; None for other events."""
     text, level = message_of(event, fields) or (None, "")
     return f"warning: {text}" if level == "warning" else text
 
 
 def start_text(stage: StageState) -> str:
-    """What a stage has before it."""
-    if stage.tasks_done >= stage.tasks:
-        done = "its one task was" if stage.tasks == 1 else f"all {stage.tasks} tasks were"
-        return f"nothing to do, {done} done before"
-    before = f" ({stage.before} of {stage.tasks} were done before)" if stage.before else ""
-    points = f", {count_text(stage.points)} points" if stage.points else ""
+    """The work that a stage had before it when it began."""
     todo = stage.tasks - stage.before
-    return f"{todo} task{'' if todo == 1 else 's'}{points}{before}"
+    text = "1 task" if todo == 1 else f"{todo} tasks"
+    if stage.points:
+        text += f", {count_text(stage.points)} points"
+    if stage.before:
+        text += f" ({stage.before} of {stage.tasks} were done before)"
+    return text
 
 
 @contextmanager
 def bar_progress(stream: IO[str]) -> Iterator[Listener]:
-    """A listener that draws two bars: the whole job, with the time that is left, and the stage at work (rich)."""
+    """A listener that draws two bars (rich): the whole job with the time left, and the stage at work."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, ProgressColumn, TextColumn
     from rich.progress import Task as Bar
@@ -115,22 +149,34 @@ def bar_progress(stream: IO[str]) -> Iterator[Listener]:
 
     job = WholeJob()
 
-    class Facts(ProgressColumn):
-        """The rate of the stage; for the job (or a stage that is all of it) the time spent, and the time left."""
+    class Figures(ProgressColumn):
+        """The rate of a stage; for the job, or a stage without a job, the time spent and the time left."""
 
         def render(self, task: Bar) -> Text:
             parts = [str(task.fields["rate"])]
             if task.fields["clock"] and task.elapsed is not None:
+                parts.append(f"{duration_text(task.elapsed)} so far")
                 left = None if task.finished else job.seconds_left()
-                parts += [f"{duration_text(task.elapsed)} so far"]
-                parts += [] if left is None else [f"about {duration_text(left)} left"]
-            return Text(", ".join(p for p in parts if p))
+                if left is not None:
+                    parts.append(f"about {duration_text(left)} left")
+            return Text(", ".join(filter(None, parts)))
+
+    class Grows(ProgressColumn):
+        """Nothing to see: before the bar of the whole job is drawn, it gets as long as it is by now."""
+
+        max_refresh = None
+
+        def render(self, task: Bar) -> Text:
+            if task.fields["clock"] and job.known and not task.finished:
+                task.completed = min(job.fraction(), ALMOST)
+            return Text()
 
     columns = (
+        Grows(),
         TextColumn("{task.description}", markup=False),
         BarColumn(bar_width=30),
-        TextColumn("{task.percentage:>3.0f} %"),
-        Facts(),
+        TextColumn("{task.percentage:>5.1f} %"),
+        Figures(),
     )
     with Progress(*columns, console=Console(file=stream)) as bars:
         whole = bars.add_task("whole job", total=1.0, visible=False, rate="", clock=True)
@@ -146,7 +192,7 @@ def bar_progress(stream: IO[str]) -> Iterator[Listener]:
                 bars.reset(part, description=shown(stage.title), visible=True, clock=not job.known, rate="")
                 bars.update(part, completed=stage.fraction)
             elif event == "task_done" and stage is not None:
-                rate = rate_text(stage.points_done, time.monotonic() - stage.started)
+                rate = stage_rate(stage, time.monotonic() - stage.started)
                 bars.update(part, completed=stage.fraction, rate=rate)
             elif event == "stage_finished" and before is not None:
                 bars.update(part, completed=1.0)
@@ -161,22 +207,25 @@ def bar_progress(stream: IO[str]) -> Iterator[Listener]:
 
 @contextmanager
 def open_progress(stream: IO[str], quiet: bool = False, form: str = "auto") -> Iterator[Listener]:
-    """The listener that fits a stream: bars on a terminal, lines elsewhere, only trouble when quiet.
+    """The listener for a stream: bars on a terminal, lines elsewhere.
 
     Parameters
     ----------
     stream : text stream
-        Where to write; stderr, as results go to stdout.
+        Stream to write to: stderr, since results go to stdout.
     quiet : bool
-        Only warnings and failures.
+        Show warnings and failures only.
     form : {"auto", "plain", "json", "none"}
-        Whatever the stream is: lines for people, a JSON object a line (`tiler.observe.json_lines`), or, as when
-        quiet, no progress.
+        Form of the progress: by the stream, lines of text, a JSON object a line (`tiler.observe.json_lines`), or
+        messages without progress.
     """
     if form == "json":
-        yield _only(JsonLines(stream), *TROUBLE) if quiet else JsonLines(stream)
-    elif quiet or form == "none":
-        yield _only(PlainLines(stream), *TROUBLE, *(() if quiet else ("note",)))
+        lines = JsonLines(stream)
+        yield _only(lines, *TROUBLE) if quiet else lines
+    elif quiet:
+        yield _only(PlainLines(stream), *TROUBLE)
+    elif form == "none":
+        yield _only(PlainLines(stream), *TROUBLE, "note")
     elif form == "auto" and stream.isatty():
         with bar_progress(stream) as listener:
             yield listener

@@ -1,4 +1,4 @@
-"""How far a whole job is, and how long it will yet take, from its events."""
+"""Estimates the progress of a whole job, and the time left, from its events."""
 
 from __future__ import annotations
 
@@ -7,28 +7,36 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
-PRIOR_SHARE = 0.05
-"""How much what was expected counts against what was seen of this run's pace, as a share of the whole job."""
+OWN_SHARE = 0.03
+"""Share of the job after which only the pace of this run counts. Before, the expected pace counts as well."""
 
 LEAST_LEFT = 0.1
-"""Share of a stage's time that is left at least, while its tasks do not say that it is further."""
+"""Least share of a stage's remaining time that is shown while one of its tasks takes longer than expected."""
 
 
 @dataclass
 class StageState:
-    """How far a stage is. Points are counted where the stage says how many there are, else tasks.
+    """Progress of a stage, by points if their number is known, and by tasks if not.
 
     Attributes
     ----------
     key, title : str
-    tasks, points : int
-        Tasks in all, and points of those that were not done before.
+    tasks : int
+        Number of all tasks.
+    points : int
+        Number of points in the tasks that earlier runs did not do.
     tasks_done : int
-        Those of earlier runs as well.
+        Number of tasks that are done, in this run or before.
     started : float
-        By the clock of whoever watches.
+        Start by the clock of the listener.
     before : int
-        Tasks that earlier runs did.
+        Number of tasks that earlier runs did.
+    points_done : int
+        Number of points that this run did.
+    pixels, pixels_done : int
+        Number of pixels that this run makes, and of those that it made.
+    last_end : float
+        End of the last task, or start of the stage, by the clock of the listener.
     """
 
     key: str
@@ -39,43 +47,70 @@ class StageState:
     started: float
     before: int = 0
     points_done: int = 0
+    pixels: int = 0
+    pixels_done: int = 0
+    last_end: float = 0.0
 
     @classmethod
-    def of(cls, fields: dict[str, Any], now: float) -> StageState:
-        """That of the event ``stage_started``."""
-        done, key = fields.get("done", 0), fields["stage"]
-        title = fields.get("title", key)
-        return cls(key, title, fields["tasks"], fields.get("points", 0), done, now, done)
+    def at_start(cls, fields: dict[str, Any], now: float) -> StageState:
+        """The stage of an event ``stage_started``."""
+        done = fields.get("done", 0)
+        return cls(
+            key=fields["stage"],
+            title=fields.get("title", fields["stage"]),
+            tasks=fields["tasks"],
+            points=fields.get("points", 0),
+            tasks_done=done,
+            started=now,
+            before=done,
+            pixels=fields.get("pixels", 0),
+            last_end=now,
+        )
 
-    def count(self, fields: dict[str, Any]) -> None:
-        """Take in the event ``task_done``."""
+    def count(self, fields: dict[str, Any], now: float) -> None:
+        """Handle an event ``task_done``."""
         self.tasks_done += 1
         self.points_done += fields.get("points", 0)
+        self.pixels_done += fields.get("pixels", 0)
+        self.last_end = now
+
+    @property
+    def spent(self) -> float:
+        """Seconds from the start of the stage to the end of its last task."""
+        return self.last_end - self.started
 
     @property
     def fraction(self) -> float:
-        """The done part of what is left to do, 0 to 1."""
+        """Done part of this run's work, 0 to 1."""
         if self.points > 0:
             return min(self.points_done / self.points, 1.0)
         todo = self.tasks - self.before
-        return min((self.tasks_done - self.before) / todo, 1.0) if todo else 1.0
+        if todo == 0:
+            return 1.0
+        return min((self.tasks_done - self.before) / todo, 1.0)
 
     @property
     def todo_share(self) -> float:
-        """Share of the tasks that earlier runs left."""
-        return 1 - self.before / self.tasks if self.tasks else 0.0
+        """Share of the tasks that earlier runs left to this one."""
+        if self.tasks == 0:
+            return 0.0
+        return 1 - self.before / self.tasks
 
     def rate(self, seconds: float) -> float | None:
-        """Points, or tasks where points are not counted, a second; None before the first."""
+        """Points per second, or tasks if points are not counted; None before the first."""
         done = self.points_done if self.points else self.tasks_done - self.before
-        return done / seconds if done and seconds > 0 else None
+        if not done or seconds <= 0:
+            return None
+        return done / seconds
 
 
 class WholeJob:
-    """A listener that knows how far the job is.
+    """A listener that estimates the progress of a job.
 
-    Each stage weighs the seconds that it is expected to take, from the rates of earlier runs. What is left of those to
-    come is what was expected of them, times how much slower or faster those before them were than expected.
+    The weight of a stage is its expected time in seconds, from the rates of earlier runs. The time left is the expected
+    time, multiplied by the measured over the expected time of the work that is done. Once `OWN_SHARE` of the job is
+    done, only this run decides that factor, since the rates of a busy machine may be wrong by a factor of six. Between
+    the ends of tasks the done part grows with time.
 
     Parameters
     ----------
@@ -84,84 +119,114 @@ class WholeJob:
     Attributes
     ----------
     stage : StageState or None
-        At work.
+        The stage at work.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
         self._clock = clock
         self._expected: dict[str, float] = {}
         self._ended: set[str] = set()
-        self._seen_seconds = self._seen_expected = self._furthest = 0.0
+        self._seen_seconds = 0.0
+        self._seen_expected = 0.0
+        self._furthest = 0.0
+        self._looked = clock()
         self.stage: StageState | None = None
 
     @property
     def known(self) -> bool:
-        """Whether the job has said which stages it has."""
+        """Whether the stages of the job are known."""
         return bool(self._expected)
 
     def __call__(self, event: str, fields: dict[str, Any]) -> None:
-        """Take in an event."""
+        """Handle an event."""
         if event == "job_started":
             self._expected = {stage["stage"]: stage["seconds"] for stage in fields["stages"]}
-            self._ended, self._furthest = set(), 0.0
+            self._ended = set()
+            self._furthest = 0.0
+            self._looked = self._clock()
         elif event == "stages_passed_over":
-            self._expected = {k: s for k, s in self._expected.items() if k not in fields["stages"]}
+            for key in fields["stages"]:
+                self._expected.pop(key, None)
         elif event == "stage_started":
-            self.stage = StageState.of(fields, self._clock())
+            self.stage = StageState.at_start(fields, self._clock())
             keys = list(self._expected)
-            if self.stage.key in self._expected:  # those before it that were not done do not apply
+            if self.stage.key in self._expected:  # earlier stages that did not run are not needed
                 self._ended.update(keys[: keys.index(self.stage.key)])
         elif event == "task_done" and self.stage is not None and self.stage.key == fields["stage"]:
-            self.stage.count(fields)
+            self.stage.count(fields, self._clock())
         elif event == "stage_finished" and self.stage is not None and self.stage.key == fields["stage"]:
-            if self.stage.todo_share > 0:
+            if self._expected_of(self.stage) > 0:
                 self._seen_seconds += fields.get("seconds", self._clock() - self.stage.started)
                 self._seen_expected += self._expected_of(self.stage)
             self._ended.add(self.stage.key)
             self.stage = None
 
     def fraction(self) -> float:
-        """The done part of the job, 0 to 1; it never falls."""
-        total = sum(self._expected.values())
-        done = sum(seconds for key, seconds in self._expected.items() if key in self._ended)
-        if self.stage is not None and self.stage.key not in self._ended:
-            done += self._expected.get(self.stage.key, 0.0) * self._stage_share()
-        self._furthest = max(self._furthest, min(done / total, 1.0) if total else 0.0)
+        """Done part of the job, 0 to 1; it never falls, and it grows with time."""
+        now = self._clock()
+        left = self.seconds_left()
+        passed = now - self._looked
+        self._looked = now
+        if left is not None and left > 0:  # the rest of the bar takes the time that is left
+            self._furthest += (1 - self._furthest) * passed / (passed + left)
+        self._furthest = max(self._furthest, self._done_share())
         return self._furthest
 
     def seconds_left(self) -> float | None:
-        """Of the whole job; of the stage at work where no job is known; None where nothing can be said."""
+        """Time left for the job, or for the stage at work if the job is not known; None without an estimate."""
+        stage = self.stage
         if not self.known:
-            return self._stage_left(None) if self.stage is not None else None
-        now = None if self.stage is None else self.stage.key
-        later = sum(s for key, s in self._expected.items() if key not in self._ended and key != now)
-        left = self._pace() * later
-        if self.stage is not None:
-            left += self._stage_left(self._pace() * self._expected_of(self.stage)) or 0.0
-        return left
+            return None if stage is None else self._own_left(stage)
+        later = dict(self._expected)
+        for key in self._ended:
+            later.pop(key, None)
+        if stage is None:
+            return self._pace() * sum(later.values())
+        later.pop(stage.key, None)
+        return self._pace() * sum(later.values()) + self._stage_left(stage)
 
-    def _stage_share(self) -> float:
-        """The done part of the stage at work, with what earlier runs did."""
-        return 0.0 if self.stage is None else 1 - self.stage.todo_share * (1 - self.stage.fraction)
+    def _done_share(self) -> float:
+        """Done part of the job by its finished tasks."""
+        total = sum(self._expected.values())
+        if not total:
+            return 0.0
+        done = sum(seconds for key, seconds in self._expected.items() if key in self._ended)
+        if self.stage is not None and self.stage.key not in self._ended:
+            stage_share = 1 - self.stage.todo_share * (1 - self.stage.fraction)  # earlier runs included
+            done += self._expected.get(self.stage.key, 0.0) * stage_share
+        return min(done / total, 1.0)
 
     def _expected_of(self, stage: StageState) -> float:
-        """Seconds that were expected of what this run does of a stage."""
+        """Expected time for this run's part of a stage, in seconds."""
         return self._expected.get(stage.key, 0.0) * stage.todo_share
 
     def _pace(self) -> float:
-        """How many times longer than expected things take."""
-        prior = PRIOR_SHARE * sum(self._expected.values())
-        expected = self._seen_expected + prior
-        return (self._seen_seconds + prior) / expected if expected > 0 else 1.0
+        """Measured time over expected time."""
+        seconds = self._seen_seconds
+        expected = self._seen_expected
+        if self.stage is not None and self._expected_of(self.stage) > 0 and self.stage.fraction > 0:
+            seconds += self.stage.spent
+            expected += self._expected_of(self.stage) * self.stage.fraction
+        if expected <= 0:
+            return 1.0
+        own = min(expected / (OWN_SHARE * sum(self._expected.values())), 1.0)
+        return own * seconds / expected + (1 - own)
 
-    def _stage_left(self, expected: float | None) -> float | None:
-        """Seconds of the stage at work: the more of it is done, the more its own pace counts."""
-        stage = self.stage
-        if stage is None:
+    def _stage_left(self, stage: StageState) -> float:
+        """Time left for a stage at work; the more of it is done, the more its own pace counts."""
+        expected = self._expected_of(stage)
+        if expected <= 0:
+            return self._own_left(stage) or 0.0
+        done = stage.fraction
+        pace = self._pace()
+        if done > 0:
+            pace = done * stage.spent / (expected * done) + (1 - done) * pace
+        left = pace * expected * (1 - done)
+        return max(left - (self._clock() - stage.last_end), LEAST_LEFT * left)
+
+    def _own_left(self, stage: StageState) -> float | None:
+        """Time left for a stage without an expected time, by its own pace; None before its first task is done."""
+        if stage.fraction <= 0:
             return None
-        spent, done = self._clock() - stage.started, stage.fraction
-        own = spent * (1 - done) / done if done > 0 else None
-        if expected is None or own is None:
-            guess = None if expected is None else max(expected - spent, LEAST_LEFT * expected)
-            return own if guess is None else guess
-        return done * own + (1 - done) * max(expected - spent, LEAST_LEFT * expected * (1 - done))
+        spent = self._clock() - stage.started
+        return spent * (1 - stage.fraction) / stage.fraction

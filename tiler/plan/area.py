@@ -1,4 +1,4 @@
-"""The area of interest of a run, from ``--bounds`` or ``--aoi``, and what of its inputs is read for it."""
+"""The area of interest of a run, from ``--bounds`` or ``--aoi``, and the parts of its inputs that are read for it."""
 
 from __future__ import annotations
 
@@ -11,8 +11,9 @@ from tiler.config import RunConfig
 from tiler.core.area import Area, Runs
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds
+from tiler.core.units_text import length_text
 from tiler.errors import ConfigError, InputError
-from tiler.ingest import SourceInfo, bounds_in_counts, claimed_bounds
+from tiler.inputs import SourceInfo, bounds_in_counts, claimed_bounds
 from tiler.io.vector.areas import read_area
 from tiler.plan.model import Plan
 from tiler.plan.sizes import bounds_of
@@ -20,7 +21,7 @@ from tiler.schedule import read_apart
 
 
 def area_of(config: RunConfig, wkt: str | None, notes: list[str]) -> Area | None:
-    """The area that a run is asked for, in absolute counts of its CRS; None: all that the inputs hold.
+    """The area of interest in absolute counts of the CRS of the run; None: there is none, and all is processed.
 
     Parameters
     ----------
@@ -56,12 +57,12 @@ def area_of(config: RunConfig, wkt: str | None, notes: list[str]) -> Area | None
 
 
 def part_of(plan: Plan) -> Plan:
-    """The plan with what its area leaves: files that come near it, and about their points there.
+    """The plan for its area: the files near the area, and an estimate of their points there.
 
     Raises
     ------
     ConfigError
-        No file comes near the area.
+        No file lies near the area.
     """
     if plan.area is None:
         return plan
@@ -78,29 +79,29 @@ def part_of(plan: Plan) -> Plan:
         )
     left = sum(bool(s.points) for s in plan.sources) - len(near) - len(damaged)
     notes = [
-        f"{option}: points within {_metres(plan, plan.margin):g} m of it are read as well, so that its border shows "
+        f"{option}: points within {_length(plan, plan.margin)} of it are read as well, so that its border shows "
         f"in no result{_nearer(plan)}"
     ]
-    notes += [f"{option}: {left} files lie farther off and are not read"] if left else []
+    if left:
+        notes.append(f"{option}: {left} files lie farther off and are not read")
     shares = [_share(plan, source) for source in near]
-    points = round(sum(s.points * share for s, share in zip(near, shares, strict=True)))
-    whole = [float(bounds_of(s).area()) for s in near]
-    part = sum(a * share for a, share in zip(whole, shares, strict=True)) * plan.meta.frame.metres_xy**2
+    points = max(round(sum(s.points * share for s, share in zip(near, shares, strict=True))), 1)
     extent = plan.extent.intersection(plan.area.bounds)
+    read = {source.path for source in near}
     return dataclasses.replace(
         plan,
         sources=tuple(near),
         unreadable=(*plan.unreadable, *damaged),
         points=points,
-        area_m2=float(part),
+        area_m2=points / plan.density,
         extent=extent,
-        names={path: name for path, name in plan.names.items() if path in {s.path for s in near}},
+        names={path: name for path, name in plan.names.items() if path in read},
         notes=(*plan.notes, *notes),
     )
 
 
 def buckets_of(plan: Plan, source: SourceInfo) -> Runs | None:
-    """The buckets whose points of a source are read; None for all of them."""
+    """The buckets for which points of a source are read; None: all of them."""
     if plan.area is None:
         return None
     extent = claimed_bounds(source)
@@ -110,24 +111,28 @@ def buckets_of(plan: Plan, source: SourceInfo) -> Runs | None:
 
 
 def chunks_of(plan: Plan, source: SourceInfo, margin: int | None = None) -> list[int] | None:
-    """The chunks of a COPC file that can hold points which matter; None for all, and for other files.
+    """The chunks of a COPC file that may hold points near the area; None: all chunks, or another format.
 
     Parameters
     ----------
     plan : Plan
     source : SourceInfo
     margin : int, optional
-        Counts around the area within which points matter; those that points are read in.
+        Distance around the area within which points matter, in counts; the plan's by default.
     """
     if plan.area is None or source.octree is None or buckets_of(plan, source) is None:
         return None
-    margin, area = plan.margin if margin is None else margin, plan.area
-    near = {key: area.touches(_around(source.octree.box(key)).pad(margin)) for key in set(source.octree.keys)}
-    return [chunk for chunk, key in enumerate(source.octree.keys) if near[key]]
+    if margin is None:
+        margin = plan.margin
+    near = set()
+    for key in set(source.octree.keys):
+        if plan.area.touches(_around(source.octree.box(key)).pad(margin)):
+            near.add(key)
+    return [chunk for chunk, key in enumerate(source.octree.keys) if key in near]
 
 
 def _around(box: Sequence[float]) -> Bounds:
-    """A square in counts, and a unit around it, as some writers round carelessly."""
+    """A box in counts, widened by a unit of the CRS, as some writers round carelessly."""
     x0, y0 = (math.floor((v - 1) * COUNTS_PER_UNIT) for v in box[:2])
     x1, y1 = (math.ceil((v + 1) * COUNTS_PER_UNIT) for v in box[2:])
     return Bounds(x0, y0, x1, y1)
@@ -136,7 +141,7 @@ def _around(box: Sequence[float]) -> Bounds:
 def _with_octree(
     plan: Plan, sources: list[SourceInfo], option: str
 ) -> tuple[list[SourceInfo], list[tuple[str, str]]]:
-    """Files but those that say they are COPC and whose octree cannot be used; path and reason of these."""
+    """Files without those whose octree is damaged; and path and reason of each of these."""
     remedy = f"get the file again, or run without {option.split()[0]}"
     damaged = [(str(s.path), f"{s.path}: {s.octree_damage}; {remedy}") for s in sources if s.octree_damage]
     if damaged and (plan.config.on_error == "stop" or len(damaged) == len(sources)):
@@ -145,23 +150,24 @@ def _with_octree(
 
 
 def _nearer(plan: Plan) -> str:
-    """How far points are needed if the cloud is of a kind that needs less than the kind that needs most."""
-    found = {}
-    for kind in ("als", "dim") if plan.kinds else ():
-        found[kind] = dataclasses.replace(plan, config=plan.config.updated(kind=kind)).margin
-    return "".join(
-        f" ({_metres(plan, margin):g} m are enough with --kind {kind})"
-        for kind, margin in found.items()
-        if margin < plan.margin
-    )
+    """Text that names the narrower margin of a kind of clouds; empty if the kind is known or all need the same."""
+    if not plan.kinds:
+        return ""
+    texts = []
+    for kind in ("als", "dim"):
+        margin = dataclasses.replace(plan, config=plan.config.updated(kind=kind)).margin
+        if margin < plan.margin:
+            texts.append(f" ({_length(plan, margin)} are enough with --kind {kind})")
+    return "".join(texts)
 
 
-def _metres(plan: Plan, counts: int) -> float:
-    return counts / COUNTS_PER_UNIT * float(plan.meta.frame.units.horizontal)
+def _length(plan: Plan, counts: int) -> str:
+    unit = plan.meta.frame.units.horizontal
+    return length_text(counts / COUNTS_PER_UNIT * float(unit), unit)
 
 
 def _share(plan: Plan, source: SourceInfo) -> float:
-    """About the part of a source's points that is read."""
+    """Approximate share of a source's points that is read."""
     runs = buckets_of(plan, source)
     if runs is None:
         return 1.0

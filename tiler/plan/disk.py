@@ -1,4 +1,4 @@
-"""What a run leaves on the disk, and what it needs there on the way."""
+"""Disk space that a run needs: for its results, for the store, and for scratch files on the way."""
 
 from __future__ import annotations
 
@@ -8,29 +8,38 @@ from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
 
+import numpy as np
+
 from tiler.core.products import PRODUCTS
 from tiler.core.raster import BLOCK_PIXELS
 from tiler.io.las.newer_formats import newer_bytes
 from tiler.plan.model import Plan
 
-SPOOL_BYTES, COLUMN_BYTES = 13, 14
-"""Per point on disk, in the spool, and in its bucket with its label; measured on a city."""
+SPOOL_BYTES = 13
+"""Bytes for each point in the spool (measured on a city)."""
+COLUMN_BYTES = 14
+"""Bytes for each point in its bucket, with its label (measured on a city)."""
+LABEL_BYTES = 0.3
+"""Bytes for each point and each further pass that keeps labels."""
 RECORD_BYTES = 12
-"""Per point, of the records that are kept until the classified clouds are written: 9.5 on Autzen, rounded up."""
+"""Bytes for each point of the records that are kept until the classified clouds are written (9.5 on Autzen)."""
 STORED_PIXEL_BYTES = 2.2
-"""Per pixel of the store's rasters, compressed; measured on a terrain model."""
+"""Bytes for each pixel of the store's rasters, compressed (measured on a terrain model)."""
 EMPTY_PIXEL_BYTES = 0.03
-"""Per pixel of a file where there is nothing far around, compressed; measured on a file of 1.6e9 such pixels."""
+"""Bytes for each pixel of a file in an empty block, compressed (measured on 1.6e9 such pixels)."""
 DRAWN_PIXEL_BYTES = 5
-"""Per pixel that contours are drawn of; measured on a terrain model, 90 levels, heights not smoothed."""
+"""Bytes of contours for each pixel of terrain (measured with 90 levels and heights that were not smoothed)."""
 COPIES = 2
-"""Copies of a raster while its COG is made: the plain one, and what GDAL writes. Of records that become COPC too."""
+"""Copies of a raster while its COG is made: the plain file, and the one that GDAL writes. Records that become COPC
+have as many."""
 CLASSIFIED_SHARE = 1.2
-"""Bytes of a classified file over those of its LAZ input; LAS inputs shrink."""
+"""Size of a classified file over that of its LAZ input. LAS inputs shrink."""
 MOST_PIXELS = 2e10
-"""Most pixels of one file that is mostly empty: GDAL writes some 5e7 empty ones a second."""
-MANY_PIXELS, MOSTLY_EMPTY = 1e9, 0.99
-"""A file of more pixels of which a larger share is empty is warned of."""
+"""Most pixels of a file that is mostly empty. GDAL writes some 5e7 empty pixels a second."""
+MANY_PIXELS = 1e9
+"""Smaller files are written without a warning, however empty they are."""
+MOSTLY_EMPTY = 0.99
+"""Share of empty pixels above which a warning names `--sheets`."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +52,7 @@ class Pixels:
 
 
 def pixels_of(plan: Plan) -> Pixels:
-    """Pixels of a product, as far as a sample of the points tells where these are."""
+    """Pixels of a product, estimated from a sample of the points."""
     resolution, metres = float(plan.resolution), float(plan.meta.frame.metres_xy)
     whole = plan.extent.area() * metres**2 / resolution**2
     corners = [v * metres for v in plan.extent.to_json()]
@@ -61,32 +70,49 @@ def pixels_of(plan: Plan) -> Pixels:
 
 
 def projected_disk(plan: Plan) -> dict[str, int]:
-    """Bytes of ``store``, ``rasters``, ``drawn`` products, ``classified`` clouds, and ``scratch`` on the way to these.
+    """Bytes of ``store``, ``rasters``, ``drawn`` products, ``classified`` clouds, and ``scratch``.
 
-    Rasters are reckoned as if every pixel of a block near points held a value.
+    Every pixel of a block near points counts as filled.
     """
     pixels = pixels_of(plan)
     names = {"dtm", *plan.config.exported}
-    sizes = [4 if PRODUCTS[name].dtype == "float32" else 1 for name in names]
-    labels = max(sum(not step.work.elected for step in plan.steps) - 1, 0)
-    workers = min(plan.workers, len(names)) if plan.config.sheets is None else plan.workers
-    largest = sum(sorted(sizes)[-workers:]) if plan.config.sheets is None else workers * max(sizes)
-    held = min(pixels.filled, pixels.largest)
-    raster_scratch = held * largest + (pixels.largest - held) * EMPTY_PIXEL_BYTES * workers
+    sizes = [np.dtype(PRODUCTS[name].dtype).itemsize for name in names]
     return {
-        "store": int(
-            plan.points * (SPOOL_BYTES + COLUMN_BYTES + 0.3 * labels + plan.writes_clouds * RECORD_BYTES)
-            + STORED_PIXEL_BYTES * pixels.filled * len(names)
-        ),
+        "store": int(plan.points * _stored_bytes(plan) + STORED_PIXEL_BYTES * pixels.filled * len(names)),
         "rasters": int(pixels.filled * sum(sizes) + pixels.empty * EMPTY_PIXEL_BYTES * len(names)),
         "drawn": int(pixels.filled * DRAWN_PIXEL_BYTES * len(plan.config.drawn)),
-        "classified": 0
-        if not plan.writes_clouds
-        else sum(s.points * s.record_length for s in plan.sources)
-        if plan.config.classified == "las"
-        else int(CLASSIFIED_SHARE * sum(s.size for s in plan.sources)),
-        "scratch": int(COPIES * (raster_scratch + _copc_scratch(plan))),
+        "classified": _classified_bytes(plan),
+        "scratch": int(COPIES * (_raster_scratch(plan, pixels, sizes) + _copc_scratch(plan))),
     }
+
+
+def _stored_bytes(plan: Plan) -> float:
+    """Bytes of a point in the store."""
+    labels = max(sum(not step.work.elected for step in plan.steps) - 1, 0)
+    size = SPOOL_BYTES + COLUMN_BYTES + LABEL_BYTES * labels
+    if plan.writes_clouds:
+        size += RECORD_BYTES
+    return size
+
+
+def _classified_bytes(plan: Plan) -> int:
+    if not plan.writes_clouds:
+        return 0
+    if plan.config.classified == "las":
+        return sum(source.points * source.record_length for source in plan.sources)
+    return int(CLASSIFIED_SHARE * sum(source.size for source in plan.sources))
+
+
+def _raster_scratch(plan: Plan, pixels: Pixels, sizes: list[int]) -> float:
+    """Bytes of one copy of the largest rasters that are written at the same time; sizes are bytes of their pixels."""
+    if plan.config.sheets is None:
+        workers = min(plan.workers, len(sizes))
+        largest = sum(sorted(sizes)[-workers:])
+    else:
+        workers = plan.workers
+        largest = workers * max(sizes)
+    held = min(pixels.filled, pixels.largest)
+    return held * largest + (pixels.largest - held) * EMPTY_PIXEL_BYTES * workers
 
 
 def _copc_scratch(plan: Plan) -> int:
@@ -100,23 +126,28 @@ def _copc_scratch(plan: Plan) -> int:
 def needed_bytes(plan: Plan) -> int:
     """Bytes that a run needs where OUT lies."""
     disk = projected_disk(plan)
-    return sum(disk.values()) - (disk["store"] if plan.config.store is not None else 0)
+    if plan.config.store is not None:
+        del disk["store"]
+    return sum(disk.values())
 
 
 def free_bytes(out: Path) -> int:
-    """Bytes free where OUT lies, or will lie."""
-    return shutil.disk_usage(next(p for p in (out, *Path(os.path.realpath(out)).parents) if p.exists())).free
+    """Free bytes on the disk of OUT, which need not exist yet."""
+    folders = (out, *Path(os.path.realpath(out)).parents)
+    existing = next(folder for folder in folders if folder.exists())
+    return shutil.disk_usage(existing).free
 
 
 def too_much_between(plan: Plan, out: Path | None) -> str | None:
-    """What to do where the emptiness between the points is what one raster cannot hold; None where it can."""
+    """Remedy if one raster would be too large because of the emptiness between the points; else None."""
     pixels = pixels_of(plan)
     if plan.config.sheets is not None or pixels.empty <= pixels.filled:
         return None
     empty = pixels.empty * EMPTY_PIXEL_BYTES * (len(plan.config.exported) + COPIES)
     free = None
-    with suppress(OSError):  # `refuse` tells what is wrong with the folder
-        free = None if out is None else free_bytes(out)
+    if out is not None:
+        with suppress(OSError):  # `refuse` says what is wrong with the folder
+            free = free_bytes(out)
     full = free is not None and needed_bytes(plan) > free >= needed_bytes(plan) - empty
     if pixels.largest <= MOST_PIXELS and not full:
         return None
@@ -127,7 +158,7 @@ def too_much_between(plan: Plan, out: Path | None) -> str | None:
 
 
 def emptiness_warning(plan: Plan) -> str | None:
-    """Tells of a file that is mostly empty and takes long to write."""
+    """Warning about a file that is mostly empty and takes long to write; None if there is none."""
     pixels = pixels_of(plan)
     whole = pixels.filled + pixels.empty
     if plan.config.sheets is not None or whole < MANY_PIXELS or pixels.empty < MOSTLY_EMPTY * whole:

@@ -1,8 +1,8 @@
 """Finds files so far from all others that one run, or one raster, cannot hold them together.
 
-Nobody can tell absurd coordinates from a second site by the numbers alone. So nothing is left out while all of it can
-be done. Where it cannot, the part with most files is what the run is about, and others are left out if they are few
-or lie where their CRS is not used; else the run is refused, with what would do both.
+Numbers alone do not tell absurd coordinates from a second site. So all files are kept as long as one run can hold them.
+If it cannot, the run is about the part with most files. Other files are left out if they are few or lie outside the
+area of use of their CRS; otherwise the run is refused, with a remedy for both parts.
 """
 
 from __future__ import annotations
@@ -20,19 +20,19 @@ from tiler.core.area import Area
 from tiler.core.frame import COUNTS_PER_UNIT, INT32_LIMIT
 from tiler.core.lattice import Bounds
 from tiler.errors import ConfigError
-from tiler.ingest import SourceInfo
+from tiler.inputs import SourceInfo
 from tiler.plan.sizes import bounds_of, hull_of
 
 FRAME = 2 * (INT32_LIMIT - 10_000 * COUNTS_PER_UNIT)
-"""Counts across which coordinates fit the frame, whose origin is the middle on a round number; a halo has room."""
+"""Widest extent, in counts, that fits the frame with room for a halo. The frame's origin is near its middle."""
 PARTS = 16
-"""Groups of files are separated on a lattice with so many cells along the longer side of all."""
+"""Groups of files are separated on a lattice with so many cells along the longer side of the whole extent."""
 FEW = 4
-"""What is left out is at most the fourth part of all files."""
+"""At most one file in so many is left out."""
 FARTHEST_M = 5e7
-"""No CRS has coordinates beyond: more than once around the Earth."""
+"""No CRS has larger coordinates: this is more than once around the Earth."""
 BESIDE_DEG = 5.0
-"""Degrees beyond the area of use of a CRS within which it may well be used."""
+"""A CRS may well be used so many degrees beyond its area of use."""
 
 LeftOut = list[tuple[SourceInfo, str]]
 
@@ -43,18 +43,18 @@ def beyond_frame(sources: Sequence[SourceInfo], area: Area | None, wkt: str | No
     Parameters
     ----------
     sources : sequence of SourceInfo
-        With points.
+        Files with points.
     area : Area or None
-        Of the run: files that come near it are what the run is about.
+        Area of interest: the run is about the files near it.
     wkt : str or None
-        Their CRS.
+        CRS of the files.
     metres : float
-        Of its unit.
+        Metres in a unit of the CRS.
 
     Raises
     ------
     ConfigError
-        There is no saying which of them it is about.
+        Nothing tells which files the run is about.
     """
     absurd = [(s, _absurd(s, metres)) for s in sources]
     found = [(s, reason) for s, reason in absurd if reason]
@@ -77,18 +77,19 @@ def beyond_frame(sources: Sequence[SourceInfo], area: Area | None, wkt: str | No
 
 
 def minority(sources: Sequence[SourceInfo], wkt: str | None, metres: float, remedy: str) -> LeftOut:
-    """The files that lie apart from most, each with the reason, which ends with ``remedy``.
+    """The files that lie apart from most others, each with the reason, which ends with ``remedy``.
 
     Raises
     ------
     ConfigError
-        They are too many to be left out, or lie in no parts.
+        Too many files lie apart, or the files do not fall into parts.
     """
-    ranked = [
-        (len(part), _in_use(part[0], wkt), sum(s.points for s in part), part) for part in _parts(sources)
-    ]
+    ranked = [(len(part), _in_use(part[0], wkt), _points(part), part) for part in _parts(sources)]
     (_, used, _, main), *rest = sorted(ranked, key=lambda entry: entry[:3], reverse=True)
-    others, elsewhere = [s for *_, part in rest for s in part], max((entry[1] for entry in rest), default=1)
+    others: list[SourceInfo] = []
+    for *_, part in rest:
+        others += part
+    elsewhere = max((entry[1] for entry in rest), default=1)
     if used > elsewhere or (others and used == elsewhere and FEW * len(others) <= len(sources)):
         return [(s, _reason(s, main, metres, remedy)) for s in others]
     span = _span(hull_of(sources))
@@ -102,8 +103,12 @@ def minority(sources: Sequence[SourceInfo], wkt: str | None, metres: float, reme
     raise ConfigError(f"{named} up to {_km(hull_of(sources), metres)} from one another: {remedy}")
 
 
+def _points(sources: Iterable[SourceInfo]) -> int:
+    return sum(source.points for source in sources)
+
+
 def _absurd(source: SourceInfo, metres: float) -> str | None:
-    """Reason why no run can hold a file, or None."""
+    """Reason why no run can hold a file; None: a run can."""
     bounds = bounds_of(source)
     x, y = bounds.x0 / COUNTS_PER_UNIT, bounds.y0 / COUNTS_PER_UNIT
     if not _fits(bounds):
@@ -142,10 +147,11 @@ def _reason(source: SourceInfo, others: Sequence[SourceInfo], metres: float, rem
 
 
 def _parts(sources: Sequence[SourceInfo]) -> list[list[SourceInfo]]:
-    """Files in parts between which there is an empty cell, of `PARTS` along the longer side of all."""
+    """Files in parts with an empty cell between them; the longer side of the extent has `PARTS` cells."""
     hull = hull_of(sources)
     side = _span(hull) // PARTS + 1
-    held, windows = np.zeros((PARTS, PARTS), np.bool_), []
+    held = np.zeros((PARTS, PARTS), np.bool_)
+    windows = []
     for bounds in map(bounds_of, sources):
         columns = slice((bounds.x0 - hull.x0) // side, (bounds.x1 - 1 - hull.x0) // side + 1)
         rows = slice((bounds.y0 - hull.y0) // side, (bounds.y1 - 1 - hull.y0) // side + 1)
@@ -159,7 +165,7 @@ def _parts(sources: Sequence[SourceInfo]) -> list[list[SourceInfo]]:
 
 
 def _in_use(source: SourceInfo, wkt: str | None) -> int:
-    """1 if a file lies where its CRS is used, -1 if elsewhere, 0 if nobody knows."""
+    """1 if a file lies in the area of use of its CRS, -1 if it lies elsewhere, 0 if that is unknown."""
     if wkt is None:
         return 0
     try:
@@ -168,7 +174,8 @@ def _in_use(source: SourceInfo, wkt: str | None) -> int:
         if use is None or crs.geodetic_crs is None:
             return 0
         bounds = bounds_of(source)
-        x, y = ((a + b) / 2 / COUNTS_PER_UNIT for a, b in ((bounds.x0, bounds.x1), (bounds.y0, bounds.y1)))
+        x = (bounds.x0 + bounds.x1) / 2 / COUNTS_PER_UNIT
+        y = (bounds.y0 + bounds.y1) / 2 / COUNTS_PER_UNIT
         transformer = Transformer.from_crs(crs, crs.geodetic_crs, always_xy=True)
         east, north = transformer.transform(x, y)
         back = transformer.transform(east, north, direction="INVERSE")
@@ -177,5 +184,7 @@ def _in_use(source: SourceInfo, wkt: str | None) -> int:
     if not all(map(math.isfinite, (east, north, *back))) or math.dist(back, (x, y)) > 1:
         return -1
     width = (use.east - use.west) % 360 or 360
-    within = (east - use.west + BESIDE_DEG) % 360 <= width + 2 * BESIDE_DEG
-    return 1 if within and use.south - BESIDE_DEG <= north <= use.north + BESIDE_DEG else -1
+    beside = (east - use.west + BESIDE_DEG) % 360 <= width + 2 * BESIDE_DEG
+    if beside and use.south - BESIDE_DEG <= north <= use.north + BESIDE_DEG:
+        return 1
+    return -1

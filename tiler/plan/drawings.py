@@ -1,4 +1,4 @@
-"""What people drew for a run to take up: breaklines, corrections and water, judged before the first point is read."""
+"""Reads drawings that a run follows (breaklines, corrections, water) and judges them before the first point is read."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from tiler.errors import ConfigError, InputError
 from tiler.io.vector import LINES_AND_POLYGONS, POLYGONS, Feature, Features, Kind, read_in_crs, tell_outside
 from tiler.io.vector.areas import area_in_counts
 from tiler.plan.model import Plan
-from tiler.plan.waters import waters_of
+from tiler.plan.waters import DRAWN_WATER, waters_of
 from tiler.schedule import read_apart
 
 Counts = npt.NDArray[np.int64]
 
 
 def with_drawings(plan: Plan) -> Plan:
-    """The plan with what the files of its configuration hold, and what is to be said of them.
+    """The plan with the drawings that its configuration names, and with notes and warnings about them.
 
     Raises
     ------
     ConfigError
-        Breaklines would have no effect with the interpolation chosen.
+        Breaklines have no effect with the interpolation chosen.
     InputError
-        A file cannot be used: one line that names it, the feature, and a remedy.
+        A file cannot be used; the line names the file, the feature, and a remedy.
     """
     config = plan.config
     notes, warnings = list(plan.notes), list(plan.warnings)
@@ -40,7 +40,8 @@ def with_drawings(plan: Plan) -> Plan:
         raise ConfigError("--breaklines: idw does not follow lines; use --interpolation linear")
     for name in config.breaklines:
         found = _read(plan, Path(name), LINES_AND_POLYGONS, True, notes, warnings)
-        lines += [_counts(feature, line) for feature in found.features for line in _lines(feature)]
+        for feature in found.features:
+            lines += [_counts(feature, line) for line in _lines(feature)]
     if lines:
         warnings += [*_tell_two_heights(lines), *_tell_upright(lines)]
     edits: tuple[Edit, ...] = ()
@@ -49,7 +50,7 @@ def with_drawings(plan: Plan) -> Plan:
         edits = tuple(_edit(number, feature) for number, feature in enumerate(found.features, start=1))
     waters: tuple[Water, ...] = ()
     if config.water_file is not None:
-        found = _read(plan, Path(config.water_file), LINES_AND_POLYGONS, False, notes, warnings, every=True)
+        found = _read(plan, Path(config.water_file), DRAWN_WATER, False, notes, warnings, every=True)
         waters = tuple(waters_of(found.features, plan.extent))
     return replace(
         plan, lines=tuple(lines), edits=edits, waters=waters, notes=tuple(notes), warnings=tuple(warnings)
@@ -57,7 +58,7 @@ def with_drawings(plan: Plan) -> Plan:
 
 
 def _tell_two_heights(lines: list[Counts]) -> list[str]:
-    """A warning where lines contradict one another."""
+    """A warning if breaklines give a place two heights."""
     places = two_heights(lines)
     if not len(places):
         return []
@@ -69,14 +70,12 @@ def _tell_two_heights(lines: list[Counts]) -> list[str]:
 
 
 def _tell_upright(lines: list[Counts]) -> list[str]:
-    """A warning where two vertices of a line differ in height alone: the terrain has one height at each place."""
-    steps = [np.diff(line, axis=0) for line in lines]
-    places = np.concatenate(
-        [
-            line[:-1][(step[:, :2] == 0).all(axis=1) & (step[:, 2] != 0)]
-            for line, step in zip(lines, steps, strict=True)
-        ]
-    )
+    """A warning if two vertices of a line differ only in height: the terrain has one height at each place."""
+    upright = []
+    for line in lines:
+        step = np.diff(line, axis=0)
+        upright.append(line[:-1][(step[:, :2] == 0).all(axis=1) & (step[:, 2] != 0)])
+    places = np.concatenate(upright)
     if not len(places):
         return []
     x, y, _ = (value / COUNTS_PER_UNIT for value in places[0].tolist())
@@ -95,7 +94,7 @@ def _read(
     warnings: list[str],
     every: bool = False,
 ) -> Features:
-    """Features of a file in the CRS of the run, read by a process of its own; ``every``: of all of its layers."""
+    """Features of a file in the CRS of the run, read by a process of its own. ``every``: read all layers."""
     every |= needs_z
     wkt = plan.meta.frame.crs_wkt
     if plan.config.in_process:
@@ -112,9 +111,13 @@ def _lines(feature: Feature) -> list[npt.NDArray[np.float64]]:
     """Vertices x, y, z of the lines of a feature, and of the rings of its polygons."""
     import shapely
 
-    parts = shapely.get_parts(feature.geometry)
-    rings = [shapely.get_rings(part) if part.geom_type == "Polygon" else [part] for part in parts]
-    return [shapely.get_coordinates(line, include_z=True) for of_part in rings for line in of_part]
+    lines = []
+    for part in shapely.get_parts(feature.geometry):
+        if part.geom_type == "Polygon":
+            lines += list(shapely.get_rings(part))
+        else:
+            lines.append(part)
+    return [shapely.get_coordinates(line, include_z=True) for line in lines]
 
 
 def _counts(feature: Feature, line: npt.NDArray[np.float64]) -> Counts:
@@ -133,7 +136,7 @@ def _counts(feature: Feature, line: npt.NDArray[np.float64]) -> Counts:
 
 
 def _edit(number: int, feature: Feature) -> Edit:
-    """An edit; raises InputError where its action is none, or its height is missing."""
+    """The edit of a feature. Raises InputError if its action is unknown or its height is missing."""
     action: Any = feature.attributes.get("action")
     if not isinstance(action, str) or action.strip().lower() not in ACTIONS:
         what = "has no `action`" if action is None else f"its action is {action!r}"

@@ -1,4 +1,4 @@
-"""What this process may use of the machine: cores, and memory."""
+"""Cores and memory that this process may use."""
 
 from __future__ import annotations
 
@@ -10,46 +10,54 @@ from pathlib import Path, PurePosixPath
 
 import psutil
 
-LEAST_BYTES, MOST_BYTES = 512 << 20, 4 << 30
-"""Memory of a worker by default: with less little fits, more makes no run faster."""
+LEAST_BYTES = 512 << 20
+"""Default memory of a worker at least: with less, hardly anything fits."""
+MOST_BYTES = 4 << 30
+"""Default memory of a worker at most: more makes no run faster."""
 SHARE = 2
-"""The workers together take this part of the memory by default; the rest is the system's, and its cache of files."""
-CGROUPS, GROUPS = Path("/sys/fs/cgroup"), Path("/proc/self/cgroup")
-"""Where the limits of control groups are, and where those are named that this process is in."""
+"""Part of the memory that the workers together take by default: one in this many. The rest is for the
+system and its cache."""
+CGROUPS = Path("/sys/fs/cgroup")
+"""Folder with the limits of control groups."""
+GROUPS = Path("/proc/self/cgroup")
+"""File that names the control groups of this process."""
 
 
 def cores() -> int:
-    """Logical cores that this process may use: of the machine, its set of cores, and its container."""
-    known = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else psutil.cpu_count()
-    return min((known or 1, *_container_cores()))
+    """Number of logical cores that machine, affinity and container allow this process."""
+    if hasattr(os, "sched_getaffinity"):
+        known = len(os.sched_getaffinity(0))
+    else:
+        known = psutil.cpu_count() or 1
+    return min((known, *_container_cores()))
 
 
 def default_workers() -> int:
-    """Workers where the user does not say how many: one a core, fewer where memory has not `LEAST_BYTES` for each."""
+    """Default number of workers: one for each core, fewer if memory is below `LEAST_BYTES` for each."""
     return max(min(cores(), memory_bytes() // LEAST_BYTES), 1)
 
 
 def memory_bytes() -> int:
-    """Memory of the machine, or of the container where that is less."""
+    """Memory of the machine, or of the container if it has less, in bytes."""
     return min((psutil.virtual_memory().total, *_container_limits()))
 
 
 def fair_share(workers: int) -> int:
-    """Bytes that each of some workers may use where the user does not say it; fewer than cores get no more."""
+    """Default memory of each worker, in bytes. Fewer workers than cores get no more."""
     return min(max(memory_bytes() // (SHARE * max(workers, cores())), LEAST_BYTES), MOST_BYTES)
 
 
 def _container_limits() -> Iterator[int]:
-    """Bytes that the control groups of this process allow, as far as they limit them."""
+    """Yield the memory limits of the control groups of this process, in bytes."""
     for group, newer in _control_groups("memory"):
-        with suppress(
-            OSError, ValueError
-        ):  # "max", or a group that is not to be seen from within a container
-            yield int((group / ("memory.max" if newer else "memory.limit_in_bytes")).read_text("ascii"))
+        name = "memory.max" if newer else "memory.limit_in_bytes"
+        # The text is "max" without a limit. A container may not see its group.
+        with suppress(OSError, ValueError):
+            yield int((group / name).read_text("ascii"))
 
 
 def _container_cores() -> Iterator[int]:
-    """Cores, rounded up, that the control groups of this process allow, as far as they limit them."""
+    """Yield the numbers of cores, rounded up, to which the control groups limit this process."""
     for group, newer in _control_groups("cpu"):
         names = ("cpu.max",) if newer else ("cpu.cfs_quota_us", "cpu.cfs_period_us")
         with suppress(OSError, ValueError):
@@ -59,7 +67,7 @@ def _container_cores() -> Iterator[int]:
 
 
 def _control_groups(controller: str) -> Iterator[tuple[Path, bool]]:
-    """Folders of the control groups, and those above them, of this process; True for those of version 2."""
+    """Yield the folders of this process's control groups and of their parents, with True for version 2."""
     try:
         lines = GROUPS.read_text(encoding="ascii").splitlines()
     except OSError:
@@ -68,5 +76,7 @@ def _control_groups(controller: str) -> Iterator[tuple[Path, bool]]:
         _, controllers, path = line.split(":", 2)
         if controllers and controller not in controllers.split(","):
             continue
-        root, group = CGROUPS / controller if controllers else CGROUPS, PurePosixPath(path.lstrip("/"))
-        yield from ((root / place, not controllers) for place in (group, *group.parents))
+        root = CGROUPS / controller if controllers else CGROUPS
+        group = PurePosixPath(path.lstrip("/"))
+        for place in (group, *group.parents):
+            yield root / place, not controllers

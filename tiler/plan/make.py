@@ -6,10 +6,11 @@ import math
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from functools import partial
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
+from ptd.matched.evidence import decided_by
 from ptd.methods import METHODS, make_params
 from ptd.params import to_json
 from tiler.config import RunConfig
@@ -17,21 +18,30 @@ from tiler.core.area import Area
 from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Lattice
 from tiler.errors import ConfigError, InputError
-from tiler.ingest import Agreement, SourceInfo, agree, find_inputs, inspect, inspect_guarded, is_list
+from tiler.inputs import Agreement, SourceInfo, agree, find_inputs, inspect, inspect_guarded, is_list
 from tiler.io.locations import cloud_path, is_url
-from tiler.io.result_folder import CLOUD_SUFFIXES, COPC_SUFFIX
+from tiler.io.result_folder import CLOUD_SUFFIXES, COPC_SUFFIX, earlier_statistics
 from tiler.plan import advice, machine, sizes
 from tiler.plan.area import area_of, part_of
 from tiler.plan.density_map import DensityMap
 from tiler.plan.disk import emptiness_warning, too_much_between
 from tiler.plan.distant_files import LeftOut, beyond_frame, minority
+from tiler.plan.doubtful import warnings_of
 from tiler.plan.drawings import with_drawings
+from tiler.plan.equivalents import EQUIVALENTS
+from tiler.plan.feet import bare_lengths, in_feet_of
 from tiler.plan.halos import own_halo, planned_passes
+from tiler.plan.made_by import evidence_of, refuse_mixture
 from tiler.plan.memory import fine_cell_m
 from tiler.plan.model import KEEP, Plan, known_kind, likely_of, steps_of
-from tiler.plan.refuse import refuse, refuse_places, refuse_resolution, refuse_targets, warnings_of
-from tiler.plan.tiles_of_points import near_nodes, refuse_far, with_crs_of_tiles
-from tiler.report import earlier_statistics
+from tiler.plan.refuse import (
+    refuse,
+    refuse_fine,
+    refuse_places,
+    refuse_resolution,
+    refuse_targets,
+)
+from tiler.plan.tiles_of_points import TilesOfRun, refuse_far
 from tiler.schedule import FORKS, Guards
 from tiler.store import StoreMeta
 
@@ -69,13 +79,16 @@ def make_plan(
     parameters, defaults = _method(config)
     notes: list[str] = []
     folder = None if out is None or is_url(out) else Path(out)
-    paths = find_inputs(inputs, folder, notes.append, wanted=partial(near_nodes, config))
+    tiles = TilesOfRun(config)
+    paths = find_inputs(inputs, folder, notes.append, False, tiles.wanted, tiles.listed, config.in_process)
     if out is not None:
         refuse_places(config, str(out), paths)
     sources, unreadable = _inspect_all(paths, config, known)
-    sources = with_crs_of_tiles(inputs, sources)
+    sources = tiles.with_crs(sources, notes)
     agreement = agree(sources, config)
     notes += agreement.notes
+    config = in_feet_of(config, agreement.units)
+    notes += bare_lengths(config, agreement.units)
     notes += [f"{s.path}: {text}" for s in sources for text in s.notes]
     if not _filled(sources):
         raise InputError(f"{_names(sources)}: no points; there is nothing to make a terrain of")
@@ -85,12 +98,18 @@ def make_plan(
     found = _without(found, beyond_frame(_filled(sources), area, agreement.wkt, metres), config)
     plan = _settled(found, config, parameters, defaults)
     refuse_resolution(plan)  # else the raster would be called too large
+    refuse_fine(plan, folder)
     while remedy := too_much_between(plan, folder):
         found = _without(found, minority(plan.filled, agreement.wkt, metres, remedy), config)
         plan = _settled(found, config, parameters, defaults)
     refuse_far(plan, inputs)
     plan = with_drawings(plan)
-    refuse(plan, folder)
+
+    def changed(**values: Any) -> Plan:
+        other = _settled(found, config.updated(**values), parameters, defaults)
+        return replace(other, edits=plan.edits, lines=plan.lines, waters=plan.waters)
+
+    refuse(plan, folder, changed)
     if out is not None:
         refuse_targets(plan, str(out), paths)
     return plan
@@ -106,6 +125,25 @@ class _Found:
     agreement: Agreement
     area: Area | None
     notes: Sequence[str]
+
+    @cached_property
+    def filled(self) -> list[SourceInfo]:
+        """Sources that hold points."""
+        return _filled(self.sources)
+
+    @cached_property
+    def density_map(self) -> DensityMap:
+        """Where their points are."""
+        metres = float(self.agreement.units.horizontal)
+        return DensityMap((patch for s in self.filled for patch in s.patches), metres)
+
+    @cached_property
+    def covered(self) -> tuple[float, tuple[str, ...]]:
+        """The area on which their points lie, m2, and what was decided about it."""
+        notes: list[str] = []
+        bounds = [s.bounds for s in self.filled if s.bounds is not None]
+        points, metres = sum(s.points for s in self.filled), float(self.agreement.units.horizontal)
+        return sizes.covered_m2(bounds, points, self.density_map, metres, notes), tuple(notes)
 
 
 def _filled(sources: Sequence[SourceInfo]) -> list[SourceInfo]:
@@ -126,15 +164,12 @@ def _without(found: _Found, far: LeftOut, config: RunConfig) -> _Found:
 
 def _settled(found: _Found, config: RunConfig, parameters: dict[str, Any], defaults: Any) -> Plan:
     """The plan that follows from some files, whether or not it can work."""
-    notes, agreement = list(found.notes), found.agreement
-    filled = _filled(found.sources)
-    metres = float(agreement.units.horizontal)
-    extent, covered = sizes.extent_of(filled, metres)
+    covered, decided = found.covered
+    notes, agreement, filled = [*found.notes, *decided], found.agreement, found.filled
+    extent = sizes.hull_of(filled)
     frame = CoordFrame(agreement.units, sizes.origin_of(extent), agreement.wkt)
     points = sum(s.points for s in filled)
-    patches = [patch for s in filled for patch in s.patches]
-    density = sizes.density_of(points, covered, patches, metres, notes)
-    density_map = DensityMap(patches, metres)
+    density = points / covered
     workers = config.workers or machine.default_workers()
     if config.workers is None and workers < machine.cores():
         mib = machine.memory_bytes() >> 20
@@ -142,7 +177,7 @@ def _settled(found: _Found, config: RunConfig, parameters: dict[str, Any], defau
             f"decided: {workers} workers for {machine.cores()} cores, as memory is {mib:,} MiB (--workers)"
         )
     memory = config.memory or machine.fair_share(workers)
-    bucket = sizes.bucket_m(density, density_map, memory)
+    bucket = sizes.bucket_m(density, found.density_map, memory)
     if found.area is not None and any(is_url(s.path) and s.octree is not None for s in filled):
         bucket = min(bucket, sizes.FETCHED_BUCKET_M)
     cell = defaults.candidate_cell_m if defaults else 0.0
@@ -160,18 +195,22 @@ def _settled(found: _Found, config: RunConfig, parameters: dict[str, Any], defau
     known = None
     if config.statistics is not None:
         known = earlier_statistics(Path(config.statistics), config.method, parameters)
-    kind = known_kind(config, known)
+    evidence = evidence_of(filled) if defaults else None
+    kind = known_kind(config, known, evidence)
     passes = planned_passes(defaults, config, kind, notes) if defaults else ()
     steps = steps_of(passes, kind)
     tile = config.tile_size or sizes.tile_m(memory, density, cell, likely_of(steps, kind, density), meta)
     plan = Plan(
         config, tuple(found.sources), tuple(found.unreadable), meta, found.area, parameters,
-        sizes.resolution_of(config, density, notes), tile, passes, memory, memory,
-        workers, cell, points, covered, extent, density_map, None,
+        sizes.resolution_of(config, density, kind, agreement.units.horizontal, notes), tile, passes, memory, memory,
+        workers, cell, points, covered, extent, found.density_map, None,
         output_names(found.inputs, found.sources, CLOUD_SUFFIXES[config.classified]), tuple(notes),
-        statistics=known, tile_workers=0 if config.tile_size else workers,
+        statistics=known, tile_workers=0 if config.tile_size else workers, evidence=evidence,
     )  # fmt: skip
-    advised = advice.before(filled, config, density, own_halo(defaults))
+    if known is None and plan.asks_kind:
+        refuse_mixture(filled, config)
+    made, unit = decided_by(evidence) if evidence else None, agreement.units.horizontal
+    advised = advice.before(config, made, density, own_halo(defaults), unit)
     plan = part_of(replace(plan, warnings=(*warnings_of(plan), *advised)))
     text = emptiness_warning(plan)
     return plan if text is None else replace(plan, warnings=(*plan.warnings, text))
@@ -214,7 +253,8 @@ def _method(config: RunConfig) -> tuple[dict[str, Any], Any]:
             )
         return {}, None
     if config.method not in METHODS:
-        raise ConfigError(f"--method {config.method}: there is {', '.join([*METHODS, KEEP])}")
+        known = EQUIVALENTS.get(config.method.lower(), "")
+        raise ConfigError(f"--method {config.method}: {known}there is {', '.join([*METHODS, KEEP])}")
     try:
         params = make_params(config.method, dict(config.parameters))
     except ValueError as error:

@@ -1,4 +1,4 @@
-"""What a worker needs: bytes by stage and by window, all of them from numbers of points.
+"""Memory that a worker needs, in bytes, by stage and by window; all of it follows from numbers of points.
 
 The factors were measured: peak resident memory of workers over the points of their windows (docs/decisions.md,
 "The plan").
@@ -6,6 +6,7 @@ The factors were measured: peak resident memory of workers over the points of th
 
 from __future__ import annotations
 
+from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
@@ -16,36 +17,45 @@ import numpy.typing as npt
 from ptd.passes import Pass
 
 FINE_CELL_M = Fraction(1, 2)
-"""Side of the store's cells, each with one candidate, where the method has none of its own (`fine_cell_m`)."""
+"""Side of the store's cells, each with one candidate, if the method has no cells of its own (`fine_cell_m`)."""
 BASE_BYTES = 260 << 20
-"""A worker before the first point: the interpreter and the libraries."""
+"""Bytes of a worker before the first point: the interpreter and the libraries."""
 READ_BYTES = 60
-"""Per candidate that a window reads: columns and sorting."""
+"""Bytes for each candidate that a window reads: columns and sorting."""
 VERTEX_BYTES = 200
-"""Per candidate that may become a vertex: its columns while it is tested, and its share of the TIN. Per cell of a
-raster: 35 to look for large objects, 180 to make the surface (measured)."""
+"""Bytes for each candidate that may become a vertex: its columns while it is tested, and its share of the TIN.
+
+The same figure serves for a cell of a raster, where 35 bytes were measured while large objects are found, and 180 while
+the surface is made.
+"""
 BUCKET_POINT_BYTES = 200
-"""Per point while its bucket is labelled."""
-HELD_BYTES, HELD_SHARE = 64 << 20, 16
-"""Of decoded buckets that are kept for the labels of their neighbours, and at most this part of the memory."""
+"""Bytes for each point while its bucket is labelled."""
+HELD_BYTES = 64 << 20
+"""Most bytes of decoded buckets that a worker keeps to label their neighbours."""
+HELD_SHARE = 16
+"""Such buckets take at most one part in this many of the memory above `BASE_BYTES`."""
 ASSEMBLY_POINT_BYTES = 800
-"""Per point while its bucket is assembled: fragments, keys and their order."""
+"""Bytes for each point while its bucket is assembled: fragments, keys and their order."""
 SPOOL_POINT_BYTES = 160
-"""Per point while its piece is decoded and sorted."""
+"""Bytes for each point while its piece is decoded and sorted."""
 GROUND_BYTES = 200
-"""Per ground point in a block's window: coordinates and the TIN (123 measured on a city)."""
-PIECE_BYTES, NEAR_PIECE_BYTES = 160, 650
-"""Per piece of a breakline, of all in the run and of those in a block's window: 460 measured while they are looked up,
-and a vertex of the TIN."""
+"""Bytes for each ground point in a block's window: coordinates and the TIN (123 measured on a city)."""
+PIECE_BYTES = 160
+"""Bytes for each piece of a breakline in the run."""
+NEAR_PIECE_BYTES = 650
+"""Further bytes for each piece of a breakline in a block's window, which is a vertex of the TIN (460 measured)."""
 JOINED_BYTES = 1 << 30
-"""A worker at most, with a tile of a pass on candidates: 1.4 km of dense laser scans and 229 m around them. Larger ones
-save nothing (213 M points: 413 CPU s in 18 tiles a pass, 415 in 12), and more of them share out more equally."""
+"""Most memory of a worker with a tile of a pass on candidates: 1.4 km of dense laser scans and 229 m around them.
+
+Larger tiles save nothing (213 M points: 413 CPU s in 18 tiles a pass, 415 in 12), and more tiles are shared out more
+equally.
+"""
 TIN_BYTES = 3 << 29
-"""Of the points of a TIN that blocks of the terrain share, at most."""
+"""Most bytes of a TIN that blocks of the terrain share."""
 EXPORT_BYTES = 128 << 20
-"""A worker that writes a file: GDAL's blocks, or the records of a classified cloud in hand."""
+"""Bytes of a worker that writes a file: GDAL's blocks, or the records of a classified cloud in hand."""
 EXPORT_POINTS = 1 << 27
-"""Points of the largest classified cloud: its labels are held at once, a byte each."""
+"""Most points of a classified cloud. Its labels are held at once, a byte for each point."""
 
 
 @dataclass(frozen=True)
@@ -57,87 +67,97 @@ class PlannedPass:
 
     @property
     def name(self) -> str:
-        """Of the pass."""
+        """Name of the pass."""
         return self.work.name
 
     @property
     def title(self) -> str:
-        """What it does, in a few words."""
+        """Title of the pass, in a few words."""
         return self.work.title or self.work.name
 
     @property
     def kind(self) -> str | None:
-        """What made the clouds that it is for; None: for all."""
+        """Kind of the clouds that the pass is for; None: all kinds."""
         return self.work.kind
 
     @property
     def sometimes(self) -> bool:
-        """It does not always apply."""
+        """Whether the pass is left out for some clouds."""
         return type(self.work).applies is not Pass.applies
 
     @property
     def on_candidates(self) -> bool:
-        """It looks at one candidate a cell, not at all points or elected ones, and makes no raster of its window."""
+        """Whether the pass looks at one candidate for each cell and makes no raster of its window."""
         return not (self.work.every_point or self.work.elected or self.work.raster_cell_m)
 
 
 def breakline_bytes(lines: Sequence[npt.NDArray[np.int64]], pixel: float, window: float) -> int:
-    """Of breaklines that are divided into pieces of half a pixel or more, in the fullest window.
+    """Bytes of breaklines, divided into pieces of half a pixel or more, for the block with most of them.
 
     Parameters
     ----------
     lines : sequence of int64 (n, 3)
         Vertices in counts.
     pixel, window : float
-        Counts: side of a pixel, and of the window of a block.
+        Side of a pixel, and of the window of a block, in counts.
     """
     if not lines:
         return 0
-    ends = [(line[:-1, :2], line[1:, :2]) for line in lines]
-    start, stop = (np.concatenate(part).astype(np.float64) for part in zip(*ends, strict=True))
+    start = np.concatenate([line[:-1, :2] for line in lines]).astype(np.float64)
+    stop = np.concatenate([line[1:, :2] for line in lines]).astype(np.float64)
     pieces = np.maximum(2 * np.hypot(*(stop - start).T) / pixel, 1)
-    # A window touches no more than two by two squares of its side.
-    squares, which = np.unique(np.floor((start + stop) / 2 / window), axis=0, return_inverse=True)
-    held = dict(zip(map(tuple, squares.tolist()), np.bincount(which.ravel(), pieces), strict=True))
-    most = max(
-        sum(held.get((x + right, y + up), 0.0) for right in (0, 1) for up in (0, 1))
-        for x0, y0 in held
-        for x, y in ((x0, y0), (x0 - 1, y0), (x0, y0 - 1), (x0 - 1, y0 - 1))
-    )
-    return int(PIECE_BYTES * pieces.sum() + NEAR_PIECE_BYTES * most)
+    squares = np.floor((start + stop) / 2 / window)
+    return int(PIECE_BYTES * pieces.sum() + NEAR_PIECE_BYTES * _most_in_a_window(squares, pieces))
+
+
+def _most_in_a_window(squares: npt.NDArray[np.float64], pieces: npt.NDArray[np.float64]) -> float:
+    """Most pieces in a window, which touches no more than two by two squares of its own side."""
+    occupied, which = np.unique(squares, axis=0, return_inverse=True)
+    held = np.bincount(which.ravel(), pieces)
+    windows: dict[tuple[int, int], float] = defaultdict(float)
+    for (column, row), count in zip(occupied.tolist(), held.tolist(), strict=True):
+        for west, south in ((0, 0), (1, 0), (0, 1), (1, 1)):
+            windows[column - west, row - south] += count
+    return max(windows.values())
 
 
 def fine_cell_m(cell_m: float, bucket_m: Fraction) -> Fraction:
-    """Side of the cells with one candidate each: the method's own (0: it has none), if buckets are made of them."""
+    """Side of the cells with one candidate each, in metres.
+
+    The cells of the method (``cell_m``; 0: it has none) are taken if a bucket is a whole number of them.
+    """
     own = Fraction(repr(float(cell_m)))
-    return own if own > 0 and (bucket_m / own).denominator == 1 else FINE_CELL_M
+    if own > 0 and (bucket_m / own).denominator == 1:
+        return own
+    return FINE_CELL_M
 
 
 def nested(cell_m: float, fine_m: Fraction) -> bool:
-    """Whether a method's cells of ``cell_m`` are made of whole fine cells, so that candidates are all it reads."""
+    """Whether a method's cell is a whole number of fine cells, so that the method needs candidates alone."""
     return cell_m > 0 and (Fraction(repr(float(cell_m))) / fine_m).denominator == 1
 
 
 def filter_bytes(points: float, area_m2: float, cell_m: float, step: PlannedPass, fine_m: Fraction) -> float:
-    """Bytes, above `BASE_BYTES`, that a window of a pass needs.
+    """Bytes that a window of a pass needs above `BASE_BYTES`.
 
-    Elected points are reckoned as one in each thinning cell at most: how many there are is known later. A raster has
-    all cells of the window, whatever it holds.
+    The number of elected points is not known yet: one in each thinning cell is the most. A raster has all cells of the
+    window, also those without points.
 
     Parameters
     ----------
     points : float
-        Of the window, candidates or not.
+        Points of the window, candidates and others.
     area_m2 : float
-        Of the window.
+        Area of the window.
     cell_m : float
-        Of the method's thinning cell (`candidate_cell_m`); 0: it has none.
+        Side of the method's thinning cell (`candidate_cell_m`); 0: it has none.
     step : PlannedPass
     fine_m : Fraction
         Side of the store's cells.
     """
-    vertices = min(points, area_m2 / cell_m**2) if cell_m > 0 else points
-    read = points
+    vertices = read = points
+    if cell_m > 0:
+        vertices = min(points, area_m2 / cell_m**2)
     if step.work.elected:
         read = vertices
     elif not step.work.every_point and nested(cell_m, fine_m):
@@ -148,12 +168,12 @@ def filter_bytes(points: float, area_m2: float, cell_m: float, step: PlannedPass
 
 
 def held_bytes(memory: int) -> int:
-    """Bytes of decoded buckets that a worker keeps for their neighbours, of the memory that it may use."""
+    """Bytes of decoded buckets that a worker with that much memory keeps to label their neighbours."""
     return min(HELD_BYTES, max(memory - BASE_BYTES, 0) // HELD_SHARE)
 
 
 def bucket_bytes(points: float) -> int:
-    """Bytes of a worker that labels a bucket, above those of its window."""
+    """Bytes that labelling a bucket of so many points needs above those of its window."""
     return int(points * BUCKET_POINT_BYTES)
 
 

@@ -1,4 +1,4 @@
-"""The plan: what was settled before the first point is read, and what follows from it."""
+"""The plan of a run: everything that is settled before the first point is read, and what follows from it."""
 
 from __future__ import annotations
 
@@ -10,16 +10,17 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+from ptd.matched.evidence import Evidence, Finding, decided_by
+from ptd.matched.survey import run_facts
 from tiler.config import RunConfig
 from tiler.core.area import Area
 from tiler.core.breaklines import Counts
 from tiler.core.edits import Edit
 from tiler.core.lattice import Bounds
-from tiler.core.raster import BLOCK_PIXELS
+from tiler.core.raster import BLOCK_PIXELS, SMALLEST_PART
 from tiler.core.stage_names import stage_title
 from tiler.core.water import Water
-from tiler.grid import SMALLEST_PART
-from tiler.ingest import SourceInfo
+from tiler.inputs import SourceInfo
 from tiler.plan.density_map import DensityMap
 from tiler.plan.memory import (
     BASE_BYTES,
@@ -32,79 +33,95 @@ from tiler.plan.memory import (
 from tiler.store import StoreMeta
 
 BRIDGE_REACH_M = 300
-"""Distance around an area within which points are read for bridges across its border: the length of the longest."""
+"""Points are read within this distance of an area, for bridges across its border: the length of the longest bridge."""
 KEEP = "keep"
 """The method that trusts the classes of the input."""
 
 PIECE_POINTS = 1_000_000
+"""Points that a worker decodes at a time."""
 MAX_GROUND = 4_000_000
-"""Points that the window of a part of a block may hold; denser clouds give one a quarter pixel, everywhere."""
-SURFACE_SHARE, THIN_SHARE = 2, 4
-"""Cells along a pixel's side of which each gives one point to the surface: by percentile, and to save memory."""
+"""Most points in the window of a part of a block. Denser clouds give the surface a point for each quarter pixel."""
+SURFACE_SHARE = 2
+"""Cells along a pixel's side, each with one point of the surface, if a percentile of the heights makes it."""
+THIN_SHARE = 4
+"""The same number if ground points are thinned to save memory."""
 PART = 128
-"""Pixels a side of the parts into which blocks are divided where points are many."""
-
+"""Side, in pixels, of the parts into which a block with many points is divided."""
 
 LEAST_CANDIDATES = 500_000
-"""A tile is not halved for want of others if it holds less than twice as many."""
+"""Do not split a tile merely to occupy workers if a half would hold fewer candidates."""
 
 LEAST_MATCHED_M2 = 0.5
-"""Sparser clouds are no matched ones if nobody says so: `auto` asks for twice as many points a square metre."""
+"""Below this density, in points per square metre, the plan assumes a laser scan unless `--kind` says otherwise. `auto`
+asks for twice the density before it takes a cloud for a matched one."""
 
 
-def known_kind(config: RunConfig, statistics: Mapping[str, Any] | None) -> str | None:
-    """What made the cloud, as the user or the run whose statistics are used says; None: the points will show."""
+def known_kind(
+    config: RunConfig, statistics: Mapping[str, Any] | None, evidence: Evidence | None
+) -> str | None:
+    """What made the cloud: as the user says, or the run whose statistics are used, or the fields of the points.
+
+    None: not known yet.
+    """
     if statistics is None:
-        return config.source_kind
-    found = (state["survey"]["kind"] for state in statistics.values() if "kind" in state.get("survey", {}))
-    return next(found, None)
+        return run_facts(None, config.source_kind, evidence).kind
+    for state in statistics.values():
+        if "kind" in state.get("survey", {}):
+            kind: str = state["survey"]["kind"]
+            return kind
+    return None
 
 
 def likely_of(steps: Iterable[PlannedPass], kind: str | None, density: float) -> tuple[PlannedPass, ...]:
-    """The passes for which memory is needed: of those that a run may do, all that suit the density."""
-    sparse = kind is None and density < LEAST_MATCHED_M2
-    return tuple(step for step in steps if not (sparse and step.kind == "dim"))
+    """The passes for which the plan reserves memory: all that a run may do and that suit the density."""
+    if kind is None and density < LEAST_MATCHED_M2:
+        return tuple(step for step in steps if step.kind != "dim")
+    return tuple(steps)
 
 
 def steps_of(passes: Iterable[PlannedPass], kind: str | None) -> tuple[PlannedPass, ...]:
-    """The passes that a cloud of that kind (None: not known) may need."""
+    """The passes that a cloud of a kind (None: not known) may need."""
     return tuple(step for step in passes if step.kind is None or kind in (None, step.kind))
 
 
 @dataclass(frozen=True)
 class Plan:
-    """What a run will do; lengths in metres, sizes in bytes.
+    """The plan of a run; lengths in metres, sizes in bytes.
 
     Attributes
     ----------
     sources : tuple of SourceInfo
-        That can be read and come near the area, in the order of their names.
+        Files that can be read and lie near the area, in the order of their names.
     unreadable : tuple of (str, str)
         Path and reason of each file that is left out.
     area : Area or None
-        Of which products and labels are wanted; None: everywhere.
+        Area for which products and labels are made; None: everywhere.
     memory : int
-        That a worker may use.
+        Memory that a worker may use.
     tile_memory : int
-        That the tiles are cut for: `memory` of the first run on a store, whatever later ones may use.
+        Memory for which the tiles are cut: `memory` of the first run on the store, also in later runs.
+    area_m2 : float
+        Area that the points cover. Every place counts once, also where files overlap.
     thin : bool or None
-        As the first run on a store decided; None: as `thin_ground` does.
+        Decision of the first run on the store about `thin_ground`; None: there was none.
     density_map : DensityMap
-        Where the points are thickest.
+        Finds the densest place.
     names : dict of Path to Path
-        Of each source's classified file, below OUT/classified.
+        Classified file of each source, below OUT/classified.
     passes : tuple of PlannedPass
-        All of the method, by number; `steps` are those that may be done.
+        All passes of the method, by number; `steps` are those that the run may do.
     statistics : dict or None
         State after each pass, by its name, of the earlier run that ``--statistics`` names.
     edits : tuple of Edit
         Corrections, in the order of their file.
     lines : tuple of int64 (n, 3)
-        Vertices of breaklines, absolute counts.
+        Vertices of breaklines, in absolute counts.
     waters : tuple of Water
-        Bodies of water that a file says, in its order; heights where it has them.
+        Bodies of water of the file of ``--water``, in its order; with heights if it has them.
     tile_workers : int
-        `workers` of the first run on a store: there are as many tiles, if the points suffice. 0: a size was asked for.
+        `workers` of the first run on the store, the number of tiles if points suffice. 0: the user chose a tile size.
+    evidence : Evidence or None
+        Evidence in the fields of the points about what made the clouds; None: the method does not ask.
     """
 
     config: RunConfig
@@ -133,15 +150,16 @@ class Plan:
     lines: tuple[Counts, ...] = ()
     waters: tuple[Water, ...] = ()
     tile_workers: int = 0
+    evidence: Evidence | None = None
 
     @property
     def writes_clouds(self) -> bool:
-        """Whether the run writes classified clouds: not with the classes of the input, nor if none are wanted."""
+        """Whether the run writes classified clouds. It does not with `--method keep` or `--classified none`."""
         return self.config.method != KEEP and self.config.classified != "none"
 
     @property
     def area_key(self) -> str | None:
-        """Name of the area in the store; None where all is wanted."""
+        """Name of the area in the store; None: no area was asked for."""
         return None if self.area is None else self.area.key
 
     @property
@@ -151,8 +169,17 @@ class Plan:
 
     @property
     def kind(self) -> str | None:
-        """What made the cloud, laser scanning (lidar) or image matching (dim); None: the points will show."""
-        return known_kind(self.config, self.statistics)
+        """What made the cloud, laser scanning (lidar) or image matching (dim); None: not known yet."""
+        return known_kind(self.config, self.statistics, self.evidence)
+
+    @property
+    def made(self) -> Finding | None:
+        """What made the clouds, with confidence and reasons; None if the fields of the points do not decide it."""
+        if self.evidence is None or not self.asks_kind or self.kind is None:
+            return None
+        if self.statistics is not None or self.config.source_kind is not None:
+            return None
+        return decided_by(self.evidence)
 
     @property
     def steps(self) -> tuple[PlannedPass, ...]:
@@ -160,7 +187,7 @@ class Plan:
         return steps_of(self.passes, self.kind)
 
     def title_of(self, stage: str) -> str:
-        """A stage of the run in words."""
+        """Title of a stage, for people."""
         return stage_title(stage, [step.title for step in self.passes])
 
     @property
@@ -169,24 +196,29 @@ class Plan:
         return likely_of(self.steps, self.kind, self.density)
 
     @property
+    def asks_kind(self) -> bool:
+        """Whether the method treats kinds of clouds differently."""
+        return any(step.kind for step in self.passes)
+
+    @property
     def kinds(self) -> tuple[str, ...]:
-        """What the cloud may be, where the method has passes for one kind alone and it is not known; else nothing."""
-        return (
-            tuple(dict.fromkeys(step.kind for step in self.steps if step.kind)) if self.kind is None else ()
-        )
+        """Kinds that the cloud may be, if it is not known and the method treats kinds differently; else empty."""
+        if self.kind is not None:
+            return ()
+        return tuple(dict.fromkeys(step.kind for step in self.steps if step.kind))
 
     def halo_of(self, kind: str) -> float:
-        """The widest halo that a pass starts with, metres, if the cloud is of that kind."""
+        """The widest halo, in metres, with which a pass starts on a cloud of that kind."""
         return max(step.halo_m for step in steps_of(self.passes, kind))
 
     @property
     def sides_m(self) -> tuple[float, float]:
-        """Of the survey, west to east and south to north."""
+        """Width and height of the survey, in metres."""
         bounds, metres = self.extent, float(self.meta.frame.metres_xy)
         return (bounds.x1 - bounds.x0) * metres, (bounds.y1 - bounds.y0) * metres
 
     def wanted_tiles(self, candidates: int) -> int:
-        """How many joined tiles a pass on so many points wants: one a worker, a power of two, none of them small."""
+        """Number of joined tiles of a pass on so many candidates: a power of two, about one for each worker."""
         return min(1 << (self.tile_workers - 1).bit_length(), max(candidates // LEAST_CANDIDATES, 1))
 
     @property
@@ -196,31 +228,34 @@ class Plan:
 
     @property
     def on_candidates(self) -> bool:
-        """Whether the method's cells are made of the store's: then its passes need no other points than candidates."""
+        """Whether the method's cells are whole numbers of the store's, so that its passes need candidates alone."""
         return nested(self.candidate_cell_m, self.fine_m)
 
     def joins(self, step: PlannedPass) -> bool:
-        """Whether tiles of a pass are as large as memory allows: it looks at candidates, and no size was asked for."""
+        """Whether a pass has tiles as large as memory allows: it needs candidates alone and the user chose no size."""
         return self.tile_workers > 0 and step.on_candidates and self.on_candidates
 
     def tile_memory_of(self, step: PlannedPass) -> int:
-        """Bytes of a worker that the tiles of a pass are cut for."""
-        return min(self.tile_memory, JOINED_BYTES) if self.joins(step) else self.tile_memory
+        """Memory of a worker for which the tiles of a pass are cut, in bytes."""
+        if self.joins(step):
+            return min(self.tile_memory, JOINED_BYTES)
+        return self.tile_memory
 
     @property
     def margin(self) -> int:
-        """Counts around the area within which points are read.
+        """Distance around the area within which points are read, in counts.
 
-        The widest halo that a pass starts with, what labels are made with and bridges are found by, and what a facet at
-        the edge can reach.
+        It is the widest halo with which a pass starts, or the distance over which labels and bridges are decided, or
+        the reach of a facet at the edge, whichever is largest.
         """
         labels = max((Fraction(step.work.label_margin_m) for step in self.steps), default=Fraction(0))
-        labels += BRIDGE_REACH_M if self.config.bridges == "remove" else 0
+        if self.config.bridges == "remove":
+            labels += BRIDGE_REACH_M
         return math.ceil(self.meta.frame.counts(max(Fraction(self.halo_m), self.grid_halo, labels)))
 
     @property
     def density(self) -> float:
-        """Points per square metre of the sources' bounds."""
+        """Points per square metre of the area that they cover. Every place counts once."""
         return self.points / self.area_m2 if self.area_m2 else 0.0
 
     @property
@@ -230,14 +265,14 @@ class Plan:
 
     @property
     def grid_halo(self) -> Fraction:
-        """Metres around a block with which it seldom needs more: a little more than the limit of a facet's edges."""
+        """Distance around a block, in metres, that usually suffices: a little more than the longest edge of a facet."""
         return self.config.max_edge * Fraction(101, 100)
 
     @property
     def thin_ground(self) -> bool:
-        """Whether only one ground point per quarter of a pixel's side makes the surface.
+        """Whether the surface is made of one ground point for each cell of a quarter of a pixel's side.
 
-        It is so where a part of the mean density, or the smallest part in the fullest place, would hold too many.
+        It is if a part of the mean density, or the smallest part in the fullest place, would hold too many points.
         """
         if self.thin is not None:
             return self.thin
@@ -246,18 +281,20 @@ class Plan:
 
     @property
     def surface_share(self) -> int | None:
-        """Cells along a pixel's side of which each gives one point to the surface; None: all ground points make it."""
+        """Cells along a pixel's side, each with one point of the surface; None: all ground points make the surface."""
         if self.config.surface_percent is not None:
             return SURFACE_SHARE
-        return THIN_SHARE if self.thin_ground else None
+        if self.thin_ground:
+            return THIN_SHARE
+        return None
 
     def _part_side_m(self, pixels: int) -> float:
-        """Side of the window of a part of a block, metres."""
+        """Side of the window of a part of a block, in metres."""
         return pixels * float(self.resolution) + 2 * float(self.grid_halo)
 
     @property
     def fullest_part(self) -> float:
-        """About how many points a worker holds of the smallest part of a block, in the fullest place."""
+        """Approximate number of points in the smallest part of a block, in the fullest place."""
         side = self._part_side_m(SMALLEST_PART)
         points = max(self.density * side**2, self.density_map.fullest(side))
         if self.surface_share is None:
@@ -266,33 +303,33 @@ class Plan:
 
     @property
     def block_points(self) -> int:
-        """Points in the window of a block above which it is done in parts."""
+        """A block with more points in its window is done in parts."""
         return max((self.memory - BASE_BYTES - self.line_bytes) // GROUND_BYTES, MAX_GROUND // 8)
 
     @property
     def halo_m(self) -> float:
-        """The widest halo that a pass starts with, metres."""
+        """The widest halo with which a pass starts, in metres."""
         return max((step.halo_m for step in self.steps), default=0.0)
 
     @property
     def tiles(self) -> int:
-        """Filter tiles, if the sources' bounds were filled."""
+        """Approximate number of filter tiles: the area that the points cover over that of a tile."""
         return max(math.ceil(self.area_m2 / float(self.tile) ** 2), 1)
 
     @property
     def fullest_bucket(self) -> float:
-        """About how many points the fullest bucket holds."""
+        """Approximate number of points in the fullest bucket."""
         return max(self.density * self.bucket_m**2, self.density_map.fullest(self.bucket_m))
 
     def fullest_window(self) -> int:
-        """About how many points the fullest window of a filter tile holds, halo included."""
+        """Approximate number of points in the fullest window of a filter tile, halo included."""
         side = float(self.tile) + 2 * self.halo_m
         mean = min(self.density * side**2, self.points)
         return int(max(mean, self.density_map.fullest(side)))
 
     @cached_property
     def line_bytes(self) -> int:
-        """What a worker needs for the lines that the terrain follows."""
+        """Bytes that a worker needs for breaklines."""
         frame, window_m = self.meta.frame, Fraction(self._part_side_m(BLOCK_PIXELS))
         return breakline_bytes(
             self.lines, float(frame.counts(self.resolution)), float(frame.counts(window_m))

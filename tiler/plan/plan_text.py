@@ -2,16 +2,26 @@
 
 from __future__ import annotations
 
+import itertools
+import textwrap
 from collections.abc import Iterable
 from typing import Any
 
+from ptd.matched.survey import in_words
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.units import unit_label
+from tiler.core.units_text import length_text, short_unit
+from tiler.core.words import counted
 from tiler.plan.disk import projected_disk
 from tiler.plan.memory import PlannedPass
 from tiler.plan.model import Plan, steps_of
 from tiler.plan.projection import overlap_of, projected_memory
 from tiler.plan.rates import projected_seconds
+
+WIDTH = 120
+"""Longest line of the plan, in characters."""
+INDENT = " " * 12
+"""Beginning of a line that continues the line above."""
 
 KIND_WORDS = {"lidar": "a laser scan", "dim": "a matched cloud"}
 
@@ -27,6 +37,7 @@ def plan_json(plan: Plan) -> dict[str, Any]:
         "metres_per_unit": {"horizontal": float(frame.units.horizontal), "vertical": float(frame.units.vertical)},
         "area": _area_facts(plan), "extent": [v / COUNTS_PER_UNIT for v in plan.extent.to_json()],
         "method": plan.config.method, "parameters": plan.parameters, "passes": len(plan.steps), "kind": plan.kind,
+        "kind_sure": plan.made and plan.made.sure, "kind_why": plan.made and plan.made.why,
         "halos_m": {step.name: step.halo_m for step in plan.steps},
         "resolution_m": float(plan.resolution), "tile_m": float(plan.tile), "bucket_m": plan.bucket_m,
         "halo_m": plan.halo_m, "tiles": plan.tiles, "overlap_work": overlap_of(plan, plan.steps),
@@ -42,22 +53,23 @@ def plan_lines(plan: Plan) -> list[str]:
     """The plan line by line."""
     frame, memory, disk = plan.meta.frame, projected_memory(plan), projected_disk(plan)
     worst = max(memory, key=lambda k: memory[k])
-    metres = float(frame.metres_xy)
     west, south = plan.extent.x0 / COUNTS_PER_UNIT, plan.extent.y0 / COUNTS_PER_UNIT
-    wide, high = (plan.extent.x1 - plan.extent.x0) * metres, (plan.extent.y1 - plan.extent.y0) * metres
+    wide, high = plan.sides_m
     seconds, measured = projected_seconds(plan)
-    return [
-        f"inputs      {len(plan.sources)} file{'' if len(plan.sources) == 1 else 's'}, {plan.points:,} points, "
-        f"{plan.density:.3g} per m2",
-        f"extent      {wide:,.0f} x {high:,.0f} m from ({west:,.1f}, {south:,.1f})",
+    unit = frame.units.horizontal
+    lines = [
+        f"inputs      {counted(len(plan.sources), 'file')}, {counted(plan.points, 'point')}, {plan.density:.3g} per m2",
+        f"extent      {wide / float(unit):,.0f} x {high / float(unit):,.0f} {short_unit(unit)} from "
+        f"({west:,.1f}, {south:,.1f})",
         f"CRS         {crs_name(frame.crs_wkt)}; x, y in {unit_label(frame.units.horizontal)}, "
         f"z in {unit_label(frame.units.vertical)}",
+        *(f"made by     {in_words(made)}" for made in [plan.made] if made is not None),
         f"method      {plan.config.method}" + _passes_in_words(plan),
-        f"DTM         {float(plan.resolution):g} m pixels, "
-        f"nodata beyond facets of {float(plan.config.max_edge):g} m",
+        f"DTM         pixels of {length_text(plan.resolution, unit)}, "
+        f"nodata beyond facets of {length_text(plan.config.max_edge, unit)}",
         f"products    {', '.join(plan.config.products)}",
         *_drawn_in_words(plan),
-        f"tiles       about {plan.tiles} of {float(plan.tile):g} m with {_halo_in_words(plan)}, "
+        f"tiles       about {plan.tiles} of {length_text(plan.tile, unit)} with {_halo_in_words(plan)}, "
         f"about {plan.fullest_window():,} points in the fullest window"
         + ("; larger tiles for passes on one point a cell" if any(map(plan.joins, plan.steps)) else ""),
         "memory      "
@@ -68,10 +80,24 @@ def plan_lines(plan: Plan) -> list[str]:
         + ", ".join(f"{name} {size / 1e9:.2f}" for name, size in disk.items() if size),
         f"time        about {seconds:,.0f} s, plus start-up"
         + ("" if measured else " (rates of another machine where none of an earlier run here are known)"),
-        *(f"note        {text}" for text in plan.notes),
-        *(f"warning     {text}" for text in plan.warnings),
-        *(f"left out    {path}: {reason}" for path, reason in plan.unreadable),
     ]
+    lines += [f"note        {text}" for text in plan.notes]
+    lines += [f"warning     {text}" for text in plan.warnings]
+    # A path keeps its line, so that it can be copied.
+    left_out = [f"left out    {path}: {reason}" for path, reason in plan.unreadable]
+    return [*itertools.chain.from_iterable(map(wrapped, lines)), *left_out]
+
+
+def wrapped(line: str) -> list[str]:
+    """A line of the plan as lines that fit on a screen; those after the first are indented."""
+    return textwrap.wrap(
+        line,
+        WIDTH,
+        subsequent_indent=INDENT,
+        break_long_words=False,
+        break_on_hyphens=False,
+        drop_whitespace=True,
+    )
 
 
 def _drawn_in_words(plan: Plan) -> list[str]:
@@ -95,9 +121,10 @@ def _area_facts(plan: Plan) -> dict[str, Any] | None:
 
 def _halo_in_words(plan: Plan) -> str:
     """The widest halo and what it costs: for each kind of cloud, where the points are yet to show which it is."""
+    unit = plan.meta.frame.units.horizontal
 
     def words(halo_m: float, steps: Iterable[PlannedPass]) -> str:
-        return f"{halo_m:g} m of halo, overlap work {overlap_of(plan, steps):.2f}"
+        return f"{length_text(halo_m, unit)} of halo, overlap work {overlap_of(plan, steps):.2f}"
 
     if not plan.kinds:
         return words(plan.halo_m, plan.steps)
@@ -115,7 +142,8 @@ def _passes_in_words(plan: Plan) -> str:
         return ", 1 pass" if steps else ""
     some = any(step.sometimes and (step.kind is None or plan.kinds) for step in steps)
     text = f", {len(steps)} passes" + (", not all of which apply to every cloud" if some else "")
-    return text + ": " + ", ".join(f"{step.title} (halo {step.halo_m:g} m)" for step in steps)
+    unit = plan.meta.frame.units.horizontal
+    return text + ": " + ", ".join(f"{step.title} (halo {length_text(step.halo_m, unit)})" for step in steps)
 
 
 def crs_name(wkt: str | None) -> str:

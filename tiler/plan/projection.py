@@ -1,4 +1,4 @@
-"""What a plan costs before any point is read: memory of a worker by stage, and how much of the work is done twice."""
+"""Memory that a plan projects for a worker, and the work that halos add, before any point is read."""
 
 from __future__ import annotations
 
@@ -33,11 +33,14 @@ def projected_memory(plan: Plan) -> dict[str, int]:
 
 
 def _pass_bytes(plan: Plan, step: PlannedPass) -> int:
-    """Peak bytes of a pass: mean tile with widest halo or fullest one, divided until it fits or is one bucket."""
-    side, mean = float(plan.tile), 0
+    """Peak bytes of a pass.
+
+    A tile of mean density may get the widest halo. The fullest tile is divided until it fits or is one bucket.
+    """
     if plan.joins(step):
-        side = math.sqrt(plan.area_m2)
+        side, mean = math.sqrt(plan.area_m2), 0
     else:
+        side = float(plan.tile)
         mean = filter_peak(plan, step, side, widest_halo_m(plan, step))
     whole = filter_peak(plan, step, side, step.halo_m, crowded=True)
     least = filter_peak(plan, step, plan.bucket_m, step.halo_m, crowded=True)
@@ -45,46 +48,55 @@ def _pass_bytes(plan: Plan, step: PlannedPass) -> int:
 
 
 def filter_peak(plan: Plan, step: PlannedPass, side_m: float, halo_m: float, crowded: bool = False) -> int:
-    """Peak bytes of a worker with a tile of that side and halo, of the mean density or in the fullest place."""
-    side, bucket_m = side_m + 2 * halo_m, plan.bucket_m + 2 * step.work.label_margin_m
+    """Peak bytes of a worker with a tile of that side and halo: of the mean density, or in the fullest place."""
+    side = side_m + 2 * halo_m
+    bucket_m = plan.bucket_m + 2 * step.work.label_margin_m
     area = min(side**2, plan.area_m2)
-    points, bucket = plan.density * area, plan.density * bucket_m**2
+    points = plan.density * area
+    bucket = plan.density * bucket_m**2
     if crowded:
         points = max(points, plan.density_map.fullest(side))
         bucket = max(bucket, plan.density_map.fullest(bucket_m))
-    raster = min(side**2, math.prod(plan.sides_m)) if step.work.raster_cell_m else area
-    window = filter_bytes(points, raster, plan.candidate_cell_m, step, plan.fine_m)
-    held = held_bytes(plan.memory) if step.work.label_margin_m else 0
+    if step.work.raster_cell_m:
+        area = min(side**2, math.prod(plan.sides_m))
+    window = filter_bytes(points, area, plan.candidate_cell_m, step, plan.fine_m)
+    held = 0
+    if step.work.label_margin_m:
+        held = held_bytes(plan.memory)
     return int(BASE_BYTES + window + bucket_bytes(bucket) + held)
 
 
 def widest_halo_m(plan: Plan, step: PlannedPass) -> float:
-    """Metres of halo that a tile with marks may take, of the mean density."""
+    """Widest halo, in metres, that a tile of the mean density with marks may take."""
     side, memory = float(plan.tile), plan.tile_memory
     return widened(step, step.halo_m, lambda halo: filter_peak(plan, step, side, halo) <= memory)
 
 
 def overlap_of(plan: Plan, steps: Iterable[PlannedPass]) -> float:
-    """Padded area over core area of a filter tile in the pass that sees most; joined tiles end at the survey."""
+    """Padded area over core area of a filter tile, in the pass with the widest view; joined tiles end at the survey."""
     return max((_overlap(plan, step) for step in steps), default=1.0)
 
 
 def _overlap(plan: Plan, step: PlannedPass) -> float:
-    found, wider = 1.0, 2 * step.halo_m
+    found = 1.0
     for side, most in zip(_tile_sides_m(plan, step), plan.sides_m, strict=True):
-        found *= (min(side + wider, most) if plan.joins(step) else side + wider) / side
+        padded = side + 2 * step.halo_m
+        if plan.joins(step):
+            padded = min(padded, most)
+        found *= padded / side
     return found
 
 
 def _tile_sides_m(plan: Plan, step: PlannedPass) -> tuple[float, float]:
-    """About the sides of the tiles of a pass, see `tiler.plan.filter_tiles`."""
+    """Approximate sides of the tiles of a pass; `tiler.filter.tasks.tiles` cuts them."""
     if not plan.joins(step):
         return float(plan.tile), float(plan.tile)
-    sides, most = list(plan.sides_m), plan.tile_memory_of(step)
+    sides = list(plan.sides_m)
     wanted = plan.wanted_tiles(plan.points)
-    while max(sides) > plan.bucket_m and (
-        wanted > 1 or filter_peak(plan, step, math.sqrt(math.prod(sides)), step.halo_m) > most
-    ):
+    while max(sides) > plan.bucket_m:
+        peak = filter_peak(plan, step, math.sqrt(math.prod(sides)), step.halo_m)
+        if wanted <= 1 and peak <= plan.tile_memory_of(step):
+            break
         sides[sides.index(max(sides))] /= 2
         wanted //= 2
     return sides[0], sides[1]

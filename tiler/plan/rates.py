@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from tiler.io.json_text import read_object
+from tiler.io.partial_files import replace_file
 from tiler.plan.model import Plan
 from tiler.version import __version__
 
@@ -54,8 +55,10 @@ def remember(plan: Plan, stages: Mapping[str, Mapping[str, Any]]) -> None:
     partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
     with suppress(OSError):
         path.parent.mkdir(parents=True, exist_ok=True)
-        partial.write_text(json.dumps({"version": __version__, "seconds_per_million": known}, indent=1))
-        os.replace(partial, path)
+        partial.write_text(
+            json.dumps({"version": __version__, "seconds_per_million": known}, indent=1), "utf-8"
+        )
+        replace_file(partial, path)
 
 
 def projected_seconds(plan: Plan) -> tuple[float, bool]:

@@ -1,24 +1,27 @@
-"""Refuses settings and inputs that cannot work, and names what would; warns of doubtful ones."""
+"""Refuses settings and inputs that cannot work, with a remedy."""
 
 from __future__ import annotations
 
 import math
 import os
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+from fractions import Fraction
 from pathlib import Path
 
 from tiler.config import RunConfig
-from tiler.core.crs import crs_name, length_scale
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.products import PRODUCTS
 from tiler.core.sheet_names import beginning
 from tiler.errors import ConfigError
 from tiler.io.locations import joined
 from tiler.io.overwrite_check import Target, check_folder, check_targets
+from tiler.io.partial_files import LONGEST_NAME, name_bytes
 from tiler.io.result_folder import (
     ASIDE,
     BRIDGES,
     CLASSIFIED,
+    COPC_SUFFIX,
     EVENTS,
     LEGEND,
     OUTLINE,
@@ -35,85 +38,42 @@ from tiler.io.result_folder import (
     mosaic_file,
     raster_file,
 )
-from tiler.plan.disk import free_bytes, needed_bytes
+from tiler.plan.disk import free_bytes, needed_bytes, pixels_of, too_much_between
 from tiler.plan.machine import memory_bytes
-from tiler.plan.model import Plan, steps_of
-from tiler.plan.projection import filter_peak, projected_memory
+from tiler.plan.model import Plan
+from tiler.plan.projection import projected_memory
+from tiler.plan.sizes import resolution_of
+
+Changed = Callable[..., Plan]
+"""Makes a plan with other values of settings, given by name."""
 
 MAX_DENOMINATOR = 511
 """Largest denominator of a pixel's side in counts with which gridding is exact in int64."""
 WIDEST_PIXEL = 1 << 26
-"""Counts of a pixel's side from which on gridding is not exact in int64."""
-WIDEST_RELIEF_M = 9000
-WIDE_TILE = 2 + 2 * math.sqrt(2)
-"""Side of a tile, in halos, with which twice the work is done."""
+"""Gridding is exact in int64 for pixels with a side below so many counts."""
 
 NAMED = 5
-"""Files that a refusal names; the others are counted."""
-
-MUCH_OVERLAP = 3.0
-"""Padded area over core area, mean of the passes, above which a warning says so."""
-
-STRETCHED = 1.05
-"""Length in the plane over length on the ground, or the inverse, from which on a CRS is warned of: those made
-for surveys stay within 1.03."""
-
-
-def warnings_of(plan: Plan) -> list[str]:
-    """What is probably wrong, or costs more than it need."""
-    units, found = plan.meta.frame.units, []
-    boxes = [(s.path, s.bounds) for s in plan.sources if s.points and s.bounds is not None]
-    relief = (max(b[5] for _, b in boxes) - min(b[2] for _, b in boxes)) * float(units.vertical)
-    if relief > WIDEST_RELIEF_M:
-        found.append(
-            f"heights span {relief:,.0f} m, more than any terrain: noise far from the ground, "
-            "or z is in another unit; --units h,v"
-        )
-    for path, (x0, y0, z0, x1, y1, z1) in boxes:
-        side = max(min(x1 - x0, y1 - y0), 1.0) * float(units.horizontal)
-        rise = (z1 - z0) * float(units.vertical)
-        if side > 50 and rise > 2 * side:
-            found.append(
-                f"{path}: rises {rise:,.0f} m over {side:,.0f} m: noise, or z is in another unit; --units h,v"
-            )
-    found += _stretched(plan)
-    # What is not known to be a matched cloud is not warned of as one.
-    steps, tile = steps_of(plan.passes, plan.kind or "lidar"), float(plan.tile)
-    halos = [step.halo_m for step in steps if not plan.joins(step)]
-    work = [
-        math.prod(min(tile + 2 * halo, side) / min(tile, side) for side in plan.sides_m) for halo in halos
-    ]
-    if work and sum(work) > MUCH_OVERLAP * len(work):
-        found.append(
-            f"tiles of {tile:g} m with up to {max(halos):g} m of halo do {sum(work) / len(work):.1f} times "
-            f"the work; use --tile-size {math.ceil(WIDE_TILE * max(halos))} or more --memory"
-        )
-    return found
-
-
-def _stretched(plan: Plan) -> list[str]:
-    """Tells of a CRS whose metres are none on the ground, as those of Web Mercator."""
-    wkt, extent = plan.meta.frame.crs_wkt, plan.extent
-    if wkt is None:
-        return []
-    x, y = (extent.x0 + extent.x1) / 2 / COUNTS_PER_UNIT, (extent.y0 + extent.y1) / 2 / COUNTS_PER_UNIT
-    scale = length_scale(wkt, x, y)
-    if scale is None or 1 / STRETCHED < scale < STRETCHED:
-        return []
-    return [
-        f"the CRS {crs_name(wkt)} makes lengths {scale:.2f} times those on the ground here (x {x:,.0f}, y {y:,.0f}), "
-        "and the filter takes them as they are; reproject the clouds to a CRS for surveys, such as UTM"
-    ]
+"""Number of files that a refusal names; it counts the others."""
 
 
 def read_besides(config: RunConfig) -> list[str]:
-    """Files that a run reads besides its clouds."""
+    """Files that a run reads in addition to its clouds."""
     names = (config.aoi, config.edits, config.water_file)
     return [*(name for name in names if name is not None), *config.breaklines]
 
 
+FILES = (".tif", ".tiff", ".vrt", ".las", ".laz", ".gpkg", ".asc", ".img", ".png", ".html", ".json")
+"""Endings of names that are those of files: who gives one as OUT takes it for the terrain model."""
+
+
 def refuse_places(config: RunConfig, products: str, paths: Sequence[Path]) -> None:
-    """Raise ConfigError where folders of a run lie where its inputs are, or the store where its files go."""
+    """Raise ConfigError if OUT has a file's name, a folder lies among the inputs, or the store among the results."""
+    name, folder = os.path.splitext(products)[1].lower(), os.path.isdir(products)
+    if name in FILES and not folder:
+        raise ConfigError(
+            f"-o {products}: is the folder of the results, and has the name of a file; use -o "
+            f"{os.path.splitext(products)[0]}, which gets dtm.tif and all else"
+        )
     for name in (CLASSIFIED, ASIDE):
         check_folder("-o", joined(products, name), paths)
     store = config.store or joined(products, STORE)
@@ -123,14 +83,40 @@ def refuse_places(config: RunConfig, products: str, paths: Sequence[Path]) -> No
 
 
 def refuse_targets(plan: Plan, products: str, paths: Sequence[Path]) -> None:
-    """Raise ConfigError where a run would write over what it reads, or over files that no run of its OUT made."""
-    exported, sheets, out = plan.config.exported, plan.config.sheets is not None, folder_here(products)
-    wanted = [mosaic_file(name) if sheets else raster_file(name) for name in exported]
+    """Raise ConfigError if a run would write over its inputs, or over files that no run of its OUT made."""
+    out = folder_here(products)
+    wanted = _targets(plan)
+    places = [joined(products, name) for name in wanted]
+    places += [joined(place, name) for place in (str(out), products) for name in (RUN, EVENTS, REPORT)]
+    reads: list[str | Path] = [*paths, *read_besides(plan.config)]
+    check_targets([Target("-o", place) for place in places], reads)
+    if plan.config.force:
+        return
+    starts = {}
+    if plan.config.sheets is not None:
+        names = (*plan.config.exported, SHEET_ITEMS)
+        starts = {name: beginning(plan.config.sheet_name, name) for name in names}
+    found = foreign_files(out, products, wanted, starts)
+    if found:
+        more = f" and {len(found) - NAMED:,} more" if len(found) > NAMED else ""
+        raise ConfigError(
+            f"-o {products}: {', '.join(found[:NAMED])}{more}: there already, and not known to be of a run of this "
+            "folder; use another -o, or --force to replace them"
+        )
+
+
+def _targets(plan: Plan) -> list[str]:
+    """Names in OUT of the files that a run writes, except run.json, the log, the report and sheets."""
+    exported = plan.config.exported
+    if plan.config.sheets is not None:
+        wanted = [mosaic_file(name) for name in exported]
+        wanted.append(SHEETS)
+    else:
+        wanted = [raster_file(name) for name in exported]
+        wanted += [f"{raster_file(name)}{LEGEND}" for name in exported if PRODUCTS[name].values]
     wanted += [f"{name}.gpkg" for name in plan.config.drawn]
-    wanted += [BRIDGES] if plan.config.bridges == "remove" else []
-    wanted += (
-        [SHEETS] if sheets else [f"{raster_file(name)}{LEGEND}" for name in exported if PRODUCTS[name].values]
-    )
+    if plan.config.bridges == "remove":
+        wanted.append(BRIDGES)
     if plan.config.outline == "survey":
         wanted.append(OUTLINE)
     if plan.config.water != "none":
@@ -139,22 +125,7 @@ def refuse_targets(plan: Plan, products: str, paths: Sequence[Path]) -> None:
     if plan.writes_clouds:
         wanted.append(VIRTUAL)
         wanted += [f"{CLASSIFIED}/{name}" for name in plan.names.values()]
-    places = [joined(products, name) for name in wanted]
-    places += [joined(place, name) for place in (str(out), products) for name in (RUN, EVENTS, REPORT)]
-    reads: list[str | Path] = [*paths, *read_besides(plan.config)]
-    check_targets([Target("-o", place) for place in places], reads)
-    if plan.config.force:
-        return
-    starts = (
-        {name: beginning(plan.config.sheet_name, name) for name in (*exported, SHEET_ITEMS)} if sheets else {}
-    )
-    found = foreign_files(out, products, wanted, starts)
-    if found:
-        more = f" and {len(found) - NAMED:,} more" if len(found) > NAMED else ""
-        raise ConfigError(
-            f"-o {products}: {', '.join(found[:NAMED])}{more}: there already, and not known to be of a run of this "
-            "folder; use another -o, or --force to replace them"
-        )
+    return wanted
 
 
 def refuse_resolution(plan: Plan) -> None:
@@ -172,9 +143,39 @@ def refuse_resolution(plan: Plan) -> None:
         )
 
 
-def refuse(plan: Plan, out: Path | None) -> None:
-    """Raise ConfigError for settings that would fail on the way: memory, disk, resolution."""
-    _refuse_memory(plan)
+def refuse_fine(plan: Plan, out: Path | None) -> None:
+    """Raise ConfigError if a raster is too large because of its fine pixels, not because the files lie far apart."""
+    usual = _usual_pixel(plan)
+    if usual is None or not too_much_between(plan, out) or too_much_between(usual, out):
+        return
+    pixels, spacing = pixels_of(plan).largest, 1 / math.sqrt(plan.density)
+    raise ConfigError(
+        f"--resolution {float(plan.resolution):g} m: one raster would have {pixels:.2g} pixels, and the points are "
+        f"{spacing:.2g} m apart; use --resolution {float(usual.resolution):g}, or --sheets"
+    )
+
+
+def _usual_pixel(plan: Plan) -> Plan | None:
+    """The plan with the default pixel; None if the pixel that was asked for is not finer."""
+    config, unit = plan.config.updated(resolution=None), plan.meta.frame.units.horizontal
+    usual = resolution_of(config, plan.density, plan.kind, unit, [])
+    if usual <= plan.resolution:
+        return None
+    return replace(plan, resolution=usual)
+
+
+def refuse(plan: Plan, out: Path | None, changed: Changed) -> None:
+    """Raise ConfigError for settings that would fail during the run: memory, disk, resolution.
+
+    Parameters
+    ----------
+    plan : Plan
+    out : Path or None
+        Folder whose disk is checked.
+    changed : callable
+        Makes the plan for other values of settings, given by name. A refusal names values that suffice.
+    """
+    _refuse_memory(plan, changed)
     refuse_resolution(plan)
     sheets = plan.config.sheets
     if sheets is not None and (sheets / plan.resolution).denominator != 1:
@@ -186,17 +187,34 @@ def refuse(plan: Plan, out: Path | None) -> None:
         raise ConfigError(
             f"--sheet-name {plan.config.sheet_name}: several products would have one name; write {{name}} into it"
         )
+    _refuse_long_names(plan)
     if out is not None:
         _refuse_disk(plan, out)
 
 
-def _refuse_memory(plan: Plan) -> None:
+def _refuse_long_names(plan: Plan) -> None:
+    """Raise ConfigError if a classified cloud would have a longer name than a file system takes."""
+    if not plan.writes_clouds:
+        return
+    for source, name in plan.names.items():
+        size = name_bytes(name)
+        if size > LONGEST_NAME:
+            shorter = ""
+            if size - len(COPC_SUFFIX) + len(".laz") <= LONGEST_NAME:
+                shorter = ", use --classified laz"
+            raise ConfigError(
+                f"{source}: its classified cloud {name.name[:20]}...{name.suffix} would have a name of {size} bytes, "
+                f"{LONGEST_NAME} are possible; rename the input{shorter}, or leave it out with --classified none"
+            )
+
+
+def _refuse_memory(plan: Plan, changed: Changed) -> None:
     memory = projected_memory(plan)
     worst = max(memory, key=lambda k: memory[k])
     if memory[worst] > plan.memory:
         raise ConfigError(
             f"{worst} needs {memory[worst] / 2**20:,.0f} MiB a worker, {plan.memory / 2**20:,.0f} MiB are allowed; "
-            f"use --memory {memory[worst] // 2**20 + 1}MiB{_instead(plan, worst)}"
+            f"use --memory {enough_memory(plan, changed) >> 20}MiB{_instead(plan, worst, changed)}"
         )
     workers, machine = plan.config.workers or 1, memory_bytes()
     if plan.config.scheduler is None and workers * memory[worst] > max(machine, memory[worst]):
@@ -206,24 +224,41 @@ def _refuse_memory(plan: Plan) -> None:
         )
 
 
-def _instead(plan: Plan, stage: str) -> str:
-    """The other setting that would make a stage fit, besides more memory; empty where there is none."""
+def enough_memory(plan: Plan, changed: Changed) -> int:
+    """Memory in bytes, a whole number of MiB, that suffices for a worker.
+
+    More memory makes tiles larger, which then need more: hence the loop.
+    """
+    wanted = max(projected_memory(plan).values())
+    while True:
+        allowed = -(-wanted >> 20) << 20
+        needed = max(projected_memory(changed(memory=allowed)).values())
+        if needed <= allowed:
+            return allowed
+        wanted = max(needed, int(1.01 * allowed))
+
+
+def _instead(plan: Plan, stage: str, changed: Changed) -> str:
+    """Text that names another setting than more memory with which the stage fits; empty if there is none."""
     if stage == "grid" and plan.grid_halo > plan.resolution:
         return " or a smaller --max-edge"
     if stage != "filter":
         return ""
 
-    def fits(side: float, halo: float) -> bool:
-        halos = {step: halo if step.work.reach_m is None else step.halo_m for step in plan.likely}
-        return all(filter_peak(plan, s, side, h, crowded=True) <= plan.memory for s, h in halos.items())
+    def suffices(**values: Fraction) -> bool:
+        other = changed(memory=plan.memory, **values)
+        return max(projected_memory(other).values()) <= plan.memory
 
-    count = int(float(plan.tile) // plan.bucket_m)
-    sides = [plan.bucket_m * n for n in range(count - 1, 0, -1) if fits(plan.bucket_m * n, plan.halo_m)]
-    if sides:
-        return f" or --tile-size {sides[0]:g}"
-    halos = [halo for halo in range(int(plan.halo_m), 0, -1) if fits(plan.bucket_m, halo)]
-    if halos:
-        return f" or --halo {halos[0]} --tile-size {plan.bucket_m:g}"
+    side, bucket = Fraction(plan.tile), Fraction(plan.bucket_m)
+    while side >= bucket:
+        if suffices(tile_size=side):
+            return f" or --tile-size {float(side):g}"
+        side = side / 2 // bucket * bucket
+    halo = Fraction(int(plan.halo_m / 2))
+    while halo >= 1:
+        if suffices(tile_size=bucket, halo=halo):
+            return f" or --halo {float(halo):g} --tile-size {float(bucket):g}"
+        halo = Fraction(int(halo / 2))
     return " or another --method"
 
 
@@ -244,7 +279,8 @@ def _refuse_disk(plan: Plan, out: Path) -> None:
         raise ConfigError(f"-o {out}: {existing} cannot be written; name a folder on a disk that can")
     need, free = needed_bytes(plan), free_bytes(out)
     if need > free:
-        raise ConfigError(
-            f"{out}: needs about {need / 1e6:,.0f} MB, {free / 1e6:,.0f} MB are free; "
-            "free some, or use --store on another disk or fewer --products"
-        )
+        remedy = "free some, or use --store on another disk or fewer --products"
+        usual = _usual_pixel(plan)
+        if usual is not None and needed_bytes(usual) <= free:
+            remedy = f"use --resolution {float(usual.resolution):g} instead of {float(plan.resolution):g}, or free some"
+        raise ConfigError(f"{out}: needs about {need / 1e6:,.0f} MB, {free / 1e6:,.0f} MB are free; {remedy}")

@@ -9,10 +9,12 @@ from functools import reduce
 
 import numpy as np
 
+from ptd.matched.evidence import DIM
 from tiler.config import RunConfig
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds
-from tiler.ingest import Patch, SourceInfo
+from tiler.core.units_text import length_text
+from tiler.inputs import SourceInfo
 from tiler.plan.density_map import DensityMap
 from tiler.plan.memory import ASSEMBLY_POINT_BYTES, BASE_BYTES, PlannedPass, filter_bytes
 from tiler.store import StoreMeta
@@ -26,47 +28,66 @@ TILE_POINTS = 500_000
 """Points of a tile of a sparse cloud, whose side is `SPARSE_TILE_M` at most: a task costs more than a few points do."""
 SPARSE_TILE_M = 4096
 
-FAR_FROM_MEAN = 2.0
-"""From so many times the mean over the files' bounds on the density of the sample counts, rough as it is."""
+FINE_PIXELS_M = (Fraction(1, 10), Fraction(1, 4), Fraction(1, 2))
+"""Pixels of dense matched clouds, in metres."""
+PIXELS_FT = (Fraction(1, 10), Fraction(1, 5), Fraction(1, 2), *map(Fraction, (1, 2, 5, 10)))
+"""Pixels that are chosen in a CRS with another unit than the metre, in that unit."""
+USUAL_FT = Fraction(2)
+"""Pixel, in the unit of the CRS, that replaces the pixel of 1 m where that unit is not the metre."""
+MATCHED_POINTS = 9.0
+"""Points that a pixel of a matched cloud holds at least: their mean is better than one, and relief is not finer."""
+MOSTLY_VOID = 0.5
+"""Part of the files' bounds that a sample of the points has to cover for the bounds to count as the area; else the area
+that the sample covers counts, rough as it is."""
 
-SMALLEST_M2 = 1.0
-"""Area of a patch at least, as of the bounds of a file."""
 
-
-def density_of(
-    points: int, covered_m2: float, patches: Sequence[Patch], metres: float, notes: list[str]
+def covered_m2(
+    bounds: Iterable[Sequence[float]],
+    points: int,
+    density_map: DensityMap,
+    metres: float,
+    notes: list[str],
 ) -> float:
-    """Points per m2: the mean over the bounds of the files, or where those are mostly void that of the median patch.
+    """Area on which the points lie, m2: what the bounds of the files cover, or where those are mostly void a sample.
 
-    Patches are of single files: that files lie on each other is no reason for more.
+    Every place counts once, however many files lie on it.
+
+    Parameters
+    ----------
+    bounds : iterable of 6 float
+        Of each file with points: lowest x, y, z, highest x, y, z in units of the CRS.
+    points : int
+        Of all files.
+    density_map : DensityMap
+    metres : float
+        Of a unit of the CRS.
+    notes : list of str
+        Gets what was decided.
     """
-    mean = points / covered_m2
-    if not patches:
-        return mean
-    areas = [max((p.x1 - p.x0) * (p.y1 - p.y0) * metres**2, SMALLEST_M2) for p in patches]
-    held = np.array([p.points for p in patches])
-    densities = held / areas
-    order = np.argsort(densities, kind="stable")
-    half = np.searchsorted(np.cumsum(held[order]), held.sum() / 2)
-    sample = float(densities[order[half]])
-    if sample <= FAR_FROM_MEAN * mean:
-        return mean
+    whole = _area_of_union([(b[0], b[1], max(b[3], b[0] + 1), max(b[4], b[1] + 1)) for b in bounds])
+    whole *= metres**2
+    sample = density_map.covered_m2
+    if not 0 < sample < MOSTLY_VOID * whole:
+        return whole
     notes.append(
-        f"{sample:.2g} points/m2 in a sample, {mean:.2g} over the bounds of the files, which are mostly void: "
-        "sizes follow from the sample"
+        f"{points / sample:.2g} points/m2 where a sample lies, {points / whole:.2g} over the bounds of the files, "
+        "which are mostly void: sizes follow from the sample"
     )
     return sample
 
 
-def extent_of(sources: Sequence[SourceInfo], metres: float) -> tuple[Bounds, float]:
-    """Union of the sources' bounds in absolute counts, and the area that they cover in m2 (overlaps count twice)."""
-    boxes = [source.bounds for source in sources if source.bounds is not None]
-    area = sum(max(x1 - x0, 1.0) * max(y1 - y0, 1.0) * metres**2 for x0, y0, _, x1, y1, _ in boxes)
-    return hull_of(sources), area
+def _area_of_union(boxes: Sequence[Sequence[float]]) -> float:
+    """Area that rectangles (x0, y0, x1, y1) cover together."""
+    if len(boxes) == 1:  # spares the import, which takes longer than the rest of a plan
+        ((x0, y0, x1, y1),) = boxes
+        return (x1 - x0) * (y1 - y0)
+    import shapely
+
+    return float(shapely.union_all(shapely.box(*np.array(boxes).T)).area)
 
 
 def hull_of(sources: Iterable[SourceInfo]) -> Bounds:
-    """The smallest bounds that hold some sources, all of which have points."""
+    """The smallest bounds that hold some sources; each source has points."""
     return reduce(Bounds.union, map(bounds_of, sources))
 
 
@@ -117,21 +138,58 @@ def tile_m(
     return max(min(Fraction(most), Fraction(max(side, 0.0))) // bucket, 1) * bucket
 
 
-def resolution_of(config: RunConfig, density: float, notes: list[str]) -> Fraction:
-    """1 m, or the mean spacing of the points where that is coarser, up to ``--max-edge``."""
+def resolution_of(
+    config: RunConfig, density: float, kind: str | None, unit: Fraction, notes: list[str]
+) -> Fraction:
+    """Side of a pixel in metres, where the user says none.
+
+    1 m, or the mean spacing of the points where that is coarser, up to ``--max-edge``. For matched clouds one of
+    `FINE_PIXELS_M`, the finest that holds about `MATCHED_POINTS`. Where the unit is not the metre one of `PIXELS_FT`
+    of it instead, 2 ft for 1 m: sheets of round numbers of feet then have whole numbers of pixels.
+
+    Parameters
+    ----------
+    config : RunConfig
+    density : float
+        Points per m2.
+    kind : {"lidar", "dim"} or None
+        What made the clouds, as the user says it or their points show it.
+    unit : Fraction
+        Metres of a unit of the CRS.
+    notes : list of str
+        Gets what was decided.
+    """
     if config.resolution is not None:
         return config.resolution
     spacing = 1 / math.sqrt(density)
-    if spacing <= 1.05:
-        return Fraction(1)
-    if spacing > config.max_edge:
+    if kind == DIM and (fine := _finest_pixel(density, unit)) is not None:
+        held = density * float(fine) ** 2
         notes.append(
-            f"decided: pixels of {float(config.max_edge):g} m, though points are {spacing:.2g} m apart: --max-edge "
-            f"{float(config.max_edge):g} m lets no height reach that far; set --resolution and --max-edge"
+            f"decided: pixels of {length_text(fine, unit)}, which hold about {held:.0f} points each, as "
+            "image matching smooths what is smaller (--resolution)"
+        )
+        return fine
+    if spacing <= 1.05:
+        return Fraction(1) if unit == 1 else USUAL_FT * unit
+    if spacing > config.max_edge:
+        edge, apart = length_text(config.max_edge, unit), length_text(round(spacing, 2), unit)
+        notes.append(
+            f"decided: pixels of {edge}, though points are {apart} apart: --max-edge {float(config.max_edge):g}m lets "
+            "no height reach that far; set --resolution and --max-edge"
         )
         return config.max_edge
     resolution = Fraction(math.ceil(2 * spacing), 2)
+    if unit != 1:
+        rounder = next((side * unit for side in PIXELS_FT if side * unit >= spacing), None)
+        resolution = math.ceil(spacing / unit / 10) * 10 * unit if rounder is None else rounder
     notes.append(
-        f"decided: pixels of {float(resolution):g} m, as the points are {spacing:.2g} m apart (--resolution)"
+        f"decided: pixels of {length_text(resolution, unit)}, as the points are "
+        f"{length_text(round(spacing, 2), unit)} apart (--resolution)"
     )
     return resolution
+
+
+def _finest_pixel(density: float, unit: Fraction) -> Fraction | None:
+    """The finest pixel of a matched cloud in metres, round in units of the CRS; None where 1 m is fine enough."""
+    sides = FINE_PIXELS_M if unit == 1 else tuple(side * unit for side in PIXELS_FT if side <= USUAL_FT)
+    return next((side for side in sides if density * float(side) ** 2 >= MATCHED_POINTS), None)

@@ -1,58 +1,105 @@
-"""Inputs that are Entwine point tiles (EPT): the nodes that a run may need, and the CRS that their files leave out."""
+"""Inputs that are Entwine point tiles (EPT): the nodes that a run may need, and the CRS for files that have none.
+
+Where ``ept.json`` and the files of its nodes contradict each other, the files count, and notes say so.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
-from dataclasses import replace
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
 
 from pyproj import CRS
 
 from tiler.config import RunConfig
+from tiler.core.area import Area
+from tiler.core.crs import same_horizontal, split
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.errors import ConfigError
-from tiler.ingest import (
+from tiler.inputs import (
+    Georeference,
     PointTiles,
     SourceInfo,
-    Touches,
     bounds_in_counts,
     describe,
     is_point_tiles,
-    read_point_tiles,
+    key_of,
 )
 from tiler.plan.area import area_of
 from tiler.plan.model import Plan
 
+_CARELESS = 1.0
+"""Points may lie so many units of the CRS outside their node, as some writers round carelessly."""
+
+Told = str | None
+
 NEAR_M = 1000
-"""Metres around the area, besides what settings ask for, within which nodes are looked at; the plan takes what it needs
-of these when it knows how far that is."""
-NODES_FOLDER, NAME = "ept-data", "ept.json"
+"""Nodes within this distance of the area are considered, in addition to the distances that settings name.
+
+The plan narrows the choice when it knows how far the method looks.
+"""
 
 
-def near_nodes(config: RunConfig, tiles: PointTiles) -> Touches | None:
-    """What tells whether the square of a node comes near the area of a run; None where there is none."""
-    area = area_of(config, tiles.wkt, [])
-    if area is None:
-        return None
-    crs = None if tiles.wkt is None else describe(CRS.from_wkt(tiles.wkt))
-    unit = 1 if crs is None or crs.horizontal is None else crs.horizontal
-    reach = math.ceil(_reach_m(config) / unit * COUNTS_PER_UNIT)
-    return lambda box: area.touches(bounds_in_counts(box).pad(reach))
+@dataclass(frozen=True)
+class Near:
+    """Tells whether a box lies within ``reach`` counts of an area."""
+
+    area: Area
+    reach: int
+
+    def __call__(self, box: tuple[float, float, float, float]) -> bool:
+        """Whether a box, in units of the CRS, lies near the area."""
+        return self.area.touches(bounds_in_counts(box).pad(self.reach))
+
+
+class TilesOfRun:
+    """The point tiles among the inputs of a run: the nodes that are read, and their hierarchy."""
+
+    def __init__(self, config: RunConfig) -> None:
+        self._config = config
+        self._found: list[tuple[PointTiles, dict[Path, int]]] = []
+
+    def wanted(self, tiles: PointTiles) -> Near | None:
+        """Test whether the square of a node lies near the area of the run; None: there is no area."""
+        area = area_of(self._config, tiles.wkt, [])
+        if area is None:
+            return None
+        unit = None
+        if tiles.wkt is not None:
+            unit = describe(CRS.from_wkt(tiles.wkt)).horizontal
+        return Near(area, math.ceil(_reach_m(self._config) / (unit or 1) * COUNTS_PER_UNIT))
+
+    def listed(self, tiles: PointTiles, counts: dict[Path, int]) -> None:
+        """Record the files of the nodes that are read, with their number of points by the hierarchy."""
+        self._found.append((tiles, counts))
+
+    def with_crs(self, sources: Sequence[SourceInfo], notes: list[str]) -> list[SourceInfo]:
+        """Sources, in which nodes without a CRS get that of ``ept.json``. Contradictions become notes."""
+        whole = self._config.bounds is None and self._config.aoi is None
+        known: dict[Path, Georeference] = {}
+        for tiles, counts in self._found:
+            notes += contradictions(tiles, counts, [s for s in sources if s.path in counts], whole)
+            if tiles.wkt is not None:
+                known |= dict.fromkeys(counts, describe(CRS.from_wkt(tiles.wkt)))
+        found = []
+        for source in sources:
+            if source.georeference.kind == "missing" and source.path in known:
+                source = replace(source, georeference=known[source.path])
+            found.append(source)
+        return found
 
 
 def refuse_far(plan: Plan, inputs: Sequence[str]) -> None:
-    """Raise ConfigError where a run needs points farther from its area than nodes of point tiles were looked for."""
+    """Raise ConfigError if a run needs points farther from its area than nodes of point tiles were considered."""
     reach = _reach_m(plan.config)
-    if (
-        plan.area is not None
-        and any(map(is_point_tiles, inputs))
-        and plan.margin > plan.meta.frame.counts(reach)
-    ):
+    if plan.area is None or not any(map(is_point_tiles, inputs)):
+        return
+    if plan.margin > plan.meta.frame.counts(reach):
         raise ConfigError(
-            f"--halo: of {NAME} nodes are looked for {float(reach):g} m around the area, this run needs points farther "
-            "off; use a smaller halo, or no --bounds"
+            f"--halo: of ept.json nodes are looked for {float(reach):g} m around the area, this run needs points "
+            "farther off; use a smaller halo, or no --bounds"
         )
 
 
@@ -60,18 +107,86 @@ def _reach_m(config: RunConfig) -> Fraction:
     return NEAR_M + Fraction(config.max_edge) + Fraction(config.halo or 0)
 
 
-def with_crs_of_tiles(inputs: Sequence[str], sources: Iterable[SourceInfo]) -> list[SourceInfo]:
-    """Sources; those that are nodes of point tiles among the inputs, and have no CRS, with that of ``ept.json``."""
-    if not any(map(is_point_tiles, inputs)):
-        return list(sources)
-    known: dict[Path, str | None] = {}
-    found = []
-    for source in sources:
-        folder = source.path.parent
-        if source.georeference.kind == "missing" and folder.name == NODES_FOLDER:
-            if folder not in known:
-                known[folder] = read_point_tiles(str(folder.parent / NAME)).wkt
-            wkt = known[folder]
-            source = source if wkt is None else replace(source, georeference=describe(CRS.from_wkt(wkt)))
-        found.append(source)
-    return found
+def contradictions(
+    tiles: PointTiles, counts: Mapping[Path, int], sources: Sequence[SourceInfo], whole: bool
+) -> Iterator[str]:
+    """Yield a line for each kind of contradiction, with the first file that shows it.
+
+    Parameters
+    ----------
+    tiles : PointTiles
+    counts : mapping of Path to int
+        Points of each file that was looked for, by the hierarchy.
+    sources : sequence of SourceInfo
+        The files that could be read.
+    whole : bool
+        Whether these are all nodes.
+    """
+    if whole:
+        yield from tiles.other_total(sum(counts.values()))
+    same: dict[str, bool] = {}
+    kinds: tuple[Callable[[SourceInfo], Told], ...] = (
+        lambda source: _points(counts, source),
+        lambda source: _place(tiles, source),
+        lambda source: _crs(tiles, source, same),
+        lambda source: _scales(tiles, source),
+        lambda source: _colours(tiles, source),
+    )
+    for told in kinds:
+        found = []
+        for source in sources:
+            text = told(source)
+            if text is not None:
+                found.append((source.path, text))
+        if found:
+            path, text = found[0]
+            more = f" ({len(found)} of {len(sources)} files)" if len(sources) > 1 else ""
+            yield f"{tiles.text}: {text} in {path.name}{more}; the files count; make it again"
+
+
+def _points(counts: Mapping[Path, int], source: SourceInfo) -> Told:
+    said = counts[source.path]
+    if said == source.points:
+        return None
+    return f"its hierarchy says {said} points, there are {source.points}"
+
+
+def _place(tiles: PointTiles, source: SourceInfo) -> Told:
+    key = key_of(source.path)
+    if source.bounds is None or key is None:
+        return None
+    x0, y0, _, x1, y1, _ = source.bounds
+    west, south, east, north = tiles.box(key)
+    if min(x0 - west, y0 - south, east - x1, north - y1) >= -_CARELESS:
+        return None
+    return (
+        f"its bounds place the node in {west:.10g} {south:.10g} {east:.10g} {north:.10g}, "
+        f"points lie in {x0:.10g} {y0:.10g} {x1:.10g} {y1:.10g}"
+    )
+
+
+def _crs(tiles: PointTiles, source: SourceInfo, same: dict[str, bool]) -> Told:
+    wkt = source.georeference.wkt
+    if tiles.wkt is None or wkt is None:
+        return None
+    if wkt not in same:
+        own, _ = split(CRS.from_wkt(wkt))
+        said, _ = split(CRS.from_wkt(tiles.wkt))
+        same[wkt] = own is None or said is None or same_horizontal(said, own)
+    if same[wkt]:
+        return None
+    return f"its srs is {CRS.from_wkt(tiles.wkt).name}, the CRS is {source.georeference.name}"
+
+
+def _scales(tiles: PointTiles, source: SourceInfo) -> Told:
+    if tiles.scales in (None, source.scales):
+        return None
+    return f"its schema says scales {tiles.scales}, they are {source.scales}"
+
+
+def _colours(tiles: PointTiles, source: SourceInfo) -> Told:
+    if tiles.has_rgb in (None, source.has_rgb):
+        return None
+    if tiles.has_rgb:
+        return "its schema has colours, there are none"
+    return "its schema has no colours, there are some"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -10,13 +11,19 @@ import numpy.typing as npt
 
 from tiler.core.frame import COUNTS_PER_UNIT, INT32_LIMIT
 from tiler.core.lattice import Bounds
-from tiler.core.water import KINDS, LAKE, RIVER, Water
+from tiler.core.water import KINDS, LAKE, RIVER, Water, lengths_along, lifted_line
 from tiler.errors import InputError
-from tiler.io.vector import LINES, POLYGONS, Feature
+from tiler.io.vector import LINES, LINES_AND_POLYGONS, POINTS, POLYGONS, Feature
 from tiler.io.vector.areas import area_in_counts
 
+DRAWN_WATER = replace(
+    LINES_AND_POLYGONS, point_layers=frozenset({"reaches"}), left_out=frozenset({"breaklines"})
+)
+"""What a file of water holds: stations of reaches, too; what a run wrote for others is not read."""
 LEVEL = "level"
 """Column of the height of the water, in the unit of the heights; columns that name a height do as well."""
+SAME_COUNTS = 2
+"""A station and a line with heights that differ by no more say the same."""
 
 
 def waters_of(features: Sequence[Feature], extent: Bounds) -> list[Water]:
@@ -27,7 +34,7 @@ def waters_of(features: Sequence[Feature], extent: Bounds) -> list[Water]:
     Parameters
     ----------
     features : sequence of Feature
-        Polygons and lines, in the CRS of the run.
+        Polygons, lines, and stations of reaches, in the CRS of the run; levels of stations win over those of lines.
     extent : Bounds
         Of the points; water that lies elsewhere is left out.
     """
@@ -48,6 +55,8 @@ def waters_of(features: Sequence[Feature], extent: Bounds) -> list[Water]:
         kind = _kind(feature, lines)
         found.append(Water(0, kind, area_in_counts(feature.place, [feature]), level))
     found = [_with_line(body, lines) for body in found if body.area.bounds.overlaps(extent)]
+    stations = [f for f in features if f.geometry.geom_type in POINTS.types]
+    found = _with_stations(found, stations)
     return [Water(n, b.kind, b.area, b.level, b.flow) for n, b in enumerate(found, start=1)]
 
 
@@ -65,7 +74,7 @@ def _without_level(features: dict[str, list[Feature]]) -> list[tuple[Any, ...]]:
 
 
 def _kind(feature: Feature, lines: Sequence[Any]) -> str:
-    """As the column says, else a river where a line flows through it; raises InputError."""
+    """Kind by the column, or a river if a line flows through it, or a lake; raises InputError."""
     import shapely
 
     said = feature.attributes.get("kind")
@@ -135,3 +144,62 @@ def _polygon(rings: Sequence[npt.NDArray[np.int64]]) -> Any:
     import shapely
 
     return shapely.Polygon(rings[0] / COUNTS_PER_UNIT, [ring / COUNTS_PER_UNIT for ring in rings[1:]])
+
+
+def _with_stations(bodies: list[Water], stations: Sequence[Feature]) -> list[Water]:
+    """Rivers whose lines have the levels of the stations nearest to them; raises InputError where these rise."""
+    import shapely
+
+    rivers = [i for i, body in enumerate(bodies) if body.flow is not None]
+    if not rivers or not stations:
+        return bodies
+    lines = [shapely.LineString(_flow(bodies[i])[:, :2] / COUNTS_PER_UNIT) for i in rivers]
+    of_river: dict[int, list[Feature]] = {}
+    for station in stations:
+        nearest = int(np.argmin([shapely.distance(line, station.geometry) for line in lines]))
+        of_river.setdefault(nearest, []).append(station)
+    found = list(bodies)
+    for nearest, mine in of_river.items():
+        found[rivers[nearest]] = _at_stations(bodies[rivers[nearest]], lines[nearest], mine)
+    return found
+
+
+def _at_stations(body: Water, line: Any, stations: Sequence[Feature]) -> Water:
+    """A river at the levels of its stations; between them it keeps the steps of its line."""
+    import shapely
+
+    levels = [_level(station) for station in stations]
+    known = [(station, level) for station, level in zip(stations, levels, strict=True) if level is not None]
+    if not known:
+        return body
+    along = np.array([shapely.line_locate_point(line, s.geometry) * COUNTS_PER_UNIT for s, _ in known])
+    order = np.argsort(along, kind="stable")
+    along, wanted = along[order], np.array([level for _, level in known], np.float64)[order]
+    flow = _flow(body)
+    if flow.shape[1] == 2:
+        lifted = lifted_line(flow, along, wanted)
+    else:
+        lengths = lengths_along(flow)
+        change = wanted - np.rint(np.interp(along, lengths, flow[:, 2]))
+        if (np.abs(change) <= SAME_COUNTS).all():
+            return body
+        lifted = lifted_line(flow, *_sums(lengths, flow[:, 2], along, change))
+    if (np.diff(lifted[:, 2]) > 0).any():
+        if (np.diff(lifted[:, 2]) < 0).any():
+            place = known[int(order[0])][0].place.rpartition(",")[0]
+            raise InputError(f"{place}: levels of a river rise and fall; let them fall along its line")
+        lifted = lifted[::-1].copy()
+    return replace(body, level=None, flow=lifted)
+
+
+def _sums(
+    lengths: npt.NDArray[Any], z: npt.NDArray[Any], along: npt.NDArray[Any], change: npt.NDArray[Any]
+) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
+    """Places along a line, and its heights there with the change that stations have made."""
+    places = np.unique(np.concatenate((lengths, along)))
+    return places, np.interp(places, lengths, z) + np.interp(places, along, change)
+
+
+def _flow(body: Water) -> npt.NDArray[np.int64]:
+    assert body.flow is not None
+    return body.flow

@@ -1,5 +1,5 @@
-"""What a run leaves for people and scripts to read about it."""
+"""Writes run.json and report.html, which tell people and scripts about a run."""
 
-from tiler.report.runfile import earlier_statistics, write_run_file
+from tiler.report.runfile import write_run_file
 
-__all__ = ["earlier_statistics", "write_run_file"]
+__all__ = ["write_run_file"]

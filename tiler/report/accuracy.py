@@ -1,4 +1,4 @@
-"""The report's section on accuracy, from the JSON files that `tiler check` and `tiler evaluate` left in OUT."""
+"""The section of the report about accuracy, from the JSON files of `tiler check` and `tiler evaluate` in OUT."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ HOW = {
 
 
 def read_measured(out: Path, name: str) -> dict[str, Any]:
-    """The content of a file of ``OUT``; empty where there is none, ``unreadable`` where it is not what tiler writes."""
+    """The content of a file of ``OUT``: empty if there is no file, ``unreadable`` if tiler did not write it."""
     path = out / name
     if not path.is_file():
         return {}
@@ -53,7 +53,7 @@ def read_measured(out: Path, name: str) -> dict[str, Any]:
 
 
 def write_measured(out: Path, name: str, content: Mapping[str, Any]) -> None:
-    """Leave what was measured where `read_measured` finds it; raises ProcessingError."""
+    """Write measurements to the file that `read_measured` reads; raises ProcessingError."""
     try:
         (out / name).write_text(json.dumps(content, indent=1, default=str) + "\n", encoding="utf-8")
     except OSError as error:
@@ -61,7 +61,7 @@ def write_measured(out: Path, name: str, content: Mapping[str, Any]) -> None:
 
 
 def accuracy_content(check: Mapping[str, Any], evaluation: Mapping[str, Any]) -> list[Content]:
-    """Tables of what was measured; where nothing was, the commands that measure."""
+    """Tables of the measurements; if there are none, the commands that make them."""
     found: list[Content] = []
     for name, measured in ((CHECK, check), (EVALUATION, evaluation)):
         if "unreadable" in measured:
@@ -86,7 +86,7 @@ def accuracy_content(check: Mapping[str, Any], evaluation: Mapping[str, Any]) ->
 
 
 def checkpoints_on_map(check: Mapping[str, Any]) -> dict[str, Any]:
-    """What the map draws of a check: each checkpoint's name, x, y, difference and whether it is an outlier."""
+    """Checkpoints for the map, each with its name, x, y, difference, and whether it is an outlier."""
     found = check.get("accuracy") or {}
     places = ("x", "y", "difference")
     return {
@@ -100,7 +100,7 @@ def checkpoints_on_map(check: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _finite(value: Any) -> float | None:
-    """A number, or None as it is; ValueError where it is none that JSON of a page can hold."""
+    """A number or None, unchanged; raises ValueError if the JSON of a page cannot hold the number."""
     if value is None:
         return None
     if not math.isfinite(value):

@@ -21,7 +21,7 @@ Content = Node | str | None
 
 
 def el(tag: str, *children: Content, **attributes: str | int | float) -> Node:
-    """An element; None among the children is left out, ``class_`` is ``class``, ``data_x`` is ``data-x``."""
+    """An element. Children that are None are left out; ``class_`` becomes ``class``, ``data_x`` becomes ``data-x``."""
     names = {name.rstrip("_").replace("_", "-"): shown(str(value)) for name, value in attributes.items()}
     node = Node(tag, names)
     for child in children:
@@ -35,7 +35,7 @@ def el(tag: str, *children: Content, **attributes: str | int | float) -> Node:
 
 
 def table(headings: Sequence[str], rows: Sequence[Sequence[Content]], numbers: Sequence[int] = ()) -> Node:
-    """A table in a box that scrolls where it is too wide; ``numbers`` are the columns that are aligned right."""
+    """A table in a box that scrolls if the table is too wide; the columns ``numbers`` are aligned right."""
     classes = [{"class_": "number"} if i in numbers else {} for i in range(len(headings))]
     head = el("tr", *(el("th", h, scope="col", **c) for h, c in zip(headings, classes, strict=True)))
     body = [el("tr", *(el("td", cell, **c) for cell, c in zip(row, classes, strict=True))) for row in rows]
@@ -43,29 +43,29 @@ def table(headings: Sequence[str], rows: Sequence[Sequence[Content]], numbers: S
 
 
 def facts(pairs: Mapping[str, Content]) -> Node:
-    """Names and values; what is None is left out."""
+    """A list of names and values, without those that are None."""
     shown = [(name, value) for name, value in pairs.items() if value is not None]
     return el("dl", *(node for name, value in shown for node in (el("dt", name), el("dd", value))))
 
 
 def section(name: str, title: str, *children: Content) -> Node:
-    """A part of the page that its list of contents leads to."""
+    """A part of the page, to which the list of contents links."""
     return el(
         "section", el("h2", title, id=f"{name}-title"), *children, id=name, aria_labelledby=f"{name}-title"
     )
 
 
 def page(title: str, header: Node, sections: Sequence[Node], data: Mapping[str, Any]) -> bytes:
-    """The whole file.
+    """The whole file as bytes.
 
     Parameters
     ----------
     title : str
     header : Element
     sections : sequence of Element
-        As `section` makes them.
+        Sections of `section`.
     data : mapping
-        What the page's script draws, as JSON.
+        Data of the script of the page, as JSON.
 
     Returns
     -------
@@ -81,7 +81,7 @@ def page(title: str, header: Node, sections: Sequence[Node], data: Mapping[str, 
     )
     links = (el("a", part[0].text, href=f"#{part.get('id')}") for part in sections)
     contents = el("nav", *links, aria_label="Contents")
-    # Inside of a script element nothing is unescaped: no "<" may stand there.
+    # Browsers do not unescape the text of a script element, so it must not contain "<".
     embedded = Node("script", {"type": "application/json", "id": "data"})
     embedded.text = json.dumps(data, separators=(",", ":")).replace("<", "\\u003c")
     code, look = Node("script"), Node("style")

@@ -1,23 +1,28 @@
-"""The report's section on water, bridges, corrections, breaklines and contours, and the layers of its map."""
+"""The section of the report about water, bridges, corrections, breaklines and contours, and the layers of the map."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from tiler.core.units_text import length_text, short_unit, small_area_text
+from tiler.core.words import counted
 from tiler.report.document import Content, Node, el, section, table
-from tiler.report.sections import MOST_ROWS, Run, counted
+from tiler.report.problems import MOST_ROWS, Run
+from tiler.report.profiles import profile
 
 
 def drawn(run: Run) -> list[Node]:
-    """One section where there is anything to tell, else none."""
+    """The section in a list; an empty list if the run has none of these."""
     lines, edits, water, contours = (run.get(name) for name in ("breaklines", "edits", "water", "contours"))
+    wide = run.get("plan", {}).get("metres_per_unit", {}).get("horizontal", 1.0)
+    unit = short_unit(run.get("plan", {}).get("metres_per_unit", {}).get("vertical", 1.0))
     content: list[Content] = []
-    if run.get("bridges"):
-        content += _bridges(run["bridges"])
+    if "bridges" in run:
+        content += _bridges(run["bridges"], wide)
     if edits:
         rows = [
-            (str(e["number"]), e["action"], ", ".join(f"{v:,.1f}" for v in e["bounds"]), _changed(e))
+            (str(e["number"]), e["action"], ", ".join(f"{v:,.1f}" for v in e["bounds"]), changed_text(e))
             for e in edits[:MOST_ROWS]
         ]
         content += [
@@ -29,14 +34,15 @@ def drawn(run: Run) -> list[Node]:
         content += [el("h3", "Breaklines"), el("p", text)]
     if water:
         bodies = [
-            (str(b["number"]), b["kind"], _levels(b), f"{b['area_m2']:,.0f}", _sure(b))
+            (str(b["number"]), b["kind"], _levels(b), small_area_text(b["area_m2"], wide), _sure(b))
             for b in water[:MOST_ROWS]
         ]
-        columns = ("number", "kind", "level, in the unit of the heights", "area, m2", "how sure")
+        columns = ("number", "kind", f"level, {unit}", "area", "how sure")
         content += [el("h3", f"Water: {len(water):,}"), table(columns, bodies, (0, 3))]
+        pictures = [profile(body, unit) for body in water[:MOST_ROWS]]
+        content += [picture for picture in pictures if picture is not None]
     if contours:
         text = f"{counted(contours['lines'], 'line')} of {contours['vertices']:,} vertices, every "
-        unit = run["plan"].get("units", {}).get("vertical", "in the unit of the heights")
         text += f"{contours['interval']:g} {unit}."
         content += [el("h3", "Contours"), el("p", text)]
     return [section("drawn", "Drawn", *content)] if content else []
@@ -44,6 +50,7 @@ def drawn(run: Run) -> list[Node]:
 
 LAYERS = {
     "outline": ("outline", "#3c4043", False),
+    "canopy": ("closed canopy", "#1e5a46", True),
     "water": ("water", "#1f78d1", True),
     "bridges": ("bridges", "#8a3ffc", True),
     "breaklines": ("breaklines", "#0b7a75", False),
@@ -53,10 +60,11 @@ LAYERS = {
 
 
 def shapes(run: Run) -> list[dict[str, Any]]:
-    """Layers of the map that can be switched on and off, their lines as x, y, x, y, ... in units of the CRS."""
+    """Layers of the map that can be switched off, with lines as x, y, x, y, ... in units of the CRS."""
     of_features = {name: run.get(name) or () for name in ("water", "bridges", "edits")}
     lines = {name: [r for f in found for r in f.get("rings", ())] for name, found in of_features.items()}
     lines["outline"] = (run.get("outline") or {}).get("rings", [])
+    lines["canopy"] = (run.get("canopy") or {}).get("rings", [])
     lines["breaklines"] = (run.get("breaklines") or {}).get("drawn", [])
     return [
         {"name": name, "title": title, "colour": colour, "tinted": tinted, "lines": lines[name]}
@@ -65,10 +73,15 @@ def shapes(run: Run) -> list[dict[str, Any]]:
     ]
 
 
-def _bridges(bridges: Sequence[Mapping[str, Any]]) -> list[Content]:
+def _bridges(bridges: Sequence[Mapping[str, Any]], unit: float) -> list[Content]:
+    if not bridges:
+        return [el("h3", "Bridges"), el("p", "None was found that stands free of the ground.")]
     names = ("length_m", "width_m", "clearance_m")
-    rows = [(*(f"{b[name]:.1f}" for name in names), str(b["below"])) for b in bridges[:MOST_ROWS]]
-    heads = ("length, m", "width, m", "clearance, m", "points seen beneath")
+    rows = [
+        (*(length_text(round(b[name], 1), unit) for name in names), str(b["below"]))
+        for b in bridges[:MOST_ROWS]
+    ]
+    heads = ("length", "width", "clearance", "points seen beneath")
     return [
         el("h3", f"{counted(len(bridges), 'bridge')} left out of the terrain"),
         table(heads, rows, (0, 1, 2, 3)),
@@ -76,7 +89,7 @@ def _bridges(bridges: Sequence[Mapping[str, Any]]) -> list[Content]:
 
 
 def _levels(body: Mapping[str, Any]) -> str:
-    """The level of a lake, or the upper and lower one of a river."""
+    """The level of a lake, or the highest and lowest level of a river."""
     high, low = body["level"], body["level_end"]
     return f"{high:.2f}" if high == low else f"{high:.2f} to {low:.2f}"
 
@@ -85,10 +98,11 @@ def _sure(body: Mapping[str, Any]) -> str:
     return "drawn" if body["sure"] is None else f"{body['sure']:.0%}"
 
 
-def _changed(edit: Mapping[str, Any]) -> str:
-    """In words; of edits that overlap each is told as if it were alone."""
+def changed_text(edit: Mapping[str, Any]) -> str:
+    """The effect of a correction, in words, as if it did not overlap with others."""
+    holes = f"; {counted(edit['holes'], 'pixel')} without a height" if edit.get("holes") else ""
     if "pixels" in edit:
-        return f"{counted(edit['pixels'], 'pixel')}"
+        return f"{counted(edit['pixels'], 'pixel')}{holes}"
     before, after = edit.get("ground_before", 0), edit.get("ground_after", 0)
     by = f" ({edit['by']})" if edit["action"] == "ground" else ""
-    return f"{before:,} of {counted(edit.get('points', 0), 'point')} were ground, {after:,} are{by}"
+    return f"{before:,} of {counted(edit.get('points', 0), 'point')} were ground, {after:,} are{by}{holes}"

@@ -1,4 +1,4 @@
-"""``report.html``: a finished or interrupted run as one page that needs no server, no network and no other file."""
+"""Writes ``report.html``: a run as one page that needs no server, no network and no other file."""
 
 from __future__ import annotations
 
@@ -17,8 +17,10 @@ from tiler.io.result_folder import CHECK, EVALUATION, REPORT, RUN, folder_here, 
 from tiler.report import accuracy, document, sections, tables
 from tiler.report.document import el, section
 from tiler.report.drawn import drawn
+from tiler.report.expected import expected
 from tiler.report.mapdata import map_data, with_earlier_times
 from tiler.report.pictures import draw
+from tiler.report.problems import problems
 
 
 def write_report(out: Path, run: Mapping[str, Any] | None = None, products: str | None = None) -> Path:
@@ -29,14 +31,14 @@ def write_report(out: Path, run: Mapping[str, Any] | None = None, products: str 
     out : Path
         The result folder of a run.
     run : mapping, optional
-        The content of its run.json, which is read if it is not given.
+        The content of its run.json; it is read by default.
     products : str, optional
-        Where the rasters lie; default: what run.json says, which has no passwords and tokens of URLs.
+        Path or URL of the rasters; by default that of run.json, which lacks passwords and tokens.
 
     Returns
     -------
     Path
-        The file.
+        Path of the report.
 
     Raises
     ------
@@ -65,7 +67,7 @@ def write_report(out: Path, run: Mapping[str, Any] | None = None, products: str 
 
 
 def write_report_at(out: str) -> str:
-    """`write_report` for the OUT of a run, also where that is a URL: then from what lies there, and copied to it.
+    """Write the report of the OUT of a run. If OUT is a URL, the report is made from its files and copied to it.
 
     Returns
     -------
@@ -102,9 +104,9 @@ def _page(out: Path, run: Mapping[str, Any], products: str) -> bytes:
     evaluation = accuracy.read_measured(out, EVALUATION)
     title = f"Terrain of {out.resolve().name}"
     parts = [
-        sections.problems(run),
+        problems(run),
         sections.terrain_map(pictures),
-        section("accuracy", "Accuracy", *accuracy.accuracy_content(check, evaluation)),
+        section("accuracy", "Accuracy", *expected(run), *accuracy.accuracy_content(check, evaluation)),
         sections.decisions(run),
         *drawn(run),
         tables.counts(run),
@@ -120,7 +122,7 @@ def _page(out: Path, run: Mapping[str, Any], products: str) -> bytes:
 
 
 def _rasters(place: str, run: Mapping[str, Any]) -> dict[str, str]:
-    """Product -> path or URL of what this run wrote: one raster, or the VRT over its sheets."""
+    """Path or URL of the raster that this run wrote, or of the VRT over its sheets, by product."""
     written = run.get("outputs", {})
     named = {
         product: joined(place, f"{product}.{kind}")

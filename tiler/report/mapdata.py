@@ -1,4 +1,4 @@
-"""What the page's map draws over the pictures: tiles with state and time, outlines of files, drawings, checkpoints."""
+"""Data that the map draws over the pictures: tiles with state and time, outlines of files, drawings, checkpoints."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ from tiler.redaction import shown
 from tiler.report.accuracy import checkpoints_on_map
 from tiler.report.drawn import shapes
 from tiler.report.pictures import VIRIDIS, Pictures, ramp_colour
+from tiler.report.problems import marked_places
 from tiler.report.runfile import title_of
 
 MOST_TILES = 20_000
@@ -25,9 +26,9 @@ Extent = tuple[float, float, float, float]
 
 
 def with_earlier_times(run: Mapping[str, Any], out: Path) -> dict[str, Any]:
-    """The content of run.json, in which tiles that an earlier run made get their time and memory from its events.
+    """The content of run.json, with time and memory of tiles of earlier runs, taken from the log of events.
 
-    The last event of a task belongs to the result which now holds: a task that is done again logs a new event.
+    The last event of a task belongs to the current result, because a task that is done again logs a new event.
     """
     tiles = {stage: [dict(tile) for tile in of_stage] for stage, of_stage in run.get("tiles", {}).items()}
     unknown: dict[tuple[str, str], dict[str, Any]] = {
@@ -46,7 +47,7 @@ def with_earlier_times(run: Mapping[str, Any], out: Path) -> dict[str, Any]:
 
 
 def _events(path: Path) -> Iterator[dict[str, Any]]:
-    """Events of a log; a line that a killed run left unfinished, or a disk damaged, is passed over."""
+    """Events of a log, without lines that a killed run left unfinished or a disk damaged."""
     if not path.is_file():
         return
     with open(path, encoding="utf-8", errors="replace") as lines:
@@ -60,7 +61,7 @@ def _events(path: Path) -> Iterator[dict[str, Any]]:
 def map_data(
     run: Mapping[str, Any], pictures: Pictures | None, accuracy: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """What page.js reads; coordinates in units of the CRS.
+    """Data for page.js, with coordinates in units of the CRS.
 
     Parameters
     ----------
@@ -68,7 +69,7 @@ def map_data(
         The content of run.json, with the times of `with_earlier_times`.
     pictures : Pictures or None
     accuracy : mapping
-        A check as `tiler.apps.check` gives it, under ``accuracy`` what it found at checkpoints; may be empty.
+        Result of `tiler.apps.check`, with the checkpoints under ``accuracy``; may be empty.
     """
     return {
         "extent": pictures.extent if pictures else _extent(run),
@@ -80,6 +81,7 @@ def map_data(
         "stages": _stages(run),
         "files": _files(run),
         "shapes": shapes(run),
+        "problems": marked_places(run),
         **checkpoints_on_map(accuracy),
         "time_colours": [_css(ramp_colour(VIRIDIS, i / (TIME_COLOURS - 1))) for i in range(TIME_COLOURS)],
     }
@@ -90,13 +92,13 @@ def _css(colour: tuple[int, int, int]) -> str:
 
 
 def _extent(run: Mapping[str, Any]) -> Extent:
-    """Where there is no raster: the bounds of what was planned."""
+    """The bounds of the plan, for runs without a raster."""
     west, south, east, north = run["plan"].get("extent") or (0.0, 0.0, 1.0, 1.0)
     return west, south, east, north
 
 
 def _stages(run: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Stages of tiles, the filter's last pass first, since it made the labels."""
+    """Stages of tiles. The last pass of the filter comes first, because it made the labels."""
     found, room = [], MOST_TILES
     tiles = run.get("tiles", {})
     passes = sum(name.startswith("filter") for name in tiles)

@@ -1,4 +1,4 @@
-"""Results as notebooks show them: a few lines of HTML, whose every text and attribute is escaped."""
+"""Shows results in notebooks: a few lines of HTML in which all texts and attributes are escaped."""
 
 from __future__ import annotations
 
@@ -11,10 +11,11 @@ from xml.etree import ElementTree
 
 from rasterio.errors import RasterioError
 
+from tiler.core.words import counted
 from tiler.io.locations import is_url, joined, state_at
 from tiler.report.document import Content, el, facts, table
 from tiler.report.pictures import small_hillshade
-from tiler.report.sections import counted, figures, noted, sentence, settled, state_text, value_text, warned
+from tiler.report.sections import figures, noted, sentence, settled, state_text, value_text, warned
 
 PICTURE_PIXELS = 480
 """Pixels of the longer side of a picture; a smaller raster is enlarged by a whole factor."""
@@ -28,7 +29,7 @@ def markup(title: str, *children: Content) -> str:
 
 
 def run_markup(run: Mapping[str, Any], products: str, files: Mapping[str, str]) -> str:
-    """A run: its state, its figures, a picture of the DTM, what was decided, and links to its files.
+    """HTML of a run: its state, figures, a picture of the DTM, decisions, and links to the files.
 
     Parameters
     ----------
@@ -54,12 +55,12 @@ def run_markup(run: Mapping[str, Any], products: str, files: Mapping[str, str]) 
 
 
 def classified_markup(result: Mapping[str, Any], target: Path, notes: Sequence[str]) -> str:
-    """A classified cloud: points by class, what was noted, and a link to it.
+    """HTML of a classified cloud: points by class, notes, and a link to the file.
 
     Parameters
     ----------
     result : mapping
-        As `tiler.apps.classify.classify_file` returns it.
+        Result of `tiler.apps.classify.classify_file`.
     target : Path
     notes : sequence of str
         Notes and warnings.
@@ -77,7 +78,7 @@ def classified_markup(result: Mapping[str, Any], target: Path, notes: Sequence[s
 
 
 def check_markup(report: Mapping[str, Any]) -> str:
-    """A check of a DTM: the errors of NVA and VVA checkpoints, steps at seams, differences of strips, requirements."""
+    """HTML of a check: errors of NVA and VVA checkpoints, steps at seams, differences of strips, requirements."""
     accuracy = report.get("accuracy", {})
     names = ("points", "rmse_v", "bias", "median", "nmad", "p95_abs")
     rows = [
@@ -105,7 +106,7 @@ def check_markup(report: Mapping[str, Any]) -> str:
 
 
 def _steps(report: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Names and values of what needs no checkpoints."""
+    """Names and values of the figures that need no checkpoints."""
     if "seams" in report:
         seams = report["seams"]
         for name in ("tiles", "interior"):
@@ -145,7 +146,7 @@ def _list(title: str, texts: Sequence[str]) -> Content:
 
 
 def _links(files: Mapping[str, str]) -> Iterator[Content]:
-    """Links to files, apart by spaces; those in folders last, as there may be many."""
+    """Links to files, separated by spaces; links into folders come last, as there may be many."""
     for name, place in sorted(files.items(), key=lambda file: "/" in file[0])[:MOST_LINKS]:
         yield el("a", name, href=_href(place), target="_blank", rel="noopener")
         yield " "
@@ -154,11 +155,11 @@ def _links(files: Mapping[str, str]) -> Iterator[Content]:
 
 
 def _href(place: str) -> str:
-    """Where a browser finds a file: if it is below the current folder, which a notebook's server serves, from there."""
+    """The link to a file: relative if the file is below the current folder, which the server of a notebook serves."""
     if is_url(place):
         return place
     path = Path(os.path.abspath(place))
-    try:  # a colon would make a scheme of what stands before it
+    try:  # the text before a colon would be taken for the scheme of a URL
         return quote(os.fsencode(path.relative_to(Path.cwd())))
     except (ValueError, OSError):
         return path.as_uri()

@@ -15,7 +15,9 @@
   };
   const MOST_ZOOM = 64;
   const view = { x: (west + east) / 2, y: (south + north) / 2, scale: 1, fit: 1 };
-  const shown = { picture: "", shaded: true, tiles: "state", stage: 0, files: false, checkpoints: true };
+  const shown = { picture: "", shaded: true, tiles: "state", stage: 0, files: false, checkpoints: true, problems: true };
+  const LEAST_WINDOW = 1 / 20, RING = 9;
+  let linked = null;
   let chosen = -1, asked = false, dragged = null, slowest = 1, quickest = 0;
 
   document.documentElement.classList.add("scripted");
@@ -57,6 +59,7 @@
     if (shown.files) drawFiles();
     for (const layer of data.shapes) if (shown[layer.name]) drawShapes(layer);
     if (shown.checkpoints) drawCheckpoints();
+    if (shown.problems) drawProblems();
   }
 
   function drawTiles() {
@@ -118,6 +121,31 @@
     }
   }
 
+  function drawProblems() {
+    pen.lineWidth = 2;
+    for (const place of data.problems) {
+      pen.strokeStyle = "#d1341f";
+      pen.beginPath();
+      pen.arc(column((place[WEST] + place[EAST]) / 2), row((place[SOUTH] + place[NORTH]) / 2), RING, 0, 2 * Math.PI);
+      pen.stroke();
+    }
+    if (linked) {
+      pen.strokeStyle = getComputedStyle(canvas).color;
+      pen.strokeRect(...box(linked));
+    }
+  }
+
+  function showPlace(place) {
+    const least = LEAST_WINDOW * Math.max(east - west, north - south) || 1;
+    const wide = Math.max(2 * (place[EAST] - place[WEST]), least), high = Math.max(2 * (place[NORTH] - place[SOUTH]), least);
+    linked = place;
+    view.x = (place[WEST] + place[EAST]) / 2;
+    view.y = (place[SOUTH] + place[NORTH]) / 2;
+    view.scale = Math.min(canvas.clientWidth / wide, canvas.clientHeight / high, view.fit * MOST_ZOOM);
+    told.textContent = place[KEY];
+    ask();
+  }
+
   function ask() {
     if (!asked) {
       asked = true;
@@ -176,6 +204,8 @@
     for (const [name, px, py, difference] of shown.checkpoints ? data.checkpoints : [])
       if (Math.hypot(column(px) - left, row(py) - top) < 7)
         parts.push(`checkpoint ${name}: ${difference === null ? "no height" : `${difference.toFixed(3)} ${data.checkpoint_unit}`}`);
+    for (const place of shown.problems ? data.problems : [])
+      if (Math.hypot(column((place[WEST] + place[EAST]) / 2) - left, row((place[SOUTH] + place[NORTH]) / 2) - top) < RING) parts.push(place[KEY]);
     if (data.stages.length && shown.tiles !== "none") parts.push(...stage().tiles.filter(inside).map(tileText));
     if (shown.files) parts.push(...data.files.filter(inside).map((file) => file[KEY]));
     told.textContent = parts.join(" · ");
@@ -263,6 +293,7 @@
     addSwitch(layer.title, layer.name);
   }
   if (data.checkpoints.length) addSwitch("checkpoints", "checkpoints");
+  if (data.problems.length) addSwitch("problems", "problems");
   addButton("+", "Zoom in", () => zoom(1.5));
   addButton("\u2212", "Zoom out", () => zoom(1 / 1.5));
   addButton("All", "Show all", fitAll);
@@ -304,6 +335,8 @@
       action();
     }
   });
+  for (const link of document.querySelectorAll("a[data-place]"))
+    link.addEventListener("click", () => showPlace([link.closest("tr").textContent, ...link.dataset.place.split(",").map(Number)]));
   new ResizeObserver(() => {
     const whole = view.scale === view.fit;
     if (whole) fitAll(); else ask();

@@ -1,4 +1,4 @@
-"""The rasters of a run as small pictures: decimated reads, whole-number shades, paletted PNGs of bounded size.
+"""Makes small pictures of the rasters of a run: decimated reads, whole-number shades, paletted PNGs of bounded size.
 
 Memory is that of one picture, whatever the raster's size: values are float32, and what is computed of them is
 computed in strips of rows, one picture after another.
@@ -18,11 +18,12 @@ import rasterio
 from fsspec.core import url_to_fs
 from rasterio.enums import Resampling
 
+from ptd.gridding.shape import multidirectional_hillshade
 from tiler.core.mask_values import MASK_VALUES, OUTSIDE
 from tiler.core.products import PRODUCTS
-from tiler.export.picture import palette_png_bytes
-from tiler.grid.shape import multidirectional_hillshade
-from tiler.io.locations import is_url
+from tiler.core.units_text import short_unit
+from tiler.io.locations import is_url, plain_scheme
+from tiler.io.picture import palette_png_bytes
 
 LONGER_SIDE = 1600
 """Pixels of a picture at most."""
@@ -69,7 +70,7 @@ class Picture:
     Attributes
     ----------
     name : str
-        Of the product.
+        Name of the product.
     title : str
     uri : str
         A PNG as data URI.
@@ -101,14 +102,14 @@ class Pictures:
 
 
 def draw(rasters: Mapping[str, str], run: Mapping[str, Any]) -> Pictures | None:
-    """Pictures of the rasters that are there; None without a DTM.
+    """Pictures of the rasters of a run; None if there is no DTM.
 
     Parameters
     ----------
     rasters : mapping of str to str
-        Product -> path or URL of a GeoTIFF or a VRT.
+        Path or URL of a GeoTIFF or a VRT, by product.
     run : mapping
-        The content of run.json: its units make the slopes.
+        The content of run.json, whose units the slopes need.
 
     Raises
     ------
@@ -127,7 +128,7 @@ def draw(rasters: Mapping[str, str], run: Mapping[str, Any]) -> Pictures | None:
 
 
 def small_hillshade(dtm: str, run: Mapping[str, Any], longer: int) -> Picture:
-    """A hillshade of the DTM at a path or URL, ``longer`` pixels wide or high at most; else as `draw`."""
+    """A hillshade of the DTM at a path or URL, at most ``longer`` pixels wide or high; it raises as `draw` does."""
     with rasterio.Env(GDAL_CACHEMAX=CACHE_MB):
         heights = _read(dtm, longer, Resampling.average)
         return _hillshade(heights, _extent(dtm), run)
@@ -142,13 +143,15 @@ def _draw(rasters: Mapping[str, str], run: Mapping[str, Any], longer: int) -> Pi
 def _each(
     rasters: Mapping[str, str], extent: Extent, run: Mapping[str, Any], longer: int
 ) -> Iterator[Picture]:
-    """One picture after another, so that no more than one is in memory."""
+    """The pictures one after another, so that only one is in memory."""
     heights = _read(rasters["dtm"], longer, Resampling.average)
     yield _hillshade(heights, extent, run)
     yield _heights(heights, run)
     del heights
     if "density" in rasters:
         yield _density(_read(rasters["density"], longer, Resampling.average))
+    if "sigma" in rasters:
+        yield _sigma(_read(rasters["sigma"], longer, Resampling.average), run)
     if "mask" in rasters:
         yield _mask(_read(rasters["mask"], longer, Resampling.nearest))
 
@@ -160,15 +163,19 @@ def _picture(
     colours: Mapping[int, Colour],
     legend: Sequence[tuple[Colour, str]],
 ) -> Picture:
-    """A picture of values from 0 (nothing there) to `SHADES`."""
+    """A picture of values from 0 (no data) to `SHADES`."""
     height, width = values.shape
     data = base64.b64encode(palette_png_bytes(values, colours)).decode("ascii")
     return Picture(name, title, f"data:image/png;base64,{data}", (width, height), tuple(legend))
 
 
 def _open(place: str) -> Any:
-    """Open a raster; one at a URL is read in parts, as its overviews need few."""
-    return rasterio.open(place, opener=url_to_fs(place)[0]) if is_url(place) else rasterio.open(place)
+    """Open a raster. A raster at a URL is read in parts, because its overviews need only a few of them."""
+    return (
+        rasterio.open(place, opener=url_to_fs(plain_scheme(place))[0])
+        if is_url(place)
+        else rasterio.open(place)
+    )
 
 
 def _extent(place: str) -> Extent:
@@ -219,7 +226,7 @@ def _strips(rows: int) -> Iterator[slice]:
 
 
 def _hillshade(heights: Floats, extent: Extent, run: Mapping[str, Any]) -> Picture:
-    """Hillshade of the decimated heights: what is smaller than a pixel of the picture cannot be seen anyway."""
+    """Hillshade of the decimated heights, as details smaller than a pixel of the picture cannot be seen."""
     west, south, east, north = extent
     metres = run["plan"].get("metres_per_unit", {"horizontal": 1.0, "vertical": 1.0})
     rows, columns = heights.shape
@@ -239,18 +246,26 @@ def _hillshade(heights: Floats, extent: Extent, run: Mapping[str, Any]) -> Pictu
 
 
 def _heights(heights: Floats, run: Mapping[str, Any]) -> Picture:
-    unit = run["plan"].get("units", {}).get("vertical", "")
+    unit = short_unit(run["plan"].get("metres_per_unit", {}).get("vertical", 1.0))
     low, high = _range(heights)
     places = 0 if high - low >= 50 else 1 if high - low >= 5 else 2
     return _ramp("dtm", "Terrain height", heights, low, high, TERRAIN, lambda v: f"{v:,.{places}f} {unit}")
 
 
 def _density(density: Floats) -> Picture:
-    """On a scale of logarithms: a clearing in a wood and an overlap of strips both show."""
+    """A picture of density with logarithmic shades, so that clearings in a wood and overlaps of strips both show."""
     density[density <= 0] = np.nan
     found = np.log10(density, out=density)
     low, high = _range(found)
     return _ramp("density", "Ground points per m2", found, low, high, VIRIDIS, lambda v: f"{10**v:.3g}")
+
+
+def _sigma(sigma: Floats, run: Mapping[str, Any]) -> Picture:
+    """On a scale of logarithms: errors of centimetres and of metres both show."""
+    unit = short_unit(run["plan"].get("metres_per_unit", {}).get("vertical", 1.0))
+    found = np.log10(sigma, out=sigma)
+    low, high = _range(found)
+    return _ramp("sigma", "Standard error", found, low, high, VIRIDIS, lambda v: f"{10**v:.2g} {unit}")
 
 
 def _mask(mask: Floats) -> Picture:

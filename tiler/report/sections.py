@@ -1,32 +1,28 @@
-"""The parts of the report that are text and tables, each from the content of run.json."""
+"""Parts of the report that are text and tables, made from the content of run.json."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from typing import Any, NamedTuple
 
-from tiler.core.mask_values import HOLE, MASK_VALUES, OUTSIDE
+from ptd.places import PLACES
+from tiler.core.units_text import area_text, length_text
+from tiler.core.words import counted
 from tiler.observe.progress import count_text, duration_text, size_text
 from tiler.report.document import Content, Node, el, section, table
 from tiler.report.pictures import Pictures
-from tiler.report.runfile import title_of
-
-MOST_ROWS = 1000
-"""Rows of a table at most; the rest is in run.json."""
-
-SQUARE_KM = 1e6
-
-Run = Mapping[str, Any]
+from tiler.report.problems import MOST_ROWS, Run
 
 STATES = {
     "done": "Finished",
     "running": "Still at work, or ended by force",
-    "interrupted": "Interrupted: the same command goes on where it was",
+    "failed": "Failed: an error ended it; the same command resumes",
+    "interrupted": "Interrupted: the same command resumes",
 }
 
 
 def header(run: Run, title: str) -> Node:
-    """The title, the state, what came out in a sentence, and the figures that most people look for."""
+    """The head of the report: title, state, result in a sentence, and the figures that most people look for."""
     good = run["state"] == "done" and not _left_out(run)
     cards = [el("div", el("b", value), el("span", name), class_="card") for name, value in figures(run)]
     return el(
@@ -46,48 +42,45 @@ def state_text(run: Run) -> str:
 
 
 def _left_out(run: Run) -> str:
-    """``1 file and 2 tiles``; empty where nothing is missing."""
+    """Number of files and tasks that are missing, in words; empty if nothing is missing."""
     files, tasks = len(run.get("quarantined", ())), len(run.get("failed_tasks", ()))
     parts = [f"{n} {name}{'' if n == 1 else 's'}" for n, name in ((files, "file"), (tasks, "task")) if n]
     return " and ".join(parts)
 
 
 def sentence(run: Run) -> str:
-    """What came out, in a sentence or two."""
+    """The result of the run, in a sentence or two."""
     plan, dtm, left_out = run["plan"], run.get("dtm"), _left_out(run)
     what = "A run that made no terrain model yet"
     if dtm:
-        what = f"A terrain model of {dtm['resolution_m']:g} m pixels"
+        what = f"A terrain model of pixels of {_length(run, dtm['resolution_m'])}"
     seconds = f" in {duration_text(run['seconds'])}" if "seconds" in run and not done_before(run) else ""
     missing = f" Left out: {left_out}; see Problems." if left_out else " Nothing was left out."
     return (
         f"{what} from {plan['points']:,} points of {counted(plan['inputs'], 'file')}, "
-        f"{plan['area_m2'] / SQUARE_KM:,.3g} km2, by the method {plan['method']}{seconds}.{missing}"
+        f"{area_text(plan['area_m2'], _unit(run))}, by the method {plan['method']}{seconds}.{missing}"
     )
 
 
-def counted(number: int, name: str) -> str:
-    """A number and a noun, in the plural unless it is 1."""
-    return f"{number:,} {name}" if number == 1 else f"{number:,} {name}s"
-
-
 def figures(run: Run) -> Iterator[tuple[str, str]]:
-    """Name and value of the figures that most people look for."""
+    """Names and values of the figures that most people look for."""
     plan = run["plan"]
     if "counts" in run:
         yield "points read", count_text(run["counts"]["read"])
     if "filter" in run and run["filter"]["points"]:
-        yield "of them ground", f"{run['filter']['ground'] / run['filter']['points']:.1%}"
+        written = run.get("classes", {}).get("written", {})
+        ground, points = written.get("2", 0), sum(written.values())
+        if not points:
+            ground, points = run["filter"]["ground"], run["filter"]["points"]
+        yield "of them ground", f"{ground / points:.1%}"
     yield "points per m2", f"{plan['density_per_m2']:.3g}"
     if "dtm" in run:
         dtm = run["dtm"]
-        yield f"pixels of {dtm['resolution_m']:g} m", f"{dtm['width']:,} x {dtm['height']:,}"
+        yield f"pixels of {_length(run, dtm['resolution_m'])}", f"{dtm['width']:,} x {dtm['height']:,}"
         pixels = max(dtm["width"] * dtm["height"], 1)
-        if "mask" in run:
-            # Of the raster's rectangle a ragged survey leaves much, of which nothing is missing.
-            inside = pixels - run["mask"][MASK_VALUES[OUTSIDE]]
-            holes = run["mask"][MASK_VALUES[HOLE].split(":")[0]]
-            yield "of the survey with a height", f"{(inside - holes) / max(inside, 1):.1%}"
+        if "voids" in run:
+            # A ragged survey covers a part of the rectangle of the raster; outside of it nothing is missing.
+            yield "of the survey with a height", share_with_height(run["voids"])
         else:
             yield "of them with a height", f"{dtm['filled'] / pixels:.1%}"
     if "seconds" in run:
@@ -95,45 +88,26 @@ def figures(run: Run) -> Iterator[tuple[str, str]]:
     yield "peak memory of a process", size_text(run["peak_rss_bytes"])
 
 
+def _length(run: Run, metres: float) -> str:
+    """A length in the unit of the CRS."""
+    return length_text(metres, _unit(run))
+
+
+def _unit(run: Run) -> float:
+    """Metres of a horizontal unit of the CRS."""
+    return float(run["plan"].get("metres_per_unit", {}).get("horizontal", 1.0))
+
+
+def share_with_height(voids: Mapping[str, Any]) -> str:
+    """Share of the pixels of the survey that have a height, in percent, rounded down: 100 % means all."""
+    inside = voids["surveyed_pixels"]
+    known = inside - voids["pixels"] - voids["asked_pixels"]
+    return f"{1000 * known // max(inside, 1) / 10:.1f} %"
+
+
 def done_before(run: Run) -> int:
-    """Tasks that an earlier run in the same OUT had done."""
+    """Number of tasks that an earlier run in the same OUT had done."""
     return sum(stage["done"] for stage in run.get("stages", {}).values())
-
-
-def problems(run: Run) -> Node:
-    """What is missing or doubtful, and what to do; the first thing to read after the figures."""
-    content: list[Content] = [el("p", text, class_="warning") for text in warned(run)]
-    marked = run.get("filter", {}).get("marked", 0)
-    if marked:
-        text = f"{marked:,} labels are not certified: points beyond the widest halo could change them."
-        content.append(el("p", text, class_="warning"))
-    quarantined = run.get("quarantined", ())
-    if quarantined:
-        left = [(q["path"], q["error"].removeprefix(f"{q['path']}: ")) for q in quarantined[:MOST_ROWS]]
-        content += [el("h3", f"Files left out: {len(quarantined):,}"), table(("file", "why"), left)]
-    failed = run.get("failed_tasks", ())
-    if failed:
-        rows = [
-            (title_of(run, f["stage"]), f["key"], _place(f.get("bounds")), f["error"])
-            for f in failed[:MOST_ROWS]
-        ]
-        columns = ("stage", "tile or task", "west, south, east, north", "why")
-        content += [el("h3", f"Tasks that failed: {len(failed):,}"), table(columns, rows)]
-    if healed := ", ".join(run.get("healed", ())):
-        content.append(el("p", f"Objects of the store that were damaged, and made again: {healed}"))
-    strays = run.get("strays", ())
-    if strays:
-        far = [
-            (s["path"], f"{s['point']:,}", f"{s['x']:g}, {s['y']:g}, {s['z']:g}") for s in strays[:MOST_ROWS]
-        ]
-        heading = el("h3", f"Points far from all others: {len(strays):,}")
-        content += [heading, table(("file", "point", "x, y, z"), far, (1,))]
-    none = "None: every file was read and every tile was made."
-    return section("problems", "Problems", *(content or [el("p", none)]))
-
-
-def _place(bounds: list[float] | None) -> str:
-    return ", ".join(f"{v:,.1f}" for v in bounds) if bounds else "-"
 
 
 def _halo_m(run: Run) -> float:
@@ -143,7 +117,7 @@ def _halo_m(run: Run) -> float:
 
 
 class Settled(NamedTuple):
-    """A setting that can be left to tiler: its value, who set it (``you`` or ``automatic``), and why."""
+    """A setting that tiler can choose by itself: its value, who chose it (``you`` or ``automatic``), and why."""
 
     setting: str
     value: str
@@ -157,9 +131,12 @@ def settled(run: Run) -> list[Settled]:
     memory, declared = plan["memory_bytes"], "what the files declare"
     units = " and ".join(dict.fromkeys(plan.get("units", {}).values()))
     found = {
-        "resolution": (f"{plan['resolution_m']:g} m", "1 m, or the points' spacing if wider"),
-        "tile_size": (f"{plan['tile_m']:g} m", "what fits into a worker's memory"),
-        "halo": (f"{_halo_m(run):g} m", "the method's own reach"),
+        "resolution": (
+            _length(run, plan["resolution_m"]),
+            "1 m (2 ft), the points' spacing if wider; finer where matched points are dense",
+        ),
+        "tile_size": (_length(run, plan["tile_m"]), "what fits into a worker's memory"),
+        "halo": (_length(run, _halo_m(run)), "the method's own reach"),
         "workers": (str(plan["workers"]), "the cores that tiler may use"),
         "memory": (size_text(memory), "a fair share of the machine, 4 GiB at most"),
         "units": (units, declared),
@@ -177,12 +154,14 @@ def noted(run: Run) -> list[str]:
 
 
 def warned(run: Run) -> list[str]:
-    """What looks wrong in the settings or the data."""
-    return [*run["plan"].get("warnings", ()), *run.get("advice", ())]
+    """Warnings about the settings and the data."""
+    doubts = [*run.get("canopy_doubts", ()), *run.get("water_doubts", ())]
+    texts = [doubt["text"] for doubt in doubts]
+    return [*run["plan"].get("warnings", ()), *run.get("doubts", ()), *texts, *run.get("advice", ())]
 
 
 def decisions(run: Run) -> Node:
-    """The section on what was decided automatically, and why."""
+    """The section about automatic decisions and their reasons."""
     told = [el("li", text) for text in noted(run)[:MOST_ROWS]]
     found = list(_measured(run))
     content: list[Content] = [table(("setting", "value", "by", "why"), settled(run))]
@@ -196,10 +175,13 @@ def decisions(run: Run) -> Node:
 
 FIGURES_IN_WORDS = {
     "survey / kind": "kind of cloud",
-    "survey / density_m2": "points per m2",
+    "survey / sure": "how sure the kind is",
+    "survey / density_m2": "points per m2, without empty cells",
     "survey / sigma_m": "noise of heights, m",
     "survey / cell_sigma_m": "noise of heights within cells, m",
-    "survey / label_sigma_m": "noise of heights that labels allow for, m",
+    "canopy / share": "share of the area in which a canopy hides the ground",
+    "survey / cell_m": "side of cells, m",
+    "places": "places of 256 m with figures of their own",
     "survey / several": "share of points that are one of several returns",
 }
 """Readable names of figures that passes measure; others keep the names that the passes give them."""
@@ -209,7 +191,8 @@ def _measured(run: Run) -> Iterator[tuple[str, str, str]]:
     """Pass, figure and value; a figure that later passes only hand on is listed once, with the first pass."""
     known: dict[str, str] = {}
     states = {step: dict(_flat("", state)) for step, state in run.get("statistics", {}).items()}
-    for step, state in sorted(states.items(), key=lambda found: len(found[1])):
+    # The survey comes first; passes after it hand its figures on.
+    for step, state in sorted(states.items(), key=lambda found: (found[0] != "survey", len(found[1]))):
         new = {name: text for name, text in state.items() if known.get(name) != text}
         known |= new
         for name, text in new.items():
@@ -223,8 +206,10 @@ def _crs_name(wkt: str | None) -> str:
 
 
 def _flat(prefix: str, value: Any) -> Iterator[tuple[str, str]]:
-    """Nested facts as names and texts; long lists by their length."""
-    if isinstance(value, Mapping):
+    """Nested facts as names and texts; a long list, and a fact known by place, as its length."""
+    if prefix == PLACES:
+        yield prefix, f"{len(value):,}"
+    elif isinstance(value, Mapping):
         for name, inner in value.items():
             yield from _flat(f"{prefix} / {name}" if prefix else str(name), inner)
     elif isinstance(value, list) and len(value) > 12:
@@ -245,7 +230,7 @@ def value_text(value: Any) -> str:
 
 
 def terrain_map(pictures: Pictures | None) -> Node:
-    """The map that the script draws, and each picture with its legend, for printing and where scripts are off."""
+    """The map that the script draws, and each picture with its legend for printing and for browsers without scripts."""
     keys = "Drag or arrow keys: move. Wheel, + and -: zoom. 0: all. N and P: next and previous tile."
     frame = el(
         "div",

@@ -1,22 +1,26 @@
-"""The parts of the report that list: counts, files, timings, settings."""
+"""Tables of the report: counts, files, timings, settings."""
 
 from __future__ import annotations
 
 import json
 import os
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 from urllib.parse import quote
 
+from tiler.core.words import counted
 from tiler.observe.progress import duration_text, rate_text, size_text
 from tiler.report.document import Content, Node, el, facts, section, table
+from tiler.report.problems import MOST_ROWS, Run
 from tiler.report.runfile import title_of
-from tiler.report.sections import MOST_ROWS, Run, counted, done_before, value_text
+from tiler.report.sections import done_before, value_text
 
 SLOWEST = 10
 
 
 def counts(run: Run) -> Node:
-    """Points: read = stored + dropped, and what became of them; and of the pixels."""
+    """The table of counts: points that were read, stored and dropped, their classes, and pixels."""
     found = run.get("counts", {})
     pairs: dict[str, Content] = {"read": _count(found.get("read")), "stored": _count(found.get("stored"))}
     pairs |= {f"dropped: {reason}": _count(n) for reason, n in found.get("dropped", {}).items()}
@@ -32,10 +36,12 @@ def counts(run: Run) -> Node:
         "ground": "ground",
         "unclassified": "unclassified",
         "low_noise": "low noise",
-        "kept": "class kept as it was",
+        "kept": "no part in the filter, class kept",
         "marked": "label not certified",
     }
     pairs |= {f"labelled: {text}": _count(run.get("filter", {}).get(name)) for name, text in names.items()}
+    kept = run.get("classes", {}).get("kept", {})
+    pairs |= {f"class of the input kept: {code}": _count(n) for code, n in kept.items()}
     pixels: dict[str, Content] = {text: _count(n) for text, n in run.get("mask", {}).items()}
     content: list[Content] = [el("h3", "Points"), facts(pairs)]
     if pixels:
@@ -48,7 +54,7 @@ def _count(n: int | None) -> str | None:
 
 
 def inputs(run: Run) -> Node:
-    """The files that were read, and what was noticed about each."""
+    """The table of files that were read, with notes about each."""
     files = run.get("inputs", ())
     warned = run["plan"].get("notes", ())
     rows = [
@@ -71,12 +77,12 @@ def inputs(run: Run) -> Node:
 
 
 def _more(number: int) -> Node | None:
-    """A line on what a table of `MOST_ROWS` does not show."""
+    """A line about the rows beyond `MOST_ROWS`, which a table does not show."""
     return el("p", f"{number - MOST_ROWS:,} more are in run.json.") if number > MOST_ROWS else None
 
 
 def outputs(run: Run) -> Node:
-    """The files that were written, those in folders last, with links that work beside them."""
+    """The table of files that were written, files in folders last, with relative links."""
     found = run.get("outputs", {})
     rows = [
         (el("a", name, href=quote(os.fsencode(name))), size_text(size))
@@ -87,7 +93,7 @@ def outputs(run: Run) -> Node:
 
 
 def timings(run: Run) -> Node:
-    """Time and memory by stage, and the slowest tiles."""
+    """The tables of time and memory by stage, and of the slowest tiles."""
     stages = run.get("stages", {})
     longest = max((s["seconds"] for s in stages.values()), default=0) or 1
     rows = [
@@ -97,7 +103,7 @@ def timings(run: Run) -> Node:
             f"{s['computed']:,}",
             duration_text(s["seconds"]),
             _bar(s["seconds"] / longest),
-            rate_text(s["points"], s["seconds"]) or "-",
+            _rate(s) or "-",
             size_text(s["peak_rss_bytes"]) if s["peak_rss_bytes"] else "-",
         )
         for name, s in sorted(stages.items(), key=lambda item: _order(item[0]))
@@ -120,6 +126,13 @@ def timings(run: Run) -> Node:
         facts(memory),
         *_slowest(run),
     )
+
+
+def _rate(stage: Mapping[str, Any]) -> str:
+    """Rate of pixels if a stage makes some, else of points."""
+    if pixels := stage.get("pixels", 0):
+        return rate_text(pixels, stage["seconds"], "pixels")
+    return rate_text(stage["points"], stage["seconds"])
 
 
 def _order(stage: str) -> tuple[int, str]:
@@ -156,7 +169,7 @@ def _slowest(run: Run) -> list[Content]:
 
 
 def settings(run: Run) -> Node:
-    """Everything that it takes to do the same again: parameters, configuration, versions, CRS."""
+    """The tables that a repetition of the run needs: parameters, configuration, versions, CRS."""
     plan = run["plan"]
     parameters = [(name, value_text(value)) for name, value in plan["parameters"].items()]
     configuration = [(name, value_text(value)) for name, value in run["configuration"].items()]

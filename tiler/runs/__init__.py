@@ -1,1 +1,1 @@
-"""What a run is: its record, who does its tasks, and what a worker does with one."""
+"""A run: its record, its executors, and the work of a worker."""

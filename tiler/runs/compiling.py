@@ -1,4 +1,4 @@
-"""Compiles the kernels of a run in processes of their own, while it does what needs none."""
+"""Compiles the kernels of a run in processes of their own, while the run does work without kernels."""
 
 from __future__ import annotations
 
@@ -9,7 +9,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from ptd.kernel import compiled_count
-from ptd.precompile import filters_name, gridding_name, has_kinds, is_compiled, warm_filters, warm_gridding
+from ptd.precompile import (
+    filters_name,
+    gridding_name,
+    has_kinds,
+    is_compiled,
+    warm_filters,
+    warm_gridding,
+    why_not_compiled,
+)
 from tiler.errors import first_line
 from tiler.observe.events import Listener
 from tiler.plan import KEEP, LEAST_MATCHED_M2, Plan
@@ -18,17 +26,17 @@ from tiler.schedule import Died, Guard
 Tell = Callable[[], None]
 
 STAGE = "compile"
-"""Key of the stage as which it is told."""
+"""Key of the stage that progress shows while the run waits for kernels."""
 KERNELS = {"filters": 100, "gridding": 70}
-"""About how many there are, for the progress alone."""
+"""Approximate number of kernels, for progress only."""
 SECONDS = 1800
-"""A process that compiles for longer hangs."""
+"""A process that compiles for longer counts as hung."""
 LOOK_SECONDS = 0.25
 
 
 @dataclass(frozen=True)
 class Kernels:
-    """Kernels that are compiled together; ``name`` is told in the cache when they are (`ptd.precompile`)."""
+    """Kernels that are compiled together; the cache notes ``name`` once they are compiled (`ptd.precompile`)."""
 
     name: str
     compile: Callable[[Tell], None]
@@ -36,19 +44,19 @@ class Kernels:
 
 
 def filter_kernels(method: str, kind: str | None) -> Kernels:
-    """Those of a method for a kind of clouds."""
+    """The kernels of a method for a kind of clouds."""
     compile_them = functools.partial(warm_filters, method, kind=kind)
     return Kernels(filters_name(method, kind), compile_them, KERNELS["filters"])
 
 
 def grid_kernels(interpolation: str) -> Kernels:
-    """Those of rasters; all interpolations but natural neighbours have the same."""
+    """The kernels of rasters; natural neighbours has kernels of its own, and all other interpolations share some."""
     how = "natural" if interpolation == "natural" else "linear"
     return Kernels(gridding_name(how), functools.partial(warm_gridding, how), KERNELS["gridding"])  # type: ignore[arg-type]
 
 
 def likely_kind(plan: Plan) -> str:
-    """What the cloud probably is: which kernels are compiled before the points have said so."""
+    """The probable kind of the clouds, for compiling kernels before the points are known."""
     if plan.kind is not None:
         return plan.kind
     several = any(source.returns > 1 for source in plan.sources)
@@ -61,51 +69,57 @@ class Compiler:
     Parameters
     ----------
     listener : callable
-        Told how far it is, while the run waits for it.
+        Receives the progress while the run waits.
+    note : callable
+        Receives the reason why kernels are compiled.
     apart : bool
-        In processes of their own; else in this one, when they are needed.
+        Compile in processes of their own; otherwise in this process, when kernels are needed.
     """
 
-    def __init__(self, listener: Listener, apart: bool) -> None:
-        self._listener, self._apart = listener, apart
+    def __init__(self, listener: Listener, apart: bool, note: Callable[[str], None]) -> None:
+        self._listener, self._apart, self._note = listener, apart, note
         self._begun: dict[str, tuple[threading.Event, Guard]] = {}
         self._errors: dict[str, str] = {}
+        self._why: dict[str, str] = {}
+        self._told: set[str] = set()
 
     def begin(self, plan: Plan, until: str) -> None:
-        """Begin with all that a run will probably need, each in a process of its own."""
+        """Start to compile the kernels that a run will probably need, unless they are compiled in this process."""
+        if not self._apart:
+            return
         wanted = []
         if plan.config.method != KEEP and until != "ingest":
             wanted.append(filter_kernels(plan.config.method, likely_kind(plan)))
         if until in ("grid", "export"):
             wanted.append(grid_kernels(plan.config.interpolation))
-        for kernels in wanted if self._apart else ():
+        for kernels in wanted:
             if not is_compiled(kernels.name):
                 self._start(kernels)
 
     def finish(self, kernels: Kernels) -> None:
-        """Return when these are compiled."""
+        """Compile kernels, or wait until they are compiled."""
         if not self._apart:
-            kernels.compile(
-                lambda: self._listener("note", {"text": "compiling kernels (once on this machine)"})
-            )
+            kernels.compile(lambda: self._tell_why(kernels))
             return
         if is_compiled(kernels.name):
             return
         if kernels.name not in self._begun:
             self._start(kernels)
+        self._tell_why(kernels)
         ended, _ = self._begun[kernels.name]
-        started, told = time.monotonic(), 0
+        started = time.monotonic()
+        reported = 0
         before = compiled_count()
-        facts = {"title": "compile, once on this machine", "tasks": kernels.count, "points": 0, "done": 0}
+        facts = {"title": "compile kernels", "tasks": kernels.count, "points": 0, "done": 0}
         self._listener("stage_started", {"stage": STAGE, **facts})
         finished = False
         while not finished:
             finished = ended.wait(LOOK_SECONDS)
             new = compiled_count() - before
-            for _ in range(told, new):
+            for _ in range(reported, new):
                 done = {"key": "kernel", "points": 0, "seconds": 0.0, "peak_rss_bytes": 0}
                 self._listener("task_done", {"stage": STAGE, **done})
-            told = max(told, new)
+            reported = max(reported, new)
         self._listener("stage_finished", {"stage": STAGE, "seconds": round(time.monotonic() - started, 3)})
         if not is_compiled(kernels.name):
             why = f" ({self._errors[kernels.name]})" if kernels.name in self._errors else ""
@@ -114,22 +128,30 @@ class Compiler:
             )
             self._listener("warning", {"text": text})
 
+    def _tell_why(self, kernels: Kernels) -> None:
+        why = self._why.get(kernels.name) or why_not_compiled(kernels.name)
+        if why not in self._told:
+            self._told.add(why)
+            self._note(f"kernels are compiled, which takes half a minute or more: {why}")
+
     def close(self) -> None:
-        """End the processes, whatever they do."""
+        """End the processes, even at work."""
         for ended, guard in self._begun.values():
             guard.kill()
             ended.wait()
 
     def _start(self, kernels: Kernels) -> None:
-        # An event, as a thread that somebody waits for counts as ended once Ctrl-C ends the waiting (Python 3.11).
-        guard, ended = Guard(None), threading.Event()
+        # The run waits for an event and not for the thread, which in Python 3.11 seems ended after Ctrl-C in `join`.
+        guard = Guard(None)
+        ended = threading.Event()
+        self._why[kernels.name] = why_not_compiled(kernels.name)  # before this run compiles any
 
         def work() -> None:
             try:
                 guard.call(kernels.compile, silent, seconds=SECONDS)
             except Died as died:
                 self._errors[kernels.name] = f"the process {died}"
-            except Exception as error:  # noqa: BLE001 - of a thread nobody sees: `finish` tells it
+            except Exception as error:  # noqa: BLE001 - an error of a thread is lost; `finish` reports it
                 self._errors[kernels.name] = f"{type(error).__name__}: {first_line(error)}"
             finally:
                 guard.close()
@@ -140,9 +162,9 @@ class Compiler:
 
 
 def silent() -> None:
-    """Tell nobody."""
+    """Report nothing."""
 
 
 def kinds_of(method: str) -> tuple[str | None, ...]:
-    """The kinds of clouds for which a method has kernels of its own; (None,) where it has none."""
+    """The kinds of clouds for which a method has kernels of their own; (None,) if all kinds share them."""
     return ("lidar", "dim") if has_kinds(method) else (None,)

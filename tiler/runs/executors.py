@@ -1,4 +1,4 @@
-"""Chooses the workers for the tasks of a run: those asked for, or local ones for files that these cannot see."""
+"""Chooses the executor for tasks: the requested workers, or local ones for files that these cannot write."""
 
 from __future__ import annotations
 
@@ -9,32 +9,34 @@ from typing import Any
 
 from tiler.io.locations import location
 from tiler.plan import Plan, projected_memory
-from tiler.runs.cluster_check import Access
-from tiler.runs.worker import prepare
 from tiler.schedule import Executor, Limits, Machine, make_executor
+from tiler.schedule.cluster_check import Access
+from tiler.schedule.worker import prepare
 from tiler.store import store_exists
 
-MEMORY_TIMES, MEMORY_MORE_BYTES = 2, 512 << 20
-"""A worker that allocates so many times what it is allowed, and more, has gone wrong: the system must not suffer."""
+# The system refuses memory to a faulty worker: beyond MEMORY_TIMES times what the plan allows, and MEMORY_MORE_BYTES.
+MEMORY_TIMES = 2
+MEMORY_MORE_BYTES = 512 << 20
 
 
 @dataclass(frozen=True)
 class Cluster:
-    """What the plan says of a cluster.
+    """A cluster, as the plan shows it.
 
     Attributes
     ----------
     machines : list of Machine
     out_seen : bool
-        Its workers can write into OUT: else this machine does.
+        Whether the workers can write into OUT; if not, this machine writes the files.
     """
 
     machines: list[Machine]
     out_seen: bool
 
     def lines(self, need_bytes: int) -> list[str]:
-        """The cluster in lines of text for people."""
-        workers, threads = sum(m.workers for m in self.machines), sum(m.threads for m in self.machines)
+        """The cluster in lines of text."""
+        workers = sum(m.workers for m in self.machines)
+        threads = sum(m.threads for m in self.machines)
         least = min(m.memory_bytes // m.threads for m in self.machines)
         found = [
             f"cluster     {workers} workers for {threads} tasks at a time on {len(self.machines)} machines; "
@@ -53,18 +55,18 @@ class Cluster:
 
 
 def look_at_cluster(plan: Plan, store_url: str | None, products: str | None) -> tuple[Plan, Cluster]:
-    """The plan of a run on the cluster that it names, and what that has.
+    """The plan with the workers of the cluster that it names, and the cluster itself.
 
     Parameters
     ----------
     plan : Plan
     store_url, products : str or None
-        As of `Crew`, where they are known already. There, a file without bytes is written and removed again.
+        See `Executors`; None if unknown. Each worker writes an empty file there and removes it.
 
     Raises
     ------
     ConfigError
-        No cluster there, or one whose workers cannot take part.
+        There is no cluster, or a worker cannot take part.
     """
     executor = _executor(plan, plan.config.scheduler)
     try:
@@ -78,7 +80,7 @@ def look_at_cluster(plan: Plan, store_url: str | None, products: str | None) -> 
 def _look_at_workers(
     plan: Plan, executor: Executor, store_url: str | None, products: str | None
 ) -> tuple[Access, list[Machine]]:
-    """Judge the workers of a cluster, now and as they join, and the memory of their machines."""
+    """Check the workers of a cluster, now and when they join, and the memory of their machines."""
     sources = [(location(s.path), s.state) for s in plan.sources]
     there = store_url is not None and store_exists(store_url)
     access = Access(str(plan.config.scheduler), sources, store_url, products, there)
@@ -89,12 +91,13 @@ def _look_at_workers(
 
 
 def _executor(plan: Plan, scheduler: str | None) -> Executor:
-    config, memory = plan.config, MEMORY_TIMES * plan.memory + MEMORY_MORE_BYTES
+    config = plan.config
+    memory = MEMORY_TIMES * plan.memory + MEMORY_MORE_BYTES
     limits = Limits(memory, config.task_seconds, partial(prepare, plan.memory))
     return make_executor(plan.workers, scheduler, config.in_process, limits)
 
 
-class Crew:
+class Executors:
     """The executors of a run, each made when it is first needed.
 
     Parameters
@@ -104,45 +107,45 @@ class Crew:
     products : str
         Folder or URL of the files that the run writes.
     note : callable
-        Told what is decided for people.
+        Receives notes for the user.
     """
 
     def __init__(self, plan: Plan, store_url: str, products: str, note: Callable[[str], None]) -> None:
-        self._plan, self._store_url, self._products, self._note = plan, store_url, products, note
+        self._plan = plan
+        self._store_url = store_url
+        self._products = products
+        self._note = note
         self._main: Executor | None = None
         self._here: Executor | None = None
         self._access: Access | None = None
 
-    def executor(self, writes_out: bool = False) -> Executor:
-        """The executor to give tasks to.
+    def choose(self, writes_out: bool = False) -> Executor:
+        """The executor for some tasks.
 
         Parameters
         ----------
         writes_out : bool
-            They write files into OUT.
+            Whether the tasks write files into OUT.
 
         Raises
         ------
         ConfigError
-            No cluster where one was named, or workers that cannot take part.
+            The named cluster does not exist, or a worker cannot take part.
         """
-        config = self._plan.config
+        scheduler = self._plan.config.scheduler
         if self._main is None:
-            self._main = self._make(config.scheduler)
-            if config.scheduler is not None:
-                self._access = _look_at_workers(self._plan, self._main, self._store_url, self._products)[0]
+            self._main = _executor(self._plan, scheduler)
+            if scheduler is not None:
+                self._access, _ = _look_at_workers(self._plan, self._main, self._store_url, self._products)
         if not writes_out or self._access is None or self._access.out_seen:
             return self._main
         if self._here is None:
             self._note(f"the cluster's workers do not see {self._products}: this machine writes the files")
-            self._here = self._make(None)
+            self._here = _executor(self._plan, None)
         return self._here
 
-    def _make(self, scheduler: str | None) -> Executor:
-        return _executor(self._plan, scheduler)
-
     def close(self) -> None:
-        """Release the workers, those that were made last first."""
+        """Release the workers of all executors, in reverse order."""
         for executor in (self._here, self._main):
             if executor is not None:
                 executor.close()

@@ -1,85 +1,124 @@
-"""A run at work: what its stages share."""
+"""A run at work, and its result."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
+from tiler.errors import ConfigError
 from tiler.io.locations import is_url, joined, put_file
 from tiler.io.result_folder import RUN, folder_here
 from tiler.observe.events import Listener
 from tiler.plan import Plan
 from tiler.report import write_run_file
 from tiler.report.notebook import run_markup
-from tiler.report.sections import Settled, noted, settled, warned
+from tiler.report.sections import Settled, noted, settled
 from tiler.runs.compiling import Compiler
-from tiler.runs.executors import Crew
+from tiler.runs.executors import Executors
 from tiler.runs.record import Facts, RunRecord
 from tiler.schedule import Task
 from tiler.store import LEASE_SECONDS, Commits, Lease, TileStore
 
+if TYPE_CHECKING:
+    import xarray
+
+# run.json is written again once both times have passed: stages may be short, and thousands of corrections make it long.
 SAVED_SECONDS = 2.0
-"""For so long run.json may not know of a stage that ended; what was done is known by the store."""
+SHARE = 20
+"""Multiple of the time that the last write took."""
 
 
 @dataclass(frozen=True)
 class RunResult:
-    """How a run ended; a notebook shows it with a picture of the DTM.
+    """Result of a run; a notebook shows it with a picture of the DTM.
 
     Attributes
     ----------
     exit_code : int
         0, or 5 if something was left out.
     summary : dict
-        What ``run.json`` says.
+        Content of ``run.json``.
     did_nothing : bool
-        Everything had been done before.
+        Whether an earlier run had done everything.
     out : str
         Path or URL of the results.
+    plan : Plan
+        The plan that the run followed.
     """
 
     exit_code: int
     summary: dict[str, Any] = field(repr=False)
     did_nothing: bool
     out: str
+    plan: Plan = field(repr=False)
 
     @property
     def files(self) -> dict[str, str]:
         """Path or URL of each file that the run wrote, or found as it would write it, by its name in OUT."""
-        name = self.summary.get("report")
-        report = {name: str(folder_here(self.out) / name)} if name else {}
-        return report | {name: joined(self.out, name) for name in self.summary.get("outputs", {})}
+        found = {}
+        report = self.summary.get("report")
+        if report:
+            found[report] = str(folder_here(self.out) / report)
+        for name in self.summary.get("outputs", {}):
+            found[name] = joined(self.out, name)
+        return found
 
     @property
     def decisions(self) -> list[Settled]:
-        """What the settings became that can be left to tiler: setting, value, by whom, and why."""
+        """The settings that tiler can choose by itself, each with its value, who chose it, and why."""
         return settled(self.summary)
 
     @property
     def notes(self) -> list[str]:
-        """What was decided or found on the way, a line each."""
+        """Decisions and findings of the run, a line each."""
         return noted(self.summary)
 
     @property
     def warnings(self) -> list[str]:
-        """What looks wrong in the settings or the data, a line each."""
-        return warned(self.summary)
+        """Warnings, a line each, about what looks wrong and what was left out."""
+        return list(self.summary["warnings"])
+
+    def dtm(self) -> xarray.DataArray:
+        """Read the terrain as an array of xarray, through the package rioxarray.
+
+        Returns
+        -------
+        xarray.DataArray
+            float32, dimensions (y, x), y falling; heights in the unit of the raster, NaN where there is none; with the
+            CRS. Heights are read when they are used.
+
+        Raises
+        ------
+        ConfigError
+            rioxarray is not installed, or the run made no terrain.
+        """
+        try:
+            import rioxarray
+        except ImportError as error:
+            raise ConfigError("dtm(): needs rioxarray; pip install 'tiler-dtm[xarray]'") from error
+        for name in ("dtm.tif", "dtm.vrt"):
+            if name in self.files:
+                opened: Any = rioxarray.open_rasterio(self.files[name], masked=True)
+                array: xarray.DataArray = opened.squeeze("band", drop=True)
+                return array
+        raise ConfigError(f"dtm(): {self.out} has no terrain; run with the product dtm")
 
     def _repr_html_(self) -> str:
         return run_markup(self.summary, self.out, self.files)
 
 
 class Ownership:
-    """The locks of store and OUT, looked at from time to time."""
+    """The locks of store and OUT, which are checked from time to time."""
 
     def __init__(self, leases: tuple[Lease, ...]) -> None:
-        self._leases, self._checked = leases, time.monotonic()
+        self._leases = leases
+        self._checked = time.monotonic()
 
     def check(self) -> None:
-        """End this run if another one took store or OUT over, as after a long sleep of this machine."""
+        """Raise LockedError if another run took store or OUT over, which can happen while this machine sleeps."""
         if time.monotonic() - self._checked > LEASE_SECONDS / 2:
             for lease in self._leases:
                 lease.check()
@@ -88,9 +127,10 @@ class Ownership:
 
 @dataclass
 class Job:
-    """A run at work: what the stages share.
+    """A run at work, which the stages share.
 
-    ``out`` is the folder of run.json, the log and the report; ``products``, the same or a URL, that of all other files.
+    ``out`` is the folder of run.json, log and report; ``products`` is the place of all other files, the same folder or
+    a URL. ``earlier_settings`` are the settings of the last run of OUT by name, empty without an earlier run.
     """
 
     plan: Plan
@@ -100,51 +140,59 @@ class Job:
     listener: Listener
     ownership: Ownership
     record: RunRecord = field(default_factory=RunRecord)
-    crew: Crew = field(init=False)
+    earlier_settings: Mapping[str, Any] = field(default_factory=dict)
+    executors: Executors = field(init=False)
     compiler: Compiler = field(init=False)
     _saved: float = field(init=False, default=0.0)
+    _took: float = field(init=False, default=0.0)
 
     def __post_init__(self) -> None:
         self.compiler = Compiler(
-            lambda event, facts: self.listener(event, facts), not self.plan.config.in_process
+            lambda event, facts: self.listener(event, facts), not self.plan.config.in_process, self.note
         )
-        self.crew = Crew(self.plan, self.store.url, self.products, self.note)
+        self.executors = Executors(self.plan, self.store.url, self.products, self.note)
 
     @property
     def facts(self) -> Facts:
-        """What the stages add to run.json."""
+        """Entries that the stages add to run.json."""
         return self.record.facts
 
     def note(self, text: str) -> None:
-        """Tell people what was decided for them, now and in run.json."""
-        if text not in self.record.notes:  # a stage that is done again says the same again
+        """Show a note to the user, now and in run.json."""
+        if text not in self.record.notes:  # a stage that is done again repeats its notes
             self.record.notes.append(text)
         self.listener("note", {"text": text})
 
     def sorted_out(self, stage: str, tasks: Iterable[Task]) -> tuple[Commits, Commits]:
-        """Commits of a stage that hold for these tasks, and those that do not: of other settings or inputs."""
+        """Commits of a stage that fit these tasks, and those of other settings or inputs, which do not."""
         digests = {task.key: task.digest for task in tasks}
-        found = self.store.committed(stage)
-        done = {key: commit for key, commit in found.items() if commit[0] == digests.get(key)}
-        return done, {key: commit for key, commit in found.items() if key not in done}
+        done: Commits = {}
+        stale: Commits = {}
+        for key, commit in self.store.committed(stage).items():
+            digest, _ = commit
+            fits = done if digest == digests.get(key) else stale
+            fits[key] = commit
+        return done, stale
 
     def take_back(self, stage: str, keys: Iterable[str]) -> None:
-        """Tasks are done no more: always before what they wrote is overwritten or removed.
+        """Mark tasks as not done. Call it before the data of the tasks are overwritten or removed.
 
-        Else a run that is killed on the way would leave commits whose data are another run's.
+        Otherwise a killed run could leave commits without their data.
         """
         self.store.uncommit(stage, *keys)
 
     def save_on_the_way(self) -> None:
-        """Write run.json unless that was done a moment ago: small stages take less time than writing it."""
-        if time.monotonic() - self._saved > SAVED_SECONDS:
+        """Write run.json, unless that was done a moment ago."""
+        if time.monotonic() - self._saved > max(SAVED_SECONDS, SHARE * self._took):
             self.save("running")
 
     def save(self, state: str) -> dict[str, Any]:
         """Write run.json and return its content."""
-        self._saved = time.monotonic()
+        began = time.monotonic()
         content = self.record.content(self.plan, state)
         write_run_file(self.out, content)
-        if is_url(self.products):  # a run from elsewhere knows by it whose files these are
+        if is_url(self.products):  # a run from another machine learns from it which files tiler wrote
             put_file(self.out / RUN, joined(self.products, RUN))
+        self._saved = time.monotonic()
+        self._took = self._saved - began
         return content

@@ -1,4 +1,4 @@
-"""What run.json says of a run; the one place that lists its entries."""
+"""The content of run.json. This module alone lists its entries; docs/run-json.md promises some of them."""
 
 from __future__ import annotations
 
@@ -9,10 +9,12 @@ from functools import cache
 from importlib.metadata import version
 from typing import Any, TypedDict
 
+from tiler.observe.json_lines import message_of
 from tiler.plan import Plan, plan_json
 from tiler.redaction import stored
-from tiler.runs.worker import peak_rss_bytes
+from tiler.report.problems import problems_of
 from tiler.schedule import Outcome, Task
+from tiler.schedule.worker import peak_rss_bytes
 from tiler.store import Commits
 from tiler.version import __version__
 
@@ -22,65 +24,106 @@ PLACED = ("filter", "grid-")
 """Stages whose tasks are tiles of the map in the report."""
 
 LISTED_TILES = 20_000
-"""Tiles of a stage listed in run.json, which is written again after each stage; where there are more, none is."""
+"""Most tiles of a stage that run.json lists; of more it lists none, as it is written again after each stage."""
 
 
 class Facts(TypedDict, total=False):
-    """What the stages add to run.json; each entry is there once its stage is done.
+    """Entries that the stages add to run.json, each once its stage is done.
 
-    Heights and distances in rasters are in units of the CRS, names that end in ``_m`` are metres.
+    Heights and distances in rasters are in units of the CRS; names that end in ``_m`` are metres.
     """
 
-    products_at: str | None  # URL of OUT, where it is one
-    given: list[str]  # INPUT, as it was called with
+    products_at: str | None
+    """URL of OUT, if it is at a URL."""
+    given: list[str]
+    """INPUT, as the user gave it."""
     seconds: float
-    report: str | None  # name of the report, None where it could not be drawn
-    inputs: list[
-        dict[str, Any]
-    ]  # each source, with the digest of its bytes and the points that are stored of it
-    fetched: dict[str, int]  # bytes of inputs at URLs: for the plan, of points, for classified clouds
-    counts: dict[str, Any]  # points read, stored, dropped by reason, duplicates, strays, buckets
-    strays: list[dict[str, Any]]  # each point that is far from all others of its file
-    statistics: dict[str, Any]  # state after each pass of the method
-    filter: dict[str, Any]  # points of each class, tiles, marks, overlap work
+    report: str | None
+    """Name of the report; None if it could not be drawn."""
+    inputs: list[dict[str, Any]]
+    """Sources, with the digest of the bytes and the number of stored points."""
+    fetched: dict[str, int]
+    """Bytes of inputs at URLs that were read for the plan, for points, and for classified clouds."""
+    counts: dict[str, Any]
+    """Points read, stored and dropped by reason; duplicates, strays, buckets."""
+    classes: dict[str, Any]
+    """Points by class in the input, without part in filtering, and kept and written in clouds."""
+    strays: list[dict[str, Any]]
+    """Points far from all others of their file."""
+    statistics: dict[str, Any]
+    """State after each pass of the method."""
+    filter: dict[str, Any]
+    """Points by class, tiles, marks, overlap work."""
+    canopy: dict[str, Any]
+    """Share of the area that a closed canopy covers, the setting, and where most of it is."""
     breaklines: dict[str, Any]
-    bridges: list[dict[str, Any]]  # sizes and outline of each that was left out
-    edits: list[dict[str, Any]]  # what each correction changed
-    water: list[Any]  # each body of water, with its level and the pixels that it has
-    dtm: dict[str, Any]  # size of the raster, pixels with a height, marks, blocks
+    bridges: list[dict[str, Any]]
+    """Size and outline of each bridge that was left out."""
+    edits: list[dict[str, Any]]
+    """Changes by each correction."""
+    water: list[Any]
+    """Bodies of water, with level and number of pixels."""
+    dtm: dict[str, Any]
+    """Size of the raster, pixels with a height, marks, blocks."""
     dsm: dict[str, Any]
-    mask: dict[str, Any]  # pixels of each value
+    mask: dict[str, Any]
+    """Pixels by value."""
+    sigma: dict[str, Any]
+    """Expected RMSE and a histogram of the standard error, of open and covered ground and of water."""
+    voids: dict[str, Any]
+    """Number of pixels inside the survey without a height, and the largest places."""
     contours: dict[str, Any]
-    outline: dict[str, Any]  # widest gap that counts as surveyed, pixels cut
-    advice: list[str]  # choices that the data show to be wrong
-    outputs: dict[
-        str, int
-    ]  # files of OUT that this run wrote or found as it would write them, and their bytes
-    digests: dict[str, str]  # of these files
-    made_of: dict[str, str]  # digest of what each raster was made of
-    earlier_outputs: dict[str, str | None]  # files of earlier runs, until the export has dealt with them
-    healed: list[str]  # objects of the store that were damaged and are made again
+    spots: dict[str, int]
+    """Number of tops and of bottoms."""
+    sheets: int
+    """Number of sheets."""
+    outline: dict[str, Any]
+    """Widest gap that counts as surveyed, and pixels cut."""
+    water_doubts: list[dict[str, Any]]
+    """Doubts about bodies of water: ``text`` and ``place`` (x, y) of each."""
+    canopy_doubts: list[dict[str, Any]]
+    """Doubts about closed canopy: ``text`` and ``place`` (west, south, east, north) of each."""
+    doubts: list[str]
+    """Decisions that are uncertain."""
+    advice: list[str]
+    """Settings that the data show to be wrong."""
+    advice_at: list[list[float]]
+    """Place x, y of each advice."""
+    outputs: dict[str, int]
+    """Files of OUT that this run wrote, or found as it would write them, and their sizes in bytes."""
+    digests: dict[str, str]
+    """Digests of these files."""
+    made_of: dict[str, str]
+    """For each raster, the digest of its inputs."""
+    earlier_outputs: dict[str, str | None]
+    """Files of earlier runs, until the export has removed or kept them."""
+    healed: list[str]
+    """Damaged objects of the store that are made again."""
 
 
 @dataclass
 class RunRecord:
-    """What was done and what became of it.
+    """What a run did, and with what result.
 
     Attributes
     ----------
     computed : int
-        Tasks that this run did.
+        Number of tasks that this run did.
     stages : dict
-        Key -> ``title`` in words, ``tasks``, ``done`` before, ``points``, ``computed``, ``seconds``,
+        For each key of a stage: ``title``, ``tasks``, ``done`` before, ``points``, ``computed``, ``seconds``,
         ``peak_rss_bytes``.
     quarantined : list
         ``path`` and ``error`` of each input that is left out.
     failed : list
-        ``stage``, its ``title`` in words, ``key``, ``error``, ``kind`` and ``bounds`` of each task that was given up.
+        ``stage``, ``title``, ``key``, ``error``, ``kind`` and ``bounds`` of each task that was given up.
     notes : list of str
-        What was decided for people.
+        Notes for the user.
+    warnings : list of str
+        Warnings for the user, which `keep_warning` collects.
+    exit_code : int or None
+        Exit code of the run; None while it is at work.
     tiles : dict
-        Stage -> key -> what became of the tile, for the map in the report.
+        For each stage and key, the state of the tile, for the map in the report.
     facts : Facts
     """
 
@@ -89,19 +132,21 @@ class RunRecord:
     quarantined: list[dict[str, str]] = field(default_factory=list)
     failed: list[dict[str, Any]] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
+    warnings: list[str] = field(default_factory=list)
+    exit_code: int | None = None
     tiles: dict[str, dict[str, dict[str, Any]]] = field(default_factory=dict)
     facts: Facts = field(default_factory=Facts)
 
     def first_error(self, stage: str) -> str:
-        """Of the task of a stage that was given up first."""
+        """The error of the first failed task of a stage."""
         return next(str(failure["error"]) for failure in self.failed if failure["stage"] == stage)
 
     def list_tiles(self, stage: str, tasks: Iterable[tuple[Task, list[float] | None]], done: Commits) -> None:
-        """Tiles of a stage before it begins, each with its bounds."""
+        """Add the tiles of a stage, with their bounds, before the stage begins."""
         self.tiles[stage] = {task.key: _tile(task, bounds, done) for task, bounds in tasks}
 
-    def tell_tile(self, outcome: Outcome) -> None:
-        """What became of a tile; one that is tried again stays ``waiting``."""
+    def update_tile(self, outcome: Outcome) -> None:
+        """Set the state of a tile after a try; it stays ``waiting`` if another try follows."""
         tile = self.tiles.get(outcome.task.stage, {}).get(outcome.task.key)
         if tile is None:
             return
@@ -112,46 +157,59 @@ class RunRecord:
         elif not (outcome.again or outcome.damaged):
             tile["state"] = "failed"
 
+    def keep_warning(self, event: str, fields: dict[str, Any]) -> None:
+        """Keep the text of an event if it is a warning. This method is a listener."""
+        text, level = message_of(event, fields) or ("", "")
+        if level == "warning" and text not in self.warnings:
+            self.warnings.append(text)
+
     def content(self, plan: Plan, state: str) -> dict[str, Any]:
-        """What run.json holds; no URL in it has a password or token.
+        """The content of run.json, without the passwords and tokens of URLs.
 
         Parameters
         ----------
         plan : Plan
         state : str
-            ``running``, ``interrupted`` or ``done``.
+            ``running``, ``interrupted``, ``failed`` or ``done``.
         """
-        found: dict[str, Any] = stored(
-            {
-                "state": state,
-                "version": __version__,
-                "configuration": plan.config.to_json(),
-                "plan": plan_json(plan),
-                "libraries": _libraries(),
-                "written": datetime.now(UTC).isoformat(timespec="seconds"),
-                "notes": self.notes,
-                "tiles": {s: [{"key": k, **t} for k, t in ts.items()] for s, ts in self.tiles.items()},
-                "stages": self.stages,
-                "quarantined": self.quarantined,
-                "failed_tasks": self.failed,
-                "peak_rss_bytes": max(
-                    [peak_rss_bytes(), *(s["peak_rss_bytes"] for s in self.stages.values())]
-                ),
-                **self.facts,
-            }
-        )
+        tiles = {}
+        for stage, by_key in self.tiles.items():
+            tiles[stage] = [{"key": key, **tile} for key, tile in by_key.items()]
+        peaks = [stage["peak_rss_bytes"] for stage in self.stages.values()]
+        content = {
+            "state": state,
+            "version": __version__,
+            "configuration": plan.config.to_json(),
+            "plan": plan_json(plan),
+            "libraries": _libraries(),
+            "written": datetime.now(UTC).isoformat(timespec="seconds"),
+            "notes": self.notes,
+            "warnings": self.warnings,
+            "exit_code": self.exit_code,
+            "tiles": tiles,
+            "stages": self.stages,
+            "quarantined": self.quarantined,
+            "failed_tasks": self.failed,
+            "peak_rss_bytes": max([peak_rss_bytes(), *peaks]),
+            **self.facts,
+        }
+        found: dict[str, Any] = stored(content)
+        found["problems"] = [problem._asdict() for problem in problems_of(found)]
         return found
 
 
 @cache
 def _libraries() -> dict[str, str]:
-    """Versions of the libraries; read once, as each is a file."""
+    # Cached, since each version is read from a file.
     return {name: version(name) for name in LIBRARIES}
 
 
 def _tile(task: Task, bounds: list[float] | None, done: Commits) -> dict[str, Any]:
-    """A tile before its stage begins; one that an earlier run did has the time in that run's events alone."""
-    made = _made(done[task.key][1]) if task.key in done else {"state": "waiting", "tries": 0, "marked": 0}
+    """A tile before its stage begins. If an earlier run did it, only the events of that run hold its time."""
+    made = {"state": "waiting", "tries": 0, "marked": 0}
+    if task.key in done:
+        _, record = done[task.key]
+        made = _made(record)
     return {"bounds": bounds, "points": task.points, **made, "seconds": None, "peak_rss_bytes": None}
 
 

@@ -1,4 +1,4 @@
-"""Does the tasks of a stage that are not done yet, and tells what became of each."""
+"""Runs the tasks of a stage that are not done yet, and reports the outcome of each."""
 
 from __future__ import annotations
 
@@ -8,20 +8,20 @@ from dataclasses import replace
 from typing import Any
 
 from tiler.core.frame import COUNTS_PER_UNIT
-from tiler.errors import DamagedError, DiskFullError, ProcessingError
+from tiler.core.raster import Block
+from tiler.errors import DamagedError, DiskFullError, ProcessingError, StoreAccessError
 from tiler.runs import record
 from tiler.runs.compiling import Kernels
 from tiler.runs.job import Job
-from tiler.runs.worker import perform
-from tiler.schedule import Executor, Outcome, Placed, Task
+from tiler.schedule import Outcome, Placed, Task
+from tiler.schedule.worker import perform
 from tiler.store import Commits, store_exists
 
 PACKED_COMMITS = 256
-"""From so many commits on, a stage packs them into one object when it ends: each costs a request to read."""
-
+"""A stage that ends with so many commits packs them into one object, since reading each costs a request."""
 
 Join = Callable[[list[Task], int], list[Task]]
-"""``join(tasks, workers)``: the tasks to do, some of them as parts of others."""
+"""``join(tasks, workers)`` makes tasks of which some are parts of others."""
 
 
 def run_stage(
@@ -32,7 +32,7 @@ def run_stage(
     writes_out: bool = False,
     join: Join | None = None,
 ) -> Commits:
-    """Do what is not done yet of a stage; commits of all its tasks that succeeded.
+    """Run the tasks of a stage that are not done yet.
 
     Parameters
     ----------
@@ -40,18 +40,23 @@ def run_stage(
     stage : str
     tasks : iterable of Task
     kernels : Kernels, optional
-        Those that the stage uses: compiled once, before local workers would each do so.
+        Kernels that the stage uses. They are compiled first, as each local worker would do otherwise.
     writes_out : bool
-        The tasks write files into OUT.
+        Whether the tasks write files into OUT.
     join : callable, optional
-        Joins tasks that are cheaper if they are done at once.
+        Joins tasks that are cheaper together.
+
+    Returns
+    -------
+    Commits
+        Commits of all tasks that succeeded, in this run or earlier.
 
     Raises
     ------
     DamagedError
         Objects of the store could not be read; all other tasks are done.
     ProcessingError
-        A task failed and ``--on-error stop`` was said, or store or OUT are gone.
+        A task failed and ``--on-error`` is ``stop``, or store or OUT are gone.
     """
     wanted = {task.key: task for task in tasks}
     done, stale = job.sorted_out(stage, wanted.values())
@@ -63,16 +68,19 @@ def run_stage(
         "tasks": len(wanted),
         "done": len(done),
         "points": sum(t.points for t in todo),
+        "pixels": sum(map(_pixels, todo)),
     }
     if stage.startswith(record.PLACED) and len(wanted) <= record.LISTED_TILES:
         job.record.list_tiles(stage, ((task, _place(job, task)) for task in wanted.values()), done)
     if todo and kernels is not None and job.plan.config.scheduler is None:
         job.compiler.finish(kernels)
-    job.listener("stage_started", info)  # once its kernels are there: its time is that of the work
-    start, peak_rss, damaged = time.monotonic(), 0, set[str]()
-    for outcome in _outcomes(job, job.crew.executor(writes_out), todo, join) if todo else ():
-        job.record.tell_tile(outcome)
-        _finished(job, outcome)
+    job.listener("stage_started", info)  # after the kernels, so that the stage's time is that of its work
+    start = time.monotonic()
+    peak_rss = 0
+    damaged = set[str]()
+    for outcome in _outcomes(job, todo, writes_out, join):
+        job.record.update_tile(outcome)
+        _report(job, outcome)
         job.ownership.check()
         damaged.update(outcome.damaged)
         peak_rss = max(peak_rss, outcome.peak_rss_bytes)
@@ -90,20 +98,35 @@ def run_stage(
     return dict(sorted(done.items()))
 
 
-def _outcomes(job: Job, executor: Executor, tasks: list[Task], join: Join | None) -> Iterator[Outcome]:
-    """Outcomes of single tasks, also of those that were joined: where that fails they are done one by one."""
+def _outcomes(job: Job, tasks: list[Task], writes_out: bool, join: Join | None) -> Iterator[Outcome]:
+    """Outcomes of single tasks; if joined tasks fail together, they are done one by one."""
+    if not tasks:
+        return
+    executor = job.executors.choose(writes_out)
+    if join is not None:
+        tasks = join(tasks, executor.workers)
     alone: list[Task] = []
-    for outcome in executor.run(perform, job.store.url, join(tasks, executor.workers) if join else tasks):
-        if outcome.task.parts and outcome.record is None:
-            alone += () if outcome.again else outcome.task.parts
-            outcome = replace(outcome, task=outcome.task.parts[0], again=True)
+    for outcome in executor.run(perform, job.store.url, tasks):
+        parts = outcome.task.parts
+        if parts and outcome.record is None:
+            if not (outcome.again or outcome.fatal):
+                alone += parts
+            outcome = replace(outcome, task=parts[0], again=outcome.again or not outcome.fatal)
         yield from outcome.of_parts()
     if alone:
         yield from executor.run(perform, job.store.url, alone)
 
 
-def _finished(job: Job, outcome: Outcome) -> None:
-    """Tell of a task that was done, is tried again, or failed; raises what ends the run."""
+def _pixels(task: Task) -> int:
+    """Number of pixels that a task makes; 0 if it makes none."""
+    block = getattr(task.arguments, "block", None)
+    if isinstance(block, Block):
+        return block.height * block.width
+    return 0
+
+
+def _report(job: Job, outcome: Outcome) -> None:
+    """Report a task that is done, is tried again, or failed; raises an error that ends the run."""
     task = outcome.task
     if outcome.record is not None:
         job.listener(
@@ -112,6 +135,7 @@ def _finished(job: Job, outcome: Outcome) -> None:
                 "stage": task.stage,
                 "key": task.key,
                 "points": task.points,
+                "pixels": _pixels(task),
                 "seconds": round(outcome.seconds, 3),
                 "peak_rss_bytes": outcome.peak_rss_bytes,
             },
@@ -125,8 +149,9 @@ def _finished(job: Job, outcome: Outcome) -> None:
         "kind": outcome.error_kind or "",
     }
     _refuse_gone(job)
-    if outcome.fatal:
-        raise DiskFullError(f"{failure['title']} {task.key}: {outcome.error}")
+    if outcome.fatal and not outcome.again:
+        kind = DiskFullError if outcome.error_kind == DiskFullError.__name__ else StoreAccessError
+        raise kind(f"{failure['title']} {task.key}: {outcome.error}")
     if outcome.again or outcome.damaged:
         job.listener("task_again", failure)
         return
@@ -140,17 +165,23 @@ def _finished(job: Job, outcome: Outcome) -> None:
 
 
 def _refuse_gone(job: Job) -> None:
-    """Raise ProcessingError where it is not the task that failed: everything that it needs was removed."""
-    places = [job.store.url] if not store_exists(job.store.url) else []
-    places += [str(job.out)] if not job.out.is_dir() else []
-    if places:
-        raise ProcessingError(
-            f"{places[-1]}: was removed while the run went on; run again, and what is gone is made anew"
-        )
+    """Raise ProcessingError if OUT or the store was removed, so that the task is not to blame."""
+    if not job.out.is_dir():
+        gone = str(job.out)
+    elif not store_exists(job.store.url):
+        gone = job.store.url
+    else:
+        return
+    raise ProcessingError(
+        f"{gone}: was removed while the run went on; run again, and what is gone is made anew"
+    )
 
 
 def _place(job: Job, task: Task) -> list[float] | None:
-    """The hole that a task leaves: lowest x, y, highest x, y in units of the CRS; None where it has no place."""
-    work = task.arguments
-    bounds = work.place(job.plan.meta.bucket) if isinstance(work, Placed) else None
-    return None if bounds is None else [v / COUNTS_PER_UNIT for v in bounds.to_json()]
+    """Bounds of a task: lowest x, y, highest x, y in units of the CRS; None if it has no place."""
+    if not isinstance(task.arguments, Placed):
+        return None
+    bounds = task.arguments.place(job.plan.meta.bucket)
+    if bounds is None:
+        return None
+    return [v / COUNTS_PER_UNIT for v in bounds.to_json()]

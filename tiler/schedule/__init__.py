@@ -1,4 +1,4 @@
-"""Executors of tasks, interchangeable: in this process, or on Dask workers of this machine or of a cluster."""
+"""Interchangeable executors of tasks: in this process, or on Dask workers of this machine or of a cluster."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from contextlib import suppress
 from importlib import import_module
 from threading import Thread
 
-from tiler.schedule.fork_server import FORKS, WORKING, kept_forking, prepare_children
+from tiler.schedule.fork_server import FORKS, kept_forking, prepare_children
 from tiler.schedule.guard import Died, Guard, NotStartedError, limits_memory
 from tiler.schedule.isolated_reading import half_of_memory, read_apart, seconds_for
 from tiler.schedule.parallel_calls import Guards
@@ -30,7 +30,6 @@ __all__ = [
     "FORKS",
     "NOT_IN_DIGEST",
     "TRIES",
-    "WORKING",
     "Died",
     "Executor",
     "Guard",
@@ -58,10 +57,11 @@ __all__ = [
 
 
 def import_dask() -> None:
-    """Import what `make_executor` needs for workers, in a thread: while something else is waited for."""
+    """Import in a thread what `make_executor` needs for workers, while this process waits for something else."""
 
     def work() -> None:
-        with suppress(ImportError):  # `make_executor` meets it again
+        # `make_executor` raises an ImportError again; a process that is ending refuses the import with a RuntimeError
+        with suppress(ImportError, RuntimeError):
             import_module("tiler.schedule.workers")
 
     Thread(target=work, name="import dask").start()
@@ -70,9 +70,9 @@ def import_dask() -> None:
 def make_executor(
     workers: int, address: str | None = None, in_process: bool = False, limits: Limits | None = None
 ) -> Executor:
-    """Make one on Dask workers (imported only then), of this machine or of a cluster, or in this process.
+    """Make an executor in this process, or on Dask workers of this machine or of the cluster at an address.
 
-    Also one worker works in a process of its own: what crashes it must not end the run.
+    A single worker also has a process of its own, so that its crash does not end the run.
     """
     if in_process:
         return SerialExecutor()

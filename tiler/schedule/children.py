@@ -1,7 +1,7 @@
-"""What a Dask worker does with a task: a child process of its own works on it, see `Guard`.
+"""Runs the tasks of a Dask worker in child processes, see `Guard`.
 
-So a native crash, a hang or too much memory costs the child and one try of the task that is to blame, which is known,
-and how; the Dask worker lives on, with the other tasks that it holds.
+A native crash, a hang or too much memory costs only the child and one try of its task, and the cause is known. The Dask
+worker and its other tasks go on.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ from tiler.schedule.guard import Died, Guard, NotStartedError
 from tiler.schedule.task import Limits, Outcome, Perform, Task
 
 WORKER_DIED = "WorkerDied"
-"""Kind of the error of a task that killed its worker."""
+"""Kind of error of a task that killed its worker."""
 
 
 @dataclass(frozen=True)
 class Run:
-    """What the tasks of one executor share.
+    """Values that the tasks of one executor share.
 
     Attributes
     ----------
     token : str
-        Of this executor alone.
+        Unique name of the executor.
     limits : Limits
     """
 
@@ -39,7 +39,7 @@ class Run:
 
 
 class Children:
-    """The children of one Dask worker: one for each task that it has at a time, kept for the next."""
+    """The children of a Dask worker: one for each task at work; idle ones are kept for the next task."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -48,17 +48,17 @@ class Children:
         self._ended: set[str] = set()
 
     def perform(self, run: Run, perform: Perform, store_url: str, task: Task) -> Outcome:
-        """Have a child process do a task, and return what became of it."""
+        """Run a task in a child, and return its outcome."""
         guard = self._take(run)
         try:
             outcome = guard.call(perform, store_url, task, seconds=run.limits.seconds_of(task))
             if outcome.again:
-                guard.close()  # the next try is another process's
+                guard.close()  # the next try gets a new process
         except NotStartedError as error:
             outcome = Outcome(task, None, f"its process {error}", "MemoryError", again=True)
         except Died as died:
             outcome = Outcome(task, None, str(died), WORKER_DIED, again=True)
-        except Exception as error:  # noqa: BLE001 - the task did not even reach the child, or its outcome us
+        except Exception as error:  # noqa: BLE001 - the task, or its outcome, could not be sent
             kind = type(error).__name__
             outcome = Outcome(task, None, f"{kind}: {error}", kind, again=True)
         finally:
@@ -66,7 +66,7 @@ class Children:
         return outcome
 
     def call(self, run: Run, function: Callable[..., Any], *arguments: Any) -> Any:
-        """``function(*arguments)`` in a child, whatever the others do; raises what it raises, or `Died`."""
+        """The result of ``function(*arguments)`` in a child; raises the exception of the function, or `Died`."""
         guard = self._take(run)
         try:
             return guard.call(function, *arguments, seconds=run.limits.seconds)
@@ -74,7 +74,7 @@ class Children:
             self._give_back(guard)
 
     def end(self, token: str) -> None:
-        """End the children that work for one executor, and start none for it any more; forget the idle ones."""
+        """End the children that work for one executor, and all idle ones; later tasks of the executor end at once."""
         with self._lock:
             self._ended.add(token)
             for guard, owner in self._busy.items():
@@ -85,7 +85,7 @@ class Children:
             guard.close()
 
     def _take(self, run: Run) -> Guard:
-        """A child that waits and has the same limit, or a new one."""
+        """An idle child with the same limit, or a new one."""
         with self._lock:
             others, self._idle = self._idle, []
             guard = Guard(run.limits.memory_bytes, run.limits.prepare)
@@ -97,7 +97,7 @@ class Children:
                 other.close()
             self._busy[guard] = run.token
             if run.token in self._ended:
-                guard.kill()  # a task that waited in line: it ends at once
+                guard.kill()  # a task of an executor that has ended
             return guard
 
     def _give_back(self, guard: Guard) -> None:
@@ -110,28 +110,28 @@ class Children:
 
 
 def perform_in_child(run: Run, perform: Perform, store_url: str, task: Task) -> Outcome:
-    """On a Dask worker: `Children.perform`."""
+    """`Children.perform` on a Dask worker."""
     return _children(distributed.get_worker()).perform(run, perform, store_url, task)
 
 
 async def call_in_child(
     run: Run, function: Callable[..., Any], *arguments: Any, dask_worker: distributed.Worker
 ) -> Any:
-    """On a Dask worker: `Children.call`, whatever tasks it has; Dask fills in the worker."""
+    """`Children.call` on a Dask worker, beside its tasks; Dask fills in the worker."""
     return await asyncio.to_thread(_children(dask_worker).call, run, function, *arguments)
 
 
 def machine_of(dask_worker: distributed.Worker) -> tuple[str, int, int]:
-    """On a Dask worker: name of its machine, bytes of memory there, and its threads; Dask fills in the worker."""
+    """Name and memory (bytes) of a Dask worker's machine, and the worker's threads; Dask fills in the worker."""
     return socket.gethostname(), MEMORY_LIMIT, dask_worker.state.nthreads
 
 
 def end_children(token: str, dask_worker: distributed.Worker) -> None:
-    """On a Dask worker: `Children.end`; Dask fills in the worker."""
+    """`Children.end` on a Dask worker; Dask fills in the worker."""
     _children(dask_worker).end(token)
 
 
 def _children(worker: distributed.Worker) -> Children:
-    """Kept with the worker: in one process there can be several."""
+    # They are kept with the worker, as a process can have several workers.
     found: Children = vars(worker).setdefault("tiler_children", Children())
     return found

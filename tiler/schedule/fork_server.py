@@ -1,8 +1,8 @@
-"""Starts the children of `Guard` as forks of one process, which imports what they need before it forks.
+"""A server process that starts the children of `Guard` as forks, and imports what they need before it forks.
 
-So imports, a second of work and more, are done once and not in each child. The process ends with the last child, or
-with the last `kept_forking`. It is single: no thread is ever lost in a fork. Linux alone forks safely, whatever
-libraries are loaded; elsewhere each child starts by itself.
+Imports take a second and more; the server does them once for all children. It ends with the last child, or with the
+last `kept_forking`. It has a single thread, since other threads would be lost in a fork. Only Linux forks safely with
+all libraries; on other systems each child starts by itself.
 """
 
 from __future__ import annotations
@@ -25,50 +25,40 @@ from typing import IO, Any
 from tiler.import_path import trusted_path
 
 FORKS = sys.platform == "linux" and hasattr(os, "fork") and hasattr(socket, "send_fds")
-"""Whether children are forks of one process here, which start in milliseconds."""
+"""Whether children are forks of a server on this system, which start in milliseconds."""
 
 SERVES = "fork"
-"""What tells `tiler.schedule.guarded` to be the server."""
-
-WORKING = (
-    "tiler.ingest.sources",
-    "tiler.pipeline",
-    "ptd.methods.auto.method",
-    "scipy.ndimage",
-    "tiler.runs.worker:load_kernels",
-    "scipy.spatial",
-    "scipy.optimize",
-    "pyogrio",
-)
-"""For `prepare_children`: what workers of a run need, by name, as it is of layers above."""
+"""Argument with which `tiler.schedule.guarded` is the server."""
 
 _SET_BY_LIBRARIES = "_CURL_CA_BUNDLE"
-"""End of the names of variables that rasterio and pyproj set for themselves when they are imported."""
+"""End of the names of variables that rasterio and pyproj set when they are imported."""
 
-_SIZE, _CODE = 8, 8
-"""Bytes of the length of a request, and of an exit code."""
+_SIZE = 8
+"""Bytes of the length of a request."""
+_CODE = 8
+"""Bytes of an exit code."""
 
 NOT_STARTED = 1 << 16
-"""Instead of the exit code of a child for which the system had no process or no memory left."""
+"""Stands for the exit code of a child that could not start for want of memory or processes."""
 
 _GARBAGE_OBJECTS = 100_000
-"""Imports make few objects that are garbage: looking for it after each 700 is a tenth of their time."""
+"""Threshold of the garbage collector. With the default of 700, it takes a tenth of the time of imports."""
 
 _ONE_THREAD = "OPENBLAS_NUM_THREADS"
-"""The library of linear algebra that comes with numpy starts a thread for each core as it is loaded, which spins."""
+"""Without this variable, numpy's library for linear algebra starts a busy thread for each core when it is loaded."""
 
 
 def child_environment() -> dict[str, str]:
-    """Environment of a child: it imports from where this process does, and is one of several, with a thread each."""
+    """Environment of a child, with the import path of this process and one thread for linear algebra."""
     return {_ONE_THREAD: "1", **os.environ, "PYTHONPATH": os.pathsep.join(trusted_path())}
 
 
 _Child = tuple[int | None, bytes, bytes]
-"""Memory, first call, and preparation of a child that is wanted."""
+"""Memory, first call, and preparation of a requested child."""
 
 
 class ForkedChild:
-    """A child of the server, used as one of `subprocess.Popen`.
+    """A child of the server, with the methods of `subprocess.Popen` that `Guard` uses.
 
     Attributes
     ----------
@@ -76,22 +66,25 @@ class ForkedChild:
     """
 
     def __init__(self, server: _Server, stdin: IO[bytes], stdout: IO[bytes], line: socket.socket) -> None:
-        self._server, self.stdin, self.stdout, self._line = server, stdin, stdout, line
+        self.stdin = stdin
+        self.stdout = stdout
+        self._server = server
+        self._line = line
 
     def kill(self) -> None:
-        """Have the server kill it: it alone knows that the number is still this child's."""
-        with suppress(OSError):  # it ended
+        """Let the server kill the child, as only the server knows that the process number is still the child's."""
+        with suppress(OSError):  # the child has ended
             self._line.shutdown(socket.SHUT_WR)
 
     def leave(self) -> None:
-        """Have the server kill it, and do not wait until it has: the server may be importing."""
+        """Let the server kill the child, and do not wait for it, since the server may be importing."""
         for end in (self._line, self.stdin, self.stdout):
-            with suppress(OSError):  # what was to be written has no reader any more
+            with suppress(OSError):  # buffered data cannot be written any more
                 end.close()
         _used(self._server, -1)
 
     def wait(self, timeout: float | None = None) -> int:
-        """Its exit code, as that of `subprocess.Popen`, when it has ended; raises `subprocess.TimeoutExpired`."""
+        """Wait for the end of the child, and return its exit code; raises `subprocess.TimeoutExpired`."""
         self._line.settimeout(timeout)
         try:
             code = self._line.recv(_CODE)
@@ -101,15 +94,17 @@ class ForkedChild:
             code = b""
         self._line.close()
         _used(self._server, -1)
-        # Nothing comes from a server that was killed, and its children with it.
-        return int.from_bytes(code, "little", signed=True) if code else -signal.SIGKILL
+        if not code:
+            return -signal.SIGKILL  # the server was killed, and with it its children
+        return int.from_bytes(code, "little", signed=True)
 
 
 class _Server:
-    """The process that forks, as its user knows it; ``uses`` counts its children."""
+    """The server, as its client sees it; ``uses`` counts its children."""
 
     def __init__(self, setting: tuple[Any, ...]) -> None:
-        self.setting, self.uses = setting, 0
+        self.setting = setting
+        self.uses = 0
         self.door, theirs = socket.socketpair()
         with theirs:
             self.process = subprocess.Popen(
@@ -121,11 +116,11 @@ class _Server:
             )
 
     def prepare(self, names: Sequence[str]) -> None:
-        """See `prepare_children`; raises OSError where the server is gone."""
+        """See `prepare_children`; raises OSError if the server is gone."""
         self._ask(names, [])
 
     def fork(self, memory_bytes: int | None, call: bytes, prepare: Callable[[], None] | None) -> ForkedChild:
-        """Ask for a child; raises OSError where the server is gone."""
+        """Request a child; raises OSError if the server is gone."""
         calls, stdin = os.pipe()
         stdout, answers = os.pipe()
         line, theirs = socket.socketpair()
@@ -148,7 +143,7 @@ class _Server:
         self.door.sendall(request)
 
     def end(self) -> None:
-        """End it, whose children are gone."""
+        """End the server, which has no children."""
         self.door.close()
         self.process.kill()
         self.process.wait()
@@ -160,12 +155,12 @@ _kept = 0
 
 
 def fork_child(memory_bytes: int | None, call: bytes, prepare: Callable[[], None] | None) -> ForkedChild:
-    """A child that may allocate so much; the modules of its first call are imported, and ``prepare`` called, before."""
+    """Fork a child that may allocate ``memory_bytes``; the server imports what ``call`` needs and calls ``prepare``."""
     with _lock:
         server = _current()
         try:
             child = server.fork(memory_bytes, call, prepare)
-        except OSError:  # it died just now
+        except OSError:  # the server died just now
             server = _current(anew=True)
             child = server.fork(memory_bytes, call, prepare)
         _used(server, 1)
@@ -173,13 +168,11 @@ def fork_child(memory_bytes: int | None, call: bytes, prepare: Callable[[], None
 
 
 def _current(anew: bool = False) -> _Server:
-    """The server, of this environment and folder; a new one where it is of others, or dead."""
+    """The server for the present environment and folder; a new one if the old one has others, or is dead."""
     global _server
-    # Not the import path: Dask adds a folder for each worker, which is there for nobody.
-    setting = (
-        {name: value for name, value in os.environ.items() if not name.endswith(_SET_BY_LIBRARIES)},
-        _folder(),
-    )
+    environment = {n: value for n, value in os.environ.items() if not n.endswith(_SET_BY_LIBRARIES)}
+    # The import path is no part of it: on a cluster Dask adds folders, from which no child imports.
+    setting = (environment, _folder())
     old = _server
     if old is not None and (anew or old.setting != setting or old.process.poll() is not None):
         _server = None
@@ -190,7 +183,7 @@ def _current(anew: bool = False) -> _Server:
 
 @contextmanager
 def kept_forking() -> Iterator[None]:
-    """Keep the server, once it is there, until the end: children that end one after another share what it imported."""
+    """Keep the server until the end of the block, so that children that follow one another share its imports."""
     _keep(1)
     try:
         yield
@@ -198,15 +191,16 @@ def kept_forking() -> Iterator[None]:
         _keep(-1)
 
 
-def prepare_children(*names: str) -> None:
-    """Within `kept_forking`: what children need is imported now, beside what this process does, when none is wanted.
+def prepare_children(*steps: Callable[[], object]) -> None:
+    """Let the server do what children will need, such as imports, in the background; call it within `kept_forking`.
 
     Parameters
     ----------
-    *names : str
-        Modules, or functions of modules to be called (``module:function``), in this order.
+    *steps : callable
+        Functions of modules, called in this order; between two of them the server forks children that are requested.
     """
     if FORKS:
+        names = [f"{step.__module__}:{step.__qualname__}" for step in steps]
         with _lock, suppress(OSError):
             _current().prepare(names)
 
@@ -220,31 +214,34 @@ def _keep(change: int) -> None:
 
 
 def _used(server: _Server, change: int) -> None:
-    """Count the children of a server; one that nobody needs any more ends."""
+    """Count the children of a server, and end it if it has none and is not kept."""
     global _server
     with _lock:
         server.uses += change
-        if server.uses == 0 and not (_kept and server is _server):
-            if server is _server:
-                _server = None
-            server.end()
+        if server.uses > 0 or (_kept and server is _server):
+            return
+        if server is _server:
+            _server = None
+        server.end()
 
 
 def _folder() -> str:
     try:
         return os.getcwd()
-    except FileNotFoundError:  # it was removed
+    except FileNotFoundError:  # the folder was removed
         return ""
 
 
 def serve(door: socket.socket, answer_calls: Callable[[int | None], None]) -> None:
-    """The server: fork children as they are asked for, kill those that are not wanted, tell how each ended."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches every process; who asks sees to it
+    """Run the server: fork the children that are requested, kill those that are given up, report how each ended."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches every process; the client handles it
     ended, wake = socket.socketpair()
     wake.setblocking(False)
     signal.set_wakeup_fd(wake.fileno())
     signal.signal(signal.SIGCHLD, lambda *_: None)
-    selector, lines, asked = selectors.DefaultSelector(), dict[socket.socket, int](), True
+    selector = selectors.DefaultSelector()
+    lines: dict[socket.socket, int] = {}
+    asked = True
     prepared = deque[str]()
     selector.register(door, selectors.EVENT_READ)
     selector.register(ended, selectors.EVENT_READ)
@@ -256,7 +253,7 @@ def serve(door: socket.socket, answer_calls: Callable[[int | None], None]) -> No
         for source in [key.fileobj for key, _ in events]:
             if source is ended:
                 ended.recv(4096)
-            elif source is not door:  # who uses this child does not want it any more, or is gone
+            elif source is not door:  # the user of this child has given it up, or is gone
                 selector.unregister(source)
                 os.kill(lines[source], signal.SIGKILL)  # type: ignore[index]
             elif (request := _request(door)) is None:
@@ -268,7 +265,8 @@ def serve(door: socket.socket, answer_calls: Callable[[int | None], None]) -> No
             else:
                 (memory_bytes, call, prepare), files = request
                 _import(call, prepare)
-                calls, answers, line = files[0], files[1], socket.socket(fileno=files[2])
+                calls, answers, number = files
+                line = socket.socket(fileno=number)
                 try:
                     pid = os.fork()
                 except OSError:
@@ -285,9 +283,10 @@ def serve(door: socket.socket, answer_calls: Callable[[int | None], None]) -> No
                 lines[line] = pid
                 selector.register(line, selectors.EVENT_READ)
         for line, pid in list(lines.items()):
-            if (status := os.waitpid(pid, os.WNOHANG))[0]:
-                _tell(line, os.waitstatus_to_exitcode(status[1]))
-                with suppress(KeyError):  # it was killed
+            ended_pid, status = os.waitpid(pid, os.WNOHANG)
+            if ended_pid:
+                _report(line, os.waitstatus_to_exitcode(status))
+                with suppress(KeyError):  # the child was killed
                     selector.unregister(line)
                 line.close()
                 del lines[line]
@@ -295,54 +294,55 @@ def serve(door: socket.socket, answer_calls: Callable[[int | None], None]) -> No
 
 
 def _refuse(calls: int, answers: int, line: socket.socket) -> None:
-    """Tell who asked for a child that there is none."""
+    """Report that a child could not start."""
     os.close(calls)
     os.close(answers)
-    _tell(line, NOT_STARTED)
+    _report(line, NOT_STARTED)
     line.close()
 
 
-def _tell(line: socket.socket, code: int) -> None:
-    with suppress(OSError):  # nobody waits for it
+def _report(line: socket.socket, code: int) -> None:
+    with suppress(OSError):  # no process waits for the code
         line.send(code.to_bytes(_CODE, "little", signed=True))
 
 
 def _request(door: socket.socket) -> tuple[Any, list[int]] | None:
-    """A child that is wanted, with its pipes and line, or names to be prepared without any; None at the end of all."""
+    """A requested child with its pipes and line, or names of functions without files; None if the client has ended."""
     size, files, _, _ = socket.recv_fds(door, _SIZE, 3)
     if len(size) < _SIZE:
         return None
-    request, length = bytearray(), int.from_bytes(size, "little")
+    request = bytearray()
+    length = int.from_bytes(size, "little")
     while len(request) < length:
-        if not (part := door.recv(length - len(request))):
+        part = door.recv(length - len(request))
+        if not part:
             return None
         request += part
-    return pickle.loads(request), files  # of the process that started this one
+    return pickle.loads(request), files  # the process that started this one wrote the pickle
 
 
 def _prepare(name: str) -> None:
-    with suppress(BaseException):  # who needs it meets it again, and says so
-        found = resolve_name(name)
-        if ":" in name:
-            found()
+    with suppress(BaseException):  # a child that needs it raises the error again
+        resolve_name(name)()
 
 
 def _import(call: bytes, prepare: bytes) -> None:
-    """Import what the first call of a child needs, and do what its preparation does, so that children share it."""
-    with suppress(BaseException):  # the child meets it again, and says so
+    """Import what the first call of a child needs, and call its preparation, so that all children share both."""
+    with suppress(BaseException):  # the child raises the error again
         pickle.loads(call)
-        if (preparation := pickle.loads(prepare)) is not None:
+        preparation = pickle.loads(prepare)
+        if preparation is not None:
             preparation()
-    gc.freeze()  # what is shared is not written to
+    gc.freeze()  # the collector then does not write to shared memory
 
 
 def _become_child(calls: int, answers: int) -> None:
-    """In a child just forked: its own pipes, no ear for signals of the server, and an end with the server's."""
+    """Set up a child just forked: its pipes, no signal handlers of the server, and its death with the server."""
     import ctypes
 
     signal.set_wakeup_fd(-1)
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
-    ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG: nobody else could end it
+    ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG: no other process could end it
     os.dup2(calls, 0)
     os.dup2(answers, 1)
     os.close(calls)

@@ -1,7 +1,7 @@
-"""Calls that may crash, hang or eat memory, in a child process that is used again and replaced when it dies.
+"""Calls functions that may crash, hang or eat memory in a child process, which is replaced when it dies.
 
-A plain child with a pipe, not `multiprocessing`: it neither imports the caller's main module again nor
-inherits its threads, and its exit code says what killed it.
+The child is a plain process with a pipe and not one of `multiprocessing`: it does not import the main module of the
+caller again and inherits no threads, and its exit code shows what killed it.
 """
 
 from __future__ import annotations
@@ -33,32 +33,33 @@ _Child: TypeAlias = "subprocess.Popen[bytes] | ForkedChild"
 MEMORY_BYTES = 1 << 30
 
 SIZE = struct.Struct("<Q")
-"""Before each call, its bytes: the thread that reads them must not have to import anything."""
+"""Length of a call, which is sent before it, so that the thread that reads calls need not unpickle (and import)."""
 
 
 class Died(TilerError):
-    """The child did not survive a call, or had to be ended; the message is a predicate: "crashed (SIGSEGV)"."""
+    """The child died during a call, or had to be ended; the message is a predicate: "crashed (SIGSEGV)"."""
 
 
 class NotStartedError(Died):
-    """There was no memory or no process for a child: this says nothing about what it was to do."""
+    """There was no memory or no process for a child; the call is not to blame."""
 
 
 class Guard:
-    """A child process for calls; started by the first one, ended by `close`. A context manager.
+    """A child process for calls. The first call starts it, and `close` ends it. A context manager.
 
     Parameters
     ----------
     memory_bytes : int or None
-        What the child may allocate, where the system can limit that (`limits_memory`); None: anything.
+        Memory that the child may allocate, if the system can limit it (`limits_memory`); None for no limit.
     prepare : callable, optional
-        Of a module; called by the process that children are forked from, before it forks: what it does costs once.
+        A function of a module that the server of forks calls once, before it forks the children.
     """
 
     def __init__(
         self, memory_bytes: int | None = MEMORY_BYTES, prepare: Callable[[], None] | None = None
     ) -> None:
-        self.memory_bytes, self.prepare = memory_bytes, prepare
+        self.memory_bytes = memory_bytes
+        self.prepare = prepare
         self.killed = False
         self._child: _Child | None = None
         self._began = 0.0
@@ -73,48 +74,48 @@ class Guard:
         self.close()
 
     def call(self, function: Callable[..., Result], *arguments: Any, seconds: float) -> Result:
-        """``function(*arguments)``, as the child computes it; one call at a time.
+        """The result of ``function(*arguments)`` in the child; one call at a time.
 
         Parameters
         ----------
         function : callable
-            Of a module (it travels by name); arguments and result are pickled.
+            A function of a module, since it is pickled by name; arguments and result are pickled, too.
         seconds : float
-            After which the child is taken for hung, and ends.
+            Time after which the child counts as hung, and ends.
 
         Raises
         ------
         Died
-            The child crashed, hung, ran out of memory, or was ended by `kill`. The next call gets a new one.
+            The child crashed, hung, ran out of memory, or was ended by `kill`. The next call gets a new child.
         Exception
-            What the function raised.
+            The exception that the function raised.
         """
         try:
             self._ask(function, arguments, seconds)
             return self._answer()  # type: ignore[no-any-return]  # pickle has no types
         except KeyboardInterrupt:
-            self.close()  # it still works on this call: its answer must not be taken for the next one's
+            self.close()  # the child still works on this call; the next call must not get its answer
             raise
 
     def _ask(self, function: Callable[..., Any], arguments: tuple[Any, ...], seconds: float) -> None:
-        """Let the child begin with a call."""
         call = pickle.dumps((function, arguments, seconds))
         if self._child is None:
             self._child = _child(self.memory_bytes, call, self.prepare)
         if self.killed:
-            self._child.kill()  # it was not there yet when it was to be
-        self._began, self._seconds = time.monotonic(), seconds
+            self._child.kill()  # `kill` was called before there was a child
+        self._began = time.monotonic()
+        self._seconds = seconds
         try:
             _pipe(self._child.stdin).write(SIZE.pack(len(call)) + call)
             _pipe(self._child.stdin).flush()
         except OSError:
-            return  # it died while it waited: `_answer` says so
+            return  # the child died while it waited; `_answer` raises it
 
     def _answer(self) -> Any:
-        """What the call gave; waits for it."""
-        assert self._child is not None  # it was just asked
+        """Wait for the result of the call."""
+        assert self._child is not None  # `_ask` has started it
         try:
-            fine, result = pickle.load(_pipe(self._child.stdout))  # written by our own child
+            fine, result = pickle.load(_pipe(self._child.stdout))  # our own child wrote it
         except (EOFError, OSError, pickle.UnpicklingError):
             late = time.monotonic() - self._began >= self._seconds
             code = self._end()
@@ -128,20 +129,20 @@ class Guard:
         raise result
 
     def kill(self) -> None:
-        """End the child from another thread than the one that calls, which learns of it by `Died`; for good."""
+        """End the child for good; may be called from another thread during a call, which then raises `Died`."""
         self.killed = True
         child = self._child
         if child is not None:
             child.kill()
 
     def close(self) -> None:
-        """End the child, if there is one, whatever it does."""
+        """End the child if there is one, even during a call."""
         if self._child is not None:
             self._child.kill()
             self._end()
 
     def leave(self) -> None:
-        """As `close`, without waiting until the child has ended: for one that is not in the midst of writing."""
+        """End the child like `close`, but do not wait for it; only for a child that writes nothing."""
         child = self._child
         if isinstance(child, ForkedChild):
             self._child = None
@@ -150,10 +151,10 @@ class Guard:
             self.close()
 
     def _end(self) -> int:
-        """Wait for a child that ends and return its exit code."""
+        """Wait for the end of a child, and return its exit code."""
         child, self._child = self._child, None
-        assert child is not None  # callers looked
-        with suppress(OSError):  # what was to be written has no reader any more
+        assert child is not None  # callers check that
+        with suppress(OSError):  # buffered data cannot be written any more
             _pipe(child.stdin).close()
         _pipe(child.stdout).close()
         try:
@@ -164,7 +165,7 @@ class Guard:
 
 
 def _child(memory_bytes: int | None, call: bytes, prepare: Callable[[], None] | None) -> _Child:
-    """Start a child that imports from where this process does, and never from the current folder (``-P``)."""
+    """Start a child with the import path of this process, and never the current folder (``-P``)."""
     if not sys.executable:
         raise ConfigError("no workers can start: Python does not know its own program (sys.executable)")
     if FORKS:
@@ -186,12 +187,12 @@ def _pipe(stream: IO[bytes] | None) -> IO[bytes]:
 
 
 def limits_memory() -> bool:
-    """Whether this system holds a process to `limit_memory`: Linux alone counts all that it allocates."""
+    """Whether `limit_memory` works on this system: only Linux counts all that a process allocates."""
     return _resource is not None and sys.platform == "linux"
 
 
 def limit_memory(size_bytes: int) -> None:
-    """Refuse to allocate more than this in this process, where `limits_memory`; an allocation beyond fails at once."""
+    """Limit the memory of this process, if `limits_memory`; an allocation beyond the limit then fails at once."""
     if limits_memory():
         _, hard = _resource.getrlimit(_resource.RLIMIT_DATA)
         size = size_bytes if hard == _resource.RLIM_INFINITY else min(size_bytes, hard)
@@ -199,7 +200,7 @@ def limit_memory(size_bytes: int) -> None:
 
 
 def _fate(code: int, late: bool, seconds: float) -> str:
-    """What the exit code of a child says of its end, worded to follow its name."""
+    """The end of a child by its exit code, as a predicate for messages."""
     if (hasattr(signal, "SIGALRM") and code == -signal.SIGALRM) or (code == 1 and late):
         return f"did not end within {seconds:g} s"
     if code == NOT_STARTED:

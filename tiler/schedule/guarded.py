@@ -1,4 +1,4 @@
-"""The child of a `Guard`: answers calls from its standard input until that ends; or the process that forks such."""
+"""The program of a child of `Guard`, which answers calls from its standard input, or of the server of forks."""
 
 from __future__ import annotations
 
@@ -17,22 +17,23 @@ from tiler.schedule.guard import SIZE, limit_memory
 
 
 def answer_calls(memory_bytes: int | None) -> NoReturn:
-    """Answer calls, one after another, until there are no more; with so much memory at most."""
-    # Ctrl-C reaches every process; the end of the pipe ends this one.
+    """Answer calls, one after another, until the pipe ends; ``memory_bytes`` limits the memory."""
+    # Ctrl-C reaches every process, but only the end of the pipe ends this one.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if memory_bytes is not None:
         limit_memory(memory_bytes)
-    # What libraries print must not come between the answers.
+    # Answers go to a copy of the standard output, so that libraries cannot print between them.
     answers, calls = os.fdopen(os.dup(1), "wb"), os.fdopen(0, "rb", closefd=False)
     os.dup2(2, 1)
     asked: queue.SimpleQueue[bytes] = queue.SimpleQueue()
     threading.Thread(target=_listen, args=(calls, asked), daemon=True).start()
     while True:
         try:
-            function, arguments, seconds = pickle.loads(asked.get())  # of the process that started this one
+            # The process that started this one wrote the pickle.
+            function, arguments, seconds = pickle.loads(asked.get())
             _end_after(seconds)
             answer = (True, function(*arguments))
-        except BaseException as error:  # noqa: BLE001 - a decoder may panic with what is no Exception
+        except BaseException as error:  # noqa: BLE001 - the panic of a decoder is no Exception
             answer = (False, _portable(error))
         _end_after(0.0)
         pickle.dump(answer, answers)
@@ -40,8 +41,8 @@ def answer_calls(memory_bytes: int | None) -> NoReturn:
 
 
 def _end_after(seconds: float) -> None:
-    """Have this process ended in so many seconds, even if it hangs in a library and holds Python's lock; 0: do not."""
-    if hasattr(signal, "setitimer"):  # the system ends it: nothing of this process has to run for that
+    """End this process after some seconds, even if it hangs in a library and holds Python's lock; never for 0."""
+    if hasattr(signal, "setitimer"):  # the system ends the process, which need not run any code for it
         signal.signal(signal.SIGALRM, signal.SIG_DFL)
         signal.setitimer(signal.ITIMER_REAL, seconds)
     elif seconds > 0:
@@ -51,20 +52,22 @@ def _end_after(seconds: float) -> None:
 
 
 def _listen(calls: BinaryIO, asked: queue.SimpleQueue[bytes]) -> None:
-    """Read calls; the end of the pipe is the end of the process that asks, and of this one in the midst of its work."""
+    """Read calls into the queue; the end of the pipe ends this process, even during a call."""
     while True:
         size = calls.read(SIZE.size)
-        call = calls.read(SIZE.unpack(size)[0]) if len(size) == SIZE.size else b""
+        if len(size) < SIZE.size:
+            os._exit(0)
+        call = calls.read(SIZE.unpack(size)[0])
         if not call:
             os._exit(0)
         asked.put(call)
 
 
 def _portable(error: BaseException) -> BaseException:
-    """The exception itself if it can be unpickled, else one with its text."""
+    """The exception itself if it can be pickled, or one with its text."""
     try:
         pickle.loads(pickle.dumps(error))
-    except Exception:  # noqa: BLE001 - anything may go wrong with a foreign exception
+    except Exception:  # noqa: BLE001 - the exception of a library may raise anything
         return RuntimeError(f"{type(error).__name__}: {error}")
     return error
 

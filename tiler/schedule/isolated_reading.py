@@ -16,55 +16,66 @@ Result = TypeVar("Result")
 
 LEAST_SECONDS = 60.0
 BYTES_PER_SECOND = 1e6
-"""Slower than any disk and decoder: reading all of a file may take so long."""
+"""Lowest speed of reading a whole file; every disk and decoder is faster."""
 
 
 def seconds_for(paths: Sequence[Path]) -> float:
-    """How long reading some files may take; one that is not there counts nothing. Raises OSError."""
+    """Time that reading some files may take; missing files count nothing. Raises OSError."""
     size = 0
     for path in paths:
         try:
             size += stat_cloud(path).st_size
         except (FileNotFoundError, NotADirectoryError):
-            continue  # who reads it says so
+            continue  # the function that reads the file raises the error
     return LEAST_SECONDS + size / BYTES_PER_SECOND
 
 
 def read_apart(
-    function: Callable[..., Result], *arguments: Any, paths: Sequence[Path], memory_bytes: int = MEMORY_BYTES
+    function: Callable[..., Result],
+    *arguments: Any,
+    paths: Sequence[Path],
+    memory_bytes: int = MEMORY_BYTES,
+    seconds: float | None = None,
+    remedy: str = "get the file again",
 ) -> Result:
-    """``function(*arguments)`` in a child process of its own.
+    """The result of ``function(*arguments)`` in a child process of its own.
 
-    A small file can hold a view without end, or claim to be a raster of a million times a million pixels.
+    A child is needed since a small file can hold an endless view, or claim to have a million times a million pixels.
 
     Parameters
     ----------
     function : callable
-        Of a module; arguments and result are pickled.
+        A function of a module, since function, arguments and result are pickled.
     paths : sequence of Path
-        The files that it reads: their sizes say how long it may take, and the first is named if it fails.
+        Files that the function reads, for messages.
     memory_bytes : int
-        What it may allocate.
+        Memory that the child may allocate.
+    seconds : float, optional
+        Time that the call may take; the default follows from the sizes of the files.
+    remedy : str
+        Advice for the user if reading fails.
 
     Raises
     ------
     InputError
         Reading crashed, took too long, or needed too much memory.
     Exception
-        What the function raised.
+        The exception that the function raised.
     """
     names = ", ".join(map(str, paths))
+    if seconds is None:
+        seconds = seconds_for(paths)
     try:
         with Guard(memory_bytes) as guard:
-            return guard.call(function, *arguments, seconds=seconds_for(paths))
+            return guard.call(function, *arguments, seconds=seconds)
     except NotStartedError as error:
         raise ProcessingError(
             f"{names}: the process that reads it {error}; end other programs, then run again"
         ) from error
     except Died as died:
-        raise InputError(f"{names}: the process that reads it {died}; get the file again") from died
+        raise InputError(f"{names}: the process that reads it {died}; {remedy}") from died
 
 
 def half_of_memory() -> int:
-    """Bytes that reading may take where that grows with what is compared, or with the blocks of a raster."""
+    """Half of this machine's memory in bytes, for reading whose need grows with the number of points or blocks."""
     return psutil.virtual_memory().total // 2

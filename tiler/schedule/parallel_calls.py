@@ -15,18 +15,18 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 AHEAD = 16
-"""Calls a child that are begun before the first of them was taken: one that takes long does not hold up the others."""
+"""Calls for each child that may begin before the first result is taken, so that one long call does not stop others."""
 
 
 class Guards:
-    """Some `Guard`, of which each starts its child when it is first needed. A context manager.
+    """Several `Guard` that work at the same time; each starts its child when it is first needed. A context manager.
 
     Parameters
     ----------
     count : int
-        That work at a time.
+        Number of guards.
     memory_bytes : int or None
-        What each child may allocate.
+        Memory that each child may allocate; None for no limit.
     """
 
     def __init__(self, count: int, memory_bytes: int | None = MEMORY_BYTES) -> None:
@@ -43,7 +43,7 @@ class Guards:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """End all children, whatever they do."""
+        """End all children, even at work."""
         for guard in self._all:
             guard.kill()
         self._threads.shutdown(cancel_futures=True)
@@ -53,14 +53,14 @@ class Guards:
     def each(
         self, function: Callable[[Guard, Item], Result], items: Iterable[Item]
     ) -> Iterator[Callable[[], Result]]:
-        """``function(guard, item)`` for each item, in their order, each as a call that returns its result or raises.
+        """Call ``function(guard, item)`` for each item; yield in their order a function for each result, or error.
 
         Parameters
         ----------
         function : callable
-            Called in a thread, with a guard of its own; what it asks it for is done in the child.
+            A function that is called in a thread, with a guard for the work of the child.
         items : iterable
-            Taken as there is room: at most `AHEAD` a child are begun and not taken.
+            Items, which are taken one by one, at most `AHEAD` for each child before their results are taken.
         """
 
         def work(item: Item) -> Result:

@@ -1,4 +1,4 @@
-"""Tasks one after another in this process."""
+"""Runs tasks one after another in this process."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ from tiler.schedule.task import Look, Machine, Outcome, Perform, Task
 
 
 class SerialExecutor:
-    """No worker but this process; the obvious reference for the others."""
+    """An executor without workers; the obvious reference for the other one."""
 
     workers = 1
 
     def on_each_worker(self, look: Look) -> None:
-        """Nothing: this process is the one that would look."""
+        """Do nothing: there is no worker of a cluster."""
 
     def machines(self) -> list[Machine]:
-        """No machines of a cluster: tasks run in this process."""
+        """An empty list, as there is no cluster."""
         return []
 
     def run(self, perform: Perform, store_url: str, tasks: Iterable[Task]) -> Iterator[Outcome]:
@@ -31,4 +31,4 @@ class SerialExecutor:
                     break
 
     def close(self) -> None:
-        """Nothing to release."""
+        """Do nothing."""

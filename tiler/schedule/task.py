@@ -1,4 +1,7 @@
-"""A task: a pure function of the store. It reads whole arrays and writes keys that no other task writes."""
+"""Tasks, and the protocol of their executors.
+
+A task is a pure function of the store: it reads whole arrays, and writes keys that no other task writes.
+"""
 
 from __future__ import annotations
 
@@ -11,15 +14,15 @@ from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 from tiler.redaction import stored
 
-if TYPE_CHECKING:  # numpy is not loaded before the children are on their way
+if TYPE_CHECKING:  # numpy is loaded later, while the children start
     from tiler.core.lattice import Bounds, Lattice
 
 Work = Callable[[str, Any], dict[str, Any]]
-"""``work(store_url, arguments) -> record``: a module-level function (it travels by name), of a frozen dataclass that
-says what is read, what is written, where, and with which parameters; the record is JSON-able."""
+"""``work(store_url, arguments) -> record``: a function of a module, since it is pickled by name. The arguments are a
+frozen dataclass that defines what is read and written, and with which parameters; the record is JSON-able."""
 
 NOT_IN_DIGEST = {"digest": False}
-"""Metadata of a field of such a dataclass that changes how the work is done, but not what comes out."""
+"""Metadata of a field in the arguments that changes how the work is done, but not its result."""
 
 
 @runtime_checkable
@@ -27,37 +30,37 @@ class Placed(Protocol):
     """Arguments of work that has a place on the map."""
 
     def place(self, buckets: Lattice) -> Bounds | None:
-        """What the work covers, absolute counts; ``buckets`` are those of the store."""
+        """The bounds of the work, in absolute counts; ``buckets`` is the lattice of the store's buckets."""
         ...
 
 
 TRIES = 3
-"""How often a task is tried; then it is given up, and the rest goes on."""
+"""A task that failed so many times is given up, and the other tasks go on."""
 
 
 @dataclass(frozen=True)
 class Task:
-    """One unit of work, of resume and of retry.
+    """One unit of work, which is resumed and tried again as a whole.
 
     Attributes
     ----------
     stage : str
-        The stage that it belongs to; with `key` it names the commit object in the store.
+        Stage of the task; with `key` it names the commit in the store.
     key : str
-        Unique within the stage, safe as a file name.
+        Name that is unique in the stage and safe as a file name.
     digest : str
-        Of everything that the result depends on. A commit with the same digest means: done already.
+        Digest of everything that the result depends on. If a commit has the same digest, the task is done.
     work : Work
-        Runs on a worker; what it returns is committed with the digest, by the worker.
+        The function that a worker calls; the worker commits its result with the digest.
     arguments : dataclass
-        What `work` gets: frozen, small, of values that `digest_of` knows.
+        Argument of `work`: frozen, small, with values that `digest_of` knows.
     points : int
-        How much there is to do, for progress and ETA.
+        Number of points, which measures the work for progress and ETA.
     parts : tuple of Task
-        That this one does at once: its record has theirs, in their order, as ``parts``, and each is committed by
-        itself. It is tried once; if it fails, they are done one by one.
+        Tasks that this one does together. Its record holds their records in the same order, as ``parts``, and each is
+        committed by itself. The task is tried once; if it fails, the parts are done one by one.
     starts_small : bool
-        It needs much memory at once: before it starts, its worker gives back what it keeps between tasks.
+        Whether the task needs so much memory that its worker first frees what it keeps between tasks.
     """
 
     stage: str
@@ -71,22 +74,29 @@ class Task:
 
     @property
     def tries(self) -> int:
-        """How often it is tried."""
+        """Most tries of the task."""
         return 1 if self.parts else TRIES
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What became of a task: its record, or the error that ended it (one line, and its exception's name).
+    """Outcome of one try of a task: its record, or the error.
 
     Attributes
     ----------
+    task : Task
+    record : dict or None
+        Result of the work; None if the try failed.
+    error, error_kind : str or None
+        The error in one line, and the name of its exception.
+    seconds : float
+    peak_rss_bytes : int
     again : bool
-        Trying again could help. Where an executor yields it, that is what it does: this is not the last word.
+        Whether another try could help. If an executor yields it, another try follows.
     fatal : bool
-        No other task could succeed either.
+        Whether no other task can succeed either.
     damaged : tuple of str
-        Objects of the store that it could not read.
+        Objects of the store that the task could not read.
     """
 
     task: Task
@@ -100,27 +110,27 @@ class Outcome:
     damaged: tuple[str, ...] = ()
 
     def of_parts(self) -> list[Outcome]:
-        """What became of each part of a task that was done, or of the task itself; the time is shared by points."""
-        parts, record = self.task.parts, self.record
-        if not parts or record is None:
+        """Outcomes of the parts of a task, with the time divided by points; without parts, or failed, the outcome."""
+        parts = self.task.parts
+        if not parts or self.record is None:
             return [self]
         share = self.seconds / max(sum(part.points for part in parts), 1)
         return [
-            replace(self, task=part, record=made, seconds=share * part.points)
-            for part, made in zip(parts, record["parts"], strict=True)
+            replace(self, task=part, record=record, seconds=share * part.points)
+            for part, record in zip(parts, self.record["parts"], strict=True)
         ]
 
 
 @dataclass(frozen=True)
 class Limits:
-    """What a worker may take for a task before it is taken for lost.
+    """Limits of memory and time for a worker; beyond them it is ended.
 
     Attributes
     ----------
     memory_bytes : int or None
-        That a worker of this machine may allocate; None: anything.
+        Memory that a worker of this machine may allocate; None for no limit.
     seconds : float
-        That a task of a million points may take, as may smaller ones; larger ones in proportion.
+        Time for a task of up to a million points; larger tasks have more in proportion.
     prepare : callable, optional
         See `tiler.schedule.Guard`.
     """
@@ -130,29 +140,30 @@ class Limits:
     prepare: Callable[[], None] | None = None
 
     def seconds_of(self, task: Task) -> float:
-        """After which the worker of a task is taken for hung."""
+        """Time after which the worker of a task counts as hung."""
         return self.seconds * max(task.points / 1e6, 1.0)
 
 
 Perform = Callable[[str, Task], Outcome]
-"""``perform(store_url, task)``: runs the work on a worker, commits its record, never raises for a failed task."""
+"""``perform(store_url, task)`` runs the work on a worker and commits its record; a failed task is no exception."""
 
 
 Look = Callable[[Callable[..., Any], str], None]
-"""``look(ask, worker)``: ``ask(function, *arguments)`` is its result on that worker; raises what ends the run."""
+"""``look(ask, worker)`` checks a worker, with ``ask(function, *arguments)`` for the result of a function there; it
+raises an error to end the run."""
 
 
 @dataclass(frozen=True)
 class Machine:
-    """A machine of a cluster, with the workers on it.
+    """A machine of a cluster.
 
     Attributes
     ----------
     name : str
     memory_bytes : int
-        That it has, or that its container or batch job may take.
+        Memory of the machine, or of its container or batch job.
     workers, threads : int
-        Of the cluster on it; each thread does one task at a time.
+        Workers of the cluster on the machine, and their threads, which do one task at a time each.
     """
 
     name: str
@@ -167,17 +178,17 @@ class Executor(Protocol):
     workers: int
 
     def on_each_worker(self, look: Look) -> None:
-        """Have `look` judge each worker of a cluster: those that are there now, and those that join later."""
+        """Call `look` for each worker of a cluster, now and when workers join later."""
         ...
 
     def machines(self) -> list[Machine]:
-        """Those of a cluster whose workers are there now, by name; none where this machine is the one."""
+        """The machines of a cluster that have workers now, by name; empty without a cluster."""
         ...
 
     def run(self, perform: Perform, store_url: str, tasks: Iterable[Task]) -> Iterator[Outcome]:
-        """Outcomes as they come, in any order, with a bounded number of tasks in flight; one a try.
+        """Run tasks, a bounded number at a time, and yield an outcome for each try, in any order.
 
-        Raises ConnectionLostError where the connection to a cluster broke and does not come back.
+        Raises ConnectionLostError if the connection to a cluster is lost for good.
         """
         ...
 
@@ -187,9 +198,9 @@ class Executor(Protocol):
 
 
 def digest_of(*parts: Any) -> str:
-    """A short stable digest of JSON-able values and of work's dataclasses, but for fields with `NOT_IN_DIGEST`.
+    """A short stable digest of JSON-able values and dataclasses, without fields that are `NOT_IN_DIGEST`.
 
-    Keys are sorted; another password or token in a URL changes nothing.
+    The order of keys, and passwords and tokens in URLs, do not change it.
     """
     text = json.dumps(parts, sort_keys=True, separators=(",", ":"), default=to_json)
     if ":/" in text:
@@ -198,7 +209,7 @@ def digest_of(*parts: Any) -> str:
 
 
 def to_json(value: Any) -> Any:
-    """What stands for a value of a task's arguments in JSON: a dataclass by its fields, a fraction as text."""
+    """Convert a value in the arguments of a task for JSON: a dataclass to its fields, a fraction to text."""
     if isinstance(value, Fraction):
         return str(value)
     if is_dataclass(value):

@@ -1,7 +1,7 @@
-"""Tasks on Dask workers: of this machine, in the command's own process, or of a cluster that runs already.
+"""Runs tasks on Dask workers: of this machine, in the command's own process, or of a running cluster.
 
-No graph of all tasks is ever made: a few tasks a worker are in flight, the next is submitted when one is done. What a
-worker does with a task is in `tiler.schedule.children`; a task that fails is tried again.
+There is no graph of all tasks. Each worker has a few tasks at a time, and another one is submitted when one is done. A
+failed task is tried again. `tiler.schedule.children` shows what a worker does with a task.
 """
 
 from __future__ import annotations
@@ -9,15 +9,15 @@ from __future__ import annotations
 import logging
 import time
 import uuid
-from collections import defaultdict
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import CancelledError, ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import partial
+from itertools import islice
+from threading import Lock
 from typing import Any
 
-import dask
 import distributed
 from distributed import KilledWorker
 from distributed.comm.addressing import get_address_host_port
@@ -35,32 +35,54 @@ from tiler.schedule.local_cluster import cluster_here
 from tiler.schedule.task import Limits, Look, Machine, Outcome, Perform, Task
 
 WAITING_PER_WORKER = 1
-"""Tasks of a cluster that wait at their worker, so that it does not idle while the client hears of a result."""
+"""Tasks that wait at each worker of a cluster, so that it has work while its result travels to the client."""
 
 CONNECT_SECONDS = 20
 WORKERS_SECONDS = 20
-"""For the first worker of a cluster that was started just before: workers take longer than their scheduler."""
+"""Time for the first worker of a cluster that was just started: workers start later than their scheduler."""
 CLOSE_SECONDS = 5
 LOOKS_AT_A_TIME = 16
-"""Workers that are judged together: a child starts on each, which takes about a second."""
+"""Workers that are checked at the same time; each starts a child, which takes about a second."""
 LOOK_SECONDS = 5.0
-"""Workers that joined a cluster get their share after this time."""
-
-_QUIET = {
-    "distributed.worker.profile.enabled": False,  # it looks at every thread a hundred times a second
-    "distributed.admin.tick.interval": "1s",
-    "distributed.admin.system-monitor.interval": "10s",
-}
-"""What Dask measures of the command's own process, and nobody looks at."""
+"""Time between two looks for workers that have joined the cluster."""
 
 _BROKEN = (OSError, CancelledError, AttributeError, RuntimeError)
-"""What Dask's client raises where its connection to the scheduler broke; the last two when it gave up."""
+"""Errors of Dask's client if its connection to the scheduler broke; the last two come once it has given up."""
 
 _LOGGERS = ("distributed", "distributed.client")
-"""Those with levels of their own; what they say of a broken connection is told in one line of ours."""
+"""Loggers of Dask that have their own levels. A broken connection is reported in one line of tiler's instead."""
+
+
+class _Silence:
+    """Silences the loggers of Dask while there is an executor, and restores their levels after the last one."""
+
+    def __init__(self) -> None:
+        self._lock = Lock()
+        self._users = 0
+        self._levels: dict[str, int] = {}
+
+    def begin(self) -> None:
+        """Count one executor more."""
+        with self._lock:
+            self._users += 1
+            if self._users == 1:
+                self._levels = {name: logging.getLogger(name).level for name in _LOGGERS}
+                for name in _LOGGERS:
+                    logging.getLogger(name).setLevel(logging.CRITICAL)
+
+    def end(self) -> None:
+        """Count one executor less."""
+        with self._lock:
+            self._users -= 1
+            if self._users == 0:
+                for name, level in self._levels.items():
+                    logging.getLogger(name).setLevel(level)
+
+
+_silence = _Silence()
 
 _dask: Any = distributed
-"""Its functions have no types."""
+"""The module without type checks, as its functions have no types."""
 
 
 @dataclass(frozen=True)
@@ -77,39 +99,35 @@ class DaskExecutor:
     Parameters
     ----------
     workers : int
-        Of this machine, where no ``address`` is given.
+        Number of workers to start on this machine, if there is no ``address``.
     address : str, optional
-        Of the scheduler of a cluster that runs already, whose workers are used.
+        Address of the scheduler of a running cluster.
     limits : Limits
 
     Raises
     ------
     ConfigError
-        No scheduler at the address, or one without workers.
+        There is no scheduler at the address, or it has no workers.
     """
 
     def __init__(self, workers: int, address: str | None = None, limits: Limits | None = None) -> None:
-        self._log_levels = {name: logging.getLogger(name).level for name in _LOGGERS}
-        for name in _LOGGERS:  # until `close`: what matters is told by the tasks
-            logging.getLogger(name).setLevel(logging.CRITICAL)
         self._run = Run(uuid.uuid4().hex, limits or Limits())
         self._submissions = 0
         self._cluster: Any = None
         self._address = address
+        _silence.begin()  # until `close`; the tasks report what matters
+        try:
+            self._client = self._connected(workers, address)
+        except BaseException:
+            _silence.end()
+            raise
         if address is None:
-            with dask.config.set(_QUIET):
-                self._cluster = cluster_here(workers)
-                self._client: Any = _dask.Client(self._cluster, set_as_default=False)
             self.workers = self._room = workers
             return
-        try:
-            get_address_host_port(address)  # a client that finds this out is hard to get rid of
-            self._client = _dask.Client(address, timeout=CONNECT_SECONDS, set_as_default=False)
-        except (OSError, ValueError) as error:
-            raise ConfigError(f"--scheduler {address}: no Dask scheduler answers there ({error})") from error
         self._judged: set[str] = set()
         self._judge: Look | None = None
-        self.workers, began = 0, time.monotonic()
+        self.workers = 0
+        began = time.monotonic()
         self._look()
         while self.workers == 0 and self._looked - began < WORKERS_SECONDS:
             time.sleep(0.2)
@@ -118,12 +136,23 @@ class DaskExecutor:
             self.close()
             raise self._without_workers()
 
+    def _connected(self, workers: int, address: str | None) -> Any:
+        """A client for new workers on this machine, or for the cluster at an address."""
+        if address is None:
+            self._cluster = cluster_here(workers)
+            return _dask.Client(self._cluster, set_as_default=False)
+        try:
+            get_address_host_port(address)  # raises for a wrong address before there is a client to be closed
+            return _dask.Client(address, timeout=CONNECT_SECONDS, set_as_default=False)
+        except (OSError, ValueError) as error:
+            raise ConfigError(f"--scheduler {address}: no Dask scheduler answers there ({error})") from error
+
     def _look(self) -> None:
-        """Look which workers the cluster has."""
+        """Find the present workers of the cluster, and check the new ones."""
         self._looked = time.monotonic()
         threads = self._threads()
         if threads is None:
-            return  # a broken connection is told by the tasks
+            return  # the tasks report a broken connection
         self.workers = len(threads)
         self._room = max(sum(threads.values()) + WAITING_PER_WORKER * self.workers, 1)
         if self._judge is not None:
@@ -133,7 +162,7 @@ class DaskExecutor:
                     found.result()
 
     def _threads(self) -> dict[str, int] | None:
-        """Threads of each worker that the scheduler knows; None where it cannot be asked."""
+        """Number of threads of each worker; None if the scheduler cannot be asked."""
         try:
             return dict(self._client.nthreads())
         except _BROKEN:
@@ -146,60 +175,65 @@ class DaskExecutor:
         except ConnectionLostError:
             if self._submissions == 0:
                 raise
-            # Else tasks tell it, or the connection is there again, and the next look asks the worker.
+            # Later, the tasks report the loss, or the connection is back and the next look asks the worker.
         except ConfigError:
-            if worker in (self._threads() or ()):  # it did not go away meanwhile
+            if worker in (self._threads() or ()):  # the worker is still there
                 raise
 
     def on_each_worker(self, look: Look) -> None:
-        """Have `look` judge each worker of a cluster: those that are there now, and those that join later."""
+        """Call `look` for each worker of a cluster, now and when workers join later."""
         if self._cluster is None:
             self._judge = look
             self._look()
 
     def machines(self) -> list[Machine]:
-        """Those of a cluster whose workers are there now, by name; none where this machine is the one."""
+        """The machines of a cluster that have workers now, by name; empty without a cluster."""
         if self._cluster is not None:
             return []
-        found: dict[str, list[tuple[int, int]]] = defaultdict(list)
-        for answer in self._told(machine_of).values():
-            if not isinstance(answer, BaseException):  # a worker that goes away just now
-                name, memory, threads = answer
-                found[name].append((memory, threads))
+        found: dict[str, Machine] = {}
+        for answer in self._on_workers(machine_of).values():
+            if isinstance(answer, BaseException):  # the worker went away just now
+                continue
+            name, memory, threads = answer
+            known = found.get(name, Machine(name, 0, 0, 0))
+            found[name] = Machine(
+                name=name,
+                memory_bytes=max(known.memory_bytes, memory),
+                workers=known.workers + 1,
+                threads=known.threads + threads,
+            )
         if not found:
             raise self._without_workers()
-        return [
-            Machine(name, max(m for m, _ in held), len(held), sum(threads for _, threads in held))
-            for name, held in sorted(found.items())
-        ]
+        return [found[name] for name in sorted(found)]
 
     def _ask(self, worker: str, function: Callable[..., Any], *arguments: Any) -> Any:
-        """What a function gives in a child of one worker."""
-        (answer,) = self._told(call_in_child, self._run, function, *arguments, workers=[worker]).values()
+        """The result of a function in a child of one worker."""
+        answers = self._on_workers(call_in_child, self._run, function, *arguments, workers=[worker])
+        (answer,) = answers.values()
         if isinstance(answer, BaseException):
             raise answer
         return answer
 
-    def _told(self, function: Callable[..., Any], *arguments: Any, **options: Any) -> dict[str, Any]:
-        """What a function gives on each worker, or raises there."""
+    def _on_workers(self, function: Callable[..., Any], *arguments: Any, **options: Any) -> dict[str, Any]:
+        """The result of a function on each worker, or its exception."""
         try:
             return dict(self._client.run(function, *arguments, on_error="return", **options))
         except _BROKEN as error:
             raise self._lost() from error
 
     def run(self, perform: Perform, store_url: str, tasks: Iterable[Task]) -> Iterator[Outcome]:
-        """Outcomes as they come, one a try; `Outcome.again` tells that another one follows."""
+        """Run tasks and yield an outcome for each try; after `Outcome.again`, another try follows."""
         waiting = iter(tasks)
         running: dict[str, _Try] = {}
         done = _dask.as_completed(loop=self._client.loop)
 
         def submit(task: Task, number: int) -> None:
-            self._submissions += 1  # Dask would answer for a name that it knows
-            name = f"{task.stage}/{task.key}/{self._submissions}"
+            self._submissions += 1  # each name is new, as Dask would return an old result for a known name
+            name = f"{task.stage}-{self._submissions}/{task.key}"  # Dask groups by what is before the number
             arguments = (perform_in_child, self._run, perform, store_url, task)
             try:
                 future = self._client.submit(*arguments, pure=False, key=name)
-            except Exception as error:  # its class has changed between versions of Dask
+            except Exception as error:  # its class depends on the version of Dask
                 if self._client.status in ("running", "connecting"):
                     raise
                 raise self._lost() from error
@@ -207,7 +241,7 @@ class DaskExecutor:
             done.add(future)
 
         def fill() -> None:
-            while len(running) < self._room and (task := next(waiting, None)) is not None:
+            for task in islice(waiting, max(self._room - len(running), 0)):
                 submit(task, 1)
 
         fill()
@@ -223,7 +257,6 @@ class DaskExecutor:
             yield outcome
 
     def _outcome(self, future: Any, this: _Try) -> Outcome:
-        """What became of a try."""
         again = this.number < this.task.tries
         if future.cancelled():
             return self._cut_off(this)
@@ -235,7 +268,7 @@ class DaskExecutor:
             return Outcome(this.task, None, first_line(error), type(error).__name__, again=again)
         try:
             outcome: Outcome = future.result()
-        except _BROKEN as broken:  # what a task raises is the `error` above
+        except _BROKEN as broken:  # an error of the task itself is the `error` above
             text = f"its result could not be fetched ({type(broken).__name__}: {first_line(broken)})"
             return replace(self._cut_off(this), error=text, again=again)
         if outcome.error_kind == WORKER_DIED:
@@ -246,7 +279,7 @@ class DaskExecutor:
         return replace(outcome, again=outcome.again and again)
 
     def _cut_off(self, this: _Try) -> Outcome:
-        """The connection to the scheduler broke: Dask's client takes it up again, but forgets what it had asked for."""
+        """The outcome of a try during which the connection broke: Dask's client reconnects, but forgets its tasks."""
         while self._client.status == "connecting":
             time.sleep(0.1)
         if self._client.status != "running":
@@ -269,8 +302,8 @@ class DaskExecutor:
         )
 
     def close(self) -> None:
-        """End what works for this executor, whatever it does; a cluster goes on."""
-        if self._client.status == "running":  # else the connection is what ended the run
+        """End all work for this executor; a cluster goes on."""
+        if self._client.status == "running":  # the connection is not lost
             with suppress(*_BROKEN):
                 ending = self._client._run, end_children, self._run.token
                 self._client.sync(*ending, callback_timeout=CLOSE_SECONDS)
@@ -278,5 +311,4 @@ class DaskExecutor:
             self._client.close(timeout=CLOSE_SECONDS)
         if self._cluster is not None:
             self._cluster.close(timeout=CLOSE_SECONDS)
-        for name, level in self._log_levels.items():
-            logging.getLogger(name).setLevel(level)
+        _silence.end()

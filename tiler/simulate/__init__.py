@@ -1,10 +1,10 @@
 """Simulated places with true labels and true terrain: formulas, solids, a laser scanner and an image matcher.
 
-``terrain`` (a height by formula), ``objects`` (solids, crowns, plants, wires) and ``plot`` (a block of land to put them
-on) make a `Site`; ``sites`` has the kinds of places by name, ``catalogue`` the committed scenes. ``als`` shoots
-pulses at a site, ``dim`` matches images of it, both patch by patch; ``cloud`` and ``files`` write them, ``demo`` those
-of the demo. Random numbers come from a hash of the seed and the patch's or block's index, so nothing depends on an
-order. Knows nothing of filters, stores or runs.
+A `Site` consists of ``terrain`` (a height by formula) and ``objects`` (solids, crowns, plants, wires), which ``plot``
+places on a block of land. ``sites`` has the kinds of places by name, ``catalogue`` the committed scenes. ``als``
+shoots pulses at a site and ``dim`` matches images of it, both patch by patch. ``cloud`` and ``files`` write the
+points, ``demo`` those of the demo. Random numbers come from a hash of the seed and the index of a patch or block, so
+nothing depends on an order. This package knows nothing of filters, stores or runs.
 """
 
 from tiler.simulate.als import AlsSensor

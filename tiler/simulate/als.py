@@ -16,47 +16,47 @@ from tiler.simulate.site import Site
 from tiler.simulate.terrain import Terrain
 
 PATCH_M = 100.0
-"""Side of the squares that are surveyed at once, a lattice at (0, 0): bounds the memory."""
+"""Side of the squares that are surveyed at once, on a lattice at (0, 0). It bounds the memory."""
 
 FORWARD_TILT = 0.02
-"""Metres to the north per metre of height: so walls that face along the strip get points, too."""
+"""Metres to the north per metre of height, so that walls facing along the strip get points too."""
 
 LINE_STEP = 1.25
-"""Distance of the scan lines over that of the pulses along them; their product keeps the density."""
+"""Distance of the scan lines over that of the pulses along them, at constant density."""
 
 SETTLED_M = 1e-5
-"""Nearer to the terrain a hit need not be."""
+"""Accuracy with which a hit lies on the terrain."""
 
 REACH_M = 160.0
-"""Surfaces lie within this height of `Terrain.base`; it bounds how far pulses lean into the site."""
+"""Largest height of surfaces above `Terrain.base`. It bounds how far pulses lean into the site."""
 
 TALLEST_M = 60.0
-"""No object is higher above the ground."""
+"""Largest height of an object above the ground."""
 
 LOST = 0.01
 """Share of pulses without any return."""
 
 WATER_RETURNS = 0.03
-"""Share of pulses on water that come back."""
+"""Share of pulses on water that return."""
 
 
 @dataclass(frozen=True)
 class AlsSensor:
-    """An airborne laser scanner; names have the units: metres, degrees, counts per square kilometre.
+    """An airborne laser scanner; units are metres, degrees and counts per square kilometre.
 
     Attributes
     ----------
     density : float
-        Pulses per square metre outside of overlaps; scan lines along x.
+        Pulses per square metre outside of overlaps; scan lines run along x.
     sigma_m : float
-        Standard deviation of the heights; each strip is off by 0.3 of it as well.
+        Standard deviation of the heights. The offset of each strip has 0.3 of this deviation.
     flying_height_m, strip_m, overlap_m : float
-        Height above `Terrain.base`; distance of the strips, which run along y, and how far neighbours overlap.
+        Height above `Terrain.base`; distance of the strips, which run along y; width of their overlap.
     max_returns : int
-        Later returns of a pulse are lost.
+        Most returns of a pulse; later ones are lost.
     low_singles_km2, low_groups_km2, high_km2 : float
-        Blunders: single points 2-15 m under ground, groups of 3 to 7 points 2-6 m under ground, single
-        points 20-200 m above.
+        Blunders: single points 2-15 m below the ground, groups of 3 to 7 points 2-6 m below it, single points
+        20-200 m above it.
     """
 
     BLUNDERS: ClassVar = ("low_singles_km2", "low_groups_km2", "high_km2")
@@ -75,15 +75,15 @@ class AlsSensor:
 
     @property
     def reach_m(self) -> float:
-        """How far beyond a site pulses must be aimed to hit all of it, metres."""
+        """Distance beyond a site up to which pulses must be aimed to hit all of it, metres."""
         lean = (self.strip_m + self.overlap_m) / 2 / self.flying_height_m + FORWARD_TILT
         return REACH_M * lean
 
     def survey(self, site: Site, ix: int, iy: int) -> Points:
-        """The points of the pulses aimed at patch (ix, iy), pulse by pulse, blunders last.
+        """The points of the pulses aimed at patch (ix, iy), pulse by pulse, with blunders last.
 
-        A pulse belongs to the patch where its place in the pattern lies on the level `Terrain.base`, so patches
-        side by side shoot each pulse once; its points may fall beyond the edge of the patch.
+        A pulse belongs to the patch at which the pattern aims it, on the level `Terrain.base`. So neighbouring patches
+        shoot each pulse once, and its points may fall beyond the edge of the patch.
         """
         box = (ix * PATCH_M, iy * PATCH_M, (ix + 1) * PATCH_M, (iy + 1) * PATCH_M)
         rng = generator(site.seed, PULSES, ix, iy)
@@ -113,11 +113,10 @@ class AlsSensor:
 
 
 Hits = list[tuple[npt.NDArray[np.intp], Floats, UInt8s, npt.NDArray[np.bool_]]]
-"""Returns as they are found, in any order: ray, height, label, and whether the pulse ends there."""
+"""Returns in any order: ray, height, label, and whether the pulse ends there."""
 
 
 def _hit(ray: npt.NDArray[np.intp], z: Floats, label: Any, last: Any) -> Any:
-    """Returns that are alike in what is given as one value."""
     return ray, z, np.full(len(ray), label, np.uint8), np.full(len(ray), last, np.bool_)
 
 
@@ -145,9 +144,10 @@ def _pulses(
 
 
 def ground_hit(terrain: Terrain, rays: Rays) -> Floats:
-    """Height where each ray meets the terrain; metres.
+    """Height at which each ray meets the terrain; metres.
 
-    A fixed point where rays are steeper than the slopes by far; what does not settle (cliffs) is bisected.
+    A fixed-point iteration finds it if rays are much steeper than slopes. Rays that do not settle (at cliffs) are
+    bisected.
     """
     z = terrain.height_at(*rays.at(np.full(len(rays), terrain.base)))
     rest = np.arange(len(rays))
@@ -168,7 +168,7 @@ def ground_hit(terrain: Terrain, rays: Rays) -> Floats:
 
 
 def _canopy(objects: Objects, rays: Rays, surface: Floats, rng: np.random.Generator, hits: Hits) -> None:
-    """Returns inside of crowns and from wires, above the surface that stops the ray."""
+    """Returns from inside crowns and from wires, above the surface that stops the ray."""
     for wire in objects.wires:
         ray, z = wire.hit(rays)
         seen = z > surface[ray]
@@ -183,14 +183,14 @@ def _canopy(objects: Objects, rays: Rays, surface: Floats, rng: np.random.Genera
             hits.append(_hit(ray[inside], z[inside], LOW_VEGETATION, ends[inside]))
             go_on = inside & ~ends
             ray, floor = ray[go_on], floor[go_on]
-            # Two echoes nearer than about half a metre melt into one.
+            # Two echoes closer than about half a metre merge into one.
             z = z[go_on] - 0.5 - rng.exponential(max(crown.spacing - 0.5, 0.1), len(ray))
 
 
 def _surface(
     site: Site, objects: Objects, rays: Rays, bare: Floats, rng: np.random.Generator, hits: Hits
 ) -> Floats:
-    """The opaque end of each ray: a solid, low vegetation, water or the ground."""
+    """The opaque end of each ray, which is a solid, low vegetation, water or the ground."""
     z = bare.copy()
     px, py = rays.at(bare)
     label = np.where(site.terrain.wet_at(px, py), WATER, GROUND).astype(np.uint8)
@@ -198,7 +198,7 @@ def _surface(
         here = np.flatnonzero((np.abs(px - patch.x) <= patch.radius) & (np.abs(py - patch.y) <= patch.radius))
         depth = patch.inside(px[here], py[here])
         here = here[(depth > 0) & (rng.random(len(here)) < patch.cover) & (label[here] == GROUND)]
-        # Plants thin out upward; a low plant and the ground under it give one echo between the two.
+        # Plants thin out upwards. A low plant and the ground below it give one echo between the two.
         tall = 0.08 + (patch.height - 0.08) * rng.beta(1.6, 1.6, len(here))
         double = (tall > 0.7) & (rng.random(len(here)) < 0.4)
         hits.append(_hit(here[double], bare[here[double]] + tall[double], LOW_VEGETATION, False))
@@ -215,7 +215,7 @@ def _surface(
 
 
 def _numbered(hits: Hits, max_returns: int) -> tuple[npt.NDArray[np.intp], Floats, UInt8s, UInt8s, UInt8s]:
-    """Ray, height, label, return number and count, ordered by ray and from the first return to the last."""
+    """Ray, height, label, return number and count, ordered by ray from the first return to the last."""
     ray, z, label, last = (np.concatenate(column) for column in zip(*hits, strict=True))
     order = np.lexsort((-z, ray))
     ray, z, label, last = ray[order], z[order], label[order], last[order]
@@ -231,7 +231,7 @@ def _numbered(hits: Hits, max_returns: int) -> tuple[npt.NDArray[np.intp], Float
 def _blunders(
     sensor: AlsSensor, terrain: Terrain, box: Box, rng: np.random.Generator
 ) -> tuple[Floats, UInt8s]:
-    """Points where nothing is: xyz (n, 3) and labels."""
+    """Points in empty places: xyz (n, 3) and labels."""
     km2 = (box[2] - box[0]) * (box[3] - box[1]) / 1e6
     low, groups, high = (
         rng.poisson(rate * km2) for rate in (sensor.low_singles_km2, sensor.low_groups_km2, sensor.high_km2)

@@ -1,4 +1,4 @@
-"""What people and plants put on a block of land, by kind of place."""
+"""Objects on a block of land, by kind of place."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def city_block(plot: Plot) -> None:
 
 
 def suburb_block(plot: Plot) -> None:
-    """One or two houses with a garden, hedges, walls, sheds and trees; wood where it is steep."""
+    """One or two houses with a garden, hedges, walls, sheds and trees; a wood on steep land."""
     if plot.slope() > 0.4:
         plot.wood(5.0, (8.0, 20.0), 0.3)
         return
@@ -58,7 +58,7 @@ def suburb_block(plot: Plot) -> None:
 
 
 def forest_block(plot: Plot) -> None:
-    """Closed wood, now and then a clearing."""
+    """A closed wood, sometimes a clearing."""
     if plot.rng.random() < 0.12:
         plot.undergrowth(plot.rng.uniform(0.2, 0.8), plot.rng.uniform(0.3, 1.0))
         plot.bushes(3, 8, (0.4, 1.6))
@@ -70,8 +70,13 @@ def mountain_block(plot: Plot) -> None:
     """Wood and scrub on slopes, rock where they are steepest, a village in the valley."""
     slope = plot.slope(15.0)
     if slope > 0.3:
-        wooded = plot.rng.random() < (0.6 if slope < 0.8 else 0.25)
-        plot.wood(6.0, (5.0, 18.0), 0.6) if wooded else plot.bushes(2, 12, (0.3, 1.2))
+        share = 0.25
+        if slope < 0.8:
+            share = 0.6
+        if plot.rng.random() < share:
+            plot.wood(6.0, (5.0, 18.0), 0.6)
+        else:
+            plot.bushes(2, 12, (0.3, 1.2))
     else:
         suburb_block(plot)
 
@@ -165,7 +170,7 @@ def park_block(plot: Plot) -> None:
 
 
 def row_block(plot: Plot) -> None:
-    """Two rows of terraced houses with their gardens, cars in front, street trees; a small green now and then."""
+    """Two rows of terraced houses with gardens, cars in front, street trees; sometimes a small green."""
     length = plot.side - 2 * plot.street
     if plot.rng.random() < 0.15 or not plot.terrace(plot.x, plot.y - plot.side / 4 - 2.0, 0.0, length, 9.0):
         plot.trees(4, 9, (5.0, 14.0))
@@ -181,13 +186,16 @@ def industry_block(plot: Plot) -> None:
     """A flat hall of about 90 x 50 m, a yard of trailers, or parking."""
     kind = plot.rng.random()
     if kind >= 0.65 or not plot.hall(plot.rng.uniform(80, 95), plot.rng.uniform(42, 55)):
-        plot.trailers() if kind < 0.9 else plot.parking()
+        if kind < 0.9:
+            plot.trailers()
+        else:
+            plot.parking()
     plot.trees(0, 4)
     plot.bushes(1, 4)
 
 
 def bluff_block(plot: Plot) -> None:
-    """A closed wood of 16 to 20 m where it is steep; elsewhere a meadow, a house here and there."""
+    """A closed wood of 16 to 20 m on steep land; elsewhere a meadow, sometimes a house."""
     if plot.slope() > 0.2:
         plot.wood(6.5, (16.0, 20.0), 0.5)
     elif plot.rng.random() < 0.15:

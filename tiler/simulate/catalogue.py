@@ -24,7 +24,7 @@ SENSORS: dict[str, type[AlsSensor] | type[DimSensor]] = {"als": AlsSensor, "dim"
 
 @dataclass(frozen=True)
 class SceneSpec:
-    """What a scene is made of.
+    """Description of a scene.
 
     Attributes
     ----------
@@ -90,7 +90,7 @@ class Scene:
 
 
 ROUGH = {"textureless_share": 0.1, "plants_m": 0.3}
-"""Of scenes like real matched clouds: patches without texture, and plants that nobody could tell from ground."""
+"""Settings of scenes like real matched clouds: patches without texture, and plants that look like ground."""
 
 _ALL = (
     SceneSpec("als_city", "als", "flats, courtyards, podiums, parking, parks, a dam, a power line",

@@ -11,7 +11,7 @@ import numpy as np
 import pyproj
 
 from tiler.core.raster import BLOCK_PIXELS
-from tiler.export.geotiff import RasterLook, plain_geotiff
+from tiler.io.geotiff import RasterLook, plain_geotiff
 from tiler.simulate.points import Points, UInt8s
 from tiler.simulate.site import Site
 
@@ -26,18 +26,19 @@ PULSE_S = 1e-5
 class CloudWriter:
     """A LAZ file that grows: LAS 1.4, point format 6, or 7 with colours; millimetres.
 
-    No date of today and no version stand in it, so that the same points have the same bytes.
+    It holds neither today's date nor a version, so the same points have the same bytes.
 
     Parameters
     ----------
     path : Path
-        Replaced if it is there.
+        Replaced if it exists.
     colour, compressed : bool
     """
 
     def __init__(self, path: Path, colour: bool = False, compressed: bool = True) -> None:
         header = laspy.LasHeader(point_format=7 if colour else 6, version="1.4")
-        header.scales, header.offsets = np.full(3, 0.001), np.array([*ORIGIN, 0.0])
+        header.scales = np.full(3, 0.001)
+        header.offsets = np.array([*ORIGIN, 0.0])
         header.creation_date = datetime.date(2020, 1, 1)
         header.generating_software = "tiler simulate"
         header.add_crs(pyproj.CRS(CRS))
@@ -53,19 +54,20 @@ class CloudWriter:
         self._file.close()
 
     def write(self, points: Points, classes: UInt8s | None = None) -> None:
-        """Append points, with other classes than their own if ``classes`` (uint8, shape (n,)) are given."""
+        """Append points. ``classes`` (uint8, shape (n,)) replaces their own classes."""
         if not len(points):
             return
         record = laspy.ScaleAwarePointRecord.zeros(len(points), header=self._header)
         for name, column in zip("XYZ", points.xyz.T, strict=True):
             record[name] = np.rint(column * 1000).astype(np.int32)
-        record["classification"] = points.label if classes is None else classes
+        record["classification"] = classes if classes is not None else points.label
         record["return_number"], record["number_of_returns"] = points.number, points.count
         record["scan_angle"] = np.round(points.angle_deg / 0.006).astype(np.int16)
         pulse = self._pulses + np.cumsum(points.number == 1)
-        record["gps_time"] = pulse * PULSE_S
         record["point_source_id"] = np.ones(len(points), np.uint16)
-        if points.rgb is not None:
+        if points.rgb is None:
+            record["gps_time"] = pulse * PULSE_S
+        else:  # matched from images, whose points have no time
             record["red"], record["green"], record["blue"] = points.rgb.T
         self._file.write_points(record)
         self._pulses = int(pulse[-1])

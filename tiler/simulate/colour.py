@@ -1,4 +1,4 @@
-"""Colours of a matched cloud: materials, their variation, and the shadows of one sun."""
+"""Colours of a matched cloud: materials, their variation, and the shadows of a sun."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ SUN_STEP = (-2, -3)
 """Pixels (row, column) of one step towards the sun, which stands in the south-west."""
 
 SHADOW_REACH_M = 30.0
-"""Longer shadows are cut off."""
+"""Longest shadow; longer ones are cut off."""
 
 SHADE = np.array([0.36, 0.40, 0.50])
-"""Share of each colour that is left in shadow, which is lit by the sky alone."""
+"""Share of each colour in shadow, which only the sky lights."""
 
 ASPHALT, LAWN, SOIL, ROCK, WATERS, LEAVES, PLANTS, CONCRETE, FACADE = range(9)
 MATERIALS = np.array(
@@ -51,14 +51,14 @@ PAINTS = np.array(
 
 
 def ground_materials(site: Site, x: Floats, y: Floats) -> npt.NDArray[np.intp]:
-    """Material of the open ground: streets on the blocks' edges, rock where it is steep, lawn or soil elsewhere."""
+    """Material of the open ground: streets at the edges of blocks, rock on steep land, lawn or soil elsewhere."""
     step = 0.5
     rise = np.hypot(
         site.terrain.height_at(x + step, y) - site.terrain.height_at(x - step, y),
         site.terrain.height_at(x, y + step) - site.terrain.height_at(x, y - step),
     )
     patchy = smooth_noise(site.seed, COLOUR, x, y, 7.0)
-    # Of a standard normal, the share below 1.6 (green - 0.5) / 0.5 is about `green` between 0.1 and 0.9.
+    # A standard normal lies below 1.6 (green - 0.5) / 0.5 with a probability of about `green`, from 0.1 to 0.9.
     material = np.where(patchy < 2.6 * (site.green - 0.5), LAWN, SOIL)
     material = np.where(rise / (2 * step) > 0.9, ROCK, material)
     if site.street_m > 0:
@@ -72,7 +72,7 @@ def _from_edge(x: Floats, side: float) -> Floats:
 
 
 def shadows(skin: Skin) -> npt.NDArray[np.bool_]:
-    """Which nodes of a skin lie in the shadow of another one; all within `SHADOW_REACH_M` is looked at."""
+    """Mask of the nodes of a skin in the shadow of another node within `SHADOW_REACH_M`."""
     length = float(np.hypot(*SUN_STEP)) * PIXEL_M
     climb = length * np.tan(np.radians(SUN_ELEVATION_DEG))
     dark = np.zeros_like(skin.sharp, dtype=np.bool_)
@@ -104,9 +104,9 @@ def colours(
     x, y : float64, shape (n,), metres
     label : uint8, shape (n,)
     thing : int64, shape (n,)
-        `tiler.simulate.skin.solid_number` of the solid that it lies on; -1 for none.
+        `tiler.simulate.skin.solid_number` of the solid below the point; -1 for none.
     facade, dark : bool, shape (n,)
-        Whether it lies on a wall, in the shadow.
+        Whether the point lies on a wall, and in the shadow.
     rng : numpy.random.Generator
     """
     material = ground_materials(site, x, y)
@@ -127,7 +127,7 @@ def colours(
     paint = ~np.isin(label, (GROUND, WATER, BUILDING, BRIDGE)) & (thing >= 0)
     rgb[paint] = PAINTS[pick[paint] % len(PAINTS)]
     plants = np.isin(material, (LAWN, PLANTS, LEAVES)) & (thing < 0)
-    # Plants differ from green to straw from place to place; all surfaces in brightness.
+    # The colour of plants varies from green to straw, and the brightness of all surfaces varies.
     dry = np.clip(0.25 + 0.25 * smooth_noise(site.seed, COLOUR, x, y, 4.0), 0.0, 0.8) * plants
     straw = np.array([150.0, 142.0, 96.0])
     rgb = rgb * (1.0 - dry[:, None]) + straw * dry[:, None]

@@ -1,4 +1,4 @@
-"""The simulated city of the demo: four clouds as a run gets them, with their true classes, and the true terrain."""
+"""The simulated city of the demo: four input clouds, their true classes, and the true terrain."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ PARTS = ("sw", "se", "nw", "ne")
 
 @dataclass(frozen=True)
 class DemoScene:
-    """What `demo_city` wrote.
+    """Files and truth that `demo_city` wrote.
 
     Attributes
     ----------
@@ -31,7 +31,7 @@ class DemoScene:
     terrain : Terrain
         The formula behind it, in metres from `tiler.simulate.cloud.ORIGIN`.
     points : int
-        In all four clouds together.
+        Number of points in all four clouds.
     """
 
     paths: tuple[Path, ...]
@@ -60,7 +60,7 @@ def demo_city(
     Parameters
     ----------
     folder : path
-        Created if it is not there; files of these names are replaced.
+        Created if necessary; files of these names are replaced.
     seed : int
         The same seed gives the same bytes.
     side_m : float
@@ -78,7 +78,7 @@ def demo_city(
         clouds, truths = (
             [open_files.enter_context(CloudWriter(path)) for path in group] for group in (paths, truth_paths)
         )
-        # The rim would cost half as much again for the last metre or two of the city.
+        # The rim would add half of the work for the last metre or two of the city.
         for index in patches(sensor, side_m, rim=False):
             points = survey_patch(site, sensor, *index)
             part = (points.xyz[:, 0] >= side_m / 2) + 2 * (points.xyz[:, 1] >= side_m / 2)

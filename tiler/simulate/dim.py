@@ -1,4 +1,4 @@
-"""Dense image matching: a dense skin with correlated noise, facades, blunders and colours; nothing below plants."""
+"""Dense image matching: a skin with correlated noise, facades, blunders and colours; nothing below plants."""
 
 from __future__ import annotations
 
@@ -22,26 +22,27 @@ Floats = npt.NDArray[np.float64]
 UInt8s = npt.NDArray[np.uint8]
 
 PATCH_M = 50.0
-"""Side of the squares that are matched at once, a lattice at (0, 0): bounds the memory."""
+"""Side of the squares that are matched at once, on a lattice at (0, 0). It bounds the memory."""
 
 CLUMP = (5, 30)
-"""Fewest and most points of a clump of blunders."""
+"""Smallest and largest number of points in a clump of blunders."""
 
 WALL_M = 2.5
-"""A jump of the skin from which on a wall is seen."""
+"""Smallest jump of the skin that is a visible wall."""
 
 NARROW_M = 1.2
-"""Half the width of a window; where something in it stands `NARROW_RISE_M` higher, images see less of the ground."""
+"""Half the width of a window; objects in it higher by `NARROW_RISE_M` hide part of the ground from images."""
 
 NARROW_RISE_M = 7.0
+"""Height of an object that hides the ground beside it from images."""
 
 TEXTURE_M = 5.0
-"""Size of the patches of ground and roofs that have no texture to match."""
+"""Size of the patches of ground and roofs without texture."""
 
 
 @dataclass(frozen=True)
 class DimSensor:
-    """Metres and shares.
+    """Settings of image matching, in metres and shares.
 
     Attributes
     ----------
@@ -50,9 +51,9 @@ class DimSensor:
     sigma_m : float
         Standard deviation of the heights of hard surfaces; plants have twice as much.
     correlated : float
-        Share of the variance that neighbours have in common.
+        Share of the variance that neighbours share.
     correlation_m : float
-        How far they do.
+        Distance up to which neighbours share it.
     edge_m : float
         Standard deviation of the smoothing at edges.
     facade : float
@@ -62,13 +63,13 @@ class DimSensor:
     high_blunders : float
         Share of points in the air.
     shadow : float
-        Times the standard deviation of heights in shadow.
+        Factor of the standard deviation of heights in shadow.
     textureless, textureless_share : float
-        Times the standard deviation where ground and roofs have no texture, and the share of them that has none.
+        Factor of the standard deviation on ground and roofs without texture, and the share of these.
     tails : float or None
-        Degrees of freedom of Student's t for the noise that is independent per point, above 2; None: it is normal.
+        Degrees of freedom (above 2) of Student's t for the independent noise of a point; None: normal noise.
     jitter : float
-        How far points leave a square lattice, over its spacing: 1 is random, 0 as regular as a mesh.
+        Distance of points from a square lattice, over its spacing: 1 is random, 0 is as regular as a mesh.
     plants_m : float
         Plants lower than this are ground, metres.
     coloured : bool
@@ -144,7 +145,7 @@ class DimSensor:
         shaded: npt.NDArray[np.bool_],
         rng: np.random.Generator,
     ) -> Floats:
-        """Errors of heights: a part that neighbours have in common and a part that is each point's own, metres."""
+        """Errors of heights in metres: one part that neighbours share and one part of each point."""
         hard = np.isin(label, (GROUND, WATER, BUILDING))
         sigma = self.sigma_m * np.where(hard, 1.0, 2.0) * np.where(shaded, self.shadow, 1.0)
         if self.textureless_share:
@@ -158,14 +159,14 @@ class DimSensor:
         return np.asarray(sigma * (self.correlated**0.5 * common + (1.0 - self.correlated) ** 0.5 * own))
 
     def _facades(self, skin: Skin, box: Box, rng: np.random.Generator) -> Floats:
-        """Points on walls: where the skin falls from a building to its neighbour; on some walls more than on others."""
+        """Points on walls, where the skin falls from a building to its neighbour; walls differ in their share."""
         x, y = skin.positions()
         parts = [np.empty((0, 3))]
         rate = self.facade * self.density * PIXEL_M
         for axis, way in ((0, 1), (0, -1), (1, 1), (1, -1)):
             lower = np.roll(skin.sharp, -way, axis)
             jump = skin.sharp - lower
-            # A wall is seen in images from one or two sides only.
+            # Images show a wall from one or two sides only.
             seen = skin.thing * 4 + axis * 2 + (way > 0)
             share = np.array([1.0, 0.15, 0.5, 0.05, 0.8])[seen % 5]
             at = (skin.thing >= 0) & (skin.label == BUILDING) & (jump > WALL_M)
@@ -174,7 +175,10 @@ class DimSensor:
             wx, wy, top, fall = (np.repeat(raster[at], times) for raster in (x, y, skin.sharp, jump))
             offset = PIXEL_M * (0.5 * way + rng.uniform(-0.1, 0.3, len(wx)))
             slide = PIXEL_M * rng.uniform(-0.5, 0.5, len(wx))
-            wx, wy = wx + (offset if axis else slide), wy + (slide if axis else offset)
+            dx, dy = slide, offset
+            if axis:
+                dx, dy = offset, slide
+            wx, wy = wx + dx, wy + dy
             # Matching sees the upper part of a wall better than its foot.
             z = top - fall * rng.beta(1.0, 1.4, len(wx)) + self.sigma_m * rng.standard_normal(len(wx))
             parts.append(np.column_stack((wx, wy, z)))
@@ -183,7 +187,7 @@ class DimSensor:
         return points[inside.all(axis=1)]
 
     def _blunders(self, site: Site, skin: Skin, box: Box, rng: np.random.Generator) -> tuple[Floats, UInt8s]:
-        """Points where nothing is: xyz (n, 3) and labels."""
+        """Points in empty places: xyz (n, 3) and labels."""
         points = self.density * PATCH_M**2
         alone = rng.poisson(points * self.blunders / 2)
         clumps = rng.poisson(points * self.blunders / 2 / np.mean(CLUMP))
@@ -200,7 +204,7 @@ class DimSensor:
         x, y = x + spread * rng.standard_normal(len(x)), y + spread * rng.standard_normal(len(y))
         x, y = np.clip(x, box[0], box[2] - 0.001), np.clip(y, box[1], box[3] - 0.001)
         above = above + 0.25 * spread * rng.standard_normal(len(x))
-        # Blunders below the ground reach at least 0.4 m down, or they would be noise of the ground.
+        # Blunders lie at least 0.4 m below the ground; otherwise they would be noise of the ground.
         above = np.where(label == LOW_NOISE, np.minimum(above, -0.4), above)
         start = np.where(label == LOW_NOISE, site.terrain.height_at(x, y), skin.height(x, y))
         return np.column_stack((x, y, start + above)), label

@@ -1,4 +1,4 @@
-"""A scene as files, written patch by patch: a cloud with true classes, and the true terrain beside it."""
+"""A scene written patch by patch: a cloud with true classes, and the true terrain beside it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from tiler.errors import ConfigError, ProcessingError
-from tiler.io.partial_files import partial_path
+from tiler.io.partial_files import partial_path, replace_file
 from tiler.observe.events import Listener, silent
 from tiler.simulate.catalogue import SCENES, SENSORS, SceneSpec
 from tiler.simulate.cloud import CloudWriter, write_dtm
@@ -21,7 +21,7 @@ from tiler.simulate.sites import SITES
 
 DEFAULT_SIDE_M = {"als": 500.0, "dim": 150.0}
 DENSITY_RANGE = {"als": (0.05, 100.0), "dim": (1.0, 1000.0)}
-"""Fewest and most points per square metre: the densest peaked at 750 MB in all."""
+"""Smallest and largest number of points per square metre; the densest scene needs 750 MB in all."""
 
 SIDE_RANGE_M = (50.0, 50_000.0)
 SIGMA_RANGE_M = (0.0, 1.0)
@@ -39,26 +39,26 @@ def describe_scene(
     sigma_m: float | None = None,
     blunders: float = 1.0,
 ) -> SceneSpec:
-    """What to simulate: a scene of the catalogue or a kind of place, and what shall differ from its settings.
+    """A scene of the catalogue or a kind of place, with the changed settings.
 
     Parameters
     ----------
     scene : str
         A name of `tiler.simulate.SCENES` or of `tiler.simulate.SITES`.
     kind : {'als', 'dim'}, optional
-        That of the catalogue's scene, else ``als``.
+        Kind of the sensor; by default that of the catalogue's scene, or ``als``.
     seed : int, optional
-        That of the catalogue's scene, else 1.
+        By default that of the catalogue's scene, or 1.
     side_m, density, sigma_m : float, optional
-        Metres, points per square metre, metres; those of the catalogue's scene, else `DEFAULT_SIDE_M` and the
-        sensor's.
+        Metres, points per square metre, metres; by default those of the catalogue's scene, or `DEFAULT_SIDE_M` and the
+        sensor's values.
     blunders : float
-        Times the usual number of low and high blunders.
+        Factor of the usual number of low and high blunders.
 
     Raises
     ------
     ConfigError
-        An unknown name, another kind than the catalogue's scene has, or a value out of range.
+        If the name is unknown, the kind differs from that of the catalogue's scene, or a value is out of range.
     """
     if scene in SCENES:
         spec = SCENES[scene]
@@ -81,8 +81,12 @@ def describe_scene(
     defaults = SENSORS[spec.kind]
     for name in defaults.BLUNDERS:
         sensor[name] = blunders * sensor.get(name, getattr(defaults, name))
-    side_m = spec.side_m if side_m is None else _within("--size", side_m, *SIDE_RANGE_M, "m")
-    seed = spec.seed if seed is None else seed
+    if side_m is None:
+        side_m = spec.side_m
+    else:
+        _within("--size", side_m, *SIDE_RANGE_M, "m")
+    if seed is None:
+        seed = spec.seed
     if seed < 0:
         raise ConfigError(f"--seed {seed}: must not be negative")
     return dataclasses.replace(spec, seed=seed, side_m=side_m, sensor=sensor)
@@ -91,33 +95,33 @@ def describe_scene(
 def write_scene(
     path: str | Path, spec: SceneSpec, pixel_m: float = 1.0, listener: Listener = silent
 ) -> dict[str, Any]:
-    """Simulate a scene into a cloud and, beside it, ``<name>_dtm.tif``; memory is that of one patch.
+    """Simulate a scene into a cloud, and ``<name>_dtm.tif`` beside it. Memory is that of one patch.
 
     Parameters
     ----------
     path : path
-        LAZ or, if so named, LAS: format 6, or 7 where the scene has colours. Both files appear under their names
-        when they are whole, and replace what was there. The same ``spec`` gives the same bytes.
+        LAZ or LAS, by the suffix; format 6, or 7 if the scene has colours. Both files appear under their names once
+        they are complete, and replace existing ones. The same ``spec`` gives the same bytes.
     spec : SceneSpec
-        As `describe_scene` gives it.
+        Result of `describe_scene`.
     pixel_m : float
         Side of a pixel of the true terrain, metres.
     listener : Listener
-        Told what happens.
+        Receives events.
 
     Returns
     -------
     dict
         ``cloud``, ``dtm``, ``scene``, ``kind``, ``seed``, ``side_m``, ``points``, ``points_per_m2``, and
-        ``classes`` (class to number of points and what it holds).
+        ``classes`` (number of points and description by class).
 
     Raises
     ------
     ConfigError
-        The name is no LAZ or LAS, a raster of the terrain's name is there without a cloud, or ``pixel_m`` is out of
-        range.
+        If the name is neither LAZ nor LAS, a raster with the terrain's name exists without a cloud, or ``pixel_m`` is
+        out of range.
     ProcessingError
-        A file cannot be written.
+        If a file cannot be written.
     """
     path = Path(path)
     if path.suffix.lower() not in (".laz", ".las"):
@@ -131,8 +135,8 @@ def write_scene(
         path.parent.mkdir(parents=True, exist_ok=True)
         counts = _write_cloud(part, path.suffix.lower() == ".laz", spec, listener)
         write_dtm(dtm_part, spec.make_site(), pixel_m)
-        part.replace(path)
-        dtm_part.replace(dtm)
+        replace_file(part, path)
+        replace_file(dtm_part, dtm)
     except OSError as error:
         raise ProcessingError(
             f"{path}: cannot be written ({error.strerror or error}); see to space and rights"
@@ -158,7 +162,7 @@ def write_scene(
 
 
 def _write_cloud(path: Path, compressed: bool, spec: SceneSpec, listener: Listener) -> np.ndarray:
-    """All patches into one file; returns the number of points of each class, int64, shape (256,)."""
+    """Write all patches into one file; return the number of points of each class, int64, shape (256,)."""
     site, sensor = spec.make_site(), spec.make_sensor()
     todo = patches(sensor, spec.side_m)
     counts = np.zeros(256, np.int64)

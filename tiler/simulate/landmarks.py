@@ -1,6 +1,8 @@
-"""Things that span blocks: bridges and power lines."""
+"""Bridges and power lines, which span blocks."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 
@@ -12,22 +14,24 @@ SPAN_M = 110.0
 
 
 def bridge(terrain: Terrain, line: Line, length: float, width: float) -> Objects:
-    """A deck with parapets centred at the line's point, along the line, from ground to ground; metres.
+    """A deck with parapets along a line, centred at the line's point, from ground to ground; metres.
 
-    It joins the heights of the terrain at its two ends, so that a road goes on over it without a step.
+    It connects the heights of the terrain at its two ends, so that a road has no step.
     """
     start, end = (float(terrain.height_at(*line.at(along))) for along in (-length / 2, length / 2))
     top, tilt = (start + end) / 2, (end - start) / length
-    deck = Solid(line.x, line.y, line.angle_deg, length, width, top - 1.2, top, 0.0, BRIDGE, tilt)
-    edges = (line.at(0.0, across) for across in (-width / 2, width / 2))
-    sides = [
-        Solid(x, y, line.angle_deg, length, 0.3, top - 1.2, top + 1.0, 0.0, BRIDGE, tilt) for x, y in edges
-    ]
+    base = top - 1.2
+    deck = Solid(line.x, line.y, line.angle_deg, length, width, base, top, label=BRIDGE, tilt=tilt)
+    parapet = replace(deck, width=0.3, top=top + 1.0)
+    sides = []
+    for across in (-width / 2, width / 2):
+        x, y = line.at(0.0, across)
+        sides.append(replace(parapet, x=x, y=y))
     return Objects(solids=(deck, *sides))
 
 
 def power_line(terrain: Terrain, line: Line, length: float) -> Objects:
-    """Towers of 26 m every `SPAN_M` from the line's point on, with a cross-arm and three sagging wires; metres."""
+    """Towers of 26 m every `SPAN_M` from the line's point, with a cross-arm and three sagging wires; metres."""
     solids: list[Solid] = []
     wires: list[Wire] = []
     before: list[tuple[float, float, float]] = []

@@ -1,4 +1,4 @@
-"""What stands on the terrain; each object tells where a ray meets it.
+"""Objects on the terrain; each computes where a ray meets it.
 
 A ray is a line that comes from above, written by its height z: ``x = ax + lx * z``, ``y = ay + ly * z``.
 """
@@ -27,7 +27,7 @@ BRIDGE = 17
 class Rays:
     """``n`` rays; all columns float64, shape (n,), metres (``lx``, ``ly``: metres per metre of height).
 
-    ``level`` is a height near which most is hit; it only makes searches short.
+    ``level`` is a height near most hits; it only shortens searches.
     """
 
     ax: Floats
@@ -41,7 +41,7 @@ class Rays:
 
     @cached_property
     def steepest(self) -> float:
-        """Most metres that a ray moves per metre of height."""
+        """Largest horizontal motion of a ray per metre of height, metres."""
         return float(np.hypot(self.lx, self.ly).max(initial=0.0))
 
     def at(self, z: Floats, index: npt.NDArray[np.intp] | slice = slice(None)) -> tuple[Floats, Floats]:
@@ -58,7 +58,7 @@ class Rays:
 
     @cached_property
     def _from_west(self) -> tuple[npt.NDArray[np.intp], Floats]:
-        """Indices from west to east on the level, and the positions x there."""
+        """Indices from west to east on the level, and their positions x."""
         x = self.ax + self.lx * self.level
         order = np.argsort(x, kind="stable")
         return order, x[order]
@@ -110,7 +110,7 @@ class Solid:
         return math.hypot(max(abs(along) - self.length / 2, 0.0), max(abs(across) - self.width / 2, 0.0))
 
     def hit(self, rays: Rays) -> tuple[npt.NDArray[np.intp], Floats]:
-        """Which rays meet the body (indices), and at which height they enter it (metres)."""
+        """Indices of the rays that meet the body, and the heights at which they enter it (metres)."""
         height = self.top - self.base + abs(self.tilt) * self.length / 2
         index = rays.near(self.x, self.y, self.top, self.radius + height * rays.steepest + 0.01)
         if not len(index):
@@ -119,7 +119,7 @@ class Solid:
         ax, ay = rays.ax[index] - self.x, rays.ay[index] - self.y
         lx, ly = rays.lx[index], rays.ly[index]
         au, av, lu, lv = ax * cos + ay * sin, ay * cos - ax * sin, lx * cos + ly * sin, ly * cos - lx * sin
-        # A convex body is an intersection of half-spaces; each bounds z inside the body from above or below.
+        # A convex body is an intersection of half-spaces; each bounds z from above or below.
         high, low = np.full(len(index), np.inf), np.full(len(index), -np.inf)
         half_spaces = [
             (-self.tilt, 0.0, 1.0, self.top),
@@ -145,9 +145,9 @@ class Solid:
 
 @dataclass(frozen=True)
 class Crown:
-    """The crown of a tree: an ellipsoid that a pulse gets into; metres.
+    """The crown of a tree: an ellipsoid that pulses enter; metres.
 
-    ``spacing`` is the mean way between two returns in it, ``stop`` the chance that a return uses up the pulse.
+    ``spacing`` is the mean distance between two returns in it, ``stop`` the probability that a return ends the pulse.
     """
 
     x: float
@@ -159,7 +159,7 @@ class Crown:
     stop: float = 0.3
 
     def chord(self, rays: Rays) -> tuple[npt.NDArray[np.intp], Floats, Floats]:
-        """Which rays meet the crown (indices), and the heights where they enter and leave it (metres)."""
+        """Indices of the rays that meet the crown, and the heights at which they enter and leave it (metres)."""
         index = rays.near(self.x, self.y, self.z, self.radius + self.half_height * rays.steepest + 0.01)
         px, py = rays.at(np.full(len(index), self.z), index)
         ratio = (self.radius / self.half_height) ** 2
@@ -174,7 +174,7 @@ class Crown:
 
 @dataclass(frozen=True)
 class Patch:
-    """Low vegetation: an ellipse or, if ``square``, a rectangle where plants stand on the ground; metres.
+    """Low vegetation: an ellipse or, if ``square``, a rectangle in which plants stand on the ground; metres.
 
     ``cover`` is the share of pulses that end in them, at heights up to ``height``.
     """
@@ -197,12 +197,14 @@ class Patch:
         """Depth inside of the footprint at each position: 1 at the centre, 0 at the edge, negative outside."""
         along, across = Line(self.x, self.y, self.angle_deg).along_across(x, y)
         u, v = 2 * along / self.length, 2 * across / self.width
-        return np.asarray(1.0 - (np.maximum(np.abs(u), np.abs(v)) if self.square else np.hypot(u, v)))
+        if self.square:
+            return np.asarray(1.0 - np.maximum(np.abs(u), np.abs(v)))
+        return np.asarray(1.0 - np.hypot(u, v))
 
 
 @dataclass(frozen=True)
 class Wire:
-    """A wire that sags between two points; metres. A pulse within ``reach`` of it leaves a return and goes on."""
+    """A wire that sags between two points; metres. A pulse within ``reach`` leaves a return and continues."""
 
     start: tuple[float, float, float]
     end: tuple[float, float, float]
@@ -211,12 +213,12 @@ class Wire:
 
     @property
     def x(self) -> float:
-        """East of the middle, metres."""
+        """East coordinate of the middle, metres."""
         return (self.start[0] + self.end[0]) / 2
 
     @property
     def y(self) -> float:
-        """North of the middle, metres."""
+        """North coordinate of the middle, metres."""
         return (self.start[1] + self.end[1]) / 2
 
     @property
@@ -225,7 +227,7 @@ class Wire:
         return float(np.hypot(self.end[0] - self.start[0], self.end[1] - self.start[1]) / 2)
 
     def hit(self, rays: Rays) -> tuple[npt.NDArray[np.intp], Floats]:
-        """Which rays pass the wire (indices), and at which height (metres)."""
+        """Indices of the rays that pass the wire, and the heights of their returns (metres)."""
         angle = float(np.degrees(np.arctan2(self.end[1] - self.start[1], self.end[0] - self.start[0])))
         line = Line(self.x, self.y, angle)
         index = rays.near(self.x, self.y, self.start[2], self.radius + 10.0)
@@ -241,7 +243,7 @@ class Wire:
 
 @dataclass(frozen=True)
 class Objects:
-    """All that stands on a terrain, in a fixed order."""
+    """All objects on a terrain, in a fixed order."""
 
     solids: tuple[Solid, ...] = ()
     crowns: tuple[Crown, ...] = ()
@@ -249,11 +251,11 @@ class Objects:
     wires: tuple[Wire, ...] = ()
 
     def __add__(self, other: Objects) -> Objects:
-        """Both, those of ``other`` last."""
+        """Objects of both, those of ``other`` last."""
         return Objects(*(a + b for a, b in zip(self._kinds, other._kinds, strict=True)))
 
     def touching(self, x0: float, y0: float, x1: float, y1: float) -> Objects:
-        """Only those that may reach into a box, in the same order; all metres."""
+        """Objects that may reach into a box, in the same order; metres."""
 
         def near(thing: Solid | Crown | Patch | Wire) -> bool:
             far = thing.radius

@@ -1,4 +1,4 @@
-"""A block of land to put things on: houses, halls, courtyards, trees, hedges, cars, walls."""
+"""A block of land on which objects are placed: houses, halls, courtyards, trees, hedges, cars, walls."""
 
 from __future__ import annotations
 
@@ -9,21 +9,21 @@ from tiler.simulate.objects import BUILDING, Crown, Objects, Patch, Solid
 from tiler.simulate.terrain import Line, Terrain
 
 STEEPEST_HOUSE = 0.3
-"""Rise of the ground per metre where nobody builds any more."""
+"""Rise of the ground per metre above which no house is built."""
 
 
 class Plot:
-    """Collects what stands in a square block; lengths in metres, angles in degrees.
+    """Collects the objects on a square block; lengths in metres, angles in degrees.
 
     Parameters
     ----------
     rng : numpy.random.Generator
-        Of this block alone.
+        Random numbers of this block.
     terrain : Terrain
     x, y, side : float
         Centre and side of the block.
     landmarks : Objects
-        What the block must keep clear of.
+        Objects from which the block keeps clear.
     street : float
         Width of the street along its edges.
     """
@@ -46,7 +46,7 @@ class Plot:
         self._patches: list[Patch] = []
 
     def objects(self) -> Objects:
-        """All that was put."""
+        """All objects placed so far."""
         return Objects(tuple(self._solids), tuple(self._crowns), tuple(self._patches))
 
     def pick(self, edge: float = 0.0) -> tuple[float, float]:
@@ -85,20 +85,20 @@ class Plot:
         """A solid whose eaves are ``height`` above the highest ground that it touches."""
         low, high = self.terrain.range_around(x, y, 0.35 * float(np.hypot(length, width)))
         top = high + height + pitch * width / 2
-        self._solids.append(Solid(x, y, angle, length, width, low - 1.0, top, pitch, label))
+        self._solids.append(Solid(x, y, angle, length, width, low - 1.0, top, pitch=pitch, label=label))
 
     def thing(self, x: float, y: float, angle: float, length: float, width: float, tall: float) -> None:
-        """A solid that is no building, ``tall`` above the ground at its middle."""
+        """A solid that is not a building, ``tall`` above the ground at its middle."""
         low = self.ground(x, y)
         self._solids.append(Solid(x, y, angle, length, width, low - 1.0, low + tall, label=UNCLASSIFIED))
 
     def level(self, x: float, y: float, radius: float, most: float) -> bool:
-        """Whether the ground within a radius rises by no more than that."""
+        """Whether the ground within a radius rises by at most ``most``."""
         low, high = self.terrain.range_around(x, y, radius)
         return high - low <= most
 
     def house(self, x: float, y: float, angle: float) -> bool:
-        """A gabled house of 1-3 storeys, some with a garage and a shed; False where it cannot stand."""
+        """A gabled house of 1-3 storeys, some with a garage and a shed; False if it cannot stand there."""
         length, width = self.rng.uniform(9, 16), self.rng.uniform(7, 11)
         height, pitch = self.rng.uniform(3, 7.5), float(self.rng.choice([0.0, 0.5, 0.7, 0.9]))
         even = self.level(x, y, length / 2, STEEPEST_HOUSE * length * 1.4)
@@ -132,7 +132,7 @@ class Plot:
         return True
 
     def dugout(self, x: float, y: float) -> None:
-        """A garage or cellar dug into a slope: its flat roof hardly rises above the ground behind it."""
+        """A garage or cellar dug into a slope, whose flat roof hardly rises above the ground behind it."""
         length, width = self.rng.uniform(5, 14), self.rng.uniform(5, 8)
         radius = 0.35 * float(np.hypot(length, width))
         if not self.level(x, y, radius, 0.8) and self.free(x, y, 0.5 * length):
@@ -155,7 +155,9 @@ class Plot:
         height, pitch = self.rng.uniform(9, 18), float(self.rng.choice([0.0, 0.7]))
         middle = outer - depth / 2
         wings = [(0.0, middle, 0.0), (0.0, -middle, 0.0), (middle, 0.0, 90.0), (-middle, 0.0, 90.0)]
-        for dx, dy, angle in wings if closed else wings[:3]:
+        if not closed:
+            wings.pop()
+        for dx, dy, angle in wings:
             self.box(self.x + dx, self.y + dy, angle, 2 * outer, depth, height, pitch)
         if self.rng.random() < 0.5:
             self.box(self.x, self.y, 0.0, 6.0, 4.0, 2.8)
@@ -188,13 +190,14 @@ class Plot:
         return True
 
     def tree(self, x: float, y: float, tall: float, dense: bool = False, widest: float = 6.0) -> None:
-        """A broad or, if ``dense``, a conifer-like tree of ``tall`` metres, if it does not grow in a house."""
-        radius = self.rng.uniform(0.12, 0.2) * tall if dense else self.rng.uniform(0.2, 0.38) * tall
-        clear = self.rng.uniform(0.05, 0.15) * tall if dense else self.rng.uniform(0.15, 0.35) * tall
-        radius = min(radius, widest)
+        """A broad or, if ``dense``, a conifer-like tree of ``tall`` metres, unless it would grow in a house."""
+        radii, clearances, spacing, stop = (0.2, 0.38), (0.15, 0.35), 1.6, 0.3
+        if dense:
+            radii, clearances, spacing, stop = (0.12, 0.2), (0.05, 0.15), 0.9, 0.45
+        radius = min(self.rng.uniform(*radii) * tall, widest)
+        clear = self.rng.uniform(*clearances) * tall
         if self.free(x, y, 0.6 * radius):
             half = (tall - clear) / 2
-            spacing, stop = (0.9, 0.45) if dense else (1.6, 0.3)
             z = self.ground(x, y) + clear + half
             self._crowns.append(Crown(x, y, z, radius, half, spacing, stop))
 
@@ -205,7 +208,7 @@ class Plot:
             self.tree(x, y, self.rng.uniform(*tall))
 
     def wood(self, spacing: float, tall: tuple[float, float], dense: float) -> None:
-        """A closed stand: a tree in every square of ``spacing``, a share ``dense`` of them conifers; undergrowth."""
+        """A closed stand with a tree in every square of ``spacing``, a share ``dense`` of conifers, and undergrowth."""
         count = max(1, round(self.side / spacing))
         step = self.side / count
         for place in range(count * count):
@@ -217,7 +220,7 @@ class Plot:
         self.undergrowth(self.rng.uniform(0.1, 0.5), self.rng.uniform(0.4, 1.2))
 
     def undergrowth(self, cover: float, height: float) -> None:
-        """Plants all over the block: a field, a fallow, brambles."""
+        """Plants on the whole block: a field, a fallow, brambles."""
         self._patches.append(Patch(self.x, self.y, 0.0, self.side, self.side, height, cover, square=True))
 
     def bushes(self, low: int, high: int, height: tuple[float, float] = (0.2, 1.0)) -> None:
@@ -225,13 +228,14 @@ class Plot:
         for _ in range(self.rng.integers(low, high + 1)):
             x, y = self.pick(2.0)
             length, width = self.rng.uniform(1.5, 8), self.rng.uniform(1, 4)
-            angle, tall = self.rng.uniform(0, 180), self.rng.uniform(*height)
+            angle = self.rng.uniform(0, 180)
+            tall = self.rng.uniform(*height)
             cover = self.rng.uniform(0.3, 0.95)
             if self.free(x, y, 0.0):
                 self._patches.append(Patch(x, y, angle, length, width, tall, cover))
 
     def hedge(self, x: float, y: float, angle: float, length: float) -> None:
-        """A trimmed hedge, dense."""
+        """A trimmed, dense hedge."""
         tall = self.rng.uniform(0.8, 2.0)
         self._patches.append(Patch(x, y, angle, length, 0.9, tall, 0.9, square=True))
 
@@ -245,14 +249,14 @@ class Plot:
                 self.thing(px, py, angle, length / pieces, 0.3, tall)
 
     def car(self, x: float, y: float, angle: float) -> None:
-        """A car or, now and then, a van: body and cabin."""
+        """A car or, sometimes, a van: body and cabin."""
         if not self.free(x, y, 0.5):
             return
-        van = self.rng.random() < 0.15
-        tall = self.rng.uniform(1.9, 2.6) if van else self.rng.uniform(1.4, 1.7)
-        self.thing(x, y, angle, 4.4, 1.8, tall if van else 0.9)
-        if not van:
-            self.thing(x, y, angle, 2.3, 1.6, tall)
+        if self.rng.random() < 0.15:
+            self.thing(x, y, angle, 4.4, 1.8, self.rng.uniform(1.9, 2.6))
+        else:
+            self.thing(x, y, angle, 4.4, 1.8, 0.9)
+            self.thing(x, y, angle, 2.3, 1.6, self.rng.uniform(1.4, 1.7))
 
     def street_cars(self, share: float) -> None:
         """Parked cars along the south and the west edge of the block."""
@@ -265,7 +269,7 @@ class Plot:
                 self.car(self.x - edge, self.y + along, 90.0)
 
     def trailers(self) -> None:
-        """Rows of parked trailers and containers all over the block, some places left free."""
+        """Rows of parked trailers and containers on the whole block, with some free places."""
         reach = self.side / 2 - self.street - 8.0
         for y in np.arange(-reach, reach + 0.1, 26.0):
             for x in np.arange(-reach, reach + 0.1, 3.6):
@@ -274,7 +278,7 @@ class Plot:
                     self.thing(px, py, 90.0, 13.6, 2.5, self.rng.uniform(2.6, 4.0))
 
     def parking(self) -> None:
-        """Rows of cars all over the block."""
+        """Rows of cars on the whole block."""
         reach = self.side / 2 - self.street - 3.0
         for y in np.arange(-reach, reach + 0.1, 6.0):
             for x in np.arange(-reach, reach + 0.1, 2.8):

@@ -1,7 +1,8 @@
-"""Points as a simulated sensor gives them."""
+"""Columns of simulated points, and the protocol of the sensors that make them."""
 
 from __future__ import annotations
 
+import itertools
 from dataclasses import dataclass, replace
 from typing import Any, Protocol
 
@@ -40,7 +41,7 @@ CLASS_NAMES = {
     BRIDGE: "bridges",
     HIGH_NOISE: "blunders in the air",
 }
-"""What has which ASPRS class."""
+"""Names of the ASPRS classes."""
 
 
 @dataclass(frozen=True)
@@ -51,9 +52,9 @@ class Points:
     ----------
     xyz : float64, shape (n, 3), metres
     label : uint8, shape (n,)
-        ASPRS classes: those of `CLASS_NAMES`.
+        ASPRS classes of `CLASS_NAMES`.
     number, count : uint8, shape (n,)
-        Return number, and returns of the pulse.
+        Return number, and number of returns of the pulse.
     angle_deg : float64, shape (n,)
         Scan angle.
     rgb : uint16, shape (n, 3), optional
@@ -70,13 +71,13 @@ class Points:
         return len(self.label)
 
     def take(self, keep: npt.NDArray[np.bool_]) -> Points:
-        """Only the points of a mask, in the same order."""
+        """The points of a mask, in the same order."""
         columns: list[Any] = [None if column is None else column[keep] for column in self._columns]
         return Points(*columns)
 
     @classmethod
     def joined(cls, parts: list[Points]) -> Points:
-        """All parts, one after the other (at least one)."""
+        """All parts (at least one), one after the other."""
         columns = zip(*(part._columns for part in parts), strict=True)
         whole: list[Any] = [None if column[0] is None else np.concatenate(column) for column in columns]
         return cls(*whole)
@@ -87,7 +88,7 @@ class Points:
 
 
 class Sensor(Protocol):
-    """What surveys a site, patch by patch; the patches are a lattice at (0, 0)."""
+    """Surveys a site patch by patch; the patches are a lattice at (0, 0)."""
 
     @property
     def patch_m(self) -> float:
@@ -96,21 +97,21 @@ class Sensor(Protocol):
 
     @property
     def reach_m(self) -> float:
-        """How far beyond a site patches must be surveyed, metres."""
+        """Distance beyond a site up to which patches must be surveyed, metres."""
         ...
 
     @property
     def coloured(self) -> bool:
-        """Whether its points have colours."""
+        """Whether the points have colours."""
         ...
 
     def survey(self, site: Site, ix: int, iy: int) -> Points:
-        """The points of a patch, which depend on the site, the sensor and (ix, iy) alone."""
+        """The points of a patch, which depend only on the site, the sensor and (ix, iy)."""
         ...
 
 
 def vegetation_label(label: UInt8s, above_ground_m: Floats) -> UInt8s:
-    """Labels where plants (labelled low) are split by their height above the ground: below 1 m, below 3 m, higher."""
+    """Labels in which low plants are split by height above ground: below 1 m, below 3 m, higher."""
     by_height = np.select(
         [above_ground_m < 1.0, above_ground_m < 3.0], [LOW_VEGETATION, MEDIUM_VEGETATION], HIGH_VEGETATION
     )
@@ -118,14 +119,17 @@ def vegetation_label(label: UInt8s, above_ground_m: Floats) -> UInt8s:
 
 
 def patches(sensor: Sensor, side_m: float, rim: bool = True) -> list[tuple[int, int]]:
-    """Indices (ix, iy) of the patches that together hold all points of a site, row by row from the south-west.
+    """Indices (ix, iy) of the patches that hold all points of a site, row by row from the south-west.
 
-    Without ``rim`` those are left out that lie outside of the site: its outermost metres may become thinner.
+    Without ``rim`` patches outside the site are omitted, so its outermost metres may be thinner.
     """
-    reach = sensor.reach_m if rim else 0.0
+    reach = 0.0
+    if rim:
+        reach = sensor.reach_m
     low = int(np.floor(-reach / sensor.patch_m))
     high = int(np.ceil((side_m + reach) / sensor.patch_m))
-    return [(ix, iy) for iy in range(low, high) for ix in range(low, high)]
+    along = range(low, high)
+    return [(ix, iy) for iy, ix in itertools.product(along, along)]
 
 
 def survey_patch(site: Site, sensor: Sensor, ix: int, iy: int) -> Points:

@@ -1,4 +1,4 @@
-"""Random numbers that depend on a seed and a place alone, never on what was drawn before."""
+"""Random numbers that depend only on a seed and a place, not on earlier draws."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ Floats = npt.NDArray[np.float64]
 UInt64s = npt.NDArray[np.uint64]
 
 BLOCKS, PULSES, MATCHES, BLUNDERS, BIAS, RELIEF, COLOUR, TEXTURE = range(8)
-"""What numbers are for: each purpose has its own."""
+"""Purposes of random numbers; each purpose has numbers of its own."""
 
 OFFSET = 1 << 31
 
@@ -20,17 +20,17 @@ def generator(seed: int, purpose: int, *place: int) -> np.random.Generator:
 
 
 def smooth_noise(seed: int, purpose: int, x: Floats, y: Floats, cell_m: float) -> Floats:
-    """Spatially correlated noise: standard normal at each position, one and the same for every caller.
+    """Spatially correlated noise, standard normal at each position and the same for every caller.
 
-    Normal numbers, hashed from the nodes of a lattice at coordinate 0, are interpolated bilinearly and divided
-    by the root of the sum of the squared weights, which makes the variance 1 everywhere.
+    Normal numbers are hashed from the nodes of a lattice at coordinate 0, interpolated bilinearly, and divided by
+    the root of the sum of the squared weights. So the variance is 1 everywhere.
 
     Parameters
     ----------
     seed, purpose : int
     x, y : float64, shape (n,) or broadcastable, metres
     cell_m : float
-        Side of the lattice: about the distance beyond which the noise is independent.
+        Side of a lattice cell, about the distance beyond which the noise is independent.
 
     Returns
     -------
@@ -50,7 +50,7 @@ def smooth_noise(seed: int, purpose: int, x: Floats, y: Floats, cell_m: float) -
 def node_normals(
     seed: int, purpose: int, column: npt.NDArray[np.int64], row: npt.NDArray[np.int64]
 ) -> Floats:
-    """Numbers of mean 0 and variance 1, nearly normal (sums of four uniforms), hashed from lattice indices."""
+    """Nearly normal numbers (sums of four uniforms) of mean 0 and variance 1, hashed from lattice indices."""
     key = np.uint64((seed * 8 + purpose) & 0xFFFFFFFF) << np.uint64(32)
     hashed = _mixed(_mixed(column.astype(np.uint64) ^ key) + row.astype(np.uint64))
     total = np.zeros(hashed.shape)
@@ -60,7 +60,7 @@ def node_normals(
 
 
 def _mixed(value: UInt64s) -> UInt64s:
-    """The finaliser of SplitMix64 (Steele, Lea & Flood 2014); wraps around by intent."""
+    """The finaliser of SplitMix64 (Steele, Lea & Flood 2014), which wraps around intentionally."""
     value = value + np.uint64(0x9E3779B97F4A7C15)
     value = (value ^ (value >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     value = (value ^ (value >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)

@@ -1,4 +1,4 @@
-"""A place to survey: terrain and all that stands on it, made block by block when it is looked at."""
+"""A place to survey: terrain and its objects, made block by block on demand."""
 
 from __future__ import annotations
 
@@ -13,28 +13,28 @@ from tiler.simulate.randomness import BLOCKS, generator
 from tiler.simulate.terrain import Terrain
 
 BLOCK_REACH_M = 15.0
-"""What stands in a block may reach this far beyond it."""
+"""Distance by which the objects of a block may reach beyond it."""
 
 KEPT_BLOCKS = 256
-"""Blocks that are remembered: bounds the memory of a city of any size."""
+"""Number of blocks kept in memory, which bounds the memory for a city of any size."""
 
 
 @dataclass(frozen=True)
 class Site:
-    """Terrain and what stands on it; x and y run from 0 to ``side_m`` metres.
+    """Terrain and its objects; x and y run from 0 to ``side_m`` metres.
 
     Attributes
     ----------
     terrain : Terrain
     side_m : float
     seed : int
-        Of its blocks.
+        Seed of its blocks.
     fill : callable, optional
-        Puts things on a `Plot`; None leaves the land bare.
+        Puts objects on a `Plot`; None leaves the land bare.
     block_m : float
         Side of a block. Blocks are a lattice at (0, 0).
     landmarks : Objects
-        What spans blocks: bridges, power lines.
+        Objects that span blocks: bridges, power lines.
     street_m : float
         Width of the asphalt along the edges of the blocks.
     green : float
@@ -52,7 +52,7 @@ class Site:
     _blocks: dict[tuple[int, int], Objects] = field(default_factory=dict, repr=False, compare=False)
 
     def objects_near(self, x0: float, y0: float, x1: float, y1: float) -> Objects:
-        """All that may reach into a box, in an order that depends on the box alone; metres."""
+        """All objects that may reach into a box, in an order that depends only on the box; metres."""
         objects = self.landmarks.touching(x0, y0, x1, y1)
         if self.fill is None:
             return objects
@@ -66,7 +66,6 @@ class Site:
         return objects
 
     def _block(self, ix: int, iy: int) -> Objects:
-        """What stands in a block, from a hash of the seed and its indices."""
         if (ix, iy) not in self._blocks:
             if len(self._blocks) >= KEPT_BLOCKS:
                 del self._blocks[next(iter(self._blocks))]

@@ -34,7 +34,7 @@ def _rng(seed: int) -> np.random.Generator:
 
 
 def _tilt(east: float, north: float, side_m: float) -> tuple[float, float]:
-    """A slope, gentler on sites of more than 400 m: the whole must stay within reach of one flying height."""
+    """A slope, gentler on sites above 400 m, because the whole site must stay within reach of one flying height."""
     share = min(1.0, 400.0 / side_m)
     return east * share, north * share
 
@@ -60,7 +60,7 @@ def suburb(seed: int, side_m: float) -> Site:
 
 
 def forest(seed: int, side_m: float) -> Site:
-    """Closed wood on hills with a stream's valley and clearings."""
+    """Closed wood on hills with the valley of a stream and clearings."""
     rng = _rng(seed)
     hills = [
         Hill(rng.uniform(0, side_m), rng.uniform(0, side_m), rng.uniform(8, 30), rng.uniform(25, 60))
@@ -76,7 +76,7 @@ def forest(seed: int, side_m: float) -> Site:
 
 
 def mountain(seed: int, side_m: float) -> Site:
-    """Sharp ridges of 35-45 degrees beside a valley with a settlement, as `ridge2016` is made for."""
+    """Sharp ridges of 35-45 degrees beside a valley with a settlement, the terrain that `ridge2016` is made for."""
     rng = _rng(seed)
     ridges = [
         Ridge(Line(side_m * 0.8, side_m * 0.55, 85.0), 75.0, 82.0, side_m * 1.2),
@@ -115,7 +115,7 @@ def quarry(seed: int, side_m: float) -> Site:
 
 
 def river(seed: int, side_m: float) -> Site:
-    """A river with hardly any return from its water, banks, two bridges, houses beside it, a pond."""
+    """A river with hardly any returns from its water, banks, two bridges, houses beside it, a pond."""
     rng = _rng(seed)
     course = Line(side_m * 0.5, 0.0, 84.0)
     stream = River(course, side_m * 0.14, 5.0, 9.0, swing=side_m * 0.05, period=side_m * 1.1)
@@ -135,7 +135,7 @@ def river(seed: int, side_m: float) -> Site:
 
 
 def halls(seed: int, side_m: float) -> Site:
-    """Large halls, podiums and courtyards on nearly flat land with a ramp of a road."""
+    """Large halls, podiums and courtyards on nearly flat land with the ramp of a road."""
     rng = _rng(seed)
     ramp = Embankment(side_m * 0.98, side_m * 0.5, 90.0, height=4.0, crest_width=8.0, slope_width=6.0)
     terrain = Terrain(60.0, _tilt(0.008, 0.004, side_m), (Waves.random(rng, 2.5, 300.0), ramp))
@@ -199,12 +199,12 @@ def bluff(seed: int, side_m: float) -> Site:
 
 
 def plane(seed: int, side_m: float) -> Site:
-    """A tilted plane, nothing on it."""
+    """A bare tilted plane."""
     return Site(Terrain(100.0, _tilt(0.05, -0.03, side_m)), side_m, seed)
 
 
 def hills(seed: int, side_m: float) -> Site:
-    """Hills, a dam and a river bank, nothing on them."""
+    """Bare hills with a dam and a river bank."""
     rng = _rng(seed)
     mounds = []
     for _ in range(6):
@@ -240,7 +240,7 @@ SITES: dict[str, Callable[[int, float], Site]] = {
 
 
 def make_site(kind: str, seed: int, side_m: float) -> Site:
-    """The site of that name; raises ConfigError for a name that `SITES` lacks."""
+    """The site of a name in `SITES`; raises ConfigError for other names."""
     if kind not in SITES:
         raise ConfigError(f"unknown scene {kind!r}: choose one of {', '.join(SITES)}")
     return SITES[kind](seed, side_m)
@@ -260,13 +260,13 @@ def scene_points(
     side_m : float
         Side of the site, metres.
     sensor : AlsSensor or DimSensor, optional
-        Density, noise, blunders.
+        Sensor with its density, noise and blunders.
 
     Returns
     -------
     xyz : float64, shape (n, 3), metres
     labels : uint8, shape (n,)
-        As `tiler.simulate.points.Points.label`.
+        Labels of `tiler.simulate.points.Points`.
     """
     points = survey(make_site(kind, seed, side_m), sensor or AlsSensor())
     return points.xyz, points.label

@@ -1,4 +1,4 @@
-"""The skin of a site as image matching sees it: one height a pixel, smoothed where it jumps."""
+"""The skin of a site as image matching sees it: one height per pixel, smoothed at jumps."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from tiler.simulate.site import Site
 Floats = npt.NDArray[np.float64]
 
 PIXEL_M = 0.25
-"""Side of a pixel; its lattice starts at (0, 0)."""
+"""Side of a pixel; the lattice starts at (0, 0)."""
 
 SMEARED_M = 0.2
-"""Ground that smoothing lifts by more belongs to the object beside it."""
+"""Height above which smoothed ground belongs to the object beside it."""
 
 
 @dataclass(frozen=True)
@@ -34,13 +34,13 @@ class Skin:
     bare : float64
         The terrain, metres.
     sharp, smooth : float64
-        What stands on it included, before and after smoothing, metres.
+        The surface with objects, before and after smoothing, metres.
     label, beside : uint8
         ASPRS class before smoothing, and for ground and water that of the nearest object.
     rise : float64
-        How far objects lift the smoothed skin, metres.
+        Height by which objects lift the smoothed skin, metres.
     thing : int64
-        `solid_number` of the solid that it shows, -1 for none.
+        `solid_number` of the visible solid, -1 for none.
     """
 
     x0: float
@@ -64,33 +64,32 @@ class Skin:
         return self._between(self.smooth, x, y)
 
     def labels(self, x: Floats, y: Floats) -> npt.NDArray[np.uint8]:
-        """Class of the smoothed skin at each position: what an object lifts is part of it."""
+        """Class of the smoothed skin at each position; ground that an object lifts belongs to the object."""
         node = self.nearest(x, y)
         label = self.label[node]
         lifted = np.isin(label, (GROUND, WATER)) & (self._between(self.rise, x, y) > SMEARED_M)
         return np.asarray(np.where(lifted, self.beside[node], label))
 
     def _between(self, raster: Floats, x: Floats, y: Floats) -> Floats:
-        """Bilinear."""
         place = np.stack(((y - self.y0) / PIXEL_M, (x - self.x0) / PIXEL_M))
         return np.asarray(ndimage.map_coordinates(raster, place, order=1, mode="nearest"))
 
     def positions(self) -> tuple[Floats, Floats]:
-        """X and y of all nodes, metres, the rasters' shape."""
+        """X and y of all nodes, in the shape of the rasters."""
         rows, columns = self.bare.shape
         x, y = np.meshgrid(self.x0 + PIXEL_M * np.arange(columns), self.y0 + PIXEL_M * np.arange(rows))
         return x, y
 
 
 def skin_of(site: Site, box: Box, margin_m: float, edge_m: float) -> Skin:
-    """The skin of a box and its margin.
+    """The skin of a box with a margin.
 
     Parameters
     ----------
     site : Site
     box : (x0, y0, x1, y1), metres
     margin_m : float
-        Wide enough for what looks around: smoothing, shadows.
+        Margin for smoothing and shadows.
     edge_m : float
         Standard deviation of the smoothing, metres.
     """
@@ -104,18 +103,20 @@ def skin_of(site: Site, box: Box, margin_m: float, edge_m: float) -> Skin:
     smooth = ndimage.gaussian_filter(sharp, sigma, mode="nearest")
     rise = smooth - ndimage.gaussian_filter(bare, sigma, mode="nearest")
     beside = _nearest_object(label)
-    return Skin(low[0] * PIXEL_M, low[1] * PIXEL_M, bare, sharp, smooth, label, beside, rise, thing)
+    rasters = {"bare": bare, "sharp": sharp, "smooth": smooth, "rise": rise}
+    x0, y0 = low[0] * PIXEL_M, low[1] * PIXEL_M
+    return Skin(x0, y0, label=label, beside=beside, thing=thing, **rasters)
 
 
 def solid_number(solid: Solid) -> int:
-    """A number of the solid, not below 0, that depends on its place alone."""
+    """A number of the solid, not negative, that depends only on its place."""
     return int((round(solid.x * 100) * 73856093 ^ round(solid.y * 100) * 19349663) & (2**40 - 1))
 
 
 def _covered(
     site: Site, x: Floats, y: Floats, bare: Floats
 ) -> tuple[Floats, npt.NDArray[np.uint8], npt.NDArray[np.int64]]:
-    """Height, label and solid at each position, seen straight from above."""
+    """Height, label and solid at each position, seen vertically from above."""
     z = bare.copy()
     label = np.where(site.terrain.wet_at(x, y), WATER, GROUND).astype(np.uint8)
     thing = np.full(len(x), -1, np.int64)
@@ -124,7 +125,7 @@ def _covered(
     for patch in objects.patches:
         here = np.flatnonzero((np.abs(x - patch.x) <= patch.radius) & (np.abs(y - patch.y) <= patch.radius))
         depth = patch.inside(x[here], y[here])
-        # Where plants cover little, the matched surface follows the ground between clumps of them.
+        # Between sparse plants the matched surface follows the ground.
         share = np.clip(patch.cover + 0.35 * lumps[here], 0.0, 1.0) * np.clip(4.0 * depth, 0.0, 1.0)
         tall = 0.8 * patch.height * share
         here, tall = here[tall > 0.1], tall[tall > 0.1]
@@ -147,7 +148,7 @@ def _covered(
 
 
 def _nearest_object(label: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
-    """The class of the nearest node that is neither ground nor water; unchanged where there is none at all."""
+    """The class of the nearest node that is neither ground nor water; unchanged without such a node."""
     low = np.isin(label, (GROUND, WATER))
     if low.all():
         return label

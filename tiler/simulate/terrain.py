@@ -1,4 +1,4 @@
-"""Terrain by formula: the truth that a DTM is measured against, at any position."""
+"""Terrain by formula: the true height, at any position, against which a DTM is compared."""
 
 from __future__ import annotations
 
@@ -13,29 +13,29 @@ Bools = npt.NDArray[np.bool_]
 
 
 class Feature(Protocol):
-    """Anything that adds to a terrain; `Terrain` sums them."""
+    """A part of a terrain; `Terrain` sums the parts."""
 
     def height_at(self, x: Floats, y: Floats) -> Floats:
-        """Metres that it adds at each position (metres)."""
+        """Metres that the feature adds at each position (metres)."""
         ...
 
 
 @dataclass(frozen=True)
 class Line:
-    """A straight line through (x, y), metres, of direction ``angle_deg`` counter-clockwise from east."""
+    """A straight line through (x, y), in metres; ``angle_deg`` is counter-clockwise from east."""
 
     x: float
     y: float
     angle_deg: float
 
     def along_across(self, x: Floats, y: Floats) -> tuple[Floats, Floats]:
-        """Metres from (x, y) of the line along it, and to its left."""
+        """Distance of each position along the line from (x, y), and to the left of the line; metres."""
         cos, sin = np.cos(np.radians(self.angle_deg)), np.sin(np.radians(self.angle_deg))
         east, north = x - self.x, y - self.y
         return east * cos + north * sin, north * cos - east * sin
 
     def at(self, along: float, across: float = 0.0) -> tuple[float, float]:
-        """The place that lies so many metres along the line and to its left."""
+        """The place at a distance along the line and to its left."""
         cos, sin = np.cos(np.radians(self.angle_deg)), np.sin(np.radians(self.angle_deg))
         return float(self.x + along * cos - across * sin), float(self.y + along * sin + across * cos)
 
@@ -57,19 +57,19 @@ class Hill:
 
 @dataclass(frozen=True)
 class Waves:
-    """Rolling land without end: a sum of sines.
+    """Endless rolling land: a sum of sines.
 
     Attributes
     ----------
     waves : tuple of (amplitude, east, north, phase)
-        Metres, radians per metre to the east and to the north, radians.
+        Amplitude in metres, radians per metre to the east and to the north, phase in radians.
     """
 
     waves: tuple[tuple[float, float, float, float], ...]
 
     @classmethod
     def random(cls, rng: np.random.Generator, height: float, length: float, count: int = 6) -> Waves:
-        """``count`` waves 0.4 to 1 ``length`` long in any direction, together up to about ``height`` (metres)."""
+        """``count`` waves of 0.4 to 1 ``length`` in any direction, with a sum up to about ``height`` (metres)."""
         rows = []
         for _ in range(count):
             shrink, turn, phase = rng.uniform(0.4, 1.0), rng.uniform(0, 2 * np.pi), rng.uniform(0, 2 * np.pi)
@@ -105,7 +105,7 @@ class Ridge:
 
 @dataclass(frozen=True)
 class Terraces:
-    """``steps`` terraces that rise to the left of a line: flat for ``tread - face``, up ``rise`` within ``face``."""
+    """``steps`` terraces that rise to the left of a line, each ``tread`` long with a face of ``rise`` and ``face``."""
 
     line: Line
     steps: int
@@ -121,7 +121,7 @@ class Terraces:
 
 @dataclass(frozen=True)
 class Cliff:
-    """A step of ``height`` within ``width``, up to the left of a line that swings; metres."""
+    """A step of ``height`` within ``width``, up to the left of a winding line; metres."""
 
     line: Line
     height: float
@@ -145,13 +145,13 @@ class Basin:
     x, y, radius : float
         Centre and outer edge.
     depth : float
-        Of the floor.
+        Depth of the floor.
     wall_width : float
-        From the edge to the floor.
+        Distance from the edge to the floor.
     benches : int
-        Steps on the way down; each is half bench and half face.
+        Number of steps on the way down; each is half bench and half face.
     water : bool
-        The floor is the surface of water.
+        Whether the floor is the surface of water.
     """
 
     x: float
@@ -166,7 +166,7 @@ class Basin:
         return np.asarray(self.radius - np.hypot(x - self.x, y - self.y))
 
     def height_at(self, x: Floats, y: Floats) -> Floats:
-        """Metres that the pit takes away at each position (negative)."""
+        """Metres (negative) that the pit removes at each position."""
         down = _stairs(self._inward(x, y) * self.benches / self.wall_width, self.benches, 0.5)
         return np.asarray(-self.depth / self.benches * down)
 
@@ -212,14 +212,14 @@ class Bank:
     period: float
 
     def height_at(self, x: Floats, y: Floats) -> Floats:
-        """Metres that the bank takes away at each position (negative in the east)."""
+        """Metres (negative in the east) that the bank removes at each position."""
         line = self.x + self.swing * np.sin(2 * np.pi * y / self.period)
         return np.asarray(-self.drop * (0.5 + 0.5 * np.tanh((x - line) / self.width)))
 
 
 @dataclass(frozen=True)
 class River:
-    """A river with a bank on each side along a line that swings; its floor is the surface of the water; metres."""
+    """A river with a bank on each side along a winding line; its floor is the surface of the water; metres."""
 
     line: Line
     width: float
@@ -229,13 +229,13 @@ class River:
     period: float = 300.0
 
     def _outside(self, x: Floats, y: Floats) -> Floats:
-        """Metres from the water's edge, negative on the water."""
+        """Distance from the edge of the water in metres, negative on the water."""
         along, across = self.line.along_across(x, y)
         across = across + self.swing * np.sin(2 * np.pi * along / self.period)
         return np.asarray(np.abs(across) - self.width / 2)
 
     def height_at(self, x: Floats, y: Floats) -> Floats:
-        """Metres that the river takes away at each position (negative)."""
+        """Metres (negative) that the river removes at each position."""
         return np.asarray(-self.depth * (1.0 - np.clip(self._outside(x, y) / self.bank_width, 0.0, 1.0)))
 
     def wet_at(self, x: Floats, y: Floats) -> Bools:

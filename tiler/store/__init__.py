@@ -1,10 +1,12 @@
-"""The tile store: a zarr 3 container with one writer per chunk, points once, and the halo as a view.
+"""The tile store: a zarr 3 container in which each chunk has one writer and each point is stored once.
 
-The only place that knows zarr, paths, dtypes, chunks and the schema version.
+No other package knows zarr, nor the paths, dtypes, chunks and schema version of a store.
 """
 
 from __future__ import annotations
 
+from tiler.store.arrays import packed_by_one_thread
+from tiler.store.coarse import coarse_cells, coarse_values, coarse_window, read_cells
 from tiler.store.commits import Commits
 from tiler.store.index import BucketInfo
 from tiler.store.layout import SPOOL_CHUNK, chunk_numbers
@@ -29,10 +31,15 @@ __all__ = [
     "TileStore",
     "Usage",
     "chunk_numbers",
+    "coarse_cells",
+    "coarse_values",
+    "coarse_window",
     "create_store",
     "held_store",
     "locked_folder",
     "open_store",
+    "packed_by_one_thread",
+    "read_cells",
     "remove_store",
     "store_exists",
 ]

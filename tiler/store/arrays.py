@@ -1,13 +1,15 @@
-"""Arrays as the layout wants them: their metadata by zarr, their chunks read and written whole by the calling thread.
+"""Arrays of a store: zarr makes their metadata; the calling thread reads and writes whole chunks.
 
-The bytes are zarr's (blosc, then a crc32c), and zarr reads them. Through its event loop and pool of threads a chunk
-costs more than a millisecond of CPU time whatever is in it, and tasks read little else: see docs/decisions.md.
+The chunks are packed as zarr packs them (blosc, then a crc32c), so that zarr can read them. They do not go through
+zarr itself, whose event loop and pool of threads cost more than a millisecond of CPU time for each chunk, however
+small it is: see docs/decisions.md.
 """
 
 from __future__ import annotations
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Any
 
@@ -25,11 +27,9 @@ from tiler.store import layout
 from tiler.store.layout import ALLOWED_CODECS, ArrayKind
 from tiler.store.storage import Storage, seal_holds, sealed
 
-numcodecs.blosc.use_threads = False  # parallelism is over processes
-
 _CHECKSUM_BYTES = 4
 _UNPACKED = slice(4, 8)
-"""Where a blosc frame says how many bytes it unpacks to (C-Blosc, README_CHUNK_FORMAT)."""
+"""Bytes of a blosc frame that hold its size when unpacked (C-Blosc, README_CHUNK_FORMAT)."""
 
 Chunk = tuple[int, ...]
 """Number of a chunk along each axis."""
@@ -37,7 +37,7 @@ Chunk = tuple[int, ...]
 
 @dataclass(frozen=True)
 class StoredArray:
-    """An array that is open.
+    """An open array.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class StoredArray:
     kind : ArrayKind
     shape : tuple of int
     fill : float
-        Value of what was never written; that of ``kind`` but for rasters.
+        Value of every element that was never written. It is the `fill` of ``kind``, except for rasters.
     attributes : dict
     """
 
@@ -63,13 +63,15 @@ class StoredArray:
         return self.shape[0]
 
     def read_rows(self, numbers: Sequence[int]) -> list[npt.NDArray[Any]]:
-        """`read`, of an array whose chunks follow one another along the first axis."""
+        """`read` for an array whose chunks follow one another along the first axis."""
         return self.read([self._row(number) for number in numbers])
 
     def read(self, chunks: Sequence[Chunk]) -> list[npt.NDArray[Any]]:
-        """Whole chunks, read-only; raises DamagedError, which names those damaged or missing."""
+        """Whole chunks, read-only; raises DamagedError, which names the chunks that are damaged or missing."""
         keys = [layout.chunk_key(self.path, chunk) for chunk in chunks]
-        found, bad, reason = [], [], ""
+        found = []
+        bad = []
+        reason = ""
         for key, data in zip(keys, self.storage.get_many(keys), strict=True):
             try:
                 found.append(self._decoded(data))
@@ -84,11 +86,11 @@ class StoredArray:
         return found
 
     def write_row(self, number: int, values: npt.NDArray[Any]) -> None:
-        """`write`, of an array whose chunks follow one another along the first axis."""
+        """`write` for an array whose chunks follow one another along the first axis."""
         self.write(self._row(number), values)
 
     def write(self, chunk: Chunk, values: npt.NDArray[Any]) -> None:
-        """Write a whole chunk; raises ProcessingError where the file system refuses."""
+        """Write a whole chunk; raises ProcessingError if the file system refuses."""
         key = layout.chunk_key(self.path, chunk)
         if self.kind.sparse and np.all(values == self.fill):
             self.storage.delete(key)
@@ -99,9 +101,9 @@ class StoredArray:
         return (number, *(0,) * (len(self.shape) - 1))
 
     def _decoded(self, data: bytes | None) -> npt.NDArray[Any]:
-        """The values of a chunk; ValueError or RuntimeError (of blosc) say what is wrong with it.
+        """The values of a chunk; ValueError, or RuntimeError from blosc, says what is wrong with the chunk.
 
-        One that says it unpacks to something else than a chunk is not decoded: blosc would allocate what it says.
+        The size in the blosc frame is checked first, since blosc allocates whatever size a damaged frame names.
         """
         if data is None:
             if self.kind.sparse:
@@ -115,6 +117,17 @@ class StoredArray:
         return np.frombuffer(numcodecs.blosc.decompress(body), self.kind.dtype).reshape(self.kind.chunks)
 
 
+@contextmanager
+def packed_by_one_thread() -> Iterator[None]:
+    """Pack and unpack chunks in the calling thread alone, as tasks do: the parallel work is done by processes."""
+    before = numcodecs.blosc.use_threads
+    numcodecs.blosc.use_threads = False
+    try:
+        yield
+    finally:
+        numcodecs.blosc.use_threads = before
+
+
 def _encoded(values: npt.NDArray[Any], kind: ArrayKind) -> bytes:
     items = np.ascontiguousarray(values, kind.dtype).reshape(-1).view(f"V{kind.shuffled}")
     body: bytes = numcodecs.blosc.compress(items, kind.codec.encode(), kind.level, numcodecs.blosc.SHUFFLE)
@@ -123,32 +136,33 @@ def _encoded(values: npt.NDArray[Any], kind: ArrayKind) -> bytes:
 
 
 def find_array(storage: Storage, path: str, kind: ArrayKind) -> StoredArray | None:
-    """The array at ``path``; None where there is none, StoreError where it is not one that tiler writes."""
+    """The array at ``path``, or None if there is none; raises StoreError if tiler does not write such an array."""
     data = storage.get(f"{path}/zarr.json")
     if data is None:
         return None
     metadata = _checked(data, f"{storage.url}: {path}", path, kind)
-    shape, fill = tuple(map(int, metadata["shape"])), float(metadata["fill_value"])
+    shape = tuple(map(int, metadata["shape"]))
+    fill = float(metadata["fill_value"])
     return StoredArray(storage, path, kind, shape, fill, metadata["attributes"])
 
 
 def open_array(storage: Storage, path: str, kind: ArrayKind) -> StoredArray:
-    """The array at ``path``; DamagedError where there is none, StoreError where it is a foreign one."""
+    """The array at ``path``; DamagedError if there is none, StoreError if tiler does not write such an array."""
     array = find_array(storage, path, kind)
     if array is None:
         raise DamagedError(f"{storage.url}: there is no {path}; run the stage that writes it first", (path,))
     return array
 
 
-def made_rows(storage: Storage, path: str, kind: ArrayKind, rows: int) -> StoredArray:
-    """The array at ``path``, made where there is none; tasks that do so at the same time make the same."""
+def find_or_make(storage: Storage, path: str, kind: ArrayKind, rows: int) -> StoredArray:
+    """The array at ``path``, made if there is none; tasks that make it at the same time write the same bytes."""
     array = find_array(storage, path, kind)
     return array or write_metadata(storage, path, (rows, *kind.chunks[1:]), kind)
 
 
 def lengthen_rows(storage: Storage, path: str, kind: ArrayKind, rows: int) -> None:
-    """Make the array at ``path``, or lengthen it to ``rows``; never shortens it."""
-    array = made_rows(storage, path, kind, rows)
+    """Make the array at ``path``, or lengthen it to ``rows``; it is never shortened."""
+    array = find_or_make(storage, path, kind, rows)
     if array.rows < rows:
         write_metadata(storage, path, (rows, *kind.chunks[1:]), kind, array.attributes)
 
@@ -160,25 +174,33 @@ def write_metadata(
     kind: ArrayKind,
     attributes: dict[str, Any] | None = None,
 ) -> StoredArray:
-    """Write the metadata of an array, new or changed; its chunks stay as they are.
+    """Write the metadata of a new or changed array; its chunks stay as they are.
 
-    Zarr makes them in memory, so that they reach the store in one piece and with a checksum.
+    Zarr makes the metadata in memory, so that they reach the store in one piece and with a checksum.
     """
     attributes = attributes or {}
     blosc = BloscCodec(typesize=kind.shuffled, cname=kind.codec, clevel=kind.level, shuffle="shuffle")
     written: dict[str, Buffer] = {}
     zarr.create_array(
-        MemoryStore(written), shape=shape, chunks=kind.chunks, dtype=kind.dtype, fill_value=kind.fill,
-        serializer=BytesCodec(), filters=None, compressors=[blosc, Crc32cCodec()], attributes=attributes,
-        chunk_key_encoding={"name": "default", "separator": layout.CHUNK_SEPARATOR}, zarr_format=3,
-    )  # fmt: skip
+        MemoryStore(written),
+        shape=shape,
+        chunks=kind.chunks,
+        dtype=kind.dtype,
+        fill_value=kind.fill,
+        serializer=BytesCodec(),
+        filters=None,
+        compressors=[blosc, Crc32cCodec()],
+        attributes=attributes,
+        chunk_key_encoding={"name": "default", "separator": layout.CHUNK_SEPARATOR},
+        zarr_format=3,
+    )
     metadata: dict[str, Any] = json.loads(written["zarr.json"].to_bytes())
     storage.put(f"{path}/zarr.json", json.dumps(sealed(metadata)).encode())
     return StoredArray(storage, path, kind, shape, kind.fill, attributes)
 
 
 def _checked(data: bytes, where: str, path: str, kind: ArrayKind) -> dict[str, Any]:
-    """The metadata of an array if tiler could have written them."""
+    """The metadata of an array; raises DamagedError or StoreError if tiler cannot have written them."""
     try:
         metadata: dict[str, Any] = json.loads(data)
         if not seal_holds(metadata):

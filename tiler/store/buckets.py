@@ -1,4 +1,4 @@
-"""Buckets: each point of the run once, in the rows of its bucket; a window of them is the halo view."""
+"""Buckets: each point of the run is stored once, in the rows of its bucket; a window of buckets gives tile and halo."""
 
 from __future__ import annotations
 
@@ -26,35 +26,36 @@ class BucketStore(points.ColumnStore):
         Parameters
         ----------
         counts : mapping of Cell to int
-            Upper bound of the points of each bucket. A bucket whose rows suffice keeps them and its points; one
-            that outgrew them loses its points and has to be written again. Others stay as they are.
+            Upper bound of the points of each bucket. A bucket whose rows suffice keeps its rows and its points. A
+            bucket that outgrew its rows loses its points and has to be written again. Buckets that are not named
+            stay as they are.
         """
         before = index.current_index(self._storage)
         after, moved = before.allocated(counts, layout.ROW_POINTS)
         self._grow(after.rows)
         for folder, kind in (("labels", layout.LABELS), ("elected", layout.ELECTED)):
             for name in self._storage.names(folder):
-                if name != "zarr.json":
-                    arrays.lengthen_rows(self._storage, f"{folder}/{name}", kind, after.rows)
-                    self._delete_rows(f"{folder}/{name}", moved)
+                if name == "zarr.json":
+                    continue
+                arrays.lengthen_rows(self._storage, f"{folder}/{name}", kind, after.rows)
+                self._delete_rows(f"{folder}/{name}", moved)
         after.publish(self._storage)
         for column in self._columns:
             self._delete_rows(layout.points_path(column.name), moved)
         self._index = after
 
     def _delete_rows(self, path: str, buckets: Sequence[Bucket]) -> None:
-        """Remove the chunks of the rows of buckets that moved away."""
         for bucket in buckets:
             for row in range(bucket.row, bucket.row + bucket.rows):
                 self._storage.delete(layout.chunk_key(path, (row, 0, 0)))
 
     def write_bucket(self, cell: Cell, block: PointBlock, n_candidates: int) -> BucketInfo:
-        """Write all points of a bucket, the candidates first; the record of it goes to `publish_index`.
+        """Write all points of a bucket, with the candidates first; give what it returns to `publish_index`.
 
         Raises
         ------
         StoreError
-            The bucket was not allocated or has no room for the points, or a point lies outside it.
+            The bucket was not allocated or has no room for the points, or a point lies outside the bucket.
         """
         bucket = self._bucket(cell)
         if len(block) > bucket.rows * layout.ROW_POINTS or not 0 <= n_candidates <= len(block):
@@ -76,7 +77,7 @@ class BucketStore(points.ColumnStore):
     def read_bucket(
         self, cell: Cell, columns: Sequence[str] = ("xyz",), candidates_only: bool = False
     ) -> PointBlock:
-        """The points of a bucket in stored order; StoreError where it is not published or damaged."""
+        """The points of a bucket in stored order; raises StoreError if it is not published, or is damaged."""
         bucket = self._bucket(cell)
         return self._read_points(points.parts_of(bucket, count_of(bucket, candidates_only)), columns)
 
@@ -86,7 +87,7 @@ class BucketStore(points.ColumnStore):
         return {b.cell: b.info for b in self._current().published() if b.info is not None}
 
     def buckets_within(self, bounds: Bounds) -> dict[Cell, BucketInfo]:
-        """Those of the published `buckets` that hold a count of ``bounds``; costs no more however many others are."""
+        """The published buckets that overlap ``bounds``; the cost does not grow with the number of other buckets."""
         self.refresh()
         return {b.cell: b.info for b in self._overlapping(bounds) if b.info is not None}
 
@@ -98,17 +99,15 @@ class BucketStore(points.ColumnStore):
         labels: str | None = None,
         places: dict[Cell, slice] | None = None,
     ) -> PointBlock:
-        """All points of ``bounds``, each once, with the labels of that name if one is given: the halo view.
+        """All points of ``bounds``, each once; with the labels called ``labels`` if that is given.
 
-        Buckets come row by row from the south-west, their points in stored order, whatever the bounds. Reads
-        the buckets that overlap and no others; needs the memory of the result, of one of its columns once
-        more, and of eight rows. ``places`` receives where in the result the points of each bucket are.
+        Buckets come row by row from the south-west, and their points in stored order, whatever the bounds. Only the
+        buckets that overlap the bounds are read. The peak memory is the result, one of its columns once more, and
+        eight rows. ``places`` receives the slice of the result that holds the points of each bucket.
         """
-        parts = [
-            part
-            for bucket in self._overlapping(bounds)
-            for part in points.parts_of(bucket, count_of(bucket, candidates_only))
-        ]
+        parts: list[points.Part] = []
+        for bucket in self._overlapping(bounds):
+            parts.extend(points.parts_of(bucket, count_of(bucket, candidates_only)))
         keep = points.inside(bounds, self.meta.frame.origin, lambda b: self.meta.bucket.bounds(b.cell))
         kept: list[int] = []
         given = None if labels is None else self._label_array(labels)
@@ -125,16 +124,16 @@ class BucketStore(points.ColumnStore):
         return self._opened(layout.labels_path(name), layout.LABELS)
 
     def _overlapping(self, bounds: Bounds) -> list[Bucket]:
-        """The published buckets that hold a count of ``bounds``, row by row from the south-west."""
+        """The published buckets that overlap ``bounds``, row by row from the south-west."""
         return self._current().overlapping(self.meta.bucket, bounds)
 
     def owner_of(self, row: int) -> Cell | None:
-        """The cell of the bucket that owns a row of the columns; None where it is nobody's."""
+        """The cell of the bucket that owns a row of the columns; None if no bucket does."""
         self.refresh()
         return self._current().owner(row)
 
     def refresh(self) -> None:
-        """Look for an index that another process published since this object first read it."""
+        """Read the index again, as another process may have published a newer one."""
         self._index = index.current_index(self._storage)
 
     def _current(self) -> BucketIndex:
@@ -150,7 +149,7 @@ class BucketStore(points.ColumnStore):
 
 
 def count_of(bucket: Bucket, candidates_only: bool = False) -> int:
-    """Points of a bucket, or its candidates; StoreError where it is not published."""
+    """Number of points, or of candidates, in a bucket; raises StoreError if it is not published."""
     if bucket.info is None:
         raise StoreError(f"bucket {bucket.cell.name}: not published yet; run ingest first")
     return bucket.info.n_candidates if candidates_only else bucket.info.n

@@ -1,4 +1,4 @@
-"""Commits: one small object per finished task, written after its data."""
+"""Commits: one small object for each finished task, written after the task's data."""
 
 from __future__ import annotations
 
@@ -15,15 +15,16 @@ Commits = dict[str, tuple[str, dict[str, Any]]]
 
 
 class CommitStore(StorePart):
-    """Which tasks are done."""
+    """The tasks that are done."""
 
     def commit(self, stage: str, key: str, digest: str, record: Mapping[str, Any]) -> None:
-        """Record that a task is done, after its data are written; replaces an earlier record of it."""
+        """Record that a task is done, once its data are written; an earlier record of the task is replaced."""
         self._storage.put_json(layout.commit_key(stage, key), {"digest": digest, "record": dict(record)})
 
     def committed(self, stage: str) -> Commits:
-        """Every finished task of a stage. A damaged commit is none: its task is done again."""
-        found, names = self._packed(stage), self._names(stage)
+        """Every finished task of a stage. A task whose commit is damaged counts as not done."""
+        found = self._packed(stage)
+        names = self._names(stage)
         objects = self._storage.get_many([layout.commit_key(stage, name) for name in names])
         for name, data in zip(names, objects, strict=True):
             if data is None:
@@ -39,8 +40,8 @@ class CommitStore(StorePart):
     def compact(self, stage: str, fewest: int = 1) -> None:
         """Pack the commits of a stage into one object (*coordinator*, while no task of the stage runs).
 
-        A stage of 10^5 tasks would otherwise cost 10^5 requests each time that somebody asks what is done. Fewer than
-        ``fewest`` are left as they are.
+        Without it, each `committed` of a stage of 10^5 tasks would cost 10^5 requests. Fewer commits than ``fewest``
+        stay as they are.
         """
         names = self._names(stage)
         if len(names) >= fewest:
@@ -49,15 +50,14 @@ class CommitStore(StorePart):
                 self._storage.delete(layout.commit_key(stage, name))
 
     def uncommit(self, stage: str, *keys: str) -> None:
-        """Remove the records of some tasks (*coordinator*). The pack is written once, however many they are."""
+        """Remove the records of some tasks (*coordinator*). The pack is written once for all of them."""
         if not keys:
             return
         pack = self._packed(stage)
         if not pack.keys().isdisjoint(keys):
-            gone = set(keys)
-            self._storage.put_json(
-                layout.pack_key(stage), {key: commit for key, commit in pack.items() if key not in gone}
-            )
+            for key in keys:
+                pack.pop(key, None)
+            self._storage.put_json(layout.pack_key(stage), pack)
         for key in keys:
             self._storage.delete(layout.commit_key(stage, key))
 

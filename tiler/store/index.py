@@ -22,7 +22,7 @@ UNPUBLISHED = -1
 
 @dataclass(frozen=True)
 class BucketInfo:
-    """What a bucket holds: ``n`` points, the first ``n_candidates`` of which are candidates."""
+    """Points of a bucket: ``n`` in all; the first ``n_candidates`` are candidates."""
 
     n: int
     n_candidates: int
@@ -30,7 +30,7 @@ class BucketInfo:
 
 @dataclass(frozen=True)
 class Bucket:
-    """A bucket and its place: rows ``row`` to ``row + rows - 1``; ``info`` is None until it is published."""
+    """A bucket and its place: rows ``row`` to ``row + rows - 1``; ``info`` is None until the bucket is published."""
 
     cell: Cell
     row: int
@@ -39,7 +39,7 @@ class Bucket:
 
 
 class BucketIndex:
-    """An immutable table of buckets, sorted by (iy, ix); a new state of the store is a new table.
+    """An immutable table of buckets, sorted by (iy, ix). A change makes a new table.
 
     Parameters
     ----------
@@ -59,22 +59,26 @@ class BucketIndex:
 
     @property
     def rows(self) -> int:
-        """Rows that the columns need."""
+        """Number of rows that the columns need."""
         return int((self._table[:, _ROW] + self._table[:, _ROWS]).max(initial=0))
 
     def find(self, cell: Cell) -> Bucket | None:
-        """The bucket of a cell; None where no rows were allocated."""
+        """The bucket of a cell; None if it has no rows."""
         if self._place is None:
             cells = zip(self._table[:, _IX].tolist(), self._table[:, _IY].tolist(), strict=True)
             self._place = {key: i for i, key in enumerate(cells)}
         i = self._place.get((cell.ix, cell.iy))
-        return None if i is None else _bucket(self._table[i].tolist())
+        if i is None:
+            return None
+        return _bucket(self._table[i].tolist())
 
     def owner(self, row: int) -> Cell | None:
-        """The cell whose bucket owns a row; None where it is nobody's."""
-        mine = (self._table[:, _ROW] <= row) & (row < self._table[:, _ROW] + self._table[:, _ROWS])
-        found = self._table[mine].tolist()
-        return Cell(found[0][_IX], found[0][_IY]) if found else None
+        """The cell whose bucket owns a row; None if no bucket does."""
+        first = self._table[:, _ROW]
+        owners = self._table[(first <= row) & (row < first + self._table[:, _ROWS])]
+        if not len(owners):
+            return None
+        return Cell(int(owners[0, _IX]), int(owners[0, _IY]))
 
     def published(self) -> Iterator[Bucket]:
         """All published buckets, row by row from the south-west."""
@@ -82,14 +86,12 @@ class BucketIndex:
             yield _bucket(line)
 
     def overlapping(self, lattice: Lattice, bounds: Bounds) -> list[Bucket]:
-        """The published buckets that hold counts of ``bounds``, row by row from the south-west."""
+        """The published buckets whose cells overlap ``bounds``, row by row from the south-west."""
         if bounds.empty:
             return []
-        rows = slice(
-            int(np.searchsorted(self._iy, lattice.index_of(bounds.y0))),
-            int(np.searchsorted(self._iy, lattice.index_of(bounds.y1 - 1), side="right")),
-        )
-        table = self._table[rows]
+        south = np.searchsorted(self._iy, lattice.index_of(bounds.y0))
+        north = np.searchsorted(self._iy, lattice.index_of(bounds.y1 - 1), side="right")
+        table = self._table[south:north]
         ix = table[:, _IX]
         hit = (ix >= lattice.index_of(bounds.x0)) & (ix <= lattice.index_of(bounds.x1 - 1))
         hit &= table[:, _N] >= 0
@@ -98,8 +100,8 @@ class BucketIndex:
     def allocated(self, counts: Mapping[Cell, int], row_points: int) -> tuple[BucketIndex, list[Bucket]]:
         """An index with rows for ``counts``, and the buckets that moved away from their rows.
 
-        A bucket whose rows suffice keeps them and what is known of it. One that outgrew them gets new ones at
-        the end and is unpublished; so does a new one. Neighbours get neighbouring rows.
+        A bucket whose rows suffice keeps its rows and its info. A bucket that outgrew its rows, like a new one, gets
+        rows at the end and is unpublished. Neighbouring buckets get neighbouring rows.
         """
         row = self.rows
         lines = {(line[_IX], line[_IY]): line for line in self._table.tolist()}
@@ -116,7 +118,7 @@ class BucketIndex:
         return BucketIndex(np.array(list(lines.values()), dtype=np.int64).reshape(-1, 6)), moved
 
     def with_infos(self, infos: Mapping[Cell, BucketInfo], row_points: int) -> BucketIndex:
-        """An index in which exactly the buckets of ``infos`` are published; StoreError where one has no rows for it."""
+        """An index in which exactly the buckets of ``infos`` are published; StoreError if one does not fit its rows."""
         table = self._table.copy()
         table[:, _N:] = UNPUBLISHED
         place = {(line[_IX], line[_IY]): i for i, line in enumerate(table.tolist())}
@@ -130,7 +132,7 @@ class BucketIndex:
         return BucketIndex(table)
 
     def publish(self, storage: Storage) -> str:
-        """Write the index and make it the current one; its digest."""
+        """Write the index and make it the current one; returns its digest."""
         stream = io.BytesIO()
         np.save(stream, self._table, allow_pickle=False)
         data = stream.getvalue()
@@ -144,7 +146,7 @@ class BucketIndex:
 
 
 def current_index(storage: Storage) -> BucketIndex:
-    """The index that was published last (kept by the process while it stays the same)."""
+    """The index that was published last; the process keeps it in memory while it stays the same."""
     for _ in range(5):
         try:
             digest = storage.get_json(layout.INDEX_POINTER)
@@ -155,17 +157,19 @@ def current_index(storage: Storage) -> BucketIndex:
         index = _loaded(storage, digest)
         if index is not None:
             return index
-        _loaded.cache_clear()  # replaced between the two reads: look again
+        _loaded.cache_clear()  # it was replaced between the two reads
     raise DamagedError(
         f"{storage.url}: its bucket index is missing; run again, and it is made anew", ("index",)
     )
 
 
 def remove_older(storage: Storage) -> BucketIndex:
-    """Remove every index but the current one, which is returned."""
+    """Remove every index but the current one; returns the current one."""
     current = current_index(storage)
+    kept = {layout.INDEX_POINTER}
     pointer = storage.get_json(layout.INDEX_POINTER)
-    kept = {layout.INDEX_POINTER} if pointer is None else {layout.INDEX_POINTER, layout.index_key(pointer)}
+    if pointer is not None:
+        kept.add(layout.index_key(pointer))
     for name in storage.names("index"):
         if f"index/{name}" not in kept:
             storage.delete(f"index/{name}")
@@ -189,5 +193,7 @@ def _digest(data: bytes) -> str:
 
 
 def _bucket(line: list[int]) -> Bucket:
-    info = None if line[_N] < 0 else BucketInfo(line[_N], line[_CANDIDATES])
+    info = None
+    if line[_N] != UNPUBLISHED:
+        info = BucketInfo(line[_N], line[_CANDIDATES])
     return Bucket(Cell(line[_IX], line[_IY]), line[_ROW], line[_ROWS], info)

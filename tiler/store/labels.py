@@ -1,4 +1,4 @@
-"""Results of passes: a label for each point of a bucket, and elected points, in the first places of its rows."""
+"""Results of passes: a label for each point of a bucket, and elected points in the first places of its rows."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from tiler.core.lattice import Bounds, Cell
 from tiler.core.points import PointBlock
 from tiler.errors import StoreError
 from tiler.store import layout, points
-from tiler.store.arrays import StoredArray, made_rows
+from tiler.store.arrays import StoredArray, find_or_make
 from tiler.store.buckets import BucketStore, count_of
 from tiler.store.index import Bucket
 from tiler.store.layout import NOWHERE, ROW_POINTS, ArrayKind
 
 
 class LabelStore(BucketStore):
-    """Labels and elected points by bucket, under the name of the pass that gives them."""
+    """Labels and elected points by bucket, under the name of the pass that made them."""
 
     def write_labels(
         self, name: str, cell: Cell, labels: npt.NDArray[np.uint8], candidates_only: bool = False
     ) -> None:
-        """Write the labels of a bucket, uint8 (n,) in its stored order; StoreError where n differs."""
+        """Write the labels of a bucket, uint8 (n,), in the stored order of its points; StoreError if n differs."""
         bucket = self._bucket(cell)
         n = count_of(bucket, candidates_only)
         if labels.shape != (n,) or labels.dtype != np.uint8:
@@ -31,7 +31,7 @@ class LabelStore(BucketStore):
         points.write_rows(self._made(layout.labels_path(name), layout.LABELS), bucket, labels[np.newaxis])
 
     def read_labels(self, name: str, cell: Cell, candidates_only: bool = False) -> npt.NDArray[np.uint8]:
-        """The labels of a bucket, uint8 (n,); StoreError where they were not written."""
+        """The labels of a bucket, uint8 (n,); raises StoreError if they were not written."""
         bucket = self._bucket(cell)
         parts = points.parts_of(bucket, count_of(bucket, candidates_only))
         if not parts:
@@ -40,7 +40,7 @@ class LabelStore(BucketStore):
         return labels
 
     def write_elected(self, name: str, cell: Cell, xyz: npt.NDArray[np.int32]) -> None:
-        """Write the points that a pass elected in a bucket, int32 (3, m); StoreError where one lies outside it."""
+        """Write the points that a pass elected in a bucket, int32 (3, m); StoreError if one lies outside the bucket."""
         if xyz.dtype != np.int32 or xyz.ndim != 2 or xyz.shape[0] != 3:
             raise StoreError(
                 f"elected points of bucket {cell.name}: need int32 (3, m), got {xyz.dtype} {xyz.shape}"
@@ -54,13 +54,15 @@ class LabelStore(BucketStore):
         self._write_first(layout.labels_path(name), layout.LABELS, cell, labels[np.newaxis])
 
     def elected(self, name: str, bounds: Bounds, labels: str | None = None) -> PointBlock:
-        """The points of ``bounds`` that a pass elected, with their labels of that name if one is given.
+        """The points of ``bounds`` that a pass elected; with the labels called ``labels`` if that is given.
 
-        Buckets come row by row from the south-west; those of a bucket in stored order.
+        Buckets come row by row from the south-west, and their points in stored order.
         """
         array = self._opened(layout.elected_path(name), layout.ELECTED)
         given = None if labels is None else self._label_array(labels)
-        parts = [part for bucket in self._overlapping(bounds) for part in _places(bucket)]
+        parts: list[points.Part] = []
+        for bucket in self._overlapping(bounds):
+            parts.extend(_places(bucket))
         held: list[npt.NDArray[np.int32]] = [np.empty((3, 0), np.int32)]
         labelled: list[npt.NDArray[np.uint8]] = [np.empty(0, np.uint8)]
         for start in range(0, len(parts), points.ROWS_AT_ONCE):
@@ -70,13 +72,15 @@ class LabelStore(BucketStore):
             held.append(xyz[:, keep])
             if given is not None:
                 labelled.append(points.read_rows(given, batch)[0, keep])
-        return PointBlock(
-            np.concatenate(held, axis=1), labels=None if given is None else np.concatenate(labelled)
-        )
+        xyz = np.concatenate(held, axis=1)
+        if given is None:
+            return PointBlock(xyz)
+        return PointBlock(xyz, labels=np.concatenate(labelled))
 
     def _write_first(self, path: str, kind: ArrayKind, cell: Cell, values: npt.NDArray[np.generic]) -> None:
-        """Write values (width, m) of elected points; StoreError where the bucket's rows have no room for them."""
-        bucket, m = self._bucket(cell), values.shape[1]
+        """Write values (width, m) of elected points; raises StoreError if the bucket's rows have no room for them."""
+        bucket = self._bucket(cell)
+        m = values.shape[1]
         room = len(_places(bucket)) * ROW_POINTS
         if m > room:
             raise StoreError(
@@ -88,12 +92,12 @@ class LabelStore(BucketStore):
         points.write_rows(self._made(path, kind), bucket, full)
 
     def _made(self, path: str, kind: ArrayKind) -> StoredArray:
-        """An array that the first task which writes to it makes."""
+        """The array at a path; the first task that writes to the array makes it."""
         if path not in self._open:
-            self._open[path] = made_rows(self._storage, path, kind, self._current().rows)
+            self._open[path] = find_or_make(self._storage, path, kind, self._current().rows)
         return self._open[path]
 
 
 def _places(bucket: Bucket) -> list[points.Part]:
-    """The rows of a bucket as a whole: how many elected points they hold is known once they are read."""
+    """All rows of a bucket, each to its end: the number of elected points is known only once the rows are read."""
     return [points.Part(bucket, part.row, ROW_POINTS) for part in points.parts_of(bucket, count_of(bucket))]

@@ -34,8 +34,8 @@ SCHEMA_VERSION = 4
 ROOT_ATTRIBUTE = "tiler_store"
 
 CHUNK_SEPARATOR = "."
-"""Between the numbers of a chunk in its key. A slash would make two folders of each chunk on a local disk, where they
-take longer to make and to remove than the chunk."""
+"""Separates the numbers of a chunk in its key. A slash would make two folders for each chunk on a local disk, and
+making and removing the folders takes longer than writing the chunk."""
 
 ROW_POINTS = 131072
 """Points in a row of the columns: one chunk, one object. Measured: see docs/decisions.md, "Store layout"."""
@@ -49,7 +49,7 @@ ALLOWED_CODECS = frozenset({"bytes", "blosc", "crc32c"})
 
 @dataclass(frozen=True)
 class ArrayKind:
-    """How arrays of one kind are stored.
+    """Storage of the arrays of one kind.
 
     Attributes
     ----------
@@ -57,16 +57,16 @@ class ArrayKind:
         Name of the numpy dtype; little-endian on disk.
     chunks : tuple of int
     fill : float
-        Value of what was never written.
+        Value of every element that was never written.
     sparse : bool
-        Chunks that hold nothing but `fill` are not stored. Where it is False, each chunk that should be
-        there is there, so that a missing one is an error and no silent zeros.
+        Chunks that hold nothing but `fill` are not stored. Where it is False, every chunk is stored, so that a
+        missing chunk is an error and is not read as zeros.
     item : int
-        Bytes that the shuffle treats as one item; 0: those of the dtype.
+        Bytes that the shuffle treats as one item; 0 means the size of the dtype.
     codec : str
         Compressor within blosc: points, labels and spool are read so often that speed matters more than size.
     level : int
-        Of the compressor.
+        Level of compression.
     """
 
     dtype: str
@@ -96,7 +96,7 @@ class Column:
     ----------
     name : str
     fields : mapping of str to slice
-        Which of the `width` parts hold which field.
+        The place of each field among the `width` values of a point.
     width : int
     kind : ArrayKind
     """
@@ -108,13 +108,15 @@ class Column:
 
 
 def _column(name: str, dtype: str, **widths: int) -> Column:
-    ends = np.cumsum(list(widths.values()))
-    parts = {f: slice(int(end) - w, int(end)) for (f, w), end in zip(widths.items(), ends, strict=True)}
-    width = int(ends[-1])
-    return Column(name, parts, width, ArrayKind(dtype, (1, width, ROW_POINTS)))
+    fields = {}
+    end = 0
+    for field, width in widths.items():
+        fields[field] = slice(end, end + width)
+        end += width
+    return Column(name, fields, end, ArrayKind(dtype, (1, end, ROW_POINTS)))
 
 
-# The four bytes that say what a point is share a column: they are read together, and a column is an object.
+# Class, flags and returns share a column, since they are read together and each column costs an object.
 COLUMNS = (
     _column("xyz", "int32", xyz=3),
     _column("attributes", "uint8", classification=1, flags=1, returns=2),
@@ -123,7 +125,7 @@ COLUMNS = (
 )
 LABELS = ArrayKind("uint8", (1, 1, ROW_POINTS))
 NOWHERE = -(2**31)
-"""x of the places in a bucket's rows that hold no elected point; elected points fill the first places."""
+"""x of the unused places in a bucket's rows of elected points, which fill the first places."""
 ELECTED = ArrayKind("int32", (1, 3, ROW_POINTS), fill=NOWHERE)
 
 
@@ -140,9 +142,15 @@ def raster_kind(fill: float) -> ArrayKind:
 def record_type(has_rgb: bool) -> np.dtype[np.void]:
     """One point of the spool."""
     names: list[tuple[str, Any] | tuple[str, Any, int]] = [
-        ("xyz", "<i4", 3), ("classification", "u1"), ("flags", "u1"), ("returns", "u1", 2), ("origin", "<i8"),
-    ]  # fmt: skip
-    return np.dtype([*names, ("rgb", "<u2", 3)] if has_rgb else names)
+        ("xyz", "<i4", 3),
+        ("classification", "u1"),
+        ("flags", "u1"),
+        ("returns", "u1", 2),
+        ("origin", "<i8"),
+    ]
+    if has_rgb:
+        names.append(("rgb", "<u2", 3))
+    return np.dtype(names)
 
 
 def spool_kind(has_rgb: bool) -> ArrayKind:
@@ -181,7 +189,7 @@ def spool_path(piece: str) -> str:
 
 
 def records_path(piece: str, record_bytes: int) -> str:
-    """Path of the records of a piece: the file that had its name before may have had records of another length."""
+    """Path of the records of a piece. An earlier file of the same name may have had records of another length."""
     return f"records/{safe(piece)}-{record_bytes}"
 
 
@@ -211,16 +219,19 @@ def chunk_key(path: str, chunk: Sequence[int]) -> str:
 
 
 def chunk_numbers(name: str) -> tuple[int, ...] | None:
-    """Numbers of the chunk whose key ends in ``name``; None where that is no chunk."""
+    """Numbers of the chunk whose key ends in ``name``; None if that is not the name of a chunk."""
     first, *numbers = name.split(CHUNK_SEPARATOR)
-    known = first == "c" and numbers and all(part.isascii() and part.isdigit() for part in numbers)
-    return tuple(map(int, numbers)) if known else None
+    if first != "c" or not numbers:
+        return None
+    if not all(part.isascii() and part.isdigit() for part in numbers):
+        return None
+    return tuple(map(int, numbers))
 
 
 _NAME = r"[A-Za-z0-9_+=-][A-Za-z0-9._+=-]{0,199}"
 _SAFE = re.compile(_NAME)
 _HEX = "[0-9a-f]{32}"
-# Chunks had slashes up to schema 3, whose stores --overwrite removes.
+# Up to schema 3 the keys of chunks had slashes; --overwrite removes such stores.
 _KEYS = re.compile(
     r"zarr\.json|lock\.json"
     rf"|(points|labels|elected|rasters|spool|records)/({_NAME}/)?zarr\.json"
@@ -228,24 +239,24 @@ _KEYS = re.compile(
     rf"|index/(current\.json|{_HEX}\.npy)"
     rf"|commits/{_NAME}/{_NAME}\.json|(packs|state)/{_NAME}\.json|trial/{_HEX}"
 )
-# Temporary names of files that are renamed when they are whole.
+# Temporary names of files, which are renamed once they are whole.
 _SCRATCH = re.compile(
     rf"((points|labels|elected|rasters|spool|records|index|commits|packs|state|trial)/(.+/)?)?[^/]+\.{_HEX}\.partial"
 )
 
 
 def is_scratch(key: str) -> bool:
-    """Whether a key is the temporary name of a write, left behind where that was killed."""
+    """Whether a key is a temporary name, as a killed write leaves it behind."""
     return _SCRATCH.fullmatch(key) is not None
 
 
 def is_ours(key: str) -> bool:
-    """Whether a key is one of the layout: whatever else lies in the folder of a store is somebody else's."""
+    """Whether a key belongs to the layout. Other files in the folder of a store are never removed."""
     return _KEYS.fullmatch(key) is not None or is_scratch(key)
 
 
 def safe(name: str) -> str:
-    """The name itself if it can be a part of a path everywhere; StoreError otherwise."""
+    """The name itself; raises StoreError if some file system or object store does not allow it in a path."""
     if _SAFE.fullmatch(name) is None:
         raise StoreError(f"{name!r} cannot name an object of a store: use letters, digits and . _ + = -")
     return name

@@ -1,4 +1,4 @@
-"""One run per store, and per folder of results: a lease, renewed while the run lives."""
+"""Locks that allow one run for each store, and for each folder of results: leases that a live run renews."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ import time
 import uuid
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -20,38 +21,60 @@ from tiler.store.layout import LOCK_KEY
 from tiler.store.storage import Storage
 
 LEASE_SECONDS = 120.0
+"""A lease of another host that was not renewed for so long seems to be abandoned."""
 RENEW_SECONDS = 20.0
 OBSERVE_SECONDS = 1.5 * RENEW_SECONDS
-"""A lease of another host that seems old is watched for so long: its clock may be another one's."""
+"""A lease that seems to be abandoned is watched for so long, since the clock of the other host may differ."""
 DAMAGED = "?"
+"""Name of the host in place of a lease that cannot be read."""
 FOLDER_LOCK = f"{SCRATCH_PREFIX}lock.json"
 """Name of the lease in a folder of results."""
 SETTLE_SECONDS = 0.5
-"""Where nothing is written exclusively (object stores through fsspec, disks without hard links), the last of two
-writers holds the lease after this time."""
+"""Where two writers can both succeed (object stores through fsspec, disks without hard links), the lease is read
+again after this time: the last writer holds it."""
+
+
+@dataclass(frozen=True)
+class Holder:
+    """A run that holds a lease, as the lease describes it."""
+
+    token: str
+    host: str
+    pid: int
+    started: float | None
+    since: float
+    renewed: float
+    boot: str = ""
+    pid_namespace: str = ""
 
 
 class Lease:
-    """The lock while it is held; `check` before anything that only its holder may do."""
+    """A lock while it is held. Call `check` before anything that only the holder may do."""
 
     def __init__(self, storage: Storage, key: str) -> None:
-        self._storage, self._key = storage, key
+        self._storage = storage
+        self._key = key
         self._token = uuid.uuid4().hex
         self._stop = threading.Event()
         self._since = time.time()
 
     def check(self) -> None:
-        """Raise LockedError if another run took the store over, as after a long sleep of this machine."""
+        """Raise LockedError if another run took the lease over, which can happen while this machine sleeps."""
         holder = _holder(self._storage, self._key)
-        if holder is None or holder["token"] != self._token:
+        if holder is None or holder.token != self._token:
             raise _refused(self._storage, holder)
 
     def _body(self) -> dict[str, Any]:
-        process = psutil.Process()
-        return {
-            "token": self._token, **_here(), "pid": process.pid, "started": _start_of(process.pid),
-            "since": self._since, "renewed": time.time(),
-        }  # fmt: skip
+        pid = os.getpid()
+        me = Holder(
+            token=self._token,
+            pid=pid,
+            started=_start_of(pid),
+            since=self._since,
+            renewed=time.time(),
+            **_here(),
+        )
+        return asdict(me)
 
     def _renew(self) -> None:
         while not self._stop.wait(RENEW_SECONDS):
@@ -59,9 +82,9 @@ class Lease:
                 self.check()
                 self._storage.put_json(self._key, self._body())
             except LockedError:
-                return  # the holder's own `check` says so
+                return  # the next `check` of the run raises it again
             except (TilerError, OSError):
-                continue  # a passing fault of the storage: the lease outlives some of them
+                continue  # a passing fault of the storage: the lease outlives several missed renewals
 
     def _acquire(self) -> None:
         holder = _holder(self._storage, self._key)
@@ -77,16 +100,16 @@ class Lease:
 
     def _release(self) -> None:
         holder = _holder(self._storage, self._key)
-        if holder is not None and holder["token"] == self._token:
+        if holder is not None and holder.token == self._token:
             self._storage.delete(self._key)
 
 
 @contextmanager
 def locked(storage: Storage, key: str = LOCK_KEY) -> Iterator[Lease]:
-    """Hold the store; raises LockedError, naming the holder, while another run does.
+    """Hold the lock; raises LockedError, which names the holder, if another run holds it.
 
-    A lease whose process is gone from this machine, or that seems older than `LEASE_SECONDS` and is not renewed while
-    it is watched, is taken over.
+    Two kinds of lease are taken over: one whose process ran on this machine and has ended, and one that seems older
+    than `LEASE_SECONDS` and is not renewed during `OBSERVE_SECONDS`.
     """
     lease = Lease(storage, key)
     lease._acquire()
@@ -101,38 +124,42 @@ def locked(storage: Storage, key: str = LOCK_KEY) -> Iterator[Lease]:
 
 
 def locked_folder(place: str) -> AbstractContextManager[Lease]:
-    """Hold a folder of results, by path or URL, for one run; raises LockedError while another run does."""
+    """Hold the lock of a folder of results, by path or URL; raises LockedError if another run holds it."""
     return locked(Storage(place), FOLDER_LOCK)
 
 
 def refuse_if_held(storage: Storage) -> None:
-    """Raise LockedError while a run of another process holds the store."""
+    """Raise LockedError if a run of another process holds the store."""
     holder = _holder(storage, LOCK_KEY)
-    if holder is not None and not _stale(storage, LOCK_KEY, holder):
-        if _is_here(holder) and holder["pid"] == os.getpid():
-            return
-        raise _refused(storage, holder)
+    if holder is None or _stale(storage, LOCK_KEY, holder):
+        return
+    if _is_here(holder) and holder.pid == os.getpid():
+        return
+    raise _refused(storage, holder)
 
 
 def is_foreign(storage: Storage) -> bool:
-    """Whether the object with the name of a lease is something else; leases appear whole, so none is damaged."""
+    """Whether the object with the name of a lease is no lease. A lease appears whole, so it is never damaged."""
     holder = _holder(storage, LOCK_KEY)
-    return holder is not None and holder["host"] == DAMAGED
+    return holder is not None and holder.host == DAMAGED
 
 
-def _holder(storage: Storage, key: str) -> dict[str, Any] | None:
+def _holder(storage: Storage, key: str) -> Holder | None:
     try:
-        holder: dict[str, Any] | None = storage.get_json(key)
+        body = storage.get_json(key)
     except StoreError:
-        return {"token": "", "host": DAMAGED, "pid": 0, "started": 0.0, "since": 0.0, "renewed": 0.0}
-    return holder
+        return Holder(token="", host=DAMAGED, pid=0, started=0.0, since=0.0, renewed=0.0)
+    if body is None:
+        return None
+    known = {field.name for field in fields(Holder)}
+    return Holder(**{name: value for name, value in body.items() if name in known})
 
 
 def _here() -> dict[str, str]:
     """Identity of this machine and of its table of processes.
 
-    Containers of one machine may share a name but not their processes, and machines may share a name. A boot has an
-    identity, and so have the tables of processes of one boot; empty where the system has none.
+    The name of the host alone is no identity: two machines may share it, and so may the containers of a machine, each
+    with its own table of processes. The identities of the boot and of the table are empty if the system has none.
     """
     try:
         boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
@@ -142,39 +169,39 @@ def _here() -> dict[str, str]:
     return {"host": socket.gethostname(), "boot": boot, "pid_namespace": processes}
 
 
-def _is_here(holder: dict[str, Any]) -> bool:
-    """Whether the number of a holder's process means here what it meant to the holder."""
-    return all(holder.get(name) == value for name, value in _here().items())
+def _is_here(holder: Holder) -> bool:
+    """Whether a holder runs, or ran, in the table of processes of this process."""
+    return all(getattr(holder, name) == value for name, value in _here().items())
 
 
-def _refused(storage: Storage, holder: dict[str, Any] | None) -> LockedError:
+def _refused(storage: Storage, holder: Holder | None) -> LockedError:
     ends = ""
     if holder is not None and not _is_here(holder):
         ends = f"; if it was killed, its lease ends {LEASE_SECONDS:.0f} s after it was last renewed"
     return LockedError(f"{storage.url}: in use by {_name(holder)}; wait for it, or stop it{ends}")
 
 
-def _stale(storage: Storage, key: str, holder: dict[str, Any]) -> bool:
-    """Whether the holder of a lease is gone. Clocks jump and differ, so they alone never say so."""
+def _stale(storage: Storage, key: str, holder: Holder) -> bool:
+    """Whether the holder of a lease is gone. A clock alone cannot tell, since clocks jump and differ."""
     if _is_here(holder):
-        # A number alone may have gone to another process since.
-        return bool(_start_of(holder["pid"]) != holder["started"])
-    if holder["host"] == DAMAGED:
+        # The number alone is not enough: another process may have it by now.
+        return _start_of(holder.pid) != holder.started
+    if holder.host == DAMAGED:
         return True
-    if abs(time.time() - holder["renewed"]) < LEASE_SECONDS:
+    if abs(time.time() - holder.renewed) < LEASE_SECONDS:
         return False
     time.sleep(OBSERVE_SECONDS)
     after = _holder(storage, key)
-    return after is None or (after["token"], after["renewed"]) == (holder["token"], holder["renewed"])
+    return after is None or (after.token, after.renewed) == (holder.token, holder.renewed)
 
 
 def _start_of(pid: int) -> float | None:
-    """When a process started, by a clock that never jumps where there is one; None: there is no such process."""
+    """Start of a process, by a clock that never jumps if the system has one; None if there is no such process."""
     try:
-        # psutil's time of creation moves with the clock of the wall: it is the time of the boot, and these ticks.
+        # psutil adds these ticks to the time of the boot, and so its result jumps with the clock of the machine.
         after_name = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2]
         return float(after_name.split()[19])
-    except (FileNotFoundError, ProcessLookupError):  # the latter where it ends while it is read
+    except (FileNotFoundError, ProcessLookupError):  # the second if the process ends while its file is read
         if Path("/proc/self/stat").exists():
             return None
     try:
@@ -183,8 +210,8 @@ def _start_of(pid: int) -> float | None:
         return None
 
 
-def _name(holder: dict[str, Any] | None) -> str:
+def _name(holder: Holder | None) -> str:
     if holder is None:
-        return "somebody who deleted the lease"
-    since = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(holder["since"]))
-    return f"process {holder['pid']} on {holder['host']} since {since}"
+        return "a process that deleted the lease"
+    since = time.strftime("%Y-%m-%d %H:%M:%S", time.localtime(holder.since))
+    return f"process {holder.pid} on {holder.host} since {since}"

@@ -1,4 +1,4 @@
-"""Frame and lattices of a store, and whether it has colours: fixed when it is made."""
+"""What is fixed when a store is made: its frame, its lattices, and whether its points have colours."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ class StoreMeta:
     Attributes
     ----------
     frame : CoordFrame
-        What the int32 counts mean.
+        The meaning of the int32 counts.
     bucket : Lattice
-        Buckets: the unit of storage; size in counts.
+        Buckets, the unit of storage; their size is in counts.
     fine : Lattice
-        Cells with one candidate each; their size divides that of a bucket.
+        Cells with one candidate each; their size divides the size of a bucket.
     has_rgb : bool
-        Whether the points keep their colours, as the method of the first run needs them.
+        Whether the points keep their colours. They do if the method of the first run uses colours.
 
     Raises
     ------
     ConfigError
-        A bucket is no whole number of fine cells.
+        The size of a bucket is not a multiple of the size of a fine cell.
     """
 
     frame: CoordFrame
@@ -45,7 +45,7 @@ class StoreMeta:
             )
 
     def to_json(self) -> dict[str, Any]:
-        """A JSON-able description, exact; `from_json` reads it back."""
+        """An exact JSON-able description; `from_json` reads it back."""
         return {
             "frame": self.frame.to_json(),
             "bucket": self.bucket.to_json(),
@@ -55,13 +55,13 @@ class StoreMeta:
 
     @classmethod
     def from_json(cls, data: dict[str, Any]) -> StoreMeta:
-        """The description that `to_json` wrote; StoreError where it is none."""
+        """Read the description that `to_json` wrote; raises StoreError if it is damaged."""
         try:
             return cls(
-                CoordFrame.from_json(data["frame"]),
-                Lattice.from_json(data["bucket"]),
-                Lattice.from_json(data["fine"]),
-                bool(data["has_rgb"]),
+                frame=CoordFrame.from_json(data["frame"]),
+                bucket=Lattice.from_json(data["bucket"]),
+                fine=Lattice.from_json(data["fine"]),
+                has_rgb=bool(data["has_rgb"]),
             )
         except (KeyError, TypeError, ValueError, ZeroDivisionError, ConfigError) as error:
             raise StoreError(f"its description is damaged ({error}); run again with --overwrite") from error

@@ -1,4 +1,4 @@
-"""Stores as a whole: made, opened, looked for and removed; nothing that tiler did not write is opened or deleted."""
+"""Make, open, find and remove stores. Nothing that tiler did not write is opened or deleted."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ from tiler.store.store import TileStore
 def create_store(
     url: str, meta: StoreMeta, settled: Mapping[str, Any] | None = None, anew: bool = False
 ) -> TileStore:
-    """A new store, or the one that is there if it was made with the same `StoreMeta`.
+    """Make a store, or open an existing one if it was made with the same `StoreMeta`.
 
     Parameters
     ----------
     url : str
     meta : StoreMeta
     settled : mapping, optional
-        JSON-able settings that the first run decides for all later ones. They appear with the store itself, in one
-        object, so that no store is without them.
+        JSON-able settings that the first run decides for all later runs. They are written in one object with the
+        description of the store, so that no store is without them.
     anew : bool
-        A store that is there is emptied, and described anew.
+        Empty an existing store and give it the new description.
 
     Raises
     ------
     ConfigError
-        A store of another `StoreMeta` is there.
+        A store with another `StoreMeta` is there.
     StoreError
-        Something else is there.
+        Something other than a store is there.
     """
     storage = Storage(url)
     attributes = {
@@ -53,7 +53,7 @@ def create_store(
             )
         return store
     if there:
-        # The description stays until the new one replaces it: a run that is killed meanwhile leaves a store.
+        # The description stays until the new one replaces it, so that a killed run leaves a store.
         _empty(storage)
     root = sealed({"attributes": attributes, "zarr_format": 3, "node_type": "group"})
     storage.put("zarr.json", json.dumps(root).encode())
@@ -62,14 +62,14 @@ def create_store(
 
 @contextmanager
 def held_store(url: str) -> Iterator[lock.Lease]:
-    """Hold the store at a place, or the place for one, for one run.
+    """Lock the store at ``url`` for one run; there need not be a store yet.
 
     Raises
     ------
     ForeignStoreError
-        Something else is there: nothing is written.
+        Something other than a store is there; nothing is written.
     LockedError
-        Another run holds it.
+        Another run holds the lock.
     """
     storage = Storage(url)
     _is_a_store(storage)
@@ -78,17 +78,19 @@ def held_store(url: str) -> Iterator[lock.Lease]:
 
 
 def _is_a_store(storage: Storage) -> bool:
-    """Whether a store of tiler lies at a place, and not nothing; ForeignStoreError where something else does."""
-    url, root = storage.url, storage.root
+    """Whether there is a store; False if there is nothing, ForeignStoreError if there is something else."""
+    url = storage.url
+    root = storage.root
     if root is not None and root.is_symlink() and not root.exists():
         raise ForeignStoreError(f"{url}: is a link to nothing; make what it leads to, or give another place")
     if root is not None and root.is_file():
         raise ForeignStoreError(f"{url}: is a file, not a tile store; give another place")
     data = storage.get("zarr.json")
     if data is None:
-        # What is called zarr.json and cannot be read is a folder or leads to one.
+        # A zarr.json that is listed but cannot be read is a folder, or a link to one.
         others = [name for name in storage.names("") if name == "zarr.json" or not layout.is_ours(name)]
-        others += [layout.LOCK_KEY] if lock.is_foreign(storage) else []
+        if lock.is_foreign(storage):
+            others.append(layout.LOCK_KEY)
         if others:
             raise ForeignStoreError(
                 f"{url}: holds something else than a tile store ({others[0]}); give an empty or new place"
@@ -102,12 +104,12 @@ def _is_a_store(storage: Storage) -> bool:
 
 
 def open_store(url: str) -> TileStore:
-    """The store at ``url``; cheap, so that every task can call it.
+    """Open the store at ``url``; this is cheap, so that every task can do it.
 
     Raises
     ------
     StoreError
-        There is none, or it is not one that this version wrote.
+        There is no store, or another version wrote it.
     """
     storage = Storage(url)
     data = storage.get("zarr.json")
@@ -132,7 +134,7 @@ def open_store(url: str) -> TileStore:
 
 
 def _description(data: bytes) -> dict[str, Any] | None:
-    """What the root of a store says of it; None where it is none that tiler wrote."""
+    """The description in the root object of a store; None if tiler did not write the object."""
     try:
         found = json.loads(data)["attributes"][layout.ROOT_ATTRIBUTE]
     except (ValueError, KeyError, TypeError, RecursionError):
@@ -141,7 +143,7 @@ def _description(data: bytes) -> dict[str, Any] | None:
 
 
 def _is_damaged(data: bytes) -> bool:
-    """Whether this was the root of a store before something happened to it."""
+    """Whether this is the root object of a store, but damaged."""
     try:
         json.loads(data)
     except (ValueError, RecursionError):
@@ -156,17 +158,17 @@ def store_exists(url: str) -> bool:
 
 
 def remove_store(url: str) -> list[str]:
-    """Delete the store at ``url`` if there is one; nothing but what is a store's own.
+    """Delete the store at ``url`` if there is one. Files that are not the store's own stay.
 
     Returns
     -------
     list of str
-        Names of what was left in its folder, being somebody else's.
+        Names of the files and folders that stay.
 
     Raises
     ------
     StoreError
-        Something else is there; nothing is deleted.
+        Something other than a store is there; nothing is deleted.
     LockedError
         A run of another process holds the store.
     """
@@ -181,7 +183,7 @@ def remove_store(url: str) -> list[str]:
 
 
 def _empty(storage: Storage) -> None:
-    """Remove all but the description and the lease of a store, the records of finished tasks first."""
+    """Remove everything but the description and the lease of a store. The commits go first."""
     for folder in ("packs", "commits"):
         storage.delete_folder(folder)
     storage.delete_folder("", keep=("zarr.json", layout.LOCK_KEY))

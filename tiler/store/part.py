@@ -1,4 +1,4 @@
-"""Base class of the parts of a store: its location, its metadata and the arrays that are open."""
+"""Base class of the parts of a store: it holds the location, the metadata and the open arrays."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from tiler.store.storage import Storage
 
 
 class StorePart:
-    """A part of `tiler.store.store.TileStore`, which is made of all of them.
+    """A part of `tiler.store.store.TileStore`, which inherits from all parts.
 
     Attributes
     ----------
@@ -18,11 +18,13 @@ class StorePart:
     """
 
     def __init__(self, storage: Storage, meta: StoreMeta) -> None:
-        self.url, self.meta, self._storage = storage.url, meta, storage
+        self.url = storage.url
+        self.meta = meta
+        self._storage = storage
         self._open: dict[str, StoredArray] = {}
 
     def _opened(self, path: str, kind: ArrayKind) -> StoredArray:
-        """The array at a path, opened once; DamagedError where there is none."""
+        """The array at a path, opened at the first call; raises DamagedError if there is none."""
         if path not in self._open:
             self._open[path] = open_array(self._storage, path, kind)
         return self._open[path]

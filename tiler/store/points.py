@@ -44,7 +44,7 @@ def parts_of(bucket: Bucket, n: int) -> list[Part]:
 
 
 class ColumnStore(StorePart):
-    """The columns of the points of a store."""
+    """The points of a store, column by column."""
 
     @property
     def _columns(self) -> tuple[Column, ...]:
@@ -54,13 +54,13 @@ class ColumnStore(StorePart):
         return self._opened(layout.points_path(column.name), column.kind)
 
     def _grow(self, n_rows: int) -> None:
-        """Make the columns, or lengthen them, to ``n_rows`` rows: for the coordinator alone."""
+        """Make the columns, or lengthen them to ``n_rows`` rows (*coordinator*)."""
         for column in self._columns:
             arrays.lengthen_rows(self._storage, layout.points_path(column.name), column.kind, n_rows)
         self._open.clear()
 
     def _write_points(self, bucket: Bucket, block: PointBlock) -> None:
-        """Write all points of a bucket, whole chunks only; StoreError where a column is missing."""
+        """Write all points of a bucket in whole chunks; raises StoreError if a column is missing."""
         for column in self._columns:
             write_rows(self._column(column), bucket, self._joined(column, block, bucket))
 
@@ -83,19 +83,19 @@ class ColumnStore(StorePart):
         labels: StoredArray | None = None,
         kept: list[int] | None = None,
     ) -> PointBlock:
-        """The points of ``parts`` in order, those of each part masked by ``keep``.
+        """The points of ``parts`` in order, as far as ``keep`` selects them.
 
         Parameters
         ----------
         parts : sequence of Part
         fields : sequence of str
-            Fields of `PointBlock`; xyz always comes along, rgb stays None where the store has none.
+            Fields of `PointBlock`; xyz is always read, and rgb stays None if the store has no colours.
         keep : callable, optional
-            Given a part and its xyz: the mask of the points to keep, None for all.
+            Makes the mask of the points to keep from a part and its xyz; None keeps all of them.
         labels : StoredArray, optional
-            Labels of a pass, to come along.
+            Labels of a pass, which are read, too.
         kept : list of int, optional
-            Receives how many points of each part there are.
+            Receives the number of points kept of each part.
         """
         columns = self._needed(fields)
         opened = {c.name: self._column(c) for c in columns}
@@ -125,11 +125,11 @@ class ColumnStore(StorePart):
 
 
 Gathered = dict[str, list[npt.NDArray[Any]]]
-"""Values of parts, one after the other, by column."""
+"""For each column, the values of one part after the other."""
 
 
 def _side_by_side(gathered: Gathered, name: str, kind: layout.ArrayKind) -> npt.NDArray[Any]:
-    """The values of a column side by side; their parts are let go, so that the peak is one column twice."""
+    """The values of a column in one array. The column leaves ``gathered``, so that one column at most is held twice."""
     pieces = gathered.pop(name)
     return np.concatenate([np.empty((kind.chunks[1], 0), kind.dtype), *pieces], axis=1)
 
@@ -140,7 +140,7 @@ def _gather(
     keep: Keep | None,
     gathered: Gathered,
 ) -> None:
-    """Add what is kept of some parts, column by column, xyz first; a part without any is read no further."""
+    """Add the points that ``keep`` selects, column by column, xyz first; other parts are read no further."""
     masks: list[Mask] = [None] * len(parts)
     for name, array in opened.items():
         chunks = array.read_rows([part.row for part in parts])
@@ -151,11 +151,12 @@ def _gather(
             gathered[name].append(_masked(kept, mask))
         if name == "xyz":
             wanted = [mask is None or bool(mask.any()) for mask in masks]
-            parts, masks = list(compress(parts, wanted)), list(compress(masks, wanted))
+            parts = list(compress(parts, wanted))
+            masks = list(compress(masks, wanted))
 
 
 def _masked(values: npt.NDArray[Any], mask: Mask) -> npt.NDArray[Any]:
-    """A copy of the values (width, n) of a mask, of all for None: the chunk that they lie in can go."""
+    """The values (width, n) that a mask selects. They are a copy always, so that their chunk can be freed."""
     if mask is None:
         return values.copy()
     kept: npt.NDArray[Any] = np.compress(mask, values, axis=1)  # three times faster than `values[:, mask]`
@@ -163,7 +164,7 @@ def _masked(values: npt.NDArray[Any], mask: Mask) -> npt.NDArray[Any]:
 
 
 def inside(bounds: Bounds, origin: tuple[int, int], cell_bounds: Callable[[Bucket], Bounds]) -> Keep:
-    """A `Keep` for the points of ``bounds``; buckets that lie inside as a whole are not looked at."""
+    """A `Keep` for the points of ``bounds``; the points of a bucket that lies inside are not compared one by one."""
 
     def keep(block: PointBlock, part: Part) -> Mask:
         a = cell_bounds(part.bucket)
@@ -175,7 +176,7 @@ def inside(bounds: Bounds, origin: tuple[int, int], cell_bounds: Callable[[Bucke
 
 
 def write_rows(array: StoredArray, bucket: Bucket, values: npt.NDArray[Any]) -> None:
-    """Write ``values`` (width, n) to the rows of a bucket, the last one padded."""
+    """Write ``values`` (width, n) to the rows of a bucket; the last row is padded with zeros."""
     for part in parts_of(bucket, values.shape[1]):
         start = (part.row - bucket.row) * ROW_POINTS
         row = np.zeros((1, values.shape[0], ROW_POINTS), dtype=values.dtype)

@@ -1,8 +1,9 @@
-"""Rasters: one chunk per block, so that each block has one writer; what was never written is nodata."""
+"""Rasters: one chunk for each block, so that each block has one writer; pixels never written are nodata."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable
+from itertools import product
 
 import numpy as np
 import numpy.typing as npt
@@ -18,8 +19,9 @@ class RasterStore(StorePart):
     """The rasters of a store."""
 
     def create_raster(self, name: str, height: int, width: int, fill: float = NODATA) -> None:
-        """Make a float32 raster; one of the same shape and fill keeps its blocks (*coordinator*)."""
-        path, kind = layout.raster_path(name), layout.raster_kind(fill)
+        """Make a float32 raster; an existing one of the same shape and fill keeps its blocks (*coordinator*)."""
+        path = layout.raster_path(name)
+        kind = layout.raster_kind(fill)
         found = arrays.find_array(self._storage, path, kind)
         if found is None or found.shape != (height, width) or found.fill != np.float32(fill):
             self._storage.delete_folder(path)
@@ -27,7 +29,7 @@ class RasterStore(StorePart):
         self._open[path] = found
 
     def write_block(self, name: str, block: Block, values: npt.NDArray[np.float32]) -> None:
-        """Write a whole block of 512 x 512 pixels (less at the south and east edge): one chunk.
+        """Write a whole block of 512 x 512 pixels, or fewer at the south and east edge: one chunk.
 
         Raises
         ------
@@ -47,7 +49,7 @@ class RasterStore(StorePart):
         array.write((block.row // BLOCK_PIXELS, block.col // BLOCK_PIXELS), chunk)
 
     def read_block(self, name: str, block: Block) -> npt.NDArray[np.float32]:
-        """Any window of a raster, float32 (height, width), the fill where nothing was written.
+        """Any window of a raster, float32 (height, width); pixels that were never written hold the fill.
 
         Raises
         ------
@@ -56,33 +58,34 @@ class RasterStore(StorePart):
         """
         array = self._raster(name)
         height, width = array.shape
-        bottom, right = block.row + block.height, block.col + block.width
+        bottom = block.row + block.height
+        right = block.col + block.width
         if block.row < 0 or block.col < 0 or bottom > height or right > width:
             raise StoreError(f"{array.path}: block {block.name} reaches beyond {height} x {width} pixels")
-        corners = [
-            (row, col)
-            for row in range(block.row // BLOCK_PIXELS * BLOCK_PIXELS, bottom, BLOCK_PIXELS)
-            for col in range(block.col // BLOCK_PIXELS * BLOCK_PIXELS, right, BLOCK_PIXELS)
-        ]
-        chunks = array.read([(row // BLOCK_PIXELS, col // BLOCK_PIXELS) for row, col in corners])
+        rows = range(block.row // BLOCK_PIXELS, -(-bottom // BLOCK_PIXELS))
+        cols = range(block.col // BLOCK_PIXELS, -(-right // BLOCK_PIXELS))
+        numbers = list(product(rows, cols))
         found = np.empty((block.height, block.width), np.float32)
-        for (row, col), chunk in zip(corners, chunks, strict=True):
-            top, left = max(block.row, row), max(block.col, col)
+        for (chunk_row, chunk_col), chunk in zip(numbers, array.read(numbers), strict=True):
+            row = chunk_row * BLOCK_PIXELS
+            col = chunk_col * BLOCK_PIXELS
+            top = max(block.row, row)
+            left = max(block.col, col)
             part = chunk[top - row : bottom - row, left - col : right - col]
             found[top - block.row :, left - block.col :][: part.shape[0], : part.shape[1]] = part
         return found
 
     def stored_blocks(self, name: str) -> set[tuple[int, int]]:
-        """First row and column of each block that a chunk is stored for; others hold the fill, or are lost."""
-        stored = map(layout.chunk_numbers, self._storage.names(layout.raster_path(name)))
-        return {
-            (chunk[0] * BLOCK_PIXELS, chunk[1] * BLOCK_PIXELS)
-            for chunk in stored
-            if chunk and len(chunk) == 2
-        }
+        """First row and column of each block with a stored chunk; other blocks hold the fill, or are lost."""
+        found = set()
+        for key in self._storage.names(layout.raster_path(name)):
+            numbers = layout.chunk_numbers(key)
+            if numbers is not None and len(numbers) == 2:
+                found.add((numbers[0] * BLOCK_PIXELS, numbers[1] * BLOCK_PIXELS))
+        return found
 
     def erase_blocks(self, name: str, blocks: Iterable[Block]) -> None:
-        """Remove what is stored of some blocks, which then hold the raster's fill."""
+        """Remove the chunks of some blocks, which then hold the raster's fill."""
         for block in blocks:
             chunk = (block.row // BLOCK_PIXELS, block.col // BLOCK_PIXELS)
             self._storage.delete(layout.chunk_key(layout.raster_path(name), chunk))

@@ -1,4 +1,4 @@
-"""Records of sources as they were decoded, kept until the classified clouds are written: decoding costs far more."""
+"""Decoded records of the sources, kept until the classified clouds are written, since decoding again costs far more."""
 
 from __future__ import annotations
 
@@ -16,12 +16,12 @@ from tiler.store.part import StorePart
 from tiler.store.storage import Storage
 
 LONGEST_BYTES = 255
-"""Longest record that is kept: blosc cannot shuffle longer items."""
+"""Longest record that is kept, since blosc cannot shuffle longer items."""
 
 
 @dataclass(frozen=True)
 class KeptPiece:
-    """A piece of a source: its name, its first record, how many there are, and what it depends on."""
+    """A piece of a source: its name, first record, number of records, and the identity of its content."""
 
     name: str
     start: int
@@ -30,25 +30,26 @@ class KeptPiece:
 
 
 class RecordKeeper:
-    """Writes the records of one piece, `SPOOL_CHUNK` at a time; they count once `close` was called.
+    """Writes the records of one piece, `SPOOL_CHUNK` at a time; they are valid once `close` was called.
 
     Parameters
     ----------
     storage : Storage
     piece : str
     identity : str or None
-        Of the piece: records of a source that has changed since are not taken for its own.
+        Identity of the piece's content: records of a source that has changed since are not used.
     record_bytes : int
     """
 
     def __init__(self, storage: Storage, piece: str, identity: str | None, record_bytes: int) -> None:
         path, kind = layout.records_path(piece, record_bytes), layout.records_kind(record_bytes)
         self._array = StoredArray(storage, path, kind, (0, record_bytes), 0, {"identity": identity})
-        self._chunks = self._count = 0
+        self._chunks = 0
+        self._count = 0
         storage.delete_folder(path)
 
     def add(self, records: npt.NDArray[np.void]) -> None:
-        """Append a whole chunk of records, or the last ones."""
+        """Append the records of a chunk; only the last chunk may be shorter than `SPOOL_CHUNK`."""
         chunk = np.zeros(self._array.kind.chunks, np.uint8)
         chunk[: len(records)] = records.view(np.uint8).reshape(len(records), -1)
         self._array.write_row(self._chunks, chunk)
@@ -56,24 +57,29 @@ class RecordKeeper:
         self._count += len(records)
 
     def close(self) -> None:
-        """Write the metadata that make the records count."""
-        a = self._array
-        arrays.write_metadata(a.storage, a.path, (self._count, a.shape[1]), a.kind, a.attributes)
+        """Write the metadata, which make the records valid."""
+        array = self._array
+        shape = (self._count, array.shape[1])
+        arrays.write_metadata(array.storage, array.path, shape, array.kind, array.attributes)
 
 
 class KeptRecords:
-    """Reads any records of a source, of whose pieces all were kept."""
+    """Reads any records of a source whose pieces were all kept."""
 
     def __init__(self, pieces: Sequence[tuple[int, StoredArray]], dtype: np.dtype[np.void]) -> None:
-        self._pieces, self._dtype = pieces, dtype
+        self._pieces = pieces
+        self._dtype = dtype
 
     def read(self, start: int, count: int) -> npt.NDArray[np.void]:
-        """Records ``start`` to ``start + count``, structured, shape (count,); raises DamagedError."""
+        """Records ``start`` to ``start + count - 1``, structured, shape (count,); raises DamagedError."""
         found: npt.NDArray[np.void] = np.empty(count, self._dtype)
         raw = found.view(np.uint8).reshape(count, self._dtype.itemsize)
         for first, array in self._pieces:
-            low, high = max(start - first, 0), min(start + count - first, array.rows)
-            for chunk in range(low // SPOOL_CHUNK, -(-high // SPOOL_CHUNK)) if low < high else ():
+            low = max(start - first, 0)
+            high = min(start + count - first, array.rows)
+            if low >= high:
+                continue
+            for chunk in range(low // SPOOL_CHUNK, -(-high // SPOOL_CHUNK)):
                 at = chunk * SPOOL_CHUNK
                 begin, end = max(low, at), min(high, at + SPOOL_CHUNK)
                 (values,) = array.read_rows([chunk])
@@ -85,16 +91,18 @@ class RecordStore(StorePart):
     """The records of each source piece."""
 
     def keep_records(self, piece: str, identity: str | None, record_bytes: int) -> RecordKeeper:
-        """Begin to keep the records of a source piece."""
+        """A keeper for the records of a source piece; records of an earlier run are removed."""
         return RecordKeeper(self._storage, piece, identity, record_bytes)
 
     def records(
         self, pieces: Sequence[KeptPiece], count: int, dtype: np.dtype[np.void]
     ) -> KeptRecords | None:
-        """The ``count`` records of a source, of these pieces in their order; None where not all are kept."""
+        """The ``count`` records of a source that consists of ``pieces`` in this order; None if some were not kept."""
+        if dtype.itemsize > LONGEST_BYTES:
+            return None
         found: list[tuple[int, StoredArray]] = []
         end = 0
-        for piece in pieces if dtype.itemsize <= LONGEST_BYTES else ():
+        for piece in pieces:
             path = layout.records_path(piece.name, dtype.itemsize)
             array = arrays.find_array(self._storage, path, layout.records_kind(dtype.itemsize))
             wanted: tuple[Any, ...] = (end, piece.count, piece.identity)

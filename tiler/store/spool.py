@@ -1,4 +1,4 @@
-"""The spool: points between decoding and their buckets, one array of whole records per source piece."""
+"""The spool: decoded points on the way to their buckets, as one array of whole records for each source piece."""
 
 from __future__ import annotations
 
@@ -17,12 +17,13 @@ class SpoolStore(StorePart):
     """The points of each source piece, sorted by bucket."""
 
     def write_piece(self, piece: str, block: PointBlock) -> None:
-        """Write a piece, replacing what an earlier attempt left; StoreError where a column is missing."""
+        """Write a piece in place of an earlier attempt; raises StoreError if a column is missing."""
         record_type = layout.record_type(self.meta.has_rgb)
         for name in record_type.names or ():
             if getattr(block, name) is None:
                 raise StoreError(f"piece {piece}: needs a column {name}")
-        path, kind = layout.spool_path(piece), layout.spool_kind(self.meta.has_rgb)
+        path = layout.spool_path(piece)
+        kind = layout.spool_kind(self.meta.has_rgb)
         self._storage.delete_folder(path)
         array = arrays.write_metadata(self._storage, path, (len(block), record_type.itemsize), kind)
         for chunk, start in enumerate(range(0, len(block), SPOOL_CHUNK)):
@@ -33,9 +34,9 @@ class SpoolStore(StorePart):
             array.write_row(chunk, records.view(np.uint8).reshape(kind.chunks))
 
     def read_fragment(self, piece: str, start: int, stop: int) -> PointBlock:
-        """Points ``start`` to ``stop - 1`` of a piece, all columns; reads only the chunks that hold them."""
-        path, kind = layout.spool_path(piece), layout.spool_kind(self.meta.has_rgb)
-        array = arrays.open_array(self._storage, path, kind)
+        """Points ``start`` to ``stop - 1`` of a piece with all columns; reads only the chunks that hold them."""
+        kind = layout.spool_kind(self.meta.has_rgb)
+        array = arrays.open_array(self._storage, layout.spool_path(piece), kind)
         if not 0 <= start <= stop <= array.rows:
             raise StoreError(f"piece {piece}: has {array.rows} points, not {start} to {stop}")
         first = start // SPOOL_CHUNK
@@ -51,7 +52,7 @@ class SpoolStore(StorePart):
         return PointBlock(**{name: np.ascontiguousarray(records[name].T) for name in names})
 
     def pieces(self) -> set[str]:
-        """Names of the pieces in the spool; some that were written in part may be among them."""
+        """Names of the pieces in the spool, including pieces that were written only in part."""
         return set(self._storage.names("spool"))
 
     def drop_spool(self) -> None:

@@ -1,4 +1,7 @@
-"""State of the run: JSON-able values by name; areas, corrections, breaklines and water are kept in memory once read."""
+"""State of the run: JSON-able values by name.
+
+Areas, corrections, breaklines and waters are states, too; a process reads each of them once.
+"""
 
 from __future__ import annotations
 
@@ -12,19 +15,19 @@ from tiler.core.lattice import Bounds
 from tiler.core.water import Waters
 from tiler.errors import StoreError
 from tiler.store import layout
-from tiler.store.meta import StoreMeta
 from tiler.store.part import StorePart
-from tiler.store.storage import Storage
 
 Kept = TypeVar("Kept")
+
+_MOST_CACHED = 6
+"""Most areas, corrections, breaklines and waters in `_cache`: no run uses more at a time."""
+_cache: dict[tuple[str, str], Any] = {}
+"""Values by URL of the store and name. A name holds a digest of the content, so that no value goes out of date.
+The cache is the process's and not the store's, since each task opens the store anew."""
 
 
 class StateStore(StorePart):
     """Values that the coordinator keeps for the tasks, and for later runs."""
-
-    def __init__(self, storage: Storage, meta: StoreMeta) -> None:
-        super().__init__(storage, meta)
-        self._states: dict[str, Any] = {}
 
     def put_state(self, name: str, value: Any) -> None:
         """Keep a JSON-able value under a name (*coordinator*)."""
@@ -34,7 +37,7 @@ class StateStore(StorePart):
             raise StoreError(f"state {name}: not JSON-able ({error})") from error
 
     def get_state(self, name: str) -> Any:
-        """The value kept under a name; None where there is none."""
+        """The value kept under a name; None if there is none."""
         return self._storage.get_json(layout.state_key(name))
 
     def put_area(self, area: Area) -> None:
@@ -42,15 +45,17 @@ class StateStore(StorePart):
         self.put_state(f"area-{area.key}", area.to_json())
 
     def area(self, key: str | None) -> Area | None:
-        """The area kept under a key; None without a key. StoreError where it is gone."""
-        return None if key is None else self._kept(f"area-{key}", Area.from_json)
+        """The area kept under a key, None for None; raises StoreError if it is missing."""
+        if key is None:
+            return None
+        return self._kept(f"area-{key}", Area.from_json)
 
     def put_edits(self, edits: Edits) -> None:
         """Keep corrections under their key."""
         self.put_state(f"edits-{edits.key}", edits.to_json())
 
     def edits(self, key: str, bounds: Bounds, actions: Iterable[str]) -> Edits | None:
-        """Those of the corrections kept under a key that are of some actions and touch the bounds; None for none."""
+        """The corrections kept under a key that take one of the actions and touch the bounds; None if there is none."""
         found = self._kept(f"edits-{key}", Edits.from_json).near(bounds, actions)
         return found if found.edits else None
 
@@ -67,8 +72,10 @@ class StateStore(StorePart):
         self.put_state(f"waters-{waters.key}", waters.to_json())
 
     def waters(self, key: str | None, bounds: Bounds) -> Waters | None:
-        """Those of the bodies kept under a key that touch the bounds; None for none."""
-        found = Waters(()) if key is None else self.all_waters(key).near(bounds)
+        """The bodies of water kept under a key that touch the bounds; None if there is none, or no key."""
+        if key is None:
+            return None
+        found = self.all_waters(key).near(bounds)
         return found if found.bodies else None
 
     def all_waters(self, key: str) -> Waters:
@@ -76,11 +83,15 @@ class StateStore(StorePart):
         return self._kept(f"waters-{key}", Waters.from_json)
 
     def _kept(self, name: str, read: Callable[[Any], Kept]) -> Kept:
-        """What was put as a state, read once; StoreError where it is gone."""
-        if name not in self._states:
+        """A state, from the cache if it is there; raises StoreError if the store has no such state."""
+        at = (self.url, name)
+        if at not in _cache:
             found = self.get_state(name)
             if found is None:
                 raise StoreError(f"{name}: not in {self.url}; run again")
-            self._states[name] = read(found)
-        kept: Kept = self._states[name]
+            while len(_cache) >= _MOST_CACHED:
+                oldest = next(iter(_cache))
+                _cache.pop(oldest, None)
+            _cache[at] = read(found)
+        kept: Kept = _cache[at]
         return kept

@@ -1,7 +1,7 @@
-"""Where a store lies: bytes under keys, on a local path or at any fsspec URL, through zarr's own stores.
+"""The storage below a store: bytes under keys, on a local path or at any fsspec URL, through zarr's own stores.
 
 Every `put` is atomic (a rename on local disks, one PUT on object stores): a reader sees the old object, the new
-one, or none.
+object, or no object.
 """
 
 from __future__ import annotations
@@ -18,20 +18,23 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import zarr
 from zarr.abc.store import Store
 from zarr.core.buffer import default_buffer_prototype
 from zarr.core.sync import sync
 from zarr.storage import FsspecStore, LocalStore
 
-from tiler.errors import ConfigError, ProcessingError, StoreError, refused_write
-from tiler.io.locations import refuse_unescaped
+from tiler.errors import (
+    ConfigError,
+    DiskFullError,
+    ProcessingError,
+    StoreAccessError,
+    StoreError,
+    refused_write,
+)
+from tiler.io.locations import plain_scheme, refuse_unescaped
+from tiler.io.partial_files import replace_file
 from tiler.redaction import stored
 from tiler.store import layout
-
-# Parallelism is over processes: one thread decodes here. The requests of one read still overlap, which is
-# what an object store needs and what costs nothing on a local disk.
-zarr.config.set({"async.concurrency": 8, "threading.max_workers": 1})
 
 _REQUESTS_AT_ONCE = 64
 _NO_HARD_LINKS = (errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)
@@ -40,21 +43,23 @@ _NO_HARD_LINKS = (errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)
 
 @dataclass(frozen=True)
 class Usage:
-    """Objects in a store, and their bytes."""
+    """Number of objects in a store, and their size."""
 
     objects: int
     size_bytes: int
 
 
 def local_path(url: str) -> Path | None:
-    """The folder that a URL means; None where it is not on a local file system."""
+    """The folder that a URL names; None if it is not on a local file system."""
     if url.startswith(("file://", "local://")):
         return Path(url.partition("://")[2])
-    return None if "://" in url or "::" in url else Path(url)
+    if "://" in url or "::" in url:
+        return None
+    return Path(url)
 
 
 class Storage:
-    """The objects of one store, by key; blocking calls, safe to use from several processes.
+    """The objects of one store by key. Its calls block, and may come from several processes.
 
     Parameters
     ----------
@@ -64,10 +69,11 @@ class Storage:
     Raises
     ------
     ConfigError
-        No file system is known, or installed, for the URL.
+        The scheme of the URL is unknown, or the package that reads it is not installed.
     """
 
     def __init__(self, url: str) -> None:
+        url = plain_scheme(url)
         self.url = url
         self.root = local_path(url)
         self.zarr_store: Store
@@ -89,11 +95,11 @@ class Storage:
         return hash(self.url)
 
     def get(self, key: str) -> bytes | None:
-        """The object's bytes; None where there is none."""
+        """The object's bytes; None if there is no such object."""
         return self.get_many([key])[0]
 
     def get_many(self, keys: Sequence[str]) -> list[bytes | None]:
-        """The bytes of each key in order, None where there is none; requests to an object store overlap."""
+        """The bytes of each object in the order of the keys, None for missing ones; remote requests overlap."""
         if self.root is not None:
             return [_file_bytes(f"{self.root}/{key}") for key in keys]
         prototype = default_buffer_prototype()
@@ -110,7 +116,7 @@ class Storage:
         return sync(every())
 
     def put(self, key: str, data: bytes) -> None:
-        """Write an object, replacing what was there."""
+        """Write an object; an object of the same key is replaced."""
         try:
             if self.root is not None:
                 _write_file(f"{self.root}/{key}", data)
@@ -120,12 +126,13 @@ class Storage:
             raise failed_write(self.url, key, error) from error
 
     def put_json_new(self, key: str, body: Any) -> bool:
-        """`put_json` unless an object is there; a later `get_json` says which it is.
+        """`put_json`, unless an object is there; a later `get_json` shows whose object it is.
 
         Returns
         -------
         bool
-            Whether that is exclusive, as on local file systems with hard links; else the last of two writers wins.
+            True where only one of two writers can succeed, as on local file systems with hard links. Elsewhere the
+            last of two writers wins.
         """
         data = _sealed(body)
         try:
@@ -139,41 +146,48 @@ class Storage:
 
     def delete(self, key: str) -> None:
         """Remove an object if it is there."""
-        if self.exists():
-            sync(self.zarr_store.delete(key))
+        try:
+            if self.exists():
+                sync(self.zarr_store.delete(key))
+        except OSError as error:
+            raise failed_write(self.url, key, error) from error
 
     def delete_folder(self, prefix: str, keep: Collection[str] = ()) -> None:
-        """Remove every object of the layout below ``prefix`` but those of ``keep``; then the folders that are empty.
+        """Remove every object of the layout below ``prefix`` except the keys of ``keep``, then the empty folders.
 
-        Files of somebody else stay, and so does a folder that is a link.
+        Files that are not tiler's stay, and so does a folder that is a link.
         """
         if self.root is not None:
-            self._delete_files(self.root / prefix, lambda key: layout.is_ours(key) and key not in keep)
+            try:
+                self._delete_files(self.root / prefix, lambda key: layout.is_ours(key) and key not in keep)
+            except OSError as error:
+                raise failed_write(self.url, prefix, error) from error
             return
         from fsspec.core import url_to_fs
 
         filesystem, root = url_to_fs(self.url)
         filesystem.invalidate_cache()
-        found = {
-            name: name.removeprefix(root).lstrip("/")
-            for name in filesystem.find(f"{root}/{prefix}".rstrip("/"))
-        }
-        gone = [name for name, key in found.items() if layout.is_ours(key) and key not in keep]
+        gone = []
+        for name in filesystem.find(f"{root}/{prefix}".rstrip("/")):
+            key = name.removeprefix(root).lstrip("/")
+            if layout.is_ours(key) and key not in keep:
+                gone.append(name)
         if gone:
             filesystem.rm(gone)
 
     def _delete_files(self, folder: Path, unwanted: Callable[[str], bool]) -> None:
-        """Remove files below a folder of a local store by their keys, and the folders that are empty then."""
-        assert self.root is not None  # the callers' choice
+        """Remove files below a folder of a local store by their keys, then the empty folders."""
+        assert self.root is not None  # callers check that
         for place, _, names in os.walk(folder, topdown=False):
-            for path in (Path(place, name) for name in names):
+            for name in names:
+                path = Path(place, name)
                 if unwanted(path.relative_to(self.root).as_posix()):
                     path.unlink(missing_ok=True)
             with suppress(OSError):
                 os.rmdir(place)
 
     def remove_scratch(self) -> None:
-        """Remove what killed writes left on a local disk; object stores have no such thing."""
+        """Remove the temporary files that killed writes left on a local disk; object stores have none."""
         if self.root is not None:
             self._delete_files(self.root, layout.is_scratch)
 
@@ -184,9 +198,9 @@ class Storage:
         return sorted(name.rstrip("/") for name in sync(_collected(self.zarr_store.list_dir(prefix))))
 
     def exists(self) -> bool:
-        """Whether a local folder is there; always true elsewhere, where folders do not exist.
+        """Whether a local folder is there; always true for object stores, which have no folders.
 
-        Zarr's local store makes its folder at the first request, which a mere look must not do.
+        Callers ask before they list: the first request to zarr's local store would create the folder.
         """
         return self.root is None or self.root.is_dir()
 
@@ -194,24 +208,27 @@ class Storage:
         """Count the objects and their bytes (lists the whole store)."""
         from fsspec.core import url_to_fs
 
-        filesystem, path = url_to_fs(str(self.root.absolute()) if self.root is not None else self.url)
-        sizes = (
-            [entry["size"] for entry in filesystem.find(path, detail=True).values()] if self.exists() else []
-        )
+        if not self.exists():
+            return Usage(0, 0)
+        place = self.url if self.root is None else str(self.root.absolute())
+        filesystem, path = url_to_fs(place)
+        sizes = [entry["size"] for entry in filesystem.find(path, detail=True).values()]
         return Usage(len(sizes), sum(sizes))
 
     def put_json(self, key: str, body: Any) -> None:
-        """Write a JSON-able value with the checksum of its text; URLs in it lose passwords and tokens."""
+        """Write a JSON-able value with a checksum; passwords and tokens are removed from its URLs."""
         self.put(key, _sealed(body))
 
     def get_json(self, key: str) -> Any:
-        """The value that `put_json` wrote; None where there is none; StoreError where it is damaged."""
+        """The value that `put_json` wrote, or None if there is none; raises StoreError if it is damaged."""
         data = self.get(key)
-        return None if data is None else parse_json(data, f"{self.url}: {key}")
+        if data is None:
+            return None
+        return parse_json(data, f"{self.url}: {key}")
 
 
 def parse_json(data: bytes, where: str) -> Any:
-    """The value in an object of `Storage.put_json`; StoreError where it is damaged."""
+    """The value in an object that `Storage.put_json` wrote; raises StoreError if it is damaged."""
     try:
         envelope = json.loads(data)
         body, crc = envelope["body"], envelope["crc32"]
@@ -223,29 +240,33 @@ def parse_json(data: bytes, where: str) -> Any:
 
 
 SEAL = "tiler_crc32"
-"""Attribute of zarr's metadata with a checksum of all the rest of them; zarr itself has none."""
+"""Attribute that holds a checksum of the rest of the metadata; zarr itself writes none."""
 
 
 def sealed(metadata: dict[str, Any]) -> dict[str, Any]:
     """Metadata of an array or group with a checksum among its attributes."""
-    bare = {n: v for n, v in metadata.get("attributes", {}).items() if n != SEAL}
-    whole = {**metadata, "attributes": bare}
-    return {**whole, "attributes": {**bare, SEAL: zlib.crc32(_canonical(whole).encode())}}
+    attributes = {**metadata.get("attributes", {})}
+    attributes.pop(SEAL, None)
+    checksum = zlib.crc32(_canonical({**metadata, "attributes": attributes}).encode())
+    return {**metadata, "attributes": {**attributes, SEAL: checksum}}
 
 
 def seal_holds(metadata: dict[str, Any]) -> bool:
-    """Whether metadata are as `sealed` left them; those without a checksum, of older versions, count as such."""
+    """Whether the checksum of `sealed` fits; metadata of older versions, which have none, are accepted."""
     return SEAL not in metadata["attributes"] or sealed(metadata) == metadata
 
 
 def failed_write(url: str, key: str, error: OSError) -> ProcessingError:
-    """The one-line error of a write that the file system refused."""
-    return refused_write(f"{url}: {key}", error, local_path(url))
+    """The one-line error for a write or a removal that the file system refused."""
+    refused = refused_write(f"{url}: {key}", error, local_path(url))
+    if isinstance(refused, DiskFullError):
+        return refused
+    return StoreAccessError(str(refused))
 
 
 def _sealed(body: Any) -> bytes:
     text = _canonical(body)
-    if ":/" in text:  # else there is no URL in it
+    if ":/" in text:  # without it, the text holds no URL
         text = _canonical(stored(body))
     return f'{{"crc32": {zlib.crc32(text.encode())}, "body": {text}}}'.encode()
 
@@ -263,7 +284,7 @@ def _file_bytes(path: str) -> bytes | None:
 
 
 def _write_file(path: str, data: bytes) -> None:
-    """Write a file that has its name only when it is whole; a killed write leaves scratch (`layout.is_scratch`)."""
+    """Write a file that gets its name once it is whole; a killed write leaves a `layout.is_scratch`."""
     partial = f"{path}.{uuid.uuid4().hex}.partial"
     try:
         try:
@@ -271,7 +292,7 @@ def _write_file(path: str, data: bytes) -> None:
         except FileNotFoundError:  # the first file of its folder
             os.makedirs(os.path.dirname(path), exist_ok=True)
             _fill(partial, data)
-        os.replace(partial, path)
+        replace_file(partial, path)
     except OSError:
         with suppress(OSError):
             os.unlink(partial)

@@ -1,4 +1,4 @@
-"""The tile store: points once, each in its bucket; halos, labels, rasters and what is done."""
+"""`TileStore`, which unites the parts of a store: points, labels, rasters, spool, records, states and commits."""
 
 from __future__ import annotations
 
@@ -6,7 +6,8 @@ from collections.abc import Mapping
 from contextlib import AbstractContextManager
 from typing import Any
 
-from tiler.errors import StoreError
+from tiler.core.crs import crs_name
+from tiler.errors import StoreError, TilerError
 from tiler.store import index, lock
 from tiler.store.commits import CommitStore
 from tiler.store.labels import LabelStore
@@ -19,7 +20,7 @@ from tiler.store.storage import Storage, Usage
 
 
 class TileStore(LabelStore, RasterStore, SpoolStore, RecordStore, StateStore, CommitStore):
-    """A store that is open; made by `create_store` or `open_store`. Each part is a class, and a module, of its own.
+    """An open store, made by `create_store` or `open_store`. Each part is a class, and a module, of its own.
 
     All calls block and may come from several processes at once, as long as each bucket, block, piece and
     commit has one writer. Methods marked *coordinator* are for the one process that holds the `lock`.
@@ -29,21 +30,31 @@ class TileStore(LabelStore, RasterStore, SpoolStore, RecordStore, StateStore, Co
     url : str
     meta : StoreMeta
     settled : mapping
-        What the first run decided for all later ones.
+        Settings that the first run decided for all later runs.
     """
 
     def __init__(self, storage: Storage, meta: StoreMeta, settled: Mapping[str, Any] | None = None) -> None:
         super().__init__(storage, meta)
         self.settled = dict(settled or {})
 
+    def __repr__(self) -> str:
+        try:
+            buckets = self.buckets().values()
+        except TilerError as error:
+            return f"<TileStore {self.url}: {error}>"
+        points = sum(bucket.n for bucket in buckets)
+        crs = crs_name(self.meta.frame.crs_wkt)
+        return f"<TileStore {self.url}: {points:,} points in {len(buckets):,} buckets, {crs}>"
+
     def lock(self) -> AbstractContextManager[lock.Lease]:
-        """Hold the store for one run; raises LockedError, naming the holder, while another run does."""
+        """Hold the store for one run; raises LockedError, which names the holder, if another run holds it."""
         return lock.locked(self._storage)
 
     def tidy(self) -> None:
-        """Remove the spool once its points are in buckets, older indices and scratch; pack commits (*coordinator*).
+        """Remove what later runs do not need, and pack the commits (*coordinator*, while no task runs).
 
-        Scratch is what the store's writes leave when they are killed, so no task may run.
+        The spool goes once its points are in buckets; kept records, older indices and the temporary files of killed
+        writes go, too.
         """
         if index.remove_older(self._storage).rows:
             self.drop_spool()
@@ -53,13 +64,13 @@ class TileStore(LabelStore, RasterStore, SpoolStore, RecordStore, StateStore, Co
         self._storage.remove_scratch()
 
     def forget(self, folder: str) -> None:
-        """Remove every object below a folder that is damaged as a whole (*coordinator*)."""
+        """Remove every object below a damaged folder (*coordinator*)."""
         self._storage.delete_folder(folder)
         self._open.clear()
         self._index = None
 
     def try_write(self, name: str) -> None:
-        """Write an object, read it and remove it again; raises StoreError or ProcessingError where that fails."""
+        """Write an object, read it and remove it; raises StoreError or ProcessingError if that fails."""
         key = f"trial/{name}"
         self._storage.put_json(key, name)
         if self._storage.get_json(key) != name:
@@ -67,5 +78,5 @@ class TileStore(LabelStore, RasterStore, SpoolStore, RecordStore, StateStore, Co
         self._storage.delete(key)
 
     def usage(self) -> Usage:
-        """Objects and bytes of the store (lists all of it)."""
+        """Count the objects of the store and their bytes (lists the whole store)."""
         return self._storage.usage()

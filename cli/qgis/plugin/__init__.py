@@ -9,4 +9,4 @@ def classFactory(interface: Any) -> Any:
     """Make the plugin; QGIS looks for this name."""
     from .provider import Plugin
 
-    return Plugin()
+    return Plugin(interface)

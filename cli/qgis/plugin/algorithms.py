@@ -84,17 +84,19 @@ class ApplyEdits(Run):
         """The folder, the polygons, and the clouds where the folder does not tell them."""
         self.addParameter(
             QgsProcessingParameterFile(
-                "OUTPUT", "Folder of the results of a run", QgsProcessingParameterFile.Folder
+                "OUTPUT", "Folder of the results of a run", QgsProcessingParameterFile.Behavior.Folder
             )
         )
         self.addParameter(
             QgsProcessingParameterVectorLayer(
-                "EDITS", "Corrections (polygons)", [QgsProcessing.TypeVectorPolygon]
+                "EDITS", "Corrections (polygons)", [QgsProcessing.SourceType.TypeVectorPolygon]
             )
         )
         label = "Point clouds of the run (empty: those that its run.json names)"
         self.addParameter(
-            QgsProcessingParameterMultipleLayers("INPUT", label, QgsProcessing.TypeFile, optional=True)
+            QgsProcessingParameterMultipleLayers(
+                "INPUT", label, QgsProcessing.SourceType.TypeFile, optional=True
+            )
         )
         super().add_outputs()
 

@@ -34,7 +34,7 @@ def make_parameters(spec: dict[str, Any]) -> list[Any]:
         label = "... or a folder: all clouds in it and below it"
         made.append(
             QgsProcessingParameterFile(
-                FOLDER, label, behavior=QgsProcessingParameterFile.Folder, optional=True
+                FOLDER, label, behavior=QgsProcessingParameterFile.Behavior.Folder, optional=True
             )
         )
     if spec["kind"] in ("clouds", "files"):
@@ -44,7 +44,7 @@ def make_parameters(spec: dict[str, Any]) -> list[Any]:
     for parameter in made:
         parameter.setHelp(spec["help"])
         if spec["advanced"]:
-            parameter.setFlags(parameter.flags() | QgsProcessingParameterDefinition.FlagAdvanced)
+            parameter.setFlags(parameter.flags() | QgsProcessingParameterDefinition.Flag.FlagAdvanced)
     return made
 
 
@@ -53,7 +53,9 @@ def _parameter(spec: dict[str, Any]) -> Any:
     optional = default is None and not spec["required"]
     label = spec["label"] + (f" [{spec['unit']}]" if spec["unit"] else "")
     if kind in ("clouds", "files"):
-        return QgsProcessingParameterMultipleLayers(name, label, QgsProcessing.TypeFile, optional=True)
+        return QgsProcessingParameterMultipleLayers(
+            name, label, QgsProcessing.SourceType.TypeFile, optional=True
+        )
     if kind in ("cloud", "file"):
         filter = TABLE["cloud_files"] if kind == "cloud" else ALL_FILES
         optional = not spec["required"]  # also with a default, which QGIS does not take for a file's value
@@ -63,7 +65,7 @@ def _parameter(spec: dict[str, Any]) -> Any:
     if kind in ("new_folder", "new_plots"):
         # No FolderDestination: that offers a temporary folder, in which a job that was stopped could not go on.
         return QgsProcessingParameterFile(
-            name, label, behavior=QgsProcessingParameterFile.Folder, optional=optional
+            name, label, behavior=QgsProcessingParameterFile.Behavior.Folder, optional=optional
         )
     if kind in ("new_picture", "new_cloud"):
         filter = "PNG (*.png)" if kind == "new_picture" else "LAZ (*.laz);;LAS (*.las)"
@@ -82,7 +84,11 @@ def _parameter(spec: dict[str, Any]) -> Any:
         return QgsProcessingParameterBoolean(name, label, default)
     if kind == "int":
         number = QgsProcessingParameterNumber(
-            name, label, QgsProcessingParameterNumber.Integer, default, optional=optional or default is None
+            name,
+            label,
+            QgsProcessingParameterNumber.Type.Integer,
+            default,
+            optional=optional or default is None,
         )
         for limit, put in (("minimum", number.setMinimum), ("maximum", number.setMaximum)):
             if spec.get(limit) is not None:

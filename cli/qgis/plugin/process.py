@@ -8,6 +8,7 @@ import shutil
 import subprocess
 import tempfile
 import threading
+import time
 from pathlib import Path
 from queue import Empty, SimpleQueue
 from typing import Any, Callable, NamedTuple
@@ -17,6 +18,9 @@ TABLE: dict[str, Any] = json.loads(Path(__file__).with_name("settings.json").rea
 INTERRUPTED = 130
 PARTIAL = 5
 USAGE = 2
+INSTALL = "python -m pip install tiler-dtm"
+TEST_SECONDS = 60.0
+"""For the answer to ``--version``: the first start of a newly installed command takes some seconds."""
 GRACE_SECONDS = 30.0
 """After the request to end, before the process is killed; no run is harmed by that."""
 POLL_SECONDS = 0.1
@@ -65,10 +69,30 @@ def find_command(configured: str) -> str:
         where = "in PATH"
     if found is None:
         raise CommandError(
-            f"the command tiler is not {where}; install it (pip install tiler-dtm), and run `tiler qgis install` "
+            f"the command tiler is not {where}; install it ({INSTALL}), and run `tiler qgis install` "
             "or set its path under Settings > Options > Processing > Providers > tiler"
         )
     return found
+
+
+def version_of(path: str) -> str:
+    """Call a command to see whether it is ``tiler`` and works; its version.
+
+    Raises
+    ------
+    CommandError
+        With what is wrong, and what to do.
+    """
+    began = time.monotonic()
+    ended = run_command(
+        [path, "--version"], lambda event: None, lambda: time.monotonic() - began > TEST_SECONDS
+    )
+    if ended.cancelled:
+        raise CommandError(f"{path}: did not answer within {TEST_SECONDS:.0f} s; call it in a terminal")
+    words = ended.text.split()
+    if len(words) < 2 or words[0].rstrip(",") != "tiler":
+        raise CommandError(f"{path}: is not the command tiler; name another")
+    return words[-1]
 
 
 def options(spec: dict[str, Any], value: Any) -> list[str]:

@@ -2,19 +2,33 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
+
 from processing.core.ProcessingConfig import ProcessingConfig, Setting
 from qgis.core import QgsApplication, QgsProcessingProvider
+from qgis.PyQt.QtGui import QIcon
 
 from .algorithms import ApplyEdits, Check, Classify, Preview, Run
 from .process import TABLE
 from .shell import COMMAND
 
+ICON = str(Path(__file__).with_name("icon.png"))
+
 
 class Plugin:
-    """What QGIS loads; it only adds the provider."""
+    """The object that QGIS loads: it adds the provider, and an entry to the menu of plugins.
 
-    def __init__(self) -> None:
+    Parameters
+    ----------
+    interface : QgisInterface or None
+        The desktop application; None in ``qgis_process``.
+    """
+
+    def __init__(self, interface: Any) -> None:
+        self._interface = interface
         self._provider: Provider | None = None
+        self._menu: Any = None
 
     def initProcessing(self) -> None:
         """Add the provider; all that ``qgis_process`` calls."""
@@ -24,12 +38,29 @@ class Plugin:
     def initGui(self) -> None:
         """Begin in the desktop application."""
         self.initProcessing()
+        self._menu = self._interface.pluginMenu().addMenu(QIcon(ICON), "tiler")
+        self._menu.addAction("The command...", lambda: self.show_dialog())
+
+    def show_dialog(self) -> None:
+        """Show the dialog that finds and tests the command."""
+        from .dialog import CommandDialog
+
+        configured = ProcessingConfig.getSetting(COMMAND) or ""
+        CommandDialog(configured, _save_command, self._interface.mainWindow()).exec()
 
     def unload(self) -> None:
-        """Take the provider away."""
+        """Take the provider and the entry of the menu away."""
+        if self._menu is not None:
+            self._interface.pluginMenu().removeAction(self._menu.menuAction())
+            self._menu = None
         if self._provider is not None:
             QgsApplication.processingRegistry().removeProvider(self._provider)
             self._provider = None
+
+
+def _save_command(path: str) -> None:
+    """Keep the path of the command in the options of Processing."""
+    ProcessingConfig.setSettingValue(COMMAND, path)
 
 
 class Provider(QgsProcessingProvider):
@@ -42,6 +73,10 @@ class Provider(QgsProcessingProvider):
     def name(self) -> str:
         """In the toolbox."""
         return "tiler"
+
+    def icon(self) -> QIcon:
+        """In the toolbox and in the options."""
+        return QIcon(ICON)
 
     def longName(self) -> str:
         """In the list of providers."""

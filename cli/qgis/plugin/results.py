@@ -24,7 +24,7 @@ from . import styles
 from .process import TABLE, CommandError
 
 KEY = "tiler/result"
-"""Property of a layer that says which result of which folder it shows, and of a group which folder."""
+"""Property of a layer (the result and the folder that it shows) and of a group (the folder)."""
 RANK = "tiler/rank"
 """Property of an entry in the tree of layers: where it belongs in its group."""
 LOWEST = 1000
@@ -179,7 +179,7 @@ def _make_edits(folder: str, feedback: QgsProcessingFeedback) -> None:
     settings.layerName = "edits"
     context = QgsProject.instance().transformContext()
     failed = QgsVectorFileWriter.writeAsVectorFormatV3(empty, str(path), context, settings)
-    if failed[0]:
+    if failed[0] != QgsVectorFileWriter.WriterError.NoError:
         feedback.pushWarning(f"{path}: cannot be written: {failed[1]}")
 
 

@@ -92,7 +92,7 @@ class Shell(QgsProcessingAlgorithm):
         """What else there is to give and to find; nothing here."""
 
     def checkParameterValues(self, parameters: dict[str, Any], context: QgsProcessingContext) -> Any:
-        """As QGIS does; of products the names count as well as their numbers."""
+        """Check the values as QGIS does; products may be given by name as well as by number."""
         numbers = {
             spec["name"]: numbers_of_names(spec, parameters[spec["name"]])
             for spec in self.specs()

@@ -43,10 +43,10 @@ WATERS = ("lake", "pond", "reservoir", "basin", "sea", "lagoon", "river", "strea
 CUT = 0.01
 """Share of the lowest and of the highest heights that have the colours of the ends."""
 BRIGHTER = 50
-"""Of a hillshade, 0 to 255: flat ground keeps its colour nearly."""
+"""Brightness added to a hillshade, 0 to 255, so that flat ground nearly keeps its colour."""
 LEAST_RANGE = 1e-3
 SAMPLE_PIXELS = 300
-"""A side."""
+"""Side, in pixels, of the sample from which the range of heights is taken."""
 
 
 def heights(layer: Any) -> None:
@@ -56,7 +56,11 @@ def heights(layer: Any) -> None:
     stops = [QgsGradientStop(at, QColor(colour)) for at, colour in GREEN_TO_WHITE[1:-1]]
     ramp = QgsGradientColorRamp(QColor(GREEN_TO_WHITE[0][1]), QColor(GREEN_TO_WHITE[-1][1]), False, stops)
     function = QgsColorRampShader(
-        low, high, ramp, QgsColorRampShader.Interpolated, QgsColorRampShader.Continuous
+        low,
+        high,
+        ramp,
+        QgsColorRampShader.Type.Interpolated,
+        QgsColorRampShader.ClassificationMode.Continuous,
     )
     function.classifyColorRamp(5, 1, layer.extent(), provider)
     shader = QgsRasterShader()
@@ -156,18 +160,18 @@ def contours(layer: Any) -> None:
         for value, style, label in ((True, strong, "index"), (False, thin, "contour"))
     ]
     layer.setRenderer(QgsCategorizedSymbolRenderer("index", categories))
-    _label(layer, "elevation", '"index"', QgsPalLayerSettings.Curved)
+    _label(layer, "elevation", '"index"', QgsPalLayerSettings.Placement.Curved)
 
 
 def spots(layer: Any) -> None:
     """Dots with their height."""
     dot = {"name": "circle", "size": "1.2", "color": "#222222", "outline_style": "no"}
     layer.setRenderer(QgsSingleSymbolRenderer(QgsMarkerSymbol.createSimple(dot)))
-    _label(layer, "elevation", "", QgsPalLayerSettings.OrderedPositionsAroundPoint)
+    _label(layer, "elevation", "", QgsPalLayerSettings.Placement.OrderedPositionsAroundPoint)
 
 
 def edits(layer: Any) -> None:
-    """By action; in the form this is a list, and z has a name."""
+    """Style corrections by action; the form offers the actions as a list and names z."""
     categories = []
     for action, (label, colour) in ACTIONS.items():
         inside = ",".join(str(part) for part in QColor(colour).getRgb()[:3])
@@ -194,7 +198,8 @@ def _list(layer: Any, name: str, values: dict[str, str]) -> None:
 def _label(layer: Any, column: str, filter: str, placement: Any) -> None:
     """Write a height at each feature."""
     settings = QgsPalLayerSettings()
-    settings.fieldName = f'round("{column}", 2)'
+    written = layer.fields().indexOf("label") >= 0  # with as many decimals as all others; not in older files
+    settings.fieldName = '"label"' if written else f'round("{column}", 2)'
     settings.isExpression = True
     settings.placement = placement
     text, halo = QgsTextFormat(), QgsTextBufferSettings()

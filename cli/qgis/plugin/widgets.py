@@ -28,7 +28,7 @@ class FilesWrapper(WidgetWrapper):
     def createWidget(self, filter: str = "") -> Any:
         """Make the line and its button."""
         widget = QgsFileWidget()
-        widget.setStorageMode(QgsFileWidget.GetMultipleFiles)
+        widget.setStorageMode(QgsFileWidget.StorageMode.GetMultipleFiles)
         widget.setFilter(filter)
         widget.fileChanged.connect(lambda: self.widgetValueHasChanged.emit(self))
         return widget

@@ -61,7 +61,7 @@ class CellCodes(Model):
         return codes, marked
 
     def _slots(self, x: Int32, y: Int32) -> Int32:
-        """Which of the model's cells points lie in, -1 in none: int32 [n]."""
+        """Index of the model's cell in which each point lies, -1: in none; int32 [n]."""
         if self._x.size == 0:
             return np.full(x.size, -1, np.int32)
         if self._index is None:

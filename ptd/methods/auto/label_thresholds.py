@@ -1,53 +1,74 @@
-"""How far from the surface the last pass of `auto` takes points for ground, as the survey of a run decides it.
+"""How far from the surface the last pass of `auto` takes points for ground, by the density of the place.
 
 Also whether the cloud is of a laser or matched; what was decided is told in notes.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
-from typing import Any
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
-from ptd.ground.roughness import Roughness
-from ptd.matched.passes import GROUND_M
-from ptd.matched.survey import DIM, Seen, surveyed
+from ptd.frame import Scale
+from ptd.ground.labelling import Bands
+from ptd.ground.noise_sums import Roughness
+from ptd.matched.evidence import DIM
+from ptd.matched.ground_model import GROUND_M
+from ptd.matched.place_figures import CELL_SIGMA, DENSITY, SIDE, known
+from ptd.matched.survey import Seen, surveyed
 from ptd.methods.auto.params import AutoParameters
+from ptd.passes import State
+from ptd.places import PLACES, Figures, field, span
 
-SPARSE_M2, DENSE_M2 = 1.0, 2.0
-"""Points per square metre up to which the last pass is as the parameters say, and from which it is as narrow as noise
-allows."""
+SPARSE_M2 = 1.0
+"""Points per square metre up to which the last pass is as the parameters say."""
+DENSE_M2 = 2.0
+"""Points per square metre from which on the last pass is as narrow as noise allows."""
 DENSE_FLOOR_M = 0.12
 """Floor of the last pass for dense clouds: four times the noise of airborne lasers. A wider one, from what is measured,
 takes low plants for noise: meadows and fields look planar too."""
-SAID_BASE_M, SAID_SIGMAS = 0.05, 3.0
-"""Where the user says the noise the floor is this and so many times the noise, and no less than for others."""
+SAID_BASE_M = 0.05
+"""Floor of the last pass without noise, where the user says the noise; never below the floor of other clouds."""
+SAID_SIGMAS = 3.0
+"""Standard deviations of that noise that the floor has above its base."""
 DENSE_SLOPE = 0.5
 """Share of ``label_slope_m`` for dense clouds."""
 
 
-@dataclass(frozen=True)
-class LabelThresholds:
-    """What the parameters come to in a run."""
+class LabelThresholds(NamedTuple):
+    """What the parameters come to at a place: metres, and metres per unit of slope."""
 
-    label_floor_m: float
-    label_slope_m: float
+    floor_m: float
+    slope_m: float
 
 
-def label_thresholds(params: AutoParameters, survey: Mapping[str, Any]) -> LabelThresholds:
-    """Thresholds for a run, from what `decided` says of it."""
-    said = survey["label_sigma_m"]
-    dense = min(max((survey["density_m2"] - SPARSE_M2) / (DENSE_M2 - SPARSE_M2), 0.0), 1.0)
-    floor = DENSE_FLOOR_M if said is None else max(DENSE_FLOOR_M, SAID_BASE_M + SAID_SIGMAS * said)
+def label_thresholds(params: AutoParameters, density_m2: float, said_m: float | None) -> LabelThresholds:
+    """Thresholds for a density, and for the noise that the user says."""
+    dense = min(max((density_m2 - SPARSE_M2) / (DENSE_M2 - SPARSE_M2), 0.0), 1.0)
+    floor = DENSE_FLOOR_M if said_m is None else max(DENSE_FLOOR_M, SAID_BASE_M + SAID_SIGMAS * said_m)
     floor = min(floor, params.label_floor_m)
     return LabelThresholds(
-        label_floor_m=params.label_floor_m + dense * (floor - params.label_floor_m),
-        label_slope_m=params.label_slope_m * (1.0 - dense * (1.0 - DENSE_SLOPE)),
+        params.label_floor_m + dense * (floor - params.label_floor_m),
+        params.label_slope_m * (1.0 - dense * (1.0 - DENSE_SLOPE)),
     )
 
 
+def label_bands(params: AutoParameters, state: State, scale: Scale) -> Bands:
+    """How far from the TIN ground lies, by place."""
+    table: dict[str, LabelThresholds] = {
+        name: label_thresholds(params, known(figures, DENSITY), state["run"]["sigma_m"])
+        for name, figures in state[PLACES].items()
+    }
+    wide = LabelThresholds(params.label_floor_m, params.label_slope_m)
+    floor, slope = (field(table, k, scale, wide[k]).times(scale.counts(1.0)) for k in range(2))
+    return Bands(floor, slope)
+
+
 def decided(
-    params: AutoParameters, found: Roughness, seen: Seen, run: Mapping[str, Any]
+    params: AutoParameters,
+    found: Roughness,
+    seen: Seen,
+    held: Sequence[Figures],
+    run: Mapping[str, Any],
 ) -> tuple[dict[str, Any], list[str]]:
     """What the run is, and lines that say so.
 
@@ -57,27 +78,31 @@ def decided(
     found : Roughness
         Density and noise.
     seen : Seen
+    held : sequence of tuple
+        Figures of the places that hold points.
     run : mapping
         `ptd.passes.RunFacts`.
 
     Returns
     -------
     survey : dict
-        See `ptd.matched.survey.surveyed`; and ``label_sigma_m``: the noise that the last pass of a laser scan allows
-        for, which is what the user says, or None.
+        See `ptd.matched.survey.surveyed`.
     notes : list of str
     """
     survey, note = surveyed(found, seen, run)
-    survey["label_sigma_m"] = run["sigma_m"]
-    notes = [note]
+    if not held:
+        return survey, [note]
     if survey["kind"] == DIM:
-        notes.append(
+        noise, side = (span([known(figures, which) for figures in held], 2) for which in (CELL_SIGMA, SIDE))
+        line = (
             f"decided: ground is up to {GROUND_M:g} m and twice the local noise from the surface, "
-            "after a vote of neighbours"
+            f"after a vote of neighbours; noise of the place {noise} m, cells of {side} m"
         )
-        return survey, notes
-    chosen = label_thresholds(params, survey)
-    notes.append(
-        f"decided: ground is up to {chosen.label_floor_m:.2f} m + {chosen.label_slope_m:.2g} m x slope from the surface"
-    )
-    return survey, notes
+        return survey, [note, line]
+    densities = sorted(known(figures, DENSITY) for figures in held)
+    chosen = [label_thresholds(params, density, run["sigma_m"]) for density in densities]
+    floor, slope = (span([of_place[k] for of_place in chosen], 2) for k in range(2))
+    line = f"decided: ground is up to {floor} m + {slope} m x slope from the surface"
+    if len(set(chosen)) > 1:
+        line += f", by density of the place ({span(densities, 2)} points/m2)"
+    return survey, [note, line]

@@ -7,8 +7,8 @@ works on the lowest point of each cell of 1 m: morphological seeds, a few rounds
 rises like an object. Figures, why there are passes and how far each sees: ``docs/filters.md``.
 
 survey
-    density, noise, returns, and what is seen through (`ptd.matched.survey`): laser scanning or image matching
-    (`label_thresholds`).
+    returns, and what is seen through (`ptd.matched.survey`): laser scanning or image matching; density and noise of
+    each place (`ptd.ground.noise_by_place`), and what follows from them (`label_thresholds`).
 seeds
     low outliers out; what drops steeply in openings of growing radius (`objects`) is an object; all else is a seed.
 densify
@@ -21,7 +21,7 @@ roofs
     (`ptd.ground.plateaus`); four times, as lower roofs lean on higher ones.
 label
     the TIN of the ground that is left takes in once what fits within half the distance and half the angle of `densify`;
-    then each point is judged against it by its height.
+    then each point is judged against it by its height, where they are dense against a finer surface.
 
 ====================  ==========================  ========  ============================================================
 parameter             origin                      default   reason
@@ -45,6 +45,9 @@ label_floor           as `classic`                0.24 m    below 1 point/m2: ro
                                                             the noise that the user says, up to this
 label_slope           ours                        1 m       the spacing of the points on a slope; half of it from 2
                                                             points/m2 on
+refine                ours                        yes       matched clouds: see `ptd.matched.last_look`
+fine_surface          ours                        yes       the TIN of each metre's lowest point runs below the fine
+                                                            relief (`ptd.ground.fine_surface`)
 ====================  ==========================  ========  ============================================================
 
 What cannot be set, and why: `params`. The ring of virtual seeds has cells of 20 m (`ptd.ground.seeds`).
@@ -52,7 +55,7 @@ What cannot be set, and why: `params`. The ring of virtual seeds has cells of 20
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
@@ -63,20 +66,23 @@ from ptd.frame import Cells, Scale, Window
 from ptd.ground.blocks import blocks
 from ptd.ground.certificates import Doubt
 from ptd.ground.densify import REFUSED, VERTEX, WAITING, densify
+from ptd.ground.fine_surface import REACH_M, FineLabels, with_fine_surface
 from ptd.ground.labelling import GROUND, LOW_NOISE, UNCLASSIFIED, GroundRule, TinLabels
 from ptd.ground.morphology import Bool, CellRaster
+from ptd.ground.noise_sums import Roughness
 from ptd.ground.outliers import LowNoise, low_outliers
 from ptd.ground.plateaus import ROOF_CELL_M, ROOF_STEPS_M, Plateaus, on_plateaus
-from ptd.ground.roughness import Roughness
 from ptd.ground.seeds import RING, box_with_ring, choose_seeds
 from ptd.matched import passes as matched
 from ptd.matched import survey
+from ptd.matched.step import is_matched
 from ptd.matched.survey import Seen
 from ptd.methods.auto.cell_codes import CellCodes, lowest_points
-from ptd.methods.auto.label_thresholds import decided, label_thresholds
+from ptd.methods.auto.label_thresholds import decided, label_bands
 from ptd.methods.auto.objects import Lowest
 from ptd.methods.auto.params import REGROWTH, RING_M, AutoParameters
 from ptd.passes import Int32, Method, Pass, Points, State, UInt8
+from ptd.places import Figures
 from ptd.tin.mesh import Tin
 
 ROOF_PASSES = ("roofs", *(f"roofs{n}" for n in range(2, len(ROOF_STEPS_M) + 1)))
@@ -102,8 +108,9 @@ class Auto(AutoParameters):
                 self._roof_pass(*steps)
                 for steps in zip(ROOF_PASSES, (0.0, *ROOF_STEPS_M), ROOF_STEPS_M, strict=False)
             ),
-            LabelPass(self),
-            *matched.PASSES,
+            LabelPass(self, label_margin_m=REACH_M if self.fine_surface else 0.0),
+            *matched.PASSES[:-1],
+            matched.SurfacePass(refine=self.refine),
         )
 
     def _roof_pass(self, name: str, before_m: float, step_m: float) -> RoofPass:
@@ -119,10 +126,10 @@ class SurveyPass(survey.SurveyPass):
     params: Auto = field(kw_only=True)
 
     def decided(
-        self, found: Roughness, seen: Seen, run: Mapping[str, Any]
+        self, found: Roughness, seen: Seen, held: Sequence[Figures], run: Mapping[str, Any]
     ) -> tuple[dict[str, Any], list[str]]:
         """See `label_thresholds.decided`."""
-        return decided(self.params, found, seen, run)
+        return decided(self.params, found, seen, held, run)
 
 
 @dataclass(frozen=True)
@@ -133,7 +140,7 @@ class LaserPass(Pass):
 
     def applies(self, state: State) -> bool:
         """Not where the survey took the run for image matching."""
-        return "survey" not in state or not matched.is_matched(state)
+        return "survey" not in state or not is_matched(state)
 
 
 @dataclass(frozen=True)
@@ -212,7 +219,7 @@ class RefinePass(LaserPass):
 
 
 def refined(low: Lowest, codes: UInt8, p: AutoParameters) -> Bool:
-    """Which cells stay ground: bool [n]."""
+    """Mask of the cells that stay ground: bool [n]."""
     ground = (codes == SEED) | (codes == DENSIFIED)
     ground &= ~low.residual_objects(ground, codes != OUTLIER, p.objects)
     stays: Bool = ground & ~low.residual_objects(ground, ground, p.bumps)
@@ -250,12 +257,14 @@ class RoofPass(LaserPass):
 
 @dataclass(frozen=True)
 class LabelPass(LaserPass):
-    """Every point against the TIN of the ground."""
+    """Every point against the TIN of the ground, and where points are dense against a fine surface."""
 
     params: Auto
     name: str = "label"
     title = "label all points"
     columns: tuple[str, ...] = ("labels",)
+    label_margin_m: float = 0.0
+    by_place: bool = True
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> TinLabels:
         """Build the TIN, and let it take back edges that were cut with objects."""
@@ -263,16 +272,18 @@ class LabelPass(LaserPass):
         cells = Cells.of(p.thin_cell_m, scale)
         x, y, z, codes = lowest_points(points, cells)
         low, ground = codes == OUTLIER, codes == GROUND
-        found = TinLabels(window.closed, {"vertices": 0}, LowNoise(x[low], y[low], z[low], cells))
+        noise = LowNoise(x[low], y[low], z[low], cells)
+        found = TinLabels(window.closed, {"vertices": 0}, noise)
+        if p.fine_surface:
+            found = FineLabels(window.closed, {"vertices": 0}, noise, scale)
         if not ground.any():
             return found
         tin, doubt = first_tin(x, y, z, ground, window.inside(cells), scale)
         todo = np.where(ground, VERTEX, np.where(low | (codes == ROOF), REFUSED, WAITING)).astype(np.uint8)
         densify(tin, Xyz(x, y, z), todo, p.limits(scale, REGROWTH), 1, doubt)
-        s = label_thresholds(p, state["survey"])
-        floor, per_slope = scale.counts(s.label_floor_m), scale.counts(s.label_slope_m)
-        rule = GroundRule(p.limits(scale), floor, heights_only=True, per_slope=per_slope)
-        found.finish(tin, doubt.triangles(tin), rule)
+        rule = GroundRule(p.limits(scale), scale.counts(p.label_floor_m), heights_only=True)
+        rule = with_fine_surface(rule, scale) if p.fine_surface else rule
+        found.finish(tin, doubt.triangles(tin), rule, label_bands(p, state, scale))
         return found
 
 

@@ -103,7 +103,7 @@ class Lowest:
         return self.raster.lowest(self.z, which)
 
     def steep_objects(self, which: Bool, drop: Drop, shape: Shape) -> Bool:
-        """Which points lie in cells where the surface of the chosen points drops like an object: bool [n]."""
+        """Mask of the points in cells where the surface of the chosen points drops like an object: bool [n]."""
         steepest, opened = steepest_drops(
             self.heights(which), range(1, shape.radius + 1), self.scale.counts_z(drop.allowance_m)
         )
@@ -113,7 +113,7 @@ class Lowest:
         return found
 
     def residual_objects(self, ground: Bool, present: Bool, rule: Residuals) -> Bool:
-        """Which points rise from what is left of the heights of all that are present when ground's mean is taken off.
+        """Mask of the points that rise like objects once the mean of the ground is taken off.
 
         Without the trend slopes do not hide what is low, so small radii and thresholds suffice. Where there are no
         objects around, a bump of the terrain is the likelier reason, so the threshold grows (`lack`).

@@ -1,7 +1,7 @@
-"""Parameters of `auto` for laser scans: what can be set, and the constants that need no setting.
+"""Parameters of `auto`: what can be set, and the constants that need no setting.
 
-Sixteen can be set. The rest was measured (table in ``docs/filters.md``): nothing that people see in a cloud says how to
-change it, so it stands here as a constant with its reason.
+Eighteen can be set. The rest was measured (table in ``docs/filters.md``): nothing that people see in a cloud says how
+to change it, so it stands here as a constant with its reason.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from ptd.params import check, like, parameter
 RING_M = 20.0
 """Side of the cells of virtual seeds around the ground."""
 ROUND_HALO_M = 8.0
-"""How far doubt advances in a round, seldom more."""
+"""Distance by which doubt advances in a round, seldom more."""
 TERRAIN_ANGLE_DEG = 88.0
 """Steepest terrain of the facet test, as in all methods; 60 or 90 degrees change the mean by 0.01 points."""
 REGROWTH = 0.5
@@ -123,6 +123,15 @@ class AutoParameters:
     )
     label_floor_m: float = like(Progressive, "label_floor_m", 0.24)
     label_slope_m: float = parameter(1.0, "last pass: extra height allowed per unit of slope", 0.0, 10.0, "m")
+    refine: bool = parameter(
+        True, "matched clouds: trees fitted to scenes with known labels look once more at each point near the edge of "
+        "the ground; no: the height above the surface alone decides",
+    )  # fmt: skip
+
+    fine_surface: bool = parameter(
+        True, "last pass: where 3 points/m2 or more lie near the ground, a surface of cells of 0.4 m judges them. "
+        "No: the TIN of the lowest point of each metre, as elsewhere"
+    )  # fmt: skip
 
     reaches: ClassVar[Reaches] = Reaches()
 
@@ -198,5 +207,5 @@ class AutoParameters:
 
     @property
     def candidate_cell_m(self) -> float:
-        """Cell of which the lowest point is the candidate."""
+        """Side of the cells whose lowest points are the candidates."""
         return self.thin_cell_m

@@ -1,4 +1,4 @@
-"""The run's histogram of elevations, and where its tails are cut (Chen 2023, 2.1 a)."""
+"""The run's histogram of elevations, and the cut of its tails (Chen 2023, 2.1 a)."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ BIN_M = 1.0
 Bool = npt.NDArray[np.bool_]
 
 Histogram = dict[int, int]
-"""Points by bin; bin k holds the heights from k metres to below k + 1."""
+"""Number of points per bin; bin k holds heights from k to below k + 1 metres."""
 
 
 class Tails(NamedTuple):
-    """The range of heights that is kept, and how many points lie below and above it."""
+    """The range of heights that is kept, and the numbers of points below and above it."""
 
     low_bin: int
     high_bin: int
@@ -33,19 +33,19 @@ class Tails(NamedTuple):
 
 
 def _bins(z: Int32, scale: Scale) -> npt.NDArray[np.int64]:
-    """The bin of each height; bins start at height 0 of the CRS."""
+    """Bin of each height; bin 0 starts at height 0 of the CRS."""
     found: npt.NDArray[np.int64] = np.floor(z / scale.counts_z(BIN_M)).astype(np.int64)
     return found
 
 
 def histogram(z: Int32, scale: Scale) -> Histogram:
-    """How many of the heights lie in each bin that holds any."""
+    """Number of heights in each bin that holds any."""
     bins, counts = np.unique(_bins(z, scale), return_counts=True)
     return dict(zip(bins.tolist(), counts.tolist(), strict=True))
 
 
 def merged(parts: Iterable[Mapping[int, int]]) -> Histogram:
-    """The histogram of all parts together; whole numbers, so their order changes nothing."""
+    """The histogram of all parts together. Sums of integers do not depend on their order."""
     total: Counter[int] = Counter()
     for part in parts:
         total.update(part)
@@ -55,9 +55,9 @@ def merged(parts: Iterable[Mapping[int, int]]) -> Histogram:
 def find_tails(counts: Histogram, gap_bins: int, share: float) -> Tails | None:
     """Cut both tails of a histogram at gaps.
 
-    The paper looks at the plotted histogram and chooses; here a tail is what lies beyond at least ``gap_bins`` empty
-    bins, if it is no more than ``share`` of all points. Terrain fills its elevations without gaps, so a lonely peak
-    stays, however few points it has, and so does a second survey area far above the first.
+    The paper chooses from a plot of the histogram. Here a tail is the part beyond at least ``gap_bins`` empty bins, if
+    it holds at most ``share`` of all points. Terrain fills its elevations without gaps, so a lonely peak stays, however
+    few points it has. A second survey area far above the first stays because of its share.
 
     Returns
     -------
@@ -74,7 +74,7 @@ def find_tails(counts: Histogram, gap_bins: int, share: float) -> Tails | None:
 
 
 def _inner_end(bins: list[int], counts: Histogram, gap: int, room: float) -> tuple[int, int]:
-    """The first bin after the last gap with at most `room` points before it, and how many these are."""
+    """The first bin after the last gap with at most `room` points before it, and the number of these points."""
     end, cut, seen = bins[0], 0, 0
     for before, after in pairwise(bins):
         seen += counts[before]
@@ -86,7 +86,7 @@ def _inner_end(bins: list[int], counts: Histogram, gap: int, room: float) -> tup
 
 
 def outside(z: Int32, scale: Scale, kept: list[int] | None) -> tuple[Bool, Bool]:
-    """Which heights lie below and above the range that is kept; none if there is no such range."""
+    """Masks of the heights below and above the kept range; both empty without a range."""
     if kept is None:
         return np.zeros(z.size, np.bool_), np.zeros(z.size, np.bool_)
     bins = _bins(z, scale)
@@ -95,12 +95,12 @@ def outside(z: Int32, scale: Scale, kept: list[int] | None) -> tuple[Bool, Bool]
 
 @dataclass(frozen=True)
 class ElevationsPass(Pass):
-    """Measure the histogram of the run; ``tails`` of the state are the lowest and highest bin kept, or None.
+    """Measure the run's histogram. The state gets ``tails``: the lowest and highest bin kept, or None.
 
     Attributes
     ----------
     cell_m : float
-        Of candidates.
+        Side of the cells of candidates.
     gap_m, share : float
         See `find_tails`; a gap of 0 finds no tails.
     """
@@ -113,16 +113,18 @@ class ElevationsPass(Pass):
     gives_labels: bool = False
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Measured:
-        """Count the candidates of the core; pairs, since names of JSON are texts."""
+        """Count the candidates of the core. Bins and counts are pairs, because names in JSON are texts."""
         x, y, z = points.columns()
         keep = lowest_per_cell(x, y, z, Cells.of(self.cell_m, scale))
         keep = keep[core.has(x[keep], y[keep])]
         return Measured({"elevations": sorted(histogram(z[keep], scale).items())}, {"candidates": keep.size})
 
     def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
-        """Merge the counts, find the tails, and note what is cut."""
+        """Merge the counts, find the tails, and report the cut."""
         counts = merged({int(k): int(n) for k, n in part["elevations"]} for part in partials)
-        found = find_tails(counts, math.ceil(self.gap_m / BIN_M), self.share) if self.gap_m else None
+        found = None
+        if self.gap_m:
+            found = find_tails(counts, math.ceil(self.gap_m / BIN_M), self.share)
         if found is None:
             return {**state, "tails": None}
         cut = (found.below, "below", found.low_bin), (found.above, "above", found.high_bin + 1)

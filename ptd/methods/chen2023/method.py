@@ -1,56 +1,56 @@
 """``chen2023``: seeds by a progressive morphological opening, cleaned in their TIN, then densification in batches.
 
 Paper: Chen, Wang, He, Ding and Kong (2023), Frontiers in Earth Science 10:1015153. Its six parameters are the first six
-of the table; it gives values for none of them, nor for the rest. Figures in ``docs/filters.md``.
+of the table. The paper gives no values, neither for these nor for the rest. Figures are in ``docs/filters.md``.
 
 ===================  ==========================  ========  =============================================================
 parameter            paper's name                default   reason
 ===================  ==========================  ========  =============================================================
 max_building_size    max building size           30 m      000's value (003: 20, which leaves a hall of sample 22)
-initial_window       initial window size, W_0    1         the finest steps tell small drops from large ones
+initial_window       initial window size, W_0    1         the finest steps separate small drops from large ones
 terrain_angle        max terrain angle           88 deg    as `classic`
-rounds               number of iterations        4         the seeds are dense already: more change 0.05 points of
+rounds               number of iterations        4         the seeds are dense: more rounds change 0.05 points of
                                                            error and carry the doubt of a tile's edge farther
 iteration_angle      iterator angle              25 deg    as `classic`
 iteration_distance   iterator distance           1.4 m     as `classic`
 exponential_windows  equation 2 for 1            off       fewer windows, more error: with wide steps the thresholds
                                                            let low roofs pass or cut hill tops
 thin_cell            c                           1 m       as `classic`
-terrain_slope        s                           0.3       17 degrees; with c 1 m and W_0 1 ground may drop by 0.9 m
-                                                           from one window to the next
+terrain_slope        s                           0.3       17 degrees; with c = 1 m and W_0 = 1 ground may drop by
+                                                           0.9 m from one window to the next
 initial_drop         h_0                         0.3 m     noise and low growth, as the floor of the last pass
 largest_drop         h_max                       2.5 m     "the minimum height of buildings in the area": a storey
 mean_layers          "eight neighbourhoods"      5         holes of up to 10 cells are interpolated
-tail_gap, _share     thresholds seen in a plot   20 m,     beyond so wide a gap in height so few candidates are no
+tail_gap, _share     thresholds seen in a plot   20 m,     so few candidates beyond so wide a gap in height are not
                                                  0.001     terrain
 low_radius, _depth   "surrounding points"        5 m, 4 m  as `classic`
 low_group            correction by hand          5         as `classic`: low groups, which are not isolated
-long_side            "larger side length"        1.5       largest buildings: about the diagonal of one taken out
-narrow_angle         "narrow"                    15 deg    what climbs a storey between points 0.7 m apart is narrower
+long_side            "larger side length"        1.5       largest buildings: about the diagonal of a removed one
+narrow_angle         "narrow"                    15 deg    facets that climb a storey within 0.7 m are narrower
 cluster_seeds        "small"                     50        a small building
-prominence           "locally prominent"         1 m       what is lower densification would take back
+prominence           "locally prominent"         1 m       densification would bring back lower clusters
 edge_length_reduce,  none                        5 m, 0,   as `classic`
 _stop; label_pass,                               on,
 label_floor                                      0.3 m
-robust_cells         none                        on        ours, for matched clouds, of which the paper says nothing:
+robust_cells         none                        on        ours, for matched clouds, which the paper does not treat:
                                                            `ptd.matched.on_cells`
 ===================  ==========================  ========  =============================================================
 
-The six steps, and what differs:
+The six steps, with the deviations:
 
-1. The tails of the run's elevation histogram, one candidate a cell, are cut at a gap (`elevation_histogram`); the paper
-   looks at a plot. Then points isolated in height. The paper corrects the rest by hand, which a run cannot: groups of
-   low points are searched for instead.
-2. A minimum raster, filled (`minimum_grid`); what interpolation does not reach takes the nearest height, not 0.
-3. Openings with squares (`progressive_opening`): the paper says "window", of an odd number of cells so that it is
-   symmetrical, with the equations of Zhang et al. (2003), whose windows are square. An object drops by more than h_k
-   from one surface to the next; the paper also speaks of the point's own height above a surface. The last window is
+1. The tails of the run's elevation histogram (one candidate per cell) are cut at a gap (`elevation_histogram`), where
+   the paper chooses from a plot. Then points isolated in height are removed. The paper corrects the rest by hand, which
+   a run cannot do; it searches for groups of low points instead.
+2. A minimum raster is filled (`minimum_grid`). Cells beyond the reach of interpolation take the nearest height, not 0.
+3. The raster is opened with squares (`progressive_opening`). The paper says "window", symmetrical because its number of
+   cells is odd, and uses the equations of Zhang et al. (2003), whose windows are square. An object drops by more than
+   h_k from one surface to the next; the paper also mentions the point's own height above a surface. The last window is
    the first one wider than the largest building.
-4. Seeds are cleaned in their TIN (`seed_clusters`) with the ring of step 5 around them already: else the slivers
-   along the hull are the over-long and narrow facets.
-5. The ring is `classic`'s, on a lattice of half the largest building: each empty cell up to two cells from seeds, in
-   large voids as well, gets a virtual seed at the interpolated height. Never output.
-6. Batches; then our last pass labels all points.
+4. Seeds are cleaned in their TIN (`seed_clusters`), which already holds the ring of step 5. Without the ring, the
+   slivers along the hull would be the over-long and narrow facets.
+5. The ring is that of `classic`, on a lattice of half the largest building: each empty cell up to two cells from seeds,
+   in large voids as well, gets a virtual seed at the interpolated height. These seeds are never output.
+6. Densification in batches, and our last pass, which labels all points.
 """
 
 from __future__ import annotations
@@ -85,15 +85,17 @@ class Chen2023(Chen2023Parameters):
 
     @property
     def passes(self) -> tuple[Pass, ...]:
-        """Measure the histogram of heights, then filter; in matched clouds the same on robust cells."""
+        """The histogram of heights, then the filter; in matched clouds both on robust cells."""
         tails = ElevationsPass(self.thin_cell_m, self.tail_gap_m, self.tail_share)
         own = (tails, ChenPass(self))
-        return either_way(own) if self.robust_cells else own
+        if self.robust_cells:
+            return either_way(own)
+        return own
 
 
 @dataclass(frozen=True)
 class ChenPass(Pass):
-    """Everything after the histogram: outliers, seeds, densification, labels."""
+    """The pass after the histogram: outliers, seeds, densification, labels."""
 
     params: Chen2023Parameters
     name: str = "chen2023"
@@ -105,7 +107,7 @@ class ChenPass(Pass):
 
 
 class ChenModel(TinLabels):
-    """A window's finished TIN."""
+    """The finished TIN of a window."""
 
     def __init__(
         self,
@@ -130,7 +132,7 @@ class ChenModel(TinLabels):
             self._densify(x, y, z, low | other, window)
 
     def _outliers(self, x: Int32, y: Int32, z: Int32) -> tuple[Bool, Bool]:
-        """Step 1: which points are low noise, and which are other outliers."""
+        """Step 1: masks of low noise and of other outliers."""
         p, (low, high) = self.params, outside(z, self._scale, self._tails)
         rest = np.flatnonzero(~(low | high))
         args = x[rest], y[rest], z[rest], self._scale, p.low_radius_m, p.low_depth_m
@@ -140,8 +142,9 @@ class ChenModel(TinLabels):
 
     def _densify(self, x: Int32, y: Int32, z: Int32, outlier: Bool, window: Window) -> None:
         p, scale = self.params, self._scale
-        limits, ring_cells = p.limits(scale), Cells.of(p.ring_cell_m, scale)
-        # In a cell cut by the window another point may be the lowest; and outliers are certain a radius inside it.
+        limits = p.limits(scale)
+        ring_cells = Cells.of(p.ring_cell_m, scale)
+        # In a cell cut by the window another point may be the lowest. Outliers are certain one search radius inside.
         known = window.inside(self._cells, p.margin_cells)
         doubt = Doubt(known, known.inside(ring_cells, RING), box_with_ring(x, y, ring_cells), scale)
         seeds, unsure = potential_seeds(x, y, z, ~outlier, self._cells, p.opening(scale), known)
@@ -155,23 +158,25 @@ class ChenModel(TinLabels):
             tin = _triangulate(x, y, z, seeds, ring)
         state = np.where(outlier, REFUSED, np.where(seeds, VERTEX, 0)).astype(np.uint8)
         _, rounds = densify(tin, Xyz(x, y, z), state, limits, p.rounds, doubt)
-        floor = scale.counts(p.label_floor_m) if p.label_pass else 0.0
+        floor = 0.0
+        if p.label_pass:
+            floor = scale.counts(p.label_floor_m)
         self.finish(tin, doubt.triangles(tin), GroundRule(limits, floor, vertices_only=not p.label_pass))
         self.stats.update(rounds=rounds)
 
     def _noise(
         self, tin: Tin, x: Int32, y: Int32, seeds: npt.NDArray[np.intp], ring: Int32, doubt: Doubt
     ) -> npt.NDArray[np.intp]:
-        """Step 4: which seeds are noise; where that is not certain, the place is marked as in doubt."""
+        """Step 4: the seeds that are noise. Places where that is uncertain are put in doubt."""
         vx, vy = (np.ascontiguousarray(tin.vertices[:, axis]) for axis in (0, 1))
-        # No two seeds share a position, nor does one with the ring: the ring lies in cells without seeds.
+        # Seeds share no position with one another, nor with the ring, which lies in cells without seeds.
         real = np.isin(positions(vx, vy), positions(ring[:, 0], ring[:, 1]), invert=True)
         noise, unsure = noisy_seeds(tin, real, self.params.clusters(self._scale), doubt.triangles(tin))
         doubt.add_points(vx, vy, unsure)
         return seeds[np.isin(positions(x[seeds], y[seeds]), positions(vx[noise], vy[noise]))]
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
-        """Labels and marks of points of the window."""
+        """Label the points of the window and mark those in doubt."""
         labels, marked = super().label(points)
         if self.tin is not None:
             below, _ = outside(points.xyz[2], self._scale, self._tails)
@@ -180,7 +185,6 @@ class ChenModel(TinLabels):
 
 
 def _triangulate(x: Int32, y: Int32, z: Int32, seeds: Bool, ring: Int32) -> Tin:
-    """The TIN of the seeds and the ring, with room for all candidates."""
     columns = (np.concatenate([c[seeds], v]) for c, v in zip((x, y, z), ring.T, strict=True))
     return Tin.build(*columns, max_vertices=int(x.size) + len(ring))
 

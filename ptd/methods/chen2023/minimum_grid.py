@@ -16,7 +16,7 @@ Int64 = npt.NDArray[np.int64]
 
 @kernel
 def _neighbours_of(heights: Int32, row: int, column: int, layers: Int32, k: int) -> tuple[Any, Any, Any]:
-    """Sum, number and minimum of the 8-neighbours of layers before k."""
+    """Sum, number and minimum of the 8-neighbours in layers before k."""
     total, n, lowest = np.int64(0), np.int64(0), np.int64(EMPTY)
     for r in range(max(row - 1, 0), min(row + 2, heights.shape[0])):
         for c in range(max(column - 1, 0), min(column + 2, heights.shape[1])):
@@ -29,7 +29,7 @@ def _neighbours_of(heights: Int32, row: int, column: int, layers: Int32, k: int)
 
 @kernel
 def _queue_around(layers: Int32, row: int, column: int, k: int, queue: Int64, n: int) -> int:
-    """Put the empty 8-neighbours that wait in no queue yet into layer k; the new length of the queue."""
+    """Put empty 8-neighbours that are not queued yet into layer k; return the new length of the queue."""
     for r in range(max(row - 1, 0), min(row + 2, layers.shape[0])):
         for c in range(max(column - 1, 0), min(column + 2, layers.shape[1])):
             if layers[r, c] < 0:
@@ -53,7 +53,9 @@ def _grow(heights: Int32, layers: Int32, queue: Int64, mean_layers: int, last: i
         for i in range(start, stop):
             row, column = queue[i] // width, queue[i] % width
             total, n, lowest = _neighbours_of(heights, row, column, layers, k)
-            heights[row, column] = total // n if k <= mean_layers else lowest
+            heights[row, column] = lowest
+            if k <= mean_layers:
+                heights[row, column] = total // n
             if k < last:
                 end = _queue_around(layers, row, column, k + 1, queue, end)
         start = stop
@@ -62,25 +64,26 @@ def _grow(heights: Int32, layers: Int32, queue: Int64, mean_layers: int, last: i
 def fill_empty(heights: Int32, mean_layers: int, last: int) -> tuple[Int32, Int32]:
     """Fill empty cells layer by layer around the filled ones.
 
-    In the first layers a cell takes the mean of its filled 8-neighbours (rounded down to a count), then the height of
-    the nearest filled cell: nearest by the larger of the differences in row and column, of equally near ones
-    the lowest. The paper gives what its interpolation does not reach the height 0, a pit that no opening closes.
+    In the first layers a cell takes the mean of its filled 8-neighbours, rounded down to a count. In later layers it
+    takes the height of the nearest filled cell. Distance is the larger of the differences in row and column; among
+    equally near cells the lowest counts. The paper gives cells beyond its interpolation the height 0, a pit that no
+    opening closes.
 
     Parameters
     ----------
     heights : int32 [rows, columns]
         Counts; `ptd.ground.morphology.EMPTY` where there is none.
     mean_layers : int
-        So many layers are interpolated.
+        Number of layers that are interpolated.
     last : int
-        Farther from filled cells than this, cells stay empty.
+        Number of layers that are filled. Cells farther from filled ones stay empty.
 
     Returns
     -------
     filled : int32 [rows, columns]
     layers : int32 [rows, columns]
-        How far a cell is from those that were filled, -1 where it is still empty. A cell's height depends on no cell
-        farther from it than that.
+        Distance of a cell from the cells that had heights, -1 where it is still empty. The height of a cell depends on
+        no cell farther away than this.
     """
     filled = np.array(heights, np.int32, order="C")
     layers = np.where(filled == EMPTY, -1, 0).astype(np.int32)

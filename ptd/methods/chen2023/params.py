@@ -1,4 +1,4 @@
-"""Parameters of `chen2023`; the table in `chen2023` gives the reasons of their defaults."""
+"""Parameters of `chen2023`; its table in `method.py` gives the reasons for their defaults."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ def _cells_of(metres: float, cell_m: float) -> Fraction:
 
 @dataclass(frozen=True)
 class Chen2023Parameters(Progressive):
-    """What can be set; `ptd.methods.chen2023.method.Chen2023` adds the passes."""
+    """Settings of `chen2023`; `ptd.methods.chen2023.method.Chen2023` adds the passes."""
 
     max_building_size_m: float = parameter(
-        30.0, "the largest building that the windows take out; the ring's cells are half of it", unit="m",
+        30.0, "largest building that the windows remove; the cells of the ring are half as wide", unit="m",
         minimum=1.0, maximum=1000.0, source="Chen 2023, 3.2 (1)",
     )  # fmt: skip
     thin_cell_m: float = parameter(
@@ -44,14 +44,14 @@ class Chen2023Parameters(Progressive):
         source="Chen 2023, eq. 3",
     )  # fmt: skip
     initial_drop_m: float = parameter(
-        0.3, "h_0: drop of ground that is allowed in any window", 0.0, 100.0, "m", source="Chen 2023, eq. 3"
+        0.3, "h_0: drop of ground that any window allows", 0.0, 100.0, "m", source="Chen 2023, eq. 3"
     )
     largest_drop_m: float = parameter(
-        2.5, "h_max: the most that ground may drop from one window to the next", unit="m", minimum=0.01,
+        2.5, "h_max: largest drop of ground from one window to the next", unit="m", minimum=0.01,
         maximum=100.0, source="Chen 2023, eq. 3",
     )  # fmt: skip
     mean_layers: int = parameter(
-        5, "empty cells at most this many cells from filled ones are interpolated, farther ones take the nearest "
+        5, "empty cells within this many cells of filled ones are interpolated, others take the nearest "
         "height", minimum=0,
         maximum=1000, source="Chen 2023, 2.2 A",
     )  # fmt: skip
@@ -60,7 +60,7 @@ class Chen2023Parameters(Progressive):
         maximum=10000.0, source="Chen 2023, 2.1 a",
     )  # fmt: skip
     tail_share: float = parameter(
-        0.001, "elevation histogram: a tail holds no more than this share of the candidates of the run", minimum=0.0,
+        0.001, "elevation histogram: a tail holds at most this share of the run's candidates", minimum=0.0,
         maximum=0.1, source="Chen 2023, 2.1 a",
     )  # fmt: skip
     long_side: float = parameter(
@@ -104,7 +104,7 @@ class Chen2023Parameters(Progressive):
 
     @property
     def halo_m(self) -> float:
-        """The widest window, four cells of the ring, 8 m for each round: measured to certify most tiles of a city."""
+        """The widest window, four cells of the ring, and 8 m per round; certified most tiles of a city."""
         window = max(self.widths) * self.thin_cell_m
         return window + 4.0 * self.ring_cell_m + 8.0 * min(self.rounds or 30, 30)
 
@@ -115,15 +115,15 @@ class Chen2023Parameters(Progressive):
 
     @property
     def margin_cells(self) -> int:
-        """How many cells around a point the searches for outliers look at.
+        """Number of cells around a point in which the searches for outliers look.
 
-        At least one, so that each candidate of a core is known, and counts in one tile alone.
+        It is at least one, so that each candidate of a core is known and counts in one tile only.
         """
         return search_margin(self.low_radius_m, 1, self.thin_cell_m)
 
     @property
     def candidate_cell_m(self) -> float:
-        """Cell of which the lowest point is the candidate."""
+        """Side of the cells whose lowest point is the candidate."""
         return self.thin_cell_m
 
     def opening(self, scale: Scale) -> Opening:

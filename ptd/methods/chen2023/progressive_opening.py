@@ -1,9 +1,9 @@
-"""Progressive morphological opening of a minimum raster: which cells stand out like objects (Chen 2023, 2.2 B).
+"""Progressive morphological opening of a minimum raster, which finds cells of objects (Chen 2023, 2.2 B).
 
-The paper opens the surface again and again with growing square windows, each time what the last opening left. An
-opening with a square after one with a smaller square equals the opening of the first surface with the larger square (a
-square is a union of smaller ones), so each surface here is an opening of the first one: nothing farther than
-one window's width decides on a cell, however many windows there are.
+The paper opens the surface repeatedly with growing square windows, each time the result of the last opening. An opening
+with a square after one with a smaller square equals the opening of the first surface with the larger square, because a
+square is a union of smaller ones. So each surface here is an opening of the first one, and only cells within one
+window's width decide on a cell, however many windows there are.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ from ptd.methods.chen2023.minimum_grid import fill_empty
 
 Bool = npt.NDArray[np.bool_]
 BLOCK_CELLS = 512
-"""Rasters are worked on in blocks of so many cells along a side, so that memory does not grow with the extent."""
+"""Side of the blocks in which rasters are processed, so that memory does not grow with the extent."""
 
 
 def window_widths(initial: int, exponential: bool, building_cells: Fraction) -> list[int]:
@@ -37,26 +37,28 @@ def window_widths(initial: int, exponential: bool, building_cells: Fraction) -> 
     exponential : bool
         ``W_k = 2 W_0^k + 1`` (equation 2) instead of ``W_k = 2 k W_0 + 1`` (equation 1); k = 1, 2, ...
     building_cells : Fraction
-        The largest building in cells. The last window is the smallest odd one wider than that: what the series would
-        have beyond is cut to it. There is at least one, of three cells.
+        The largest building in cells. The last window is the smallest odd one wider than that, and at least three
+        cells; it replaces wider windows of the series.
     """
     last = max(int(building_cells) + 1, 3)
     last += 1 - last % 2
     widths, k = [1], 0
     while widths[-1] < last:
         k += 1
-        width = 2 * initial**k + 1 if exponential else 2 * k * initial + 1
-        widths.append(min(width, last))
+        half = k * initial
+        if exponential:
+            half = initial**k
+        widths.append(min(2 * half + 1, last))
     return widths[1:]
 
 
 def height_thresholds(
     widths: list[int], slope: float, cell_m: float, initial_m: float, largest_m: float
 ) -> list[float]:
-    """How far ground may drop in the opening with each window, metres (equation 3).
+    """Largest drop of ground in the opening with each window, metres (equation 3).
 
-    ``h_k = h_0`` for ``W_k <= 3``, else ``s (W_k - W_{k-1}) c + h_0``, and never more than ``h_max``. Before the first
-    window the width is 1, one cell.
+    ``h_k = h_0`` for ``W_k <= 3``, otherwise ``s (W_k - W_{k-1}) c + h_0``, and at most ``h_max``. The width before
+    the first window is 1 cell.
 
     Parameters
     ----------
@@ -69,35 +71,38 @@ def height_thresholds(
     """
     found = []
     for before, width in zip([1, *widths], widths, strict=False):
-        drop = initial_m if width <= 3 else slope * (width - before) * cell_m + initial_m
+        drop = initial_m
+        if width > 3:
+            drop = slope * (width - before) * cell_m + initial_m
         found.append(min(drop, largest_m))
     return found
 
 
 def _runs(values: Any, n: int, pick: np.ufunc) -> Any:
-    """Smallest or largest of all squares of n x n cells: n - 1 rows and columns fewer."""
+    """Smallest or largest value of each square of n x n cells; the result has n - 1 rows and columns fewer."""
     for axis in (0, 1):
         covered = 1
         while covered < n:
             step = min(covered, n - covered)
             size = values.shape[axis] - step
-            first, second = (
-                (slice(0, size), slice(step, None)) if axis == 0 else (np.s_[:, :size], np.s_[:, step:])
-            )
-            values = pick(values[first], values[second])
+            if axis == 0:
+                values = pick(values[:size], values[step:])
+            else:
+                values = pick(values[:, :size], values[:, step:])
             covered += step
     return values
 
 
 def opened_surfaces(heights: Int32, widths: list[int]) -> Iterator[Int32]:
-    """The opening of a surface by each of the squares, of the raster without its outer ``max(widths) - 1`` cells.
+    """Openings of a surface with each of the squares, without the outer ``max(widths) - 1`` cells.
 
     Parameters
     ----------
     heights : int32 [rows, columns]
-        Without empty cells, or with `EMPTY` ones which lie farther than ``max(widths) - 1`` from all cells that matter.
+        Without empty cells, or with `EMPTY` ones which lie farther than ``max(widths) - 1`` from all cells that
+        matter.
     widths : list of int
-        Odd, growing.
+        Odd widths in growing order, cells.
     """
     rim = max(widths) - 1
     lowest, width = heights, 1
@@ -114,9 +119,9 @@ class Opening(NamedTuple):
     Attributes
     ----------
     widths : list of int
-        Of the windows, cells.
+        Widths of the windows, cells.
     drops : list of float
-        Counts of height: a cell that drops by more from one surface to the next is an object.
+        A cell that drops by more from one surface to the next is an object; counts of height.
     mean_layers : int
         See `minimum_grid.fill_empty`.
     """
@@ -127,20 +132,21 @@ class Opening(NamedTuple):
 
     @property
     def reach(self) -> int:
-        """How many cells around a cell decide on it."""
+        """Distance in cells within which cells decide on a cell."""
         return max(self.widths) - 1
 
 
 def object_cells(heights: Int32, opening: Opening, known: Bool | None) -> tuple[Bool, Bool]:
-    """Which cells are higher than an opening allows for ground, and for which that is not certain.
+    """Masks of the cells that are higher than an opening allows for ground, and of those that may be.
 
     Parameters
     ----------
     heights : int32 [rows, columns]
-        The minimum raster, `EMPTY` where there is no point; twice ``opening.reach`` wider on all sides than the result.
+        The minimum raster, `EMPTY` where there is no point; twice ``opening.reach`` wider on all sides than the
+        result.
     opening : Opening
     known : bool [rows, columns], optional
-        A rectangle of cells whose points are all given; else all are.
+        A rectangle of cells whose points are all given; by default all cells.
     """
     reach = opening.reach
     filled, layers = fill_empty(heights, opening.mean_layers, reach)
@@ -162,19 +168,19 @@ def object_cells(heights: Int32, opening: Opening, known: Bool | None) -> tuple[
 def potential_seeds(
     x: Int32, y: Int32, z: Int32, eligible: Bool, cells: Cells, opening: Opening, known: Window
 ) -> tuple[Bool, Bool]:
-    """Points whose cell does not stand out from the ground.
+    """Points whose cell does not rise above the ground.
 
     Parameters
     ----------
     x, y, z : int32 [n]
         Local counts, at most one point a cell.
     eligible : bool [n]
-        No outlier; the others leave their cells empty.
+        False for outliers, which leave their cells empty.
     cells : Cells
-        Of the minimum raster.
+        Lattice of the minimum raster.
     opening : Opening
     known : Window
-        Where all points, and whether they are eligible, are known.
+        The box in which all points and their eligibility are known.
 
     Returns
     -------
@@ -207,7 +213,7 @@ def potential_seeds(
 
 
 def _known_cells(cells: Cells, known: Window, row: int, column: int, shape: tuple[int, int]) -> Bool | None:
-    """Which cells of a raster that starts at a row and column lie in a window of whole cells; None: all."""
+    """Mask of the cells of a raster that lie in a window of whole cells; None if all do."""
     if not known.closed:
         return None
     souths = np.array([cells.south(row + i) for i in range(shape[0] + 1)])

@@ -1,4 +1,4 @@
-"""Find seeds that are noise: peaks of over-long facets, small clusters above their surroundings (Chen 2023, 2.3)."""
+"""Find seeds that are noise: corners of over-long facets, and small raised clusters (Chen 2023, 2.3)."""
 
 from __future__ import annotations
 
@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.kernel import kernel
+from ptd.tin.interpolation import real_facets
 from ptd.tin.layout import VERTEX, Int32Array
-from ptd.tin.listing import real_facets
 from ptd.tin.mesh import Tin
 
 Bool = npt.NDArray[np.bool_]
@@ -19,18 +19,18 @@ Int64 = npt.NDArray[np.int64]
 
 
 class ClusterLimits(NamedTuple):
-    """Limits of facets and clusters: large, narrow, small and locally prominent, in the paper's words.
+    """Limits of facets and clusters, for the paper's "large", "narrow", "small" and "locally prominent".
 
     Attributes
     ----------
     long_side : float
-        Horizontal counts, in space: of a facet with a longer side the highest corner is noise. 0: of none.
+        If a side of a facet is longer in space, its highest corner is noise. Horizontal counts; 0 turns this off.
     narrow_cos : float
-        Cosine of the angle below which a facet's smallest one, in space, makes it narrow.
+        Cosine of an angle in space. A facet with a smaller angle is narrow.
     small : int
-        A cluster of no more seeds is small.
+        Largest number of seeds of a small cluster.
     prominence : float
-        Counts of height: so much higher on average than the seeds around it a cluster is prominent.
+        Height above the seeds around it, on average, from which a cluster is prominent. Counts of height.
     z_ratio : float
         Horizontal counts in one vertical count.
     """
@@ -44,7 +44,7 @@ class ClusterLimits(NamedTuple):
 
 @kernel
 def _sides(vertices: Int32Array, facet: Int32Array, z_ratio: float) -> tuple[float, float, float]:
-    """Squared sides of a facet in space, growing; the same bits in whatever order the corners come."""
+    """Squared sides of a facet in space, growing; the bits do not depend on the order of the corners."""
     short, middle, longest = np.inf, np.inf, -np.inf
     for k in range(3):
         a, b = facet[k], facet[(k + 1) % 3]
@@ -58,7 +58,7 @@ def _sides(vertices: Int32Array, facet: Int32Array, z_ratio: float) -> tuple[flo
 
 @kernel
 def _highest(vertices: Int32Array, facet: Int32Array) -> int:
-    """The highest corner; of equally high ones the lexicographically smallest in (x, y)."""
+    """The highest corner; among equally high ones the lexicographically smallest in (x, y)."""
     top = facet[0]
     for k in range(1, 3):
         v = facet[k]
@@ -77,7 +77,7 @@ def _highest(vertices: Int32Array, facet: Int32Array) -> int:
 def _judge_facets(
     vertices: Int32Array, facets: Int32Array, real: Bool, long_side: float, narrow_cos: float, z_ratio: float
 ) -> tuple[Int32Array, Bool]:
-    """The corner of each facet that is noise (-1: none), and whether the facet joins its corners to one cluster."""
+    """The corner of each facet that is noise (-1: none), and whether a facet joins its corners to a cluster."""
     tips = np.full(facets.shape[0], -1, np.int32)
     joins = np.zeros(facets.shape[0], np.bool_)
     for i in range(facets.shape[0]):
@@ -102,7 +102,7 @@ def _root(parents: Int32Array, v: int) -> int:
 
 @kernel
 def _flood(facets: Int32Array, joins: Bool, n: int) -> Int32Array:
-    """The cluster of each vertex: those that the facets chosen by the mask join, by one of their numbers."""
+    """Cluster of each vertex, named by the number of one of its vertices; chosen facets join their corners."""
     parents = np.arange(n).astype(np.int32)
     for i in range(facets.shape[0]):
         if joins[i]:
@@ -120,7 +120,7 @@ def _flood(facets: Int32Array, joins: Bool, n: int) -> Int32Array:
 def _sums(
     vertices: Int32Array, facets: Int32Array, clusters: Int32Array, counted: Bool
 ) -> tuple[Int64, Int64, Int64, Int64]:
-    """By cluster: seeds and sum of their heights; neighbours across its border (per facet) and sum of theirs."""
+    """Seeds and sum of their heights by cluster; neighbours across its border, per facet, and sum of their heights."""
     n = clusters.size
     size, total = np.zeros(n, np.int64), np.zeros(n, np.int64)
     around, total_around = np.zeros(n, np.int64), np.zeros(n, np.int64)
@@ -139,21 +139,21 @@ def _sums(
 
 
 def noisy_seeds(tin: Tin, real: Bool, limits: ClusterLimits, in_doubt: UInt8) -> tuple[Bool, Bool]:
-    """Which seeds are noise, and for which that is not certain.
+    """Masks of the seeds that are noise, and of those for which that is uncertain.
 
-    1. Of each facet with an over-long side in space the highest corner is noise. All facets are judged in one TIN.
-    2. The facets that are not narrow and hold no such noise are flooded: what they join is one cluster. A cluster of
-       few seeds that lies higher than its neighbours, on average, is noise.
+    1. If a facet has an over-long side in space, its highest corner is noise. All facets are judged in one TIN.
+    2. Facets that are not narrow and hold no such noise join their corners to clusters. A small cluster that lies
+       higher than its neighbours, on average, is noise.
 
-    The paper gives neither the limits nor what "locally prominent" is measured against: here against the mean height of
-    the seeds that share a facet with the cluster, each as often as it does. Facets are flooded over common corners, so
-    that each seed is of one cluster. Virtual seeds neither are noise nor join nor are compared with.
+    The paper gives neither the limits nor the reference of "locally prominent". Here it is the mean height of the seeds
+    that share a facet with the cluster, each counted once per facet. Facets join over common corners, so each seed
+    belongs to one cluster. Virtual seeds are never noise, join nothing, and are not compared with.
 
     Parameters
     ----------
     tin : Tin
     real : bool [vertices]
-        Not a virtual seed.
+        False for virtual seeds.
     limits : ClusterLimits
     in_doubt : uint8 [triangles]
         See `ptd.ground.certificates.Doubt.triangles`.
@@ -167,7 +167,7 @@ def noisy_seeds(tin: Tin, real: Bool, limits: ClusterLimits, in_doubt: UInt8) ->
     facets = real_facets(tin.vertex_array, tin.triangle_array, tin.counters)
     corners = tin.triangle_array[: 8 * tin.n_triangles].reshape(-1, 8)[:, VERTEX : VERTEX + 3]
     shaky = in_doubt[(corners >= 0).all(axis=1)] != 0
-    doubtful = corners[in_doubt != 0]  # beyond the hull as well: there a vertex may have facets unseen
+    doubtful = corners[in_doubt != 0]  # also beyond the hull, where a vertex may have unknown facets
     tips, joins = _judge_facets(vertices, facets, real, limits.long_side, limits.narrow_cos, limits.z_ratio)
     noise = np.zeros(real.size, np.bool_)
     noise[tips[tips >= 0]] = True
@@ -189,7 +189,7 @@ def noisy_seeds(tin: Tin, real: Bool, limits: ClusterLimits, in_doubt: UInt8) ->
 
 
 def _unsure_clusters(facets: Int32Array, joins: Bool, shaky: Bool, clusters: Int32Array, small: int) -> Bool:
-    """Vertices of clusters that a facet in doubt touches, unless certain facets alone join more than a few seeds."""
+    """Vertices of clusters that touch a facet in doubt, unless certain facets alone make the cluster large."""
     touched = np.zeros(clusters.size, np.bool_)
     touched[clusters[facets[shaky]]] = True
     certain = _flood(facets, joins & ~shaky, clusters.size)

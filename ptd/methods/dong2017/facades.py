@@ -1,4 +1,4 @@
-"""Seeds of a town in image matching: facades by the density of projected points, roads beside them.
+"""Seeds of a town in image matching: facades from the density of projected points, roads beside them.
 
 Source: Dong 2017 (004), section 3.1 and equations 1 and 3.
 """
@@ -20,26 +20,26 @@ from ptd.kernel import kernel
 Bool = npt.NDArray[np.bool_]
 
 BLOCK = 1
-"""Cells around a seed's own in which its surroundings have to be flat."""
+"""Number of cells to each side of a seed's cell in which its surroundings have to be flat."""
 
 MIN_BLOCK_POINTS = 6
-"""Fewer points around a seed say nothing about how flat its place is."""
+"""Fewest points around a seed from which its flatness can be judged."""
 
 CHANCE = 5.0
-"""Standard deviations (Poisson) by which the points of a facade's cell exceed those of flat ground."""
+"""Standard deviations (Poisson) by which a facade's cell holds more points than flat ground."""
 
 
 class FacadeRule(NamedTuple):
-    """What facades and the roads beside them look like.
+    """Limits that define facades and the roads beside them.
 
     Attributes
     ----------
     straight, diagonal : int
-        Cells from a facade to a road, along and across the lattice.
+        Cells from a facade to a road, along the axes of the lattice and along its diagonals.
     min_drop : float
-        Vertical counts that the road lies below the other side.
+        Least height of the other side above the road, vertical counts.
     variation : float
-        Horizontal counts: the noise around a seed's plane stays below.
+        Largest noise around a seed's plane, horizontal counts.
     z_ratio : float
         Horizontal counts in one vertical count.
     """
@@ -52,13 +52,13 @@ class FacadeRule(NamedTuple):
 
 
 def density_of(points_by_count: Mapping[int, int], cell_area_m2: float) -> float:
-    """Points per square metre of flat ground: the median over all occupied cells.
+    """Points per square metre of flat ground: the median over occupied cells.
 
     Parameters
     ----------
     points_by_count : mapping
-        Number of points -> how many points lie in cells that hold so many. Sums of points, each in its own tile,
-        need no owner for a cell that a tile's border cuts.
+        Number of points in a cell -> number of points in all such cells. Points are counted by their own tiles, so
+        cells that the border of a tile cuts need no owner.
     cell_area_m2 : float
     """
     cells = {count: points // count for count, points in sorted(points_by_count.items())}
@@ -73,9 +73,10 @@ def density_of(points_by_count: Mapping[int, int], cell_area_m2: float) -> float
 def facade_threshold(density_m2: float, height_m: float, cell_m: float, glass_factor: float) -> float:
     """Points of a cell that a facade crosses, ``(DEN h g + DEN g^2) c`` (004, equation 3).
 
-    The equation is printed without DEN in its second term; both are areas (of the facade, of the ground) times points
-    per area. c: part of a facade is glass, which is not matched (section 3.3.2). Ours: not less than what chance puts
-    into a cell of flat ground, `CHANCE` standard deviations above its mean; else a sparse cloud is all facades.
+    The equation is printed without DEN in its second term. Both terms are areas (of the facade, of the ground) times
+    points per area. The factor c accounts for glass, which is not matched (section 3.3.2). Ours: the threshold is at
+    least the mean of a cell of flat ground plus `CHANCE` standard deviations. Otherwise all cells of a sparse cloud
+    would be facades.
     """
     flat = density_m2 * cell_m * cell_m
     facade = glass_factor * (density_m2 * height_m * cell_m + flat)
@@ -84,7 +85,7 @@ def facade_threshold(density_m2: float, height_m: float, cell_m: float, glass_fa
 
 @kernel
 def _median_point(x: Int32, y: Int32, z: Int32, order: Int64, first: int, last: int) -> int:
-    """The point of the (lower) median height of a cell; of equal heights by (x, y)."""
+    """The point of the (lower) median height of a cell; points of equal height are ordered by (x, y)."""
     heights = np.empty(last - first, np.int32)
     for k in range(first, last):
         heights[k - first] = z[order[k]]
@@ -100,7 +101,7 @@ def _median_point(x: Int32, y: Int32, z: Int32, order: Int64, first: int, last: 
 
 @kernel
 def _clearance2(table: CellTable, facade: Bool, column: int, row: int, reach: int) -> int:
-    """Squared cells to the nearest facade cell within `reach` columns and rows, (reach + 1)^2 if there is none."""
+    """Squared distance in cells to the nearest facade cell within `reach`, or (reach + 1)^2 without one."""
     nearest = (reach + 1) * (reach + 1)
     for dy in range(-reach, reach + 1):
         for dx in range(-reach, reach + 1):
@@ -124,7 +125,9 @@ def _road_points(x: Int32, y: Int32, z: Int32, table: CellTable, facade: Bool, r
         row, column = keys[s] // width, keys[s] % width
         farthest = -1
         for d in range(4):
-            size = rule.straight if d < 2 else rule.diagonal
+            size = rule.diagonal
+            if d < 2:
+                size = rule.straight
             dx, dy = size * steps[d, 0], size * steps[d, 1]
             for side in range(2):
                 sign = 1 - 2 * side
@@ -135,7 +138,7 @@ def _road_points(x: Int32, y: Int32, z: Int32, table: CellTable, facade: Bool, r
             if ends[0] < 0 or ends[1] < 0:
                 continue
             z0, z1 = z[median[ends[0]]], z[median[ends[1]]]
-            lower = 0 if z0 < z1 else 1
+            lower = int(z0 >= z1)
             road = ends[lower]
             if abs(float(z0) - float(z1)) < rule.min_drop or facade[road]:
                 continue
@@ -152,9 +155,9 @@ def _road_points(x: Int32, y: Int32, z: Int32, table: CellTable, facade: Bool, r
 def _variation(
     x: Int32, y: Int32, z: Int32, table: CellTable, column: int, row: int, origin: int, z_ratio: float
 ) -> float:
-    """Root mean square of the residuals of a plane through the points of a block of cells; inf where there is none.
+    """Root mean square of the residuals of a plane through the points of a block of cells; inf without a plane.
 
-    The sums are of whole numbers, relative to a point of the block: the order of the points changes no bit.
+    Sums are of integers, relative to a point of the block, so the order of the points changes no bit.
     """
     s = np.zeros(MOMENTS, np.int64)
     for r in range(row - BLOCK, row + BLOCK + 1):
@@ -169,7 +172,9 @@ def _variation(
     if s[0] < MIN_BLOCK_POINTS:
         return math.inf
     a, b, _, squares = fit_plane(s, z_ratio)
-    return math.inf if squares < 0.0 else math.sqrt(squares / (s[0] - 3) / (1.0 + a * a + b * b))
+    if squares < 0.0:
+        return math.inf
+    return math.sqrt(squares / (s[0] - 3) / (1.0 + a * a + b * b))
 
 
 @kernel
@@ -188,10 +193,10 @@ class Facades:
     Parameters
     ----------
     x, y, z : int32 [n]
-        Local counts of all points but vegetation; at least one.
+        Local counts of all points except vegetation; at least one.
     cells : Cells
     min_points : float
-        See `facade_threshold`.
+        Threshold of `facade_threshold`.
     """
 
     def __init__(self, x: Int32, y: Int32, z: Int32, cells: Cells, min_points: float) -> None:
@@ -203,16 +208,16 @@ class Facades:
         """Indices of the points in facade cells."""
         i = self.index.table
         parts = [i.order[i.starts[s] : i.starts[s + 1]] for s in np.flatnonzero(self.holds)]
-        return np.concatenate(parts) if parts else np.zeros(0, np.int64)
+        return np.concatenate([np.zeros(0, np.int64), *parts])
 
     def seeds(self, rule: FacadeRule) -> Int32:
         """Points on roads beside facades (004, 3.1, step 3); int32 [m], indices by cell of facade.
 
-        From a facade cell four lines lead over the facade (along and across the lattice, and diagonally), with a cell
-        at the same distance on both sides. The lower of the two is the road; of the four lines that counts whose
-        road is farthest from all facade cells, which is the one most nearly square to the facade; then the lower
-        one. The point is that of the median height of its cell, as the lowest is a blunder or at the noise's lower
-        end. It is refused unless the points around it lie on a plane but for noise.
+        Four lines cross a facade cell, along the axes and diagonals of the lattice, with a cell at the same distance
+        on both sides. The lower of these two cells is the road. The line whose road is farthest from all facade cells
+        counts, because it is most nearly perpendicular to the facade; then the lower road counts. The seed is the
+        point of median height in its cell, as the lowest point is a blunder or at the lower end of the noise. It is
+        dropped unless the points around it lie on a plane within the noise.
         """
         x, y, z, table = self.x, self.y, self.z, self.index.table
         found = _road_points(x, y, z, table, self.holds, rule)

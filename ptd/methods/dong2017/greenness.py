@@ -16,23 +16,25 @@ import numpy.typing as npt
 from ptd.kernel import kernel
 
 BINS = 128
-"""Bins of the histogram of the index, from -1 to 1."""
+"""Number of bins of the histogram of the index, which ranges from -1 to 1."""
 
 GREY = BINS // 2
-"""The first bin of the colours that are greener than grey."""
+"""The first bin of colours greener than grey."""
 
 COLOURLESS = -1
-"""Bin of a point that is black, as all are where a source has no colours."""
+"""Bin of black points. A source without colours has only such points."""
 
 SMOOTHINGS = 2
-"""Times that counts are smoothed by (1, 4, 6, 4, 1) before modes are sought: dark 8-bit colours leave gaps between
-their few ratios."""
+"""Number of smoothings of the counts by (1, 4, 6, 4, 1).
+
+Dark 8-bit colours have few ratios, and the gaps between these must not look like valleys.
+"""
 
 VALLEY_SHARE = 0.8
-"""Two modes are told apart by a valley that is not above this share of the lower one."""
+"""Largest height of a valley between two modes, as a share of the lower mode."""
 
 MODE_SHARE = 0.01
-"""A mode holds at least this share of the points."""
+"""Least share of the points in a mode."""
 
 Int16 = npt.NDArray[np.int16]
 
@@ -81,10 +83,11 @@ def smoothed(counts: Sequence[int]) -> list[int]:
 def two_modes(counts: Sequence[int]) -> tuple[int, int] | None:
     """Bins of a grey and a green mode beside each other, or None.
 
-    Otsu's threshold splits any histogram, also one without a reason to.
+    The check is needed because Otsu's threshold splits any histogram, even one with a single mode.
 
-    The valley between them is where the smoothed counts drop most below the lower one of the highest bins on both
-    sides. It lies among colours greener than grey: else red roofs beside grey streets would make the streets green.
+    The valley between the modes is the bin whose smoothed count lies farthest below the lower one of the highest bins
+    on both sides. Only colours greener than grey count; otherwise red roofs beside grey streets would make the
+    streets green.
 
     Parameters
     ----------
@@ -106,23 +109,27 @@ def two_modes(counts: Sequence[int]) -> tuple[int, int] | None:
 
 
 def _nearest_mode(values: Sequence[int], valley: int, step: int) -> int:
-    """The top of the first mode on one side of a valley: beyond it the counts fall by more than a valley of its own."""
+    """The top of the nearest mode on one side of a valley.
+
+    The mode ends where the counts fall below `VALLEY_SHARE` of its top.
+    """
     top = k = valley
     while 0 <= k < len(values) and values[k] >= VALLEY_SHARE * values[top]:
-        top = k if values[k] > values[top] else top
+        if values[k] > values[top]:
+            top = k
         k += step
     return top
 
 
 def otsu(counts: Sequence[int]) -> int:
-    """The first bin of the upper one of Otsu's two classes.
+    """The first bin of the upper class of Otsu's two classes.
 
-    Their split has the largest variance between the classes, of equal ones it is the lowest.
+    The split maximises the variance between the classes; among equal splits the lowest is taken.
 
     Parameters
     ----------
     counts : sequence of int
-        Points by bin, in at least two of them.
+        Points by bin; at least two bins hold points.
     """
     n, moment = sum(counts), sum(k * c for k, c in enumerate(counts))
     below, moment_below, best, split = 0, 0, Fraction(-1), 1
@@ -138,9 +145,9 @@ def otsu(counts: Sequence[int]) -> int:
 
 
 def green_from(counts: Sequence[int]) -> int | None:
-    """The first bin that is vegetation, at least `GREY`; None where the histogram has no green mode of its own.
+    """The first bin that is vegetation, at least `GREY`; None if the histogram has no green mode of its own.
 
-    Otsu's threshold of the part from the grey mode to the green one: a third mode (red roofs) has no say.
+    It is Otsu's threshold of the part between the grey and the green mode, so a third mode (red roofs) has no effect.
     """
     modes = two_modes(counts)
     if modes is None:

@@ -1,4 +1,4 @@
-"""The passes of `dong2017` that make ground from seeds: measurements and densifications in turn."""
+"""The passes of `dong2017` that grow ground from seeds: measurements and densifications in turn."""
 
 from __future__ import annotations
 
@@ -21,10 +21,10 @@ from ptd.passes import Measured, MethodRefusal, Pass, Points, State, UInt8, note
 from ptd.tin.mesh import Tin
 
 PLANE = Bins(0.025, 120, 0.01, 60)
-"""Histogram of distances and angles: eight times the published thresholds in distance, nearly twice in angle."""
+"""Histogram of distances and angles, which covers eight times the published distance and twice the angle."""
 
 JUMP_BINS = 2
-"""Bins of distance that are taken together to look for the jump."""
+"""Bins of distance that are merged before the search for the jump."""
 
 MEASURED_CELLS = 2
 """Largest circumradius of a facet of ground whose points are measured, in cells."""
@@ -51,7 +51,7 @@ class FirstMeasurement(Pass):
         return _measured(trial, points, core, labels == UNCLASSIFIED)
 
     def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
-        """The first distance by the jump; the angle of the contour below it."""
+        """Take the first distance from the jump, and the angle from the contour below that distance."""
         plane = _summed(partials)
         rows = plane.sum(axis=1).reshape(-1, JUMP_BINS).sum(axis=1)
         jump = second_difference_jump(rows.tolist())
@@ -68,7 +68,7 @@ class FirstMeasurement(Pass):
 
 @dataclass(frozen=True)
 class FirstGround(Pass):
-    """Step 5: the points within the first thresholds of the seeds' TIN."""
+    """Step 5: label the points within the first thresholds of the seeds' TIN."""
 
     stage: Stage
     reach_m: float | None
@@ -84,7 +84,7 @@ class FirstGround(Pass):
 
 @dataclass(frozen=True)
 class Measurement(Pass):
-    """Step 6: distances and angles of the ground found so far to a TIN of one point per cell."""
+    """Step 6: measure distances and angles of the present ground to a TIN of one point per cell."""
 
     params: Dong2017Parameters
     spacing_m: float
@@ -96,14 +96,14 @@ class Measurement(Pass):
     gives_labels: bool = False
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Measured:
-        """Count the ground points of the core that are no vertices."""
+        """Count the ground points of the core that are not vertices."""
         ground = points.known_labels() == GROUND
         vertices = points.xyz[:, picks(points, ground, Cells.of(self.spacing_m, scale), 0)]
         trial = Trial(Tin.build(*vertices), scale, MEASURED_CELLS * self.spacing_m)
         return _measured(trial, points, core, ground)
 
     def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
-        """Reach of the outer contour."""
+        """Take both thresholds from the outer contour."""
         contour = _contour(_summed(partials), self.params.contour_level)
         if contour is None:
             raise MethodRefusal(
@@ -117,7 +117,7 @@ class Measurement(Pass):
 
 @dataclass(frozen=True)
 class Densification(Pass):
-    """Step 6: points that pass in one of several TINs of one density."""
+    """Step 6: label the points that pass in one of several TINs of one density."""
 
     stage: Stage
     last: bool
@@ -129,22 +129,23 @@ class Densification(Pass):
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Growth:
         """Build the TINs."""
-        kind = FinalGrowth if self.last else Growth
-        return kind(self.stage, Threshold(**state["threshold"]), points, window, scale)
+        threshold = Threshold(**state["threshold"])
+        if self.last:
+            return FinalGrowth(self.stage, threshold, points, window, scale)
+        return Growth(self.stage, threshold, points, window, scale)
 
 
 class FinalGrowth(Growth):
-    """Its labels are the final ones."""
+    """Growth with the final labels."""
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
-        """Vegetation is unclassified in the end."""
+        """Label the points; vegetation becomes unclassified."""
         labels, marked = super().label(points)
         labels[labels == VEGETATION] = UNCLASSIFIED
         return labels, marked
 
 
 def _measured(trial: Trial, points: Points, core: Window, which: Bool) -> Measured:
-    """The chosen points of the core in the plane of distances and angles."""
     counts = trial.count(*points.columns(), which & core.has(points.xyz[0], points.xyz[1]), PLANE)
     return Measured({"plane": counts.tolist()}, {"measured": int(counts.sum())})
 
@@ -157,20 +158,25 @@ def _summed(partials: Iterable[dict[str, Any]]) -> Int64:
 
 
 def _contour(plane: Int64, level: float) -> Threshold | None:
-    """Largest distance and angle of the outer contour around the plane's peak; None without counts."""
-    found = contour_reach(plane, max(level * plane.max(), 1.0)) if plane.size else None
-    return None if found is None else Threshold(found[0] * PLANE.distance_m, found[1] * PLANE.angle_rad)
+    """Largest distance and angle of the outer contour around the peak of the histogram; None without counts."""
+    if not plane.size:
+        return None
+    found = contour_reach(plane, max(level * plane.max(), 1.0))
+    if found is None:
+        return None
+    return Threshold(found[0] * PLANE.distance_m, found[1] * PLANE.angle_rad)
 
 
 def _with_threshold(state: State, where: str, found: Threshold, denser: bool = True) -> dict[str, Any]:
-    """The state with other thresholds; of those of a denser TIN it is told what the paper's do not do."""
+    """The state with new thresholds. With `denser`, a note says if they develop unlike the paper's."""
     note = f"{where}: distance {found.distance_m:.3f} m, angle {found.angle_rad:.3f} rad"
     before = state.get("threshold")
     if before is not None and denser:
-        shrinks, grows = found.distance_m <= before["distance_m"], found.angle_rad >= before["angle_rad"]
-        odd = [
-            *([] if shrinks else ["distance does not shrink"]),
-            *([] if grows else ["angle does not grow"]),
-        ]
-        note += f" ({' and '.join(odd)}, unlike in the paper)" if odd else ""
+        odd = []
+        if found.distance_m > before["distance_m"]:
+            odd.append("distance does not shrink")
+        if found.angle_rad < before["angle_rad"]:
+            odd.append("angle does not grow")
+        if odd:
+            note += f" ({' and '.join(odd)}, unlike in the paper)"
     return {**state, "threshold": found._asdict(), "notes": noted(state, note)}

@@ -1,4 +1,4 @@
-"""Ground that grows by tests against TINs of one density, each of other picks of the ground found so far.
+"""Ground that grows by tests against TINs of one density, each from other choices of the ground found so far.
 
 Source: Dong 2017 (004), section 3.2.
 """
@@ -21,11 +21,11 @@ from ptd.passes import Model, Points
 from ptd.tin.mesh import Tin
 
 WIDEST_CELLS = 1.5
-"""Largest circumradius of a facet that tests points, in cells. Circles within the rim have at most sqrt(2)."""
+"""Largest circumradius of a facet that tests points, in cells. Within the rim it is at most sqrt(2)."""
 
 
 class Stage(NamedTuple):
-    """TINs of one density.
+    """Properties of the TINs of one density.
 
     Attributes
     ----------
@@ -34,9 +34,10 @@ class Stage(NamedTuple):
     widest_m : float
         Largest circumradius of a facet that tests points.
     tins : int
-        How many, one after the other.
+        Number of TINs, one after the other.
     rim : bool
-        With virtual points around the ground, so that it grows outward too. Without, cells hold one ground point.
+        Whether virtual points surround the ground, so that it grows outward too. Without them, each cell holds one
+        ground point.
     """
 
     cell_m: float
@@ -46,32 +47,35 @@ class Stage(NamedTuple):
 
     @classmethod
     def of_ground(cls, cell_m: float, tins: int) -> Stage:
-        """TINs that grow."""
+        """TINs from which ground grows."""
         return cls(cell_m, WIDEST_CELLS * cell_m, tins, True)
 
     @property
     def reach_m(self) -> float:
-        """Metres around a window's core with which its ground seldom is in doubt; for one TIN without a rim, never.
+        """Metres around a window's core with which its ground is seldom in doubt; never, for one TIN without a rim.
 
-        A facet's circle; cut cells and the rim's; for each further TIN three cells and a half, as measured.
+        It is the sum of a facet's circle, the cells cut by the edge and those of the rim, and 3.5 cells for each
+        further TIN, as measured.
         """
-        rim = (1 + REACH) * self.cell_m if self.rim else 0.0
-        return 2 * self.widest_m + rim + 3.5 * (self.tins - 1) * self.cell_m
+        rim_m = 0.0
+        if self.rim:
+            rim_m = (1 + REACH) * self.cell_m
+        return 2 * self.widest_m + rim_m + 3.5 * (self.tins - 1) * self.cell_m
 
 
 class Growth(Model):
-    """Ground of a window, and TINs that give more.
+    """Ground of a window, and the TINs that extend it.
 
-    Each TIN holds a random point of every cell that holds ground, another one each time. A point that passes is ground
-    for the next. What points outside the window could change is tracked as in `ptd.ground.densify`: a cell that holds
-    a doubtful point may have another pick, or none, and the empty cells around it another rim.
+    Each TIN holds a random point of every cell with ground, a new choice each time. A point that passes is ground for
+    the next TIN. Effects of points outside the window are tracked as in `ptd.ground.densify`: a cell with a doubtful
+    point may get another vertex or none, and the empty cells around it another rim.
 
     Parameters
     ----------
     stage : Stage
     threshold : Threshold
     points : Points
-        All of the window, with labels: `GROUND`, `UNCLASSIFIED`, and others, which are never tested.
+        All points of the window with labels: `GROUND`, `UNCLASSIFIED`, and others, which are never tested.
     window : Window
     scale : Scale
     """
@@ -81,9 +85,13 @@ class Growth(Model):
     ) -> None:
         self.stage, self.threshold, self.scale = stage, threshold, scale
         cells = Cells.of(stage.cell_m, scale)
-        known = window.inside(cells, REACH) if stage.rim else window
+        known = window
+        if stage.rim:
+            known = window.inside(cells, REACH)
         x, y, z = points.columns()
-        box = box_with_ring(x, y, cells) if x.size else (0, 0, 1, 1)
+        box = (0, 0, 1, 1)
+        if x.size:
+            box = box_with_ring(x, y, cells)
         self._doubt = Doubt(known, known, box, scale)
         labels = points.known_labels()
         ground = labels == GROUND
@@ -104,7 +112,7 @@ class Growth(Model):
         return Trial(Tin.build(*vertices), self.scale, self.stage.widest_m, self._doubt)
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
-        """What passes in one of the TINs is ground; all other labels stay."""
+        """Label points that pass in one of the TINs as ground; keep all other labels."""
         x, y, z = points.columns()
         labels = points.known_labels().copy()
         todo, marked = labels == UNCLASSIFIED, np.zeros(x.size, np.bool_)
@@ -119,20 +127,22 @@ class Growth(Model):
 
 
 def picks(points: Points, ground: Bool, cells: Cells, salt: int) -> Int64:
-    """Indices of one random point of each cell that holds ground."""
+    """Index of one random point of each cell that holds ground."""
     index = np.flatnonzero(ground)
     x, y, z = points.take(index).columns()
     return index[picked_per_cell(x, y, z, cells, salt)]
 
 
 def _doubt_cells(doubt: Doubt, cells: Cells, x: Int32, y: Int32, ground: Bool, doubtful: Bool) -> None:
-    """Put in doubt the cells of doubtful points, and around them those that are empty."""
+    """Put the cells of doubtful points in doubt, and the empty cells around them."""
     if not doubt.active or not doubtful.any():
         return
-
     sure = ground & ~doubtful
-    own, filled = set(cells_of(x[doubtful], y[doubtful], cells)), set(cells_of(x[sure], y[sure], cells))
-    span = range(-REACH, REACH + 1)
-    around = {(c + i, r + j) for c, r in own for j in span for i in span} - filled
-    for c, r in own | around:
+    own = set(cells_of(x[doubtful], y[doubtful], cells))
+    filled = set(cells_of(x[sure], y[sure], cells))
+    around: set[tuple[int, int]] = set()
+    for column, row in own:
+        for r in range(row - REACH, row + REACH + 1):
+            around.update((c, r) for c in range(column - REACH, column + REACH + 1))
+    for c, r in own | (around - filled):
         doubt.add_box(cells.west(c), cells.south(r), cells.west(c + 1), cells.south(r + 1))

@@ -1,13 +1,13 @@
 """``dong2017``: coloured image matching of towns, after Dong et al. (ISPRS Archives XLII-2/W7:703, 2017; paper 004).
 
-Vegetation is told by colour, seeds are looked for on the roads beside facades, and ground grows by tests against TINs
-of growing density whose thresholds are estimated from the run.
+Vegetation is recognised by colour, seeds lie on the roads beside facades, and ground grows by tests against TINs of
+growing density. Their thresholds are estimated from the run.
 
 =====================  ==============================  ========  =================================================
 parameter              paper's name and value          default   reason
 =====================  ==============================  ========  =================================================
 facade_cell            GRIDESIZE (g), no value         1 m       holds tens of points in a cloud of images
-facade_height          default height H (h), no value  3 m       one storey: what lower steps there are is no matter
+facade_height          default height H (h), no value  3 m       one storey: lower steps do not matter
 glass_factor           coefficient for glass, no       0.5       half of a facade is matched
                        value
 seed_distance          d, no value                     4 m       past eaves and pavements, within narrow streets
@@ -15,33 +15,37 @@ seed_variation         2 sigma                         2         the paper's
 podium_radius          neighbourhood of a seed, no     15 m      the paper's figure 4: the true seed is beside the
                        value                                     podium
 terrain_slope          0.3 (equation 1)                0.3       the paper's
-seed_cell              none                            15 m      "of seeds near each other the lower": one per cell
+seed_cell              none                            15 m      "of seeds near each other the lower", one per cell
 first_spacing          4 m                             4 m       the paper's
-last_spacing           2 m, the last one told          1 m       until all are classified (3.2, step 4): figures in
+last_spacing           2 m, the last one mentioned     1 m       "until all are classified" (3.2, step 4); figures in
                                                                  ``docs/filters.md``
 tins                   "several"                       8         ground grows by two cells with each; figures there
-contour_level          none, read off a plot           0.01      gives the published thresholds on like noise
+contour_level          none, read off a plot           0.01      gives the published thresholds for similar noise
 robust_cells           none                            on        ours, for matched clouds: below; off: the paper's
 =====================  ==============================  ========  =================================================
 
-sigma, which the paper gets from planes picked by hand, is that of ``--sigma``, or found by `ptd.ground.roughness`.
-GLI's threshold is Otsu's (3.3.1), the first distance the jump of the second difference (3.3.3), the later
-thresholds come from the plane of angles and distances (3.3.4): none of them is a parameter.
+The paper gets sigma from planes picked by hand; here ``--sigma`` gives it, or `ptd.ground.roughness` finds it. The
+threshold of greenness (GLI) is Otsu's (3.3.1), the first distance is the jump of the second difference (3.3.3), and the
+later thresholds come from the histogram of angles and distances (3.3.4). None of them is a parameter.
 
-**Matched clouds**, which the paper is about, are filtered otherwise by default. Vegetation, facades and seeds are found
+**Matched clouds**, the paper's subject, are filtered differently by default. Vegetation, facades and seeds are found
 among the points, as above. Then ground grows on one robust height per cell of 1 m (`ptd.matched.cells`), starting from
-the cells that hold a seed: thresholds, TINs and densities are the paper's, but all densities are gone through three
-times. The last pass judges every point, green ones too, to both sides of the TIN of these cells, by the noise around
-(`ptd.matched.on_cells`). ``--set robust_cells=no`` gives the paper's steps on points, which a cloud that is taken for a
-laser scan gets as well.
+the cells that hold a seed. Thresholds, TINs and densities are the paper's, but all densities are used three times. The
+last pass judges every point, also green ones, on both sides of the TIN of these cells, by the noise around them
+(`ptd.matched.on_cells`). ``--set robust_cells=no`` gives the paper's steps on points, which are also those for laser
+scans.
 
-Deviations: Otsu's threshold is used only where the histogram has a grey and a green mode, and lies between them. A
-cell holds a facade only if chance does not fill it so. A seed is dropped for a lower one only if ground cannot be so
-steep (equation 1), or on any slope the lowest alone would stay. The first angle is not explained in the paper: it is
-the contour's among the points within the first distance. The smallest of a point's angles counts, as the paper says
-in 3.3.4 (Axelsson takes the largest). The paper tests ground between facades alone; here each TIN of one density
-holds what passed in those before it, and a rim of virtual points on the planes of the ground around it, so ground
-grows beyond the facades. Facets across more than a few cells test nothing.
+Deviations:
+
+- Otsu's threshold is used only between a grey and a green mode of the histogram.
+- A cell holds a facade only if chance does not explain its number of points.
+- A seed is dropped for a lower one only if ground cannot be so steep (equation 1). Otherwise only the lowest seed of a
+  slope would stay.
+- The paper does not explain the first angle. Here it is the contour's among the points within the first distance.
+- The smallest of a point's angles counts, as the paper says in 3.3.4 (Axelsson takes the largest).
+- The paper tests only ground between facades. Here each TIN holds the points that passed in earlier ones of the same
+  density, and a rim of virtual points on the planes of the ground, so ground grows beyond the facades. Facets across
+  more than a few cells test nothing.
 """
 
 from __future__ import annotations
@@ -66,34 +70,36 @@ from ptd.methods.dong2017.seed_passes import ColourPass, SeedPass
 from ptd.passes import Method, Pass
 
 BLOCK_CELLS = 2
-"""Cells beyond the one at `seed_distance` that may hold points of the block around a seed: one cut, one beside it."""
+"""Cells beyond that at `seed_distance` with points of the block around a seed: one cut, one beside it."""
 
 MEASURED_SEEDS = 1.5
-"""Largest circumradius of a facet of seeds whose points are measured, in their cells: that of neighbouring ones."""
+"""Largest circumradius, in seed cells, of a facet of neighbouring seeds whose points are measured."""
 
 ON_CELLS = (
     "decided: facades and seeds are found among points; ground grows on the cells, green points may be ground"
 )
-"""Told of matched clouds."""
+"""Note for runs on a matched cloud."""
 
 SLACK_M = 1.0
-"""More than what roundings can add to a reach."""
+"""More than roundings can add to a reach."""
 
 TIMES_ON_CELLS = 3
-"""Times that ground grows through all densities on cells: beyond a bank that only the finest TINs climbed the wide ones
-go on."""
+"""Number of passes through all densities on cells.
+
+Wide TINs continue beyond a bank that only the finest TINs climbed.
+"""
 
 WIDEST_SEEDS = 3.0
-"""Largest circumradius of a facet of seeds that tests points, in their cells: seeds lie along streets."""
+"""Largest circumradius, in seed cells, of a facet of seeds that tests points: seeds lie along streets."""
 
 
 @dataclass(frozen=True)
 class Dong2017(Dong2017Parameters):
-    """Parameters of `dong2017` (see the module's table), and what follows from them for a run."""
+    """Parameters of `dong2017` (see the module's table), and the passes and reaches that follow from them."""
 
     @property
     def passes(self) -> tuple[Pass, ...]:
-        """Colours and seeds, which need points; then ground that grows from the seeds, in matched clouds on cells."""
+        """Colours and seeds on points, then ground that grows from the seeds; in matched clouds on cells."""
         seeds = (
             ColourPass(self, max(roughness.REACH_M, self.facade_cell_m)),
             SeedPass(self, self.seed_reach_m),
@@ -110,7 +116,7 @@ class Dong2017(Dong2017Parameters):
         )
 
     def _growing_on_points(self) -> list[Pass]:
-        """The TIN of the seeds; then a measurement and a densification for each density."""
+        """The TIN of the seeds, then a measurement and a densification for each density."""
         steps = self._first_steps()
         for spacing in self.spacings_m:
             steps.append(self._measurement(spacing))
@@ -118,7 +124,7 @@ class Dong2017(Dong2017Parameters):
         return steps
 
     def _growing_on_cells(self) -> list[Pass]:
-        """The same, over and over; at the cells' own density nothing is left to be measured."""
+        """The same steps, repeated. At the density of the cells themselves there is nothing to measure."""
         steps = self._first_steps()
         spacings = [s for s in self.spacings_m if s >= CELL_M] or [CELL_M]
         for again in ("", *(f"-{n}" for n in range(2, TIMES_ON_CELLS + 1))):
@@ -137,13 +143,13 @@ class Dong2017(Dong2017Parameters):
 
     def _measurement(self, spacing_m: float, again: str = "") -> Pass:
         reach_m = (2 * MEASURED_CELLS + 1) * spacing_m + SLACK_M
-        name, title = f"measure-{spacing_m:g}m{again}", f"measure distances to a TIN of {spacing_m:g} m"
-        return Measurement(self, spacing_m, name, title, reach_m)
+        title = f"measure distances to a TIN of {spacing_m:g} m"
+        return Measurement(self, spacing_m, f"measure-{spacing_m:g}m{again}", title, reach_m)
 
     def _densification(self, spacing_m: float, again: str = "", last: bool = False) -> Pass:
         stage = Stage.of_ground(spacing_m, self.tins)
-        name, title = f"densify-{spacing_m:g}m{again}", f"densify a TIN of {spacing_m:g} m"
-        return Densification(stage, last, name, title, stage.reach_m)
+        title = f"densify a TIN of {spacing_m:g} m"
+        return Densification(stage, last, f"densify-{spacing_m:g}m{again}", title, stage.reach_m)
 
     @property
     def first_stage(self) -> Stage:
@@ -152,29 +158,30 @@ class Dong2017(Dong2017Parameters):
 
     @property
     def halo_m(self) -> float:
-        """What the first densification reaches; the others less."""
+        """Reach of the first densification, which is the widest."""
         return Stage.of_ground(self.first_spacing_m, self.tins).reach_m
 
     @property
     def align_m(self) -> float:
-        """Windows hold whole cells of the first densification, and so of the others."""
+        """Side of the cells of the first densification; windows consist of whole ones."""
         return self.first_spacing_m
 
     @property
     def margin_m(self) -> float:
-        """Nothing beyond the cells decides."""
+        """0: no point beyond the cells decides."""
         return 0.0
 
     @property
     def candidate_cell_m(self) -> float:
-        """Every point counts: facades are told by density, and the lowest of a cell is at the noise's lower end."""
+        """0: every point counts, because density reveals facades and the lowest points are noise."""
         return 0.0
 
     @property
     def seed_reach_m(self) -> float:
-        """Metres from a point beyond which nothing changes whether it is a seed.
+        """Metres from a point within which points decide whether it is a seed.
 
-        Over the facade to the block on its other side, for it and for its neighbours in podium and seed cell.
+        The distance leads over the facade to the block on its other side, for the point and for its neighbours in
+        podium and seed cell.
         """
         own = 2 * self.seed_distance_m + 2 * BLOCK_CELLS * self.facade_cell_m
         return own + self.podium_radius_m + math.sqrt(2) * self.seed_cell_m

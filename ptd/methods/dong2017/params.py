@@ -1,4 +1,4 @@
-"""Parameters of `dong2017`; the table in `dong2017` gives the reasons of their defaults."""
+"""Parameters of `dong2017`; its table in `method.py` gives the reasons for their defaults."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ptd.params import check, like, parameter
 
 @dataclass(frozen=True)
 class Dong2017Parameters:
-    """What can be set; `ptd.methods.dong2017.method.Dong2017` adds the passes."""
+    """Settings of `dong2017`; `ptd.methods.dong2017.method.Dong2017` adds the passes."""
 
     facade_cell_m: float = parameter(
         1.0, "side of the cells in which projected points are counted", unit="m", minimum=0.25, maximum=10.0,
@@ -18,14 +18,14 @@ class Dong2017Parameters:
     )  # fmt: skip
     facade_height_m: float = parameter(
         3.0,
-        "height of the lowest building; lower steps hold no facade",
+        "height of the lowest building; lower steps are not facades",
         unit="m",
         minimum=0.5,
         maximum=100.0,
         source="Dong 2017, 3.3.2: H",
     )
     glass_factor: float = parameter(
-        0.5, "share of a facade that is matched, the rest is glass", 0.01, 1.0, source="Dong 2017, 3.3.2"
+        0.5, "share of a facade that is matched; the rest is glass", 0.01, 1.0, source="Dong 2017, 3.3.2"
     )
     seed_distance_m: float = parameter(
         4.0, "distance of a seed from the facade", 1.0, 30.0, "m", source="Dong 2017, 3.1: d"
@@ -71,7 +71,7 @@ class Dong2017Parameters:
 
     @property
     def spacings_m(self) -> tuple[float, ...]:
-        """Sides of the cells of the TINs of ground: the first, then halves down to the last."""
+        """Sides of the cells of the TINs of ground, halved from the first down to the last."""
         found = [self.first_spacing_m]
         while found[-1] > self.last_spacing_m:
             found.append(max(found[-1] / 2, self.last_spacing_m))

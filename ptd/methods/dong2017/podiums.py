@@ -17,7 +17,7 @@ from ptd.kernel import kernel
 Bool = npt.NDArray[np.bool_]
 
 NOISE_QUANTILE = 1.65
-"""One-sided 95 % quantile in equation 1, of a difference of two heights: its standard deviation is sqrt(2) sigma."""
+"""One-sided 95 % quantile in equation 1 for a difference of two heights, which varies by sqrt(2) sigma."""
 
 
 @kernel
@@ -54,18 +54,18 @@ def on_podium(
 ) -> Bool:
     """Seeds that lie on a podium or a lower roof: too high above another seed nearby (004, 3.1, step 4).
 
-    The paper keeps the lower of any two seeds in a neighbourhood, which on a hillside would leave the one at the
-    bottom. So the upper one has to be higher than ground can be at that distance d by the paper's own equation 1,
-    ``0.3 d + 1.65 sqrt(2) sigma``. All are judged against all, then dropped together: order changes nothing.
+    The paper keeps the lower of any two seeds in a neighbourhood, which would leave only the lowest seed on a hillside.
+    Here the upper seed also has to be higher than ground can be at its distance d by the paper's equation 1,
+    ``0.3 d + 1.65 sqrt(2) sigma``. All seeds are judged against all and dropped together, so order does not matter.
 
     Parameters
     ----------
     x, y, z : int32 [n]
         Local counts of seeds.
     radius_m : float
-        Neighbourhood, metres.
+        Radius of the neighbourhood, metres.
     slope : float
-        Metres per metre.
+        Largest slope of ground, metres per metre.
     sigma_m : float
 
     Returns

@@ -1,4 +1,4 @@
-"""Seeds of a matched cloud, which are found among points, as cells of robust heights."""
+"""Cells of robust heights in a matched cloud, with the seeds that were found among its points."""
 
 from __future__ import annotations
 
@@ -9,27 +9,28 @@ import numpy as np
 from ptd.frame import Cells, Scale, Window
 from ptd.ground.distance_angle import Bool, Int64
 from ptd.ground.labelling import GROUND, UNCLASSIFIED
-from ptd.matched.passes import CellModel, CellPass, cell_m
+from ptd.matched.passes import CellModel, CellPass
+from ptd.matched.step import cell_m
 from ptd.passes import Int32, Points, State, UInt8
 
 
 @dataclass(frozen=True)
 class SeedCellPass(CellPass):
-    """A robust height for each cell; the cells that hold a seed are ground, all others unclassified."""
+    """A robust height for each cell. Cells that hold a seed are ground, all others unclassified."""
 
     title = "one height for each cell, which hold seeds"
     columns: tuple[str, ...] = ("labels",)
     gives_labels: bool = True
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> SeedCells:
-        """Find all cells, and those of seeds."""
+        """Find all cells, and those with seeds."""
         heights = super().fit(points, window, core, scale, state)
         seeds = points.known_labels() == GROUND
         return SeedCells(heights, points.xyz[:, seeds], Cells.of(cell_m(state), scale))
 
 
 class SeedCells(CellModel):
-    """Cells by rows, some of which hold a seed.
+    """Cells of robust heights; those that hold a seed are known.
 
     Parameters
     ----------
@@ -44,13 +45,12 @@ class SeedCells(CellModel):
         self._seeds, self._cells = seeds, cells
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
-        """Labels of cells."""
+        """Label the cells."""
         seeds = self._keys(self._seeds)
         holds = np.isin(self._keys(points.xyz), seeds)
         labels = np.where(holds, np.uint8(GROUND), np.uint8(UNCLASSIFIED))
         return labels, np.zeros(len(points), np.bool_)
 
     def _keys(self, xyz: Int32) -> Int64:
-        """One number for each cell."""
         columns, rows = self._cells.places(xyz[0], xyz[1])
         return columns * 2**32 + rows

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from ptd.cells import Int32, lowest_per_cell, positions
 from ptd.frame import Cells, Scale, Window
-from ptd.ground import roughness
+from ptd.ground import noise_sums, roughness
 from ptd.ground.distance_angle import Bool
 from ptd.ground.labelling import GROUND, UNCLASSIFIED
 from ptd.methods.dong2017.facades import FacadeRule, Facades, density_of, facade_threshold
@@ -23,12 +23,12 @@ from ptd.methods.dong2017.podiums import on_podium
 from ptd.passes import Measured, MethodRefusal, Model, Pass, Points, State, UInt8, noted
 
 VEGETATION = 5
-"""Label between passes: no ground by its colour. Seeds are `GROUND`, all else `UNCLASSIFIED`."""
+"""Label of vegetation between passes. Seeds are `GROUND`, all other points `UNCLASSIFIED`."""
 
 
 @dataclass(frozen=True)
 class ColourPass(Pass):
-    """Step 1 and what it takes to know facades: greenness, density and noise of the run."""
+    """Step 1, and the figures that facades need: greenness, density and noise of the run."""
 
     params: Dong2017Parameters
     reach_m: float | None
@@ -55,7 +55,7 @@ class ColourPass(Pass):
         return Measured(found, {"points": int(own.sum())})
 
     def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
-        """Threshold of greenness, density, noise."""
+        """Find the threshold of greenness, the density and the noise of the run."""
         gli, cells, patches = np.zeros(BINS, np.int64), Counter[int](), []
         for partial in partials:
             gli += np.array(partial["gli"], np.int64)
@@ -64,14 +64,15 @@ class ColourPass(Pass):
                 patches.append(partial["patches"])
         if not gli.any():
             raise MethodRefusal("no point has a colour, dong2017 tells vegetation by it; use another method")
-        green, density = green_from(gli.tolist()), density_of(cells, self.params.facade_cell_m**2)
+        green = green_from(gli.tolist())
+        density = density_of(cells, self.params.facade_cell_m**2)
         sigma, origin = _sigma(state, patches)
-        share = gli[green:].sum() / gli.sum() if green is not None else 0.0
-        vegetation = (
-            "vegetation by colour: none, the histogram of greenness (GLI) has no two modes"
-            if green is None
-            else f"vegetation by colour: GLI above {index_of_bin(green):.3f} (Otsu), {share:.1%} of the points"
-        )
+        vegetation = "vegetation by colour: none, the histogram of greenness (GLI) has no two modes"
+        if green is not None:
+            share = gli[green:].sum() / gli.sum()
+            vegetation = (
+                f"vegetation by colour: GLI above {index_of_bin(green):.3f} (Otsu), {share:.1%} of the points"
+            )
         return {
             **state,
             "green_from": green,
@@ -83,7 +84,7 @@ class ColourPass(Pass):
 
 @dataclass(frozen=True)
 class SeedPass(Pass):
-    """Steps 2 to 4: facades, seeds beside them, podiums. Labels: vegetation, seeds, the rest."""
+    """Steps 2 to 4: label vegetation and seeds, which lie beside facades and not on podiums."""
 
     params: Dong2017Parameters
     reach_m: float | None
@@ -147,10 +148,10 @@ class SeedModel(Model):
         }
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
-        """Vegetation, seeds, the rest."""
+        """Label vegetation and seeds."""
         x, y, _ = points.columns()
         labels = np.full(x.size, UNCLASSIFIED, np.uint8)
-        places = positions(*self._seeds[:2])  # one seed in each: there is one a cell
+        places = positions(*self._seeds[:2])  # each holds one seed, as a cell does
         order = np.argsort(places)
         at = np.flatnonzero(np.isin(positions(x, y), places))
         seed = order[np.searchsorted(places, positions(x[at], y[at]), sorter=order)]
@@ -159,7 +160,7 @@ class SeedModel(Model):
         return labels, np.zeros(len(points), np.bool_)
 
     def partial(self) -> dict[str, Any]:
-        """Points in facades and seeds of the core."""
+        """Number of points in facades, and of seeds, in the core."""
         return {"facade_points": self._facade_points, "seeds": self._own}
 
 
@@ -169,7 +170,7 @@ def _seeds(p: Dong2017Parameters, facades: Facades, scale: Scale, sigma_m: float
     rule = FacadeRule(
         max(1, round(p.seed_distance_m / cell)),
         max(1, round(p.seed_distance_m / (math.sqrt(2) * cell))),
-        # A facade is counted from the height on that fills its cell so far.
+        # A facade counts from the height at which it fills its cell with so many points.
         scale.counts_z(p.glass_factor * p.facade_height_m),
         scale.counts(p.seed_variation * sigma_m),
         scale.z_ratio,
@@ -183,14 +184,14 @@ def _seeds(p: Dong2017Parameters, facades: Facades, scale: Scale, sigma_m: float
 
 
 def _sigma(state: State, patches: list[dict[str, Any]]) -> tuple[float, str]:
-    """The noise of heights, and how it is known; a survey before measured it already."""
+    """The noise of heights, and its origin. An earlier survey may have measured it already."""
     given = state["run"]["sigma_m"]
     if given is not None:
         return given, "--sigma"
     if "survey" in state:
         sigma, origin = state["survey"]["sigma_m"], "from planar patches"
     else:
-        found = roughness.merge(patches)
+        found = noise_sums.merge(patches)
         sigma, origin = found.sigma_m, f"from {found.patches:,} planar patches"
     if sigma is None:
         raise MethodRefusal("no planar patch to measure the noise of heights; say it with --sigma (metres)")
@@ -198,7 +199,7 @@ def _sigma(state: State, patches: list[dict[str, Any]]) -> tuple[float, str]:
 
 
 def _points_by_count(x: Int32, y: Int32, cells: Cells, own: Bool) -> list[list[int]]:
-    """[number, points of the core in cells with so many points], in the order of the numbers."""
+    """Pairs of a number and the core's points in cells with that number of points, in ascending order."""
     if not x.size:
         return []
     columns, rows = cells.places(x, y)

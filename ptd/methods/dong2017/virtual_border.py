@@ -1,7 +1,7 @@
 """Virtual points that extend a TIN a little beyond its outermost points, along its planes.
 
-As the ring of seeds (`ptd.ground.seeds`), with heights that follow the ground's slope: where ground grows outward or
-along a hillside, a level ring would be too high or too low within a few metres.
+They resemble the ring of seeds (`ptd.ground.seeds`), but their heights follow the slope of the ground. Where ground
+grows outward or along a hillside, a level ring would be too high or too low within a few metres.
 """
 
 from __future__ import annotations
@@ -10,17 +10,17 @@ import math
 
 import numpy as np
 
-from ptd.cells import CellTable, Int32, Int64, cell_keys, slot_of
+from ptd.cells import CellTable, Int32, Int64, keys_in, slot_of
 from ptd.frame import Cells
 from ptd.ground.planes import MOMENTS, add_point, fit_plane
 from ptd.ground.seeds import RING
 from ptd.kernel import kernel
 
 REACH = 3
-"""Cells around a virtual point whose points make its height."""
+"""Number of cells around a virtual point whose points give its height."""
 
 MIN_CELLS = 4
-"""Fewer cells give their mean height, not a plane."""
+"""Number of cells below which the mean height is taken instead of a plane."""
 
 
 @kernel
@@ -37,7 +37,7 @@ def _heights(table: CellTable, x: Int64, y: Int64, z: Int64, empty: Int64, cx: I
                 slot = slot_of(table, c, r)
                 if slot < 0:
                     continue
-                i = table.order[slot]  # one point a cell
+                i = table.order[slot]  # each cell holds one point
                 if s[0] == 0:
                     base = z[i]
                 add_point(s, x[i] - cx[k], y[i] - cy[k], z[i] - base)
@@ -53,9 +53,9 @@ def _heights(table: CellTable, x: Int64, y: Int64, z: Int64, empty: Int64, cx: I
 def rim(x: Int32, y: Int32, z: Int32, cells: Cells) -> Int32:
     """Virtual points at the middle of each empty cell within `RING` cells of a filled one.
 
-    So a circle without a vertex through a place in such a cell, or in a filled one, has at most a cell's diagonal as
-    its radius (``docs/filters.md``: the ring bounds circles). A height is that of the plane through the points of the
-    cells up to `REACH` away, in whole counts; it depends on nothing farther.
+    Therefore an empty circle through a place in such a cell, or in a filled one, has at most a cell's diagonal as its
+    radius (``docs/filters.md``: the ring bounds circles). A height is that of the plane through the points of the cells
+    up to `REACH` away, in whole counts. Cells farther away have no effect.
 
     Parameters
     ----------
@@ -66,14 +66,14 @@ def rim(x: Int32, y: Int32, z: Int32, cells: Cells) -> Int32:
     Returns
     -------
     int32 [m, 3]
-        x, y, z, local counts, by cell.
+        x, y, z in local counts, in the order of the cells.
     """
     if x.size == 0:
         return np.zeros((0, 3), np.int32)
     col0, row0 = cells.column(int(x.min())) - REACH, cells.row(int(y.min())) - REACH
     width = cells.column(int(x.max())) + REACH + 1 - col0
     height = cells.row(int(y.max())) + REACH + 1 - row0
-    keys = cell_keys(x, y, cells.p, cells.q, cells.origin_x, cells.origin_y, col0, row0, width)
+    keys = keys_in(x, y, cells, col0, row0, width)
     order = np.argsort(keys)
     keys = keys[order]
     steps = np.arange(-RING, RING + 1, dtype=np.int64)

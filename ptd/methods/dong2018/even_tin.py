@@ -14,9 +14,9 @@ from ptd.ground.random_choice import picked_per_cell
 from ptd.tin.mesh import Tin
 
 WIDEST_M = 20.0
-"""Facets of a larger circumradius lie under large objects or across voids, are not even, and say nothing."""
+"""Largest circumradius of a facet that tests points; larger ones lie under objects or across voids."""
 
-DISTANCE_BIN_M = 0.02
+DISTANCE_BIN_M = 0.02  # fine compared with the noise of matched clouds, about 0.1 m
 ANGLE_BIN_DEG = 1.0
 BINS = Bins(DISTANCE_BIN_M, 150, math.radians(ANGLE_BIN_DEG), 90)
 
@@ -24,12 +24,12 @@ _SALT = 2018
 
 
 def reach_m(scale_m: float) -> float:
-    """Metres around a point beyond which nothing decides on it: a facet of the largest circle, and its cut cells."""
+    """Metres around a point within which facets decide on it: the largest circle, and the cells cut by its edge."""
     return 2.0 * WIDEST_M + 2.0 * scale_m
 
 
 class EvenTin:
-    """The even TIN of a window: distances and angles of points to it.
+    """The even TIN of a window, to which distances and angles of points are measured.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ class EvenTin:
         Points of the window, local counts, in any order.
     ground : bool [n]
     scale_m : float
-        Side of the cells of which one ground point each is a vertex.
+        Side of the cells; each gives one ground point as a vertex.
     window : Window
     scale : Scale
     """
@@ -67,6 +67,6 @@ class EvenTin:
     def near(
         self, x: Int32, y: Int32, z: Int32, which: Bool, distance_m: float, angle_deg: float
     ) -> tuple[Bool, Bool]:
-        """Which of the chosen points are within distance and angle of their facet, and for which that is in doubt."""
+        """Masks of the chosen points within distance and angle of their facet, and of those in doubt."""
         threshold = Threshold(distance_m, math.radians(angle_deg))
         return self._trial.test(x, y, z, which, threshold, self._doubt)

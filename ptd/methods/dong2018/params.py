@@ -1,4 +1,4 @@
-"""Parameters of `dong2018`; the table in `dong2018` gives the reasons of their defaults."""
+"""Parameters of `dong2018`; its table in `method.py` gives the reasons for their defaults."""
 
 from __future__ import annotations
 
@@ -13,35 +13,35 @@ from ptd.params import like, parameter
 
 @dataclass(frozen=True)
 class Dong2018Parameters(Progressive):
-    """What can be set; `ptd.methods.dong2018.method.Dong2018` adds the passes."""
+    """Settings of `dong2018`; `ptd.methods.dong2018.method.Dong2018` adds the passes."""
 
     edge_length_reduce_m: float = parameter(
         0.0, "L1: the iteration angle shrinks on facets with shorter edges; 0: never", unit="m", minimum=0.0,
         maximum=1000.0, source="Dong 2018, 2.3",
     )  # fmt: skip
     thin_cell_m: float = parameter(
-        0.0, "stage one: only the lowest point of a cell of this side can become a vertex; 0: as fine as DEN_thr asks",
+        0.0, "stage one: only the lowest point of a cell of this side can become a vertex; 0: as DEN_thr requires",
         unit="m", minimum=0.0, maximum=100.0,
     )  # fmt: skip
-    rounds: int = parameter(8, "rounds of stage one; 0: until nothing passes", 0, 1000)
+    rounds: int = parameter(8, "rounds of stage one; 0: until no point passes", 0, 1000)
     density_k: float = parameter(
         0.2, "k: density coefficient of DEN_thr, the density of the TIN from which noise decides", minimum=0.001,
         maximum=1000.0, source="Dong 2018, eq. 3",
     )  # fmt: skip
     first_scale_m: float = parameter(
-        4.0, "stage two: largest cells of which one ground point is a vertex; halved from scale to scale", unit="m",
+        4.0, "stage two: largest cells, each gives one vertex; halved from scale to scale", unit="m",
         minimum=1.0, maximum=64.0, source="Dong 2018, 2.5.3",
     )  # fmt: skip
-    last_scale_m: float = parameter(1.0, "s_thr: no smaller cells", 0.25, 1.0, "m", source="Dong 2018, 2.5.3")
+    last_scale_m: float = parameter(1.0, "s_thr: smallest cells", 0.25, 1.0, "m", source="Dong 2018, 2.5.3")
     min_joined: int = parameter(
-        2000, "n: stage two ends when fewer points of the run joined", 0, 10**9, source="Dong 2018, 2.5.3"
+        2000, "n: stage two ends when fewer points of the run join", 0, 10**9, source="Dong 2018, 2.5.3"
     )
     contour_share: float = parameter(
         0.01, "level of the outer contour as a share of the histogram's fullest bin", minimum=0.0001, maximum=0.9,
         source="Dong 2018, figure 5",
     )  # fmt: skip
     pit_sigmas: float = parameter(
-        6.0, "stage one: points in pits narrower than 3 m and at least this many sigma deep are no vertices",
+        6.0, "stage one: points in pits narrower than 3 m and at least this many sigma deep cannot become vertices",
         minimum=1.0,
         maximum=1000.0,
     )  # fmt: skip
@@ -49,7 +49,7 @@ class Dong2018Parameters(Progressive):
 
     @property
     def scales_m(self) -> tuple[float, ...]:
-        """Sides of the cells of stage two, the largest first."""
+        """Sides of the cells of stage two, beginning with the largest."""
         n = int(math.log2(self.first_scale_m / self.last_scale_m) + 1e-9)
         return tuple(self.first_scale_m / 2**k for k in range(n + 1))
 
@@ -61,7 +61,7 @@ class Dong2018Parameters(Progressive):
         return Classic(**{**shared, "thin_cell_m": self.thin_cell_m or 1.0})
 
     def threshold_m2(self, sigma_m: float) -> float:
-        """DEN_thr of equation 3: points per square metre of the TIN from which noise decides."""
+        """DEN_thr of equation 3: points per square metre of the TIN above which noise decides."""
         return (
             self.density_k
             * math.tan(math.radians(self.iteration_angle_deg)) ** 2

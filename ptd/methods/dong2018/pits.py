@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from ptd.cells import Int32, Int64, cell_keys, lowest_per_cell
+from ptd.cells import Int32, Int64, keys_in, lowest_per_cell
 from ptd.frame import Cells, Scale
 from ptd.ground.outliers import LowNoise
 from ptd.kernel import kernel
 
 CELL_M = 1.0
 REACH_CELLS = 2
-"""Whole cells around a point that decide whether it lies in a pit."""
+"""Number of whole cells around a point that decide whether it lies in a pit."""
 
 _ROW = 1 << 32
 _BLOCK = (-1, 0, 1)
@@ -20,7 +20,7 @@ _NO_HEIGHT = -(2**62)
 
 @kernel
 def _around(keys: Int64, heights: Int64, wanted: Int64, sign: int, out: Int64) -> None:
-    """The highest (sign 1) or lowest (-1) of the filled cells in 3 x 3 around each wanted cell."""
+    """The highest (sign 1) or lowest (-1) filled cell among the 3 x 3 cells around each chosen cell."""
     for i in range(wanted.size):
         best = np.int64(_NO_HEIGHT)
         for row in range(-1, 2):
@@ -35,32 +35,34 @@ def _around(keys: Int64, heights: Int64, wanted: Int64, sign: int, out: Int64) -
 def pits(x: Int32, y: Int32, z: Int32, depth_m: float, scale: Scale) -> LowNoise:
     """Heights below which points lie in pits, by cell.
 
-    The surface of the lowest points per cell is closed with a square of 3 x 3 cells: what is lower than its
-    surroundings and has no room for such a square is filled. A slope stays as it is, whatever its inclination, so the
-    depth may be a few times the noise. Squares may stand partly outside the data, or its lower border would be a pit.
+    The surface of the lowest points per cell is closed with a square of 3 x 3 cells, which fills hollows that are
+    narrower than the square. A slope stays unchanged at any inclination, so a depth of a few times the noise suffices.
+    Squares may lie partly outside the data; otherwise the lower border of the data would count as a pit.
 
     Parameters
     ----------
     x, y, z : int32 [n]
         Local counts, in any order.
     depth_m : float
-        Points so far below the closed surface are in a pit.
+        Points farther below the closed surface are in a pit.
     scale : Scale
 
     Returns
     -------
     LowNoise
-        Of all cells with points.
+        Limits of all cells with points.
     """
     cells = Cells.of(CELL_M, scale)
     lowest = lowest_per_cell(x, y, z, cells)
     x, y, heights = x[lowest], y[lowest], z[lowest].astype(np.int64)
-    keys = cell_keys(
-        x, y, cells.p, cells.q, cells.origin_x, cells.origin_y, cells.column(0), cells.row(0), _ROW
-    )
+    keys = keys_in(x, y, cells, cells.column(0), cells.row(0), _ROW)
     order = np.argsort(keys)
     keys, heights = keys[order], heights[order]
-    centres = np.unique(np.concatenate([keys + row * _ROW + column for row in _BLOCK for column in _BLOCK]))
+    around = []
+    for row in _BLOCK:
+        for column in _BLOCK:
+            around.append(keys + row * _ROW + column)
+    centres = np.unique(np.concatenate(around))
     highest, closed = np.empty(centres.size, np.int64), np.empty(keys.size, np.int64)
     _around(keys, heights, centres, 1, highest)
     _around(centres, highest, keys, -1, closed)

@@ -11,7 +11,7 @@ import numpy as np
 
 from ptd.cells import Xyz
 from ptd.frame import Cells, Scale, Window
-from ptd.ground import roughness
+from ptd.ground import noise_sums, roughness
 from ptd.ground.densify import densify_seeds
 from ptd.ground.distance_angle import Bool
 from ptd.ground.labelling import GROUND, LOW_NOISE, GroundRule, TinLabels
@@ -22,9 +22,9 @@ from ptd.params import DECIMALS
 from ptd.passes import Measured, MethodRefusal, Model, Pass, Points, State, UInt8, noted
 
 SPARSE_M2 = 1.0
-"""Points per square metre below which no plausible noise matters."""
+"""Points per square metre below which no plausible noise has an effect."""
 LONGEST_STOP_M = 1000.0
-"""Of ``edge_length_stop_m``, as its parameter has it: noise of many metres asks for longer edges."""
+"""Upper limit of ``edge_length_stop_m``. Noise of many metres would require longer edges."""
 
 
 @dataclass(frozen=True)
@@ -38,21 +38,25 @@ class NoisePass(Pass):
     gives_labels: bool = False
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Measured:
-        """Look for planar patches."""
+        """Measure density and planar patches."""
         return Measured(roughness.measure(points.xyz, window, core, scale))
 
     def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
-        """``density_m2``, ``cells``, ``sigma_m``, ``patches``, ``threshold_m2``, ``thin_cell_m`` and ``dense``.
+        """Add the figures of the run to the state.
+
+        These are ``density_m2``, ``cells``, ``sigma_m``, ``patches``, ``threshold_m2``, ``thin_cell_m`` and ``dense``.
 
         Raises
         ------
         MethodRefusal
-            No planar patch where the noise matters; a thinning cell that cannot reach DEN_thr.
+            If noise matters and there is no planar patch, or if a thinning cell cannot reach DEN_thr.
         """
         parts = list(partials)
-        found = roughness.merge(parts)
+        found = noise_sums.merge(parts)
         given = state["run"]["sigma_m"]
-        sigma = given if given is not None else found.sigma_m
+        sigma, origin = found.sigma_m, f"from {found.patches} planar patches"
+        if given is not None:
+            sigma, origin = given, "given"
         figures = {
             "density_m2": found.density_m2,
             "cells": sum(p["cells"] for p in parts),
@@ -63,7 +67,10 @@ class NoisePass(Pass):
             "dense": False,
         }
         density = f"{found.density_m2:.3g} points/m2"
-        least = self.params.threshold_m2(roughness.LARGEST_SIGMA_M if sigma is None else sigma)
+        assumed = sigma
+        if assumed is None:
+            assumed = noise_sums.LARGEST_SIGMA_M
+        least = self.params.threshold_m2(assumed)
         if found.density_m2 < SPARSE_M2 or (sigma is None and found.density_m2 <= least):
             return with_notes(
                 state, figures, f"{density}: too sparse for noise to matter, so the result is classic's"
@@ -73,7 +80,7 @@ class NoisePass(Pass):
                 f"dong2018: {found.patches or 'no'} planar patches of ground are too few to estimate the noise of"
                 f" heights, which matters at {density}; give it with --sigma METRES"
             )
-        origin = "given" if given is not None else f"from {found.patches} planar patches"
+
         what = f"sigma {sigma:.3g} m ({origin}), {density}, DEN_thr {least:.3g} points/m2"
         figures["threshold_m2"] = least
         if found.density_m2 <= least:
@@ -89,24 +96,24 @@ class NoisePass(Pass):
 
 
 def _thin_cell(threshold_m2: float) -> float:
-    """The coarsest thinning cell, of whole centimetres and at most a metre, with which a TIN can pass a density."""
+    """The coarsest thinning cell (whole centimetres, at most 1 m) with which a TIN can exceed a density."""
     centimetres = math.ceil(100.0 / math.sqrt(threshold_m2)) - 1
     return min(max(centimetres, 1), 100) / 100
 
 
 def with_notes(state: State, figures: dict[str, Any], *lines: str) -> dict[str, Any]:
-    """The state with figures, and lines that tell of them."""
+    """The state with more figures, and with notes about them."""
     return {**state, **figures, "notes": noted(state, *(f"dong2018: {line}" for line in lines))}
 
 
 def even_edge_m(density_m2: float) -> float:
-    """Edge of the equilateral facets of a TIN of that density: a vertex for each two of them."""
+    """Edge of the facets of an equilateral TIN of a density, which has a vertex for two facets."""
     return math.sqrt(2.0 / (math.sqrt(3.0) * density_m2))
 
 
 @dataclass(frozen=True)
 class StageOnePass(Pass):
-    """Step 3: densify until noise decides; in dense clouds only vertices are ground then, as in the paper."""
+    """Step 3: densify until noise decides. In dense clouds only vertices become ground, as in the paper."""
 
     params: Dong2018Parameters
     name: str = "stage-one"
@@ -152,7 +159,7 @@ class StageOneModel(TinLabels):
         self.finish(tin, in_doubt, GroundRule(limits, 0.0, vertices_only=True))
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
-        """Vertices are ground, points in pits below the TIN low noise."""
+        """Label vertices as ground, and points in pits below the TIN as low noise."""
         labels, marked = super().label(points)
         if self.tin is not None:
             x, y, z = points.columns()

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ptd.frame import Scale, Window
-from ptd.ground import roughness
+from ptd.ground import noise_sums
 from ptd.ground.distance_angle import Bool
 from ptd.ground.histogram_contour import contour_reach
 from ptd.ground.labelling import GROUND, UNCLASSIFIED
@@ -19,7 +19,7 @@ from ptd.methods.dong2018.stage_one import with_notes
 from ptd.passes import Measured, Model, Pass, Points, State, UInt8
 
 JOINED = 4
-"""Label between passes: joined at the last scale; else the labels are ASPRS classes."""
+"""Label of points that joined at the last scale; other labels between passes are ASPRS classes."""
 
 
 @dataclass(frozen=True)
@@ -35,7 +35,7 @@ class MeasurePass(Pass):
     gives_labels: bool = False
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Measured:
-        """Histogram of the core's ground points that are not in the even TIN."""
+        """Make the histogram of the core's ground points that are not in the even TIN."""
         if not _goes_on(state):
             return Measured({})
         x, y, z = points.columns()
@@ -53,7 +53,10 @@ class MeasurePass(Pass):
         return Measured(partial, {"vertices": even.vertices, "left_out": int(counts.sum())})
 
     def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
-        """``scales``: a list of thresholds and figures, one more for each scale; ``stopped``: the reason, or None."""
+        """Add the thresholds and figures of this scale to the state.
+
+        ``scales`` lists those of all scales, ``stopped`` is the reason of an early end or None.
+        """
         if not _goes_on(state):
             return dict(state)
         joined = ground = 0
@@ -75,8 +78,10 @@ class MeasurePass(Pass):
                     state, {"scales": before, "stopped": why}, f"{lines[0]}, {why}: stage two ends"
                 )
         else:
-            density = ground / (state["cells"] * roughness.PATCH_M**2)
-            short = "; nothing more passed" if density <= state["threshold_m2"] else ""
+            density = ground / (state["cells"] * noise_sums.PATCH_M**2)
+            short = ""
+            if density <= state["threshold_m2"]:
+                short = "; nothing more passed"
             lines.append(f"stage one ended with {density:.3g} points/m2 in the TIN{short}")
         reach = contour_reach(counts, max(self.params.contour_share * float(counts.max()), 1e-9))
         if reach is None:
@@ -127,15 +132,19 @@ class JoinPass(Pass):
 
 
 class JoinModel(Model):
-    """Test points against a window's even TIN; without a TIN labels stay as they are."""
+    """Test of points against a window's even TIN; without a TIN labels stay unchanged."""
 
     def __init__(self, even: EvenTin | None, distance_m: float, angle_deg: float, last: bool) -> None:
         self._even, self._distance_m, self._angle_deg = even, distance_m, angle_deg
-        self._label = GROUND if last else JOINED
-        self.stats = {} if even is None else {"vertices": even.vertices}
+        self._label = JOINED
+        if last:
+            self._label = GROUND
+        self.stats = {}
+        if even is not None:
+            self.stats = {"vertices": even.vertices}
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
-        """What joined before is ground; what joins now is `JOINED`, or ground after the last scale."""
+        """Label points that joined before as ground, new ones as `JOINED`, or ground after the last scale."""
         before = points.known_labels()
         labels = np.where(before == JOINED, np.uint8(GROUND), before)
         if self._even is None:

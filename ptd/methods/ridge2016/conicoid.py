@@ -1,12 +1,12 @@
 """Test seeds against a curved surface (conicoid) fitted to their neighbours.
 
 Source: Remote Sensing 8(1):71 (2016), section 2.2. The heights of a seed and its neighbours in the TIN are observations
-of ``z = b0 + b1 x + b2 y + b3 x2 + b4 xy + b5 y2`` (equations 2-5); a seed whose normalised residual leaves the
-confidence interval of the t distribution is a gross error (equations 6-10).
+of ``z = b0 + b1 x + b2 y + b3 x2 + b4 xy + b5 y2`` (equations 2-5). A seed is a gross error if its normalised residual
+lies outside the confidence interval of the t distribution (equations 6-10).
 
-The fit is done seed by seed in one kernel: coordinates relative to the judged seed, neighbours in the order of (x, y),
-modified Gram-Schmidt with plain sums. So equal neighbours give equal bits, whatever the tile, the order of the points
-or the linear algebra library.
+One kernel fits seed by seed: coordinates are relative to the judged seed, neighbours are in the order of (x, y), and
+modified Gram-Schmidt uses plain sums. So equal neighbours give equal bits. Neither the tile, nor the order of the
+points, nor a linear algebra library has an effect.
 """
 
 from __future__ import annotations
@@ -26,20 +26,23 @@ Float64 = npt.NDArray[np.float64]
 
 UNKNOWNS = 6
 MIN_NEIGHBOURS = 10
-"""With fewer neighbours a seed is not tested."""
+"""Number of neighbours below which a seed is not tested."""
 
 DEPENDENT = 1e-6
-"""A column of which the others leave no more than this share makes the conicoid undetermined, a seed whose own height
-decides on all but this share of its fit has no residual: the seed stays."""
+"""Smallest share of a column that has to be independent of the other columns.
+
+Otherwise the conicoid is undetermined. In the same way, the fit must leave this share of a seed's own height open, or
+there is no residual. In both cases the seed stays.
+"""
 
 
 @kernel
 def _gather(
     mesh: Mesh, v: int, centre: int, data: Bool, seen: Int32Array, found: Int32Array, n: int, in_doubt: UInt8
 ) -> tuple[int, bool]:
-    """Append the data vertices around v that were not yet seen from the centre to the n found before.
+    """Append the new data vertices around v to the n found before, relative to the centre.
 
-    How many are found now, and whether a triangle around v is in doubt.
+    Returns the new number, and whether a triangle around v is in doubt.
     """
     vertices, triangles = mesh
     unsure = False
@@ -66,15 +69,16 @@ def _fit(rows: Float64, n: int) -> tuple[float, float, float]:
     Parameters
     ----------
     rows : float64 [>= n, UNKNOWNS + 1]
-        x, y, x2, xy, y2, 1, z of each point; the judged one first, at (0, 0, 0).
+        x, y, x2, xy, y2, 1, z of each point; the judged point comes first, at (0, 0, 0).
     n : int
+        Number of points.
 
     Returns
     -------
     residual : float
-        Of the judged point (equation 7), up to its sign.
+        Residual of the judged point (equation 7), up to its sign.
     leverage : float
-        Its diagonal element of X (X'X)^-1 X'; q_ii of equation 6 is 1 less this. NaN if the columns are dependent.
+        Its diagonal element of X (X'X)^-1 X', which is 1 - q_ii of equation 6. NaN if the columns are dependent.
     squares : float
         Sum of the squared residuals.
     """
@@ -102,7 +106,7 @@ def _fit(rows: Float64, n: int) -> tuple[float, float, float]:
     squares = 0.0
     for i in range(n):
         squares += rows[i, UNKNOWNS] * rows[i, UNKNOWNS]
-    # In the judged point all columns but the constant are 0: it alone makes its leverage.
+    # All columns except the constant are 0 in the judged point, so the constant alone makes its leverage.
     return rows[0, UNKNOWNS], rows[0, UNKNOWNS - 1] * rows[0, UNKNOWNS - 1], squares
 
 
@@ -110,7 +114,7 @@ def _fit(rows: Float64, n: int) -> tuple[float, float, float]:
 def _statistics(
     mesh: Mesh, n_vertices: int, data: Bool, in_doubt: UInt8, length: float
 ) -> tuple[Float64, Float64, Int32Array, Bool]:
-    """Normalised residual (0: cannot be judged), residual in vertical counts, n and doubt of each data vertex."""
+    """Normalised residual (0: not judged), residual in vertical counts, n and doubt of each data vertex."""
     vertices = mesh[0]
     statistic, residual = np.zeros(n_vertices), np.zeros(n_vertices)
     observations, unsure = np.zeros(n_vertices, np.int32), np.zeros(n_vertices, np.bool_)
@@ -144,7 +148,7 @@ def _statistics(
             rows[k + 1, 2], rows[k + 1, 3], rows[k + 1, 4] = x * x, x * y, y * y
             rows[k + 1, 5], rows[k + 1, 6] = 1.0, float(vertices[u + 2] - z0)
         residual[v], leverage, squares = _fit(rows, m + 1)
-        variance = squares / (m + 1 - UNKNOWNS - 1) * (1.0 - leverage)  # of equations 8 and 9
+        variance = squares / (m + 1 - UNKNOWNS - 1) * (1.0 - leverage)  # equations 8 and 9
         if variance > 0.0 and 1.0 - leverage > DEPENDENT:
             statistic[v] = abs(residual[v]) / math.sqrt(variance)
     return statistic, residual, observations, unsure
@@ -153,28 +157,28 @@ def _statistics(
 def contradicted(
     tin: Tin, data: Bool, length: float, confidence: float, least: float, doubt: Doubt
 ) -> npt.NDArray[np.bool_]:
-    """Which seeds do not fit the conicoid through their neighbours; all are judged against the same TIN.
+    """Mask of the seeds that do not fit the conicoid through their neighbours; all are judged in the same TIN.
 
-    A seed is judged by the data vertices up to two edges away, over data vertices alone, and by itself. The paper
-    judges one seed after the other, in the TIN that the ones before left: that depends on their order.
+    The observations are the seed itself and the data vertices up to two edges away, over data vertices only. The paper
+    judges one seed after the other, in the TIN that earlier decisions left, which depends on their order.
 
-    With n observations the normalised residual cannot exceed the root of n - u - 1 (equations 8 and 9), so that at
-    98 % nothing is contradicted below 16 of them.
+    With n observations the normalised residual cannot exceed the root of n - u - 1 (equations 8 and 9). So at 98 % no
+    seed with fewer than 16 observations is contradicted.
 
     Parameters
     ----------
     tin : Tin
-        Of the seeds.
+        TIN of the seeds.
     data : bool [vertices]
-        Not a virtual seed; those are neither judged nor observations.
+        False for virtual seeds, which are neither judged nor observations.
     length : float
-        Ordinary distance of seeds, counts: coordinates are taken in it.
+        Typical distance of seeds in counts, the unit of the coordinates in the fit.
     confidence : float
-        1 - alpha, two-sided, of t with n - u - 1 degrees of freedom; 1 contradicts nothing.
+        1 - alpha, two-sided, of t with n - u - 1 degrees of freedom; with 1 no seed is contradicted.
     least : float
-        Vertical counts: smaller residuals contradict nothing.
+        Smallest residual that contradicts a seed, vertical counts.
     doubt : Doubt
-        Grows by the places of seeds that points outside the window could save or drop.
+        Receives the places of seeds whose fate points outside the window could change.
 
     Returns
     -------

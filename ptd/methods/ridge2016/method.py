@@ -1,6 +1,6 @@
 """``ridge2016``: progressive TIN densification for steep mountains beside settlements.
 
-Remote Sensing 8(1):71 (2016); file 003. What is not in the table is `classic`'s, with its defaults and reasons.
+Remote Sensing 8(1):71 (2016); file 003. Parameters that are not in the table are those of `classic`.
 
 ====================  =============================  ========  =======================================================
 parameter             paper's name and value         default   reason
@@ -21,25 +21,29 @@ thin_cell             m: "the resolution of the      1 m       the DTM's default
 growth                p_min: 0.001                   0.001     the paper's value
 rounds                none                           12        a bound for the halo: few runs need as many
 label_floor           none                           0.3 m     `classic`'s; 0 is the paper's rule
-robust_cells          none                           on        ours, for matched clouds, of which the paper's data are:
+robust_cells          none                           on        ours, for matched clouds like the paper's data:
                                                                `ptd.matched.on_cells`; off: the paper's rule
 ====================  =============================  ========  =======================================================
 
 Steps: seeds per cell (2.1); ridge points (2.1, equation 1, `ridges`); seed refinement (2.2, equations 2-10,
 `conicoid`); densification (2.3, equations 11 and 12, `thinned_densification`).
 
-Equation 11 ends the rounds when the terrain class grows by at most p_min of all points. Both are figures of the run,
-which no tile knows. So a first pass runs all rounds and counts in each the points of its tile's core that join the
-class; their sums tell which round is the last. Its labels say in which round a point became a vertex; as a vertex
-gives way to a lower one of its cell alone, and for good, they tell the second pass the TIN of that last round. So no
-tile ends earlier than its neighbour. A tile that is not certain of its count is done again with a wider halo; what
-stays uncertain is summed as well, and if it could move the last round a note says so.
+Equation 11 ends the rounds when the terrain class grows by at most p_min of all points. Both numbers belong to the
+run, and no tile knows them. So a first pass runs all rounds and counts, in each, the points of its tile's core that
+join the class. The sums over all tiles determine the last round. The labels of the first pass say in which round a
+point became a vertex. A vertex gives way only to a lower one of its cell, and never returns, so these labels give the
+second pass the TIN of the last round. No tile ends earlier than its neighbour. A tile with an uncertain count is done
+again with a wider halo. The remaining uncertain points are summed as well; if they could move the last round, a note
+says so.
 
-Deviations: seeds are judged against one TIN and dropped together, since one after the other depends on their order;
-virtual seeds around the data (`ptd.ground.seeds`) neither make ridges nor take part in fits; growth is what joins the
-class, not less what leaves it (beside new vertices the facet test gets stricter: in the second round the class often
-shrinks while the TIN climbs on), and the class is that of the last pass, with its floor; low outliers are taken out
-first (of the paper's data nothing is said).
+Deviations:
+
+- Seeds are judged against one TIN and dropped together, because judging one after the other depends on their order.
+- Virtual seeds around the data (`ptd.ground.seeds`) neither make ridges nor take part in fits.
+- Growth is the number of points that join the class; points that leave it are not subtracted. (Beside new vertices the
+  facet test gets stricter: in the second round the class often shrinks while the TIN grows.) The class is that of the
+  last pass, with its floor.
+- Low outliers are removed first; the paper does not mention them.
 """
 
 from __future__ import annotations
@@ -54,22 +58,29 @@ from ptd.passes import Method, Pass
 
 @dataclass(frozen=True)
 class Ridge2016(Ridge2016Parameters):
-    """Parameters of `ridge2016` (see the module's table), and what follows from them for a run."""
+    """Parameters of `ridge2016` (see the module's table), and the passes that follow from them."""
 
     @property
     def passes(self) -> tuple[Pass, ...]:
-        """One pass; two where the number of rounds follows from how the terrain grows: the first counts."""
-        own = (GrowthPass(self), TerrainPass(self)) if self.growth else (RidgePass(self),)
-        return either_way(own) if self.robust_cells else own
+        """One pass, or two if the growth of the terrain decides on the number of rounds.
+
+        The first of two passes counts.
+        """
+        own: tuple[Pass, ...] = (RidgePass(self),)
+        if self.growth:
+            own = (GrowthPass(self), TerrainPass(self))
+        if self.robust_cells:
+            return either_way(own)
+        return own
 
     @property
     def halo_m(self) -> float:
-        """Seven seed cells for what decides on ridges and seeds, 30 m for the rounds: measured on a city's edge."""
+        """Seven seed cells for ridges and seeds, and 30 m for the rounds; measured on the edge of a city."""
         return 7.0 * self.max_building_size_m + 30.0
 
     @property
     def candidate_cell_m(self) -> float:
-        """Every point is a candidate: that is what the paper's densification is for."""
+        """0: every point is a candidate, which is the purpose of the paper's densification."""
         return 0.0
 
 

@@ -1,4 +1,4 @@
-"""Parameters of `ridge2016`; the table in `ridge2016` gives the reasons of their defaults."""
+"""Parameters of `ridge2016`; its table in `method.py` gives the reasons for their defaults."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ptd.params import like, parameter
 
 @dataclass(frozen=True)
 class Ridge2016Parameters(Progressive):
-    """What can be set; `ptd.methods.ridge2016.method.Ridge2016` adds the passes."""
+    """Settings of `ridge2016`; `ptd.methods.ridge2016.method.Ridge2016` adds the passes."""
 
     max_building_size_m: float = parameter(
         20.0, "w: side of the cells whose lowest point is a seed", unit="m", minimum=5.0, maximum=1000.0,
@@ -30,12 +30,12 @@ class Ridge2016Parameters(Progressive):
         maximum=100.0, source="Ridge 2016, 2.1",
     )  # fmt: skip
     ridge_angle_deg: float = parameter(
-        25.0, "theta_r: and it meets facets that fall away from it on two sides at such angles or larger", unit="deg",
+        25.0, "theta_r: smallest angle at which facets fall away from it on two sides", unit="deg",
         minimum=0.0,
         maximum=90.0, source="Ridge 2016, 2.1",
     )  # fmt: skip
     ridge_radius_m: float = parameter(
-        2.0, "radius around the centre of such a facet within which the lowest point is a seed too", unit="m",
+        2.0, "radius around the centre of such a facet within which the lowest point becomes a seed", unit="m",
         minimum=0.1, maximum=5.0,
         source="Ridge 2016, 2.1",
     )  # fmt: skip
@@ -43,12 +43,10 @@ class Ridge2016Parameters(Progressive):
         0.98, "1 - alpha: seeds whose residual from a conicoid through their neighbours is less probable than alpha "
         "are dropped; 1: none", minimum=0.5, maximum=1.0, source="Ridge 2016, 2.2",
     )  # fmt: skip
-    seed_residual_m: float = parameter(
-        0.0, "seeds with a smaller residual are kept in any case", 0.0, 100.0, "m"
-    )
+    seed_residual_m: float = parameter(0.0, "seeds with a smaller residual are always kept", 0.0, 100.0, "m")
     growth: float = parameter(
-        0.001, "p_min: rounds end when the terrain grew by no more than this share of the run's points; 0: never",
+        0.001, "p_min: rounds end when the terrain grows by at most this share of the run's points; 0: never",
         minimum=0.0, maximum=1.0, source="Ridge 2016, equation 11",
     )  # fmt: skip
-    rounds: int = parameter(12, "rounds of densification at most", 1, 100)
+    rounds: int = parameter(12, "largest number of rounds of densification", 1, 100)
     robust_cells: bool = like(OnCells, "robust_cells")

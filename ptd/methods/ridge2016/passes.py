@@ -1,4 +1,4 @@
-"""The passes of `ridge2016`: counting how the terrain grows, and labelling, or both in one."""
+"""The passes of `ridge2016`: one that counts how the terrain grows and one that labels, or both in one."""
 
 from __future__ import annotations
 
@@ -25,26 +25,32 @@ from ptd.passes import Pass, Points, State, UInt8, noted
 from ptd.tin.mesh import Tin
 
 SEED = 8
-"""Label between the passes: a vertex from the first TIN on; ``SEED + k`` from TIN number k on. Else ASPRS classes."""
+"""First label of vertices between the passes.
+
+`SEED` marks vertices of the first TIN, ``SEED + k`` those that enter TIN number k. Other labels are ASPRS classes.
+"""
 
 TERRAIN_HALO_CELLS = 4.0
-"""Seed cells around a tile that the circles of the last TIN seldom leave: those of its ring reach less than three."""
+"""Seed cells around a tile that circles of the last TIN seldom leave; those of the ring need three."""
 
 
 @dataclass(frozen=True)
 class GrowthPass(Pass):
-    """Run all rounds, count what joins the terrain class in each, and decide which round is the last."""
+    """Run all rounds, count the points that join the terrain class in each, and find the last round."""
 
     params: Ridge2016Parameters
     name: str = "growth"
     title = "find when growth ends"
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> GrowthModel:
-        """Run all rounds that may be needed."""
+        """Densify in all rounds."""
         return GrowthModel(self.params, points, window, core, scale)
 
     def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
-        """State with ``ridge2016``: ``rounds`` to run; ``points``, ``gained`` and ``unsure`` of the run."""
+        """Add the key ``ridge2016`` to the state.
+
+        It holds the number of ``rounds`` to run, and ``points``, ``gained`` and ``unsure`` of the run.
+        """
         points, gained, unsure = 0, [0] * self.params.rounds, [0] * self.params.rounds
         for part in partials:
             points += part["points"]
@@ -56,20 +62,20 @@ class GrowthPass(Pass):
 
 
 def most_gained(points: int, growth: float) -> Fraction:
-    """Points that may join in the last round: p_min of equation 11 times all, exactly."""
+    """Largest number of points that may join in the last round: p_min of equation 11 times all, exactly."""
     return Fraction(repr(float(growth))) * points
 
 
 def last_round(points: int, gained: list[int], unsure: list[int], growth: float) -> tuple[int, str]:
-    """The round in which at most a share of all points joined the terrain class, and what to tell of it.
+    """The first round in which few enough points joined the terrain class, and a note on it.
 
     Parameters
     ----------
     points : int
     gained : list of int
-        Points that joined it in each round.
+        Points that joined in each round.
     unsure : list of int
-        Points whose label is not certain after each round, as they lie near a tile's edge.
+        Points near the edge of a tile whose label is uncertain after each round.
     growth : float
         p_min of equation 11.
     """
@@ -86,21 +92,24 @@ def last_round(points: int, gained: list[int], unsure: list[int], growth: float)
 
 
 class GrowthModel(TinLabels):
-    """What joins the terrain class of a window's core, round by round, and the vertices of each round."""
+    """Number of points that join the terrain class of a window's core in each round, and the new vertices."""
 
     def __init__(
         self, params: Ridge2016Parameters, points: Points, window: Window, core: Window, scale: Scale
     ) -> None:
         super().__init__(window.closed, {"points": len(points), "rounds": 0})
         self._points = int(core.has(points.xyz[0], points.xyz[1]).sum())
-        self._gained, self._unsure = np.zeros(params.rounds, np.int64), np.zeros(params.rounds, np.int64)
+        self._gained = np.zeros(params.rounds, np.int64)
+        self._unsure = np.zeros(params.rounds, np.int64)
         self._prepared: Prepared | None = None
         if len(points):
             self._prepared = Prepared(params, points.columns(), window, scale)
-            # A window that is the whole run sees its last round itself. More are run, for `--statistics` of another
-            # run may want them, but nothing is counted any more.
+            # A window that is the whole run knows its last round. Further rounds are run without counting, because
+            # `--statistics` of another run may ask for them.
             alone = not window.closed and self._points == len(points)
-            enough = int(most_gained(self._points, params.growth)) if alone else -1
+            enough = -1
+            if alone:
+                enough = int(most_gained(self._points, params.growth))
             self._codes = np.full(self._prepared.stacks.x.size, UNCLASSIFIED, np.uint8)
             self.stats.update(self._prepared.counts, rounds=self._count(self._prepared, core, enough))
 
@@ -114,13 +123,16 @@ class GrowthModel(TinLabels):
         for k, step in enumerate(islice(prepared.rounds(), self._gained.size)):
             self._codes[step.vertex & (self._codes == UNCLASSIFIED)] = SEED + k
             if k == 0 or self._gained[k - 1] > enough:
-                # Rounds that are not run would add nothing, and change nothing of what is not certain.
+                # Rounds that are not run would add no points, and leave the uncertain points as they are.
                 self._gained[k], self._unsure[k:] = tally.count(step.tin, step.in_doubt)
             done = k + 1
         return done
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
-        """The round in which a point became a vertex; low noise; all else is unclassified. All in doubt is marked."""
+        """Label the points and mark those in doubt; earlier low noise stays unless it is ground.
+
+        All points in doubt are marked.
+        """
         if self._prepared is None:
             return super().label(points)
         s, (x, y, z) = self._prepared.stacks, points.columns()
@@ -130,11 +142,11 @@ class GrowthModel(TinLabels):
         return labels, self._prepared.doubt.covers(x, y)
 
     def partial(self) -> dict[str, Any]:
-        """``points`` of the core, and in each round ``gained`` and ``unsure`` (see `last_round`)."""
+        """Number of ``points`` in the core, and in each round ``gained`` and ``unsure`` (see `last_round`)."""
         return {"points": self._points, "gained": self._gained.tolist(), "unsure": self._unsure.tolist()}
 
     def uncertain(self) -> int:
-        """Points whose label is not certain after some round."""
+        """Number of points whose label is uncertain after some round."""
         return int(self._unsure.max(initial=0))
 
 
@@ -149,7 +161,7 @@ class TerrainPass(Pass):
 
     @property
     def halo_m(self) -> float:  # type: ignore[override]
-        """Metres around a tile that circles of the last TIN need; no round follows."""
+        """Metres around a tile within which the circles of the last TIN lie. No round follows."""
         return TERRAIN_HALO_CELLS * self.params.max_building_size_m
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> TerrainModel:
@@ -158,7 +170,7 @@ class TerrainPass(Pass):
 
 
 class TerrainModel(TinLabels):
-    """A window's TIN of a round."""
+    """The TIN of a round in a window."""
 
     def __init__(
         self, params: Ridge2016Parameters, points: Points, window: Window, scale: Scale, rounds: int
@@ -173,7 +185,7 @@ class TerrainModel(TinLabels):
         doubt = Doubt(known, known.inside(cells, RING), box_with_ring(x, y, cells), scale)
         virtual = choose_seeds(x, y, z, np.ones(x.size, np.bool_), cells, doubt).virtual
         vertices = points.take((labels >= SEED) & (labels < SEED + rounds)).columns()
-        if rounds > 1:  # of the seeds all are vertices, however near
+        if rounds > 1:  # all seeds are vertices, however close together
             lowest = lowest_per_cell(*vertices, thin)
             vertices = vertices[0][lowest], vertices[1][lowest], vertices[2][lowest]
         tin = Tin.build(*(np.concatenate([c, v]) for c, v in zip(vertices, virtual.T, strict=True)))
@@ -181,7 +193,7 @@ class TerrainModel(TinLabels):
         self.finish(tin, doubt.triangles(tin), rule)
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
-        """Labels and marks of points of the window; what was low noise stays so unless it is ground."""
+        """Label the points and mark those in doubt; earlier low noise stays unless it is ground."""
         labels, marked = super().label(points)
         labels[(labels != GROUND) & (points.known_labels() == LOW_NOISE)] = LOW_NOISE
         return labels, marked
@@ -189,7 +201,7 @@ class TerrainModel(TinLabels):
 
 @dataclass(frozen=True)
 class RidgePass(Pass):
-    """Outliers, seeds, ridge points, seed refinement, densification, labels: all rounds that are wanted."""
+    """All steps in one pass: outliers, seeds, ridge points, seed refinement, densification, labels."""
 
     params: Ridge2016Parameters
     name: str = "ridge2016"

@@ -1,7 +1,7 @@
 """Ridge points: additional seeds where the TIN of the seeds cuts off a ridge.
 
-Source: Remote Sensing 8(1):71 (2016), section 2.1. A cell's lowest point lies on a slope, never on the ridge above it,
-so between the seeds of both slopes there are facets with long sides that their surroundings fall away from.
+Source: Remote Sensing 8(1):71 (2016), section 2.1. A cell's lowest point lies on a slope, never on the ridge above it.
+So the seeds of both slopes are connected by facets with long sides, from which the surroundings fall away.
 """
 
 from __future__ import annotations
@@ -24,20 +24,20 @@ from ptd.tin.mesh import Tin
 
 Bool = npt.NDArray[np.bool_]
 AROUND = 9
-"""Facets around a facet at most: three beside it, and two more beside each of those."""
+"""Largest number of facets around a facet: three beside it, and two more beside each of those."""
 
 
 class RidgeRule(NamedTuple):
-    """When a facet lies on a ridge, in horizontal counts.
+    """Limits for a facet on a ridge, in horizontal counts.
 
     Attributes
     ----------
     side : float
-        Some side has to be longer than this in x or in y: m_r w (equation 1).
+        m_r w (equation 1): some side has to be longer than this in x or in y.
     cosine : float
-        Of theta_r, the smallest dihedral angle to the facets that fall away.
+        Cosine of theta_r, the smallest dihedral angle to the facets that fall away.
     radius : float
-        Around the centre of gravity, where the lowest point is the ridge point.
+        Radius around the centre of gravity in which the lowest point is the ridge point.
     z_ratio : float
         Horizontal counts in one vertical count.
     """
@@ -49,7 +49,7 @@ class RidgeRule(NamedTuple):
 
     @classmethod
     def of(cls, scale: Scale, *, side_m: float, angle_deg: float, radius_m: float) -> Self:
-        """From metres and degrees."""
+        """The rule with limits in metres and degrees."""
         cosine = math.cos(math.radians(angle_deg))
         return cls(scale.counts(side_m), cosine, scale.counts(radius_m), scale.z_ratio)
 
@@ -58,7 +58,7 @@ class RidgeRule(NamedTuple):
 def _normal(
     vertices: Int32Array, triangles: Int32Array, t: int, z_ratio: float
 ) -> tuple[float, float, float]:
-    """Upward normal of a real facet, of any length; the same bits whatever the facet's number or rotation."""
+    """Upward normal of a real facet, of any length; its bits do not depend on the facet's number or rotation."""
     a, b, c = canonical_facet(vertices, triangles, t)
     ax, ay, az = vertices[4 * a], vertices[4 * a + 1], vertices[4 * a + 2]
     bx, by = float(vertices[4 * b] - ax), float(vertices[4 * b + 1] - ay)
@@ -82,7 +82,7 @@ def _has_long_side(vertices: Int32Array, triangles: Int32Array, t: int, side: fl
 def _falls_away(
     vertices: Int32Array, triangles: Int32Array, t: int, other: int, cosine: float, z_ratio: float
 ) -> bool:
-    """Assumption 2, (i) and (ii): the angle between the planes is above the limit, `other`'s centre below t's plane."""
+    """Assumption 2, (i) and (ii): the dihedral angle exceeds the limit, `other`'s centre lies below t's plane."""
     nx, ny, nz = _normal(vertices, triangles, t, z_ratio)
     mx, my, mz = _normal(vertices, triangles, other, z_ratio)
     dot = nx * mx + ny * my + nz * mz
@@ -99,14 +99,14 @@ def _falls_away(
 
 @kernel
 def _of_data(triangles: Int32Array, t: int, data: Bool) -> bool:
-    """Whether a real facet's corners are all points of the data."""
+    """Whether a real facet has no virtual corner."""
     row = 8 * t + 4
     return bool(data[triangles[row]] and data[triangles[row + 1]] and data[triangles[row + 2]])
 
 
 @kernel
 def _long_facet(vertices: Int32Array, triangles: Int32Array, t: int, data: Bool, side: float) -> bool:
-    """Assumption 1, for facets of the data."""
+    """Assumption 1, for facets without virtual corners."""
     return _of_data(triangles, t, data) and _has_long_side(vertices, triangles, t, side)
 
 
@@ -121,7 +121,7 @@ def _share_a_vertex(triangles: Int32Array, s: int, t: int) -> bool:
 
 @kernel
 def _around(triangles: Int32Array, t: int, found: Int32Array) -> int:
-    """Write the real facets beside t, and beside those, to `found`; some may come twice."""
+    """Write the real facets beside t, and beside those, to `found`; some may occur twice."""
     n = 0
     for j in range(3):
         s = triangles[8 * t + j] >> 3
@@ -148,7 +148,7 @@ def ridge_facet(
     vertices, triangles : int32 arrays, see `ptd.tin.layout`
     t : int
     data : bool [vertices]
-        Not a virtual seed. A facet with a virtual corner neither is a ridge nor makes one: its slope is made up.
+        False for virtual seeds. The slope of a facet with a virtual corner is artificial, so it proves no ridge.
     rule : RidgeRule
     found : int32 [AROUND]
         Scratch.
@@ -161,7 +161,7 @@ def ridge_facet(
         if _of_data(triangles, s, data) and _falls_away(vertices, triangles, t, s, rule.cosine, rule.z_ratio):
             found[falling] = s
             falling += 1
-    for i in range(falling):  # (iii): two of them without a common point, so on different sides
+    for i in range(falling):  # (iii): two of them share no point, so they lie on different sides
         for j in range(i):
             if not _share_a_vertex(triangles, found[i], found[j]):
                 return True
@@ -179,7 +179,7 @@ def _ridge_points(
     raster: Raster,
     known: tuple[int, int, int, int],
 ) -> tuple[Int32, Bool, Bool]:
-    """The point of each facet that is or may be a ridge; whether that is uncertain, and whether it is a ridge."""
+    """Ridge point of each facet that is or may be a ridge, whether it is uncertain, whether it is a ridge."""
     vertices, triangles = mesh
     x, y, z = stacks
     west, south, east, north = known
@@ -190,7 +190,7 @@ def _ridge_points(
         if is_ghost(triangles, t):
             continue
         if not _long_facet(vertices, triangles, t, data, rule.side):
-            continue  # where t itself is in doubt, so are the places near it
+            continue  # if t itself is in doubt, the places near it are too
         unsure = False
         for k in range(_around(triangles, t, found)):
             unsure = unsure or in_doubt[found[k]] != 0
@@ -213,20 +213,20 @@ def _ridge_points(
 
 
 def ridge_points(tin: Tin, data: Bool, stacks: Stacks, rule: RidgeRule, doubt: Doubt) -> Int32:
-    """Indices (int32, ascending, each once) of the lowest points near the centres of the facets on ridges.
+    """Indices of the lowest points near the centres of facets on ridges: int32, ascending, without repetition.
 
     Parameters
     ----------
     tin : Tin
-        Of the seeds.
+        TIN of the seeds.
     data : bool [vertices]
-        Not a virtual seed.
+        False for virtual seeds.
     stacks : Stacks
         Points that may become seeds.
     rule : RidgeRule
     doubt : Doubt
-        Grows by the places where points outside the window could make or move a ridge point: within the radius of
-        facets in doubt, and the ridge points of facets near those.
+        Receives the places where points outside the window could make or move a ridge point. They lie within the radius
+        of facets in doubt, or are ridge points of facets near those.
     """
     n = tin.n_triangles
     in_doubt = doubt.triangles(tin)

@@ -1,4 +1,4 @@
-"""The seeds of `ridge2016`: one per cell, ridge points, without those that a conicoid contradicts."""
+"""The seeds of `ridge2016`: one per cell and the ridge points, except those that a conicoid contradicts."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Prepared:
     Attributes
     ----------
     stacks : Stacks
-        All points but low noise.
+        All points except low noise.
     seeds : int32 [m]
         Indices into the stacks.
     virtual : int32 [k, 3]
@@ -35,16 +35,17 @@ class Prepared:
     low : LowNoise
     limits : Limits
     floor : float
-        Of the final labels, counts.
+        Floor of the final labels, counts.
     counts : dict
-        What was found and dropped.
+        Numbers of points found and dropped.
     """
 
     def __init__(
         self, params: Ridge2016Parameters, columns: tuple[Int32, Int32, Int32], window: Window, scale: Scale
     ) -> None:
         p = params
-        self.limits, self.floor = p.limits(scale), scale.counts(p.label_floor_m)
+        self.limits = p.limits(scale)
+        self.floor = scale.counts(p.label_floor_m)
         x, y, z = columns
         thin = Cells.of(p.thin_cell_m, scale)
         lowest = lowest_per_cell(x, y, z, thin)
@@ -74,11 +75,11 @@ class Prepared:
         }
 
     def rounds(self) -> Iterator[Round]:
-        """The TIN that the points are tested against in each round."""
+        """The TIN of each round, against which points are tested."""
         return densify_thinned(self.stacks, self.seeds, self.virtual, self.limits, self.doubt)
 
     def _tin(self, seeds: Int32) -> tuple[Tin, npt.NDArray[np.bool_]]:
-        """TIN of seeds and virtual seeds, and which of its vertices are not virtual."""
+        """TIN of seeds and virtual seeds, and a mask of its vertices that are not virtual."""
         s, v = self.stacks, self.virtual
         tin = Tin.build(*(np.concatenate([c[seeds], v[:, k]]) for k, c in enumerate((s.x, s.y, s.z))))
         virtual = positions(v[:, 0], v[:, 1])
@@ -91,7 +92,8 @@ class Prepared:
 
     def _refined(self, p: Ridge2016Parameters, seeds: Int32, scale: Scale) -> Int32:
         tin, data = self._tin(seeds)
-        length, least = scale.counts(p.max_building_size_m), scale.counts_z(p.seed_residual_m)
+        length = scale.counts(p.max_building_size_m)
+        least = scale.counts_z(p.seed_residual_m)
         wrong = contradicted(tin, data, length, p.seed_confidence, least, self.doubt)
         dropped = positions(*tin.vertices[wrong].T[:2])
         return seeds[np.isin(positions(self.stacks.x[seeds], self.stacks.y[seeds]), dropped, invert=True)]

@@ -1,4 +1,4 @@
-"""Points sorted by cell and height, so that the lowest point of a cell that passes a test is found early."""
+"""Points sorted by cell and height, for a fast search of the lowest point that passes a test."""
 
 from __future__ import annotations
 
@@ -11,15 +11,14 @@ from ptd.frame import Cells
 from ptd.kernel import kernel, wide
 
 SMALL_STACK = 24
-"""Up to so many points insertion alone sorts faster than sorting does."""
+"""Largest number of points that insertion alone sorts faster."""
 
 
 @kernel
 def _sort_stacks(x: Int32, y: Int32, z: Int32, starts: Int64, order: Int64) -> None:
-    """Sort the points of each cell by (z, x, y), in place."""
     for k in range(starts.size - 1):
         first, end = starts[k], starts[k + 1]
-        if end - first > SMALL_STACK:  # roughly, by height alone: insertion then has only ties to settle
+        if end - first > SMALL_STACK:  # sort by height first; insertion then only settles ties
             part = order[first:end].copy()
             order[first:end] = part[np.argsort(z[part])]
         for j in range(first + 1, end):
@@ -32,7 +31,7 @@ def _sort_stacks(x: Int32, y: Int32, z: Int32, starts: Int64, order: Int64) -> N
 
 
 class Raster(NamedTuple):
-    """Which points lie in each cell (its stack), for kernels; see `ptd.cells.CellIndex` and `ptd.frame.Cells`."""
+    """Stacks of points by cell, for kernels; see `ptd.cells.CellIndex` and `ptd.frame.Cells`."""
 
     table: CellTable
     col0: int
@@ -55,9 +54,9 @@ class Stacks:
     Attributes
     ----------
     x, y, z : int32 [n]
-        Sorted.
+        Sorted coordinates.
     starts : int64 [m + 1]
-        Stack k holds the points ``starts[k]`` to ``starts[k + 1]``, its end excluded; none is empty.
+        Stack k holds the points ``starts[k]`` to ``starts[k + 1] - 1``; no stack is empty.
     raster : Raster
     """
 
@@ -72,17 +71,17 @@ class Stacks:
 
 @kernel
 def lowest_within(x: Int32, y: Int32, z: Int32, raster: Raster, x3: int, y3: int, radius: float) -> int:
-    """The lowest point within a radius of the position (x3 / 3, y3 / 3), -1 if there is none.
+    """The lowest point within a radius of the position (x3 / 3, y3 / 3), or -1.
 
-    Of equal heights the lexicographically smallest (x, y). Distances are compared exactly.
+    Among equal heights the lexicographically smallest (x, y) is taken. Distances are compared exactly.
 
     Parameters
     ----------
     x, y, z : int32 [n]
-        Of `Stacks`.
+        Arrays of `Stacks`.
     raster : Raster
     x3, y3 : int64
-        Three times the position in local counts, as sums of a facet's corners are.
+        Three times the position in local counts, such as the sum of a facet's corners.
     radius : float
         Counts.
     """
@@ -100,7 +99,7 @@ def lowest_within(x: Int32, y: Int32, z: Int32, raster: Raster, x3: int, y3: int
                 if dx * dx + dy * dy <= limit2:
                     if best < 0 or is_lower(x, y, z, i, best):
                         best = i
-                    break  # what follows in the stack is not lower
+                    break  # later points of the stack are not lower
     return best
 
 
@@ -108,14 +107,14 @@ def lowest_within(x: Int32, y: Int32, z: Int32, raster: Raster, x3: int, y3: int
 def places_in_stacks(
     of_x: Int32, of_y: Int32, of_z: Int32, x: Int32, y: Int32, z: Int32, raster: Raster
 ) -> Int32:
-    """Index of each point within `Stacks`, -1 for those that are not in it: int32 [n].
+    """Index of each point within `Stacks`, -1 for points that are not in it: int32 [n].
 
     Parameters
     ----------
     of_x, of_y, of_z : int32 [n]
-        Local counts, in any order. Of points in one place any may be given.
+        Local counts, in any order. For points at one place any of their indices may result.
     x, y, z : int32
-        Of `Stacks`.
+        Arrays of `Stacks`.
     raster : Raster
     """
     found = np.full(of_x.size, -1, np.int32)

@@ -1,7 +1,7 @@
 """Densification in little memory: after each round only the lowest terrain point of a cell stays in the TIN.
 
-Source: Remote Sensing 8(1):71 (2016), section 2.3. All other points are tested again in each round, unlike in a
-cloud thinned beforehand, where the lowest point of a cell may be none of the terrain and hide one that is.
+Source: Remote Sensing 8(1):71 (2016), section 2.3. All other points are tested again in each round. In a cloud that was
+thinned beforehand, a lowest point that is not terrain could hide a terrain point of its cell.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ Bool = npt.NDArray[np.bool_]
 def _test_stacks(
     mesh: Mesh, points: Xyz, starts: Int64, limits: Limits, in_doubt: UInt8, vertex: Bool, doubtful: Bool
 ) -> Bool:
-    """One round: which points are the lowest terrain points of their cells.
+    """One round: mask of the lowest terrain points of their cells.
 
-    A cell is tested from its lowest point up until one belongs to the terrain for certain: what lies higher cannot
-    become the cell's vertex. What beyond the window may become it is added to `doubtful`: the points below that
-    one whose test is not certain, and where there are any, that one as well.
+    A cell is tested upwards from its lowest point until one belongs to the terrain for certain, because no higher point
+    can become the cell's vertex. Points that may become it depending on data outside the window are added to
+    `doubtful`: points below the certain one whose test is uncertain, and in that case the certain one as well.
     """
     vertices, triangles = mesh
     x, y, z = points
@@ -67,7 +67,7 @@ def _test_stacks(
 
 @kernel
 def _same_corners(mesh: Mesh, t: int, other: Mesh, u: int) -> bool:
-    """Whether a triangle has the same corners, heights included, as one of another TIN; ghosts have not."""
+    """Whether a real triangle has the corners, heights included, of a triangle in another TIN."""
     (vertices, triangles), (others, other_triangles) = mesh, other
     if is_ghost(triangles, t) or is_ghost(other_triangles, u):
         return False
@@ -80,14 +80,14 @@ def _same_corners(mesh: Mesh, t: int, other: Mesh, u: int) -> bool:
 
 
 class _Labelled(NamedTuple):
-    """Label of each point, and the triangle it rests on, from the last TIN.
+    """Label of each point, and the triangle that it rests on, in the last TIN.
 
     Attributes
     ----------
     home : int32 [n]
-        Triangle of each point, -1 at first.
+        Triangle of each point, initially -1.
     again : bool [n]
-        The label rests on other triangles as well.
+        Whether the label also rests on other triangles.
     terrain : bool [n]
     """
 
@@ -107,14 +107,16 @@ def _tally(
     now: Int32,
     labelled: _Labelled,
 ) -> tuple[int, int]:
-    """Label the points whose triangle changed; how many became terrain, and of how many the label is not certain.
+    """Label the points whose triangle changed.
+
+    Returns the number of new terrain points, and of all points whose label is uncertain.
 
     Parameters
     ----------
     last : Mesh
-        The TIN in which the points' homes lie.
-    now : int32 [triangles of that]
-        -1; receives the number that a triangle has now, -2 for those found changed.
+        The TIN in which `home` was found.
+    now : int32 [triangles of `last`]
+        Filled with -1; receives the present number of each triangle, -2 for changed ones.
     """
     vertices, triangles = mesh
     x, y, z = points
@@ -125,7 +127,9 @@ def _tally(
         if h >= 0 and not again[i] and now[h] == -1:
             t = locate(vertices, triangles, x[i], y[i], t)
             same = _same_corners(last, h, mesh, t)
-            now[h] = t if same else -2
+            now[h] = -2
+            if same:
+                now[h] = t
         if h >= 0 and not again[i] and now[h] >= 0:
             t = wide(now[h])
             unsure = in_doubt[t] != 0
@@ -142,17 +146,17 @@ def _tally(
 
 
 class Tally:
-    """Counts what joins the terrain class in one TIN after another; only what lies in changed triangles is labelled.
+    """Counts the points that join the terrain class in successive TINs; only changed triangles are labelled again.
 
     Parameters
     ----------
     x, y, z : int32 [n]
-        Neighbours in the array near each other.
+        Coordinates; neighbours in the array should be near each other.
     limits : Limits
     floor : float
-        See `ptd.ground.labelling.label_points`, whose labels are counted.
+        Floor of `ptd.ground.labelling.label_points`, whose labels are counted.
     terrain : bool [n]
-        The class before the first TIN: the seeds. Kept up to date.
+        The terrain class; at first the seeds. Updated in place.
     """
 
     def __init__(self, x: Int32, y: Int32, z: Int32, limits: Limits, floor: float, terrain: Bool) -> None:
@@ -161,7 +165,7 @@ class Tally:
         self._tin: Tin | None = None
 
     def count(self, tin: Tin, in_doubt: UInt8) -> tuple[int, int]:
-        """Points of the terrain class that were not in it before, and points of which the label is not certain."""
+        """Number of points that joined the terrain class, and number of points whose label is uncertain."""
         last = self._tin or tin
         self._tin = tin
         now = np.full(last.n_triangles, -1, np.int32)
@@ -170,7 +174,7 @@ class Tally:
 
 
 class Round(NamedTuple):
-    """The TIN that points are tested against in a round.
+    """The TIN against which points are tested in a round.
 
     Attributes
     ----------
@@ -178,7 +182,7 @@ class Round(NamedTuple):
     in_doubt : uint8 [triangles]
         See `ptd.ground.certificates.Doubt.triangles`.
     vertex : bool [n]
-        Points of the stacks that are its vertices.
+        Whether a point of the stacks is a vertex of the TIN.
     """
 
     tin: Tin
@@ -189,23 +193,23 @@ class Round(NamedTuple):
 def densify_thinned(
     stacks: Stacks, seeds: Int32, virtual: Int32, limits: Limits, doubt: Doubt
 ) -> Iterator[Round]:
-    """The TINs of round after round: of the seeds, then of the lowest terrain points per cell.
+    """The TINs of successive rounds: first that of the seeds, then of the lowest terrain points per cell.
 
-    They end when the next would be the same here and beyond the window. A vertex stays until a lower point of its cell
-    becomes one, and never comes back: when points became vertices tells the vertices of each round.
+    They end when the next would be the same, here and beyond the window. A vertex stays until a lower point of its cell
+    becomes one, and never returns. So the rounds in which points became vertices determine the vertices of each round.
 
     Parameters
     ----------
     stacks : Stacks
-        All points that may become vertices, by the cells of which one stays.
+        All points that may become vertices, by the cells that keep one vertex.
     seeds : int32 [m]
         Indices into the stacks.
     virtual : int32 [k, 3]
         x, y, z of vertices that always stay.
     limits : Limits
-        A point that passes is terrain; but for that the points of the terrain class are of no concern here.
+        Thresholds with which a point is terrain.
     doubt : Doubt
-        Grows by the points whose becoming a vertex points outside the window could change.
+        Receives the points that could become or not become vertices because of points outside the window.
 
     Yields
     ------

@@ -1,4 +1,4 @@
-"""Highest returns: what supports them, what does not."""
+"""The highest returns, with and without support from their neighbours."""
 
 from __future__ import annotations
 
@@ -57,14 +57,14 @@ def test_the_same_return_twice_supports_nothing() -> None:
     assert highest.supported(1, 50.0)[0, :, 2].tolist() == [NOTHING, 0]
 
 
-def test_nothing_to_compare_with() -> None:
+def test_a_return_without_neighbours_stays() -> None:
     assert surface([(2, 3, 900)])[2, 3] == 900
     assert surface([(2, 3, 900), (2, 3, 1)])[2, 3] == 1
     assert (surface([]) == NOTHING).all()
 
 
 @pytest.mark.parametrize("seed", range(3))
-def test_order_does_not_count(seed: int) -> None:
+def test_order_has_no_effect(seed: int) -> None:
     rng = np.random.default_rng(seed)
     cells, xyz = rng.integers(0, 12, 300), rng.integers(0, 6, (3, 300)).astype(np.int32)
     found = []

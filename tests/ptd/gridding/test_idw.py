@@ -1,4 +1,4 @@
-"""Inverse distances against the obvious sum; ground points beside objects."""
+"""Inverse distances compared with a plain sum; ground points beside objects."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def cloud(n: int, seed: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     return tuple(map(np.ascontiguousarray, (x, y, z)))  # type: ignore[return-value]
 
 
-def test_the_obvious_sum() -> None:
+def test_heights_equal_the_plain_sum() -> None:
     for n in (6, 300):
         x, y, z = cloud(n, n)
         heights, distance = inverse_distance(x, y, z, PIXELS, 600.0)
@@ -41,7 +41,7 @@ def test_the_obvious_sum() -> None:
                 assert distance[row, column] == reach
 
 
-def test_order_does_not_count() -> None:
+def test_order_has_no_effect() -> None:
     x, y, z = cloud(300, 2)
     order = np.random.default_rng(0).permutation(300)
     one, _ = inverse_distance(x, y, z, PIXELS, 600.0)

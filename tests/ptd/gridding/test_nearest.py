@@ -1,4 +1,4 @@
-"""The nearest points of pixel centres, against the obvious way."""
+"""The nearest points of pixel centres, compared with a plain search."""
 
 from __future__ import annotations
 
@@ -56,20 +56,20 @@ def clouds(pixels: Pixels, n: int, seed: int) -> dict[str, np.ndarray]:
 @pytest.mark.parametrize("k", [1, 5])
 @pytest.mark.parametrize("reach", [90.0, 700.0])
 @pytest.mark.parametrize("block", BLOCKS)
-def test_the_obvious_way_finds_the_same(block: str, reach: float, k: int) -> None:
+def test_a_plain_search_finds_the_same(block: str, reach: float, k: int) -> None:
     pixels = BLOCKS[block]
     for name, xyz in clouds(pixels, 600, len(block)).items():
         x, y, z = np.ascontiguousarray(xyz.astype(np.int32))
         squared, points = nearest_points(x, y, z, pixels, k, reach)
         true_squared, true_points = obvious(xyz, pixels, k, reach)
         assert np.array_equal(squared, true_squared), name
-        # Equal points may stand for each other.
+        # Equal points are interchangeable.
         there = true_points != NONE
         assert np.array_equal(points != NONE, there)
         assert np.array_equal(xyz[:, points[there]], xyz[:, true_points[there]]), name
 
 
-def test_order_does_not_count() -> None:
+def test_order_has_no_effect() -> None:
     pixels = BLOCKS["odd"]
     xyz = clouds(pixels, 600, 5)["lattice"].astype(np.int32)
     shuffled = np.ascontiguousarray(xyz[:, np.random.default_rng(1).permutation(600)])
@@ -80,7 +80,7 @@ def test_order_does_not_count() -> None:
 
 
 @pytest.mark.parametrize(("k", "reach"), [(0, 5.0), (1, -1.0), (1, 2.0**26), (1, float("nan"))])
-def test_senseless_searches_are_refused(k: int, reach: float) -> None:
+def test_invalid_searches_are_refused(k: int, reach: float) -> None:
     nothing = np.zeros(0, np.int32)
     with pytest.raises(ValueError, match="need k >= 1"):
         nearest_points(nothing, nothing, nothing, BLOCKS["plain"], k, reach)

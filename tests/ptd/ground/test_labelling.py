@@ -10,8 +10,9 @@ import pytest
 from ptd.cells import Xyz
 from ptd.frame import Cells, Scale
 from ptd.ground.criteria import Limits
-from ptd.ground.labelling import GroundRule, _is_near, label_points
+from ptd.ground.labelling import Bands, GroundRule, _is_near, label_points
 from ptd.ground.outliers import LowNoise
+from ptd.places import Field, everywhere
 from ptd.tin.locator import Locator
 from ptd.tin.mesh import Tin
 from tests.ptd.tin.meshes import outside, triangle_at
@@ -96,6 +97,8 @@ def test_low_noise_reaches_up_to_the_highest_outlier_of_its_cell() -> None:
         (1249, 999, -79), (-751, 5000, 8), (249, 0, -900), (300, -1, -900), (1250, 0, -900)
     )
     assert low.holds(*within).all()
+    some = np.arange(within[0].size) % 2 == 0
+    assert (low.holds(*within, among=some) == some).all()
     assert not low.holds(*above_or_beside).any()
     assert not LowNoise(*columns(), cells).holds(*within).any()
 
@@ -126,13 +129,15 @@ def test_heights_are_judged_as_point_by_point(seed: int) -> None:
     points = Xyz(*random.integers(-2, 14, (3, 2000)).astype(np.int32))
     in_doubt = (random.random(tin.n_triangles) < 0.3).astype(np.uint8)
     in_doubt[[outside(tin, t) for t in range(tin.n_triangles)]] = 1  # as it always is
-    rule = GroundRule(LIMITS, 1.0, heights_only=True, per_slope=0.5)
-    labels, marked = label_points(tin, Locator.of(tin), points, in_doubt, rule)
+    rule = GroundRule(LIMITS, 1.0, heights_only=True)
+    floors = Field(random.uniform(0.5, 2.0, (4, 4)), -1, -1, 7, 1, 0, 0, False, 0.5, 2.0)
+    bands = Bands(floors, everywhere(0.5))
+    labels, marked = label_points(tin, Locator.of(tin), points, in_doubt, rule, bands)
 
     for label, mark, x, y, z in zip(labels, marked, *points, strict=True):
         t = triangle_at(tin, int(x), int(y))
         on_a_vertex = (tin.vertices[:, :2] == (x, y)).all(axis=1).any()
         facet = tin.vertex_array, tin.triangle_array, t
-        near, doubtful = _is_near(*facet, int(x), int(y), int(z), in_doubt, rule)
+        near, _, doubtful = _is_near(*facet, int(x), int(y), int(z), in_doubt, rule, bands)
         assert label == (2 if near else 1)
         assert on_a_vertex or mark == doubtful  # on a vertex any of its triangles may have a say

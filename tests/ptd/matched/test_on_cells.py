@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -15,6 +14,7 @@ from ptd.matched.on_cells import NearGroundPass
 from ptd.methods import METHODS, make_params
 from ptd.passes import Points
 from tests.benchmarks.scorecard_scenes import simulated
+from tests.ptd.alike import alike
 from tests.ptd.tiling import classify_tiled
 from tests.scenes.village import NOISE_M, counts, village
 from tiler.apps.evaluate import IGNORED, evaluate_labels
@@ -91,7 +91,7 @@ def test_nothing_beyond_the_reach_has_a_part(seed: int, short_sighted: NearGroun
     height = 100 * x // 1000 + rng.normal(0, 500, x.size).astype(int)
     points = Points(np.stack([x, y, height]).astype(np.int32))
     own = core.has(points.xyz[0], points.xyz[1])
-    state: dict[str, Any] = {"survey": {"kind": "dim", "cell_sigma_m": 0.08, "density_m2": 20.0}}
+    state = {"survey": {"kind": "dim", "cell_m": 1.0}, "places": alike(cell_sigma_m=0.08)}
 
     def found(which: np.ndarray) -> np.ndarray:
         given = Points(np.ascontiguousarray(cells[:, which]), labels[which])

@@ -9,24 +9,18 @@ import pytest
 
 from ptd.frame import Cells, Scale, Window
 from ptd.ground.labelling import GROUND, LOW_NOISE, UNCLASSIFIED
-from ptd.ground.roughness import Roughness
+from ptd.ground.noise_sums import Roughness
 from ptd.matched.cells import cell_heights, raster_of
-from ptd.matched.passes import (
-    OBJECT,
-    PASSES,
-    CellModel,
-    Codes,
-    Ground,
-    ObjectPass,
-    Place,
-    _heights_above,
-    noise_m,
-)
+from ptd.matched.ground_model import Ground, Place, _heights_above
+from ptd.matched.passes import PASSES, CellModel, ObjectPass
+from ptd.matched.step import OBJECT, Codes, noise_m
 from ptd.matched.surface import Surface
-from ptd.matched.survey import LEAST_CELL_SIGMA_M, MOST_CELL_SIGMA_M, Seen
+from ptd.matched.survey import LEAST_CELL_SIGMA_M, MOST_CELL_SIGMA_M, Seen, figures
 from ptd.methods.auto.label_thresholds import decided
 from ptd.methods.auto.method import Auto
 from ptd.passes import Points
+from ptd.places import everywhere, value_at
+from tests.ptd.alike import alike
 
 MM = Scale()
 
@@ -36,7 +30,12 @@ def survey(
 ) -> dict[str, Any]:
     found = Roughness(12.0, 0.05, 100, smoothest_m)
     run = {"rgb": True, "sigma_m": sigma_m, "kind": kind}
-    return {"survey": decided(Auto(), found, Seen(0, 0, 100, 0), run)[0]}
+    density, sigma, cell_sigma = figures(found, run)
+    table = alike(density, sigma, cell_sigma)
+    return {
+        "survey": decided(Auto(), found, Seen(0, 0, 100, 0), list(table.values()), run)[0],
+        "places": table,
+    }
 
 
 @pytest.mark.parametrize(
@@ -53,7 +52,7 @@ def survey(
 def test_noise_is_that_of_the_smoothest_places_within_limits(
     smoothest: float | None, given: float | None, expected: float
 ) -> None:
-    assert noise_m(survey(smoothest, given)) == expected
+    assert value_at(noise_m(survey(smoothest, given), MM), 3, 4) == expected
 
 
 def test_each_kind_has_passes_of_its_own() -> None:
@@ -61,7 +60,7 @@ def test_each_kind_has_passes_of_its_own() -> None:
         return [p.name for p in Auto().passes if p.applies(state)]
 
     matched, laser = names(survey(0.05)), names(survey(0.05, kind="lidar"))
-    assert matched == ["survey", "cells", "objects", "inner-objects", "surface"]
+    assert matched == ["survey", "cells", "objects", "inner-objects", "canopy", "surface"]
     assert set(matched) & set(laser) == {"survey"}
     assert not any(p.applies({}) for p in PASSES)
 
@@ -106,7 +105,9 @@ def test_points_are_ground_within_the_tolerance_about_the_surface_and_low_noise_
     def labels(narrowing: float) -> list[int]:
         shape = raster.heights.shape
         found = Surface(np.full(shape, 10.0), np.full(shape, 0.1), np.full(shape, narrowing))
-        ground = Ground(found, Place(0, 0, 1000.0, raster.column, raster.row), MM, 0.1, 12.0)
+        ground = Ground(
+            found, Place(0, 0, 1000.0, raster.column, raster.row), MM, everywhere(0.1), everywhere(0.5)
+        )
         return ground.classes(x, np.full_like(x, 5300), np.rint(1000 * z).astype(np.int32)).tolist()
 
     g, u, n = int(GROUND), int(UNCLASSIFIED), int(LOW_NOISE)

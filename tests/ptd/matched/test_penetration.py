@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from ptd.frame import Scale, Window
-from ptd.matched.penetration import CELL_M, REACH_M, seen_through
+from ptd.matched.penetration import CELL_M, COUNTS, REACH_M, seen_through
 
 MM = Scale()
 
@@ -87,7 +87,7 @@ def test_a_gap_is_two_empty_metres_between_points(heights: list[float], gap: boo
 
 
 def test_a_point_alone_and_no_point() -> None:
-    none = dict.fromkeys(("looks", "through", "wide_looks", "wide_through", "wide_gaps"), 0)
+    none = dict.fromkeys(COUNTS, 0)
     assert seen_through(np.zeros((3, 0), np.int32), Window.everything(), MM) == none
     assert seen_through(counts(*np.ones((3, 1))), Window.everything(), MM) == none | {"looks": 1}
 

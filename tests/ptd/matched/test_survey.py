@@ -11,7 +11,7 @@ from ptd.matched.survey import SurveyPass
 from ptd.passes import Points
 
 
-@pytest.mark.parametrize(("sigma_m", "kind"), [(0.02, "laser scanning (sparse"), (0.07, "image matching")])
+@pytest.mark.parametrize(("sigma_m", "kind"), [(0.02, "laser scanning"), (0.07, "image matching")])
 def test_flat_places_of_a_bare_town_tell_a_laser_from_a_matcher(sigma_m: float, kind: str) -> None:
     """120 m x 120 m at 2 points/m2: 16 houses of 14 m x 12 m on a slope, terraces of 1 m, single returns."""
     rng = np.random.default_rng(1)

@@ -9,6 +9,7 @@ import pytest
 
 from ptd.frame import Scale
 from ptd.matched.voting import ALIKE_M, ALIKE_SIGMAS, PARTS, RADIUS_M, REACH_M, ROUNDS, radius_m, votes
+from ptd.places import Field, values_at
 
 
 def cloud(seed: int, n: int = 400) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
@@ -18,10 +19,14 @@ def cloud(seed: int, n: int = 400) -> tuple[np.ndarray, np.ndarray, np.ndarray, 
     return x, y, residual, rng.random(n) < 0.8
 
 
+Figure = float | np.ndarray
+"""One for all points, or a column of them."""
+
+
 def slow_votes(
-    x: np.ndarray, y: np.ndarray, residual: np.ndarray, asked: np.ndarray, radius: float, alike: int
+    x: np.ndarray, y: np.ndarray, residual: np.ndarray, asked: np.ndarray, square: Figure, alike: Figure
 ) -> np.ndarray:
-    near = (x[:, None].astype(np.int64) - x) ** 2 + (y[:, None].astype(np.int64) - y) ** 2 < radius**2
+    near = (x[:, None].astype(np.int64) - x) ** 2 + (y[:, None].astype(np.int64) - y) ** 2 < square
     for _ in range(ROUNDS):
         voters = near & asked & (abs(residual[:, None] - residual) < alike)
         means = (voters * residual).sum(axis=1) // np.maximum(voters.sum(axis=1), 1)
@@ -39,13 +44,13 @@ def test_a_slow_search_finds_the_same(seed: int, scale: Scale, density: float) -
     x, y, residual, asked = cloud(seed)
     sigma = 0.04
     alike = round(PARTS * scale.counts_z(ALIKE_M + ALIKE_SIGMAS * sigma))
-    expected = slow_votes(x, y, residual, asked, scale.counts(radius_m(density)), alike)
-    found = votes(x, y, residual, asked, density, sigma, scale)
+    expected = slow_votes(x, y, residual, asked, scale.counts(radius_m(density)) ** 2, alike)
+    found = votes(x, y, residual, asked, radius_m(density), sigma, scale)
     assert np.array_equal(found, expected)
     assert np.array_equal(found[~asked], residual[~asked])
     assert (found != residual)[asked].any()
     order = np.random.default_rng(0).permutation(x.size)
-    again = votes(x[order], y[order], residual[order], asked[order], density, sigma, scale)
+    again = votes(x[order], y[order], residual[order], asked[order], radius_m(density), sigma, scale)
     assert np.array_equal(again, found[order])
 
 
@@ -53,15 +58,15 @@ def test_the_vote_of_known_neighbours() -> None:
     """Of five points within 0.25 m one is not asked and one is not alike; the mean is of three, rounded down."""
     x, y = np.array([0, 100, 0, 100, 50], np.int32), np.array([0, 0, 100, 100, 50], np.int32)
     residual, asked = np.array([0, 160, 321, 5, 90_000]), np.array([True, True, True, False, True])
-    found = votes(x, y, residual, asked, 1000.0, 0.05, Scale())
+    found = votes(x, y, residual, asked, radius_m(1000.0), 0.05, Scale())
     assert found.tolist() == [160, 160, 160, 5, 90_000]
 
 
 def test_votes_see_no_farther_than_their_reach() -> None:
     x, y, residual, asked = cloud(3, 4000)
-    whole = votes(x, y, residual, asked, 0.1, 0.05, Scale())
+    whole = votes(x, y, residual, asked, radius_m(0.1), 0.05, Scale())
     seen, inner = (x < 1000 + 1000 * REACH_M), x < 1000
-    part = votes(x[seen], y[seen], residual[seen], asked[seen], 0.1, 0.05, Scale())
+    part = votes(x[seen], y[seen], residual[seen], asked[seen], radius_m(0.1), 0.05, Scale())
     assert np.array_equal(part[inner[seen]], whole[inner])
 
 
@@ -78,12 +83,32 @@ def test_noise_is_averaged_and_steps_are_kept() -> None:
     sigma, step = 0.05, 0.6
     truth = np.where(x < 10_000, 0.0, step)
     residual = np.rint(1000 * PARTS * (truth + sigma * rng.standard_normal(x.size))).astype(np.int64)
-    found = votes(x, y, residual, np.ones(x.size, bool), 20.0, sigma, Scale()) / (1000 * PARTS)
+    found = votes(x, y, residual, np.ones(x.size, bool), radius_m(20.0), sigma, Scale()) / (1000 * PARTS)
     assert (found - truth).std() < 0.5 * sigma
     assert abs((found - truth).mean()) < 0.005
 
 
 def test_no_points() -> None:
     nothing = np.zeros(0, np.int32)
-    found = votes(nothing, nothing, np.zeros(0, np.int64), np.zeros(0, bool), 12.0, 0.05, Scale())
+    found = votes(nothing, nothing, np.zeros(0, np.int64), np.zeros(0, bool), radius_m(12.0), 0.05, Scale())
     assert found.size == 0
+
+
+@pytest.mark.parametrize("narrowest", [0.25, 0.55])
+def test_each_point_asks_neighbours_by_the_radius_and_noise_of_its_place(narrowest: float) -> None:
+    """Places of 1 m, where both change from point to point."""
+    rng = np.random.default_rng(8)
+    x, y, residual, asked = cloud(9)
+    places = rng.uniform(narrowest, 1.0, (12, 12))
+    lattice = (-5, -5, 1000, 1, 0, 0, False)
+    radii = Field(places, *lattice, places.min(), places.max())
+    noise = Field(0.1 * places.T, *lattice, 0.1 * places.min(), 0.1 * places.max())
+    radius, sigma = values_at(radii, x, y), values_at(noise, x, y)
+    square = np.rint((1000 * radius) ** 2)
+    alike = np.rint(PARTS * 1000 * (ALIKE_M + ALIKE_SIGMAS * sigma))
+    expected = slow_votes(x, y, residual, asked, square[:, None], alike[:, None])
+    found = votes(x, y, residual, asked, radii, noise, Scale())
+    assert np.array_equal(found, expected)
+    order = rng.permutation(x.size)
+    again = votes(x[order], y[order], residual[order], asked[order], radii, noise, Scale())
+    assert np.array_equal(again, found[order])

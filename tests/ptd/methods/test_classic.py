@@ -1,4 +1,4 @@
-"""The method as a whole: what it keeps and removes."""
+"""The method as a whole: the objects that it keeps and removes."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def labels_of(cloud: Cloud, params: Classic = DEFAULTS) -> np.ndarray:
 
 
 def ground(slope: float = 0.0) -> np.ndarray:
-    """Metres, two points a square metre, 100 m."""
+    """Ground of 100 m with two points per square metre, in metres."""
     rng = np.random.default_rng(3)
     xy = rng.random((2, 20_000)) * 100
     return np.vstack([xy, slope * xy[0] + rng.normal(0, 0.03, 20_000)])
@@ -56,8 +56,8 @@ def test_a_flat_roof_of_15_m_is_removed_and_the_slope_around_it_kept() -> None:
     assert (labels[~roof] == 2).mean() > 0.995
 
 
-def test_a_roof_larger_than_the_cells_is_taken_for_ground_in_part() -> None:
-    """A seed lies on it. That is what the size of the largest building is for."""
+def test_a_part_of_a_roof_larger_than_the_cells_is_labelled_ground() -> None:
+    """A seed lies on the roof, which the size of the largest building has to prevent."""
     cloud = ground()
     roof = (abs(cloud[0] - 50) < 25) & (abs(cloud[1] - 50) < 25)
     cloud[2, roof] += 8
@@ -65,7 +65,7 @@ def test_a_roof_larger_than_the_cells_is_taken_for_ground_in_part() -> None:
     assert (labels_of(counts(cloud), Classic(max_building_size_m=60.0))[roof] == 2).mean() == 0.0
 
 
-def test_low_points_are_low_noise_and_draw_nothing_down() -> None:
+def test_low_points_are_low_noise_and_lower_no_other_labels() -> None:
     cloud = ground()
     low = np.flatnonzero(((cloud[:2] - 50) ** 2).sum(axis=0) < 0.7**2)[:4]
     cloud[2, low] -= 9

@@ -1,4 +1,4 @@
-"""What holds for every filter of laser scans: neither order, frame nor units show, and any few points are labelled."""
+"""Properties of every filter of laser scans: order, frame and units have no effect, and any few points get labels."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def cloud(request: pytest.FixtureRequest) -> Cloud:
 
 
 @every_method
-def test_neither_order_nor_frame_nor_units_show(cloud: Cloud, params: Any) -> None:
+def test_order_frame_and_units_have_no_effect(cloud: Cloud, params: Any) -> None:
     labels, state = labels_of(cloud, params)
     assert set(labels.tolist()) >= {1, 2}
     order = np.random.default_rng(0).permutation(cloud.shape[1])
@@ -122,7 +122,7 @@ def samples(shared_data: Path) -> list[laspy.LasData]:
     [("auto", 0.031), ("classic", 0.075), ("rarefy", 0.074), ("chen2023", 0.046), ("ridge2016", 0.07)],
 )
 def test_errors_of_the_isprs_samples(method: str, total: float, samples: list[laspy.LasData]) -> None:
-    """With the defaults, whatever the sample: the mean of their total errors (the paper of chen2023: 0.113 on all)."""
+    """Mean total error with the defaults, over all samples (the paper of chen2023: 0.113 on all)."""
     assert method in METHODS
     errors = []
     for las in samples:

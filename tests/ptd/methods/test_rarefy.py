@@ -1,4 +1,4 @@
-"""`rarefy`: thinned, densified as `classic`, labelled by the height above the DTM alone."""
+"""`rarefy`: thinned, densified as in `classic`, labelled by the height above the DTM alone."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ FIELD = np.array([[x + 0.5, y + 0.5] for x in range(60) for y in range(60)])
 
 
 def labels_above(slope: float, heights: list[float], params: Rarefy) -> list[int]:
-    """Of points so far above the middle of a plane's cells, which have the plane's own point as candidate."""
+    """Labels of points at given heights above the middle of a plane's cells, where the candidate lies on the plane."""
     ground = np.column_stack([FIELD, slope * FIELD[:, 0]])
     x = 34.5 + np.arange(len(heights))  # not where a seed cell is lowest
     odd = np.column_stack([x, np.full(x.size, 30.7), slope * x + np.array(heights)])
@@ -27,19 +27,19 @@ def labels_above(slope: float, heights: list[float], params: Rarefy) -> list[int
     return found[len(ground) :].tolist()
 
 
-def test_ground_is_what_lies_near_the_dtm_whatever_its_angle() -> None:
-    """0.49 m above a vertex 0.2 m away makes an angle of 68 degrees."""
+def test_points_near_the_dtm_are_ground_at_any_angle() -> None:
+    """A point 0.49 m above a vertex 0.2 m away makes an angle of 68 degrees."""
     assert labels_above(0.0, [0.49, 0.51, 0.1], Rarefy()) == [2, 1, 2]
 
 
 @pytest.mark.parametrize("slope", [0.3, 1.0])
-def test_the_distance_is_upright(slope: float) -> None:
-    """On a slope of 45 degrees 0.6 m above is 0.42 m from the plane; the lowest of a cell is on the plane."""
+def test_the_distance_is_vertical(slope: float) -> None:
+    """On a slope of 45 degrees, 0.6 m above is 0.42 m from the plane; the candidate lies on the plane."""
     assert labels_above(slope, [0.49, 0.6], Rarefy()) == [2, 1]
 
 
-def test_below_the_dtm_counts_as_well() -> None:
-    """The middle cell's lowest point, too far below to pass the rounds at 1 degree, is judged by its height too."""
+def test_distances_below_the_dtm_count_as_well() -> None:
+    """The lowest point of the middle cell fails the rounds at 1 degree and is judged by its height as well."""
     strict = Rarefy(iteration_angle_deg=1.0, label_floor_m=0.3)
     assert labels_above(0.2, [-0.29, 0.0], strict) == [2, 2]
     assert labels_above(0.2, [-0.6, 0.0], strict) == [1, 2]

@@ -1,18 +1,18 @@
-"""What tests ask of a TIN triangle by triangle, and points put into it one by one."""
+"""Helpers of tests: the triangles of a TIN, and insertion of single points."""
 
 from __future__ import annotations
 
 import numpy as np
 import numpy.typing as npt
 
-from ptd.tin import Tin, listing
+from ptd.tin import Tin, interpolation
 from ptd.tin.insertion import insert
 from ptd.tin.layout import is_ghost
 from ptd.tin.location import locate
 
 
 def insert_point(tin: Tin, x: int, y: int, z: int, stamp: int = 0) -> int:
-    """Insert a point, for which there is room, into a TIN with triangles; its vertex."""
+    """Insert a point into a TIN that has triangles and room for it; return its vertex."""
     vertex = int(insert(tin.vertex_array, tin.triangle_array, tin.counters, x, y, z, 0, stamp))
     assert vertex >= 0
     return vertex
@@ -29,13 +29,13 @@ def outside(tin: Tin, triangle: int) -> bool:
 
 
 def corners_of(tin: Tin, triangle: int) -> tuple[int, ...]:
-    """Its vertices, counter-clockwise; the one at infinity is -1."""
+    """Vertices of a triangle, counter-clockwise; the one at infinity is -1."""
     return tuple(tin.triangle_array[8 * triangle + 4 : 8 * triangle + 7].tolist())
 
 
 def real_triangles(tin: Tin) -> npt.NDArray[np.int32]:
-    """Vertices of the real triangles, int32 (m, 3), sorted by their positions, whatever their numbers are."""
-    facets = listing.real_facets(tin.vertex_array, tin.triangle_array, tin.counters)
+    """Vertices of the real triangles, int32 (m, 3), sorted by their positions."""
+    facets = interpolation.real_facets(tin.vertex_array, tin.triangle_array, tin.counters)
     rank = np.empty(tin.n_vertices, np.int32)
     rank[np.lexsort((tin.vertices[:, 1], tin.vertices[:, 0]))] = np.arange(tin.n_vertices, dtype=np.int32)
     return facets[np.lexsort(rank[facets].T[::-1])]

@@ -1,4 +1,4 @@
-"""Slow and obvious: exact Delaunay triangulation by definition, in Python integers and fractions."""
+"""A slow and obvious exact Delaunay triangulation by definition, in Python integers and fractions."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ def area(a: Point, b: Point, c: Point) -> int:
 
 
 def in_circle(a: Point, b: Point, c: Point, p: Point) -> bool:
-    """p inside the circle of the counter-clockwise a, b, c; on it, the largest of the four is lifted most."""
+    """Whether p lies in the circle of the counter-clockwise a, b, c; on it, the largest of the four is lifted most."""
     rows = [(q[0] - p[0], q[1] - p[1]) for q in (a, b, c)]
     (ax, ay), (bx, by), (cx, cy) = rows
     a2, b2, c2 = (x * x + y * y for x, y in rows)

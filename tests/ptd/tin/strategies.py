@@ -1,4 +1,4 @@
-"""Point sets that are hard on triangulations, as hypothesis strategies: lists of (x, y, z)."""
+"""Hypothesis strategies for point sets that are hard to triangulate: lists of (x, y, z)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A pixel without a mark has the value that the whole data give it: small lattices, full of ties, some with a void."""
+"""A pixel without a mark has the value of the whole data: small lattices full of ties, some with a void."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ptd.tin import Pixels, Tin, Window, rasterise
 
 
 def random_window(rng: np.random.Generator, unit: int) -> Window:
-    """Part of the square of 40 units; a side is open only where it ends with the data."""
+    """A part of the square of 40 units; a side is open only at the end of the data."""
     closed = [*rng.integers(2, 12, 2), *rng.integers(25, 39, 2)]
     is_open = rng.random(4) < 0.3
     sides = [
@@ -28,9 +28,7 @@ def test_unmarked_pixels_equal_those_of_the_whole(interpolator: str, unit: int) 
     n_clear = n_filled = n_marked = 0
     for trial in range(150):
         x, y = rng.integers(0, 40, (2, int(rng.integers(5, 120))))
-        if (
-            trial % 5 == 0
-        ):  # a void, across which the side of the window may lie: long circles over unknown data
+        if trial % 5 == 0:  # the window may end within a void, where long circles cover unknown data
             x, y = np.stack([x, y])[
                 :, np.hypot(x - rng.integers(40), y - rng.integers(40)) > rng.integers(5, 15)
             ]

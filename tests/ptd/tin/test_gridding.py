@@ -1,4 +1,4 @@
-"""Pixels: one owner each, the right height, and marks that never miss."""
+"""Pixels have one owner each and the right height, and marks never miss a doubt."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def passing(facet: reference.Facet, max_edge2: float, max_radius2: float) -> boo
 
 
 def sides_of(facet: reference.Facet, p: tuple[Any, Any]) -> list[Any]:
-    """On which side of the edge opposite to each corner a place lies."""
+    """Side of the edge opposite each corner on which a place lies."""
     a, b, c = facet
     return [reference.area(*edge, p) for edge in ((b, c), (c, a), (a, b))]
 
@@ -70,7 +70,7 @@ def test_heights_by_definition(points: Points, cell: tuple[int, int], limits: tu
             got = heights[row, column]
             assert math.isnan(got) == (not owners)
             if owners:
-                # Facets that share a border give the same height there.
+                # Facets that share a border have the same height there.
                 assert abs(Fraction(float(got)) - reference.plane(owners[0], z, x, y)) < 1e-6
 
 
@@ -83,7 +83,7 @@ def test_owner_of_a_pixel_on_an_edge_is_the_side_with_the_smaller_apex(
     pixels = block(*cell, 0, 24) if cell[1] < 100 else Pixels(*cell, 18 * 10, 18 * 14, 60, 60)
     owners, _ = pixel_owners(tin, pixels)
     xs, ys = centres(pixels)
-    # Whole numbers are quicker than fractions: in halves of a count's q-th part.
+    # Integers, in halves of the q-th part of a count, are faster than fractions.
     part = 2 * pixels.q
     xs, ys = ([int(part * v) for v in axis] for axis in (xs, ys))
     position = [(part * int(x), part * int(y)) for x, y, _ in tin.vertices]
@@ -207,8 +207,8 @@ def test_natural_neighbours_by_counting_cells() -> None:
             assert heights[row, column] == pytest.approx(table[owner[taken], 2].mean(), abs=12)
 
 
-def test_natural_neighbours_of_a_sliver_that_floats_take_for_a_line() -> None:
-    """A vertex 50 km away, on a diagonal but for one count: the plane of the facet holds."""
+def test_natural_neighbours_of_a_sliver_that_is_a_line_in_float64() -> None:
+    """A vertex lies 50 km away, one count beside a diagonal; the plane of the facet must hold."""
     far = 50_000_000
     x, y = np.array([0, 2, 0, far], np.int32), np.array([0, 2, 10, far - 1], np.int32)
     tin = Tin.build(x, y, np.full(4, 10, np.int32))

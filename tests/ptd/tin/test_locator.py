@@ -1,4 +1,4 @@
-"""The raster of start triangles: a walk starts near its end, also where vertices are missing."""
+"""The raster of start triangles: a walk starts near its end, even where vertices are missing."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from ptd.tin.mesh import Tin
 
 
 def test_a_walk_starts_at_a_triangle_of_the_nearest_cell_of_its_row_that_holds_a_vertex() -> None:
-    """Two far clusters, nothing in their rows before, between and after them, and corners far around."""
+    """Two distant clusters have empty rows around them, and corners lie far outside."""
     rng = np.random.default_rng(3)
     middles = np.repeat([[20_000, 50_000], [80_000, 50_000]], 200, axis=0)
     corners = [[0, 0], [100_000, 0], [0, 100_000], [100_000, 100_000]]

@@ -27,7 +27,7 @@ def lowest(points: Points) -> dict[reference.Point, int]:
 
 
 def check_consistent(tin: Tin) -> None:
-    """Adjacency, orientation, incident triangles, Euler."""
+    """Check adjacency, orientation, incident triangles and Euler's formula."""
     n, m = tin.n_vertices, tin.n_triangles
     rows = tin.triangle_array[: 8 * m].reshape(m, 8)
     incident = tin.vertex_array[: 4 * n].reshape(n, 4)[:, 3]
@@ -118,7 +118,7 @@ def test_larger_sets_are_independent_of_the_order_and_locally_delaunay(kind: str
         insert_point(other, int(x[i]), int(y[i]), int(z[i]))
     np.testing.assert_array_equal(tin.vertices[real_triangles(tin)], other.vertices[real_triangles(other)])
     check_consistent(tin)
-    # An edge is locally Delaunay on both sides; for a triangulation that is the whole property.
+    # If every edge is locally Delaunay, the triangulation is Delaunay.
     m = tin.n_triangles
     rows = tin.triangle_array[: 8 * m].reshape(m, 8)
     position = [(int(a), int(b)) for a, b, _ in tin.vertices]
@@ -141,7 +141,7 @@ def test_a_large_cavity_outgrows_the_scratch() -> None:
     check_consistent(tin)
 
 
-def test_of_points_at_one_place_the_lowest_stays() -> None:
+def test_the_lowest_point_at_one_place_stays() -> None:
     tin = Tin.build([3, 13, 3, 3], [4, 4, 14, 4], [5, 0, 0, 7], max_vertices=4)
     assert insert_point(tin, 3, 4, 6) == 0
     assert insert_point(tin, 13, 4, -1) == insert_point(tin, 13, 4, 9)

@@ -1,4 +1,4 @@
-"""Predicates against exact integers, at the limits of their domain and next to zero."""
+"""Predicates compared with exact integers, at the limits of their domain and next to zero."""
 
 from __future__ import annotations
 

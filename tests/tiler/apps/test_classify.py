@@ -1,4 +1,4 @@
-"""One file to one file: what is refused before anything is read twice, and tiles that fail are named."""
+"""One file to one file: early refusals, and the names of failed tiles."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tiler.apps.preview import make_preview
 from tiler.config import RunConfig
 from tiler.errors import ConfigError, ProcessingError
 from tiler.filter import FilterTile, filter_tile
-from tiler.stages import tasks
+from tiler.filter.tasks import passes
 
 
 def test_a_folder_that_cannot_be_made_is_refused(make_cloud: Any, tmp_path: Path) -> None:
@@ -35,7 +35,7 @@ def test_a_folder_that_cannot_be_written_is_refused(make_cloud: Any) -> None:
 
 @pytest.fixture
 def cloud(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
-    """A cloud of several tiles, all of whose points are of class 6; the first tile fails."""
+    """A cloud of several tiles with all points of class 6; the first tile fails."""
     monkeypatch.setattr("tiler.plan.sizes.BUCKET_POINTS", 1000)
     failing: list[object] = []
 
@@ -45,7 +45,7 @@ def cloud(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
             raise ProcessingError("this tile fails")
         return filter_tile(store_url, arguments)
 
-    monkeypatch.setattr(tasks, "filter_tile", work)
+    monkeypatch.setattr(passes, "filter_tile", work)
     points = clouds.city(150.0, 1.0)
     return clouds.write(tmp_path / "in.laz", points, classes=points.truth * 0 + 6)
 
@@ -91,3 +91,16 @@ def test_a_preview_with_a_hole_says_so(cloud: Path, tmp_path: Path) -> None:
     windows = make_preview([str(cloud)], tmp_path / "preview.png", settings(), listen, number=1, side_m=140.0)
     assert [window.failed for window in windows] == [1]
     assert any("this tile fails" in text for text in told)
+
+
+@pytest.mark.parametrize("name", ["out.laz", "out.las", "out.copc.laz"])
+@pytest.mark.parametrize(
+    ("own", "given", "written"), [(None, 32633, 32633), (32632, 32633, 32632), (None, None, None)]
+)
+def test_the_crs_given_is_written_where_the_file_has_none(
+    name: str, own: int | None, given: int | None, written: int | None, tmp_path: Path
+) -> None:
+    path = clouds.write(tmp_path / "in.laz", clouds.city(30.0, 1.0), crs=own and f"EPSG:{own}")
+    classify_file(path, tmp_path / name, settings(crs=given and f"EPSG:{given}"))
+    crs = laspy.read(tmp_path / name).header.parse_crs()
+    assert (crs and crs.to_epsg()) == written

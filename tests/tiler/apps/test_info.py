@@ -1,4 +1,4 @@
-"""What `tiler info` says of clouds, rasters and folders, against files whose content is known."""
+"""Facts of `tiler info` about clouds, rasters and folders with known content."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tiler.errors import InputError
 
 
 def write_cloud(path: Path, side: float = 100.0, per_m2: int = 4, crs: str | None = "EPSG:25832") -> None:
-    """A square full of points on a regular lattice, every tenth of class 2, the first withheld."""
+    """A square of points on a regular lattice, every tenth of class 2, the first withheld."""
     header = laspy.LasHeader(point_format=6, version="1.4")
     header.scales = np.full(3, 0.001)
     if crs is not None:
@@ -50,7 +50,7 @@ def test_cloud(tmp_path: Path) -> None:
     json.dumps(facts)
 
 
-def test_density_counts_where_points_are(tmp_path: Path) -> None:
+def test_density_counts_only_places_with_points(tmp_path: Path) -> None:
     path = tmp_path / "a.las"
     write_cloud(path, side=100, per_m2=100, crs=None)
     cloud = laspy.read(path)
@@ -91,7 +91,7 @@ def test_raster(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("name", ["text.txt", "folder", "nowhere.laz", "broken.laz"])
-def test_what_is_no_cloud_store_or_raster(name: str, tmp_path: Path) -> None:
+def test_other_files_are_refused(name: str, tmp_path: Path) -> None:
     (tmp_path / "text.txt").write_text("no raster")
     (tmp_path / "broken.laz").write_bytes(b"LASF" + bytes(30))
     (tmp_path / "folder").mkdir()
@@ -100,7 +100,7 @@ def test_what_is_no_cloud_store_or_raster(name: str, tmp_path: Path) -> None:
     assert "\n" not in str(caught.value)
 
 
-def test_of_a_folder_of_clouds_a_cloud_is_wanted(tmp_path: Path) -> None:
+def test_a_folder_of_clouds_is_refused(tmp_path: Path) -> None:
     (tmp_path / "a.LAZ").touch()
     with pytest.raises(InputError, match="holds clouds; name one of them, or see `tiler plan` for all"):
         describe(str(tmp_path))

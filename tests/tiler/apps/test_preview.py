@@ -1,4 +1,4 @@
-"""The picture of a few windows: where they lie, what they hold, and that it shows what a run gives."""
+"""The picture of a few windows: their places, their content, and their agreement with a run."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ import pytest
 import rasterio
 from rasterio.errors import NotGeoreferencedWarning
 
+from ptd.gridding.shape import gradients, multidirectional_hillshade
 from tests.tiler.conftest import MakeCloud
 from tiler.apps.preview import GAP, make_preview, spread
 from tiler.config import RunConfig
 from tiler.core.raster import NODATA, Block
-from tiler.grid.shape import gradients, multidirectional_hillshade
-from tiler.ingest import inspect
+from tiler.inputs import inspect
 from tiler.io.las.extract import cut_windows, sample_places
 from tiler.pipeline import run
 from tiler.store import open_store
@@ -81,7 +81,7 @@ def test_sampled_places_are_where_points_are(make_cloud: MakeCloud) -> None:
 
 @pytest.fixture
 def hills(make_cloud: MakeCloud) -> Path:
-    """120 m of smooth hills, two points a square metre."""
+    """120 m of smooth hills with two points per square metre."""
     rng = np.random.default_rng(5)
 
     def edit(cloud: laspy.LasData) -> None:
@@ -99,7 +99,7 @@ def read_png(path: Path) -> np.ndarray:
         return picture.read(1)
 
 
-def test_it_shows_what_a_run_gives(hills: Path, tmp_path: Path) -> None:
+def test_a_preview_equals_a_run(hills: Path, tmp_path: Path) -> None:
     told: list[tuple[str, Any]] = []
     listener: Callable[[str, Any], None] = lambda kind, facts: told.append((kind, facts))  # noqa: E731
     config = RunConfig.from_mapping({"max_edge": "20", "products": "slope", "sheets": "10"})
@@ -122,7 +122,7 @@ def test_it_shows_what_a_run_gives(hills: Path, tmp_path: Path) -> None:
     assert np.array_equal(terrain[inside], shade[inside])
 
 
-def test_windows_hold_what_lies_in_them(hills: Path, tmp_path: Path) -> None:
+def test_windows_hold_the_points_within_them(hills: Path, tmp_path: Path) -> None:
     windows = make_preview([str(hills)], tmp_path / "p.png", RunConfig(), number=3, side_m=40.0)
     assert 2 <= len(windows) <= 3
     cloud = laspy.read(hills)
@@ -143,7 +143,7 @@ def test_a_warning_of_a_window_names_the_cloud(hills: Path, tmp_path: Path) -> N
             told.append(facts["text"])
 
     make_preview(
-        [str(tmp_path / "towers.las")], tmp_path / "p.png", RunConfig(), listener, number=1, side_m=60.0
+        [str(tmp_path / "towers.las")], tmp_path / "p.png", RunConfig(), listener, number=1, side_m=110.0
     )
     assert any(text.startswith("window at x ") and "towers.las: rises" in text for text in told)
     assert not any(".tiler-preview-" in text for text in told)

@@ -1,4 +1,4 @@
-"""Areas against exact fractions, place by place."""
+"""Areas are compared with exact fractions, place by place."""
 
 from __future__ import annotations
 
@@ -9,8 +9,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tiler.core.area import LONGEST_EDGE, Area, in_runs, shortened
-from tiler.core.lattice import Bounds, Lattice
+from tiler.core.area import LONGEST_EDGE, Area, Places, in_runs, shortened
+from tiler.core.area_index import AreaIndex
+from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.raster import Block, RasterSpec
 
 STAR = np.array([[0, 0], [1000, 100], [700, 900], [300, 400], [100, 950]], np.int64)
@@ -45,7 +46,7 @@ def test_inside_is_an_odd_number_of_crossings(shift: int) -> None:
 
 
 @given(st.lists(st.tuples(st.integers(-9, 9), st.integers(-9, 9)), min_size=3, max_size=8), st.booleans())
-def test_any_ring_to_the_count(ring: list[tuple[int, int]], backwards: bool) -> None:
+def test_any_ring_is_exact_to_the_count(ring: list[tuple[int, int]], backwards: bool) -> None:
     places = np.array(ring[:: -1 if backwards else 1], np.int64)
     y, x = (grid.ravel() for grid in np.mgrid[-10:11, -10:11])
     area = Area(((places,),))
@@ -76,7 +77,7 @@ def test_a_rectangle_is_its_bounds() -> None:
     assert far.covers(bounds)
 
 
-def test_what_is_stored_comes_back() -> None:
+def test_an_area_comes_back_from_json() -> None:
     area = Area(((STAR, HOLE), (BESIDE,)))
     again = Area.from_json(area.to_json())
     assert again.to_json() == area.to_json()
@@ -136,7 +137,7 @@ def test_pixels_are_inside_by_their_centres() -> None:
 def test_an_outline_of_thousands_of_kilometres_is_found_in_bounded_time(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    """Cells farther off may be among those found, none that is near is missing."""
+    """Cells that are not near may be found as well, but no near cell may be missing."""
     lattice, window = Lattice(Fraction(10)), Bounds(-5000, -5000, 5000, 5000)
     area = Area(((np.array([[-4000, -3900], [4100, -3000], [200, 4300]], np.int64),),))
     exact = area.cells(lattice, window, 7)
@@ -147,3 +148,58 @@ def test_an_outline_of_thousands_of_kilometres_is_found_in_bounded_time(
     y, x = (axis.ravel() for axis in np.mgrid[-500:500, -500:500])
     assert not (in_runs(exact, x, y) & ~in_runs(rough, x, y)).any()
     assert in_runs(rough, x, y).sum() < 2 * in_runs(exact, x, y).sum()
+
+
+def many_areas(number: int) -> list[Area]:
+    """Stars, rectangles and pairs of them, on whole hundreds so that edges meet places and cells."""
+    rng = np.random.default_rng(5)
+    found = []
+    for kind, (x, y) in enumerate(rng.integers(-30, 30, (number, 2)) * 100):
+        ring = STAR * (1 + kind % 3) // 2 + (x, y)
+        corner = Bounds(int(x), int(y), int(x) + 300, int(y) + 200)
+        shapes = ((ring,),), Area.rectangle(corner).polygons, ((ring, HOLE + (x, y)), (BESIDE + (x, y),))
+        found.append(Area(shapes[kind % 3]))
+    return found
+
+
+def test_a_few_places_give_the_same_result_as_many(monkeypatch: pytest.MonkeyPatch) -> None:
+    x, y = np.random.default_rng(1).integers(-60, 60, (2, 300)) * 50
+    areas = many_areas(60)
+    few = [area.inside(x, y) for area in areas]
+    monkeypatch.setattr("tiler.core.area.FEW_SIDES", 0)
+    for area, inside in zip(areas, few, strict=True):
+        assert np.array_equal(area.inside(x, y), inside)
+
+
+def test_places_find_those_inside_each_area() -> None:
+    x, y = np.random.default_rng(1).integers(-60, 60, (2, 2000)) * 50
+    places = Places(x, y)
+    for area in many_areas(60):
+        assert np.array_equal(places.inside(area), np.flatnonzero(area.inside(x, y)))
+
+
+def test_an_index_finds_the_areas_that_touch() -> None:
+    areas, lattice = many_areas(90), Lattice(Fraction(700))
+    index, cells = AreaIndex(areas), [Cell(ix, iy) for ix in range(-5, 6) for iy in range(-5, 6)]
+    expected = {}
+    for cell in cells:
+        bounds = lattice.bounds(cell)
+        near = [i for i, a in enumerate(areas) if a.bounds.overlaps(bounds)]
+        touching = [i for i in near if areas[i].touches(bounds)]
+        assert (index.overlapping(bounds), index.touching(bounds)) == (near, touching)
+        if touching:
+            expected[cell] = touching
+    assert index.by_cell(lattice, cells) == expected
+    assert AreaIndex([]).by_cell(lattice, cells) == {}
+    assert index.by_cell(lattice, []) == {}
+
+
+@pytest.mark.parametrize("few", [0, 4096])
+def test_pixels_inside_are_those_whose_centres_are(few: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tiler.core.raster.FEW_PIXELS", few)
+    spec = RasterSpec(Lattice(Fraction(130)), -30, 30, 60, 55)
+    block = Block(4, 8, 40, 32)
+    x, y = spec.centres(block)
+    for area in many_areas(60):
+        expected = area.inside(x.ravel(), y.ravel()).reshape(x.shape)
+        assert np.array_equal(spec.inside(block, area), expected)

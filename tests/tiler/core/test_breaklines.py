@@ -33,7 +33,7 @@ def ground():
 
 
 def distance(points, pieces):
-    """Of each point from the nearest piece, the slow way."""
+    """Distance of each point from the nearest piece, computed slowly."""
     a, way = pieces[:, :2], pieces[:, 3:5] - pieces[:, :2]
     part = np.clip(((points[:, None] - a) * way).sum(axis=2) / (way**2).sum(axis=1), 0, 1)
     return np.hypot(*np.moveaxis(points[:, None] - a - part[:, :, None] * way, 2, 0)).min(axis=1)
@@ -49,12 +49,12 @@ def test_every_piece_is_an_edge_of_the_tin(lines, ground):
         assert frozenset((number[x0, y0], number[x1, y1])) in edges
 
 
-def test_neither_order_nor_direction_of_lines_shows(lines):
+def test_the_order_and_direction_of_lines_change_nothing(lines):
     again = Breaklines.of([LINES[i][::-1] for i in (3, 1, 0, 2)] + [BEND], PIXEL, SHORTEST, WINDOW)
     assert again.key == lines.key
 
 
-def test_ground_nearer_than_half_a_pixel_is_left_out_and_no_other(lines, ground):
+def test_only_ground_within_half_a_pixel_is_left_out(lines, ground):
     found = lines.applied(ground, WINDOW, WINDOW, (0, 0))
     kept = {tuple(p) for p in found.T.tolist()}
     near = distance(ground[:2].T.astype(float), lines.pieces.astype(float)) < 500
@@ -63,7 +63,7 @@ def test_ground_nearer_than_half_a_pixel_is_left_out_and_no_other(lines, ground)
     assert found.shape[1] == (~near).sum() + len(lines.vertices)
 
 
-def test_a_window_sees_what_the_whole_sees(lines, ground):
+def test_a_window_has_the_same_edges_as_the_whole(lines, ground):
     origin = (7_000, -2_000)
     whole = {tuple(p) for p in lines.applied(ground, WINDOW, WINDOW, (0, 0)).T.tolist()}
     window = Bounds(10_000, 2_000, 27_000, 33_000)
@@ -92,7 +92,7 @@ def test_pieces_lie_on_their_lines_and_are_no_longer_than_a_pixel(lines):
     assert foot[:, 2] == pytest.approx(10_000 + foot[:, 0] / 25, abs=1)
 
 
-def test_what_changes_changes_the_digests_of_its_cells_alone(lines):
+def test_a_changed_line_changes_only_the_digests_of_its_cells(lines):
     lattice = Lattice(Fraction(16_000))
     other = Breaklines.of([*WALL, BEND, SHARP + (0, 0, 50)], PIXEL, SHORTEST, WINDOW)
     before, after = lines.digests(lattice), other.digests(lattice)
@@ -100,7 +100,7 @@ def test_what_changes_changes_the_digests_of_its_cells_alone(lines):
     assert changed == {cell for cell in before if cell.iy == 2 and cell.ix == 1}
 
 
-def test_far_away_nothing_is_divided_and_here_nothing_changes():
+def test_lines_far_away_are_not_divided_and_change_nothing():
     far = line((-(10**9), 10_000, 0), (10**9, 12_000, 9_000))  # 2,000 km
     data = Bounds(0, 0, 30_000, 30_000)
     found = Breaklines.of([far, *LINES], PIXEL, SHORTEST, data)
@@ -127,7 +127,7 @@ def test_places_with_two_heights():
     assert two_heights([]).shape == (0, 4)
 
 
-def test_no_line_is_none():
+def test_a_vertical_line_has_no_pieces():
     none = Breaklines.of([line((0, 0, 0), (0, 0, 5))], PIXEL, SHORTEST, WINDOW)
     xyz = np.array([[1, 2], [3, 4], [5, 6]], np.int32)
     assert none.applied(xyz, WINDOW, WINDOW, (0, 0)) is xyz

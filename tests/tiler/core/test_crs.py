@@ -1,4 +1,4 @@
-"""How far the lengths of a CRS are from those on the ground."""
+"""The scale of a CRS: lengths in its plane over lengths on the ground."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ DEGREES = 111_319.49
         ("EPSG:25832", math.inf, 0.0, None),
     ],
 )
-def test_lengths_in_the_plane_over_those_on_the_ground(
+def test_the_scale_is_the_length_in_the_plane_over_that_on_the_ground(
     crs: str, x: float, y: float, scale: float | None
 ) -> None:
     found = length_scale(CRS(crs).to_wkt(), x, y)

@@ -39,15 +39,15 @@ def labels(*edits):
     return Edits(edits, CELL).labels(block, now, ORIGIN).tolist()
 
 
-def test_not_ground_takes_ground_alone():
+def test_not_ground_changes_only_ground():
     assert labels(edit(NOT_GROUND, 100, 120)) == [1, 1, 1, 7, 9, 1, 1, 1, 2]
 
 
-def test_ground_is_what_the_input_calls_so():
+def test_ground_takes_the_ground_of_the_input():
     assert labels(edit(TO_GROUND, 100, 120)) == [2, 2 | 0x80, 2, 7, 9, 1, 1, 1, 2]
 
 
-def test_or_the_lowest_of_each_cell_that_is_no_noise_or_water():
+def test_ground_takes_the_lowest_point_of_each_cell_that_is_no_noise_or_water():
     assert labels(edit(TO_GROUND, 100, 120, lowest=True)) == [2, 2 | 0x80, 2, 7, 9, 1, 2, 1, 2]
 
 
@@ -64,7 +64,7 @@ def test_heights_of_pixels_whose_centres_are_inside():
     assert heights.tolist() == [[0.5, 0.5, 0.5], [2, NODATA, 2]]
 
 
-def test_only_what_touches_some_bounds_is_in_their_digest():
+def test_a_digest_for_bounds_holds_only_the_edits_that_touch_them():
     first, second = edit(NOT_GROUND, 100, 110), edit(VOID, 120, 130, 2)
     both, bounds = Edits((first, second), CELL), Bounds(100, 0, 112, 10)
     assert (

@@ -9,7 +9,7 @@ import pytest
 from tiler.core.lattice import Bounds, Cell, Lattice
 
 
-def test_cells_around_bounds_hold_them() -> None:
+def test_cells_around_bounds_hold_the_bounds() -> None:
     assert Lattice(Fraction(250)).around(Bounds(-1, 0, 1, 250)) == Bounds(-250, 0, 250, 250)
     assert Lattice(Fraction(1000, 3)).around(Bounds(0, 0, 1, 334)) == Bounds(0, 0, 334, 334)
     assert Lattice(Fraction(1000, 3)).around(Bounds(0, 0, 1, 335)) == Bounds(0, 0, 334, 667)

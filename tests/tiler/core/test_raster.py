@@ -1,4 +1,4 @@
-"""Blocks of a raster: each pixel once, and those within bounds found without a look at the others."""
+"""Blocks of a raster cover each pixel once, and blocks near some place are found quickly."""
 
 from __future__ import annotations
 
@@ -62,6 +62,27 @@ def test_blocks_near_a_few_cells_of_a_huge_raster_are_found_at_once() -> None:
     ]
 
 
-def test_a_block_is_known_by_its_name() -> None:
+def test_a_block_is_found_by_its_name() -> None:
     for block in SPEC.blocks(16):
         assert SPEC.block_named(block.name, 16) == block
+
+
+@pytest.mark.parametrize(
+    ("size", "last", "pixels"),
+    [
+        (Fraction(1000), 50_000, 50),  # on the edge of the last pixel
+        (Fraction(1000), 50_001, 51),
+        (Fraction(1000), 49_999, 50),
+        (Fraction(1000), 0, 1),  # the only pixel
+        (Fraction(1000, 3), 50_000, 150),
+        (Fraction(1000, 3), 50_001, 151),
+        (Fraction(1000, 3), 333, 1),  # the edge is a third of a count farther
+        (Fraction(1000, 3), 334, 2),
+    ],
+)
+def test_points_on_the_outer_edge_alone_make_no_pixel(size: Fraction, last: int, pixels: int) -> None:
+    extent = Bounds(0, -last, last + 1, 1)
+    spec = RasterSpec.enclosing(Lattice(size), extent)
+    assert (spec.west, spec.width) == (0, pixels)
+    south = Lattice(size).index_of(-last)  # the lower and left edge belong to a pixel
+    assert (spec.north, spec.north - spec.height) == (max(0, south + 1), south)

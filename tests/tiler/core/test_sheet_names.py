@@ -1,4 +1,4 @@
-"""Names of sheets: what a template gives, and what none may be."""
+"""Names of sheets from a template, and templates that are refused."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tiler.errors import ConfigError
         ("{name}-{east:.0f}x{y:010.1f}", "dtm-293000x06832000.5"),
     ],
 )
-def test_names_are_what_the_template_says(template: str, name: str) -> None:
+def test_names_follow_the_template(template: str, name: str) -> None:
     assert sheet_name(check_template(template), "dtm", 292000.0, 6832000.5, 1000.0) == name
     assert name.startswith(beginning(template, "dtm"))
 
@@ -35,7 +35,7 @@ def test_names_are_what_the_template_says(template: str, name: str) -> None:
         ("{name:_>300}{x}{y}", "more than 200"),
     ],
 )
-def test_a_template_that_names_no_files_is_refused(template: str, why: str) -> None:
+def test_a_template_that_cannot_name_files_is_refused(template: str, why: str) -> None:
     with pytest.raises(ConfigError) as error:
         check_template(template)
     assert why in str(error.value)

@@ -1,4 +1,4 @@
-"""Spreads against numpy's own figures."""
+"""Spreads are compared with numpy's own figures."""
 
 from __future__ import annotations
 
@@ -26,12 +26,12 @@ def expected(d: np.ndarray) -> dict[str, float]:
 
 
 @pytest.mark.parametrize("n", [1, 2, 19, 1000])
-def test_a_spread_is_that_of_its_definition(n: int) -> None:
+def test_a_spread_follows_its_definition(n: int) -> None:
     d = np.random.default_rng(n).normal(0.3, 1.0, n)
     assert spread(d) == pytest.approx(expected(d), rel=1e-12, abs=1e-12)
 
 
-def test_a_tally_is_the_spread_to_its_step() -> None:
+def test_a_tally_equals_the_spread_up_to_its_step() -> None:
     d = np.random.default_rng(5).normal(-0.2, 0.5, (40, 500))
     tally = SpreadTally()
     for part in d:
@@ -53,5 +53,5 @@ def test_a_tally_that_grows_too_large_gets_coarser(monkeypatch: pytest.MonkeyPat
     assert tally.summary() == pytest.approx(expected(d), abs=0.15)
 
 
-def test_nothing_has_no_spread() -> None:
+def test_no_differences_have_no_spread() -> None:
     assert spread(np.empty(0)) == SpreadTally().summary() == dict.fromkeys(NAMES)

@@ -1,4 +1,4 @@
-"""Lengths as people write them: exact fractions of a metre, or a refusal."""
+"""Lengths as users write them become exact fractions of a metre, or are refused."""
 
 from __future__ import annotations
 
@@ -27,6 +27,6 @@ def test_lengths_are_exact(text: str | float, metres: Fraction) -> None:
 
 
 @pytest.mark.parametrize("text", ["", "-1", "1/0", "0/00", "1e3", "nan", "1 2", "1/2/3", "3 miles"])
-def test_what_is_no_length_is_refused(text: str) -> None:
+def test_texts_that_are_no_length_are_refused(text: str) -> None:
     with pytest.raises(ConfigError):
         parse_length(text)

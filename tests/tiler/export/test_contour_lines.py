@@ -1,3 +1,5 @@
+from __future__ import annotations
+
 from fractions import Fraction
 
 import numpy as np
@@ -5,7 +7,15 @@ import pytest
 import shapely
 from scipy import ndimage
 
-from tiler.export.contour_lines import Joiner, contour_block, default_interval, smoothed, smoothing_reach
+from tiler.export.contour_lines import (
+    Joiner,
+    contour_block,
+    default_interval,
+    is_short,
+    smoothed,
+    smoothing_reach,
+    stays,
+)
 
 
 def lines_of(heights, size, interval=Fraction(1), sigma=0.0, most_held=10**6):
@@ -99,7 +109,55 @@ def test_long_lines_are_cut_where_too_many_vertices_wait(hills):
 
 @pytest.mark.parametrize(
     ("relief", "interval"),
-    [(0, "0.01"), (4, "0.1"), (30, "1"), (50, "1"), (51, "2"), (230, "5"), (900, "20"), (8800, "200")],
+    [
+        (0, "0.25"),
+        (12, "0.25"),
+        (13, "0.5"),
+        (30, "1"),
+        (50, "1"),
+        (51, "2"),
+        (230, "5"),
+        (900, "20"),
+        (8800, "200"),
+    ],
 )
 def test_default_interval(relief, interval):
-    assert default_interval(relief) == Fraction(interval)
+    assert default_interval(relief, Fraction(1, 4)) == Fraction(interval)
+
+
+def test_default_interval_is_no_finer_than_the_heights_are_accurate():
+    for noise in np.geomspace(0.01, 3, 40):
+        interval = default_interval(1.0, Fraction(1, 4), noise)
+        assert interval >= max(4 * noise, 0.25)
+        assert interval <= max(10 * noise, 0.25)
+    assert default_interval(3.0, Fraction(1)) == 1  # feet
+
+
+def rings(heights: np.ndarray) -> list[tuple[int, np.ndarray]]:
+    return [line for line in lines_of(heights, 64)[0] if is_short(line[1])]
+
+
+@pytest.mark.parametrize(
+    ("rise", "drawn"), [(0.2, False), (0.45, False), (0.55, True), (-0.55, True), (-0.3, False)]
+)
+def test_a_bump_is_drawn_from_half_an_interval_on(rise: float, drawn: bool) -> None:
+    heights = np.full((20, 20), 10.0 - 0.01 * np.sign(rise))
+    heights[8, 9] = 10.0 + rise
+    (line,) = rings(heights)
+    assert stays(line[1], heights, 10.0, 1.0) == drawn
+
+
+def test_of_rings_in_one_another_the_outer_ones_are_left_out() -> None:
+    heights = np.full((20, 20), 9.9)
+    heights[8, 9] = 12.7
+    found = [level for level, places in rings(heights) if stays(places, heights, float(level), 1.0)]
+    assert found == [12]
+
+
+def test_a_long_ring_and_an_open_line_are_not_short() -> None:
+    rows, cols = np.indices((40, 40))
+    hill = 10.5 - np.hypot(rows - 20, cols - 20) / 4
+    lengths = [np.hypot(*np.diff(places, axis=0).T).sum() for _, places in rings(hill)]
+    assert all(length < 10 for length in lengths)
+    slope = cols / 3.0
+    assert [line for line in lines_of(slope, 64, Fraction(1))[0] if is_short(line[1])] == []

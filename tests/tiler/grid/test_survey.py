@@ -6,15 +6,31 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy import ndimage
 
 from tiler.core.lattice import Bounds, Lattice
 from tiler.core.products import BEYOND, SURVEYED, VOID
-from tiler.core.raster import BLOCK_PIXELS, RasterSpec
-from tiler.grid.survey import coarse_cells, gap_of, survey_of
+from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec
+from tiler.grid.coarse import coarse_raster
+from tiler.grid.survey import WINDOW, closed_cells, gap_of, gaps_of, survey_values
+from tiler.store import coarse_cells
 
 SIDE = 160
 ROW, COL = np.mgrid[:SIDE, :SIDE]
+
+
+def survey_of(occupied: np.ndarray, gap: float) -> np.ndarray:
+    """The survey of some cells as if they were one block, with nothing beyond."""
+    height, width = occupied.shape
+    pad, size = int(np.ceil(gap)) + 2, -(-max(height, width) // WINDOW) * WINDOW
+    square = np.zeros((size + 2 * pad, size + 2 * pad), bool)
+    square[pad : pad + height, pad : pad + width] = occupied
+    gaps = np.full((size // WINDOW, size // WINDOW), float(gap))
+    closed = np.pad(closed_cells(square, gaps, pad), 1)
+    enclosed = ndimage.binary_fill_holes(closed) & ~closed
+    return survey_values(closed, enclosed)[1 : 1 + height, 1 : 1 + width]
 
 
 def turned(angle_deg: float) -> tuple[np.ndarray, np.ndarray]:
@@ -83,6 +99,19 @@ def test_sparse_points_have_wider_gaps() -> None:
     assert found == [10, 20, 50]
 
 
+def test_each_window_has_the_gap_of_its_points() -> None:
+    """Dense points in the west, sparse ones in the east, which do not change what the west gets."""
+    rng = np.random.default_rng(6)
+    shape = (3 * WINDOW, 10 * WINDOW)
+    dense, sparse = (rng.random(shape) < 1 - np.exp(-(spacing**-2)) for spacing in (0.5, 4))
+    both = np.where(np.arange(shape[1]) < 5 * WINDOW, dense, sparse)
+    gaps = gaps_of(both, 10.0, 50.0)
+    assert gaps.shape == (1, 8)
+    assert gaps[0, :3].tolist() == [10, 10, 10]
+    assert gaps[0, -3:].tolist() == [20, 20, 20]
+    assert (gaps_of(np.where(np.arange(shape[1]) < 5 * WINDOW, dense, False), 10.0, 50.0)[0, :3] == 10).all()
+
+
 def test_a_strip_fills_a_third_of_its_box() -> None:
     assert 0.3 < (survey_of(OUTLINES["strip"], 16) >= SURVEYED).mean() < 0.37
 
@@ -106,10 +135,29 @@ def test_small_and_empty_rasters(shape: tuple[int, int]) -> None:
 
 
 @pytest.mark.parametrize("bounds", [Bounds(0, 0, 61_600, 60_000), Bounds(0, 0, 60_000, 61_600)])
-def test_each_pixel_has_a_coarse_cell_where_the_sides_do_not_divide(bounds: Bounds) -> None:
-    """Centres of pixels of 1.5 m beyond cells of 2 m: in the east, and in the north."""
-    fine, coarse = (RasterSpec.covering(Lattice(Fraction(size)), bounds) for size in (1500, 2000))
+def test_the_cell_of_a_pixel_does_not_depend_on_where_the_cells_end(bounds: Bounds) -> None:
+    """Centres of pixels of 1.5 m that lie beyond cells of 2 m: in the east, and in the north."""
+    fine = RasterSpec.covering(Lattice(Fraction(1500)), bounds)
+    tight, wide = (
+        RasterSpec.covering(Lattice(Fraction(2000)), found)
+        for found in (bounds, Bounds(-9000, -7000, 90_000, 80_000))
+    )
     for block in fine.blocks(BLOCK_PIXELS):
-        rows, cols = coarse_cells(coarse, fine, block)
-        assert (rows.min(), cols.min()) == (0, 0)
-        assert (rows.max(), cols.max()) == (coarse.height - 1, coarse.width - 1)
+        for of_tight, of_wide, moved in zip(
+            coarse_cells(tight, fine, block),
+            coarse_cells(wide, fine, block),
+            (wide.north - tight.north, tight.west - wide.west),
+            strict=True,
+        ):
+            assert (of_tight + moved == of_wide).all()
+
+
+@given(st.integers(-10_000, 10_000), st.integers(-10_000, 10_000), st.integers(1, 5000))
+def test_blocks_of_coarse_cells_are_anchored_at_0(x: int, y: int, side: int) -> None:
+    bounds = Bounds(x, y, x + side, y + side)
+    spec = coarse_raster(Lattice(Fraction(2)), bounds)
+    assert [v % BLOCK_PIXELS for v in (spec.west, spec.north, spec.height, spec.width)] == [0] * 4
+    held = spec.block_bounds(Block(0, 0, spec.height, spec.width))
+    assert (held.x0 <= bounds.x0, held.y0 <= bounds.y0) == (True, True)
+    assert (held.x1 >= bounds.x1, held.y1 >= bounds.y1) == (True, True)
+    assert spec.height <= side // 2 + 1 + 2 * BLOCK_PIXELS

@@ -14,26 +14,40 @@ from tiler.core.lattice import Lattice
 from tiler.core.mask_values import FILLED, HOLE, INTERPOLATED, MEASURED, OUTSIDE
 from tiler.core.raster import NODATA, Block, RasterSpec
 from tiler.grid import (
+    NO_PIECE,
+    CloseBlock,
     FillBlock,
-    MakeSurvey,
+    FindVoids,
     MaskBlock,
     PointsBlock,
+    SurveyBlock,
     Void,
     VoidRasters,
+    close_block,
     fill_block,
     find_voids,
     mask_block,
     occupancy_block,
-    survey_raster,
+    survey_block,
 )
+from tiler.grid.coarse import coarse_raster
+from tiler.grid.pieces import Piece
+from tiler.grid.tasks.survey import outside_of
 from tiler.grid.voids import PIECE
 
 SIDE, LIMIT = 240_000, 16_000
 
 
+Filled = tuple[Scene, RasterSpec, FillBlock, np.ndarray]
+
+
 @pytest.fixture
-def filled(make_scene, monkeypatch: pytest.MonkeyPatch) -> tuple[Scene, RasterSpec, FillBlock, np.ndarray]:
-    """A plane with two lakes and a notch, blocks of 40 pixels, its holes filled; and the plane's true heights."""
+def filled(make_scene, monkeypatch: pytest.MonkeyPatch) -> Filled:
+    """A plane with two lakes and a notch, pixels of 1 m; what fills its holes, and the plane's true heights."""
+    return scene_with_holes(make_scene, monkeypatch, 1)
+
+
+def scene_with_holes(make_scene, monkeypatch: pytest.MonkeyPatch, pixel_m: int) -> Filled:
     monkeypatch.setattr("tiler.grid.voids.PIECE", 40)
     xyz = plane_points(40_000, SIDE)
     x, y = xyz[:, 0], xyz[:, 1]
@@ -41,22 +55,32 @@ def filled(make_scene, monkeypatch: pytest.MonkeyPatch) -> tuple[Scene, RasterSp
     lakes |= (abs(x - 150_000) < 20_000) & (abs(y - 60_000) < 30_000)
     notch = (x > 140_000) & (y > 120_000)
     scene = make_scene(xyz[~(lakes | notch)])
-    spec = scene.grid_into_store("dtm", Fraction(1000), max_edge=str(LIMIT))
-    coarse = RasterSpec.covering(Lattice(Fraction(2000)), scene.data)
+    spec = scene.grid_into_store("dtm", Fraction(1000 * pixel_m), max_edge=str(LIMIT))
+    coarse = coarse_raster(Lattice(Fraction(2000)), scene.data)
+    url, gap = scene.store.url, LIMIT / 2000
     for name in ("occupancy", "survey", "voids"):
         scene.store.create_raster(name, coarse.height, coarse.width, 0)
-    for b in coarse.blocks(512):
-        occupancy_block(scene.store.url, PointsBlock(name="occupancy", spec=coarse, block=b, rule=FINAL))
-    survey = MakeSurvey("survey", coarse, "occupancy", LIMIT / 2000, LIMIT / 2000, spec)
-    survey_raster(scene.store.url, survey)
+    scene.store.create_raster("open", coarse.height, coarse.width, NO_PIECE)
+    (b,) = coarse.blocks(512)
+    common = {"spec": coarse, "block": b}
+    occupancy_block(url, PointsBlock(name="occupancy", rule=FINAL, **common))
+    closing = CloseBlock(name="open", occupancy="occupancy", gap=gap, most_gap=gap, **common)
+    outside, empty = outside_of({(0, 0): close_block(url, closing)["sides"]})
+    assert not empty
+    survey_block(
+        url,
+        SurveyBlock(
+            name="survey", opened="open", outside=tuple(outside[0, 0]), empty=(), pixels=spec, **common
+        ),
+    )
     rasters = VoidRasters("dtm", spec, "survey", coarse, "voids")
-    record = find_voids(scene.store.url, rasters)
-    voids = tuple(Void(n + 1, Block(*box)) for n, box in enumerate(record["voids"]))
+    record = find_voids(url, FindVoids(name="voids", rasters=rasters, **common))
+    voids = tuple(Void((Piece(0, 0, n + 1),)) for n in range(record["labels"]))
     work = FillBlock("filled", Block(0, 0, spec.height, spec.width), rasters, voids)
     for name in ("filled", "mask"):
         scene.store.create_raster(name, spec.height, spec.width, NODATA if name == "filled" else OUTSIDE)
     row, col = np.mgrid[: spec.height, : spec.width]
-    truth = 50 + (spec.west + col + 0.5) / 4 - (spec.north - row - 0.5) / 8
+    truth = 50 + pixel_m * ((spec.west + col + 0.5) / 4 - (spec.north - row - 0.5) / 8)
     return scene, spec, work, truth
 
 
@@ -87,6 +111,20 @@ def test_a_plane_comes_back_below_its_lakes(filled) -> None:
     assert (mask != HOLE).all()
     mask_block(scene.store.url, replace(mask_work, filled="dtm"))
     assert np.array_equal(whole(scene, spec, "mask") == HOLE, mask == FILLED)
+
+
+@pytest.mark.parametrize("pixel_m", [3, 5])
+def test_holes_of_pixels_larger_than_a_coarse_cell_are_whole(
+    make_scene, monkeypatch: pytest.MonkeyPatch, pixel_m: int
+) -> None:
+    scene, spec, work, truth = scene_with_holes(make_scene, monkeypatch, pixel_m)
+    assert len(work.voids) == 2
+    fill_block(scene.store.url, work)
+    before, after = whole(scene, spec, "dtm"), whole(scene, spec, "filled")
+    x, y = (spec.west + np.arange(spec.width) + 0.5), (spec.north - np.arange(spec.height) - 0.5)
+    in_lake = (x[None] * pixel_m - 70) ** 2 + (y[:, None] * pixel_m - 80) ** 2 < 30**2
+    assert (before[in_lake] == np.float32(NODATA)).any()
+    assert np.abs(after - truth)[in_lake].max() < 0.003
 
 
 def test_each_hole_is_one_and_blocks_do_not_show(filled, monkeypatch: pytest.MonkeyPatch) -> None:

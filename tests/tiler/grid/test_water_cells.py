@@ -6,9 +6,21 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy import ndimage
 
 from tiler.grid import reach, water_cells
-from tiler.grid.water_cells import Cells, dense_enough, find_water, under_bridges, without_narrows
+from tiler.grid.returns import histograms, usual_returns
+from tiler.grid.water_cells import (
+    ENOUGH_RETURNS,
+    Cells,
+    Rim,
+    Size,
+    judged,
+    rim_of,
+    water_areas,
+)
+from tiler.grid.water_extent import shore_area, smoothed, under_bridges, without_islands, without_narrows
+from tiler.grid.water_planes import plane_cells
 
 SIDE = 120  # cells of 2 m
 ROW, COL = np.mgrid[0:SIDE, 0:SIDE].astype(np.float64)
@@ -31,10 +43,34 @@ def cells(ground: np.ndarray, few: np.ndarray, left: float = 0.0, seed: int = 1)
     return Cells(returns, ~every, uneven, every, 2.0)
 
 
+def usual(given: Cells) -> tuple[int, float] | None:
+    """How many cells are merged, and the median of their returns, in whole squares of 16."""
+    return usual_returns([histograms(given.returns.astype(np.int64)[:112, :112])], ENOUGH_RETURNS)
+
+
+def bodies(given: Cells, trusted: bool = True, pieces: int = 1) -> list[tuple[np.ndarray, float]]:
+    """Cells of each area of water, and how sure it is; the land around it is counted in strips."""
+    times, median = usual(given) or (1, None)
+    assert times == 1
+    labels, number = ndimage.label(water_areas(given, median if trusted else None))
+    strip, result = np.arange(SIDE) * pieces // SIDE, []
+    for n in range(1, number + 1):
+        mine, others = labels == n, (labels > 0) & (labels != n)
+        size = Size(int(mine.sum()), int(given.given[mine].sum()))
+        rim = Rim()
+        for part in range(pieces):
+            counted = np.repeat((strip == part)[:, None], SIDE, axis=1)
+            rim = rim.plus(rim_of(given, mine, others, counted))
+        sure = judged(size, rim)
+        if sure is not None:
+            result.append((mine, sure))
+    return result
+
+
 def found(given: Cells, trusted: bool = True) -> np.ndarray:
     water = np.zeros(given.returns.shape, np.bool_)
-    for body in find_water(given, trusted):
-        water[body.window] |= body.cells
+    for body, _ in bodies(given, trusted):
+        water |= body
     return water
 
 
@@ -49,11 +85,11 @@ def test_water_between_rising_banks_is_found(ground: np.ndarray, wet: np.ndarray
 @pytest.mark.parametrize("left", [0.0, 0.3])
 def test_the_land_around_may_be_compared_in_pieces(left: float, monkeypatch: pytest.MonkeyPatch) -> None:
     given = cells(VALLEY, RIVER, left)
-    whole = [(body.window, body.cells.tolist(), body.sure) for body in find_water(given, True)]
+    whole = [(body.tolist(), sure) for body, sure in bodies(given)]
     monkeypatch.setattr(water_cells, "PLACES_AT_ONCE", 7)
     monkeypatch.setattr(reach, "STRIP_ROWS", 9)
     assert whole
-    assert [(body.window, body.cells.tolist(), body.sure) for body in find_water(given, True)] == whole
+    assert [(body.tolist(), sure) for body, sure in bodies(given, pieces=5)] == whole
 
 
 @pytest.mark.parametrize(
@@ -73,11 +109,20 @@ def test_what_returns_little_elsewhere_is_no_water(ground: np.ndarray, few: np.n
     assert not found(cells(ground, few, left)).any()
 
 
-def test_returns_as_many_as_on_land_are_water_where_it_goes_on() -> None:
+def test_water_goes_on_where_the_ground_is_as_low_however_many_returns_it_has() -> None:
     given = cells(VALLEY, RIVER & ~STRIP, 0.3)
-    water = found(given)
-    assert (water & RIVER & STRIP).sum() > 0.7 * (RIVER & STRIP).sum()
-    assert (water & ~RIVER).sum() < 0.02 * RIVER.sum()
+    water = shore_area(given.with_ground(smoothed(given.ground)), RIVER & ~STRIP, 10)
+    assert (water & RIVER & STRIP).sum() > 0.95 * (RIVER & STRIP).sum()
+    assert (water & ~RIVER).sum() < 0.1 * RIVER.sum()  # a cell along its banks
+
+
+def test_planes_are_level_areas_and_heights_of_single_cells_do_not_break_them() -> None:
+    pits = np.random.default_rng(5).random(FLAT.shape) < 0.03
+    ground = VALLEY - 2.0 * pits
+    plane = plane_cells(smoothed(ground), np.ones_like(pits))
+    inner = ndimage.binary_erosion(RIVER, iterations=2)
+    assert (plane & inner).sum() > 0.8 * inner.sum()
+    assert not plane_cells(SLOPE, np.ones_like(pits)).any()
 
 
 def test_of_matched_clouds_only_the_class_tells() -> None:
@@ -88,15 +133,40 @@ def test_of_matched_clouds_only_the_class_tells() -> None:
 
 
 def test_cells_are_larger_where_points_are_sparse() -> None:
-    sparse = replace(cells(FLAT, LAKE), returns=np.random.default_rng(2).poisson(2.0, FLAT.shape) * 1.0)
-    assert dense_enough(sparse).size == 4
-    assert not found(dense_enough(sparse)).any()
+    returns = np.random.default_rng(2).poisson(2.0, FLAT.shape) * 1.0
+    times, median = usual(replace(cells(FLAT, LAKE), returns=returns)) or (0, 0.0)
+    assert times == 2
+    assert 7 < median < 9.5
+    sparse = replace(cells(FLAT, LAKE), returns=returns).coarser()
+    assert sparse.size == 4
+    assert not water_areas(sparse, median).any()
+    again = sparse.finer(2)
+    assert again.size == 2
+    assert (again.returns[::2, 1::2] == sparse.returns).all()
+    assert usual(replace(cells(FLAT, LAKE), returns=returns * 0)) is None
+
+
+def test_the_usual_returns_are_the_median_of_cells_with_any() -> None:
+    counts = np.zeros((16, 16), np.int64)
+    counts[:4] = 9
+    counts[4:6] = 13
+    assert usual_returns([histograms(counts)], 8) == (1, pytest.approx(9, rel=0.03))
+    assert usual_returns([histograms(counts), histograms(counts + 40)], 8) == (1, pytest.approx(40, rel=0.03))
+
+
+def test_small_islands_become_water_and_land_at_the_border_stays() -> None:
+    water = np.ones((20, 20), np.bool_)
+    water[5:7, 5:7] = water[12:16, 12:16] = water[0:1, 9:11] = False
+    kept = without_islands(water, 5)
+    assert kept[5:7, 5:7].all()
+    assert not kept[12:16, 12:16].any()
+    assert not kept[0, 9:11].any()
 
 
 def test_water_goes_on_under_a_bridge_and_not_through_a_dam() -> None:
     broken = RIVER & ~(np.abs(COL - 60) < 2)
     dam = np.where(np.abs(COL - 60) < 2, 13.0, VALLEY)
-    closed = [under_bridges(cells(ground, ~broken), broken) for ground in (VALLEY, dam)]
+    closed = [under_bridges(cells(ground, ~broken).ground, broken, 2.0, 128) for ground in (VALLEY, dam)]
     assert (closed[0] & RIVER).sum() > 0.99 * RIVER.sum()
     assert (closed[1] == broken).all()
 
@@ -106,3 +176,22 @@ def test_narrow_arms_are_left_out() -> None:
     kept = without_narrows(LAKE | arm, 8.0)
     assert (kept & LAKE).sum() > 0.97 * LAKE.sum()
     assert (kept & arm & ~LAKE).sum() < 0.25 * (arm & ~LAKE).sum()
+
+
+def test_a_bar_in_the_river_is_no_bridge() -> None:
+    bar = (np.abs(ROW - 60 - 6 * np.sin(COL / 20)) < 2.5) & (np.abs(COL - 60) < 20)
+    ground = np.where(bar, VALLEY + 0.3, VALLEY)
+    closed = under_bridges(ground, RIVER & ~bar, 2.0, 128)
+    assert not (closed & bar).any()
+
+
+def test_a_window_that_cuts_a_long_bar_says_the_same_as_one_that_holds_it() -> None:
+    """A bar of 3 x 200 cells in level water: longer than any window has to hold."""
+    ground = np.zeros((60, 400))
+    bar = np.zeros(ground.shape, np.bool_)
+    bar[29:32, 100:300] = True
+    ground[bar] = 0.3
+    whole = under_bridges(ground, ~bar, 2.0, 128)
+    part = under_bridges(ground[:, :200], ~bar[:, :200], 2.0, 128)
+    inner = np.s_[:, 20:150]
+    assert (whole[inner] == part[inner]).all()

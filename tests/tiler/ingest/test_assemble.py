@@ -34,7 +34,7 @@ def block_of(xyz: Any, source: Any = 0, classes: Any = 1, flags: Any = 0) -> Poi
 
 
 def slow_candidates(block: PointBlock, taking: np.ndarray, fine: Lattice) -> set[tuple[int, int, int]]:
-    """The lowest point of each fine cell, by looking at one after the other."""
+    """The lowest point of each fine cell, found point by point."""
     best: dict[tuple[int, int], tuple[int, int, int]] = {}
     for (x, y, z), takes in zip(block.xyz.T.tolist(), taking.tolist(), strict=True):
         if takes:
@@ -57,7 +57,9 @@ POINTS = st.lists(
     fine=st.sampled_from([Fraction(10), Fraction(45), Fraction(90, 7), Fraction(1)]),
     seed=st.integers(0, 100),
 )
-def test_candidates_are_the_lowest_whatever_the_order(points: Any, fine: Fraction, seed: int) -> None:
+def test_candidates_are_the_lowest_points_in_any_order_of_input(
+    points: Any, fine: Fraction, seed: int
+) -> None:
     block = block_of([p[:3] for p in points], source=[p[3] for p in points])
     taking = np.array([p[4] for p in points])
     lattice = Lattice(fine)
@@ -78,7 +80,7 @@ def test_candidates_are_the_lowest_whatever_the_order(points: Any, fine: Fractio
     )
 
 
-def test_the_frames_origin_does_not_enter() -> None:
+def test_the_origin_of_the_frame_does_not_change_the_order() -> None:
     rng = np.random.default_rng(2)
     xyz = np.stack([rng.integers(30, 120, 300), rng.integers(10, 100, 300), rng.integers(0, 9, 300)], axis=1)
     taking = np.ones(300, dtype=bool)
@@ -128,7 +130,7 @@ def test_a_bucket_is_gathered_written_and_described(memory_store: Any) -> None:
     assert len(written) == 4
 
 
-def test_a_bucket_in_which_nothing_takes_part(memory_store: Any) -> None:
+def test_a_bucket_in_which_no_point_takes_part(memory_store: Any) -> None:
     memory_store.meta.frame, memory_store.meta.bucket, memory_store.meta.fine = FRAME, BUCKET, FINE
     memory_store.pieces["a"] = block_of([[30, 10, 5]], classes=18)
     (bucket,) = assemble_buckets("memory", AssembleBuckets((BucketParts(Cell(2, -1), (("a", 0, 1),)),)))[

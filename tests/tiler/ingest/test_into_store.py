@@ -17,16 +17,8 @@ from tiler.core.lattice import Cell, Lattice
 from tiler.core.points import SOURCE_SHIFT
 from tiler.export import WriteClassified
 from tiler.export.classified import write_classified
-from tiler.ingest import (
-    AssembleBuckets,
-    BucketParts,
-    SpoolPiece,
-    assemble_buckets,
-    find_inputs,
-    inspect,
-    pieces,
-    spool_piece,
-)
+from tiler.ingest import AssembleBuckets, BucketParts, SpoolPiece, assemble_buckets, spool_piece
+from tiler.inputs import find_inputs, inspect, pieces
 from tiler.store import BucketInfo, StoreMeta, TileStore, create_store
 
 FRAME = CoordFrame(origin=(500_000_000, 5_400_000_000))
@@ -54,7 +46,7 @@ def ingest(
 
 
 def content(store: TileStore) -> list[Any]:
-    """Everything but which source a point came from."""
+    """All columns except the source of a point."""
     columns = ("xyz", "classification", "flags", "returns")
     found = []
     for cell, info in store.buckets().items():
@@ -106,7 +98,9 @@ def test_labels_go_back_to_the_rows_of_their_source(make_cloud: Any, tmp_path: P
     cells = tuple(store.buckets())
     for source, path in enumerate(paths):
         out = tmp_path / "out" / f"{source}.laz"
-        work = WriteClassified(path=str(path), source=source, out=str(out), labels="final", cells=cells)
+        work = WriteClassified(
+            path=str(path), source=source, out=str(out), labels="final", cells=cells, reclass="all"
+        )
         write_classified(url, work)
         before, after = laspy.read(path), laspy.read(out)
         expected = np.asarray(before.classification).copy()

@@ -1,4 +1,4 @@
-"""Paths and URLs, read and listed alike."""
+"""Paths and URLs are read and listed in the same way."""
 
 from __future__ import annotations
 
@@ -29,7 +29,9 @@ def test_clouds_are_listed(folder: str) -> None:
 
     assert names(folder) == names(f"{folder}/") == ["/a.laz", "/b/c.LAS"]
     assert names(f"{folder}/**/*.LAS") == ["/b/c.LAS"]
-    assert names(f"{folder}/b/readme.txt") == ["/b/readme.txt"]  # named by itself it is taken at its word
+    assert names(f"{folder}/b/readme.txt") == [
+        "/b/readme.txt"
+    ]  # a file that is named itself need not have a suffix of clouds
     with pytest.raises(ConfigError, match="nothing there; name LAS or LAZ objects"):
         locations.list_clouds(f"{folder}/nowhere", (".las",))
 
@@ -49,7 +51,7 @@ def test_any_part_of_an_object_is_read(folder: str) -> None:
         assert buffer == bytes((0, 1, 2, 3))
 
 
-def test_two_views_of_an_object_have_places_of_their_own(folder: str) -> None:
+def test_two_views_of_an_object_have_their_own_positions(folder: str) -> None:
     path = locations.cloud_path(f"{folder}/a.laz")
     with cloud_reading.open_cloud(path, 100) as stream, cloud_reading.second_view(stream, path) as other:
         assert stream.seek(210) == 210
@@ -60,7 +62,7 @@ def test_two_views_of_an_object_have_places_of_their_own(folder: str) -> None:
         assert (other.tell(), stream.tell()) == (2, 600)
 
 
-def test_what_is_written_into_a_url_appears_when_it_is_whole(folder: str) -> None:
+def test_a_file_at_a_url_appears_when_it_is_whole(folder: str) -> None:
     with locations.folder_for(f"{folder}/out") as scratch:
         (scratch / "x.tif").write_bytes(b"whole")
         assert locations.state_at(f"{folder}/out/x.tif") is None
@@ -81,18 +83,18 @@ def test_a_path_is_a_path(tmp_path: Path) -> None:
     assert locations.joined("a/", "b", "c") == "a/b/c"
 
 
-def test_what_no_library_knows() -> None:
+def test_a_url_that_no_library_knows_is_refused() -> None:
     with pytest.raises(ConfigError, match=r"nosuch://x/y: cannot be read .*tiler-dtm\[cloud\]"):
         locations.cloud_path("nosuch://x/y").exists()
 
 
-def test_a_target_that_refuses(tmp_path: Path) -> None:
+def test_writing_to_an_unknown_url_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "x").write_bytes(b"x")
     with pytest.raises(ProcessingError, match="cannot be written"):
         locations.put_file(tmp_path / "x", "nosuch://x/y")
 
 
-def test_a_long_name_has_a_short_one_until_it_is_whole(tmp_path: Path) -> None:
+def test_a_long_name_has_a_short_temporary_name(tmp_path: Path) -> None:
     assert partial_path(tmp_path / "a.laz") == tmp_path / ".tiler-a.laz.partial"
     long = [tmp_path / ("ä" * 125 + end) for end in ("1.laz", "2.laz")]
     found = {partial_path(path) for path in long}

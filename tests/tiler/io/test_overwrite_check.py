@@ -1,4 +1,4 @@
-"""What is written is compared with what is read, whatever the names."""
+"""Outputs are compared with inputs as files, not by their names."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ def read(tmp_path: Path) -> Path:
 
 
 @pytest.mark.parametrize("kind", ["same", "dots", "link", "hard link", "link of a folder", "file URL"])
-def test_an_input_is_known_by_any_name(kind: str, read: Path, tmp_path: Path) -> None:
+def test_an_input_is_recognised_by_any_name(kind: str, read: Path, tmp_path: Path) -> None:
     target: str | Path = read
     if kind == "dots":
         target = tmp_path / "in" / ".." / "in" / "a.laz"
@@ -40,19 +40,19 @@ def test_an_input_is_known_by_any_name(kind: str, read: Path, tmp_path: Path) ->
     check_targets([Target("-o", tmp_path / "c.laz")], [read])
 
 
-def test_a_file_that_is_not_there_yet_is_known_by_its_place(tmp_path: Path) -> None:
+def test_a_file_that_does_not_exist_yet_is_recognised_by_its_path(tmp_path: Path) -> None:
     (tmp_path / "link").symlink_to(tmp_path)
     with pytest.raises(ConfigError, match="is an input"):
         check_targets([Target("", tmp_path / "link" / "x")], [tmp_path / "x"])
 
 
-def test_urls_are_compared_as_such() -> None:
+def test_urls_are_compared_as_text() -> None:
     with pytest.raises(ConfigError, match="s3://b/a.laz: is an input"):
         check_targets([Target("", "s3://b/a.laz")], ["s3://b/a.laz"])
     check_targets([Target("", "s3://b/a.laz")], ["s3://b/b.laz", "b/a.laz"])
 
 
-def test_a_name_says_what_the_file_is(tmp_path: Path) -> None:
+def test_a_name_must_have_the_suffix_of_its_kind(tmp_path: Path) -> None:
     with pytest.raises(
         ConfigError, match=r"-o .*a\.laz: would be of another kind than its name says; name it \.png"
     ):
@@ -72,7 +72,7 @@ def test_a_name_says_what_the_file_is(tmp_path: Path) -> None:
         ("file:///", "out", "holds"),
     ],
 )
-def test_a_folder_of_its_own_holds_nothing_else(
+def test_a_folder_that_a_command_fills_must_hold_nothing_else(
     folder: str, other: str, what: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.chdir(tmp_path)
@@ -81,3 +81,11 @@ def test_a_folder_of_its_own_holds_nothing_else(
     with pytest.raises(ConfigError, match=f"^--store {folder}: {what} {other}; name another place"):
         check_folder("--store", folder, [other])
     check_folder("--store", "out/store.zarr", ["out", "outside", "s3://b"])
+
+
+def test_a_name_that_is_too_long_is_refused(tmp_path: Path) -> None:
+    check_targets([Target("-o", tmp_path / f"{'ä' * 125}a.png")], [])
+    with pytest.raises(
+        ConfigError, match=r"^-o ä{20}\.\.\.: a name of 256 bytes, 255 are possible; name it shorter$"
+    ):
+        check_targets([Target("-o", tmp_path / f"{'ä' * 126}.png")], [])

@@ -1,4 +1,4 @@
-"""events.jsonl: one whole JSON object a line, whatever became of earlier runs."""
+"""events.jsonl: one whole JSON object a line, even after a killed run."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ def lines(path: Path) -> list[dict[str, object]]:
     return [json.loads(line) for line in path.read_text("utf-8").splitlines()]
 
 
-def test_a_line_is_there_as_soon_as_it_is_written(tmp_path: Path) -> None:
+def test_a_line_is_in_the_file_at_once(tmp_path: Path) -> None:
     path = tmp_path / "out" / "events.jsonl"
     with EventLog(path) as log:
         log("note", {"text": "Höhe in m\nzweite Zeile"})
@@ -39,7 +39,7 @@ def test_an_unfinished_line_does_not_spoil_the_next(tmp_path: Path) -> None:
     assert json.loads(path.read_text("utf-8").splitlines()[-1])["text"] == "again"
 
 
-def test_values_that_json_does_not_know_become_text(tmp_path: Path) -> None:
+def test_values_that_json_cannot_hold_become_text(tmp_path: Path) -> None:
     path = tmp_path / "events.jsonl"
     with EventLog(path) as log:
         log("note", {"path": Path("a/b")})

@@ -1,4 +1,4 @@
-"""Progress: what people read, on a terminal and elsewhere."""
+"""Progress on a terminal and elsewhere."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from tiler.observe.progress import (
 
 
 class Clock:
-    """Stands still until it is told to go on."""
+    """A clock that moves only when the test says so."""
 
     def __init__(self) -> None:
         self.now = 100.0
@@ -32,7 +32,7 @@ class Clock:
 
 
 class Terminal(io.StringIO):
-    """A stream that says it is a terminal."""
+    """A stream that claims to be a terminal."""
 
     def isatty(self) -> bool:
         return True
@@ -65,7 +65,7 @@ def test_no_rate_without_points_or_time() -> None:
     assert rate_text(3_000_000, 2.0) == "1.5 M points/s"
 
 
-def test_plain_lines_at_begin_and_end_and_now_and_then() -> None:
+def test_plain_lines_come_at_begin_and_end_and_now_and_then() -> None:
     stream, clock = io.StringIO(), Clock()
     listen = PlainLines(stream, clock)
     listen("stage_started", STARTED)
@@ -83,19 +83,41 @@ def test_plain_lines_at_begin_and_end_and_now_and_then() -> None:
 
 
 @pytest.mark.parametrize(
-    ("done", "text"),
+    ("done", "seconds", "text"),
     [
-        (9, "grid: nothing to do, all 9 tasks were done before\n"),
-        (6, "grid: 3 tasks, 10 points (6 of 9 were done before)\n"),
+        (9, 0.01, ""),
+        (6, 0.9, ""),
+        (6, 1.0, "grid: 3 tasks, 10 points (6 of 9 were done before), done in 1.0 s\n"),
     ],
 )
-def test_a_stage_that_was_begun_before_says_so(done: int, text: str) -> None:
+def test_a_stage_has_a_line_if_it_took_a_second(done: int, seconds: float, text: str) -> None:
     stream = io.StringIO()
     listen = PlainLines(stream)
     listen("stage_started", {"stage": "grid", "tasks": 9, "points": 10, "done": done})
-    if done == 9:
-        listen("stage_finished", {"stage": "grid", "seconds": 0.01})
+    listen("stage_finished", {"stage": "grid", "seconds": seconds})
     assert stream.getvalue() == text
+
+
+def test_rates_are_of_pixels_where_pixels_are_made() -> None:
+    stream, clock = io.StringIO(), Clock()
+    listen = PlainLines(stream, clock)
+    listen("stage_started", {**STARTED, "pixels": 1_000_000, "tasks": 1})
+    clock.now += 2
+    listen("task_done", task("a") | {"pixels": 1_000_000})
+    listen("stage_finished", {"stage": "filter", "seconds": 2.0})
+    assert stream.getvalue() == "filter: 1 task, 4.0 M points, done in 2.0 s, 500.0 k pixels/s\n"
+
+
+def test_a_stage_of_a_few_seconds_has_one_line() -> None:
+    stream, clock = io.StringIO(), Clock()
+    listen = PlainLines(stream, clock)
+    for _ in range(20):
+        listen("stage_started", STARTED)
+        for key in "abcd":
+            clock.now += 1.1
+            listen("task_done", task(key))
+        listen("stage_finished", {"stage": "filter", "seconds": 4.4})
+    assert len(stream.getvalue().splitlines()) == 20
 
 
 def test_quiet_shows_only_trouble() -> None:
@@ -118,7 +140,7 @@ def test_bars_on_a_terminal_only() -> None:
             listen("stage_finished", {"stage": "filter", "seconds": 1.0})
     assert "\x1b" not in plain.getvalue()
     assert "\x1b" in terminal.getvalue()
-    assert "100 %" in terminal.getvalue()
+    assert "100.0 %" in terminal.getvalue()
     assert "pixels of [1 m]" in terminal.getvalue(), "markup of rich must not eat brackets"
 
 
@@ -127,10 +149,10 @@ def test_bar_of_an_empty_stage_is_full() -> None:
     with bar_progress(stream) as listen:
         listen("stage_started", {"stage": "grid", "tasks": 0, "points": 0, "done": 0})
         listen("task_failed", {"stage": "grid", "key": "r0", "error": "none"})
-    assert "100 %" in stream.getvalue()
+    assert "100.0 %" in stream.getvalue()
 
 
-def test_combined_listeners_hear_everything_in_order() -> None:
+def test_combined_listeners_receive_all_events_in_order() -> None:
     heard: list[tuple[int, str]] = []
     listen = combine(lambda e, f: heard.append((1, e)), lambda e, f: heard.append((2, e)))
     listen("note", {})
@@ -138,7 +160,7 @@ def test_combined_listeners_hear_everything_in_order() -> None:
     assert heard == [(1, "note"), (2, "note"), (1, "warning"), (2, "warning")]
 
 
-def test_a_file_that_fails_is_told_as_a_file(capsys: pytest.CaptureFixture[str]) -> None:
+def test_a_failed_file_is_reported_once_by_its_name(capsys: pytest.CaptureFixture[str]) -> None:
     with open_progress(sys.stderr, quiet=True) as listener:
         listener("task_failed", {"stage": "spool", "key": "s000000-0", "error": "a.laz: cut short"})
         listener("warning", {"text": "a.laz: left out: cut short"})

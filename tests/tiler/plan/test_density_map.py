@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tiler.ingest import Patch
-from tiler.ingest.patches import find_patches, local_density
+from tiler.inputs import Patch
+from tiler.inputs.patches import find_patches, local_density
 from tiler.plan.density_map import DensityMap
-from tiler.plan.sizes import density_of
+from tiler.plan.sizes import covered_m2
 
 Array = np.ndarray[Any, Any]
 
@@ -103,26 +103,53 @@ def test_a_long_line_has_few_cells() -> None:
     assert 900 < density_map.fullest(1e9) < 1001
 
 
+def box_of(cloud: Array) -> tuple[float, ...]:
+    (x0, y0), (x1, y1) = cloud.min(axis=1).tolist(), cloud.max(axis=1).tolist()
+    return x0, y0, 0.0, x1, y1, 0.0
+
+
 def test_voids_between_islands_are_no_part_of_the_density() -> None:
     island = in_tiles(square(2.0, 300.0), 25.0)
     cloud = np.concatenate([island, island + 50_000.0, [[90_000.0], [10.0]]], axis=1)
     notes: list[str] = []
-    covered = float(np.prod(np.ptp(cloud, axis=1)))
-    assert 0.8 < density_of(cloud.shape[1], covered, patches_of(cloud), 1.0, notes) < 4.0
+    covered = covered_m2([box_of(cloud)], cloud.shape[1], map_of(cloud), 1.0, notes)
+    assert 0.8 < cloud.shape[1] / covered < 4.0
     assert len(notes) == 1
     assert "mostly void" in notes[0]
 
 
 @pytest.mark.parametrize("density", [0.3, 6.0])
 @pytest.mark.parametrize("order", [lambda cloud: cloud, in_lines, lambda cloud: in_tiles(cloud, 25.0)])
-@pytest.mark.parametrize("strips", [1, 9])
-def test_the_mean_counts_where_files_are_full(
-    density: float, order: Callable[[Array], Array], strips: int
+@pytest.mark.parametrize("files", [1, 9])
+def test_every_place_counts_once_where_files_are_full(
+    density: float, order: Callable[[Array], Array], files: int
 ) -> None:
     """However many of them lie on each other."""
     cloud = order(square(density, 300.0))
     notes: list[str] = []
-    found = density_of(strips * cloud.shape[1], strips * 90_000.0, strips * patches_of(cloud), 1.0, notes)
-    assert found == cloud.shape[1] / 90_000.0
+    density_map = DensityMap(files * patches_of(cloud), 1.0)
+    found = covered_m2(files * [box_of(cloud)], files * cloud.shape[1], density_map, 1.0, notes)
+    assert found == pytest.approx(300.0**2, rel=0.01)
     assert notes == []
-    assert density_of(5, 10.0, [], 1.0, notes) == 0.5
+
+
+def test_bounds_that_overlap_in_part() -> None:
+    boxes = [
+        (0.0, 0.0, 0.0, 10.0, 10.0, 1.0),
+        (5.0, 5.0, 0.0, 15.0, 15.0, 1.0),
+        (40.0, 0.0, 0.0, 40.0, 0.0, 1.0),
+    ]
+    assert covered_m2(boxes, 5, DensityMap([], 1.0), 2.0, []) == pytest.approx(4 * (175 + 1))
+
+
+@pytest.mark.parametrize("files", [1, 5])
+def test_a_random_order_shows_where_nothing_is(files: int) -> None:
+    """A band of a tenth of the bounds, as one file or as random subsets."""
+    cloud = square(2.0, 640.0)
+    cloud = cloud[:, np.abs(cloud[0] - cloud[1]) < 45]
+    parts = [cloud[:, number::files] for number in range(files)]
+    density_map = DensityMap([patch for part in parts for patch in patches_of(part)], 1.0)
+    assert density_map.fullest(2000) == pytest.approx(cloud.shape[1])
+    covered = covered_m2([box_of(part) for part in parts], cloud.shape[1], density_map, 1.0, [])
+    assert covered < 0.35 * 640**2
+    assert len(patches_of(parts[0])) < 100

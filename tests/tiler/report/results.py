@@ -68,6 +68,7 @@ def run(**changes: Any) -> dict[str, Any]:
         "inputs": [source("a.laz"), source("b.laz")],
         "outputs": {"dtm.tif": 4096}, "stages": {"filter0": stage}, "statistics": {"classic": {"slope_deg": 12.5}},
         "quarantined": [], "failed_tasks": [], "strays": [], "notes": ["200 points dropped: withheld"],
+        "warnings": [], "exit_code": 0,
         "tiles": {"filter0": [tile(i, 2, 30.0) for i in range(4)]},
     }  # fmt: skip
     return {**content, **changes}

@@ -15,7 +15,7 @@ from tests.tiler.report import results
 from tiler.apps.check import Checkpoints, PointOptions, check_dtm, judge, parse_requirements
 from tiler.apps.info import describe
 from tiler.errors import ConfigError, InputError
-from tiler.report import earlier_statistics
+from tiler.io.result_folder import earlier_statistics
 from tiler.report.html import write_report
 
 

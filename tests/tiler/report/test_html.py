@@ -117,8 +117,8 @@ def test_what_was_left_out_comes_first(tmp_path: Path) -> None:
     assert "Left out: 1 file and 1 task; see Problems." in page.texts[""]
     assert next(iter(page.texts)) == ""
     assert list(page.texts)[1] == "problems"
-    assert "Files left out: 1 file why cut.laz cut short" in page.texts["problems"]
-    failed = "filter: seeds, densification, labels t+1+1 1.0, 2.0, 3.0, 4.5 no memory"
+    assert "file left out - cut.laz: cut short" in page.texts["problems"]
+    failed = "task that failed 2.0, 3.2 filter: seeds, densification, labels t+1+1: no memory run again"
     assert failed in page.texts["problems"]
 
 

@@ -61,7 +61,7 @@ def test_colours_are_those_of_the_legend(tmp_path: Path) -> None:
         tuple(heights[np.unravel_index(f(values[:, :30]), (40, 30))]) for f in (np.argmin, np.argmax)
     )
     assert (low, high) == (TERRAIN[0], TERRAIN[-1])
-    assert found["dtm"].legend[0][1].endswith(" foot")
+    assert found["dtm"].legend[0][1].endswith(" ft")
     density = [(colour, text) for colour, text in found["density"].legend]
     assert density == [(VIRIDIS[i], t) for i, t in enumerate(("1", "2", "4", "8", "16"))]
 

@@ -1,4 +1,4 @@
-"""What is compiled before and while a run goes on."""
+"""Kernels that are compiled before and during a run."""
 
 from __future__ import annotations
 
@@ -34,32 +34,36 @@ def fill_disk(tell: Callable[[], None]) -> None:
 
 @pytest.fixture
 def told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[tuple[str, dict[str, Any]]]:
-    """Events; that kernels are compiled is said by files in a folder of the test, and no other process's count."""
+    """Events; files in a folder of the test show that kernels are compiled, and other processes do not count."""
     monkeypatch.setattr(compiling, "is_compiled", lambda name: Path(name).exists())
     monkeypatch.setattr(compiling, "compiled_count", lambda: 0)
     return []
 
 
 def compiler(told: list[tuple[str, dict[str, Any]]]) -> Compiler:
-    return Compiler(lambda event, fields: told.append((event, fields)), apart=True)
+    def note(text: str) -> None:
+        told.append(("note", {"text": text}))
+
+    return Compiler(lambda event, fields: told.append((event, fields)), apart=True, note=note)
 
 
 def test_a_run_waits_for_its_kernels(told: list[tuple[str, dict[str, Any]]], tmp_path: Path) -> None:
-    """They are compiled in a process of its own, once."""
+    """Kernels are compiled once, in a process of their own."""
     done = tmp_path / "done"
     kernels, at_work = Kernels(str(done), functools.partial(make_file, done), 1), compiler(told)
     for _ in range(2):
         at_work.finish(kernels)
     at_work.close()
     assert done.exists()
-    assert [event for event, _ in told] == ["stage_started", "stage_finished"]
+    assert [event for event, _ in told] == ["note", "stage_started", "stage_finished"]
+    assert told[0][1]["text"].startswith("kernels are compiled")
 
 
 @pytest.mark.parametrize(
     ("work", "why"),
     [(crash, "the process crashed (SIGSEGV)"), (fill_disk, "OSError: [Errno 28] No space left on device")],
 )
-def test_a_compiler_that_fails_is_told_of(
+def test_a_failed_compilation_is_reported(
     work: Callable[[Callable[[], None]], None],
     why: str,
     told: list[tuple[str, dict[str, Any]]],
@@ -72,8 +76,8 @@ def test_a_compiler_that_fails_is_told_of(
     assert told[-1] == ("warning", {"text": text})
 
 
-def test_what_a_cloud_probably_is(make_cloud: MakeCloud) -> None:
-    """Single returns alone may be matched; who knows better, says so."""
+def test_the_kind_of_a_cloud_is_guessed(make_cloud: MakeCloud) -> None:
+    """A cloud of single returns may be matched; a setting decides otherwise."""
     path = str(make_cloud())
     assert likely_kind(make_plan([path], RunConfig(kind="als", in_process=True))) == "lidar"
     assert likely_kind(make_plan([path], RunConfig(kind="dim", in_process=True))) == "dim"

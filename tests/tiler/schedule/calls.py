@@ -1,4 +1,4 @@
-"""What tests let workers do, by name: crash, hang, eat memory."""
+"""Functions that tests let workers call: they crash, hang or eat memory."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def sleep() -> None:
 
 
 def hang_with_the_lock() -> None:
-    """In a library that keeps the interpreter's lock: no Python code can run in any thread."""
+    """Hang in a library that holds the interpreter's lock, so that no Python code can run."""
     ctypes.PyDLL(None).sleep(900)
 
 
@@ -78,7 +78,7 @@ def chatter() -> str:
 
 
 def square(store_url: str, arguments: dict[str, Any]) -> dict[str, Any]:
-    """A work of a task, which does what its arguments say first."""
+    """Work of a task, which first does what its arguments say."""
     if "wait" in arguments:
         time.sleep(arguments["wait"])
     name = arguments.get("does")
@@ -104,7 +104,7 @@ def stumble() -> NoReturn:
 
 
 def perform(store_url: str, task: Task) -> Outcome:
-    """As `tiler.runs.worker.perform`, with no store."""
+    """Like `tiler.schedule.worker.perform`, but without a store."""
     try:
         return Outcome(task, task.work(store_url, task.arguments))
     except InputError as error:
@@ -122,7 +122,7 @@ def prepare() -> None:
 
 
 def refuse_forks() -> None:
-    """As a system that has no process left: those that follow one fork of this process fail."""
+    """Let all forks but the first one fail, as on a system without free processes."""
     forked = os.fork
     found = []
 
@@ -137,5 +137,5 @@ def refuse_forks() -> None:
 
 
 def prepared() -> str:
-    """Who called `prepare`, if somebody did."""
+    """The process that called `prepare`, or None."""
     return "by the server" if _prepared == [os.getppid()] else ""

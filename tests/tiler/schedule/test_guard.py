@@ -12,7 +12,7 @@ import pytest
 
 from tests.tiler.schedule import calls
 from tiler.errors import InputError, ProcessingError
-from tiler.ingest.sources import read_guarded
+from tiler.inputs.sources import read_guarded
 from tiler.schedule import Died, Guard, NotStartedError, kept_forking, prepare_children
 from tiler.schedule.fork_server import FORKS
 
@@ -31,7 +31,7 @@ def test_one_child_answers_all_calls(guard: Guard) -> None:
     assert first == guard.call(calls.pid, seconds=SECONDS) != os.getpid()
 
 
-def test_errors_are_those_of_the_call(guard: Guard) -> None:
+def test_an_error_of_the_call_is_raised(guard: Guard) -> None:
     child = guard.call(calls.pid, seconds=SECONDS)
     with pytest.raises(InputError, match="cloud.las: no good"):
         guard.call(calls.fail, "cloud.las: no good", seconds=SECONDS)
@@ -62,12 +62,12 @@ def test_a_panic_comes_back_as_an_exception(guard: Guard) -> None:
         guard.call(calls.panic, seconds=SECONDS)
 
 
-def test_what_libraries_print_does_not_come_between(guard: Guard) -> None:
+def test_output_of_libraries_does_not_disturb_the_answers(guard: Guard) -> None:
     assert guard.call(calls.chatter, seconds=SECONDS) == "answer"
     assert guard.call(calls.double, 1, seconds=SECONDS) == 2
 
 
-def test_no_child_without_a_call_and_none_is_left_behind() -> None:
+def test_no_child_starts_without_a_call_and_none_is_left_behind() -> None:
     before = len(psutil.Process().children())
     with Guard() as guard:
         assert len(psutil.Process().children()) == before
@@ -75,7 +75,9 @@ def test_no_child_without_a_call_and_none_is_left_behind() -> None:
     assert not child.is_running()
 
 
-def test_a_call_that_the_child_cannot_find_is_an_error(guard: Guard, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_function_that_the_child_cannot_import_is_an_error(
+    guard: Guard, monkeypatch: pytest.MonkeyPatch
+) -> None:
     child = guard.call(calls.pid, seconds=SECONDS)
     monkeypatch.setattr(calls.double, "__qualname__", "triple")
     monkeypatch.setattr(calls, "triple", calls.double, raising=False)
@@ -84,7 +86,7 @@ def test_a_call_that_the_child_cannot_find_is_an_error(guard: Guard, monkeypatch
     assert guard.call(calls.pid, seconds=SECONDS) == child
 
 
-def test_children_have_the_environment_of_their_time(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_children_have_the_environment_at_their_start(monkeypatch: pytest.MonkeyPatch) -> None:
     with kept_forking(), Guard() as first, Guard() as second:
         assert first.call(os.getenv, "OF_NOW", seconds=SECONDS) is None
         monkeypatch.setenv("OF_NOW", "set")
@@ -92,11 +94,9 @@ def test_children_have_the_environment_of_their_time(monkeypatch: pytest.MonkeyP
         assert first.call(calls.double, 1, seconds=SECONDS) == 2
 
 
-def test_what_was_prepared_is_there_in_each_child() -> None:
+def test_the_preparation_is_there_in_each_child() -> None:
     with kept_forking():
-        prepare_children(
-            "tests.tiler.schedule.calls:prepare", "no.such.module", "tests.tiler.schedule.calls:fail"
-        )
+        prepare_children(calls.prepare, calls.stumble)
         found: list[str] = []
         while not found or found[-1] == "":  # the first may have been forked before
             with Guard() as guard:
@@ -104,7 +104,7 @@ def test_what_was_prepared_is_there_in_each_child() -> None:
     assert found[-1] == "by the server"
 
 
-def test_what_forks_them_is_shared_and_replaced_when_it_dies() -> None:
+def test_the_server_of_forks_is_shared_and_replaced_when_it_dies() -> None:
     with Guard() as first, Guard() as second:
         parents = {psutil.Process(g.call(calls.pid, seconds=SECONDS)).ppid() for g in (first, second)}
         assert len(parents) == 1
@@ -122,7 +122,7 @@ def call_on(guard: Guard) -> None:
 
 
 @pytest.mark.skipif(not FORKS, reason="children are not forked here")
-def test_a_child_that_cannot_be_forked_costs_itself_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_failed_fork_fails_only_its_own_call(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("A_SERVER", "of its own")
     first, second = (Guard(prepare=calls.refuse_forks) for _ in range(2))
     with first, second:
@@ -130,5 +130,5 @@ def test_a_child_that_cannot_be_forked_costs_itself_alone(monkeypatch: pytest.Mo
         with pytest.raises(NotStartedError, match="^could not start: the system has no memory left"):
             second.call(calls.pid, seconds=SECONDS)
         with pytest.raises(ProcessingError, match="could not start: .* end other programs, then run again$"):
-            read_guarded(second, calls.fail, Path(__file__))  # it says nothing about the file
+            read_guarded(second, calls.fail, Path(__file__))  # the file is not to blame
         assert first.call(calls.pid, seconds=SECONDS) == child

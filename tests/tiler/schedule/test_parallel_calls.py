@@ -1,4 +1,4 @@
-"""Several children at a time: results in the order of the calls, whichever child is done first, crashes and all."""
+"""Several children at a time: results come in the order of the calls, even if a later call ends first or crashes."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def test_results_and_errors_come_in_order() -> None:
     assert found == [0, 2, 4, "crashed (SIGSEGV)", 8, "five", 12, 14, 16, 18, 20, 22]
 
 
-def test_few_calls_are_begun_before_the_first_is_taken() -> None:
+def test_few_calls_begin_before_the_first_result_is_taken() -> None:
     begun = []
 
     def note(guard: Guard, item: int) -> int:
@@ -50,7 +50,7 @@ def test_few_calls_are_begun_before_the_first_is_taken() -> None:
         assert [result() for result in results] == list(range(1, 1000))
 
 
-def test_none_outlives_what_ends_early() -> None:
+def test_no_child_outlives_an_early_end() -> None:
     def hang(guard: Guard, item: int) -> None:
         guard.call(calls.sleep, seconds=SECONDS)
 
@@ -64,7 +64,7 @@ def test_none_outlives_what_ends_early() -> None:
 def _children() -> list[psutil.Process]:
     found: list[psutil.Process] = []
     for process in psutil.Process().children():
-        with suppress(psutil.NoSuchProcess):  # what ended meanwhile has no children
+        with suppress(psutil.NoSuchProcess):  # the process ended meanwhile
             if "tiler.schedule.guarded" in process.cmdline():
                 found += process.children()
     return found

@@ -1,4 +1,4 @@
-"""The digest of a task: the same for the same work, another one for whatever changes what comes out."""
+"""The digest of a task: equal for the same work, different for anything that changes the result."""
 
 from __future__ import annotations
 
@@ -33,15 +33,15 @@ WORK = Work("s3://anna:secret@bucket/a.laz", (Cell(1, -2),), Bounds(0, 0, 5, 5))
         {"path": "s3://bucket/b.laz"},
     ],
 )
-def test_each_field_of_the_work_has_a_say(other: dict[str, object]) -> None:
+def test_each_field_of_the_work_changes_the_digest(other: dict[str, object]) -> None:
     assert digest_of(replace(WORK, **other)) != digest_of(WORK)
 
 
-def test_how_it_is_done_and_who_may_read_it_have_none() -> None:
+def test_fields_about_the_way_of_working_and_passwords_do_not_change_the_digest() -> None:
     assert digest_of(replace(WORK, held_bytes=7)) == digest_of(WORK)
     assert digest_of(replace(WORK, path="s3://anna:other@bucket/a.laz")) == digest_of(WORK)
 
 
-def test_what_has_no_place_in_a_digest_is_refused() -> None:
+def test_values_that_have_no_digest_are_refused() -> None:
     with pytest.raises(TypeError, match="PosixPath has no place in the arguments of a task"):
         digest_of(Path("a"))

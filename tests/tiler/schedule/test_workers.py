@@ -1,16 +1,22 @@
-"""Tasks that kill, block or fill their workers: the others are done, and those alone are given up."""
+"""Tasks that kill, block or fill their workers are given up, and all other tasks are done."""
 
 from __future__ import annotations
 
+import copy
 import logging
 import os
+import sys
+import tempfile
 import time
 from collections import Counter
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
-from threading import Timer
+from threading import Thread, Timer
+from types import SimpleNamespace
 from typing import Any
 
+import dask
 import psutil
 import pytest
 from distributed import LocalCluster
@@ -19,7 +25,7 @@ from tests.integration.cloud import Cable
 from tests.tiler.schedule import calls
 from tiler.errors import ConfigError, ConnectionLostError
 from tiler.schedule import TRIES, Executor, Limits, Outcome, SerialExecutor, Task
-from tiler.schedule.fork_server import FORKS
+from tiler.schedule.fork_server import FORKS, child_environment
 from tiler.schedule.workers import DaskExecutor
 
 SECONDS = 300.0
@@ -69,7 +75,7 @@ def others(n: int) -> list[Task]:
         ("allocate", "Unable to allocate 8.00 GiB"),
     ],
 )
-def test_a_task_that_kills_is_given_up_and_the_rest_is_done(
+def test_a_task_that_kills_its_workers_is_given_up_and_the_others_are_done(
     two: DaskExecutor, does: str, cause: str, tmp_path: Path
 ) -> None:
     ends, again = run(two, [*others(5), task(1, does=does), *others(8)[5:]], tmp_path)
@@ -99,19 +105,21 @@ def test_a_task_is_tried_again_on_another_worker(two: DaskExecutor, tmp_path: Pa
     assert first != second
 
 
-def test_a_task_that_kills_once_is_done_then(two: DaskExecutor, tmp_path: Path) -> None:
+def test_a_task_that_kills_its_worker_once_is_done_at_the_second_try(
+    two: DaskExecutor, tmp_path: Path
+) -> None:
     ends, _ = run(two, [task(1, does="leave", times=1), *others(4)], tmp_path)
     assert all(outcome.record for outcome in ends.values())
     assert len(ends) == 5
 
 
-def test_what_cannot_help_is_not_tried_again(two: DaskExecutor, tmp_path: Path) -> None:
+def test_a_task_is_not_tried_again_if_that_cannot_help(two: DaskExecutor, tmp_path: Path) -> None:
     ends, again = run(two, [task(1, does="fail")], tmp_path)
     assert ends[1].error == "cloud.las: bad"
     assert not again
 
 
-def test_one_worker_is_another_process_too(tmp_path: Path) -> None:
+def test_a_single_worker_is_a_process_of_its_own(tmp_path: Path) -> None:
     executor = DaskExecutor(1)
     try:
         ends, again = run(executor, [task(1, does="crash", times=2), *others(2)], tmp_path)
@@ -123,14 +131,14 @@ def test_one_worker_is_another_process_too(tmp_path: Path) -> None:
     assert str(os.getpid()) not in tries(tmp_path, 1)
 
 
-def test_workers_end_in_the_midst_of_their_work(tmp_path: Path) -> None:
+def test_workers_can_be_ended_during_their_work(tmp_path: Path) -> None:
     before = set(psutil.Process().children(recursive=True))
     level = logging.getLogger("distributed").level
     executor = DaskExecutor(2)
     outcomes = executor.run(calls.perform, str(tmp_path), [task(1), task(2, wait=900), task(3, wait=900)])
     next(outcomes)
     workers, began = set[psutil.Process](), time.monotonic()
-    # And what forks them; the second may not have begun when the first is done.
+    # The server of forks is included; the second worker may not have started when the first one is done.
     while len(workers) < 3 and time.monotonic() - began < SECONDS:
         time.sleep(0.01)
         workers = set(psutil.Process().children(recursive=True)) - before
@@ -144,6 +152,58 @@ def test_workers_of_this_machine_open_no_port(two: DaskExecutor, tmp_path: Path)
     run(two, others(2), tmp_path)
     here = psutil.Process()
     assert not [c for p in (here, *here.children()) for c in p.net_connections() if c.status == "LISTEN"]
+
+
+def test_dask_looks_for_no_module_in_a_folder_of_its_own_and_leaves_nothing(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Another user may have made that folder in the shared temporary folder, with modules in it."""
+    asked: list[str] = []
+
+    def note(name: str, *_: Any) -> None:
+        asked.append(name)
+
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path / "shared"))
+    (tmp_path / "shared").mkdir()
+    monkeypatch.setattr(sys, "meta_path", [SimpleNamespace(find_spec=note), *sys.meta_path])
+    before, configured = list(sys.path), copy.deepcopy(dask.config.config)
+    executor = DaskExecutor(2)
+    try:
+        assert not {"gilknocker", "prometheus_client"} & set(asked)
+        assert sys.path == before
+        assert not list((tmp_path / "shared").iterdir())
+        run(executor, others(2), tmp_path)
+    finally:
+        executor.close()
+    assert sys.path == before
+    assert dask.config.config == configured
+    assert not list((tmp_path / "shared").iterdir())
+
+
+def test_children_of_a_cluster_s_workers_import_nothing_from_folders_of_dask(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    other = str(tmp_path / "modules")
+    for folder in (other, str(tmp_path / "dask-scratch-space" / "worker-1")):
+        monkeypatch.syspath_prepend(folder)
+    found = child_environment()["PYTHONPATH"].split(os.pathsep)
+    assert other in found
+    assert not [entry for entry in found if "dask-scratch-space" in entry]
+
+
+def test_executors_made_at_the_same_time_restore_the_configuration_of_dask() -> None:
+    before, made = copy.deepcopy(dask.config.config), list[DaskExecutor]()
+    level = logging.getLogger("distributed").level
+    threads = [Thread(target=lambda: made.append(DaskExecutor(1))) for _ in range(4)]
+    for thread in threads:
+        thread.start()
+    for thread in threads:
+        thread.join()
+    for executor in made:
+        executor.close()
+    assert len(made) == 4
+    assert dask.config.config == before
+    assert logging.getLogger("distributed").level == level
 
 
 @pytest.mark.parametrize(("times", "record"), [(2, {"square": 1}), (3, None)])
@@ -163,14 +223,16 @@ def test_larger_tasks_may_take_longer() -> None:
 
 
 @pytest.mark.parametrize("address", ["garbage", "tcp://host", "ftp://host:8786", ""])
-def test_an_address_that_cannot_be_one_is_refused_at_once(address: str) -> None:
+def test_a_malformed_address_is_refused_at_once(address: str) -> None:
+    level = logging.getLogger("distributed").level
     with pytest.raises(ConfigError, match="no Dask scheduler answers there"):
         DaskExecutor(2, address)
+    assert logging.getLogger("distributed").level == level
 
 
 @pytest.fixture(scope="module")
 def port() -> Iterator[int]:
-    """Of a scheduler that has one worker."""
+    """Address of a scheduler with one worker."""
     options = {"threads_per_worker": 1, "processes": False, "protocol": "tcp", "memory_limit": 0}
     with LocalCluster(n_workers=1, host="127.0.0.1", dashboard_address="127.0.0.1:0", **options) as cluster:
         yield int(cluster.scheduler_address.rsplit(":", 1)[1])
@@ -183,12 +245,12 @@ def test_the_connection_breaks_while_a_result_is_fetched(
     tmp_path: Path,
     caplog: pytest.LogCaptureFixture,
 ) -> None:
-    """The task is done again over the next connection; where there is none, the run ends with one line."""
+    """The task is done again over a new connection; without one, the run ends with a one-line error."""
     cable = Cable(port)
     cable.start()
     executor = DaskExecutor(1, cable.address)
     if for_good:
-        executor._client._timeout = 3  # of a connection that is taken up again
+        executor._client._timeout = 3  # for reconnecting
     fetch = executor._client._gather_remote
 
     async def cut(*arguments: Any) -> Any:
@@ -217,7 +279,7 @@ def test_the_connection_breaks_while_a_result_is_fetched(
 def test_a_worker_that_is_unfit_is_refused_whenever_it_joins(
     error: Exception, port: int, tmp_path: Path
 ) -> None:
-    """What fails there is its answer, and no broken connection."""
+    """An error in a worker is its answer and not a broken connection."""
     executor = DaskExecutor(1, f"tcp://127.0.0.1:{port}")
     try:
         run(executor, others(1), tmp_path)
@@ -237,7 +299,7 @@ def test_a_worker_that_is_unfit_is_refused_whenever_it_joins(
 def test_a_cluster_whose_workers_come_late_is_waited_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """For a while: one without any is refused."""
+    """A cluster without workers is refused after a while."""
     options = {"threads_per_worker": 1, "processes": False, "protocol": "tcp", "memory_limit": 0}
     with LocalCluster(n_workers=0, host="127.0.0.1", dashboard_address="127.0.0.1:0", **options) as cluster:
         monkeypatch.setattr("tiler.schedule.workers.WORKERS_SECONDS", 0.5)
@@ -253,8 +315,17 @@ def test_a_cluster_whose_workers_come_late_is_waited_for(
             executor.close()
 
 
+def test_the_dashboard_of_dask_groups_tasks_by_stage(two: DaskExecutor, tmp_path: Path) -> None:
+    stages = ("ingest", "filter0", "grid-water-planes")
+    tasks = [replace(task(value, wait=0.02), stage=stages[value % 3]) for value in range(9)]
+    groups = set()
+    for _ in two.run(calls.perform, str(tmp_path), tasks):
+        groups |= set(two._cluster.scheduler.task_prefixes)
+    assert groups - {"stage"} == set(stages), "and those of earlier tests"
+
+
 @pytest.mark.skipif(not FORKS, reason="children are not forked here")
-def test_a_process_that_cannot_start_is_not_told_as_killed(
+def test_a_process_that_cannot_start_is_not_reported_as_killed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("A_SERVER", "that forks once")

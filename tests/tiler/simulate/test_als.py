@@ -1,4 +1,4 @@
-"""The laser scanner: true labels, honest geometry, returns in order, patches that do not know one another."""
+"""The laser scanner: true labels and geometry, returns in order, independent patches."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ CLEAN = AlsSensor(overlap_m=0.0, sigma_m=0.0, low_singles_km2=0, low_groups_km2=
 
 
 def scan(objects: Objects, terrain: Terrain | None = None, sensor: AlsSensor = CLEAN) -> Points:
-    """60 x 60 m, all of it in one patch."""
+    """Points of 60 x 60 m, all in one patch."""
     return survey_patch(Site(terrain or Terrain(100.0), 60.0, 9, landmarks=objects), sensor, 0, 0)
 
 

@@ -1,4 +1,4 @@
-"""The committed scenes: there, as described, and not changed by accident."""
+"""The committed scenes exist, are as described, and have not changed by accident."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def test_a_scene_has_its_truth_and_has_not_changed():
     assert scene.rgb is None
     assert scene.returns.shape == (len(scene.xyz), 2)
     assert np.all(scene.returns[:, 0] <= scene.returns[:, 1])
-    # What methods were tuned on; another numpy may move a point by a millimetre, not more.
+    # Methods were tuned on these points; another numpy may move a point by a millimetre at most.
     assert np.bincount(scene.classification)[[1, 2, 3, 5, 6]] == pytest.approx(COUNTS, rel=1e-3)
     assert scene.xyz.mean(axis=0) == pytest.approx(MEANS, abs=0.02)
 

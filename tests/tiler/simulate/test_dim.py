@@ -1,4 +1,4 @@
-"""Image matching: a skin without anything below, its noise, facades, blunders and colours."""
+"""Image matching: a skin with nothing below it, its noise, facades, blunders and colours."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ HOUSE = Solid(25, 25, 0.0, length=20, width=12, base=99, top=108)
 def match(
     objects: Objects, sensor: DimSensor = SMOOTH, terrain: Terrain | None = None, green: float = 0.6
 ) -> Points:
-    """50 x 50 m."""
+    """Points of 50 x 50 m."""
     return survey(Site(terrain or Terrain(100.0), 50.0, 5, landmarks=objects, green=green), sensor)
 
 
@@ -36,7 +36,7 @@ def test_bare_ground_has_the_density_and_the_sigma_with_a_part_in_common():
     assert np.all(points.label == 2)
     assert len(points) / 2500 == pytest.approx(0.98 * 30, rel=0.02)
     assert off.std() == pytest.approx(0.066, rel=0.08)
-    # Means over 0.5 m cells keep what neighbours have in common; what they do not is averaged away.
+    # Means over cells of 0.5 m keep the shared part of the noise and average the independent part away.
     cell = np.floor(points.xyz[:, 0] / 0.5) * 100 + np.floor(points.xyz[:, 1] / 0.5)
     cells, members = np.unique(cell, return_inverse=True)
     means = np.bincount(members, off) / np.bincount(members)
@@ -55,7 +55,7 @@ def test_noise_grows_in_shadow_and_without_texture_and_its_tails_are_those_of_st
     x, y, z = survey(bare, replace(sensor, textureless=2.0, textureless_share=0.25)).xyz.T
     assert (
         0.0125 < z.var() < 0.0225
-    )  # a quarter, but for the chance of a hundred patches, has four times the variance
+    )  # about a quarter of a hundred random patches has four times the variance
     z = survey(bare, replace(sensor, tails=6.0)).xyz[:, 2] - 100
     assert z.std() == pytest.approx(0.1, rel=0.03)
     assert np.mean(z**4) / z.var() ** 2 > 4.0  # 3 if normal, 6 in the limit
@@ -167,7 +167,7 @@ def test_shadows_fall_to_the_north_east_and_are_dark():
     skin = skin_of(site, (0.0, 0.0, 50.0, 50.0), 4.0, 0.3)
     dark = shadows(skin)
     x, y = skin.positions()
-    # 8 m at 48 degrees: 7.2 m of shadow, of which 4 to the north and 6 to the east.
+    # 8 m at 48 degrees give 7.2 m of shadow: 4 m to the north and 6 m to the east.
     assert dark[(np.abs(x - 26) < 6) & (y > 31.5) & (y < 33.5)].all()
     assert dark[(x > 35.5) & (x < 39.5) & (y > 23) & (y < 31)].all()
     assert not dark[(x < 14.5) | (y < 18.5) | (x > 42) | (y > 36)].any()

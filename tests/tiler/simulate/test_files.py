@@ -1,4 +1,4 @@
-"""Scenes as files: streamed, reproducible, refused when they cannot be."""
+"""Scenes as files: streamed, reproducible, refused if settings or outputs are unfit."""
 
 from __future__ import annotations
 

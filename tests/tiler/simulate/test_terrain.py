@@ -1,4 +1,4 @@
-"""Terrain by formula, against heights worked out by hand."""
+"""Terrain by formula, compared with heights worked out by hand."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def test_a_cliff_rises_to_the_left_of_its_line():
 
 def test_a_quarry_has_benches_and_a_pond_water():
     quarry = Basin(0, 0, radius=50, depth=12, wall_width=20, benches=2)
-    # Benches of 5 m and faces of 5 m: outward 50 rim, 45-50 bench, 40-45 face, 35-40 bench, 30-35 face, floor.
+    # Benches and faces are 5 m wide: rim at 50, bench 45-50, face 40-45, bench 35-40, face 30-35, then the floor.
     assert heights(quarry, [55, 46, 42.5, 38, 32.5, 20, 0]) == pytest.approx([0, 0, -3, -6, -9, -12, -12])
     assert not Terrain(0.0, (0.0, 0.0), (quarry,)).wet_at(0.0, 0.0)
     pond = Terrain(0.0, (0.0, 0.0), (Basin(0, 0, 50, 2, 10, water=True),))

@@ -27,7 +27,7 @@ def meta() -> StoreMeta:
 
 @pytest.fixture(params=["local", "memory"])
 def store_url(request: pytest.FixtureRequest, tmp_path: Path) -> str:
-    """An address where nothing is yet: a folder, and an object store."""
+    """A URL without a store yet: a folder, and an object store."""
     return (
         str(tmp_path / "store.zarr")
         if request.param == "local"

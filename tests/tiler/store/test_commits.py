@@ -1,4 +1,4 @@
-"""What is done is said once, atomically, and can be taken back."""
+"""Commits: written once, atomically, and removable."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def test_state_comes_back(store: TileStore) -> None:
 
 
 @pytest.mark.parametrize("name", ["", "a/b", "..", ".hidden", "a b", "x" * 201, "\u00e4"])
-def test_names_that_are_no_names_are_refused(store: TileStore, name: str) -> None:
+def test_names_that_cannot_be_keys_are_refused(store: TileStore, name: str) -> None:
     with pytest.raises(StoreError, match="cannot name an object"):
         store.commit("filter", name, "", {})
     with pytest.raises(StoreError, match="cannot name an object"):
@@ -71,7 +71,7 @@ def test_names_that_are_no_names_are_refused(store: TileStore, name: str) -> Non
 @pytest.mark.parametrize(
     "damage", [lambda b: b[: len(b) // 2], lambda b: b.replace(b"aa", b"ab"), lambda b: b""]
 )
-def test_a_damaged_commit_is_none(tmp_path: Path, meta: StoreMeta, damage: object) -> None:
+def test_a_damaged_commit_counts_as_missing(tmp_path: Path, meta: StoreMeta, damage: object) -> None:
     store = create_store(str(tmp_path / "s"), meta)
     store.commit("filter", "k", "aa", {})
     path = tmp_path / "s" / "commits" / "filter" / "k.json"
@@ -84,7 +84,7 @@ def test_a_damaged_commit_is_none(tmp_path: Path, meta: StoreMeta, damage: objec
     assert store.committed("filter") == {}
 
 
-def test_a_half_written_commit_is_none(local_store: TileStore, tmp_path: Path) -> None:
+def test_a_half_written_commit_counts_as_missing(local_store: TileStore, tmp_path: Path) -> None:
     local_store.commit("filter", "k", "aa", {})
     (tmp_path / "store.zarr" / "commits" / "filter" / "l.0123.partial").write_bytes(b'{"crc32"')
     assert list(local_store.committed("filter")) == ["k"]

@@ -1,4 +1,4 @@
-"""A damaged store says so: no silent zeros, no foreign exception."""
+"""A damaged store raises an error of tiler, and never gives silent zeros."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ ARRAYS: dict[str, tuple[str, Callable[[TileStore], object]]] = {
     "labels": ("labels/p/c.0.0.0", lambda store: store.read_labels("p", next(iter(store.buckets())))),
     "spool": ("spool/a/c.0.0", lambda store: store.read_fragment("a", 10, 20)),
 }
-"""A chunk of each kind of array, and what reads it."""
+"""A chunk of each kind of array, and a function that reads it."""
 
 
 @pytest.mark.parametrize("kind", list(ARRAYS))
@@ -88,7 +88,7 @@ def test_a_damaged_raster_is_an_error(local_store: TileStore, damage: Callable[[
 
 @pytest.mark.parametrize("path", ["points/xyz/zarr.json", "zarr.json"])
 def test_any_flipped_bit_of_the_metadata_is_harmless_or_an_error(filled: TileStore, path: str) -> None:
-    """Never another exception, never other points: zarr would take a shorter shape or another fill as it is."""
+    """No other exception and no other points; zarr alone would accept a shorter shape or another fill."""
     cell = next(iter(filled.buckets()))
     truth, metadata = filled.read_bucket(cell).xyz, Path(filled.url, path)
     whole, noticed = metadata.read_bytes(), 0

@@ -1,4 +1,4 @@
-"""Allocation: rows are owned by one bucket, what is there stays where it is."""
+"""Allocation: each row has one owner, and a bucket that fits stays in its rows."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ requests = st.lists(st.dictionaries(cells, st.integers(0, 350), max_size=20), mi
 
 
 @given(requests)
-def test_rows_have_one_owner_whatever_was_asked_before(steps: list[dict[Cell, int]]) -> None:
+def test_each_row_has_one_owner_after_any_requests(steps: list[dict[Cell, int]]) -> None:
     index = BucketIndex.empty()
     largest: dict[Cell, int] = {}
     for counts in steps:
@@ -75,7 +75,7 @@ def test_overlapping_buckets_are_those_whose_bounds_overlap(
     assert found == sorted(found, key=lambda c: (c.iy, c.ix))
 
 
-def test_a_bucket_that_outgrew_its_rows_is_written_anew_and_others_stay(filled: TileStore) -> None:
+def test_a_bucket_that_outgrew_its_rows_moves_and_others_stay(filled: TileStore) -> None:
     infos = filled.buckets()
     cell, other = list(infos)[:2]
     filled.write_labels("p", other, np.full(infos[other].n, 7, np.uint8))
@@ -94,7 +94,7 @@ def test_a_bucket_that_outgrew_its_rows_is_written_anew_and_others_stay(filled: 
     assert set(filled.read_labels("p", other)) == {7}
 
 
-def test_a_bucket_left_out_of_what_is_published_is_gone(filled: TileStore) -> None:
+def test_a_bucket_that_is_not_published_again_is_gone(filled: TileStore) -> None:
     infos = filled.buckets()
     gone = infos.popitem()
     filled.publish_index(infos)
@@ -103,7 +103,7 @@ def test_a_bucket_left_out_of_what_is_published_is_gone(filled: TileStore) -> No
     assert len(filled.window(bounds)) == 0
 
 
-def test_an_open_store_sees_a_new_index_when_asked(filled: TileStore) -> None:
+def test_an_open_store_sees_a_new_index_after_refresh(filled: TileStore) -> None:
     reader = open_store(filled.url)
     infos = reader.buckets()
     cell, info = infos.popitem()

@@ -1,4 +1,4 @@
-"""Labels lie beside the points of their bucket."""
+"""Labels are stored in the order of their bucket's points."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tiler.store import TileStore, open_store
 from tiler.store.layout import ROW_POINTS
 
 
-def test_labels_come_back_and_passes_do_not_mix(store: TileStore) -> None:
+def test_labels_come_back_by_pass(store: TileStore) -> None:
     rng = np.random.default_rng(3)
     put_points(store, make_points(*rng.integers(-5000, 5000, (2, 500))))
     written = {}
@@ -45,7 +45,7 @@ def test_labels_of_another_length_or_type_are_refused(filled: TileStore) -> None
             filled.write_labels("p", cell, labels)
 
 
-def test_labels_that_were_not_written_are_no_zeros(filled: TileStore) -> None:
+def test_labels_that_were_not_written_are_not_read_as_zeros(filled: TileStore) -> None:
     first, second = list(filled.buckets())[:2]
     with pytest.raises(StoreError, match="there is no labels/p"):
         filled.read_labels("p", first)

@@ -37,7 +37,7 @@ def lease(**changes: Any) -> dict[str, Any]:
     return {**body, **changes}
 
 
-def test_the_lock_excludes_a_second_holder_by_name(store: TileStore) -> None:
+def test_the_lock_refuses_a_second_run_and_names_the_holder(store: TileStore) -> None:
     with store.lock() as held:
         held.check()
         holder = rf"in use by process {os.getpid()} on {socket.gethostname()}"
@@ -73,7 +73,7 @@ def test_a_damaged_lease_is_taken_over(store: TileStore) -> None:
         held.check()
 
 
-def test_a_lease_of_another_host_holds_while_it_is_renewed(store: TileStore) -> None:
+def test_a_fresh_lease_of_another_host_holds(store: TileStore) -> None:
     Storage(store.url).put_json(LOCK_KEY, lease(host="elsewhere", pid=2**22 + 1))
     with pytest.raises(LockedError, match="on elsewhere"), store.lock():
         pass
@@ -81,7 +81,7 @@ def test_a_lease_of_another_host_holds_while_it_is_renewed(store: TileStore) -> 
         remove_store(store.url)
 
 
-def test_a_held_lease_is_renewed_and_a_lost_one_noticed(
+def test_a_held_lease_is_renewed_and_a_lost_lease_is_noticed(
     store_url: str, meta: StoreMeta, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(lock, "RENEW_SECONDS", 0.01)
@@ -128,7 +128,7 @@ def test_the_store_can_be_removed_by_its_holder(store: TileStore) -> None:
 
 
 @pytest.mark.parametrize("jump", [-(10**7), 10**7])
-def test_a_clock_that_jumps_frees_no_lease(
+def test_a_jump_of_the_clock_does_not_free_a_lease(
     jump: int, store_url: str, meta: StoreMeta, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     store, now = create_store(store_url, meta), time.time
@@ -155,8 +155,8 @@ def test_a_lease_of_a_host_with_another_clock_holds_while_it_is_renewed(
 
 
 @pytest.mark.parametrize("other", [{"pid_namespace": "pid:[1]"}, {"boot": "another"}])
-def test_a_process_number_of_another_container_says_nothing(other: dict[str, Any], store: TileStore) -> None:
-    """Containers of one machine may have one name: no such process here is no word on the one there."""
+def test_a_process_number_of_another_container_means_nothing(other: dict[str, Any], store: TileStore) -> None:
+    """Two containers may share a host name: a process that is missing here may run in the other one."""
     Storage(store.url).put_json(LOCK_KEY, lease(pid=2**22 + 1, **other))
     remedy = r"wait for it, or stop it; if it was killed, its lease ends 120 s"
     with pytest.raises(LockedError, match=remedy), store.lock():
@@ -183,8 +183,8 @@ def test_a_folder_of_results_has_a_lease_of_its_own(tmp_path: Path, meta: StoreM
     assert [p.name for p in tmp_path.iterdir()] == ["store.zarr"]
 
 
-def test_a_run_in_a_container_is_not_taken_for_dead(tmp_path: Path, meta: StoreMeta) -> None:
-    """A PID namespace of its own, the same host name: its number 1 is not the number 1 of this machine."""
+def test_a_run_in_another_container_is_alive(tmp_path: Path, meta: StoreMeta) -> None:
+    """A PID namespace of its own with the same host name: process 1 in it is not process 1 here."""
     contained = ["unshare", "--pid", "--fork", "--kill-child"]
     if shutil.which("unshare") is None or subprocess.run([*contained, "true"], check=False).returncode:
         pytest.skip("no namespaces here")
@@ -212,7 +212,7 @@ def test_a_run_in_a_container_is_not_taken_for_dead(tmp_path: Path, meta: StoreM
 def test_a_disk_without_hard_links_has_leases(
     tmp_path: Path, meta: StoreMeta, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """As on a memory stick."""
+    """Hard links fail, as they do on a memory stick."""
 
     def refused(*arguments: object) -> None:
         raise OSError(errno.EPERM, "Operation not permitted")

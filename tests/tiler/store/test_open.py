@@ -32,7 +32,7 @@ FEET = StoreMeta(
 
 
 def edit(path: Path, change: Callable[[dict[str, Any]], object]) -> None:
-    """Change metadata as somebody does who sees to their checksum."""
+    """Change metadata, and their checksum with them."""
     data = json.loads(path.read_text())
     change(data)
     path.write_text(json.dumps(sealed(data)))
@@ -48,14 +48,14 @@ def test_buckets_are_whole_numbers_of_fine_cells(meta: StoreMeta) -> None:
         StoreMeta(meta.frame, Lattice(Fraction(10)), Lattice(Fraction(3)), False)
 
 
-def test_making_a_store_again_goes_on_with_it(store_url: str, meta: StoreMeta) -> None:
+def test_making_a_store_again_opens_it(store_url: str, meta: StoreMeta) -> None:
     create_store(store_url, meta).put_state("plan", 1)
     assert create_store(store_url, meta).get_state("plan") == 1
     with pytest.raises(ConfigError, match="other settings or inputs; use --overwrite"):
         create_store(store_url, replace(meta, has_rgb=False))
 
 
-def test_a_look_makes_nothing(tmp_path: Path) -> None:
+def test_looking_for_a_store_creates_nothing(tmp_path: Path) -> None:
     place = tmp_path / "none"
     with pytest.raises(StoreError, match="no tile store here"):
         open_store(str(place))
@@ -68,12 +68,12 @@ def test_a_file_url_is_a_local_path(tmp_path: Path, meta: StoreMeta) -> None:
     assert open_store(str(tmp_path / "s")).meta == meta
 
 
-def test_an_address_that_nothing_opens_is_refused() -> None:
+def test_an_unknown_scheme_is_refused() -> None:
     with pytest.raises(ConfigError, match="cannot be opened"):
         open_store("nosuchscheme://x/y")
 
 
-def test_other_content_is_neither_used_nor_deleted(tmp_path: Path, meta: StoreMeta) -> None:
+def test_a_folder_with_other_content_is_neither_used_nor_deleted(tmp_path: Path, meta: StoreMeta) -> None:
     (tmp_path / "thesis.tex").write_text("years of work")
     with pytest.raises(StoreError, match="holds something else"):
         create_store(str(tmp_path), meta)
@@ -146,14 +146,14 @@ def test_a_store_is_removed_whole(store_url: str, meta: StoreMeta) -> None:
     assert np.all(open_store(store_url).meta == FEET)
 
 
-def test_a_file_is_no_place_for_a_store(tmp_path: Path, meta: StoreMeta) -> None:
+def test_a_file_in_place_of_a_store_is_refused(tmp_path: Path, meta: StoreMeta) -> None:
     (tmp_path / "store.zarr").write_text("notes")
     with pytest.raises(ForeignStoreError, match="is a file") as caught:
         create_store(str(tmp_path / "store.zarr"), meta)
     assert caught.value.exit_code == 2, "another place has to be named: nothing was wrong with the work"
 
 
-def test_only_what_is_the_stores_own_is_removed(filled: TileStore) -> None:
+def test_only_files_of_the_store_are_removed(filled: TileStore) -> None:
     root = Path(filled.url)
     mine = ["notes.txt", "points/notes.txt", "points/xyz/c.0/notes", "state/notes.md", "clouds/a.laz"]
     mine += ["a.partial", "spool/s0/a.laz", "commits/filter0/notes.txt"]
@@ -179,7 +179,7 @@ def _no_points() -> PointBlock:
     return make_points(*np.empty((2, 0), np.int64))
 
 
-def test_a_store_that_is_begun_anew_keeps_what_others_put_there(store_url: str, meta: StoreMeta) -> None:
+def test_a_store_that_is_begun_anew_keeps_foreign_files(store_url: str, meta: StoreMeta) -> None:
     create_store(store_url, meta, {"tile": "64"}).put_state("plan", 1)
     Storage(store_url).put("notes.txt", b"mine")
     store = create_store(store_url, FEET, {"tile": "32"}, anew=True)
@@ -238,7 +238,7 @@ def test_a_store_that_is_a_link_works(tmp_path: Path, meta: StoreMeta) -> None:
 
 
 @pytest.mark.parametrize("name", ["lock.json", "points/a.laz", "zarr.json", "zarr.json/a.laz"])
-def test_a_place_that_only_looks_like_a_stores_is_not_held(name: str, tmp_path: Path) -> None:
+def test_a_folder_that_only_looks_like_a_store_is_not_locked(name: str, tmp_path: Path) -> None:
     (tmp_path / name).parent.mkdir(exist_ok=True)
     (tmp_path / name).write_text('{"attributes": {"text": "tiler_store"}}')
     with pytest.raises(ForeignStoreError), held_store(str(tmp_path)):

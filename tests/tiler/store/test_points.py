@@ -77,7 +77,7 @@ def test_every_column_and_dtype_comes_back(store: TileStore) -> None:
     assert same(read.read_bucket(Cell(0, 0), FIELDS, candidates_only=True), block.take(slice(0, 300)))
 
 
-def test_only_the_columns_asked_for_are_read(filled: TileStore) -> None:
+def test_only_the_requested_columns_are_read(filled: TileStore) -> None:
     cell = next(iter(filled.buckets()))
     block = filled.read_bucket(cell, ("flags", "origin"))
     assert [n for n in FIELDS if getattr(block, n) is not None] == ["xyz", "flags", "origin"]
@@ -138,7 +138,7 @@ def test_an_unknown_column_is_refused(filled: TileStore) -> None:
         ([5], 0, "flags", "needs a column flags of 1 uint8"),
     ],
 )
-def test_a_bucket_that_cannot_be_right_is_refused(
+def test_a_bucket_with_wrong_points_is_refused(
     local_store: TileStore, x: list[int], candidates: int, drop: str | None, message: str
 ) -> None:
     local_store.allocate({Cell(0, 0): 0 if len(x) > 1 else 1})
@@ -149,7 +149,7 @@ def test_a_bucket_that_cannot_be_right_is_refused(
         local_store.write_bucket(Cell(0, 0), block, candidates)
 
 
-def test_a_bucket_that_nobody_allocated_or_published_is_refused(local_store: TileStore) -> None:
+def test_a_bucket_that_was_not_allocated_or_published_is_refused(local_store: TileStore) -> None:
     block = make_points(np.array([5]), np.array([5]))
     with pytest.raises(StoreError, match=r"bucket \+00\+00: not in .*; allocate first"):
         local_store.write_bucket(Cell(0, 0), block, 0)
@@ -161,7 +161,7 @@ def test_a_bucket_that_nobody_allocated_or_published_is_refused(local_store: Til
 
 
 def test_labels_come_along(filled: TileStore) -> None:
-    """Those of the same points, in a window and among candidates."""
+    """Labels stay with their points in a window and among candidates."""
     rng = np.random.default_rng(5)
     given = {}
     for cell, info in filled.buckets().items():

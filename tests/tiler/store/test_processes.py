@@ -1,4 +1,4 @@
-"""Several processes write one store at once, each its own buckets, and nothing is lost."""
+"""Several processes write different buckets of one store at the same time, and nothing is lost."""
 
 from __future__ import annotations
 

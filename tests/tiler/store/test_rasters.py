@@ -24,7 +24,7 @@ def test_blocks_come_back_in_any_window(store: TileStore) -> None:
         assert np.array_equal(found, truth[b.row : b.row + b.height, b.col : b.col + b.width])
 
 
-def test_what_was_not_written_is_fill_and_costs_nothing(local_store: TileStore) -> None:
+def test_blocks_that_were_not_written_hold_the_fill_and_need_no_object(local_store: TileStore) -> None:
     local_store.create_raster("dtm", 600, 600)
     local_store.create_raster("count", 600, 600, fill=0.0)
     objects = local_store.usage().objects
@@ -34,7 +34,7 @@ def test_what_was_not_written_is_fill_and_costs_nothing(local_store: TileStore) 
     assert local_store.usage().objects == objects
 
 
-def test_a_raster_made_again_keeps_its_blocks_if_it_is_the_same(local_store: TileStore) -> None:
+def test_a_raster_made_again_with_the_same_shape_keeps_its_blocks(local_store: TileStore) -> None:
     block = Block(0, 0, 10, 10)
     local_store.create_raster("dtm", 10, 10)
     local_store.write_block("dtm", block, np.ones((10, 10), np.float32))

@@ -1,4 +1,4 @@
-"""Records of sources that are kept: any range of them comes back, and none of another source or of a part."""
+"""Kept records of sources: any range comes back, but no record of another source or of a part."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def test_any_range_comes_back(local_store: TileStore) -> None:
         ([KeptPiece("p", 0, 4, "later")], 4, WIDER),  # the same name, a file of another format
     ],
 )
-def test_what_is_not_all_of_a_source_is_nothing(
+def test_records_of_a_part_of_a_source_are_not_used(
     local_store: TileStore, pieces: list[KeptPiece], count: int, dtype: np.dtype[np.void]
 ) -> None:
     keeper = local_store.keep_records("p", "same", TYPE.itemsize)

@@ -1,4 +1,4 @@
-"""The spool: pieces come back in fragments, every column of them."""
+"""The spool: pieces come back in fragments, with every column."""
 
 from __future__ import annotations
 
@@ -33,19 +33,19 @@ def test_fragments_come_back(store_url: str, meta: StoreMeta, has_rgb: bool) -> 
                 assert getattr(found, name).flags.c_contiguous
 
 
-def test_a_piece_of_no_points(local_store: TileStore) -> None:
+def test_a_piece_without_points_is_written_and_read(local_store: TileStore) -> None:
     local_store.write_piece("p", make_points(*np.empty((2, 0), np.int64)))
     assert len(local_store.read_fragment("p", 0, 0)) == 0
 
 
-def test_a_piece_written_again_is_the_new_one(local_store: TileStore) -> None:
+def test_a_piece_that_is_written_again_is_replaced(local_store: TileStore) -> None:
     local_store.write_piece("p", make_points(np.arange(50), np.arange(50)))
     again = make_points(np.arange(20), np.arange(20), seed=4)
     local_store.write_piece("p", again)
     assert np.array_equal(local_store.read_fragment("p", 0, 20).xyz, again.xyz)
 
 
-def test_what_cannot_be_right_is_refused(local_store: TileStore) -> None:
+def test_wrong_pieces_and_ranges_are_refused(local_store: TileStore) -> None:
     block = make_points(np.arange(5), np.arange(5))
     with pytest.raises(StoreError, match="needs a column origin"):
         local_store.write_piece("p", replace(block, origin=None))

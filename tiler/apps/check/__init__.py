@@ -1,7 +1,7 @@
-"""How good a DTM is: against checkpoints, across the edges of tiles, and between flight strips.
+"""Checks of a DTM against checkpoints, across the edges of tiles, and between flight strips.
 
-`measure` does all of it; `points` reads checkpoints, `accuracy` compares, `seams` and `strips` need no checkpoints,
-`requirements` says what a figure must be, `figures` draws.
+`measure` does all of these. `points` reads checkpoints and `accuracy` compares them with a DTM; `seams` and `strips`
+need no checkpoints. `requirements` judges the figures, and `figures` draws them.
 """
 
 from tiler.apps.check.accuracy import check_dtm

@@ -1,8 +1,8 @@
-"""A DTM against checkpoints.
+"""Accuracy of a DTM at checkpoints.
 
-By the ASPRS Positional Accuracy Standards for Digital Geospatial Data, Edition 2 (2023, version 2 of 2024): accuracy
-is the RMSE, with no factor for 95 % confidence; it includes the checkpoints' own error; a statement needs at
-least 30 checkpoints (more above 1000 km2, 120 at most); vegetated accuracy (VVA) is reported and never judged.
+It follows the ASPRS Positional Accuracy Standards for Digital Geospatial Data, Edition 2 (2023, version 2 of 2024).
+Accuracy is the RMSE, without a factor for 95 % confidence, and includes the checkpoints' own error. A statement needs
+at least 30 checkpoints (more above 1000 km2, 120 at most). Vegetated accuracy (VVA) is reported and never judged.
 """
 
 from __future__ import annotations
@@ -27,23 +27,23 @@ from tiler.errors import ConfigError
 from tiler.io.json_text import excerpt
 
 STANDARD = "ASPRS Positional Accuracy Standards for Digital Geospatial Data, Edition 2"
-LEAST_POINTS = 30
+LEAST_POINTS = 30  # the standard's numbers of checkpoints
 MOST_POINTS = 120
 OUTLIER_NMADS = 3.0
-"""An outlier is farther than this from the median, in NMAD; it is named, and stays in all figures."""
+"""Distance of an outlier from the median, in NMAD. Outliers are named, and stay in all figures."""
 _ROUNDING = 1e-9
 
 Floats = npt.NDArray[np.float64]
 
 
 def check_dtm(dtm: Path | str, points: Checkpoints, options: PointOptions | None = None) -> dict[str, Any]:
-    """Differences DTM minus checkpoint, bilinear between pixel centres.
+    """Differences between DTM and checkpoints; the DTM is bilinear between pixel centres.
 
     Returns
     -------
     dict
         ``unit`` (of all heights), ``metres_per_unit``; ``points``, ``used``, ``no_height`` (a pixel around has no
-        data), ``outside`` (of the raster); ``all``, ``nva``, ``vva``: what `tiler.core.spread.spread` says, and
+        data), ``outside`` (of the raster); ``all``, ``nva``, ``vva``: figures of `tiler.core.spread.spread`,
         ``points``, ``rmse_v`` (RMSE with the checkpoints' own error), ``outliers``; ``land_cover``: the same by name;
         ``asprs``: ``standard``, ``least_points``, ``enough_points``, ``statement`` (None with too few);
         ``differences``: for each point ``name``, ``x``, ``y`` (CRS of the DTM), ``kind``, ``cover``, ``z``, ``dtm``,
@@ -52,9 +52,9 @@ def check_dtm(dtm: Path | str, points: Checkpoints, options: PointOptions | None
     Raises
     ------
     InputError
-        The DTM cannot be read.
+        If the DTM cannot be read.
     ConfigError
-        The checkpoints' CRS is not known.
+        If the checkpoints' CRS is unknown.
     """
     options = options or PointOptions()
     notes = list(points.notes)
@@ -91,8 +91,8 @@ def check_dtm(dtm: Path | str, points: Checkpoints, options: PointOptions | None
         "kind": points.kinds,
         "cover": points.covers,
         "z": z.tolist(),
-        "dtm": [v if math.isfinite(v) else None for v in sampled.tolist()],
-        "difference": [v if math.isfinite(v) else None for v in difference.tolist()],
+        "dtm": _none_for_nan(sampled),
+        "difference": _none_for_nan(difference),
         "outlier": outliers(difference).tolist(),
     }
     rows = zip(*columns.values(), strict=True)
@@ -100,10 +100,14 @@ def check_dtm(dtm: Path | str, points: Checkpoints, options: PointOptions | None
     return {**facts, "notes": notes}
 
 
+def _none_for_nan(values: Floats) -> list[float | None]:
+    return [value if math.isfinite(value) else None for value in values.tolist()]
+
+
 def _in_crs_of(
     raster: Any, points: Checkpoints, options: PointOptions, notes: list[str]
 ) -> tuple[Floats, Floats]:
-    """X and y of the checkpoints in the raster's CRS; heights are never transformed."""
+    """X and y of the checkpoints in the raster's CRS; heights are not transformed."""
     text = options.crs or points.crs
     x, y = points.xy
     if text is None:
@@ -114,7 +118,8 @@ def _in_crs_of(
             f"the checkpoints are in {text}, the DTM has no CRS; leave out --points-crs if it is the same"
         )
     try:
-        named, own = CRS.from_user_input(text), CRS.from_wkt(raster.crs.to_wkt())
+        named = CRS.from_user_input(text)
+        own = CRS.from_wkt(raster.crs.to_wkt())
     except (ProjError, UnicodeError, RecursionError) as error:
         raise ConfigError(
             f"the checkpoints are in {excerpt(text)}, which is no CRS that is known; name one with --points-crs"
@@ -138,7 +143,7 @@ def _in_crs_of(
 
 
 def bilinear(raster: Any, x: Floats, y: Floats) -> tuple[Floats, npt.NDArray[np.bool_]]:
-    """Heights at places, bilinear between the four pixel centres around.
+    """Heights at positions, bilinear between the four surrounding pixel centres.
 
     Parameters
     ----------
@@ -149,9 +154,9 @@ def bilinear(raster: Any, x: Floats, y: Floats) -> tuple[Floats, npt.NDArray[np.
     Returns
     -------
     heights : float64 [n]
-        NaN where a pixel that counts has no data, or does not exist; a pixel of weight 0 does not count.
+        NaN if a pixel of non-zero weight has no data or does not exist.
     outside : bool [n]
-        Beyond the raster's pixels.
+        Whether a position lies beyond the raster's pixels.
     """
     columns, rows = pixel_places(raster.transform, x, y)
     outside = ~((columns >= 0) & (columns <= raster.width) & (rows >= 0) & (rows <= raster.height))
@@ -162,16 +167,16 @@ def bilinear(raster: Any, x: Floats, y: Floats) -> tuple[Floats, npt.NDArray[np.
 
 
 def pixel_places(transform: Any, x: Floats, y: Floats) -> tuple[Floats, Floats]:
-    """Coordinates as columns and rows, in pixels from the corner of the first one; `transform` as rasterio has it."""
+    """Positions as columns and rows, in pixels from the corner of the first one; `transform` is rasterio's."""
     a, b, c, d, e, f = tuple(transform)[:6]
     determinant = a * e - b * d
     across, down = np.asarray(x) - c, np.asarray(y) - f
-    with np.errstate(invalid="ignore"):  # a point that its CRS cannot carry over is at infinity, on no pixel
+    with np.errstate(invalid="ignore"):  # a failed transformation gives infinity, which is on no pixel
         return (e * across - b * down) / determinant, (a * down - d * across) / determinant
 
 
 def _between_centres(raster: Any, column: float, row: float) -> float:
-    """The height at a place in pixels from the centre of the first one; NaN without one."""
+    """The height at a position in pixels from the centre of the first one; NaN without one."""
     column, row = _near_whole(column), _near_whole(row)
     left, top = math.floor(column), math.floor(row)
     across, down = column - left, row - top
@@ -181,12 +186,12 @@ def _between_centres(raster: Any, column: float, row: float) -> float:
 
 
 def _near_whole(value: float) -> float:
-    """A pixel centre where rounding of the coordinates is all that is between."""
+    """The value, or the nearest integer if only rounding separates them."""
     return round(value) if abs(value - round(value)) < 1e-6 else value
 
 
 def outliers(difference: Floats) -> npt.NDArray[np.bool_]:
-    """Which differences (NaN: none) lie farther than `OUTLIER_NMADS` from their median."""
+    """Mask of the differences (NaN: none) that lie farther than `OUTLIER_NMADS` from their median."""
     figures = spread(difference[np.isfinite(difference)])
     if figures["median"] is None or figures["nmad"] is None:
         return np.zeros(difference.size, np.bool_)
@@ -196,33 +201,36 @@ def outliers(difference: Floats) -> npt.NDArray[np.bool_]:
 
 
 def _figures(difference: Floats, own_rmse: float) -> dict[str, Any]:
-    """The spread of those that have a height, and what the standard calls the accuracy."""
+    """The spread of the differences that are not NaN, and the accuracy by the standard."""
     used = difference[np.isfinite(difference)]
     figures = spread(used)
-    rmse = figures["rmse"]
+    accuracy = None
+    if figures["rmse"] is not None:
+        accuracy = math.hypot(figures["rmse"], own_rmse)
     return {
         "points": int(used.size),
         **figures,
-        "rmse_v": None if rmse is None else math.hypot(rmse, own_rmse),
+        "rmse_v": accuracy,
         "outliers": int(outliers(used).sum()),
     }
 
 
 def least_points(area_km2: float) -> int:
-    """Checkpoints that the standard asks for: 30 up to 1000 km2, 10 more for each further 1000, 120 at most."""
+    """Checkpoints that the standard requires: 30 up to 1000 km2, 10 more per further 1000 km2, 120 at most."""
     further = max(math.ceil(min(area_km2, 1e9) / 1000) - 1, 0)
     return min(LEAST_POINTS + 10 * further, MOST_POINTS)
 
 
 def _area_km2(raster: Any) -> float:
-    """Area of the whole raster, if its CRS has lengths; data may fill less."""
-    factor = raster.crs.linear_units_factor[1] if raster.crs is not None and raster.crs.is_projected else 1.0
+    """Area of the whole raster, including pixels without data; without a projected CRS units count as metres."""
+    factor = 1.0
+    if raster.crs is not None and raster.crs.is_projected:
+        factor = raster.crs.linear_units_factor[1]
     pixel = abs(float(raster.transform.determinant)) * float(factor) ** 2
     return pixel * int(raster.width) * int(raster.height) / 1e6
 
 
 def _statement(facts: dict[str, Any], area_km2: float, metres: float) -> dict[str, Any]:
-    """What may be stated by the standard."""
     nva, vva, needed = facts["nva"], facts["vva"], least_points(area_km2)
     enough = nva["points"] >= needed
     text = None

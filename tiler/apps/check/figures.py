@@ -1,7 +1,7 @@
-"""The check as drawings: a histogram of the differences and a map of the points.
+"""Drawings of a check: a histogram of the differences and a map of the points.
 
-SVG, since a drawing with numbers at its axes needs letters, which every viewer of SVG brings along; a plotting library
-would be a dependency for two pictures. The map's hillshade is that of the report, a PNG within it.
+They are SVG, because numbers at axes need letters, which every viewer of SVG has. A plotting library would be a
+dependency for two pictures. The map contains the hillshade of the report as a PNG.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from tiler.apps.check.accuracy import pixel_places
 from tiler.apps.evaluate.heights import files_of_raster
 from tiler.apps.evaluate.rasters import open_raster, raster_named
 from tiler.errors import ConfigError
-from tiler.export.geotiff import raster_errors
+from tiler.io.geotiff import raster_errors
 from tiler.io.locations import cloud_path
 from tiler.io.overwrite_check import Target, check_targets
 from tiler.io.partial_files import appearing
 from tiler.redaction import shown
 from tiler.report.pictures import small_hillshade
 
-WIDTH = 760
+WIDTH = 760  # of a drawing, pixels
 HEIGHT = 420
-MARGIN = 56
-BINS = 30
+MARGIN = 56  # room for the numbers at the axes
+BINS = 30  # bars of the histogram
 MAP_PIXELS = 900
 """Pixels along the longer side of the map's hillshade."""
 
@@ -37,15 +37,19 @@ _STYLE = (
     "text{font:13px sans-serif;fill:#333}.axis{stroke:#888}.bar{fill:#4878a8}.out{stroke:#000;stroke-width:2}"
     ".zero{stroke:#c33;stroke-dasharray:4 3}"
 )
-_BELOW, _ABOVE, _NONE = (33, 102, 172), (178, 24, 43), "#777"
-"""A DTM that is too low, too high, and a point without a height."""
+_BELOW = (33, 102, 172)  # blue where the DTM is too low
+_ABOVE = (178, 24, 43)  # red where it is too high
+_NONE = "#777"  # grey without a height
 
 FILES = ("histogram.svg", "map.svg")
 
 
 def refuse_figures(folder: Path, dtm: Path, points: Path | None, strips: Sequence[str]) -> None:
-    """Raise ConfigError where the drawings of `write_figures` would be written over what the check reads."""
-    reads: list[str | Path] = [*files_of_raster(dtm), *([points] if points is not None else []), *strips]
+    """Raise ConfigError if drawings of `write_figures` would replace files that the check reads."""
+    reads: list[str | Path] = list(files_of_raster(dtm))
+    if points is not None:
+        reads.append(points)
+    reads += strips
     check_targets([Target("--figures", folder / name) for name in FILES], reads)
     for path in (folder / name for name in FILES):
         if os.path.lexists(path) and not _is_drawing(path):
@@ -63,12 +67,12 @@ def _is_drawing(path: Path) -> bool:
 
 
 def write_figures(folder: Path | str, dtm: Path | str, accuracy: Mapping[str, Any]) -> list[str]:
-    """Write ``histogram.svg`` and ``map.svg`` of what `tiler.apps.check.check_dtm` found.
+    """Write ``histogram.svg`` and ``map.svg`` of a result of `tiler.apps.check.check_dtm`.
 
     Parameters
     ----------
     folder : path
-        Made if it is not there.
+        Made if necessary.
     dtm : path
     accuracy : mapping
 
@@ -80,9 +84,9 @@ def write_figures(folder: Path | str, dtm: Path | str, accuracy: Mapping[str, An
     Raises
     ------
     InputError
-        The DTM cannot be read.
+        If the DTM cannot be read.
     ProcessingError
-        The files cannot be written.
+        If the files cannot be written.
     """
     folder = Path(folder)
     drawings = dict(zip(FILES, (histogram(accuracy), point_map(cloud_path(dtm), accuracy)), strict=True))
@@ -111,14 +115,16 @@ def _text(x: float, y: float, text: str, anchor: str = "middle") -> str:
 
 
 def histogram(accuracy: Mapping[str, Any]) -> str:
-    """The differences in bins of equal width, as SVG."""
+    """Histogram of the differences as SVG."""
     unit = accuracy["unit"]
     title = f"DTM minus checkpoint, {unit}"
     values = np.array([p["difference"] for p in accuracy["differences"] if p["difference"] is not None])
     if values.size == 0:
         return _drawing(WIDTH, HEIGHT, title, [_text(WIDTH / 2, HEIGHT / 2, "no checkpoint has a height")])
     low, high = min(float(values.min()), 0.0), max(float(values.max()), 0.0)
-    counts, bounds = np.histogram(values, bins=BINS, range=(low, high) if low < high else (-0.5, 0.5))
+    if low >= high:
+        low, high = -0.5, 0.5
+    counts, bounds = np.histogram(values, bins=BINS, range=(low, high))
     across = (WIDTH - 2 * MARGIN) / (bounds[-1] - bounds[0])
     up = (HEIGHT - 2 * MARGIN) / counts.max()
     base = HEIGHT - MARGIN
@@ -129,7 +135,7 @@ def histogram(accuracy: Mapping[str, Any]) -> str:
         if n
     ]
     figures = accuracy["all"]
-    told = (
+    caption = (
         f"{figures['points']} points, RMSE {figures['rmse']:.3f} {unit}, mean {figures['bias']:+.3f}, "
         f"median {figures['median']:+.3f}, NMAD {figures['nmad']:.3f}"
     )
@@ -147,13 +153,13 @@ def histogram(accuracy: Mapping[str, Any]) -> str:
             if t % 1 == 0
         ),
         _text(WIDTH / 2, HEIGHT - 12, title),
-        _text(MARGIN, 22, told, "start"),
+        _text(MARGIN, 22, caption, "start"),
     ]
     return _drawing(WIDTH, HEIGHT, title, parts)
 
 
 def ticks(low: float, high: float) -> list[float]:
-    """Round numbers in an interval, about six."""
+    """About six round numbers in an interval."""
     if not high > low:
         return [low]
     rough = (high - low) / 6
@@ -164,7 +170,7 @@ def ticks(low: float, high: float) -> list[float]:
 
 
 def point_map(dtm: Path, accuracy: Mapping[str, Any]) -> str:
-    """The points over a hillshade, coloured by their difference, as SVG."""
+    """Map of the points over a hillshade, coloured by their difference, as SVG."""
     with open_raster(dtm) as raster:
         transform, shape = raster.transform, raster.shape
     with raster_named(dtm):
@@ -177,12 +183,15 @@ def point_map(dtm: Path, accuracy: Mapping[str, Any]) -> str:
     largest = accuracy["all"]["p95_abs"] or 1.0
     for point, column, row in zip(points, columns * width / shape[1], rows * height / shape[0], strict=True):
         difference = point["difference"]
-        told = "no height" if difference is None else f"{difference:+.3f} {accuracy['unit']}"
+        caption, outline = "no height", ' stroke="#fff"'
+        if difference is not None:
+            caption = f"{difference:+.3f} {accuracy['unit']}"
+        if point["outlier"]:
+            outline = ' class="out"'
         kind = " ".join(text for text in (point["kind"], point["cover"]) if text)
-        outline = ' class="out"' if point["outlier"] else ' stroke="#fff"'
         parts.append(
             f'<circle cx="{column:.1f}" cy="{row:.1f}" r="6" fill="{_colour(difference, largest)}"{outline}>'
-            f"<title>{_escaped(point['name'])} ({_escaped(kind)}): {told}</title></circle>"
+            f"<title>{_escaped(point['name'])} ({_escaped(kind)}): {caption}</title></circle>"
         )
     legend = f"DTM minus checkpoint: blue below, red above, full at {largest:.3f} {accuracy['unit']}; outliers ringed"
     parts.append(_text(8, height + 20, legend, "start"))
@@ -193,5 +202,7 @@ def _colour(difference: float | None, largest: float) -> str:
     if difference is None:
         return _NONE
     share = min(abs(difference) / largest, 1.0)
-    end = _ABOVE if difference > 0 else _BELOW
+    end = _BELOW
+    if difference > 0:
+        end = _ABOVE
     return "rgb({},{},{})".format(*(round(247 + (c - 247) * share) for c in end))

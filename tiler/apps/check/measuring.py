@@ -1,4 +1,4 @@
-"""All checks of one DTM; its files are read in a child process, which damaged ones may crash."""
+"""All checks of one DTM. A child process reads its files, as damaged ones may crash it."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ def measure(
     requirements: Sequence[Requirement] = (),
     figures: Path | None = None,
 ) -> dict[str, Any]:
-    """Check a DTM by its checkpoints, its seams and overlapping strips, as far as they are given.
+    """Check a DTM by its checkpoints, its seams and overlapping strips, as far as these are given.
 
     Parameters
     ----------
     dtm, points : Path
     options : PointOptions
     tile_m : Fraction or None
-        As of `seams_of`.
+        Argument of `seams_of`.
     strips : sequence of str
         Classified clouds.
     requirements : sequence of Requirement
@@ -43,7 +43,7 @@ def measure(
     Returns
     -------
     dict
-        ``dtm``; ``accuracy``, ``seams`` and ``strips``, each where it was measured; ``requirements``; ``figures``.
+        ``dtm``; ``accuracy``, ``seams`` and ``strips``, if measured; ``requirements``; ``figures``.
 
     Raises
     ------
@@ -74,6 +74,10 @@ def measure(
 def _accuracy_and_seams(
     dtm: Path, points: Path | None, options: PointOptions, tile_m: Fraction | None
 ) -> dict[str, dict[str, Any]]:
-    found = {} if points is None else {"accuracy": check_dtm(dtm, read_checkpoints(points), options)}
+    found = {}
+    if points is not None:
+        found["accuracy"] = check_dtm(dtm, read_checkpoints(points), options)
     seams = seams_of(dtm, tile_m)
-    return found if seams is None else {**found, "seams": seams}
+    if seams is not None:
+        found["seams"] = seams
+    return found

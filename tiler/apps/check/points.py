@@ -19,8 +19,8 @@ from tiler.errors import InputError
 from tiler.io.json_text import excerpt
 from tiler.io.vector import POINTS, Feature, Kind, read_features
 
-NVA, VVA = "NVA", "VVA"
-"""Non-vegetated and vegetated vertical accuracy."""
+NVA = "NVA"  # non-vegetated vertical accuracy
+VVA = "VVA"  # vegetated vertical accuracy
 
 _COLUMNS = {
     "x": ("x", "e", "east", "easting", "lon", "longitude", "long"),
@@ -30,7 +30,7 @@ _COLUMNS = {
     "cover": ("cover", "land_cover", "landcover", "land cover", "surface", "class"),
     "name": ("id", "name", "point", "pt", "fid", "label"),
 }
-"""Names of columns, in lower case."""
+"""Accepted names of each column, in lower case."""
 
 _ORDER = ("x", "y", "z", "type", "cover")
 """Order of the columns of a CSV file without a heading."""
@@ -41,7 +41,7 @@ Floats = npt.NDArray[np.float64]
 
 
 class Row(NamedTuple):
-    """One checkpoint as its file has it."""
+    """One checkpoint in the terms of its file."""
 
     x: float
     y: float
@@ -53,14 +53,14 @@ class Row(NamedTuple):
 
 @dataclass(frozen=True)
 class PointOptions:
-    """What a file of checkpoints does not say itself.
+    """Facts that a file of checkpoints does not state itself.
 
     Attributes
     ----------
     crs : str or None
-        Of x and y; None: what the file says, else that of the DTM.
+        CRS of x and y; None: that of the file, or else of the DTM.
     unit : Fraction or None
-        Metres in one unit of the heights; None: that of the DTM.
+        Metres in one unit of the heights; None: the unit of the DTM.
     rmse : float
         RMSE of the checkpoints' own heights, metres.
     """
@@ -78,14 +78,14 @@ class Checkpoints:
     ----------
     xy : float64 [2, n]
     z : float64 [n]
-        In units of the file.
+        Heights in units of the file.
     kinds : tuple of str
         ``NVA`` or ``VVA``.
     covers : tuple of str
-        Land cover; empty where the file has none.
+        Land cover; empty if the file has none.
     names : tuple of str
     crs : str or None
-        What the file says of itself: WKT or authority code.
+        CRS in the file: WKT or authority code.
     notes : tuple of str
     """
 
@@ -107,14 +107,15 @@ def read_checkpoints(path: Path | str) -> Checkpoints:
     Parameters
     ----------
     path : path
-        ``.csv`` or ``.txt``: comma, semicolon or tab between columns x, y, z and, if wanted, type (NVA or VVA), land
-        cover, id, found by their heading or, without one, by this order; lines that begin with # are skipped.
-        ``.geojson``, ``.gpkg``, ``.shp``, ``.fgb``: the one layer of points, heights in the geometry or a column.
+        ``.csv`` or ``.txt``: comma, semicolon or tab between the columns x, y, z and, optionally, type (NVA or VVA),
+        land cover, id. A heading names the columns; without one they have this order. Lines that begin with # are
+        skipped. ``.geojson``, ``.gpkg``, ``.shp``, ``.fgb``: the only layer of points, with heights in the geometry or
+        in a column.
 
     Raises
     ------
     InputError
-        The file cannot be read, is of another format, or a line has no coordinates.
+        If the file cannot be read, has another format, or a line has no coordinates.
     """
     path = Path(path)
     suffix = path.suffix.lower()
@@ -124,7 +125,8 @@ def read_checkpoints(path: Path | str) -> Checkpoints:
         rows, crs, notes = list(_csv_rows(path)), None, []
     else:
         found = read_features(path, CHECKPOINTS)
-        rows, crs, notes = [_row_of(feature) for feature in found.features], found.crs, list(found.notes)
+        rows = [_row_of(feature) for feature in found.features]
+        crs, notes = found.crs, list(found.notes)
     if not rows:
         raise InputError(f"{path}: holds no checkpoint")
     kinds = tuple(_kind(path, row.kind) for row in rows)
@@ -142,32 +144,37 @@ def read_checkpoints(path: Path | str) -> Checkpoints:
 
 
 def _row_of(feature: Feature) -> Row:
-    """A row from a point; its third coordinate is the height, else an attribute is."""
+    """A row from a point, whose height is its third coordinate or an attribute."""
     has_z = bool(feature.geometry.has_z)
     place = shapely.get_coordinates(feature.geometry, include_z=has_z)[0].tolist()
     return row_of(feature.attributes | dict(zip(("x", "y", "z"), place, strict=False)), feature.place)
 
 
 def row_of(values: Mapping[str, Any], place: str) -> Row:
-    """A row from named values; raises InputError where x, y or z is no finite number."""
+    """A row from named values; raises InputError if x, y or z is not a finite number."""
     found = {wanted: _value(values, names) for wanted, names in _COLUMNS.items()}
     numbers = []
     for axis in ("x", "y", "z"):
         text = found[axis]
+        if text is None:
+            raise InputError(f"{place}: {axis} is missing")
         try:
-            number = float(text if text is not None else "")
+            number = float(text)
         except (TypeError, ValueError, OverflowError):
             number = math.nan
         if not math.isfinite(number):
-            what = "is missing" if text is None else f"{excerpt(text)} is no number (1234.5, with a point)"
-            raise InputError(f"{place}: {axis} {what}")
+            raise InputError(f"{place}: {axis} {excerpt(text)} is no number (1234.5, with a point)")
         if abs(number) >= FARTHEST:
             raise InputError(
                 f"{place}: {axis} {excerpt(text)} is farther than {FARTHEST:g}, where nothing lies"
             )
         numbers.append(number)
-    kind, cover, name = ("" if (v := found[k]) is None else str(v).strip() for k in ("kind", "cover", "name"))
-    return Row(numbers[0], numbers[1], numbers[2], kind, cover, name)
+    texts = []
+    for name in ("kind", "cover", "name"):
+        text = found[name]
+        texts.append("" if text is None else str(text).strip())
+    x, y, z = numbers
+    return Row(x, y, z, *texts)
 
 
 def _value(values: Mapping[str, Any], names: Sequence[str]) -> Any:
@@ -175,7 +182,6 @@ def _value(values: Mapping[str, Any], names: Sequence[str]) -> Any:
 
 
 def _kind(path: Path, text: str) -> str:
-    """NVA or VVA; empty is NVA."""
     kind = text.upper() or NVA
     if kind not in (NVA, VVA):
         raise InputError(
@@ -194,12 +200,14 @@ def _csv_rows(path: Path) -> Iterator[Row]:
         return
     first = numbered[0][1]
     delimiter = max(";\t,", key=first.count)
-    # Each line alone: a quote that is never closed must not swallow the lines after it.
+    # Lines are split one by one, so that an unclosed quote does not swallow the lines after it.
     head = [cell.strip().lower() for cell in _cells(first, delimiter, f"{path}: line {numbered[0][0]}")]
     names: Sequence[str] = head
     if _is_number(head[0]) or (len(head) > 1 and _is_number(head[1])):
         names = _ORDER
-    for number, line in numbered if names is _ORDER else numbered[1:]:
+    else:
+        numbered = numbered[1:]
+    for number, line in numbered:
         place = f"{path}: line {number}"
         cells = zip(names, _cells(line, delimiter, place), strict=False)
         yield row_of({name: text.strip() for name, text in cells if text.strip()}, place)

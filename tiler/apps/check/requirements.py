@@ -1,4 +1,4 @@
-"""Limits that the figures of a check have to meet, such as ``rmse=0.1``."""
+"""Limits for the figures of a check, such as ``rmse=0.1``."""
 
 from __future__ import annotations
 
@@ -15,17 +15,18 @@ Report = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Metric:
-    """A figure that can be required.
+    """A figure that can have a limit.
 
     Attributes
     ----------
     value : callable
-        From a report (parts ``accuracy``, ``seams``, ``strips``) to the figure, None where it is not there.
+        Gives the figure from a part of a report, or None.
     part : str
+        Part of the report: ``accuracy``, ``seams`` or ``strips``.
     is_length : bool
-        Else a number of points.
+        Whether the figure is a length; otherwise it is a number of points.
     at_least : bool
-        Else at most.
+        Whether the limit is a minimum; otherwise it is a maximum.
     """
 
     part: str
@@ -37,7 +38,9 @@ class Metric:
 def _nva(key: str) -> Callable[[Mapping[str, Any]], float | None]:
     def value(accuracy: Mapping[str, Any]) -> float | None:
         found: float | None = accuracy["nva"][key]
-        return None if found is None else abs(found)
+        if found is None:
+            return None
+        return abs(found)
 
     return value
 
@@ -54,7 +57,7 @@ METRICS: dict[str, Metric] = {
     "seam": Metric("seams", lambda seams: seams["excess"]),
     "strips": Metric("strips", lambda strips: strips["all"]["rmse"]),
 }
-"""Figures by name; those of checkpoints are of the non-vegetated ones, since vegetated accuracy is never judged."""
+"""Figures by name. Those of checkpoints are non-vegetated, since vegetated accuracy is never judged."""
 
 
 @dataclass(frozen=True)
@@ -66,7 +69,7 @@ class Requirement:
 
 
 def parse_requirements(texts: Iterable[str]) -> list[Requirement]:
-    """``name=value`` texts; lengths are metres unless written with a unit. Raises ConfigError."""
+    """Requirements from ``name=value`` texts; lengths without a unit are metres. Raises ConfigError."""
     found = []
     for text in texts:
         name, sign, value = (part.strip() for part in text.partition("="))
@@ -87,13 +90,13 @@ def judge(requirements: Sequence[Requirement], report: Report) -> list[dict[str,
     Returns
     -------
     list of dict
-        ``name``, ``limit`` and ``value`` (metres or points; None: not measured), ``met``. What was not measured is
-        not met.
+        ``name``, ``limit`` and ``value`` (metres or points; None: not measured), ``met``. A requirement without a
+        measured value is not met.
 
     Raises
     ------
     ConfigError
-        A requirement whose part of the check was not asked for.
+        If the check did not include the part of a requirement.
     """
     judged = []
     for requirement in requirements:
@@ -106,6 +109,11 @@ def judge(requirements: Sequence[Requirement], report: Report) -> list[dict[str,
         if value is not None and metric.is_length:
             value *= part["metres_per_unit"]
         limit = float(requirement.limit)
-        met = value is not None and (value >= limit if metric.at_least else value <= limit)
+        if value is None:
+            met = False
+        elif metric.at_least:
+            met = value >= limit
+        else:
+            met = value <= limit
         judged.append({"name": requirement.name, "limit": limit, "value": value, "met": met})
     return judged

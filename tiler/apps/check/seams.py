@@ -1,10 +1,10 @@
-"""Steps of a DTM across the edges of tiles, beside those within tiles.
+"""Steps of a DTM across the edges of tiles, compared with steps within tiles.
 
-A *step* is the absolute difference of two neighbouring pixels. A *jump* is what of it neither neighbour continues: for
-heights a, b, c, d in a row, the jump between b and c is |(c - b) - ((b - a) + (d - c)) / 2|, which is 0 on any plane
-and any even curve; so it shows a seam on steep ground as well.
+A *step* is the absolute difference of two neighbouring pixels. A *jump* is the part of a step that the slopes on both
+sides do not explain: for heights a, b, c, d in a row, the jump between b and c is |(c - b) - ((b - a) + (d - c)) / 2|.
+It is 0 on any plane and any even curve, so it shows a seam on steep ground as well.
 
-A few edges cross a few places, and those may be rougher than the rest; so edges are compared with the lines of pixels
+A few edges cross only a few places, which may be rougher than the rest. So edges are compared with the lines of pixels
 beside them, which cross the same places.
 """
 
@@ -31,10 +31,10 @@ from tiler.io.locations import cloud_path
 from tiler.io.result_folder import RUN
 
 BESIDE = (3, 20)
-"""Lines of pixels from an edge that are beside it: the next two see half of its jump in their neighbours' slopes."""
+"""Distances in pixels of the lines beside an edge. The nearest two lines contain half of its jump in their slopes."""
 
 KINDS = ("interior", "tiles", "blocks", "beside_tiles", "beside_blocks")
-"""Of steps: within tiles, across edges of tiles and of the raster's own blocks, and beside these edges."""
+"""Kinds of steps: within tiles, across edges of tiles and of the raster's own blocks, and beside these edges."""
 
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
@@ -42,16 +42,16 @@ Bools = npt.NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class TileEdges:
-    """Where tiles meet: at multiples of a size, moved to the nearest edge of a bucket.
+    """The edges of tiles, at multiples of a size, moved to the nearest edge of a bucket.
 
     Attributes
     ----------
     tile : float
         Side of a tile, units of the CRS; the lattice is anchored at coordinate 0.
     bucket : float
-        Side of a bucket: a tile is made of those whose centres lie in its cell. 0: tiles are cut as they are.
+        Side of a bucket. A tile consists of the buckets whose centres lie in its cell. 0: no buckets.
     blocks : bool
-        Also look at the raster's own blocks.
+        Whether to examine the raster's own blocks as well.
     """
 
     tile: float
@@ -59,7 +59,7 @@ class TileEdges:
     blocks: bool = False
 
     def between(self, low: float, high: float) -> list[float]:
-        """The edges in an interval, along one axis."""
+        """The edges in an interval along one axis."""
         first, last = math.ceil(low / self.tile) - 1, math.floor(high / self.tile) + 1
         edges = [k * self.tile for k in range(first, last + 1)]
         if self.bucket:
@@ -69,14 +69,14 @@ class TileEdges:
 
 @dataclass
 class Tally:
-    """Number, sum and largest of the values that are known."""
+    """Number, sum and largest of the known values."""
 
     n: int = 0
     total: float = 0.0
     largest: float = 0.0
 
     def add(self, values: Floats) -> None:
-        """Count the values that are not NaN."""
+        """Add the values that are not NaN."""
         known = values[np.isfinite(values)]
         if known.size:
             self.n += known.size
@@ -84,9 +84,10 @@ class Tally:
             self.largest = max(self.largest, float(known.max()))
 
     def facts(self, name: str) -> dict[str, float | None]:
-        """Mean and largest; None where nothing was counted."""
-        mean, largest = (self.total / self.n, self.largest) if self.n else (None, None)
-        return {f"mean_{name}": mean, f"largest_{name}": largest}
+        """Mean and largest value; None without values."""
+        if not self.n:
+            return {f"mean_{name}": None, f"largest_{name}": None}
+        return {f"mean_{name}": self.total / self.n, f"largest_{name}": self.largest}
 
 
 def seam_steps(dtm: Path | str, edges: TileEdges) -> dict[str, Any]:
@@ -95,24 +96,24 @@ def seam_steps(dtm: Path | str, edges: TileEdges) -> dict[str, Any]:
     Parameters
     ----------
     dtm : path
-        Without rotation.
+        A raster without rotation.
     edges : TileEdges
 
     Returns
     -------
     dict
         ``unit`` (of the heights), ``metres_per_unit``; ``tile``, ``bucket`` (units of the CRS); ``interior``, ``tiles``
-        and, if wanted, ``blocks``: ``pairs``,
-        ``mean_step``, ``largest_step``, ``mean_jump``, ``largest_jump`` in units of the heights, None where there is
-        none; ``beside_tiles``, ``beside_blocks``: the same of lines `BESIDE` the edges; ``excess``: mean jump across
-        edges of tiles above that beside them (of the interior, if tiles are too small for lines beside).
+        and, if requested, ``blocks``: ``pairs``, ``mean_step``, ``largest_step``, ``mean_jump``, ``largest_jump`` in
+        units of the heights, or None; ``beside_tiles``, ``beside_blocks``: the same for lines `BESIDE` the edges;
+        ``excess``: mean jump across edges of tiles minus that beside them (or of the interior, if tiles are too small
+        for lines beside edges).
 
     Raises
     ------
     InputError
-        The DTM cannot be read.
+        If the DTM cannot be read.
     ConfigError
-        It is rotated, or the tile is no larger than three pixels.
+        If it is rotated, or the tile is at most three pixels wide.
     """
     with open_raster(dtm) as raster:
         if raster.transform.b or raster.transform.d:
@@ -126,24 +127,23 @@ def seam_steps(dtm: Path | str, edges: TileEdges) -> dict[str, Any]:
                 of_steps, of_jumps = tallies.setdefault(name, (Tally(), Tally()))
                 of_steps.add(steps[mark])
                 of_jumps.add(jumps[mark])
-    found = {
-        name: {
-            "pairs": tallies[name][0].n,
-            **tallies[name][0].facts("step"),
-            **tallies[name][1].facts("jump"),
-        }
-        for name in KINDS
-        if name in tallies
-    }
-    across, near = found["tiles"]["mean_jump"], found["beside_tiles"]["mean_jump"]
-    near = found["interior"]["mean_jump"] if near is None else near
+    found = {}
+    for name in KINDS:
+        if name in tallies:
+            steps_of, jumps_of = tallies[name]
+            found[name] = {"pairs": steps_of.n, **steps_of.facts("step"), **jumps_of.facts("jump")}
+    across, near, excess = found["tiles"]["mean_jump"], found["beside_tiles"]["mean_jump"], None
+    if near is None:
+        near = found["interior"]["mean_jump"]
+    if across is not None and near is not None:
+        excess = across - near
     return {
         "unit": unit_label(metres),
         "metres_per_unit": float(metres),
         "tile": edges.tile,
         "bucket": edges.bucket,
         **found,
-        "excess": None if across is None or near is None else across - near,
+        "excess": excess,
     }
 
 
@@ -154,29 +154,31 @@ def seams_of(dtm: Path | str, tile_m: Fraction | None) -> dict[str, Any] | None:
     ----------
     dtm : path
     tile_m : Fraction or None
-        None: the tiles that the ``run.json`` beside the DTM tells of.
+        Side of a tile; None: the tiles of the ``run.json`` beside the DTM.
 
     Returns
     -------
     dict or None
-        None where neither is there.
+        None without a size and without a ``run.json``.
 
     Raises
     ------
     TilerError
-        As `seam_steps` and `edges_of_run`; always where the DTM cannot be read.
+        If `seam_steps` or `edges_of_run` raises it, or the DTM cannot be read.
     """
     metres = horizontal_unit(cloud_path(dtm))
     if tile_m is None:
         edges = edges_of_run(cloud_path(dtm))
-        return None if edges is None else seam_steps(dtm, edges)
+        if edges is None:
+            return None
+        return seam_steps(dtm, edges)
     if tile_m <= 0:
         raise ConfigError(f"--tile-size {tile_m}: must be above 0")
     return seam_steps(dtm, TileEdges(float(tile_m / metres)))
 
 
 def _pairs(raster: Any, edges: TileEdges) -> Iterator[tuple[Floats, Floats, dict[str, Bools]]]:
-    """Steps and jumps (NaN: none) of neighbours and which are of which kind: along rows, along columns, by block."""
+    """Steps and jumps (NaN: none) of neighbours and masks of their kinds: along rows, along columns, by block."""
     transform, (height, width) = raster.transform, raster.shape
     columns = _marks(transform.c, transform.a, width, edges)
     rows = _marks(transform.f, transform.e, height, edges)
@@ -188,7 +190,7 @@ def _pairs(raster: Any, edges: TileEdges) -> Iterator[tuple[Floats, Floats, dict
 
 
 def _differences(heights: Floats, marks: dict[str, Bools]) -> tuple[Floats, Floats, dict[str, Bools]]:
-    """Pairs between columns i + 1 and i + 2 of `heights`, which has three columns more than there are pairs."""
+    """Pairs between columns i + 1 and i + 2 of `heights`, which has three more columns than there are pairs."""
     a, b, c, d = heights[:, :-3], heights[:, 1:-2], heights[:, 2:-1], heights[:, 3:]
     steps = np.abs(c - b)
     jumps = np.abs((c - b) - ((b - a) + (d - c)) / 2)
@@ -196,11 +198,11 @@ def _differences(heights: Floats, marks: dict[str, Bools]) -> tuple[Floats, Floa
 
 
 def _marks(start: float, size: float, pixels: int, edges: TileEdges) -> dict[str, Bools]:
-    """For each pixel along an axis and each of `KINDS`, whether the step from the one before is of that kind."""
+    """Masks of the pixels along an axis whose step from the pixel before is of a kind, for each of `KINDS`."""
     low, high = sorted((start, start + size * pixels))
     found = np.zeros(pixels + 1, np.bool_)
     for edge in edges.between(low, high):
-        # The first pixel, in the order of the file, whose centre lies on or beyond the edge.
+        # In the order of the file, this is the first pixel whose centre lies on or beyond the edge.
         place = (edge - start) / size - 0.5
         found[min(math.ceil(place - 1e-9), pixels)] = True
     found[0] = False
@@ -214,17 +216,17 @@ def _marks(start: float, size: float, pixels: int, edges: TileEdges) -> dict[str
 
 
 def _within(lines: int, mark: Bools) -> Bools:
-    """What lies no farther than so many lines from what is marked."""
+    """Mask of the lines within a distance of a marked line."""
     return maximum_filter1d(mark.astype(np.uint8), 2 * lines + 1, mode="constant") > 0
 
 
 def edges_of_run(dtm: Path) -> TileEdges | None:
-    """The edges of the run that made a DTM, from the ``run.json`` beside it; None where there is none.
+    """The edges of the run that made a DTM, from the ``run.json`` beside it; None without one.
 
     Raises
     ------
     InputError
-        The file is not what a run writes.
+        If no run wrote the file.
     """
     path = dtm.parent / RUN
     if not path.is_file():

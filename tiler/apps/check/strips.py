@@ -1,4 +1,4 @@
-"""Heights of overlapping flight strips against one another, told apart by their point source ids."""
+"""Height differences of overlapping flight strips, which their point source ids distinguish."""
 
 from __future__ import annotations
 
@@ -14,26 +14,27 @@ from tiler.core.classes import GROUND, WITHHELD_FLAG
 from tiler.core.spread import spread
 from tiler.core.units import METRE, unit_label
 from tiler.errors import InputError
-from tiler.ingest import find_inputs, inspect
+from tiler.inputs import find_inputs, inspect
 from tiler.io.las.columns import class_and_flags, coordinate
 from tiler.io.las.headers import read_header
 from tiler.io.las.reader import EVERYTHING, PointReader
 from tiler.schedule import half_of_memory, read_apart
 
 CELL_M = 2.0
+"""Side of the compared cells: large enough for a few points of each strip, small enough to be nearly flat."""
 LEAST_POINTS = 3
-"""Points of each strip in a cell that is compared."""
+"""Fewest points of each strip in a compared cell."""
 MOST_ROUGH_M = 0.1
-"""Standard deviation of a strip's heights in a cell above which the cell is too rough or steep to be compared."""
+"""Largest standard deviation of a strip's heights in a compared cell; others are too rough or steep."""
 
 Floats = npt.NDArray[np.float64]
 Int64s = npt.NDArray[np.int64]
 
 
 def strip_differences(clouds: Sequence[str | Path]) -> dict[str, Any]:
-    """Compare the ground of strips in cells of 2 m that both have.
+    """Compare the ground of strips in the cells of 2 m that they share.
 
-    The files are read piece by piece; memory grows with the cells that hold ground.
+    The files are read piece by piece. Memory grows with the number of cells that hold ground.
 
     Parameters
     ----------
@@ -44,13 +45,13 @@ def strip_differences(clouds: Sequence[str | Path]) -> dict[str, Any]:
     -------
     dict
         ``unit`` (of heights), ``metres_per_unit``; ``cell_m``; ``strips`` (points of ground by source id); ``cells``
-        (compared), ``rough`` (left out); ``all``: what `tiler.core.spread.spread` says of the differences;
-        ``pairs``: for each two strips ``first``, ``second``, ``cells`` and the spread of second minus first.
+        (compared), ``rough`` (left out); ``all``: `tiler.core.spread.spread` of the differences; ``pairs``: for each
+        two strips ``first``, ``second``, ``cells`` and the spread of second minus first.
 
     Raises
     ------
     InputError
-        A file cannot be read, or there is no ground.
+        If a file cannot be read, or there is no ground.
     """
     paths = find_inputs(clouds, results=True)
     return read_apart(_strips_of, paths, paths=paths, memory_bytes=half_of_memory())
@@ -96,7 +97,7 @@ def _ground(path: Path) -> Iterator[tuple[Int64s, Floats, Floats, Floats]]:
 
 
 def _compared(keys: Int64s, sums: Floats, most_rough: float) -> dict[str, Any]:
-    """Differences of all pairs of strips in the cells that both have.
+    """Differences of all pairs of strips in the cells that they share.
 
     ``keys`` are strip, column and row, sorted by row, column, strip; ``sums`` points, heights, squared heights.
     """
@@ -104,11 +105,10 @@ def _compared(keys: Int64s, sums: Floats, most_rough: float) -> dict[str, Any]:
     mean = total / n
     deviation = np.sqrt(np.maximum(squares / n - mean**2, 0.0))
     fit = (n >= LEAST_POINTS) & (deviation <= most_rough)
-    firsts: list[Int64s] = []
-    seconds: list[Int64s] = []
+    firsts, seconds = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
     rough, step = 0, 1
     while True:
-        # Strips of a cell follow one another, so those of a pair are `step` apart.
+        # Strips of a cell are consecutive, so the two of a pair are `step` apart.
         same = np.all(keys[1:, step:] == keys[1:, :-step], axis=0)
         if not same.any():
             break
@@ -117,8 +117,7 @@ def _compared(keys: Int64s, sums: Floats, most_rough: float) -> dict[str, Any]:
         firsts.append(np.flatnonzero(usable))
         seconds.append(firsts[-1] + step)
         step += 1
-    first = np.concatenate(firsts) if firsts else np.empty(0, np.int64)
-    second = np.concatenate(seconds) if seconds else np.empty(0, np.int64)
+    first, second = np.concatenate(firsts), np.concatenate(seconds)
     difference = mean[second] - mean[first]
     of_first, of_second = keys[0, first], keys[0, second]
     pairs = []

@@ -1,4 +1,4 @@
-"""The classes of a cloud against those of a reference cloud: the same points, in any order."""
+"""The classes of a cloud compared with those of a reference cloud: the same points, in any order."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ from tiler.io.las.reader import NEEDED, PointReader
 
 _STEP = 1_000_000
 PER_UNIT = 10_000
-"""Coordinates are compared as counts of a ten thousandth of the CRS's unit."""
+"""Counts per unit of the CRS in which coordinates are compared."""
 
 UInt8s = npt.NDArray[np.uint8]
 Int64s = npt.NDArray[np.int64]
 
 
 class Points(NamedTuple):
-    """Some points of a file: coordinates (int64 counts, shape (3, n)), classes, and which are withheld."""
+    """Some points of a file: coordinates (int64 counts, shape (3, n)), classes, and a mask of withheld ones."""
 
     place: Int64s
     classes: UInt8s
     withheld: npt.NDArray[np.bool_]
 
     def take(self, at: npt.NDArray[Any]) -> Points:
-        """The points at an index array or mask."""
+        """The points of an index array or mask."""
         return Points(self.place[:, at], self.classes[at], self.withheld[at])
 
 
@@ -43,9 +43,9 @@ class Findings:
     Attributes
     ----------
     table : int64, shape (256, 2)
-        As `tiler.apps.evaluate.labels.class_table`.
+        Counts of `tiler.apps.evaluate.labels.class_table`.
     withheld : int
-        Points that the reference withholds, which are not judged.
+        Number of points that the reference withholds; they are not judged.
     grid : ErrorGrid or None
     """
 
@@ -64,7 +64,7 @@ class Findings:
             self.grid.add(reference.place, PER_UNIT, labels, reference.classes)
 
     def facts(self, ignore: Sequence[int]) -> dict[str, Any]:
-        """Scores, by class, and what was left out."""
+        """Scores, also by class, and the numbers of points left out."""
         per_class = self.table.sum(axis=1)
         left_out: dict[str, int] = {str(code): int(per_class[code]) for code in ignore if per_class[code]}
         return {
@@ -81,22 +81,21 @@ def evaluate_files(
 ) -> dict[str, Any]:
     """Score the classes of a cloud against those of a reference cloud.
 
-    Files with the same points in the same order are read side by side in bounded memory. Otherwise each
-    point of the reference is looked up in the cloud by its exact coordinates (both are then held in memory);
-    points that lie at one place are paired in the order of their files. Points that the reference withholds are
-    not judged.
+    Files with the same points in the same order are read side by side in bounded memory. Otherwise both are held in
+    memory, and each point of the reference is looked up in the cloud by its exact coordinates. Points at one place are
+    paired in the order of their files. Points that the reference withholds are not judged.
 
     Returns
     -------
     dict
-        As `scores`, and ``ignore``; ``left_out`` (points by class that were left out); ``withheld`` (points);
-        ``classes`` (as `tiler.apps.evaluate.labels.class_scores`); ``matched_by`` (``order`` or ``coordinates``),
+        Result of `scores`; ``ignore``; ``left_out`` (points by class that were left out); ``withheld`` (points);
+        ``classes`` (`tiler.apps.evaluate.labels.class_scores`); ``matched_by`` (``order`` or ``coordinates``);
         ``unmatched_reference`` and ``unmatched_cloud`` (points without a partner).
 
     Raises
     ------
     InputError
-        A file cannot be read, or no point of the reference is in the cloud.
+        If a file cannot be read, or no point of the reference is in the cloud.
     """
     findings, how = compare_files(Path(cloud), Path(reference))
     return {**findings.facts(ignore), **how}
@@ -105,9 +104,9 @@ def evaluate_files(
 def compare_files(
     cloud: Path, reference: Path, grid: ErrorGrid | None = None
 ) -> tuple[Findings, dict[str, Any]]:
-    """What was found, and how the points were paired; see `evaluate_files`.
+    """Findings, and the way in which points were paired; see `evaluate_files`.
 
-    ``grid``, empty, is filled with the errors by place. Raises InputError.
+    An empty ``grid`` receives the errors by place. Raises InputError.
     """
     findings = Findings(grid)
     if _in_order(cloud, reference, findings):
@@ -128,7 +127,6 @@ def compare_files(
 
 
 def _read(path: Path) -> Iterator[Points]:
-    """The points of a file, piece by piece."""
     header = read_header(path)
     with PointReader(header, NEEDED) as reader:
         for start in range(0, header.point_count, _STEP):
@@ -140,7 +138,7 @@ def _read(path: Path) -> Iterator[Points]:
 
 
 def _in_order(cloud: Path, reference: Path, findings: Findings) -> bool:
-    """Judge two files side by side; False, with findings that count for nothing, if their orders differ."""
+    """Judge two files side by side; False, with useless findings, if their orders differ."""
     if read_header(cloud).point_count != read_header(reference).point_count:
         return False
     for mine, true in zip(_read(cloud), _read(reference), strict=True):
@@ -162,9 +160,8 @@ def _whole(path: Path) -> Points:
 
 
 def _pairs(place: Int64s, true_place: Int64s) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-    """Indices of the points that both have."""
     both = np.concatenate((place, true_place), axis=1)
-    # The n-th point at a place pairs with the n-th point of the other file there, whatever stands between.
+    # The n-th point at a place pairs with the n-th point of the other file at that place.
     order = np.lexsort((both[2], both[1], both[0]))
     ordered = both[:, order]
     new = np.r_[True, np.any(ordered[:, 1:] != ordered[:, :-1], axis=0)]
@@ -176,10 +173,10 @@ def _pairs(place: Int64s, true_place: Int64s) -> tuple[npt.NDArray[np.intp], npt
 
 
 def _numbered(group: Int64s) -> Int64s:
-    """One number for each (place, how many of that place came before)."""
+    """One number for each combination of a place and the number of earlier points there."""
     order = np.argsort(group, kind="stable")
     ordered = group[order]
-    start = np.flatnonzero(np.r_[True, ordered[1:] != ordered[:-1]]) if len(group) else np.empty(0, np.intp)
+    start = np.flatnonzero(np.r_[True, ordered[1:] != ordered[:-1]][: len(group)])
     turn = np.arange(len(group)) - np.repeat(start, np.diff(np.r_[start, len(group)]))
     out = np.empty(len(group), np.int64)
     out[order] = (ordered << 24) + np.minimum(turn, (1 << 24) - 1)

@@ -1,7 +1,8 @@
-"""A DTM against a true one, block by block."""
+"""A DTM compared with a true one, block by block."""
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Iterable, Iterator, Sequence
 from contextlib import ExitStack, contextmanager
 from fractions import Fraction
@@ -13,19 +14,21 @@ import numpy.typing as npt
 import rasterio
 from pyproj import CRS
 
+from tiler.apps.evaluate.labels import ratio
 from tiler.apps.evaluate.maps import refuse_foreign_maps
 from tiler.apps.evaluate.rasters import open_raster, raster_named
+from tiler.apps.evaluate.sigma import SigmaTally, slopes_of
 from tiler.core.crs import same_horizontal, split
 from tiler.core.raster import NODATA
 from tiler.core.spread import SpreadTally
 from tiler.core.units import METRE, exact_unit, unit_label, unit_named
 from tiler.errors import ConfigError, InputError
-from tiler.export.geotiff import RasterLook, plain_geotiff, raster_errors
+from tiler.io.geotiff import RasterLook, plain_geotiff, raster_errors
 from tiler.io.overwrite_check import Target, check_targets
 from tiler.io.partial_files import appearing
 
 BLOCK = 1024
-"""Pixels a side of what is in memory at a time."""
+"""Side in pixels of the blocks that are in memory at a time."""
 
 Float64s = npt.NDArray[np.float64]
 
@@ -39,7 +42,12 @@ class Pair(NamedTuple):
     col: int
 
 
-def evaluate_dtm(dtm: Path | str, truth: Path | str, difference: Path | str | None = None) -> dict[str, Any]:
+def evaluate_dtm(
+    dtm: Path | str,
+    truth: Path | str,
+    difference: Path | str | None = None,
+    sigma: Path | str | None = None,
+) -> dict[str, Any]:
     """Differences ``dtm - truth`` over the pixels that both have.
 
     The rasters are read in blocks of bounded size, whatever their extent.
@@ -49,24 +57,27 @@ def evaluate_dtm(dtm: Path | str, truth: Path | str, difference: Path | str | No
     dtm, truth : path
         Single-band rasters of the same CRS, unit and pixel size on the same pixel lattice; extents may differ.
     difference : path, optional
-        GeoTIFF that gets the differences, float32, on the truth's pixels.
+        GeoTIFF that receives the differences, float32, on the truth's pixels.
+    sigma : path, optional
+        Raster of the DTM's standard errors, which are judged.
 
     Returns
     -------
     dict
         ``unit`` (of the heights); ``pixels``; ``only_dtm``, ``only_truth`` (valid pixels of the truth's extent that
-        the other lacks); ``coverage`` (share of the truth's valid pixels that the DTM has); in units of the heights
-        what `tiler.core.spread.spread` says, medians and percentiles to ``quantile_step``; None without a common
-        pixel.
+        the other lacks); ``coverage`` (share of the truth's valid pixels that the DTM has); the figures of
+        `tiler.core.spread.spread` in units of the heights, None without a common pixel; ``quantile_step`` (accuracy of
+        medians and percentiles); with ``sigma``: ``sigma``, of `tiler.apps.evaluate.sigma.SigmaTally.summary`, and
+        ``sigma_file``.
 
     Raises
     ------
     InputError
-        A raster cannot be read.
+        If a raster cannot be read.
     ConfigError
-        The rasters are of different CRS or units, do not lie on one lattice, or do not overlap.
+        If the rasters differ in CRS or units, do not lie on one lattice, or do not overlap.
     ProcessingError
-        ``difference`` cannot be written.
+        If ``difference`` cannot be written.
     """
     refuse_targets(difference, None, (), (), (dtm, truth))
     tally, both, only_dtm, only_truth = SpreadTally(), 0, 0, 0
@@ -74,6 +85,7 @@ def evaluate_dtm(dtm: Path | str, truth: Path | str, difference: Path | str | No
         pair = stack.enter_context(_opened(Path(dtm), Path(truth)))
         write = stack.enter_context(_difference_writer(difference, pair))
         unit = unit_label(vertical_unit(pair.truth))
+        judge = None if sigma is None else _Judge(stack.enter_context(_opened(Path(sigma), Path(truth))))
         for row, col, mine, true in _blocks(pair):
             has_mine, has_true = np.isfinite(mine), np.isfinite(true)
             common = has_mine & has_true
@@ -83,15 +95,48 @@ def evaluate_dtm(dtm: Path | str, truth: Path | str, difference: Path | str | No
             tally.add(mine[common] - true[common])
             if write is not None:
                 write(mine - true, row, col)
+            if judge is not None:
+                judge.add(row, col, mine, true)
+    judged = {} if judge is None else {"sigma": judge.tally.summary(), "sigma_file": str(sigma)}
     return {
         "unit": unit,
         "pixels": both,
         "only_dtm": only_dtm,
         "only_truth": only_truth,
-        "coverage": both / (both + only_truth) if both + only_truth else None,
+        "coverage": ratio(both, both + only_truth),
         **tally.summary(),
         "quantile_step": tally.step,
+        **judged,
     }
+
+
+class _Judge:
+    """Judges standard errors block by block.
+
+    Parameters
+    ----------
+    pair : Pair
+        The raster of standard errors, and the truth.
+    """
+
+    def __init__(self, pair: Pair) -> None:
+        self._pair, self.tally = pair, SigmaTally()
+        across = abs(pair.truth.transform.a) * _crs_unit(pair.truth)
+        self._step = float(across / float(vertical_unit(pair.truth)))
+
+    def add(self, row: int, col: int, mine: Float64s, true: Float64s) -> None:
+        """Judge a block of the truth whose first pixel is (row, col), where the DTM has the heights ``mine``."""
+        pair = self._pair
+        sigma = read_heights(pair.dtm, row - pair.row, col - pair.col, *true.shape)
+        slope = slopes_of(true, self._step)
+        common = np.isfinite(mine) & np.isfinite(true) & np.isfinite(sigma) & (sigma > 0)
+        self.tally.add((mine - true)[common], sigma[common], slope[common])
+
+
+def sigma_beside(dtm: Path | str) -> Path | None:
+    """The raster of standard errors that a run left beside its DTM; None where there is none."""
+    found = Path(dtm).with_name(f"sigma{Path(dtm).suffix}")
+    return found if Path(dtm).stem == "dtm" and found.is_file() else None
 
 
 def refuse_targets(
@@ -101,34 +146,40 @@ def refuse_targets(
     clouds: Iterable[Path | str],
     rasters: Iterable[Path | str],
 ) -> None:
-    """Raise ConfigError where `tiler evaluate` would write over what it reads, or under a name of another kind.
+    """Raise ConfigError if `tiler evaluate` would replace files that it reads, or foreign files.
 
     Parameters
     ----------
     difference : path, optional
-        As of `evaluate_dtm`.
+        Argument of `evaluate_dtm`.
     maps : Path, optional
-        Folder of the maps of the errors, ``names`` being those of its files without their suffixes.
+        Folder of the maps of the errors.
     names : sequence of str
+        Names of the maps without suffixes.
     clouds, rasters : iterable of path
-        What is read.
+        Files that are read.
     """
-    targets = [] if difference is None else [Target("--difference", difference, (".tif", ".tiff"))]
+    targets, reads = [], list(clouds)
+    if difference is not None:
+        targets.append(Target("--difference", difference, (".tif", ".tiff")))
     if maps is not None:
-        targets += [Target("--maps", maps / f"{name}.{kind}") for name in names for kind in ("tif", "png")]
-    check_targets(targets, [*clouds, *(file for raster in rasters for file in files_of_raster(raster))])
+        for name in names:
+            targets += [Target("--maps", maps / f"{name}.{kind}") for kind in ("tif", "png")]
+    for raster in rasters:
+        reads += files_of_raster(raster)
+    check_targets(targets, reads)
     if maps is not None:
         refuse_foreign_maps(maps, names)
 
 
 def files_of_raster(path: Path | str) -> list[str]:
-    """The files that a raster is read from: its own, and those of which a VRT is made."""
+    """The file of a raster, and the files that a VRT refers to."""
     found, todo = [str(path)], [str(path)]
     while todo:
         try:
             with open_raster(todo.pop()) as raster:
                 new = [file for file in raster.files if file not in found]
-        except InputError:  # told of when it is read
+        except InputError:  # reported when the raster is read
             continue
         found += new
         todo += [file for file in new if file.lower().endswith(".vrt")]
@@ -158,7 +209,7 @@ def _difference_writer(path: Path | str | None, pair: Pair) -> Iterator[Any]:
 
 @contextmanager
 def _opened(dtm: Path, truth: Path) -> Iterator[Pair]:
-    """Both rasters, checked against one another; raises InputError, ConfigError."""
+    """Both rasters, checked against one another; raises InputError and ConfigError."""
     with open_raster(dtm) as mine, open_raster(truth) as true:
         _check_places(dtm, mine, truth, true)
         a, b = mine.transform, true.transform
@@ -176,7 +227,6 @@ def _opened(dtm: Path, truth: Path) -> Iterator[Pair]:
 
 
 def _check_places(dtm: Path, mine: Any, truth: Path, true: Any) -> None:
-    """Refuse rasters that say that they are of different CRS or units."""
     if mine.crs and true.crs:
         ours, theirs = (CRS.from_wkt(raster.crs.to_wkt()) for raster in (mine, true))
         one, other = split(ours)[0], split(theirs)[0]
@@ -195,35 +245,40 @@ def _whole_number(value: float) -> bool:
 
 
 def _blocks(pair: Pair) -> Iterator[tuple[int, int, Float64s, Float64s]]:
-    """Row and column of the truth, and heights of both there; NaN where there is none."""
+    """Row and column in the truth, and both heights of each block; NaN without a height."""
     for row, col, height, width in blocks_with_files(pair.truth, pair.dtm):
         mine = read_heights(pair.dtm, row - pair.row, col - pair.col, height, width)
         yield row, col, mine, read_heights(pair.truth, row, col, height, width)
 
 
 def blocks_with_files(raster: Any, *others: Any) -> Iterator[tuple[int, int, int, int]]:
-    """Row, column, height and width of the blocks of an open raster, but those of a VRT that no file reaches.
+    """Row, column, height and width of the blocks of an open raster, except those of a VRT that no file reaches.
 
-    A VRT over the sheets of far-apart sites has millions of these. Files of ``others``, rasters on the same lattice,
-    count as well.
+    A VRT over the sheets of distant sites has millions of empty blocks. Files of ``others``, rasters on the same
+    lattice, count as well.
     """
     height, width = raster.shape
     if raster.driver == "VRT" and not (raster.transform.b or raster.transform.d):
-        files = [path for each in (raster, *others) for path in _files(each)]
-        places = sorted({place for path in files for place in _reached(raster, path)})
+        reached: set[tuple[int, int]] = set()
+        for each in (raster, *others):
+            for path in _files(each):
+                reached.update(_reached(raster, path))
+        places = sorted(reached)
     else:
-        places = [(row, col) for row in range(0, height, BLOCK) for col in range(0, width, BLOCK)]
+        places = list(itertools.product(range(0, height, BLOCK), range(0, width, BLOCK)))
     for row, col in places:
         yield row, col, min(BLOCK, height - row), min(BLOCK, width - col)
 
 
 def _files(raster: Any) -> list[str]:
     """The files that hold the pixels of an open raster."""
-    return [path for path in raster.files if path != raster.name] if raster.driver == "VRT" else [raster.name]
+    if raster.driver != "VRT":
+        return [raster.name]
+    return [path for path in raster.files if path != raster.name]
 
 
 def _reached(vrt: Any, path: str) -> Iterator[tuple[int, int]]:
-    """Row and column of the blocks of a VRT that a file comes near."""
+    """Row and column of the blocks of a VRT that a file touches or nearly touches."""
     with rasterio.open(path) as part:
         x0, y0, x1, y1 = part.bounds
     place = vrt.transform
@@ -235,7 +290,7 @@ def _reached(vrt: Any, path: str) -> Iterator[tuple[int, int]]:
 
 
 def read_heights(raster: Any, row: int, col: int, height: int, width: int) -> Float64s:
-    """A window of an open raster's first band; NaN where it has no data, or does not reach.
+    """A window of an open raster's first band; NaN without data and beyond the raster.
 
     Parameters
     ----------
@@ -258,17 +313,20 @@ def read_heights(raster: Any, row: int, col: int, height: int, width: int) -> Fl
 
 
 def vertical_unit(raster: Any) -> Fraction:
-    """Metres in one unit of an open raster's heights: the band's, else that of its CRS, else a metre."""
-    return unit_named(raster.units[0]) if raster.units[0] else _crs_unit(raster)
+    """Metres in one unit of an open raster's heights: that of the band, of the CRS, or a metre."""
+    if raster.units[0]:
+        return unit_named(raster.units[0])
+    return _crs_unit(raster)
 
 
 def horizontal_unit(dtm: Path) -> Fraction:
-    """Metres in one unit of a raster's coordinates; a metre where it has no CRS. Raises InputError."""
+    """Metres in one unit of a raster's coordinates; a metre without a CRS. Raises InputError."""
     with open_raster(dtm) as raster:
         return _crs_unit(raster)
 
 
 def _crs_unit(raster: Any) -> Fraction:
-    """Metres in one unit of a raster's CRS; a metre where it has none, or one of degrees."""
-    known = raster.crs is not None and raster.crs.is_projected
-    return exact_unit(raster.crs.linear_units_factor[1]) if known else METRE
+    """Metres in one unit of a raster's CRS; a metre without a CRS, or for one in degrees."""
+    if raster.crs is None or not raster.crs.is_projected:
+        return METRE
+    return exact_unit(raster.crs.linear_units_factor[1])

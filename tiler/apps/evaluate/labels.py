@@ -1,8 +1,8 @@
-"""Counts labels by true class, and computes the scores that follow.
+"""Count labels by true class, and compute the scores.
 
-As Sithole and Vosselman define it (2004, Experimental comparison of filter algorithms for bare-Earth
-extraction from airborne laser scanning point clouds, ISPRS J. 59), with ``a`` ground kept, ``b`` ground lost,
-``c`` object taken for ground, ``d`` object kept out: type I = b / (a + b), type II = c / (c + d), and
+The scores follow Sithole and Vosselman (2004, Experimental comparison of filter algorithms for bare-Earth
+extraction from airborne laser scanning point clouds, ISPRS J. 59). With ``a`` ground kept, ``b`` ground lost,
+``c`` objects labelled ground, and ``d`` objects rejected, type I = b / (a + b), type II = c / (c + d), and
 total = (b + c) / n.
 """
 
@@ -18,7 +18,7 @@ from tiler.core.classes import GROUND
 from tiler.errors import InputError
 
 IGNORED = (7, 9, 17, 18, 26, 64, 65, 66, 67)
-"""Reference classes that are neither ground nor object: noise, water, bridges, producers' virtual points, artefacts."""
+"""Reference classes that are neither ground nor object: noise, water, bridges, virtual points, artefacts."""
 
 ERRORS = ("type_1", "type_2", "total", "kappa", "f1")
 
@@ -27,7 +27,7 @@ Int64s = npt.NDArray[np.int64]
 
 
 def class_table(labels: UInt8s, reference: UInt8s) -> Int64s:
-    """Count points by true class and by what they were labelled.
+    """Count points by true class and by label.
 
     Parameters
     ----------
@@ -37,7 +37,7 @@ def class_table(labels: UInt8s, reference: UInt8s) -> Int64s:
     Returns
     -------
     int64, shape (256, 2)
-        For each true class, how many are not labelled ground, and how many are.
+        For each true class, the numbers of points that are not labelled ground, and that are.
     """
     if labels.shape != reference.shape:
         raise InputError(f"{labels.size} labels against {reference.size} true ones; compare the same points")
@@ -46,10 +46,11 @@ def class_table(labels: UInt8s, reference: UInt8s) -> Int64s:
 
 
 def counts_of(table: Int64s, ignore: Sequence[int] = IGNORED) -> Int64s:
-    """a, b, c, d as in the module's text and how many were left out, int64 [5], from a `class_table`."""
+    """The counts a, b, c, d of the module's text and the number left out, int64 [5], from a `class_table`."""
     left_out = np.zeros(256, np.bool_)
     left_out[list(ignore)] = True
-    ground, objects = np.zeros(2, np.int64), table[~left_out].sum(axis=0)
+    ground = np.zeros(2, np.int64)
+    objects = table[~left_out].sum(axis=0)
     if not left_out[GROUND]:
         ground = table[GROUND]
         objects = objects - ground
@@ -57,7 +58,7 @@ def counts_of(table: Int64s, ignore: Sequence[int] = IGNORED) -> Int64s:
 
 
 def confusion(labels: UInt8s, reference: UInt8s, ignore: Sequence[int] = IGNORED) -> Int64s:
-    """Count the pairs of labels: `counts_of` their `class_table`.
+    """Counts of pairs of labels: `counts_of` their `class_table`.
 
     Parameters
     ----------
@@ -76,8 +77,8 @@ def scores(counts: Int64s) -> dict[str, Any]:
     -------
     dict
         ``points`` and ``ignored``; ``ground_kept``, ``ground_lost``, ``object_taken``, ``object_kept``; as
-        fractions ``type_1``, ``type_2``, ``total``, ``kappa`` (Cohen), ``f1`` (of ground), None where there
-        is nothing to divide by.
+        fractions ``type_1``, ``type_2``, ``total``, ``kappa`` (Cohen), ``f1`` (of ground), None for a division
+        by zero.
     """
     a, b, c, d, ignored = (int(n) for n in counts)
     n = a + b + c + d
@@ -89,25 +90,28 @@ def scores(counts: Int64s) -> dict[str, Any]:
         "ground_lost": b,
         "object_taken": c,
         "object_kept": d,
-        "type_1": _ratio(b, a + b),
-        "type_2": _ratio(c, c + d),
-        "total": _ratio(b + c, n),
-        "kappa": _ratio((a + d) * n - chance, n * n - chance),
-        "f1": _ratio(2 * a, 2 * a + b + c),
+        "type_1": ratio(b, a + b),
+        "type_2": ratio(c, c + d),
+        "total": ratio(b + c, n),
+        "kappa": ratio((a + d) * n - chance, n * n - chance),
+        "f1": ratio(2 * a, 2 * a + b + c),
     }
 
 
-def _ratio(part: int, whole: int) -> float | None:
-    return part / whole if whole else None
+def ratio(part: float, whole: int) -> float | None:
+    """A quotient, or None for a division by zero."""
+    if not whole:
+        return None
+    return part / whole
 
 
 def evaluate_labels(labels: UInt8s, reference: UInt8s, ignore: Sequence[int] = IGNORED) -> dict[str, Any]:
-    """Return `scores` of two label arrays, see `confusion`."""
+    """`scores` of two arrays of labels, see `confusion`."""
     return scores(confusion(labels, reference, ignore))
 
 
 def class_scores(table: Int64s, ignore: Sequence[int] = IGNORED) -> dict[str, dict[str, Any]]:
-    """What became of each true class of a `class_table`.
+    """Counts and errors of each true class of a `class_table`.
 
     Returns
     -------
@@ -118,22 +122,25 @@ def class_scores(table: Int64s, ignore: Sequence[int] = IGNORED) -> dict[str, di
     found: dict[str, dict[str, Any]] = {}
     for code in np.flatnonzero(table.sum(axis=1)).tolist():
         other, ground = (int(n) for n in table[code])
-        wrong = other if code == GROUND else ground
-        judged = code not in ignore
+        wrong: int | None = ground
+        if code == GROUND:
+            wrong = other
+        if code in ignore:
+            wrong = None
         found[str(code)] = {
             "points": other + ground,
             "labelled_ground": ground,
-            "wrong": wrong if judged else None,
-            "error": wrong / (other + ground) if judged else None,
+            "wrong": wrong,
+            "error": None if wrong is None else wrong / (other + ground),
         }
     return found
 
 
 def mean_scores(scenes: Iterable[Mapping[str, Any]]) -> dict[str, float | None]:
-    """Means of the errors over scenes, each of the same weight; None where no scene has one."""
+    """Means of the errors over scenes of equal weight; None if no scene has the error."""
     scenes = list(scenes)
     means: dict[str, float | None] = {}
     for name in ERRORS:
         values = [scene[name] for scene in scenes if scene[name] is not None]
-        means[name] = sum(values) / len(values) if values else None
+        means[name] = ratio(sum(values), len(values))
     return means

@@ -1,4 +1,4 @@
-"""Error maps: cells with the kinds of errors and their shares, as GeoTIFF and PNG."""
+"""Error maps: the kind and the share of errors by cell, as GeoTIFF and PNG."""
 
 from __future__ import annotations
 
@@ -18,12 +18,15 @@ from tiler.apps.cell_sums import summed
 from tiler.core.classes import GROUND
 from tiler.core.raster import BLOCK_PIXELS
 from tiler.errors import ConfigError
-from tiler.export.geotiff import CACHE_MB, any_place, raster_errors, tiled_profile
-from tiler.export.picture import write_png
+from tiler.io.geotiff import CACHE_MB, any_place, raster_errors, tiled_profile
 from tiler.io.partial_files import appearing
+from tiler.io.picture import write_png
 
-RIGHT, TYPE_1, TYPE_2, BOTH, NONE = 0, 1, 2, 3, 255
-"""Codes of a cell: all points right, ground lost, objects taken for ground, both, no point that counts."""
+RIGHT = 0  # codes of a cell: all points are right
+TYPE_1 = 1  # ground is lost
+TYPE_2 = 2  # objects are labelled ground
+BOTH = 3
+NONE = 255  # no judged point, the nodata value
 
 BANDS = (
     "code: 0 right, 1 type I (ground lost), 2 type II (object taken), 3 both",
@@ -31,8 +34,9 @@ BANDS = (
     "type II, percent of the cell's points",
 )
 MOST_CELLS = 1 << 31
+"""Most cells of a map; stray points far away would make it arbitrarily large."""
 LARGEST_PICTURE = 4000
-"""Pixels of a PNG's longer side; beyond, its cells are larger than the GeoTIFF's."""
+"""Longest side of a PNG in pixels; larger maps are drawn in larger cells."""
 
 _COLOURS = {
     RIGHT: (205, 205, 200, 255),
@@ -41,14 +45,14 @@ _COLOURS = {
     BOTH: (148, 60, 180, 255),
     NONE: (0, 0, 0, 0),
 }
-"""Grey; red and blue as in figure 12 of Chen 2023; violet; transparent."""
+"""Grey; red and blue of figure 12 of Chen 2023; violet; transparent."""
 
 Int64s = npt.NDArray[np.int64]
 UInt8s = npt.NDArray[np.uint8]
 
 
 class ErrorGrid:
-    """Counts of right and wrong points per cell; memory grows with the cells that hold points.
+    """Counts of right and wrong points per cell; memory grows with the number of occupied cells.
 
     Parameters
     ----------
@@ -91,14 +95,14 @@ class ErrorGrid:
         )
 
     def coarser(self, factor: int) -> ErrorGrid:
-        """The map in cells ``factor`` times as large."""
+        """The map in cells that are ``factor`` times as large."""
         grid = ErrorGrid(self.cell * factor, np.flatnonzero(self._left_out).tolist())
         grid.places, grid.counts = summed(self.places // factor, self.counts)
         return grid
 
     @property
     def extent(self) -> tuple[int, int, int, int]:
-        """West, north (its first cell from the south), width and height in cells."""
+        """West and north (of the first cell), width and height in cells."""
         low, high = self.places.min(axis=1), self.places.max(axis=1)
         return int(low[0]), int(high[1]), int(high[0] - low[0]) + 1, int(high[1] - low[1]) + 1
 
@@ -117,7 +121,7 @@ class ErrorGrid:
 
 
 def refuse_foreign_maps(folder: Path, names: Sequence[str]) -> None:
-    """Raise ConfigError for a file that has the name of a map of errors and is none."""
+    """Raise ConfigError if a file with the name of an error map is not an error map."""
     for tif, png in ((folder / f"{name}.tif", folder / f"{name}.png") for name in names):
         there = [path for path in (tif, png) if os.path.lexists(path)]
         if there and not _is_map(tif):
@@ -135,13 +139,13 @@ def _is_map(tif: Path) -> bool:
 
 
 def write_error_map(grid: ErrorGrid, folder: Path, name: str, crs: str | None) -> list[str]:
-    """Write ``<folder>/<name>.tif`` (bands as in `BANDS`, nodata 255) and a picture of its codes beside it.
+    """Write ``<folder>/<name>.tif`` (bands of `BANDS`, nodata 255) and a picture of its codes beside it.
 
     Parameters
     ----------
     grid : ErrorGrid
     folder : Path
-        Made if it is not there.
+        Made if necessary.
     name : str
     crs : str or None
         WKT or authority code.
@@ -149,14 +153,14 @@ def write_error_map(grid: ErrorGrid, folder: Path, name: str, crs: str | None) -
     Returns
     -------
     list of str
-        The files; none where no point counted.
+        The files; none without a judged point.
 
     Raises
     ------
     ConfigError
-        More cells than a map can have.
+        If the map has too many cells.
     ProcessingError
-        The files cannot be written.
+        If the files cannot be written.
     """
     if grid.places.shape[1] == 0:
         return []
@@ -170,7 +174,9 @@ def write_error_map(grid: ErrorGrid, folder: Path, name: str, crs: str | None) -
         tif.parent.mkdir(parents=True, exist_ok=True)
     _write_geotiff(grid, tif, crs)
     factor = math.ceil(max(width, height) / LARGEST_PICTURE)
-    small = grid if factor == 1 else grid.coarser(factor)
+    small = grid
+    if factor > 1:
+        small = grid.coarser(factor)
     table = np.zeros((256, 4), np.uint8)
     for code, colour in _COLOURS.items():
         table[code] = colour

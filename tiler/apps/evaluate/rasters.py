@@ -1,4 +1,4 @@
-"""Opens rasters that tiler may not have written; whatever is wrong with one is an error of one line that names it."""
+"""Open foreign rasters; any fault in one is an error of one line that names it."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ from tiler.redaction import printable
 
 @contextmanager
 def open_raster(path: Path | str, what: str = "cannot be read") -> Iterator[Any]:
-    """The data set of rasterio, for as long as it is used.
+    """The rasterio data set, open while the context lasts.
 
     Raises
     ------
     InputError
-        The raster cannot be opened or read, or what it says of itself is no text or no CRS.
+        If the raster cannot be opened or read, or its texts or its CRS are invalid.
     """
     with raster_named(path, what), opened(path) as raster:
-        # Damaged text is told of here: where two rasters are open, it is not known later whose it was.
+        # Damaged text is reported here. Later, with two rasters open, its origin would be unknown.
         _ = raster.units, raster.tags(), raster.tags(1), raster.crs
         yield raster
 
 
 def opened(path: Path | str) -> Any:
-    """The data set of rasterio; of one at a URL what is asked for is read, as its overviews need little."""
+    """The rasterio data set. At a URL only the requested parts are read, because overviews need little."""
     if not is_url(path):
         return rasterio.open(path)
     if state_at(str(path)) is None:
@@ -43,7 +43,7 @@ def opened(path: Path | str) -> Any:
 
 @contextmanager
 def raster_named(path: Path | str, what: str = "cannot be read") -> Iterator[None]:
-    """Turn whatever reading a raster raises into an InputError that names it."""
+    """Turn any error of reading a raster into an InputError that names it."""
     try:
         yield
     except (RasterioError, CRSError, ProjError, UnicodeDecodeError) as error:

@@ -1,4 +1,4 @@
-"""Many clouds at once: which reference belongs to which, each scene's scores, all together, and their means."""
+"""Evaluation of many clouds: pairs with references, scores of each scene and of all points, and their means."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from tiler.apps.evaluate.maps import ErrorGrid, write_error_map
 from tiler.config import RunConfig
 from tiler.core.units import METRE
 from tiler.errors import ConfigError, ProcessingError
-from tiler.ingest import find_inputs, inspect
+from tiler.inputs import find_inputs, inspect
 from tiler.observe.events import Listener, silent
 from tiler.schedule import half_of_memory, read_apart
 
@@ -38,7 +38,7 @@ class Scene:
 
 @dataclass(frozen=True)
 class MapRequest:
-    """Where error maps go.
+    """Folder and cell size of error maps.
 
     Attributes
     ----------
@@ -52,19 +52,19 @@ class MapRequest:
 
 
 def find_scenes(clouds: Sequence[str | Path], references: Sequence[str | Path]) -> list[Scene]:
-    """Say which reference belongs to which cloud.
+    """Pair each cloud with its reference.
 
     Parameters
     ----------
     clouds, references : sequence of path
-        Files, folders, globs. One cloud has all the references. Files named one by one, as many clouds as
-        references, are paired in their order; else each reference belongs to the cloud of the same name (without
-        its suffix), of several to the one at the same place below its folder.
+        Files, folders, globs. A single cloud has all references. Equal numbers of clouds and references that are named
+        one by one are paired in their order. Otherwise a reference belongs to the cloud of the same name (without
+        suffix), and among several to the one with the same path below its folder.
 
     Raises
     ------
     ConfigError
-        Nothing is there, or a reference has no cloud, or several.
+        If there are no files, or a reference has no cloud or several.
     """
     mine, true = _expanded(clouds), _expanded(references)
     one_by_one = len(mine) == len(clouds) and len(true) == len(references)
@@ -79,7 +79,7 @@ def find_scenes(clouds: Sequence[str | Path], references: Sequence[str | Path]) 
 
 
 def _partner(clouds: Sequence[tuple[Path, str]], reference: Path, place: str) -> Path:
-    """The one cloud that is named as a reference is; raises ConfigError."""
+    """The only cloud with the name of a reference; raises ConfigError."""
     found = [cloud for cloud in clouds if cloud[0].stem == reference.stem]
     if len(found) > 1:
         found = [cloud for cloud in found if cloud[1] == place]
@@ -92,17 +92,19 @@ def _partner(clouds: Sequence[tuple[Path, str]], reference: Path, place: str) ->
 
 
 def _expanded(paths: Sequence[str | Path]) -> list[tuple[Path, str]]:
-    """Files, with their place below the folder that was named (without suffix), in the order of `paths`."""
+    """Files in the order of `paths`, with their path (without suffix) below the given folder."""
     found: dict[Path, str] = {}
     for text in paths:
         for path in find_inputs([text], results=True):
-            base = Path(text) if Path(text).is_dir() else path.parent
+            base = path.parent
+            if Path(text).is_dir():
+                base = Path(text)
             found.setdefault(path, path.relative_to(base).with_suffix("").as_posix())
     return list(found.items())
 
 
 def _names(references: Sequence[tuple[Path, str]]) -> list[str]:
-    """The references' names, with their folders where those are not unique, else with a number; they name maps."""
+    """Unique names of the references for maps; folders or a number are added if necessary."""
     for names in (
         [path.stem for path, _ in references],
         [place.replace("/", "_") for _, place in references],
@@ -126,16 +128,16 @@ def evaluate_scenes(
     ignore : sequence of int
         True classes that are left out.
     maps : MapRequest, optional
-        Write a map of the errors of each scene.
+        Request for a map of the errors of each scene.
     listener : callable
-        Told what happens, see `tiler.observe.events`.
+        Receives events, see `tiler.observe.events`.
 
     Returns
     -------
     dict
-        Of all points together as `tiler.apps.evaluate.evaluate_files` says, without ``matched_by``; ``mean``: the
-        scenes' mean errors, each scene of the same weight; ``scenes``: for each ``name``, ``cloud``, ``reference``,
-        its own scores, and ``maps``, the files written.
+        Result of `tiler.apps.evaluate.evaluate_files` for all points together, without ``matched_by``; ``mean``: mean
+        errors over scenes of equal weight; ``scenes``: for each scene ``name``, ``cloud``, ``reference``, its scores,
+        and ``maps``, the files written.
 
     Raises
     ------
@@ -170,13 +172,13 @@ def evaluate_scenes(
 def _compare(
     scene: Scene, ignore: Sequence[int], maps: MapRequest | None
 ) -> tuple[Findings, dict[str, Any], list[str]]:
-    """What is found of a scene, how its points were paired, and the maps written."""
+    """Findings of a scene, the way in which its points were paired, and the maps written."""
     if maps is None:
         return *compare_files(scene.cloud, scene.reference), []
     place = inspect(scene.reference).georeference
     grid = ErrorGrid(maps.cell_m / (place.horizontal or METRE), ignore)
     findings, how = compare_files(scene.cloud, scene.reference, grid)
-    findings.grid = None  # it stays here
+    findings.grid = None  # not returned
     return findings, how, write_error_map(grid, maps.folder, scene.name, place.wkt)
 
 
@@ -187,24 +189,24 @@ def filter_and_evaluate(
     maps: MapRequest | None = None,
     listener: Listener = silent,
 ) -> dict[str, Any]:
-    """Filter labelled clouds, whose classes the filter does not get to see, and score the result against them.
+    """Filter labelled clouds with their classes hidden from the filter, and score the result.
 
-    Every point takes part, whatever its class: with the classes that a run leaves alone (noise, water, bridges) the
-    truth would help the filter. Only withheld points stay out; they are not judged either.
+    All points take part except withheld ones, which are not judged either. A run usually leaves some classes alone
+    (noise, water, bridges), which here would give a part of the truth to the filter.
 
     Parameters
     ----------
     clouds : sequence of path
         Files, folders, globs, with true classes.
     config : RunConfig
-        Of the filter; `keep_classes` is overruled.
+        Settings of the filter, except `keep_classes`.
     ignore, maps, listener
         See `evaluate_scenes`.
 
     Returns
     -------
     dict
-        As `evaluate_scenes`; each scene has ``seconds``; ``method`` and ``parameters`` say what was run.
+        Result of `evaluate_scenes`, with ``seconds`` of each scene, and ``method`` and ``parameters``.
 
     Raises
     ------

@@ -1,4 +1,4 @@
-"""Presets: settings for a kind of data or a specification, one TOML file each, written to be read."""
+"""Presets: settings for a kind of data or a specification, each in a readable TOML file."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ def preset_names() -> tuple[str, ...]:
 
 
 def preset_text(name: str) -> str:
-    """The file of a preset; its first line says what it is for. Raises ConfigError."""
+    """The text of a preset, whose first line says what the preset is for. Raises ConfigError."""
     if name not in preset_names():
         raise ConfigError(f"preset {name!r}: choose one of {', '.join(preset_names())}")
     return files(__name__).joinpath(f"{name}.toml").read_text("utf-8")

@@ -1,7 +1,6 @@
-"""LAS and LAZ as they lie on disk: headers checked against the file, records decoded in bounded pieces.
+"""LAS and LAZ files: headers are checked against the file, and records are decoded in bounded pieces.
 
-Below the stages, because ingest and the exporter of classified clouds both read source files.
-laspy names the fields of a record, lazrs (laspy's own backend) decodes them; the header is read
-here, byte for byte: what a reader believes must first be possible in a file of that size, and a
-classified cloud must get back the bytes of its header that laspy would rewrite.
+This package is below the stages because ingest and the exporter of classified clouds both read source files. laspy
+names the fields of a record, and lazrs (laspy's own backend) decodes them. The header is read here, byte for byte: its
+claims must be possible in a file of that size, and a classified cloud keeps bytes that laspy would rewrite.
 """

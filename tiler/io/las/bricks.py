@@ -1,4 +1,4 @@
-"""Spreads points over the nodes of an octree: upper levels hold few and evenly spread points, leaves the rest."""
+"""Distributes points to the nodes of an octree: upper levels get few, evenly spread points, and leaves get the rest."""
 
 from __future__ import annotations
 
@@ -12,23 +12,31 @@ import numpy.typing as npt
 from tiler.io.las.reader import Records
 
 Key = tuple[int, int, int, int]
-"""Of a node: its level, 0 for the root, and its place along x, y and z."""
+"""Key of a node: its level, 0 for the root, and its place along x, y and z."""
 Places = npt.NDArray[np.int32]
-"""Of points within the cube of the octree, shape (3, n), from 0 to 2**DEPTH - 1."""
+"""Places of points in the cube of the octree, shape (3, n), from 0 to 2**DEPTH - 1."""
 
 DEPTH = 28
 CELLS_OF_NODE = 7
-"""A node has 2**7 cells along each axis; where it has nodes below, one point of each cell is its own."""
+"""A node has 2**7 cells along each axis. A node with children holds one point of each cell."""
 DEEPEST = DEPTH - CELLS_OF_NODE
-"""Level of nodes that are not divided, however many points they have: as many at one place."""
+"""Level at which nodes are not divided, however many points are at one place."""
 LEAF_POINTS = 32_768
-"""Most points of a node that has none below; others may have more, one of each cell."""
+"""Most points of a leaf; a node with children may hold more, one for each cell."""
 FEWEST_POINTS = 256
-"""Of a node below another one: fewer stay with those above."""
+"""Fewest points of a node below the root; fewer points stay with the node above."""
 
 _BITS = 21
-"""Of a place within a brick, along each axis: three of them fit into 64 bits."""
+"""Bits of a place in a brick along each axis; three of them fit into 64 bits."""
 _AXES = (0, 1, 2)
+_SPREADING = (
+    (32, 0x1F00000000FFFF),
+    (16, 0x1F0000FF0000FF),
+    (8, 0x100F00F00F00F00F),
+    (4, 0x10C30C30C30C30C3),
+    (2, 0x1249249249249249),
+)
+"""Shifts and masks that put two zero bits between the bits of a number, as a Z-order curve needs it."""
 
 
 def bricks(
@@ -39,28 +47,28 @@ def bricks(
     folder: str,
     key: Key = (0, 0, 0, 0),
 ) -> Iterator[tuple[Key, Records]]:
-    """The points of a cloud in cubes of the octree that hold ``most`` points, each cube before its next neighbours.
+    """Divide the points of a cloud into bricks: cubes of the octree that hold at most ``most`` points each.
 
     Parameters
     ----------
     pieces : iterable of Records
-        Of ``most`` records at most.
+        Pieces of the cloud, of at most ``most`` records each.
     count : int
-        Of all of them.
+        Number of records in all pieces.
     most : int
     places : callable
-        Gives the places of records.
+        Computes the places of records.
     folder : str
-        For temporary files, which have no name.
+        Folder for temporary files, which have no name.
     key : Key
-        Of the node whose points these are.
+        Key of the node that holds the points.
 
     Yields
     ------
     key : Key
-        A parent's bricks follow one another.
+        Key of the brick; the bricks in one parent follow one another.
     records : Records
-        In an order that depends on nothing but the order of the pieces.
+        Points of the brick, in an order that depends only on the order of the pieces.
     """
     level, *corner = key
     if count <= most or level == DEEPEST:
@@ -79,11 +87,16 @@ def bricks(
                     parts[number].append((at, held))
                     at += held * records.dtype.itemsize
             dtype = records.dtype
+        x, y, z = corner
         for number, wanted in enumerate(parts):
             if wanted:
-                x, y, z = (2 * c + (number >> bit & 1) for c, bit in zip(corner, (2, 1, 0), strict=True))
                 held = sum(n for _, n in wanted)
-                below = (level + 1, x, y, z)
+                below = (
+                    level + 1,
+                    2 * x + (number >> 2 & 1),
+                    2 * y + (number >> 1 & 1),
+                    2 * z + (number & 1),
+                )
                 yield from bricks(_read(spool, wanted, dtype), held, most, places, folder, below)
 
 
@@ -97,13 +110,13 @@ def _read(spool: BinaryIO, parts: Iterable[tuple[int, int]], dtype: np.dtype[np.
 
 
 class Levels:
-    """Chooses the level of each point, brick by brick; a cell larger than a brick is known by those before."""
+    """Chooses the level of each point, brick by brick; it remembers which cells larger than a brick have a point."""
 
     def __init__(self) -> None:
         self._taken: set[Key] = set()
 
     def of_brick(self, key: Key, places: Places) -> npt.NDArray[np.int8]:
-        """The level of each point of a brick, int8 of shape (n,): of its own node, or of one above or below."""
+        """The level of the node that each point of a brick belongs to, int8, shape (n,)."""
         code = curve(places, key[0])
         order = np.argsort(code, kind="stable")
         found = np.empty(order.size, dtype=np.int8)
@@ -111,7 +124,7 @@ class Levels:
         return found
 
     def _of_sorted(self, key: Key, code: npt.NDArray[np.int64]) -> npt.NDArray[np.int8]:
-        """Levels of points along the curve that goes through cube after cube: any cell of any level is a run."""
+        """Levels of points that are sorted along the curve, on which every cell of every level is a run of points."""
         deepest = min(key[0] + _BITS - CELLS_OF_NODE, DEEPEST)
         found = np.full(code.size, deepest, dtype=np.int8)
         rest = np.arange(code.size)
@@ -122,7 +135,9 @@ class Levels:
             if not rest.size:
                 break
             starts, counts = runs(_cut(code[rest], max(below + CELLS_OF_NODE, 0)))
-            picked = starts + counts // 2  # neither always the lowest of its cell nor the highest
+            picked = (
+                starts + counts // 2
+            )  # the middle one, which is neither the lowest nor the highest of its cell
             if below + CELLS_OF_NODE <= 0 and not self._take(key, level):
                 continue
             found[rest[picked]] = level
@@ -132,7 +147,7 @@ class Levels:
         return found
 
     def _take(self, key: Key, level: int) -> bool:
-        """Whether a cell that holds the whole brick, and others, has no point yet; from now on it has."""
+        """Take the place of a cell that holds the whole brick, and other bricks; False if it is taken already."""
         up = key[0] - level - CELLS_OF_NODE
         cell = (level, key[1] >> up, key[2] >> up, key[3] >> up)
         free = cell not in self._taken
@@ -148,7 +163,10 @@ def _settle(
     level: int,
     most: int,
 ) -> npt.NDArray[np.int64]:
-    """Give a level to the points of cubes that hold ``most``, ``below`` levels below the brick; those left over."""
+    """Give ``level`` to all points of cubes with at most ``most`` points, ``below`` levels below the brick.
+
+    Returns the indices of the other points.
+    """
     if not rest.size:
         return rest
     _, counts = runs(_cut(code[rest], below))
@@ -158,25 +176,22 @@ def _settle(
 
 
 def curve(places: Places, level: int) -> npt.NDArray[np.int64]:
-    """Number of the place along a Z-order curve within a brick of a level."""
+    """Number of each place along a Z-order curve in a brick of a level."""
     found = np.zeros(places.shape[1], dtype=np.int64)
     for axis in _AXES:
         v = (places[axis].astype(np.int64) << level >> DEPTH - _BITS) & (1 << _BITS) - 1
-        for step, mask in (
-            (32, 0x1F00000000FFFF), (16, 0x1F0000FF0000FF), (8, 0x100F00F00F00F00F), (4, 0x10C30C30C30C30C3),
-            (2, 0x1249249249249249),
-        ):  # fmt: skip
+        for step, mask in _SPREADING:
             v = (v | v << step) & mask
         found |= v << (2 - axis)
     return found
 
 
 def _cut(code: npt.NDArray[np.int64], levels: int) -> npt.NDArray[np.int64]:
-    """Number of the cube ``levels`` below the brick."""
+    """Number of the cube ``levels`` below the brick in which each point lies."""
     return code >> 3 * (_BITS - levels)
 
 
 def runs(numbers: npt.NDArray[np.int64]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """First index and length of each run of equal numbers; at least one."""
+    """First index and length of each run of equal numbers; there must be at least one number."""
     starts = np.flatnonzero(np.concatenate(([True], numbers[1:] != numbers[:-1])))
     return starts, np.diff(np.append(starts, numbers.size))

@@ -1,6 +1,6 @@
-"""Fields of LAS records as the columns of a `PointBlock`, the same for every point format.
+"""Converts the fields of LAS records to columns of a `PointBlock`, which do not depend on the point format.
 
-LAS 1.4 R15, tables 8 to 17: formats 0 to 5 keep class (5 bits) and flags in one byte, 6 to 10 in two.
+LAS 1.4 R15, tables 8 to 17: formats 0 to 5 keep class (5 bits) and flags in one byte, formats 6 to 10 in two.
 """
 
 from __future__ import annotations
@@ -8,20 +8,24 @@ from __future__ import annotations
 import numpy as np
 import numpy.typing as npt
 
+from ptd.matched.evidence import Evidence
 from tiler.core.classes import KEY_POINT_FLAG, OVERLAP_FLAG, SYNTHETIC_FLAG, WITHHELD_FLAG
 from tiler.io.las.headers import LasHeader
 from tiler.io.las.reader import Records
 
 OVERLAP_CLASS = 12
-"""Overlap points of formats 0 to 5, which have no flag for them."""
+"""Class of overlap points in formats 0 to 5, which have no flag for overlap."""
 
 LEGACY_CLASS_MASK = 0x1F
+
+SCAN_STEP_DEGREES = 0.006
+"""Step of the scan angles of formats 6 to 10; older formats have whole degrees."""
 
 RGB_FORMATS = (2, 3, 5, 7, 8, 10)
 
 
 def is_legacy(point_format: int) -> bool:
-    """Whether a point format is one of 0 to 5, which have five bits of class."""
+    """Whether a point format is one of 0 to 5, which have five bits for the class."""
     return point_format < 6
 
 
@@ -38,7 +42,7 @@ def class_and_flags(
     if is_legacy(point_format):
         raw = records["raw_classification"].astype(np.uint8)
         classification = raw & np.uint8(LEGACY_CLASS_MASK)
-        # bit 5 synthetic, 6 key point, 7 withheld
+        # Bit 5: synthetic, 6: key point, 7: withheld.
         flags = _bit(raw, 5, SYNTHETIC_FLAG) | _bit(raw, 6, KEY_POINT_FLAG) | _bit(raw, 7, WITHHELD_FLAG)
         flags |= (classification == OVERLAP_CLASS).astype(np.uint8) * np.uint8(OVERLAP_FLAG)
         return classification, flags
@@ -56,17 +60,43 @@ def returns(records: Records, point_format: int) -> npt.NDArray[np.uint8]:
     return np.stack((raw & 15, raw >> 4))
 
 
+def scan_angles(records: Records, point_format: int) -> npt.NDArray[np.float32]:
+    """Scan angles in degrees, negative to the left of the flight, float32 of shape (n,)."""
+    if is_legacy(point_format):
+        return records["scan_angle_rank"].astype(np.float32)
+    return records["scan_angle"] * np.float32(SCAN_STEP_DEGREES)
+
+
 def colours(records: Records, point_format: int) -> npt.NDArray[np.uint16] | None:
-    """Red, green, blue, uint16, shape (3, n); None where the format has none."""
+    """Red, green, blue, uint16, shape (3, n); None if the format has no colours."""
     if point_format not in RGB_FORMATS:
         return None
     return np.stack([records[name] for name in ("red", "green", "blue")]).astype(np.uint16)
 
 
+def evidence(records: Records, point_format: int) -> Evidence:
+    """Evidence, in the fields of some records, of what made the cloud."""
+    names = records.dtype.names or ()
+    angle = "scan_angle_rank" if is_legacy(point_format) else "scan_angle"
+    found = colours(records, point_format)
+    # Scan direction and edge of flight line are the two highest bits in every format.
+    flags = records["bit_fields" if is_legacy(point_format) else "classification_flags"] & np.uint8(0xC0)
+    return Evidence.of(
+        returns=returns(records, point_format).T,
+        gps_time=records["gps_time"] if "gps_time" in names else None,
+        scan_angle=records[angle],
+        source_id=records["point_source_id"],
+        flags=(flags,),
+        intensity=records["intensity"],
+        # If the format has no colours, the cloud has none.
+        rgb=np.zeros((records.size, 3)) if found is None else found.T,
+    )
+
+
 def write_classes(
     records: Records, point_format: int, classes: npt.NDArray[np.uint8], chosen: npt.NDArray[np.bool_]
 ) -> None:
-    """Set the class of the chosen records in place; flags stay."""
+    """Set the class of the chosen records in place; flags do not change."""
     if is_legacy(point_format):
         raw = records["raw_classification"]
         raw[chosen] = (raw[chosen] & ~np.uint8(LEGACY_CLASS_MASK)) | classes[chosen]

@@ -1,4 +1,4 @@
-"""Clouds as COPC 1.0: LAZ whose chunks are the nodes of an octree (https://copc.io)."""
+"""Writes clouds as COPC 1.0: LAZ whose chunks are the nodes of an octree (https://copc.io)."""
 
 from __future__ import annotations
 
@@ -21,11 +21,12 @@ from tiler.io.las.writer import layout_of
 
 HEADER_BYTES = 375
 INFO_BYTES = 54 + 160
-"""Of the info record, the first behind the header."""
+"""Size of the info record, which is the first behind the header."""
 BRICK_POINTS = 1 << 19
-"""Points whose nodes are found at once."""
+"""Points that are distributed to nodes at a time."""
 
-_INFO_RECORD, _HIERARCHY_RECORD = 1, 1000
+_INFO_RECORD = 1
+_HIERARCHY_RECORD = 1000
 _INFO = struct.Struct("<5dQQdd88x")
 _ENTRY = struct.Struct("<iiiiQii")
 _AXES = ("X", "Y", "Z")
@@ -33,7 +34,19 @@ _AXES = ("X", "Y", "Z")
 
 @dataclass(frozen=True)
 class Cube:
-    """The cube of an octree: its lowest corner and its side in counts of each axis, its centre and half a side."""
+    """The cube of an octree.
+
+    Attributes
+    ----------
+    corner : tuple of 3 int
+        Lowest corner, in the integers of the records.
+    sides : tuple of 3 float
+        Side along each axis, in the integers of the records.
+    centre : tuple of 3 float
+        Centre, in units of the CRS.
+    half : float
+        Half a side, in units of the CRS.
+    """
 
     corner: tuple[int, ...]
     sides: tuple[float, ...]
@@ -41,7 +54,7 @@ class Cube:
     half: float
 
     def places(self, records: Records) -> Places:
-        """Where records lie in it."""
+        """The places of records in the cube."""
         found = np.empty((3, len(records)), dtype=np.int32)
         for axis, (name, low, side) in enumerate(zip(_AXES, self.corner, self.sides, strict=True)):
             raised = (records[name].astype(np.int64) - low) * (2**DEPTH / side)
@@ -50,28 +63,31 @@ class Cube:
 
 
 class CopcWriter:
-    """Writes records of format 6, 7 or 8 behind a header that somebody else writes; `close` makes the octree.
+    """Writes records of format 6, 7 or 8 behind the header, which the caller writes; `close` makes the octree.
 
-    A context manager.
+    It is a context manager.
 
     Parameters
     ----------
     target : BinaryIO
-        Stands where the points begin.
+        A file, at the position where the points begin.
     header : LasHeader
-        Of the records.
+        Header for the records.
     folder : str
-        For temporary files, of twice the size of all records.
+        Folder for temporary files, of twice the size of all records.
     """
 
     def __init__(self, target: BinaryIO, header: LasHeader, folder: str) -> None:
-        self._target, self._header, self._folder = target, header, folder
+        self._target = target
+        self._header = header
+        self._folder = folder
         self._begin = target.tell()
         self._step = rows_at_once(header.record_length, BRICK_POINTS)
         self._spool = TemporaryFile(dir=folder)  # noqa: SIM115 - closed at the end of the context
         self._dtype: np.dtype[np.void] | None = None
         self._points = 0
-        self._low, self._high = [2**31] * 3, [-(2**31)] * 3
+        self._low = [2**31] * 3
+        self._high = [-(2**31)] * 3
         self._times = [np.inf, -np.inf]
         self._entries: list[tuple[Key, int]] = []
         self.hierarchy_start = 0
@@ -98,7 +114,7 @@ class CopcWriter:
             self._times = [min(low, float(times.min())), max(high, float(times.max()))]
 
     def close(self) -> None:
-        """Write points, table of chunks and hierarchy, and the info record before them; raises OSError."""
+        """Write points, table of chunks, hierarchy and the info record; raises OSError."""
         layout = layout_of(self._header, own_sizes=True)
         cube = self._cube()
         try:
@@ -117,8 +133,11 @@ class CopcWriter:
         self._write_hierarchy(cube, table)
 
     def _write_hierarchy(self, cube: Cube, table: list[tuple[int, int]]) -> None:
-        place, entries = self._begin + 8, b""
-        for (key, points), (_, size) in zip(self._entries, table, strict=False):  # of no points one chunk
+        place = self._begin + 8
+        entries = b""
+        for (key, points), (_, size) in zip(
+            self._entries, table, strict=False
+        ):  # without points: one chunk, no entry
             entries += _ENTRY.pack(*key, place, size, points)
             place += size
         self._target.seek(0, 2)
@@ -135,34 +154,37 @@ class CopcWriter:
         self._target.seek(0, 2)
 
     def _cube(self) -> Cube:
-        """The cube around all points, one count wider so that none lies on its far side."""
+        """The cube around all points, one integer wider so that no point lies on its far side."""
         scales, offsets = self._header.scales, self._header.offsets
-        low, high = (self._low, self._high) if self._points else ([0] * 3, [0] * 3)
+        low, high = [0] * 3, [0] * 3
+        if self._points:
+            low, high = self._low, self._high
         side = max((b - a + 1) * scale for a, b, scale in zip(low, high, scales, strict=True))
         corner = [a * scale + offset for a, scale, offset in zip(low, scales, offsets, strict=True)]
         return Cube(
-            tuple(low),
-            tuple(side / scale for scale in scales),
-            tuple(c + side / 2 for c in corner),
-            side / 2,
+            corner=tuple(low),
+            sides=tuple(side / scale for scale in scales),
+            centre=tuple(c + side / 2 for c in corner),
+            half=side / 2,
         )
 
     def _pieces(self) -> Iterator[Records]:
-        """All records again, in their order; what was read is given back to the disk at the end."""
+        """All records in their order, read from the temporary file, which is then closed."""
         self._spool.seek(0)
         with self._spool:
             while raw := self._spool.read(self._step * self._header.record_length):
                 yield np.frombuffer(raw, dtype=self._dtype)
 
     def _nodes(self, cube: Cube) -> Iterator[tuple[Key, Records]]:
-        """Nodes and their points, by the time of the pulse; children come before their parents."""
+        """Nodes and their points, sorted by the time of the pulse; children come before their parents."""
         levels = Levels()
         above: dict[Key, list[Records]] = defaultdict(list)
         if not self._points:
             return
         for brick, found in bricks(self._pieces(), self._points, self._step, cube.places, self._folder):
             done = sorted((key for key in above if not _holds(key, brick)), reverse=True)
-            yield from ((key, _by_time(np.concatenate(above.pop(key)))) for key in done)
+            for key in done:
+                yield key, _by_time(np.concatenate(above.pop(key)))
             records = _by_time(found)
             places = cube.places(records)
             level_of = levels.of_brick(brick, places)
@@ -171,13 +193,14 @@ class CopcWriter:
                     above[key].append(records[rows])
                 else:
                     yield key, records[rows]
-        yield from ((key, _by_time(np.concatenate(above[key]))) for key in sorted(above, reverse=True))
+        for key in sorted(above, reverse=True):
+            yield key, _by_time(np.concatenate(above[key]))
 
 
 def _of_levels(
     places: Places, level_of: npt.NDArray[np.int8], brick: Key
 ) -> list[tuple[Key, npt.NDArray[np.int64]]]:
-    """Nodes and the rows of their points, ascending; nodes near one another follow one another."""
+    """Nodes and the ascending rows of their points; nodes near each other follow one another."""
     found: list[tuple[Key, npt.NDArray[np.int64]]] = []
     for level in np.unique(level_of).tolist():
         rows = np.flatnonzero(level_of == level)
@@ -189,16 +212,17 @@ def _of_levels(
         parts = np.split(rows[order], starts[1:])
         found += [((level, *key), part) for key, part in zip(keys, parts, strict=True)]
     corners = np.array([[v << DEPTH - key[0] for v in key[1:]] for key, _ in found], dtype=np.int32).T
-    along = curve(corners, brick[0]).tolist()
-    return [found[i] for i in sorted(range(len(found)), key=lambda i: (along[i], found[i][0][0]))]
+    along = curve(corners, brick[0])
+    levels = np.array([key[0] for key, _ in found])
+    return [found[i] for i in np.lexsort((levels, along)).tolist()]
 
 
 def _holds(key: Key, brick: Key) -> bool:
-    """Whether a brick lies in the cube of a node."""
+    """Whether the cube of a node holds a brick."""
     down = brick[0] - key[0]
     return down >= 0 and all(b >> down == k for b, k in zip(brick[1:], key[1:], strict=True))
 
 
 def _by_time(records: Records) -> Records:
-    """Records by the time of their pulse, which compresses better than any other order."""
+    """Sort records by the time of their pulse; no other order compresses better."""
     return records[np.argsort(records["gps_time"], kind="stable")]

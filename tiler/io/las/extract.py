@@ -1,4 +1,4 @@
-"""Parts of a cloud: a sample of places, and windows cut out at full density as plain LAS files."""
+"""Reads parts of a cloud: a sample of places, and windows at full density, written as LAS files."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _PLACE_POINTS = 1000
 _PLACE_STEP = 250
 _OF_PLACE = _PLACE_POINTS // _PLACE_STEP
 _BLOCK_BYTES = 1 << 16
-"""Of an object read at once: of its header, and of what stands before the points."""
+"""Bytes that a request to a URL asks for, to read the header and the records before the points."""
 
 Box = tuple[float, float, float, float]
 """Lowest x, y, highest x, y in units of the CRS, half-open."""
@@ -28,15 +28,15 @@ Box = tuple[float, float, float, float]
 def sample_places(
     path: Path, places: int, salvage: bool = False, octree: Octree | None = None
 ) -> list[tuple[float, float]]:
-    """Where points lie: x, y of a few points at even distances in the file, or of an octree's root.
+    """The x and y of a few points, at even distances in the file or from the root of an octree.
 
     Parameters
     ----------
     path : Path
     places : int
-        In the file, of four points each.
+        Number of places in the file, with four points each.
     salvage : bool
-        As `tiler.io.las.headers.read_header` takes it.
+        See `tiler.io.las.headers.read_header`.
     octree : Octree, optional
 
     Raises
@@ -49,18 +49,24 @@ def sample_places(
         root = octree.root(header, rows_at_once(header.record_length, _STEP))
         with PointReader(header, COORDINATES, _BLOCK_BYTES, [root]) as reader:
             records = reader.read(*root)[:: max(root[1] // (places * _OF_PLACE), 1)]
-        return list(zip(*(coordinate(records, header, axis).tolist() for axis in (0, 1)), strict=True))
-    chunk = header.laz.chunk_size if header.laz is not None else None
+        return _plan_view(records, header)
     starts = {header.point_count * i // places for i in range(places)}
-    if chunk:  # decoding begins with a chunk
+    if header.laz is not None and header.laz.chunk_size:
+        # Decoding begins at the start of a chunk.
+        chunk = header.laz.chunk_size
         starts = {start // chunk * chunk for start in starts}
     found: list[tuple[float, float]] = []
     with PointReader(header) as reader:
         for start in sorted(starts):
             records = reader.read(start, min(_PLACE_POINTS, header.point_count - start))
-            x, y = (coordinate(records, header, axis)[::_PLACE_STEP].tolist() for axis in (0, 1))
-            found += zip(x, y, strict=True)
+            found += _plan_view(records[::_PLACE_STEP], header)
     return found
+
+
+def _plan_view(records: Records, header: LasHeader) -> list[tuple[float, float]]:
+    x = coordinate(records, header, 0).tolist()
+    y = coordinate(records, header, 1).tolist()
+    return list(zip(x, y, strict=True))
 
 
 def cut_windows(
@@ -70,10 +76,9 @@ def cut_windows(
     salvage: bool = False,
     octree: Octree | None = None,
 ) -> list[int]:
-    """Write the points of each window into a file of its own; the points in each.
+    """Write the points of each window into a file of its own.
 
-    The files are LAS as the source is but for compression, with its VLRs and without its EVLRs. A window without
-    points gets no file.
+    The files are like the source, but not compressed and without EVLRs. A window without points gets no file.
 
     Parameters
     ----------
@@ -82,9 +87,14 @@ def cut_windows(
     targets : sequence of str
         A file for each window.
     salvage : bool
-        As `tiler.io.las.headers.read_header` takes it.
+        See `tiler.io.las.headers.read_header`.
     octree : Octree, optional
-        Of the file, of which then only the nodes near the windows are read.
+        Octree of the file; with it, only the nodes near the windows are read.
+
+    Returns
+    -------
+    list of int
+        Number of points in each window.
 
     Raises
     ------
@@ -96,7 +106,8 @@ def cut_windows(
     ranges = None if octree is None else octree.near(header, windows)
     with PointReader(header, EVERYTHING, ranges=ranges) as reader:
         for records in reader.pieces():
-            x, y = (coordinate(records, header, axis) for axis in (0, 1))
+            x = coordinate(records, header, 0)
+            y = coordinate(records, header, 1)
             for (x0, y0, x1, y1), part in zip(windows, parts, strict=True):
                 inside = (x >= x0) & (x < x1) & (y >= y0) & (y < y1)
                 if inside.any():
@@ -108,7 +119,10 @@ def cut_windows(
 
 
 def _write(header: LasHeader, records: Records, target: Path) -> None:
-    """Bytes 94 to 375 of a LAS header that speak of its points, LAS 1.4 R15 table 3; returns are not counted."""
+    """Write records behind the header of their source, with the fields about points changed (LAS 1.4 R15, table 3).
+
+    Points by return are not counted.
+    """
     with open_cloud(header.path, _BLOCK_BYTES) as source:
         front = bytearray(source.read(header.points_offset))
     bounds = []

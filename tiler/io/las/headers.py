@@ -1,6 +1,6 @@
-"""Reads LAS headers, and checks everything they say against the file.
+"""Reads LAS headers, and checks all their fields against the file.
 
-LAS specification 1.4 R15, tables 3 (header), 5 (VLR) and 6 (EVLR); LAS 1.0 to 1.3 are prefixes of it.
+LAS specification 1.5 R00, tables of the header, of VLRs and of EVLRs; the headers of LAS 1.0 to 1.4 are prefixes of it.
 """
 
 from __future__ import annotations
@@ -19,16 +19,29 @@ from tiler.io.las.records import VariableRecord, walk_records
 from tiler.io.locations import State, is_url, state_of
 
 _BLOCK_BYTES = 1 << 14
-"""Bytes of an object read at once: what stands before the points, the chunk table or a record seldom take more."""
+"""Bytes that a request to a URL asks for; the bytes before the points, the chunk table or a record seldom take more."""
 _BLOCK = struct.Struct("<4sHH16sBB32s32sHHHIIBHI5I12d")
 _LAS14 = struct.Struct("<QQIQ")
-_HEADER_SIZES = {0: 227, 1: 227, 2: 227, 3: 235, 4: 375}
+_LAS15 = struct.Struct("<ddH")
+
+HEADER_SIZES = {0: 227, 1: 227, 2: 227, 3: 235, 4: 375, 5: 393}
+"""Length of the header by the minor version."""
 _RECORD_SIZES = (20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67)
 _WKT_BIT = 0x10
+_STANDARD_TIME_BIT, _TIME_OFFSET_BIT = 0x01, 0x40
+_WITHOUT_TIME = (0, 2)
+_OLDEST_FORMAT_15 = 6
 _UNKNOWN = 1 << 40
+"""Number of points of a compressed file whose header does not give it."""
 _MANY = 10_000_000
+"""A file with more points is checked for being a decompression bomb."""
 _DENSEST = 1000
-"""Points a compressed byte, above which a file of many points is taken for a bomb: clouds have less than one."""
+"""A file with more points for each compressed byte is refused as a bomb; real clouds have less than one."""
+
+FINEST_SCALE = 1e-9
+"""Smallest scale factor, in units of the CRS; with a smaller one all points would be at one place."""
+COARSEST_SCALE = 1e3
+"""Largest scale factor, in units of the CRS; with a larger one the points would not be on earth."""
 
 AGAIN = "get the file again"
 SALVAGE = "get the file again, or read what is there with --salvage"
@@ -36,32 +49,41 @@ SALVAGE = "get the file again, or read what is there with --salvage"
 
 @dataclass(frozen=True)
 class LasHeader:
-    """What a file says of itself, as far as it can be true.
+    """The header of a file, as far as it is possible in that file.
 
     Attributes
     ----------
     path : Path
     state : State
-        Of the file, when the header was read.
+        State of the file when the header was read.
     version : tuple of int
-    global_encoding, header_size, points_offset, point_format, record_length, point_count : int
-        Format without the bit of compression; bytes; points that can be read.
-    scales, offsets, mins, maxs : tuple of 3 float
-        Finite scales above 0, finite offsets; the bounds are as the file says, true or not.
+    global_encoding, header_size, points_offset, record_length : int
+    point_format : int
+        Format without the bit for compression.
+    point_count : int
+        Number of points that can be read.
+    scales, offsets : tuple of 3 float
+        Scales from `FINEST_SCALE` to `COARSEST_SCALE`, and finite offsets.
+    mins, maxs : tuple of 3 float
+        Bounds as the file gives them; they may be wrong.
     waveform_start : int
-        Byte of the waveform packets (LAS 1.3 and later), else 0.
+        First byte of the waveform packets (LAS 1.3 and later), or 0.
     evlrs_start : int
-        Byte of the first EVLR that the header tells of (LAS 1.4), else 0.
+        First byte of the EVLRs by the header (LAS 1.4), or 0.
     vlrs, evlrs : tuple of VariableRecord
-        Those that are there.
+        The records that were found.
     laz : LazLayout or None
-        None: not compressed.
+        None if the points are not compressed.
     digest : str
-        Of the bytes before the points and of the table of chunks.
+        Digest of the bytes before the points, and of the table of chunks.
     notes : tuple of str
-        What was wrong and yet does no harm.
+        Harmless faults of the file.
     created : tuple of int
-        Year and day of the year, 1 to 366, on which the file was made; 0 where it does not say.
+        Year and day of the year (1 to 366) on which the file was made; 0 if unknown.
+    gps_times : tuple of 2 float, or None
+        First and last GPS time as LAS 1.5 gives them; None where it gives none (0 and 0), and in earlier versions.
+    time_offset : int or None
+        Millions of seconds that LAS 1.5 took off the GPS times of the points, if its global encoding says so.
     """
 
     path: Path
@@ -85,25 +107,27 @@ class LasHeader:
     digest: str = ""
     notes: tuple[str, ...] = ()
     created: tuple[int, int] = (0, 0)
+    gps_times: tuple[float, float] | None = None
+    time_offset: int | None = None
 
     @property
     def size(self) -> int:
-        """Bytes of the file."""
+        """Size of the file in bytes."""
         return self.state.size
 
     @property
     def stamp(self) -> list[Any]:
-        """State and digest: the same as long as the file is, see `tiler.io.las.unchanged`."""
+        """State and digest, which change if the file changes; see `tiler.io.las.unchanged`."""
         return [*self.state.to_json(), self.digest]
 
     @property
     def prefers_wkt(self) -> bool:
-        """The global encoding says that the CRS is the WKT record's."""
+        """Whether the global encoding names the WKT record as the source of the CRS."""
         return bool(self.global_encoding & _WKT_BIT)
 
     @property
     def points_end(self) -> int:
-        """The first byte that cannot be a point's: of the waveforms, of the EVLRs, or behind the file."""
+        """End of the bytes that can hold points: the first byte of waveforms or EVLRs, or the end of the file."""
         starts = (self.waveform_start, self.evlrs_start, self.size)
         return min(start for start in starts if self.points_offset <= start <= self.size)
 
@@ -113,12 +137,12 @@ class LasHeader:
 
 
 def refuse(path: Path, what: str, remedy: str = AGAIN) -> NoReturn:
-    """Raise the InputError of one line."""
+    """Raise an InputError."""
     raise InputError(f"{path}: {what}; {remedy}")
 
 
 def _salvaged(header: LasHeader, what: str, salvage: bool) -> LasHeader:
-    """The header with a note of a damage that --salvage reads over; raises InputError without it."""
+    """The header with a note about a damage; raises InputError without ``--salvage``."""
     if not salvage:
         refuse(header.path, what, SALVAGE)
     return header.noted(what)
@@ -131,16 +155,16 @@ def read_header(path: Path, salvage: bool = False) -> LasHeader:
     ----------
     path : Path
     salvage : bool
-        Take the whole records or chunks that are there where a file is cut short.
+        If a file is cut short, use the whole records or chunks that are there.
 
     Raises
     ------
     InputError
-        The file cannot be opened, is no LAS, or claims what cannot be.
+        The file cannot be opened, is no LAS file, or its header contradicts the file.
     """
     try:
         state = state_of(path)
-        # To open a pipe would wait for its other end.
+        # Opening a pipe would wait for its other end.
         if not is_url(path) and not path.is_file():
             refuse(path, "is no regular file", "name LAS or LAZ files")
         with open_cloud(path, _BLOCK_BYTES) as stream:
@@ -158,16 +182,16 @@ def read_header(path: Path, salvage: bool = False) -> LasHeader:
 
 
 def read_payload(path: Path, record: VariableRecord, limit: int = 1 << 24) -> bytes:
-    """What a record holds, at most ``limit`` bytes."""
+    """The content of a record, at most ``limit`` bytes."""
     with open_cloud(path, _BLOCK_BYTES) as stream:
         stream.seek(record.payload)
         return stream.read(min(record.length, limit))
 
 
 def _fixed_block(path: Path, stream: BinaryIO, state: State, salvage: bool) -> LasHeader:
-    """The fields of the public header block; the CRS, the records and the points are not looked at."""
+    """The header with the fields of the public header block only."""
     size = state.size
-    raw = stream.read(_HEADER_SIZES[4])
+    raw = stream.read(HEADER_SIZES[5])
     if raw[:4] != b"LASF":
         refuse(path, f"begins with {raw[:4]!r}, not with LASF: no LAS or LAZ file", "name LAS or LAZ files")
     if len(raw) < _BLOCK.size:
@@ -175,9 +199,11 @@ def _fixed_block(path: Path, stream: BinaryIO, state: State, salvage: bool) -> L
     fields = _BLOCK.unpack_from(raw)
     encoding, major, minor = fields[2], fields[4], fields[5]
     header_size, points_offset, _, form, length, legacy_count = fields[10:16]
-    if major != 1 or minor not in _HEADER_SIZES:
-        refuse(path, f"is LAS {major}.{minor}, LAS 1.0 to 1.4 can be read", "convert it")
-    least = _HEADER_SIZES[minor]
+    if major != 1 or minor not in HEADER_SIZES:
+        refuse(path, f"is LAS {major}.{minor}, LAS 1.0 to 1.5 can be read", "convert it")
+    least = HEADER_SIZES[minor]
+    if size < least:
+        refuse(path, f"has {size} bytes, its header alone needs {least}")
     unfinished = header_size == 0 and points_offset == 0
     if unfinished and not salvage:
         refuse(path, "its header was never finished (header size 0): whatever wrote it was stopped", SALVAGE)
@@ -192,29 +218,62 @@ def _fixed_block(path: Path, stream: BinaryIO, state: State, salvage: bool) -> L
     if length < _RECORD_SIZES[plain]:
         refuse(path, f"says records of {length} bytes, format {plain} needs {_RECORD_SIZES[plain]}")
     bounds = fields[27:33]
-    waveform, evlrs, count = 0, 0, legacy_count
+    waveform = evlrs = 0
+    count = legacy_count
     if minor == 3:
         (waveform,) = struct.unpack_from("<Q", raw, 227)
     if minor >= 4:
         waveform, evlrs, n_evlrs, count = _LAS14.unpack_from(raw, 227)
-        evlrs = evlrs if n_evlrs else 0
+        if n_evlrs == 0:
+            evlrs = 0
     header = LasHeader(
-        path, state, (major, minor), encoding, header_size, points_offset, plain, length,
-        count or legacy_count, fields[21:24], fields[24:27], bounds[1::2], bounds[0::2], waveform, evlrs,
+        path=path,
+        state=state,
+        version=(major, minor),
+        global_encoding=encoding,
+        header_size=header_size,
+        points_offset=points_offset,
+        point_format=plain,
+        record_length=length,
+        point_count=count or legacy_count,
+        scales=fields[21:24],
+        offsets=fields[24:27],
+        mins=bounds[1::2],
+        maxs=bounds[0::2],
+        waveform_start=waveform,
+        evlrs_start=evlrs,
         created=(fields[9], fields[8]),
-    )  # fmt: skip
-    if not all(math.isfinite(s) and s > 0 for s in header.scales):
-        refuse(path, f"scale factors {header.scales} are not all above 0 and finite")
+    )
+    if not all(FINEST_SCALE <= scale <= COARSEST_SCALE for scale in header.scales):
+        what = f"has scale factors {header.scales}, not all from {FINEST_SCALE:g} to {COARSEST_SCALE:g}"
+        refuse(path, what, "write it again with scales like 0.001")
     if not all(math.isfinite(o) for o in header.offsets):
         refuse(path, f"offsets {header.offsets} are not all finite")
+    if minor >= 5:
+        header = _with_times(header, raw)
     if count and legacy_count not in (0, count):
         what = f"says {count} points, and {legacy_count} in the field of LAS 1.3; {count} counts"
         header = header.noted(what)
     return header
 
 
+def _with_times(header: LasHeader, raw: bytes) -> LasHeader:
+    """The header with the fields that LAS 1.5 added."""
+    last, first, offset = _LAS15.unpack_from(raw, HEADER_SIZES[4])
+    if header.point_format < _OLDEST_FORMAT_15:
+        header = header.noted(f"has points of format {header.point_format}; LAS 1.5 has formats 6 to 10")
+    standard = header.global_encoding & _STANDARD_TIME_BIT  # week times have no offset
+    if standard and header.global_encoding & _TIME_OFFSET_BIT and header.point_format not in _WITHOUT_TIME:
+        header = replace(header, time_offset=offset)
+    if first == last == 0:
+        return header
+    if not first <= last:
+        return header.noted(f"says GPS times from {first} to {last}")
+    return replace(header, gps_times=(first, last))
+
+
 def _records(header: LasHeader, stream: BinaryIO) -> LasHeader:
-    """The VLRs, and with them how the points are compressed."""
+    """The header with its VLRs and, from them, the compression of the points."""
     unfinished = header.points_offset == 0
     stream.seek(100)
     count, form = struct.unpack("<IB", stream.read(5))
@@ -222,7 +281,7 @@ def _records(header: LasHeader, stream: BinaryIO) -> LasHeader:
     end = header.size if unfinished else header.points_offset
     vlrs, whole = walk_records(stream, header.header_size, count, end, extended=False)
     if not whole:
-        # Harmless where a count is merely wrong; hopeless where the points do not fit either.
+        # A wrong count alone is harmless; if the points do not fit either, the file is damaged.
         fits = compressed or header.points_offset + header.point_count * header.record_length <= header.size
         if not fits or unfinished:
             refuse(header.path, f"says {count} variable length records, there is room for {len(vlrs)}")
@@ -249,7 +308,7 @@ def _records(header: LasHeader, stream: BinaryIO) -> LasHeader:
 
 
 def _plain_points(header: LasHeader, salvage: bool) -> LasHeader:
-    """The points of a LAS file: there must be room for them, and no more than that where there are none."""
+    """Check the number of points of a LAS file against the room for them."""
     room = (header.points_end - header.points_offset) // header.record_length
     if header.point_count == 0 and room:
         what = f"says 0 points, has room for {room}: it was never finished"
@@ -264,7 +323,7 @@ def _plain_points(header: LasHeader, salvage: bool) -> LasHeader:
 
 
 def _compressed_points(header: LasHeader, layout: LazLayout, stream: BinaryIO, salvage: bool) -> LasHeader:
-    """The points of a LAZ file: the table of chunks must be there and agree."""
+    """Read the table of chunks of a LAZ file, and check it against the number of points."""
     behind = bytes_of_points(stream, header.points_offset, header.points_end, header.size)
     if header.point_count == 0 and behind < layout.least_chunk:
         return header
@@ -279,7 +338,7 @@ def _compressed_points(header: LasHeader, layout: LazLayout, stream: BinaryIO, s
     except LazDamage as damage:
         header = _salvaged(header, str(damage), salvage)
     if not layout.layers:
-        # Chunks of this kind have no header to walk by: the decoder finds where they end.
+        # Such chunks do not hold their own size; the decoder finds where they end.
         return replace(header, laz=replace(layout, rebuilt=True))
     counts, sizes = walk_chunks(stream, layout, header.points_offset, header.size)
     layout = replace(layout, counts=counts, sizes=sizes, rebuilt=True)
@@ -287,14 +346,16 @@ def _compressed_points(header: LasHeader, layout: LazLayout, stream: BinaryIO, s
 
 
 def _extended(header: LasHeader, stream: BinaryIO, salvage: bool) -> LasHeader:
-    """The EVLRs of LAS 1.4."""
+    """The header with the EVLRs of LAS 1.4."""
     if header.version[1] < 4:
         return header
     stream.seek(227)
     _, start, count, _ = _LAS14.unpack(stream.read(_LAS14.size))
     if count == 0:
         return header
-    points_end = header.points_offset + (0 if header.laz else header.point_count * header.record_length)
+    points_end = header.points_offset
+    if header.laz is None:
+        points_end += header.point_count * header.record_length
     evlrs: tuple[VariableRecord, ...] = ()
     whole = False
     if start >= points_end:
@@ -308,8 +369,8 @@ def _extended(header: LasHeader, stream: BinaryIO, salvage: bool) -> LasHeader:
 
 
 def _digest(header: LasHeader, stream: BinaryIO) -> str:
-    """Digest of the bytes before the points, read in bounded pieces, and of the table of chunks."""
-    digest, left = hashlib.blake2b(digest_size=16), header.points_offset
+    digest = hashlib.blake2b(digest_size=16)
+    left = header.points_offset
     stream.seek(0)
     while left > 0 and (part := stream.read(min(left, 1 << 20))):
         digest.update(part)

@@ -1,4 +1,4 @@
-"""How the points of a LAZ file are compressed: laszip record and chunk table, checked against the file."""
+"""Reads how the points of a LAZ file are compressed (laszip record and chunk table), and checks it against the file."""
 
 from __future__ import annotations
 
@@ -12,44 +12,47 @@ import numpy.typing as npt
 
 _LASZIP = struct.Struct("<HHBBHIIqqH")
 _ITEM = struct.Struct("<HHH")
-_POINTWISE_CHUNKED, _LAYERED = 2, 3
+_POINTWISE_CHUNKED = 2
+_LAYERED = 3
 _VARIABLE = 2**32 - 1
+"""Size of the chunks in the laszip record if each chunk has its own size."""
 _LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}
+"""Number of layers by the kind of an item."""
 _BYTE14 = 14
+"""Kind of the item for extra bytes, which has a layer for each byte."""
 _ITEM_VERSION = 3
 
-
 MOST_CHUNKS = 1 << 21
-"""Most chunks of a file: with 50,000 points each, more than any file has; a longer table would fill the memory."""
+"""Most chunks of a file. With 50,000 points in each, no file has so many; a longer table would fill the memory."""
 
 
 class LazDamage(Exception):
-    """What is wrong with the compressed points; becomes an InputError that names the file."""
+    """A fault of the compressed points; becomes an InputError that names the file."""
 
 
 def is_panic(error: BaseException) -> bool:
-    """Whether a Rust extension panicked: pyo3's exception is no Exception, cannot be imported, and has this name."""
+    """Whether a Rust extension panicked. Its exception is no Exception and cannot be imported; only its name tells."""
     return type(error).__name__ == "PanicException"
 
 
 @dataclass(frozen=True)
 class LazLayout:
-    """How points are compressed.
+    """Layout of compressed points.
 
     Attributes
     ----------
     record_data : bytes
-        What the laszip record holds.
+        Content of the laszip record.
     chunk_size : int or None
-        Points of a chunk; None: every chunk has its own number (COPC).
+        Number of points in a chunk; None if every chunk has its own number (COPC).
     layers : int
-        Compressed layers of a chunk (point formats 6 to 10); 0: points follow one another.
+        Number of compressed layers in a chunk (point formats 6 to 10); 0 if whole points follow one another.
     item_size : int
         Bytes of one decoded record.
     counts, sizes : int64, shape (chunks,)
-        Points and bytes of each chunk; empty where the file has no usable table.
+        Points and bytes of each chunk; empty if the file has no usable table.
     rebuilt : bool
-        The file has no usable table: `counts` and `sizes` were found by walking the chunks.
+        Whether the file has no usable table, so that `counts` and `sizes` come from the chunks themselves.
     """
 
     record_data: bytes
@@ -62,12 +65,14 @@ class LazLayout:
 
     @property
     def least_chunk(self) -> int:
-        """Bytes that a chunk of one point has at least."""
-        return self.item_size + (4 + 4 * self.layers if self.layers else 0)
+        """Fewest bytes of a chunk."""
+        if not self.layers:
+            return self.item_size
+        return self.item_size + 4 + 4 * self.layers
 
 
 def parse_laszip(record_data: bytes) -> LazLayout:
-    """The layout that a laszip record describes, without a table; raises LazDamage."""
+    """The layout in a laszip record, without the table of chunks; raises LazDamage."""
     if len(record_data) < _LASZIP.size:
         raise LazDamage(f"its laszip record has {len(record_data)} bytes, {_LASZIP.size} are needed")
     compressor, _, _, _, _, _, chunk_size, _, _, n_items = _LASZIP.unpack_from(record_data)
@@ -86,17 +91,22 @@ def parse_laszip(record_data: bytes) -> LazLayout:
     layers = 0
     if compressor == _LAYERED:
         layers = sum(size if kind == _BYTE14 else _LAYERS.get(kind, 0) for kind, size, _ in items)
-    nothing = np.empty(0, dtype=np.int64)
-    size = None if chunk_size == _VARIABLE else chunk_size
-    return LazLayout(record_data, size, layers, sum(i[1] for i in items), nothing, nothing)
+    return LazLayout(
+        record_data=record_data,
+        chunk_size=None if chunk_size == _VARIABLE else chunk_size,
+        layers=layers,
+        item_size=sum(size for _, size, _ in items),
+        counts=np.empty(0, dtype=np.int64),
+        sizes=np.empty(0, dtype=np.int64),
+    )
 
 
 def read_table(
     stream: BinaryIO, layout: LazLayout, points_offset: int, file_size: int, point_count: int
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Points and bytes of every chunk, int64 each; raises LazDamage where the table cannot be right.
+    """Points and bytes of every chunk, int64 each; raises LazDamage if the table cannot be right.
 
-    The number of chunks is held against the bytes that are there before lazrs reads the table.
+    The number of chunks is compared with the size of the file before lazrs reads the table.
     """
     data = points_offset + 8
     table = _table_position(stream, data, file_size)
@@ -106,7 +116,7 @@ def read_table(
         )
     stream.seek(table)
     _, chunks = struct.unpack("<II", stream.read(8))
-    # One more than needed: some writers end with an empty chunk.
+    # There may be one chunk more than needed, since some writers end with an empty chunk.
     if (chunks - 1) * layout.item_size > table - data or chunks > point_count + 1:
         raise LazDamage(
             f"its chunk table says {chunks} chunks, {table - data} bytes hold {point_count} points"
@@ -133,7 +143,7 @@ def read_table(
 def _true_counts(
     layout: LazLayout, counts: npt.NDArray[np.int64], sizes: npt.NDArray[np.int64], point_count: int
 ) -> npt.NDArray[np.int64]:
-    """Points of each chunk (the last one of equal chunks is not full); raises LazDamage."""
+    """Number of points in each chunk; the last chunk may not be full. Raises LazDamage."""
     if layout.chunk_size is None:
         if int(counts.sum()) != point_count:
             raise LazDamage(f"its chunks have {int(counts.sum())} points, its header says {point_count}")
@@ -149,17 +159,19 @@ def _true_counts(
 
 
 def bytes_of_points(stream: BinaryIO, points_offset: int, end: int, file_size: int) -> int:
-    """Bytes between the position of the table of chunks and the table, or ``end`` where none is there."""
+    """Bytes of the compressed points, which end at the table of chunks, or at ``end`` if there is no table."""
     data = points_offset + 8
     table = _table_position(stream, data, file_size)
-    return (table if data <= table <= file_size - 8 else end) - data
+    if data <= table <= file_size - 8:
+        end = table
+    return end - data
 
 
 def _table_position(stream: BinaryIO, data: int, file_size: int) -> int:
-    """Byte of the chunk table, as the file says."""
+    """First byte of the chunk table, as the file gives it."""
     stream.seek(data - 8)
     table = _int64(stream)
-    if table == -1 and file_size >= data + 8:  # a writer that could not seek put the position last
+    if table == -1 and file_size >= data + 8:  # a writer that cannot seek writes the position last
         stream.seek(file_size - 8)
         table = _int64(stream)
     return table
@@ -171,9 +183,9 @@ def _int64(stream: BinaryIO) -> int:
 
 
 def layered_chunk(stream: BinaryIO, layout: LazLayout, start: int) -> tuple[int, int] | None:
-    """Points and bytes that the chunk of layers at byte ``start`` says it has; None where the file ends.
+    """Points and bytes of the layered chunk at byte ``start``, as it claims; None at the end of the file.
 
-    A chunk holds its first record raw, its number of points, the bytes of each layer, and the layers.
+    A chunk holds its first record raw, its number of points, the sizes of the layers, and the layers.
     """
     stream.seek(start + layout.item_size)
     head = stream.read(4 + 4 * layout.layers)
@@ -184,27 +196,29 @@ def layered_chunk(stream: BinaryIO, layout: LazLayout, start: int) -> tuple[int,
 
 
 def check_layers(stream: BinaryIO, layout: LazLayout, points_offset: int, first: int, stop: int) -> None:
-    """Hold the layers of chunks ``first`` to ``stop`` against the table; raises LazDamage.
+    """Compare the layers of chunks ``first`` to ``stop - 1`` with the table; raises LazDamage.
 
-    lazrs allocates what a layer says it has, up to 4 GiB each, before it reads.
+    Without this check, lazrs would allocate the size that a damaged layer claims, up to 4 GiB.
     """
     start = points_offset + 8 + int(layout.sizes[:first].sum())
     for chunk in range(first, stop):
         size = int(layout.sizes[chunk])
-        claim = layered_chunk(stream, layout, start)
-        if layout.counts[chunk] and (claim is None or claim[1] > size):
-            raise LazDamage(
-                f"chunk {chunk} says {claim[1] if claim else 'more'} bytes, its table {size}: damaged"
-            )
-        if layout.counts[chunk] and claim is not None and claim[0] != layout.counts[chunk]:
-            raise LazDamage(f"chunk {chunk} has {claim[0]} points, by the header {layout.counts[chunk]}")
+        if layout.counts[chunk]:
+            claim = layered_chunk(stream, layout, start)
+            if claim is None:
+                raise LazDamage(f"chunk {chunk} says more bytes, its table {size}: damaged")
+            points, claimed = claim
+            if claimed > size:
+                raise LazDamage(f"chunk {chunk} says {claimed} bytes, its table {size}: damaged")
+            if points != layout.counts[chunk]:
+                raise LazDamage(f"chunk {chunk} has {points} points, by the header {layout.counts[chunk]}")
         start += size
 
 
 def walk_chunks(
     stream: BinaryIO, layout: LazLayout, points_offset: int, file_size: int
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Points and bytes of the whole chunks of layers that are there, for a file without a usable table."""
+    """Points and bytes of the whole layered chunks of a file without a usable table."""
     found: list[tuple[int, int]] = []
     start = points_offset + 8
     limit = layout.chunk_size or _VARIABLE

@@ -1,4 +1,4 @@
-"""Records of point formats 0 to 5, 9 and 10 as those of formats 6 to 8, the only ones that COPC has (LAS 1.4 R15)."""
+"""Converts records of point formats 0 to 5, 9 and 10 to formats 6 to 8, the only ones in COPC, which is LAS 1.4."""
 
 from __future__ import annotations
 
@@ -8,32 +8,35 @@ import laspy
 import numpy as np
 
 from tiler.core.classes import OVERLAP_FLAG
-from tiler.io.las.columns import class_and_flags, is_legacy
+from tiler.io.las.columns import SCAN_STEP_DEGREES, class_and_flags, is_legacy
 from tiler.io.las.headers import LasHeader
 from tiler.io.las.reader import Records, record_dtype
 
-SCAN_STEP_DEGREES = 0.006
-"""Of the scan angles of formats 6 and later; older ones have whole degrees."""
-
 _NEWER = {0: 6, 1: 6, 2: 7, 3: 7, 4: 6, 5: 7, 6: 6, 7: 7, 8: 8, 9: 6, 10: 8}
-_TIMELESS = (0, 2)
-_WAVES = (4, 5, 9, 10)
-_WKT_BIT, _KEPT_BITS = 0x10, 0x09
-"""Of the global encoding: the CRS is WKT; the kind of GPS time, and returns made up (waveforms have the others)."""
+_WITHOUT_TIME = (0, 2)
+_WITH_WAVEFORMS = (4, 5, 9, 10)
+
+STANDARD_OFFSET = 1000
+"""Millions of seconds that "adjusted standard GPS time" of LAS 1.1 to 1.4 takes off."""
+
+# Bits of the global encoding.
+_WKT_BIT = 0x10
+_KEPT_BITS = 0x09
+"""The kind of GPS time, and synthetic return numbers; the other bits are about the CRS and waveforms."""
 
 
 def newer_format(point_format: int) -> int:
-    """The format, 6, 7 or 8, that holds what points of another one have but waveforms."""
+    """The format 6, 7 or 8 that holds all fields of ``point_format`` except waveforms."""
     return _NEWER[point_format]
 
 
 def newer_bytes(point_format: int, record_length: int) -> int:
-    """Bytes of a record that has as many extra bytes as one of these."""
+    """Length of a converted record, which keeps its extra bytes."""
     return _bare_bytes(_NEWER[point_format]) + record_length - _bare_bytes(point_format)
 
 
 def newer_header(header: LasHeader) -> LasHeader:
-    """The header that says how points of a file look as format 6, 7 or 8; its records are those of the file."""
+    """The header for the converted points of a file; its variable length records are those of the file."""
     return replace(
         header,
         version=(1, 4),
@@ -48,10 +51,10 @@ def _bare_bytes(point_format: int) -> int:
 
 
 def as_newer(records: Records, point_format: int) -> Records:
-    """Records of ``point_format`` as those of format 6, 7 or 8; the same object where nothing has to change.
+    """Convert records to format 6, 7 or 8; they are returned as they are if they have it already.
 
-    Class 12 of formats 0 to 5, overlap, is kept and also becomes the flag for it. Angles are rounded to steps of
-    0.006 degrees, from which whole degrees come back.
+    Class 12 (overlap) of formats 0 to 5 is kept and sets the overlap flag as well. Angles are rounded to steps of
+    0.006 degrees, which does not lose whole degrees.
     """
     form = _NEWER[point_format]
     if form == point_format:
@@ -70,18 +73,37 @@ def as_newer(records: Records, point_format: int) -> Records:
     found["classification"] = classification
     raw = records["raw_classification"]
     overlap = (flags & OVERLAP_FLAG != 0).astype(np.uint8)
-    # bits 0 to 2 synthetic, key point, withheld; 3 overlap; 6 scan direction, 7 edge of the flight line
+    # Bits 0 to 2: synthetic, key point, withheld; 3: overlap; 6: scan direction; 7: edge of the flight line.
     found["classification_flags"] = (raw >> 5) | (overlap << 3) | (bits & 0xC0)
     found["scan_angle"] = np.rint(records["scan_angle_rank"] / SCAN_STEP_DEGREES)
     return found
 
 
+def as_standard_times(records: Records, header: LasHeader) -> Records:
+    """Records with GPS times as LAS 1.4 has them, from those with the time offset of LAS 1.5."""
+    if header.time_offset is None:
+        return records
+    found = records.copy()
+    found["gps_time"] += (header.time_offset - STANDARD_OFFSET) * 1e6
+    return found
+
+
 def changes_of_format(header: LasHeader) -> list[str]:
-    """What is not as it was in points that become format 6, 7 or 8: a line each, none where all is kept."""
-    old, new = header.point_format, _NEWER[header.point_format]
-    found = [] if old == new else [f"points of format {old} written as format {new}, as COPC has it"]
-    if old in _TIMELESS:
+    """Notes about changes and losses by the conversion of a file's points; empty if there are none."""
+    old = header.point_format
+    new = _NEWER[old]
+    found = []
+    if old != new:
+        found.append(f"points of format {old} written as format {new}, as COPC has it")
+    if header.gps_times is not None:
+        found.append("range of GPS times in the header left out: COPC is LAS 1.4")
+    if header.time_offset is not None:
+        found.append(
+            f"GPS times written with an offset of {STANDARD_OFFSET} million seconds, as COPC has them, instead of "
+            f"{header.time_offset}"
+        )
+    if old in _WITHOUT_TIME:
         found.append("COPC has a GPS time for each point: 0, as the input has none")
-    if old in _WAVES:
+    if old in _WITH_WAVEFORMS:
         found.append("waveforms left out: COPC has none")
     return found

@@ -1,30 +1,36 @@
-"""The octree of a COPC file: in which cube the points of each of its chunks lie (COPC 1.0)."""
+"""Reads the octree of a COPC file, which gives the cube of each chunk of points (COPC 1.0)."""
 
 from __future__ import annotations
 
 import math
-from collections import defaultdict
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from laspy.copc import CopcInfoVlr, Entry, HierarchyPage
+import numpy.typing as npt
+from laspy.copc import CopcInfoVlr, Entry, HierarchyPage, VoxelKey
 
 from tiler.io.cloud_reading import open_cloud
 from tiler.io.las.headers import LasHeader
 from tiler.io.las.laz import LazDamage
 
-_INFO_BYTES, _ENTRY_BYTES = 160, 32
+_INFO_BYTES = 160
+_ENTRY_BYTES = 32
 _DEEPEST = 30
-_INFO, _HIERARCHY = 1, 1000
+_INFO = 1
+"""Number of the record with the cube of the root."""
 _BLOCK_BYTES = 1 << 14
-"""Bytes of an object read at once to find the hierarchy; each of its pages is read with one request."""
+"""Bytes that a request to a URL asks for until the hierarchy is found; each page is then read with one request."""
+
+
+Box = tuple[float, float, float, float]
+"""Lowest x, y, highest x, y in units of the CRS."""
 
 
 @dataclass(frozen=True)
 class Octree:
-    """Where the points of each chunk lie, seen from above.
+    """The squares of the chunks, seen from above.
 
     Attributes
     ----------
@@ -39,62 +45,72 @@ class Octree:
     side: float
     keys: tuple[tuple[int, int, int], ...]
 
-    def box(self, key: tuple[int, int, int]) -> tuple[float, float, float, float]:
-        """Lowest x, y, highest x, y of a square."""
+    def box(self, key: tuple[int, int, int]) -> Box:
+        """The square of a chunk."""
         level, column, row = key
         side = self.side / 2**level
         x, y = self.west + column * side, self.south + row * side
         return x, y, x + side, y + side
 
     def root(self, header: LasHeader, most: int) -> tuple[int, int]:
-        """First record and number, ``most`` at most, of those of the uppermost node with points."""
-        counts = [] if header.laz is None else header.laz.counts.tolist()
+        """Range (first record, number) of the uppermost node with points, of at most ``most`` records."""
+        counts = _points_of_chunks(header)
         _, chunk = min((key[0], number) for number, key in enumerate(self.keys) if counts[number])
         return sum(counts[:chunk]), min(counts[chunk], most)
 
-    def near(
-        self, header: LasHeader, boxes: Sequence[tuple[float, float, float, float]]
-    ) -> list[tuple[int, int]]:
-        """First record and number of those of nodes that come within a unit of some boxes; neighbours are one."""
-        counts = [] if header.laz is None else header.laz.counts.tolist()
+    def near(self, header: LasHeader, boxes: Sequence[Box]) -> list[tuple[int, int]]:
+        """Ranges (first record, number) of the nodes within one unit of a box; adjacent ranges are joined."""
         found: list[tuple[int, int]] = []
         start = 0
-        for key, count in zip(self.keys, counts, strict=True):
-            west, south, east, north = self.box(key)
-            if count and any(
-                w <= east + 1 and e >= west - 1 and s <= north + 1 and n >= south - 1 for w, s, e, n in boxes
-            ):
-                first = found.pop()[0] if found and sum(found[-1]) == start else start
+        for key, count in zip(self.keys, _points_of_chunks(header), strict=True):
+            square = self.box(key)
+            if count and any(_are_near(square, box) for box in boxes):
+                first = start
+                if found and sum(found[-1]) == start:
+                    first, _ = found.pop()
                 found.append((first, start + count - first))
             start += count
         return found
 
-    def spread(self, counts: Sequence[int], most_levels: int) -> dict[tuple[int, int, int], float]:
-        """Squares of one level that hold points, and about how many; those above that level are shared out.
+    def spread(
+        self, counts: Sequence[int], sample: npt.NDArray[np.float64], level: int
+    ) -> dict[tuple[int, int, int], float]:
+        """Squares of a level that hold points, with an estimate of their number.
+
+        The points of a node above that level are divided among its squares as the sample is.
 
         Parameters
         ----------
         counts : sequence of int
-            Points of each chunk.
-        most_levels : int
-            Of the squares; fewer where the tree is less deep.
+            Number of points in each chunk.
+        sample : float64, shape (2, n)
+            x and y of points from the whole file, in units of the CRS.
+        level : int
+            Level of the squares.
         """
-        level = min(max(key[0] for key in self.keys), most_levels)
-        found: dict[tuple[int, int, int], float] = defaultdict(float)
+        x0, y0, x1, y1 = self.box((0, 0, 0))
+        seen = np.histogram2d(sample[0], sample[1], bins=1 << level, range=((x0, x1), (y0, y1)))[0]
+        held = np.zeros_like(seen)
         for (deep, column, row), count in zip(self.keys, counts, strict=True):
-            if deep >= level and count:
-                found[level, column >> deep - level, row >> deep - level] += count
-        share = sum(counts) / max(sum(found.values()), 1)
-        return {key: held * share for key, held in found.items()}
+            above = max(level - deep, 0)
+            below = max(deep - level, 0)
+            column = (column >> below) << above
+            row = (row >> below) << above
+            window = np.s_[column : column + (1 << above), row : row + (1 << above)]
+            if seen[window].any():
+                held[window] += count * seen[window] / seen[window].sum()
+            else:  # no sample point shows where these few points are in the node
+                held[column + (1 << above) // 2, row + (1 << above) // 2] += count
+        return {(level, int(c), int(r)): float(held[c, r]) for c, r in np.argwhere(held)}
 
 
 def read_octree(header: LasHeader) -> Octree:
-    """The octree of a COPC file, held against its table of chunks.
+    """Read the octree of a COPC file, and check it against the table of chunks.
 
     Raises
     ------
     LazDamage
-        It is damaged, or does not name each chunk once; or there is none.
+        There is no octree, or it is damaged, or it does not name each chunk once.
     """
     layout = header.laz
     info_record = next((v for v in header.vlrs if v.is_copc and v.record_id == _INFO), None)
@@ -126,7 +142,7 @@ def read_octree(header: LasHeader) -> Octree:
         found[chunk] = entry
     if len(found) != len(chunk_at):
         raise LazDamage(f"its octree names {len(found)} of {len(chunk_at)} chunks")
-    keys = [(0, 0, 0)] * layout.counts.size  # chunks without points are in no node
+    keys = [(0, 0, 0)] * layout.counts.size  # remains for chunks without points, which are in no node
     for chunk, entry in found.items():
         keys[chunk] = (entry.key.level, entry.key.x, entry.key.y)
     west, south = (float(c - info.halfsize) for c in info.center[:2])
@@ -134,9 +150,10 @@ def read_octree(header: LasHeader) -> Octree:
 
 
 def _entries(path: Path, info: CopcInfoVlr, size: int, chunks: int) -> list[Entry]:
-    """The nodes of all pages that hold points."""
+    """The nodes with points, from all pages of the hierarchy."""
     found: list[Entry] = []
-    pages, seen = [(info.hierarchy_root_offset, info.hierarchy_root_size)], set[int]()
+    pages = [(info.hierarchy_root_offset, info.hierarchy_root_size)]
+    seen = set[int]()
     left = _ENTRY_BYTES * (8 * chunks + 9)  # a node has eight children at most, with points or without
     while pages:
         offset, length = pages.pop()
@@ -151,9 +168,7 @@ def _entries(path: Path, info: CopcInfoVlr, size: int, chunks: int) -> list[Entr
             raise LazDamage(f"its octree ends at byte {offset + len(raw)}")
         for entry in HierarchyPage.from_bytes(raw).entries.values():
             key = entry.key
-            if not (
-                0 <= key.level <= _DEEPEST and all(0 <= v < 1 << key.level for v in (key.x, key.y, key.z))
-            ):
+            if not _can_be(key):
                 raise LazDamage(f"its octree has a node {key.level}-{key.x}-{key.y}-{key.z}")
             if entry.point_count == -1:
                 pages.append((entry.offset, entry.byte_size))
@@ -162,3 +177,23 @@ def _entries(path: Path, info: CopcInfoVlr, size: int, chunks: int) -> list[Entr
             elif entry.point_count < -1:
                 raise LazDamage(f"its octree has a node of {entry.point_count} points")
     return found
+
+
+def _can_be(key: VoxelKey) -> bool:
+    if not 0 <= key.level <= _DEEPEST:
+        return False
+    return all(0 <= place < 1 << key.level for place in (key.x, key.y, key.z))
+
+
+def _points_of_chunks(header: LasHeader) -> list[int]:
+    if header.laz is None:
+        return []
+    counts: list[int] = header.laz.counts.tolist()
+    return counts
+
+
+def _are_near(one: Box, other: Box) -> bool:
+    """Whether two boxes are at most one unit apart."""
+    west, south, east, north = one
+    w, s, e, n = other
+    return w <= east + 1 and e >= west - 1 and s <= north + 1 and n >= south - 1

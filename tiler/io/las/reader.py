@@ -1,4 +1,4 @@
-"""Records of a LAS or LAZ file, any range of them, decoded in one thread."""
+"""Reads any range of records of a LAS or LAZ file, decoded in one thread."""
 
 from __future__ import annotations
 
@@ -27,34 +27,39 @@ NEEDED = (
     | lazrs.SELECTIVE_DECOMPRESS_FLAGS
     | lazrs.SELECTIVE_DECOMPRESS_RGB
 )
-"""Layers of point formats 6 to 10 that a store keeps; the other fields of a record are then undefined."""
+"""Layers of point formats 6 to 10 that a store keeps; other fields of the decoded records are undefined."""
+
+TO_SELECT = NEEDED | lazrs.SELECTIVE_DECOMPRESS_SCAN_ANGLE | lazrs.SELECTIVE_DECOMPRESS_POINT_SOURCE_ID
+"""Layers by which `tiler.core.selection` chooses points, besides those that a store keeps."""
 
 EVERYTHING = lazrs.SELECTIVE_DECOMPRESS_ALL
 COORDINATES = lazrs.SELECTIVE_DECOMPRESS_XY_RETURNS_CHANNEL | lazrs.SELECTIVE_DECOMPRESS_Z
 
 BYTES_AT_ONCE = 1 << 27
-"""Decoded records held at once: each is as long as the header says, up to 64 KiB."""
+"""Most bytes of decoded records that are read at a time; a single record may have 64 KiB."""
 
 _STEP = 1 << 16
 
 
 def rows_at_once(record_length: int, most: int) -> int:
-    """Records to read at once: ``most``, or fewer where they are long."""
+    """Number of records to read at a time: ``most``, or fewer if they are long."""
     return max(min(most, BYTES_AT_ONCE // record_length), 1)
 
 
 def record_dtype(point_format: int, record_length: int) -> np.dtype[np.void]:
-    """The fields of a record as laspy names them; extra bytes are one field of bytes, ``extra``."""
-    fields = laspy.PointFormat(point_format).dtype()
+    """The fields of a record as laspy names them; the field ``extra`` holds all extra bytes."""
+    fields: np.dtype[np.void] = laspy.PointFormat(point_format).dtype()
     extra = record_length - fields.itemsize
-    return np.dtype([*fields.descr, ("extra", np.uint8, (extra,))]) if extra else fields
+    if extra == 0:
+        return fields
+    return np.dtype([*fields.descr, ("extra", np.uint8, (extra,))])
 
 
 @contextmanager
 def decoding(path: Path) -> Iterator[None]:
-    """Turn whatever a decoder raises about damaged bytes into an InputError that names the file.
+    """Turn every error of a decoder about damaged bytes into an InputError that names the file.
 
-    That includes the panic of a Rust extension; KeyboardInterrupt and SystemExit go through.
+    This includes the panic of a Rust extension, but not KeyboardInterrupt and SystemExit.
     """
     try:
         yield
@@ -71,7 +76,7 @@ def _line(error: BaseException) -> str:
 
 
 class PointReader:
-    """Reads ranges of records of one file; a context manager.
+    """Reads ranges of records of one file. It is a context manager.
 
     Parameters
     ----------
@@ -79,10 +84,10 @@ class PointReader:
     selection : int
         Layers to decode (`NEEDED`, `EVERYTHING`, `COORDINATES`); only point formats 6 to 10 have layers.
     block_bytes : int
-        Asked for at once, of a cloud at a URL.
+        Bytes that a request to a URL asks for.
     ranges : sequence of (int, int), optional
-        First record and number of those that will be read: whole chunks, of which alone bytes are asked for; all if
-        left out. Each is read from its beginning to its end.
+        First record and number of records of each range that will be read, from its beginning to its end; the default
+        is the whole file. Ranges are whole chunks, and only their bytes are fetched from a URL.
     """
 
     def __init__(
@@ -99,7 +104,7 @@ class PointReader:
         self._selection = selection
         with decoding(header.path):
             self._file: BinaryIO = open_cloud(header.path, block_bytes, _parts(header, ranges or ()))
-            # The decoder goes on where it left its file: checks of what comes next use another one.
+            # The decoder needs the position of its file, so checks of the next chunks use a file of their own.
             self._probe: BinaryIO = second_view(self._file, header.path)
         self._decoder: Any = None
         self._next = 0
@@ -117,7 +122,7 @@ class PointReader:
         self._probe.close()
 
     def read(self, start: int, count: int) -> Records:
-        """Records ``start`` to ``start + count``, structured, shape (count,); raises InputError."""
+        """Records ``start`` to ``start + count - 1``, structured, shape (count,); raises InputError."""
         with decoding(self.header.path):
             if count <= 0:
                 return np.empty(0, dtype=self.dtype)
@@ -128,7 +133,7 @@ class PointReader:
             return np.frombuffer(raw, dtype=self.dtype)
 
     def pieces(self, most: int = 1_000_000) -> Iterator[Records]:
-        """All records of the ranges in their order, ``most`` at a time, fewer where they are long."""
+        """All records of the ranges in their order, ``most`` at a time or fewer if they are long."""
         step = rows_at_once(self.header.record_length, most)
         for first, count in self._ranges:
             for start in range(first, first + count, step):
@@ -147,13 +152,15 @@ class PointReader:
         first = stop = 0
         ends = np.cumsum(layout.counts)
         if layout.sizes.size:
-            first, last = (int(i) for i in np.searchsorted(ends, (start, start + count - 1), side="right"))
+            first, last = np.searchsorted(ends, (start, start + count - 1), side="right").tolist()
             stop = last + 1
             if layout.layers:
                 check_layers(self._probe, layout, self.header.points_offset, first, stop)
         if self._decoder is None or start != self._next or start in self._stops:
-            known = self._stops.get(start)  # the decoder must not reach for what was not asked for
-            end = None if known is None else int(np.searchsorted(ends, known - 1, side="right")) + 1
+            end = None
+            known = self._stops.get(start)
+            if known is not None:  # the decoder must not read beyond the range
+                end = int(np.searchsorted(ends, known - 1, side="right")) + 1
             self._decoder, self._next = self._open_decoder(layout, start, first, end)
             self._skip(start - self._next)
         raw = bytearray(count * self.header.record_length)
@@ -162,11 +169,11 @@ class PointReader:
         return raw
 
     def _open_decoder(self, layout: LazLayout, start: int, chunk: int, stop: int | None) -> tuple[Any, int]:
-        """A decoder, and the record that it would decode next: ``start``, or one before in its chunk.
+        """A decoder and the record that it decodes next, which is ``start`` or an earlier one of the same chunk.
 
-        lazrs seeks right only where all chunks have the same number of points and a table (with chunks
-        of their own sizes it lands, without a word, on other points): elsewhere it is given a view of
-        the file that begins with the wanted chunk, and ends before chunk ``stop``.
+        lazrs seeks to the right point only if there is a table and all chunks have the same size; with chunks of their
+        own sizes it silently decodes other points. Otherwise it gets a view of the file that begins with ``chunk`` and
+        ends before chunk ``stop``.
         """
         selection = lazrs.DecompressionSelection(self._selection)
         if layout.chunk_size is not None and not layout.rebuilt:
@@ -175,13 +182,13 @@ class PointReader:
             decoder.seek(start)
             return decoder, start
         data = self.header.points_offset + 8
+        skipped = before = 0
         if layout.sizes.size:
-            skipped, before = int(layout.sizes[:chunk].sum()), int(layout.counts[:chunk].sum())
-            chunks = list(
-                zip(layout.counts[chunk:stop].tolist(), layout.sizes[chunk:stop].tolist(), strict=True)
-            )
+            skipped = int(layout.sizes[:chunk].sum())
+            before = int(layout.counts[:chunk].sum())
+            counts = layout.counts[chunk:stop].tolist()
+            chunks = list(zip(counts, layout.sizes[chunk:stop].tolist(), strict=True))
         else:
-            skipped, before = 0, 0
             chunks = [(layout.chunk_size or 1, self.header.size - data)]
         view = _ChunkView(self._file, data + skipped, chunks, layout.record_data)
         return lazrs.LasZipDecompressor(io.BufferedReader(view), layout.record_data, selection), before
@@ -195,7 +202,7 @@ class PointReader:
 
 
 def _parts(header: LasHeader, ranges: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
-    """First and end byte of the chunks that hold some ranges of records; neighbours are one."""
+    """First and end byte of the chunks that hold some ranges of records; adjacent chunks are joined."""
     if not ranges or header.laz is None:
         return []
     ends = np.cumsum(header.laz.counts)
@@ -211,9 +218,9 @@ def _parts(header: LasHeader, ranges: Sequence[tuple[int, int]]) -> list[tuple[i
 
 
 class _ChunkView(io.RawIOBase):
-    """Some chunks of a LAZ file as a stream of their own: the table's position, the chunks, the table.
+    """A stream that shows some chunks of a LAZ file as a whole: the position of the table, the chunks, the table.
 
-    The chunks begin at byte ``start``; of each the points and bytes are given.
+    The chunks begin at byte ``start``; ``chunks`` holds the points and bytes of each.
     """
 
     def __init__(self, file: BinaryIO, start: int, chunks: list[tuple[int, int]], record_data: bytes) -> None:
@@ -252,7 +259,7 @@ class _ChunkView(io.RawIOBase):
 
 
 def count_decodable(header: LasHeader) -> int:
-    """Points of the whole chunks that can be decoded, for a file whose chunks cannot be walked."""
+    """Number of points in a file. If its table is unusable and its chunks have no sizes, they are decoded."""
     if header.laz is None or not header.laz.rebuilt or header.laz.sizes.size:
         return header.point_count
     found = 0

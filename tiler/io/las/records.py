@@ -1,4 +1,4 @@
-"""Variable length records (VLRs and EVLRs): where they lie, walked with bounds."""
+"""Finds variable length records (VLRs and EVLRs) in a file, and packs new ones."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ LASZIP_RECORD = 22204
 COPC_USER = "copc"
 
 MOST_RECORDS = 10_000
-"""In one file; more of them, empty ones, would fit into a large file than their list into memory."""
+"""Most records of a file that are read: a large file could hold more empty ones than fit into memory."""
 
 
 @dataclass(frozen=True)
 class VariableRecord:
-    """One VLR or EVLR.
+    """Place of a VLR or EVLR in its file.
 
     Attributes
     ----------
     user_id : str
-        Up to its first NUL.
+        Text up to the first NUL.
     record_id : int
     start : int
-        Byte offset of its own header in the file.
+        Byte offset of the record's own header.
     payload : int
-        Byte offset of what it holds.
+        Byte offset of the content.
     length : int
-        Bytes that it holds.
+        Bytes of the content.
     """
 
     user_id: str
@@ -68,9 +68,9 @@ def packed_record(
 def walk_records(
     stream: BinaryIO, start: int, count: int, end: int, extended: bool
 ) -> tuple[tuple[VariableRecord, ...], bool]:
-    """The records from ``start`` that fit before ``end``, and whether all ``count`` of them did.
+    """The records from ``start`` that fit before ``end``, and whether all ``count`` records do.
 
-    Only the records' own headers are read, never more of them than there is room for, nor than `MOST_RECORDS`.
+    Only the headers of the records are read, of at most `MOST_RECORDS` records.
     """
     form = _EVLR if extended else _VLR
     found: list[VariableRecord] = []

@@ -1,4 +1,4 @@
-"""Checks that an input is still the file that the plan read, when a task reads it again later."""
+"""Checks that an input has not changed when a task reads it after the plan."""
 
 from __future__ import annotations
 
@@ -16,20 +16,20 @@ AGAIN = "run again when nothing writes to it any more"
 
 @contextmanager
 def unchanged(path: Path, stamp: list[Any] | None, salvage: bool) -> Iterator[LasHeader]:
-    """The header of a file that has this stamp now, and still has it when its reader is done.
+    """Give the header of a file, and check before and after the block that the file has not changed.
 
     Parameters
     ----------
     path : Path
     stamp : list, optional
-        `LasHeader.stamp` as the plan found it; None: the file is taken as it is when it is opened.
+        `LasHeader.stamp` in the plan; None to check only that the file does not change during the block.
     salvage : bool
-        As `tiler.io.las.headers.read_header` takes it.
+        See `tiler.io.las.headers.read_header`.
 
     Raises
     ------
     InputError
-        The file is another one than before, or became one while it was read.
+        The file has changed.
     """
     try:
         header = read_header(path, salvage)
@@ -38,7 +38,8 @@ def unchanged(path: Path, stamp: list[Any] | None, salvage: bool) -> Iterator[La
         yield header
     except DiskFullError:
         raise
-    except TilerError:  # what is half written cannot be decoded: that is not what is wrong with it
+    except TilerError:
+        # A half written file cannot be decoded; its change is then the true cause.
         if stamp is not None:
             refuse_changed(path, State(*stamp[:3]))
         raise
@@ -46,7 +47,7 @@ def unchanged(path: Path, stamp: list[Any] | None, salvage: bool) -> Iterator[La
 
 
 def refuse_changed(path: Path, state: State) -> None:
-    """Raise InputError if a file is not what it was."""
+    """Raise InputError if a file is no longer in this state."""
     try:
         now = state_of(path)
     except OSError as error:
@@ -58,9 +59,7 @@ def refuse_changed(path: Path, state: State) -> None:
 
 
 def _changed(path: Path, before: State, now: State) -> InputError:
-    how = (
-        f"{before.size:,} bytes before, {now.size:,} now"
-        if before.size != now.size
-        else "as large as before, with another time, tag or header"
-    )
+    how = "as large as before, with another time, tag or header"
+    if before.size != now.size:
+        how = f"{before.size:,} bytes before, {now.size:,} now"
     return InputError(f"{path}: was replaced or written to while the run went on ({how}); {AGAIN}")

@@ -1,4 +1,4 @@
-"""Points of a LAZ or LAS file, behind a header that somebody else writes; lazrs compresses."""
+"""Writes the points of a LAZ or LAS file behind the header, which the caller writes; lazrs compresses."""
 
 from __future__ import annotations
 
@@ -14,45 +14,48 @@ from tiler.io.las.records import LASZIP_RECORD, LASZIP_USER, packed_record
 
 
 def laszip_vlr(header: LasHeader, own_sizes: bool = False) -> bytes:
-    """The whole laszip record for points like those of ``header``, in equal chunks or in some of ``own_sizes``."""
+    """The whole laszip record for points like those of ``header``, in equal chunks or in chunks of their own sizes."""
     data = bytes(layout_of(header, own_sizes).record_data())
     return packed_record(LASZIP_USER, LASZIP_RECORD, "lazrs", data)
 
 
 def layout_of(header: LasHeader, own_sizes: bool = False) -> Any:
-    """How lazrs compresses points like those of ``header``, in equal chunks or in some of ``own_sizes``."""
+    """The settings of lazrs for points like those of ``header``, in equal chunks or in chunks of their own sizes."""
     bare = lazrs.LazVlr.new_for_compression(header.point_format, 0).item_size()
     return lazrs.LazVlr.new_for_compression(header.point_format, header.record_length - bare, own_sizes)
 
 
 class PointWriter:
-    """Writes records, compressed, from the place where ``target`` stands; `close` adds the chunk table.
+    """Writes compressed records from the present position of ``target``; `close` adds the chunk table.
 
     Parameters
     ----------
     target : BinaryIO
-        Seekable; its position after `close` is undefined.
+        A seekable file; its position after `close` is undefined.
     header : LasHeader
-        Of a file with the same point format and record length.
+        Header of a file with the same point format and record length.
     threads : int
-        That compress chunks at a time; the bytes are the same. The first number above 1 holds for this process.
+        Number of threads that compress chunks, which does not change the bytes. The first number above 1 in a process
+        holds for all its writers.
     """
 
     def __init__(self, target: BinaryIO, header: LasHeader, threads: int = 1) -> None:
+        self._compressor: Any
         if threads > 1:
-            os.environ.setdefault("RAYON_NUM_THREADS", str(threads))  # else as many as there are cores
-        compressor: Any = lazrs.ParLasZipCompressor if threads > 1 else lazrs.LasZipCompressor
-        self._compressor = compressor(target, layout_of(header))
+            os.environ.setdefault("RAYON_NUM_THREADS", str(threads))  # the default is the number of cores
+            self._compressor = lazrs.ParLasZipCompressor(target, layout_of(header))
+        else:
+            self._compressor = lazrs.LasZipCompressor(target, layout_of(header))
 
     def write(self, records: Records) -> None:
-        """Append records; raises OSError where the target does not take them."""
+        """Append records; raises OSError if they cannot be written."""
         try:
             self._compressor.compress_many(np.ascontiguousarray(records).view(np.uint8))
         except lazrs.LazrsError as error:
             raise OSError(str(error)) from error
 
     def close(self) -> None:
-        """Write what is left and the chunk table; raises OSError."""
+        """Write the remaining points and the chunk table; raises OSError."""
         try:
             self._compressor.done()
         except lazrs.LazrsError as error:
@@ -60,14 +63,14 @@ class PointWriter:
 
 
 class PlainWriter:
-    """Writes records as they are, from the place where ``target`` stands."""
+    """Writes records without compression from the present position of ``target``."""
 
     def __init__(self, target: BinaryIO) -> None:
         self._target = target
 
     def write(self, records: Records) -> None:
-        """Append records; raises OSError where the target does not take them."""
+        """Append records; raises OSError if they cannot be written."""
         self._target.write(np.ascontiguousarray(records).view(np.uint8).data)
 
     def close(self) -> None:
-        """Nothing is left to write."""
+        """Do nothing: all records are written."""

@@ -1,4 +1,4 @@
-"""Vector files: features of other people's files in the CRS of a run, and GeoPackages of our own."""
+"""Vector files: reads features into the CRS of a run, and writes GeoPackages."""
 
 from tiler.io.vector.reading import (
     LINES,

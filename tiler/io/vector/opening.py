@@ -1,4 +1,4 @@
-"""Checks before GDAL opens a vector file of other people: it goes by the content, and follows what that points to."""
+"""Checks vector files before GDAL opens them, since GDAL ignores suffixes and follows links in a file."""
 
 from __future__ import annotations
 
@@ -23,14 +23,19 @@ SIGNATURES = {
     ".shp": b"\0\0\x27\x0a",
     ".fgb": b"fgb\x03fgb",
 }
-"""Formats that are read, and how their files begin; what a GeoJSON file holds is looked at as a whole."""
+"""Suffixes of the formats that are read, and the first bytes of their files; GeoJSON is checked as a whole."""
 
 
 def check_file(path: Path, wanted: str) -> list[bool] | None:
-    """Raise InputError for a file that GDAL must not open; of GeoJSON, which features have a geometry.
+    """Raise InputError for a file that GDAL must not open.
 
-    GDAL goes by what a file holds, not by its name: a list of links to other files or hosts (VRT, WFS) named
-    ``area.gpkg`` would be followed. So a file has to begin as its suffix says.
+    GDAL recognises a format by the content and not by the name: it would follow the links to other files or hosts in a
+    VRT or WFS that is named ``area.gpkg``. So the first bytes of a file have to fit its suffix.
+
+    Returns
+    -------
+    list of bool or None
+        Whether each feature of a GeoJSON file has a geometry; None for other formats.
     """
     signature = SIGNATURES.get(path.suffix.lower())
     if signature is None:
@@ -57,7 +62,7 @@ def check_file(path: Path, wanted: str) -> list[bool] | None:
 
 
 def _check_geojson(path: Path, wanted: str) -> list[bool]:
-    """GDAL takes features with an unknown CRS, or with damaged geometries, for something else, without a word."""
+    """Check a GeoJSON file, in which GDAL would silently misread an unknown CRS or a damaged geometry."""
     try:
         content = read_object(path.read_text("utf-8"))
     except (OSError, ValueError) as error:
@@ -70,7 +75,7 @@ def _check_geojson(path: Path, wanted: str) -> list[bool]:
     for number, feature in enumerate(features, start=1):
         if not isinstance(feature, dict) or feature.get("type") != "Feature":
             raise InputError(f"{path}: feature {number}: is no GeoJSON Feature; write {wanted} as features")
-    # Before RFC 7946 a member named the CRS, which is still what most programs write.
+    # Most programs still write the member that names the CRS, although RFC 7946 removed it.
     named = member(member(content, "crs"), "properties").get("name")
     try:
         if named is not None:
@@ -82,18 +87,18 @@ def _check_geojson(path: Path, wanted: str) -> list[bool]:
 
 @contextmanager
 def reading(path: Path) -> Iterator[list[str]]:
-    """What libraries raise while a file is read becomes one line, and what they warn of is collected."""
-    told: list[str] = []
+    """Turn errors of libraries into an InputError, and collect their warnings in the list."""
+    reported: list[str] = []
     try:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
-            yield told
-    # pyogrio's errors are RuntimeErrors; names and text that are no UTF-8 are UnicodeDecodeErrors.
+            yield reported
+    # pyogrio raises RuntimeErrors; names and texts that are not UTF-8 raise UnicodeDecodeErrors.
     except (RuntimeError, ValueError, OverflowError, ShapelyError) as error:
         raise InputError(f"{path}: cannot be read ({_short(error)}); get the file again") from error
-    told += sorted({_short(warning.message) for warning in caught})
+    reported += sorted({_short(warning.message) for warning in caught})
 
 
 def _short(problem: Any) -> str:
-    """What a library says, on one line and without the advice that follows."""
+    """The message of a library, in one line and without the advice after a semicolon."""
     return printable(" ".join(str(problem).split(";")[0].split()))[:150]

@@ -1,11 +1,11 @@
-"""Features of vector files: geometry and attributes, in the CRS of the file or in that of the run.
+"""Reads features of vector files: geometry and attributes, in the CRS of the file or in that of the run.
 
-What comes from elsewhere is read in a child process: callers go through `tiler.schedule.read_apart`.
+Callers use `tiler.schedule.read_apart`, so that files from elsewhere are read in a child process.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -22,22 +22,43 @@ from tiler.redaction import printable
 
 HEIGHT_COLUMNS = ("z", "h", "height", "elevation", "elev", "ele", "altitude")
 """Names of attributes that hold the height of a feature drawn in two dimensions, in lower case."""
+SIMPLIFY = "simplify it (`ogr2ogr -simplify`, Simplify in QGIS), or divide it"
+MOST_PASSED = 1e9
+"""Limit for a polygon: its vertices, times the length of its outline over its width; so many pairs are tested."""
 
 
 @dataclass(frozen=True)
 class Kind:
-    """Geometries that a file should hold.
+    """Kind of the geometries that a file should hold.
 
     Attributes
     ----------
     name : str
-        Plural, as messages have it.
+        Plural name for messages.
     types : frozenset of str
-        Names of geometry types as shapely has them.
+        Geometry types of shapely.
+    point_layers : frozenset of str
+        Names of layers of points that are read as well.
+    left_out : frozenset of str
+        Names of layers that are not read.
     """
 
     name: str
     types: frozenset[str]
+    point_layers: frozenset[str] = frozenset()
+    left_out: frozenset[str] = frozenset()
+
+    def takes_layer(self, name: str, shape: str) -> bool:
+        """Whether a layer with the type ``shape`` may hold such geometries."""
+        if name in self.left_out:
+            return False
+        if name in self.point_layers:
+            return True
+        return shape == "Unknown" or _plain_type(shape) in self.types
+
+    def takes(self, layer: str, shape: str) -> bool:
+        """Whether a geometry type is one of these in a layer."""
+        return shape in self.types or (layer in self.point_layers and shape in POINTS.types)
 
 
 POINTS = Kind("points", frozenset({"Point"}))
@@ -53,11 +74,11 @@ class Feature:
     Attributes
     ----------
     place : str
-        For messages: file, layer and number of the feature, counted from 1.
+        File, layer and number of the feature (the first is 1), for messages.
     geometry : shapely geometry
-        Not empty; with z only where the file has it, in the file's vertical unit.
+        The geometry, which is not empty; it has z if the file has it, in the vertical unit of the file.
     attributes : dict
-        By name in lower case; None where a feature has no value.
+        Attributes by name in lower case; None if a feature has no value.
     """
 
     place: str
@@ -65,7 +86,7 @@ class Feature:
     attributes: dict[str, Any]
 
     def height(self) -> float | None:
-        """The number in the first column that is named as a height; None where there is none."""
+        """The number in the first of the `HEIGHT_COLUMNS` that holds one; None if there is none."""
         for name in HEIGHT_COLUMNS:
             value = self.attributes.get(name)
             if isinstance(value, int | float) and not isinstance(value, bool):
@@ -75,16 +96,16 @@ class Feature:
 
 @dataclass(frozen=True)
 class Features:
-    """What a file holds of one kind.
+    """The features of a file that have one kind of geometry.
 
     Attributes
     ----------
     features : tuple of Feature
-        In the order of the file.
+        Features in the order of the file.
     crs : str or None
         WKT or authority code of the geometries; None if it is unknown.
     notes : tuple of str
-        What was decided, each naming the file.
+        Notes for the user, which name the file.
     """
 
     features: tuple[Feature, ...]
@@ -93,21 +114,21 @@ class Features:
 
 
 def read_features(path: Path, kind: Kind, every_layer: bool = False) -> Features:
-    """The features of a file as it has them; those without a geometry are left out.
+    """Read the features of a file; features without a geometry are left out.
 
     Parameters
     ----------
     path : Path
         ``.gpkg``, ``.geojson``, ``.json``, ``.shp`` or ``.fgb``.
     kind : Kind
-        Any other geometry in a layer that is read is an error.
+        Kind of the geometries; another kind in a layer that is read is an error.
     every_layer : bool
-        Read all layers that may hold this kind, which have to share a CRS; else there must be exactly one.
+        Read all layers that may hold this kind, which must share a CRS. Otherwise there must be exactly one.
 
     Raises
     ------
     InputError
-        One line that names the file, and the layer and feature where it is about one, and a remedy.
+        The file cannot be read; the message names the file, perhaps a layer and a feature, and a remedy.
     """
     import pyogrio
     from pyogrio import raw
@@ -117,18 +138,22 @@ def read_features(path: Path, kind: Kind, every_layer: bool = False) -> Features
     systems: list[str | None] = []
     notes: list[str] = []
     for name in _layers(path, kind, every_layer):
-        with reading(path) as told:
+        with reading(path) as warned:
             pyogrio.set_gdal_config_options({"OGR_GEOMETRY_ACCEPT_UNCLOSED_RING": "YES"})
             meta, _, shapes, columns = raw.read(path, layer=name)
             titles = [str(title).lower() for title in meta["fields"]]
-            rows = zip(*(c.tolist() for c in columns), strict=True) if columns else [()] * len(shapes)
-            records = list(zip(shapes, (dict(zip(titles, r, strict=True)) for r in rows), strict=True))
-        notes += [f"{path}: {printable(name)}: {text}" for text in told]
-        if empty := sum(shape is None for shape in shapes):
-            # GDAL does not tell the two apart.
+            rows: Iterable[tuple[Any, ...]] = [()] * len(shapes)
+            if columns:
+                rows = zip(*(column.tolist() for column in columns), strict=True)
+            attributes = [dict(zip(titles, row, strict=True)) for row in rows]
+            records = list(zip(shapes, attributes, strict=True))
+        notes += [f"{path}: {printable(name)}: {text}" for text in warned]
+        empty = sum(shape is None for shape in shapes)
+        if empty:
+            # GDAL does not distinguish the two cases.
             left = f"{empty} features without a geometry, or with a damaged one, are left out"
             notes.append(f"{path}: {printable(name)}: {left}")
-        features += _features(f"{path}: {printable(name)}", records, kind, present)
+        features += _features(f"{path}: {printable(name)}", records, kind, present, name)
         systems.append(meta["crs"])
     if len(set(systems)) > 1:
         raise InputError(f"{path}: its layers of {kind.name} have different CRS; write them with one")
@@ -138,12 +163,12 @@ def read_features(path: Path, kind: Kind, every_layer: bool = False) -> Features
 
 
 def _layers(path: Path, kind: Kind, every: bool) -> list[str]:
-    """Names of the layers that may hold such geometries."""
+    """Names of the layers that may hold geometries of a kind."""
     import pyogrio
 
     with reading(path):
         listed = [(str(name), str(shape)) for name, shape in pyogrio.list_layers(path)]
-    names = [name for name, shape in listed if shape == "Unknown" or _plain_type(shape) in kind.types]
+    names = [name for name, shape in listed if kind.takes_layer(name, shape)]
     if not names or (len(names) > 1 and not every):
         found = ", ".join(f"{printable(name)} ({shape})" for name, shape in listed) or "none"
         raise InputError(
@@ -154,16 +179,20 @@ def _layers(path: Path, kind: Kind, every: bool) -> list[str]:
 
 
 def _plain_type(shape: str) -> str:
-    """A geometry type without what says its dimensions: ``2.5D Point``, ``Measured 3D Polygon``, ``Point Z``."""
+    """A geometry type without dimensions, like ``Point`` for ``2.5D Point``, ``Measured 3D Point`` and ``Point Z``."""
     return next((word for word in shape.split() if word not in ("2.5D", "3D", "Measured")), shape)
 
 
 def _features(
-    place: str, records: list[tuple[Any, dict[str, Any]]], kind: Kind, present: list[bool] | None
+    place: str,
+    records: list[tuple[Any, dict[str, Any]]],
+    kind: Kind,
+    present: list[bool] | None,
+    layer: str,
 ) -> Iterator[Feature]:
-    """Features whose geometries are whole and of a kind; raises InputError.
+    """Make features of records, and check their geometries; raises InputError.
 
-    ``present`` says of which records the file holds a geometry: one that is there, and still none, is damaged.
+    ``present`` marks the records with a geometry in the file; if GDAL gives none for such a record, it is damaged.
     """
     for number, (shape, attributes) in enumerate(records, start=1):
         where = f"{place}, feature {number}"
@@ -172,8 +201,8 @@ def _features(
         if shape is None:
             continue
         try:
-            with np.errstate(invalid="ignore"):  # of places that are no numbers, which are refused below
-                geometry = shapely.from_wkb(shape, on_invalid="fix")  # rings that are not closed
+            with np.errstate(invalid="ignore"):  # coordinates that are not finite are refused below
+                geometry = shapely.from_wkb(shape, on_invalid="fix")  # closes open rings
         except shapely.errors.GEOSException as error:
             said = " ".join(str(error).split())[:100]
             raise InputError(f"{where}: its geometry is damaged ({said}); draw it again") from error
@@ -181,7 +210,7 @@ def _features(
             raise InputError(f"{where}: its geometry is damaged; draw it again")
         if geometry.is_empty:
             continue
-        if geometry.geom_type not in kind.types:
+        if not kind.takes(layer, geometry.geom_type):
             raise InputError(
                 f"{where}: is a {geometry.geom_type}; {kind.name} are wanted: write them to a file of their own"
             )
@@ -196,47 +225,62 @@ def _features(
 
 
 def _plain(value: Any) -> Any:
-    """None for what is missing, in place of NaN."""
+    """None in place of NaN, which stands for a missing value."""
     return None if isinstance(value, float) and value != value else value
 
 
 def read_in_crs(
     path: Path, kind: Kind, wkt: str | None, every_layer: bool = False, needs_z: bool = False
 ) -> Features:
-    """The features of a file in the horizontal CRS of a run, polygons mended.
+    """Read the features of a file into the horizontal CRS of a run, with invalid polygons repaired.
 
     Parameters
     ----------
     path, kind, every_layer
-        As those of `read_features`.
+        See `read_features`.
     wkt : str or None
         CRS of the run; None if it is unknown.
     needs_z : bool
-        Every place has to have a height: its own, or that in a column of its feature (see `HEIGHT_COLUMNS`), which is
-        then given to all its places. Heights are not converted.
+        Every vertex needs a height: its own, or one from a column of its feature (see `HEIGHT_COLUMNS`) for all its
+        vertices. Heights are not converted.
 
     Returns
     -------
     Features
-        `crs` is ``wkt``; the notes tell of another CRS and of polygons that were mended.
+        Features whose `crs` is ``wkt``, with notes about a transformation and about repaired polygons.
 
     Raises
     ------
     InputError
-        As `read_features`; no CRS where the run has one; no height where one is needed.
+        An error of `read_features`, a missing CRS, or a missing height.
     """
     found = read_features(path, kind, every_layer)
-    notes, features = list(found.notes), list(found.features)
+    notes = list(found.notes)
+    features = list(found.features)
     if needs_z:
         features = [_with_heights(feature) for feature in features]
-    features = _mended(path, features, notes)
+    features = _repaired(path, features, notes)
     moved = in_crs(path, [f.geometry for f in features], found.crs, wkt, notes)
     features = [replace(f, geometry=g) for f, g in zip(features, moved, strict=True)]
     return Features(tuple(features), wkt, tuple(notes))
 
 
+def _refuse_spikes(features: list[Feature]) -> None:
+    """Raise InputError for a polygon with so many spikes that a test for crossings would not end."""
+    shapes = np.array([f.geometry for f in features], object)
+    vertices = shapely.get_num_coordinates(shapes)
+    lengths = shapely.length(shapes)
+    west, south, east, north = shapely.bounds(shapes).T
+    across = lengths / np.maximum(np.maximum(east - west, north - south), 1e-9)
+    for i in np.flatnonzero(vertices * across > MOST_PASSED):
+        raise InputError(
+            f"{features[i].place}: its outline of {vertices[i]:,} vertices runs across it {across[i]:,.0f} times; "
+            f"{SIMPLIFY}"
+        )
+
+
 def _with_heights(feature: Feature) -> Feature:
-    """The feature with a height at every place; raises InputError."""
+    """The feature with a height at every vertex; raises InputError."""
     geometry = feature.geometry
     if geometry.has_z and np.isfinite(shapely.get_coordinates(geometry, include_z=True)[:, 2]).all():
         return feature
@@ -246,29 +290,39 @@ def _with_heights(feature: Feature) -> Feature:
     return replace(feature, geometry=shapely.force_3d(shapely.force_2d(geometry), height))
 
 
-def _mended(path: Path, features: list[Feature], notes: list[str]) -> list[Feature]:
-    """Features whose polygons are valid: a place is inside where it is by an odd number of crossings."""
-    polygons = [f.geometry.geom_type in POLYGONS.types for f in features]
-    broken = [i for i, f in enumerate(features) if polygons[i] and not shapely.is_valid(f.geometry)]
-    mended = list(features)
+def _repaired(path: Path, features: list[Feature], notes: list[str]) -> list[Feature]:
+    """Features with valid polygons; a place is inside if a ray from it crosses the outline an odd number of times."""
+    polygons = [i for i, feature in enumerate(features) if feature.geometry.geom_type in POLYGONS.types]
+    _refuse_spikes([features[i] for i in polygons])
+    broken = [i for i in polygons if not shapely.is_valid(features[i].geometry)]
+    repaired = list(features)
     for i in broken:
-        parts = shapely.get_parts(shapely.get_parts(shapely.make_valid(features[i].geometry)))
+        try:
+            valid = shapely.make_valid(features[i].geometry)
+        except shapely.errors.GEOSException as error:  # out of memory
+            raise InputError(
+                f"{features[i].place}: its outline crosses itself too often to be mended; {SIMPLIFY}"
+            ) from error
+        parts = shapely.get_parts(shapely.get_parts(valid))
         areas = [part for part in parts if part.geom_type == "Polygon" and not part.is_empty]
         if not areas:
             raise InputError(f"{features[i].place}: holds no place; draw it wider")
-        mended[i] = replace(features[i], geometry=areas[0] if len(areas) == 1 else shapely.union_all(areas))
+        area = areas[0] if len(areas) == 1 else shapely.union_all(areas)
+        repaired[i] = replace(features[i], geometry=area)
     if broken:
-        notes.append(f"{path}: {len(broken)} of {sum(polygons)} polygons crossed themselves and were mended")
-    return mended
+        notes.append(f"{path}: {len(broken)} of {len(polygons)} polygons crossed themselves and were mended")
+    return repaired
 
 
 def tell_outside(path: Path, features: Features, extent: tuple[float, float, float, float]) -> list[str]:
-    """A warning where features lie wholly outside of the survey.
+    """A warning if features lie completely outside the survey; else an empty list.
 
     Parameters
     ----------
+    path : Path
+    features : Features
     extent : (west, south, east, north)
-        Of the survey, in units of the features' CRS.
+        Bounds of the survey, in units of the features' CRS.
     """
     survey = shapely.box(*extent)
     outside = [f for f in features.features if not shapely.intersects(survey, f.geometry)]

@@ -1,4 +1,4 @@
-"""Geometries brought into the CRS of a run; edges that bend on the way get further places."""
+"""Transforms geometries into the CRS of a run; edges that become curved get more vertices."""
 
 from __future__ import annotations
 
@@ -20,12 +20,15 @@ from tiler.errors import InputError
 from tiler.io.json_text import excerpt
 
 MOST_HALVINGS = 12
-"""How often an edge is halved at most, where it bends on its way into another CRS."""
+"""An edge is halved at most so many times."""
 BEND = 0.005
-"""Units of the CRS by which a straight edge may leave the bent one."""
+"""Largest distance between a straight edge and the curve, in units of the CRS."""
 
-RETURN, RETURN_DEG = 1e-2, 1e-6
-"""Units or degrees to which a place comes back from another CRS; none does from far beyond the reach of one."""
+# A place is beyond the reach of a CRS if the inverse transformation misses it by more than this.
+RETURN = 1e-2
+"""Tolerance in units of the CRS."""
+RETURN_DEG = 1e-6
+"""Tolerance in degrees."""
 
 Places = npt.NDArray[np.float64]
 
@@ -38,19 +41,19 @@ def in_crs(
     Parameters
     ----------
     path : Path
-        Their file, for messages.
+        File of the geometries, for messages.
     geometries : sequence of shapely geometries
     text : str or None
-        Their CRS, as the file says it.
+        CRS of the geometries, as the file names it.
     wkt : str or None
         CRS of the run; None if it is unknown.
     notes : list of str
-        Gets what was decided.
+        Receives notes for the user.
 
     Raises
     ------
     InputError
-        No CRS, an unknown one, none that leads to that of the run, or a place where that has no coordinates.
+        The CRS is missing, unknown, or cannot be transformed to that of the run, which may not reach so far.
     """
     if text is None and wkt is None:
         notes.append(f"{path}: names no CRS: it is taken to be in that of the clouds")
@@ -87,11 +90,11 @@ def in_crs(
 
 
 class _Beyond(Exception):
-    """Some place does not come back, as beyond the reach of a projection."""
+    """A place is beyond the reach of the CRS of the run."""
 
 
 def _rebuilt(geometry: BaseGeometry, moved: Any) -> BaseGeometry:
-    """A geometry with each of its lines and rings, or its place, moved."""
+    """A geometry with all its lines, rings or points transformed by ``moved``."""
     if geometry.geom_type == "Polygon":
         rings = [moved(_places(ring), True) for ring in (geometry.exterior, *geometry.interiors)]
         return shapely.Polygon(rings[0], rings[1:])
@@ -109,9 +112,9 @@ def _places(geometry: BaseGeometry) -> Places:
 
 
 def _moved(transformer: Transformer, near: float, places: Places, closed: bool) -> Places:
-    """A line or ring in another CRS, with further points on the edges that are bent there.
+    """Transform a line or ring, with more vertices on the edges that become curved.
 
-    An edge is divided in the same way in whatever direction it runs, so that neighbours keep a common border.
+    The direction of an edge does not change how it is divided, so that neighbours keep a common border.
     """
     start = places[:-1] if closed else places
     there = _transformed(transformer, start)

@@ -1,4 +1,4 @@
-"""Vector files that people get: GeoPackages that appear whole, with the same bytes for the same features."""
+"""Writes GeoPackages, which appear whole, with the same bytes for the same features."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from pyproj import CRS
 
 from tiler.core.crs import split
 from tiler.errors import refused_write
-from tiler.io.partial_files import appearing
+from tiler.io.partial_files import appearing, cause_of
 
 WHEN = "2000-01-01T00:00:00.000Z"
-"""In place of the time of writing, which a GeoPackage keeps for each layer: same features, same bytes."""
+"""Stands for the time of writing, which would change the bytes of each layer."""
 
 VERSION = "1.2"
-"""Of GeoPackage: GDAL below 3.7, as in QGIS 3.22, warns of newer ones each time it opens a file."""
+"""Version of GeoPackage. GDAL before 3.7, as in QGIS 3.22, warns of newer versions whenever it opens a file."""
 
 
 class GeoPackage:
-    """Takes the layers of an open file; made by `geopackage`."""
+    """A file that takes layers; made by `geopackage`."""
 
     def __init__(self, path: Path, crs: str | None) -> None:
         self._path = path
@@ -41,7 +41,7 @@ class GeoPackage:
         ----------
         layer : str
         kind : str
-            Type of the geometries: ``Point``, ``LineString``, ``Polygon``, with ``Multi`` or `` Z`` where they are.
+            Type of the geometries: ``Point``, ``LineString`` or ``Polygon``, with ``Multi`` before or `` Z`` after.
         geometries : sequence of shapely geometries
             In units of the CRS.
         columns : mapping of str to arrays
@@ -53,7 +53,7 @@ class GeoPackage:
         shapes = np.empty(len(geometries), object)
         shapes[:] = [shapely.to_wkb(g, output_dimension=dimensions, flavor="extended") for g in geometries]
         with warnings.catch_warnings():
-            # Until the file is whole its name does not end as that of a GeoPackage should; without a CRS there is none.
+            # GDAL warns of the temporary name, which has another suffix, and of a missing CRS.
             warnings.simplefilter("ignore", RuntimeWarning)
             warnings.simplefilter("ignore", UserWarning)
             raw.write(
@@ -73,18 +73,18 @@ class GeoPackage:
 
 @contextmanager
 def geopackage(path: Path, crs: str | None) -> Iterator[GeoPackage]:
-    """A file that is written layer by layer and has its name once it is whole.
+    """Give a file that is written layer by layer and gets its name once it is whole.
 
     Parameters
     ----------
     path : Path
     crs : str or None
-        WKT or authority code; its horizontal part alone is kept, and heights are in units of the vertical one.
+        WKT or authority code. The file gets its horizontal part; heights are in units of the vertical part.
 
     Raises
     ------
     ProcessingError
-        The disk refuses; see `tiler.errors.refused_write`.
+        The file system refuses a write, see `tiler.errors.refused_write`.
     """
     import pyogrio
     from pyogrio.errors import DataLayerError, DataSourceError, FeatureError
@@ -93,10 +93,11 @@ def geopackage(path: Path, crs: str | None) -> Iterator[GeoPackage]:
     pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": WHEN})
     try:
         with appearing(path) as partial:
-            partial.unlink(missing_ok=True)  # of a run that was killed: GDAL would add to it
-            yield GeoPackage(partial, _horizontal(crs))
-    except (DataLayerError, DataSourceError, FeatureError) as error:
-        raise refused_write(str(path), error, path.parent) from error
+            partial.unlink(missing_ok=True)  # GDAL would add layers to the file of a killed run
+            try:
+                yield GeoPackage(partial, _horizontal(crs))
+            except (DataLayerError, DataSourceError, FeatureError) as error:
+                raise refused_write(str(path), cause_of(partial, error), path.parent) from error
     finally:
         pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": keep})
 

@@ -11,14 +11,19 @@ import ptd
 from ptd.frame import Window
 from ptd.ground import blocks
 from ptd.ground.labelling import GROUND
-from ptd.ground.roughness import Roughness
-from ptd.methods.auto.label_thresholds import Seen, decided, label_thresholds
+from ptd.ground.noise_sums import Roughness
+from ptd.methods.auto.label_thresholds import Seen, decided, label_bands, label_thresholds
 from ptd.methods.auto.method import OBJECT, ROOF, Auto
 from ptd.methods.auto.params import Reaches
 from ptd.passes import Points
+from ptd.places import value_at
+from tests.ptd.alike import alike
 from tests.ptd.scenes import SCENES
 from tests.ptd.tiling import classify_tiled
 from tests.scenes.windows import SCALE
+
+HELD = [[8.0, 0.066, 0.07, 1.0, 0.0]]
+"""Figures of the places of a run."""
 
 
 class Near(Auto):
@@ -71,7 +76,7 @@ def test_the_last_tin_takes_back_edges_that_fit_and_no_roofs(code: int, rise_m: 
     z = np.where(abs(x - 20) < 1, rise_m, np.where(bank, 0.5 * rise_m, 0.0))
     counts = np.round(np.stack([x, y, z]) * 100).astype(np.int32)
     cloud = Points(counts, np.where(bank, code, GROUND).astype(np.uint8))
-    state = {"survey": {"kind": "lidar", "density_m2": 1.0, "label_sigma_m": None}}
+    state = {"run": {"sigma_m": None}, "survey": {"kind": "lidar"}, "places": alike(1.0)}
     window = Window.everything()
     label = next(p for p in Auto().passes if p.name == "label")
     labels, _ = label.fit(cloud, window, window, SCALE, state).label(cloud)
@@ -83,7 +88,7 @@ def test_a_window_without_ground_knows_nothing() -> None:
     """All points of a window may be objects' if what surrounds it is lower."""
     window = Window(0, 0, 10_000, 10_000)
     cloud = Points(np.full((3, 4), 500, np.int32), np.full(4, OBJECT, np.uint8))
-    state = {"survey": {"kind": "lidar", "density_m2": 1.0, "label_sigma_m": None}}
+    state = {"run": {"sigma_m": None}, "survey": {"kind": "lidar"}, "places": alike(1.0)}
     for number in (2, 5):
         for given, marked in ((window, True), (Window.everything(), False)):
             model = Auto().passes[number].fit(cloud, given, given, SCALE, state)
@@ -95,22 +100,24 @@ def test_a_window_without_ground_knows_nothing() -> None:
 def test_image_matching_is_told_by_single_returns_and_what_is_not_seen_through() -> None:
     found = Roughness(8.0, 0.066, 50, 0.07)
     run = {"rgb": False, "sigma_m": None, "kind": None}
-    survey, notes = decided(Auto(), found, Seen(1000, 0, 500, 1), run)
+    survey, notes = decided(Auto(), found, Seen(1000, 0, 500, 1), HELD, run)
     assert (survey["kind"], survey["cell_sigma_m"], survey["density_m2"]) == ("dim", 0.07, 8.0)
     assert notes == [
-        "decided: image matching (no point is one of several returns, and nothing is seen through plants); "
-        "8 points/m2, noise 0.07 m",
-        "decided: ground is up to 0.15 m and twice the local noise from the surface, after a vote of neighbours",
+        "decided: image matching (88 % sure: nothing is seen through plants; "
+        "returns, GPS times, angles and flight lines show no sensor); 8 points/m2, noise 0.07 m",
+        "decided: ground is up to 0.15 m and twice the local noise from the surface, after a vote of neighbours; "
+        "noise of the place 0.07 m, cells of 1 m",
     ]
-    assert decided(Auto(), found, Seen(0, 0, 500, 1), run)[0]["kind"] == "dim"  # returns are not known
+    assert decided(Auto(), found, Seen(0, 0, 500, 1), HELD, run)[0]["kind"] == "dim"  # returns are not known
     for several, through, why in (
         (10, 0, "1 % of the points are one of several returns"),
         (1000, 0, "100 % of the points are one of several returns"),
-        (0, 2, "pulses passed through plants in 0.4 % of the area, though each point is a single return"),
+        (0, 2, "pulses passed through plants in 0.4 % of the area"),
     ):
-        survey, notes = decided(Auto(), found, Seen(1000, several, 500, through), run)
+        survey, notes = decided(Auto(), found, Seen(1000, several, 500, through), HELD, run)
         assert survey["kind"] == "lidar"
-        assert notes[0].startswith(f"decided: laser scanning ({why})")
+        assert notes[0].startswith("decided: laser scanning (")
+        assert f"% sure: {why})" in notes[0]
     for density, seen, kind in (
         (3.9, Seen(0, 0, 5000, 19, 2000, 99, 100), "dim"),  # nearly 5 % of wide cells: walls and chance
         (3.9, Seen(0, 0, 5000, 19, 2000, 100, 100), "lidar"),
@@ -120,11 +127,11 @@ def test_image_matching_is_told_by_single_returns_and_what_is_not_seen_through()
         (4.0, Seen(0, 0, 5000, 0, 2000, 110, 0), "dim"),  # dense: wide cells have no say
     ):
         for rgb in (False, True):  # colours have no part in it
-            found, _ = decided(Auto(), Roughness(density, 0.066, 50, 0.07), seen, run | {"rgb": rgb})
+            found, _ = decided(Auto(), Roughness(density, 0.066, 50, 0.07), seen, HELD, run | {"rgb": rgb})
             assert found["kind"] == kind
     for density, noise in ((2.9, 0.066), (3.0, 0.1)):  # below, few quarters of patches have enough points
         found = Roughness(density, 0.066, 50, 0.1)
-        survey, _ = decided(Auto(), found, Seen(0, 0, 0, 0), run | {"kind": "dim"})
+        survey, _ = decided(Auto(), found, Seen(0, 0, 0, 0), HELD, run | {"kind": "dim"})
         assert survey["cell_sigma_m"] == noise
 
 
@@ -132,7 +139,7 @@ def test_image_matching_is_told_by_single_returns_and_what_is_not_seen_through()
 def test_what_the_user_says_of_the_source_is_obeyed(kind: str) -> None:
     for seen in (Seen(1000, 500, 500, 100), Seen(1000, 0, 500, 0)):
         run = {"rgb": True, "sigma_m": None, "kind": kind}
-        survey, notes = decided(Auto(), Roughness(8.0, 0.066, 50, 0.07), seen, run)
+        survey, notes = decided(Auto(), Roughness(8.0, 0.066, 50, 0.07), seen, HELD, run)
         assert survey["kind"] == kind
         assert "as --kind or the preset says" in notes[0]
 
@@ -151,15 +158,18 @@ def test_what_the_user_says_of_the_source_is_obeyed(kind: str) -> None:
 def test_the_last_pass_is_narrower_where_points_are_dense(
     density: float, sigma: float | None, floor: float, slope: float
 ) -> None:
-    chosen = label_thresholds(Auto(), {"density_m2": density, "label_sigma_m": sigma})
-    assert (chosen.label_floor_m, chosen.label_slope_m) == pytest.approx((floor, slope))
+    assert label_thresholds(Auto(), density, sigma) == pytest.approx((floor, slope))
 
 
-def test_the_last_pass_allows_for_the_noise_that_the_user_says_alone() -> None:
-    for said in (None, 0.1):
-        run = {"sigma_m": said, "kind": "lidar"}
-        survey, _ = decided(Auto(), Roughness(8.0, 0.09, 50), Seen(9, 9, 9, 0), run)
-        assert (survey["sigma_m"], survey["label_sigma_m"]) == (said or 0.09, said)
+@pytest.mark.parametrize(("said", "floor"), [(None, 0.12), (0.04, 0.17)])
+def test_the_last_pass_allows_for_the_noise_that_the_user_says_alone(
+    said: float | None, floor: float
+) -> None:
+    """A place has a noise of 0.09 m as measured."""
+    state = {"run": {"sigma_m": said}, "places": alike(8.0, 0.09)}
+    bands = label_bands(Auto(), state, SCALE)
+    assert value_at(bands.floor, 5, -7) == pytest.approx(100 * floor)
+    assert value_at(bands.per_slope, 5, -7) == pytest.approx(50)
 
 
 def test_a_hall_wider_than_the_openings_is_no_ground() -> None:
@@ -198,7 +208,7 @@ def test_the_decision_reaches_the_result() -> None:
     statistics = result.decisions["statistics"]
     assert (statistics["survey"]["kind"], statistics["survey"]["cell_sigma_m"]) == ("dim", 0.2)
     assert len(statistics["notes"]) == 2
-    assert list(result.stats) == ["survey", "cells", "objects", "inner-objects", "surface"]
+    assert list(result.stats) == ["survey", "cells", "objects", "inner-objects", "canopy", "surface"]
 
 
 def test_reaches_are_those_of_the_rules() -> None:
@@ -218,7 +228,8 @@ def test_reaches_are_those_of_the_rules() -> None:
         "cells": 4.0,
         "objects": 324.0,
         "inner-objects": 324.0,
-        "surface": 450.0,
+        "canopy": 622.0,
+        "surface": 456.0,
     }
 
 

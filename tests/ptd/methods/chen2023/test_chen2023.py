@@ -1,4 +1,4 @@
-"""`chen2023` as a whole: what its steps keep and remove, what it refuses, and its errors on real samples."""
+"""`chen2023` as a whole: the points that its steps keep and remove, its refusals, its errors on real samples."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ RNG = np.random.default_rng(6)
 
 
 def town() -> tuple[np.ndarray, np.ndarray]:
-    """A slope with two houses, a hall of 25 m and a step of terrain; which points are ground."""
+    """A slope with two houses, a hall of 25 m and a terrain step, and a mask of the ground."""
     x, y = RNG.uniform(0, 120, (2, 9000))
     z = 0.15 * x + RNG.normal(0, 0.03, x.size)
     z += 2.0 * np.clip((y - 90) / 3, 0, 1)  # a bank of 2 m in 3 m
@@ -44,7 +44,7 @@ def test_a_roof_wider_than_the_largest_building_stays() -> None:
     assert (ptd.classify(xyz, "chen2023", params).classification[hall] == 2).mean() > 0.9
 
 
-def test_tails_and_isolated_points_and_low_groups_are_no_ground() -> None:
+def test_tails_and_isolated_points_and_low_groups_are_not_ground() -> None:
     xyz, _ = town()
     tails = [[30.0, 70.0, -400.0], [31.0, 70.0, -401.0], [130.0, 130.0, 900.0]]
     isolated = [[50.2, 80.0, 40.0], [100.0, 100.0, -2.0], [110.0, 20.0, 2.0]]  # above and below
@@ -67,7 +67,7 @@ def test_without_a_gap_parameter_no_tails_are_cut() -> None:
 
 
 def test_noise_among_the_seeds_goes_and_densification_may_take_it_back() -> None:
-    """Seeds of a shed that wide thresholds leave: a cluster behind narrow facets. Without refinement it is ground."""
+    """Wide thresholds leave seeds on a shed, a cluster behind narrow facets. Without refinement it is ground."""
     x, y = (a.ravel() for a in np.meshgrid(np.arange(0.5, 60), np.arange(0.5, 60)))
     z = 0.02 * np.sin(7 * x + 3 * y)
     shed = (abs(x - 30) < 3) & (abs(y - 30) < 3)
@@ -82,7 +82,7 @@ def test_noise_among_the_seeds_goes_and_densification_may_take_it_back() -> None
 
 
 def test_a_cloud_of_outliers_alone_has_no_ground() -> None:
-    """Heights 0, 10, 20, 30, 40 at five places a metre apart: each is far from all others."""
+    """Heights of 0, 10, 20, 30, 40 a metre apart, each far from all others."""
     cloud = np.array([[k, 0.5 * k, 10.0 * k] for k in range(5)])
     assert ptd.classify(cloud, "chen2023").classification.tolist() == [1] * 5
     window, nothing = Window(0, 0, 9, 9), Points(np.zeros((3, 0), np.int32))
@@ -105,7 +105,7 @@ def test_exponential_windows_need_an_initial_window_of_2() -> None:
 
 
 def test_cells_larger_than_the_largest_building_are_refused() -> None:
-    """Else what an opening reaches would be more than the cells that a window is widened to."""
+    """Otherwise an opening would reach beyond the cells to which a window is widened."""
     with pytest.raises(ValueError, match=r"thin_cell_m 4: .* use at most max_building_size_m, 3 m"):
         Chen2023(thin_cell_m=4.0, max_building_size_m=3.0)
 

@@ -1,4 +1,4 @@
-"""`chen2023` over windows and tiles: what carries no mark is the untiled answer, and the statistics are identical."""
+"""`chen2023` over windows and tiles: unmarked labels equal the untiled ones, and so do the statistics."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ def run(params: Chen2023, cloud: Cloud, window: Window) -> tuple[np.ndarray, np.
 
 
 def random_case(seed: int) -> tuple[Chen2023, Cloud, Window]:
-    """Windows and cells small against the cloud; rough ground, holes, lattices, all kinds of parameters."""
+    """Small windows and cells; rough ground, holes, lattices, all kinds of parameters."""
     rng = np.random.default_rng(seed)
     n, step = int(rng.integers(1500, 6000)), int(rng.choice([1, 1, 100, 250]))
     cloud = (rng.integers(0, SIDE, (3, n)) // step * step).astype(np.int32)
@@ -100,7 +100,7 @@ def test_tiles_agree_with_the_whole_and_marks_fall_with_the_halo(scene: str) -> 
 
 @pytest.mark.parametrize("tile_m", [33.0, 50.0, 300.0])
 def test_the_statistics_are_those_of_one_tile(tile_m: float) -> None:
-    """Also where the cells of candidates nest neither in tiles nor in the ring's cells, and without a halo."""
+    """This holds without a halo, and for candidates' cells that nest neither in tiles nor in the ring's cells."""
     cloud = SCENES["blunders"](np.random.default_rng(3))
     cloud[2, ::2300] -= 6_000
     params = replace(CITY, thin_cell_m=0.7, low_radius_m=1.0)

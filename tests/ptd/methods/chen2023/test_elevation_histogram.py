@@ -48,7 +48,7 @@ def test_both_tails_are_cut() -> None:
 
 
 @pytest.mark.parametrize(("gap", "low"), [(20, 100), (21, 79)])
-def test_a_tail_lies_beyond_so_many_empty_bins(gap: int, low: int) -> None:
+def test_a_tail_lies_beyond_enough_empty_bins(gap: int, low: int) -> None:
     found = find_tails(BODY | {79: 1}, gap, 0.001)
     assert found is not None
     assert found.low_bin == low
@@ -56,13 +56,13 @@ def test_a_tail_lies_beyond_so_many_empty_bins(gap: int, low: int) -> None:
 
 @pytest.mark.parametrize(("n", "high"), [(9, 129), (10, 200)])
 def test_a_tail_holds_no_more_than_its_share(n: int, high: int) -> None:
-    """9010 points with the tail: nine are no more than 0.1 percent of them."""
+    """There are 9010 points with the tail; nine are at most 0.1 percent of them."""
     found = find_tails(BODY | {200: n}, 20, 0.001)
     assert found is not None
     assert found.high_bin == high
 
 
-def test_a_second_level_of_terrain_stays_and_what_lies_beyond_it_goes() -> None:
+def test_a_second_level_of_terrain_stays_and_points_beyond_it_go() -> None:
     found = find_tails(BODY | {900: 4000, 990: 2}, 20, 0.001)
     assert found == Tails(100, 900, below=0, above=2)
 
@@ -73,7 +73,7 @@ def test_a_peak_without_gaps_stays_however_few_its_points_are() -> None:
     assert (found.low_bin, found.high_bin) == (100, 890)
 
 
-def test_what_lies_outside() -> None:
+def test_heights_outside_the_range() -> None:
     below, above = outside(np.array([-1, 0, 1999, 2000], np.int32), Scale(), [0, 1])
     assert below.tolist() == [True, False, False, False]
     assert above.tolist() == [False, False, False, True]
@@ -81,7 +81,7 @@ def test_what_lies_outside() -> None:
 
 
 def test_the_pass_counts_the_lowest_point_of_each_cell_of_the_core_once() -> None:
-    """Cells of 1 m; the core starts at x = 1000: of its two cells the lower points count, at 5 and 7 m."""
+    """The core starts at x = 1000. The lower points of its two cells of 1 m count, at 5 and 7 m."""
     cloud = np.array([[500, 1100, 1200, 2500], [0, 0, 0, 0], [3000, 5000, 6000, 7000]], np.int32)
     step = ElevationsPass(1.0, 20.0, 0.001)
     core = Window(1000, 0, 9000, 9000)

@@ -1,4 +1,4 @@
-"""Empty cells of a minimum raster: means of their neighbours, then the nearest height, never 0."""
+"""Empty cells of a minimum raster get means of their neighbours, then the nearest height, never 0."""
 
 from __future__ import annotations
 
@@ -34,7 +34,8 @@ def test_growing_outward_a_layer_uses_what_the_layers_before_filled() -> None:
     filled, layers = fill_empty(grid([0, 90, E, E, E]), 3, 3)
     assert filled.tolist() == [[0, 90, 90, 90, 90]]
     assert layers.tolist() == [[0, 0, 1, 2, 3]]
-    # The second layer's cell touches two cells of the first: 10 and (10 + 40) / 2 = 25; the third's only that one.
+    # The cell of layer two touches two cells of layer one, 10 and (10 + 40) / 2 = 25; that of layer three only the
+    # second.
     filled, _ = fill_empty(grid([10, E, E, E], [40, E, E, E]), 3, 3)
     assert filled[:, 1].tolist() == [25, 25]
     filled, _ = fill_empty(grid([10, E, E], [E, E, E], [E, E, E], [70, E, E]), 3, 3)
@@ -43,12 +44,12 @@ def test_growing_outward_a_layer_uses_what_the_layers_before_filled() -> None:
 
 
 def test_cells_of_one_layer_do_not_see_each_other() -> None:
-    """Both middle cells see the end beside them alone."""
+    """Both middle cells see only the end beside them."""
     filled, _ = fill_empty(grid([0, E, E, 90]), 1, 1)
     assert filled.tolist() == [[0, 0, 90, 90]]
 
 
-def test_what_is_left_takes_the_nearest_cell_not_0() -> None:
+def test_remaining_cells_take_the_nearest_height_not_0() -> None:
     row = [500, E, E, E, E, E, E, 800]
     filled, _ = fill_empty(grid(row), 0, 9)
     assert filled.tolist() == [[500, 500, 500, 500, 800, 800, 800, 800]]
@@ -57,7 +58,7 @@ def test_what_is_left_takes_the_nearest_cell_not_0() -> None:
     assert layers.tolist() == [[0, 1, 2, -1, -1, 2, 1, 0, 1]]
 
 
-def test_of_equally_near_cells_the_lowest() -> None:
+def test_the_lowest_of_equally_near_cells_counts() -> None:
     filled, _ = fill_empty(grid([7, E, 3]), 0, 4)
     assert filled.tolist() == [[7, 3, 3]]
 

@@ -34,7 +34,7 @@ EVERYTHING = Window.everything()
         (1, False, 9, [3, 5, 7, 9, 11]),  # 9 cells are not wider than a building of 9
         (2, True, 20, [5, 9, 17, 21]),  # 33 is cut to the smallest odd width above 20
         (5, False, 3, [5]),  # 11 as well
-        (1, False, Fraction(1, 2), [3]),  # never none
+        (1, False, Fraction(1, 2), [3]),  # at least one window
     ],
 )
 def test_the_series_of_windows(initial: int, exponential: bool, building: int, widths: list[int]) -> None:
@@ -47,7 +47,7 @@ def test_thresholds_of_linear_windows() -> None:
 
 
 def test_thresholds_of_exponential_windows_up_to_the_largest() -> None:
-    """W 5, 9, 17, 33 differ from the one before (1 at first) by 4, 4, 8, 16: 1.5, 1.5, 2.7, 5.1, at most 2.5."""
+    """Differences of W 5, 9, 17, 33 (1 at first) are 4, 4, 8, 16: 1.5, 1.5, 2.7, 5.1, at most 2.5."""
     found = height_thresholds([5, 9, 17, 33], 0.3, 1.0, 0.3, 2.5)
     assert found == pytest.approx([1.5, 1.5, 2.5, 2.5])
     assert height_thresholds([5, 9, 17, 33], 0.3, 1.0, 0.3, 9.0) == pytest.approx([1.5, 1.5, 2.7, 5.1])
@@ -118,7 +118,7 @@ def test_steps_are_judged_from_surface_to_surface_not_from_the_first() -> None:
 
 
 def test_a_plane_is_ground_to_its_border_and_around_holes() -> None:
-    """Beyond the border heights repeat those of the rim: a slope drops by less than what it rises over a window."""
+    """Heights of the rim repeat beyond the border, so a slope drops by less than its rise over a window."""
     rows, columns = np.indices((60, 60))
     keep = (rows - 30) ** 2 + (columns - 25) ** 2 > 64
     assert seeds_of(0.1 * columns, Opening([3, 5, 7, 9], [300] * 4, 3), keep)[keep].all()
@@ -157,15 +157,15 @@ def test_blocks_change_nothing(seed: int, block: int) -> None:
     assert np.array_equal(whole[1], parts[1])
 
 
-def test_what_is_certain_is_a_window_and_its_fill_inside() -> None:
-    """In a full raster W - 1 = 4 cells, half a window twice, inside what is known; beside a hole, farther."""
+def test_certain_cells_lie_a_window_and_its_fill_inside() -> None:
+    """In a full raster that is W - 1 = 4 cells, half a window twice; beside a hole it is farther."""
     x, y, z = field(np.zeros((40, 40)))
     known = Window(10_000, -(2**40), 2**40, 2**40)
     args = Cells.of(1.0, Scale()), Opening([3, 5], [300, 300], 3)
     _, unsure = potential_seeds(x, y, z, np.ones(x.size, bool), *args, known)
     middle = abs(y - 20_000) < 12_000
     assert np.array_equal(unsure[middle], x[middle] < 14_000)
-    hole = (x // 1000 < 15) & (abs(y // 1000 - 20) < 3)  # 5 cells deep: filled from cells that are not known
+    hole = (x // 1000 < 15) & (abs(y // 1000 - 20) < 3)  # 5 cells deep, and filled from unknown cells
     x, y, z = x[~hole], y[~hole], z[~hole]
     _, unsure = potential_seeds(x, y, z, np.ones(x.size, bool), *args, known)
     beside = (y // 1000 == 20) & (x // 1000 == 15)

@@ -1,4 +1,4 @@
-"""Noise among seeds: tips of over-long facets and small clusters that stand out, in TINs small enough to see."""
+"""Noise among seeds, in TINs small enough to check: tips of over-long facets and small raised clusters."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def noise_of(
 
 
 def test_the_highest_corner_of_an_over_long_facet_is_noise() -> None:
-    """A 3-4-12 box: the side in space from (0, 0, 0) to (30, 40, 120) is 130 long, 50 in plan."""
+    """The side in space from (0, 0, 0) to (30, 40, 120) is 130 long, and 50 in plan."""
     points = [(0, 0, 0), (30, 40, 120), (60, 0, 5)]
     assert noise_of(points, OFF._replace(long_side=129.9)) == {(30, 40)}
     assert noise_of(points, OFF._replace(long_side=130.0)) == set()
@@ -44,24 +44,24 @@ def test_heights_count_in_horizontal_units() -> None:
     assert noise_of(points, OFF._replace(long_side=129.9)) == set()
 
 
-def test_of_equally_high_corners_the_smallest_position() -> None:
+def test_the_smallest_position_of_equally_high_corners_counts() -> None:
     assert noise_of([(0, 0, 7), (0, 90, 7), (50, 0, 7)], OFF._replace(long_side=60.0)) == {(0, 0)}
 
 
 def test_each_long_facet_is_judged_in_the_same_tin() -> None:
-    """Two spikes; each facet has its own highest corner, and none is judged after another's was taken out."""
+    """Each of two spikes is the highest corner of its facet, and no facet is judged after a removal."""
     points = [(x * 10, y * 10, 0) for x in range(7) for y in range(7)]
     points = [(x, y, 500 if (x, y) in {(20, 20), (40, 40)} else z) for x, y, z in points]
     assert noise_of(points, OFF._replace(long_side=100.0)) == {(20, 20), (40, 40)}
 
 
-def test_a_virtual_corner_is_no_noise() -> None:
+def test_a_virtual_corner_is_not_noise() -> None:
     points = [(0, 0, 0), (30, 40, 120), (60, 0, 5)]
     assert noise_of(points, OFF._replace(long_side=100.0), {(30, 40)}) == set()
 
 
 def block(height: int, side: int = 3, step: int = 1000) -> list[tuple[int, int, int]]:
-    """A field of 15 x 15 points a metre apart with a block of side x side points on it; uneven, as clouds are."""
+    """A field of 15 x 15 points a metre apart with a block of side x side points; uneven, like real clouds."""
     rng = np.random.default_rng(3)
     found = []
     for column, row in np.ndindex(15, 15):
@@ -76,13 +76,13 @@ def up(points: list[tuple[int, int, int]]) -> set[Position]:
 
 
 def test_narrow_facets_split_off_a_small_cluster_that_stands_out() -> None:
-    """6 m high, 1 m apart: the facets up to it have angles of 10 degrees, over the block's corners 13."""
+    """Facets up to the cluster (6 m high, points 1 m apart) have angles of 10 degrees, or 13 over its corners."""
     points = block(6000)
     assert noise_of(points, CLUSTERS) == up(points)
 
 
 def test_facets_that_are_not_narrow_join() -> None:
-    """2.5 m high, 1 m apart: 21 and 31 degrees; those of the field have 45."""
+    """Facets up to 2.5 m have angles of 21 and 31 degrees; those of the field have 45."""
     points = block(2500)
     assert noise_of(points, CLUSTERS) == set()
     assert noise_of(points, CLUSTERS._replace(narrow_cos=math.cos(math.radians(35)))) >= up(points)
@@ -102,7 +102,7 @@ def test_a_cluster_that_lies_lower_or_hardly_higher_stays() -> None:
 
 
 def test_virtual_seeds_neither_join_nor_are_compared_with() -> None:
-    """Where all around a block is virtual, nothing is there for it to stand out from."""
+    """A block surrounded by virtual seeds has no neighbours to compare with."""
     points = block(6000)
     assert noise_of(points, CLUSTERS, {(x, y) for x, y, z in points if not z}) == set()
     assert noise_of(points, CLUSTERS, up(points)) == set()
@@ -124,7 +124,7 @@ def test_sides_are_sorted_and_do_not_depend_on_the_order_of_corners() -> None:
         assert _sides(vertices, np.array(corners, np.int32), 1.0) == (25.0, 144.0, 9.0 + 144.0 + 16.0)
 
 
-def test_the_flood_gives_one_number_to_what_facets_join() -> None:
+def test_joined_vertices_have_one_number() -> None:
     facets = np.array([[0, 1, 2], [2, 3, 4], [5, 6, 7], [4, 5, 8]], np.int32)
     joins = np.array([True, True, True, False])
     assert _flood(facets, joins, 9).tolist() == [0, 0, 0, 0, 0, 5, 5, 5, 8]
@@ -132,8 +132,8 @@ def test_the_flood_gives_one_number_to_what_facets_join() -> None:
 
 @settings(max_examples=50, deadline=None)
 @given(seed=st.integers(0, 10**6))
-def test_doubt_covers_what_a_change_in_doubtful_facets_can_do(seed: int) -> None:
-    """A cloud cut at a line: what is not unsure is that of the whole, if facets that the cut changes are doubtful."""
+def test_doubt_covers_all_effects_of_doubtful_facets(seed: int) -> None:
+    """In a cloud cut at a line, certain results equal those of the whole if the changed facets are in doubt."""
     rng = np.random.default_rng(seed)
     n = 250
     xy = rng.choice(60 * 60, n, replace=False)
@@ -157,7 +157,7 @@ def test_doubt_covers_what_a_change_in_doubtful_facets_can_do(seed: int) -> None
 
 
 @pytest.mark.parametrize("in_doubt", [0, 1])
-def test_where_all_is_in_doubt_nothing_is_certain(in_doubt: int) -> None:
+def test_with_all_facets_in_doubt_nothing_is_certain(in_doubt: int) -> None:
     x, y, z = np.ascontiguousarray(np.array(block(6000), np.int32).T)
     tin = Tin.build(x, y, z)
     doubt = np.full(tin.n_triangles, in_doubt, np.uint8)

@@ -1,4 +1,4 @@
-"""The method as a whole on a small coloured town: what it keeps, what it removes, what must not change its answer."""
+"""The method as a whole on a small coloured town: the points that it keeps and removes, and its invariance."""
 
 from __future__ import annotations
 
@@ -52,13 +52,13 @@ def test_ground_is_kept_and_objects_are_removed(scene: Town, whole: Run) -> None
     assert set(labels.tolist()) == {1, 2}
     ground = {what: (labels[scene.truth == what] == 2).mean() for what in (2, 3, CAR, TREE, HOUSE)}
     assert ground[2] > 0.985
-    assert ground[3] == ground[TREE] == 0.0  # green: no ground, as the paper has it
+    assert ground[3] == ground[TREE] == 0.0  # green points are not ground, as in the paper
     assert ground[CAR] < 0.05
     assert ground[HOUSE] < 0.04  # the feet of facades lie within the first threshold of the ground
 
 
 def test_on_cells_green_ground_is_kept_and_cars_are_removed(scene: Town) -> None:
-    """From cells of robust heights lawns are ground, which no colour says; houses, cars and crowns are not."""
+    """Robust heights make lawns ground, regardless of colour; houses, cars and crowns are not ground."""
     xyz, rgb = xyz_rgb(scene)
     result = classify(xyz, "dong2017", rgb=rgb)
     labels = result.classification
@@ -71,7 +71,7 @@ def test_on_cells_green_ground_is_kept_and_cars_are_removed(scene: Town) -> None
 
 
 def test_tiles_do_not_show_on_cells(small: Town, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Cells of tiles that see only a part of the town have the labels of the whole, seeds among them."""
+    """Cells of tiles that see only a part of the town have the labels and seeds of the whole."""
     monkeypatch.setattr(facets, "WIDEST_M", 6.0)
     shorter = facets.reach_m() + surface.noise_reach_cells(1.0) + 3.0
     passes = (*Dong2017(tins=1).passes[:-1], replace(NearGroundPass(), reach_m=shorter))
@@ -84,7 +84,7 @@ def test_tiles_do_not_show_on_cells(small: Town, monkeypatch: pytest.MonkeyPatch
     assert tiled == state
 
 
-def test_what_was_decided_is_told(whole: Run) -> None:
+def test_decisions_are_reported(whole: Run) -> None:
     state = whole[2]
     told = "\n".join(state["notes"])
     steps = (
@@ -118,7 +118,7 @@ def test_no_seed_on_houses_podiums_or_trees(scene: Town) -> None:
 
 @pytest.mark.parametrize("tile_m", [pytest.param(30.0, marks=pytest.mark.slow), 55.0])
 def test_tiles_do_not_show(small: Town, quick: Run, tile_m: float) -> None:
-    """Windows of the default halo hold all that decides: no mark."""
+    """The windows of the default halo decide everything, so there are no marks."""
     labels, marks, state = classify_tiled(small.points, SCALE, QUICK, tile_m, QUICK.halo_m)
     assert state == quick[2]
     assert np.array_equal(labels, quick[0])
@@ -126,7 +126,7 @@ def test_tiles_do_not_show(small: Town, quick: Run, tile_m: float) -> None:
 
 
 def test_with_too_small_a_halo_marks_are_true(small: Town, quick: Run) -> None:
-    """What is measured before ground grows from pass to pass is the same with any halo; no unmarked label is wrong."""
+    """Measurements before ground grows from pass to pass are the same for any halo, and no unmarked label is wrong."""
     labels, marks, state = classify_tiled(small.points, SCALE, QUICK, 40.0, 0.0)
     assert state["notes"][:5] == quick[2]["notes"][:5]
     assert np.array_equal(labels[~marks], quick[0][~marks])
@@ -192,8 +192,8 @@ def test_one_mode_of_colour_removes_nothing(small: Town) -> None:
     assert (result.classification[small.truth == 3] == 2).mean() > 0.9  # lawns are ground again
 
 
-def test_the_published_thresholds_are_of_the_order_of_those_found(whole: Run) -> None:
-    """Table 4: 0.35 m and 0.058 rad, 0.25 and 0.228, 0.22 and 0.35, at about twice this noise."""
+def test_thresholds_have_the_order_of_the_published_ones(whole: Run) -> None:
+    """Table 4 has 0.35 m and 0.058 rad, 0.25 and 0.228, 0.22 and 0.35, at about twice this noise."""
     found = [text for text in whole[2]["notes"] if "angle" in text]
     angles = [float(text.split("angle ")[1].split()[0]) for text in found]
     distances = [float(text.split("distance ")[1].split()[0]) for text in found]
@@ -227,7 +227,7 @@ def test_a_few_points_end_in_a_clear_refusal(n: int) -> None:
 
 @pytest.mark.slow
 def test_the_papers_comparison_between_facades() -> None:
-    """Table 3: type I 0, total 1.53 % with vegetation out; with its parameters `classic` loses most of the ground."""
+    """Table 3: type I 0, total 1.53 % without vegetation; `classic` with its parameters loses most of the ground."""
     from tiler.simulate.catalogue import make_scene
 
     scene = make_scene("dim_area_city")

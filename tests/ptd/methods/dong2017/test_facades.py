@@ -1,4 +1,4 @@
-"""Facades and the roads beside them, on scenes whose answer is known."""
+"""Facades and the roads beside them, on scenes with known answers."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ def test_threshold_of_equation_3_by_hand() -> None:
 
 
 def test_a_sparse_cloud_is_not_all_facades() -> None:
-    """1 point/m2: equation 3 gives 2, which chance puts into a quarter of all cells of flat ground."""
+    """At 1 point/m2, equation 3 gives 2, which a quarter of all flat cells exceed by chance."""
     assert facade_threshold(1.0, 3.0, 1.0, 0.5) == 1 + 5 * 1
     assert facade_threshold(9.0, 3.0, 1.0, 0.5) == 9 + 5 * 3
 
@@ -80,7 +80,7 @@ def test_cells_above_the_threshold_hold_the_facade() -> None:
 
 
 def test_the_lower_side_across_the_facade_is_the_road() -> None:
-    """Square to the facade, at d = 4 cells: column 6; diagonal lines reach column 7, which is nearer to the facade."""
+    """The perpendicular reaches column 6 at d = 4 cells; diagonals reach column 7, which is nearer to the facade."""
     found = seeds_of(house())
     inner = found[(found[:, 1] > 4) & (found[:, 1] < 15)]
     assert set(inner[:, 0].tolist()) == {6}
@@ -95,8 +95,8 @@ def test_a_seed_has_the_median_height_of_its_cell() -> None:
         assert height == np.sort(cell)[(cell.size - 1) // 2]
 
 
-def test_where_both_sides_are_level_there_is_no_road() -> None:
-    """A wall of points in the open: a dense cell, but no building."""
+def test_level_sides_have_no_road() -> None:
+    """A wall in the open is a dense cell, but not a building."""
     assert len(seeds_of(cloud(grid(np.zeros((20, 20))), wall(10, 20, 8.0)))) == 0
 
 
@@ -117,7 +117,7 @@ def test_a_sloped_place_is_flat() -> None:
 
 
 def test_a_blunder_in_the_cell_is_no_seed() -> None:
-    """It would be the lowest point of its cell; it also spoils the plane around it."""
+    """The blunder would be the lowest point of its cell, and spoils the plane around it."""
     points = house()
     low = np.flatnonzero((points[0] // CM == 6) & (points[1] // CM == 10))[0]
     points[2, low] = -900

@@ -1,4 +1,4 @@
-"""Green leaf index, modes and Otsu's threshold against numbers worked out by hand."""
+"""Green leaf index, modes and Otsu's threshold, compared with numbers worked out by hand."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ GLI = [
 @pytest.mark.parametrize(("colour", "index"), GLI)
 @pytest.mark.parametrize("times", [1, 256, 257])
 def test_gli_of_a_colour_in_8_and_16_bits(colour: tuple[int, int, int], index: float, times: int) -> None:
-    """GLI = (2G - R - B) / (2G + R + B) whatever the range."""
+    """GLI = (2G - R - B) / (2G + R + B) in any range."""
     found = gli_bins(np.array(colour, np.uint16)[:, None] * np.uint16(times))
     assert found.tolist() == [min(int((index + 1) / 2 * BINS + 1e-9), BINS - 1)]
 
@@ -53,7 +53,7 @@ def test_smoothing_keeps_a_symmetric_peak_and_the_sum() -> None:
 
 
 OTSU = [
-    # Two lumps: any split between them is equally good, the lowest is taken.
+    # Any split between two separate modes is equally good, so the lowest is taken.
     ([4, 4, 0, 0, 4, 4], 2),
     # By hand for 5, 3, 0, 2: n 10, moments 0, 3, 0, 6, mean 0.9. Split after 0: 5 and 5 points, means 0 and 1.8,
     # variance 0.5 0.5 1.8^2 = 0.81; after 1 or 2: 8 and 2, means 3/8 and 3, variance 0.8 0.2 2.625^2 = 1.1025.
@@ -95,12 +95,12 @@ UNIMODAL = {
 
 @pytest.mark.parametrize("name", UNIMODAL)
 def test_no_split_without_two_modes(name: str) -> None:
-    """Otsu would split each of these."""
+    """Otsu's threshold would split each of these histograms."""
     assert green_from(UNIMODAL[name].tolist()) is None
 
 
 def test_two_modes_that_are_not_green_are_not_split() -> None:
-    """Red roofs and grey streets."""
+    """The modes are red roofs and grey streets."""
     assert green_from((bell(GREY - 20, 3, 5000) + bell(GREY - 2, 3, 5000)).tolist()) is None
 
 
@@ -111,8 +111,8 @@ def test_red_grey_and_green_are_split_at_green() -> None:
     assert GREY + 4 < found < GREY + 16
 
 
-def test_gaps_of_dark_8_bit_colours_are_no_valleys() -> None:
-    """Greys of few values have few ratios."""
+def test_gaps_of_dark_8_bit_colours_are_not_valleys() -> None:
+    """Dark grey values have few ratios."""
     rng = np.random.default_rng(1)
     colours = np.clip(rng.normal(14, 1.5, (3, 50_000)).round(), 1, 255).astype(np.uint16)
     counts = np.bincount(gli_bins(colours), minlength=BINS)

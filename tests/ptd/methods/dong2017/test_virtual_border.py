@@ -1,4 +1,4 @@
-"""Virtual points around a TIN's own."""
+"""Virtual points around the points of a TIN."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ CELLS = Cells.of(4.0, SCALE)
 
 
 def block(rows: int, columns: int) -> np.ndarray:
-    """A point somewhere in each cell of a block, on a plane: int32 [3, n]."""
+    """One point in each cell of a block, on a plane: int32 [3, n]."""
     rng = np.random.default_rng(3)
     c0, r0 = CELLS.column(0) + 1, CELLS.row(0) + 1
     corners = np.array(
@@ -44,7 +44,7 @@ def test_each_empty_cell_within_two_has_a_point_in_its_middle() -> None:
         assert y == CELLS.south(CELLS.row(int(y))) + 200
 
 
-def test_the_plane_of_the_ground_goes_on() -> None:
+def test_virtual_points_extend_the_plane_of_the_ground() -> None:
     found = rim(*block(4, 4), CELLS)
     corner = abs(found[:, :2] - np.median(found[:, :2], axis=0)).min(axis=1) > 1000  # few cells near there
     assert abs(found[:, 2] - plane(found[:, 0], found[:, 1]))[~corner].max() <= 2

@@ -1,4 +1,4 @@
-"""Two stages: thresholds by scale, what is refused, what stays classic's, and independence of tiles."""
+"""Two stages: thresholds by scale, refusals, equality with classic, and independence of tiles."""
 
 from __future__ import annotations
 
@@ -33,9 +33,9 @@ def terrain(x: np.ndarray, y: np.ndarray) -> np.ndarray:
 def matched_cloud(
     seed: int, width: float = 120.0, height: float = 80.0, density: float = 12.0
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Image matching of houses on rolling ground: metres float64 [n, 3], and which points are ground.
+    """A matched cloud of houses on rolling ground, in metres float64 [n, 3], and a mask of the ground.
 
-    Noise of 0.066 m, walls, and clumps of blunders below the ground.
+    It has noise of 0.066 m, walls, and clumps of blunders below the ground.
     """
     rng = np.random.default_rng(seed)
     n = round(width * height * density)
@@ -66,7 +66,7 @@ def test_equation_3(sigma: float, density: float) -> None:
 
 
 def test_facets_as_dense_as_the_threshold() -> None:
-    """Equilateral facets of 2 m: each of sqrt(3) m2, and half a vertex."""
+    """Equilateral facets of 2 m have sqrt(3) m2 and half a vertex each."""
     assert even_edge_m(1 / (2 * math.sqrt(3))) == pytest.approx(2.0)
 
 
@@ -90,12 +90,12 @@ def test_scales_and_passes() -> None:
 
 
 def test_even_tin_by_hand() -> None:
-    """One point a cell of 4 m is a vertex; the others are measured against the facets of these alone."""
+    """One point per cell of 4 m is a vertex; the others are measured against these facets only."""
     steps = np.arange(100, 4000, 400, dtype=np.int32)
     x, y = (np.ascontiguousarray(a.ravel()) for a in np.meshgrid(steps, steps))
     z = np.zeros(x.size, np.int32)
     scale = Scale(Fraction(1, 100), Fraction(1, 100))
-    # Half a metre beside the vertex at (21, 21), in its cell, 0.31 m above: the lot decides which of them is picked.
+    # A second point lies in the cell of (21, 21), half a metre beside and 0.31 m above it. The hash picks one of them.
     x, y, z = (np.append(a, b).astype(np.int32) for a, b in ((x, 2150), (y, 2100), (z, 31)))
     even = EvenTin(x, y, z, np.ones(x.size, bool), 4.0, Window.everything(), scale)
     left = np.flatnonzero(even.left_out)
@@ -115,7 +115,7 @@ def test_even_tin_by_hand() -> None:
 
 
 def test_a_matched_cloud() -> None:
-    """Against the truth: type I, II and total, beside classic; thresholds as in figure 12."""
+    """Type I, II and total error beside those of classic; thresholds as in figure 12."""
     xyz, ground = matched_cloud(1)
     result = classify(xyz, "dong2018", DEFAULTS)
     state = result.decisions["statistics"]
@@ -152,7 +152,9 @@ def test_blunders_are_low_noise() -> None:
         (4.0, 0.02, {"thin_cell_m": 0.7, "edge_length_reduce_m": 5.0, "rounds": 4}),
     ],
 )
-def test_a_sparse_cloud_is_classics(density: float, sigma: float | None, settings: dict[str, Any]) -> None:
+def test_a_sparse_cloud_is_labelled_as_by_classic(
+    density: float, sigma: float | None, settings: dict[str, Any]
+) -> None:
     xyz, _ = matched_cloud(3, density=density)
     params = replace(DEFAULTS, **settings)
     result = classify(xyz, "dong2018", params, sigma=sigma)
@@ -207,7 +209,7 @@ def measured(angle_bin: int, distance_bin: int) -> list[dict[str, Any]]:
     ]
 
 
-def test_thresholds_that_move_the_other_way_are_said_and_kept() -> None:
+def test_thresholds_that_move_the_other_way_are_reported_and_kept() -> None:
     state: dict[str, Any] = {"dense": True, "cells": 1, "threshold_m2": 1.0}
     state = MeasurePass(DEFAULTS, DEFAULTS.scales_m[0], "measure").reduce(measured(10, 5), state)
     state = MeasurePass(DEFAULTS, DEFAULTS.scales_m[1], "measure").reduce(measured(12, 4), state)
@@ -226,7 +228,7 @@ def test_no_points() -> None:
 
 
 def test_tiles_give_what_one_window_gives() -> None:
-    """Statistics are the same for any tiles; labels wherever nothing is marked, and nearly nothing is."""
+    """Statistics are equal for any tiles, and so are unmarked labels; hardly any label is marked."""
     xyz, _ = matched_cloud(8, 330.0, 50.0, 6.0)
     scale = Scale(Fraction(1, 1000), Fraction(1, 1000), (2_345_678, -9_876_543))
     points = Points(np.ascontiguousarray(np.rint(xyz.T * 1000).astype(np.int32)))

@@ -1,4 +1,4 @@
-"""Pits: what is narrow and deep, whatever the slope, the order or the tile."""
+"""Pits are narrow and deep, for any slope, order or tile."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ SCALE = Scale(Fraction(1, CM), Fraction(1, CM), (-7_150, 12_330))
 
 
 def slope(rise: float) -> np.ndarray:
-    """A point every half metre of a slope of 30 x 30 m: int32 [3, n]."""
+    """A slope of 30 x 30 m with a point every half metre: int32 [3, n]."""
     steps = np.arange(25, 3000, 50, dtype=np.int32)
     x, y = (a.ravel() for a in np.meshgrid(steps, steps))
     return np.stack([x, y, (rise * x).astype(np.int32)])
@@ -26,7 +26,7 @@ def found(cloud: np.ndarray, depth_m: float = 0.4) -> np.ndarray:
 
 
 @pytest.mark.parametrize("rise", [0.0, 0.5, -2.0])
-def test_a_slope_has_none(rise: float) -> None:
+def test_a_slope_has_no_pits(rise: float) -> None:
     assert not found(slope(rise)).any()
 
 
@@ -34,7 +34,7 @@ def test_a_slope_has_none(rise: float) -> None:
 def test_single_points_and_clumps(rise: float) -> None:
     cloud = slope(rise)
     low = (np.hypot(cloud[0] - 1000, cloud[1] - 1500) < 75) | ((cloud[0] == 2125) & (cloud[1] == 525))
-    cloud[2, low] -= 150  # what is level with it downhill, a cell or two away, still lies 50 above
+    cloud[2, low] -= 150  # points a cell or two downhill still lie 50 above it
     shallow = (cloud[0] == 725) & (cloud[1] == 725)
     cloud[2, shallow] -= 30
     assert np.array_equal(found(cloud), low)

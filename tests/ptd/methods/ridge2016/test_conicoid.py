@@ -1,4 +1,4 @@
-"""The conicoid's t-test against numpy's least squares, and by hand."""
+"""The t-test of the conicoid, compared with numpy's least squares and with results by hand."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ STEP = 20_000
 def judge(
     xyz: np.ndarray, confidence: float = 0.98, least: float = 0.0, data: np.ndarray = NONE
 ) -> set[tuple[int, int]]:
-    """Positions of the contradicted seeds among points [n, 3]; `data` tells which are no virtual seeds."""
+    """Positions of the contradicted seeds among points [n, 3]; `data` is False for virtual seeds."""
     tin = Tin.build(*xyz.T.astype(np.int32))
     flags = np.ones(len(xyz), np.bool_) if data.size == 0 else data
     real = {(int(x), int(y)) for x, y in xyz[flags][:, :2]}
@@ -64,7 +64,7 @@ def hill(seed: int, rough: float, n: int = 9) -> np.ndarray:
 
 
 def test_a_seed_on_a_roof_or_in_a_pit_is_rejected_and_its_neighbours_on_the_roof_are_kept() -> None:
-    """Five metres above ground that is even to 5 cm; the seeds near it, whose fits it spoils, pass."""
+    """The seed lies five metres above ground that is even to 5 cm; seeds whose fits it spoils pass."""
     for height in (5000, -5000):
         points = hill(3, 50.0)
         points[40, 2] += height
@@ -80,7 +80,9 @@ def test_a_seed_on_a_roof_or_in_a_pit_is_rejected_and_its_neighbours_on_the_roof
     virtual=st.booleans(),
     blunders=st.integers(0, 3),
 )
-def test_as_numpy_does_it(seed: int, rough: float, confidence: float, virtual: bool, blunders: int) -> None:
+def test_results_equal_those_of_numpy(
+    seed: int, rough: float, confidence: float, virtual: bool, blunders: int
+) -> None:
     points = hill(seed, rough)
     rng = np.random.default_rng(seed + 1)
     points[rng.integers(0, len(points), blunders), 2] += 3000
@@ -91,7 +93,7 @@ def test_as_numpy_does_it(seed: int, rough: float, confidence: float, virtual: b
 
 
 def test_order_and_place_change_no_bit() -> None:
-    """Also those that are barely judged: every seed at a confidence of one half."""
+    """This includes borderline seeds: every seed at a confidence of one half."""
     points = hill(5, 300.0)
     whole = judge(points, 0.5)
     assert len(whole) > 20
@@ -102,7 +104,7 @@ def test_order_and_place_change_no_bit() -> None:
 
 
 def fan(n: int, height: int) -> np.ndarray:
-    """A seed in the middle of n others on a circle, and alone in its height."""
+    """A seed in the middle of n others on a circle, at another height."""
     angle = 2 * np.pi * (np.arange(n) + 0.3) / n
     ring = np.column_stack([STEP * np.cos(angle), STEP * np.sin(angle), np.arange(n) % 2 * 100])
     return np.rint(np.vstack([[0, 0, height], ring])).astype(np.int64)
@@ -112,19 +114,19 @@ def test_fewer_than_ten_neighbours_reject_nothing() -> None:
     assert judge(fan(9, 90_000), 0.5) == set()
 
 
-def test_all_neighbours_on_one_conic_tell_nothing() -> None:
-    """Of 16 on a circle x2 + y2 is a constant: the middle alone determines it, and has no residual."""
+def test_neighbours_on_one_conic_reject_nothing() -> None:
+    """For 16 points on a circle, x2 + y2 is constant. The middle alone determines it and has no residual."""
     assert (0, 0) not in judge(fan(16, 90_000), 0.5)
 
 
 def test_an_undetermined_conicoid_rejects_nothing() -> None:
-    """Two rows: y2 is a multiple of y."""
+    """For two rows, y2 is a multiple of y."""
     points = np.array([(x * STEP, y * STEP, 100 * (x * 7919 % 13)) for x in range(12) for y in (0, 1)])
     assert judge(points, 0.5) == set()
 
 
-def test_exact_ground_has_nothing_to_reject() -> None:
-    """All residuals are those of rounding to counts."""
+def test_no_seed_on_exact_ground_is_rejected() -> None:
+    """All residuals come from rounding to counts."""
     assert judge(np.array([(x * STEP, y * STEP, 0) for x in range(8) for y in range(8)]), 0.5) == set()
 
 
@@ -138,12 +140,12 @@ def test_confidence_and_least_residual() -> None:
 
 @pytest.mark.parametrize("n", [15, 16])
 def test_fifteen_observations_cannot_reject_at_98_percent(n: int) -> None:
-    """A normalised residual is at most the root of n - 7: 2.83 < 2.90 for 15, 3 > 2.82 for 16 observations."""
+    """A normalised residual is at most the root of n - 7: 2.83 < 2.90 for 15 observations, 3 > 2.82 for 16."""
     bound, limit = np.sqrt(n - 7), student.ppf(0.99, n - 7)
     assert (bound > limit) == (n == 16)
 
 
-def test_what_doubt_reaches_is_in_doubt() -> None:
+def test_seeds_within_reach_of_doubt_are_in_doubt() -> None:
     points = hill(3, 50.0, 15).astype(np.int32)
     tin = Tin.build(*points.T)
     known = Window(-STEP, -STEP, 15 * STEP, 15 * STEP)

@@ -1,4 +1,4 @@
-"""The method as a whole: what its parts find and drop, the round that is the last, tiles, the ISPRS samples."""
+"""The method as a whole: points found and dropped, the last round, tiles, the ISPRS samples."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def labels_of(cloud: Cloud, params: Ridge2016) -> np.ndarray:
 
 
 def test_the_last_round_by_hand() -> None:
-    """10000 points, 0.001 of them are 10."""
+    """A share of 0.001 of 10000 points is 10."""
     gained = [500, 60, 11, 10, 9]
     last, note = last_round(10_000, gained, [0] * 5, 0.001)
     assert last == 4
@@ -44,7 +44,7 @@ def test_the_last_round_by_hand() -> None:
     assert note.endswith("still more than 0.08 %, but no more rounds were wanted")
 
 
-def test_points_near_edges_are_told_where_they_could_change_the_last_round() -> None:
+def test_a_note_says_that_points_near_edges_could_change_the_last_round() -> None:
     gained = [500, 60, 11, 10]
     assert "wider halo" not in last_round(10_000, gained, [3, 0, 0, 0], 0.001)[1]
     assert "wider halo" in last_round(10_000, gained, [0, 1, 0, 0], 0.001)[1]
@@ -117,7 +117,7 @@ def test_codes_of_vertices_are_the_rounds_in_which_they_became_such() -> None:
     "scene", [pytest.param("hills_with_houses", marks=pytest.mark.slow), "voids", "blunders"]
 )
 def test_tiles_do_not_show(scene: str) -> None:
-    """Labels are equal where nothing is marked; with a wide halo nothing is, and the run's figures are identical."""
+    """Unmarked labels are equal; with a wide halo all are, and the figures of the run are identical."""
     cloud = SCENES[scene](np.random.default_rng(5))
     whole, none, state = classify_tiled(Points(cloud), SCALE, SMALL, None)
     assert not none.any()
@@ -135,7 +135,7 @@ SIDE = 30_000
 
 
 def rough_roofs(seed: int) -> tuple[np.random.Generator, Cloud, Ridge2016]:
-    """Cells small against the window, sharp ridges and steps, thresholds at which much is found and dropped."""
+    """Small cells, sharp ridges and steps, and thresholds at which much is found and dropped."""
     rng = np.random.default_rng(seed)
     step = int(rng.choice([1, 1, 100, 250]))
     cloud = (rng.integers(0, SIDE, (3, 5000)) // step * step).astype(np.int32)
@@ -189,8 +189,8 @@ def test_unmarked_labels_of_any_window_are_those_of_the_untiled_run(seed: int) -
     assert not (~marked & (labels != truth[inside])).any()
 
 
-def test_some_of_such_windows_is_certain() -> None:
-    """So that the test above sees something: ridges are found, seeds dropped, labels not marked."""
+def test_a_part_of_such_windows_is_certain() -> None:
+    """This gives the test above its meaning: ridges are found, seeds are dropped, labels are unmarked."""
     _, cloud, params = rough_roofs(4)
     window = Window(-OPEN, -OPEN, 28_000, OPEN)
     part = np.ascontiguousarray(cloud[:, cloud[0] < 28_000])
@@ -202,7 +202,7 @@ def test_some_of_such_windows_is_certain() -> None:
 
 @pytest.mark.slow
 def test_on_a_mountain_beside_a_settlement_the_terrain_is_better_than_that_of_classic() -> None:
-    """The paper's comparison (25 % less RMSE than `classic`), with the paper's parameters and with our defaults."""
+    """The paper's comparison (25 % less RMSE than `classic`), with its parameters and with our defaults."""
     from tiler.simulate.catalogue import make_scene
 
     scene = make_scene("als_mountain")

@@ -1,4 +1,4 @@
-"""Ridge facets and points of hills by hand; seeds lie where the lowest points of cells of 20 m would."""
+"""Ridge facets and points of hills by hand; seeds lie at the lowest points of cells of 20 m."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ LEFT, RIGHT = (-30, -10, 10), (50, 70, 90)
 
 
 def seeds(height: Callable[[float], float], columns: tuple[int, ...] = LEFT + RIGHT) -> np.ndarray:
-    """Rows of seeds each 20 m, the right ones shifted so that no four lie on a circle: int32 [3, n]."""
+    """Rows of seeds every 20 m, shifted so that no four lie on a circle: int32 [3, n]."""
     points = [(x, y + (7 if x > 30 else 0), height(x)) for x in columns for y in range(-60, 80, 20)]
     return np.rint(np.array(points).T * M).astype(np.int32)
 
@@ -39,7 +39,7 @@ def at(tin: Tin, x: float, y: float, rule: RidgeRule = RULE, data: np.ndarray | 
 
 
 def test_facets_across_the_ridge_of_a_roof_are_found_and_no_others() -> None:
-    """45 degrees on both sides: the facets from slope to slope are level, those beside fall by 45 > 25 degrees."""
+    """With 45 degrees on both sides, facets across the ridge are level, and those beside fall by 45 > 25 degrees."""
     tin = Tin.build(*seeds(roof(1.0)))
     for y in (-20, -5, 3, 11, 18):
         assert at(tin, 30, y)
@@ -62,7 +62,7 @@ def test_a_side_has_to_be_longer_in_x_or_in_y(side_m: float, found: bool) -> Non
     assert at(Tin.build(*turned), 3, 30, RULE._replace(side=side_m * M)) == found
 
 
-def test_a_valley_is_no_ridge() -> None:
+def test_a_valley_is_not_a_ridge() -> None:
     """(ii): the centres beside lie above the judged facet's plane."""
     assert not at(Tin.build(*seeds(lambda x: abs(x - 30))), 30, 3)
 
@@ -70,10 +70,10 @@ def test_a_valley_is_no_ridge() -> None:
 @pytest.mark.parametrize(
     "height", [lambda x: 100.0 + min(x - 10, 0), lambda x: 2.0 * x], ids=["plateau", "slope"]
 )
-def test_the_edge_of_a_plateau_and_a_slope_that_goes_on_are_no_ridge(
+def test_the_edge_of_a_plateau_and_a_continuous_slope_are_not_ridges(
     height: Callable[[float], float],
 ) -> None:
-    """(iii): all that falls away lies on one side and hangs together."""
+    """(iii): all facets that fall away are connected and lie on one side."""
     tin = Tin.build(*seeds(height))
     assert not any(at(tin, 30, y) for y in (-20, -5, 3, 11, 18))
 
@@ -87,7 +87,7 @@ def test_facets_with_a_virtual_corner_neither_are_nor_make_ridges() -> None:
 
 
 def candidates(centre: tuple[float, float]) -> np.ndarray:
-    """Around the centre of gravity, metres: the third is the lowest within 2 m; the fourth lies just beyond."""
+    """Points around the centre of gravity, metres: the third is the lowest within 2 m, the fourth just beyond."""
     offsets = [
         (0.3, 0.1, 131.0),
         (-1.5, 0.2, 130.5),
@@ -113,7 +113,7 @@ def place(known: Window, data: np.ndarray | None = None) -> tuple[list[tuple[int
 
 
 def test_the_ridge_point_is_the_lowest_within_2_m_of_the_centre() -> None:
-    """Of the two at 130.2 m the one more to the west."""
+    """Of the two points at 130.2 m the western one counts."""
     picked, points, _ = place(Window.everything())
     assert picked == [tuple(points[2].tolist())]
 
@@ -124,8 +124,8 @@ def test_without_ridge_facets_no_points() -> None:
     assert not doubt.mask.any()
 
 
-def test_what_a_facet_in_doubt_could_pick_is_in_doubt() -> None:
-    """The window ends close to the roof: what is near its border is in doubt, the middle certain."""
+def test_candidates_of_a_facet_in_doubt_are_in_doubt() -> None:
+    """The window ends close to the roof: places near its border are in doubt, the middle is certain."""
     picked, points, doubt = place(Window(-35 * M, -65 * M, 95 * M, 68 * M))
     assert picked == [tuple(points[2].tolist())]
     x, y = np.array([30 * M, 30 * M, 30 * M], np.int32), np.array([3 * M, -55 * M, 62 * M], np.int32)
@@ -133,7 +133,7 @@ def test_what_a_facet_in_doubt_could_pick_is_in_doubt() -> None:
 
 
 def test_the_pick_near_the_side_of_the_window_is_in_doubt() -> None:
-    """All facets are certain, but beyond the side a lower point may lie within 2 m."""
+    """All facets are certain, but a lower point may lie within 2 m beyond the side."""
     _, points, _ = place(Window.everything())
     x, y = points[2:3, 0].copy(), points[2:3, 1].copy()
     east = int(points[0, 0]) + M

@@ -1,4 +1,4 @@
-"""Points cell by cell, and the lowest within a radius, against the obvious way."""
+"""Points by cells, and the lowest point within a radius, compared with a plain search."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def cloud(seed: int, n: int, spread: int, step: int) -> tuple[np.ndarray, np.nda
     ("n", "spread", "step"), [(1, 9, 1), (3000, 40_000, 1), (3000, 2_000, 100), (500, 10**7, 1)]
 )
 def test_sorted_by_cell_then_height(n: int, spread: int, step: int) -> None:
-    """Few and many points a cell, with ties; a cloud too sparse for a raster of cells."""
+    """Cells hold few and many points, with ties; one cloud is too sparse for a raster of cells."""
     x, y, z = cloud(1, n, spread, step)
     cells = Cells.of(1.0, SCALE)
     stacks = Stacks(x, y, z, cells)

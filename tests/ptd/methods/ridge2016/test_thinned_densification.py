@@ -1,4 +1,4 @@
-"""Densification with one vertex a cell, against the naive way and by hand."""
+"""Densification with one vertex per cell, compared with a naive version and by hand."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ Points = list[tuple[int, ...]]
 def tins(
     points: np.ndarray, n_seeds: int, limits: Limits, rounds: int, cell_m: float
 ) -> tuple[list[Tin], Stacks]:
-    """The TINs of so many rounds; the first points are the seeds, `CORNERS` the virtual ones."""
+    """The TINs of several rounds; the first points are the seeds, `CORNERS` the virtual ones."""
     x, y, z = np.ascontiguousarray(points.T.astype(np.int32))
     stacks = Stacks(x, y, z, Cells.of(cell_m, Scale()))
     seeds = {tuple(p) for p in points[:n_seeds].tolist()}
@@ -84,7 +84,7 @@ def test_the_vertices_are_those_of_the_naive_way(
 def figure_5(cell_m: float) -> list[Points]:
     """Level ground with two points in one cell: A 1 m below the TIN, B 1.8 m; the limit is 1.4 m.
 
-    Given are the vertices of the first three rounds, seeds left out.
+    The result holds the vertices of the first three rounds, without seeds.
     """
     ring: Points = [(x, y, 0) for x, y in ((2000, 2000), (98_000, 2000), (2000, 98_000), (98_000, 98_000))]
     a, b = (50_300, 50_300, -1000), (50_600, 50_400, -1800)
@@ -93,12 +93,12 @@ def figure_5(cell_m: float) -> list[Points]:
     return [sorted(rows(t) - set(ring)) for t in got]
 
 
-def test_what_is_not_the_lowest_of_its_cell_opens_the_way_to_the_lowest() -> None:
-    """Figure 5: thinned beforehand only B would be there, and never pass; here A passes, then B from A's facets."""
+def test_a_higher_point_of_a_cell_makes_the_lowest_reachable() -> None:
+    """Figure 5: a thinned cloud has only B, which never passes; here A passes, then B from A's facets."""
     assert figure_5(1.0) == [[], [(50_300, 50_300, -1000)], [(50_600, 50_400, -1800)]]
 
 
-def test_points_of_other_cells_stay_beside_each_other() -> None:
+def test_close_points_of_different_cells_stay() -> None:
     a, b = (50_300, 50_300, -1000), (50_600, 50_400, -1800)
     assert figure_5(0.2) == [[], [a], [a, b]]
 
@@ -114,7 +114,7 @@ def test_at_most_one_vertex_a_cell() -> None:
 
 
 def test_the_tally_counts_what_labelling_gives() -> None:
-    """Round by round, though only points of changed triangles are labelled again; grids lie on edges and vertices."""
+    """The counts agree in each round, though only changed triangles are labelled again."""
     for step, steep in ((1, 88.0), (1, 15.0), (2500, 88.0)):
         seeds, others = scene(11, 3000, 900)
         points = np.unique(np.vstack([seeds[4:], others]) // [step, step, 1] * [step, step, 1], axis=0)
@@ -139,7 +139,7 @@ def test_the_tally_counts_what_is_in_doubt() -> None:
     limits = Limits.of(Scale(), distance_m=4.0, angle_deg=25.0, terrain_deg=88.0)
     (tin,), stacks = tins(points, 40, limits, 1, 2.0)
     in_doubt = (np.arange(tin.n_triangles) % 3 == 0).astype(np.uint8)
-    # On a vertex any of its triangles may be the one that is looked up.
+    # On a vertex, the search may end in any of its triangles.
     off = [
         p not in rows(tin) for p in zip(stacks.x.tolist(), stacks.y.tolist(), stacks.z.tolist(), strict=True)
     ]

@@ -1,4 +1,4 @@
-"""Checkpoints over a tilted plane: every figure follows from the offsets."""
+"""Checkpoints over a tilted plane, where every figure follows from the offsets."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def test_bilinear_between_four_centres(tmp_path: Path) -> None:
 
 def test_points_without_a_height_are_counted(tmp_path: Path) -> None:
     path = write_surface(tmp_path / "d.tif", tilted, holes=((10, 10),))
-    # On the hole; beside it, with weight on it; on the centre of its neighbour; in the outermost half pixel; beyond.
+    # On the hole, beside it with weight on it, on its neighbour's centre, in the outermost half pixel, outside.
     x = np.array([10.5, 10.8, 11.5, 0.2, -3.0])
     y = np.array([29.5, 29.9, 29.5, 20.0, 20.0])
     facts = check_dtm(path, checkpoints(x, y, tilted(x, y)))
@@ -84,7 +84,7 @@ def test_larger_areas_need_more_points(area: float, points: int) -> None:
     assert least_points(area) == points
 
 
-def test_land_covers_are_told_apart(tmp_path: Path) -> None:
+def test_land_covers_have_figures_of_their_own(tmp_path: Path) -> None:
     x, y = scattered(6)
     points = Checkpoints(
         np.array([x, y]),
@@ -112,7 +112,7 @@ def test_points_of_another_crs_are_moved(tmp_path: Path) -> None:
     assert (facts["used"], facts["outside"]) == (10, 0)
     assert facts["all"]["max_abs"] < 1e-3
     assert any("brought from ETRS89 into" in note for note in facts["notes"])
-    # What the user says counts more than what the file says.
+    # The option overrides the file.
     assert check_dtm(path, points, PointOptions(crs="EPSG:25832"))["outside"] == 10
 
 
@@ -127,7 +127,7 @@ def test_feet_and_metres(tmp_path: Path) -> None:
     assert f"RMSEV = {math.sqrt(2) * 30.48:.1f} cm" in facts["asprs"]["statement"]
 
 
-def test_what_is_refused(tmp_path: Path) -> None:
+def test_unfit_checkpoints_are_refused(tmp_path: Path) -> None:
     points = checkpoints([1], [1], [1], crs="EPSG:4326")
     with pytest.raises(ConfigError, match="the DTM has no CRS"):
         check_dtm(write_surface(tmp_path / "d.tif", tilted, crs=None), points)

@@ -1,4 +1,4 @@
-"""Vector files that are damaged or meant to do harm: what they hold, or one line that names them, and nothing else."""
+"""Damaged or malicious vector files give their content, or one line that names them, and nothing else."""
 
 from __future__ import annotations
 
@@ -41,7 +41,7 @@ readers = pytest.mark.parametrize("read", GEOMETRIES, ids=lambda read: read.__na
 
 
 def one_line_at_most(read: Read, path: Path) -> str:
-    """What the reader says of the file; empty where it reads it."""
+    """The error line of the reader; empty if it reads the file."""
     said = ""
     try:
         read(path)
@@ -79,7 +79,7 @@ def test_geojson_with_junk_anywhere(read: Read, tmp_path: Path) -> None:
     ],
     ids=["lists", "objects", "features", "number", "nothing", "digits"],
 )
-def test_geojson_that_is_none(read: Read, content: str, tmp_path: Path) -> None:
+def test_invalid_geojson(read: Read, content: str, tmp_path: Path) -> None:
     path = tmp_path / "a.geojson"
     path.write_text(content)
     assert one_line_at_most(read, path)
@@ -121,7 +121,7 @@ COLUMNS, SYSTEMS = "UPDATE gpkg_geometry_columns SET ", "UPDATE gpkg_spatial_ref
         'ALTER TABLE l0 ADD COLUMN "x\ny"',
     ],
 )
-def test_geopackage_without_what_it_should_have(read: Read, statement: str, package: Path) -> None:
+def test_geopackage_with_missing_parts(read: Read, statement: str, package: Path) -> None:
     with contextlib.suppress(sqlite3.Error):  # some SQLite checks its schema
         change(package, ("PRAGMA foreign_keys = OFF", ()), (statement, ()))
     one_line_at_most(read, package)
@@ -142,7 +142,7 @@ def test_geopackage_with_damaged_geometries(read: Read, package: Path) -> None:
 
 @readers
 def test_geopackage_with_damaged_pages(read: Read, package: Path) -> None:
-    """In a child, as commands read it: GDAL may crash, or loop."""
+    """A child reads the file, as in commands, because GDAL may crash or loop."""
     chance, whole = random.Random(2), package.read_bytes()
     with Guard() as guard:
         for _ in range(20):
@@ -175,7 +175,7 @@ def write_feature(path: Path, geometry: dict[str, Any], crs: str) -> None:
 
 
 def use(read: Read, path: Path, dtm: Path) -> None:
-    """What a command does with such a file."""
+    """The use that a command makes of such a file."""
     if read is read_polygons:
         area_of(RunConfig(aoi=str(path)), pyproj.CRS(25832).to_wkt(), [])
     else:
@@ -187,7 +187,7 @@ STRANGE = ["\ud800", '{"a":' * 20_000, "x" * 100_000, "IAU_2015:30100", "EPSG:57
 
 
 @pytest.mark.parametrize("crs", STRANGE, ids=["half", "nested", "long", "moon", "heights"])
-def test_a_crs_that_is_none_or_leads_nowhere(crs: str, tmp_path: Path) -> None:
+def test_an_invalid_or_unusable_crs(crs: str, tmp_path: Path) -> None:
     dtm, path = write_surface(tmp_path / "dtm.tif", tilted), tmp_path / "a.geojson"
     for read, (geometry, _, _) in GEOMETRIES.items():
         write_feature(path, geometry, crs)
@@ -197,7 +197,7 @@ def test_a_crs_that_is_none_or_leads_nowhere(crs: str, tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("far", [9e12, 1e18, 1e300])
-def test_places_beyond_all_others(far: float, tmp_path: Path) -> None:
+def test_places_at_extreme_coordinates(far: float, tmp_path: Path) -> None:
     path = tmp_path / "a.geojson"
     for geometry in (
         {"type": "Polygon", "coordinates": [[[0, 0], [far, 0], [far, far]]]},

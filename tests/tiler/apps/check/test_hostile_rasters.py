@@ -1,4 +1,4 @@
-"""Damaged rasters: a figure or one line that names the raster, never another exception."""
+"""Damaged rasters give a figure or one line that names the raster, never another exception."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ USES: dict[str, Callable[[Path, Path], object]] = {
 
 
 @pytest.mark.parametrize("use", USES)
-def test_text_that_is_none(use: str, tmp_path: Path) -> None:
+def test_invalid_text(use: str, tmp_path: Path) -> None:
     good, bad = write_surface(tmp_path / "good.tif", tilted), tmp_path / "bad.tif"
     whole = good.read_bytes()
     assert whole.count(b"metre</Item>")
@@ -51,7 +51,7 @@ def test_flipped_bytes(use: str, tmp_path: Path) -> None:
             data[chance.randrange(600)] = chance.choice((0, 1, 127, 255))
         bad.write_bytes(data)
         with warnings.catch_warnings():
-            warnings.simplefilter("ignore")  # of rasters without a place, and of GDAL's own doubts
+            warnings.simplefilter("ignore")  # GDAL warns of rasters without georeference and of damage
             try:
                 USES[use](bad, good)
             except (InputError, ConfigError) as error:

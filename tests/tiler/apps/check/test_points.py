@@ -1,4 +1,4 @@
-"""Checkpoints of the formats that are read, and what is refused."""
+"""Checkpoints in all formats, and refusals."""
 
 from __future__ import annotations
 
@@ -92,7 +92,7 @@ def test_what_is_refused(tmp_path: Path, name: str, content: str, message: str) 
         read_checkpoints(text(tmp_path / name, content))
 
 
-def test_what_is_refused_of_a_geopackage(tmp_path: Path) -> None:
+def test_unfit_geopackages_are_refused(tmp_path: Path) -> None:
     square = write(tmp_path / "a.gpkg", [shapely.box(0, 0, 1, 1)])
     with pytest.raises(InputError, match="l0, feature 1: is a Polygon; checkpoints are wanted"):
         read_checkpoints(square)

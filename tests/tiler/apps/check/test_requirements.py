@@ -41,12 +41,12 @@ def test_lengths_have_units() -> None:
         ("seam=0.001", 0.001, True),
     ],
 )
-def test_figures_are_held_against_limits(text: str, value: float, met: bool) -> None:
+def test_figures_are_compared_with_limits(text: str, value: float, met: bool) -> None:
     (judged,) = judge(parse_requirements([text]), report())
     assert (judged["value"], judged["met"]) == (pytest.approx(value), met)
 
 
-def test_what_has_no_figure_is_not_met() -> None:
+def test_a_requirement_without_a_figure_is_not_met() -> None:
     (judged,) = judge(parse_requirements(["rmse=1"]), report(rmse_v=None))
     assert (judged["value"], judged["met"]) == (None, False)
 
@@ -60,11 +60,11 @@ def test_what_has_no_figure_is_not_met() -> None:
         ("rmse=high", "no length"),
     ],
 )
-def test_what_cannot_be_required(text: str, message: str) -> None:
+def test_unknown_requirements_are_refused(text: str, message: str) -> None:
     with pytest.raises(ConfigError, match=message):
         parse_requirements([text])
 
 
-def test_what_was_not_asked_for_cannot_be_required() -> None:
+def test_figures_of_omitted_checks_cannot_be_required() -> None:
     with pytest.raises(ConfigError, match="--require strips: is not measured without --strips"):
         judge(parse_requirements(["strips=0.1"]), report())

@@ -1,4 +1,4 @@
-"""Steps that were built into a surface are found, and nothing else."""
+"""Steps that were built into a surface are found, and no others."""
 
 from __future__ import annotations
 
@@ -49,7 +49,7 @@ def test_edges_of_the_wrong_lattice_show_nothing(tmp_path: Path) -> None:
     assert seam_steps(path, TileEdges(10 / 3 * 2))["excess"] < seam_steps(path, TileEdges(10))["excess"] / 2
 
 
-def test_rough_places_are_no_seams(tmp_path: Path) -> None:
+def test_rough_places_are_not_seams(tmp_path: Path) -> None:
     """An edge through a rough strip is compared with the lines beside it, not with the smooth rest."""
     noise = np.random.default_rng(4).normal(0, 1, (240, 240))
 
@@ -71,19 +71,19 @@ def test_edges_are_anchored_at_zero(tmp_path: Path, west: float) -> None:
 
 
 def test_tiles_of_buckets_end_where_their_buckets_do() -> None:
-    # Buckets of 4: centres at 2, 6, 10, ...; the one from 8 to 12 has its centre in the tile from 10 on.
+    # Buckets of 4 have centres at 2, 6, 10, ...; the one from 8 to 12 belongs to the tile that begins at 10.
     assert TileEdges(10, 4).between(0, 40) == [8, 20, 28]
     assert TileEdges(10).between(0, 40) == [10, 20, 30]
     assert TileEdges(10).between(-15, 10) == [-10, 0]
 
 
-def test_holes_are_no_steps(tmp_path: Path) -> None:
+def test_holes_are_not_steps(tmp_path: Path) -> None:
     facts = seam_steps(write_surface(tmp_path / "d.tif", tilted, holes=((5, 10), (6, 20))), TileEdges(10))
     assert facts["tiles"]["largest_step"] < 0.31
     assert facts["tiles"]["pairs"] == 6 * 40 - 2
 
 
-def test_a_run_tells_of_its_tiles(tmp_path: Path) -> None:
+def test_tiles_are_those_of_the_run(tmp_path: Path) -> None:
     path = write_surface(tmp_path / "dtm.tif", stepped, crs="EPSG:2992", unit="foot")
     assert seams_of(path, None) is None
     plan = {"units": {"horizontal": "foot", "vertical": "foot"}, "tile_m": 3.048, "bucket_m": 0.3048}
@@ -101,7 +101,7 @@ def test_a_run_tells_of_its_tiles(tmp_path: Path) -> None:
         seams_of(path, None)
 
 
-def test_what_is_refused(tmp_path: Path) -> None:
+def test_unfit_rasters_are_refused(tmp_path: Path) -> None:
     path = write_surface(tmp_path / "d.tif", tilted)
     for tile, message in ((0, "must be above 0"), (3, "must be four pixels at least")):
         with pytest.raises(ConfigError, match=message):

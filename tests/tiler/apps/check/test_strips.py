@@ -61,7 +61,7 @@ def test_steep_cells_are_left_out(tmp_path: Path) -> None:
     assert facts["all"]["rmse"] is None
 
 
-def test_one_strip_is_nothing_to_compare(tmp_path: Path) -> None:
+def test_a_single_strip_has_no_differences(tmp_path: Path) -> None:
     facts = strip_differences([write_strips(tmp_path / "a.laz", {0: 0.0})])
     assert (facts["strips"], facts["pairs"], facts["cells"]) == ({"0": 2400}, [], 0)
 

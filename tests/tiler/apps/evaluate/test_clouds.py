@@ -1,4 +1,4 @@
-"""Clouds against references of the same points."""
+"""Clouds compared with references of the same points."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def test_points_at_one_place_are_paired_one_to_one(tmp_path, points):
     assert result["points"] + result["ignored"] == 500
 
 
-def test_a_reference_of_elsewhere_is_refused(tmp_path, points):
+def test_a_reference_of_another_place_is_refused(tmp_path, points):
     xyz, labels, truth = points
     cloud, other = (write_cloud(tmp_path / f"{k}.laz", xyz + 500 * i, truth) for i, k in enumerate("ab"))
     with pytest.raises(InputError, match=r"none of its points is in .*a\.laz"):
@@ -68,7 +68,7 @@ def test_points_that_the_reference_withholds_are_not_judged(tmp_path, points):
     assert result["withheld"] == 60
 
 
-def test_what_is_left_out_is_told_by_class(tmp_path, points):
+def test_omitted_points_are_counted_by_class(tmp_path, points):
     xyz, labels, truth = points
     result = evaluate_files(
         write_cloud(tmp_path / "a.laz", xyz, labels), write_cloud(tmp_path / "b.laz", xyz, truth)

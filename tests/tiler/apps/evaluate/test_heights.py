@@ -1,4 +1,4 @@
-"""A DTM against its truth, worked out by hand."""
+"""A DTM compared with its truth, worked out by hand."""
 
 from __future__ import annotations
 
@@ -47,13 +47,13 @@ def test_rasters_that_cannot_be_compared_are_refused(tmp_path, west, size, messa
         evaluate_dtm(one, raster(tmp_path / "b.tif", np.ones((4, 4)), west, 4, size))
 
 
-def test_what_is_no_raster_is_refused(tmp_path):
+def test_other_files_are_refused(tmp_path):
     (tmp_path / "a.tif").write_text("no raster")
     with pytest.raises(InputError, match="name a readable raster"):
         evaluate_dtm(tmp_path / "a.tif", tmp_path / "a.tif")
 
 
-def test_what_the_dtm_lacks_of_the_truth_is_not_covered(tmp_path):
+def test_missing_pixels_of_the_dtm_lower_the_coverage(tmp_path):
     truth = np.ones((10, 10))
     result = evaluate_dtm(
         raster(tmp_path / "a.tif", truth[:5, :8], 103, 200), raster(tmp_path / "b.tif", truth, 100, 200)

@@ -29,7 +29,7 @@ def test_ignored_classes_are_left_out_and_counted():
     assert confusion(np.full(truth.size, 2, np.uint8), truth, ()).tolist() == [1, 0, 1 + len(IGNORED), 0, 0]
 
 
-def test_nothing_to_divide_by_is_none():
+def test_a_division_by_zero_gives_none():
     result = scores(np.array([0, 0, 0, 4, 1]))
     assert (result["type_1"], result["type_2"], result["kappa"], result["f1"]) == (None, 0.0, None, None)
     assert scores(np.zeros(5, np.int64))["total"] is None
@@ -40,7 +40,7 @@ def test_labels_of_other_points_are_refused():
         confusion(np.zeros(3, np.uint8), np.zeros(2, np.uint8))
 
 
-def test_each_true_class_is_told_apart():
+def test_each_true_class_has_figures_of_its_own():
     truth = np.repeat(np.array([2, 6, 9], np.uint8), [10, 4, 3])
     labels = np.repeat(np.array([2, 1, 2, 1, 2], np.uint8), [7, 3, 1, 3, 3])
     assert class_scores(class_table(labels, truth)) == {

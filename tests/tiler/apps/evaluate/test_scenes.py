@@ -1,4 +1,4 @@
-"""Which reference belongs to which cloud, and scores over many."""
+"""Pairs of references and clouds, and scores over many scenes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from tiler.errors import ConfigError
 
 
 def square(n: int = 6) -> np.ndarray:
-    """n x n points, one a unit, at (100.5, 200.5) and on."""
+    """n x n points, one per unit, beginning at (100.5, 200.5)."""
     x, y = (v.ravel() for v in np.meshgrid(np.arange(n), np.arange(n)))
     return np.column_stack((100.5 + x, 200.5 + y, np.zeros(n * n)))
 
@@ -63,7 +63,7 @@ def test_a_reference_without_cloud_is_refused(folders: tuple[Path, Path]) -> Non
         find_scenes([folders[0]], [folders[1]])
 
 
-def test_scores_of_each_of_all_and_their_mean(folders: tuple[Path, Path]) -> None:
+def test_scores_of_each_scene_of_all_points_and_their_mean(folders: tuple[Path, Path]) -> None:
     facts = evaluate_scenes(find_scenes([folders[0]], [folders[1]]))
     one, other = facts["scenes"]
     assert (one["type_1"], one["type_2"], other["type_1"], other["type_2"]) == (6 / 36, None, None, 30 / 36)
@@ -72,7 +72,7 @@ def test_scores_of_each_of_all_and_their_mean(folders: tuple[Path, Path]) -> Non
     assert facts["classes"]["6"] == {"points": 36, "labelled_ground": 30, "wrong": 30, "error": 30 / 36}
 
 
-def test_a_map_shows_where(tmp_path: Path) -> None:
+def test_a_map_shows_the_places_of_errors(tmp_path: Path) -> None:
     truth = np.where(square()[:, 0] < 103, 2, 6).astype(np.uint8)
     labels = np.where(square()[:, 1] < 202, 1, truth).astype(np.uint8)  # ground lost in the south-west
     labels[-1] = 2  # an object in the north-east
@@ -100,7 +100,7 @@ def test_a_map_shows_where(tmp_path: Path) -> None:
     assert opacity.min() == 255
 
 
-def test_cells_without_points_that_count_are_clear(tmp_path: Path) -> None:
+def test_cells_without_judged_points_are_transparent(tmp_path: Path) -> None:
     xyz = np.array([[0.5, 0.5, 0.0], [2.5, 0.5, 0.0]])
     cloud = write_cloud(tmp_path / "a.laz", xyz, np.array([2, 2], np.uint8))
     facts = evaluate_scenes([Scene("s", cloud, cloud)], maps=MapRequest(tmp_path))
@@ -111,7 +111,7 @@ def test_cells_without_points_that_count_are_clear(tmp_path: Path) -> None:
 
 
 def test_a_filter_does_not_see_the_classes(tmp_path: Path) -> None:
-    """The same labels whatever the classes of the labelled cloud: noise, water and ground take part alike."""
+    """Labels do not depend on the classes of the labelled cloud; noise, water and ground take part alike."""
     rng = np.random.default_rng(2)
     xyz = np.column_stack((rng.uniform(0, 60, (4000, 2)), rng.normal(0, 0.03, 4000)))
     house = np.all(np.abs(xyz[:, :2] - 30) < 5, axis=1)

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 
+from tests.scenes.las15 import as_las15
 from tiler.errors import InputError
 from tiler.io.las.headers import read_header
 
@@ -18,7 +19,7 @@ def patch(path: Path, position: int, form: str, *values: Any) -> Path:
     return path
 
 
-def test_header_says_what_laspy_wrote(make_cloud: Any) -> None:
+def test_the_header_is_read_as_laspy_wrote_it(make_cloud: Any) -> None:
     path = make_cloud("a.las", n=321, point_format=6, version="1.4", evlr=b"xyz" * 100)
     header = read_header(path)
     assert (header.version, header.point_format, header.point_count) == ((1, 4), 6, 321)
@@ -42,12 +43,24 @@ LIES = {
     "scale 0": (131, "<d", (0.0,), "scale factors"),
     "scale NaN": (139, "<d", (math.nan,), "scale factors"),
     "scale below 0": (139, "<d", (-0.01,), "scale factors"),
+    "scale too fine": (
+        131,
+        "<d",
+        (9e-10,),
+        "scale factors (9e-10, 0.01, 0.01), not all from 1e-09 to 1000; write it",
+    ),
+    "scale too coarse": (
+        147,
+        "<d",
+        (1001.0,),
+        "not all from 1e-09 to 1000; write it again with scales like 0.001",
+    ),
     "offset inf": (155, "<d", (math.inf,), "offsets"),
 }
 
 
 @pytest.mark.parametrize("lie", LIES)
-def test_lies_are_refused_in_one_line(make_cloud: Any, lie: str) -> None:
+def test_false_headers_are_refused_in_one_line(make_cloud: Any, lie: str) -> None:
     position, form, values, said = LIES[lie]
     path = patch(make_cloud("lie.las"), position, form, *values)
     with pytest.raises(InputError) as caught:
@@ -67,12 +80,12 @@ def test_stubs_are_refused(make_cloud: Any, size: int) -> None:
         read_header(path)
 
 
-def test_absent_file(tmp_path: Path) -> None:
+def test_an_absent_file_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="cannot be read"):
         read_header(tmp_path / "nowhere.las")
 
 
-def test_number_of_vlrs_that_is_merely_wrong_is_noted(make_cloud: Any) -> None:
+def test_a_wrong_number_of_vlrs_is_noted(make_cloud: Any) -> None:
     header = read_header(patch(make_cloud("vlrs.las"), 100, "<I", 2**32 - 1))
     assert len(header.vlrs) == 2
     assert header.notes == ("says 4294967295 variable length records, 2 are there",)
@@ -104,7 +117,7 @@ CHUNK_LIES = {
 
 @pytest.mark.parametrize("lie", CHUNK_LIES)
 @pytest.mark.parametrize("point_format", [3, 6])
-def test_lies_about_the_chunk_table(make_cloud: Any, lie: str, point_format: int) -> None:
+def test_a_false_chunk_table_is_refused(make_cloud: Any, lie: str, point_format: int) -> None:
     version = "1.4" if point_format > 5 else "1.2"
     path = make_cloud("t.laz", point_format=point_format, version=version)
     patch(path, read_header(path).points_offset, "<q", CHUNK_LIES[lie](path.stat().st_size))
@@ -112,7 +125,7 @@ def test_lies_about_the_chunk_table(make_cloud: Any, lie: str, point_format: int
         read_header(path)
 
 
-def test_number_of_chunks_is_held_against_the_bytes(make_cloud: Any) -> None:
+def test_the_number_of_chunks_is_compared_with_the_bytes(make_cloud: Any) -> None:
     path = make_cloud("t.laz")
     (table,) = struct.unpack_from("<q", path.read_bytes(), read_header(path).points_offset)
     patch(path, table + 4, "<I", 2**32 - 1)
@@ -120,20 +133,20 @@ def test_number_of_chunks_is_held_against_the_bytes(make_cloud: Any) -> None:
         read_header(path)
 
 
-def test_laz_count_is_held_against_the_chunks(make_cloud: Any) -> None:
+def test_the_number_of_points_is_compared_with_the_chunks(make_cloud: Any) -> None:
     path = patch(make_cloud("t.laz", n=70_000), 107, "<I", 700_000)
     with pytest.raises(InputError, match="chunk table has 2 chunks, 700000 points need 14"):
         read_header(path)
 
 
-def test_digest_is_of_what_lies_before_the_points(make_cloud: Any) -> None:
+def test_the_digest_covers_the_bytes_before_the_points(make_cloud: Any) -> None:
     first = make_cloud("a.las")
     digest = read_header(first).digest
     assert digest == read_header(first).digest
     assert digest != read_header(patch(first, 131, "<d", 0.02)).digest
 
 
-def test_digest_is_of_the_table_of_chunks_as_well(make_cloud: Any) -> None:
+def test_the_digest_covers_the_table_of_chunks(make_cloud: Any) -> None:
     first, second = (make_cloud(f"{seed}.laz", n=200, seed=seed) for seed in (1, 2))
     offset = read_header(first).points_offset
     second.write_bytes(first.read_bytes()[:offset] + second.read_bytes()[offset:])
@@ -142,7 +155,7 @@ def test_digest_is_of_the_table_of_chunks_as_well(make_cloud: Any) -> None:
 
 @pytest.mark.parametrize("n", [1, 49_999, 50_000, 50_001, 100_000])
 @pytest.mark.parametrize("point_format", [0, 6])
-def test_chunks_that_are_just_full(make_cloud: Any, n: int, point_format: int) -> None:
+def test_chunks_that_are_exactly_full_are_read(make_cloud: Any, n: int, point_format: int) -> None:
     header = read_header(make_cloud("full.laz", n=n, point_format=point_format, version="1.4"))
     assert header.laz is not None
     assert int(header.laz.counts.sum()) == n
@@ -157,7 +170,7 @@ def test_items_of_a_newer_laszip_are_refused_by_version(make_cloud: Any) -> None
 
 
 @pytest.mark.parametrize(("suffix", "point_format"), [("las", 3), ("laz", 3), ("laz", 6)])
-def test_points_that_a_header_without_number_forgot_are_not_lost(
+def test_points_are_salvaged_if_the_header_says_there_are_none(
     suffix: str, point_format: int, make_cloud: Any
 ) -> None:
     version = "1.4" if point_format > 5 else "1.2"
@@ -172,18 +185,74 @@ def test_points_that_a_header_without_number_forgot_are_not_lost(
 
 
 @pytest.mark.parametrize("name", ["none.las", "none.laz"])
-def test_a_cloud_without_points_is_whole(name: str, make_cloud: Any) -> None:
+def test_a_cloud_without_points_is_no_damage(name: str, make_cloud: Any) -> None:
     header = read_header(make_cloud(name, n=0, point_format=6, version="1.4", evlr=b"xyz" * 100))
     assert (header.point_count, header.notes) == (0, ())
 
 
 @pytest.mark.parametrize("point_format", [3, 6])
-def test_chunks_behind_the_last_point_are_not_lost(point_format: int, make_cloud: Any) -> None:
+def test_chunks_behind_the_last_point_are_refused(point_format: int, make_cloud: Any) -> None:
     path = make_cloud("c.laz", n=110_000, point_format=point_format, version="1.4")
     with pytest.raises(InputError, match="chunk table has 3 chunks, 70000 points need 2"):
         read_header(patch(path, 247, "<Q", 70_000))
 
 
-def test_records_behind_the_last_point_are_told(make_cloud: Any) -> None:
+def test_records_behind_the_last_point_are_noted(make_cloud: Any) -> None:
     path = patch(make_cloud("c.las", n=100), 107, "<I", 90)
     assert read_header(path).notes == ("says 90 points, has room for 100: the rest is not read",)
+
+
+@pytest.mark.parametrize(
+    ("times", "offset", "found"),
+    [((0.0, 0.0), None, None), ((10.0, 2e6), None, (10.0, 2e6)), ((-3.5, -3.5), 1500, (-3.5, -3.5))],
+)
+def test_the_times_of_las_1_5_are_read(
+    make_cloud: Any, times: tuple[float, float], offset: int | None, found: tuple[float, float] | None
+) -> None:
+    path = make_cloud("a.las", point_format=7, version="1.4", evlr=b"more")
+    before = read_header(path)
+    as_las15(path, *times, offset)
+    header = read_header(path)
+    assert header.version == (1, 5)
+    assert header.header_size == 393
+    assert (header.gps_times, header.time_offset) == (found, offset)
+    assert (header.point_count, header.scales, header.notes) == (before.point_count, before.scales, ())
+    assert [v.length for v in header.vlrs + header.evlrs] == [v.length for v in before.vlrs + before.evlrs]
+
+
+def test_an_unfinished_header_of_las_1_5_needs_its_own_length(make_cloud: Any) -> None:
+    path = make_cloud("a.las", point_format=6, version="1.4")
+    as_las15(path)
+    raw = bytearray(path.read_bytes()[:380])
+    struct.pack_into("<HI", raw, 94, 0, 0)
+    path.write_bytes(raw)
+    with pytest.raises(InputError, match="has 380 bytes, its header alone needs 393"):
+        read_header(path, salvage=True)
+
+
+def test_week_times_have_no_offset(make_cloud: Any) -> None:
+    path = make_cloud("a.las", point_format=6, version="1.4")
+    as_las15(path, offset=1500)
+    raw = bytearray(path.read_bytes())
+    raw[6] &= 0xFE
+    path.write_bytes(raw)
+    assert read_header(path).time_offset is None
+
+
+def test_what_las_1_5_forbids_is_noted(make_cloud: Any) -> None:
+    path = make_cloud("a.las", point_format=3, version="1.4")
+    as_las15(path, 5.0, 4.0)
+    assert read_header(path).notes == (
+        "has points of format 3; LAS 1.5 has formats 6 to 10",
+        "says GPS times from 5.0 to 4.0",
+    )
+
+
+def test_a_header_shorter_than_its_version_is_refused(make_cloud: Any) -> None:
+    path = make_cloud("a.las", point_format=6, version="1.4")
+    as_las15(path)
+    raw = bytearray(path.read_bytes())
+    struct.pack_into("<H", raw, 94, 375)
+    path.write_bytes(raw)
+    with pytest.raises(InputError, match="says header of 375 bytes"):
+        read_header(path)

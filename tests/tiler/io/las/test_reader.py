@@ -144,7 +144,7 @@ def test_layers_that_claim_gigabytes_are_refused_before_they_are_allocated(make_
         records_of(path)
 
 
-def test_points_of_a_chunk_are_held_against_the_header(make_cloud: Any) -> None:
+def test_points_of_a_chunk_are_compared_with_the_header(make_cloud: Any) -> None:
     path = make_cloud("n.laz", n=1000, point_format=6, version="1.4")
     data = bytearray(path.read_bytes())
     struct.pack_into("<Q", data, 247, 900)
@@ -173,7 +173,7 @@ def test_a_file_that_shrank_is_an_input_error(make_cloud: Any) -> None:
 
 
 class PanicException(BaseException):
-    """Named like pyo3's: a BaseException that is no Exception."""
+    """A BaseException that is no Exception, with the name of pyo3's."""
 
 
 class Panics:

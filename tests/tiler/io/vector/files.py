@@ -1,4 +1,4 @@
-"""Small vector files, written by GDAL, or by the letter of GeoJSON."""
+"""Small vector files, written by GDAL or as GeoJSON text."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ def write(
     layer: str = "l0",
     append: bool = False,
 ) -> Path:
-    """A file of the format that its suffix names; geometries are shapely's, well-known binary, or None."""
+    """Write a file in the format of its suffix; geometries are shapely's, well-known binary, or None."""
     shapes = np.empty(len(geometries), object)
     shapes[:] = [g if g is None or isinstance(g, bytes) else shapely.to_wkb(g) for g in geometries]
     driver = {".gpkg": "GPKG", ".shp": "ESRI Shapefile", ".fgb": "FlatGeobuf"}[path.suffix]
     named = {} if driver != "GPKG" else {"layer": layer}
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of a file without a CRS
+        warnings.simplefilter("ignore")  # GDAL warns of a missing CRS
         raw.write(
             path,
             shapes,

@@ -1,4 +1,4 @@
-"""Features of the formats that are read, in what CRS, and what is refused."""
+"""Features of each format, their CRS, and files that are refused."""
 
 from __future__ import annotations
 
@@ -51,9 +51,9 @@ def test_geojson(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("suffix", [".gpkg", ".shp", ".fgb"])
 def test_other_formats(suffix: str, tmp_path: Path) -> None:
-    """Geometry, attributes and CRS; what has no geometry is left out, and a file without a CRS says so."""
+    """Geometry, attributes and CRS; features without a geometry are left out, and a missing CRS is noted."""
     columns = {"Action": ["void", "flat", "none"], "z": [1.5, np.nan, 2.0]}
-    number = 2 if suffix == ".fgb" else 3  # FlatGeobuf knows no feature without a geometry
+    number = 2 if suffix == ".fgb" else 3  # FlatGeobuf has no features without a geometry
     columns = {name: values[:number] for name, values in columns.items()}
     kind = {".gpkg": "MultiPolygon", ".fgb": "Unknown", ".shp": "Polygon"}[suffix]
     path = write(tmp_path / f"a{suffix}", [HOLED, BOTH, None][:number], kind, columns=columns)
@@ -66,7 +66,7 @@ def test_other_formats(suffix: str, tmp_path: Path) -> None:
     assert read_features(write(tmp_path / f"b{suffix}", [HOLED], "Polygon", crs=None), POLYGONS).crs is None
 
 
-def test_what_is_mended_and_what_lies_outside(tmp_path: Path) -> None:
+def test_polygons_are_repaired_and_features_outside_are_reported(tmp_path: Path) -> None:
     bow = shapely.Polygon([[0, 0], [10, 10], [10, 0], [0, 10], [0, 0]])
     found = read_in_crs(path := write(tmp_path / "a.gpkg", [bow, TRIANGLE], "Polygon"), POLYGONS, UTM)
     assert found.notes == (f"{path}: 1 of 2 polygons crossed themselves and were mended",)
@@ -132,7 +132,7 @@ VRT = "<OGRVRTDataSource><OGRVRTLayer name='a'><SrcDataSource>b.json</SrcDataSou
         ("a!b.json", polygon(*SQUARE), "rename it"),
     ],
 )
-def test_what_is_refused(tmp_path: Path, name: str, content: str, message: str) -> None:
+def test_wrong_vector_files_are_refused(tmp_path: Path, name: str, content: str, message: str) -> None:
     (tmp_path / name).write_text(content)
     with pytest.raises(InputError, match=message) as caught:
         read_in_crs(tmp_path / name, POLYGONS, pyproj.CRS(4326).to_wkt())
@@ -149,7 +149,7 @@ def test_files_that_are_not_whole(tmp_path: Path) -> None:
     with pytest.raises(InputError, match=r"a.shp: cannot be read \(Unable to open .*a.shx"):
         read_features(path, POLYGONS)
     path = write(tmp_path / "b.gpkg", [TRIANGLE, TRIANGLE], "Polygon")
-    with sqlite3.connect(path) as base:  # without its triggers, which need SQL functions of GDAL
+    with sqlite3.connect(path) as base:  # drop its triggers, which need SQL functions of GDAL
         for (name,) in base.execute("SELECT name FROM sqlite_master WHERE type = 'trigger'").fetchall():
             base.execute(f'DROP TRIGGER "{name}"')
         base.execute("UPDATE l0 SET geom = substr(geom, 1, 60) WHERE fid = 2")
@@ -159,7 +159,7 @@ def test_files_that_are_not_whole(tmp_path: Path) -> None:
     assert (len(found.features), found.notes) == (1, (f"{path}: l0: {left}",))
 
 
-def test_what_is_written_is_read_and_has_the_same_bytes(tmp_path: Path) -> None:
+def test_written_features_are_read_back_and_have_the_same_bytes(tmp_path: Path) -> None:
     path, digests = tmp_path / "a.gpkg", set()
     for _ in range(2):
         with geopackage(path, "EPSG:25832+5783") as file:
@@ -186,7 +186,7 @@ def test_what_is_written_is_read_and_has_the_same_bytes(tmp_path: Path) -> None:
 
 
 def test_two_gdals_in_one_process(tmp_path: Path) -> None:
-    """rasterio and pyogrio bring a GDAL and a PROJ each: either order, no warning, the same places."""
+    """rasterio and pyogrio each bring a GDAL and a PROJ; both orders of import give equal results without a warning."""
     write(tmp_path / "a.gpkg", [shapely.Point(500_000, 5_400_000)], "Point")
     lines = (
         "import rasterio, rasterio.warp, numpy\n"

@@ -1,0 +1,76 @@
+"""Lines about the results of a run, each with a count and a path, for the end of a job."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
+
+from tiler.core.units_text import short_unit
+from tiler.core.words import counted
+from tiler.io.locations import joined
+from tiler.io.result_folder import BRIDGES, CLASSIFIED, OUTLINE, SHEETS, VIRTUAL, WATER
+
+MOST_EDITS = 10
+"""Largest number of corrections that get a line each."""
+
+Summary = Mapping[str, Any]
+
+
+def made_lines(summary: Summary, out: str) -> Iterator[str]:
+    """Lines with name, count and path of each result that is no raster, and with the effect of each correction.
+
+    Parameters
+    ----------
+    summary : mapping
+        The content of run.json.
+    out : str
+        Folder of the results.
+    """
+    from tiler.report.drawn import changed_text  # needs libraries that `tiler --help` does not
+
+    for name, text, file in _results(summary):
+        written = file is None or file in summary.get("outputs", {}) or file == CLASSIFIED
+        place = f", {joined(out, file)}" if file and written else ""
+        yield f"{name:12s}{text}{place}"
+    edits = summary.get("edits") or ()
+    for edit in edits[:MOST_EDITS]:
+        yield f"correction  {edit['number']} ({edit['action']}): {changed_text(edit)}"
+    if len(edits) > MOST_EDITS:
+        yield f"correction  {len(edits) - MOST_EDITS:,} more, in the report"
+
+
+def _results(summary: Summary) -> Iterator[tuple[str, str, str | None]]:
+    """Name, count and file of each result."""
+    unit = short_unit(summary.get("plan", {}).get("metres_per_unit", {}).get("vertical", 1.0))
+    if contours := summary.get("contours"):
+        lines = f"{counted(contours['lines'], 'line')} every {contours['interval']:g} {unit}"
+        yield "contours", lines, "contours.gpkg"
+    if spots := summary.get("spots"):
+        yield "spots", f"{counted(spots['highs'], 'top')}, {counted(spots['lows'], 'bottom')}", "spots.gpkg"
+    if "water" in summary:
+        yield "water", _water(summary["water"]), WATER
+    if "bridges" in summary:
+        number = len(summary["bridges"])
+        yield "bridges", f"{counted(number, 'bridge')} left out" if number else "none found", BRIDGES
+    if polygons := (summary.get("outline") or {}).get("polygons"):
+        yield "outline", counted(polygons, "polygon"), OUTLINE
+    outputs = summary.get("outputs", {})
+    clouds = sum(path.startswith(f"{CLASSIFIED}/") for path in outputs)
+    if clouds:
+        yield "clouds", counted(clouds, "classified cloud"), VIRTUAL if VIRTUAL in outputs else CLASSIFIED
+    if "sheets" in summary:
+        yield "sheets", counted(summary["sheets"], "sheet"), SHEETS
+
+
+def _water(bodies: Sequence[Mapping[str, Any]]) -> str:
+    """The number of bodies of water by kind, as in ``1 lake, 2 rivers``."""
+    kinds = Counter(body["kind"] for body in bodies)
+    return ", ".join(counted(number, kind) for kind, number in sorted(kinds.items())) or "none found"
+
+
+def ground_points(summary: Summary) -> int:
+    """Number of ground points in the classified clouds, after corrections; if none were written, that of the filter."""
+    written: Mapping[str, int] = summary.get("classes", {}).get("written", {})
+    points: int = written.get("2", 0) if written else summary["filter"]["ground"]
+    return points

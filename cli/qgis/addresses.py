@@ -1,0 +1,45 @@
+"""What the repository of QGIS plugins asks for beside the files: public addresses, as the installed package has them.
+
+Their one place is `pyproject.toml`: the table ``[project.urls]`` and ``email`` in ``authors``.
+"""
+
+from __future__ import annotations
+
+from email.utils import parseaddr
+from importlib.metadata import PackageNotFoundError, metadata
+
+from tiler.errors import ConfigError
+
+DISTRIBUTION = "tiler-dtm"
+URLS = {"homepage": "Homepage", "tracker": "Issues", "repository": "Repository"}
+"""Key of ``metadata.txt`` -> name in ``[project.urls]``."""
+EMAIL = "email"
+
+
+def addresses() -> dict[str, str]:
+    """Key of ``metadata.txt`` -> address; without those that the project does not have."""
+    try:
+        facts = metadata(DISTRIBUTION)
+    except PackageNotFoundError:  # a checkout that is not installed
+        return {}
+    urls = dict(entry.split(", ", 1) for entry in facts.get_all("Project-URL") or ())
+    found = {key: urls.get(name, "") for key, name in URLS.items()}
+    _, found[EMAIL] = parseaddr("".join(facts.get_all("Author-email") or ()))
+    return {key: address for key, address in found.items() if address}
+
+
+def refuse_without(found: dict[str, str]) -> None:
+    """Raise ConfigError if an address is missing, without which the repository of QGIS plugins refuses a plugin."""
+    missing = [f"{name} in [project.urls]" for key, name in URLS.items() if key not in found]
+    if EMAIL not in found:
+        missing.append("email in authors")
+    if missing:
+        raise ConfigError(
+            f"pyproject.toml has no {', no '.join(missing)}: the repository of QGIS plugins refuses a plugin without "
+            "them; fill them in and install tiler again, or leave out --upload"
+        )
+    for key, address in found.items():
+        if key != EMAIL and not address.startswith("https://"):
+            raise ConfigError(
+                f"pyproject.toml: {URLS[key]} in [project.urls] is {address}; it begins with https://"
+            )

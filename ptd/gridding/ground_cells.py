@@ -1,0 +1,200 @@
+"""Sums of points by cells, and how far points lie from the plane through them in windows of such cells.
+
+Sums are whole numbers, so they depend neither on the order of points nor on what else lies in the raster of cells.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ptd.kernel import kernel, wide
+
+Int32 = npt.NDArray[np.int32]
+Int64 = npt.NDArray[np.int64]
+Float64 = npt.NDArray[np.float64]
+
+PLANE_POINTS = 6
+"""Points in a window, at least, for a plane and how far they lie from it: three more than a plane needs."""
+FLATTEST = 0.01
+"""A window's points are on a line where the determinant of their spread is below this share of that of a disk."""
+SUMS = 10
+"""Number, x, y, z, xx, xy, xz, yy, yz, zz."""
+
+
+class CellWindow(NamedTuple):
+    """A raster of cells of the lattice anchored at absolute count 0; row 0 is the northern one.
+
+    Attributes
+    ----------
+    p, q : int
+        The side of a cell is p / q counts.
+    west, north : int
+        Global indices of the western column and of the northern row; the latter grow to the north.
+    rows, columns : int
+    origin_x, origin_y : int
+        Absolute counts of the points' local 0.
+    """
+
+    p: int
+    q: int
+    west: int
+    north: int
+    rows: int
+    columns: int
+    origin_x: int = 0
+    origin_y: int = 0
+
+
+@kernel
+def _sums(x: Int32, y: Int32, z: Int32, window: tuple[int, ...], start: tuple[int, int, int]) -> Int64:
+    """Sums [10, rows, columns] of points, from ``start`` (absolute x and y, height)."""
+    p, q, west, north, rows, columns, ox, oy = window
+    sums = np.zeros((SUMS, rows, columns), np.int64)
+    for i in range(x.size):
+        column = ((wide(x[i]) + ox) * q) // p - west
+        row = north - ((wide(y[i]) + oy) * q) // p
+        if not (0 <= column < columns and 0 <= row < rows):
+            continue
+        dx, dy, dz = wide(x[i]) + ox - start[0], wide(y[i]) + oy - start[1], wide(z[i]) - start[2]
+        sums[0, row, column] += 1
+        sums[1, row, column] += dx
+        sums[2, row, column] += dy
+        sums[3, row, column] += dz
+        sums[4, row, column] += dx * dx
+        sums[5, row, column] += dx * dy
+        sums[6, row, column] += dx * dz
+        sums[7, row, column] += dy * dy
+        sums[8, row, column] += dy * dz
+        sums[9, row, column] += dz * dz
+    return sums
+
+
+@kernel
+def _plane_variance(sums: Int64, row: int, column: int, half: int, middle: tuple[int, int]) -> float:
+    """Variance of heights about their plane in a window of cells; -1 where too few points span none.
+
+    ``middle`` is that of the window, from the start of the sums. On the way to it int64 may wrap; what is left is small
+    and exact.
+    """
+    top, bottom, left, right = row - half, row + half + 1, column - half, column + half + 1
+    s = np.empty(SUMS, np.int64)
+    for k in range(SUMS):
+        s[k] = sums[k, bottom, right] - sums[k, top, right] - sums[k, bottom, left] + sums[k, top, left]
+    n = s[0]
+    if n < PLANE_POINTS:
+        return -1.0
+    cx, cy, cz = middle[0], middle[1], s[3] // n
+    m = float(n)
+    x, y, z = float(s[1] - n * cx) / m, float(s[2] - n * cy) / m, float(s[3] - n * cz) / m
+    xx = float(s[4] - 2 * cx * s[1] + n * cx * cx) / m - x * x
+    xy = float(s[5] - cx * s[2] - cy * s[1] + n * cx * cy) / m - x * y
+    xz = float(s[6] - cx * s[3] - cz * s[1] + n * cx * cz) / m - x * z
+    yy = float(s[7] - 2 * cy * s[2] + n * cy * cy) / m - y * y
+    yz = float(s[8] - cy * s[3] - cz * s[2] + n * cy * cz) / m - y * z
+    zz = float(s[9] - 2 * cz * s[3] + n * cz * cz) / m - z * z
+    spread = xx * yy - xy * xy
+    if spread <= FLATTEST * (0.5 * (xx + yy)) ** 2:
+        return -1.0
+    east, north = (xz * yy - yz * xy) / spread, (yz * xx - xz * xy) / spread
+    return max(zz - east * xz - north * yz, 0.0) * m / (m - 3.0)
+
+
+@kernel
+def _plane_variances(
+    sums: Int64, window: tuple[int, ...], start: tuple[int, int], margin: int, halves: Int64
+) -> Float64:
+    """Variances of `plane_variance`, cell by cell."""
+    p, q, west, north, rows, columns, _ox, _oy = window
+    out = np.full((rows - 2 * margin, columns - 2 * margin), np.nan)
+    for row in range(margin, rows - margin):
+        cy = ((2 * (north - row) + 1) * p) // (2 * q) - start[1]
+        for column in range(margin, columns - margin):
+            cx = ((2 * (west + column) + 1) * p) // (2 * q) - start[0]
+            for half in halves:
+                found = _plane_variance(sums, row, column, wide(half), (cx, cy))
+                if found >= 0.0:
+                    out[row - margin, column - margin] = found
+                    break
+    return out
+
+
+def plane_variance(xyz: Int32, window: CellWindow, half_widths: Sequence[int]) -> Float64:
+    """Variance of the heights about the plane through them, around each cell in the smallest window with enough points.
+
+    Parameters
+    ----------
+    xyz : int32 [3, n]
+        Local counts; points outside of the window are ignored.
+    window : CellWindow
+        With as many cells on each side, beyond those that are asked for, as the widest of the ``half_widths``.
+    half_widths : sequence of int
+        Cells on each side of the middle one, ascending.
+
+    Returns
+    -------
+    float64 [rows - 2 * margin, columns - 2 * margin]
+        Squared vertical counts, with n - 3 degrees of freedom; NaN where in no window `PLANE_POINTS` points span a
+        plane. The margin is the widest of the half widths.
+    """
+    x, y, z = (np.ascontiguousarray(axis) for axis in xyz)
+    low = int(z.min()) if z.size else 0
+    start = window.west * window.p // window.q, (window.north - window.rows) * window.p // window.q
+    sums = integral(_sums(x, y, z, tuple(window), (*start, low)))
+    halves = np.asarray(half_widths, np.int64)
+    found: Float64 = _plane_variances(sums, tuple(window), start, max(half_widths), halves)
+    return found
+
+
+def cell_counts(xyz: Int32, window: CellWindow) -> Int64:
+    """Number of points in each cell, int64 [rows, columns], of points int32 [3, n]; those outside are ignored."""
+    x, y = (np.ascontiguousarray(axis) for axis in xyz[:2])
+    found: Int64 = _counts(x, y, tuple(window))
+    return found
+
+
+@kernel
+def _counts(x: Int32, y: Int32, window: tuple[int, ...]) -> Int64:
+    p, q, west, north, rows, columns, ox, oy = window
+    counts = np.zeros((rows, columns), np.int64)
+    for i in range(x.size):
+        column = ((wide(x[i]) + ox) * q) // p - west
+        row = north - ((wide(y[i]) + oy) * q) // p
+        if 0 <= column < columns and 0 <= row < rows:
+            counts[row, column] += 1
+    return counts
+
+
+def integral(cells: Int64) -> Int64:
+    """Sums over all cells to the north and west, int64 [..., rows + 1, columns + 1], of int64 [..., rows, columns]."""
+    found = np.zeros((*cells.shape[:-2], cells.shape[-2] + 1, cells.shape[-1] + 1), np.int64)
+    inner = found[..., 1:, 1:]
+    np.cumsum(np.cumsum(cells, axis=-2), axis=-1, out=inner)
+    return found
+
+
+def box_sums(cells: Int64, half: int, margin: int) -> Int64:
+    """Sums over windows of ``half`` cells on each side of each cell, without the ``margin`` of the raster of cells.
+
+    Parameters
+    ----------
+    cells : int64 [rows, columns]
+    half : int
+    margin : int
+        At least ``half``.
+
+    Returns
+    -------
+    int64 [rows - 2 * margin, columns - 2 * margin]
+    """
+    sums = integral(cells)
+    rows, columns = (n - 2 * margin for n in cells.shape)
+    first, last = margin - half, margin + half + 1
+
+    def corner(top: int, left: int) -> Int64:
+        return sums[top : top + rows, left : left + columns]
+
+    return corner(last, last) - corner(first, last) - corner(last, first) + corner(first, first)

@@ -1,0 +1,266 @@
+"""Planes through the lowest points of cells of 0.4 m: the surface of `ptd.ground.fine_surface`.
+
+Cells are kept by blocks of 5 x 5 of them, for blocks with something to decide and those beside them alone, so memory
+follows from the points.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ptd.cells import Int32, Xyz
+from ptd.ground.fine_cells import CELLS, SIDE, Placed
+from ptd.ground.labelling import NEAR
+from ptd.ground.morphology import EMPTY
+from ptd.kernel import inlined, kernel, wide
+
+FILLED = 9
+"""Of the 25 cells of a block so many at least hold a point near the TIN where it is dense: about 3 points/m2."""
+ENOUGH, ENOUGH_WIDE = 6, 9
+"""Cells that a plane needs of 3 x 3, else of 5 x 5."""
+AROUND = 2
+"""Cells that the wider planes reach to each side: at most `SIDE`, so what they need is in the blocks around."""
+SPIKE_M = 0.07
+"""A cell that rises from its plane by more than this is no ground, and has no part in the planes about it."""
+ROUGH_M = 0.1
+"""Where cells scatter about their plane by more than this (a step, a wall) the TIN decides."""
+THIN = 0.05
+"""Cells lie on a line, which gives no plane, where their matrix has less than this part of the largest determinant."""
+
+Bool = npt.NDArray[np.bool_]
+UInt8 = npt.NDArray[np.uint8]
+Float32 = npt.NDArray[np.float32]
+Float64 = npt.NDArray[np.float64]
+
+
+class Limits(NamedTuple):
+    """`SPIKE_M` and `ROUGH_M` in vertical counts."""
+
+    spike: float
+    rough: float
+
+
+class Planes(NamedTuple):
+    """The fine surface, by cells: those of a page (a block that is kept) follow each other, row by row.
+
+    Attributes
+    ----------
+    x, y, z : int32 [pages * 25]
+        The point that stands for a cell, local counts; z is `EMPTY` where there is none.
+    east, north, height : float32 [pages * 25]
+        The plane's rise to the east and north, vertical counts per horizontal one, and its height above that point,
+        vertical counts; NaN where there is no plane.
+    """
+
+    x: Int32
+    y: Int32
+    z: Int32
+    east: Float32
+    north: Float32
+    height: Float32
+
+    @classmethod
+    def none(cls, n_pages: int) -> Planes:
+        """No points yet, and no planes."""
+        n = n_pages * CELLS
+        east, north, height = (np.full(n, np.nan, np.float32) for _ in range(3))
+        x, y = np.zeros((2, n), np.int32)
+        return cls(x, y, np.full(n, EMPTY, np.int32), east, north, height)
+
+
+@kernel
+def elect(points: Xyz, where: Placed, close: UInt8, pages: Int32, planes: Planes) -> None:
+    """The lowest point that is near the TIN stands for each cell of a block that has a page."""
+    x, y, z = points
+    cell_x, cell_y, cell_z = planes.x, planes.y, planes.z
+    index, block, cell = where
+    for k in range(index.size):
+        i, page = index[k], pages[block[k]]
+        if page < 0 or close[i] < NEAR:
+            continue
+        place = page * CELLS + cell[k]
+        lower = z[i] < cell_z[place]
+        if z[i] == cell_z[place]:
+            lower = (x[i], y[i]) < (cell_x[place], cell_y[place])
+        if lower:
+            cell_x[place], cell_y[place], cell_z[place] = x[i], y[i], z[i]
+
+
+PATCH = SIDE + 2 * AROUND
+"""Cells along a side of a block and the cells around it that its planes reach."""
+MOMENTS = 10
+"""n, x, y, z, xx, xy, yy, xz, yz, zz."""
+PATCH_ROW, BLOCK_ROW = PATCH * MOMENTS, SIDE * MOMENTS
+"""Numbers in a row of cells."""
+
+
+class _Sums(NamedTuple):
+    """Moments, row by row, those of a cell one after the other: flat, so that sums of rows are loops over one array.
+
+    All are whole numbers, and so are their sums, so exact: neither order nor the frame changes them.
+
+    Attributes
+    ----------
+    patch : float64 [PATCH * PATCH * MOMENTS]
+        Of each cell of a block and around it.
+    three_rows, five_rows : float64 [PATCH * MOMENTS]
+        Of 3 and of 5 cells above each other.
+    three, five : float64 [SIDE * SIDE * MOMENTS]
+        Of the 3 x 3 and of the 5 x 5 cells around each cell of the block.
+    """
+
+    patch: Float64
+    three_rows: Float64
+    five_rows: Float64
+    three: Float64
+    five: Float64
+
+
+@kernel
+def _no_sums() -> _Sums:
+    return _Sums(
+        np.zeros(PATCH * PATCH_ROW), np.zeros(PATCH_ROW), np.zeros(PATCH_ROW), np.zeros(SIDE * BLOCK_ROW),
+        np.zeros(SIDE * BLOCK_ROW),
+    )  # fmt: skip
+
+
+@inlined
+def _fill_patch(
+    planes: Planes, around: Int32, k: int, pages: Int32, kept: Bool, origin: int, patch: Float64
+) -> None:
+    """Moments of the point of each cell of block k and around it, from that of the cell ``origin`` on."""
+    x, y, z = planes.x, planes.y, planes.z
+    x0, y0, z0 = wide(x[origin]), wide(y[origin]), wide(z[origin])
+    for n in range(9):
+        south, west = (n // 3 - 1) * SIDE + AROUND, (n % 3 - 1) * SIDE + AROUND
+        first_column, end_column = max(-west, 0), min(PATCH - west, SIDE)
+        page = wide(pages[around[k, n]]) if around[k, n] >= 0 else -1
+        for row in range(max(-south, 0), min(PATCH - south, SIDE)):
+            m = (south + row) * PATCH_ROW + (west + first_column) * MOMENTS
+            if page < 0:
+                patch[m : m + (end_column - first_column) * MOMENTS] = 0.0
+                continue
+            first = page * CELLS + row * SIDE
+            for place in range(first + first_column, first + end_column):
+                n_points = float(
+                    np.int64(kept[place])
+                )  # a product has no branch that could be foreseen wrongly
+                dx, dy = n_points * float(x[place] - x0), n_points * float(y[place] - y0)
+                dz = n_points * float(z[place] - z0)
+                patch[m], patch[m + 1], patch[m + 2], patch[m + 3] = n_points, dx, dy, dz
+                patch[m + 4], patch[m + 5], patch[m + 6] = dx * dx, dx * dy, dy * dy
+                patch[m + 7], patch[m + 8], patch[m + 9] = dx * dz, dy * dz, dz * dz
+                m += MOMENTS
+
+
+@inlined
+def _add_up(sums: _Sums) -> None:
+    """Sums around each cell of the block: first of cells above each other, then of these beside each other."""
+    patch, three_rows, five_rows, three, five = sums
+    for row in range(SIDE):
+        south = row * PATCH_ROW
+        for i in range(PATCH_ROW):
+            s = south + i
+            inner = patch[s + PATCH_ROW] + patch[s + 2 * PATCH_ROW] + patch[s + 3 * PATCH_ROW]
+            three_rows[i] = inner
+            five_rows[i] = inner + patch[s] + patch[s + 4 * PATCH_ROW]
+        first = row * BLOCK_ROW
+        for i in range(BLOCK_ROW):
+            three[first + i] = (
+                three_rows[i + MOMENTS] + three_rows[i + 2 * MOMENTS] + three_rows[i + 3 * MOMENTS]
+            )
+        for i in range(BLOCK_ROW):
+            five[first + i] = (
+                five_rows[i] + five_rows[i + MOMENTS] + five_rows[i + 2 * MOMENTS]
+                + five_rows[i + 3 * MOMENTS] + five_rows[i + 4 * MOMENTS]
+            )  # fmt: skip
+
+
+@inlined
+def _plane(s: Float64, m: int, enough: int, x: int, y: int, z: int) -> tuple[float, float, float, float]:
+    """The plane of the cells whose sums begin at m, from (x, y, z).
+
+    Its rise to the east and north, its height above (x, y, z), and the scatter of the cells about it: -1 where they are
+    too few or lie on a line.
+    """
+    n = s[m]
+    if n < enough:
+        return 0.0, 0.0, 0.0, -1.0
+    sx, sy, sz = s[m + 1], s[m + 2], s[m + 3]
+    xx, xy, yy = n * s[m + 4] - sx * sx, n * s[m + 5] - sx * sy, n * s[m + 6] - sy * sy
+    det = xx * yy - xy * xy
+    if det <= THIN * xx * yy:
+        return 0.0, 0.0, 0.0, -1.0
+    xz, yz, zz = n * s[m + 7] - sx * sz, n * s[m + 8] - sy * sz, n * s[m + 9] - sz * sz
+    east, north = (xz * yy - yz * xy) / det, (yz * xx - xz * xy) / det
+    scatter = math.sqrt(max(zz - east * xz - north * yz, 0.0) / (n * (n - 3.0)))
+    height = (sz - n * z - east * (sx - n * x) - north * (sy - n * y)) / n
+    return east, north, height, scatter
+
+
+@inlined
+def _fit_block(planes: Planes, first: int, sums: _Sums, origin: int, limits: Limits, kept: Bool) -> bool:
+    """Planes of the cells of a block; spikes are kept no more. Whether there are any."""
+    x, y, z, east, north, height = planes
+    x0, y0, z0 = wide(x[origin]), wide(y[origin]), wide(z[origin])
+    spikes = False
+    for cell in range(CELLS):
+        place, m = first + cell, cell * MOMENTS
+        if z[place] == EMPTY:
+            continue
+        dx, dy, dz = x[place] - x0, y[place] - y0, z[place] - z0
+        a, b, c, scatter = _plane(sums.three, m, ENOUGH, dx, dy, dz)
+        if scatter < 0.0:
+            a, b, c, scatter = _plane(sums.five, m, ENOUGH_WIDE, dx, dy, dz)
+        if scatter >= 0.0 and -c > limits.spike:
+            kept[place], spikes = False, True
+        if not 0.0 <= scatter <= limits.rough:
+            c = np.nan
+        east[place], north[place], height[place] = a, b, c
+    return spikes
+
+
+@kernel
+def _touched(around: Int32, k: int, first: int, kept: Bool, planes: Planes, touched: Bool) -> None:
+    """Mark the blocks whose planes the spikes of block k touch."""
+    for cell in range(CELLS):
+        if kept[first + cell] or planes.z[first + cell] == EMPTY:
+            continue
+        row, column = cell // SIDE, cell % SIDE
+        for n in range(9):
+            south, west = n // 3 * SIDE - SIDE, n % 3 * SIDE - SIDE
+            reached = _apart(row, south) <= AROUND and _apart(column, west) <= AROUND
+            if around[k, n] >= 0 and reached:
+                touched[around[k, n]] = True
+
+
+@kernel
+def _apart(index: int, first: int) -> int:
+    """Rows or columns from one of them to the nearest of a block that begins with ``first``."""
+    return max(first - index, index - first - SIDE + 1, 0)
+
+
+@kernel
+def fit(around: Int32, pages: Int32, wanted: Bool, planes: Planes, limits: Limits) -> None:
+    """Planes of the cells of wanted blocks, a second time where spikes were found: without them."""
+    kept, changed, sums = planes.z != EMPTY, wanted.copy(), _no_sums()
+    for _ in range(2):
+        left, touched = kept.copy(), np.zeros(pages.size, np.bool_)
+        for k in range(pages.size):
+            if not (wanted[k] and changed[k]):
+                continue
+            first, filled, origin = pages[k] * CELLS, 0, 0
+            for place in range(first, first + CELLS):
+                if planes.z[place] != EMPTY:
+                    filled, origin = filled + 1, place
+            if filled < FILLED:
+                continue
+            _fill_patch(planes, around, k, pages, kept, origin, sums.patch)
+            _add_up(sums)
+            if _fit_block(planes, first, sums, origin, limits, left):
+                _touched(around, k, first, left, planes, touched)
+        kept, changed = left, touched

@@ -1,0 +1,184 @@
+"""Ground of dense laser scans against a fine surface, of local planes through the lowest points of cells of 0.4 m.
+
+A TIN of the lowest point of each metre lies below the fine relief, so a band about it loses ground and keeps low plants
+at once. Where points are dense enough, they are judged against planes through the lowest of the points near that TIN
+instead. The rules, and what each was chosen by: ``docs/filters.md``.
+
+The planes: `ptd.ground.fine_planes`.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ptd.cells import Int32, Xyz
+from ptd.frame import Scale
+from ptd.ground.fine_cells import CELL_M, CELLS, SIDE, Blocks, Placed, pages_of_blocks, placed
+from ptd.ground.fine_planes import FILLED, ROUGH_M, SPIKE_M, Limits, Planes, elect, fit
+from ptd.ground.labelling import (
+    FAR,
+    GROUND,
+    NEAR,
+    ON,
+    UNCLASSIFIED,
+    Closeness,
+    GroundRule,
+    TinLabels,
+    label_by_height,
+)
+from ptd.ground.outliers import LowNoise
+from ptd.kernel import kernel
+from ptd.tin.mesh import Tin
+
+REACH_M = 3 * SIDE * CELL_M
+"""A point's label depends on planes in its block and the eight around it, those on points one block farther."""
+NEAR_M, NEAR_SLOPE_M = 0.2, 0.5
+"""Points nearer to the TIN than this, and so much more per unit of slope, may be ground."""
+HIGHER_M = 0.2
+"""So much higher points still tell a crop."""
+BELOW_M, ABOVE_M, ABOVE_SLOPE_M = 0.25, 0.1, 0.1
+"""Ground lies so far below the plane at most, so far above it, and so much farther above it per unit of slope."""
+CROP_BELOW_M, CROP_ABOVE_M, CROP_ON_M, CROP_SHARE = 0.1, 0.4, 0.05, 0.5
+"""Where of the points in this range about the fine surface, in a block and those around it, a smaller share lies on it
+(within ``CROP_ON_M``), something grows: there nothing becomes ground that was none."""
+
+Bool = npt.NDArray[np.bool_]
+UInt8 = npt.NDArray[np.uint8]
+
+
+class Heights(NamedTuple):
+    """The rules' heights in vertical counts, and horizontal counts in one of these."""
+
+    below: float
+    above: float
+    above_slope: float
+    crop_below: float
+    crop_above: float
+    crop_on: float
+    z_ratio: float
+
+    @classmethod
+    def of(cls, scale: Scale) -> Heights:
+        """Make the thresholds in counts of a scale."""
+        z = scale.counts_z
+        return cls(
+            z(BELOW_M), z(ABOVE_M), z(ABOVE_SLOPE_M), z(CROP_BELOW_M), z(CROP_ABOVE_M),
+            z(CROP_ON_M), scale.z_ratio,
+        )  # fmt: skip
+
+
+@kernel
+def _judge(
+    points: Xyz, where: Placed, close: UInt8, blocks: Blocks, pages: Int32, planes: Planes, heights: Heights,
+    ground: Bool,
+) -> None:  # fmt: skip
+    """Change which points are ground by their heights above the plane of their cell, where there is one."""
+    x, y, z = points
+    index, block, cell = where
+    settled, east, north, height = blocks.settled, planes.east, planes.north, planes.height
+    cell_x, cell_y, cell_z = planes.x, planes.y, planes.z
+    seen, on = np.zeros(settled.size, np.int32), np.zeros(settled.size, np.int32)
+    joins = np.zeros(index.size, np.bool_)
+    for k in range(index.size):
+        i, b = index[k], block[k]
+        if settled[b]:
+            seen[b] += close[i] != FAR
+            on[b] += close[i] == ON
+            continue
+        place = pages[b] * CELLS + cell[k]
+        if pages[b] < 0 or np.isnan(height[place]):
+            continue
+        rise_x, rise_y = float(east[place]), float(north[place])
+        above = float(z[i] - cell_z[place]) - height[place]
+        above -= rise_x * float(x[i] - cell_x[place]) + rise_y * float(y[i] - cell_y[place])
+        if -heights.crop_below <= above <= heights.crop_above:
+            seen[b] += 1
+            on[b] += abs(above) <= heights.crop_on
+        slope = math.sqrt(rise_x * rise_x + rise_y * rise_y)
+        most = heights.above + heights.above_slope * heights.z_ratio * slope
+        fits = close[i] >= NEAR and -heights.below <= above <= most
+        joins[k] = fits and not ground[i]
+        ground[i] = ground[i] and fits
+    for k in range(index.size):
+        if joins[k]:
+            ground[index[k]] = _is_open(blocks.around, block[k], seen, on)
+
+
+@kernel
+def _is_open(around: Int32, b: int, seen: Int32, on: Int32) -> bool:
+    """Whether enough of the points in a block and around it lie on the surface."""
+    n_on = n_seen = 0
+    for n in range(9):
+        if around[b, n] >= 0:
+            n_on += on[around[b, n]]
+            n_seen += seen[around[b, n]]
+    return n_on >= CROP_SHARE * n_seen
+
+
+def fine_ground(points: Xyz, close: UInt8, ground: Bool, marked: Bool, scale: Scale) -> tuple[Bool, Bool]:
+    """Find the points of ground; a fine surface decides where points are dense.
+
+    Parameters
+    ----------
+    points : Xyz
+        With all within `REACH_M` of those that count.
+    close : uint8 [n]
+        See `Closeness`.
+    ground, marked : bool [n]
+        By the TIN, and whether that and ``close`` are not certain.
+    scale : Scale
+
+    Returns
+    -------
+    ground, marked : bool [n]
+    """
+    where, blocks = placed(points, close, marked, scale)
+    if where.point.size == 0 or blocks.points.max() < FILLED:
+        return ground, marked  # nothing is dense, whatever is in doubt
+    wanted = ~blocks.settled & (blocks.near >= FILLED)
+    pages, n_pages = pages_of_blocks(wanted, blocks.around)
+    ground, marked = ground.copy(), marked.copy()
+    if n_pages:
+        planes = Planes.none(n_pages)
+        elect(points, where, close, pages, planes)
+        fit(blocks.around, pages, wanted, planes, Limits(scale.counts_z(SPIKE_M), scale.counts_z(ROUGH_M)))
+        _judge(points, where, close, blocks, pages, planes, Heights.of(scale), ground)
+    if blocks.doubtful.any():
+        unsure = blocks.doubtful
+        for _ in range(2):
+            unsure = np.asarray((unsure[blocks.around] & (blocks.around >= 0)).any(axis=1))
+        marked[where.point] |= unsure[where.block]
+    return ground, marked
+
+
+def with_fine_surface(rule: GroundRule, scale: Scale) -> GroundRule:
+    """A rule of ``heights_only`` that says, too, which points a fine surface may be made of."""
+    lengths = (ABOVE_M, ABOVE_SLOPE_M, NEAR_M, NEAR_SLOPE_M, HIGHER_M)
+    return rule._replace(close=Closeness(*(scale.counts(metres) for metres in lengths)))
+
+
+class FineLabels(TinLabels):
+    """A window whose points are labelled against a TIN, and where they are dense against a fine surface above it.
+
+    Parameters
+    ----------
+    closed, stats, low
+        See `TinLabels`.
+    scale : Scale
+    """
+
+    def __init__(self, closed: bool, stats: dict[str, Any], low: LowNoise, scale: Scale) -> None:
+        super().__init__(closed, stats, low)
+        self._scale = scale
+
+    def judged(self, tin: Tin, points: Xyz) -> tuple[UInt8, Bool]:
+        """Labels and marks; the rule is one of `with_fine_surface`."""
+        labels, marked, close = label_by_height(
+            tin, self.locator, points, self.in_doubt, self.rule, self.bands
+        )
+        ground, marked = fine_ground(points, close, labels == GROUND, marked, self._scale)
+        return np.where(ground, np.uint8(GROUND), np.uint8(UNCLASSIFIED)), marked

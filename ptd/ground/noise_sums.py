@@ -1,0 +1,103 @@
+"""Density and noise from what windows counted (`ptd.ground.roughness`): sums of whole numbers, in any order."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+PATCH_M = 4.0
+"""Side of the cells that are counted."""
+LARGEST_SIGMA_M = 0.3
+"""What is rougher is not counted."""
+BIN_M = 0.001
+BINS = round(LARGEST_SIGMA_M / BIN_M) + 2
+LEAST_SHARE = 0.005
+"""Least share of planar patches among cells with enough points: in a wood the few that look planar tell nothing."""
+SMOOTHEST_SHARE, SMOOTHEST_FACTOR = 0.05, 1.25
+"""Noise from what is smoothest, whatever stands on the ground: this quantile of all quarters of patches, times this."""
+
+Int64 = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Roughness:
+    """Figures of a run.
+
+    Attributes
+    ----------
+    density_m2 : float
+        Points per square metre of the cells of `PATCH_M` that hold any; 0 without points.
+    sigma_m : float or None
+        Noise of heights, metres; None if there is no planar patch, or next to none.
+    patches : int
+        How many planar patches there are, on which it rests.
+    smoothest_m : float or None
+        Noise of the smoothest places, metres, with no test of what they are: there are some in any dense cloud. None if
+        no quarter of a patch has enough points.
+    """
+
+    density_m2: float
+    sigma_m: float | None
+    patches: int
+    smoothest_m: float | None = None
+
+
+def histogram(bins: Int64) -> list[int]:
+    """How many are in each bin from the first one on that holds any: [first, count, count, ...]; -1 are not counted."""
+    known = bins[bins >= 0]
+    if known.size == 0:
+        return []
+    first = int(known.min())
+    counts: list[int] = np.bincount(known - first).tolist()
+    return [first, *counts]
+
+
+def merge(partials: Iterable[Mapping[str, Any]]) -> Roughness:
+    """The run's figures from those of all cores, in any order."""
+    sums = Sums()
+    for partial in partials:
+        sums.add(partial)
+    return sums.roughness()
+
+
+class Sums:
+    """Sums of partials (`measure`), with whole weights, in any order."""
+
+    def __init__(self) -> None:
+        self.points = self.cells = self.full = 0
+        self.patches, self.quarters = np.zeros((2, BINS), np.int64)
+
+    def add(self, partial: Mapping[str, Any], weight: int = 1) -> None:
+        """Add a partial so many times."""
+        self.points += weight * partial["points"]
+        self.cells += weight * partial["cells"]
+        self.full += weight * partial["full"]
+        _add(self.patches, partial["patches"], weight)
+        _add(self.quarters, partial["quarters"], weight)
+
+    def roughness(self) -> Roughness:
+        """The figures."""
+        density = self.points / (self.cells * PATCH_M**2) if self.cells else 0.0
+        smoothest = _quantile(self.quarters, SMOOTHEST_SHARE)
+        smoothest = None if smoothest is None else round(SMOOTHEST_FACTOR * smoothest, 6)
+        n = int(self.patches.sum())
+        sigma = None if n < LEAST_SHARE * self.full else _quantile(self.patches, 0.25)
+        return Roughness(density, sigma, n, smoothest)
+
+
+def _add(histogram: Int64, counts: Sequence[int] | Int64, weight: int) -> None:
+    if len(counts):
+        first = counts[0]
+        histogram[first : first + len(counts) - 1] += weight * np.asarray(counts[1:], np.int64)
+
+
+def _quantile(histogram: Int64, share: float) -> float | None:
+    """The value below which so much of a histogram with bins of `BIN_M` lies; None of an empty one."""
+    below = np.cumsum(histogram)
+    if below[-1] == 0:
+        return None
+    return round((int(np.argmax((below >= share * below[-1]) & (below > 0))) + 0.5) * BIN_M, 6)

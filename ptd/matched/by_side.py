@@ -1,0 +1,89 @@
+"""Passes of matched clouds where cells of two sides meet: each side by itself, each point by the side of its place."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+import numpy.typing as npt
+
+from ptd.cells import Int32
+from ptd.frame import Cells, Scale, Window
+from ptd.ground.morphology import Bool
+from ptd.matched.cells import SPARSE_CELL_M
+from ptd.matched.place_figures import BOTH, SIDE, SIDES_M, known, sides
+from ptd.passes import Model, Points, State, UInt8
+from ptd.places import PLACES, near, of_places
+
+Float64 = npt.NDArray[np.float64]
+OfSide = Callable[[Points, Scale, State, float], Model]
+"""What a pass does with the cells of one side: elected points, scale, state, side in metres."""
+
+
+def needed(xyz: Int32, side_m: float, state: State, scale: Scale) -> Bool:
+    """Mask of the cells of a side in places that need them: bool [n]."""
+    own, both = (of_places(state[PLACES], figure, xyz[0], xyz[1], scale) for figure in (SIDE, BOTH))
+    found: Bool = (own == side_m) | (both > 0)
+    return found
+
+
+def side_of_cells(points: Points, scale: Scale) -> Float64:
+    """Sides of the cells whose middles are given: those of 2 m lie at the corners of those of 1 m."""
+    x, y = points.xyz[0], points.xyz[1]
+    cells = Cells.of(SPARSE_CELL_M, scale)
+    columns, rows = cells.places(x, y)
+    west, south = cells.corners(columns, rows)
+    east, north = cells.corners(columns + 1, rows + 1)
+    middle = (x == (west + east) // 2) & (y == (south + north) // 2)
+    return np.where(middle, SIDES_M[1], SIDES_M[0])
+
+
+def of_each_side(
+    of_side: OfSide, points: Points, core: Window, scale: Scale, state: State, cells: bool
+) -> Model:
+    """The model of a window, of whose core it is asked: of ``cells``, or else of points by their place."""
+    present = sides(state[PLACES]) or SIDES_M[:1]
+    if len(present) == 1:
+        return of_side(points, scale, state, present[0])
+    own = side_of_cells(points, scale)
+    asked = near(state[PLACES], core, scale)
+    sides_asked = sides(asked) if cells else {known(figures, SIDE) for figures in asked.values()}
+    models = {side: of_side(points.take(own == side), scale, state, side) for side in sides_asked}
+    return ModelOfCells(models, scale) if cells else ModelOfPoints(models, scale, state)
+
+
+class ModelOfCells(Model):
+    """Models of cells of each side, asked of cells."""
+
+    def __init__(self, models: Mapping[float, Model], scale: Scale) -> None:
+        self._models, self._scale = models, scale
+        names = {name: 0 for model in models.values() for name in model.stats}
+        self.stats = {name: sum(model.stats[name] for model in models.values()) for name in names}
+
+    def label(self, points: Points) -> tuple[UInt8, Bool]:
+        """Each cell by the model of its side."""
+        labels, marks = np.zeros(len(points), np.uint8), np.zeros(len(points), np.bool_)
+        own = side_of_cells(points, self._scale)
+        for side, model in self._models.items():
+            of_side = own == side
+            labels[of_side], marks[of_side] = model.label(points.take(of_side))
+        return labels, marks
+
+
+class ModelOfPoints(ModelOfCells):
+    """Models of cells of each side, asked of points."""
+
+    def __init__(self, models: Mapping[float, Model], scale: Scale, state: State) -> None:
+        super().__init__(models, scale)
+        self._state = state
+
+    def label(self, points: Points) -> tuple[UInt8, Bool]:
+        """Each point by the model of its place, with the points of other places around it."""
+        labels, marks = np.zeros(len(points), np.uint8), np.zeros(len(points), np.bool_)
+        own = of_places(self._state[PLACES], SIDE, points.xyz[0], points.xyz[1], self._scale)
+        for side, model in self._models.items():
+            of_side = own == side
+            if of_side.any():
+                found, doubtful = model.label(points)
+                labels[of_side], marks[of_side] = found[of_side], doubtful[of_side]
+        return labels, marks

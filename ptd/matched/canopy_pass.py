@@ -1,0 +1,151 @@
+"""The pass that finds closed canopy among the cells of matched clouds."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from ptd.frame import Cells, Scale, Window
+from ptd.ground.morphology import Bool
+from ptd.matched import by_side, surface
+from ptd.matched.canopy import canopy, may_be
+from ptd.matched.canopy import reach_cells as canopy_reach_cells
+from ptd.matched.cells import CELL_M, EMPTY, raster_of
+from ptd.matched.evidence import percent
+from ptd.matched.ground_model import band
+from ptd.matched.place_figures import SIDE, SIDES_M
+from ptd.matched.step import COVERED, CROWN, OBJECT, TERRAIN, Codes, MatchedPass, noise_m
+from ptd.passes import Int32, Model, Points, State, UInt8, noted
+from ptd.places import PLACES, of_places, on_cells
+
+BORDER_M = 8.0
+"""How far beyond a canopy the surface may differ from that with its crowns."""
+
+Float64 = npt.NDArray[np.float64]
+
+BLOCK_M = 64.0
+"""Side of the blocks, of a lattice at CRS coordinate 0, by which covered cells are counted."""
+
+
+def below_canopy(
+    with_crowns: surface.Surface, without: surface.Surface, covered: Bool, cell_m: float
+) -> surface.Surface:
+    """Surface that goes below crowns where a canopy is, and within `BORDER_M` of it, and is as it was elsewhere."""
+    near = scipy.ndimage.maximum_filter(covered, 2 * round(BORDER_M / cell_m) + 1, mode="constant")
+    both = zip(without, with_crowns, strict=True)
+    return surface.Surface(*(np.where(near, new, old) for new, old in both))
+
+
+def _widened(core: Window, more: float) -> Window:
+    """The core, and as many counts around it."""
+    counts = math.ceil(more)
+    return Window(core.west - counts, core.south - counts, core.east + counts, core.north + counts)
+
+
+@dataclass(frozen=True)
+class CanopyPass(MatchedPass):
+    """Closed canopy: crowns that the surface took for ground, and where others hide it."""
+
+    name: str = "canopy"
+    title = "find closed canopy"
+    columns: tuple[str, ...] = ("labels",)
+    by_place: bool = True
+    elected: bool = True
+    raster_cell_m: float = CELL_M
+    reach_m: float | None = max(
+        (surface.reach_cells(side) + canopy_reach_cells(side) + 3) * side for side in SIDES_M
+    )
+
+    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> CanopyModel:
+        """Look at the cells of each side, and count those of the core."""
+        of_side = partial(self.of_side, core=core)
+        found = by_side.of_each_side(of_side, points, core, scale, state, cells=True)
+        own = core.has(points.xyz[0], points.xyz[1])
+        return CanopyModel(found, points.take(own), scale, state)
+
+    def of_side(self, points: Points, scale: Scale, state: State, side: float, core: Window) -> Codes:
+        """Make the surface of cells of one side as if there were no canopy, and look at it."""
+        cells, codes = Cells.of(side, scale), points.known_labels()
+        if not (codes != OBJECT).any():
+            return Codes(None, codes, cells)
+        raster = raster_of(points.xyz, cells)
+        flat = np.zeros(raster.heights.size, np.uint8)
+        flat[raster.keys] = codes
+        coded = flat.reshape(raster.heights.shape)
+        metres = np.where(raster.heights == EMPTY, np.nan, raster.heights / scale.counts_z(1.0))
+        own = _widened(core, scale.counts(side)).has(*points.xyz[:2])
+        if (
+            not may_be(metres, side).reshape(-1)[raster.keys[own]].any()
+        ):  # the surface is nearly all of the work
+            return Codes(raster, codes, cells)
+        left = np.where(coded == OBJECT, EMPTY, raster.heights).astype(np.int32)
+        noise = on_cells(noise_m(state, scale), cells, raster.row, raster.column, raster.heights.shape)
+        found = surface.ground_surface(left, coded == TERRAIN, noise, scale, raster.row, raster.column, side)
+        near = band(found.sigma, found.narrowing)
+        covered, crowns = canopy(metres, found, np.abs(metres - found.height) < near, side)
+        coded[crowns] |= CROWN
+        coded[covered] |= COVERED
+        return Codes(raster, coded.reshape(-1)[raster.keys], cells)
+
+    def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
+        """``canopy``: the share of the area with points that it covers, None where there is none."""
+        parts = list(partials)
+        area, covered = (sum(part[name] for part in parts) for name in ("area_m2", "covered_m2"))
+        after = {**state, "canopy": {"share": covered / area if area else None}}
+        if not covered:
+            return after
+        line = (
+            f"decided: a closed canopy hides the ground in {percent(covered / area)} % of the area; its crowns are no "
+            "ground, what is seen in its openings is"
+        )
+        return {**after, "notes": noted(state, line)}
+
+
+class CanopyModel(Model):
+    """What each cell is, and how much of the core a canopy covers.
+
+    Where cells of two sides meet, only those of the side of their place are called covered: others are but seen.
+    """
+
+    def __init__(self, found: Model, own: Points, scale: Scale, state: State) -> None:
+        self._found, self._scale, self._state = found, scale, state
+        labels, _ = self.label(own)
+        sides_m = by_side.side_of_cells(own, scale)
+        counted, covered = self._of_place(own), labels >= COVERED
+        self._partial = {
+            "area_m2": int((sides_m[counted] ** 2).sum()),
+            "covered_m2": int((sides_m[covered] ** 2).sum()),
+            "blocks": _by_block(own.xyz[:, covered], sides_m[covered], scale),
+        }
+        self.stats = {**found.stats, "covered": int(covered.sum())}
+
+    def _of_place(self, points: Points) -> Bool:
+        """Cells of the side of their place."""
+        own = of_places(self._state[PLACES], SIDE, points.xyz[0], points.xyz[1], self._scale)
+        same: Bool = own == by_side.side_of_cells(points, self._scale)
+        return same
+
+    def label(self, points: Points) -> tuple[UInt8, Bool]:
+        """Codes of cells."""
+        labels, marks = self._found.label(points)
+        return np.where(self._of_place(points), labels, labels & ~np.uint8(COVERED)).astype(np.uint8), marks
+
+    def partial(self) -> dict[str, Any]:
+        """Areas in square metres, and the covered ones by blocks."""
+        return self._partial
+
+
+def _by_block(xyz: Int32, sides_m: Float64, scale: Scale) -> list[list[int]]:
+    """Column and row of each block of `BLOCK_M` that holds cells, and their area in square metres."""
+    places = np.stack(Cells.of(BLOCK_M, scale).places(xyz[0], xyz[1]))
+    blocks, which = np.unique(places, axis=1, return_inverse=True)
+    areas = np.bincount(which.ravel(), sides_m**2, blocks.shape[1]).astype(np.int64)
+    found: list[list[int]] = np.column_stack([blocks.T, areas]).tolist()
+    return found

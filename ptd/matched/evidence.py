@@ -1,0 +1,231 @@
+"""What the fields of a cloud's points say about what made it: a laser scanner, or the matching of images.
+
+Three pieces of evidence are weighed, each once, and skipped where a format has no such field: the trace of a sensor,
+the intensities, the colours. A weight is the natural logarithm of the odds that the cloud is matched: weights add up,
+and their sum says how sure the answer is. They were fitted to the fields of 114 real clouds of known origin
+(`tests/benchmarks/kind_weights.py`), of which 111 come out right when their own producer is left out of the fit.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, fields
+from typing import NamedTuple, Self
+
+import numpy as np
+import numpy.typing as npt
+
+LIDAR, DIM = "lidar", "dim"
+
+SEVERAL, TRACE, NO_TRACE = -5.0, -2.3, 0.1
+"""Several returns: 0 of 32 matched clouds and 74 of 94 laser scans have them. Other traces of a sensor; none at all."""
+OWN_INTENSITY, NO_INTENSITY, GREY_INTENSITY = -3.5, -0.2, 1.4
+COLOUR, NO_COLOUR = 2.4, -1.5
+"""Missing colours fit -2.2. They weigh less here, as only coloured matched clouds are published."""
+
+SEVERAL_SHARE = 0.001
+"""Share of points that are one of several returns from which on the cloud is a laser scan."""
+TRACED_SHARE = 0.2
+"""Share of the area from which on a sensor's trace counts in full."""
+SAME = 0.95
+"""Correlation from which on intensities are the grey of the colours; 0.71 in a laser scan at most."""
+TIMES_PER_POINT = 0.01
+"""GPS times for each point, at least, where a sensor measured: blocks of matched clouds have one each."""
+SURE = 0.9
+"""Confidence from which on an answer needs no second look."""
+MOST_SURE = 0.99
+"""Largest confidence that the weights allow."""
+
+Column = npt.NDArray[np.generic]
+
+
+class Piece(NamedTuple):
+    """A piece of evidence: its weight (above 0: for image matching), and what was seen."""
+
+    weight: float
+    text: str
+
+
+class Finding(NamedTuple):
+    """What made a cloud.
+
+    Attributes
+    ----------
+    kind : {"lidar", "dim"}
+    sure : float or None
+        Probability that it is so, 0.5 to `MOST_SURE`; None where the user says it.
+    why : str
+        The two strongest pieces of evidence.
+    """
+
+    kind: str
+    sure: float | None
+    why: str
+
+
+@dataclass(frozen=True)
+class Evidence:
+    """What the fields of a cloud's points say: shares from 0 to 1, None where nothing is known.
+
+    Attributes
+    ----------
+    several : float or None
+        Points that are one of several returns of a pulse.
+    trace : float or None
+        The area in which GPS times, scan angles, scan directions, edges of flight lines or source ids differ from
+        point to point.
+    own_intensity, grey_intensity : float or None
+        The area whose intensities differ and are not, or are, the grey of the colours.
+    colour : float or None
+        The area whose points are coloured.
+    """
+
+    several: float | None = None
+    trace: float | None = None
+    own_intensity: float | None = None
+    grey_intensity: float | None = None
+    colour: float | None = None
+
+    @classmethod
+    def of(
+        cls,
+        *,
+        returns: npt.ArrayLike | None = None,
+        gps_time: npt.ArrayLike | None = None,
+        scan_angle: npt.ArrayLike | None = None,
+        source_id: npt.ArrayLike | None = None,
+        flags: Sequence[npt.ArrayLike] = (),
+        intensity: npt.ArrayLike | None = None,
+        rgb: npt.ArrayLike | None = None,
+    ) -> Self:
+        """The evidence in the fields of some points of a cloud, or of all of them.
+
+        Parameters
+        ----------
+        returns : array [n, 2], optional
+            Return number and number of returns; 0 where unknown.
+        gps_time, scan_angle, source_id, intensity : array [n], optional
+        flags : sequence of array [n]
+            Scan direction, edge of flight line.
+        rgb : array [n, 3], optional
+        """
+        several = None
+        if returns is not None:
+            of = np.asarray(returns)[:, 1]
+            several = float(np.mean(of[of > 0] > 1)) if np.any(of) else None
+        differing = [None if v is None else _differs(np.asarray(v)) for v in (scan_angle, source_id, *flags)]
+        differing.append(None if gps_time is None else _measured(np.asarray(gps_time)))
+        known = [found for found in differing if found is not None]
+        colours = None if rgb is None else np.asarray(rgb, np.float64)
+        own, grey = _intensities(intensity, colours)
+        return cls(several, float(any(known)) if known else None, own, grey, _coloured(colours))
+
+    @classmethod
+    def merged(cls, parts: Iterable[tuple[Self, float]]) -> Self:
+        """The evidence of a survey of several clouds, each with the area (or another weight) that it counts for."""
+        found = list(parts)
+        means = []
+        for field in fields(cls):
+            known = [(getattr(part, field.name), area) for part, area in found]
+            known = [(value, area) for value, area in known if value is not None]
+            total = sum(area for _, area in known)
+            means.append(sum(value * area for value, area in known) / total if total else None)
+        return cls(*means)
+
+    def pieces(self) -> list[Piece]:
+        """The pieces of evidence, those that are known."""
+        found = [self._sensor(), self._intensity(), self._colour()]
+        return [piece for piece in found if piece is not None]
+
+    def _sensor(self) -> Piece | None:
+        if self.several is not None and self.several >= SEVERAL_SHARE:
+            return Piece(SEVERAL, f"{percent(self.several)} % of the points are one of several returns")
+        if self.several is None and self.trace is None:
+            return None
+        traced = min((self.trace or 0.0) / TRACED_SHARE, 1.0)
+        weight = traced * TRACE + (1 - traced) * NO_TRACE
+        if weight < 0:
+            return Piece(weight, "GPS times, scan angles or flight lines differ from point to point")
+        return Piece(weight, "returns, GPS times, angles and flight lines show no sensor")
+
+    def _intensity(self) -> Piece | None:
+        if self.own_intensity is None or self.grey_intensity is None:
+            return None
+        none = 1 - self.own_intensity - self.grey_intensity
+        weights = (
+            OWN_INTENSITY * self.own_intensity,
+            GREY_INTENSITY * self.grey_intensity,
+            NO_INTENSITY * none,
+        )
+        texts = ("intensities were measured", "the intensities are the grey of the colours", "no intensities")
+        strongest = max(range(3), key=lambda i: abs(weights[i]))
+        return Piece(sum(weights), texts[strongest])
+
+    def _colour(self) -> Piece | None:
+        if self.colour is None:
+            return None
+        weight = COLOUR * self.colour + NO_COLOUR * (1 - self.colour)
+        return Piece(weight, "the points have colours" if weight > 0 else "no colours")
+
+
+def concluded(pieces: Iterable[Piece]) -> Finding:
+    """What made a cloud, by all pieces of evidence together; a matched cloud where the odds are even."""
+    found = list(pieces)
+    score = sum(piece.weight for piece in found)
+    side = 1.0 if score >= 0 else -1.0
+    speaking = sorted((p for p in found if side * p.weight > 0), key=lambda p: -abs(p.weight))
+    sure = min(1 / (1 + math.exp(-abs(score))), MOST_SURE)
+    return Finding(DIM if score >= 0 else LIDAR, sure, "; ".join(piece.text for piece in speaking[:2]))
+
+
+def decided_by(evidence: Evidence) -> Finding | None:
+    """What made a cloud, where the fields of its points say it with a probability of `SURE`; else None."""
+    pieces = evidence.pieces()
+    made = concluded(pieces)
+    return made if len(pieces) > 1 and (made.sure or 0.0) >= SURE else None
+
+
+def percent(share: float) -> str:
+    """A share in percent, in two digits, without an exponent."""
+    return f"{float(f'{100 * share:.2g}'):g}"
+
+
+def _differs(values: Column) -> bool:
+    return bool(values.size and values.min() != values.max())
+
+
+def _measured(times: Column) -> bool:
+    """Whether GPS times are those of a sensor."""
+    finite = times[np.isfinite(times)]
+    return bool(np.unique(finite).size > max(TIMES_PER_POINT * times.size, 2))
+
+
+def _coloured(colours: npt.NDArray[np.float64] | None) -> float | None:
+    """1 where points have colours, 0 where they have none, None where grey values alone fill the fields of colours."""
+    if colours is None or not colours.size:
+        return None
+    if colours.min() == colours.max():
+        return 0.0
+    return None if _is_grey(colours) else 1.0
+
+
+def _is_grey(colours: npt.NDArray[np.float64]) -> bool:
+    return bool(np.mean(np.ptp(colours, axis=1) == 0) > SAME)
+
+
+def _intensities(
+    intensity: npt.ArrayLike | None, colours: npt.NDArray[np.float64] | None
+) -> tuple[float | None, float | None]:
+    """Whether intensities are a sensor's own, and whether they are the grey of the colours."""
+    if intensity is None:
+        return None, None
+    values = np.asarray(intensity, np.float64)
+    if not _differs(values):
+        return 0.0, 0.0
+    if colours is None or not _differs(grey := colours.mean(axis=1)):
+        return 1.0, 0.0
+    if np.corrcoef(values, grey)[0, 1] < SAME:
+        return 1.0, 0.0
+    # Grey colours may be painted with the intensity of a laser: then the two say nothing.
+    return (None, None) if _is_grey(colours) else (0.0, 1.0)

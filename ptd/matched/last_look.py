@@ -1,0 +1,346 @@
+"""A last look at each point of a matched cloud: trees decide by what lies around it whether its label stays.
+
+The surface's label compares one height with one threshold. Here a point's height above the surface is seen together
+with those of its neighbours: how many of them are ground, how they scatter, how many stand just above; and with the
+cells of the surface up to 10 m away. Trees that a script fitted to scenes with known labels
+(``tests/benchmarks/last_look_weights.py``) turn these features into the log-odds of ground. Their say is limited:
+
+- low noise stays, and so does what lies farther than `FARTHEST_M` from the surface and was no ground;
+- a label changes only where the trees are sure enough (`CHANGE_ODDS`);
+- where all points around are ground, or none is, nothing changes.
+
+Features are whole numbers: millimetres, or thousandths. The sums behind them are of whole numbers, too, over windows
+of fixed reach on a lattice that is anchored at 0: neither tiles nor the order of points change a bit. A window is as
+wide as it must be to hold `LEAST_POINTS`, so it follows the density of the place.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from ptd.cells import Int32, Int64, quotient
+from ptd.frame import Cells, Scale
+from ptd.ground.labelling import GROUND, UNCLASSIFIED
+from ptd.ground.morphology import Bool
+from ptd.kernel import kernel, wide
+from ptd.matched.cells import by_cell
+from ptd.matched.trees import UNIT, Trees, scores
+from ptd.passes import UInt8
+
+CELL_M = 0.25
+"""Side of the cells in which points are counted."""
+LEAST_POINTS, WIDEST = 20, 5
+"""A window is a square of 2 r + 1 cells with the smallest r that holds so many points, and r is at most this."""
+REACH_M = (2 * WIDEST + 1) * CELL_M
+"""The wider window, of 4 r + 1 cells, ends within this distance of a point."""
+FARTHEST_M = 0.5
+"""What was no ground becomes ground only as near to the surface as this."""
+CHANGE_ODDS = 1.5
+"""A label changes where the odds against it are at least this."""
+CLEAR_MM = 2000
+"""Heights above the surface are cut off at this: trees and roofs are alike."""
+LOW_MM, HIGH_MM = 200, 1000
+"""Low plants stand higher than the first; what is higher than the second is no plant of a kind that is mistaken."""
+
+PART, BLOCK = 16, 8
+"""Cells on a side of a part (at least as wide as the reach), and parts on a side of a block: one block is in memory."""
+COUNT, ON_GROUND, SUM, SQUARES, LOW, HIGH = range(6)
+"""What is summed."""
+POINT_FEATURES = ("height", "deviation", "in_bands")
+WINDOW_FEATURES = (
+    "ground", "mean", "spread", "low", "high", "wide_ground", "wide_mean", "wide_spread", "wide_low", "wide_high",
+)  # fmt: skip
+
+Float64 = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Heights:
+    """Points against the surface.
+
+    Attributes
+    ----------
+    x, y : int32 [n]
+        Local counts.
+    own, voted : int32 [n]
+        Millimetres above the surface, as measured and after the neighbours' vote; `CLEAR_MM` where there is no surface.
+    labels : uint8 [n]
+        ASPRS classes from the surface alone.
+    """
+
+    x: Int32
+    y: Int32
+    own: Int32
+    voted: Int32
+    labels: UInt8
+
+    @classmethod
+    def of(cls, x: Int32, y: Int32, above_m: Float64, voted_m: Float64, labels: UInt8) -> Heights:
+        """From heights in metres, NaN where there is no surface."""
+        return cls(x, y, _millimetres(above_m), _millimetres(voted_m), labels)
+
+
+@kernel
+def _millimetres(metres: Float64) -> Int32:
+    """Whole millimetres, cut off; the largest for NaN."""
+    found = np.empty(metres.size, np.int32)
+    for k in range(metres.size):
+        cut = min(max(1000.0 * metres[k], -CLEAR_MM), CLEAR_MM) if metres[k] == metres[k] else CLEAR_MM
+        found[k] = np.int32(np.rint(cut))
+    return found
+
+
+@kernel
+def _summed(
+    index: Int32, column: Int32, row: Int32, voted: Int32, labels: UInt8, west: int, south: int, side: int
+) -> Int64:
+    """Sums of the points of a block over all cells to the south-west: int64 [6, side + 1, side + 1]."""
+    sums = np.zeros((6, side + 1, side + 1), np.int64)
+    for k in index:
+        i, j, v = row[k] - south + 1, column[k] - west + 1, np.int64(voted[k])
+        sums[COUNT, i, j] += 1
+        sums[ON_GROUND, i, j] += labels[k] == GROUND
+        sums[SUM, i, j] += v
+        sums[SQUARES, i, j] += v * v
+        sums[LOW, i, j] += LOW_MM < v < HIGH_MM
+        sums[HIGH, i, j] += v >= HIGH_MM
+    for q in range(6):
+        for i in range(1, side + 1):
+            along = 0
+            for j in range(1, side + 1):
+                along += sums[q, i, j]
+                sums[q, i, j] = along + sums[q, i - 1, j]
+    return sums
+
+
+@kernel
+def _within(sums: Int64, q: int, i: int, j: int, r: int) -> int:
+    """Sum over the square of 2 r + 1 cells around the cell in row i, column j."""
+    return int(
+        sums[q, i + r + 1, j + r + 1]
+        - sums[q, i - r, j + r + 1]
+        - sums[q, i + r + 1, j - r]
+        + sums[q, i - r, j - r]
+    )
+
+
+@kernel
+def _describe(sums: Int64, i: int, j: int, r: int, found: Int32) -> None:
+    """Features of a window with at least one point."""
+    n = _within(sums, COUNT, i, j, r)
+    mean = _within(sums, SUM, i, j, r) / n
+    found[0] = 1000 * _within(sums, ON_GROUND, i, j, r) // n
+    found[1] = math.floor(mean)
+    found[2] = math.floor(math.sqrt(max(_within(sums, SQUARES, i, j, r) / n - mean * mean, 0.0)))
+    found[3] = 1000 * _within(sums, LOW, i, j, r) // n
+    found[4] = 1000 * _within(sums, HIGH, i, j, r) // n
+
+
+@kernel
+def _features(
+    index: Int32, column: Int32, row: Int32, own: Int32, voted: Int32, labels: UInt8, sums: Int64, west: int,
+    south: int, cell: Int32, around: Int32,
+) -> tuple[Int32, Int32]:  # fmt: skip
+    """Index of the points that may change, and their features: int32 [m], int32 [m, features].
+
+    ``cell`` is the place of each point among the cells of the surface, ``around`` what lies around these.
+    """
+    chosen, n = np.empty(index.size, np.int32), 0
+    found = np.empty((index.size, 13 + around.shape[1] - 1), np.int32)
+    for k in index:
+        ground = labels[k] == GROUND
+        if not (ground or (labels[k] == UNCLASSIFIED and abs(voted[k]) < 1000 * FARTHEST_M)):
+            continue
+        i, j, r = row[k] - south, column[k] - west, 1
+        while r < WIDEST and _within(sums, COUNT, i, j, r) < LEAST_POINTS:
+            r += 1
+        of_ground = _within(sums, ON_GROUND, i, j, 2 * r)
+        if of_ground == (_within(sums, COUNT, i, j, 2 * r) if ground else 0):
+            continue
+        f, near = found[n], around[cell[k]]
+        f[0], f[1] = voted[k], own[k] - voted[k]
+        f[2] = math.floor(1000.0 * voted[k] / near[0])
+        _describe(sums, i, j, r, f[3:8])
+        _describe(sums, i, j, 2 * r, f[8:13])
+        f[13:] = near[1:]
+        chosen[n] = k
+        n += 1
+    return chosen[:n], found[:n]
+
+
+@dataclass(frozen=True)
+class Around:
+    """What lies around the cells of a surface.
+
+    Attributes
+    ----------
+    features : int32 [cells, 1 + len(CELL_FEATURES)]
+        By rows of cells; first how far ground lies from the surface, in millimetres.
+    columns : int
+        Cells in a row.
+    """
+
+    features: Int32
+    columns: int
+
+
+CELL_FEATURES = ("noise", "slope", "bend_2", "bend_5", "low_5", "low_10", "ground_5")
+"""Noise of the surface, its slope, its height above the mean of 2 and 5 m, shares of cells of low plants and of ground
+within 5 and 10 m."""
+CELL_REACH_M = 10.0
+"""Cells beyond this have no part in these, but for the slope's next one."""
+STEEPEST = 5.0
+"""Slopes are cut off at this."""
+
+
+def reach_cells(cell_m: float) -> int:
+    """Cells beyond which nothing of the surface has a part in a point's label, its own among them."""
+    return math.ceil(CELL_REACH_M / cell_m) + 1
+
+
+def around_cells(
+    heights_m: Float64, there: Bool, ground_m: Float64, sigma_m: Float64, band_m: Float64, cell_m: float
+) -> Around:
+    """What lies around each cell.
+
+    Parameters
+    ----------
+    heights_m : float64 [rows, columns]
+        Of the cells that are there.
+    there : bool [rows, columns]
+    ground_m : float64 [rows, columns]
+        The surface, NaN where it is not known.
+    sigma_m, band_m : float64 [rows, columns]
+        Noise, and how far ground lies from the surface.
+    cell_m : float
+    """
+    known = there & ~np.isnan(ground_m)
+    surface = np.where(np.isnan(ground_m), 0, np.rint(1000 * np.nan_to_num(ground_m))).astype(np.int64)
+    residual = np.where(known, np.rint(1000 * heights_m) - surface, 0).astype(np.int64)
+    band = np.maximum(np.rint(1000 * np.nan_to_num(band_m)), 1).astype(np.int64)
+
+    def share(which: Bool, metres: float) -> Int64:
+        r = round(metres / cell_m)
+        return 1000 * _boxes(which, r) // np.maximum(_boxes(known, r), 1)
+
+    def bend(metres: float) -> Int64:
+        r = round(metres / cell_m)
+        near = np.maximum(_boxes(known, r), 1)
+        found: Int64 = np.clip(surface - _boxes(np.where(known, surface, 0), r) // near, -30_000, 30_000)
+        return found
+
+    low = known & (residual > band) & (residual < HIGH_MM)
+    ground = known & (np.abs(residual) < band)
+    north, east = np.gradient(ground_m, cell_m)
+    slope = np.where(known, np.nan_to_num(np.rint(1000 * np.minimum(np.hypot(north, east), STEEPEST))), 0)
+    found = (
+        band, np.rint(1000 * sigma_m), slope, bend(2.0), bend(5.0), share(low, 5.0), share(low, CELL_REACH_M),
+        share(ground, 5.0),
+    )  # fmt: skip
+    return Around(np.stack(found, axis=-1).reshape(-1, len(found)).astype(np.int32), there.shape[1])
+
+
+def _boxes(values: npt.NDArray[np.generic], r: int) -> Int64:
+    """Sums over squares of 2 r + 1 cells, of values that are 0 beyond the raster."""
+    padded = np.pad(values.astype(np.int64), ((r + 1, r), (r + 1, r)))
+    sums = padded.cumsum(axis=0).cumsum(axis=1)
+    k = 2 * r + 1
+    found: Int64 = sums[k:, k:] - sums[:-k, k:] - sums[k:, :-k] + sums[:-k, :-k]
+    return found
+
+
+def features_by_block(
+    heights: Heights, cell: Int32, around: Around, scale: Scale
+) -> Iterator[tuple[Int32, Int32]]:
+    """Points that may change (indices, int32 [m]) and their features (int32 [m, features]), block by block.
+
+    Parameters
+    ----------
+    heights : Heights
+        At least one point.
+    cell : int32 [n]
+        The place of each point in `Around.features`; anything where there is no surface.
+    around : Around
+    scale : Scale
+    """
+    cells = Cells.of(CELL_M, scale)
+    x, y = heights.x, heights.y
+    west, south = (
+        (first // PART - 1) * PART for first in (cells.column(int(x.min())), cells.row(int(y.min())))
+    )
+    columns, rows = (
+        (last - first) // PART + 2
+        for last, first in ((cells.column(int(x.max())), west), (cells.row(int(y.max())), south))
+    )
+    column, row = _places(x, y, cells.p, cells.q, cells.origin_x, cells.origin_y, west, south)
+    starts, order = by_cell(row.astype(np.int64) // PART * columns + column // PART, columns * rows)
+    for i in range(1, rows - 1, BLOCK):
+        for j in range(1, columns - 1, BLOCK):
+            inside = _of_parts(
+                starts, order, columns, (i, min(i + BLOCK, rows - 1)), (j, min(j + BLOCK, columns - 1))
+            )
+            if inside.size == 0:
+                continue
+            near = _of_parts(
+                starts,
+                order,
+                columns,
+                (i - 1, min(i + BLOCK + 1, rows)),
+                (j - 1, min(j + BLOCK + 1, columns)),
+            )
+            at = ((j - 1) * PART, (i - 1) * PART)
+            sums = _summed(near, column, row, heights.voted, heights.labels, *at, (BLOCK + 2) * PART)
+            yield _features(
+                inside,
+                column,
+                row,
+                heights.own,
+                heights.voted,
+                heights.labels,
+                sums,
+                *at,
+                cell,
+                around.features,
+            )
+
+
+@kernel
+def _places(
+    x: Int32, y: Int32, p: int, q: int, ox: int, oy: int, west: int, south: int
+) -> tuple[Int32, Int32]:
+    """Column and row of each point among the cells that begin in the south-west."""
+    column, row, inverse = np.empty(x.size, np.int32), np.empty(x.size, np.int32), 1.0 / p
+    for k in range(x.size):
+        column[k] = quotient((wide(x[k]) + ox) * q, p, inverse) - west
+        row[k] = quotient((wide(y[k]) + oy) * q, p, inverse) - south
+    return column, row
+
+
+def _of_parts(
+    starts: Int64, order: Int32, columns: int, rows: tuple[int, int], across: tuple[int, int]
+) -> Int32:
+    """The points of the parts in half-open ranges of rows and columns."""
+    lines = [order[starts[i * columns + across[0]] : starts[i * columns + across[1]]] for i in range(*rows)]
+    return np.concatenate(lines)
+
+
+def looked_at(heights: Heights, cell: Int32, around: Around, scale: Scale, trees: Trees) -> UInt8:
+    """Labels after the last look; see `features_by_block` for the parameters."""
+    labels = heights.labels.copy()
+    if labels.size == 0:
+        return labels
+    for index, features in features_by_block(heights, cell, around, scale):
+        labels[index] = decided(heights.labels[index], scores(features, trees))
+    return labels
+
+
+def decided(labels: UInt8, score: Int32) -> UInt8:
+    """Labels of points that may change, from those of the surface and the sums of the trees: uint8 [n]."""
+    enough = round(UNIT * math.log(CHANGE_ODDS))
+    wanted = np.where(labels == GROUND, -enough, enough)
+    return np.where(score >= wanted, GROUND, UNCLASSIFIED).astype(np.uint8)

@@ -1,0 +1,75 @@
+"""Boosted trees on whole numbers: the same decision on each machine, in any order of the points."""
+
+from __future__ import annotations
+
+from functools import cache
+from importlib.resources import files
+from typing import NamedTuple
+
+import numpy as np
+
+from ptd.cells import Int32
+from ptd.kernel import kernel
+
+UNIT = 2**16
+"""Leaves are log-odds in whole parts of this."""
+DEPTH = 3
+"""Questions between the root of a tree and each leaf."""
+NODES, LEAVES = 2**DEPTH - 1, 2**DEPTH
+
+
+class Trees(NamedTuple):
+    """Trees that add up to log-odds, in parts of `UNIT`.
+
+    Attributes
+    ----------
+    feature, threshold : int32 [trees * NODES]
+        Node n of a tree sends a point on to node 2 n + 1 if the feature is at most the threshold, else to 2 n + 2.
+    leaf : int32 [trees * LEAVES]
+        Nodes `NODES` and higher are leaves.
+    """
+
+    feature: Int32
+    threshold: Int32
+    leaf: Int32
+
+
+@cache
+def last_look_trees() -> Trees:
+    """Trees of `ptd.matched.last_look`, from the file beside this module."""
+    with files(__package__).joinpath("last_look.npz").open("rb") as file, np.load(file) as kept:
+        return Trees(*(kept[name].astype(np.int32) for name in Trees._fields))
+
+
+@kernel
+def scores(features: Int32, trees: Trees) -> Int32:
+    """Sum of the leaves of each point, from its row of features: int32 [n].
+
+    All questions of a tree are asked, of several points at a time: without branches that is faster than to ask three.
+    """
+    feature, threshold, leaf = trees
+    columns = features.T.copy()
+    found = np.zeros(features.shape[0], np.int32)
+    for t in range(leaf.size // LEAVES):
+        f, limit, value = feature[t * NODES :], threshold[t * NODES :], leaf[t * LEAVES :]
+        x0, x1, x2, x3 = columns[f[0]], columns[f[1]], columns[f[2]], columns[f[3]]
+        x4, x5, x6 = columns[f[4]], columns[f[5]], columns[f[6]]
+        t0, t1, t2, t3, t4, t5, t6 = limit[0], limit[1], limit[2], limit[3], limit[4], limit[5], limit[6]
+        v0, v1, v2, v3, v4, v5, v6, v7 = (
+            value[0],
+            value[1],
+            value[2],
+            value[3],
+            value[4],
+            value[5],
+            value[6],
+            value[7],
+        )
+        for k in range(found.size):
+            a, b, c = x0[k] <= t0, x1[k] <= t1, x2[k] <= t2
+            d, e, g, h = x3[k] <= t3, x4[k] <= t4, x5[k] <= t5, x6[k] <= t6
+            first, second = v0 if d else v1, v2 if e else v3
+            third, fourth = v4 if g else v5, v6 if h else v7
+            below, beyond = first if b else second, third if c else fourth
+            found[k] += below if a else beyond
+    return found

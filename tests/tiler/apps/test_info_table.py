@@ -1,0 +1,49 @@
+"""`tiler info` of several clouds, or a folder of them, is a table."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+
+from cli.main import main
+from tests.tiler.apps.test_info import write_cloud
+from tiler.apps.info_table import COLUMNS, describe_many, is_many, rows
+
+
+@pytest.fixture
+def folder(tmp_path: Path) -> Path:
+    clouds = tmp_path / "clouds"
+    clouds.mkdir()
+    write_cloud(clouds / "a.laz", side=20)
+    write_cloud(clouds / "b.las", side=10, crs="EPSG:2994")
+    (clouds / "c.laz").write_bytes(b"no cloud")
+    return clouds
+
+
+def test_each_cloud_has_a_row_and_a_broken_one_its_reason(folder: Path) -> None:
+    found = describe_many([str(folder)])
+    assert [Path(cloud["path"]).name for cloud in found] == ["a.laz", "b.las", "c.laz"]
+    assert [cloud.get("points") for cloud in found] == [1600, 400, None]
+    assert found[0]["per_m2"] == pytest.approx(4, rel=0.1)
+    assert (found[0]["unit"], found[1]["unit"]) == ("m", "ft")
+    assert found[2]["error"]
+    assert all(len(row) == len(COLUMNS) for row in rows(found))
+
+
+def test_the_command_takes_folders_and_many_files(folder: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["info", str(folder / "a.laz"), str(folder / "b.las")]) == 0
+    lines = capsys.readouterr().out.splitlines()
+    assert lines[0] == "2 clouds"
+    assert len(lines) == 4
+    assert "1,600" in lines[2]
+    assert main(["info", str(folder), "--json"]) == 0
+    assert len(json.loads(capsys.readouterr().out)) == 3
+
+
+def test_one_file_a_store_and_a_result_are_no_table(folder: Path) -> None:
+    (folder / "run.json").write_text("{}")
+    assert not is_many([str(folder)])
+    assert not is_many([str(folder / "a.laz")])
+    assert is_many([str(folder / "*.laz")])

@@ -1,0 +1,99 @@
+"""Files of earlier runs: what holds stays, what does not is moved whole, and nothing else is touched."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
+import pytest
+
+from tiler.errors import ConfigError
+from tiler.export.tasks import outdated
+from tiler.export.tasks.outdated import move_aside, put_aside
+
+
+def write(out: Path, *paths: str) -> None:
+    for path in paths:
+        (out / path).parent.mkdir(parents=True, exist_ok=True)
+        (out / path).write_text(f"content of {path}")
+
+
+def files(out: Path) -> set[str]:
+    return {str(path.relative_to(out)) for path in out.rglob("*") if path.is_file()}
+
+
+def job_in(out: Path, earlier: dict[str, str], **settings: Any) -> Any:
+    """What stood for a run whose OUT holds the files of earlier ones: path -> what they were made of."""
+    config = SimpleNamespace(**{"force": False, "verify": False, **settings})
+    facts = {"earlier_outputs": earlier, "digests": {path: f"digest of {path}" for path in earlier}}
+    notes: list[str] = []
+    plan = SimpleNamespace(config=config)
+    return SimpleNamespace(
+        products=str(out), plan=plan, facts=facts, notes=notes, note=notes.append, save=notes.append
+    )
+
+
+def test_what_holds_stays_and_what_does_not_is_moved(tmp_path: Path) -> None:
+    write(tmp_path, "slope.tif", "dsm/dsm_0_0.tif", "dtm.tif", "mine.txt")
+    earlier = {"slope.tif": "now", "dsm/dsm_0_0.tif": "before", "dtm.tif": "before", "gone.tif": "now"}
+    job = job_in(tmp_path, earlier)
+    put_aside(job, ["dtm.tif", "mask.tif"], "now")
+    assert files(tmp_path) == {"slope.tif", "outdated/dsm/dsm_0_0.tif", "dtm.tif", "mine.txt"}
+    assert (tmp_path / "outdated/dsm/dsm_0_0.tif").read_text() == "content of dsm/dsm_0_0.tif"
+    assert not (tmp_path / "dsm").exists()
+    assert job.facts == {
+        "outputs": {"slope.tif": len("content of slope.tif")},
+        "digests": {"slope.tif": "digest of slope.tif"},
+        "made_of": {"slope.tif": "now"},
+        "earlier_outputs": {"dtm.tif": None, "mask.tif": None},
+    }
+    moved, saved = job.notes
+    assert moved.startswith("dsm/dsm_0_0.tif: of an earlier run with other settings or inputs")
+    assert moved.endswith("moved to outdated/")
+    assert saved == "running"
+
+
+def test_a_wanted_file_that_no_run_made_is_refused(tmp_path: Path) -> None:
+    write(tmp_path, "dtm.tif")
+    with pytest.raises(ConfigError, match=r"dtm\.tif: there already, and not known to be of a run"):
+        put_aside(job_in(tmp_path, {}), ["dtm.tif", "mask.tif"], "now")
+    put_aside(job_in(tmp_path, {}, force=True), ["dtm.tif"], "now")
+    put_aside(job_in(tmp_path, {"dtm.tif": "before"}), ["dtm.tif"], "now")
+    assert files(tmp_path) == {"dtm.tif"}
+
+
+def test_paths_that_lead_out_of_the_folder_move_nothing(tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    write(tmp_path, "secret.tif", "elsewhere/a.tif", "out/folder/b.tif")
+    (out / "link").symlink_to(tmp_path / "elsewhere")
+    before = files(tmp_path)
+    paths = ["../secret.tif", str(tmp_path / "secret.tif"), "link/a.tif", "folder"]
+    put_aside(job_in(out, dict.fromkeys(paths, "before")), [], "now")
+    assert files(tmp_path) == before
+
+
+def test_a_damaged_file_that_is_not_made_again_is_moved(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    write(tmp_path, "slope.tif", "dsm.tif")
+
+    def contents(job: Any, stage: str, found: Any, writes_out: bool) -> Any:
+        for place, _, _ in found:
+            name = Path(place).name
+            yield place, {"content": "other bytes" if name == "dsm.tif" else f"digest of {name}"}
+
+    monkeypatch.setattr(outdated, "contents", contents)
+    job = job_in(tmp_path, {"slope.tif": "now", "dsm.tif": "now"}, verify=True)
+    put_aside(job, ["dtm.tif"], "now")
+    assert files(tmp_path) == {"slope.tif", "outdated/dsm.tif"}
+    assert list(job.facts["made_of"]) == ["slope.tif"]
+    assert job.notes[0].startswith("dsm.tif: changed since a run wrote it; moved to outdated/")
+
+
+def test_files_are_moved_together_and_replace_none(tmp_path: Path) -> None:
+    for number, folder in enumerate(["outdated", "outdated/2", "outdated/3"]):
+        write(tmp_path, "dtm.tif", f"only_{number}.tif")
+        assert move_aside(str(tmp_path), ["dtm.tif", f"only_{number}.tif"]) == folder
+        assert (tmp_path / folder / f"only_{number}.tif").exists()
+    assert len(files(tmp_path)) == 6

@@ -1,0 +1,74 @@
+"""What looks like a roof or a crown in the finished terrain has one warning with its remedy."""
+
+from __future__ import annotations
+
+from fractions import Fraction
+
+import numpy as np
+import pytest
+
+from ptd.matched.crowns import Crowns
+from tests.scenes.halls import ROWS, with_hall
+from tiler.core.lattice import Lattice
+from tiler.core.raster import NODATA, RasterSpec
+from tiler.grid.crowns import crowns_told, look_for_crowns
+from tiler.grid.roofs import pooled, roofs_in_terrain
+from tiler.store import TileStore
+
+
+def test_pooling_keeps_the_place() -> None:
+    assert np.array_equal(pooled(ROWS, 4)[:3, 0], [2, 6, 10])
+
+
+@pytest.mark.parametrize("part_cells", [1000, 50])
+def test_a_roof_in_the_terrain_of_a_store(
+    part_cells: int, small_store: TileStore, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("tiler.grid.roofs.PART_CELLS", part_cells)
+    heights = np.kron(with_hall(), np.ones((2, 2))).astype(np.float32)
+    heights[:20] = NODATA
+    spec = RasterSpec(Lattice(Fraction(1000)), 500_000, 5_400_000, *heights.shape)
+    small_store.create_raster("dtm", *heights.shape)
+    for block in spec.blocks(512):
+        part = heights[block.row : block.row + block.height, block.col : block.col + block.width]
+        small_store.write_block("dtm", block, part)
+
+    def advice(building_m: float, roof_m: float | None = None) -> str:
+        found = roofs_in_terrain(small_store, "dtm", spec, spec.blocks(512), building_m, roof_m)
+        assert found is None or f"x {found.x:.0f}, y {found.y:.0f}" in found.text
+        return "" if found is None else found.text
+
+    text = advice(20.0)
+    assert text.startswith("the terrain holds what looks like a roof 60 m wide")
+    assert "x 500130, y 5399890" in text
+    assert text.endswith("max_building_size is 20 m; if it is one, use --set max_building_size=80")
+    assert advice(80.0) == ""
+    assert advice(20.0, 50.0).endswith("roof_size is 50 m; if it is one, use --set roof_size=80")
+    assert advice(20.0, 200.0) == text
+
+
+@pytest.mark.parametrize("pixels", [1, 2])
+def test_crowns_in_the_terrain_of_a_store(pixels: int, small_store: TileStore) -> None:
+    """A canopy of 120 m in the north, a slope in the south; pixels of 1 and 0.5 m."""
+    rows, columns = np.indices((240, 240), np.float64)
+    heights = 0.1 * columns
+    for row, column in np.random.default_rng(2).uniform(0, (120, 240), (1500, 2)):
+        away = np.hypot(rows - row, columns - column) / 4
+        heights = np.maximum(heights, np.where(away < 1, 0.1 * columns + 3 * (1 - away**2), -np.inf))
+    heights = np.kron(heights, np.ones((pixels, pixels))).astype(np.float32)
+    spec = RasterSpec(Lattice(Fraction(1000, pixels)), 500_000, 5_400_000, *heights.shape)
+    small_store.create_raster("dtm", *heights.shape)
+    for block in spec.blocks(512):
+        part = heights[block.row : block.row + block.height, block.col : block.col + block.width]
+        small_store.write_block("dtm", block, part)
+    looked = [look_for_crowns(small_store, "dtm", spec, block) for block in spec.blocks(512)]
+    told = crowns_told(looked, spec)
+    assert told is not None
+    text = told.text
+    assert f"x {told.x:.0f}, y {told.y:.0f}" in text
+    share = int(text.split(" %")[0])
+    assert 25 < share <= 50
+    y = float(text.split(", y ")[1].split(":")[0])
+    assert 5_400_000 / pixels - 120 < y < 5_400_000 / pixels
+    assert crowns_told([Crowns(900, looked[0].found[:20])], spec) is None
+    assert crowns_told([Crowns(15, looked[0].found[:9])], spec) is None  # too few

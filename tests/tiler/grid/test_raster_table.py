@@ -1,0 +1,61 @@
+"""The order in which rasters are made follows from what each is made from."""
+
+from __future__ import annotations
+
+import pytest
+
+from tiler.config import RunConfig
+from tiler.core.products import PRODUCTS
+from tiler.grid.tasks.gridding import Grid
+from tiler.grid.tasks.raster_table import final, raster_table, wanted
+
+
+@pytest.mark.parametrize("voids", ["leave", "fill", "mark"])
+def test_each_raster_comes_after_its_inputs_and_only_once(voids: str) -> None:
+    config = RunConfig.from_mapping({"products": list(PRODUCTS), "voids": voids})
+    order = [raster.name for raster in wanted(config)]
+    assert order[0] == "dtm"
+    assert len(order) == len(set(order))
+    for raster in wanted(config):
+        assert all(order.index(source) < order.index(raster.name) for source in raster.inputs)
+    assert {final(product, config) for product in PRODUCTS} <= set(order)
+
+
+def test_nothing_is_made_that_no_product_needs() -> None:
+    def names(
+        products: list[str], voids: str = "leave", outline: str = "hull", water: str = "none"
+    ) -> list[str]:
+        settings = {"products": products, "voids": voids, "outline": outline, "water": water}
+        return [raster.name for raster in wanted(RunConfig.from_mapping(settings))]
+
+    assert names(["slope"]) == ["dtm", "slope"]
+    survey = ["occupancy", "survey-open", "survey"]
+    search = [
+        "water-terrain",
+        "water-ground",
+        "domain-open",
+        "domain",
+        "water-areas",
+        "water-rims",
+        "water-sure",
+        "water-planes",
+        "water-plane-rims",
+        "water-plane-sure",
+        "water-cells",
+    ]
+    assert names(["slope"], water="auto") == ["dtm", *survey, *search, "dtm-outlined", "slope"]
+    assert names(["ndsm"]) == ["dtm", "dsm", "ndsm"]
+    assert names(["mask"]) == ["dtm", *survey, "canopy", "mask"]
+    filled = ["dtm", *survey, "dtm-voids", "dtm-filled"]
+    assert names(["slope"], "fill") == [*filled, "slope"]
+    assert names(["dtm"], "fill", "survey") == [*filled, "dtm-outlined"]
+    assert names(["ndsm"], "fill") == [*filled, "dsm", "dsm-voids", "dsm-filled", "ndsm"]
+
+
+def test_rasters_of_pixels_hold_the_nodata_value_of_their_product_where_nothing_was_written() -> None:
+    table = raster_table(RunConfig.from_mapping({"voids": "fill", "max_edge": "40", "water": "none"}))
+    fills = {name: raster.fill for name, raster in table.items()}
+    assert fills["dtm"] == fills["dtm-filled"] == fills["dsm"] == fills["slope"] == -9999
+    assert fills["distance"] == 40
+    coarse = {name for name, raster in table.items() if raster.grid is Grid.COARSE}
+    assert coarse == {"occupancy", "survey-open", "survey", "dtm-voids", "dsm-voids"}

@@ -1,0 +1,52 @@
+"""What made the clouds is found in the fields of their points, of all files together."""
+
+from __future__ import annotations
+
+import laspy
+import numpy as np
+import pytest
+
+from ptd.matched.evidence import DIM, LIDAR
+from tests.tiler.conftest import MakeCloud, without_sensor
+from tiler.config import RunConfig
+from tiler.errors import ConfigError
+from tiler.plan import make_plan
+
+NEXT_M = 1000.0
+
+
+def grey(las: laspy.LasData) -> None:
+    without_sensor(las)
+    las.intensity[:] = (np.asarray(las.red) / 3 + las.green / 3 + las.blue / 3).astype(np.uint16)
+
+
+def test_files_decide_before_a_point_is_filtered(make_cloud: MakeCloud) -> None:
+    laser = make_plan([str(make_cloud("laser.las"))], RunConfig(in_process=True))
+    matched = make_plan(
+        [str(make_cloud("drone.las", point_format=2, edit=without_sensor))], RunConfig(in_process=True)
+    )
+    assert (laser.kind, matched.kind) == (LIDAR, DIM)
+    said = make_plan([str(make_cloud("laser.las"))], RunConfig(in_process=True, kind="dim"))
+    assert said.kind == DIM
+
+
+def test_both_kinds_in_one_run_are_refused_unless_the_user_says_which(make_cloud: MakeCloud) -> None:
+    places = [(500_000.0 + i * NEXT_M, 5_400_000.0, 0.0) for i in range(2)]
+    clouds = [
+        str(make_cloud("laser.las", offsets=places[0])),
+        str(make_cloud("drone.las", point_format=2, offsets=places[1], edit=grey)),
+    ]
+    told = r"drone.las is from image matching \(98 % .*laser.las is a laser scan \(99 %"
+    with pytest.raises(ConfigError, match=told):
+        make_plan(clouds, RunConfig(in_process=True))
+    assert make_plan(clouds, RunConfig(in_process=True, kind="als")).kind == LIDAR
+    assert make_plan(clouds, RunConfig(in_process=True, method="classic")).kind is not None
+
+
+def test_a_quiet_piece_of_the_same_writer_is_no_other_kind(make_cloud: MakeCloud) -> None:
+    places = [(500_000.0 + i * NEXT_M, 5_400_000.0, 0.0) for i in range(4)]
+    clouds = [
+        str(make_cloud(f"{i}.las", offsets=place, seed=i, edit=without_sensor if i == 3 else None))
+        for i, place in enumerate(places)
+    ]
+    assert make_plan(clouds, RunConfig(in_process=True)).kind == LIDAR

@@ -1,0 +1,106 @@
+"""What is missing or doubtful is one list, each with its place, its reason and a remedy, and a link to the map."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from tests.tiler.report import results
+from tiler.report.html import write_report
+from tiler.report.problems import Problem, problems_of
+
+WATER = {
+    "number": 3,
+    "kind": "lake",
+    "area_m2": 9200.0,
+    "bounds": [1.0, 2.0, 5.0, 8.0],
+    "level": 4.0,
+    "level_end": 4.0,
+}
+
+
+def found(**changes: Any) -> list[Problem]:
+    """Problems of a run that has none but those of the changes."""
+    content = results.run(**changes)
+    content["plan"]["warnings"] = []
+    return problems_of(content)
+
+
+def test_a_run_without_problems_says_so(tmp_path: Path) -> None:
+    content = results.run()
+    content["plan"]["warnings"] = []
+    assert found() == []
+    page = results.read(write_report(results.write(tmp_path / "out", content)))
+    assert "None: every file was read, every tile was made" in page.texts["problems"]
+
+
+def test_doubts_about_water_are_problems_with_a_place() -> None:
+    (problem,) = found(water_doubts=[{"text": "lake 3 is water with 79% certainty", "place": [1.0, 2.0]}])
+    assert problem.where == (1.0, 2.0, 1.0, 2.0)
+    assert problem.why == "lake 3 is water with 79% certainty"
+    assert "water.gpkg" in problem.remedy
+
+
+def test_squares_that_a_canopy_hides_are_problems_with_a_place() -> None:
+    (problem,) = found(canopy_doubts=[{"text": "a closed canopy", "place": [0.0, 64.0, 64.0, 128.0]}])
+    assert problem.where == (0.0, 64.0, 64.0, 128.0)
+    assert problem.why == "a closed canopy"
+    assert "--canopy void" in problem.remedy
+
+
+def test_doubtful_tiles_have_a_place() -> None:
+    tiles = [results.tile(0, 2, 30.0), results.tile(3, 2, 30.0, marked=7)]
+    filtered = {"points": 1, "ground": 1, "marked": 7}
+    (problem,) = found(tiles={"filter0": tiles}, filter=filtered)
+    assert (problem.what, problem.where) == ("doubtful tile", tuple(tiles[1]["bounds"]))
+    (problem,) = found(tiles={}, filter=filtered)
+    assert problem.why.startswith("7 labels are not certified")
+
+
+@pytest.mark.parametrize(
+    ("change", "what", "where", "why"),
+    [
+        (
+            {"advice": ["a roof"], "advice_at": [[3.0, 4.0]]},
+            "objects suspected in the terrain",
+            (3.0, 4.0, 3.0, 4.0),
+            "a roof",
+        ),
+        (
+            {"advice": ["of an earlier version"]},
+            "objects suspected in the terrain",
+            None,
+            "of an earlier version",
+        ),
+        ({"doubts": ["not sure"]}, "doubtful decision", None, "not sure"),
+        ({"healed": ["a", "b"]}, "damaged store", None, "a, b: damaged, and made again"),
+        (
+            {"classes": {"no_part": {"17": 1200}}},
+            "class kept",
+            None,
+            "1,200 points of class 17 took no part in the filter and keep their class",
+        ),
+        (
+            {"strays": [{"path": "a.laz", "point": 5, "x": 1.0, "y": 2.0, "z": 9.5}]},
+            "stray point",
+            (1.0, 2.0, 1.0, 2.0),
+            "point 5 of a.laz, at the height 9.5, is far from all others",
+        ),
+    ],
+)
+def test_each_kind(change: dict[str, Any], what: str, where: Any, why: str) -> None:
+    (problem,) = found(**change)
+    assert problem[:3] == (what, where, why)
+
+
+def test_a_place_is_a_link_to_the_map_and_marked_there(tmp_path: Path) -> None:
+    content = results.run(advice=["a roof"], advice_at=[[500003.25, 5399990.0]])
+    page = results.read(write_report(results.write(tmp_path / "out", content)))
+    assert "objects suspected in the terrain 500003.2, 5399990.0 a roof" in page.texts["problems"]
+    links = [value for _, name, value in page.attributes if name == "data-place"]
+    assert links == ["500003.25,5399990,500003.25,5399990"]
+    assert page.data["problems"] == [
+        ["objects suspected in the terrain", 500003.25, 5399990.0, 500003.25, 5399990.0]
+    ]

@@ -1,0 +1,93 @@
+"""Many clouds in a table, a row each, from their headers and a few of their points."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from tiler.core.crs import crs_name
+from tiler.core.units_text import short_unit
+from tiler.errors import InputError
+from tiler.inputs import SourceInfo, find_inputs, inspect_guarded
+from tiler.io.locations import is_url
+from tiler.io.result_folder import RUN
+from tiler.schedule import Guards
+
+COLUMNS = ("file", "points", "per m2", "west", "south", "east", "north", "lowest", "highest", "unit", "CRS")
+ZARR = "zarr.json"
+"""A folder that holds this file is a tile store."""
+
+
+def is_many(paths: Sequence[str]) -> bool:
+    """Whether some paths are told as a table: several, or a folder or pattern of clouds."""
+    if len(paths) != 1:
+        return True
+    place = Path(paths[0])
+    if is_url(paths[0]) or place.is_file():
+        return False
+    if place.is_dir():
+        return not ((place / RUN).is_file() or (place / ZARR).is_file())
+    return any(sign in paths[0] for sign in "*?[")
+
+
+def describe_many(paths: Sequence[str]) -> list[dict[str, Any]]:
+    """Facts of each cloud that the paths name, by its name; one that cannot be read has an ``error``.
+
+    Parameters
+    ----------
+    paths : sequence of str
+        Files, folders, globs.
+
+    Returns
+    -------
+    list of dict
+        ``path``, ``points``, ``per_m2`` (over its bounds, or None), ``bounds`` (lowest x, y, z, highest x, y, z in
+        units of the CRS), ``unit``, ``crs``.
+
+    Raises
+    ------
+    InputError
+        No cloud is there.
+    """
+    found, files = [], find_inputs(paths)
+    with Guards(1) as guards:
+        for path, look in zip(files, guards.each(inspect_guarded, files), strict=True):
+            try:
+                found.append(_facts(look()))
+            except InputError as error:
+                found.append({"path": str(path), "error": str(error).removeprefix(f"{path}: ")})
+    return found
+
+
+def _facts(source: SourceInfo) -> dict[str, Any]:
+    georeference = source.georeference
+    metres = georeference.horizontal
+    facts: dict[str, Any] = {"path": str(source.path), "points": source.points, "per_m2": None}
+    if source.bounds is not None and metres is not None:
+        x0, y0, _, x1, y1, _ = source.bounds
+        area = (x1 - x0) * (y1 - y0) * float(metres) ** 2
+        facts["per_m2"] = source.points / area if area > 0 else None
+    unit = None if metres is None else short_unit(metres)
+    return {**facts, "bounds": source.bounds, "unit": unit, "crs": crs_name(georeference.wkt)}
+
+
+def rows(clouds: Sequence[dict[str, Any]]) -> list[list[str]]:
+    """The rows of the table, in the order of `COLUMNS`."""
+    return [_row(cloud) for cloud in clouds]
+
+
+def _row(cloud: dict[str, Any]) -> list[str]:
+    if "error" in cloud:
+        return [cloud["path"], cloud["error"], *[""] * (len(COLUMNS) - 2)]
+    density = "-" if cloud["per_m2"] is None else f"{cloud['per_m2']:.3g}"
+    bounds = cloud["bounds"]
+    places = ["-"] * 6 if bounds is None else [f"{bounds[i]:.2f}" for i in (0, 1, 3, 4, 2, 5)]
+    return [
+        cloud["path"],
+        f"{cloud['points']:,}",
+        density,
+        *places,
+        cloud["unit"] or "-",
+        cloud["crs"] or "-",
+    ]

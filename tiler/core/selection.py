@@ -1,0 +1,137 @@
+"""Settings that choose the points which the filter and the rasters see: return, scan angle, source and class."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from tiler.errors import ConfigError
+
+FIRST, LAST = "first", "last"
+"""Names of `--returns`."""
+DROP_WITHHELD, KEEP_WITHHELD = "drop", "keep"
+"""Values of `--withheld`."""
+
+WITHHELD = "withheld"
+"""Key of the counts of points that their flag leaves out, beside those of `Selection.options`."""
+
+MOST_RETURNS = 15
+"""Largest return number that LAS records hold."""
+LARGEST_SOURCE = 65_535
+"""Largest point source id that LAS records hold."""
+LARGEST_ANGLE_DEG = 180.0
+"""Largest scan angle that LAS records hold, in degrees."""
+
+
+def parse_numbers(value: Any, what: str, lowest: int, highest: int) -> tuple[int, ...]:
+    """Whole numbers from ``7,18``, ``3-5``, 7 or a list of such, sorted and each once.
+
+    Parameters
+    ----------
+    value : str, int or sequence
+    what : str
+        Name of the numbers in messages: ``classes``.
+    lowest, highest : int
+        Limits of the numbers.
+
+    Raises
+    ------
+    ConfigError
+        The text is no list of numbers and ranges, or a number lies beyond the limits.
+    """
+    parts = value if isinstance(value, list | tuple) else str(value).split(",")
+    found: set[int] = set()
+    for part in filter(None, (str(part).strip() for part in parts)):
+        first, dash, last = part.partition("-")
+        try:
+            start = int(first)
+            stop = int(last) if dash else start
+        except ValueError:
+            raise ConfigError(
+                f"{value!r} are no {what}: write numbers or ranges with commas, like 7,18 or 3-5"
+            ) from None
+        if stop < start:
+            raise ConfigError(f"{value!r}: the range {part} runs backwards; write {stop}-{start}")
+        if not lowest <= start <= stop <= highest:
+            raise ConfigError(f"{value!r}: {what} are {lowest} to {highest}")
+        found.update(range(start, stop + 1))
+    return tuple(sorted(found))
+
+
+def parse_returns(value: Any) -> str:
+    """The value if it is ``first``, ``last``, or return numbers like ``1`` or ``2-4``; raises ConfigError."""
+    text = _text(value)
+    if text in (FIRST, LAST):
+        return text
+    if not parse_numbers(value, "returns", 1, MOST_RETURNS):
+        raise ConfigError(f"{value!r} are no returns: write first, last, or numbers like 1 or 2-4")
+    return text
+
+
+def parse_sources(value: Any) -> str:
+    """The value if it is point source ids like ``12`` or ``12,20-31``; raises ConfigError."""
+    if not parse_numbers(value, "point source ids", 0, LARGEST_SOURCE):
+        raise ConfigError(f"{value!r} are no point source ids: write numbers like 12,20-31")
+    return _text(value)
+
+
+def _text(value: Any) -> str:
+    """The value as the command line has it; a list of TOML becomes numbers with commas."""
+    if isinstance(value, list | tuple):
+        return ",".join(str(part) for part in value)
+    return str(value).strip()
+
+
+def parse_angle(value: Any) -> float:
+    """A scan angle in degrees, above 0 and at most 180; raises ConfigError."""
+    try:
+        degrees = float(str(value).strip().removesuffix("deg"))
+    except ValueError:
+        raise ConfigError(f"{value!r} is no angle: write degrees, like 20") from None
+    if not 0 < degrees <= LARGEST_ANGLE_DEG:
+        raise ConfigError(f"{value!r}: scan angles are above 0 and at most {LARGEST_ANGLE_DEG:g} degrees")
+    return degrees
+
+
+@dataclass(frozen=True)
+class Selection:
+    """The points that the filter and the rasters see; None and an empty tuple select all.
+
+    Attributes
+    ----------
+    returns : str or None
+        ``first``, ``last``, or return numbers, see `parse_returns`.
+    scan_angle_deg : float or None
+        Largest scan angle to either side.
+    source_ids : str or None
+        Point source ids, see `parse_sources`: the flight lines of most clouds.
+    drop_classes : tuple of int
+        Classes that are not selected.
+    withheld : bool
+        Whether points with the flag "withheld" are selected.
+    """
+
+    returns: str | None = None
+    scan_angle_deg: float | None = None
+    source_ids: str | None = None
+    drop_classes: tuple[int, ...] = ()
+    withheld: bool = False
+
+    @property
+    def options(self) -> Mapping[str, str]:
+        """Options of the command line that leave points out, as the user writes them, by the name of the setting."""
+        found = {}
+        if self.returns is not None:
+            found["returns"] = f"--returns {self.returns}"
+        if self.scan_angle_deg is not None:
+            found["scan_angle"] = f"--scan-angle {self.scan_angle_deg:g}"
+        if self.source_ids is not None:
+            found["source_id"] = f"--source-id {self.source_ids}"
+        if self.drop_classes:
+            found["drop_classes"] = f"--drop-classes {','.join(map(str, self.drop_classes))}"
+        return found
+
+
+EVERY_POINT = Selection()
+"""The selection without any setting: all points but withheld ones."""

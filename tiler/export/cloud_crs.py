@@ -1,0 +1,119 @@
+"""CRS records of a classified cloud, if those of the source do not suffice."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from contextlib import suppress
+from dataclasses import dataclass
+
+from pyproj import CRS
+from pyproj.exceptions import CRSError
+
+from tiler.core.crs import split
+from tiler.core.units import FOOT, METRE, US_SURVEY_FOOT, exact_unit
+from tiler.export.work import WriteClassified
+from tiler.io.las.headers import LasHeader
+from tiler.io.las.records import PROJECTION_USER, VariableRecord, packed_record
+
+WKT_BIT = 0x10
+"""Bit of the global encoding that makes the WKT record the source of the CRS."""
+_WKT, _KEYS, _NUMBERS, _TEXTS = 2112, 34735, 34736, 34737
+_MODEL, _PROJECTED, _LINEAR_UNIT, _VERTICAL, _VERTICAL_UNIT = 1024, 3072, 3076, 4096, 4099
+_IS_PROJECTED = 1
+_UNITS = {METRE: 9001, FOOT: 9002, US_SURVEY_FOOT: 9003}
+_CODES = range(1024, 32767)
+"""EPSG codes that a key can hold (OGC 19-008r4)."""
+
+
+@dataclass(frozen=True)
+class NewCrs:
+    """A CRS that is written in place of what the source has.
+
+    Attributes
+    ----------
+    record : bytes
+        A whole VLR.
+    is_wkt : bool
+        Else GeoTIFF keys.
+    note : str
+        What people should know; empty for nothing.
+    """
+
+    record: bytes
+    is_wkt: bool
+    note: str = ""
+
+
+def new_crs(header: LasHeader, work: WriteClassified, run_wkt: str | None) -> NewCrs | None:
+    """The CRS to write into a classified cloud; None: the records of the source stay.
+
+    LAS 1.4 has it as WKT, earlier versions as GeoTIFF keys where these can name it, COPC as WKT always.
+
+    Parameters
+    ----------
+    header : LasHeader
+        Of the source.
+    work : WriteClassified
+    run_wkt : str or None
+        The CRS of the run.
+    """
+    records = (*header.vlrs, *header.evlrs)
+    if work.copc and run_wkt is not None:
+        has = any(r.user_id == PROJECTION_USER and r.record_id == _WKT for r in records)
+        if work.wkt is not None or not (has and header.prefers_wkt):
+            return NewCrs(_wkt_record(run_wkt), True, "CRS written as WKT, as COPC has it")
+    if work.wkt is None or work.copc:
+        return None
+    note = ""
+    if any(map(_is_crs, records)):
+        note = "CRS of the run written in place of records of a CRS that cannot be read"
+    if header.version >= (1, 4):
+        return NewCrs(_wkt_record(work.wkt), True, note)
+    keys = geotiff_keys(CRS.from_wkt(work.wkt))
+    if keys is not None:
+        return NewCrs(packed_record(PROJECTION_USER, _KEYS, "", keys), False, note)
+    told = "CRS written as WKT also into LAS before 1.4: its GeoTIFF keys have no number for it"
+    return NewCrs(_wkt_record(work.wkt), True, told)
+
+
+def without_crs(records: Sequence[VariableRecord]) -> list[VariableRecord]:
+    """All records except those of a CRS."""
+    return [record for record in records if not _is_crs(record)]
+
+
+def _is_crs(record: VariableRecord) -> bool:
+    return record.user_id == PROJECTION_USER and record.record_id in (_WKT, _KEYS, _NUMBERS, _TEXTS)
+
+
+def geotiff_keys(crs: CRS) -> bytes | None:
+    """GeoTIFF keys that name a projected CRS, and a vertical one, by EPSG codes; None: it has no such codes.
+
+    laspy writes such keys without units and heights; rasterio writes them into images alone.
+    """
+    horizontal, vertical = split(crs)
+    if horizontal is None or not horizontal.is_projected:
+        return None
+    keys = [(_MODEL, _IS_PROJECTED), *_named(horizontal, _PROJECTED, _LINEAR_UNIT)]
+    if vertical is not None and vertical.is_vertical:
+        keys += _named(vertical, _VERTICAL, _VERTICAL_UNIT)
+    elif vertical is not None:
+        keys.append((_VERTICAL, 0))
+    if not all(code in _CODES or key == _MODEL for key, code in keys):
+        return None
+    entries = [struct.pack("<4H", key, 0, 1, code) for key, code in keys]
+    return struct.pack("<4H", 1, 1, 0, len(keys)) + b"".join(entries)
+
+
+def _named(crs: CRS, code_key: int, unit_key: int) -> list[tuple[int, int]]:
+    """Keys with the EPSG codes of a CRS and of its unit; 0: it has no code."""
+    unit = exact_unit(crs.axis_info[-1].unit_conversion_factor)
+    return [(code_key, crs.to_epsg(min_confidence=100) or 0), (unit_key, _UNITS.get(unit, 0))]
+
+
+def _wkt_record(wkt: str) -> bytes:
+    """Record of a CRS in WKT 1, as LAS asks for; unchanged if WKT 1 cannot express the CRS."""
+    text = wkt
+    with suppress(CRSError):
+        text = CRS.from_wkt(wkt).to_wkt("WKT1_GDAL", output_axis_rule=False) or wkt
+    return packed_record(PROJECTION_USER, _WKT, "", text.encode() + b"\0")

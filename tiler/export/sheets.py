@@ -1,0 +1,66 @@
+"""Sheets of products: which of them hold a height, and their index as a GeoPackage."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import shapely
+
+from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.nodata import NODATA
+from tiler.core.raster import RasterSpec
+from tiler.export.whole_files import new_file
+from tiler.export.work import FindSheets, WriteSheetIndex
+from tiler.io.vector import geopackage
+from tiler.store import open_store
+
+
+def find_sheets(store_url: str, work: FindSheets) -> dict[str, Any]:
+    """Find the sheets in which one block of the models has a height; a `tiler.schedule.task.Work`.
+
+    Returns
+    -------
+    dict
+        ``sheets``: columns and rows on the lattice of the sheets, ascending.
+    """
+    store, spec, block = open_store(store_url), work.spec, work.block
+    there = np.zeros((block.height, block.width), np.bool_)
+    for raster in work.rasters:
+        there |= store.read_block(raster, block) != np.float32(NODATA)
+    there &= spec.inside(block, store.area(work.area))
+    rows, cols = np.nonzero(there)
+    ix = (spec.west + block.col + cols) // work.side
+    iy = (spec.north - 1 - block.row - rows) // work.side
+    return {"sheets": np.unique(np.stack((ix, iy)), axis=1).T.tolist()}
+
+
+COLUMNS = ("west", "south", "east", "north", "void_percent", "min", "max")
+
+
+def write_sheet_index(store_url: str, work: WriteSheetIndex) -> dict[str, Any]:
+    """Write ``<out>/sheets.gpkg``, a layer for each product and a polygon for each sheet; a `tiler.schedule.task.Work`.
+
+    Columns are ``location`` (path from the folder of the file, named as by gdaltindex), ``west``, ``south``, ``east``,
+    ``north``, ``void_percent`` (pixels without a value), ``min`` and ``max``.
+
+    The record is that of `tiler.export.whole_files.new_file`. Raises ProcessingError.
+    """
+    crs = open_store(store_url).meta.frame.crs_wkt
+    with new_file(work.out, work.name) as (target, record), geopackage(target, crs) as file:
+        for product in dict.fromkeys(sheet.product for sheet in work.sheets):
+            found = [sheet for sheet in work.sheets if sheet.product == product]
+            edges = np.array([_edges(sheet.spec) for sheet in found])
+            # A height of None becomes NaN, which is NULL in the file.
+            figures = np.array([(s.void_percent, s.low, s.high) for s in found], np.float64)
+            numbers = dict(zip(COLUMNS, np.hstack((edges, figures)).T, strict=True))
+            columns = {"location": np.array([sheet.path for sheet in found], object), **numbers}
+            file.add(product, "Polygon", list(shapely.box(*edges.T)), columns)
+    return record
+
+
+def _edges(spec: RasterSpec) -> tuple[float, float, float, float]:
+    """West, south, east and north edge in units of the CRS."""
+    size = spec.lattice.size / COUNTS_PER_UNIT
+    west, north = spec.west * size, spec.north * size
+    return float(west), float(north - spec.height * size), float(west + spec.width * size), float(north)

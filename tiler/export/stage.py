@@ -1,0 +1,209 @@
+"""The stage export of a run: the files that people open, and what becomes of those of earlier runs."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+from tiler.core.products import CONTOURS, SPOTS
+from tiler.core.units_text import short_unit
+from tiler.errors import ProcessingError, refused_write
+from tiler.export import WriteCog
+from tiler.export.stac import horizontal_code
+from tiler.export.tasks.catalogue import STAGE, catalogue_tasks, planned
+from tiler.export.tasks.class_counts import tell_of_earlier, tell_of_written
+from tiler.export.tasks.drawn import drawn_tasks
+from tiler.export.tasks.files import (
+    classified_tasks,
+    cog_tasks,
+    index_tasks,
+    inputs_of,
+    legend_tasks,
+    mosaic_tasks,
+)
+from tiler.export.tasks.outdated import put_aside, take_back_spoilt
+from tiler.export.tasks.sheets import cut
+from tiler.filter.tasks.labelled import Labelled
+from tiler.grid.tasks.corrections import Corrections
+from tiler.grid.tasks.gridding import Gridding
+from tiler.ingest.tasks.points import Source
+from tiler.io.locations import is_url, joined, sizes_at
+from tiler.io.result_folder import LEGEND, OUTLINE, SHEETS, VIRTUAL, below
+from tiler.runs.job import Job
+from tiler.runs.stage_runner import run_stage
+from tiler.schedule import Task, digest_of
+from tiler.store import Commits
+
+PRODUCTS = (".tif", ".vrt", ".gpkg", ".vpc", ".json", LEGEND)
+"""Files of products among what is written; their tasks have the names of the files as keys."""
+
+
+def export(
+    job: Job,
+    gridding: Gridding,
+    sources: list[Source],
+    spooled: Commits,
+    labelled: Labelled,
+    corrections: Corrections,
+) -> None:
+    """Write the files that people open: rasters, vectors, classified clouds."""
+    out = job.products
+    gridding.sheets = cut(job, gridding)
+    if job.plan.config.sheets is not None:
+        job.facts["sheets"] = len(gridding.sheets)
+    digest = digest_of(sorted(source.content for source in sources))
+    tasks = [*cog_tasks(gridding, inputs_of(sources, spooled), digest, out), *legend_tasks(gridding, out)]
+    tasks += drawn_tasks(gridding, out, labelled.noise_m)
+    rasters = list(tasks)
+    clouds: list[Task] = []
+    if job.plan.writes_clouds:
+        edits = corrections.edits
+        clouds += classified_tasks(
+            job.plan,
+            sources,
+            spooled,
+            labelled.digests,
+            gridding.waters,
+            None if edits is None else edits.key,
+            out,
+        )
+        tell_of_earlier(job, clouds)
+    tasks += clouds
+    mosaics = list(mosaic_tasks(gridding, digest, out))
+    basis = _basis(gridding)
+    written = {key: below(out, place) for key, place in _files([*tasks, *mosaics]).items()}
+    written |= {SHEETS: SHEETS} if mosaics else {}
+    written |= planned(gridding)
+    put_aside(job, written.values(), basis)
+    _make_folders(rasters, out)  # only now: the folder of sheets that were put aside is gone
+    with ThreadPoolExecutor(1) as meanwhile:  # the workers write
+        crs_code = meanwhile.submit(_crs_code, job)
+        made = _write(job, "export", tasks, out)
+    job.store.drop_records()
+    if clouds:
+        tell_of_written(job, clouds, made)
+    _tell_of_contours(job)
+    _tell_of_spots(job)
+    _tell_of_outline(job)
+    if "fetched" in job.facts:
+        job.facts["fetched"]["classified"] = sum(r.get("fetched", 0) for _, r in made.values())
+    if mosaics or job.store.committed("mosaic"):
+        mosaics += index_tasks(tasks, made, out)
+        made |= _write(job, "mosaic", mosaics, out)
+    catalogue = list(catalogue_tasks(gridding, sources, labelled.kind, made, out, crs_code.result()))
+    _make_folders(catalogue, out)
+    made |= _write(job, STAGE, catalogue, out)
+    files = [task.key for task in (*tasks, *mosaics, *catalogue) if task.key.endswith(PRODUCTS)]
+    if gridding.plan.area is not None:
+        terrain = [
+            task.key
+            for task in tasks
+            if isinstance(task.arguments, WriteCog) and task.arguments.product == "dtm"
+        ]
+        job.facts["dtm"]["filled"] = sum(made[key][1]["valid"] for key in terrain if key in made)
+    # The virtual cloud holds as long as the clouds do, which no basis is noted for.
+    rasters_of = (path for key, path in written.items() if key.endswith(PRODUCTS) and path != VIRTUAL)
+    job.facts["made_of"] |= dict.fromkeys(rasters_of, basis)
+    unwritten = [path for path in written.values() if path not in job.facts["outputs"]]
+    sizes = sizes_at([joined(out, path) for path in unwritten])  # of an earlier run, where a task failed
+    job.facts["earlier_outputs"] = {
+        p: None for p, size in zip(unwritten, sizes, strict=True) if size is not None
+    }
+    _refuse_removed(job)
+    if not all(key in made for key in files):
+        raise ProcessingError(
+            f"{job.record.failed[-1]['key']} could not be written: {job.record.failed[-1]['error']}"
+        )
+
+
+def _crs_code(job: Job) -> str | None:
+    """`horizontal_code` of the run's CRS, which the store keeps: a run that finds all done does not work it out."""
+    known: dict[str, str | None] | None = job.store.get_state("crs")
+    if known is None:
+        known = {"code": horizontal_code(job.plan.meta.frame.crs_wkt)}
+        job.store.put_state("crs", known)
+    return known["code"]
+
+
+def _make_folders(tasks: list[Task], out: str) -> None:
+    for folder in {task.arguments.out for task in tasks if not is_url(out)}:
+        try:
+            Path(folder).mkdir(exist_ok=True)
+        except OSError as error:
+            raise refused_write(folder, error, Path(out)) from error
+
+
+def _tell_of_outline(job: Job) -> None:
+    found = job.store.committed("export").get(OUTLINE)
+    if found is not None and "outline" in job.facts:
+        more = {"rings": found[1].get("rings", []), "polygons": found[1]["polygons"]}
+        job.facts["outline"] = {**job.facts["outline"], **more}
+
+
+def _tell_of_contours(job: Job) -> None:
+    found = job.store.committed("export").get(f"{CONTOURS}.gpkg")
+    if CONTOURS not in job.plan.config.drawn or found is None:
+        return
+    record, unit = found[1], short_unit(job.plan.meta.frame.units.vertical)
+    job.facts["contours"] = {name: record[name] for name in ("interval", "lines", "vertices", "cut", "short")}
+    if job.plan.config.contour_interval is None and record["low"] is not None:
+        job.note(
+            f"decided: contours every {record['interval']:g} {unit}, as nearly all of the terrain lies between "
+            f"{record['low']:.1f} and {record['high']:.1f} {unit} (--contour-interval)"
+        )
+    if record["cut"]:
+        job.note(
+            f"contour lines that are written in two parts, as a whole each would need more memory (--memory): "
+            f"{record['cut']:,}"
+        )
+
+
+def _tell_of_spots(job: Job) -> None:
+    found = job.store.committed("export").get(f"{SPOTS}.gpkg")
+    if SPOTS in job.plan.config.drawn and found is not None:
+        job.facts["spots"] = {name: found[1][name] for name in ("highs", "lows")}
+
+
+def _refuse_removed(job: Job) -> None:
+    """Raise ProcessingError where files that were written are gone already: a run that is done has them."""
+    outputs = list(job.facts["outputs"])
+    sizes = sizes_at([joined(job.products, path) for path in outputs])
+    gone = [path for path, size in zip(outputs, sizes, strict=True) if size is None]
+    if gone:
+        more = f" and {len(gone) - 1:,} more files" if len(gone) > 1 else ""
+        raise ProcessingError(
+            f"{joined(job.products, gone[0])}{more}: removed while the run went on; run again, and what is gone is "
+            "made anew"
+        )
+
+
+def _basis(gridding: Gridding) -> str:
+    """What the products are made of: points, labels, and settings that more than their files' form depends on."""
+    config = gridding.plan.config
+    terrain = [[key, digest] for key, (digest, _) in sorted(gridding.made["dtm"].items())]
+    into = [str(config.sheets), config.sheet_name, config.empty_sheets] if config.sheets else None
+    water = gridding.water_key
+    return digest_of(
+        terrain, config.voids, config.outline, str(config.spike), into, gridding.plan.area_key, water
+    )
+
+
+def _files(tasks: list[Task]) -> dict[str, str]:
+    """What each task writes, by path or URL."""
+    return {
+        t.key: joined(t.arguments.out, t.key) if t.key.endswith(PRODUCTS) else t.arguments.out for t in tasks
+    }
+
+
+def _write(job: Job, stage: str, tasks: list[Task], out: str) -> Commits:
+    """Write files that are not there, or not as they were written; the commits of those that were."""
+    files = _files(tasks)
+    take_back_spoilt(job, stage, files)
+    written = run_stage(job, stage, tasks, writes_out=True)
+    job.facts["outputs"] |= {below(out, files[k]): record["bytes"] for k, (_, record) in written.items()}
+    job.facts["digests"] |= {
+        below(out, files[k]): record["digest"] for k, (_, record) in written.items() if "digest" in record
+    }
+    for text in dict.fromkeys(text for _, record in written.values() for text in record.get("notes", ())):
+        job.note(text)
+    return written

@@ -1,0 +1,1 @@
+"""Tasks of the stage export, and what becomes of the files of earlier runs."""

@@ -1,0 +1,324 @@
+"""What tells other programs of the results: ``classified.vpc`` (QGIS, pdal_wrench) and ``stac.json`` (STAC 1.1).
+
+Nothing in them tells of time or place of the run, so that the same content gives the same bytes, and all links are
+relative, so that OUT can be published as it is.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import PurePosixPath
+from typing import Any
+from urllib.parse import quote
+
+from tiler.config import plain_value
+from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.products import HEIGHT, PRODUCTS
+from tiler.core.raster import RasterSpec
+from tiler.core.units import unit_label
+from tiler.export import WriteText, stac, write_text
+from tiler.export.tasks.files import nodata_of
+from tiler.export.tasks.sheets import name_of
+from tiler.grid.tasks.gridding import Gridding, Sheet
+from tiler.ingest.tasks.points import Source
+from tiler.io.las.newer_formats import newer_format
+from tiler.io.locations import joined
+from tiler.io.result_folder import (
+    BRIDGES,
+    CLASSIFIED,
+    CLOUD_SUFFIXES,
+    OUTLINE,
+    REPORT,
+    SHEET_ITEMS,
+    SHEETS,
+    STAC,
+    VIRTUAL,
+    WATER,
+    mosaic_file,
+    raster_file,
+)
+from tiler.schedule import Task, digest_of
+from tiler.store import Commits
+from tiler.version import __version__
+
+STAGE = "catalogue"
+_DIGITS = 9
+"""After the point, of coordinates: beyond are the traces of binary fractions."""
+_SCHEMAS = "https://stac-extensions.github.io"
+_POINTCLOUD = f"{_SCHEMAS}/pointcloud/v1.0.0/schema.json"
+_OF_VIRTUAL = [_POINTCLOUD, f"{_SCHEMAS}/projection/v1.1.0/schema.json"]
+_OF_RASTERS = [f"{_SCHEMAS}/projection/v2.0.0/schema.json", f"{_SCHEMAS}/raster/v2.0.0/schema.json"]
+_COG = "image/tiff; application=geotiff; profile=cloud-optimized"
+_GPKG = "application/geopackage+sqlite3"
+_VRT, _JSON, _GEOJSON = "application/xml", "application/json", "application/geo+json"
+_CLOUDS = {
+    "laz": ("application/vnd.laszip", "LASzip"),
+    "las": ("application/vnd.las", "LAS"),
+    "copc": ("application/vnd.laszip+copc", "LASzip"),
+}
+"""Media type and encoding of classified clouds, by what `--classified` says."""
+
+
+@dataclass(frozen=True)
+class Cloud:
+    """A classified cloud that was written: its place below OUT, its source, and the record of its task."""
+
+    path: str
+    source: Source
+    record: Mapping[str, Any]
+
+    @property
+    def dates(self) -> Any:
+        """First and last day, by the times of the pulses, else by the date of the file that was read."""
+        return stac.dates_of_gps(self.record["statistics"]["gps"]) or stac.dates_of_header(
+            self.source.info.created
+        )
+
+
+def planned(gridding: Gridding) -> dict[str, str]:
+    """Key of each task of this stage to the path below OUT of its file."""
+    cut = [_item_path(gridding, sheet) for sheet in gridding.sheets]
+    found = [STAC, VIRTUAL, *cut] if gridding.plan.writes_clouds else [STAC, *cut]
+    return {path.rpartition("/")[2]: path for path in found}
+
+
+def catalogue_tasks(
+    gridding: Gridding,
+    sources: Sequence[Source],
+    kind: str | None,
+    written: Commits,
+    out: str,
+    crs_code: str | None,
+) -> Iterator[Task]:
+    """One for each file.
+
+    Parameters
+    ----------
+    gridding : Gridding
+    sources : sequence of Source
+    kind : str or None
+        What made the clouds, as the run found it.
+    written : Commits
+        Of the stages export and mosaic.
+    out : str
+    crs_code : str or None
+        See `tiler.export.stac.horizontal_code`.
+    """
+    maker = _Catalogue(gridding, sources, kind, written, crs_code)
+    for path, content in maker.documents().items():
+        folder, _, name = path.rpartition("/")
+        work = WriteText(
+            name=name,
+            out=joined(out, folder) if folder else out,
+            text=json.dumps(content, indent=None if name == VIRTUAL else 1) + "\n",
+        )
+        yield Task(STAGE, name, digest_of(work), write_text, work)
+
+
+class _Catalogue:
+    """Makes the documents of a run; parameters as of `catalogue_tasks`."""
+
+    def __init__(
+        self,
+        gridding: Gridding,
+        sources: Sequence[Source],
+        kind: str | None,
+        written: Commits,
+        crs_code: str | None,
+    ) -> None:
+        self._gridding, self._plan, self._written = gridding, gridding.plan, written
+        self._crs_code = crs_code
+        self._globe = stac.Globe(self._plan.meta.frame.crs_wkt)
+        self._type = "eopc" if kind == "dim" else "lidar"
+        self._sources = sources
+        self._suffix = CLOUD_SUFFIXES[self._plan.config.classified]
+        self._media, self._encoding = _CLOUDS.get(self._plan.config.classified, ("", ""))
+        self.clouds = [
+            Cloud(f"{CLASSIFIED}/{self._plan.names[s.info.path].as_posix()}", s, written[key][1])
+            for s in sources
+            if (key := f"c{s.number:06d}") in written
+        ]
+
+    def documents(self) -> dict[str, dict[str, Any]]:
+        """Path below OUT to content."""
+        found: dict[str, dict[str, Any]] = {}
+        if self._plan.writes_clouds:
+            features = [self._virtual(cloud) for cloud in self.clouds if cloud.record["statistics"]["fields"]]
+            found[VIRTUAL] = {"type": "FeatureCollection", "features": features}
+        if self._plan.config.sheets is None:
+            found[STAC] = self._whole()
+            return found
+        items = {_item_path(self._gridding, sheet): self._sheet(sheet) for sheet in self._gridding.sheets}
+        return {**found, STAC: self._collection(items), **items}
+
+    def _virtual(self, cloud: Cloud) -> dict[str, Any]:
+        """A classified cloud as a feature of the virtual one."""
+        wkt, fields = self._plan.meta.frame.crs_wkt, cloud.record["statistics"]["fields"]
+        schema = stac.schema([self._format(cloud)])
+        names = [entry["name"] for entry in schema]
+        low, high = ([round(fields[axis][end], _DIGITS) for axis in "XYZ"] for end in ("minimum", "maximum"))
+        box = (low[0], low[1], high[0], high[1])
+        native = {"type": "Polygon", "coordinates": [stac.corners(box)]}
+        west, south, east, north = self._globe.bbox(box) or box
+        return {
+            "type": "Feature", "stac_version": "1.0.0", "stac_extensions": _OF_VIRTUAL,
+            "id": str(PurePosixPath(cloud.path).relative_to(CLASSIFIED)).removesuffix(self._suffix),
+            "geometry": self._globe.polygon(box) or native, "bbox": [west, south, low[2], east, north, high[2]],
+            "properties": {
+                **stac.dates([cloud.dates]), "pc:count": cloud.record["points"], "pc:type": self._type,
+                "pc:encoding": self._encoding, "pc:schemas": schema,
+                "pc:statistics": stac.statistics(fields, cloud.record["points"], names),
+                **({"proj:wkt2": wkt} if wkt else {}), "proj:geometry": native, "proj:bbox": [*low, *high],
+            },
+            "links": [],
+            "assets": {"data": _asset(cloud.path, self._media)},
+        }  # fmt: skip
+
+    def _format(self, cloud: Cloud) -> int:
+        """The point format of a classified cloud."""
+        own = cloud.source.info.point_format
+        return newer_format(own) if self._plan.config.classified == "copc" else own
+
+    def _whole(self) -> dict[str, Any]:
+        """The item of a run that is not cut into sheets."""
+        rasters = {name: raster_file(name) for name in self._plan.config.exported}
+        assets = {**self._rasters(rasters, "."), **self._besides()}
+        item = self._item(self._id, self._gridding.spec, assets, [])
+        if self.clouds:
+            item["stac_extensions"] = [*item["stac_extensions"], _POINTCLOUD]
+            item["properties"] |= {
+                "pc:count": sum(cloud.record["points"] for cloud in self.clouds), "pc:type": self._type,
+                "pc:encoding": self._encoding,
+                "pc:schemas": stac.schema(self._format(c) for c in self.clouds),
+            }  # fmt: skip
+        return item
+
+    def _sheet(self, sheet: Sheet) -> dict[str, Any]:
+        exported = self._plan.config.exported
+        rasters = {name: raster_file(name, name_of(self._gridding, name, sheet)) for name in exported}
+        place = "_".join(f"{edge:.10g}" for edge in sheet.corner)
+        rels = ("root", "parent", "collection")
+        links = [{"rel": rel, "href": f"../{STAC}", "type": _JSON} for rel in rels]
+        item = self._item(f"{self._id}_{place}", sheet.spec, self._rasters(rasters, ".."), links)
+        return {**item, "collection": self._id}
+
+    def _collection(self, items: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
+        """The collection of the sheets."""
+        boxes = [item["bbox"] for item in items.values() if "bbox" in item] or [(-180, -90, 180, 90)]
+        when = self._dates()
+        interval = [when.get(f"{end}_datetime") or when["datetime"] for end in ("start", "end")]
+        mosaics = {
+            name: _asset(mosaic_file(name), _VRT, title=PRODUCTS[name].description)
+            for name in self._plan.config.exported
+            if mosaic_file(name) in self._written
+        }
+        return {
+            "type": "Collection", "stac_version": "1.1.0", "stac_extensions": [], "id": self._id,
+            "title": "Terrain in sheets", "description": self._description, "license": "other",
+            "extent": {"spatial": {"bbox": [stac.hull_of(boxes)]}, "temporal": {"interval": [interval]}},
+            "links": [
+                {"rel": "root", "href": f"./{STAC}", "type": _JSON},
+                *({"rel": "item", "href": f"./{quote(os.fsencode(path))}", "type": _GEOJSON} for path in items),
+            ],
+            "assets": {**mosaics, **self._besides()},
+        }  # fmt: skip
+
+    def _item(
+        self, name: str, spec: RasterSpec, assets: Mapping[str, Any], links: Sequence[Mapping[str, str]]
+    ) -> dict[str, Any]:
+        """An item whose rasters have these pixels."""
+        box = _box(spec)
+        bbox = self._globe.bbox(box)
+        return {
+            "type": "Feature", "stac_version": "1.1.0", "stac_extensions": _OF_RASTERS, "id": name,
+            "geometry": self._globe.polygon(box), **({} if bbox is None else {"bbox": bbox}),
+            "properties": {
+                "title": "Terrain", "description": self._description, **self._dates(),
+                "proj:code": self._crs_code, "proj:wkt2": self._plan.meta.frame.crs_wkt,
+                "proj:bbox": list(box), "proj:geometry": {"type": "Polygon", "coordinates": [stac.corners(box)]},
+                "proj:shape": [spec.height, spec.width], "proj:transform": list(spec.transform(COUNTS_PER_UNIT)),
+            },
+            "links": list(links), "assets": dict(assets),
+        }  # fmt: skip
+
+    def _rasters(self, paths: Mapping[str, str], base: str) -> dict[str, Any]:
+        """The assets of rasters that were written."""
+        found = {}
+        for name, path in paths.items():
+            key = path.rpartition("/")[2]
+            if key in self._written:
+                product, record = PRODUCTS[name], self._written[key][1]
+                found[name] = {
+                    "href": f"{base}/{quote(os.fsencode(path))}", "type": _COG, "title": product.description,
+                    "roles": ["data"],
+                    "bands": [self._band(name, record)],
+                }  # fmt: skip
+        return found
+
+    def _band(self, name: str, record: Mapping[str, Any]) -> dict[str, Any]:
+        product, units = PRODUCTS[name], self._plan.meta.frame.units
+        nodata = nodata_of(self._plan, name)
+        nodata = product.nodata if nodata is None else nodata
+        unit = unit_label(units.vertical) if product.unit == HEIGHT else product.unit
+        figures = {"minimum": record["min"], "maximum": record["max"], "mean": record["mean"]}
+        shares = {"valid_percent": round(100 * record["valid"] / max(record["pixels"], 1), 4)}
+        return {
+            "name": name, "description": product.description, "data_type": product.dtype,
+            **({} if nodata is None else {"nodata": plain_value(nodata)}), **({"unit": unit} if unit else {}),
+            "statistics": {**{k: v for k, v in figures.items() if v is not None}, **shares},
+            "raster:sampling": "area", "raster:spatial_resolution": float(self._plan.resolution),
+        }  # fmt: skip
+
+    def _besides(self) -> dict[str, Any]:
+        """The assets that are no rasters."""
+        drawn = [OUTLINE, WATER, BRIDGES, SHEETS, *(f"{name}.gpkg" for name in self._plan.config.drawn)]
+        written = [name for name in drawn if name in self._written]
+        found = {name.removesuffix(".gpkg"): _asset(name, _GPKG) for name in written}
+        if self.clouds:
+            found[VIRTUAL] = _asset(VIRTUAL, _GEOJSON, "metadata", title="classified clouds as one")
+        for cloud in self.clouds:
+            # The schema of the extension is for items alone.
+            more = {"pc:count": cloud.record["points"]} if self._plan.config.sheets is None else {}
+            asset = _asset(
+                quote(os.fsencode(cloud.path)), self._media, title="points with their classes", **more
+            )
+            found[cloud.path.removesuffix(self._suffix)] = asset
+        found["report"] = _asset(REPORT, "text/html", "metadata")
+        return found
+
+    def _dates(self) -> dict[str, str | None]:
+        if self.clouds:
+            return stac.dates(cloud.dates for cloud in self.clouds)
+        return stac.dates(stac.dates_of_header(source.info.created) for source in self._sources)
+
+    @cached_property
+    def _id(self) -> str:
+        """The same for rasters of the same bytes, however they came about."""
+        files = self._written.items()
+        rasters = [[key, record["digest"]] for key, (_, record) in files if key.endswith(".tif")]
+        return f"terrain-{digest_of(sorted(rasters))[:16]}"
+
+    @property
+    def _description(self) -> str:
+        pixel, method = float(self._plan.resolution), self._plan.config.method
+        return f"Terrain of {pixel:g} m pixels, ground by {method}, made by tiler {__version__}"
+
+
+def _asset(path: str, media: str, role: str = "data", **more: Any) -> dict[str, Any]:
+    """A file of OUT."""
+    return {"href": f"./{path}", "type": media, "roles": [role], **more}
+
+
+def _box(spec: RasterSpec) -> stac.Box:
+    """The edges of a raster in units of the CRS."""
+    a, _, x, _, e, y = spec.transform(COUNTS_PER_UNIT)
+    return (x, y + e * spec.height, x + a * spec.width, y)
+
+
+def _item_path(gridding: Gridding, sheet: Sheet) -> str:
+    """The file below OUT of a sheet's item."""
+    return f"{SHEET_ITEMS}/{name_of(gridding, SHEET_ITEMS, sheet)}.json"

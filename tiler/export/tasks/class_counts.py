@@ -1,0 +1,55 @@
+"""Points by class in the classified clouds, and what they keep of the classes of the input."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from tiler.core.classes import Counts, sum_by_class
+from tiler.core.reclass import ONLY_GROUND
+from tiler.io.result_folder import CLASSIFIED
+from tiler.runs.job import Job
+from tiler.schedule import Task
+from tiler.store import Commits
+
+
+def tell_of_written(job: Job, tasks: Iterable[Task], made: Commits) -> None:
+    """Count the points of each class of the classified clouds, and tell which classes of the input they keep."""
+    records = [made[task.key][1] for task in tasks if task.key in made]
+    kept = sum_by_class(record["kept"] for record in records)
+    written = sum_by_class(record["classes"] for record in records)
+    facts = {"reclass": job.plan.config.reclass, "kept": kept, "written": written}
+    job.facts["classes"] = {**job.facts["classes"], **facts}
+    if text := kept_text(kept, job.facts["classes"]["no_part"]):
+        job.note(text)
+
+
+def tell_of_earlier(job: Job, tasks: Iterable[Task]) -> None:
+    """Tell that clouds are written again which an earlier version wrote, as it kept no class of the input."""
+    if job.plan.config.reclass != ONLY_GROUND:
+        return
+    commits = job.store.committed("export")
+    stored = any("kept" not in commits[task.key][1] for task in tasks if task.key in commits)
+    listed = any(path.startswith(f"{CLASSIFIED}/") for path in job.facts["earlier_outputs"])
+    if stored or (listed and job.earlier_settings and "reclass" not in job.earlier_settings):
+        job.note(
+            "the classified clouds of an earlier version are written anew: it gave class 1 to points whose class of "
+            "the input is kept now (--reclass all does so still)"
+        )
+
+
+def kept_text(kept: Counts, no_part: Counts) -> str:
+    """The line on classes of the input that classified clouds keep; empty where there is none."""
+    parts = []
+    if kept:
+        parts.append(f"{_listed(kept)}, which are no ground (--reclass all gives them class 1)")
+    if no_part:
+        parts.append(f"{_listed(no_part)}, which take no part in the filter (--keep-classes)")
+    return f"classes of the input are kept: {'; '.join(parts)}" if parts else ""
+
+
+def _listed(counts: Counts) -> str:
+    """``12 points of class 3, 5 of class 6``."""
+    first, *more = ((f"{n:,}", code) for code, n in counts.items())
+    return ", ".join(
+        (f"{first[0]} points of class {first[1]}", *(f"{n} of class {code}" for n, code in more))
+    )

@@ -1,0 +1,72 @@
+"""The tasks that draw what is no raster: the outline of the survey, contours and spot heights."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from fractions import Fraction
+from typing import Any
+
+from tiler.core.products import CONTOURS, SPOTS
+from tiler.export import (
+    WriteBridges,
+    WriteContours,
+    WriteOutline,
+    WriteSpots,
+    WriteWater,
+    write_bridges,
+    write_contours,
+    write_outline,
+    write_spots,
+    write_water,
+)
+from tiler.export.work import DrawnFile
+from tiler.grid.tasks.gridding import Gridding
+from tiler.grid.tasks.raster_table import final
+from tiler.io.result_folder import BRIDGES, OUTLINE, WATER
+from tiler.schedule import Task, Work, digest_of
+from tiler.version import __version__
+
+SMOOTH_PIXELS = 2
+"""Standard deviation of the Gaussian that smooths the heights, where the user names none."""
+SPOT_REACH_M, WIDEST_REACH = 50, 256
+"""How far around a spot nothing is higher or lower; and the pixels that this is at most."""
+
+
+def drawn_tasks(g: Gridding, out: str, noise_m: float) -> Iterator[Task]:
+    """One task for each vector file; ``noise_m``: that of the heights of ground, 0 where it is not known."""
+    plan, config = g.plan, g.plan.config
+    terrain, interval = final("dtm", config), config.contour_interval
+    common: dict[str, Any] = {
+        "raster": terrain,
+        "spec": g.spec,
+        "out": out,
+        "area": plan.area_key,
+        "waters": g.water_key,
+        "noise": noise_m / float(plan.meta.frame.units.vertical),
+        "interval": None if interval is None else interval / plan.meta.frame.units.vertical,
+    }
+    smooth = config.contour_smooth
+    sigma = Fraction(SMOOTH_PIXELS) if smooth is None else smooth / plan.resolution
+    reach = min(math.ceil(SPOT_REACH_M / plan.resolution), WIDEST_REACH)
+    works: dict[str, tuple[Work, DrawnFile]] = {
+        CONTOURS: (write_contours, WriteContours(**common, sigma=float(sigma))),
+        SPOTS: (write_spots, WriteSpots(**common, reach=reach)),
+    }
+    if config.outline == "survey":
+        outline = WriteOutline(
+            name=OUTLINE, out=out, terrain=terrain, spec=g.spec, survey="survey", coarse=g.coarse,
+            blocks=tuple(sorted(g.made[terrain])), area=plan.area_key,
+        )  # fmt: skip
+        digest = digest_of(__version__, outline, g.checksums("survey"), g.checksums(terrain))
+        yield Task("export", OUTLINE, digest, write_outline, outline)
+    if g.decks:
+        bridges = WriteBridges(name=BRIDGES, decks=tuple(g.decks), out=out)
+        yield Task("export", BRIDGES, digest_of(__version__, bridges), write_bridges, bridges)
+    if g.waters.bodies or config.water_file is not None:
+        water = WriteWater(name=WATER, waters=g.waters.key, out=out)
+        yield Task("export", WATER, digest_of(__version__, water), write_water, water)
+    for name in config.drawn:
+        write, work = works[name]
+        digest = digest_of(__version__, work, g.checksums(terrain))
+        yield Task("export", f"{name}.gpkg", digest, write, work, g.spec.height * g.spec.width)

@@ -1,0 +1,249 @@
+"""The tasks that write the files of a run: rasters (one COG each, or sheets and a VRT over them), classified clouds."""
+
+from __future__ import annotations
+
+import json
+from collections import defaultdict
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from dataclasses import replace
+from typing import Any
+
+from tiler.config import LOW_AS_NOISE
+from tiler.core.crs import vertical_name
+from tiler.core.lattice import Cell
+from tiler.core.products import NODATA, PRODUCTS
+from tiler.core.raster import BLOCK_PIXELS
+from tiler.core.reclass import ONLY_GROUND
+from tiler.core.sheet_names import refuse_alike
+from tiler.core.water import Waters
+from tiler.export import (
+    WriteClassified,
+    WriteCog,
+    WriteLegend,
+    WriteMosaic,
+    WriteSheetIndex,
+    write_classified,
+    write_cog,
+    write_legend,
+    write_mosaic,
+    write_sheet_index,
+)
+from tiler.export.tasks.sheets import name_of
+from tiler.export.work import SheetFile
+from tiler.filter import LABELS
+from tiler.grid.tasks.gridding import Gridding
+from tiler.grid.tasks.raster_table import MODELS, final, raster_table
+from tiler.ingest.tasks.points import Source, by_source
+from tiler.inputs import SourceInfo, claimed_bounds, window_pieces
+from tiler.io.locations import is_url, joined, location
+from tiler.io.result_folder import CLASSIFIED, LEGEND, SHEETS, mosaic_file, raster_file
+from tiler.plan import PIECE_POINTS, Plan, chunks_of
+from tiler.schedule import Task, digest_of
+from tiler.store import Commits, KeptPiece
+from tiler.version import __version__
+
+Inputs = Mapping[Cell, Collection[str]]
+"""Bucket -> digests of the sources that have points in it."""
+
+
+def inputs_of(sources: Iterable[Source], spooled: Commits) -> Inputs:
+    """The inputs of each bucket, from the commits of the pieces."""
+    found: dict[Cell, set[str]] = defaultdict(set)
+    records = by_source(spooled)
+    for source in sources:
+        for record in records.get(source.name, ()):
+            for ix, iy, _ in record["buckets"]:
+                found[Cell(ix, iy)].add(source.content)
+    return found
+
+
+def cog_tasks(g: Gridding, inputs: Inputs, whole_inputs: str, out: str) -> Iterator[Task]:
+    """One task for each raster file.
+
+    The tag of a sheet names the inputs that have points in it, and its digest the blocks that it is made of: another
+    input makes new sheets where it lies.
+    """
+    cut = [(sheet, _digest(inputs, sheet.cells)) for sheet in g.sheets]
+    rasters = raster_table(g.plan.config)
+    for name in g.plan.config.exported:
+        raster = final(name, g.plan.config)
+        whole = WriteCog(
+            product=name,
+            out=out,
+            tags=_tags(g.plan, name, whole_inputs),
+            nodata=nodata_of(g.plan, name),
+            name=name,
+            raster=raster,
+            spec=g.spec,
+            compress=g.plan.config.compress,
+            fill=rasters[raster].fill,
+            area=g.plan.area_key,
+        )
+        if g.plan.config.sheets is None:
+            yield _cog_task(whole, g.checksums(raster))
+            continue
+        for sheet, read in cut:
+            spec = sheet.spec
+            near = g.spec.blocks_within(spec.block_bounds(spec.block_at(0, 0, spec.height)), BLOCK_PIXELS)
+            seen = g.checksums(raster, (block.name for block in near))
+            work = replace(
+                whole,
+                name=name_of(g, name, sheet),
+                out=joined(out, name),
+                spec=spec,
+                whole=g.spec,
+                tags=_tags(g.plan, name, read),
+            )
+            yield _cog_task(work, seen)
+
+
+def _digest(inputs: Inputs, cells: Iterable[Cell]) -> str:
+    """Digest of the inputs that have points in some buckets."""
+    return digest_of(sorted(set[str]().union(*(inputs.get(cell, ()) for cell in cells))))
+
+
+def _cog_task(work: WriteCog, blocks: list[list[str]]) -> Task:
+    pixels = work.spec.height * work.spec.width
+    return Task("export", f"{work.name}.tif", digest_of(work, blocks), write_cog, work, pixels)
+
+
+def mosaic_tasks(g: Gridding, whole_inputs: str, out: str) -> Iterator[Task]:
+    """One VRT for each product that is cut into sheets."""
+    for name in g.plan.config.exported if g.sheets else ():
+        files = [(name_of(g, name, sheet), sheet.spec) for sheet in g.sheets]
+        refuse_alike(g.plan.config.sheet_name, (file for file, _ in files))
+        work = WriteMosaic(
+            product=name,
+            out=out,
+            tags=_tags(g.plan, name, whole_inputs),
+            nodata=nodata_of(g.plan, name),
+            sheets=tuple((raster_file(name, file), spec) for file, spec in files),
+        )
+        yield Task("mosaic", mosaic_file(name), digest_of(work), write_mosaic, work)
+
+
+def legend_tasks(g: Gridding, out: str) -> Iterator[Task]:
+    """One for each raster of classes that is one file; over sheets the VRT has the names of the classes."""
+    for name in g.plan.config.exported if g.plan.config.sheets is None else ():
+        if PRODUCTS[name].values:
+            work = WriteLegend(product=name, name=f"{raster_file(name)}{LEGEND}", out=out)
+            yield Task("export", work.name, digest_of(__version__, work), write_legend, work)
+
+
+def index_tasks(tasks: Iterable[Task], written: Commits, out: str) -> Iterator[Task]:
+    """The one that draws where the sheets lie, from the records of those that were written."""
+    works = [
+        t.arguments for t in tasks if isinstance(t.arguments, WriteCog) and t.arguments.whole is not None
+    ]
+    found = []
+    for work in works:
+        record = written.get(f"{work.name}.tif", ("", None))[1]
+        if record is not None:
+            path = raster_file(work.product, work.name)
+            void = 100 * (1 - record["valid"] / record["pixels"])
+            found.append(SheetFile(work.product, path, work.spec, void, record["min"], record["max"]))
+    if found:
+        index = WriteSheetIndex(name=SHEETS, sheets=tuple(found), out=out)
+        yield Task("mosaic", SHEETS, digest_of(__version__, index), write_sheet_index, index)
+
+
+def nodata_of(plan: Plan, name: str) -> float | None:
+    """What the files of a product say where it has no value, if that is the user's to say: not of codes and greys."""
+    return plan.config.nodata if PRODUCTS[name].nodata == NODATA else None
+
+
+def _tags(plan: Plan, name: str, inputs: str) -> dict[str, str]:
+    config = plan.config
+    datum = vertical_name(plan.meta.frame.crs_wkt) if name in MODELS else None
+    settings: dict[str, Any] = {
+        "interpolation": config.interpolation,
+        "surface": config.surface or "all",
+        "erode_m": float(config.erosion),
+        "max_edge_m": float(config.max_edge),
+        "voids": config.voids,
+        "spike_m": float(config.spike),
+    }
+    return {
+        "TILER_VERSION": __version__,
+        "TILER_METHOD": config.method,
+        "TILER_PARAMETERS": json.dumps(plan.parameters, sort_keys=True),
+        "TILER_GRID": json.dumps(settings, sort_keys=True),
+        "TILER_INPUTS": inputs,
+        **({} if datum is None else {"VERTICAL_DATUM": datum}),
+    }
+
+
+def _window(plan: Plan, info: SourceInfo) -> tuple[tuple[int, int], ...]:
+    """Records, of a source of which the run fetched only a part, that may be inside the area; none for others."""
+    chunks = (chunks_of(plan, info, 0) or chunks_of(plan, info)) if is_url(info.path) else None
+    found = [] if chunks is None else window_pieces(info, chunks, PIECE_POINTS)
+    return tuple(records for ranges in found for records in ranges)
+
+
+def kept_pieces(spooled: Commits) -> dict[str, list[KeptPiece]]:
+    """Name of a source -> its pieces in order."""
+    found: dict[str, list[KeptPiece]] = defaultdict(list)
+    for key in sorted(spooled):
+        source, _, start = key.partition("-")
+        record = spooled[key][1]
+        found[source].append(KeptPiece(key, int(start), record["read"], record["identity"]))
+    return found
+
+
+def classified_tasks(
+    plan: Plan,
+    sources: Iterable[Source],
+    spooled: Commits,
+    labels: Mapping[Cell, str],
+    waters: Waters,
+    edits: str | None,
+    out: str,
+) -> Iterator[Task]:
+    """One task for each classified cloud; ``edits``: name of the corrections in the store.
+
+    What corrections change of the labels is in the labels' digests.
+    """
+    wet = _wet(plan, waters, labels)
+    records, pieces, sources = by_source(spooled), kept_pieces(spooled), list(sources)
+    # Workers of a cluster are other machines': what a task takes there is one core.
+    threads = 1 if plan.config.scheduler else max(plan.workers // max(len(sources), 1), 1)
+    for source in sources:
+        touched = {Cell(ix, iy) for r in records[source.name] for ix, iy, _ in r["buckets"]}
+        cells = sorted(touched & labels.keys())  # a bucket whose task failed is not there
+        extent = claimed_bounds(source.info)
+        whole = plan.area is None or (extent is not None and plan.area.covers(extent))
+        work = WriteClassified(
+            path=location(source.info.path),
+            source=source.number,
+            out=joined(out, CLASSIFIED, str(plan.names[source.info.path])),
+            labels=LABELS,
+            cells=tuple(cells),
+            salvage=plan.config.salvage,
+            waters=waters.key if wet else None,
+            low_is_noise=bool(wet) and plan.config.water_low == LOW_AS_NOISE,
+            reclass=plan.config.reclass,
+            area=None if whole else plan.area_key,
+            edits=edits,
+            stamp=source.info.stamp,
+            ranges=_window(plan, source.info),
+            copc=plan.config.classified == "copc",
+            pieces=tuple(pieces[source.name]),
+            threads=threads,
+            wkt=None if source.info.has_crs else plan.meta.frame.crs_wkt,
+        )
+        digest = digest_of(__version__, source.identity, work, [[labels[c], wet.get(c)] for c in cells])
+        points = sum(count for _, count in work.ranges) or source.info.points
+        yield Task("export", f"c{source.number:06d}", digest, write_classified, work, points)
+
+
+def _wet(plan: Plan, waters: Waters, cells: Iterable[Cell]) -> dict[Cell, list[str]]:
+    """Buckets in which points become water, and what it depends on which ones do; none where nothing does."""
+    lattice, known, found = plan.meta.bucket, frozenset(cells), defaultdict(list)
+    if plan.config.reclass != ONLY_GROUND:
+        return {}
+    for body in waters.bodies:
+        key = digest_of(body.digest)
+        for cell in lattice.among(body.area.bounds, known):
+            if body.area.touches(lattice.bounds(cell)):
+                found[cell].append(key)
+    return dict(found)

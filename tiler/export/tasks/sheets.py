@@ -1,0 +1,99 @@
+"""Sheets into which products are cut."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Iterator
+from fractions import Fraction
+
+from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.lattice import Bounds, Cell, Lattice
+from tiler.core.raster import BLOCK_PIXELS, RasterSpec
+from tiler.core.sheet_names import sheet_name
+from tiler.core.words import counted
+from tiler.errors import ProcessingError
+from tiler.export import FindSheets, find_sheets
+from tiler.grid.tasks.gridding import Gridding, Sheet
+from tiler.grid.tasks.raster_table import MODELS, final
+from tiler.runs.job import Job
+from tiler.runs.stage_runner import run_stage
+from tiler.schedule import Task, digest_of
+from tiler.version import __version__
+
+STAGE = "sheets"
+
+
+def cut(job: Job, g: Gridding) -> list[Sheet]:
+    """The sheets of a run, none where its products are not cut."""
+    if g.plan.config.sheets is None:
+        return []
+    tasks = list(height_tasks(g))
+    made = run_stage(job, STAGE, tasks) if tasks else {}
+    if len(made) < len(tasks):
+        raise ProcessingError(
+            f"--sheets: heights cannot be looked for; the first block: {job.record.first_error(STAGE)}"
+        )
+    high = {Cell(*cell) for _, record in made.values() for cell in record["sheets"]}
+    every = high | set(with_points(g))
+    if len(every) > len(high) and not g.plan.config.empty_sheets:
+        number = len(every) - len(high)
+        written = "is not written" if number == 1 else "are not written"
+        job.note(f"{counted(number, 'sheet')} without a height {written} (--empty-sheets)")
+    return sheets(g, every if g.plan.config.empty_sheets else high)
+
+
+def height_tasks(g: Gridding) -> Iterator[Task]:
+    """One for each block of the models that has a height."""
+    rasters = tuple(name for name in (final(model, g.plan.config) for model in MODELS) if name in g.made)
+    side, area = _pixels(g), g.plan.area_key
+    keys = {key for name in rasters for key, (_, record) in g.made[name].items() if record["filled"]}
+    for key in sorted(keys):
+        block = g.spec.block_named(key, BLOCK_PIXELS)
+        work = FindSheets(rasters=rasters, spec=g.spec, block=block, side=side, area=area)
+        seen = [g.checksums(name, [key]) for name in rasters]
+        pixels = block.height * block.width
+        yield Task(STAGE, key, digest_of(__version__, work, seen), find_sheets, work, pixels)
+
+
+def sheets(g: Gridding, cells: Iterable[Cell]) -> list[Sheet]:
+    """Some sheets, by their cells on the lattice of sheets, which is anchored at CRS 0."""
+    lattice, side = _lattice(g), _pixels(g)
+    buckets, found = with_points(g), []
+    for cell in sorted(cells):
+        corner = (
+            float(cell.ix * lattice.size / COUNTS_PER_UNIT),
+            float(cell.iy * lattice.size / COUNTS_PER_UNIT),
+        )
+        spec = RasterSpec(g.spec.lattice, cell.ix * side, (cell.iy + 1) * side, side, side)
+        found.append(Sheet(corner, spec, buckets.get(cell, [])))
+    return found
+
+
+def name_of(g: Gridding, product: str, sheet: Sheet) -> str:
+    """The name of a product's file of a sheet, without its ending."""
+    side = float(_lattice(g).size / COUNTS_PER_UNIT)
+    return sheet_name(g.plan.config.sheet_name, product, *sheet.corner, side)
+
+
+def with_points(g: Gridding) -> dict[Cell, list[Cell]]:
+    """The sheets between the points of buckets, as far as the raster reaches, each with these buckets."""
+    lattice, area = _lattice(g), g.plan.area
+    whole = g.spec.block_bounds(g.spec.block_at(0, 0, max(g.spec.height, g.spec.width)))
+    buckets: dict[Cell, list[Cell]] = defaultdict(list)
+    for bucket, record in g.assembled.records.items():
+        if record["bounds"]:
+            for cell in lattice.cells(Bounds.from_json(record["bounds"]).intersection(whole)):
+                buckets[cell].append(bucket)
+    if area is None:
+        return buckets
+    return {cell: found for cell, found in buckets.items() if area.touches(lattice.bounds(cell))}
+
+
+def _lattice(g: Gridding) -> Lattice:
+    """Lattice of the sheets."""
+    return Lattice(g.plan.meta.frame.counts(g.plan.config.sheets or Fraction(0)))
+
+
+def _pixels(g: Gridding) -> int:
+    """Side of a sheet in pixels."""
+    return int(_lattice(g).size / g.spec.lattice.size)

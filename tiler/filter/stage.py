@@ -1,0 +1,174 @@
+"""The stage filter of a run: the passes of the method, one after the other, and what they say together."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from ptd.matched.evidence import SURE
+from ptd.matched.survey import SurveyPass, run_facts
+from ptd.methods import METHODS
+from ptd.passes import MethodRefusal, Pass, State
+from ptd.places import PLACES
+from tiler.errors import ConfigError, ProcessingError
+from tiler.filter import FilterTile
+from tiler.filter.tasks.labelled import MATCHED, Labelled
+from tiler.filter.tasks.passes import Before, filter_tasks, labels_given
+from tiler.ingest.tasks.assembled import Assembled
+from tiler.plan import KEEP
+from tiler.runs.compiling import filter_kernels, likely_kind
+from tiler.runs.job import Job
+from tiler.runs.stage_runner import run_stage
+from tiler.schedule import Task
+
+
+def filter_points(job: Job, assembled: Assembled) -> Labelled:
+    """Run the passes of the method."""
+    if job.plan.config.method == KEEP:
+        return Labelled.of(job.plan.config, assembled.digests, {})
+    passes = METHODS[job.plan.config.method].params(**job.plan.parameters).passes
+    ever = max(job.store.get_state("passes") or 0, len(passes))
+    job.store.put_state("passes", ever)
+    for number in range(len(passes), ever):
+        job.store.clear(f"filter{number}")  # its labels are about to be overwritten
+    config, known = job.plan.config, job.plan.statistics
+    sigma = None if config.sigma is None else float(config.sigma)
+    facts = run_facts(sigma, config.source_kind, job.plan.evidence)
+    state: dict[str, Any] = {"run": dataclasses.asdict(facts)}
+    before = Before(assembled.digests)
+    statistics = job.facts["statistics"] = {}
+    writes, last = False, ""
+    for number, step in enumerate(passes):
+        if not step.applies(state):
+            continue
+        if last:
+            raise ValueError(
+                f"method {config.method}: {step.name} applies after {last}, which was to be the last"
+            )
+        if (step.elects or step.gives_labels) and not writes:
+            writes = True
+            _clear_passed_over(job, passes, state)
+            passed_over = [f"filter{n}" for n, other in enumerate(passes) if not other.applies(state)]
+            job.listener("stages_passed_over", {"stages": passed_over})
+        tasks = list(filter_tasks(job.plan, assembled, number, state, before))
+        kind = state["survey"]["kind"] if "survey" in state else likely_kind(job.plan)
+        filtered = run_stage(job, f"filter{number}", tasks, filter_kernels(config.method, kind))
+        if not filtered:
+            raise ProcessingError(
+                f"no tile could be filtered; the first: {job.record.first_error(f'filter{number}')}"
+            )
+        if step.elects or step.gives_labels:
+            is_last, few = labels_given(job.plan, number, state)
+            for task in tasks:
+                if task.key not in filtered:
+                    _leave_out(job, task, step, before)
+            before = before.after(number, step, is_last, few, assembled, filtered)
+            last = step.name if is_last else ""
+        if step.gives_labels:
+            job.facts["filter"] = _filter_facts(job, [r for _, r in filtered.values()], len(tasks))
+        partials = (record["partial"] for _, record in filtered.values())
+        after = _reduced(job, step, partials, state) if known is None else _known(job, step, state)
+        told = _without_known_places(after, state)
+        job.store.put_state(f"after-{step.name}", told)
+        statistics[step.name] = told
+        state = after
+        if step.name == SurveyPass.name:
+            _warn_of_doubt(job, state["survey"])
+    return Labelled.of(config, before.digests, statistics)
+
+
+def _clear_passed_over(job: Job, passes: Sequence[Pass], state: State) -> None:
+    """Take back what an earlier run did of passes that do not apply now: what they wrote may be overwritten."""
+    for number, step in enumerate(passes):
+        if not step.applies(state):
+            job.store.clear(f"filter{number}")
+
+
+def _without_known_places(after: Mapping[str, Any], before: State) -> dict[str, Any]:
+    """A state without the figures of places that the state before held: a country has a million of them."""
+    return {name: value for name, value in after.items() if name != PLACES or name not in before}
+
+
+def _known(job: Job, step: Pass, before: State) -> dict[str, Any]:
+    """The state after a pass of the run that ``--statistics`` names."""
+    found: dict[str, Any] | None = (job.plan.statistics or {}).get(step.name)
+    if found is None:
+        raise ConfigError(
+            f"--statistics {job.plan.config.statistics}: that run did not do the pass {step.name}; use the same --kind"
+        )
+    if step.name == SurveyPass.name and PLACES not in found:
+        raise ConfigError(
+            f"--statistics {job.plan.config.statistics}: that run did not measure each place, as it is of an earlier "
+            "version; do it again"
+        )
+    found = {**{name: before[name] for name in (PLACES,) if name in before}, **found}
+    kind = job.plan.config.source_kind
+    if kind is not None and found.get("run", {}).get("kind") != kind:
+        job.note(
+            f"--statistics: what made the cloud is as that run took it; --kind {job.plan.config.kind} is not used"
+        )
+    return found
+
+
+def _reduced(job: Job, step: Pass, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
+    """The state after a pass; what it decided is told."""
+    try:
+        found = step.reduce(partials, state)
+    except MethodRefusal as error:
+        raise ConfigError(f"--method {job.plan.config.method}: {error}") from error
+    for text in found.get("notes", [])[len(state.get("notes", [])) :]:
+        job.note(text)
+    return found
+
+
+def _warn_of_doubt(job: Job, survey: Mapping[str, Any]) -> None:
+    """Warn where it is not sure what made the clouds: all passes after the one that decides it depend on that."""
+    sure = survey.get("sure")
+    if sure is None or sure >= SURE:
+        return
+    other = "als" if survey["kind"] == MATCHED else "dim"
+    words = {"lidar": "laser scanning", MATCHED: "image matching"}[survey["kind"]]
+    text = f"that the clouds are from {words} is {100 * sure:.0f} % sure alone; if it is wrong, say --kind {other}"
+    job.facts["doubts"] = [text]
+    job.listener("warning", {"text": text})
+
+
+def _leave_out(job: Job, task: Task, step: Pass, before: Before) -> None:
+    """The points of a tile that failed have no label, and elect none: nothing of an earlier run, either."""
+    work: FilterTile = task.arguments
+    buckets = job.store.buckets_within(job.plan.meta.bucket.hull(work.cells))
+    for cell in work.cells:
+        if work.elected_out is not None:
+            job.store.write_elected(work.elected_out, cell, np.zeros((3, 0), np.int32))
+            if step.gives_labels:
+                job.store.write_elected_labels(work.labels_out, cell, np.zeros(0, np.uint8))
+        elif work.of_elected:
+            labels = np.zeros(before.n_elected[cell], np.uint8)
+            job.store.write_elected_labels(work.labels_out, cell, labels)
+        else:
+            bucket = buckets[cell]
+            labels = np.zeros(bucket.n_candidates if work.of_candidates else bucket.n, np.uint8)
+            job.store.write_labels(work.labels_out, cell, labels, work.of_candidates)
+
+
+def _filter_facts(job: Job, records: list[dict[str, Any]], tiles: int) -> dict[str, Any]:
+    def total(name: str) -> int:
+        return sum(r[name] for r in records)
+
+    names = ("points", "ground", "low_noise", "unclassified", "kept", "marked")
+    again = sum(r["tries"] > 1 for r in records)
+    facts: dict[str, Any] = {name: total(name) for name in names}
+    facts |= {
+        "tiles": tiles,
+        "tiles_done_again": again,
+        "overlap_work": total("window_area") / max(total("core_area"), 1),
+    }
+    if facts["marked"]:
+        job.note(
+            f"{facts['marked']:,} labels are not certified: points beyond the widest halo could change them; "
+            "more --memory allows a wider one"
+        )
+    return facts

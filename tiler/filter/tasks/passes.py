@@ -1,0 +1,160 @@
+"""The tasks of filter tiles, with the digest of everything that their results depend on.
+
+A task is done if the store holds a commit with its digest. So a change of a parameter, an input or a neighbour makes
+exactly those tasks new that it can reach, and everything else is found done.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from fractions import Fraction
+from typing import Any
+
+from ptd.frame import Scale
+from ptd.methods import METHODS
+from ptd.passes import Pass, later_passes, read_at_candidates
+from tiler.core.lattice import Cell
+from tiler.filter import LABELS, FilterTile, filter_tile, local_window, sight_m
+from tiler.filter.tasks.tiles import tiles_of
+from tiler.ingest.tasks.assembled import Assembled, skip_flags
+from tiler.plan import Plan
+from tiler.plan.memory import held_bytes
+from tiler.schedule import Task, digest_of
+from tiler.store import Commits
+from tiler.version import __version__
+
+
+@dataclass(frozen=True)
+class Before:
+    """What the passes before left for the next one: names in the store, and by bucket digests of what they name.
+
+    Attributes
+    ----------
+    labels, elected, elected_labels : str or None
+        Of the last labels of points, of the points that were elected, and of these points' last labels.
+    of_candidates : bool
+        The last labels of points are those of candidates.
+    digests, elected_digests : mapping of Cell to str
+        Of the contents of a bucket with the labels of its points, and with what was elected there, labels and all.
+    n_elected : mapping of Cell to int
+        Elected points of a bucket; none where the tile failed.
+    """
+
+    digests: Mapping[Cell, str]
+    labels: str | None = None
+    of_candidates: bool = False
+    elected: str | None = None
+    elected_labels: str | None = None
+    elected_digests: Mapping[Cell, str] = field(default_factory=dict)
+    n_elected: Mapping[Cell, int] = field(default_factory=dict)
+
+    def after(
+        self, number: int, step: Pass, last: bool, few: bool, assembled: Assembled, done: Commits
+    ) -> Before:
+        """What there is after a pass that was done, and that elects or gives labels.
+
+        ``last``: of all points; ``few``: of candidates alone.
+        """
+        if step.elects:
+            counts = dict.fromkeys(assembled.records, 0)
+            for _, record in done.values():
+                cells = (Cell(*cell) for cell in record["cells"])
+                counts |= dict(zip(cells, record["elected_points"], strict=True))
+            digests = label_digests(assembled, done, "elected")
+            if step.gives_labels:
+                of_labels = label_digests(assembled, done)
+                digests = {cell: digest_of(digest, of_labels[cell]) for cell, digest in digests.items()}
+            return replace(
+                self,
+                elected=elected_name(number),
+                elected_labels=labels_name(number) if step.gives_labels else None,
+                elected_digests=digests,
+                n_elected=counts,
+            )
+        digests = label_digests(assembled, done)
+        if step.elected and not last:
+            both = {cell: digest_of(digest, self.elected_digests[cell]) for cell, digest in digests.items()}
+            return replace(self, elected_labels=labels_name(number), elected_digests=both)
+        return replace(self, labels=labels_name(number), of_candidates=few, digests=digests)
+
+
+def labels_name(number: int) -> str:
+    """Name in the store of the labels of a pass that is not the last one."""
+    return f"{LABELS}-{number}"
+
+
+def elected_name(number: int) -> str:
+    """Name in the store of the points that a pass elects."""
+    return f"elected-{number}"
+
+
+def labels_given(plan: Plan, number: int, state: Mapping[str, Any]) -> tuple[bool, bool]:
+    """Whether the labels that a pass gives are the last ones, and whether they are those of candidates alone."""
+    params = METHODS[plan.config.method].params(**plan.parameters)
+    step = params.passes[number]
+    if not step.gives_labels:
+        return False, False
+    later = later_passes(params.passes, number, state)
+    few = not (step.elected or step.elects or step.label_margin_m) and plan.on_candidates
+    return not later, few and read_at_candidates(later)
+
+
+def filter_tasks(
+    plan: Plan, assembled: Assembled, number: int, state: Mapping[str, Any], before: Before
+) -> Iterator[Task]:
+    """One for each tile of a pass."""
+    frame = plan.meta.frame
+    params = METHODS[plan.config.method].params(**plan.parameters)
+    step = params.passes[number]
+    last, few = labels_given(plan, number, state)
+    if step.elected and before.elected is None:
+        raise ValueError(f"pass {step.name} works on elected points, and no pass before it elected any")
+    beyond = math.ceil(frame.counts(Fraction(sight_m(step, params))))
+    margin = math.ceil(frame.counts(Fraction(repr(float(step.label_margin_m)))))
+    reads = "labels" in step.columns
+    records: Mapping[Cell, Mapping[str, Any]] = assembled.records
+    if step.elected:
+        records = {cell: {**record, "n_elected": before.n_elected[cell]} for cell, record in records.items()}
+    scale = Scale(frame.metres_xy, frame.metres_z, frame.origin)
+    for tile in tiles_of(plan, records, plan.passes[number]):
+        sight = plan.meta.bucket.hull(tile.cells).pad(max(tile.max_halo + beyond, margin))
+        work = FilterTile(
+            plan.config.method,
+            plan.parameters,
+            number,
+            step.local(state, local_window(sight, frame.origin), scale),
+            tile.cells,
+            tile.halo,
+            tile.max_halo,
+            plan.config.keep_classes,
+            skip_flags(plan),
+            labels_in=before.labels if reads else None,
+            labels_out=LABELS if last else labels_name(number),
+            elected_in=before.elected if step.elected else None,
+            elected_labels_in=before.elected_labels if step.elected and reads else None,
+            elected_out=elected_name(number) if step.elects else None,
+            of_elected=step.elected and not last,
+            of_candidates=few,
+            in_of_candidates=reads and before.of_candidates,
+            held_bytes=held_bytes(plan.memory),
+        )
+        digests = before.digests if reads else assembled.digests
+        near = plan.meta.bucket.among(sight, digests)
+        seen = [[c.ix, c.iy, digests[c]] for c in near]
+        made = [before.elected_digests[c] for c in near] if step.elected else []
+        points = sum(assembled.records[c]["n"] for c in tile.cells)
+        digest = digest_of(__version__, work, seen, made)
+        yield Task(f"filter{number}", f"t{tile.name}", digest, filter_tile, work, points)
+
+
+def label_digests(assembled: Assembled, filtered: Commits, what: str = "labels") -> dict[Cell, str]:
+    """Bucket -> digest of its contents and of the labels that a pass gave it; of a tile that failed it gave none.
+
+    ``what``: the entry of the record, ``labels`` or ``elected``.
+    """
+    labels = dict.fromkeys(assembled.records, "none")
+    for _, record in filtered.values():
+        labels |= {Cell(*cell): record[what] for cell in record["cells"]}
+    return {cell: digest_of(given, assembled.digests[cell]) for cell, given in labels.items()}

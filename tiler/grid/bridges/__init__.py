@@ -1,0 +1,1 @@
+"""Finds decks of bridges that the filter left in the terrain."""

@@ -1,0 +1,257 @@
+"""Decides whether points are the deck of a bridge: it stands free, and a road goes on at both of its ends.
+
+Precision comes before recall: each of these must hold.
+
+- The deck is smooth, and its edges are sharp: beside them hardly any point lies between the deck and what is below it.
+  An embankment, or the bank of a ditch, has points on its slopes.
+- What is below is as low on one side as on the other: a retaining wall, a dam and a quay differ.
+- The ground beside it comes up at both ends, steeper than a ramp rises: what is bridged ends there.
+- Ground goes on at both ends where the deck would.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from tiler.grid.bridges.deck_cells import DROP_M, WIDEST_M
+from tiler.grid.bridges.deck_sides import BESIDE_M, TOLERANCE_M, Bools, Floats, Sides, sides_of
+
+Ints = npt.NDArray[np.intp]
+Surface = tuple[float, float, float, float]
+"""Height = a + b s + c s^2 + d t: s along a deck, t across it."""
+
+END_M = 12.0
+"""Distance beyond the free part within which the ground beside comes up and the road goes on."""
+SHORTEST_M, LONGEST_M = 5.0, 300.0
+"""Limits of the length of the free part."""
+NARROWEST_M = 2.0
+"""Least width of the free part."""
+SLIMNESS = 1.0
+"""Least length over width of the free part."""
+FEWEST_SLICES = 4
+"""Least number of slices of the free part."""
+CLEARANCE_M = 2.0
+"""Least height of a deck above what lies beside it: lower ones look like terraces, or banks with plants."""
+LEAST_SLICE_M = 1.5
+"""Least length of a slice."""
+MOST_TURNS = 2
+"""Most corrections of a deck's direction."""
+STRAIGHT = 0.02
+"""Slope of a deck's edges, against its direction, that needs no correction."""
+ROAD_SLICES = 3
+"""Slices beyond an end in which the road has to go on."""
+FEWEST_ROAD, MOSTLY_ROAD = 3, 0.5
+"""Least number of ground points of the road there, and their least share of all points there."""
+INNER_M = 0.7
+"""Distance within a deck's edges from which on a point lies beneath the deck."""
+WIDER_M = 0.3
+"""Distance by which a deck is drawn wider than its points, on each side."""
+ALIKE, ALIKE_M = 0.35, 0.7
+"""Share of the clearance, and metres, by which the two sides may differ in height; the larger one counts."""
+
+
+@dataclass(frozen=True)
+class Deck:
+    """The free part of a deck; metres, from the origin of its points.
+
+    Attributes
+    ----------
+    ring : float64 (n, 2)
+        Corners of its outline.
+    centre, along : (float, float)
+        Where s and t are 0, and the unit vector of s; t is to the left of it.
+    surface : (float, float, float, float)
+        Height = a + b s + c s^2 + d t.
+    length_m, width_m, clearance_m : float
+        Of the free part, mean, and median of its height above what is beside it.
+    below : int
+        Points seen beneath it.
+    """
+
+    ring: Floats
+    centre: tuple[float, float]
+    along: tuple[float, float]
+    surface: Surface
+    length_m: float
+    width_m: float
+    clearance_m: float
+    below: int
+
+
+@dataclass(frozen=True)
+class _View:
+    """Points seen along a deck: s along it and t across it, height above its surface, and the slices of it.
+
+    Attributes
+    ----------
+    s, t, off : float64 (n,)
+    surface : (float, float, float, float)
+    starts : float64 (slices,)
+        Where each slice begins along s.
+    width : float
+        Of a slice.
+    sides : Sides
+    """
+
+    s: Floats
+    t: Floats
+    off: Floats
+    surface: Surface
+    starts: Floats
+    width: float
+    sides: Sides
+
+
+def find_deck(
+    xyz: Floats, ground: Bools, seeds: Bools, across: tuple[float, float], spacing_m: float
+) -> tuple[Deck | None, str]:
+    """The free part of a deck among the points around, or why there is none.
+
+    Parameters
+    ----------
+    xyz : float64 (n, 3)
+        Metres: all points but noise, of and around a candidate.
+    ground, seeds : bool (n,)
+        Those that are ground; and those in the candidate's cells.
+    across : (float, float)
+        Unit vector across the deck, roughly.
+    spacing_m : float
+        Of the points.
+    """
+    centre = np.median(xyz[seeds, :2], axis=0)
+    along, turns = np.array((-across[1], across[0])), 0
+    while True:
+        view = _seen(xyz, seeds, centre, along, spacing_m)
+        if view is None:
+            return None, "not smooth"
+        free = _longest(view.sides.both_free())
+        if free is None:
+            return None, "no part stands free on both sides"
+        slope = _slope(view, free)
+        if turns == MOST_TURNS or abs(slope) < STRAIGHT:
+            break
+        along, turns = along + slope * np.array((-along[1], along[0])), turns + 1
+        along = along / np.hypot(*along)
+    edges = view.sides.edge[free]
+    long, wide = len(free) * view.width, float(np.median(edges[:, 1] - edges[:, 0]))
+    levels = np.median(view.sides.level[free], axis=0)
+    why = _wrong_size(long, wide, len(free)) or _wrong_levels(levels)
+    for end, step in ((int(free[-1]), 1), (int(free[0]), -1)):
+        why = why or _wrong_end(view, ground, edges, end, step, float(-levels.max()))
+    if why:
+        return None, why
+    ring = _ring(view, free) @ np.array((along, (-along[1], along[0]))) + centre
+    place, direction = (float(centre[0]), float(centre[1])), (float(along[0]), float(along[1]))
+    below = _beneath(view, free, edges)
+    return Deck(ring, place, direction, view.surface, long, wide, float(-levels.max()), below), ""
+
+
+def _seen(xyz: Floats, seeds: Bools, centre: Floats, along: Floats, spacing: float) -> _View | None:
+    """The points as seen along a deck; None where its seeds are no surface."""
+    s, t = _rotated(xyz[:, :2] - centre, along)
+    surface = _fitted(s, t, xyz[:, 2], seeds)
+    if surface is None:
+        return None
+    off, width = xyz[:, 2] - _height(surface, s, t), max(LEAST_SLICE_M, 2.5 * spacing)
+    first, last = s[seeds].min() - 2 * END_M, s[seeds].max() + 2 * END_M
+    numbers = np.arange(np.floor(first / width), np.ceil(last / width))
+    return _View(s, t, off, surface, numbers * width, width, sides_of(s, t, off, numbers, width, spacing))
+
+
+def _slope(view: _View, free: Ints) -> float:
+    """How far the edges of a free part are off its direction."""
+    if len(free) < 3:
+        return 0.0
+    return float(np.mean([np.polyfit(view.starts[free], view.sides.edge[free, k], 1)[0] for k in (0, 1)]))
+
+
+def _wrong_size(long: float, wide: float, slices: int) -> str:
+    shortest = max(SHORTEST_M, SLIMNESS * wide)
+    if NARROWEST_M <= wide <= WIDEST_M and shortest <= long <= LONGEST_M and slices >= FEWEST_SLICES:
+        return ""
+    return f"{long:.0f} m by {wide:.0f} m"
+
+
+def _wrong_levels(levels: Floats) -> str:
+    clearance, differ = float(-levels.max()), float(abs(levels[0] - levels[1]))
+    if clearance < CLEARANCE_M:
+        return f"clearance {clearance:.1f} m"
+    return f"sides differ by {differ:.1f} m" if differ > max(ALIKE_M, ALIKE * clearance) else ""
+
+
+def _wrong_end(view: _View, ground: Bools, edges: Floats, end: int, step: int, clearance: float) -> str:
+    """What is wrong beyond an end of the free part: the ground beside has to come up there, and the road to go on."""
+    reach = int(np.ceil(END_M / view.width))
+    near = np.array(
+        [i for k in range(1, reach + 1) if 0 <= (i := end + step * k) < len(view.starts)], np.intp
+    )
+    # Halfway up, or as high as the deck, and then beyond where its edge was.
+    up = view.sides.level[near] > -0.5 * clearance
+    up |= (view.sides.edge[near] - np.median(edges, axis=0)) * (-1, 1) > BESIDE_M / 2
+    if not up.any(axis=0).all():
+        return "the ground beside does not come up at an end"
+    begins = view.starts[near[:ROAD_SLICES]]
+    box = (view.s >= begins.min()) & (view.s < begins.max() + view.width)
+    box &= (view.t > np.median(edges[:, 0])) & (view.t < np.median(edges[:, 1]))
+    road = int((box & ground & (np.abs(view.off) < 2 * TOLERANCE_M)).sum())
+    if road >= max(FEWEST_ROAD, MOSTLY_ROAD * int(box.sum())):
+        return ""
+    return "no road goes on at an end"
+
+
+def _beneath(view: _View, free: Ints, edges: Floats) -> int:
+    """Points beneath the free part of a deck, well within its edges."""
+    inner = (view.t > np.median(edges[:, 0]) + INNER_M) & (view.t < np.median(edges[:, 1]) - INNER_M)
+    inner &= (view.s >= view.starts[free[0]]) & (view.s < view.starts[free[-1]] + view.width)
+    return int((inner & (view.off < -DROP_M)).sum())
+
+
+def _ring(view: _View, free: Ints) -> Floats:
+    """Outline of the free part, (s, t): a little wider than its points, as no point lies on its very edge."""
+    middles = view.starts[free] + view.width / 2
+    middles[0], middles[-1] = view.starts[free[0]], view.starts[free[-1]] + view.width
+    right = np.column_stack((middles, view.sides.edge[free, 0] - WIDER_M))
+    left = np.column_stack((middles, view.sides.edge[free, 1] + WIDER_M))
+    return np.concatenate((right, left[::-1]))
+
+
+def _rotated(xy: Floats, along: Floats) -> tuple[Floats, Floats]:
+    return xy @ along, xy @ np.array((-along[1], along[0]))
+
+
+def _height(surface: Surface, s: Floats, t: Floats) -> Floats:
+    a, b, c, d = surface
+    found: Floats = a + b * s + c * s * s + d * t
+    return found
+
+
+def _fitted(s: Floats, t: Floats, z: Floats, seeds: Bools) -> Surface | None:
+    """The surface of most seeds; None where they have none."""
+    rows = np.flatnonzero(seeds)
+    median = np.median(z[rows])
+    rows = rows[np.abs(z[rows] - median) < max(1.5, 2 * float(np.median(np.abs(z[rows] - median))))]
+    found = None
+    for limit in (2.0, 1.0, 0.5, TOLERANCE_M):
+        if len(rows) < 12:
+            return None
+        terms = np.column_stack((np.ones(len(rows)), s[rows], s[rows] ** 2, t[rows]))
+        solved = np.linalg.lstsq(terms, z[rows], rcond=None)[0]
+        found = (float(solved[0]), float(solved[1]), float(solved[2]), float(solved[3]))
+        every = np.flatnonzero(seeds)
+        rows = every[np.abs(z[every] - _height(found, s[every], t[every])) < limit]
+    return found if len(rows) > 0.4 * seeds.sum() else None
+
+
+def _longest(free: Bools) -> Ints | None:
+    """Indices of the longest run of True; a single False between two of them does not end it."""
+    closed = free.copy()
+    closed[1:-1] |= free[:-2] & free[2:]
+    steps = np.flatnonzero(np.diff(closed, prepend=False, append=False)).reshape(-1, 2)
+    if not len(steps):
+        return None
+    start, stop = steps[np.argmax(steps[:, 1] - steps[:, 0])]
+    rows = np.arange(start, stop)
+    return rows[free[rows]] if free[rows].sum() >= 2 else None

@@ -1,0 +1,157 @@
+"""Cells of a coarse raster that may be the deck of a bridge: narrow, a drop on both sides, a road at both ends.
+
+What is found depends on `REACH_M` around a cell and on nothing farther.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+Floats = npt.NDArray[np.float32]
+Bools = npt.NDArray[np.bool_]
+Ints = npt.NDArray[np.int64]
+
+DIRECTIONS = 8
+"""Directions across a deck that are tried, from east by north to west."""
+DROP_M = 1.0
+"""Least height of a deck above the ground beside it, where it stands free."""
+CLEAR_M = 1.8
+"""Least height of the highest part of a deck above the ground beside it; such parts are searched first."""
+STEP_M = 0.5
+"""Largest difference of height between neighbouring cells of a deck."""
+WIDEST_M, LONGEST_M, VOID_M = 40.0, 60.0, 40.0
+"""Widest deck; distance along it, either way, to where the road reaches ground; distance to the far bank of water."""
+REACH_M = WIDEST_M + LONGEST_M + VOID_M
+
+
+@dataclass(frozen=True)
+class Cells:
+    """Heights of coarse cells, metres, NaN where there is no point.
+
+    Attributes
+    ----------
+    top, low : float32 (h, w)
+        The highest ground point of a cell, or its lowest point where none is ground; and its lowest point.
+    ground : bool (h, w)
+        Whether a ground point lies in it.
+    size_m : float
+    """
+
+    top: Floats
+    low: Floats
+    ground: Bools
+    size_m: float
+
+    def steps(self, length_m: float) -> int:
+        """How many cells a length is, at least 1."""
+        return max(math.ceil(length_m / self.size_m), 1)
+
+    def inside(self, rows: Ints, cols: Ints) -> Bools:
+        """Mask of the places in the raster."""
+        height, width = self.top.shape
+        found: Bools = (rows >= 0) & (rows < height) & (cols >= 0) & (cols < width)
+        return found
+
+    def at(self, values: Floats, rows: Ints, cols: Ints) -> Floats:
+        """Values at places, NaN beyond the raster."""
+        inside = self.inside(rows, cols)
+        found = np.full(len(rows), np.nan, np.float32)
+        found[inside] = values[rows[inside], cols[inside]]
+        return found
+
+
+def deck_cells(cells: Cells) -> tuple[Ints, Ints, Ints]:
+    """Rows, columns and direction across (of `DIRECTIONS`) of the cells that may be decks."""
+    spans = [_spans(cells, direction) for direction in range(DIRECTIONS)]
+    marked = np.zeros(cells.top.shape, np.bool_)
+    for rows, cols, _ in spans:
+        marked[rows, cols] = True
+    found = [np.empty((3, 0), np.int64)]
+    for direction, (rows, cols, middle) in enumerate(spans):
+        ends = np.ones(int(middle.max(initial=-1)) + 1, np.bool_)
+        first = np.unique(middle, return_index=True)[1]
+        for sign in (1, -1):
+            ends &= _road_goes_on(cells, marked, rows[first], cols[first], direction, sign)
+        good = ends[middle]
+        found.append(np.stack((rows[good], cols[good], np.full(int(good.sum()), direction))))
+    rows, cols, directions = np.concatenate(found, axis=1)
+    return rows, cols, directions
+
+
+def along(direction: int, steps: int) -> tuple[int, int]:
+    """Rows down and columns to the right of some steps in a direction."""
+    angle = math.pi * direction / DIRECTIONS
+    return -round(steps * math.sin(angle)), round(steps * math.cos(angle))
+
+
+def _drops(cells: Cells, rows: Ints, cols: Ints, height: Floats, direction: int, sign: int) -> Bools:
+    """Whether the ground right beside cells is lower by `CLEAR_M`; beside water, the first point beyond it."""
+    found, waiting = np.zeros(len(rows), np.bool_), np.ones(len(rows), np.bool_)
+    for step in range(1, cells.steps(VOID_M) + 1):
+        down, right = along(direction, sign * step)
+        low = cells.at(cells.low, rows + down, cols + right)
+        found |= waiting & (low <= height - CLEAR_M)
+        # A cell at the edge has points of both: one more is looked at.
+        waiting &= ~found & (np.isnan(low) | (step == 1))
+        if not waiting.any():
+            break
+    return found
+
+
+def _spans(cells: Cells, direction: int) -> tuple[Ints, Ints, Ints]:
+    """Rows and columns of cells between two drops, and the number of the span of each; its middle comes first."""
+    rows, cols = (axis.astype(np.int64) for axis in np.nonzero(~np.isnan(cells.top)))
+    edge = _drops(cells, rows, cols, cells.top[rows, cols], direction, 1)
+    rows, cols = rows[edge], cols[edge]
+    start_rows, start_cols, before = rows, cols, cells.top[rows, cols]
+    found = [np.empty((3, 0), np.int64)]
+    for step in range(cells.steps(WIDEST_M)):
+        ended = _drops(cells, rows, cols, before, direction, -1)
+        if step:
+            found.append(np.stack((start_rows[ended], start_cols[ended], np.full(int(ended.sum()), step))))
+        down, right = along(direction, -(step + 1))
+        rows, cols = start_rows + down, start_cols + right
+        here = cells.at(cells.top, rows, cols)
+        gap = np.isnan(here) & cells.inside(rows, cols)
+        go_on = (
+            ~ended & (gap | (np.abs(here - before) <= STEP_M))
+            if step
+            else gap | (np.abs(here - before) <= STEP_M)
+        )
+        before = np.where(gap, before, here)[go_on]
+        rows, cols, start_rows, start_cols = rows[go_on], cols[go_on], start_rows[go_on], start_cols[go_on]
+    first_rows, first_cols, steps = np.concatenate(found, axis=1)
+    places = []
+    for step in range(cells.steps(WIDEST_M) + 1):
+        down, right = along(direction, -step)
+        has = np.flatnonzero(steps >= step)
+        middle = (step == steps[has] // 2).astype(np.int64)
+        places.append(np.stack((has, 1 - middle, first_rows[has] + down, first_cols[has] + right)))
+    number, _, rows, cols = (whole := np.concatenate(places, axis=1))[:, np.lexsort((whole[1], whole[0]))]
+    return rows, cols, number
+
+
+def _road_goes_on(cells: Cells, marked: Bools, rows: Ints, cols: Ints, direction: int, sign: int) -> Bools:
+    """Whether a way from cells along a deck leads without a step to ground that is no deck."""
+    found = np.zeros(len(rows), np.bool_)
+    which, before, gaps = np.arange(len(rows)), cells.at(cells.top, rows, cols), np.zeros(len(rows), np.int64)
+    arrived = np.zeros(len(rows), np.int64)
+    turn = direction + sign * DIRECTIONS // 2
+    for step in range(1, cells.steps(LONGEST_M) + 1):
+        down, right = along(turn, step)
+        r, c = rows[which] + down, cols[which] + right
+        here, inside = cells.at(cells.top, r, c), cells.inside(r, c)
+        unknown = np.isnan(here)
+        gaps = np.where(unknown, gaps + 1, 0)
+        road = np.zeros(len(which), np.bool_)
+        road[inside] = cells.ground[r[inside], c[inside]] & ~marked[r[inside], c[inside]]
+        arrived = np.where(unknown, arrived, np.where(road, arrived + 1, 0))
+        found[which[arrived >= 2]] = True
+        go_on = inside & (arrived < 2) & np.where(unknown, gaps <= 2, np.abs(here - before) <= STEP_M)
+        before = np.where(unknown, before, here)[go_on]
+        which, gaps, arrived = which[go_on], gaps[go_on], arrived[go_on]
+    return found

@@ -1,0 +1,87 @@
+"""The two edges of a bridge deck, and the height of what lies beside them, in slices along the deck."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from tiler.grid.bridges.deck_cells import DROP_M
+
+Floats = npt.NDArray[np.float64]
+Bools = npt.NDArray[np.bool_]
+
+TOLERANCE_M = 0.3
+"""Points nearer than this to the surface of a deck belong to it."""
+BESIDE_M = 4.0
+"""Distance from an edge within which the ground has to be lower."""
+FARTHER_M = 40.0
+"""Largest distance from an edge to the next point beside it; water beside a deck may return nothing."""
+BETWEEN = 0.34
+"""Largest share of the points beside an edge that may lie at heights between the deck and the ground below it."""
+
+
+@dataclass(frozen=True)
+class Sides:
+    """Edge, freedom and height beside the deck for each slice and side: arrays (slices, 2)."""
+
+    edge: Floats
+    free: Bools
+    level: Floats
+
+    def both_free(self) -> Bools:
+        """Slices that stand free on both sides."""
+        found: Bools = self.free[:, 0] & self.free[:, 1]
+        return found
+
+
+def sides_of(s: Floats, t: Floats, off: Floats, bins: Floats, width: float, spacing: float) -> Sides:
+    """The edges of a deck in slices of ``width`` with the numbers ``bins``, and what stands beside them.
+
+    ``s, t`` along and across it, ``off`` above its surface, of all points; ``spacing`` of these.
+    """
+    n = len(bins)
+    edge, free, level = np.full((n, 2), np.nan), np.zeros((n, 2), np.bool_), np.full((n, 2), np.nan)
+    number = np.floor(s / width) - bins[0]
+    order = np.argsort(number, kind="stable")
+    starts = np.searchsorted(number[order], np.arange(n + 1))
+    for i in range(n):
+        rows = order[starts[i] : starts[i + 1]]
+        deck = np.sort(t[rows][np.abs(off[rows]) < TOLERANCE_M])
+        cluster = _around_zero(deck, max(1.5, 4 * spacing))
+        if cluster is None:
+            continue
+        edge[i] = cluster
+        for k, sign in enumerate((-1, 1)):
+            away = sign * (t[rows] - edge[i, k])
+            free[i, k], level[i, k] = _beside(away, off[rows])
+    return Sides(edge, free, level)
+
+
+def _around_zero(t: Floats, gap: float) -> tuple[float, float] | None:
+    """First and last of the values without a gap between them that lie around 0."""
+    if len(t) < 2:
+        return None
+    groups = np.split(t, np.flatnonzero(np.diff(t) > gap) + 1)
+    best = min(groups, key=lambda g: max(g[0], -g[-1], 0.0))
+    return None if max(best[0], -best[-1]) > gap or len(best) < 2 else (float(best[0]), float(best[-1]))
+
+
+def _beside(away: Floats, off: Floats) -> tuple[bool, float]:
+    """Whether the ground beside an edge is lower without points between, and how low it is."""
+    near = (away > 0.2) & (away < BESIDE_M) & (off < TOLERANCE_M)
+    lower = off[near & (off < -DROP_M)]
+    if not len(lower):
+        if near.sum() > 2:
+            return False, float(np.median(off[near]))
+        beyond = np.flatnonzero((away >= BESIDE_M) & (away < FARTHER_M) & (off < 4.0))
+        if not len(beyond):
+            return False, float("nan")
+        nearest = beyond[np.argsort(away[beyond], kind="stable")[:3]]
+        level = float(np.median(off[nearest]))
+        return level < -DROP_M, level
+    level = float(np.median(lower))
+    low = near & (off < 0.6 * level)
+    between = near & ~low
+    return bool(between.sum() <= BETWEEN * near.sum()), level

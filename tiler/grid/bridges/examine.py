@@ -1,0 +1,215 @@
+"""Decks of bridges among the points of a run: cells that may be one, block by block, then each such place."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from functools import reduce
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from tiler.core.classes import MARK_BIT
+from tiler.core.lattice import Bounds
+from tiler.core.points import PointBlock
+from tiler.core.raster import Block, RasterSpec
+from tiler.grid.bridges.deck import Deck, find_deck
+from tiler.grid.bridges.deck_cells import DIRECTIONS, REACH_M, Cells, deck_cells
+from tiler.grid.ground import GroundRule, read_classes, surface_points
+from tiler.grid.work import BlockWork
+from tiler.store import TileStore, open_store
+
+Bools = npt.NDArray[np.bool_]
+Counts = npt.NDArray[np.int64]
+PlaceCells = tuple[tuple[int, int, int], ...]
+
+AROUND_M = 45.0
+"""Points within this distance of a possible deck are examined."""
+VOXEL_M = (0.25, 0.25, 0.1)
+"""Sides of the voxels that points are reduced to, so that neither their density nor their order matters."""
+LOWEST = -(1 << 31)
+"""Counts below which no point lies."""
+FEWEST = 12
+"""Points that a deck has at least."""
+MOST_DIRECTIONS = 3
+"""Directions across a deck that are tried, those of the most cells first."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FindDeckCells(BlockWork):
+    """Work: find the coarse cells of a block that may be decks of bridges; ``rule`` is without corrections."""
+
+    rule: GroundRule
+
+
+@dataclass(frozen=True)
+class ExamineDecks:
+    """Work: decide which of some places are decks of bridges.
+
+    Attributes
+    ----------
+    rule : GroundRule
+    spec : RasterSpec
+        Of the cells.
+    places : tuple of tuples of (row, column, direction)
+        The cells of each, see `tiler.grid.bridges.deck_cells.deck_cells`.
+    """
+
+    rule: GroundRule
+    spec: RasterSpec
+    places: tuple[tuple[tuple[int, int, int], ...], ...]
+
+
+def find_deck_cells(store_url: str, work: FindDeckCells) -> dict[str, Any]:
+    """Find the cells of a block that may be decks; a `tiler.schedule.task.Work`.
+
+    Returns
+    -------
+    dict
+        ``cells``: row, column and direction across of each.
+    """
+    store, spec, block = open_store(store_url), work.spec, work.block
+    size_m = float(spec.lattice.size * store.meta.frame.metres_xy)
+    pad = math.ceil(REACH_M / size_m)
+    shape = (block.height + 2 * pad, block.width + 2 * pad)
+    low, top = np.full(shape, np.inf, np.float32), np.full(shape, -np.inf, np.float32)
+    window = Block(block.row - pad, block.col - pad, *shape)
+    bounds = spec.block_bounds(window)
+    for cell in store.buckets_within(bounds):
+        points, chosen, is_ground = _points(store, work.rule, cell, bounds)
+        places = _cells(points, chosen, store, spec, window)
+        z = (points.xyz[2][chosen] * float(store.meta.frame.metres_z)).astype(np.float32)
+        np.minimum.at(low, places, z)
+        ground = is_ground[chosen]
+        np.maximum.at(top, tuple(axis[ground] for axis in places), z[ground])
+    ground, known = np.isfinite(top), np.isfinite(low)
+    top = np.where(ground, top, np.where(known, low, np.float32(np.nan)))
+    low = np.where(known, low, np.float32(np.nan))
+    rows, cols, directions = deck_cells(Cells(top, low, ground, size_m))
+    own = (rows >= pad) & (rows < pad + block.height) & (cols >= pad) & (cols < pad + block.width)
+    found = np.stack((rows[own] + window.row, cols[own] + window.col, directions[own]), axis=1)
+    return {"cells": found.tolist()}
+
+
+def examine_decks(store_url: str, work: ExamineDecks) -> dict[str, Any]:
+    """Decide which of some places are decks of bridges; a `tiler.schedule.task.Work`.
+
+    Returns
+    -------
+    dict
+        ``decks``: of each that is one ``ring``, ``surface`` (as of `tiler.core.edits.DeckSurface`, without its limits),
+        ``length_m``, ``width_m``, ``clearance_m``, ``below``; ``reasons``: why the others are none.
+    """
+    store, spec = open_store(store_url), work.spec
+    frame = store.meta.frame
+    metres = np.array((frame.metres_xy, frame.metres_xy, frame.metres_z), np.float64)
+    bounds = [examined(spec, cells, float(frame.metres_xy)) for cells in work.places]
+    xyz, ground = _voxels(store, work.rule, reduce(Bounds.union, bounds), metres)
+    decks, reasons = [], []
+    for cells, window in zip(work.places, bounds, strict=True):
+        x, y = xyz[:, 0], xyz[:, 1]
+        inside = (x >= window.x0) & (x < window.x1) & (y >= window.y0) & (y < window.y1)
+        deck, why = _examine(spec, cells, window, xyz[inside], ground[inside], metres)
+        reasons += [why] if deck is None else []
+        decks += [] if deck is None else [deck]
+    return {"decks": decks, "reasons": reasons}
+
+
+def _examine(
+    spec: RasterSpec, cells: PlaceCells, window: Bounds, counts: Counts, ground: Bools, metres: Any
+) -> tuple[dict[str, Any] | None, str]:
+    """A deck among the points of a window, or why there is none."""
+    if len(counts) < FEWEST:
+        return None, "too few points"
+    rows, cols = (
+        spec.north - 1 - spec.lattice.index(counts[:, 1]),
+        spec.lattice.index(counts[:, 0]) - spec.west,
+    )
+    top, left = int(rows.min()), int(cols.min())
+    rows, cols, shape = rows - top, cols - left, (int(rows.max()) - top + 1, int(cols.max()) - left + 1)
+    occupied = np.zeros(shape, np.bool_)
+    occupied[rows, cols] = True
+    side = float(spec.lattice.size) * float(metres[0])
+    spacing = side * math.sqrt(int(occupied.sum()) / len(counts))
+    corner = np.array((window.x0, window.y0, 0.0))
+    xyz = (counts - corner) * metres
+    places, why = np.array(cells), "too few points"
+    votes = np.bincount(places[:, 2], minlength=DIRECTIONS)
+    for direction in np.argsort(-votes, kind="stable")[:MOST_DIRECTIONS].tolist():
+        mask = np.zeros(shape, np.bool_)
+        mine = places[places[:, 2] == direction, :2] - (top, left)
+        there = ((mine >= 0) & (mine < shape)).all(axis=1)
+        mask[mine[there, 0], mine[there, 1]] = True
+        seeds = mask[rows, cols]
+        if seeds.sum() < FEWEST:
+            continue
+        angle = math.pi * direction / DIRECTIONS
+        deck, why = find_deck(xyz, ground, seeds, (math.cos(angle), math.sin(angle)), spacing)
+        if deck is not None:
+            return _record(deck, metres, corner), ""
+    return None, why
+
+
+def examined(spec: RasterSpec, cells: PlaceCells, metres: float) -> Bounds:
+    """Bounds of the points that are examined for some cells, counts."""
+    rows, cols, _ = np.array(cells).T
+    top, left = int(rows.min()), int(cols.min())
+    block = Block(top, left, int(rows.max()) - top + 1, int(cols.max()) - left + 1)
+    return spec.block_bounds(block).pad(math.ceil(AROUND_M / metres))
+
+
+def _voxels(store: TileStore, rule: GroundRule, bounds: Bounds, metres: Any) -> tuple[Counts, Bools]:
+    """Centres of the voxels of some bounds that hold points, counts (n, 3), and whether one of these is ground."""
+    steps = np.maximum(np.round(np.array(VOXEL_M) / metres), 1).astype(np.int64)
+    first = np.array((bounds.x0 // steps[0], bounds.y0 // steps[1], LOWEST // steps[2]))
+    high = bounds.y1 // steps[1] - first[1] + 1
+    deep = 2 * -first[2]
+    parts = [np.empty(0, np.int64)]
+    for cell in store.buckets_within(bounds):
+        points, chosen, is_ground = _points(store, rule, cell, bounds)
+        ox, oy = store.meta.frame.origin
+        x, y, z = points.xyz[:, chosen].astype(np.int64) + np.array(((ox,), (oy,), (0,)))
+        column = (x // steps[0] - first[0]) * high + y // steps[1] - first[1]
+        # Of a voxel with ground and other points the ground comes first.
+        parts.append(np.unique((column * deep + z // steps[2] - first[2]) * 2 + ~is_ground[chosen]))
+    keys = np.unique(np.concatenate(parts))
+    voxels, rows = np.unique(keys // 2, return_index=True)
+    column, iz = np.divmod(voxels, deep)
+    centres = (np.stack((*np.divmod(column, high), iz), axis=1) + first) * steps + steps // 2
+    return centres, keys[rows] % 2 == 0
+
+
+def _points(store: TileStore, rule: GroundRule, cell: Any, bounds: Bounds) -> tuple[PointBlock, Bools, Bools]:
+    """Points of a bucket, those that are surface and lie in some bounds, and those that are ground."""
+    points, chosen = surface_points(store, rule, cell)
+    chosen &= points.inside(bounds, store.meta.frame.origin)
+    if rule.labels is None:
+        return points, chosen, read_classes(store, rule, cell)[2]
+    labels = store.read_labels(rule.labels, cell) & ~np.uint8(MARK_BIT)
+    return points, chosen, rule.is_ground()[labels]
+
+
+def _cells(
+    points: PointBlock, chosen: Bools, store: TileStore, spec: RasterSpec, window: Block
+) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Row and column within a window, which may reach beyond the raster, of the cells of some points."""
+    x, y = (points.xyz[axis][chosen].astype(np.int64) + store.meta.frame.origin[axis] for axis in (0, 1))
+    rows = spec.north - 1 - spec.lattice.index(y) - window.row
+    return rows, spec.lattice.index(x) - spec.west - window.col
+
+
+def _record(deck: Deck, metres: Any, corner: Any) -> dict[str, Any]:
+    """The record of a deck: outline and surface in counts, sizes in metres."""
+    ring = np.rint(deck.ring / metres[:2] + corner[:2]).astype(np.int64)
+    (x, y), (a, b, c, d) = deck.centre, deck.surface
+    flat, high = float(metres[0]), float(metres[2])
+    return {
+        "ring": ring.tolist(),
+        "surface": [
+            x / flat + float(corner[0]), y / flat + float(corner[1]), *deck.along,
+            a / high, b * flat / high, c * flat * flat / high, d * flat / high,
+        ],
+        "length_m": round(deck.length_m, 2), "width_m": round(deck.width_m, 2),
+        "clearance_m": round(deck.clearance_m, 2), "below": deck.below,
+    }  # fmt: skip

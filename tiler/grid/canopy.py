@@ -1,0 +1,102 @@
+"""Where a closed canopy hides the ground, pixel by pixel."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from fractions import Fraction
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from ptd.frame import Scale
+from ptd.matched.by_side import side_of_cells
+from ptd.matched.cells import CELL_M
+from ptd.matched.step import COVERED
+from ptd.passes import Points
+from tiler.core.lattice import Lattice
+from tiler.core.raster import Block, RasterSpec
+from tiler.grid.checksum import checksum
+from tiler.grid.density import ground_counts
+from tiler.grid.work import PointsBlock
+from tiler.store import TileStore, open_store
+
+GAP = 2
+"""Cells: gaps up to twice as wide, without points, have what lies around them."""
+CANOPY_AROUND = 2 * GAP + 2
+"""Cells around a block that have a part in it."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CanopyBlock(PointsBlock):
+    """Work: one block of the raster of the canopy.
+
+    Attributes
+    ----------
+    elected, labels : str
+        Names in the store of the cells that the filter worked on, and of their codes.
+    side : Fraction
+        Of the smaller cells, counts; larger ones are as wide as two of them.
+    """
+
+    elected: str
+    labels: str
+    side: Fraction
+
+
+def canopy_block(store_url: str, work: CanopyBlock) -> dict[str, Any]:
+    """Write one block of the canopy; a `tiler.schedule.task.Work`.
+
+    1 where the pixel's centre lies in a cell that a canopy covers, and no ground is seen in the pixel; else 0.
+
+    Returns
+    -------
+    dict
+        ``pixels``, ``filled`` (pixels with a 1); ``checksum``.
+    """
+    store, spec, block = open_store(store_url), work.spec, work.block
+    hidden = _covered(store, work, spec, block)
+    if hidden.any():
+        hidden &= ground_counts(store, work.rule, spec, block) == 0
+    values = hidden.astype(np.float32)
+    store.write_block(work.name, block, values)
+    return {"pixels": values.size, "filled": int(np.count_nonzero(hidden)), "checksum": checksum(values)}
+
+
+def _covered(store: TileStore, work: CanopyBlock, spec: RasterSpec, block: Block) -> npt.NDArray[np.bool_]:
+    """Pixels whose centres lie in covered cells."""
+    lattice = Lattice(work.side)
+    bounds = spec.block_bounds(block).pad(math.ceil(CANOPY_AROUND * work.side))
+    west, south = lattice.index_of(bounds.x0) - 1, lattice.index_of(bounds.y0) - 1
+    shape = lattice.index_of(bounds.y1) - south + 2, lattice.index_of(bounds.x1) - west + 2
+    cells = store.elected(work.elected, bounds, work.labels)
+    frame = store.meta.frame
+    wide = side_of_cells(Points(cells.xyz), Scale(frame.metres_xy, frame.metres_z, frame.origin)) > CELL_M
+    labels = np.zeros(len(cells), np.uint8) if cells.labels is None else cells.labels
+    x, y = (cells.xyz[axis].astype(np.int64) + frame.origin[axis] for axis in (0, 1))
+    rows, columns = lattice.index(y) - south, lattice.index(x) - west
+    hidden = (labels & COVERED) > 0
+    there, covered = np.zeros(shape, np.bool_), np.zeros(shape, np.bool_)
+    # The middle of a wide cell is the corner of four small ones; it may be rounded into either.
+    wide_rows, wide_columns = (
+        Lattice(2 * work.side).index(v) * 2 - first for v, first in ((y, south), (x, west))
+    )
+    for down in (0, 1):
+        for right in (0, 1):
+            place = np.where(wide, wide_rows + down, rows), np.where(wide, wide_columns + right, columns)
+            there[place] = True
+            covered[place[0][hidden], place[1][hidden]] = True
+    covered |= ~there & scipy.ndimage.binary_closing(covered, np.ones((2 * GAP + 1, 2 * GAP + 1), np.bool_))
+    pixel_rows, pixel_columns = (lattice.index(centres) for centres in _centres(spec, block))
+    found: npt.NDArray[np.bool_] = covered[np.ix_(pixel_rows - south, pixel_columns - west)]
+    return found
+
+
+def _centres(spec: RasterSpec, block: Block) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """Absolute counts, rounded down, of the centres of a block's rows and columns of pixels."""
+    p, q = spec.lattice.p, 2 * spec.lattice.q
+    rows = spec.north - 1 - block.row - np.arange(block.height, dtype=np.int64)
+    columns = spec.west + block.col + np.arange(block.width, dtype=np.int64)
+    return ((2 * rows + 1) * p) // q, ((2 * columns + 1) * p) // q

@@ -1,0 +1,89 @@
+"""A warning where the terrain of a matched cloud looks like the crowns of a closed canopy."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ptd.matched.crowns import BLOCK, Crowns, crowns
+from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.nodata import NODATA
+from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec
+from tiler.grid.roofs import Advice
+from tiler.store import TileStore, open_store
+
+CELL_M, COARSEST_M = 1.0, 1.25
+"""Crowns are looked for in cells of about a metre: finer pixels are thinned, and coarser ones do not show crowns."""
+TOLD, FEWEST = 0.1, 10
+"""Share of the terrain that looks like crowns from which on a warning says so, and blocks (0.06 ha each) at least."""
+
+
+@dataclass(frozen=True)
+class FindCrowns:
+    """Where crowns are looked for in the terrain: in the blocks with some names."""
+
+    spec: RasterSpec
+    names: tuple[str, ...]
+
+
+def find_crowns(store_url: str, work: FindCrowns) -> dict[str, Any]:
+    """Look for crowns in some blocks: ``looked_at`` and ``found``, see `ptd.matched.crowns.Crowns`."""
+    store, spec = open_store(store_url), work.spec
+    blocks = [spec.block_named(name, BLOCK_PIXELS) for name in work.names]
+    parts = [look_for_crowns(store, "dtm", spec, block) for block in blocks]
+    return {
+        "looked_at": sum(part.looked_at for part in parts),
+        "found": [place for part in parts for place in part.found],
+    }
+
+
+def look_for_crowns(store: TileStore, name: str, spec: RasterSpec, block: Block) -> Crowns:
+    """The places in a block of the terrain that look like crowns, as pixels of the raster.
+
+    Parameters
+    ----------
+    store : TileStore
+    name : str
+        Raster of the terrain.
+    spec : RasterSpec
+    block : Block
+    """
+    times = _thinning(store, spec)
+    if times is None:
+        return Crowns(0, [])
+    heights = store.read_block(name, block)[times // 2 :: times, times // 2 :: times]
+    metres = np.where(heights == np.float32(NODATA), np.nan, heights.astype(np.float64))
+    looked = crowns(metres * float(store.meta.frame.units.vertical))
+    half = BLOCK * times // 2
+    found = [
+        (block.row + row * times + half, block.col + column * times + half) for row, column in looked.found
+    ]
+    return Crowns(looked.looked_at, found)
+
+
+def crowns_told(looked: Iterable[Crowns], spec: RasterSpec) -> Advice | None:
+    """A warning if a tenth of the terrain or more looks like crowns."""
+    parts = list(looked)
+    looked_at = sum(part.looked_at for part in parts)
+    found = [place for part in parts for place in part.found]
+    if len(found) < max(TOLD * looked_at, FEWEST):
+        return None
+    row, column = found[len(found) // 2]
+    a, _, x, _, e, y = spec.transform(COUNTS_PER_UNIT)
+    x, y = x + a * column, y + e * row
+    text = (
+        f"{100 * len(found) / looked_at:.0f} % of the terrain looks like the crowns of a closed canopy, as around x "
+        f"{x:.0f}, y {y:.0f}: image matching sees no ground there, and the terrain may be "
+        "metres too high; look at it, and leave such places out (--edits, action void) or survey them with a laser"
+    )
+    return Advice(text, x, y)
+
+
+def _thinning(store: TileStore, spec: RasterSpec) -> int | None:
+    """How many pixels make a cell of about a metre; None where pixels are too coarse."""
+    pixel = float(spec.lattice.size * store.meta.frame.metres_xy)
+    times = max(round(CELL_M / pixel), 1)
+    return times if pixel * times <= COARSEST_M else None

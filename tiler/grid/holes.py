@@ -1,0 +1,89 @@
+"""Pixels inside of the survey that have no height: how many, and where."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from tiler.core.area import Area
+from tiler.core.edits import NOT_GROUND, TO_GROUND, VOID
+from tiler.core.raster import NODATA, Block, RasterSpec, within
+from tiler.store import TileStore
+
+CELL_PIXELS = 32
+"""Side in pixels of the cells by which holes are told: a block's record stays small, whatever its holes look like."""
+
+LEAVE_HOLES = (NOT_GROUND, TO_GROUND, VOID)
+"""Corrections that can leave pixels without a height."""
+
+Mask = npt.NDArray[np.bool_]
+
+
+def holes_of_block(
+    store: TileStore,
+    spec: RasterSpec,
+    block: Block,
+    heights: npt.NDArray[np.float32],
+    surveyed: Mask,
+    edits: str | None,
+    area: Area | None,
+) -> dict[str, Any]:
+    """The holes of a block.
+
+    Parameters
+    ----------
+    store : TileStore
+    spec : RasterSpec
+    block : Block
+    heights : float32, shape (height, width)
+        As they are delivered.
+    surveyed : bool, shape (height, width)
+        Pixels inside of the survey.
+    edits : str or None
+        Key in the store of the corrections.
+    area : Area or None
+        What lies outside of it does not count.
+
+    Returns
+    -------
+    dict
+        ``surveyed``: pixels that have a height or should have one; ``voided``: holes that corrections ask for;
+        ``holes``: as of `hole_cells`, of all others; ``edit_holes``: number of each correction and the holes in it.
+    """
+    empty, wanted = heights == np.float32(NODATA), spec.inside(block, area)
+    holes = empty & surveyed & wanted
+    asked, counts = np.zeros_like(holes), []
+    found = None if edits is None else store.edits(edits, spec.block_bounds(block), LEAVE_HOLES)
+    for edit in () if found is None else found.edits:
+        part = spec.part(block, edit.area.bounds)
+        inside, place = spec.inside(part, edit.area), within(part, block)
+        counts.append([edit.number, int(np.count_nonzero(inside & holes[place]))])
+        if edit.action == VOID:
+            asked[place] |= inside
+    return {
+        "surveyed": int(np.count_nonzero((~empty | surveyed) & wanted)),
+        "voided": int(np.count_nonzero(holes & asked)),
+        "holes": hole_cells(holes & ~asked, block),
+        "edit_holes": counts,
+    }
+
+
+def hole_cells(holes: Mask, block: Block) -> list[list[int]]:
+    """Cells of a raster that have holes: pixels, first row and column, last row and column of the holes in each."""
+    rows, cols = np.nonzero(holes)
+    if not len(rows):
+        return []
+    rows, cols = rows + block.row, cols + block.col
+    places = np.stack((rows // CELL_PIXELS, cols // CELL_PIXELS))
+    cells, number = np.unique(places, axis=1, return_inverse=True)
+    number = number.ravel()
+    found = np.empty((5, cells.shape[1]), np.int64)
+    found[0] = np.bincount(number)
+    found[1:3], found[3:] = np.iinfo(np.int64).max, -1
+    for axis, values in enumerate((rows, cols)):
+        np.minimum.at(found[1 + axis], number, values)
+        np.maximum.at(found[3 + axis], number, values)
+    listed: list[list[int]] = found.T.tolist()
+    return listed

@@ -1,0 +1,227 @@
+"""Connected areas of a coarse raster whose blocks are labelled one by one, and joined where they touch.
+
+A task labels the areas of its block and tells in its record which of them lie along the block's sides. The coordinator
+joins these, so that no array of the whole raster is ever needed.
+"""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple, TypeVar
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec
+from tiler.grid.coarse import Bools
+from tiler.store import TileStore, read_cells
+
+Node = TypeVar("Node")
+
+Labels = npt.NDArray[np.int32]
+Side = list[list[int]]
+"""Labels along a side of a block, from the north or west, 0 for none: [label, number of cells] of each run."""
+
+AROUND = np.ones((3, 3), np.bool_)
+"""Cells touch at sides and corners."""
+
+
+class Piece(NamedTuple):
+    """An area of one block: the block's first row and column, and the area's label in the block, from 1 on."""
+
+    row: int
+    col: int
+    label: int
+
+
+def label_block(cells: Bools, corners: bool) -> tuple[Labels, dict[str, Side]]:
+    """Label the areas of a block.
+
+    Parameters
+    ----------
+    cells : bool, shape (height, width)
+    corners : bool
+        Whether cells that touch at a corner belong together.
+
+    Returns
+    -------
+    labels : int32, shape (height, width)
+        From 1 on; 0 where ``cells`` are not set.
+    sides : dict
+        Labels along the ``north``, ``south``, ``west`` and ``east`` side, for `join_pieces`.
+    """
+    labels, _ = scipy.ndimage.label(cells, AROUND if corners else None)
+    sides = {"north": labels[0], "south": labels[-1], "west": labels[:, 0], "east": labels[:, -1]}
+    return labels.astype(np.int32), {name: _runs(line) for name, line in sides.items()}
+
+
+def _runs(line: npt.NDArray[Any]) -> Side:
+    starts = np.flatnonzero(np.diff(line, prepend=line[0] - 1))
+    lengths = np.diff(starts, append=len(line))
+    return [[int(label), int(length)] for label, length in zip(line[starts], lengths, strict=True)]
+
+
+def side_labels(side: Side) -> Labels:
+    """The label of each cell along a side of a block."""
+    labels, lengths = np.array(side, np.int32).T
+    found: Labels = np.repeat(labels, lengths)
+    return found
+
+
+def touching(blocks: Mapping[tuple[int, int], Mapping[str, Side]], corners: bool) -> set[tuple[Piece, Piece]]:
+    """Pairs of areas of neighbouring blocks that touch.
+
+    Parameters
+    ----------
+    blocks : mapping
+        First row and column of each block -> its sides, see `label_block`.
+    corners : bool
+    """
+    found: set[tuple[Piece, Piece]] = set()
+    for (row, col), sides in blocks.items():
+        below, right = (row + BLOCK_PIXELS, col), (row, col + BLOCK_PIXELS)
+        for other, mine, theirs in ((below, "south", "north"), (right, "east", "west")):
+            if other in blocks:
+                pairs = _facing(side_labels(sides[mine]), side_labels(blocks[other][theirs]), corners)
+                found |= {(Piece(row, col, a), Piece(*other, b)) for a, b in pairs}
+        for other, end, start in (
+            ((row + BLOCK_PIXELS, col + BLOCK_PIXELS), -1, 0),
+            ((row + BLOCK_PIXELS, col - BLOCK_PIXELS), 0, -1),
+        ):
+            if corners and other in blocks:
+                a, b = sides["south"][end][0], blocks[other]["north"][start][0]
+                found |= {(Piece(row, col, a), Piece(*other, b))} if a and b else set()
+    return found
+
+
+def _facing(mine: Labels, theirs: Labels, corners: bool) -> Iterable[tuple[int, int]]:
+    """Pairs of labels that face one another across the border of two blocks."""
+    lines = [(mine, theirs)]
+    if corners:
+        lines += [(mine[1:], theirs[:-1]), (mine[:-1], theirs[1:])]
+    both = np.concatenate([np.stack(line, axis=1) for line in lines])
+    return [(int(a), int(b)) for a, b in np.unique(both[(both > 0).all(axis=1)], axis=0)]
+
+
+def components(nodes: Iterable[Node], pairs: Iterable[tuple[Node, Node]]) -> list[list[Node]]:
+    """Groups of nodes that the pairs connect; all are in the order of the nodes."""
+    listed = list(nodes)
+    place = {node: i for i, node in enumerate(listed)}
+    ends = np.array([[place[a], place[b]] for a, b in pairs], np.int64).reshape(-1, 2)
+    graph = scipy.sparse.coo_array((np.ones(len(ends)), ends.T), (len(listed), len(listed)))
+    groups: dict[int, list[Node]] = {}
+    if listed:
+        _, numbers = scipy.sparse.csgraph.connected_components(graph, directed=False)
+        for node, number in zip(listed, numbers.tolist(), strict=True):
+            groups.setdefault(number, []).append(node)
+    return list(groups.values())
+
+
+@dataclass(frozen=True)
+class Joined:
+    """The connected areas of a raster.
+
+    Attributes
+    ----------
+    areas : mapping of Piece to tuple of Piece
+        First piece of each area, which names the area, and all its pieces, in the order of rows and columns of blocks.
+    """
+
+    areas: Mapping[Piece, tuple[Piece, ...]]
+
+    @cached_property
+    def _joins(self) -> dict[tuple[int, int], list[tuple[Piece, Piece]]]:
+        found: dict[tuple[int, int], list[tuple[Piece, Piece]]] = defaultdict(list)
+        for name, pieces in self.areas.items():
+            for piece in pieces if len(pieces) > 1 else ():
+                found[piece.row, piece.col].append((piece, name))
+        return found
+
+    def joins(self, places: Iterable[tuple[int, int]]) -> tuple[tuple[Piece, Piece], ...]:
+        """Pieces in some blocks of areas of several pieces, each with the name of its area."""
+        return tuple(join for place in places for join in self._joins.get(place, ()))
+
+
+def join_pieces(
+    blocks: Mapping[tuple[int, int], Mapping[str, Side]], counts: Mapping[tuple[int, int], int], corners: bool
+) -> Joined:
+    """Join the areas of all blocks of a raster.
+
+    Parameters
+    ----------
+    blocks : mapping
+        First row and column of each block -> its sides, see `label_block`.
+    counts : mapping
+        Number of labels of each block.
+    corners : bool
+        Whether cells that touch at a corner belong together.
+    """
+    pieces = [Piece(*place, label) for place in sorted(counts) for label in range(1, counts[place] + 1)]
+    return Joined({area[0]: tuple(area) for area in components(pieces, touching(blocks, corners))})
+
+
+def areas_within(
+    store: TileStore, name: str, coarse: RasterSpec, window: Block, joins: Iterable[tuple[Piece, Piece]]
+) -> tuple[Labels, list[Piece]]:
+    """The areas in a window of a raster of labels.
+
+    Parameters
+    ----------
+    name : str
+        The raster.
+    joins : iterable of (Piece, Piece)
+        See `Joined.joins`: for the blocks that the window touches.
+
+    Returns
+    -------
+    numbers : int32, shape (height, width)
+        0 where there is no area.
+    names : list of Piece
+        Of the areas with the numbers 1, 2, ...
+    """
+    labels = read_cells(store, name, coarse, window).astype(np.int32)
+    numbers, names = np.zeros_like(labels), dict[Piece, int]()
+    known = dict(joins)
+    for row in range(window.row // BLOCK_PIXELS * BLOCK_PIXELS, window.row + window.height, BLOCK_PIXELS):
+        for col in range(window.col // BLOCK_PIXELS * BLOCK_PIXELS, window.col + window.width, BLOCK_PIXELS):
+            part = part_of(window, row, col)
+            found = np.flatnonzero(np.bincount(labels[part].ravel()))  # as np.unique, which sorts
+            table = np.zeros(int(found.max(initial=0)) + 1, np.int32)
+            for label in found[found > 0].tolist():
+                piece = Piece(row, col, label)
+                table[label] = names.setdefault(known.get(piece, piece), len(names) + 1)
+            numbers[part] = table[labels[part]]
+    return numbers, list(names)
+
+
+def cells_of(
+    store: TileStore, name: str, coarse: RasterSpec, window: Block, pieces: Iterable[Piece]
+) -> Bools:
+    """Cells of some pieces of areas in a window of a raster of labels; bool (height, width)."""
+    labels = read_cells(store, name, coarse, window)
+    found = np.zeros(labels.shape, np.bool_)
+    of_block: dict[tuple[int, int], list[int]] = defaultdict(list)
+    for piece in pieces:
+        of_block[piece.row, piece.col].append(piece.label)
+    for (row, col), wanted in of_block.items():
+        part = part_of(window, row, col)
+        found[part] = np.isin(labels[part], wanted)
+    return found
+
+
+def part_of(window: Block, row: int, col: int) -> tuple[slice, slice]:
+    """Rows and columns of a window that lie in a block."""
+    return (
+        slice(max(row - window.row, 0), max(row + BLOCK_PIXELS - window.row, 0)),
+        slice(max(col - window.col, 0), max(col + BLOCK_PIXELS - window.col, 0)),
+    )
+
+
+def around(row: int, col: int) -> list[tuple[int, int]]:
+    """First row and column of a block and of its eight neighbours, whether or not there are such."""
+    steps = (-BLOCK_PIXELS, 0, BLOCK_PIXELS)
+    return [(row + down, col + right) for down in steps for right in steps]

@@ -1,0 +1,214 @@
+"""Estimates the level of a river along its line: robust levels at stations, a falling profile, and steps at dams.
+
+A station uses pixels within half a spacing along the line: those of the water with returns, and those of both banks.
+Returns of the water decide if they are smooth. Banks decide if no station with such returns is near. The profile is the
+isotonic regression of the levels, weighted by evidence, in the direction that fits better.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.water import Counts, Station, lengths_along, lifted_line
+
+Floats = npt.NDArray[np.float64]
+
+BANK_PERCENT = 10
+"""Percentile of a bank's heights at which the water stands: at or just below the bank."""
+LEAST_PIXELS = 5
+"""Fewest heights of a bank, or of the water itself, from which a level is estimated."""
+SMOOTH_M = 0.3
+"""Heights of the water decide its level only if half of them lie within this range."""
+BANK_WEIGHT = 0.05
+"""Weight of a pixel of a bank; one of the water itself has weight 1."""
+NEAR_STATIONS = 3
+"""Banks are not used within so many stations of one at which the water itself is seen."""
+LEVEL_M = 0.05
+"""A river with a smaller total fall is level."""
+STEP_M = 0.4
+"""Water that falls by more than this between two stations, and more steeply than `STEEPEST`, falls at one place."""
+STEEPEST = 1 / 30
+"""Steepest slope of water without a step."""
+
+
+class Scale(NamedTuple):
+    """Counts of a metre, in plan and of heights."""
+
+    xy: float = float(COUNTS_PER_UNIT)
+    z: float = float(COUNTS_PER_UNIT)
+
+
+MILLIMETRES = Scale()
+
+
+class Profile(NamedTuple):
+    """Line of a river with the height of the water, int64 (n, 3), and its stations; both downstream."""
+
+    flow: Counts
+    stations: tuple[Station, ...]
+
+
+def profile_along(
+    line: Floats, shore: Counts, within: Counts, spacing: float, scale: Scale = MILLIMETRES
+) -> Profile:
+    """Estimate the level of a river along its line; it never rises downstream.
+
+    Parameters
+    ----------
+    line : float64 (n, 2)
+        Absolute counts.
+    shore, within : int64 (3, n)
+        Heights of the terrain beside the water, and of the water itself where returns came from it.
+    spacing : float
+        Counts between stations.
+    scale : Scale
+    """
+    along, stations, weights = _stations(line, shore, within, spacing, scale)
+    if not len(stations):
+        level = bank_level(shore[2]) if shore.shape[1] else float(np.median(within[2]))
+        return Profile(lifted_line(line, np.zeros(1), np.array([level])), ())
+    levels = np.array([station.level for station in stations])
+    fits = [
+        scipy.optimize.isotonic_regression(levels, weights=weights, increasing=up).x for up in (False, True)
+    ]
+    errors = [float((weights * (fit - levels) ** 2).sum()) for fit in fits]
+    downstream = errors[0] <= errors[1]
+    fit = fits[0 if downstream else 1]
+    if np.ptp(fit) < LEVEL_M * scale.z:
+        fit = np.full_like(fit, _weighted_median(levels, weights))
+    stations = [s._replace(level=round(float(level))) for s, level in zip(stations, fit, strict=True)]
+    places, heights = _with_steps(along, fit, line, within, scale)
+    flow = lifted_line(line, places, heights)
+    if downstream:
+        return Profile(flow, tuple(stations))
+    turned = tuple(s._replace(left=s.right, right=s.left) for s in reversed(stations))
+    return Profile(flow[::-1].copy(), turned)
+
+
+def bank_level(heights: npt.NDArray[np.int64]) -> float:
+    """Where water stands below a bank."""
+    return float(np.percentile(heights, BANK_PERCENT))
+
+
+def water_level(heights: npt.NDArray[np.int64], scale: Scale) -> float | None:
+    """Where water stands that was seen; None where that is too little, or not smooth.
+
+    Where heights differ by more than waves do, as between strips flown at two levels, the lower level holds.
+    """
+    if len(heights) < LEAST_PIXELS:
+        return None
+    low, middle, high = np.percentile(heights, (25, 50, 75))
+    if high - low > 2 * SMOOTH_M * scale.z:
+        return None
+    return float(low if high - low > SMOOTH_M * scale.z else middle)
+
+
+def _stations(
+    line: Floats, shore: Counts, within: Counts, spacing: float, scale: Scale
+) -> tuple[Floats, list[Station], Floats]:
+    """Places along a line where a level is known, counts from its start; the stations there; their weights."""
+    import shapely
+
+    shape = shapely.LineString(line)
+    beside, inside = (
+        shapely.line_locate_point(shape, shapely.points(xyz[0], xyz[1])) for xyz in (shore, within)
+    )
+    left = _left_of(line, shore, beside)
+    reach = np.concatenate((beside, inside))
+    if not len(reach):
+        return np.empty(0), [], np.empty(0)
+    low, high = float(reach.min()), float(reach.max())
+    steps = round((high - low) / spacing)
+    along = np.linspace(low, high, steps + 1) if steps else np.array([(low + high) / 2])
+    found: list[Station | None] = []
+    weights = np.zeros(len(along))
+    for i, place in enumerate(along):
+        near = np.abs(beside - place) <= spacing / 2
+        own = within[2][np.abs(inside - place) <= spacing / 2]
+        banks = [shore[2][near & side] for side in (left, ~left)]
+        x, y = shapely.get_coordinates(shape.interpolate(place))[0]
+        station, weights[i] = _station(round(x), round(y), own, banks, scale)
+        found.append(station)
+    keep = _decisive(found)
+    return (
+        along[keep],
+        [s for s, kept in zip(found, keep, strict=True) if kept and s is not None],
+        weights[keep],
+    )
+
+
+def _station(
+    x: int, y: int, own: npt.NDArray[np.int64], banks: list[npt.NDArray[np.int64]], scale: Scale
+) -> tuple[Station | None, float]:
+    """A station and the weight of its level; None without evidence."""
+    levels = [round(bank_level(bank)) if len(bank) >= LEAST_PIXELS else None for bank in banks]
+    seen = water_level(own, scale)
+    known = [level for level in levels if level is not None]
+    if seen is not None:
+        return Station(x, y, round(seen), len(own), levels[0], levels[1]), float(len(own))
+    if known:
+        return Station(x, y, min(known), 0, levels[0], levels[1]), BANK_WEIGHT * sum(map(len, banks))
+    return None, 0.0
+
+
+def _decisive(found: list[Station | None]) -> npt.NDArray[np.bool_]:
+    """Stations that are used: those where the water was seen, and others that are far from such."""
+    seen = np.array([station is not None and station.seen > 0 for station in found])
+    near = scipy.ndimage.binary_dilation(seen, iterations=NEAR_STATIONS) if seen.any() else seen
+    known = np.array([station is not None for station in found])
+    return np.asarray(seen | (known & ~near))
+
+
+def _left_of(line: Floats, xyz: Counts, along: Floats) -> npt.NDArray[np.bool_]:
+    """Mask of the places to the left of a line, at ``along`` of its length."""
+    lengths = lengths_along(line)
+    segment = np.clip(np.searchsorted(lengths, along, side="right") - 1, 0, len(line) - 2)
+    start, step = line[segment], line[segment + 1] - line[segment]
+    return np.asarray(step[:, 0] * (xyz[1] - start[:, 1]) - step[:, 1] * (xyz[0] - start[:, 0]) > 0)
+
+
+def _weighted_median(values: Floats, weights: Floats) -> float:
+    order = np.argsort(values, kind="stable")
+    heap = np.cumsum(weights[order])
+    return float(values[order][np.searchsorted(heap, heap[-1] / 2)])
+
+
+def _with_steps(
+    along: Floats, levels: Floats, line: Floats, within: Counts, scale: Scale
+) -> tuple[Floats, Floats]:
+    """Places and levels with two of each at a step, where what was seen of the water jumps."""
+    import shapely
+
+    places, heights = [along[:1]], [levels[:1]]
+    inside = shapely.line_locate_point(shapely.LineString(line), shapely.points(within[0], within[1]))
+    for i in range(len(along) - 1):
+        fall, length = abs(levels[i + 1] - levels[i]) / scale.z, (along[i + 1] - along[i]) / scale.xy
+        if fall > STEP_M and fall > STEEPEST * length:
+            step = _step_at(along[i], along[i + 1], levels[i], levels[i + 1], inside, within[2])
+            places.append(np.array([step - 0.05 * scale.xy, step + 0.05 * scale.xy]))
+            heights.append(levels[i : i + 2])
+        places.append(along[i + 1 : i + 2])
+        heights.append(levels[i + 1 : i + 2])
+    return np.concatenate(places), np.concatenate(heights)
+
+
+def _step_at(
+    start: float, end: float, before: float, after: float, inside: Floats, z: npt.NDArray[np.int64]
+) -> float:
+    """Where between two stations the heights of the water change from one level to the other."""
+    here = np.flatnonzero((inside > start) & (inside < end))
+    here = here[np.argsort(inside[here], kind="stable")]
+    if not len(here):
+        return (start + end) / 2
+    is_before = np.abs(z[here] - before) <= np.abs(z[here] - after)
+    wrong = np.concatenate(([0], np.cumsum(~is_before))) + np.concatenate(
+        (np.cumsum(is_before[::-1])[::-1], [0])
+    )
+    cut = int(np.argmin(wrong))
+    edges = np.concatenate(([start], inside[here], [end]))
+    return float(edges[cut] + edges[cut + 1]) / 2

@@ -1,0 +1,70 @@
+"""How many returns a coarse cell usually has: histograms of blocks, from which the coordinator takes local medians."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+LEVELS = 5
+"""Cells are counted alone, and merged 2 x 2, 4 x 4, ... so often."""
+BINS_PER_OCTAVE = 16
+"""Bins of the logarithm of a count: those of counts up to 20 hold one count each."""
+
+Histogram = list[list[int]]
+"""Bin and number of cells, of those cells that have any return."""
+
+
+def merged(values: npt.NDArray[Any], times: int) -> npt.NDArray[Any]:
+    """Cells in squares of ``times`` by ``times``, shape (height / times, width / times, times ** 2)."""
+    rows, cols = (side // times for side in values.shape)
+    squares: npt.NDArray[Any] = (
+        values.reshape(rows, times, cols, times).swapaxes(1, 2).reshape(rows, cols, -1)
+    )
+    return squares
+
+
+def histograms(counts: npt.NDArray[np.int64]) -> list[Histogram]:
+    """Histograms of the returns in the cells of a block, merged ever more.
+
+    Parameters
+    ----------
+    counts : int64, shape (height, width)
+    """
+    found = []
+    for level in range(LEVELS):
+        sums = merged(counts, 1 << level).sum(axis=2)
+        bins = np.rint(np.log2(sums[sums > 0]) * BINS_PER_OCTAVE).astype(np.int64)
+        places, cells = np.unique(bins, return_counts=True)
+        found.append([[int(b), int(n)] for b, n in zip(places, cells, strict=True)])
+    return found
+
+
+def usual_returns(found: Iterable[list[Histogram]], enough: float) -> tuple[int, float] | None:
+    """How many cells to merge along a side until one without a return is significant, and their usual returns.
+
+    Parameters
+    ----------
+    found : iterable of list of Histogram
+        The `histograms` of some blocks.
+    enough : float
+        Least median of the cells with any return.
+
+    Returns
+    -------
+    (int, float) or None
+        The second is the median of those cells with any return. None where no merging gives so many.
+    """
+    blocks = list(found)
+    for level in range(LEVELS):
+        bins = np.array([pair for block in blocks for pair in block[level]], np.int64).reshape(-1, 2)
+        if not len(bins):
+            return None
+        bins = bins[np.argsort(bins[:, 0], kind="stable")]
+        heap = np.cumsum(bins[:, 1])
+        median = float(2 ** (bins[np.searchsorted(heap, heap[-1] / 2), 0] / BINS_PER_OCTAVE))
+        if median >= enough:
+            return 1 << level, median
+    return None

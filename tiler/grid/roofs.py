@@ -1,0 +1,130 @@
+"""A warning where the terrain holds what looks like a roof."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ptd.ground.left_roofs import left_roofs, reach_m
+from ptd.ground.plateaus import ROOF_CELL_M
+from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec, north_west
+from tiler.core.units_text import length_text
+from tiler.store import TileStore, open_store
+
+Float64 = npt.NDArray[np.float64]
+
+TOO_WIDE = 0.8
+"""A warning names a roof that is left in the terrain if it is wider than this share of ``max_building_size``."""
+PART_CELLS = 500
+"""Side, in cells, of the parts in which terrain is examined. One part is in memory at a time."""
+STRIP_ROWS = 512
+"""Rows of pixels of a part that are read at once."""
+
+
+class Advice(NamedTuple):
+    """A warning about a place of the terrain; x and y in units of the CRS."""
+
+    text: str
+    x: float
+    y: float
+
+
+@dataclass(frozen=True)
+class FindRoofs:
+    """Where roofs are looked for in the terrain, see `roofs_in_terrain`; ``filled``: names of blocks with heights."""
+
+    spec: RasterSpec
+    filled: tuple[str, ...]
+    building_m: float
+    roof_m: float | None
+
+
+def find_roofs(store_url: str, work: FindRoofs) -> dict[str, Any]:
+    """Look for roofs on a worker, which has loaded the kernels that this needs: ``advice``, or None."""
+    blocks = (work.spec.block_named(key, BLOCK_PIXELS) for key in work.filled)
+    store = open_store(store_url)
+    return {"advice": roofs_in_terrain(store, "dtm", work.spec, blocks, work.building_m, work.roof_m)}
+
+
+def roofs_in_terrain(
+    store: TileStore,
+    name: str,
+    spec: RasterSpec,
+    filled: Iterable[Block],
+    building_m: float,
+    roof_m: float | None = None,
+) -> Advice | None:
+    """A warning if the terrain holds what looks like a roof too wide for ``max_building_size`` or ``roof_size``.
+
+    Parameters
+    ----------
+    store : TileStore
+    name : str
+        Raster of the terrain.
+    spec : RasterSpec
+    filled : iterable of Block
+        Blocks that hold heights. Others are not examined.
+    building_m : float
+        The method's largest building, metres.
+    roof_m : float, optional
+        The widest roof that the method looks for itself, metres.
+    """
+    frame = store.meta.frame
+    pixel = float(spec.lattice.size * frame.metres_xy)
+    times = max(int(ROOF_CELL_M / pixel), 1)
+    core, pad = PART_CELLS * times, math.ceil(reach_m(pixel * times) / pixel / times) * times
+    widest, where = 0.0, None
+    parts = {
+        part for block in filled for part in spec.blocks_within(spec.block_bounds(_wider(block, pad)), core)
+    }
+    for block in sorted(parts, key=north_west):
+        top, left = max(block.row - pad, 0), max(block.col - pad, 0)
+        bottom = min(block.row + block.height + pad, spec.height)
+        right = min(block.col + block.width + pad, spec.width)
+        part = _part(store, name, Block(top, left, bottom - top, right - left), times)
+        heights = np.where(part == np.float32(NODATA), np.nan, part) * float(frame.units.vertical)
+        for roof in left_roofs(heights, pixel * times, TOO_WIDE * building_m):
+            if roof.width_m > widest:
+                widest, where = roof.width_m, (top + int(roof.row * times), left + int(roof.column * times))
+    if where is None:
+        return None
+    x, y = _place(spec, *where)
+    unit = frame.units.horizontal
+    setting, metres = "max_building_size", building_m
+    if roof_m is not None and widest > roof_m:
+        setting, metres = "roof_size", roof_m
+    wanted = math.ceil(1.2 * max(widest, metres) / 10) * 10
+    wide = length_text(round(widest), unit)
+    text = (
+        f"the terrain holds what looks like a roof {wide} wide, at x {x:.0f}, y {y:.0f}, and {setting} "
+        f"is {length_text(metres, unit)}; if it is one, use --set {setting}={wanted}"
+    )
+    return Advice(text, x, y)
+
+
+def _wider(block: Block, pad: int) -> Block:
+    return Block(block.row - pad, block.col - pad, block.height + 2 * pad, block.width + 2 * pad)
+
+
+def _place(spec: RasterSpec, row: int, col: int) -> tuple[float, float]:
+    a, _, x, _, e, y = spec.transform(COUNTS_PER_UNIT)
+    return x + a * col, y + e * row
+
+
+def _part(store: TileStore, name: str, part: Block, times: int) -> Float64:
+    """Pooled heights of a part, read strip by strip."""
+    step = max(STRIP_ROWS // times, 1) * times
+    last = part.row + part.height
+    strips = [Block(row, part.col, min(step, last - row), part.width) for row in range(part.row, last, step)]
+    return np.concatenate([pooled(store.read_block(name, strip), times) for strip in strips])
+
+
+def pooled(heights: npt.NDArray[np.float32], times: int) -> Float64:
+    """Heights of one pixel in ``times`` by ``times``. Thinning keeps steep edges, which means would blur."""
+    return heights[times // 2 :: times, times // 2 :: times].astype(np.float64)

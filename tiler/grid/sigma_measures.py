@@ -1,0 +1,146 @@
+"""Measures around a pixel from which `tiler.grid.sigma_model` computes its standard error."""
+
+from __future__ import annotations
+
+import math
+from fractions import Fraction
+from typing import NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+
+from ptd.gridding.ground_cells import CellWindow, box_sums, cell_counts, plane_variance
+from tiler.core.frame import CoordFrame
+from tiler.core.lattice import Bounds, Lattice
+from tiler.core.raster import Block, RasterSpec
+from tiler.grid.distance import distance_to, ground_distance
+from tiler.grid.ground import GroundRule, read_ground, read_objects
+from tiler.grid.sigma_land import Land
+from tiler.store import TileStore
+
+CELL_M = Fraction(1)
+"""Side of the cells in which points are counted; half a pixel where that is wider."""
+PLANE_HALVES = (2, 5, 10, 20)
+"""Half widths, in cells, of the windows in which a plane is laid through the ground."""
+NEAR, AROUND = 3, 10
+"""Half widths, in cells, of the windows in which objects are counted."""
+MARGIN = max(PLANE_HALVES)
+"""Cells around a block that are seen."""
+FIRST_REACH_M = Fraction(10)
+"""Ground is first searched this far from pixels: few are farther."""
+
+Float64 = npt.NDArray[np.float64]
+Int32 = npt.NDArray[np.int32]
+
+
+class Measures(NamedTuple):
+    """What is known of the pixels of a block, float64 (height, width) each.
+
+    Attributes
+    ----------
+    roughness : metres
+        Standard deviation of the ground about a plane within 2.5 m, within up to 20 m where there are fewer than six
+        points; 0 where there are too few even then.
+    distance : metres
+        To the nearest ground point in plan, from the pixel's centre.
+    slope : rise over run
+        Of the terrain, over about 10 m.
+    off_trend : metres
+        Height above or below the median of the terrain within 17 m.
+    near_objects, around_objects : share
+        Of objects among the points within 3.5 and 10.5 m.
+    """
+
+    roughness: Float64
+    distance: Float64
+    slope: Float64
+    off_trend: Float64
+    near_objects: Float64
+    around_objects: Float64
+
+
+def measures_of(
+    store: TileStore, rule: GroundRule, spec: RasterSpec, block: Block, terrain: str, cap: Fraction
+) -> Measures:
+    """The measures of a block's pixels; those of pixels without a height mean nothing.
+
+    Parameters
+    ----------
+    store : TileStore
+    rule : GroundRule
+    spec : RasterSpec
+    block : Block
+    terrain : str
+        Raster of the heights that are judged.
+    cap : Fraction
+        Counts: where no ground is nearer, this is the distance.
+    """
+    frame = store.meta.frame
+    unit_m, count_m = float(frame.units.vertical), float(frame.metres_z)
+    land = Land(store, terrain, spec, block)
+    cells = _Cells(_lattice(frame, spec.lattice.size), spec, block)
+    ground = read_ground(store, rule, cells.bounds).xyz
+    objects = read_objects(store, rule, cells.bounds)
+    window = cells.window(frame.origin)
+    variance = plane_variance(ground, window, PLANE_HALVES)
+    counts = cell_counts(ground, window), cell_counts(objects, window)
+    first = min(frame.counts(FIRST_REACH_M), cap)
+    distance = distance_to(ground, frame.origin, spec, block, first)
+    if first < cap and np.isinf(distance[land.known()]).any():
+        distance = ground_distance(store, rule, spec, block, cap)
+    return Measures(
+        roughness=cells.at_pixels(np.sqrt(np.nan_to_num(variance)) * count_m),
+        distance=np.minimum(distance, float(cap)) * float(frame.metres_xy),
+        slope=land.slope(float(spec.lattice.size * frame.metres_xy / frame.units.vertical)),
+        off_trend=land.off_trend() * unit_m,
+        near_objects=cells.at_pixels(_share(*counts, NEAR)),
+        around_objects=cells.at_pixels(_share(*counts, AROUND)),
+    )
+
+
+def reach_of(frame: CoordFrame, pixel: Fraction, cap: Fraction) -> int:
+    """Counts around a block within which points can change its measures; ``pixel`` and ``cap`` in counts."""
+    return math.ceil(max(cap, (MARGIN + 1) * _lattice(frame, pixel).size)) + 1
+
+
+def _lattice(frame: CoordFrame, pixel: Fraction) -> Lattice:
+    return Lattice(max(frame.counts(CELL_M), pixel / 2))
+
+
+def _share(ground: npt.NDArray[np.int64], objects: npt.NDArray[np.int64], half: int) -> Float64:
+    """Share of objects among the points in windows around cells; 0 where there are no points."""
+    n_objects = box_sums(objects, half, MARGIN)
+    n = n_objects + box_sums(ground, half, MARGIN)
+    found: Float64 = n_objects / np.maximum(n, 1)
+    return found
+
+
+class _Cells:
+    """The cells of a lattice in which a block's pixels have their centres, and `MARGIN` more on each side."""
+
+    def __init__(self, lattice: Lattice, spec: RasterSpec, block: Block) -> None:
+        x, _ = spec.centres(Block(block.row, block.col, 1, block.width))
+        _, y = spec.centres(Block(block.row, block.col, block.height, 1))
+        columns, rows = lattice.index(x[0]), lattice.index(y[:, 0])
+        self._lattice = lattice
+        self._west, self._north = int(columns[0]) - MARGIN, int(rows[0]) + MARGIN
+        self._height = int(rows[0] - rows[-1]) + 1 + 2 * MARGIN
+        self._width = int(columns[-1] - columns[0]) + 1 + 2 * MARGIN
+        self._pixels = np.ix_(rows[0] - rows, columns - columns[0])
+
+    @property
+    def bounds(self) -> Bounds:
+        """Counts of all cells."""
+        first = self._lattice.first
+        south, east = self._north - self._height + 1, self._west + self._width
+        return Bounds(first(self._west), first(south), first(east), first(self._north + 1))
+
+    def window(self, origin: tuple[int, int]) -> CellWindow:
+        """The cells, as kernels want them."""
+        lattice = self._lattice
+        return CellWindow(lattice.p, lattice.q, self._west, self._north, self._height, self._width, *origin)
+
+    def at_pixels(self, cells: Float64) -> Float64:
+        """Values at the block's pixels of cells without their margin."""
+        found: Float64 = cells[self._pixels]
+        return found

@@ -1,0 +1,108 @@
+"""The standard error of a height from what is known around it: a sum of variances, each with a constant.
+
+The constants are fitted by ``python -m tests.benchmarks.sigma_constants`` to scenes whose terrain is known; how well
+they do on scenes that were left out of the fit is in ``docs/trust.md``. Laser scans and matched clouds have constants
+of their own. Of a cloud whose origin is not known the larger variance counts.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from tiler.core.mask_values import CANOPY, WATER
+from tiler.grid.sigma_measures import Measures
+
+LASER, MATCHED = "lidar", "dim"
+"""Kinds of clouds, as methods name them (`ptd.passes.RunFacts`)."""
+GAP_M = 0.5
+"""Ground that is nearer than this is as good as ground in the pixel."""
+
+FARTHEST_TREND_M = 10.0
+"""Widest gap that counts with the deviation from the trend; the trend itself sees 8.5 m."""
+FLOOR_M2 = 0.02**2
+"""The least variance: strips, grids and geoids differ by some centimetres, which no measure sees."""
+LINEAR = 0.5
+"""Noise of variance 1 in three points is 1/2 at a random place of their triangle, on average."""
+
+Float64 = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Weights:
+    """What each term of the variance is multiplied by; `terms` says what the terms are.
+
+    Attributes
+    ----------
+    always, canopy, water : m2
+    roughness, trend_objects : no unit
+    gap_roughness, trend_gap : 1/m
+    gap_slope, gap_objects : m
+    """
+
+    always: float
+    roughness: float
+    gap_roughness: float
+    gap_slope: float
+    gap_objects: float
+    trend_objects: float
+    trend_gap: float
+    canopy: float
+    water: float
+
+
+WEIGHTS: Mapping[str, Weights] = {
+    LASER: Weights(FLOOR_M2, LINEAR, 0.609, 0.0, 0.0587, 0.429, 0.286, 0.0, 0.0466),
+    MATCHED: Weights(FLOOR_M2, 0.905, 0.0266, 0.379, 0.00361, 0.523, 0.881, 0.345, 0.0466),
+}
+"""Weights by kind of cloud, fitted by ``tests/benchmarks/sigma_constants.py``."""
+
+
+def terms(found: Measures, mask: npt.NDArray[np.float32]) -> dict[str, Float64]:
+    """The terms of the variance by the names of `Weights`, without their weights.
+
+    In water neither gaps nor objects count: its level is that of the shores.
+    """
+    wet = mask == WATER
+    gap = np.where(wet, 0.0, np.maximum(found.distance - GAP_M, 0.0))
+    objects = np.where(wet, 0.0, found.around_objects)
+    rough, off = found.roughness**2, found.off_trend**2
+    return {
+        "always": np.ones_like(gap),
+        "roughness": rough,
+        "gap_roughness": gap * rough,
+        "gap_slope": gap * found.slope,
+        "gap_objects": gap * objects,
+        "trend_objects": off * objects,
+        "trend_gap": off * np.minimum(gap, FARTHEST_TREND_M),
+        "canopy": (mask == CANOPY).astype(np.float64),
+        "water": wet.astype(np.float64),
+    }
+
+
+def standard_error_m(found: Measures, mask: npt.NDArray[np.float32], kind: str | None) -> Float64:
+    """Standard error of heights in metres.
+
+    Parameters
+    ----------
+    found : Measures
+    mask : float32, the shape of the measures
+        Values of the mask.
+    kind : str or None
+        `LASER`, `MATCHED`, or not known.
+    """
+    parts = terms(found, mask)
+    variances = [weighed(parts, weights) for name, weights in WEIGHTS.items() if kind in (name, None)]
+    sigma: Float64 = np.sqrt(np.maximum.reduce(variances))
+    return sigma
+
+
+def weighed(parts: Mapping[str, Float64], weights: Weights) -> Float64:
+    """The variance, square metres."""
+    total = np.zeros_like(parts["always"])
+    for name, weight in asdict(weights).items():
+        total += weight * parts[name]
+    return total

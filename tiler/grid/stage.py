@@ -1,0 +1,230 @@
+"""The stage grid of a run: the terrain's raster and those of the other products, block by block."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Collection, Mapping
+from dataclasses import replace
+from fractions import Fraction
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from tiler.config import NO_WATER
+from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.lattice import Bounds
+from tiler.core.mask_values import MASK_VALUES, OUTSIDE
+from tiler.core.raster import BLOCK_PIXELS, RasterSpec
+from tiler.core.sigma_groups import sigma_facts
+from tiler.core.units_text import length_text
+from tiler.core.words import counted
+from tiler.errors import ProcessingError
+from tiler.filter.tasks.labelled import Labelled
+from tiler.grid import DEEP_M, BlankBlocks, blank_blocks
+from tiler.grid.tasks.advice import advise
+from tiler.grid.tasks.canopy import canopy_cells
+from tiler.grid.tasks.corrections import Corrections, tell_of_pixels
+from tiler.grid.tasks.gridding import GAP_M, Gridding, Raster
+from tiler.grid.tasks.raster_table import wanted
+from tiler.grid.tasks.shared_tins import joined_blocks
+from tiler.grid.tasks.voids import tell_of_voids
+from tiler.grid.tasks.water import find_waters
+from tiler.grid.tasks.water_facts import tell_of_waters
+from tiler.ingest.tasks.assembled import Assembled
+from tiler.plan import KEEP
+from tiler.runs.compiling import grid_kernels
+from tiler.runs.job import Job
+from tiler.runs.stage_runner import Join, run_stage
+from tiler.schedule import Task, digest_of
+from tiler.schedule.worker import compute
+from tiler.store import Commits
+
+MATCHED_SURFACE, MATCHED_EROSION = "median", Fraction(1, 2)
+"""Default of `surface` and of `erode` for matched clouds: noise is averaged, and the skirts of walls, which no
+filter tells from ground, are left out."""
+BLANK_BLOCKS = 256
+"""Blocks of an earlier run that one task removes."""
+
+
+def grid(job: Job, assembled: Assembled, labelled: Labelled, corrections: Corrections) -> Gridding:
+    """All rasters that the products need, block by block."""
+    if labelled.matched and job.plan.config.method != KEEP:
+        _settle_surface(job)
+    gridding = Gridding(
+        job.plan, assembled, labelled.digests, _holes(job), decks=corrections.decks,
+        trusted=not labelled.matched, kind=labelled.kind,
+        canopy=canopy_cells(job, assembled, labelled),
+    )  # fmt: skip
+    for raster in wanted(job.plan.config):
+        name = raster.name
+        if name == "dtm-outlined" and job.plan.config.water != NO_WATER:
+            gridding.waters = find_waters(job, gridding)
+        tasks = [corrections.of_raster(job.plan, name, task) for task in raster.tasks(raster, gridding)]
+        join = partial(joined_blocks, job.plan, assembled.records) if name == "dtm" else None
+        gridding.made[name] = _make(job, raster, gridding.spec_of(raster), tasks, join)
+        if name == "dtm":
+            tell_of_pixels(job, gridding.made[name])
+            _tell_of_terrain(job, gridding.spec, tasks, gridding.made[name])
+            advise(job, labelled, gridding.spec, gridding.made[name])
+    if job.plan.config.water != NO_WATER:
+        tell_of_waters(job, gridding.waters, gridding.made["dtm-outlined"])
+    _tell_of_outline(job, gridding)
+    if "dtm-outlined" in gridding.made:
+        tell_of_voids(job, gridding.spec, gridding.made["dtm-outlined"])
+    if "dsm" in gridding.made:
+        _tell_of_surface(job, gridding.made["dsm"])
+    if "mask" in gridding.made:
+        _tell_of_mask(job, gridding.spec, gridding.made["mask"])
+    if "sigma" in gridding.made:
+        job.facts["sigma"] = sigma_facts(
+            gridding.kind, (record for _, record in gridding.made["sigma"].values())
+        )
+    return gridding
+
+
+def _settle_surface(job: Job) -> None:
+    """Decide what makes the surface of a matched cloud unless the user does: it is noisy, its walls have skirts."""
+    plan, config = job.plan, job.plan.config
+    surface = config.surface or MATCHED_SURFACE
+    erode = MATCHED_EROSION if config.erode is None else config.erode
+    if (surface, erode) != (config.surface, config.erode):
+        reach = length_text(erode, plan.meta.frame.units.horizontal)
+        job.note(
+            f"decided: the surface is the {surface} of the heights in half a pixel, without ground within "
+            f"{reach} of objects, as the cloud is matched (--surface, --erode)"
+        )
+    job.plan = replace(plan, config=config.updated(surface=surface, erode=erode))
+
+
+def _holes(job: Job) -> list[Bounds]:
+    """Where tiles or buckets failed, absolute counts."""
+    found = [
+        f["bounds"]
+        for f in job.record.failed
+        if f["stage"].startswith(("assemble", "filter")) and f["bounds"]
+    ]
+    return [Bounds(*(round(edge * COUNTS_PER_UNIT) for edge in bounds)) for bounds in found]
+
+
+def _make(job: Job, raster: Raster, spec: RasterSpec, tasks: list[Task], join: Join | None) -> Commits:
+    """Make one raster of the store."""
+    name, stage = raster.name, raster.stage
+    done, stale = job.sorted_out(stage, tasks)
+    job.take_back(stage, stale)
+    job.store.create_raster(name, spec.height, spec.width, raster.fill)
+    stored = {spec.block_at(*place, BLOCK_PIXELS).name for place in job.store.stored_blocks(name)}
+    lost = {key for key, (_, record) in done.items() if record.get("filled")} - stored
+    if lost:
+        job.note(f"gone from the store, and made again: {counted(len(lost), 'block')} of {name}")
+    job.take_back(stage, lost)
+    _blank(job, name, spec, stored - done.keys())
+    job.store.put_state(f"raster-{name}", spec.to_json())
+    if not tasks:
+        return {}
+    made = run_stage(job, stage, tasks, grid_kernels(job.plan.config.interpolation), join=join)
+    if not made:
+        raise ProcessingError(f"no block of {name} could be made; the first: {job.record.first_error(stage)}")
+    return made
+
+
+def _blank(job: Job, name: str, spec: RasterSpec, keys: Collection[str]) -> None:
+    """Have the workers remove blocks that an earlier run wrote: this one may not write them again."""
+    blocks, tasks = [spec.block_named(key, BLOCK_PIXELS) for key in sorted(keys)], []
+    for start in range(0, len(blocks), BLANK_BLOCKS):
+        work = BlankBlocks(name, tuple(blocks[start : start + BLANK_BLOCKS]))
+        digest = digest_of(work)
+        tasks.append(Task("blank", digest, digest, blank_blocks, work))
+    for outcome in job.executors.choose().run(compute, job.store.url, tasks) if tasks else ():
+        if outcome.record is None and not outcome.again:
+            raise ProcessingError(f"{name}: blocks of an earlier run cannot be removed: {outcome.error}")
+
+
+def _tell_of_outline(job: Job, gridding: Gridding) -> None:
+    made = gridding.made.get("dtm-outlined")
+    if not made:
+        return
+    names = ("cut", "added", "hidden")
+    cut, added, hidden = (sum(record[name] for _, record in made.values()) for name in names)
+    job.facts["dtm"]["filled"] += added - cut - hidden
+    if job.plan.config.outline != "survey":
+        return
+    usual, widest = _gaps(gridding)
+    job.facts["outline"] = {
+        "gap_m": usual, "widest_gap_m": widest, "cell_m": float(gridding.coarse_m), "cut_pixels": cut,
+    }  # fmt: skip
+    if cut:
+        unit = job.plan.meta.frame.units.horizontal
+        sparse = f", where they are sparse of up to {length_text(widest, unit)}," if widest > usual else ""
+        job.note(
+            f"left without a height, as beyond the survey: {counted(cut, 'pixel')}; gaps in the points of up to "
+            f"{length_text(usual, unit)}{sparse} count as surveyed (--outline hull keeps these heights)"
+        )
+
+
+def _gaps(gridding: Gridding) -> tuple[float, float]:
+    """Width in metres of the gaps that count as surveyed in most windows with points, and in any."""
+    windows: Counter[float] = Counter()
+    for record in gridding.records("survey-open").values():
+        windows.update(dict(map(tuple, record["gaps"])))
+    if not windows:
+        return float(GAP_M), float(GAP_M)
+    size = float(gridding.coarse_m)
+    usual = min(windows, key=lambda gap: (-windows[gap], gap))
+    return usual * size, max(windows) * size
+
+
+def _tell_of_surface(job: Job, made: Mapping[str, Any]) -> None:
+    records = [record for _, record in made.values()]
+    totals = {key: sum(record[key] for record in records) for key in ("filled", "measured", "deep")}
+    job.facts["dsm"] = totals
+    if totals["deep"]:
+        job.note(
+            f"in {counted(totals['deep'], 'pixel')} all returns lie more than {DEEP_M:g} m below the terrain (low "
+            "noise, or steep ground that was taken for it): the surface model has the terrain's height there"
+        )
+
+
+def _tell_of_mask(job: Job, spec: RasterSpec, made: Mapping[str, Any]) -> None:
+    totals = np.sum([record["values"] for _, record in made.values()], axis=0).tolist()
+    totals[OUTSIDE] += spec.height * spec.width - sum(record["pixels"] for _, record in made.values())
+    job.facts["mask"] = {text.split(":")[0]: totals[value] for value, text in MASK_VALUES.items()}
+
+
+def _tell_of_terrain(job: Job, spec: RasterSpec, tasks: list[Task], made: Mapping[str, Any]) -> None:
+    if job.plan.thin_ground and job.plan.config.surface_percent is None:
+        job.note(
+            "decided: one ground point in each quarter of a pixel makes the surface, as all of them would need more "
+            "memory in the densest place (--memory)"
+        )
+    records = [record for _, record in made.values()]
+    job.facts["dtm"] = {
+        "width": spec.width,
+        "height": spec.height,
+        "resolution_m": float(job.plan.resolution),
+        **{k: sum(r[k] for r in records) for k in ("filled", "marked")},
+        "blocks": len(tasks),
+        "blocks_done_again": sum(r["tries"] > 1 for r in records),
+        "thinned": any(task.arguments.thin for task in tasks),
+    }
+    if records and job.facts["dtm"]["filled"] == 0:
+        text = f"the terrain model has no height at all: {_why_empty(job)}"
+        job.record.notes.append(text)
+        job.listener("warning", {"text": text})
+
+
+def _why_empty(job: Job) -> str:
+    """Why no pixel has a height, and what to do."""
+    config, stored = job.plan.config, job.facts["counts"]["stored"]
+    if config.method != KEEP and job.facts["counts"]["kept_out"] == stored:
+        return (
+            f"none of the {stored:,} points takes part in the filter: all are withheld, skipped, left out by "
+            "--returns or the like, or of a class that is kept (`tiler info` shows the classes); --keep-classes none "
+            "filters the classes too"
+        )
+    what = (
+        f"points of class {', '.join(map(str, config.ground_classes))}"
+        if config.method == KEEP
+        else "ground points"
+    )
+    return f"no three {what} lie within --max-edge {float(config.max_edge):g} m of one another"

@@ -1,0 +1,1 @@
+"""Tasks of the stage grid, and what is found from their records."""

@@ -1,0 +1,74 @@
+"""Warnings of what looks wrong in the finished terrain: roofs that stayed, crowns that were taken for ground."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from ptd.matched.canopy_pass import CanopyPass
+from ptd.matched.crowns import Crowns
+from tiler.core.raster import RasterSpec
+from tiler.errors import DamagedError, ProcessingError
+from tiler.filter.tasks.labelled import Labelled
+from tiler.grid.crowns import FindCrowns, crowns_told, find_crowns
+from tiler.grid.roofs import Advice, FindRoofs, find_roofs
+from tiler.runs.job import Job
+from tiler.schedule import Task, digest_of
+from tiler.schedule.worker import compute
+from tiler.store import Commits
+
+CROWN_BLOCKS = 16
+"""Blocks in which one task looks for crowns, half a second each at most."""
+
+
+def advise(job: Job, labelled: Labelled, spec: RasterSpec, made: Commits) -> None:
+    """Look for roofs in the terrain, and for crowns in that of matched clouds, and warn of what is found."""
+    building = job.plan.parameters.get("max_building_size_m")
+    # A method that looks for canopy itself has told of it.
+    crowns = labelled.matched and CanopyPass.name not in labelled.statistics
+    asked = [building, crowns]
+    if not any(asked):
+        return
+    found = job.store.get_state("advice")
+    if (
+        job.record.stages["grid-dtm"]["computed"]
+        or not found
+        or found.get("asked") != asked
+        or "at" not in found
+    ):
+        filled = tuple(key for key, (_, record) in made.items() if record["filled"])
+        looked = [_roofs(job, spec, filled) if building is not None else None]
+        looked.append(_crowns(job, spec, filled) if crowns else None)
+        given = [advice for advice in looked if advice is not None]
+        found = {"asked": asked, "texts": [a.text for a in given], "at": [[a.x, a.y] for a in given]}
+        job.store.put_state("advice", found)
+    job.facts["advice"], job.facts["advice_at"] = found["texts"], found["at"]
+    for line in found["texts"]:
+        job.listener("warning", {"text": line})
+
+
+def _roofs(job: Job, spec: RasterSpec, filled: tuple[str, ...]) -> Advice | None:
+    parameters = job.plan.parameters
+    work = FindRoofs(spec, filled, parameters["max_building_size_m"], parameters.get("roof_size_m"))
+    (record,) = _looked(job, [Task("advice", "roofs", digest_of(work), find_roofs, work)])
+    return None if record["advice"] is None else Advice(*record["advice"])
+
+
+def _crowns(job: Job, spec: RasterSpec, filled: tuple[str, ...]) -> Advice | None:
+    works = [FindCrowns(spec, filled[i : i + CROWN_BLOCKS]) for i in range(0, len(filled), CROWN_BLOCKS)]
+    tasks = [Task("advice", f"crowns{i:06d}", digest_of(w), find_crowns, w) for i, w in enumerate(works)]
+    return crowns_told((Crowns(r["looked_at"], r["found"]) for r in _looked(job, tasks)), spec)
+
+
+def _looked(job: Job, tasks: list[Task]) -> list[dict[str, Any]]:
+    """Have workers look at the terrain; their records in the order of the tasks."""
+    records: dict[str, dict[str, Any]] = {}
+    for outcome in job.executors.choose().run(compute, job.store.url, tasks):
+        if outcome.again:
+            continue
+        if outcome.damaged:
+            places = ", ".join(outcome.damaged)
+            raise DamagedError(f"{job.store.url}: {places}: damaged or gone; run again", outcome.damaged)
+        if outcome.record is None:
+            raise ProcessingError(f"flaws in the terrain cannot be looked for: {outcome.error}")
+        records[outcome.task.key] = outcome.record
+    return [records[task.key] for task in tasks]

@@ -1,0 +1,147 @@
+"""The bridges of a run: decks that the filter left in the terrain, found run-wide, and taken out as corrections are."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Iterator, Mapping, Sequence
+from functools import reduce
+from typing import Any
+
+import numpy as np
+import scipy
+import shapely
+
+from tiler.core.area import Area
+from tiler.core.edits import DECK, DeckSurface, DrawnDeck, Edit
+from tiler.core.frame import COUNTS_PER_UNIT, CoordFrame
+from tiler.core.lattice import Bounds, Cell
+from tiler.core.raster import BLOCK_PIXELS
+from tiler.core.units_text import length_text
+from tiler.core.words import counted
+from tiler.grid import ExamineDecks, FindDeckCells, examine_decks, examined, find_deck_cells
+from tiler.grid.bridges.deck_cells import DROP_M, REACH_M
+from tiler.grid.bridges.examine import PlaceCells
+from tiler.grid.pieces import components
+from tiler.grid.tasks.gridding import Gridding
+from tiler.ingest.tasks.assembled import Assembled
+from tiler.runs.job import Job
+from tiler.runs.stage_runner import run_stage
+from tiler.schedule import Task, digest_of
+from tiler.store import Commits
+from tiler.version import __version__
+
+REMOVE = "remove"
+CELLS, DECKS = "deck-cells", "decks"
+"""Names of the stages."""
+WIDEST_M = 600.0
+"""A place that is larger is no bridge, and its points are too many to look at once."""
+TOUCHING = 1.5
+"""Cells: distance of the centres of cells that touch at a side or corner, and no others."""
+MOST_TOLD = 5
+"""Bridges whose sizes and places are told in the log; all are in the report."""
+FEWEST_CELLS = 4
+"""A place of fewer is too small for a bridge."""
+ABOVE_M = 0.6
+"""Largest height of a deck's points above its surface; points below it belong to the nearer of deck and ground."""
+
+
+def find_bridges(
+    job: Job, assembled: Assembled, labels: Mapping[Cell, str]
+) -> tuple[tuple[Edit, ...], tuple[DrawnDeck, ...]]:
+    """The decks in the terrain, as corrections of its points and as they are drawn; none where they are to be kept."""
+    if job.plan.config.bridges != REMOVE:
+        return (), ()
+    g = Gridding(job.plan, assembled, labels)
+    cells = run_stage(job, CELLS, _cell_tasks(g))
+    made = run_stage(job, DECKS, _deck_tasks(g, cells))
+    records = _apart([deck for _, (_, record) in sorted(made.items()) for deck in record["decks"]])
+    job.facts["bridges"] = [_fact(record) for record in records]
+    job.note(_told(records, job.plan.meta.frame))
+    metres_z = float(job.plan.meta.frame.metres_z)
+    edits = tuple(_edit(-number, record, metres_z) for number, record in enumerate(records, start=1))
+    return edits, tuple(_drawn(record) for record in records)
+
+
+def _told(records: Sequence[Mapping[str, Any]], frame: CoordFrame) -> str:
+    """What was found, in a line."""
+    if not records:
+        return "no bridge was found that stands free of the ground, none is left out of the terrain (--bridges remove)"
+    texts = []
+    for record in records[:MOST_TOLD]:
+        x, y = np.mean(record["ring"], axis=0) / COUNTS_PER_UNIT
+        long, wide = (
+            length_text(round(record[f"{name}_m"]), frame.units.horizontal) for name in ("length", "width")
+        )
+        texts.append(f"{long} long and {wide} wide at x {x:.0f}, y {y:.0f}")
+    more = f", and {len(records) - MOST_TOLD} more" if len(records) > MOST_TOLD else ""
+    found = counted(len(records), "bridge")
+    return f"left out of the terrain: {found} ({'; '.join(texts)}{more}; --bridges keep leaves bridges in)"
+
+
+def _cell_tasks(g: Gridding) -> Iterator[Task]:
+    """One for each block of coarse cells with points."""
+    spec, rule, lattice = g.coarse, g.rule, g.plan.meta.bucket
+    reach = math.ceil((REACH_M + float(g.coarse_m)) / float(g.plan.meta.frame.metres_xy))
+    for block, own in spec.blocks_near(lattice, g.labels, BLOCK_PIXELS).items():
+        work = FindDeckCells(name=CELLS, spec=spec, block=block, rule=rule)
+        near = lattice.among(spec.block_bounds(block).pad(reach), g.labels)
+        digest = digest_of(__version__, work, g.seen(near))
+        yield Task(CELLS, block.name, digest, find_deck_cells, work, g.points(own))
+
+
+def _deck_tasks(g: Gridding, found: Commits) -> Iterator[Task]:
+    """One for the places of each bucket where cells that may be decks touch one another."""
+    spec, rule, lattice = g.coarse, g.rule, g.plan.meta.bucket
+    metres = float(g.plan.meta.frame.metres_xy)
+    groups: dict[Cell, list[PlaceCells]] = defaultdict(list)
+    for cells in _places(found):
+        bounds = examined(spec, cells, metres)
+        if (
+            len(cells) >= FEWEST_CELLS
+            and max(bounds.x1 - bounds.x0, bounds.y1 - bounds.y0) * metres <= WIDEST_M
+        ):
+            groups[next(lattice.cells(bounds))].append(cells)
+    for cell, places in sorted(groups.items()):
+        work = ExamineDecks(rule, spec, tuple(places))
+        near = lattice.among(reduce(Bounds.union, (examined(spec, c, metres) for c in places)), g.labels)
+        digest = digest_of(__version__, work, g.seen(near))
+        yield Task(DECKS, cell.name, digest, examine_decks, work, g.points(near))
+
+
+def _places(found: Commits) -> Iterator[PlaceCells]:
+    """Cells that touch one another, in the order of rows and columns, whichever blocks they are of."""
+    cells = sorted({tuple(cell) for _, record in found.values() for cell in record["cells"]})
+    if not cells:
+        return
+    places = scipy.spatial.cKDTree([cell[:2] for cell in cells])
+    for group in components(range(len(cells)), places.query_pairs(TOUCHING)):
+        yield tuple((int(r), int(c), int(d)) for r, c, d in (cells[i] for i in group))
+
+
+def _apart(records: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Decks of which each lies mostly outside of longer ones: two places may be parts of the same bridge."""
+    kept: list[tuple[Any, dict[str, Any]]] = []
+    for record in sorted(records, key=lambda r: (-r["length_m"] * r["width_m"], r["ring"])):
+        shape = shapely.make_valid(shapely.Polygon(record["ring"]))
+        if all(shape.intersection(other).area < shape.area / 2 for other, _ in kept):
+            kept.append((shape, record))
+    return [record for _, record in kept]
+
+
+def _edit(number: int, record: Mapping[str, Any], metres_z: float) -> Edit:
+    low = min(record["clearance_m"] / 2, DROP_M)
+    surface = DeckSurface(*(float(v) for v in (*record["surface"], low / metres_z, ABOVE_M / metres_z)))
+    return Edit(number, DECK, Area(((np.array(record["ring"], np.int64),),)), deck=surface)
+
+
+def _drawn(record: Mapping[str, Any]) -> DrawnDeck:
+    places = tuple(int(v) for place in record["ring"] for v in place)
+    return places, record["length_m"], record["width_m"], record["clearance_m"], record["below"]
+
+
+def _fact(record: Mapping[str, Any]) -> dict[str, Any]:
+    """What run.json says of a bridge."""
+    ring = np.array([*record["ring"], record["ring"][0]]) / COUNTS_PER_UNIT
+    sizes = {name: record[name] for name in ("length_m", "width_m", "clearance_m", "below")}
+    return {**sizes, "rings": [ring.ravel().tolist()]}

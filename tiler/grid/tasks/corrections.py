@@ -1,0 +1,190 @@
+"""Applies to a run what people drew: corrections of points and heights, and breaklines.
+
+They change the digests of the buckets and blocks that they touch and of no others, so only these are made again.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from tiler.core.breaklines import SHORTEST_M, Breaklines
+from tiler.core.edits import ACTIONS, OF_PIXELS, OF_POINTS, TO_GROUND, DrawnDeck, Edit, Edits
+from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.lattice import Bounds, Cell, Lattice
+from tiler.core.map_lines import add_rings, drawn
+from tiler.errors import ProcessingError
+from tiler.filter.tasks.labelled import Labelled
+from tiler.grid import FillBlock, OutlineBlock, PointsBlock, SurveyEdits, full_halo, survey_edits
+from tiler.grid.tasks.bridges import find_bridges
+from tiler.grid.tasks.gridding import ground_rule
+from tiler.ingest.tasks.assembled import Assembled
+from tiler.plan import Plan
+from tiler.runs.job import Job
+from tiler.runs.stage_runner import run_stage
+from tiler.schedule import Placed, Task, digest_of
+from tiler.store import Commits
+from tiler.version import __version__
+
+EDITED = ("dtm", "dtm-filled", "dtm-outlined", "water-terrain")
+"""Rasters whose heights edits can set."""
+COUNTS_HOLES = "dtm-outlined"
+"""The raster that tells of the holes inside of each edit, of points as well."""
+FOLLOWS_LINES = ("dtm", "water-terrain")
+"""Rasters that are made of breaklines as well."""
+
+
+@dataclass(frozen=True)
+class Corrections:
+    """Corrections and breaklines of a run, applied on top of the labels.
+
+    Attributes
+    ----------
+    edits : Edits or None
+    lines : Breaklines or None
+    line_digests : mapping of Cell to str
+        Of the breaklines in each bucket of the lattice, whether or not it has points.
+    decks : tuple of DrawnDeck
+        Of bridges that are left out; the edits say of what points they are.
+    """
+
+    edits: Edits | None = None
+    lines: Breaklines | None = None
+    line_digests: Mapping[Cell, str] | None = None
+    decks: tuple[DrawnDeck, ...] = ()
+
+    def of_raster(self, plan: Plan, name: str, task: Task) -> Task:
+        """A task of a raster, with corrections, and with digests of those that touch its block."""
+        bounds = task.arguments.place(plan.meta.bucket) if isinstance(task.arguments, Placed) else None
+        if bounds is None:
+            return task
+        seen: list[Any] = []
+        if self.edits is not None:
+            task = _with_edits(task, self.edits.key)
+            actions = ACTIONS if name == COUNTS_HOLES else OF_PIXELS
+            seen += self.edits.digest(bounds, actions) if name in EDITED else []
+        if self.lines is not None and name in FOLLOWS_LINES:
+            task = replace(task, arguments=replace(task.arguments, breaklines=self.lines.key))
+            seen += self._lines_near(plan, bounds)
+        return replace(task, digest=digest_of(task.digest, seen)) if seen else task
+
+    def _lines_near(self, plan: Plan, bounds: Bounds) -> list[Any]:
+        """Cells with breaklines that can reach a block, as far as any facet does."""
+        found = self.line_digests or {}
+        reach = full_halo(plan.meta.frame.counts(plan.config.max_edge))
+        reach += math.ceil(3 * plan.meta.frame.counts(plan.resolution))
+        near = plan.meta.bucket.among(bounds.pad(reach), found)
+        return [[cell.ix, cell.iy, found[cell]] for cell in near]
+
+
+def _with_edits(task: Task, key: str) -> Task:
+    """A task that knows of the corrections; those that touch it are in its digest, the key of all is not."""
+    work = task.arguments
+    if isinstance(work, PointsBlock):
+        return replace(task, arguments=replace(work, rule=replace(work.rule, edits=key)))
+    if isinstance(work, FillBlock | OutlineBlock):
+        return replace(task, arguments=replace(work, edits=key))
+    return task
+
+
+def correct(job: Job, assembled: Assembled, labelled: Labelled) -> tuple[Labelled, Corrections]:
+    """Apply the drawn features that the plan read; returns the corrected labels, and the `Corrections`."""
+    plan, labels, found = job.plan, labelled.digests, Corrections()
+    decks, shapes = find_bridges(job, assembled, labels)
+    if decks or plan.edits:
+        cell = Lattice(plan.meta.frame.counts(plan.resolution))
+        edits = Edits((*decks, *_surveyed(job, assembled, labels, cell)), cell)
+        job.store.put_edits(edits)
+        found = replace(found, edits=edits, decks=shapes)
+        labelled = replace(labelled, digests=_labels(plan, edits, labels))
+    if plan.lines:
+        pixel = plan.meta.frame.counts(plan.resolution)
+        lines = Breaklines.of(plan.lines, pixel, plan.meta.frame.counts(SHORTEST_M), assembled.bounds)
+        job.store.put_breaklines(lines)
+        vertices, on_map = len(lines.vertices), drawn(plan.lines)
+        job.facts["breaklines"] = {"lines": len(plan.lines), "vertices": vertices, "drawn": on_map}
+        found = replace(found, lines=lines, line_digests=lines.digests(plan.meta.bucket))
+    return labelled, found
+
+
+def _labels(plan: Plan, edits: Edits, labels: Mapping[Cell, str]) -> dict[Cell, str]:
+    """Digests of labels, others where an edit touches a bucket."""
+    found = dict(labels)
+    for cell, near in edits.by_cell(plan.meta.bucket, labels).items():
+        found[cell] = digest_of(found[cell], [edit.digest for edit in near], str(plan.resolution))
+    return found
+
+
+def _surveyed(job: Job, assembled: Assembled, labels: Mapping[Cell, str], cell: Lattice) -> tuple[Edit, ...]:
+    """The edits that people drew, after their points were counted."""
+    if not job.plan.edits:
+        return ()
+    drawn_ones = Edits(job.plan.edits, cell)
+    job.store.put_edits(drawn_ones)
+    tasks = list(_survey_tasks(job.plan, drawn_ones, assembled, labels))
+    made = run_stage(job, "edits", tasks)
+    if len(made) < len(tasks):
+        raise ProcessingError(f"--edits: could not be applied: {job.record.first_error('edits')}")
+    counts = {edit.number: np.zeros(5, np.int64) for edit in job.plan.edits}
+    for _, record in made.values():
+        for number, *of_bucket in record["edits"]:
+            counts[number] += of_bucket
+    lowest_alone = ground_rule(job.plan).labels is None
+    edits = tuple(
+        replace(e, lowest=e.action == TO_GROUND and (lowest_alone or not counts[e.number][-1]))
+        for e in job.plan.edits
+    )
+    job.facts["edits"] = [_fact(edit, counts[edit.number].tolist()) for edit in edits]
+    add_rings(job.facts["edits"], [edit.area for edit in edits])
+    return edits
+
+
+def _survey_tasks(
+    plan: Plan, edits: Edits, assembled: Assembled, labels: Mapping[Cell, str]
+) -> Iterator[Task]:
+    """One for each bucket that a correction of points touches."""
+    rule = ground_rule(plan)
+    for cell, near in edits.by_cell(plan.meta.bucket, labels).items():
+        seen = [[edit.number, *edit.digest] for edit in near]
+        digest = digest_of(__version__, rule, edits.cell, cell, labels[cell], seen)
+        work = SurveyEdits(rule, edits.key, cell)
+        yield Task("edits", cell.name, digest, survey_edits, work, assembled.records[cell]["n"])
+
+
+def _fact(edit: Edit, counts: Sequence[int]) -> dict[str, Any]:
+    """What run.json says of an edit, from sums of what `survey_edits` counts; pixels follow with the terrain."""
+    bounds = [v / COUNTS_PER_UNIT for v in edit.area.bounds.to_json()]
+    fact: dict[str, Any] = {"number": edit.number, "action": edit.action, "bounds": bounds}
+    if edit.action in OF_POINTS:
+        points, before, by_classes, by_lowest, _ = counts
+        fact |= {"points": points, "ground_before": before}
+        fact["ground_after"] = by_lowest if edit.lowest else by_classes
+        fact["by"] = "lowest points" if edit.lowest else "classes"
+    return fact
+
+
+def tell_of_pixels(job: Job, terrain: Commits) -> None:
+    """Add to run.json how many pixels of the terrain each edit set."""
+    counts: dict[int, int] = {}
+    for _, record in terrain.values():
+        for number, pixels in record.get("edited", ()):
+            counts[number] = counts.get(number, 0) + pixels
+    for fact in job.facts.get("edits", ()):
+        if fact["action"] in OF_PIXELS:
+            fact["pixels"] = counts.get(fact["number"], 0)
+        fact["changed"] = _changed(fact)
+    nothing = [fact for fact in job.facts.get("edits", ()) if not fact["changed"]]
+    if nothing:
+        names = ", ".join(f"feature {fact['number']} ({fact['action']})" for fact in nothing[:5])
+        more = f" and {len(nothing) - 5} more" if len(nothing) > 5 else ""
+        job.note(f"--edits: {names}{more}: changed nothing")
+
+
+def _changed(fact: Mapping[str, Any]) -> bool:
+    return bool(
+        fact["pixels"] if fact["action"] in OF_PIXELS else fact["ground_before"] != fact["ground_after"]
+    )

@@ -1,0 +1,230 @@
+"""What the stage grid works on, and a row of the table of rasters (`tiler.grid.tasks.raster_table`)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from enum import Enum
+from fractions import Fraction
+from typing import Any
+
+from tiler.core.classes import GROUND
+from tiler.core.edits import DrawnDeck
+from tiler.core.lattice import Bounds, Cell, Lattice
+from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec
+from tiler.core.water import Waters
+from tiler.filter import LABELS
+from tiler.grid import GroundRule
+from tiler.grid.coarse import coarse_raster
+from tiler.grid.pieces import Joined, join_pieces
+from tiler.grid.tasks.canopy import CanopyCells
+from tiler.grid.work import BlockWork
+from tiler.ingest.tasks.assembled import Assembled, skip_flags
+from tiler.plan import KEEP, Plan
+from tiler.schedule import Task, Work, digest_of
+from tiler.store import Commits
+from tiler.version import __version__
+
+COARSE_CELL_M = 2
+"""Side of a coarse cell, where `--max-edge` is not small. All usual pixels have it, so they find the same water."""
+WIDEST_USUAL_PIXEL_M = 10
+"""Coarse cells of larger pixels are these pixels: such points are too sparse for water, and may lie very far apart."""
+GAP_M = 20
+"""Gaps up to this width belong to every survey: shadows of buildings, gaps between strips."""
+ERODE_RISE_M = 1
+"""Least height of an object above the ground point beside it, for `--erode`."""
+Place = tuple[int, int]
+"""First row and column of a block."""
+
+
+def raster_spec(plan: Plan, assembled: Assembled) -> RasterSpec:
+    """The one pixel grid of the run: all stored points within the area, pixels on multiples of the resolution.
+
+    Points on the outer edge of the last pixels make no more of them.
+    """
+    extent = assembled.bounds
+    if plan.area is not None:
+        extent = extent.intersection(plan.area.bounds)
+    return RasterSpec.enclosing(Lattice(plan.meta.frame.counts(plan.resolution)), extent)
+
+
+def ground_rule(plan: Plan) -> GroundRule:
+    """Rule for the points that are ground."""
+    keep = plan.config.method == KEEP
+    return GroundRule(
+        None if keep else LABELS,
+        plan.config.ground_classes if keep else (GROUND,),
+        skip_flags(plan),
+        plan.meta.frame.counts(plan.config.erosion),
+        math.ceil(ERODE_RISE_M / plan.meta.frame.metres_z),
+    )
+
+
+class Grid(Enum):
+    """Lattice of a raster."""
+
+    PIXELS = "the pixels of the products"
+    COARSE = "the coarse cells of the run"
+
+
+@dataclass(frozen=True)
+class Raster:
+    """One raster of the store.
+
+    Attributes
+    ----------
+    name : str
+        In the store; the stage that makes it is ``grid-<name>``.
+    inputs : tuple of str
+        The rasters that it is made from, made before it, in the order in which ``tasks`` expects them.
+    work : Work
+        What makes a block of it, or the whole.
+    grid : Grid
+    tasks : callable
+        ``tasks(raster, gridding)``: how its work is divided, and what the digest of each task depends on.
+    fill : float
+        What it holds where no block was written.
+    """
+
+    name: str
+    inputs: tuple[str, ...]
+    work: Work
+    grid: Grid
+    tasks: Callable[[Raster, Gridding], Iterator[Task]]
+    fill: float = 0.0
+
+    @property
+    def stage(self) -> str:
+        """Name of the stage of its tasks."""
+        return f"grid-{self.name}"
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """One of the squares into which the products are cut: its south-west corner, its pixels, its buckets."""
+
+    corner: tuple[float, float]
+    spec: RasterSpec
+    cells: list[Cell]
+
+
+@dataclass
+class Gridding:
+    """What the stage grid works on, and what it has made: name of a raster -> commits of its blocks.
+
+    Attributes
+    ----------
+    holes : sequence of Bounds
+        Where tiles failed, so that heights there, if any, come from elsewhere.
+    decks : sequence of DrawnDeck
+        Of bridges that are left out of the terrain.
+    waters : Waters
+        Bodies of water, once the terrain around them is made.
+    trusted : bool
+        Whether few returns are a sign of water: those of lasers are, gaps of matched clouds are not.
+    kind : str or None
+        What made the clouds, as methods name it; None: not known.
+    canopy : CanopyCells or None
+        Where the filter found a closed canopy.
+    sheets : sequence of Sheet
+        Into which the products are cut, once the models are made.
+    """
+
+    plan: Plan
+    assembled: Assembled
+    labels: Mapping[Cell, str]
+    holes: Sequence[Bounds] = ()
+    made: dict[str, Commits] = field(default_factory=dict)
+    decks: Sequence[DrawnDeck] = ()
+    waters: Waters = field(default_factory=lambda: Waters(()))
+    trusted: bool = True
+    kind: str | None = None
+    canopy: CanopyCells | None = None
+    sheets: Sequence[Sheet] = ()
+    _areas: dict[str, Joined] = field(default_factory=dict)
+
+    @property
+    def rule(self) -> GroundRule:
+        """Rule for the points that are ground."""
+        return ground_rule(self.plan)
+
+    @property
+    def water_key(self) -> str | None:
+        """Name of the bodies of water in the store; None where there is none."""
+        return self.waters.key if self.waters.bodies else None
+
+    def seen(self, cells: Iterable[Cell]) -> list[list[Any]]:
+        """What results depend on that see the points and labels of some buckets."""
+        return [[cell.ix, cell.iy, self.labels[cell]] for cell in cells]
+
+    def points(self, cells: Iterable[Cell]) -> int:
+        """Points of some buckets."""
+        return sum(self.assembled.records[cell]["n"] for cell in cells)
+
+    def checksums(self, raster: str, blocks: Iterable[str] | None = None) -> list[list[str]]:
+        """Name and checksum of each block of a raster, or of those of some blocks that were made."""
+        made = self.made[raster]
+        wanted = sorted(made) if blocks is None else (name for name in blocks if name in made)
+        return [[name, made[name][1]["checksum"]] for name in wanted]
+
+    def records(self, raster: str) -> dict[Place, dict[str, Any]]:
+        """What is known of each block of a raster, by its place, from the north-west."""
+        spec = self.coarse
+        named = (
+            (spec.block_named(name, BLOCK_PIXELS), record) for name, (_, record) in self.made[raster].items()
+        )
+        return {(block.row, block.col): record for block, record in named}
+
+    def areas(self, raster: str, corners: bool = False) -> Joined:
+        """The connected areas of a raster of labels that was made."""
+        if raster not in self._areas:
+            records = self.records(raster)
+            sides = {place: record["sides"] for place, record in records.items()}
+            counts = {place: record["labels"] for place, record in records.items()}
+            self._areas[raster] = join_pieces(sides, counts, corners)
+        return self._areas[raster]
+
+    def beneath(self, raster: str, block: Block) -> list[list[str]]:
+        """Checksums of the blocks of a coarse raster that lie beneath a block of the products."""
+        under = self.coarse.blocks_within(self.spec.block_bounds(block), BLOCK_PIXELS)
+        return self.checksums(raster, [other.name for other in under])
+
+    def block_task(self, raster: Raster, work: BlockWork, seen: list[Any]) -> Task:
+        """The task of one block of a raster; ``seen``: what it depends on besides its arguments."""
+        points = work.block.height * work.block.width
+        return Task(
+            raster.stage, work.block.name, digest_of(__version__, work, seen), raster.work, work, points
+        )
+
+    @property
+    def water_is_sought(self) -> bool:
+        """Whether anything could tell water from land: few returns, or the input's class."""
+        return self.trusted or any(record["water"] for record in self.records("occupancy").values())
+
+    @property
+    def spec(self) -> RasterSpec:
+        """Pixels of the products."""
+        return raster_spec(self.plan, self.assembled)
+
+    @property
+    def coarse(self) -> RasterSpec:
+        """Coarse cells of the run, in blocks whose places do not depend on it."""
+        return coarse_raster(Lattice(self.plan.meta.frame.counts(self.coarse_m)), self.assembled.bounds)
+
+    @property
+    def coarse_m(self) -> Fraction:
+        """Metres of a coarse cell."""
+        usual = min(Fraction(COARSE_CELL_M), self.plan.config.max_edge / 4)
+        if self.plan.resolution <= WIDEST_USUAL_PIXEL_M:
+            return usual
+        return max(usual, self.plan.resolution)
+
+    @property
+    def has_large_pixels(self) -> bool:
+        """Whether a pixel is larger than a coarse cell."""
+        return self.plan.resolution > self.coarse_m
+
+    def spec_of(self, raster: Raster) -> RasterSpec:
+        """Pixels or cells of a raster."""
+        return self.coarse if raster.grid is Grid.COARSE else self.spec

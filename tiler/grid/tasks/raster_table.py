@@ -1,0 +1,181 @@
+"""All rasters that a run can make, one row each; the order in which they are made follows from their inputs.
+
+Besides the products there are rasters that only the store holds. Of coarse cells: ``occupancy``; ``survey-open`` and
+``survey`` (see `tiler.grid.survey`), ``domain-open`` and ``domain``, the same with wider gaps; ``water-...``, the
+steps of the search for water (`tiler.grid.water_search`, `tiler.grid.water_finish`), of which ``water-rims`` and
+``water-plane-rims`` hold records alone; ``<name>-voids`` for a model whose voids are filled. Of pixels:
+``<name>-filled``, and ``<name>-outlined``, the model as far as the survey reaches, with level water; ``canopy``, where
+crowns hide the ground.
+"""
+
+from __future__ import annotations
+
+from tiler.config import AUTO_WATER, NO_WATER, VOID_CANOPY, RunConfig
+from tiler.core.nodata import NODATA
+from tiler.core.products import PRODUCTS
+from tiler.grid import (
+    NO_PIECE,
+    canopy_block,
+    close_block,
+    count_plane_rims,
+    count_rims,
+    density_block,
+    derive_block,
+    distance_block,
+    fill_block,
+    find_areas,
+    find_planes,
+    find_voids,
+    finish_water,
+    grid_block,
+    ground_cells,
+    keep_areas,
+    keep_planes,
+    mask_block,
+    occupancy_block,
+    outline_block,
+    sigma_block,
+    surface_block,
+    survey_block,
+)
+from tiler.grid.tasks.gridding import Grid, Raster
+from tiler.grid.tasks.rasters import (
+    CANOPY,
+    canopy_tasks,
+    coarse_terrain_tasks,
+    derived_tasks,
+    distance_tasks,
+    mask_tasks,
+    outline_tasks,
+    point_tasks,
+    sigma_tasks,
+    surface_tasks,
+    terrain_tasks,
+)
+from tiler.grid.tasks.survey import domain_gaps, fill_tasks, survey_gaps, survey_tasks, voids_tasks
+from tiler.grid.tasks.water_search import (
+    areas_tasks,
+    cells_tasks,
+    ground_tasks,
+    plane_rims_tasks,
+    plane_sure_tasks,
+    rims_tasks,
+    sure_tasks,
+)
+
+MODELS = ("dtm", "dsm")
+"""Products whose voids can be filled."""
+
+
+def final(product: str, config: RunConfig) -> str:
+    """The raster of the store that holds a product as people get it."""
+    if product in _outlined(config):
+        return f"{product}-outlined"
+    return filled(product, config)
+
+
+def _outlined(config: RunConfig) -> tuple[str, ...]:
+    """Models that end at the outline, hold water, or end at canopies: the last two are the terrain alone."""
+    if config.outline == "survey":
+        return MODELS
+    return () if config.water == NO_WATER and config.canopy != VOID_CANOPY else ("dtm",)
+
+
+def filled(product: str, config: RunConfig) -> str:
+    """The raster of the store that holds a product with its voids filled, if they are."""
+    return f"{product}-filled" if product in MODELS and config.voids != "leave" else product
+
+
+def raster_table(config: RunConfig) -> dict[str, Raster]:
+    """All rasters that these settings allow, by name."""
+    dtm, dsm = final("dtm", config), final("dsm", config)
+    rows = [
+        Raster("dtm", (), grid_block, Grid.PIXELS, terrain_tasks, _fill("dtm")),
+        Raster("dsm", (dtm,), surface_block, Grid.PIXELS, surface_tasks, _fill("dsm")),
+        Raster("ndsm", (dsm, dtm), derive_block, Grid.PIXELS, derived_tasks, _fill("ndsm")),
+        Raster("hillshade", (dtm,), derive_block, Grid.PIXELS, derived_tasks, _fill("hillshade")),
+        Raster("slope", (dtm,), derive_block, Grid.PIXELS, derived_tasks, _fill("slope")),
+        Raster("density", (), density_block, Grid.PIXELS, point_tasks, _fill("density")),
+        Raster("distance", (), distance_block, Grid.PIXELS, distance_tasks, float(config.max_edge)),
+        Raster("occupancy", (), occupancy_block, Grid.COARSE, point_tasks),
+        Raster("survey-open", ("occupancy",), close_block, Grid.COARSE, survey_gaps, NO_PIECE),
+        Raster("survey", ("survey-open",), survey_block, Grid.COARSE, survey_tasks),
+        Raster(CANOPY, (), canopy_block, Grid.PIXELS, canopy_tasks),
+        Raster("mask", ("dtm", dtm, "survey", CANOPY), mask_block, Grid.PIXELS, mask_tasks, _fill("mask")),
+        Raster("sigma", (dtm, "mask"), sigma_block, Grid.PIXELS, sigma_tasks, _fill("sigma")),
+    ]
+    for model in MODELS if config.voids != "leave" else ():
+        voids = f"{model}-voids"
+        rows += [
+            Raster(voids, (model, "survey"), find_voids, Grid.COARSE, voids_tasks),
+            Raster(
+                filled(model, config),
+                (model, "survey", voids),
+                fill_block,
+                Grid.PIXELS,
+                fill_tasks,
+                _fill(model),
+            ),
+        ]
+    sought = config.water == AUTO_WATER
+    rows += _water_rows() if sought else []
+    for model in _outlined(config):
+        cut, whole = final(model, config), filled(model, config)
+        inputs = [whole, "survey"]
+        if model == "dtm":
+            inputs += ["water-cells"] if sought else []
+            inputs += [CANOPY] if config.canopy == VOID_CANOPY else []
+        rows.append(Raster(cut, tuple(inputs), outline_block, Grid.PIXELS, outline_tasks, _fill(model)))
+    return {row.name: row for row in rows}
+
+
+def _water_rows() -> list[Raster]:
+    """The steps of the search for water."""
+    cells = ("occupancy", "water-ground", "domain")
+    areas, planes = ("water-areas", *cells), ("water-planes", *cells)
+    return [
+        Raster("domain-open", ("occupancy",), close_block, Grid.COARSE, domain_gaps, NO_PIECE),
+        Raster("domain", ("domain-open",), survey_block, Grid.COARSE, survey_tasks),
+        Raster("water-terrain", (), grid_block, Grid.COARSE, coarse_terrain_tasks, NODATA),
+        Raster(
+            "water-ground",
+            ("dtm", "water-terrain", "occupancy"),
+            ground_cells,
+            Grid.COARSE,
+            ground_tasks,
+            NODATA,
+        ),
+        Raster("water-areas", cells, find_areas, Grid.COARSE, areas_tasks),
+        Raster("water-rims", areas, count_rims, Grid.COARSE, rims_tasks),
+        Raster("water-sure", ("water-rims", *areas), keep_areas, Grid.COARSE, sure_tasks),
+        Raster("water-planes", cells, find_planes, Grid.COARSE, areas_tasks),
+        Raster("water-plane-rims", planes, count_plane_rims, Grid.COARSE, plane_rims_tasks),
+        Raster("water-plane-sure", ("water-plane-rims", *planes), keep_planes, Grid.COARSE, plane_sure_tasks),
+        Raster(
+            "water-cells",
+            ("water-sure", "water-plane-sure", *cells),
+            finish_water,
+            Grid.COARSE,
+            cells_tasks,
+        ),
+    ]
+
+
+def _fill(product: str) -> float:
+    """The nodata value of a product; 0 where all its pixels have a value."""
+    nodata = PRODUCTS[product].nodata
+    return 0.0 if nodata is None else nodata
+
+
+def wanted(config: RunConfig) -> list[Raster]:
+    """The rasters to make, each after its inputs; the terrain is always made, and first."""
+    table, found = raster_table(config), dict[str, Raster]()
+
+    def add(name: str) -> None:
+        for source in table[name].inputs:
+            add(source)
+        found.setdefault(name, table[name])
+
+    for product in ("dtm", *(name for name in PRODUCTS if name in config.exported)):
+        add(final(product, config))
+    return list(found.values())

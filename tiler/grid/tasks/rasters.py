@@ -1,0 +1,218 @@
+"""How the making of each raster is divided into tasks, and what their digests depend on; see `tiler.filter.tasks`."""
+
+from __future__ import annotations
+
+import math
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from functools import partial
+from typing import Any
+
+from tiler.core.lattice import Bounds, Cell, Lattice
+from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec, north_west
+from tiler.core.water import Waters
+from tiler.grid import (
+    CANOPY_AROUND,
+    CanopyBlock,
+    DeriveBlock,
+    DistanceBlock,
+    GridBlock,
+    MaskBlock,
+    OutlineBlock,
+    PointsBlock,
+    SigmaBlock,
+    SurfaceBlock,
+    full_halo,
+    reach_of,
+    reach_pixels,
+)
+from tiler.grid.tasks.gridding import Gridding, Raster
+from tiler.grid.tasks.survey import surveyed_blocks
+from tiler.schedule import Task, digest_of
+from tiler.version import __version__
+
+CANOPY = "canopy"
+"""The raster of the pixels in which a canopy hides the ground."""
+
+
+def terrain_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
+    """One for each block that a facet of the terrain could reach."""
+    plan, frame, share = g.plan, g.plan.meta.frame, g.plan.surface_share
+    widest = full_halo(frame.counts(plan.config.max_edge))
+    make = partial(
+        GridBlock,
+        **_tin(g),
+        max_halo=widest,
+        interpolation=plan.config.interpolation,
+        percent=plan.config.surface_percent,
+        thin=None if share is None else Lattice(frame.counts(plan.resolution / share)),
+        max_points=plan.block_points,
+    )
+    return _block_tasks(raster, g, make, widest)
+
+
+def coarse_terrain_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
+    """One for each block of the terrain in coarse cells, where pixels are larger than these."""
+    return terrain_tasks(raster, g) if g.water_is_sought and g.has_large_pixels else iter(())
+
+
+def point_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
+    """One for each block with points, of which a pixel sees those within itself."""
+    return _block_tasks(raster, g, PointsBlock, 0)
+
+
+def distance_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
+    """One for each block within reach of points; distances are capped."""
+    cap = g.plan.meta.frame.counts(g.plan.config.max_edge)
+    return _block_tasks(raster, g, partial(DistanceBlock, cap=cap), math.ceil(cap) + 1)
+
+
+def surface_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
+    """One for each block that a facet of the surface could reach; nowhere is it below the terrain."""
+    plan, frame, pixels = g.plan, g.plan.meta.frame, reach_pixels(g.plan.resolution)
+    (terrain,) = raster.inputs
+    spike = plan.config.spike / frame.metres_z
+    make = partial(SurfaceBlock, **_tin(g), spike=spike, reach=pixels, terrain=terrain)
+    widest = full_halo(frame.counts(plan.config.max_edge))
+    return _block_tasks(raster, g, make, widest + math.ceil((pixels + 1) * frame.counts(plan.resolution)))
+
+
+def _tin(g: Gridding) -> dict[str, Any]:
+    """What all blocks on a TIN have in common."""
+    counts, plan = g.plan.meta.frame.counts, g.plan
+    halo = math.ceil(counts(plan.grid_halo))
+    return {"data": g.assembled.bounds, "max_edge": counts(plan.config.max_edge), "halo": halo}
+
+
+def _block_tasks(raster: Raster, g: Gridding, make: Callable[..., PointsBlock], reach: int) -> Iterator[Task]:
+    """One for each block within ``reach`` counts of points; it sees the same block of the raster's inputs.
+
+    ``make`` gets name, spec, block and rule.
+    """
+    spec, rule = g.spec_of(raster), g.rule
+    for block, near in _near(g, spec, reach).items():
+        work = make(name=raster.name, spec=spec, block=block, rule=rule)
+        under = [g.checksums(name, [block.name]) for name in raster.inputs]
+        digest = digest_of(__version__, work, g.seen(near), under)
+        yield Task(raster.stage, block.name, digest, raster.work, work, g.points(near))
+
+
+def _near(g: Gridding, spec: RasterSpec, reach: int = 0) -> dict[Block, list[Cell]]:
+    """Blocks within ``reach`` counts of buckets, and as far as objects erode the ground, each with these buckets."""
+    reach += math.ceil(g.plan.meta.frame.counts(g.plan.config.erosion))
+    return spec.blocks_near(g.plan.meta.bucket, g.labels, BLOCK_PIXELS, reach)
+
+
+def canopy_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
+    """One for each block with points, where the filter found a canopy."""
+    if g.canopy is None:
+        return
+    found = g.canopy
+    for block, near in _near(g, g.spec, math.ceil(CANOPY_AROUND * found.side)).items():
+        work = CanopyBlock(
+            name=raster.name, spec=g.spec, block=block, rule=g.rule, elected=found.elected, labels=found.labels,
+            side=found.side,
+        )  # fmt: skip
+        cells = [found.digests[cell] for cell in near]
+        digest = digest_of(__version__, work, g.seen(near), cells)
+        yield Task(raster.stage, block.name, digest, raster.work, work, g.points(near))
+
+
+def outline_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
+    """One for each block of a model, and for the terrain those of the survey, which may hold water or be void."""
+    model, survey, *others = raster.inputs
+    canopy = CANOPY if CANOPY in others and g.made[CANOPY] else None
+    waters = g.waters if raster.name.startswith("dtm") else Waters(())
+    keys = {*g.made[model]}
+    if raster.name.startswith("dtm"):
+        keys |= {
+            block.name for block in surveyed_blocks(g, survey)
+        }  # where none has a height, there is a void
+    for key in sorted(keys):
+        block = g.spec.block_named(key, BLOCK_PIXELS)
+        wet = waters.digest(g.spec.block_bounds(block))
+        work = OutlineBlock(
+            name=raster.name,
+            spec=g.spec,
+            block=block,
+            heights=model,
+            survey=survey,
+            coarse=g.coarse,
+            cut=g.plan.config.outline == "survey",
+            canopy=canopy,
+            waters=waters.key if wet else None,
+            area=g.plan.area_key,
+        )
+        hidden = g.checksums(CANOPY, [key]) if canopy else []
+        digest = digest_of(
+            __version__, work, g.checksums(model, [key]), g.beneath(survey, block), wet, hidden
+        )
+        yield Task(raster.stage, key, digest, raster.work, work, block.height * block.width)
+
+
+def mask_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
+    """One for each block that has a height, or could have one: within the survey, or where a tile failed."""
+    spec, coarse, rule = g.spec, g.coarse, g.rule
+    dtm, heights, survey, canopy = raster.inputs
+    near = _near(g, spec)
+    holes: dict[Block, list[Bounds]] = defaultdict(list)
+    for hole in g.holes:
+        for block in spec.blocks_within(hole, BLOCK_PIXELS):
+            holes[block].append(hole)
+    inside = surveyed_blocks(g, survey)
+    made = (spec.block_named(key, BLOCK_PIXELS) for name in (dtm, heights) for key in g.made[name])
+    for block in sorted({*near, *holes, *inside, *made}, key=north_west):
+        work = MaskBlock(
+            name=raster.name,
+            spec=spec,
+            block=block,
+            rule=rule,
+            dtm=dtm,
+            filled=heights,
+            survey=survey,
+            coarse=coarse,
+            canopy=canopy if g.made[canopy] else None,
+            holes=tuple(holes.get(block, ())),
+            area=g.plan.area_key,
+            waters=g.water_key,
+        )
+        wet = g.waters.digest(spec.block_bounds(block))
+        rasters = [g.checksums(name, [block.name]) for name in (dtm, heights, canopy)]
+        digest = digest_of(
+            __version__, work, g.beneath(survey, block), rasters, g.seen(near.get(block, [])), wet
+        )
+        yield Task(raster.stage, block.name, digest, raster.work, work, block.height * block.width)
+
+
+def derived_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
+    """One for each block that all inputs have; its pixels see one pixel of the blocks around."""
+    spec = g.spec
+    keys = set.intersection(*(set(g.made[source]) for source in raster.inputs))
+    for block in sorted((spec.block_named(key, BLOCK_PIXELS) for key in keys), key=north_west):
+        work = DeriveBlock(name=raster.name, spec=spec, block=block, sources=raster.inputs, fill=raster.fill)
+        digest = digest_of(
+            __version__, work, [g.checksums(source, _around(block)) for source in raster.inputs]
+        )
+        yield Task(raster.stage, block.name, digest, raster.work, work, block.height * block.width)
+
+
+def sigma_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
+    """One for each block of the terrain; it sees points around it, and pixels of the blocks around."""
+    spec, frame = g.spec, g.plan.meta.frame
+    terrain, mask = raster.inputs
+    cap = frame.counts(g.plan.config.max_edge)
+    near = _near(g, spec, reach_of(frame, spec.lattice.size, cap))
+    for key in sorted(g.made[terrain]):
+        block = spec.block_named(key, BLOCK_PIXELS)
+        work = SigmaBlock(
+            name=raster.name, spec=spec, block=block, rule=g.rule, terrain=terrain, mask=mask, kind=g.kind, cap=cap
+        )  # fmt: skip
+        under = [g.checksums(terrain, _around(block)), g.checksums(mask, [key])]
+        digest = digest_of(__version__, work, g.seen(near.get(block, [])), under)
+        yield Task(raster.stage, key, digest, raster.work, work, g.points(near.get(block, [])))
+
+
+def _around(block: Block) -> list[str]:
+    """Names of a block and of its eight neighbours, whether or not there are such."""
+    steps = (-BLOCK_PIXELS, 0, BLOCK_PIXELS)
+    return [Block(block.row + down, block.col + right, 0, 0).name for down in steps for right in steps]

@@ -1,0 +1,63 @@
+"""Says in run.json which pixels inside of the survey have no height."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+import scipy
+
+from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.raster import Block, RasterSpec
+from tiler.grid import CELL_PIXELS
+from tiler.runs.job import Job
+from tiler.store import Commits
+
+MOST_LISTED = 1000
+"""Voids in run.json, the largest."""
+TOUCHING = 1.5
+"""Cells: distance of the centres of cells that touch at a side or corner, and no others."""
+
+
+def tell_of_voids(job: Job, spec: RasterSpec, outlined: Commits) -> None:
+    """Add to run.json the voids of the delivered terrain, and the holes inside of each correction."""
+    records = [record for _, record in outlined.values()]
+    inside: Counter[int] = Counter()
+    for record in records:
+        inside.update(dict(map(tuple, record["edit_holes"])))
+    for fact in job.facts.get("edits", ()):
+        fact["holes"] = inside[fact["number"]]
+    found = voids_of((cell for record in records for cell in record["holes"]), spec)
+    square = float(job.plan.resolution) ** 2
+    voids = [{**void, "area_m2": void["pixels"] * square} for void in found]
+    job.facts["voids"] = {
+        "surveyed_pixels": sum(record["surveyed"] for record in records),
+        "pixels": sum(void["pixels"] for void in voids),
+        "asked_pixels": sum(record["voided"] for record in records),
+        "number": len(voids),
+        "largest": voids[:MOST_LISTED],
+    }
+
+
+def voids_of(cells: Iterable[list[int]], spec: RasterSpec) -> list[dict[str, Any]]:
+    """Holes whose cells touch, as one void each, the largest first: ``pixels``, and ``bounds`` in units of the CRS."""
+    table = np.array(list(cells), np.int64).reshape(-1, 5)
+    if not len(table):
+        return []
+    pairs = scipy.spatial.cKDTree(table[:, 1:3] // CELL_PIXELS).query_pairs(TOUCHING, output_type="ndarray")
+    graph = scipy.sparse.coo_array((np.ones(len(pairs)), pairs.T), (len(table), len(table)))
+    count, number = scipy.sparse.csgraph.connected_components(graph, directed=False)
+    pixels = np.bincount(number, table[:, 0], count).astype(np.int64)
+    first, last = np.full((count, 2), np.iinfo(np.int64).max), np.zeros((count, 2), np.int64)
+    np.minimum.at(first, number, table[:, 1:3])
+    np.maximum.at(last, number, table[:, 3:])
+    order = np.lexsort((first[:, 1], first[:, 0], -pixels))
+    return [{"pixels": int(pixels[i]), "bounds": _bounds(spec, first[i], last[i])} for i in order]
+
+
+def _bounds(spec: RasterSpec, first: Any, last: Any) -> list[float]:
+    height, width = (last - first + 1).tolist()
+    bounds = spec.block_bounds(Block(int(first[0]), int(first[1]), height, width))
+    return [edge / COUNTS_PER_UNIT for edge in bounds.to_json()]

@@ -1,0 +1,135 @@
+"""The water of a run: bodies from a file or from the data, their levels, and what the rasters take of them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from typing import Any
+
+from tiler.config import AUTO_WATER
+from tiler.core.area_index import AreaIndex
+from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.raster import BLOCK_PIXELS
+from tiler.core.water import LAKE, Water, Waters, lengths_along
+from tiler.core.words import counted
+from tiler.grid import DescribeBody, LevelWater, Sources, describe_body, level_water
+from tiler.grid.tasks.gridding import Gridding
+from tiler.grid.tasks.survey import names_of, near_places
+from tiler.grid.tasks.water_facts import tell_of_levels
+from tiler.grid.tasks.water_search import area_sums
+from tiler.grid.water_find import LEAST_LENGTH
+from tiler.io.result_folder import WATER
+from tiler.runs.job import Job
+from tiler.runs.stage_runner import run_stage
+from tiler.schedule import Task, digest_of
+from tiler.version import __version__
+
+FINDING, STAGE = "water-search", "water"
+CELLS = "water-cells"
+"""Raster of the labels of water."""
+SOURCES = ("occupancy", "water-ground", "domain")
+"""Rasters in which water is looked for."""
+STEEPEST = 1 / 30
+"""Fall of a river over its length, at most."""
+SHORE_REACH = 4
+"""Pixels around a body of water that its level may depend on."""
+
+
+def find_waters(job: Job, g: Gridding) -> Waters:
+    """The bodies of water with their levels, kept in the store for the tasks."""
+    auto = g.plan.config.water == AUTO_WATER
+    bodies = _found(job, g) if auto else g.plan.waters
+    tasks = list(level_tasks(g, bodies))
+    made = run_stage(job, STAGE, tasks) if tasks else {}
+    levelled, records = [], dict[int, dict[str, Any]]()
+    for body in bodies:
+        record = records[body.number] = made.get(_key(body), (None, {}))[1]
+        if body.levelled:
+            levelled.append(body)
+        elif record.get("body"):
+            levelled.append(Water.from_json(record["body"]))
+    left = {b.number for b in bodies} - {b.number for b in levelled}
+    if left and not auto:
+        names = ", ".join(map(str, sorted(left)))
+        job.note(f"--water: no terrain along the shore of body {names}: it is left out; give it a `level`")
+    waters = Waters(tuple(b for b in levelled if not auto or _gentle(g, b)))
+    if auto and waters.bodies:
+        lakes = sum(b.kind == LAKE for b in waters.bodies)
+        rivers = counted(len(waters.bodies) - lakes, "river or canal", "rivers or canals")
+        found = [counted(lakes, "lake")] * (lakes > 0) + [rivers] * (lakes < len(waters.bodies))
+        job.note(
+            f"decided: water found, {' and '.join(found)}, level in the terrain ({WATER} can be edited and given back "
+            "by --water; --water none leaves the terrain as it is)"
+        )
+    if auto and not g.trusted:
+        job.note(
+            "decided: in a matched cloud holes and false heights may be anywhere, so water is taken from class 9 of "
+            "the input alone (--water FILE: draw it)"
+        )
+    tell_of_levels(job, waters, records)
+    job.store.put_waters(waters)
+    return waters
+
+
+def _found(job: Job, g: Gridding) -> tuple[Water, ...]:
+    """The bodies that the data show, without levels, from the north-west."""
+    tasks = list(_body_tasks(g))
+    made = run_stage(job, FINDING, tasks) if tasks else {}
+    found = [Water.from_json(record["body"]) for _, record in made.values() if record["body"]]
+    found.sort(key=lambda body: (-body.area.bounds.y1, body.area.bounds.x0, body.area.key))
+    return tuple(replace(body, number=number) for number, body in enumerate(found, start=1))
+
+
+def _body_tasks(g: Gridding) -> Iterator[Task]:
+    """One for each connected area of water that is large enough."""
+    config, coarse = g.plan.config, g.coarse
+    least_m2 = min(config.water_min_lake, LEAST_LENGTH * config.water_min_river_width**2)
+    joined = g.areas(CELLS)
+    for name, (cells, known, hundredths) in area_sums(joined, g.records(CELLS)).items():
+        if cells * g.coarse_m**2 < least_m2:
+            continue
+        pieces = joined.areas[name]
+        places = sorted({(piece.row, piece.col) for piece in pieces})
+        work = DescribeBody(
+            pieces, CELLS, Sources(*SOURCES), coarse, sure=round(hundredths / 100 / max(known, 1), 2),
+            lake_m2=float(config.water_min_lake), river_width_m=float(config.water_min_river_width),
+            island_m2=float(config.water_min_island),
+        )  # fmt: skip
+        near = names_of(near_places(coarse, places))
+        digest = digest_of(__version__, work, *(g.checksums(name, near) for name in (CELLS, *SOURCES)))
+        key = f"{names_of(places)[0]}a{name.label}"
+        yield Task(FINDING, key, digest, describe_body, work, cells)
+
+
+def _gentle(g: Gridding, body: Water) -> bool:
+    """Whether a river falls no more than rivers of that width do: a ravine without returns is none."""
+    high, low = body.range
+    if body.flow is None or high == low:
+        return True
+    units = g.plan.meta.frame.units
+    length = lengths_along(body.flow)[-1] / COUNTS_PER_UNIT * float(units.horizontal)
+    return bool((high - low) * float(units.vertical) <= STEEPEST * length)
+
+
+def level_tasks(g: Gridding, bodies: tuple[Water, ...]) -> Iterator[Task]:
+    """One for each body whose height is not known."""
+    spec = g.spec
+    pad = int(SHORE_REACH * spec.lattice.size) + 1
+    index = AreaIndex([body.area for body in bodies])
+    for body in bodies:
+        if body.levelled:
+            continue
+        near = body.area.bounds.pad(pad)
+        others = tuple(bodies[i].area for i in index.overlapping(near) if bodies[i] is not body)
+        cells = SOURCES[:2] if all(name in g.made for name in SOURCES[:2]) else None
+        work = LevelWater(body, others, "dtm", spec, cells, g.coarse)
+        seen = [g.checksums("dtm", (block.name for block in spec.blocks_within(near, BLOCK_PIXELS)))]
+        if cells is not None:
+            under = [block.name for block in g.coarse.blocks_within(near, BLOCK_PIXELS)]
+            seen += [g.checksums(name, under) for name in cells]
+        digest = digest_of(__version__, body.digest, body.number, [other.key for other in others], spec, seen)
+        yield Task(STAGE, _key(body), digest, level_water, work)
+
+
+def _key(body: Water) -> str:
+    return f"w{body.number:06d}"

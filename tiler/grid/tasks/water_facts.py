@@ -1,0 +1,125 @@
+"""Makes the facts on water for run.json, the log and the report."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from fractions import Fraction
+from typing import Any
+
+from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.map_lines import add_rings
+from tiler.core.units_text import length_text
+from tiler.core.water import RIVER, Station, Water, Waters, lengths_along
+from tiler.grid.water_level import NOISE_M
+from tiler.runs.job import Job
+from tiler.store import Commits
+
+SURE = 0.8
+"""A body with less certainty is a problem."""
+MOST_FLOATING = 0.005
+"""A larger share of the shore below the level of the water is a problem."""
+
+
+def tell_of_levels(job: Job, waters: Waters, records: Mapping[int, Mapping[str, Any]]) -> None:
+    """Note which rivers are level for want of evidence, and warn about bodies that need a look.
+
+    Parameters
+    ----------
+    job : Job
+    waters : Waters
+    records : mapping
+        Record of `tiler.grid.level_water` by the number of the body.
+    """
+    unit = job.plan.meta.frame.units.vertical
+    doubts: list[dict[str, Any]] = []
+    for body in waters.bodies:
+        record = records.get(body.number, {})
+        if body.kind == RIVER and body.flow is None and record:
+            job.note(
+                f"decided: {_named(body)} is level: fewer than two places along it show how high it stands"
+            )
+        doubts += _doubts(body, record, unit)
+    job.facts["water_doubts"] = doubts
+    for doubt in doubts:
+        job.listener("warning", {"text": doubt["text"]})
+
+
+def _doubts(body: Water, record: Mapping[str, Any], unit: Fraction) -> list[dict[str, Any]]:
+    """Doubts about a body of water: a text and a place (x, y) for each."""
+    found: list[tuple[str, tuple[float, float]]] = []
+    if body.sure is not None and body.sure < SURE:
+        text = (
+            f"{_named(body)} is water with {body.sure:.0%} certainty; look at it, and give water.gpkg back without it "
+            "(--water) if it is none"
+        )
+        found.append((text, _place(body)))
+    share, lowest = record.get("floating", (0.0, None))
+    if share > MOST_FLOATING and lowest is not None:
+        x, y = (value / COUNTS_PER_UNIT for value in lowest)
+        text = (
+            f"{_named(body)}: {share:.1%} of its shore lies more than {length_text(NOISE_M, unit)} below its level, "
+            f"the lowest at ({x:.1f}, {y:.1f}); look whether its level or its outline is wrong there (water.gpkg, "
+            "--water)"
+        )
+        found.append((text, (x, y)))
+    if record.get("uneven"):
+        text = (
+            f"{_named(body)}: its returns differ by more than waves do, as those of strips flown at two levels; the "
+            "lower level holds (another one: `level` in water.gpkg, --water)"
+        )
+        found.append((text, _place(body)))
+    return [{"text": text, "place": list(place)} for text, place in found]
+
+
+def _place(body: Water) -> tuple[float, float]:
+    """First vertex of the outline of a body, in units of the CRS."""
+    x, y = body.area.polygons[0][0][0].tolist()
+    return x / COUNTS_PER_UNIT, y / COUNTS_PER_UNIT
+
+
+def _named(body: Water) -> str:
+    x, y = _place(body)
+    return f"{body.kind} {body.number} at ({x:.1f}, {y:.1f})"
+
+
+def tell_of_waters(job: Job, waters: Waters, terrain: Commits) -> None:
+    """Write the bodies of water, and how many pixels of the terrain each has, into run.json."""
+    pixels: dict[str, int] = {}
+    for _, record in terrain.values():
+        for area, count in record.get("water", ()):
+            pixels[area] = pixels.get(area, 0) + count
+    square = float(job.plan.resolution) ** 2
+    facts = [_fact(body, pixels.get(body.area.key, 0), square) for body in waters.bodies]
+    add_rings(facts, [body.area for body in waters.bodies])
+    job.facts["water"] = facts
+
+
+def _fact(body: Water, pixels: int, square: float) -> dict[str, Any]:
+    high, low = body.range
+    return {
+        "number": body.number,
+        "kind": body.kind,
+        "level": high,
+        "level_end": low,
+        "pixels": pixels,
+        "area_m2": pixels * square,
+        "sure": body.sure,
+        "bounds": [v / COUNTS_PER_UNIT for v in body.area.bounds.to_json()],
+        "stations": _stations(body),
+    }
+
+
+def _stations(body: Water) -> list[dict[str, Any]]:
+    """Levels along a river in units of the CRS: ``along`` from the first, ``level``, ``seen`` pixels, banks."""
+    import numpy as np
+
+    if not body.stations:
+        return []
+    along = lengths_along(np.array([station[:2] for station in body.stations]))
+    return [_station(s, float(a)) for s, a in zip(body.stations, along, strict=True)]
+
+
+def _station(station: Station, along: float) -> dict[str, Any]:
+    heights = {"level": station.level, "left": station.left, "right": station.right}
+    units = {name: None if value is None else value / COUNTS_PER_UNIT for name, value in heights.items()}
+    return {"along": along / COUNTS_PER_UNIT, "seen": station.seen, **units}

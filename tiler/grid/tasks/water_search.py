@@ -1,0 +1,251 @@
+"""The tasks that find water block by block, and what is decided between them; see `tiler.grid.water_search`."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any
+
+from tiler.core.raster import BLOCK_PIXELS
+from tiler.grid import (
+    CountPlaneRims,
+    CountRims,
+    FindAreas,
+    FinishWater,
+    GroundCells,
+    KeepAreas,
+    KeepPlanes,
+    Sources,
+)
+from tiler.grid.pieces import Joined, Piece, around
+from tiler.grid.returns import usual_returns
+from tiler.grid.tasks.gridding import Gridding, Place, Raster
+from tiler.grid.tasks.survey import names_of, near_places
+from tiler.grid.water_cells import ENOUGH_RETURNS, Rim, Size, judged
+from tiler.grid.water_find import LEAST_LENGTH
+from tiler.grid.water_ground import NEAR_CELLS
+from tiler.grid.water_planes import DAM_M, SHORE_CELLS, Plane
+from tiler.schedule import Task
+
+
+def ground_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
+    """One for each block of coarse cells under the terrain."""
+    if not g.water_is_sought:
+        return
+    pixels, cells, occupancy = raster.inputs
+    coarse, spec, terrain = g.coarse, g.spec, pixels
+    if g.has_large_pixels:
+        spec, terrain = coarse, cells
+    records = g.records(occupancy)
+    made = [key for key, (_, record) in g.made[terrain].items() if record["filled"]]
+    places = {
+        (block.row, block.col)
+        for key in made
+        for block in coarse.blocks_within(
+            spec.block_bounds(spec.block_named(key, BLOCK_PIXELS)), BLOCK_PIXELS
+        )
+    }
+    for place in sorted(places):
+        block = coarse.block_at(*place, BLOCK_PIXELS)
+        given = any(records[other]["water"] for other in around(*place) if other in records)
+        work = GroundCells(
+            name=raster.name, spec=coarse, block=block, heights=terrain, pixels=spec,
+            occupancy=occupancy if given else None, rule=g.rule,
+        )  # fmt: skip
+        under = [other.name for other in spec.blocks_within(coarse.block_bounds(block), BLOCK_PIXELS)]
+        seen: list[Any] = [g.checksums(terrain, under)]
+        if given:
+            reach = int(NEAR_CELLS * coarse.lattice.size) + 1
+            near = g.plan.meta.bucket.among(coarse.block_bounds(block).pad(reach), g.labels)
+            seen += [g.checksums(occupancy, names_of(near_places(coarse, [place]))), g.seen(near)]
+        yield g.block_task(raster, work, seen)
+
+
+def areas_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
+    """One for each block of the survey; how many returns are few is decided by the block and its neighbours."""
+    occupancy, ground, domain = raster.inputs
+    records = g.records(occupancy)
+    for place, record in g.records(domain).items():
+        near = [other for other in around(*place) if other in records]
+        usual = None
+        if g.trusted:
+            usual = usual_returns((records[other]["returns"] for other in near), ENOUGH_RETURNS)
+        given = sum(records[other]["water"] for other in near)
+        if not record["filled"] or (usual is None and not given):
+            continue
+        times, median = usual or (1, None)
+        work = FindAreas(
+            name=raster.name, spec=g.coarse, block=g.coarse.block_at(*place, BLOCK_PIXELS),
+            sources=Sources(occupancy, ground, domain), times=times, usual=median,
+        )  # fmt: skip
+        yield g.block_task(raster, work, _seen(g, raster.inputs, place))
+
+
+def rims_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
+    """One for each block near a candidate."""
+    areas = raster.inputs[0]
+    for place in _near_labels(g, areas):
+        work = CountRims(**_on_areas(raster, g, place))
+        yield g.block_task(raster, work, _seen(g, raster.inputs, place))
+
+
+def plane_rims_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
+    """One for each block near a plane that may be water."""
+    planes = raster.inputs[0]
+    evident, others = _likely_planes(g, planes)
+    evident_at, others_at = (_by_place(g.areas(planes), names) for names in (evident, others))
+    for place in near_places(g.coarse, {*evident_at, *others_at}):
+        near = [
+            tuple(sorted({name for other in around(*place) for name in at.get(other, ())}))
+            for at in (evident_at, others_at)
+        ]
+        work = CountPlaneRims(**_on_areas(raster, g, place), evident=near[0], others=near[1])
+        yield g.block_task(raster, work, _seen(g, raster.inputs, place))
+
+
+def plane_sure_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
+    """One for each block near a plane that is water."""
+    rims, *inputs = raster.inputs
+    kept = _kept_planes(g, inputs[0], rims)
+    places = _by_place(g.areas(inputs[0]), kept)
+    for place in near_places(g.coarse, places):
+        names = sorted({name for other in around(*place) for name in places.get(other, ())})
+        work = KeepPlanes(**_on_areas(raster, g, place), kept=tuple((name, kept[name]) for name in names))
+        yield g.block_task(raster, work, _seen(g, inputs, place))
+
+
+def sure_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
+    """One for each block near a candidate that is water."""
+    rims, *inputs = raster.inputs
+    areas = inputs[0]
+    kept = _kept(g, areas, rims)
+    for place, names in _by_place(g.areas(areas), kept).items():
+        work = KeepAreas(**_on_areas(raster, g, place), kept=tuple((name, kept[name]) for name in names))
+        yield g.block_task(raster, work, [g.checksums(areas, names_of([place]))])
+
+
+def cells_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
+    """One for each block near water."""
+    sure, planes, *sources = raster.inputs
+    config = g.plan.config
+    records = [*g.records(sure).items(), *g.records(planes).items()]
+    wet = {place for place, record in records if record["filled"]}
+    for place in near_places(g.coarse, wet):
+        work = FinishWater(
+            name=raster.name, spec=g.coarse, block=g.coarse.block_at(*place, BLOCK_PIXELS), sure=(sure, planes),
+            sources=Sources(*sources), river_width_m=float(config.water_min_river_width),
+            island_m2=float(config.water_min_island),
+        )  # fmt: skip
+        yield g.block_task(raster, work, _seen(g, raster.inputs, place))
+
+
+def _on_areas(raster: Raster, g: Gridding, place: Place) -> dict[str, Any]:
+    """What tasks on candidates have in common."""
+    name, occupancy, ground, domain = raster.inputs[-4:]
+    of_block = g.records(name).get(place)
+    return {
+        "name": raster.name,
+        "spec": g.coarse,
+        "block": g.coarse.block_at(*place, BLOCK_PIXELS),
+        "sources": Sources(occupancy, ground, domain),
+        "times": 1 if of_block is None else of_block["times"],
+        "areas": name,
+        "joins": g.areas(name).joins(around(*place)),
+    }
+
+
+def _seen(g: Gridding, rasters: Sequence[str], place: Place) -> list[Any]:
+    """Checksums of a block of some rasters and of its neighbours."""
+    near = names_of(near_places(g.coarse, [place]))
+    return [g.checksums(name, near) for name in rasters]
+
+
+def _near_labels(g: Gridding, areas: str) -> list[Place]:
+    labelled = [place for place, record in g.records(areas).items() if record["labels"]]
+    return near_places(g.coarse, labelled)
+
+
+def _by_place(joined: Joined, names: Iterable[Piece]) -> dict[Place, list[Piece]]:
+    """Blocks in which some areas lie, and the names of the areas there."""
+    found: dict[Place, list[Piece]] = defaultdict(list)
+    for name in sorted(names):
+        for place in sorted({(piece.row, piece.col) for piece in joined.areas[name]}):
+            found[place].append(name)
+    return found
+
+
+def _sizes(g: Gridding, areas: str) -> dict[Piece, tuple[int, ...]]:
+    """Sums of the ``sizes`` of the pieces of each area."""
+    return area_sums(g.areas(areas), g.records(areas))
+
+
+def area_sums(joined: Joined, records: Mapping[Place, Mapping[str, Any]]) -> dict[Piece, tuple[int, ...]]:
+    """Sums of what the records of blocks say of the size of each piece, by the name of the area."""
+    found = {}
+    for name, pieces in joined.areas.items():
+        parts = (records[p.row, p.col]["sizes"][p.label - 1] for p in pieces)
+        found[name] = tuple(map(sum, zip(*parts, strict=True)))
+    return found
+
+
+def _kept(g: Gridding, areas: str, rims: str) -> dict[Piece, float]:
+    """The candidates that are water, and how sure they are."""
+    around_area = _rims(g, rims)
+    verdicts = {
+        name: judged(Size(*size), around_area.get(name, Rim())) for name, size in _sizes(g, areas).items()
+    }
+    return {name: sure for name, sure in verdicts.items() if sure is not None}
+
+
+def _rims(g: Gridding, rims: str, which: int = 0) -> dict[Piece, Rim]:
+    """The land around each area, added up over blocks; ``which``: of those that each record has."""
+    found: dict[Piece, Rim] = {}
+    for record in g.records(rims).values():
+        for name, *counts in record["rims"]:
+            rim = Rim(*counts[min(which, len(counts) - 1)])
+            found[Piece(*name)] = found.get(Piece(*name), Rim()).plus(rim)
+    return found
+
+
+def _likely_planes(g: Gridding, planes: str) -> tuple[list[Piece], list[Piece]]:
+    """Planes that may be water by themselves, and others that may lie beside them."""
+    config, joined, records = g.plan.config, g.areas(planes), g.records(planes)
+    least_m2 = float(min(config.water_min_lake, LEAST_LENGTH * config.water_min_river_width**2))
+    least = least_m2 / float(g.coarse_m) ** 2 / 2  # a plane without its shore
+    sizes = {name: Plane(*size) for name, size in area_sums(joined, records).items() if size[0] >= least}
+    boxes = {name: _box(joined.areas[name], records) for name in sizes}
+    evident = [name for name, plane in sizes.items() if plane.is_evident]
+    reach = DAM_M / float(g.coarse_m) + SHORE_CELLS
+    others = [
+        name for name in sizes.keys() - set(evident)
+        if any(_are_near(boxes[name], boxes[other], reach) for other in evident)
+    ]  # fmt: skip
+    return sorted(evident), sorted(others)
+
+
+def _box(pieces: Iterable[Piece], records: Mapping[Place, Mapping[str, Any]]) -> tuple[int, int, int, int]:
+    """First row and column, and the last, of an area."""
+    boxes = [records[p.row, p.col]["boxes"][p.label - 1] for p in pieces]
+    top, left, bottom, right = zip(*boxes, strict=True)
+    return min(top), min(left), max(bottom), max(right)
+
+
+def _are_near(one: Sequence[int], other: Sequence[int], reach: float) -> bool:
+    apart = (max(one[i], other[i]) - min(one[i + 2], other[i + 2]) for i in (0, 1))
+    return all(gap <= reach for gap in apart)
+
+
+def _kept_planes(g: Gridding, planes: str, rims: str) -> dict[Piece, float]:
+    """The planes that are water, and how sure they are: evident ones, and those beside them."""
+    evident, others = _likely_planes(g, planes)
+    alone, without_others = ({n: judged(Size(), rim) for n, rim in _rims(g, rims, i).items()} for i in (0, 1))
+    beside: dict[Piece, set[Piece]] = defaultdict(set)
+    for record in g.records(rims).values():
+        for name, other in record["beside"]:
+            beside[Piece(*name)].add(Piece(*other))
+    held = {name: sure for name in others if (sure := alone.get(name))}
+    found = {name: sure for name in evident if (sure := alone.get(name))}
+    # Two that lie beside one another, one above a dam and one below, may each be water by the other alone.
+    lower = {other for name in held for other in beside[name]}
+    found |= {name: sure for name in evident if name in lower and (sure := without_others.get(name))}
+    return found | {name: sure for name, sure in held.items() if beside[name] & found.keys()}

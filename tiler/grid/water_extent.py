@@ -1,0 +1,124 @@
+"""Extends water from cells that are water to its shore and beneath bridges, and removes narrow arms and islands."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from tiler.grid.coarse import Bools
+from tiler.grid.reach import Floats, box_around, within
+from tiler.grid.water_cells import Cells
+
+LEVEL_M = 0.15
+"""Height of the ground above the water up to which the water goes on."""
+BELOW_M = 0.4
+"""Depth of the ground below the water from which on the water ends: the foot of a dam, or other water."""
+DEEP_CELLS = 5
+"""Side, in cells, of the squares that have to be so deep; smaller pits come from low returns."""
+LEVEL_CELLS, LEVEL_STEP_M = 5, 0.001
+"""Side of the square of cells whose mean height tells where water stands, and the step of these heights."""
+OUTER_CELLS = 2
+"""Cells at the edge of the water that may be bank."""
+NEAR_CELLS = 10
+"""Distance, in cells, within which heights of inner cells replace those of such outer cells."""
+BRIDGE_M, UNDER_BRIDGE_M = 14.0, 0.5
+"""Widest bridge under which water goes on, and how much higher the terrain may be there."""
+
+
+def smoothed(ground: Floats) -> Floats:
+    """Heights without pits and peaks of a cell or two: the median of three along rows and columns, twice."""
+    known = ~np.isnan(ground)
+    box = box_around(known, 0)
+    part = ground[box]
+    for axis in (0, 1, 0, 1):
+        before, after = np.roll(part, 1, axis), np.roll(part, -1, axis)
+        part = np.fmax(np.fmin(before, after), np.fmin(np.fmax(before, after), part))
+    found = np.full_like(ground, np.nan)
+    found[box] = part
+    found[~known] = np.nan
+    return found
+
+
+def water_heights(cells: Cells, wet: Bools) -> Floats | None:
+    """How high water stands near each cell, metres, by the nearest cells of it with returns; None without such.
+
+    Its outermost cells may be bank, so they count only where no inner one is near. Voids have heights of their banks.
+    """
+    ground = np.rint(cells.ground / LEVEL_STEP_M)  # whole: sums are exact
+    known = wet & (cells.returns > 0) & ~np.isnan(ground)
+    if not known.any():
+        return None
+    inner = known & scipy.ndimage.binary_erosion(wet, iterations=OUTER_CELLS, border_value=1)
+    known &= inner | ~within(inner, NEAR_CELLS)
+    number = scipy.ndimage.uniform_filter(known.astype(np.float64), LEVEL_CELLS)
+    total = scipy.ndimage.uniform_filter(np.where(known, ground, 0.0), LEVEL_CELLS)
+    nearest = scipy.ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
+    levels: Floats = (total / np.where(known, number, 1.0))[tuple(nearest)] * LEVEL_STEP_M
+    return levels
+
+
+def shore_area(cells: Cells, water: Bools, reach: int) -> Bools:
+    """Water with the cells beside it, up to ``reach`` away and connected, that are as low as it stands."""
+    found, box = water.copy(), box_around(water, reach)
+    near, wet = cells.cut(box), water[box]
+    level = water_heights(near, wet)
+    if level is None:
+        return found
+    above = near.ground - level
+    deep = scipy.ndimage.binary_opening(above < -BELOW_M, np.ones((DEEP_CELLS, DEEP_CELLS), np.bool_))
+    low = near.domain & ~deep & ((above <= LEVEL_M) | np.isnan(above))
+    low = scipy.ndimage.binary_opening(low | wet, np.ones((3, 3), np.bool_)) | wet
+    found[box] = scipy.ndimage.binary_dilation(wet, iterations=reach, mask=low)
+    return found
+
+
+def under_bridges(ground: Floats, water: Bools, size_m: float, longest_island: int) -> Bools:
+    """Water with gaps closed that bridges leave, where the terrain between is about as low as the shores.
+
+    A bridge comes from the bank, so enclosed land of up to ``longest_island`` rows and columns stays; `without_islands`
+    judges it. Longer land may be cut by the border of the array, where nothing tells whether water encloses it.
+    """
+    pad = math.ceil(BRIDGE_M / size_m)
+    padded = np.pad(water, pad)
+    radius = BRIDGE_M / 2 / size_m
+    closed = ~within(~within(padded, radius), radius)[pad:-pad, pad:-pad]
+    shore = scipy.ndimage.binary_dilation(water, np.ones((3, 3), np.bool_)) & ~np.isnan(ground)
+    around = 2 * pad + 1
+    low = scipy.ndimage.minimum_filter(np.where(shore, ground, np.inf), around)
+    with np.errstate(invalid="ignore"):
+        gaps = closed & (ground - low <= UNDER_BRIDGE_M)
+    labels, _, enclosed = _land(water)
+    spans = [
+        max(rows.stop - rows.start, cols.stop - cols.start)
+        for rows, cols in scipy.ndimage.find_objects(labels)
+    ]
+    island = enclosed & np.array([False, *(span <= longest_island for span in spans)])
+    return np.asarray(water | (gaps & ~island[labels]))
+
+
+def without_narrows(water: Bools, width: float) -> Bools:
+    """Water without what is narrower than a width in cells; what is left keeps its shore."""
+    least = max(width / 2 - 0.5, 1.0)
+    inner = ~within(~np.pad(water, 1), math.nextafter(least, 0.0))[1:-1, 1:-1]
+    return water & within(inner, width / 2 + 1)
+
+
+def without_islands(water: Bools, least: float) -> Bools:
+    """Water with enclosed land of fewer cells filled; land that touches the border of the array stays."""
+    labels, sizes, enclosed = _land(water)
+    return np.asarray(water | (enclosed & (sizes < least))[labels])
+
+
+def _land(water: Bools) -> tuple[npt.NDArray[Any], npt.NDArray[Any], Bools]:
+    """Number of the piece of land in each cell, and of each number its cells, and whether water encloses it."""
+    labels, number = scipy.ndimage.label(~water)
+    sizes = np.bincount(labels.ravel(), minlength=number + 1)
+    enclosed: Bools = np.ones(number + 1, np.bool_)
+    for side in (labels[0], labels[-1], labels[:, 0], labels[:, -1]):
+        enclosed[side] = False
+    enclosed[0] = False
+    return labels, sizes, enclosed

@@ -1,0 +1,115 @@
+"""The final water of a run, block by block: to its shores, beneath bridges, without narrow arms and small islands."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from tiler.core.raster import Block
+from tiler.grid.checksum import checksum
+from tiler.grid.coarse import Bools, padded
+from tiler.grid.pieces import label_block
+from tiler.grid.reach import box_around
+from tiler.grid.water_extent import (
+    BRIDGE_M,
+    shore_area,
+    smoothed,
+    under_bridges,
+    without_islands,
+    without_narrows,
+)
+from tiler.grid.water_search import SEEN_CELLS, Sources, inner_window, read_search_cells
+from tiler.grid.work import BlockWork
+from tiler.store import TileStore, open_store, read_cells
+
+SHORE_M = 20.0
+"""Water goes on so far where the ground beside it is as low."""
+MOST_ISLAND_CELLS = 128
+"""Coarse cells around a block in which an island has to lie whole to become water."""
+
+SEEN_SHARE = 0.25
+"""Share of the least area of an island that has to lie clearly above the water; the flat rest is taken for water.
+
+Its whole area is known when its shore is drawn (`tiler.grid.water_find`).
+"""
+
+
+@dataclass(frozen=True, kw_only=True)
+class FinishWater(BlockWork):
+    """Work: label the water of a block, with what lies beneath bridges, without narrow arms and the smallest islands.
+
+    Attributes
+    ----------
+    sure : tuple of str
+        Rasters of how sure each cell is water.
+    sources : Sources
+    river_width_m, island_m2 : float
+        The smallest that are kept.
+    """
+
+    sure: tuple[str, ...]
+    sources: Sources
+    river_width_m: float
+    island_m2: float
+
+
+def finish_margin(work: FinishWater, size_m: float) -> int:
+    """Coarse cells around a block that its final water depends on."""
+    reach = math.ceil(SHORE_M / size_m) + math.ceil(2 * BRIDGE_M / size_m)
+    return reach + math.ceil(2 * work.river_width_m / size_m) + 2 + _longest_island(work, size_m)
+
+
+def _longest_island(work: FinishWater, size_m: float) -> int:
+    """Rows or columns of the longest island that every window holds whole."""
+    return min(math.ceil(work.island_m2 / size_m**2), MOST_ISLAND_CELLS)
+
+
+def finish_water(store_url: str, work: FinishWater) -> dict[str, Any]:
+    """Label the final water of a block; a `tiler.schedule.task.Work`.
+
+    Returns
+    -------
+    dict
+        ``sides`` and ``labels`` (their number), see `tiler.grid.pieces`; ``sizes``: of each the cells, those of them
+        that were found rather than added, and the sum of how sure these are, in hundredths; ``filled``; ``checksum``.
+    """
+    store, block, spec = open_store(store_url), work.block, work.spec
+    size_m = float(spec.lattice.size * store.meta.frame.metres_xy)
+    margin = finish_margin(work, size_m)
+    sure = np.max([read_cells(store, name, spec, padded(block, margin)) for name in work.sure], axis=0)
+    water = sure > 0
+    if water.any():
+        rows, cols = box_around(water, math.ceil((SHORE_M + BRIDGE_M) / size_m) + SEEN_CELLS)
+        part = water[rows, cols]
+        window = Block(block.row - margin + rows.start, block.col - margin + cols.start, *part.shape)
+        water[rows, cols] = _finished(store, work, part, window, size_m)
+    inner = inner_window(block, margin)
+    labels, sides = label_block(water[inner], corners=False)
+    values = labels.astype(np.float32)
+    store.write_block(work.name, block, values)
+    count, known = int(labels.max(initial=0)), sure[inner] > 0
+    hundredths = np.rint(sure[inner][known].astype(np.float64) * 100)
+    counts = [
+        np.bincount(labels.ravel(), minlength=count + 1)[1:],
+        np.bincount(labels[known], minlength=count + 1)[1:],
+        np.bincount(labels[known], hundredths, minlength=count + 1)[1:],
+    ]
+    return {
+        "sides": sides,
+        "labels": count,
+        "sizes": np.stack(counts, axis=1).astype(np.int64).tolist(),
+        "filled": int(np.count_nonzero(values)),
+        "checksum": checksum(values),
+    }
+
+
+def _finished(store: TileStore, work: FinishWater, water: Bools, window: Block, size_m: float) -> Bools:
+    """Water of a window up to its shores, with what lies beneath bridges, without narrow arms and small islands."""
+    cells = read_search_cells(store, work.sources, work.spec, window, 1)
+    water = shore_area(cells.with_ground(smoothed(cells.ground)), water, math.ceil(SHORE_M / size_m))
+    water = under_bridges(cells.ground, water, size_m, _longest_island(work, size_m))
+    water = without_narrows(water, work.river_width_m / size_m)
+    return without_islands(water, SEEN_SHARE * work.island_m2 / size_m**2)

@@ -1,0 +1,108 @@
+"""Heights of coarse cells in which water is looked for: of the terrain, and of points that the input calls water."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from tiler.core.classes import WATER
+from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.raster import BLOCK_PIXELS, NODATA, RasterSpec
+from tiler.grid.checksum import checksum
+from tiler.grid.coarse import blocks_under, padded
+from tiler.grid.density import pixel_indices
+from tiler.grid.ground import GroundRule, surface_points
+from tiler.grid.work import BlockWork
+from tiler.store import TileStore, coarse_cells, open_store, read_cells
+
+Floats = npt.NDArray[np.float64]
+
+NEAR_CELLS = 8
+"""A cell without a return is water of the input if the nearest cell with any is, and no farther."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class GroundCells(BlockWork):
+    """Work: the mean height of the terrain, or of the input's water, in the coarse cells of a block.
+
+    Attributes
+    ----------
+    heights : str
+        The terrain.
+    pixels : RasterSpec
+        Of the terrain.
+    occupancy : str or None
+        Raster of the points in each cell; None where the input has no water near.
+    rule : GroundRule
+    """
+
+    heights: str
+    pixels: RasterSpec
+    occupancy: str | None
+    rule: GroundRule
+
+
+def ground_cells(store_url: str, work: GroundCells) -> dict[str, Any]:
+    """Write the mean heights in a block, units of the CRS; a `tiler.schedule.task.Work`.
+
+    Heights are added up as whole counts: their sum does not depend on the order of pixels or points.
+
+    Returns
+    -------
+    dict
+        ``filled`` (cells with a height), ``checksum``.
+    """
+    store, block = open_store(store_url), work.block
+    size = block.height * block.width
+    total, number = np.zeros(size), np.zeros(size, np.int64)
+    for piece in blocks_under(work.spec, work.pixels, block, BLOCK_PIXELS):
+        heights = store.read_block(work.heights, piece)
+        rows, cols = coarse_cells(work.spec, work.pixels, piece)
+        rows, cols = rows - block.row, cols - block.col
+        own_rows, own_cols = (rows >= 0) & (rows < block.height), (cols >= 0) & (cols < block.width)
+        known = (heights != np.float32(NODATA)) & own_rows[:, None] & own_cols
+        places = (rows[:, None] * block.width + cols)[known]
+        total += np.bincount(places, np.rint(heights[known].astype(np.float64) * COUNTS_PER_UNIT), size)
+        number += np.bincount(places, minlength=size)
+    mean = _means(total, number).reshape(block.height, block.width)
+    if work.occupancy is not None:
+        water = _given_heights(store, work, work.occupancy)
+        mean = np.where(water == NODATA, mean, water)
+    values = mean.astype(np.float32)
+    store.write_block(work.name, block, values)
+    return {"filled": int(np.count_nonzero(values != np.float32(NODATA))), "checksum": checksum(values)}
+
+
+def _means(total: Floats, number: npt.NDArray[np.int64]) -> Floats:
+    """Means of counts in units of the CRS; `NODATA` where there is nothing."""
+    found = np.full(total.shape, NODATA)
+    np.divide(total, number * COUNTS_PER_UNIT, out=found, where=number > 0)
+    return found
+
+
+def _given_heights(store: TileStore, work: GroundCells, occupancy: str) -> Floats:
+    """Heights of what the input calls water in the cells of a block, `NODATA` elsewhere."""
+    window = padded(work.block, NEAR_CELLS)
+    returns = read_cells(store, occupancy, work.spec, window)
+    total, number = np.zeros(returns.size), np.zeros(returns.size, np.int64)
+    bounds, origin = work.spec.block_bounds(window), store.meta.frame.origin
+    for cell in store.buckets_within(bounds):
+        points, chosen = surface_points(store, work.rule, cell)
+        if points.classification is None:
+            continue
+        chosen &= points.inside(bounds, origin) & (points.classification == WATER)
+        xyz = points.xyz[:, chosen]
+        places = pixel_indices(xyz, origin, work.spec, window)
+        total += np.bincount(places, xyz[2], returns.size)
+        number += np.bincount(places, minlength=returns.size)
+    mean = _means(total, number).reshape(returns.shape)
+    found = np.full(returns.shape, NODATA)
+    if (returns != 0).any():
+        distance, near = scipy.ndimage.distance_transform_edt(returns == 0, return_indices=True)
+        water = (returns[tuple(near)] < 0) & (distance <= NEAR_CELLS)
+        found[water] = mean[tuple(near)][water]
+    return found[NEAR_CELLS:-NEAR_CELLS, NEAR_CELLS:-NEAR_CELLS]

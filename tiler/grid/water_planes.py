@@ -1,0 +1,204 @@
+"""Planes of water: areas as level as water alone is, with however many returns, held by land that rises around them.
+
+Water with waves, below weirs and at fords, returns as much as land, and crowns over its banks hide its shore; but it
+stays as level as no land does over tens of metres. A connected area of level ground is water if the land around it
+rises, as around areas of few returns (`tiler.grid.water_cells`), and if much of it has few returns, or the input
+calls some of it water, or water of such evidence lies beside it: a dam may lie between.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection
+from dataclasses import dataclass, replace
+from typing import Any, NamedTuple
+
+import numpy as np
+import scipy
+
+from tiler.grid.checksum import checksum
+from tiler.grid.coarse import Bools, padded
+from tiler.grid.pieces import Piece, label_block
+from tiler.grid.reach import Floats, distances
+from tiler.grid.water_cells import (
+    GIVEN_SHARE,
+    Cells,
+    Rim,
+    flat_cells,
+    rim_of,
+    sparse_cells,
+)
+from tiler.grid.water_extent import shore_area, smoothed
+from tiler.grid.water_search import (
+    MARGIN,
+    AreasAround,
+    AreasWork,
+    FindAreas,
+    areas_around,
+    ground_in,
+    inner_window,
+    read_search_cells,
+)
+from tiler.store import open_store
+
+LEVEL_CELLS = 3
+"""Side of the square of cells, heights smoothed, within which"""
+RELIEF_M = 0.08
+"""water has at most this difference of height: waves, and a fall of 1 %."""
+SHORE_CELLS = 5
+"""A shore lies at most so far from a plane: smoothing and the relief of the bank take so many cells."""
+SPARSE_SHARE = 0.5
+"""A plane with this share of cells with few returns may be water by itself."""
+DAM_M = 40.0
+"""Water with as many returns as land has other water so near; a dam may lie between."""
+BESIDE_M = DAM_M + 20
+"""Distance beside a plane and its shore that is looked at, in metres."""
+AROUND = np.ones((3, 3), np.bool_)
+
+
+class Plane(NamedTuple):
+    """A plane, added up over blocks: cells, those that the input calls water, and those with few returns."""
+
+    cells: int = 0
+    given: int = 0
+    sparse: int = 0
+
+    @property
+    def is_evident(self) -> bool:
+        """Whether it may be water by itself."""
+        return self.sparse >= SPARSE_SHARE * self.cells or self.given >= GIVEN_SHARE * self.cells
+
+
+@dataclass(frozen=True, kw_only=True)
+class CountPlaneRims(AreasWork):
+    """Work: count the land around planes in a block, and find those beside one another.
+
+    Attributes
+    ----------
+    evident : tuple of Piece
+        Planes that may be water by themselves; no land to one another.
+    others : tuple of Piece
+        Those that may be water beside others; what lies lower beside them is land, water or not.
+    """
+
+    evident: tuple[Piece, ...]
+    others: tuple[Piece, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class KeepPlanes(AreasWork):
+    """Work: write which cells of a block are planes of water; ``kept``: plane, and how sure it is water."""
+
+    kept: tuple[tuple[Piece, float], ...]
+
+
+def plane_cells(ground: Floats, domain: Bools) -> Bools:
+    """Cells where smoothed heights are as level as water; without arms of one cell."""
+    unknown = np.isnan(ground)
+    high = scipy.ndimage.maximum_filter(np.where(unknown, np.inf, ground), LEVEL_CELLS)
+    low = scipy.ndimage.minimum_filter(np.where(unknown, -np.inf, ground), LEVEL_CELLS)
+    level = scipy.ndimage.binary_opening((high - low < RELIEF_M) & domain, np.ones((3, 3), np.bool_))
+    return np.asarray(level)
+
+
+def find_planes(store_url: str, work: FindAreas) -> dict[str, Any]:
+    """Label the planes in a block; a `tiler.schedule.task.Work`.
+
+    Returns
+    -------
+    dict
+        ``sides`` and ``labels`` (their number), see `tiler.grid.pieces`; ``sizes``: of each a `Plane`; ``boxes``: of
+        each first row and column and the last of its cells; ``times``; ``filled``; ``checksum``.
+    """
+    store, block = open_store(store_url), work.block
+    cells = read_search_cells(store, work.sources, work.spec, padded(block, MARGIN), 1)
+    inner = inner_window(block, MARGIN)
+    labels, sides = label_block(plane_cells(smoothed(cells.ground), cells.domain)[inner], corners=False)
+    sparse = np.zeros_like(labels, np.bool_)
+    if work.usual is not None:
+        coarser = read_search_cells(store, work.sources, work.spec, padded(block, MARGIN), work.times)
+        few = sparse_cells(coarser, flat_cells(coarser), work.usual)
+        sparse = few.repeat(work.times, axis=0).repeat(work.times, axis=1)[inner]
+    values = labels.astype(np.float32)
+    store.write_block(work.name, block, values)
+    count = int(labels.max(initial=0))
+    counts = [
+        np.bincount(labels[where], minlength=count + 1)[1:]
+        for where in (labels > 0, cells.given[inner], sparse)
+    ]
+    boxes = [
+        [block.row + r.start, block.col + c.start, block.row + r.stop, block.col + c.stop]
+        for r, c in scipy.ndimage.find_objects(labels)
+    ]
+    return {
+        "sides": sides,
+        "labels": count,
+        "sizes": np.stack(counts, axis=1).tolist(),
+        "boxes": boxes,
+        "times": work.times,
+        "filled": int(np.count_nonzero(values)),
+        "checksum": checksum(values),
+    }
+
+
+def count_plane_rims(store_url: str, work: CountPlaneRims) -> dict[str, Any]:
+    """Count the land around planes that lies in a block; a `tiler.schedule.task.Work`.
+
+    Returns
+    -------
+    dict
+        ``rims``: name of each plane, and the `tiler.grid.water_cells.Rim` of it and its shore; of an evident plane also
+        that without the planes beside it that may be water; ``beside``: pairs of a plane and an evident one near it.
+    """
+    evident, among, found, beside = set(work.evident), {*work.evident, *work.others}, [], []
+    near = _planes(store_url, work, among)
+    of_evident = np.array([False, *(name in evident for name in near.names)])
+    of_any = np.array([False, *(name in among for name in near.names)])
+    for number, window in near.windows(among):
+        name, part, numbers = near.names[number - 1], near.cells.cut(window), near.numbers[window]
+        mine = numbers == number
+        water = shore_area(part, mine, SHORE_CELLS)
+        wet = of_evident[numbers] & ~water
+        if name in evident:
+            rims = [
+                _rim(part, water, others & ~water, near.counted[window]) for others in (wet, of_any[numbers])
+            ]
+        else:
+            rims = [rim_of(part, water, np.zeros_like(water), near.counted[window])]
+        if any(map(any, rims)):
+            found.append([list(name), *map(list, rims)])
+        close = wet & near.counted[window] & (distances(mine, DAM_M / part.size + 1) * part.size <= DAM_M)
+        beside += [[list(name), list(near.names[other - 1])] for other in np.unique(numbers[close])]
+    return {"rims": found, "beside": beside}
+
+
+def _rim(cells: Cells, water: Bools, others: Bools, counted: Bools) -> Rim:
+    """The land around a plane and its shore, where other planes and their shores are no land."""
+    wide = scipy.ndimage.binary_dilation(others, AROUND, iterations=SHORE_CELLS) & ~water
+    return rim_of(cells, water, wide, counted)
+
+
+def keep_planes(store_url: str, work: KeepPlanes) -> dict[str, Any]:
+    """Write how sure each cell of a block is a plane of water or its shore, 0 elsewhere; a `tiler.schedule.task.Work`.
+
+    Returns
+    -------
+    dict
+        ``filled`` (cells of water), ``checksum``.
+    """
+    kept, block = dict(work.kept), work.block
+    near = _planes(store_url, work, kept)
+    found = np.zeros(near.numbers.shape, np.float32)
+    for number, window in near.windows(kept):
+        water = shore_area(near.cells.cut(window), near.numbers[window] == number, SHORE_CELLS)
+        found[window][water] = np.maximum(found[window][water], kept[near.names[number - 1]])
+    values = near.of_block(found)
+    open_store(store_url).write_block(work.name, block, values)
+    return {"filled": int(np.count_nonzero(values)), "checksum": checksum(values)}
+
+
+def _planes(store_url: str, work: AreasWork, among: Collection[Piece]) -> AreasAround:
+    """Planes in and around a block, and cells with smoothed heights beside some of them."""
+    store = open_store(store_url)
+    near = areas_around(store, work, among, BESIDE_M)
+    ground = ground_in(store, work.sources.ground, work.spec, near.window)
+    return replace(near, cells=near.cells.with_ground(smoothed(ground)))

@@ -1,0 +1,275 @@
+"""Where the water of a run is, block by block: candidates, the land around them, and what is kept.
+
+Each step reads the rasters of the steps before it with a margin and writes one block; between the steps the coordinator
+joins the areas of all blocks (`tiler.grid.tasks.water_search`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from tiler.core.products import BEYOND
+from tiler.core.raster import NODATA, Block, RasterSpec
+from tiler.grid.checksum import checksum
+from tiler.grid.coarse import Bools, padded
+from tiler.grid.pieces import Labels, Piece, areas_within, label_block
+from tiler.grid.reach import Floats, box_around
+from tiler.grid.water_cells import (
+    RING_M,
+    Cells,
+    rim_of,
+    water_areas,
+)
+from tiler.grid.work import BlockWork
+from tiler.store import TileStore, open_store, read_cells
+
+MARGIN, ALIGNED = 64, 16
+"""Coarse cells around a block that the search sees; the most cells that are merged along a side, which divide it."""
+BESIDE_M = RING_M[1] + 2
+"""Around an area so much is compared with it."""
+SEEN_CELLS = 8
+"""Around a cell its smoothed height depends on."""
+Window = tuple[slice, slice]
+
+
+@dataclass(frozen=True)
+class Sources:
+    """The rasters of coarse cells in which water is looked for.
+
+    Attributes
+    ----------
+    occupancy, ground, domain : str
+        Points in each cell; heights of the terrain; the survey with all gaps that could be water.
+    """
+
+    occupancy: str
+    ground: str
+    domain: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class FindAreas(BlockWork):
+    """Work: label the candidates for water in a block.
+
+    Attributes
+    ----------
+    sources : Sources
+    times : int
+        Cells that are merged along a side, so that one without a return is significant.
+    usual : float or None
+        See `tiler.grid.water_cells.water_areas`.
+    """
+
+    sources: Sources
+    times: int
+    usual: float | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class AreasWork(BlockWork):
+    """Work on the candidates in and around a block.
+
+    Attributes
+    ----------
+    sources : Sources
+    times : int
+    areas : str
+        The raster of their labels.
+    joins : tuple of (Piece, Piece)
+        See `tiler.grid.pieces.Joined.joins`.
+    """
+
+    sources: Sources
+    times: int
+    areas: str
+    joins: tuple[tuple[Piece, Piece], ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class CountRims(AreasWork):
+    """Work: count the land around candidates in a block."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class KeepAreas(AreasWork):
+    """Work: write which cells of a block are water; ``kept``: area, and how sure it is water."""
+
+    kept: tuple[tuple[Piece, float], ...]
+
+
+def find_areas(store_url: str, work: FindAreas) -> dict[str, Any]:
+    """Label the candidates for water in a block; a `tiler.schedule.task.Work`.
+
+    Returns
+    -------
+    dict
+        ``sides`` and ``labels`` (their number), see `tiler.grid.pieces`; ``sizes``: of each a
+        `tiler.grid.water_cells.Size`; ``times``; ``filled``; ``checksum``.
+    """
+    store, block = open_store(store_url), work.block
+    cells = read_search_cells(store, work.sources, work.spec, padded(block, MARGIN), work.times)
+    found = water_areas(cells, work.usual).repeat(work.times, axis=0).repeat(work.times, axis=1)
+    fine = cells.finer(work.times).cut(inner_window(block, MARGIN))
+    labels, sides = label_block(found[inner_window(block, MARGIN)], corners=False)
+    values = labels.astype(np.float32)
+    store.write_block(work.name, block, values)
+    count = int(labels.max(initial=0))
+    counts = [np.bincount(labels[where], minlength=count + 1)[1:] for where in (labels > 0, fine.given)]
+    return {
+        "sides": sides,
+        "labels": count,
+        "sizes": np.stack(counts, axis=1).tolist(),
+        "times": work.times,
+        "filled": int(np.count_nonzero(values)),
+        "checksum": checksum(values),
+    }
+
+
+def count_rims(store_url: str, work: CountRims) -> dict[str, Any]:
+    """Count the land around the candidates that lies in a block; a `tiler.schedule.task.Work`.
+
+    Returns
+    -------
+    dict
+        ``rims``: name of each area, and its `tiler.grid.water_cells.Rim`.
+    """
+    near, found = areas_around(open_store(store_url), work, None, BESIDE_M), []
+    for number, window in near.windows(None):
+        mine = near.numbers[window] == number
+        others = (near.numbers[window] > 0) & ~mine
+        rim = rim_of(near.cells.cut(window), mine, others, near.counted[window])
+        if any(rim):
+            found.append([list(near.names[number - 1]), list(rim)])
+    return {"rims": found}
+
+
+def keep_areas(store_url: str, work: KeepAreas) -> dict[str, Any]:
+    """Write how sure each cell of a block is water, 0 where it is none; a `tiler.schedule.task.Work`.
+
+    Returns
+    -------
+    dict
+        ``filled`` (cells of water), ``checksum``.
+    """
+    store, kept = open_store(store_url), dict(work.kept)
+    numbers, names = areas_within(store, work.areas, work.spec, work.block, work.joins)
+    values = np.array([0.0, *(kept.get(name, 0.0) for name in names)], np.float32)[numbers]
+    store.write_block(work.name, work.block, values)
+    return {"filled": int(np.count_nonzero(values)), "checksum": checksum(values)}
+
+
+def inner_window(block: Block, margin: int) -> Window:
+    """What a window with a margin holds of its block."""
+    return slice(margin, margin + block.height), slice(margin, margin + block.width)
+
+
+def ground_in(store: TileStore, name: str, spec: RasterSpec, window: Block) -> Floats:
+    """Heights of the terrain in a window, metres, NaN where there is none."""
+    heights = read_cells(store, name, spec, window, NODATA).astype(np.float64)
+    heights[heights == NODATA] = np.nan
+    heights *= float(store.meta.frame.units.vertical)
+    return heights
+
+
+def read_search_cells(
+    store: TileStore, sources: Sources, spec: RasterSpec, window: Block, times: int
+) -> Cells:
+    """Returns, classes and ground in a window, ``times`` cells along a side as one."""
+    points = read_cells(store, sources.occupancy, spec, window)
+    domain: Bools = read_cells(store, sources.domain, spec, window, float(BEYOND)) != BEYOND
+    size_m = float(spec.lattice.size * store.meta.frame.metres_xy)
+    cells = Cells(np.abs(points), points < 0, ground_in(store, sources.ground, spec, window), domain, size_m)
+    for _ in range(times.bit_length() - 1):
+        cells = cells.coarser()
+    return cells
+
+
+@dataclass(frozen=True)
+class AreasAround:
+    """The areas in and around a block, as far as they matter.
+
+    Attributes
+    ----------
+    cells : Cells
+    numbers : int32, shape of the cells
+        Of the area in each cell, 0 where there is none.
+    names : list of Piece
+        Of the areas with the numbers 1, 2, ...
+    window : Block
+        The cells in the raster.
+    block : Block
+    pad : int
+        Cells beside an area that matter.
+    """
+
+    cells: Cells
+    numbers: Labels
+    names: list[Piece]
+    window: Block
+    block: Block
+    pad: int
+
+    @cached_property
+    def counted(self) -> Bools:
+        """Cells of the block itself."""
+        found = np.zeros(self.numbers.shape, np.bool_)
+        found[self._own[0]] = True
+        return found
+
+    @property
+    def _own(self) -> tuple[Window, Window]:
+        """The part of the window that lies in the block, and its place in the block."""
+        top, left = max(self.window.row, self.block.row), max(self.window.col, self.block.col)
+        bottom = min(self.window.row + self.window.height, self.block.row + self.block.height)
+        right = min(self.window.col + self.window.width, self.block.col + self.block.width)
+        bottom, right = max(bottom, top), max(right, left)
+        first, second = (
+            (slice(top - b.row, bottom - b.row), slice(left - b.col, right - b.col))
+            for b in (self.window, self.block)
+        )
+        return first, second
+
+    def of_block(self, values: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        """Values of the window's cells for all cells of the block, 0 beyond the window."""
+        found = np.zeros((self.block.height, self.block.width), np.float32)
+        here, there = self._own
+        found[there] = values[here]
+        return found
+
+    def windows(self, among: Collection[Piece] | None) -> Iterator[tuple[int, Window]]:
+        """Number of each area, or of some, and the window of it and what is beside it, where that meets the block."""
+        some = self.names if among is None else among
+        for number, window in enumerate(scipy.ndimage.find_objects(self.numbers), start=1):
+            if self.names[number - 1] not in some:
+                continue
+            if window is not None:
+                rows, cols = (slice(max(s.start - self.pad, 0), s.stop + self.pad) for s in window)
+                if self.counted[rows, cols].any():
+                    yield number, (rows, cols)
+
+
+def areas_around(
+    store: TileStore, work: AreasWork, among: Collection[Piece] | None, beside_m: float
+) -> AreasAround:
+    """The areas in and around a block, and the cells up to ``beside_m`` beside all, or beside some, of them."""
+    whole = padded(work.block, MARGIN)
+    numbers, names = areas_within(store, work.areas, work.spec, whole, work.joins)
+    some = names if among is None else among
+    wanted = np.array([False, *(name in some for name in names)])[numbers]
+    pad = math.ceil(beside_m / float(work.spec.lattice.size * store.meta.frame.metres_xy)) + 1
+    rows, cols = (
+        slice(s.start // ALIGNED * ALIGNED, -(-s.stop // ALIGNED) * ALIGNED)
+        for s in box_around(wanted, pad + SEEN_CELLS)
+    )
+    numbers = numbers[rows, cols]
+    window = Block(whole.row + rows.start, whole.col + cols.start, *numbers.shape)
+    cells = read_search_cells(store, work.sources, work.spec, window, work.times).finer(work.times)
+    return AreasAround(cells, numbers, names, window, work.block, pad)

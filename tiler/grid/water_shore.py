@@ -1,0 +1,91 @@
+"""The shore of a body of water between its coarse cells: where its level meets the ground of the bank."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import scipy
+
+from tiler.core.raster import Block, RasterSpec
+from tiler.grid.coarse import Bools
+from tiler.grid.reach import Floats
+from tiler.grid.water_cells import Cells
+from tiler.grid.water_extent import water_heights
+
+REACH_CELLS = 24
+"""Cells around a block from which the level of its water is taken."""
+MOST_M, LEAST_M = 2.0, 0.02
+"""Largest and smallest height above or below the level that counts, in metres; others are moved to these limits."""
+BANK_CELLS = 2
+"""Outermost cells of the water that may be bank: gravel that rises by 4 % takes two of them below
+`tiler.grid.water_extent.LEVEL_M`."""
+AROUND = np.ones((3, 3), np.bool_)
+
+
+def depths(cells: Cells, wet: Bools) -> Floats:
+    """Height of the bank above the water in cells beside it, and of the bank gone on below it in its outermost cells.
+
+    Positive on land, negative in water; so the line at 0 is the shore. Where the ground was not seen it lies halfway
+    between cells.
+
+    Parameters
+    ----------
+    cells : Cells
+        With smoothed heights, of a window with at least `REACH_CELLS` around the cells that are looked at.
+    wet : bool, shape of the cells
+    """
+    level = water_heights(cells, wet)
+    if level is None:
+        return np.where(wet, -MOST_M, MOST_M)
+    above = cells.ground - level
+    for _ in range(BANK_CELLS):
+        wet = wet & ~_banks(above, wet, cells.returns > 0)
+    found = np.where(wet, -MOST_M, MOST_M)
+    beside = ~wet & ~np.isnan(above) & scipy.ndimage.binary_dilation(wet, AROUND)
+    found[beside] = np.clip(above[beside], LEAST_M, MOST_M)
+    gone_on = _gone_on(above, wet)
+    outermost = ~np.isnan(gone_on)
+    found[outermost] = np.clip(gone_on[outermost], -MOST_M, -LEAST_M)
+    return found
+
+
+def _banks(above: Floats, wet: Bools, seen: Bools) -> Bools:
+    """Outermost cells of the water that are bank: both their own ground and the bank gone on lie above the water.
+
+    The mean height of a cell that the shore cuts is no lower than that of the bank at its middle, so both are asked.
+    """
+    with np.errstate(invalid="ignore"):
+        return wet & seen & (np.minimum(above, _gone_on(above, wet)) > LEAST_M)
+
+
+def _gone_on(above: Floats, wet: Bools) -> Floats:
+    """Height above the water of the bank gone on into its outermost cells; NaN in all other cells."""
+    bank = np.where(wet, np.nan, above)
+    total, number = np.zeros(wet.shape), np.zeros(wet.shape, np.int64)
+    for axis, step in ((0, 1), (0, -1), (1, 1), (1, -1)):
+        first, second = np.roll(bank, step, axis), np.roll(bank, 2 * step, axis)
+        gone_on = 2 * np.clip(first, LEAST_M, MOST_M) - np.clip(second, LEAST_M, MOST_M)
+        here = wet & ~np.isnan(gone_on)
+        total[here] += np.clip(gone_on[here], -MOST_M, MOST_M)
+        number[here] += 1
+    found = np.full(wet.shape, np.nan)
+    np.divide(total, number, out=found, where=number > 0)
+    return found
+
+
+def shore_polygons(field: Floats, coarse: RasterSpec, window: Block) -> list[Any]:
+    """Polygons, in absolute counts, in which what `depths` gave for a window is below 0."""
+    import shapely
+    from contourpy import FillType, contour_generator
+
+    side = float(coarse.lattice.size)
+    x = (coarse.west + window.col + np.arange(window.width) + 0.5) * side
+    y = (coarse.north - window.row - np.arange(window.height) - 0.5) * side
+    lines = contour_generator(x, y, field, fill_type=FillType.OuterOffset)
+    outers, offsets = lines.filled(-2 * MOST_M, 0.0)  # type: ignore[misc]
+    found = []
+    for places, starts in zip(outers, offsets, strict=True):
+        rings = np.split(places, starts[1:-1])
+        found.append(shapely.make_valid(shapely.Polygon(rings[0], rings[1:])))
+    return found

@@ -1,0 +1,265 @@
+"""The stage ingest of a run: sources are decoded into pieces, and their points put into buckets."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from functools import reduce
+from pathlib import Path
+from typing import Any
+
+from tiler.core.classes import sum_by_class
+from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.lattice import Bounds, Cell
+from tiler.core.selection import WITHHELD
+from tiler.errors import InputError, ProcessingError
+from tiler.ingest import OUTSIDE_AREA, Strays
+from tiler.ingest.tasks.assembled import Assembled
+from tiler.ingest.tasks.points import (
+    Source,
+    assemble_tasks,
+    by_source,
+    fragments_of,
+    source_of,
+    spool_tasks,
+    strays_of,
+)
+from tiler.inputs import FAR
+from tiler.io.locations import is_url
+from tiler.plan import KEEP, Plan, bounds_of, too_much_between
+from tiler.runs.job import Job
+from tiler.runs.stage_runner import run_stage
+from tiler.schedule import Task
+from tiler.store import BucketInfo, Commits
+
+OWN_FAULTS = (
+    "ProcessingError",
+    "StoreError",
+    "DamagedError",
+    "OSError",
+    "PermissionError",
+    "FileNotFoundError",
+)
+"""Kinds of errors that reading an input does not raise: what it finds wrong is an InputError, or ends its process."""
+
+MANY = 0.05
+"""Share of the points above which it is told that a class takes no part: producers use numbers in their own ways."""
+
+
+def spool(job: Job, sources: list[Source]) -> tuple[Commits, list[Source]]:
+    """Decode; a source with a piece that failed, or whose points cannot be where they are, is left out whole."""
+    spooled = run_stage(job, "spool", spool_tasks(job.plan, sources, _keeps_records(job)))
+    failed = [f for f in job.record.failed if f["stage"] == "spool"]
+    _refuse_own_faults(failed)
+    bad = {source_of(f["key"]): f["error"] for f in failed}
+    job.record.failed = [f for f in job.record.failed if f["stage"] != "spool"]
+    bad |= _misplaced(job, [s for s in sources if s.name not in bad], spooled)
+    good = [s for s in sources if s.name not in bad]
+    left_out = [(str(s.info.path), bad[s.name]) for s in sources if s.name in bad]
+    job.record.quarantined += [{"path": path, "error": error} for path, error in left_out]
+    # What an error says may not name the file: a worker died.
+    lines = [f"{path}: left out: {error.removeprefix(f'{path}: ')}" for path, error in left_out]
+    if not good:
+        raise InputError(f"no input could be read; the first: {lines[0]}")
+    for text in lines:
+        job.listener("warning", {"text": text})
+    spooled = {k: c for k, c in spooled.items() if source_of(k) not in bad}
+    records = [record for _, record in spooled.values()]
+    dropped: Counter[str] = Counter()
+    unselected: Counter[str] = Counter()
+    for record in records:
+        dropped.update(record["dropped"])
+        unselected.update(record["unselected"])
+    read, stored = sum(r["read"] for r in records), sum(r["stored"] for r in records)
+    rounding = max(r["largest_rounding"] for r in records)
+    job.facts["counts"] = {
+        "read": read,
+        "stored": stored,
+        "dropped": dict(dropped),
+        "unselected": {key: count for key, count in unselected.items() if count},
+        "largest_rounding": rounding,
+    }
+    stored_of = {name: sum(r["stored"] for r in found) for name, found in by_source(spooled).items()}
+    job.facts["inputs"] = [
+        {**s.info.to_json(), "content": s.content, "stored": stored_of.get(s.name, 0)} for s in sources
+    ]
+    if any(is_url(s.info.path) for s in sources):
+        points = sum(r["fetched"] for r in records)
+        job.facts["fetched"] = {"plan": sum(s.fetched for s in job.plan.sources), "points": points}
+    if rounding > 0:
+        job.note(
+            f"the filter's coordinates were rounded by up to {rounding:.3g} CRS units; classified clouds keep theirs"
+        )
+    for reason, count in dropped.items():
+        job.note(f"{count:,} points left out: {reason}")
+    reasons = dict(job.plan.config.selection.options)
+    if unselected[WITHHELD]:
+        reasons[WITHHELD] = "flag withheld (--withheld keep takes these points as others)"
+    for key, reason in reasons.items():
+        job.note(
+            f"{reason}: {unselected[key]:,} of the points read are neither filtered nor gridded; the clouds keep them"
+        )
+    if stored == 0:
+        raise InputError(
+            f"all {read:,} points were dropped ({', '.join(dropped)}): nothing is left to make a terrain of"
+        )
+    return spooled, good
+
+
+def _refuse_own_faults(failed: Sequence[Mapping[str, Any]]) -> None:
+    """Raise ProcessingError where a task failed by the store or the system, which is no fault of the input."""
+    for failure in failed:
+        if failure["kind"] in OWN_FAULTS:
+            raise ProcessingError(f"{failure['title']} {failure['key']}: {failure['error']}")
+
+
+def _keeps_records(job: Job) -> bool:
+    """Whether records are kept for the classified clouds: in a store of this machine, which gives them for nothing."""
+    return job.plan.writes_clouds and not job.plan.config.salvage and not is_url(job.store.url)
+
+
+def _misplaced(job: Job, sources: list[Source], spooled: Commits) -> dict[str, str]:
+    """Name -> reason of sources whose points lie where neither header nor sample said, and where no raster reaches."""
+    records = by_source(spooled)
+    sources = [s for s in sources if s.name in records]  # of others no part can lie near the area
+    held = {
+        s.name: sum(r["stored"] + r["dropped"].get(OUTSIDE_AREA, 0) for r in records[s.name]) for s in sources
+    }
+    if not any(held.values()):
+        return {}
+    found = {
+        s.name: f"all its {s.info.points:,} points have coordinates that no run can hold; see to its scales and offsets"
+        for s in sources
+        if not held[s.name]
+    }
+    if job.plan.config.sheets is None:
+        found |= _far_away(job.plan, None if is_url(job.products) else Path(job.products), sources, spooled)
+    if found and (job.plan.config.on_error == "stop" or len(found) == len(sources)):
+        source = next(s for s in sources if s.name in found)
+        raise InputError(f"{source.info.path}: {found[source.name]}")
+    return found
+
+
+def _far_away(plan: Plan, out: Path | None, sources: list[Source], spooled: Commits) -> dict[str, str]:
+    """Name -> reason of sources that make the raster too wide, against the bounds that the plan was made with."""
+    records, lattice = by_source(spooled), plan.meta.bucket
+    told = {s.name: bounds_of(s.info).pad(lattice.p + int(FAR) * COUNTS_PER_UNIT) for s in sources}
+    doubtful = [
+        s
+        for s in sources
+        if any(
+            r["bounds"] and told[s.name].union(Bounds.from_json(r["bounds"])) != told[s.name]
+            for r in records[s.name]
+        )
+    ]
+    strays = strays_of(plan, doubtful, spooled)
+    extents: dict[str, Bounds] = {}
+    for source in doubtful:
+        mine = strays.get(source.number, Strays())
+        cells = {Cell(ix, iy) for r in records[source.name] for ix, iy, _ in r["buckets"]} - mine.alone
+        hull = lattice.hull(cells) if cells else told[source.name]
+        hull = hull if mine.extent is None else hull.intersection(mine.extent)
+        if told[source.name].union(hull) != told[source.name]:
+            extents[source.name] = hull
+    extent = reduce(Bounds.union, extents.values(), plan.extent)
+    if plan.area is not None:
+        extent = extent.intersection(plan.area.bounds)
+    remedy = too_much_between(dataclasses.replace(plan, extent=extent), out) if extents else None
+    if remedy is None:
+        return {}
+    return dict.fromkeys(extents, f"holds points far outside of the bounds that its header gives: {remedy}")
+
+
+def assemble(job: Job, sources: list[Source], spooled: Commits) -> Assembled:
+    """Points into buckets; tell of duplicates and of what takes no part."""
+    fragments = fragments_of(spooled)
+    tasks = list(assemble_tasks(job.plan, spooled, fragments, strays_of(job.plan, sources, spooled)))
+    done, stale = job.sorted_out("assemble", tasks)
+    _forget_labels(job, stale)
+    job.take_back("assemble", stale)
+    job.store.allocate(
+        {cell: sum(stop - start for _, start, stop in runs) for cell, runs in fragments.items()}
+    )
+    _bring_back(job, sources, [task for task in tasks if task.key not in done])
+    commits = run_stage(job, "assemble", tasks)
+    assembled = Assembled.of(commits)
+    if not commits:
+        raise ProcessingError(f"no bucket could be written; the first: {job.record.first_error('assemble')}")
+    area = job.plan.area
+    if area is not None and area.bounds.intersection(assembled.bounds).empty:
+        raise InputError("no point of the clouds lies in the area, though some lie near it; name another")
+    job.store.publish_index({c: BucketInfo(r["n"], r["n_candidates"]) for c, r in assembled.records.items()})
+    within = sum(r["duplicates"]["within"] for r in assembled.records.values())
+    between = sum(r["duplicates"]["between"] for r in assembled.records.values())
+    taking = sum(r["n_participating"] for r in assembled.records.values())
+    job.facts["counts"] |= {
+        "duplicates_within_files": within,
+        "duplicates_between_files": between,
+        "participating": taking,
+        "kept_out": job.facts["counts"]["stored"] - taking,
+        "buckets": len(assembled.records),
+    }
+    _tell_of_no_part(job, assembled)
+    _tell_of_strays(job, sources, assembled)
+    if within or between:
+        job.note(
+            f"points that lie twice in the clouds are filtered once: {between:,} in two files, {within:,} in one"
+        )
+    return assembled
+
+
+def _tell_of_no_part(job: Job, assembled: Assembled) -> None:
+    """Count the points of each class of the input, and tell of classes that keep many points out of the filter."""
+    config = job.plan.config
+    found = sum_by_class(record["classes"] for record in assembled.records.values())
+    kept_out = () if config.method == KEEP else config.keep_classes
+    no_part = {
+        code: n for code, n in found.items() if int(code) in kept_out and int(code) not in config.drop_classes
+    }
+    job.facts["classes"] = {"input": found, "no_part": no_part}
+    points = sum(found.values())
+    for code, n in no_part.items():
+        if n > MANY * points:
+            others = ",".join(str(c) for c in config.keep_classes if c != int(code)) or "none"
+            job.note(
+                f"{n / points:.1%} of the points ({n:,}) are of class {code}, which takes no part in the filter and is "
+                f"kept; where these clouds mean something else by it, --keep-classes {others} lets it take part"
+            )
+
+
+def _bring_back(job: Job, sources: list[Source], todo: list[Task]) -> None:
+    """Decode again the pieces that buckets need and that `tiler clean` removed."""
+    needed = {piece for task in todo for bucket in task.arguments.buckets for piece, *_ in bucket.fragments}
+    gone = needed - job.store.pieces() if needed else set()
+    if gone:
+        job.note(f"{len(gone)} parts of the decoded points are gone from the store; they are decoded again")
+        job.take_back("spool", gone)
+        run_stage(job, "spool", spool_tasks(job.plan, sources, _keeps_records(job)))
+
+
+def _tell_of_strays(job: Job, sources: list[Source], assembled: Assembled) -> None:
+    """List the points that belong to nothing."""
+    paths = {source.number: str(source.info.path) for source in sources}
+    found: list[dict[str, Any]] = []
+    for record in assembled.records.values():
+        for number, row, x, y, z in record["strays"]:
+            found.append({"path": paths[number], "point": row, "x": x, "y": y, "z": z})
+    job.facts["counts"]["strays"] = len(found)
+    job.facts["strays"] = found
+    if found:
+        job.note(
+            f"{len(found)} points far from all others of their file, or outside of its bounds, are not filtered: "
+            "run.json lists them (strays)"
+        )
+
+
+def _forget_labels(job: Job, stale: Commits) -> None:
+    """Take back the tiles whose buckets are written anew: a bucket that moves to other rows loses its labels."""
+    cells = {tuple(bucket["cell"]) for _, record in stale.values() for bucket in record["buckets"]}
+    for number in range(job.store.get_state("passes") or 0):
+        stage = f"filter{number}"
+        tiles = job.store.committed(stage) if cells else {}
+        job.take_back(
+            stage, [k for k, (_, r) in tiles.items() if not cells.isdisjoint(map(tuple, r["cells"]))]
+        )

@@ -1,0 +1,1 @@
+"""Tasks of the stage ingest, and what is known of them."""

@@ -1,0 +1,44 @@
+"""What the finished ingest holds, as the stages after it take it, and which points it keeps out of the filter."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property, reduce
+from typing import Any
+
+from tiler.core.classes import OVERLAP_FLAG, STRAY_FLAG, SYNTHETIC_FLAG, UNSELECTED_FLAG, WITHHELD_FLAG
+from tiler.core.lattice import Bounds, Cell
+from tiler.plan import Plan
+from tiler.store import Commits
+
+
+def skip_flags(plan: Plan) -> int:
+    """Bits of flags that keep a point out of filtering."""
+    synthetic = SYNTHETIC_FLAG if plan.config.skip_synthetic else 0
+    overlap = OVERLAP_FLAG if plan.config.skip_overlap else 0
+    return WITHHELD_FLAG | STRAY_FLAG | UNSELECTED_FLAG | synthetic | overlap
+
+
+@dataclass(frozen=True)
+class Assembled:
+    """What the finished ingest holds: bucket -> record, and bucket -> digest of what its contents depend on."""
+
+    records: dict[Cell, dict[str, Any]]
+    digests: dict[Cell, str]
+
+    @classmethod
+    def of(cls, commits: Commits) -> Assembled:
+        """From the commits of the assembly tasks."""
+        records: dict[Cell, dict[str, Any]] = {}
+        digests: dict[Cell, str] = {}
+        for digest, record in commits.values():
+            for bucket in record["buckets"]:
+                cell = Cell(*bucket["cell"])
+                records[cell], digests[cell] = bucket, digest
+        return cls(dict(sorted(records.items())), digests)
+
+    @cached_property
+    def bounds(self) -> Bounds:
+        """Bounds of all stored points, absolute counts."""
+        found = [Bounds.from_json(r["bounds"]) for r in self.records.values() if r["bounds"]]
+        return reduce(Bounds.union, found)

@@ -1,0 +1,166 @@
+"""The tasks of the stage ingest: pieces of files are decoded, then groups of buckets put together from them."""
+
+from __future__ import annotations
+
+from collections import defaultdict
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from tiler.core.lattice import Cell
+from tiler.ingest import (
+    AssembleBuckets,
+    BucketParts,
+    SpoolPiece,
+    Strays,
+    assemble_buckets,
+    find_strays,
+    spool_piece,
+)
+from tiler.ingest.tasks.assembled import skip_flags
+from tiler.inputs import SourceInfo, claimed_bounds, pieces, window_pieces
+from tiler.io.locations import location
+from tiler.plan import PIECE_POINTS, Plan, buckets_of, chunks_of
+from tiler.schedule import Task, digest_of
+from tiler.store import Commits
+
+GROUP = 4
+"""Buckets a side that one assembly task writes."""
+
+
+@dataclass(frozen=True)
+class Source:
+    """A readable file and its number in the store."""
+
+    info: SourceInfo
+    number: int
+    content: str
+
+    @property
+    def name(self) -> str:
+        """What the keys of its pieces begin with: ``s000012``."""
+        return f"s{self.number:06d}"
+
+    @property
+    def identity(self) -> list[Any]:
+        """What a piece of it depends on."""
+        return [self.info.size, self.info.digest, self.content, self.info.salvaged]
+
+
+def spool_tasks(plan: Plan, sources: Iterable[Source], keep: bool) -> Iterator[Task]:
+    """One for each piece of a source; ``keep`` its records."""
+    selection = plan.config.selection
+    for source in sources:
+        wanted = buckets_of(plan, source.info)
+        claimed = claimed_bounds(source.info)
+        for start, count, ranges in _pieces(plan, source.info):
+            key = f"{source.name}-{start:012d}"
+            parts = [source.identity, source.number, start, count, claimed, plan.meta.to_json(), selection]
+            identity = digest_of(*parts, *([ranges] if ranges else []))
+            work = SpoolPiece(
+                location(source.info.path),
+                source.number,
+                key,
+                start,
+                count,
+                wanted,
+                salvage=plan.config.salvage,
+                extent=claimed,
+                identity=identity,
+                stamp=source.info.stamp,
+                ranges=ranges,
+                keep=keep,
+                selection=selection,
+            )
+            yield Task("spool", key, digest_of(identity, wanted), spool_piece, work, count)
+
+
+def _pieces(plan: Plan, info: SourceInfo) -> Iterator[tuple[int, int, tuple[tuple[int, int], ...]]]:
+    """First record, number of records, and their ranges if they are not all that lie between, of each piece."""
+    chunks = chunks_of(plan, info)
+    if chunks is None:
+        yield from ((start, count, ()) for start, count in pieces(info, PIECE_POINTS))
+        return
+    for ranges in window_pieces(info, chunks, PIECE_POINTS):
+        yield ranges[0][0], sum(count for _, count in ranges), ranges
+
+
+def by_source(spooled: Commits) -> dict[str, list[dict[str, Any]]]:
+    """Name of a source -> the records of its pieces."""
+    found: dict[str, list[dict[str, Any]]] = defaultdict(list)
+    for key, (_, record) in spooled.items():
+        found[source_of(key)].append(record)
+    return found
+
+
+def source_of(piece: str) -> str:
+    """Name of the source that a piece is of."""
+    return piece.partition("-")[0]
+
+
+Fragments = dict[Cell, list[tuple[str, int, int]]]
+"""Piece, first and end row of each run of points that belongs to a bucket."""
+
+
+def fragments_of(spooled: Commits) -> Fragments:
+    """Where the points of each bucket lie in the spool, from the commits of the pieces."""
+    found: Fragments = defaultdict(list)
+    for piece in sorted(spooled):
+        start = 0
+        for ix, iy, count in spooled[piece][1]["buckets"]:
+            found[Cell(ix, iy)].append((piece, start, start + count))
+            start += count
+    return dict(found)
+
+
+def strays_of(plan: Plan, sources: Iterable[Source], spooled: Commits) -> dict[int, Strays]:
+    """Number of a source -> its strays, for those that have some."""
+    held: dict[str, dict[Cell, int]] = defaultdict(lambda: defaultdict(int))
+    outside: dict[str, int] = defaultdict(int)
+    for key, (_, record) in spooled.items():
+        outside[source_of(key)] += record["outside"]
+        for ix, iy, count in record["buckets"] + record["left"]:  # a file is judged whole
+            held[source_of(key)][Cell(ix, iy)] += count
+    found = {}
+    for source in sources:
+        strays = find_strays(
+            held[source.name], plan.meta.bucket, claimed_bounds(source.info), outside[source.name]
+        )
+        if strays != Strays():
+            found[source.number] = strays
+    return found
+
+
+def assemble_tasks(
+    plan: Plan,
+    spooled: Commits,
+    fragments: Fragments,
+    strays: Mapping[int, Strays],
+) -> Iterator[Task]:
+    """One for each group of neighbouring buckets."""
+
+    def bucket(cell: Cell) -> BucketParts:
+        sources = {int(source_of(piece)[1:]) for piece, _, _ in fragments[cell]} & strays.keys()
+        rules = ((n, strays[n].rule(plan.meta.bucket, cell)) for n in sorted(sources))
+        return BucketParts(
+            cell, tuple(fragments[cell]), tuple((n, rule) for n, rule in rules if rule is not None)
+        )
+
+    groups: dict[Cell, list[Cell]] = defaultdict(list)
+    for cell in fragments:
+        groups[Cell(cell.ix // GROUP, cell.iy // GROUP)].append(cell)
+    flags, keep = skip_flags(plan), plan.config.keep_classes
+    for group in sorted(groups):
+        buckets = tuple(bucket(c) for c in sorted(groups[group]))
+        parents = [
+            spooled[piece][1]["identity"]
+            for piece in sorted({f[0] for c in groups[group] for f in fragments[c]})
+        ]
+        points = sum(stop - start for c in groups[group] for _, start, stop in fragments[c])
+        # In which rows of a piece the points lie depends on what else is wanted of it; which points they are does not.
+        content = [
+            [b.cell, [[piece, stop - start] for piece, start, stop in b.fragments], b.rules] for b in buckets
+        ]
+        digest = digest_of(content, keep, flags, parents)
+        work = AssembleBuckets(buckets, keep, flags)
+        yield Task("assemble", group.name, digest, assemble_buckets, work, points)

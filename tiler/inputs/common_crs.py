@@ -1,0 +1,180 @@
+"""Find the CRS and the units of a run from its sources and its settings."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+from pathlib import Path
+from typing import NamedTuple
+
+from pyproj import CRS
+from pyproj.exceptions import CRSError
+
+from tiler.config import RunConfig
+from tiler.core.crs import same_horizontal, split
+from tiler.core.units import METRE, Units, unit_label, unit_named
+from tiler.errors import ConfigError, InputError
+from tiler.inputs.georeference import Georeference, describe
+from tiler.inputs.sources import SourceInfo
+
+
+class Agreement(NamedTuple):
+    """The CRS of a run (None if it is unknown), its units, and notes for the user."""
+
+    wkt: str | None
+    units: Units
+    notes: list[str]
+
+
+def agree(infos: Sequence[SourceInfo], config: RunConfig) -> Agreement:
+    """Find the CRS and the units that all sources share. Files without points are not asked.
+
+    Raises
+    ------
+    InputError
+        The CRS of a file is missing (and there is no ``--crs``), geographic, geocentric, or not that of the others.
+    ConfigError
+        ``--crs`` or ``--units`` cannot be understood.
+    """
+    notes: list[str] = []
+    given = _given(config.crs)
+    members = [(i.path, _settled(i.path, i.georeference, given, config.crs)) for i in infos if i.points]
+    _check_horizontal(members)
+    _note_ignored_crs(members, config.crs, given, notes)
+    units = _units(members, config.units, notes)
+    texts = {g.wkt for _, g in members if g.wkt is not None}
+    # Equal definitions may have different texts: choose one that does not depend on the order of the files.
+    wkt = min(texts, key=lambda text: (-text.count("ID["), text), default=None)
+    return Agreement(wkt, units, notes)
+
+
+def _given(text: str | None) -> Georeference | None:
+    """The CRS of ``--crs``; raises ConfigError if it is unknown or not projected."""
+    if text is None or text.strip().lower() == "none":
+        return None
+    try:
+        found = describe(CRS.from_user_input(text))
+    except CRSError as error:
+        raise ConfigError(
+            f"--crs {text}: {' '.join(str(error).split())[:150]}; write EPSG:25832, a WKT, or none"
+        ) from error
+    if found.kind not in ("projected", "local"):
+        kind = "; ".join(found.notes) if found.kind == "missing" else f"{found.name} is {found.kind}"
+        raise ConfigError(f"--crs {text}: {kind}; name a projected CRS")
+    return found
+
+
+def _note_ignored_crs(
+    members: Sequence[tuple[Path, Georeference]],
+    text: str | None,
+    given: Georeference | None,
+    notes: list[str],
+) -> None:
+    """Add a note if files have their own CRS and it differs from ``--crs``, which is then not used for them."""
+    own = [(g.wkt, g.name) for _, g in members if g.wkt is not None and g is not given]
+    if text is None or not own:
+        return
+    theirs = split(CRS.from_wkt(own[0][0]))[0]
+    wanted = None
+    if given is not None and given.wkt is not None:
+        wanted = split(CRS.from_wkt(given.wkt))[0]
+    if theirs is None or wanted is None or not same_horizontal(wanted, theirs):
+        notes.append(
+            f"--crs {text}: is only for files without a CRS; {len(own)} of {len(members)} files have their own, "
+            f"{own[0][1]}, which is used; if it is wrong, write the right one into the files first "
+            "(`pdal translate IN OUT --writers.las.a_srs=EPSG:...`)"
+        )
+
+
+def _settled(path: Path, own: Georeference, given: Georeference | None, text: str | None) -> Georeference:
+    """The CRS of a file, or that of ``--crs`` if the file has none; raises InputError."""
+    if own.kind in ("geographic", "geocentric"):
+        raise InputError(
+            f"{path}: its CRS {own.name} is {own.kind}, distances in it are no lengths; "
+            "reproject the file to a projected CRS"
+        )
+    if own.kind != "missing":
+        return _with_heights(own, given)
+    if given is not None:
+        return given
+    if text is not None:
+        return Georeference("missing", "unknown")
+    why = f" ({'; '.join(own.notes)})" if own.notes else ""
+    raise InputError(
+        f"{path}: has no CRS{why}; name it with --crs EPSG:..., or --crs none to assume metres "
+        "(feet: --crs none --units ft)"
+    )
+
+
+@lru_cache(maxsize=64)
+def _with_heights(own: Georeference, given: Georeference | None) -> Georeference:
+    """A file's CRS, or that of ``--crs`` if it adds a vertical CRS to the same horizontal one."""
+    if given is None or given.wkt is None or own.wkt is None:
+        return own
+    mine, vertical = split(CRS.from_wkt(own.wkt))
+    theirs, heights = split(CRS.from_wkt(given.wkt))
+    if vertical is not None or heights is None or own.vertical not in (None, given.vertical):
+        return own
+    if mine is None or theirs is None or not same_horizontal(theirs, mine):
+        return own
+    return given
+
+
+def _check_horizontal(members: Sequence[tuple[Path, Georeference]]) -> None:
+    """Raise InputError, which names two files, if their horizontal CRS differ."""
+    if not members:
+        return
+    first_path, first = members[0]
+    parsed: dict[str | None, CRS | None] = {}
+    for _, member in members:
+        if member.wkt not in parsed:
+            parsed[member.wkt] = split(CRS.from_wkt(member.wkt))[0] if member.wkt else None
+    reference = parsed[first.wkt]
+    for path, member in members[1:]:
+        other = parsed[member.wkt]
+        if other is reference:
+            continue
+        if other is None or reference is None or not same_horizontal(reference, other):
+            raise InputError(
+                f"{path}: its CRS is {member.name}, that of {first_path} is {first.name}; "
+                "run them apart, reproject, or give --crs for files without one"
+            )
+
+
+def _units(members: Sequence[tuple[Path, Georeference]], text: str | None, notes: list[str]) -> Units:
+    """Metres per unit, horizontally and vertically; raises InputError, ConfigError."""
+    horizontal = next((g.horizontal for _, g in members if g.horizontal is not None), None)
+    if horizontal is None:
+        horizontal = METRE
+        if members and text is None:
+            notes.append("CRS unknown: coordinates are taken as metres")
+    declared = [(path, g.vertical) for path, g in members]
+    chosen = next((v for _, v in declared if v is not None), None)
+    if text is not None:
+        parts = [unit_named(part) for part in text.split(",")]
+        if len(parts) > 2:
+            raise ConfigError(f"--units {text}: write h or h,v, like ft or m,ft")
+        units = Units(parts[0], parts[1] if len(parts) == 2 else chosen or parts[0])
+        notes.append(
+            f"--units: {unit_label(units.horizontal)} horizontally, {unit_label(units.vertical)} vertically"
+        )
+        if parts[0] != horizontal and any(g.wkt for _, g in members):
+            notes.append(
+                f"--units {text}: x and y are taken as {unit_label(parts[0])} although their CRS says "
+                f"{unit_label(horizontal)}; if this is the unit of the heights alone, write --units h,v"
+            )
+        return units
+    effective = [(path, v if v is not None else horizontal) for path, v in declared]
+    for path, unit in effective[1:]:
+        if unit != effective[0][1]:
+            raise InputError(
+                f"{path}: its heights are in {unit_label(unit)}, those of {effective[0][0]} in "
+                f"{unit_label(effective[0][1])}; convert them, or say what all have with --units h,v"
+            )
+    silent = sum(v is None for _, v in declared)
+    if silent and any(g.wkt for _, g in members):
+        notes.append(
+            f"no vertical CRS in {silent} of {len(declared)} files: heights are taken to be in "
+            f"{unit_label(horizontal)}, as x and y are; --units h,v says otherwise"
+        )
+    return Units(horizontal, effective[0][1] if effective else horizontal)

@@ -1,0 +1,228 @@
+"""Bounds of a file's points: those of the header, checked against a sample of the points."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import numpy.typing as npt
+
+from ptd.matched.evidence import Evidence
+from tiler.core.units import FARTHEST
+from tiler.errors import InputError
+from tiler.inputs.patches import IN_CELL, Patch, find_patches
+from tiler.io.las.columns import evidence, returns
+from tiler.io.las.headers import LasHeader
+from tiler.io.las.octree import Octree
+from tiler.io.las.reader import EVERYTHING, PointReader, Records, rows_at_once
+
+_PLACES = 32
+"""Places in the file at which a sample is read; a small file with one chunk has one place."""
+_SAMPLE = 1024
+"""Points that are read at each place."""
+_LEAST = 8192
+"""Fewest points in the whole sample."""
+_SCAN = 1 << 19
+"""Points that are read at a time, if all are read."""
+_BLOCK_BYTES = 1 << 19
+"""Bytes of an object that are read at a time: about the size of a chunk's coordinates."""
+_WIDEST = 1e6
+"""Longest credible extent, in units: int32 counts reach across it from any place in it."""
+
+FEW = 10
+"""A file has at most so many strays."""
+SHARE = 1000
+"""At most one point in so many of a file is a stray."""
+
+FAR = 1000.0
+"""Distance between two points that are far apart, in units of the CRS."""
+_TIMES = 4
+"""The bounds may reach beyond the sample by `FAR` and so many times its width."""
+_LEVELS = 4
+"""Deepest level of an octree whose squares become patches; it has 256 squares at most."""
+
+Array = npt.NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Extent:
+    """Bounds of a file, checked against its points.
+
+    Attributes
+    ----------
+    bounds : tuple of 6 float or None
+        Lowest x, y, z, highest x, y, z in units of the CRS; None without points.
+    claimed : bool
+        Whether these are the bounds of the header, and hold a sample of the points. Points outside are then strays.
+    note : str or None
+        A note for the user.
+    patches : tuple of Patch
+        Estimate of how the points are spread over the bounds.
+    returns : int
+        Largest number of returns of a pulse in the sample; 0 or 1 for clouds without pulses.
+    evidence : Evidence
+        Evidence, in the fields of the sample, of what made the cloud.
+    """
+
+    bounds: tuple[float, ...] | None
+    claimed: bool
+    note: str | None = None
+    patches: tuple[Patch, ...] = ()
+    returns: int = 0
+    evidence: Evidence = field(default_factory=Evidence)
+
+
+def can_be_strays(number: int, total: int) -> bool:
+    """Whether ``number`` points of a file with ``total`` points are few enough to be strays."""
+    return number <= FEW and number * SHARE <= total
+
+
+def find_extent(header: LasHeader, octree: Octree | None = None) -> Extent:
+    """Find the bounds of a file from its header and a sample of its points.
+
+    The bounds of the header are used if the sample fills them, except for a few strays; otherwise all points are read.
+    Bounds that reach very far beyond the sample end where the sample ends, since they hold strays or an empty area that
+    the plan must not count. The sample of an octree is its root, whose points span the whole file.
+
+    Raises
+    ------
+    InputError
+        The points cannot be decoded, or no point has finite coordinates.
+    """
+    if header.point_count == 0:
+        return Extent(None, False)
+    root = None if octree is None else octree.root(header, rows_at_once(header.record_length, _SCAN))
+    with PointReader(header, EVERYTHING, _BLOCK_BYTES, [root] if root else None) as reader:
+        if root is not None:
+            sample = [reader.read(*root)]
+        else:
+            last = header.point_count - 1
+            starts = sorted({_chunk_start(header, last * i // (_PLACES - 1)) for i in range(_PLACES)})
+            length = max(_SAMPLE, _LEAST // len(starts))
+            sample = [reader.read(s, min(length, header.point_count - s)) for s in starts]
+        most = max(int(returns(records, header.point_format)[1].max(initial=0)) for records in sample)
+        told = evidence(np.concatenate(sample), header.point_format)
+        near = _Hull.around(header, sample)
+        claim = _Hull(np.array(header.mins), np.array(header.maxs))
+        note = None
+        credible = bool(np.all(claim.high - claim.low <= _WIDEST))
+        claimed = credible and claim.holds(near, header.scales)
+        if credible and not claimed and _few_outside(header, sample, claim):
+            claimed = True
+            near = _Hull(np.maximum(near.low, claim.low), np.minimum(near.high, claim.high))
+        if not claimed:
+            claim = _Hull.around(header, reader.pieces(_SCAN))
+            note = "its points lie outside the bounds that its header gives: read from the points"
+    if not np.all(np.isfinite(claim.low)):
+        raise InputError(
+            f"{header.path}: not one of its {header.point_count} points has a finite place; get the file again"
+        )
+    trimmed = claim.trimmed(near)
+    if trimmed is not None:
+        claim, claimed = trimmed, False
+        note = "a few of its points, or the bounds of its header, lie far from all others: the plan leaves them out"
+    low, high = claim.low.tolist(), claim.high.tolist()
+    runs = [_plan_view(header, block) for block in sample]
+    if octree is not None and header.laz is not None:
+        everywhere = np.concatenate(runs, axis=1)
+        patches = _patches_of(octree, header.laz.counts.tolist(), everywhere, (*low[:2], *high[:2]))
+    else:
+        patches = find_patches(runs, header.point_count, (*low[:2], *high[:2]))
+    return Extent((*low, *high), claimed, note, patches, most, told)
+
+
+def _patches_of(
+    octree: Octree, counts: list[int], sample: Array, bounds: Sequence[float]
+) -> tuple[Patch, ...]:
+    """A patch for each square of an octree that holds points, clipped to the bounds."""
+    found = []
+    level = max(*(key[0] for key in octree.keys), math.isqrt(sample.shape[1] // IN_CELL).bit_length() - 1)
+    for key, points in octree.spread(counts, sample, min(level, _LEVELS)).items():
+        x0, y0, x1, y1 = octree.box(key)
+        patch = Patch(
+            x0=min(max(x0, bounds[0]), bounds[2]),
+            y0=min(max(y0, bounds[1]), bounds[3]),
+            x1=min(max(x1, bounds[0]), bounds[2]),
+            y1=min(max(y1, bounds[1]), bounds[3]),
+            points=points,
+        )
+        found.append(patch)
+    return tuple(found)
+
+
+def _few_outside(header: LasHeader, sample: Iterable[Records], claim: _Hull) -> bool:
+    """Whether, in x and y, the points of a sample outside ``claim`` can be strays and the others fill ``claim``."""
+    places = np.concatenate([_plan_view(header, records) for records in sample], axis=1)
+    tolerance = np.asarray(header.scales[:2])
+    low = claim.low[:2] - tolerance
+    high = claim.high[:2] + tolerance
+    inside = np.all((places >= low[:, None]) & (places <= high[:, None]), axis=0)
+    if not can_be_strays(int(np.count_nonzero(~inside)), places.shape[1]):
+        return False
+    return bool(np.all(2 * np.ptp(places[:, inside], axis=1) >= high - low))
+
+
+def _plan_view(header: LasHeader, records: Records) -> Array:
+    """Places of records in units of the CRS, shape (2, n)."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        axes = [records[n] * header.scales[i] + header.offsets[i] for i, n in enumerate("XY")]
+    return np.stack(axes).astype(np.float64)
+
+
+@dataclass(frozen=True)
+class _Hull:
+    """Lowest and highest x, y, z, float64, shape (3,) each; infinite without points."""
+
+    low: Array
+    high: Array
+
+    @classmethod
+    def around(cls, header: LasHeader, blocks: Iterable[Records]) -> _Hull:
+        """The hull of some records; coordinates that are not finite are left out."""
+        low = np.full(3, np.inf)
+        high = np.full(3, -np.inf)
+        for block in blocks:
+            for axis, name in enumerate("XYZ"):
+                scale, offset = header.scales[axis], header.offsets[axis]
+                values = block[name]
+                with np.errstate(over="ignore", invalid="ignore"):
+                    ends = np.array([int(values.min()), int(values.max())]) * scale + offset
+                    if not np.all(np.abs(ends) < FARTHEST):
+                        places = values.astype(np.float64) * scale + offset
+                        places = places[np.abs(places) < FARTHEST]
+                        if places.size == 0:
+                            continue
+                        ends = np.array([places.min(), places.max()])
+                low[axis] = min(low[axis], ends[0])
+                high[axis] = max(high[axis], ends[1])
+        return cls(low, high)
+
+    def holds(self, other: _Hull, tolerance: Sequence[float]) -> bool:
+        """Whether another hull lies inside, apart from rounding."""
+        inside = np.all(other.low >= self.low - tolerance) and np.all(other.high <= self.high + tolerance)
+        return bool(inside)
+
+    def trimmed(self, near: _Hull) -> _Hull | None:
+        """The hull, cut to ``near`` on each side in x and y on which it reaches far beyond; None if it does not."""
+        if not np.all(np.isfinite(near.low)):
+            return None
+        allowed = FAR + _TIMES * float(max(near.high[:2] - near.low[:2]))
+        west, east = self.low < near.low - allowed, self.high > near.high + allowed
+        west[2] = east[2] = False
+        if not (west.any() or east.any()):
+            return None
+        return _Hull(np.where(west, near.low, self.low), np.where(east, near.high, self.high))
+
+
+def _chunk_start(header: LasHeader, point: int) -> int:
+    """The first point of the chunk that holds ``point``; decoding has to begin there."""
+    layout = header.laz
+    if layout is None:
+        return point
+    if layout.chunk_size is not None:
+        return point // layout.chunk_size * layout.chunk_size
+    ends = np.cumsum(layout.counts)
+    chunk = int(np.searchsorted(ends, point, side="right"))
+    return int(ends[chunk] - layout.counts[chunk])

@@ -1,0 +1,195 @@
+"""Reads CRS and units of a source from its WKT or its GeoTIFF keys, as far as they are EPSG codes (OGC 19-008r4)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from functools import lru_cache
+
+import numpy as np
+from pyproj import CRS
+from pyproj.crs import CompoundCRS
+from pyproj.exceptions import CRSError
+
+from tiler.core.crs import split
+from tiler.core.units import FOOT, METRE, US_SURVEY_FOOT, exact_unit, unit_label
+from tiler.io.las.headers import LasHeader, read_payload
+from tiler.io.las.records import PROJECTION_USER
+
+_WKT_RECORD = 2112
+DIRECTORY = 34735
+
+# Numbers of the keys.
+_GEODETIC = 2048
+_PROJECTED = 3072
+_LINEAR_UNIT = 3076
+_VERTICAL = 4096
+_VERTICAL_UNIT = 4099
+
+_EPSG_CODES = range(1024, 32767)
+_USER_DEFINED = 32767
+_UNITS = {9001: METRE, 9002: FOOT, 9003: US_SURVEY_FOOT}
+
+
+@dataclass(frozen=True)
+class KeyedCrs:
+    """What the keys define: a horizontal CRS, a vertical CRS, the unit of heights; and notes for the user."""
+
+    horizontal: CRS | None
+    vertical: CRS | None
+    vertical_unit: Fraction | None
+    notes: tuple[str, ...] = ()
+
+
+def parse_keys(directory: bytes) -> dict[int, int]:
+    """The keys whose value is a number in the directory itself; empty if the bytes are not a directory."""
+    usable = len(directory) // 8 * 8
+    entries = np.frombuffer(directory[:usable], dtype="<u2").reshape(-1, 4)
+    if len(entries) == 0:
+        return {}
+    keys = entries[1 : 1 + int(entries[0, 3])]
+    return {int(key): int(value) for key, location, _, value in keys if location == 0}
+
+
+def crs_of_keys(directory: bytes) -> KeyedCrs:
+    """The CRS that a directory of GeoTIFF keys defines by EPSG codes."""
+    keys = parse_keys(directory)
+    notes: list[str] = []
+    horizontal = _of_code(keys.get(_PROJECTED), notes)
+    if horizontal is None and keys.get(_PROJECTED) is None:
+        horizontal = _of_code(keys.get(_GEODETIC), notes)
+    if keys.get(_PROJECTED) == _USER_DEFINED:
+        notes.append("its GeoTIFF keys describe a CRS of their own, only EPSG codes are read")
+    unit = _UNITS.get(keys.get(_LINEAR_UNIT, 0))
+    if horizontal is not None and horizontal.is_projected and unit is not None:
+        own = horizontal.axis_info[0].unit_conversion_factor
+        if abs(own / float(unit) - 1) > 1e-9:
+            notes.append(
+                f"its GeoTIFF keys say {unit_label(unit)}, their EPSG:{keys[_PROJECTED]} is in "
+                f"{unit_label(exact_unit(own))}, which counts; --units says otherwise"
+            )
+    vertical = _of_code(keys.get(_VERTICAL), [])
+    if vertical is not None and not vertical.is_vertical:
+        vertical = None
+    return KeyedCrs(horizontal, vertical, _UNITS.get(keys.get(_VERTICAL_UNIT, 0)), tuple(notes))
+
+
+def _of_code(code: int | None, notes: list[str]) -> CRS | None:
+    if code is None or code not in _EPSG_CODES:
+        return None
+    try:
+        return CRS.from_epsg(code)
+    except CRSError:
+        notes.append(f"its GeoTIFF keys name EPSG:{code}, which is not known")
+        return None
+
+
+@dataclass(frozen=True)
+class Georeference:
+    """The CRS of a file, with its units.
+
+    Attributes
+    ----------
+    kind : str
+        ``projected``, ``local`` (linear units, but no place on earth), ``geographic``, ``geocentric``, ``missing``.
+    name : str
+        Name of the CRS.
+    wkt : str or None
+        WKT2:2019 of the horizontal CRS, or of both if the vertical CRS is known.
+    horizontal, vertical : Fraction or None
+        Metres per unit; None if the file does not define it.
+    notes : tuple of str
+        Notes for the user.
+    """
+
+    kind: str
+    name: str = ""
+    wkt: str | None = None
+    horizontal: Fraction | None = None
+    vertical: Fraction | None = None
+    notes: tuple[str, ...] = ()
+
+
+def georeference(header: LasHeader) -> Georeference:
+    """CRS and units of one file.
+
+    The global encoding of the header tells whether the WKT record or the GeoTIFF keys come first. The other one is
+    used if the first is missing or cannot be read.
+    """
+    notes: list[str] = []
+    readers = [_from_wkt, _from_keys] if header.prefers_wkt else [_from_keys, _from_wkt]
+    for read in readers:
+        found = read(header, notes)
+        if found is not None:
+            return found
+    return Georeference("missing", notes=tuple(notes))
+
+
+def describe(crs: CRS, notes: Sequence[str] = (), vertical_unit: Fraction | None = None) -> Georeference:
+    """Kind and units of a CRS; ``vertical_unit`` is used if the CRS does not define the unit of heights."""
+    horizontal, vertical = split(crs)
+    if horizontal is None:
+        return Georeference("missing", crs.name, notes=(*notes, f"its CRS {crs.name} is vertical only"))
+    kind = _kind(horizontal)
+    if kind in ("geographic", "geocentric"):
+        return Georeference(kind, horizontal.name, crs.to_wkt(), notes=tuple(notes))
+    factors = {exact_unit(a.unit_conversion_factor) for a in horizontal.axis_info[:2]}
+    if len(factors) != 1:
+        remark = f"its CRS {crs.name} has axes of different units"
+        return Georeference("missing", crs.name, notes=(*notes, remark))
+    unit = vertical_unit
+    if vertical is not None:
+        unit = exact_unit(vertical.axis_info[-1].unit_conversion_factor)
+    return Georeference(kind, horizontal.name, crs.to_wkt(), factors.pop(), unit, tuple(notes))
+
+
+def _kind(horizontal: CRS) -> str:
+    if horizontal.is_geocentric:
+        return "geocentric"
+    if horizontal.is_geographic:
+        return "geographic"
+    return "projected" if horizontal.is_projected else "local"
+
+
+def _from_wkt(header: LasHeader, notes: list[str]) -> Georeference | None:
+    for record in (*header.vlrs, *header.evlrs):
+        if record.user_id != PROJECTION_USER or record.record_id != _WKT_RECORD:
+            continue
+        text = read_payload(header.path, record).split(b"\0")[0].decode("utf-8-sig", "replace").strip()
+        if not text:
+            notes.append("its WKT record is empty")
+            continue
+        try:
+            found = _described(text)
+            return replace(found, notes=(*notes, *found.notes))
+        except CRSError as error:
+            notes.append(f"its WKT cannot be read ({' '.join(str(error).split())[:120]})")
+    return None
+
+
+@lru_cache(maxsize=64)
+def _described(wkt: str) -> Georeference:
+    # The files of a delivery share a text, and parsing it takes as long as reading a sample of a file.
+    return describe(CRS.from_wkt(wkt))
+
+
+def _from_keys(header: LasHeader, notes: list[str]) -> Georeference | None:
+    for record in (*header.vlrs, *header.evlrs):
+        if record.user_id != PROJECTION_USER or record.record_id != DIRECTORY:
+            continue
+        keyed = crs_of_keys(read_payload(header.path, record))
+        notes.extend(keyed.notes)
+        if keyed.horizontal is None:
+            continue
+        if keyed.vertical is None:
+            return describe(keyed.horizontal, notes, keyed.vertical_unit)
+        both = CompoundCRS(
+            f"{keyed.horizontal.name} + {keyed.vertical.name}", [keyed.horizontal, keyed.vertical]
+        )
+        found = describe(both, notes)
+        if keyed.vertical_unit not in (None, found.vertical):
+            # The key wins over the EPSG entry: the file may have feet above a datum that is defined in metres.
+            return describe(keyed.horizontal, notes, keyed.vertical_unit)
+        return found
+    return None

@@ -1,0 +1,48 @@
+"""Reads files that name clouds (``.vpc``, EPT) in a child process with limits, as they may come from anywhere."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, TypeVar
+
+from tiler.io.locations import cloud_path
+from tiler.schedule import read_apart
+from tiler.schedule.guard import MEMORY_BYTES
+
+Read = TypeVar("Read")
+
+LIST_BYTES = 1 << 28
+"""Largest size of such a file; pdal_wrench writes some kilobytes for each cloud."""
+MOST_CLOUDS = 1 << 18
+"""Most clouds that a list may name; a URL takes 1.4 kB of memory before any cloud is read."""
+LIST_SECONDS = 300.0
+"""Longest time for reading a whole ``.vpc`` or hierarchy, however slow its server is."""
+
+
+def read_list(text: str, function: Callable[..., Read], *arguments: Any, in_process: bool = False) -> Read:
+    """The result of ``function(*arguments)`` in a child process.
+
+    Parameters
+    ----------
+    text : str
+        Path or URL of the list.
+    function : callable
+        A function of a module, since function, arguments and result are pickled.
+    in_process : bool
+        Call the function in this process, without limits.
+
+    Raises
+    ------
+    InputError
+        The list cannot be read within `LIST_SECONDS` and `MEMORY_BYTES`.
+    """
+    if in_process:
+        return function(*arguments)
+    return read_apart(
+        function,
+        *arguments,
+        paths=(cloud_path(text),),
+        memory_bytes=MEMORY_BYTES,
+        seconds=LIST_SECONDS,
+        remedy="get it again, or name the clouds themselves",
+    )

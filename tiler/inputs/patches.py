@@ -1,0 +1,159 @@
+"""Estimates where a file's points lie and how dense they are, from a few runs of successive points.
+
+The mean density over a file's bounds is wrong if flight strips run diagonally, or cross. A run of successive points
+shows the density at its place or, if the order of the file is random, the density of the whole file.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+_PER_CELL = 4.0
+"""Points in an occupied cell for which `local_density` chooses the size of its cells."""
+_ROUNDS = 6
+
+# A long run is divided if its rectangle is mostly empty.
+_FAR = 10_000.0
+"""Length of a long run, in units of the CRS."""
+_FAR_VOID = 1000.0
+"""Area of its rectangle over the area that its own points fill."""
+
+# A run of many points is divided if its rectangle is partly empty.
+_MANY = 512
+_VOID = 2.0
+"""Area of its rectangle over the area of all points for which the run stands."""
+
+# If the order of the file is random, patches are cells of the bounds.
+_SPANS = 0.7
+"""The order is random if each run reaches across so much of both sides of the bounds."""
+_CELLS = 16
+"""Most cells along a side."""
+IN_CELL = 8
+"""Points of the sample in a cell."""
+
+
+@dataclass(frozen=True)
+class Patch:
+    """The rectangle ``x0 <= x <= x1, y0 <= y <= y1`` in units of the CRS, and about how many points it holds."""
+
+    x0: float
+    y0: float
+    x1: float
+    y1: float
+    points: float
+
+
+def find_patches(
+    runs: Sequence[npt.NDArray[np.float64]], points: int, bounds: Sequence[float]
+) -> tuple[Patch, ...]:
+    """Patches that hold all points of a file: one for each run, or for each cell if the order of the file is random.
+
+    The rectangle of a run is widened until, at the density of the run, it holds all points from this run to the next.
+
+    Parameters
+    ----------
+    runs : sequence of float64, shape (2, n)
+        x and y of successive points, at even distances in the file.
+    points : int
+        Number of points in the file.
+    bounds : sequence of 4 float
+        Lowest x, y, highest x, y. No patch reaches beyond.
+    """
+    low = np.array(bounds[:2])
+    high = np.array(bounds[2:])
+    inside = [run[:, np.all((run >= low[:, None]) & (run <= high[:, None]), axis=0)] for run in runs]
+    inside = [run for run in inside if run.shape[1]]
+    if not inside:
+        return (Patch(bounds[0], bounds[1], bounds[2], bounds[3], points),) if points else ()
+    if all(np.all(np.ptp(run, axis=1) >= _SPANS * (high - low)) for run in inside):
+        return _cells(np.concatenate(inside, axis=1), points, low, high)
+    share = points / len(inside)
+    divided = [_divide(run, share) for run in inside]
+    if any(len(parts) > 1 for parts in divided):
+        # The runs of a small file overlap: use only as many as hold each point once.
+        step = max(round(sum(run.shape[1] for run in inside) / points), 1)
+        divided = divided[::step]
+        share = points / len(divided)
+    found = []
+    for parts in divided:
+        total = sum(part.shape[1] for part in parts)
+        found += [_patch(part, share * part.shape[1] / total, low, high) for part in parts]
+    return tuple(found)
+
+
+def _cells(
+    sample: npt.NDArray[np.float64],
+    points: int,
+    low: npt.NDArray[np.float64],
+    high: npt.NDArray[np.float64],
+) -> tuple[Patch, ...]:
+    """A patch for each cell of the bounds that holds points of the sample, which comes from the whole file."""
+    total = sample.shape[1]
+    across = min(max(math.isqrt(total // IN_CELL), 1), _CELLS)
+    side = (high - low) / across
+    place = np.floor((sample - low[:, None]) / np.where(side > 0, side, 1.0)[:, None]).astype(np.int64)
+    cells, held = np.unique(np.minimum(place, across - 1), axis=1, return_counts=True)
+    corners = (low + cells.T * side).tolist()
+    return tuple(
+        Patch(x, y, x + float(side[0]), y + float(side[1]), points * number / total)
+        for (x, y), number in zip(corners, held.tolist(), strict=True)
+    )
+
+
+def _divide(run: npt.NDArray[np.float64], points: float) -> list[npt.NDArray[np.float64]]:
+    """Divide a run, which stands for ``points`` points, until no part is diagonal or jumps across an empty area."""
+    sides = np.ptp(run, axis=1)
+    density = local_density(run)
+    total = run.shape[1]
+    jumps = sides.max() >= _FAR and sides.prod() > _FAR_VOID * total / density
+    diagonal = total > _MANY and sides.prod() > _VOID * points / density
+    if not jumps and not diagonal:
+        return [run]
+    axis = int(np.argmax(sides))
+    first = run[axis] <= run[axis].min() + sides[axis] / 2
+    found = []
+    for half in (run[:, first], run[:, ~first]):
+        found += _divide(half, points * half.shape[1] / total)
+    return found
+
+
+def _patch(
+    run: npt.NDArray[np.float64], points: float, low: npt.NDArray[np.float64], high: npt.NDArray[np.float64]
+) -> Patch:
+    first, last = run.min(axis=1), run.max(axis=1)
+    wide, tall = (last - first).tolist()
+    area = points / local_density(run)
+    # The margin m solves (wide + 2 m) (tall + 2 m) = area.
+    margin = (math.sqrt((wide - tall) ** 2 + 4 * area) - wide - tall) / 4
+    first, last = first - max(margin, 0.0), last + max(margin, 0.0)
+    # A patch that reaches beyond the bounds is moved inside and not cut off, so that it keeps its area.
+    shift = np.maximum(low - first, 0) - np.maximum(last - high, 0)
+    first, last = np.maximum(first + shift, low), np.minimum(last + shift, high)
+    last = np.maximum(last, first)
+    return Patch(float(first[0]), float(first[1]), float(last[0]), float(last[1]), points)
+
+
+def local_density(run: npt.NDArray[np.float64]) -> float:
+    """Points per square unit of the cells that hold points; the cells hold about `_PER_CELL` points each.
+
+    The error is at most a factor of two for points spread over a plane. It is a factor of two to four, towards a low
+    density, if the points are a single scan line.
+    """
+    n = run.shape[1]
+    first, sides = run.min(axis=1), np.ptp(run, axis=1)
+    cell = math.sqrt(_PER_CELL * max(float(sides[0] * sides[1]), float(sides.max()) ** 2 / n**2, 1e-12) / n)
+    density = 0.0
+    for _ in range(_ROUNDS):
+        column, row = np.floor((run - first[:, None]) / cell).astype(np.int64)
+        occupied = len(np.unique(column * (int(row.max()) + 1) + row))
+        held = n / occupied
+        density = n / (occupied * cell**2)
+        if _PER_CELL / 1.5 <= held <= _PER_CELL * 1.5:
+            break
+        cell *= min(max(math.sqrt(_PER_CELL / held), 0.1), 10.0)
+    return density

@@ -1,0 +1,252 @@
+"""Reads Entwine point tiles (EPT, ``ept.json``): an octree whose nodes are LAZ files in one folder."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, NoReturn, TypeGuard
+
+from pyproj import CRS
+from pyproj.exceptions import CRSError
+
+from tiler.errors import InputError
+from tiler.inputs.lists import LIST_BYTES, MOST_CLOUDS
+from tiler.io.cloud_reading import open_cloud
+from tiler.io.json_text import excerpt, read_object
+from tiler.io.locations import cloud_path, is_url
+
+NAME = "ept.json"
+DATA_FOLDER = "ept-data"
+
+_LONGEST_WKT = 1 << 20
+_DEEPEST = 30
+_FARTHEST = 1e12
+"""Largest coordinate, in units. No CRS reaches so far; with larger numbers a float could not hold the side of a box."""
+_NOT_LOADED = -1
+"""Stands for a number of points that another page of the hierarchy holds."""
+
+Box = tuple[float, float, float, float]
+"""Lowest x, y, highest x, y in units of the CRS."""
+Touches = Callable[[Box], bool]
+
+
+@dataclass(frozen=True)
+class PointTiles:
+    """The content of ``ept.json``.
+
+    Attributes
+    ----------
+    text : str
+        Path or URL of the file.
+    west, south, side : float
+        Lower left corner and side of the root's square, in units of the CRS.
+    wkt : str or None
+        The CRS.
+    points : int or None
+        Number of points in all nodes.
+    scales : tuple of 3 float, or None
+        Scales of x, y and z.
+    has_rgb : bool or None
+        Whether the points have colours.
+    """
+
+    text: str
+    west: float
+    south: float
+    side: float
+    wkt: str | None
+    points: int | None = None
+    scales: tuple[float, ...] | None = None
+    has_rgb: bool | None = None
+
+    def other_total(self, total: int) -> list[str]:
+        """A note for the user if the hierarchy has another number of points in all; else an empty list."""
+        if self.points in (None, total):
+            return []
+        return [
+            f"{self.text}: says {self.points} points, its hierarchy {total}; the files count; make it again"
+        ]
+
+    def place(self, folder: str, name: str) -> str:
+        """Path or URL of a file in one of the folders beside ``ept.json``."""
+        base, mark, query = self.text, "", ""
+        if is_url(self.text):
+            base, mark, query = self.text.partition("?")
+        return f"{base[: -len(NAME)]}{folder}/{name}{mark}{query}"
+
+    def box(self, key: Sequence[int]) -> Box:
+        """The square of a node; its key is level, column, row (and layer)."""
+        side = self.side / 2 ** key[0]
+        x, y = self.west + key[1] * side, self.south + key[2] * side
+        return x, y, x + side, y + side
+
+
+def is_point_tiles(text: str | Path) -> bool:
+    """Whether an input has the name of an ``ept.json``."""
+    place = str(text).partition("?")[0] if is_url(text) else str(text)
+    return place.lower().replace("\\", "/").rpartition("/")[2] == NAME
+
+
+def read_point_tiles(text: str) -> PointTiles:
+    """Read ``ept.json``; raises InputError if it cannot be read, or its points are not in LAZ files."""
+    found = _read(text, text)
+    kind = found.get("dataType")
+    bounds = found.get("bounds")
+    if kind != "laszip":
+        _refuse(
+            text,
+            f"its points are of the type {excerpt(str(kind))}, laszip can be read",
+            "convert it to laszip",
+        )
+    if not _is_cube(bounds):
+        _refuse(text, f"has bounds {excerpt(str(bounds))}, no cube")
+    points = found.get("points")
+    if not isinstance(points, int) or abs(points) >= 1 << 63:
+        points = None
+    scales, has_rgb = _schema(found)
+    return PointTiles(
+        text=text,
+        west=float(bounds[0]),
+        south=float(bounds[1]),
+        side=float(bounds[3] - bounds[0]),
+        wkt=_wkt(text, found),
+        points=points,
+        scales=scales,
+        has_rgb=has_rgb,
+    )
+
+
+def _is_cube(bounds: Any) -> TypeGuard[list[float]]:
+    if not isinstance(bounds, list) or len(bounds) != 6:
+        return False
+    return all(map(_is_coordinate, bounds)) and bounds[3] > bounds[0]
+
+
+def _is_coordinate(value: Any) -> TypeGuard[float]:
+    return isinstance(value, int | float) and abs(value) <= _FARTHEST
+
+
+def _schema(found: Mapping[str, Any]) -> tuple[tuple[float, ...] | None, bool | None]:
+    """Scales of x, y and z, and whether there are colours; None for each that the schema does not define."""
+    schema = found.get("schema")
+    if not isinstance(schema, list):
+        return None, None
+    named = {str(entry.get("name")): entry.get("scale") for entry in schema if isinstance(entry, dict)}
+    has_rgb = named.keys() >= {"Red", "Green", "Blue"}
+    scales = tuple(float(scale) for scale in map(named.get, "XYZ") if _is_coordinate(scale))
+    if len(scales) != len("XYZ"):
+        return None, has_rgb
+    return scales, has_rgb
+
+
+def node_files(tiles: PointTiles, touches: Touches | None = None) -> dict[str, int]:
+    """Path or URL of the file of each node with points, root first, and the number of points in the hierarchy.
+
+    Parameters
+    ----------
+    tiles : PointTiles
+    touches : callable, optional
+        Whether the square of a node is wanted; nodes below a node that is not wanted are left out, too.
+
+    Raises
+    ------
+    InputError
+        A page of the hierarchy is damaged or missing.
+    """
+    counts = sorted(node_counts(tiles, touches).items())
+    return {tiles.place(DATA_FOLDER, f"{'-'.join(map(str, key))}.laz"): count for key, count in counts}
+
+
+def key_of(path: Path) -> tuple[int, ...] | None:
+    """The key of the node whose file has this name; None if it is not the name of a node."""
+    return _key(path.name.rpartition(".")[0])
+
+
+def node_counts(tiles: PointTiles, touches: Touches | None = None) -> dict[tuple[int, ...], int]:
+    """Like `node_files`, but by the key of the node: level, column, row and layer."""
+    counts: dict[tuple[int, ...], int] = {}
+    for key, count in _nodes(tiles, touches):
+        if counts.setdefault(key, count) != count or len(counts) > MOST_CLOUDS:
+            name = "-".join(map(str, key))
+            _refuse(
+                tiles.text, f"its hierarchy names the node {name} twice, or more than {MOST_CLOUDS} nodes"
+            )
+    if not any(counts.values()) and touches is None:
+        _refuse(tiles.text, "its hierarchy names no points")
+    return {key: count for key, count in counts.items() if count}
+
+
+def _nodes(tiles: PointTiles, touches: Touches | None) -> Iterator[tuple[tuple[int, ...], int]]:
+    """Keys and numbers of points of the wanted nodes, page by page."""
+    pages = [(0, 0, 0, 0)]
+    seen = set[tuple[int, ...]]()
+    while pages:
+        page = pages.pop()
+        if page in seen:
+            _refuse(tiles.text, f"its hierarchy leads to the page {'-'.join(map(str, page))} twice")
+        seen.add(page)
+        name = "-".join(map(str, page))
+        entries = _read(tiles.text, tiles.place("ept-hierarchy", f"{name}.json"))
+        for text, count in entries.items():
+            key = _key(text)
+            if key is None or isinstance(count, bool) or not isinstance(count, int) or count < _NOT_LOADED:
+                _refuse(tiles.text, f"the page {name} of its hierarchy says {excerpt(f'{text}: {count}')}")
+            if touches is not None and not touches(tiles.box(key)):
+                continue
+            if count != _NOT_LOADED:
+                yield key, count
+            elif key == page:
+                _refuse(tiles.text, f"the page {name} of its hierarchy does not say how many points it has")
+            else:
+                pages.append(key)
+
+
+def _key(text: str) -> tuple[int, int, int, int] | None:
+    parts = text.split("-")
+    if len(parts) != 4 or not all(part.isascii() and part.isdigit() and len(part) < 11 for part in parts):
+        return None
+    level, x, y, z = map(int, parts)
+    if level > _DEEPEST or max(x, y, z) >= 1 << level:
+        return None
+    return level, x, y, z
+
+
+def _wkt(text: str, found: Mapping[str, Any]) -> str | None:
+    """The CRS from its WKT, or from its codes if the WKT is missing or cannot be read."""
+    srs = found.get("srs")
+    if not isinstance(srs, dict):
+        return None
+    wkt = srs.get("wkt")
+    if len(str(wkt)) > _LONGEST_WKT:
+        _refuse(text, f"its CRS has more than {_LONGEST_WKT} characters")
+    definitions = [wkt]
+    codes = [str(srs[name]) for name in ("horizontal", "vertical") if srs.get(name)]
+    if srs.get("authority") and codes:
+        definitions.append(f"{srs['authority']}:{'+'.join(codes)}")
+    for definition in definitions:
+        if not isinstance(definition, str) or not definition:
+            continue
+        try:
+            return str(CRS.from_user_input(definition).to_wkt())
+        except (CRSError, UnicodeEncodeError):  # the latter for half of a character, which JSON can write
+            continue
+    return None
+
+
+def _read(text: str, place: str) -> dict[str, Any]:
+    try:
+        with open_cloud(cloud_path(place), 1 << 16) as stream:
+            content = stream.read(LIST_BYTES + 1)
+    except OSError as error:
+        _refuse(text, f"{place} cannot be read ({error.strerror or error})", "get it again")
+    if len(content) > LIST_BYTES:
+        _refuse(text, f"{place} has more than {LIST_BYTES >> 20} MiB")
+    try:
+        return read_object(content)
+    except ValueError as error:  # also raised if the bytes are not UTF-8
+        _refuse(text, f"{place}: {' '.join(str(error).split())}")
+
+
+def _refuse(text: str, what: str, remedy: str = "make it again") -> NoReturn:
+    raise InputError(f"{text}: no point tiles (EPT) that can be read: {what}; {remedy}")

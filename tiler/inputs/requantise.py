@@ -1,0 +1,99 @@
+"""Converts the integers of a source to absolute counts of 1/1000 unit, exactly for decimal scales and offsets."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from fractions import Fraction
+
+import numpy as np
+import numpy.typing as npt
+
+from tiler.core.frame import COUNTS_PER_UNIT, INT32_LIMIT
+from tiler.core.lattice import Bounds
+
+_SAFE = 2**62
+BEYOND = 2**53
+"""Absolute counts of this size or more, 9 million million units, are not taken for coordinates."""
+
+
+@dataclass(frozen=True)
+class AxisCounts:
+    """One axis in absolute counts.
+
+    Attributes
+    ----------
+    counts : int64, shape (n,)
+        ``round(coordinate * 1000)``; 0 if the coordinate is not `usable`.
+    usable : bool, shape (n,)
+        Whether the coordinate is finite and smaller than `BEYOND`.
+    largest_rounding : float
+        Largest distance from the source's coordinate, in units of the CRS.
+    """
+
+    counts: npt.NDArray[np.int64]
+    usable: npt.NDArray[np.bool_]
+    largest_rounding: float
+
+
+def decimal_terms(scale: float, offset: float) -> tuple[int, int, int] | None:
+    """Integers ``(a, c, d)`` such that the integer X of a record lies at exactly ``(X*a + c) / d`` counts.
+
+    The doubles of the header stand for the decimal numbers that they print as: 0.01 is 1/100. The result is None if
+    some int32 X would leave int64, as it does with scales of seventeen digits.
+    """
+    a = Fraction(repr(float(scale))) * COUNTS_PER_UNIT
+    c = Fraction(repr(float(offset))) * COUNTS_PER_UNIT
+    d = math.lcm(a.denominator, c.denominator)
+    whole_a, whole_c = int(a * d), int(c * d)
+    if 2 * (2**31 * abs(whole_a) + abs(whole_c)) + d >= _SAFE:
+        return None
+    return whole_a, whole_c, d
+
+
+def to_counts(values: npt.NDArray[np.integer], scale: float, offset: float) -> AxisCounts:
+    """Absolute counts of one axis.
+
+    Parameters
+    ----------
+    values : int32, shape (n,)
+        The integers of the records.
+    scale, offset : float
+        Values of the source's header.
+
+    Notes
+    -----
+    The result is ``floor((2(Xa + c) + d) / 2d)`` in int64 (halves are rounded up) if `decimal_terms` finds a, c, d,
+    and ``rint`` in float64 if not. Both are monotonic in X and do not depend on the origin of the frame.
+    """
+    terms = decimal_terms(scale, offset)
+    if terms is None:
+        return _in_floats(values, scale, offset)
+    a, c, d = terms
+    exact = values.astype(np.int64) * a + c
+    counts = exact if d == 1 else (2 * exact + d) // (2 * d)
+    largest = 0.0
+    if d != 1 and counts.size:
+        largest = int(np.abs(exact - counts * d).max()) / d / COUNTS_PER_UNIT
+    usable = np.abs(counts) < BEYOND
+    return AxisCounts(np.where(usable, counts, 0), usable, largest)
+
+
+def _in_floats(values: npt.NDArray[np.integer], scale: float, offset: float) -> AxisCounts:
+    with np.errstate(over="ignore", invalid="ignore"):
+        exact = (values.astype(np.float64) * scale + offset) * COUNTS_PER_UNIT
+        usable = np.isfinite(exact) & (np.abs(exact) < BEYOND)
+    exact = np.where(usable, exact, 0.0)
+    counts = np.rint(exact)
+    largest = float(np.abs(exact - counts).max()) / COUNTS_PER_UNIT if counts.size else 0.0
+    return AxisCounts(counts.astype(np.int64), usable, largest)
+
+
+def fits_int32(local: npt.NDArray[np.int64]) -> npt.NDArray[np.bool_]:
+    """Mask of the local counts that an int32 holds (the lowest one is left out)."""
+    return np.abs(local) <= INT32_LIMIT
+
+
+def bounds_in_counts(bounds: tuple[float, float, float, float]) -> Bounds:
+    """Convert bounds X0 Y0 X1 Y1 in units of the CRS to half-open bounds in absolute counts."""
+    return Bounds(*(math.ceil(Fraction(repr(float(v))) * COUNTS_PER_UNIT) for v in bounds))

@@ -1,0 +1,250 @@
+"""Finds input clouds in files, folders, globs, virtual point clouds and EPT, and leaves out the results of runs."""
+
+from __future__ import annotations
+
+import glob
+import os
+from collections.abc import Callable, Iterator, Sequence
+from itertools import chain
+from pathlib import Path
+
+from tiler.errors import ConfigError, InputError
+from tiler.inputs.lists import read_list
+from tiler.inputs.point_tiles import PointTiles, Touches, is_point_tiles, node_files, read_point_tiles
+from tiler.inputs.virtual_cloud import is_virtual, members
+from tiler.io.locations import cloud_path, is_url, list_clouds
+from tiler.io.partial_files import SCRATCH_PREFIX
+from tiler.io.result_folder import ASIDE, CLASSIFIED, is_results
+
+SUFFIXES = (".las", ".laz")
+
+MADE = (CLASSIFIED, ASIDE)
+"""Folders in OUT into which a run writes clouds."""
+
+Tell = Callable[[str], None]
+Wanted = Callable[[PointTiles], Touches | None]
+Listed = Callable[[PointTiles, dict[Path, int]], None]
+
+
+def find_inputs(
+    paths: Sequence[str | Path],
+    out: Path | None = None,
+    note: Tell = lambda text: None,
+    results: bool = False,
+    wanted: Wanted = lambda tiles: None,
+    listed: Listed = lambda tiles, counts: None,
+    in_process: bool = False,
+) -> list[Path]:
+    """Find LAS and LAZ files in files, folders (recursively), globs, virtual point clouds and EPT.
+
+    Clouds that a run of tiler wrote are found only if their own folder, or a file in it, is named; a folder or a glob
+    above does not find them.
+
+    Parameters
+    ----------
+    paths : sequence of str
+    out : Path, optional
+        Folder of the run's own results. If a folder in it is a link to another place, that place holds results, too.
+    note : callable
+        Receives a text about each folder that is left out, and about each file that is named twice.
+    results : bool
+        A folder of results that is named itself stands for its classified clouds, if it holds no clouds beside them.
+    wanted : callable
+        Makes the function that chooses the nodes of point tiles (see `node_files`).
+    listed : callable
+        Receives point tiles and the files of their wanted nodes, with the number of points in each.
+    in_process : bool
+        Read virtual point clouds and EPT in this process, without limits of time and memory.
+
+    Returns
+    -------
+    list of Path
+        The files, sorted, each once.
+
+    Raises
+    ------
+    ConfigError
+        There is no path at all, a path does not exist, or no node of point tiles is wanted.
+    InputError
+        No LAS or LAZ file was found.
+    """
+    if not paths:
+        raise ConfigError("no input; name LAS or LAZ files, folders, globs or .vpc files")
+    found: dict[Path, Path] = {}
+    reported: list[str] = []
+
+    def report(text: str) -> None:
+        reported.append(text)
+        note(text)
+
+    for text in chain.from_iterable(_globbed_lists(str(path)) for path in paths):
+        if _is_there_as_list(text):
+            for path in _listed(text, wanted, listed, in_process):
+                found.setdefault(_real(path), path)
+            continue
+        root, candidates = _expanded(text, report)
+        own = results and not is_url(text) and not any(path.parent == root for path in candidates)
+        made = _Made(root, root / CLASSIFIED if own else None, out, report)
+        for path in made.without(candidates):
+            known = found.setdefault(_real(path), path)
+            if known is not path:
+                report(f"{path}: named twice (as {known}), read once")
+    if not found:
+        why = f" ({reported[0]})" if reported else ""
+        raise InputError(
+            f"{', '.join(map(str, paths))}: no .las or .laz file there{why}; name files, folders or globs"
+        )
+    urls = sorted((path for path in found.values() if is_url(path)), key=str)
+    return sorted(path for path in found.values() if not is_url(path)) + urls
+
+
+def is_list(text: str | Path) -> bool:
+    """Whether an input has the name of a file that lists clouds: .vpc, or ept.json."""
+    return is_virtual(text) or is_point_tiles(text)
+
+
+def _globbed_lists(text: str) -> list[str]:
+    """The files that a glob for lists finds; any other input as it is."""
+    globbed = not is_url(text) and glob.has_magic(text) and not os.path.lexists(text)
+    if globbed and is_list(text):
+        return sorted(glob.glob(text, recursive=True))
+    return [text]
+
+
+def _is_there_as_list(text: str) -> bool:
+    return is_list(text) and (is_url(text) or (os.path.lexists(text) and not Path(text).is_dir()))
+
+
+def _listed(text: str, wanted: Wanted, listed: Listed, in_process: bool) -> list[Path]:
+    """The clouds that a virtual point cloud names, or the files of the wanted nodes of point tiles."""
+    if is_virtual(text):
+        places = read_list(text, members, text, SUFFIXES, in_process=in_process)
+        return [cloud_path(place) for place in places]
+    tiles = read_list(text, read_point_tiles, text, in_process=in_process)
+    found = read_list(text, node_files, tiles, wanted(tiles), in_process=in_process)
+    if not found:
+        raise ConfigError(f"{text}: has no points near the area that is wanted; see to --bounds or --aoi")
+    counts = {cloud_path(place): count for place, count in found.items()}
+    listed(tiles, counts)
+    return list(counts)
+
+
+def _real(path: Path) -> Path:
+    """The place of a file, with all links resolved."""
+    # `Path.resolve` fails for links in a circle; here they must pass, as reading reports them.
+    return path if is_url(path) else Path(os.path.realpath(path))
+
+
+def _expanded(text: str, note: Tell) -> tuple[Path, list[Path]]:
+    """The root folder (or file) of an input, and the clouds there."""
+    if is_url(text):
+        fixed = text[: _before_magic(text)].rpartition("/")[0] if glob.has_magic(text) else text
+        return cloud_path(fixed if is_url(fixed) else text), list_clouds(text, SUFFIXES)
+    if not text:
+        raise ConfigError("an input has no name at all; name LAS or LAZ files, folders, globs or .vpc files")
+    path = Path(text)
+    try:
+        is_folder, is_there = path.is_dir(), path.exists() or path.is_symlink()
+    except OSError as error:
+        raise ConfigError(
+            f"{text}: {error.strerror}; name LAS or LAZ files, folders, globs or .vpc files"
+        ) from error
+    if is_folder:
+        return path, list(_walk(path, note))
+    if is_there:
+        return path, [path]
+    matches = sorted(glob.glob(text, recursive=True))
+    if not matches:
+        raise ConfigError(
+            f"{text}: no such file or folder; name LAS or LAZ files, folders, globs or .vpc files"
+        )
+    found: list[Path] = []
+    for match in map(Path, matches):
+        if match.is_dir():
+            found += _walk(match, note)
+        elif match.suffix.lower() in SUFFIXES:
+            found.append(match)
+    return Path(text[: _before_magic(text)] + "x").parent, found
+
+
+def _before_magic(pattern: str) -> int:
+    """Number of characters before the first wildcard of a glob."""
+    return min(pattern.index(sign) for sign in "*?[" if sign in pattern)
+
+
+def _walk(folder: Path, note: Tell) -> Iterator[Path]:
+    """The clouds below a folder. Links to folders are not followed, as they may lead in circles or anywhere."""
+
+    def unreadable(error: OSError) -> None:
+        note(f"{error.filename}: cannot be looked into ({error.strerror}); what it holds is left out")
+
+    for root, folders, names in os.walk(folder, onerror=unreadable):
+        here = Path(root)
+        folders[:] = sorted(name for name in folders if not name.startswith(SCRATCH_PREFIX))
+        for name in folders:
+            if (here / name).is_symlink():
+                note(f"{here / name}: is a link to a folder, not followed; name it to read what it holds")
+        for name in sorted(names):
+            if Path(name).suffix.lower() in SUFFIXES:
+                yield here / name
+
+
+class _Made:
+    """Recognises clouds that runs of tiler wrote, which are not inputs.
+
+    Parameters
+    ----------
+    root : Path
+        Root of the search. If it is in a folder of results itself, the clouds of that folder are inputs.
+    wanted : Path or None
+        A folder of results whose clouds are inputs nevertheless.
+    out : Path or None
+    note : callable
+    """
+
+    def __init__(self, root: Path, wanted: Path | None, out: Path | None, note: Tell) -> None:
+        self._root, self._wanted, self._note = root, wanted, note
+        self._known: dict[Path, bool] = {}
+        self._reported: set[Path] = set()
+        self._linked: set[Path] = set()
+        if out is None:
+            return
+        for name in MADE:
+            if self._is_made(out / name):
+                self._linked.add(Path(os.path.realpath(out / name)))
+
+    def without(self, paths: Sequence[Path]) -> Iterator[Path]:
+        """The ``paths`` that no run wrote; the folders of the others are noted once."""
+        for path in paths:
+            folder = self._folder_of(path)
+            if folder is None:
+                yield path
+            elif folder not in self._reported:
+                self._reported.add(folder)
+                self._note(f"{folder}: is the result of a run, left out; name it to read what it holds")
+
+    def _folder_of(self, path: Path) -> Path | None:
+        """The folder of results, below the root, that holds a path; None if there is none."""
+        for folder in path.parents:
+            if not self._is_below_root(folder):
+                break
+            if folder.name in MADE and folder != self._wanted and self._is_made(folder):
+                return folder
+        if not self._linked or is_url(path):
+            return None
+        here = Path(os.path.realpath(path.parent))
+        root = Path(os.path.realpath(self._root))
+        for folder in self._linked:
+            if here.is_relative_to(folder) and not root.is_relative_to(folder):
+                return folder
+        return None
+
+    def _is_below_root(self, folder: Path) -> bool:
+        if is_url(folder):
+            return str(folder).startswith(f"{str(self._root).rstrip('/')}/")
+        return folder != self._root and folder.is_relative_to(self._root)
+
+    def _is_made(self, folder: Path) -> bool:
+        if folder not in self._known:
+            self._known[folder] = is_results(str(folder.parent))
+        return self._known[folder]

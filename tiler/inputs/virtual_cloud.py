@@ -1,0 +1,120 @@
+"""Reads virtual point clouds: JSON files (``.vpc``) that name clouds, as QGIS and pdal_wrench write them."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+from typing import Any, NoReturn
+from urllib.parse import unquote, urljoin, urlsplit
+
+from tiler.errors import InputError
+from tiler.inputs.lists import LIST_BYTES, MOST_CLOUDS
+from tiler.io.cloud_reading import open_cloud
+from tiler.io.json_text import excerpt, member, read_object
+from tiler.io.locations import cloud_path, is_url
+
+SUFFIX = ".vpc"
+REMOTE = ("http", "https", "s3", "gs", "gcs", "abfs", "abfss", "az")
+"""Schemes of the URLs that such a file may name."""
+
+
+def is_virtual(text: str | Path) -> bool:
+    """Whether an input has the name of a virtual point cloud."""
+    place = str(text).partition("?")[0] if is_url(text) else str(text)
+    return place.lower().endswith(SUFFIX)
+
+
+def members(text: str, suffixes: tuple[str, ...]) -> list[str]:
+    """Paths and URLs of the clouds that a virtual point cloud names, in its order, each once.
+
+    Parameters
+    ----------
+    text : str
+        Path or URL of the virtual point cloud. Relative names in it are relative to this place.
+    suffixes : tuple of str
+        Suffixes of the clouds that can be read.
+
+    Raises
+    ------
+    InputError
+        The file cannot be read, is not a virtual point cloud, or names something that cannot be an input.
+    """
+    found: dict[str, None] = {}
+    for number, feature in enumerate(_features(text), start=1):
+        href = _href(member(feature, "assets"))
+        if not isinstance(href, str) or not href or "\0" in href:
+            _refuse(text, f"its feature {number} names no cloud")
+        if not href.partition("?")[0].lower().endswith(suffixes):
+            _refuse(text, f"its feature {number} names {excerpt(href)}, no file of {', '.join(suffixes)}")
+        place = _resolved(text, href)
+        if not _is_name(place):
+            _refuse(text, f"its feature {number} names {excerpt(href)}, which holds half of a character")
+        found.setdefault(place)
+    if not found:
+        _refuse(text, "names no cloud at all")
+    if len(found) > MOST_CLOUDS:
+        _refuse(text, f"names {len(found)} clouds, {MOST_CLOUDS} at most can be read")
+    return list(found)
+
+
+def _href(assets: dict[str, Any]) -> Any:
+    """The place of a feature's cloud: the asset called ``data``, or the first one that has a place."""
+    href = member(assets, "data").get("href")
+    if href:
+        return href
+    for asset in assets.values():
+        if isinstance(asset, dict) and "href" in asset:
+            return asset["href"]
+    return None
+
+
+def _is_name(place: str) -> bool:
+    """Whether the text can name a file: JSON can write half of a character (a lone surrogate)."""
+    try:
+        return bool(place.encode() if is_url(place) else os.fsencode(place))
+    except UnicodeEncodeError:
+        return False
+
+
+def _features(text: str) -> list[Any]:
+    try:
+        with open_cloud(cloud_path(text)) as stream:
+            content = stream.read(LIST_BYTES + 1)
+    except OSError as error:
+        raise InputError(
+            f"{text}: cannot be read ({error.strerror or error}); name a readable .vpc file"
+        ) from error
+    if len(content) > LIST_BYTES:
+        _refuse(text, f"has more than {LIST_BYTES >> 20} MiB")
+    try:
+        found = read_object(content)
+    except ValueError as error:  # also raised if the bytes are not UTF-8
+        _refuse(text, " ".join(str(error).split()))
+    features = found.get("features")
+    if found.get("type") != "FeatureCollection" or not isinstance(features, list):
+        _refuse(text, "holds no FeatureCollection")
+    return features
+
+
+def _resolved(text: str, href: str) -> str:
+    """The path or URL of a cloud that a virtual point cloud names.
+
+    A virtual point cloud from elsewhere must not make this machine read its own files or open chained file systems.
+    """
+    scheme = urlsplit(href).scheme.lower() if is_url(href) else ""
+    if scheme:
+        if scheme not in REMOTE or "::" in href:
+            _refuse(text, f"names {excerpt(href)}, which no virtual point cloud may")
+        return href
+    if not is_url(text):
+        return str(Path(text).parent / href)
+    base, _, chained = text.partition("?")[0].partition("::")
+    if Path(href).is_absolute() or chained or ".." in Path(unquote(href)).parts:
+        _refuse(text, f"names {excerpt(href)}, which is not below the folder that it lies in")
+    # urljoin joins only paths of known schemes, such as http.
+    system, _, place = base.partition("://")
+    return f"{system}://{urljoin('http://' + place, href).removeprefix('http://')}"
+
+
+def _refuse(text: str, what: str) -> NoReturn:
+    raise InputError(f"{text}: is no virtual point cloud that can be read: {what}; write it again")

@@ -1,0 +1,142 @@
+"""GeoTIFFs: a plain tiled one that is written block by block, and its metadata."""
+
+from __future__ import annotations
+
+import warnings
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import rasterio
+from affine import Affine
+from rasterio.crs import CRS
+from rasterio.errors import NotGeoreferencedWarning, RasterioError
+from rasterio.windows import Window
+
+from tiler.core.raster import BLOCK_PIXELS, NODATA
+from tiler.errors import refused_write
+from tiler.io.partial_files import cause_of
+
+CACHE_MB = 64
+"""Limit of GDAL's block cache in MB. GDAL's default is a share of the machine's memory."""
+
+
+@dataclass(frozen=True)
+class RasterLook:
+    """The metadata of a raster file.
+
+    Attributes
+    ----------
+    crs : str or None
+        WKT or authority code; None if unknown.
+    unit : str
+        Vertical unit of the band, as `tiler.core.units.unit_label` names it.
+    description : str
+        Description of the band.
+    tags : mapping of str to str
+        Tags of the data set.
+    dtype : str
+    nodata : float or None
+    colours : mapping of int to (red, green, blue)
+        Colour table of a uint8 band, empty for none.
+    meanings : mapping of str to str
+        Tags of the band that say what its values mean; empty if the values are measures.
+    categories : tuple of str
+        Names of the values 0, 1, 2 ... if these are classes. A GeoTIFF has no place for them.
+    """
+
+    crs: str | None
+    unit: str
+    description: str
+    tags: Mapping[str, str]
+    dtype: str = "float32"
+    nodata: float | None = NODATA
+    colours: Mapping[int, tuple[int, int, int]] = field(default_factory=dict)
+    meanings: Mapping[str, str] = field(default_factory=dict)
+    categories: tuple[str, ...] = ()
+
+
+class PlainWriter:
+    """Takes blocks of an open raster."""
+
+    def __init__(self, raster: Any) -> None:
+        self._raster = raster
+
+    def write(self, values: npt.NDArray[np.float32], row: int, col: int) -> None:
+        """Write a block, shape (height, width), whose north-west pixel is (row, col)."""
+        values = values.astype(self._raster.dtypes[0], copy=False)
+        self._raster.write(values, 1, window=Window(col, row, values.shape[1], values.shape[0]))
+
+    def tag_band(self, tags: Mapping[str, str]) -> None:
+        """Set metadata of the band."""
+        self._raster.update_tags(1, **tags)
+
+
+def tiled_profile(height: int, width: int, transform: Sequence[float]) -> dict[str, Any]:
+    """Options with which rasterio makes a tiled GeoTIFF, BigTIFF if it may exceed 4 GB; without bands and CRS."""
+    blocks = {"tiled": True, "blockxsize": BLOCK_PIXELS, "blockysize": BLOCK_PIXELS, "BIGTIFF": "IF_SAFER"}
+    return {"driver": "GTiff", "height": height, "width": width, "transform": Affine(*transform), **blocks}
+
+
+@contextmanager
+def plain_geotiff(
+    path: Path,
+    height: int,
+    width: int,
+    transform: tuple[float, float, float, float, float, float],
+    look: RasterLook,
+) -> Iterator[PlainWriter]:
+    """Open a new tiled GeoTIFF for blocks in any order: not compressed, BigTIFF if it may exceed 4 GB.
+
+    Blocks that are never written stay nodata and take no disk space. Raises ProcessingError.
+
+    Parameters
+    ----------
+    path : Path
+        Target; a file of that name is replaced.
+    height, width : int
+        Size in pixels.
+    transform : tuple of float
+        a, b, c, d, e, f of rasterio's ``Affine``; pixels are areas.
+    look : RasterLook
+    """
+    crs = None if look.crs is None else CRS.from_user_input(look.crs)
+    profile = {"count": 1, "dtype": look.dtype, "nodata": look.nodata, "crs": crs, "SPARSE_OK": True}
+    if look.colours:
+        profile["photometric"] = "palette"
+    with (
+        any_place(),
+        rasterio.Env(GDAL_CACHEMAX=CACHE_MB),
+        raster_errors(path),
+        rasterio.open(path, "w", **tiled_profile(height, width, transform), **profile) as raster,
+    ):
+        raster.update_tags(AREA_OR_POINT="Area", **look.tags)
+        if look.colours:  # GDAL takes colours only before the first pixel
+            raster.write_colormap(1, dict(look.colours))
+        if look.unit:
+            raster.units = (look.unit,)
+        raster.set_band_description(1, look.description)
+        yield PlainWriter(raster)
+
+
+@contextmanager
+def any_place() -> Iterator[None]:
+    """Suppress rasterio's warning about pixels of one unit at (0, 0), which a GeoTIFF stores correctly."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", NotGeoreferencedWarning)
+        yield
+
+
+@contextmanager
+def raster_errors(path: Path) -> Iterator[None]:
+    """Turn errors of rasterio and of the disk into a ProcessingError that names the file."""
+    try:
+        yield
+    except RasterioError as error:
+        raise refused_write(str(path), cause_of(path, error), path.parent) from error
+    except OSError as error:
+        raise refused_write(str(path), error, path.parent) from error

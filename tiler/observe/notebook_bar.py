@@ -1,0 +1,69 @@
+"""Progress in a Jupyter notebook: one bar that is drawn again in its place, with the warnings below it."""
+
+from __future__ import annotations
+
+import html
+import sys
+from typing import Any
+
+from tiler.observe.json_lines import Progress
+from tiler.observe.progress import duration_text
+from tiler.redaction import shown
+
+
+def in_notebook() -> bool:
+    """Whether this process is the kernel of a notebook. IPython is not imported to find out."""
+    if "IPython" not in sys.modules:
+        return False
+    from IPython import get_ipython
+
+    return type(get_ipython()).__name__ == "ZMQInteractiveShell"
+
+
+class NotebookBar:
+    """Draws progress records (`tiler.observe.json_lines.ProgressRecords`) in the output of a notebook's cell."""
+
+    def __init__(self) -> None:
+        from IPython import display
+
+        jupyter: Any = display  # without types
+        self._html = jupyter.HTML
+        self._warnings: list[str] = []
+        self._shown = jupyter.display(self._html(""), display_id=True)
+
+    def __call__(self, record: Progress) -> None:
+        """Draw the bar with a new record."""
+        if record["level"] == "warning" and record["message"]:
+            self._warnings.append(record["message"])
+        self._shown.update(self._html(bar_markup(record, self._warnings)))
+
+
+def bar_markup(record: Progress, warnings: list[str]) -> str:
+    """HTML of a bar, of the stage at work with the time that is left, and of warnings.
+
+    Parameters
+    ----------
+    record : Progress
+    warnings : list of str
+        All warnings of the job so far.
+    """
+    done = record["progress"]
+    parts = []
+    if done is not None:
+        parts.append(f"{done:.0%}")
+    if record["title"]:
+        parts.append(record["title"])
+    if record["eta"] is not None:
+        parts.append(f"about {duration_text(record['eta'])} left")
+    if record["message"] == "done":
+        done, parts = 1.0, ["done"]
+    bar = "<progress></progress>"
+    if done is not None:
+        bar = f'<progress value="{done:.4f}" max="1"></progress>'
+    lines = [f"{bar} {_text(', '.join(parts))}"]
+    lines += [f"warning: {_text(warning)}" for warning in warnings]
+    return "".join(f"<div>{line}</div>" for line in lines)
+
+
+def _text(text: str) -> str:
+    return html.escape(shown(text))

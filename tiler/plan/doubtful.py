@@ -1,0 +1,82 @@
+"""Warnings about inputs that are probably wrong, and about settings that cost more than they need."""
+
+from __future__ import annotations
+
+import math
+
+from tiler.core.crs import crs_name, length_scale
+from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.plan.model import Plan, steps_of
+
+WIDEST_RELIEF_M = 9000
+"""Largest difference of heights that terrain can have."""
+LEAST_SIDE_M = 100
+"""Smaller clouds may be higher than wide: single buildings, trees."""
+WIDE_TILE = 2 + 2 * math.sqrt(2)
+"""With tiles of so many halos a side, halos double the work."""
+
+MUCH_OVERLAP = 3.0
+"""A warning names the halos if the mean padded area of the passes exceeds the core area by this factor."""
+
+STRETCHED = 1.05
+"""A warning names the CRS if lengths in its plane differ from those on the ground by this factor. Projections for
+surveys stay within 1.03."""
+
+
+def warnings_of(plan: Plan) -> list[str]:
+    """Lines about inputs that are probably wrong, and about settings that cost more than they need."""
+    return [*_too_high(plan), *_stretched(plan), *_much_overlap(plan)]
+
+
+def _too_high(plan: Plan) -> list[str]:
+    """Warnings about heights that no terrain has."""
+    units = plan.meta.frame.units
+    boxes = [(s.path, s.bounds) for s in plan.sources if s.points and s.bounds is not None]
+    found = []
+    relief = (max(b[5] for _, b in boxes) - min(b[2] for _, b in boxes)) * float(units.vertical)
+    if relief > WIDEST_RELIEF_M:
+        found.append(
+            f"heights span {relief:,.0f} m, more than any terrain: noise far from the ground, "
+            "or z is in another unit; --units h,v"
+        )
+    for path, (x0, y0, z0, x1, y1, z1) in boxes:
+        side = max(x1 - x0, y1 - y0, 1.0) * float(units.horizontal)
+        rise = (z1 - z0) * float(units.vertical)
+        if side > LEAST_SIDE_M and rise > 2 * side:
+            found.append(
+                f"{path}: rises {rise:,.0f} m over {side:,.0f} m: noise, or z is in another unit; --units h,v"
+            )
+    return found
+
+
+def _much_overlap(plan: Plan) -> list[str]:
+    """A warning about halos that multiply the work; a cloud of unknown kind counts as a laser scan."""
+    steps = steps_of(plan.passes, plan.kind or "lidar")
+    halos = [step.halo_m for step in steps if not plan.joins(step)]
+    tile = float(plan.tile)
+    work = []
+    for halo in halos:
+        padded = [min(tile + 2 * halo, side) / min(tile, side) for side in plan.sides_m]
+        work.append(math.prod(padded))
+    if sum(work) <= MUCH_OVERLAP * len(work):
+        return []
+    return [
+        f"tiles of {tile:g} m with up to {max(halos):g} m of halo do {sum(work) / len(work):.1f} times "
+        f"the work; use --tile-size {math.ceil(WIDE_TILE * max(halos))} or more --memory"
+    ]
+
+
+def _stretched(plan: Plan) -> list[str]:
+    """A warning about a CRS whose lengths are not those on the ground, such as Web Mercator."""
+    wkt, extent = plan.meta.frame.crs_wkt, plan.extent
+    if wkt is None:
+        return []
+    x = (extent.x0 + extent.x1) / 2 / COUNTS_PER_UNIT
+    y = (extent.y0 + extent.y1) / 2 / COUNTS_PER_UNIT
+    scale = length_scale(wkt, x, y)
+    if scale is None or 1 / STRETCHED < scale < STRETCHED:
+        return []
+    return [
+        f"the CRS {crs_name(wkt)} makes lengths {scale:.2f} times those on the ground here (x {x:,.0f}, y {y:,.0f}), "
+        "and the filter takes them as they are; reproject the clouds to a CRS for surveys, such as UTM"
+    ]

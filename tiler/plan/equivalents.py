@@ -1,0 +1,12 @@
+"""Filters of other programs that people ask for, and what comes nearest to them."""
+
+from __future__ import annotations
+
+EQUIVALENTS = {
+    "csf": "a cloth simulation is not among the methods, auto has a stiffer cloth of its own for matched clouds; ",
+    "smrf": "the morphological filter SMRF is not among the methods, chen2023 opens step by step as it does; ",
+    "pmf": "the morphological filter PMF is not among the methods, chen2023 opens step by step as it does; ",
+    "ptd": "progressive TIN densification is --method classic; ",
+    "mcc": "curvature filtering is not among the methods, ridge2016 tests seeds against curved surfaces; ",
+}
+"""Name of a method of other programs in small letters, and the beginning of the message about it."""

@@ -1,0 +1,47 @@
+"""Settings of a run on clouds in feet: which foot is meant, and lengths that were written without a unit."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import fields
+from fractions import Fraction
+
+from tiler.config import RunConfig
+from tiler.core.units import FOOT, METRE, US_SURVEY_FOOT, BareLength, FeetLength, Units
+from tiler.core.units_text import short_unit
+
+OF_HEIGHTS = ("contour_interval", "sigma", "spike")
+"""Settings that are lengths in the direction of the heights."""
+
+
+def in_feet_of(config: RunConfig, units: Units) -> RunConfig:
+    """The settings, with lengths that were written in feet in the foot of the CRS.
+
+    The US survey foot is 2 millionths longer than the international one: pixels of 3 ft would have no whole number
+    in a sheet of 500 of the other.
+    """
+    found = {}
+    for name, value, unit in _lengths(config, units):
+        if isinstance(value, FeetLength) and unit == US_SURVEY_FOOT:
+            found[name] = value / FOOT * US_SURVEY_FOOT
+    return config.updated(**found) if found else config
+
+
+def bare_lengths(config: RunConfig, units: Units) -> list[str]:
+    """A line for each length without a unit that was given for clouds that are not in metres."""
+    found = []
+    for name, value, unit in _lengths(config, units):
+        if isinstance(value, BareLength) and unit != METRE and value:
+            option, number = f"--{name.replace('_', '-')}", f"{float(value):g}"
+            feet = f"{float(value / unit):.3g} {short_unit(unit)}"
+            wanted = f"; for feet write {number}ft" if unit in (FOOT, US_SURVEY_FOOT) else ""
+            found.append(f"{option} {number} is {number} m = {feet}{wanted}")
+    return found
+
+
+def _lengths(config: RunConfig, units: Units) -> Iterator[tuple[str, Fraction, Fraction]]:
+    """Name, value and unit of the CRS of each setting that is a length."""
+    for spec in fields(config):
+        value = getattr(config, spec.name)
+        if spec.metadata["kind"] == "length" and value is not None:
+            yield spec.name, value, units.vertical if spec.name in OF_HEIGHTS else units.horizontal

@@ -1,0 +1,62 @@
+"""Prepares the server of forks: it imports what the workers of a run need while this process imports its own.
+
+The functions import inside, since the server calls them by name and importing this module has to take no time.
+"""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING
+
+from tiler.io.locations import is_url, joined
+from tiler.io.result_folder import STORE
+from tiler.schedule import prepare_children
+
+if TYPE_CHECKING:
+    from tiler.config import RunConfig
+
+
+def import_reading() -> None:
+    """Import what looks into clouds."""
+    import tiler.inputs.sources
+
+
+def import_stages() -> None:
+    """Import the work of all stages."""
+    import tiler.export.stage
+
+
+def import_method() -> None:
+    """Import the filter that most runs use."""
+    import ptd.methods.auto.method
+
+
+def load_kernels() -> None:
+    """Load most of numba."""
+    from tiler.schedule.worker import load_kernels
+
+    load_kernels()
+
+
+def import_libraries() -> None:
+    """Import the libraries that work imports only when it uses them."""
+    import pyogrio
+    import scipy.ndimage
+    import scipy.optimize
+    import scipy.spatial
+
+
+def prepare_workers(config: RunConfig, products: str) -> bool:
+    """Prepare the workers of a run, unless it has none, or an earlier run made its store; returns whether it did.
+
+    Parameters
+    ----------
+    config : RunConfig
+    products : str
+        Path or URL of the results.
+    """
+    store = config.store or joined(products, STORE)
+    if config.in_process or is_url(store) or os.path.exists(store):
+        return False
+    prepare_children(import_reading, import_stages, import_method, load_kernels, import_libraries)
+    return True

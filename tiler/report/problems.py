@@ -1,0 +1,200 @@
+"""Problems of a run: one list of small records about missing and doubtful results, made from the content of run.json.
+
+A source is a function from run.json to problems. Another kind of problem is another function in `SOURCES`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from itertools import zip_longest
+from typing import Any, NamedTuple
+
+from tiler.core.classes import NOISE
+from tiler.core.units_text import small_area_text
+from tiler.core.words import counted
+from tiler.report.document import Content, Node, el, section, table
+from tiler.report.runfile import title_of
+
+MOST_ROWS = 1000
+"""Largest number of rows of a table; the rest is in run.json."""
+
+Run = Mapping[str, Any]
+Place = tuple[float, float, float, float]
+"""West, south, east, north in units of the CRS; for a point west equals east and south equals north."""
+
+
+class Problem(NamedTuple):
+    """Something that a person should look at.
+
+    Attributes
+    ----------
+    what : str
+        Kind of the problem, such as ``void inside the survey``.
+    where : Place or None
+        Place of the problem; None if it has none.
+    why : str
+        Cause and size of the problem.
+    remedy : str
+        Remedy in words; empty if there is nothing to do.
+    """
+
+    what: str
+    where: Place | None
+    why: str
+    remedy: str = ""
+
+
+def problems_of(run: Run) -> list[Problem]:
+    """All problems of a run, in the order of `SOURCES`."""
+    return [problem for source in SOURCES for problem in source(run)]
+
+
+def place_of(bounds: Sequence[float] | None) -> Place | None:
+    """The place of four edges (west, south, east, north), or of a point (x, y)."""
+    if not bounds:
+        return None
+    west, south, *rest = (float(v) for v in bounds)
+    east, north = rest or (west, south)
+    return west, south, east, north
+
+
+def _warnings(run: Run) -> Iterator[Problem]:
+    for text in run["plan"].get("warnings", ()):
+        yield Problem("setting or input", None, text)
+    for text in run.get("doubts", ()):
+        yield Problem("doubtful decision", None, text)
+
+
+def _objects(run: Run) -> Iterator[Problem]:
+    """Roofs and crowns that may still be in the finished terrain."""
+    places = run.get("advice_at", ())
+    for text, place in zip_longest(run.get("advice", ()), places):
+        yield Problem("objects suspected in the terrain", place_of(place), text)
+
+
+def _files(run: Run) -> Iterator[Problem]:
+    for file in run.get("quarantined", ()):
+        why = file["error"].removeprefix(f"{file['path']}: ")
+        yield Problem("file left out", None, f"{file['path']}: {why}", "repair the file, and run again")
+
+
+def _tasks(run: Run) -> Iterator[Problem]:
+    for task in run.get("failed_tasks", ()):
+        why = f"{title_of(run, task['stage'])} {task['key']}: {task['error']}"
+        yield Problem("task that failed", place_of(task.get("bounds")), why, "run again")
+
+
+def _labels(run: Run) -> Iterator[Problem]:
+    """Tiles with labels that points beyond their halo could change."""
+    marked = run.get("filter", {}).get("marked", 0)
+    tiles = [t for name, found in run.get("tiles", {}).items() if name.startswith("filter") for t in found]
+    doubtful = [tile for tile in tiles if tile["marked"]]
+    remedy = "use a larger --halo"
+    for tile in doubtful:
+        why = f"tile {tile['key']}: {tile['marked']:,} labels are not certified, as points beyond its halo could "
+        yield Problem("doubtful tile", place_of(tile["bounds"]), f"{why}change them", remedy)
+    if marked and not doubtful:
+        why = f"{marked:,} labels are not certified: points beyond the widest halo could change them"
+        yield Problem("doubtful tiles", None, why, remedy)
+
+
+def _area(run: Run, square_metres: float) -> str:
+    return small_area_text(square_metres, run["plan"].get("metres_per_unit", {}).get("horizontal", 1.0))
+
+
+def _voids(run: Run) -> Iterator[Problem]:
+    for void in run.get("voids", {}).get("largest", ()):
+        why = f"{counted(void['pixels'], 'pixel')} ({_area(run, void['area_m2'])}) without a height"
+        remedy = "--voids fill takes heights from the rim, --edits with action void accepts it"
+        yield Problem("void inside the survey", place_of(void["bounds"]), why, remedy)
+
+
+def _edits(run: Run) -> Iterator[Problem]:
+    """Corrections that leave holes against the wish of the user, and corrections that changed nothing."""
+    for edit in run.get("edits") or ():
+        holes, name = edit.get("holes", 0), f"correction {edit['number']} ({edit['action']})"
+        if holes and edit["action"] != "void":
+            why = f"{name} leaves {counted(holes, 'pixel')} without a height"
+            yield Problem(
+                "hole in a correction",
+                place_of(edit["bounds"]),
+                why,
+                "use --voids fill, or a larger --max-edge",
+            )
+        if edit.get("changed") is False:
+            yield Problem("correction without effect", place_of(edit["bounds"]), f"{name} changed nothing")
+
+
+def _water(run: Run) -> Iterator[Problem]:
+    for doubt in run.get("water_doubts", ()):
+        remedy = "look at it; water.gpkg can be edited and given back by --water"
+        yield Problem("doubtful water", place_of(doubt["place"]), doubt["text"], remedy)
+
+
+def _canopy(run: Run) -> Iterator[Problem]:
+    for doubt in run.get("canopy_doubts", ()):
+        remedy = "--canopy void leaves it without heights, --edits with action ground takes the ground back"
+        yield Problem("ground hidden by canopy", place_of(doubt["place"]), doubt["text"], remedy)
+
+
+def _kept(run: Run) -> Iterator[Problem]:
+    for code, count in run.get("classes", {}).get("no_part", {}).items():
+        if int(code) in NOISE:
+            continue
+        why = f"{count:,} points of class {code} took no part in the filter and keep their class"
+        yield Problem("class kept", None, why, "--keep-classes says which classes are kept")
+
+
+def _strays(run: Run) -> Iterator[Problem]:
+    for stray in run.get("strays", ()):
+        why = f"point {stray['point']:,} of {stray['path']}, at the height {stray['z']:g}, is far from all others"
+        yield Problem("stray point", place_of((stray["x"], stray["y"])), why, "it was left out")
+
+
+def _healed(run: Run) -> Iterator[Problem]:
+    if healed := ", ".join(run.get("healed", ())):
+        yield Problem("damaged store", None, f"{healed}: damaged, and made again")
+
+
+SOURCES: tuple[Callable[[Run], Iterator[Problem]], ...] = (
+    _files,
+    _tasks,
+    _warnings,
+    _voids,
+    _edits,
+    _objects,
+    _water,
+    _canopy,
+    _labels,
+    _kept,
+    _strays,
+    _healed,
+)
+"""Sources of problems, the gravest first."""
+
+
+def problems(run: Run) -> Node:
+    """The section of the report about missing and doubtful results, with remedies."""
+    found = problems_of(run)
+    if not found:
+        none = "None: every file was read, every tile was made, and nothing looks doubtful."
+        return section("problems", "Problems", el("p", none))
+    rows: list[tuple[Content, ...]] = [(p.what, _link(p.where), p.why, p.remedy) for p in found[:MOST_ROWS]]
+    more = len(found) - MOST_ROWS
+    rest = el("p", f"{more:,} more are in run.json.") if more > 0 else None
+    return section("problems", "Problems", table(("what", "where", "why", "what to do"), rows), rest)
+
+
+def _link(where: Place | None) -> Content:
+    """A place as a link that shows it on the map."""
+    if where is None:
+        return "-"
+    west, south, east, north = where
+    text = f"{(west + east) / 2:.1f}, {(south + north) / 2:.1f}"
+    return el("a", text, href="#map", data_place=",".join(f"{edge:.10g}" for edge in where))
+
+
+def marked_places(run: Run) -> list[list[Any]]:
+    """Kind, west, south, east and north of each problem that has a place, for the map."""
+    found = [problem for problem in problems_of(run) if problem.where is not None]
+    return [[problem.what, *(problem.where or ())] for problem in found[:MOST_ROWS]]

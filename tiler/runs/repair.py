@@ -1,0 +1,77 @@
+"""Repairs the store: the task that wrote a damaged or missing object is taken back and done again.
+
+What is done again writes the same bytes, so everything else that was done stays done.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+from tiler.core.raster import BLOCK_PIXELS, Block
+from tiler.runs.job import Job
+from tiler.store import chunk_numbers
+
+ROUNDS = 3
+"""Rounds of repair: a disk that damages what it is given again and again is beyond it."""
+
+
+def heal(job: Job, keys: Iterable[str]) -> None:
+    """Take back what wrote the objects of these keys, as `tiler.errors.DamagedError` names them."""
+    for key in sorted(set(keys)):
+        job.note(f"store: {key} is damaged or gone; what wrote it is done again")
+        kind, name, chunk = [*key.split("/"), "", ""][:3]
+        numbers = chunk_numbers(chunk)  # None: the whole array
+        if kind == "spool":
+            job.store.uncommit("spool", name)
+        elif kind == "records":
+            job.store.forget(f"records/{name}")  # the source is decoded once more
+        elif kind == "rasters" and numbers is None:
+            job.store.clear(f"grid-{name}")
+            job.store.forget(f"rasters/{name}")
+        elif kind == "rasters" and numbers:
+            _take_back_block(job, name, *numbers)
+        elif kind in ("labels", "elected") and numbers is None:
+            _clear_filters(job)
+            job.store.forget(f"{kind}/{name}")
+        elif kind in ("labels", "elected", "points") and numbers:
+            _take_back_bucket(job, kind, numbers[0])
+        else:  # the columns as a whole, or the index that knows which rows are whose
+            _clear_filters(job)
+            job.store.clear("assemble")
+            job.store.forget("index")
+            job.store.forget("points")
+            job.store.forget("labels")
+            job.store.forget("elected")
+    job.facts["healed"] = sorted({*job.facts.get("healed", ()), *keys})
+
+
+def _passes(job: Job) -> list[str]:
+    return [f"filter{number}" for number in range(job.store.get_state("passes") or 0)]
+
+
+def _clear_filters(job: Job) -> None:
+    for stage in _passes(job):
+        job.store.clear(stage)
+
+
+def _take_back_bucket(job: Job, kind: str, row: int) -> None:
+    """The tasks that wrote the points, labels or elected points of the bucket that owns a row of the columns."""
+    cell = job.store.owner_of(row)
+    if cell is None:
+        return
+    place = [cell.ix, cell.iy]
+    if kind == "points":
+        for task, (_, record) in job.store.committed("assemble").items():
+            if any(bucket["cell"] == place for bucket in record["buckets"]):
+                job.take_back("assemble", [task])
+        return
+    for stage in _passes(job):
+        for task, (_, record) in job.store.committed(stage).items():
+            if place in record["cells"]:
+                job.take_back(stage, [task])
+
+
+def _take_back_block(job: Job, name: str, row: int, col: int) -> None:
+    """The task that wrote a chunk of a raster."""
+    block = Block(row * BLOCK_PIXELS, col * BLOCK_PIXELS, BLOCK_PIXELS, BLOCK_PIXELS)
+    job.take_back(f"grid-{name}", [block.name])

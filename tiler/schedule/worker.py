@@ -1,0 +1,161 @@
+"""Runs a task on a worker: the work, then the commit. A failure is an outcome and not an exception."""
+
+from __future__ import annotations
+
+import ctypes
+import gc
+import time
+import traceback
+from contextlib import suppress
+from typing import Any
+
+import psutil
+
+from ptd.kernel import wide
+from tiler.errors import DamagedError, DiskFullError, StoreAccessError, TilerError
+from tiler.schedule import Outcome, Task
+from tiler.store import open_store, packed_by_one_thread
+
+KEPT_SHARE = 10
+"""Part of its memory, one in this many bytes, that a worker keeps between tasks for the arrays of the next task."""
+
+# Options of mallopt, from malloc.h.
+_M_TRIM_THRESHOLD = -1
+_M_MMAP_MAX = -4
+_M_ARENA_MAX = -8
+
+_FATAL = (DiskFullError, StoreAccessError)
+"""Errors that every other task would meet as well."""
+_NO_GLIBC = (OSError, AttributeError, TypeError)
+
+_kept_bytes = 0
+"""Memory that this process may keep between tasks; 0 for as little as possible."""
+
+
+def peak_rss_bytes() -> int:
+    """Largest resident memory of this process so far."""
+    try:
+        # `getrusage` would include the peak of the process that forked this one.
+        with open("/proc/self/status", encoding="ascii") as status:
+            line = next(line for line in status if line.startswith("VmHWM:"))
+        return int(line.split()[1]) * 1024
+    except (OSError, StopIteration):  # not Linux
+        memory = psutil.Process().memory_info()
+        return int(getattr(memory, "peak_wset", memory.rss))  # Windows; other systems: the present memory
+
+
+def _forget_peak() -> None:
+    """Let `peak_rss_bytes` start anew for each task, if the system can."""
+    with suppress(OSError), open("/proc/self/clear_refs", "w", encoding="ascii") as peak:
+        peak.write("5")
+
+
+def _give_back() -> None:
+    """Return freed memory to the system if it is more than `prepare` lets a worker keep.
+
+    The allocator of the C library keeps freed memory in pieces that are too small for the arrays of the next stage, so
+    that a worker would grow with each task. But memory that the next task uses again is cheaper than new pages, which
+    the system has to clear, and on a virtual machine often to fetch from the host.
+    """
+    if _resident_bytes() > _kept_bytes:
+        _give_all_back()
+
+
+def _give_all_back() -> None:
+    with suppress(*_NO_GLIBC):
+        _c_library().malloc_trim(0)
+
+
+def _keep_freed_memory() -> None:
+    """Let the allocator keep freed large arrays, too, which it returns to the system by default.
+
+    Each worker does this by itself and not the server of forks, whose settings all children would inherit: those that
+    read files need `mremap` for growing buffers, which this setting prevents.
+    """
+    with suppress(*_NO_GLIBC):
+        for option, value in ((_M_MMAP_MAX, 0), (_M_TRIM_THRESHOLD, 2**31 - 1), (_M_ARENA_MAX, 1)):
+            _c_library().mallopt(option, value)
+
+
+def _resident_bytes() -> int:
+    return int(psutil.Process().memory_info().rss)
+
+
+def _c_library() -> Any:
+    return ctypes.CDLL(None)
+
+
+def load_kernels() -> None:
+    """Call a kernel; the first call loads most of numba."""
+    wide(0)
+
+
+def prepare(memory_bytes: int) -> None:
+    """Load, before workers are forked, what all of them need, and set how much freed memory each may keep.
+
+    Parameters
+    ----------
+    memory_bytes : int
+        Memory that a worker may use; it may keep a tenth of it between tasks.
+    """
+    global _kept_bytes
+    load_kernels()
+    _kept_bytes = _resident_bytes() + memory_bytes // KEPT_SHARE
+
+
+def perform(store_url: str, task: Task) -> Outcome:
+    """Run a task and commit its record, so that the task is done even if the command ends."""
+    with packed_by_one_thread():
+        return _run(store_url, task, commit=True)
+
+
+def compute(store_url: str, task: Task) -> Outcome:
+    """Run a task without a commit; the command keeps its record."""
+    with packed_by_one_thread():
+        return _run(store_url, task, commit=False)
+
+
+def _run(store_url: str, task: Task, commit: bool) -> Outcome:
+    start = time.monotonic()
+    if _kept_bytes:
+        _keep_freed_memory()
+    if task.starts_small:
+        _give_all_back()
+    _forget_peak()
+    kind: type[BaseException]
+    damaged: tuple[str, ...] = ()
+    try:
+        record = task.work(store_url, task.arguments)
+        if commit:
+            store = open_store(store_url)
+            for part in Outcome(task, record).of_parts():
+                store.commit(part.task.stage, part.task.key, part.task.digest, part.record or {})
+    except (KeyboardInterrupt, SystemExit, GeneratorExit):
+        raise
+    except TilerError as error:
+        text = str(error)
+        kind = type(error)
+        again = error.again
+        if isinstance(error, DamagedError):
+            damaged = error.keys
+    except BaseException as error:  # noqa: BLE001 - every error, panics included, is an outcome; other tasks go on
+        where = traceback.extract_tb(error.__traceback__)[-1]
+        kind = type(error)
+        again = True
+        text = f"{kind.__name__}: {error} ({where.filename.rsplit('/', 1)[-1]}:{where.lineno})"
+        gc.collect()
+    else:
+        _give_back()
+        return Outcome(task, record, seconds=time.monotonic() - start, peak_rss_bytes=peak_rss_bytes())
+    _give_back()
+    return Outcome(
+        task,
+        record=None,
+        error=text,
+        error_kind=kind.__name__,
+        seconds=time.monotonic() - start,
+        peak_rss_bytes=peak_rss_bytes(),
+        again=again,
+        fatal=issubclass(kind, _FATAL),
+        damaged=damaged,
+    )
