@@ -79,12 +79,27 @@ def test_a_token_stays_with_its_object(servers: dict[str, str]) -> None:
     assert inspect(cloud_path(url)).points > 1000
 
 
-@pytest.mark.filterwarnings("ignore:unclosed:ResourceWarning")
-def test_a_wrong_password_is_told(servers: dict[str, str]) -> None:
-    """fsspec leaves the connection of a refused login to the garbage collector: it is collected here."""
+def test_a_wrong_password_is_told_and_its_connection_is_closed(servers: dict[str, str]) -> None:
     with pytest.raises(ConfigError, match="cannot be listed .*530 not you"):
         names(servers["ftp"].replace("%401@", "@") + "/a/east.laz")
-    gc.collect()
+    gc.collect()  # a socket that is still open warns here, and a warning is an error
+
+
+def test_an_ftp_connection_that_is_replaced_is_closed(servers: dict[str, str]) -> None:
+    system: Any = cloud_path(f"{servers['ftp']}/a/east.laz").fs
+    first = system.ftp
+    system._connect()  # fsspec does so if a server does not stop sending
+    assert first.sock is None
+    assert system.ftp.sock is not None
+
+
+def test_an_ftp_connection_is_closed_before_its_socket_is_collected(servers: dict[str, str]) -> None:
+    circle: list[Any] = [cloud_path(f"{servers['ftp']}/a/east.laz")]
+    circle.append(circle)
+    socket = circle[0].fs.ftp.sock
+    gc.collect()  # what only the circle holds now comes after the socket in the collector's list
+    del circle, socket
+    gc.collect()  # it ends the objects of a circle in the order of its list; an open socket would warn
 
 
 def do(inputs: list[str], out: Path) -> RunResult:

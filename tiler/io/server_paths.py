@@ -5,9 +5,12 @@ This module is imported only if such a URL is used, since universal-pathlib need
 
 from __future__ import annotations
 
+import weakref
 from typing import Any
 from urllib.parse import quote
 
+import fsspec
+from fsspec.implementations.ftp import FTPFileSystem
 from upath import UPath
 from upath.implementations.ftp import FTPPath
 from upath.implementations.sftp import SFTPPath
@@ -30,6 +33,26 @@ def _url(path: Any, text: str) -> str:
             login += f":{quote(options['password'], '')}"
         server = f"{login}@{server}"
     return f"{protocol}://{server}{path.path}"
+
+
+class FtpSystem(FTPFileSystem):  # type: ignore[misc]  # fsspec has no types
+    """An FTP server whose connections are closed at a known time.
+
+    fsspec leaves a connection that it replaces, and one whose login is refused, to the garbage collector. The collector
+    may also end a socket before the file system that would close it.
+    """
+
+    _close: weakref.finalize[Any, FtpSystem] | None = None
+
+    def _connect(self) -> None:
+        if self._close is not None:
+            self._close()
+        try:
+            super()._connect()
+        except BaseException:
+            self.ftp.close()
+            raise
+        self._close = weakref.finalize(self, self.ftp.close)
 
 
 class OnFtp(FTPPath):
@@ -58,6 +81,8 @@ class OnSmb(SMBPath):
     def __str__(self) -> str:
         return _url(self, super().__str__())
 
+
+fsspec.register_implementation("ftp", FtpSystem, clobber=True)
 
 _PATHS: dict[str, type[UPath]] = {"ftp": OnFtp, "sftp": OnSftp, "ssh": OnSftp, "smb": OnSmb}
 for _protocol, _class in _PATHS.items():
