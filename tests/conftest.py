@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import logging
+import os
 import signal
 from collections.abc import Iterator
 from pathlib import Path
@@ -34,6 +35,8 @@ SHARED_DATA = Path(__file__).resolve().parents[2] / "shared" / "data"
 settings.register_profile(
     "tests", deadline=None, derandomize=True, database=None, suppress_health_check=[HealthCheck.too_slow]
 )
+# Other examples each time: `pytest --hypothesis-profile=explore`. What it finds becomes an `@example` of its test.
+settings.register_profile("explore", settings.get_profile("tests"), derandomize=False, print_blob=True)
 settings.load_profile("tests")
 
 
@@ -74,3 +77,11 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
         return 0 if path == COMPILE_FIRST else 1 if path.startswith(COMPILE_NOTHING) else 2
 
     items.sort(key=turn)
+
+
+def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:
+    """Write the tests that failed where `.ci/run` asks for them, so that it can say how to repeat each."""
+    if file := os.environ.get("CI_FAILED_TESTS"):
+        stats = terminalreporter.stats
+        failed = {report.nodeid for report in [*stats.get("failed", ()), *stats.get("error", ())]}
+        Path(file).write_text("".join(f"{name}\n" for name in sorted(failed)), "utf-8")

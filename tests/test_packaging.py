@@ -159,6 +159,6 @@ def test_the_citation_is_of_this_version() -> None:
 
 def test_ci_tries_each_python_that_the_classifiers_name() -> None:
     script = (ROOT / ".ci/run").read_text("utf-8")
-    (others,) = re.findall(r"^for version in (.*); do$", script, re.MULTILINE)
+    (others,) = re.findall(r"^ *for version in (.*); do$", script, re.MULTILINE)
     named = [c.rpartition(" ")[2] for c in PROJECT["classifiers"] if re.search(r"Python :: 3\.", c)]
     assert named == [PROJECT["requires-python"].removeprefix(">="), *others.split()]
