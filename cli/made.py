@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
-from tiler.core.units_text import short_unit
+from tiler.core.units_text import length_text
 from tiler.core.words import counted
 from tiler.io.locations import joined
 from tiler.io.result_folder import BRIDGES, CLASSIFIED, OUTLINE, SHEETS, VIRTUAL, WATER
@@ -42,9 +42,10 @@ def made_lines(summary: Summary, out: str) -> Iterator[str]:
 
 def _results(summary: Summary) -> Iterator[tuple[str, str, str | None]]:
     """Name, count and file of each result."""
-    unit = short_unit(summary.get("plan", {}).get("metres_per_unit", {}).get("vertical", 1.0))
+    unit = summary.get("plan", {}).get("metres_per_unit", {}).get("vertical", 1.0)
     if contours := summary.get("contours"):
-        lines = f"{counted(contours['lines'], 'line')} every {contours['interval']:g} {unit}"
+        interval = length_text(contours["interval"] * unit, unit)
+        lines = f"{counted(contours['lines'], 'line')} every {interval}"
         yield "contours", lines, "contours.gpkg"
     if spots := summary.get("spots"):
         yield "spots", f"{counted(spots['highs'], 'top')}, {counted(spots['lows'], 'bottom')}", "spots.gpkg"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
 
 import numpy as np
@@ -42,3 +43,20 @@ def test_what_was_decided_is_told_and_a_narrow_halo_too(city_file: Path, tmp_pat
     notes = [*result.summary["statistics"]["survey"]["notes"], *result.summary["plan"]["notes"]]
     assert any(note.startswith("decided: laser scanning") for note in notes)
     assert any("seeds 60 m, refine 60 m, roofs 229 m, roofs2 229 m" in note for note in notes)
+
+
+def test_lengths_are_printed_in_feet_for_a_cloud_in_feet(city: Cloud, tmp_path: Path) -> None:
+    in_feet = clouds.write(tmp_path / "a.laz", Cloud(city.xyz / 0.3048, city.truth))
+    run = do(
+        in_feet,
+        tmp_path / "out",
+        "filter",
+        method="auto",
+        units="ft",
+        halo="300ft",
+        tile_size="200ft",
+        resolution="3ft",
+    )
+    assert "noise 0.0" in " ".join(run.notes)
+    for text in (*run.notes, *run.warnings):
+        assert not re.search(r"(?<![\w.(])[\d.]+ m\b", text), text

@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import re
 from fractions import Fraction
 
-from tiler.core.units import FOOT, METRE, US_SURVEY_FOOT
+from tiler.core.units import FOOT, METRE, US_SURVEY_FOOT, Units
 
 SQUARE_KM, ACRE, ACRES_PER_SQUARE_MILE = 1e6, float(43_560 * FOOT**2), 640
 ROUND = 3e-6
 """A number of feet that is nearer than this share to one with two decimals, or above ten to one with one, is printed
 alone: the two feet differ by 2e-6."""
+
+_METRES = re.compile(r"(?<![\w.,(])(?:([\d.]+) to )?([\d.]+(?:e-?\d+)?) m\b(?! =|[/\\]|\.\w)")
+"""A length in metres. One in brackets, and one before ``=``, has its feet already; ``5 m.laz`` is a name."""
 
 
 def short_unit(metres: Fraction | float) -> str:
@@ -61,3 +65,18 @@ def length_text(metres: float | Fraction, unit: float | Fraction) -> str:
         return f"{nearest:,g} {name}"
     text = f"{number:,.0f}" if number >= 100 else f"{number:.3g}"
     return f"{text} {name} ({float(metres):.6g} m)"
+
+
+def in_unit_of_crs(text: str, units: Units) -> str:
+    """Return a text whose lengths in metres (``0.12 m``) are in feet as well, if the CRS is: ``0.394 ft (0.12 m)``.
+
+    The text stays as it is if heights have another unit than x and y, as a length may be one of either.
+    """
+    if short_unit(units.horizontal) != "ft" or units.vertical != units.horizontal:
+        return text
+
+    def length(found: re.Match[str]) -> str:
+        lengths = [length_text(float(number), units.horizontal) for number in found.groups() if number]
+        return " to ".join(lengths)
+
+    return _METRES.sub(length, text)

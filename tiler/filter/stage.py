@@ -13,6 +13,7 @@ from ptd.matched.survey import SurveyPass, run_facts
 from ptd.methods import METHODS
 from ptd.passes import MethodRefusal, Pass, State
 from ptd.places import PLACES
+from tiler.core.units_text import in_unit_of_crs
 from tiler.errors import ConfigError, ProcessingError
 from tiler.filter import FilterTile
 from tiler.filter.tasks.labelled import MATCHED, Labelled
@@ -118,7 +119,8 @@ def _reduced(job: Job, step: Pass, partials: Iterable[dict[str, Any]], state: St
     try:
         found = step.reduce(partials, state)
     except MethodRefusal as error:
-        raise ConfigError(f"--method {job.plan.config.method}: {error}") from error
+        text = in_unit_of_crs(str(error), job.plan.meta.frame.units)
+        raise ConfigError(f"--method {job.plan.config.method}: {text}") from error
     for text in found.get("notes", [])[len(state.get("notes", [])) :]:
         job.note(text)
     return found

@@ -17,6 +17,7 @@ from tiler.config import RunConfig
 from tiler.core.area import Area
 from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Lattice
+from tiler.core.units_text import in_unit_of_crs
 from tiler.errors import ConfigError, InputError
 from tiler.inputs import Agreement, SourceInfo, agree, find_inputs, inspect, inspect_guarded, is_list
 from tiler.io.locations import cloud_path, is_url
@@ -213,7 +214,13 @@ def _settled(found: _Found, config: RunConfig, parameters: dict[str, Any], defau
     advised = advice.before(config, made, density, own_halo(defaults), unit)
     plan = part_of(replace(plan, warnings=(*warnings_of(plan), *advised)))
     text = emptiness_warning(plan)
-    return plan if text is None else replace(plan, warnings=(*plan.warnings, text))
+    warnings = plan.warnings if text is None else (*plan.warnings, text)
+    units = agreement.units
+    return replace(
+        plan,
+        notes=tuple(in_unit_of_crs(text, units) for text in plan.notes),
+        warnings=tuple(in_unit_of_crs(text, units) for text in warnings),
+    )
 
 
 def output_names(

@@ -16,7 +16,8 @@ def drawn(run: Run) -> list[Node]:
     """The section in a list; an empty list if the run has none of these."""
     lines, edits, water, contours = (run.get(name) for name in ("breaklines", "edits", "water", "contours"))
     wide = run.get("plan", {}).get("metres_per_unit", {}).get("horizontal", 1.0)
-    unit = short_unit(run.get("plan", {}).get("metres_per_unit", {}).get("vertical", 1.0))
+    high = run.get("plan", {}).get("metres_per_unit", {}).get("vertical", 1.0)
+    unit = short_unit(high)
     content: list[Content] = []
     if "bridges" in run:
         content += _bridges(run["bridges"], wide)
@@ -42,8 +43,8 @@ def drawn(run: Run) -> list[Node]:
         pictures = [profile(body, unit) for body in water[:MOST_ROWS]]
         content += [picture for picture in pictures if picture is not None]
     if contours:
-        text = f"{counted(contours['lines'], 'line')} of {contours['vertices']:,} vertices, every "
-        text += f"{contours['interval']:g} {unit}."
+        interval = length_text(contours["interval"] * high, high)
+        text = f"{counted(contours['lines'], 'line')} of {contours['vertices']:,} vertices, every {interval}."
         content += [el("h3", "Contours"), el("p", text)]
     return [section("drawn", "Drawn", *content)] if content else []
 

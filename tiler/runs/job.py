@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from tiler.core.units_text import in_unit_of_crs
 from tiler.errors import ConfigError
 from tiler.io.locations import is_url, joined, put_file
 from tiler.io.result_folder import RUN, folder_here
@@ -158,7 +159,8 @@ class Job:
         return self.record.facts
 
     def note(self, text: str) -> None:
-        """Show a note to the user, now and in run.json."""
+        """Show a note to the user, now and in run.json; its lengths are in the unit of the CRS."""
+        text = in_unit_of_crs(text, self.plan.meta.frame.units)
         if text not in self.record.notes:  # a stage that is done again repeats its notes
             self.record.notes.append(text)
         self.listener("note", {"text": text})

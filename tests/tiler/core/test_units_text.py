@@ -6,8 +6,8 @@ from fractions import Fraction
 
 import pytest
 
-from tiler.core.units import FOOT, METRE, US_SURVEY_FOOT
-from tiler.core.units_text import area_text, length_text, short_unit, written_unit
+from tiler.core.units import FOOT, METRE, US_SURVEY_FOOT, Units
+from tiler.core.units_text import area_text, in_unit_of_crs, length_text, short_unit, written_unit
 
 
 @pytest.mark.parametrize(
@@ -39,3 +39,24 @@ def test_areas_are_in_acres_or_square_miles() -> None:
 def test_names_of_units() -> None:
     assert [short_unit(u) for u in (METRE, FOOT, US_SURVEY_FOOT)] == ["m", "ft", "ft"]
     assert [written_unit(u) for u in (METRE, FOOT, US_SURVEY_FOOT)] == ["m", "ft", "usft"]
+
+
+@pytest.mark.parametrize(
+    ("text", "in_feet"),
+    [
+        ("noise 0.0255 m; 7.67 points/m2", "noise 0.0837 ft (0.0255 m); 7.67 points/m2"),
+        ("up to 0.12 m + 0.5 m x slope", "up to 0.394 ft (0.12 m) + 1.64 ft (0.5 m) x slope"),
+        ("cells of 0.61 to 1.2 m", "cells of 2 ft (0.61 m) to 3.94 ft (1.2 m)"),
+        ("a gap of 2e-05 m", "a gap of 6.56e-05 ft (2e-05 m)"),
+        (
+            "--sheets 30 is 30 m = 98.4 ft, as 98.4 ft (30 m)",
+            "--sheets 30 is 30 m = 98.4 ft, as 98.4 ft (30 m)",
+        ),
+        ("tiles 5 m.laz in dtm 1 m/: 2 m", "tiles 5 m.laz in dtm 1 m/: 6.56 ft (2 m)"),
+        ("12 % of 3 meshes, v1.5 mm, 7 m2", "12 % of 3 meshes, v1.5 mm, 7 m2"),
+    ],
+)
+def test_lengths_of_a_text_are_in_feet_if_the_crs_is(text: str, in_feet: str) -> None:
+    assert in_unit_of_crs(text, Units(FOOT, FOOT)) == in_feet
+    assert in_unit_of_crs(text, Units(METRE, METRE)) == text
+    assert in_unit_of_crs(text, Units(FOOT, METRE)) == text

@@ -18,6 +18,7 @@ from ptd.methods import METHODS
 from tiler.config import VOID_CANOPY
 from tiler.core.lattice import Cell
 from tiler.core.map_lines import rings_of
+from tiler.core.units_text import length_text
 from tiler.filter.tasks.labelled import Labelled
 from tiler.filter.tasks.passes import elected_name, label_digests, labels_name
 from tiler.ingest.tasks.assembled import Assembled
@@ -87,7 +88,7 @@ def _tell(job: Job, share: float, made: Commits) -> None:
     if share < TOLD:
         return
     held = {place: blocks[place] / BLOCK_M**2 for place in most}
-    job.facts["canopy_doubts"] = [_doubt(place, held[place], BLOCK_M / unit) for place in most]
+    job.facts["canopy_doubts"] = [_doubt(place, held[place], unit) for place in most]
     around = " and ".join(f"x {x:.0f}, y {y:.0f}" for x, y in places)
     done = (
         "up to --max-edge the terrain is bridged there from the ground seen around (mask 6; --voids fill goes on "
@@ -99,10 +100,11 @@ def _tell(job: Job, share: float, made: Commits) -> None:
     job.listener("warning", {"text": f"{hidden}: {done}"})
 
 
-def _doubt(block: tuple[int, int], part: float, side: float) -> dict[str, Any]:
+def _doubt(block: tuple[int, int], part: float, unit: float) -> dict[str, Any]:
     """Doubt about the terrain in a block: a text, and its west, south, east and north in units of the CRS."""
+    side = BLOCK_M / unit
     west, south = (index * side for index in block)
-    text = f"{HIDES} in {percent(part)} % of a square of {BLOCK_M:g} m"
+    text = f"{HIDES} in {percent(part)} % of a square of {length_text(BLOCK_M, unit)}"
     return {"text": text, "place": [west, south, west + side, south + side]}
 
 
