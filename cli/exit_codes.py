@@ -15,5 +15,5 @@ Exit codes:
   3    an input cannot be read, or its CRS cannot be used
   4    processing failed
   5    done, but files or tiles were left out, or a required check failed
-  130  interrupted by Ctrl-C or SIGTERM: the same command resumes
+  130  interrupted by Ctrl-C or SIGTERM; run the same command again to resume
 """

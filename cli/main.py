@@ -23,25 +23,25 @@ from tiler.errors import TilerError
 from tiler.version import __version__
 
 COMMANDS = {
-    "run": "Do the whole job: make a DTM and classified clouds.",
-    "plan": "Show what a run would do and what it needs, without doing it.",
+    "run": "Run all stages: make a DTM and classified clouds.",
+    "plan": "Show what a run would do and which resources it needs.",
     "ingest": "First stage: read the clouds into the tile store.",
     "filter": "Second stage: find the ground, tile by tile.",
     "grid": "Third stage: interpolate the ground at the pixels.",
     "export": "Fourth stage: write the DTM and the classified clouds.",
     "classify": "Classify the points of one file or of many, without a store.",
-    "preview": "Draw the result of the settings in a few windows, in seconds.",
+    "preview": "Draw a quick preview of the terrain for these settings.",
     "info": "Describe clouds, a store, a result folder or a raster.",
     "methods": "List the ground filters and their parameters.",
-    "evaluate": "Score classes against references, or a DTM against a true one.",
-    "check": "Measure the accuracy of a DTM, its seams, and flight strips.",
-    "report": "Draw OUT/report.html again, with new measurements.",
-    "clean": "Remove files of a run that no later run needs.",
-    "simulate": "Simulate a cloud with true labels, and its true terrain.",
-    "config": "Print the effective settings, or a commented file to start from.",
+    "evaluate": "Score classes or a DTM against reference data.",
+    "check": "Measure accuracy, seams and strip alignment of a DTM.",
+    "report": "Update OUT/report.html with the latest measurements.",
+    "clean": "Delete temporary data that later runs do not need.",
+    "simulate": "Simulate a cloud with reference classes and terrain.",
+    "config": "Print the effective settings or a commented template.",
     "warm": "Compile the kernels of methods before their first run.",
-    "qgis": "The plugin for QGIS: into a profile, or into an archive.",
-    "demo": "Simulate a small city, run the whole job on it, and score it.",
+    "qgis": "Install the QGIS plugin, or write it as an archive.",
+    "demo": "Simulate a small city, run all stages on it, and score the result.",
 }
 """First line of the help of each command, in the order of the list. The list must not import all commands."""
 
@@ -146,7 +146,7 @@ def _end(error: BaseException, session: Session) -> int:
             _tell(line, session)
     if isinstance(error, KeyboardInterrupt | click.Abort):
         warnings.simplefilter("ignore")  # work that is half done warns when it is removed
-        rest = "; the same command resumes" if session.resumes else ""
+        rest = "; run the same command again to resume" if session.resumes else ""
         _tell(f"tiler: interrupted{rest}", session)
         return exit_codes.INTERRUPTED
     text, code = _line_and_code(error)

@@ -34,7 +34,7 @@ def summary_lines(summary: Mapping[str, Any], out: str, did_nothing: bool = Fals
         Whether everything had been done before.
     """
     points = summary["counts"]["stored"]
-    lines = ["nothing to do: everything was done before"] if did_nothing else []
+    lines = ["nothing to do: all results are up to date"] if did_nothing else []
     files, dropped = len(summary["inputs"]), sum(summary["counts"]["dropped"].values())
     lost = f", {dropped:,} dropped" if dropped else ""
     lines.append(f"points      {points:,} of {counted(files, 'file')}{lost}")
@@ -94,7 +94,7 @@ def score_lines(classes: Mapping[str, Any], dtm: Mapping[str, Any] | None = None
     f1 = f", F1 {percent_text(classes['f1'])}" if "f1" in classes else ""
     lines = [
         f"type I  {percent_text(classes['type_1'])}  (ground lost)",
-        f"type II {percent_text(classes['type_2'])}  (objects taken for ground)",
+        f"type II {percent_text(classes['type_2'])}  (objects classified as ground)",
         f"total   {percent_text(classes['total'])}  of {classes['points']:,} points, kappa {kappa}{f1}",
     ]
     if classes["ignored"]:

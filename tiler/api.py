@@ -110,7 +110,7 @@ def run(
     ...     tiler.run("clouds/", "out", resolution="fine")
     ... except tiler.TilerError as error:
     ...     print(error)
-    resolution: 'fine' is no length: write a number, with a unit if it is not metres (1, 0.5, 1/3, 3ft)
+    resolution: 'fine' is not a length; give a number in metres or with a unit (1, 0.5, 1/3, 3ft)
     """
     with _listening(progress) as listener:
         return run_job(

@@ -122,5 +122,5 @@ def refused_write(what: str, error: Exception, folder: Path | None = None) -> Pr
             f"{what}: cannot be written ({reason}): the disk is full; free some and run again"
         )
     return ProcessingError(
-        f"{what}: cannot be written ({reason}); see to the disk and its rights, and run again"
+        f"{what}: cannot be written ({reason}); check free space and permissions, then run again"
     )

@@ -82,7 +82,7 @@ def run(
         raise ConfigError(f"no stage {until!r}; there are {', '.join(STAGES)}")
     config, products = config or RunConfig(), str(out)
     if not products:
-        raise ConfigError("-o: has no name; name a folder for the results")
+        raise ConfigError("-o: has no name; give a folder for the results")
     check_names("-o", products)
     check_names("--store", config.store or products)
     out = folder_here(products)
@@ -250,7 +250,7 @@ def _make_folder(out: Path) -> None:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as error:
         raise ConfigError(
-            f"-o {out}: cannot be made ({error.strerror}); name a folder that can be written"
+            f"-o {out}: cannot be made ({error.strerror}); give a folder that can be written"
         ) from error
 
 

@@ -67,7 +67,7 @@ HEADINGS = ("", "points", "RMSEV", "mean", "median", "NMAD", "95 % within", "lar
 )
 @json_option
 def command(dtm: str, as_json: bool, **options: Any) -> int:
-    """Measure the accuracy of a DTM, its seams, and flight strips.
+    """Measure accuracy, seams and strip alignment of a DTM.
 
     A difference is the height of the DTM, bilinear between pixel centres, minus that of the checkpoint. By the ASPRS
     standards, Edition 2, the accuracy is the RMSE of the non-vegetated checkpoints (NVA) including their own error, and

@@ -18,7 +18,7 @@ from cli.session import TilerCommand
 )
 @json_option
 def command(out: str, store: str | None, as_json: bool) -> None:
-    """Remove files of a run that no later run needs.
+    """Delete temporary data that later runs do not need.
 
     Removes scratch files of killed runs, decoded points that the store also holds sorted, and older indices. The same
     `tiler run` still finds everything done. If you add a file, a run decodes again the files that it touches.

@@ -23,7 +23,7 @@ LAST = "parameters"  # a table: TOML wants it after the plain values
 @click.option("--template", is_flag=True, help="print all settings with help, unit and default [default: no]")
 @config_options()
 def command(template: bool, **settings: Any) -> None:
-    """Print the effective settings, or a commented file to start from.
+    """Print the effective settings or a commented template.
 
     Prints as TOML the settings that a command with the same options (and --config FILE.toml) would use, with every
     parameter of the method. With --template it prints all settings and their meaning. With --preset NAME it prints the

@@ -45,7 +45,7 @@ SETTINGS = (
 @config_options(only=SETTINGS)
 @json_option
 def command(out: str, seed: int, as_json: bool, **settings: Any) -> int:
-    """Simulate a small city, run the whole job on it, and score it.
+    """Simulate a small city, run all stages on it, and score the result.
 
     OUT/input gets the clouds of the city with their true classes and terrain, OUT gets the results of `tiler run`.
     Prints the errors of the classes and of the DTM.

@@ -76,10 +76,10 @@ def command(
     as_json: bool,
     **settings: Any,
 ) -> None:
-    """Score classes against references, or a DTM against a true one.
+    """Score classes or a DTM against reference data.
 
     Class 2 is ground, every other class is not. The type I error is the share of ground points that were lost, type II
-    the share of other points that were taken for ground, total the share of wrong points; kappa is Cohen's. With
+    the share of other points that were classified as ground, total the share of wrong points. Kappa is Cohen's. With
     --method the CLOUDs have true classes: each is filtered without its classes and scored against them. A cloud that
     was filtered while its noise or water was labelled (without `--keep-classes none`) gets too good a score. Clouds and
     references are paired by their names, or by their order if you name as many clouds as references.
@@ -87,14 +87,14 @@ def command(
     if (dtm is None) != (true_dtm is None):
         raise click.UsageError("--dtm and --true-dtm belong together")
     if not clouds and dtm is None:
-        raise click.UsageError("nothing to evaluate; name CLOUD, or --dtm and --true-dtm")
+        raise click.UsageError("nothing to evaluate; give CLOUD, or --dtm and --true-dtm")
     if difference is not None and dtm is None:
         raise click.UsageError("--difference needs --dtm and --true-dtm")
     if dtm_sigma is not None and dtm is None:
         raise click.UsageError("--dtm-sigma needs --dtm and --true-dtm")
     filters = settings["method"] is not None
     if clouds and filters == bool(references):
-        raise click.UsageError("name either --reference REF, or --method NAME to filter labelled clouds")
+        raise click.UsageError("give either --reference REF, or --method NAME to filter labelled clouds")
     from tiler.apps import evaluate
     from tiler.schedule import half_of_memory, read_apart
 

@@ -22,7 +22,7 @@ from cli.session import TilerCommand
 @config_options()
 @json_option
 def command(inputs: tuple[str, ...], out: str | None, as_json: bool, **settings: Any) -> None:
-    """Show what a run would do and what it needs, without doing it.
+    """Show what a run would do and which resources it needs.
 
     Prints the points, tiles, memory, disk space and time of `tiler run` with the same INPUT and options. It reads the
     headers of the files and a few thousand points of each, and writes nothing. It refuses what a run would refuse, with

@@ -47,11 +47,11 @@ WITHOUT = (
 def command(
     inputs: tuple[str, ...], out: str, windows: int, size: str | None, as_json: bool, **settings: Any
 ) -> int:
-    """Draw the result of the settings in a few windows, in seconds.
+    """Draw a quick preview of the terrain for these settings.
 
-    Takes a few windows of the clouds at full density, works on each as `tiler run` would with these settings, and draws
-    the surface (above) and the terrain (below) as hillshades, with a column for each window. So you see before the
-    whole job which objects stay in the terrain, and which parts of the ground are missing.
+    Processes a few windows of the clouds at full density as `tiler run` would with these settings. The picture has a
+    column per window, with hillshades of the surface (above) and of the terrain (below). It shows which objects stay in
+    the terrain, and which parts of the ground are missing.
     """
     config = read_config(settings)
     from tiler.apps.preview import make_preview

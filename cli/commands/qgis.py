@@ -15,7 +15,7 @@ from cli.session import TilerCommand
 @click.group("qgis", invoke_without_command=True)
 @click.pass_context
 def command(context: click.Context) -> int:
-    """The plugin for QGIS: into a profile, or into an archive.
+    """Install the QGIS plugin, or write it as an archive.
 
     It adds tiler to the Processing toolbox of QGIS 3.22 or newer: Run, Preview, Classify, Check, Apply edits.
     """
@@ -36,8 +36,8 @@ def command(context: click.Context) -> int:
 def install(profile: str) -> None:
     """Put the plugin into a profile of QGIS.
 
-    An earlier version of it is replaced; a folder that is not the plugin's is left as it is, and that is an error. The
-    plugin is told where this command is, and has its settings. After an update of tiler, do it again.
+    An earlier version is replaced. A folder of the same name that is not the plugin is an error, and stays. The plugin
+    gets the path of this command and a list of its settings. Run this command again after an update of tiler.
     """
     folder = installation.install(profile)
     say(f"installed  {folder}")

@@ -11,7 +11,7 @@ from cli.session import TilerCommand
 @click.command("report", cls=TilerCommand)
 @click.argument("out", metavar="OUT")
 def command(out: str) -> None:
-    """Draw OUT/report.html again, with new measurements.
+    """Update OUT/report.html with the latest measurements.
 
     Every run draws the report. Draw it again after an interruption and after measuring: it shows the content of
     OUT/check.json and OUT/evaluate.json (`tiler check ... --json > OUT/check.json`, `tiler evaluate ... --json >

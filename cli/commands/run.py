@@ -11,7 +11,7 @@ from cli.output import print_json, say
 from cli.session import TilerCommand, current_session, shown_progress
 from cli.summary import summary_lines
 
-RUN = """Do the whole job: make a DTM and classified clouds.
+RUN = """Run all stages: make a DTM and classified clouds.
 
 INPUT are LAS and LAZ files, folders (with all folders below), globs, virtual point clouds (.vpc) and EPT (ept.json),
 or URLs of these (s3://...). OUT gets dtm.tif, the other files of --products, classified/, report.html, run.json,

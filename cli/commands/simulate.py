@@ -97,7 +97,7 @@ def command(
     resolution: str,
     as_json: bool,
 ) -> None:
-    """Simulate a cloud with true labels, and its true terrain.
+    """Simulate a cloud with reference classes and terrain.
 
     OUT.laz gets the points of a simulated place with their ASPRS classes: 1 cars and garden walls, 2 ground, 3, 4
     and 5 plants below 1 m, below 3 m and higher, 6 buildings and facades, 7 blunders below the ground, 9 water, 14

@@ -140,7 +140,7 @@ def _profile_folder(name: str) -> Path:
     if name not in there and name != "default":
         raise ConfigError(
             f"{folder}: no profile {name!r} of QGIS, there are: {', '.join(there) or 'none'}; make it in QGIS "
-            "(Settings > User Profiles) or name another with --profile"
+            "(Settings > User Profiles) or give another with --profile"
         )
     return folder / name
 

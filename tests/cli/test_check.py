@@ -49,10 +49,10 @@ def test_a_requirement_that_fails_ends_with_5(folder: Path, capsys: pytest.Captu
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ([], "nothing to check; name --points"),
+        ([], "nothing to check; give --points"),
         (["--figures", "f"], "--figures draws checkpoints"),
         (["--tile-size", "10", "--require", "rmse=1"], "is not measured without --points"),
-        (["--tile-size", "-1"], "no length"),
+        (["--tile-size", "-1"], "not a length"),
     ],
 )
 def test_what_is_refused(

@@ -225,7 +225,7 @@ def test_scores() -> None:
     dtm = {"unit": "metre", "rmse": 0.1234, "bias": -0.01, "pixels": 360_000}
     assert score_lines(SCORES, dtm) == [
         "type I  1.25 %  (ground lost)",
-        "type II -  (objects taken for ground)",
+        "type II -  (objects classified as ground)",
         "total   1.00 %  of 1,000 points, kappa 97.50 %",
         "ignored 7 points of the classes left out",
         "without a partner: 0 points of the reference, 3 of the cloud",
@@ -285,8 +285,8 @@ def test_evaluate_of_a_dtm_alone(evaluations: object, capsys: pytest.CaptureFixt
     ("arguments", "message"),
     [
         ([], "nothing to evaluate"),
-        (["a.laz"], "name either --reference REF, or --method NAME"),
-        (["a.laz", "--reference", "b.laz", "--method", "classic"], "name either --reference REF"),
+        (["a.laz"], "give either --reference REF, or --method NAME"),
+        (["a.laz", "--reference", "b.laz", "--method", "classic"], "give either --reference REF"),
         (["--dtm", "a.tif"], "--dtm and --true-dtm belong together"),
         (["a.laz", "--reference", "b", "--difference", "d.tif"], "--difference needs --dtm"),
         (["a.laz", "--reference", "b", "--map-cell", "0"], "must be above 0"),

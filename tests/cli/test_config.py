@@ -93,7 +93,7 @@ def test_options_win_over_the_file(effective: Any, tmp_path: Path) -> None:
      ("memory = true", "memory: True"), ("memory = [1]", "memory: [1]"),
      ("keep_classes = [1.5]", "keep_classes: [1.5]"), ("keep_classes = true", "keep_classes: True"),
      ("bounds = [-inf, 0, inf, 1]", "bounds"),
-     ("bounds = [1e300, 0, 1e301, 1]", "bounds [1e+300"), ("method = 'm\udcff'", "byte 11 is no UTF-8")],
+     ("bounds = [1e300, 0, 1e301, 1]", "bounds [1e+300"), ("method = 'm\udcff'", "byte 11 is not UTF-8")],
 )  # fmt: skip
 def test_a_bad_file_is_one_line(
     text: str, error: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]

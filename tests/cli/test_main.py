@@ -81,7 +81,7 @@ def test_interrupt(
 
     monkeypatch.setattr("tiler.pipeline.run", run)
     assert main(["run", "a.laz", "-o", str(tmp_path)]) == 130
-    assert capsys.readouterr().err.strip() == "tiler: interrupted; the same command resumes"
+    assert capsys.readouterr().err.strip() == "tiler: interrupted; run the same command again to resume"
 
 
 def waiting(folder: Path) -> subprocess.Popen[str]:
@@ -148,8 +148,8 @@ def test_in_the_background_of_a_script_ctrl_c_is_ignored(tmp_path: Path) -> None
         (["plan", "a.laz", "--workers", "0"], "workers 0: must be a whole number above 0"),
         (["plan", "a.laz", "--resolution", "-1"], "-1"),
         (["plan", "a.laz", "--resolution", "1furlong"], "unknown unit 'furlong'"),
-        (["plan", "a.laz", "--memory", "lots"], "'lots' is no memory size"),
-        (["plan", "a.laz", "--set", "rounds"], "--set rounds: write name=value"),
+        (["plan", "a.laz", "--memory", "lots"], "'lots' is not a memory size"),
+        (["plan", "a.laz", "--set", "rounds"], "--set rounds; give name=value"),
         (["plan", "a.laz", "--keep-classes", "7,300"], "classes are 0 to 255"),
         (["plan", "a.laz", "--bounds", "5", "0", "1", "1"], "X0 must be below X1"),
         (["plan", "a.laz", "--config", "/nowhere/x.toml"], "/nowhere/x.toml"),

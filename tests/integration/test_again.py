@@ -215,7 +215,7 @@ def test_a_terrain_without_a_height_is_warned_of(demo: DemoScene, tmp_path: Path
     )
     assert result.exit_code == 5
     assert any("page.laz: left out: begins with b'<htm'" in text for text in told)
-    assert any("no height at all: no three points of class 99" in text for text in told)
+    assert any("the terrain model is empty: no three points of class 99" in text for text in told)
     assert told[-1] in result.summary["notes"]
 
 

@@ -177,7 +177,7 @@ def test_members_are_found_beside_the_file_or_elsewhere(folder: Path, tmp_path: 
 def test_what_is_no_virtual_cloud_is_told_in_one_line(content: bytes, reason: str, tmp_path: Path) -> None:
     file = tmp_path / "bad.vpc"
     file.write_bytes(content)
-    with pytest.raises(InputError, match=r"bad\.vpc: is no virtual point cloud") as refused:
+    with pytest.raises(InputError, match=r"bad\.vpc: is not a readable virtual point cloud") as refused:
         find_inputs([str(file)])
     assert reason in str(refused.value)
     assert "\n" not in str(refused.value)

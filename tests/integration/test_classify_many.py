@@ -50,7 +50,7 @@ def test_each_file_is_seen_with_its_neighbours(halves: Path, tmp_path: Path) -> 
 
 def test_many_files_need_a_folder(halves: Path, tmp_path: Path) -> None:
     with pytest.raises(
-        ConfigError, match=r"out\.laz: several clouds are classified into a folder; name a fo"
+        ConfigError, match=r"out\.laz: several clouds are classified into a folder; give a fo"
     ):
         classify_files([str(halves)], tmp_path / "out.laz", settings())
 
@@ -83,7 +83,7 @@ def test_a_source_is_never_replaced(halves: Path, target: str) -> None:
 
 
 def test_a_folder_below_the_inputs_is_refused(halves: Path) -> None:
-    with pytest.raises(ConfigError, match="which holds the inputs; name another folder"):
+    with pytest.raises(ConfigError, match="which holds the inputs; give another folder"):
         classify_files([str(halves)], halves / "out", settings())
 
 

@@ -164,7 +164,7 @@ def test_the_plan_looks_at_the_workers(bucket: Any, cluster: Cluster, cloud: Pat
     assert "2 workers for 2 tasks at a time on 1 machines" in lines
     done = tiler("plan", inputs, "--store", "s3://nowhere/store", *options)
     assert done.returncode == 2
-    assert_one_line(done.stderr, "cannot use s3://nowhere/store", "credentials that the workers have")
+    assert_one_line(done.stderr, "cannot use s3://nowhere/store", "credentials of the workers")
 
 
 def test_a_worker_with_another_version(cluster: Cluster, cloud: Path, tmp_path: Path) -> None:
@@ -194,4 +194,4 @@ def test_workers_without_credentials(bucket: Any, cluster: Cluster, tmp_path: Pa
     places = (f"s3://{BUCKET}/clouds", "-o", tmp_path / "out", "--store", f"s3://{BUCKET}/denied")
     done = tiler("run", *places, "--scheduler", cluster.address, *OPTIONS, "-q")
     assert done.returncode == 2
-    assert_one_line(done.stderr.splitlines()[-1], "cannot read s3://", "credentials that the workers have")
+    assert_one_line(done.stderr.splitlines()[-1], "cannot read s3://", "credentials of the workers")

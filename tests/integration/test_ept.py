@@ -70,7 +70,7 @@ def test_a_window_over_http_reads_the_nodes_near_it(
     size = sum(path.stat().st_size for path in (ept.parent / "ept-data").iterdir())
     assert 0 < part.summary["fetched"]["points"] < size * 0.8
     np.testing.assert_array_equal(dtm(tmp_path / "part")[0], dtm(tmp_path / "whole")[0])
-    with pytest.raises(ConfigError, match="no points near the area"):
+    with pytest.raises(ConfigError, match="no points near the requested area"):
         make_plan([str(ept)], RunConfig(in_process=True, bounds=(0.0, 0.0, 10.0, 10.0)))
 
 
@@ -83,7 +83,7 @@ def test_a_window_over_http_reads_the_nodes_near_it(
         ("ept.json", {"dataType": "laszip", "bounds": [-1.7e308, 0, 0, 1.7e308, 1, 1]}, "no cube"),
         ("ept.json", "[]", "holds no object"),
         ("ept-hierarchy/0-0-0-0.json", {"0-0-0-0": 5, "1-7-0-0": 3}, "says '1-7-0-0: 3'"),
-        ("ept-hierarchy/0-0-0-0.json", {"0-0-0-0": -1}, "does not say how many"),
+        ("ept-hierarchy/0-0-0-0.json", {"0-0-0-0": -1}, "has no number of points"),
         ("ept-hierarchy/0-0-0-0.json", {"0-0-0-0": 5, "2-0-0-0": -1}, "2-0-0-0.json cannot be read"),
         ("ept-hierarchy/0-0-0-0.json", {"0-0-0-0": 0}, "names no points"),
         ("ept-hierarchy/0-0-0-0.json", "{", "0-0-0-0.json: Expecting"),

@@ -48,7 +48,7 @@ def test_four_points_4000_km_apart(tmp_path: Path) -> None:
     path = write_points(tmp_path / "four.las", corners)
     result = do(path, tmp_path / "out", method="keep", crs="none", resolution=None, max_edge="20000")
     assert result.exit_code == 0
-    assert any("no height at all" in note for note in result.summary["notes"])
+    assert any("the terrain model is empty" in note for note in result.summary["notes"])
     with rasterio.open(tmp_path / "out" / "dtm.tif") as raster:
         assert raster.shape == (200, 200)  # the last points lie on the outer edge
 
@@ -102,7 +102,7 @@ def test_a_file_with_absurd_coordinates_is_left_out(
 def test_one_good_file_is_told_from_one_beyond_its_crs(good: list[Path], tmp_path: Path) -> None:
     bad = site(tmp_path / "bad.las", 0.0, 0.0)
     assert do([bad, good[0]], tmp_path / "out", **KEEP).summary["quarantined"][0]["path"] == str(bad)
-    with pytest.raises(ConfigError, match=r"bad.las and .*g0.las lie up to .* run on each of them alone"):
+    with pytest.raises(ConfigError, match=r"bad.las and .*g0.las lie up to .* run each of them alone"):
         do([bad, good[0]], tmp_path / "local", **{**KEEP, "crs": "none"})
 
 

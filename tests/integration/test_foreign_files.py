@@ -35,7 +35,7 @@ def put(out: Path, *names: str) -> dict[str, bytes]:
 def test_a_first_run_replaces_nothing(name: str, overwrite: bool, cloud: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     before = put(out, name)
-    with pytest.raises(ConfigError, match=rf"-o {out}: {name}: there already, .* or --force"):
+    with pytest.raises(ConfigError, match=rf"-o {out}: {name}: already exists .* or --force"):
         do(cloud, out, overwrite=overwrite)
     assert content(out) == before
 
@@ -60,7 +60,7 @@ def test_a_run_file_that_is_none_of_tiler_lists_nothing(text: str, cloud: Path, 
     put(out, "dtm.tif")
     (out / "run.json").write_text(text)
     before = content(out)
-    with pytest.raises(ConfigError, match="dtm.tif, run.json: there already"):
+    with pytest.raises(ConfigError, match="dtm.tif, run.json: already exists"):
         do(cloud, out)
     assert content(out) == before
 
@@ -75,7 +75,7 @@ def test_what_is_no_file_is_in_the_way_as_well(kind: str, cloud: Path, tmp_path:
         (out / "dtm.tif").symlink_to("nowhere")
     else:
         put(out, "classified")
-    with pytest.raises(ConfigError, match="(dtm.tif|classified): there already"):
+    with pytest.raises(ConfigError, match="(dtm.tif|classified): already exists"):
         do(cloud, out)
 
 
@@ -83,12 +83,12 @@ def test_a_product_that_came_between_two_runs_is_the_users(cloud: Path, tmp_path
     out = tmp_path / "out"
     do(cloud, out)
     before = put(out, "slope.tif", "dsm/dsm_0_0.tif", "dsm/plan.tif")
-    with pytest.raises(ConfigError, match=r"slope\.tif: there already"):
+    with pytest.raises(ConfigError, match=r"slope\.tif: already exists"):
         do(cloud, out, products="dtm,slope")
-    with pytest.raises(ConfigError, match="dsm/dsm_0_0.tif: there already"):
+    with pytest.raises(ConfigError, match="dsm/dsm_0_0.tif: already exists"):
         do(cloud, out, products="dsm", sheets="40")
     before |= put(out, "density")
-    with pytest.raises(ConfigError, match="density: there already"):
+    with pytest.raises(ConfigError, match="density: already exists"):
         do(cloud, out, products="density", sheets="40")
     with pytest.raises(ProcessingError, match=f"{out}/density: cannot be written"):
         do(cloud, out, products="density", sheets="40", force=True)
@@ -106,7 +106,7 @@ def test_a_file_that_comes_while_the_run_goes_on_is_not_replaced(
         return cog_tasks(*arguments)
 
     monkeypatch.setattr(export, "cog_tasks", meanwhile)
-    with pytest.raises(ConfigError, match="dtm.tif: there already"):
+    with pytest.raises(ConfigError, match="dtm.tif: already exists"):
         do(cloud, out)
     assert (out / "dtm.tif").read_bytes() == b"mine, not a run's"
 
@@ -168,12 +168,12 @@ def test_at_a_url_as_well(cloud: Path, tmp_path: Path, monkeypatch: pytest.Monke
     url = f"memory://{uuid.uuid4().hex}/town"
     for name in ("dtm.tif", "run.json"):
         cloud_path(f"{url}/{name}").write_bytes(b"mine")
-    with pytest.raises(ConfigError, match="dtm.tif, run.json: there already"):
+    with pytest.raises(ConfigError, match="dtm.tif, run.json: already exists"):
         run([str(cloud)], url, settings())
     assert not (tmp_path / "town").exists()
     other = f"memory://{uuid.uuid4().hex}/town"
     assert run([str(cloud)], other, settings()).exit_code == 0
-    with pytest.raises(ConfigError, match="dtm.tif, run.json: there already"):
+    with pytest.raises(ConfigError, match="dtm.tif, run.json: already exists"):
         run([str(cloud)], url, settings())  # what town/run.json lists is elsewhere
     assert cloud_path(f"{url}/dtm.tif").read_bytes() == b"mine"
     for path in (tmp_path / "town").iterdir():

@@ -190,13 +190,13 @@ def test_a_read_only_out_is_one_line(cloud: Path, disk: SmallDisk) -> None:
     done = subprocess.run(["mount", "-o", "remount,ro", disk.folder], capture_output=True, text=True)
     if done.returncode:
         pytest.skip(f"no read-only disk here: {done.stderr.strip()}")
-    with pytest.raises(ConfigError, match="cannot be written; name a folder on a disk that can"):
+    with pytest.raises(ConfigError, match="cannot be written; give a folder on a disk that can"):
         do(cloud, disk.folder / "out")
 
 
 def test_an_out_that_rasters_cannot_be_written_to_is_refused(cloud: Path, tmp_path: Path) -> None:
     out = tmp_path / "out\udcff"
-    with pytest.raises(ConfigError, match="its name is not UTF-8; name another folder"):
+    with pytest.raises(ConfigError, match="its name is not UTF-8; give another folder"):
         do(cloud, out)
     assert not out.exists()
 

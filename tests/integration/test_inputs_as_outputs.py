@@ -43,7 +43,7 @@ def test_a_store_is_no_place_of_inputs_or_results(
     (tmp_path / "link").symlink_to("in")
     (tmp_path / "out").mkdir()
     before = content(tmp_path)
-    with pytest.raises(ConfigError, match="(is the same as|holds) .*; name another place"):
+    with pytest.raises(ConfigError, match="(is the same as|holds) .*; give another place"):
         do(Path("in/hill.laz"), Path("out"), store=store, clean_store=True, overwrite=True)
     assert content(tmp_path) == before
 
@@ -93,11 +93,11 @@ def test_a_result_that_is_a_link_to_an_input(cloud: Path, tmp_path: Path) -> Non
 
 def test_preview_and_classify(cloud: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     before = content(tmp_path)
-    assert "name it .png" in refused(capsys, "preview", cloud, "-o", cloud)
+    assert "use .png" in refused(capsys, "preview", cloud, "-o", cloud)
     picture = tmp_path / "in" / "link.png"
     picture.symlink_to(cloud)
     assert "is an input" in refused(capsys, "preview", cloud, "-o", picture)
-    assert "name it .laz" in refused(capsys, "classify", cloud, tmp_path / "b.tif")
+    assert "use .laz" in refused(capsys, "classify", cloud, tmp_path / "b.tif")
     (tmp_path / "b.laz").symlink_to(cloud)
     assert "is an input" in refused(capsys, "classify", cloud, tmp_path / "b.laz")
     assert content(tmp_path).items() >= before.items()
@@ -130,7 +130,7 @@ def test_evaluate_and_check(cloud: Path, tmp_path: Path, capsys: pytest.CaptureF
     pair = ("evaluate", "--dtm", vrt, "--true-dtm", true)
     for difference in (true, mine, tmp_path / "." / "true.tif"):
         assert f"--difference {difference}: is an input" in refused(capsys, *pair, "--difference", difference)
-    assert "name it .tif" in refused(capsys, *pair, "--difference", cloud)
+    assert "use .tif" in refused(capsys, *pair, "--difference", cloud)
     scored = ("evaluate", cloud, "--reference", cloud, "--dtm", vrt, "--true-dtm", true)
     assert "hill.tif: is an input" in refused(capsys, *scored, "--maps", tmp_path)
     (tmp_path / "map.svg").symlink_to(true)
@@ -147,11 +147,11 @@ def test_what_commands_name_themselves_replaces_no_other_file(
     photo, drawing = raster(tmp_path / "maps" / "hill.tif"), tmp_path / "maps" / "map.svg"
     drawing.write_text("<svg/>")
     scored = ("evaluate", cloud, "--reference", cloud, "--maps", tmp_path / "maps")
-    assert f"{photo}: there already, and no map of errors" in refused(capsys, *scored)
+    assert f"{photo}: already exists and is not a map of errors" in refused(capsys, *scored)
     points = tmp_path / "points.csv"
     points.write_text("2,2,1\n3,3,1\n")
     checked = ("check", photo, "--points", points, "--figures", tmp_path / "maps")
-    assert f"{drawing}: there already, and no drawing" in refused(capsys, *checked)
+    assert f"{drawing}: already exists and is not a drawing" in refused(capsys, *checked)
     for path in (photo, drawing):
         path.rename(tmp_path / path.name)
     checked = ("check", tmp_path / "hill.tif", *checked[2:])
@@ -162,7 +162,7 @@ def test_what_commands_name_themselves_replaces_no_other_file(
     capsys.readouterr()
     terrain = tmp_path / "scene_dtm.tif"
     terrain.write_text("mine")
-    assert f"{terrain}: there already" in refused(capsys, "simulate", tmp_path / "scene.laz", "--size", 60)
+    assert f"{terrain}: already exists" in refused(capsys, "simulate", tmp_path / "scene.laz", "--size", 60)
     assert terrain.read_text() == "mine"
 
 
@@ -170,7 +170,7 @@ def test_what_commands_name_themselves_replaces_no_other_file(
 def test_a_demo_replaces_nothing(name: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
     (tmp_path / name).write_text("mine")
-    assert f"{name}: there already" in refused(capsys, "demo", "-o", tmp_path)
+    assert f"{name}: already exists" in refused(capsys, "demo", "-o", tmp_path)
     assert [p.read_text() for p in tmp_path.rglob("*") if p.is_file()] == ["mine"]
 
 

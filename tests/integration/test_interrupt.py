@@ -78,7 +78,7 @@ def test_an_interrupt_ends_it_and_the_command_goes_on(
     os.killpg(process.pid, interrupt)
     _, error = process.communicate(timeout=TIMEOUT_SECONDS)
     assert process.returncode == 130, error
-    assert error.splitlines()[-1] == "tiler: interrupted; the same command resumes"
+    assert error.splitlines()[-1] == "tiler: interrupted; run the same command again to resume"
     assert "Traceback" not in error
     assert all_gone(group)
     assert json.loads((out / "run.json").read_text())["state"] == "interrupted"

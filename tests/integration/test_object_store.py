@@ -35,7 +35,7 @@ def test_results_and_store_by_url(bucket: Any, tmp_path: Path, monkeypatch: pyte
 
     for name in ("dtm.tif", "classified/hill.laz"):
         bucket.pipe_file(f"{BUCKET}/town/{name}", b"mine")
-    with pytest.raises(ConfigError, match="dtm.tif, classified/hill.laz: there already"):
+    with pytest.raises(ConfigError, match="dtm.tif, classified/hill.laz: already exists"):
         do()
     assert do(force=True).exit_code == 0
     bucket.pipe_file(f"{BUCKET}/town/store.zarr/points/notes.txt", b"mine")
@@ -109,12 +109,12 @@ def test_every_command_takes_urls(bucket: Any, tmp_path: Path, monkeypatch: pyte
     assert run([url], out, settings()).did_nothing
     for refused, line in (
         (lambda: describe(f"s3://{BUCKET}/none"), f"s3://{BUCKET}/none: no tile store here"),
-        (lambda: tiler.check(f"{out}/no.tif", "points.csv"), f"{out}/no.tif: nothing there; name a raster"),
+        (lambda: tiler.check(f"{out}/no.tif", "points.csv"), f"{out}/no.tif: nothing there; give a raster"),
         (
             lambda: tiler.classify(f"{out}/no.laz", "a.laz"),
-            f"{out}/no.laz: no such file; name a LAS or LAZ file",
+            f"{out}/no.laz: no such file; give a LAS or LAZ file",
         ),
-        (lambda: tiler.classify(url, f"{out}/a.laz"), f"{out}/a.laz: one file is written here; name a file"),
+        (lambda: tiler.classify(url, f"{out}/a.laz"), f"{out}/a.laz: one file is written here; give a file"),
         (lambda: write_report_at(f"s3://{BUCKET}/none"), f"s3://{BUCKET}/none/run.json: cannot be read"),
     ):
         with pytest.raises(TilerError, match=f"^{line}"):

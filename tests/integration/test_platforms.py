@@ -134,7 +134,7 @@ def test_a_run_with_files_as_on_windows_gives_the_same(
     assert (out / "outdated/hillshade.tif").is_file()
     other = ended(command("run", cloud, "-o", out, *options), **windows)
     assert other.returncode == 2, "it would have the same place"
-    assert_one_line(other.stderr, "classified/Town.laz: there already")
+    assert_one_line(other.stderr, "classified/Town.laz: already exists")
     cleaned = ended(command("clean", out), **windows)
     assert cleaned.returncode == 0, cleaned.stderr
 

@@ -86,7 +86,7 @@ def test_a_run_gives_the_bytes_of_the_command(
 def test_an_error_is_one_line_and_no_success(profile: dict[str, str], cloud: Path, tmp_path: Path) -> None:
     done = run(profile, "run", INPUT=tmp_path / "none.laz", OUTPUT=tmp_path / "out")
     assert done.returncode != 0
-    line = f"{tmp_path}/none.laz: no such file or folder; name LAS or LAZ files, folders, globs or .vpc files"
+    line = f"{tmp_path}/none.laz: no such file or folder; give LAS or LAZ files, folders, globs or .vpc files"
     assert f"ERROR:\t{line}\n" in done.stderr
     assert "Traceback" not in done.stdout + done.stderr
     assert "Results" not in done.stdout

@@ -102,6 +102,6 @@ def test_a_run_without_any_height_has_no_sheet(tmp_path: Path) -> None:
     cloud = clouds.write(tmp_path / "in.laz", sparse)
     result = do(cloud, tmp_path / "out", sheets="50", max_edge="1", **KEEP)
     assert result.exit_code == 0
-    assert any("no height at all" in note for note in result.summary["notes"])
+    assert any("the terrain model is empty" in note for note in result.summary["notes"])
     assert not list((tmp_path / "out").glob("dtm*"))
     assert (tmp_path / "out/report.html").exists()

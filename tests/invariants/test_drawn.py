@@ -282,7 +282,7 @@ def test_breaklines_and_idw_are_refused(city_file: Path, tmp_path: Path) -> None
 def test_contours_of_others_are_not_replaced(city_file: Path, tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "contours.gpkg").write_text("mine")
-    with pytest.raises(ConfigError, match="contours.gpkg: there already"):
+    with pytest.raises(ConfigError, match="contours.gpkg: already exists"):
         do(city_file, tmp_path / "out", products="contours")
     assert (tmp_path / "out" / "contours.gpkg").read_text() == "mine"
 

@@ -129,7 +129,7 @@ def test_the_plan_says_how_far_each_pass_sees(tmp_path: Path) -> None:
     wider = plan(halo="40")
     assert [step.halo_m for step in wider.passes] == [0.0, 40.0, 8.0]
     assert overlap_of(wider, wider.steps) == pytest.approx(112**2 / 32**2)
-    assert any("how far they look: mean 0 m, lonely 8 m" in note for note in wider.notes)
+    assert any("with a fixed radius: mean 0 m, lonely 8 m" in note for note in wider.notes)
     assert projected_memory(wider)["filter"] > projected_memory(ours)["filter"]
 
 

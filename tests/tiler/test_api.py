@@ -241,7 +241,7 @@ def test_a_filter_shows_what_it_decided() -> None:
     ("call", "line"),
     [
         (lambda: tiler.run("none.laz", "o"), "none.laz: no such file"),
-        (lambda: tiler.run("clouds", "o", {"resolution": "far"}), "resolution: 'far' is no length"),
+        (lambda: tiler.run("clouds", "o", {"resolution": "far"}), "resolution: 'far' is not a length"),
         (lambda: tiler.run("clouds", "o", {"resolutoin": 1}), "unknown setting 'resolutoin'"),
         (lambda: tiler.classify("none.laz", "b.laz"), "none.laz: no such file"),
         (lambda: tiler.check("none.tif", "checkpoints.csv"), "none.tif: cannot be read"),

@@ -76,13 +76,13 @@ def classify_file(
     TilerError
     """
     if is_url(target):
-        raise ConfigError(f"{target}: one file is written here; name a file, `tiler run` writes to URLs")
+        raise ConfigError(f"{target}: one file is written here; give a file, `tiler run` writes to URLs")
     source = cloud_path(source)
     target = Path(target)
     config = _checked(config)
     check_targets([Target("", target, SUFFIXES)], [source])
     if state_at(str(source)) is None:
-        raise ConfigError(f"{source}: no such file; name a LAS or LAZ file")
+        raise ConfigError(f"{source}: no such file; give a LAS or LAZ file")
     with Guard() as guard:
         return _classify(guard, source, target, config, listener)
 
@@ -114,10 +114,10 @@ def classify_files(
     TilerError
     """
     if is_url(folder):
-        raise ConfigError(f"{folder}: files are written here; name a folder, `tiler run` writes to URLs")
+        raise ConfigError(f"{folder}: files are written here; give a folder, `tiler run` writes to URLs")
     folder = Path(folder)
     if folder.suffix.lower() in SUFFIXES:
-        raise ConfigError(f"{folder}: several clouds are classified into a folder; name a folder")
+        raise ConfigError(f"{folder}: several clouds are classified into a folder; give a folder")
     _refuse_own_inputs(sources, folder)
     config = _checked(config).updated(classified="laz")
     with _scratch_beside(folder / "file", config) as (scratch, settings):
@@ -155,7 +155,7 @@ def _refuse_own_inputs(sources: Sequence[str], folder: Path) -> None:
     check_targets([Target("", folder / path.name) for path in paths if not is_url(path)], paths)
     for source in (Path(source) for source in sources if not is_url(source)):
         if source.is_dir() and folder.resolve().is_relative_to(source.resolve()):
-            raise ConfigError(f"{folder}: lies in {source}, which holds the inputs; name another folder")
+            raise ConfigError(f"{folder}: lies in {source}, which holds the inputs; give another folder")
 
 
 def _records(
@@ -214,7 +214,7 @@ def _scratch_beside(target: Path, config: RunConfig) -> Iterator[tuple[str, RunC
         folder = TemporaryDirectory(prefix=".tiler-", dir=target.parent)
     except OSError as error:
         raise ConfigError(
-            f"{target}: its folder cannot be made or written ({error.strerror}); name another"
+            f"{target}: its folder cannot be made or written ({error.strerror}); give another"
         ) from error
     with folder as scratch:
         yield scratch, config.updated(store=None)
@@ -249,7 +249,8 @@ def _classify(
     )
     if info.georeference.kind == "missing" and config.crs is None:
         listener(
-            "note", {"text": f"{source}: has no CRS; metres are assumed, --units or --crs say otherwise"}
+            "note",
+            {"text": f"{source}: has no CRS; metres are assumed; use --units or --crs if they are not"},
         )
         config = config.updated(crs="none")
     if config.workers is None and info.points < ONE_WORKER_POINTS:

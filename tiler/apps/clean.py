@@ -45,7 +45,7 @@ def clean(out: str | Path, store_url: str | None = None) -> dict[str, Any]:
     if not is_url(out):
         place = str(Path(out).resolve())
         if not Path(out).is_dir():
-            raise ConfigError(f"{out}: no such folder; name the OUT of a run")
+            raise ConfigError(f"{out}: no such folder; give the OUT of a run")
     if not store_url:
         configured = (read_run(place) or {}).get("configuration")
         if isinstance(configured, dict):

@@ -88,7 +88,7 @@ def _refuse_foreign_files(out: Path, config: RunConfig) -> None:
     there = [path for path in wanted if os.path.lexists(path)]
     if there and not mark.is_file() and not config.force:
         raise ConfigError(
-            f"{there[0]}: there already, and not known to be of a demo; use another -o, or --force to replace it"
+            f"{there[0]}: already exists and was not written by a demo; use another -o, or --force to replace it"
         )
     try:
         mark.parent.mkdir(parents=True, exist_ok=True)

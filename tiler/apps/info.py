@@ -68,14 +68,14 @@ def describe(path: str) -> dict[str, Any]:
             is_cloud = is_url(path) and name.endswith((*_CLOUDS, "ept.json"))
             is_folder = not missing and not is_cloud and place.is_dir()
     except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror or error}); name what can be") from error
+        raise InputError(f"{path}: cannot be read ({error.strerror or error}); give what can be") from error
     if missing and is_url(path):
         if read_run(path) is not None:
             return describe_result(place)
         return describe_store(path)
     if missing:
         raise InputError(
-            f"{path}: no such file or folder; name a cloud, a store, a result folder or a raster"
+            f"{path}: no such file or folder; give a cloud, a store, a result folder or a raster"
         )
     if is_folder:
         return _describe_folder(place)
@@ -102,9 +102,9 @@ def _describe_folder(folder: Path) -> dict[str, Any]:
     if (folder / RUN).is_file():
         return describe_result(folder)
     if any(path.suffix.lower() in _CLOUDS for path in folder.iterdir()):
-        raise InputError(f"{folder}: holds clouds; name one of them, or see `tiler plan` for all")
+        raise InputError(f"{folder}: holds clouds; give one of them, or see `tiler plan` for all")
     raise InputError(
-        f"{folder}: neither a tile store nor a result folder; name a cloud, a raster, or OUT of a run"
+        f"{folder}: neither a tile store nor a result folder; give a cloud, a raster, or OUT of a run"
     )
 
 
@@ -146,7 +146,9 @@ def describe_result(folder: Path) -> dict[str, Any]:
     try:
         run = read_object((folder / RUN).read_text("utf-8"))
     except OSError as error:
-        raise InputError(f"{folder / RUN}: cannot be read ({error.strerror}); see to its rights") from error
+        raise InputError(
+            f"{folder / RUN}: cannot be read ({error.strerror}); check its permissions"
+        ) from error
     except ValueError as error:
         raise InputError(f"{folder / RUN}: not valid JSON ({error}); run the same command again") from error
     facts: dict[str, Any] = {

@@ -208,7 +208,7 @@ def _cut(
             if count:
                 files[i][path] = str(source.path)
     if not any(files):
-        raise InputError("no window holds a point; name other --windows or a larger --size")
+        raise InputError("no window holds a point; give other --windows or a larger --size")
     return files
 
 

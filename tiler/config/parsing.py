@@ -28,9 +28,9 @@ def parse_bytes(value: Any) -> int:
     try:
         size = int(float(number) * _BYTES[text[len(number) :].lower()])
     except (ValueError, KeyError, OverflowError):
-        raise ConfigError(f"{value!r} is no memory size: write 4GB, 512MiB or a number of bytes") from None
+        raise ConfigError(f"{value!r} is not a memory size; give 4GB, 512MiB or a number of bytes") from None
     if size <= 0:
-        raise ConfigError(f"{value!r} is no memory size: it must be above 0")
+        raise ConfigError(f"{value!r} is not a memory size; give one above 0")
     return size
 
 
@@ -63,7 +63,7 @@ def parse_surface(value: Any) -> str:
         return str(value)
     if isinstance(value, str) and value[:1] == "p" and value[1:].isdecimal() and int(value[1:]) <= 100:
         return value
-    raise ConfigError(f"surface {value!r}: write all, median, or a percentile of the heights like p10")
+    raise ConfigError(f"surface {value!r}; give all, median, or a percentile of the heights like p10")
 
 
 def parse_pairs(value: Any) -> tuple[tuple[str, str], ...]:
@@ -79,7 +79,7 @@ def parse_pairs(value: Any) -> tuple[tuple[str, str], ...]:
         else:
             name, sign, text = str(item).partition("=")
         if not sign or not name:
-            raise ConfigError(f"--set {item}: write name=value; `tiler methods` lists the names")
+            raise ConfigError(f"--set {item}; give name=value; `tiler methods` lists the names")
         pairs.append((name.strip(), text.strip()))
     return tuple(pairs)
 
@@ -103,7 +103,7 @@ def _bounds(value: Any) -> tuple[float, float, float, float]:
     try:
         x0, y0, x1, y1 = (float(v) for v in value)
     except (TypeError, ValueError):
-        raise ConfigError(f"bounds {value!r}: write four numbers X0 Y0 X1 Y1 in units of the CRS") from None
+        raise ConfigError(f"bounds {value!r}; give four numbers X0 Y0 X1 Y1 in units of the CRS") from None
     if not (x0 < x1 and y0 < y1):
         raise ConfigError(f"bounds {value!r}: X0 must be below X1 and Y0 below Y1")
     if not all(abs(v) < FARTHEST for v in (x0, y0, x1, y1)):
@@ -119,7 +119,7 @@ def _crs(value: Any) -> str:
         return value
     if isinstance(value, int) and not isinstance(value, bool):
         return f"EPSG:{value}"
-    raise ConfigError(f"crs {value!r}: write EPSG:2154, 2154, WKT or none")
+    raise ConfigError(f"crs {value!r}; give EPSG:2154, 2154, WKT or none")
 
 
 def parse_files(name: str, value: Any) -> tuple[str, ...]:
@@ -155,7 +155,7 @@ def parse_value(spec: dataclasses.Field[Any], value: Any) -> Any:
     kind = spec.metadata["kind"]
     texts = value if isinstance(value, list | tuple) else [value]
     if any(isinstance(text, str) and "\0" in text for text in texts):
-        raise ConfigError(f"{spec.name} {value!r}: holds a NUL character; write it without")
+        raise ConfigError(f"{spec.name} {value!r}: holds a NUL character; give it without")
     if value is None:
         if spec.default is not None:
             raise ConfigError(f"{spec.name}: needs a value")

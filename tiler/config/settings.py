@@ -73,7 +73,7 @@ class RunConfig:
         (), "parameters of the method, name=value (`tiler methods NAME` lists them)", kind="pairs"
     )
     ground_classes: tuple[int, ...] = classes(
-        (2,), "classes of the input that `--method keep` takes as ground"
+        (2,), "classes of the input that are ground for `--method keep`"
     )
     products: tuple[str, ...] = setting(
         ("dtm",),
@@ -99,16 +99,16 @@ class RunConfig:
     empty_sheets: bool = flag(False, "also write sheets that hold points but no heights")
     resolution: Fraction | None = length(
         None,
-        "pixel size; default 1 m, or the spacing of the points where that is coarser; 0.1, 0.25 or 0.5 m for matched "
-        "clouds with about ten points or more in such a pixel; in feet 2 ft instead of 1 m, else one of 0.1, 0.2, 0.5, "
-        "1, 5, 10 ft",
+        "pixel size; default: 1 m (2 ft), or the point spacing if that is coarser. Photogrammetric clouds get 0.1, "
+        "0.25 or 0.5 m if such a pixel holds about ten points. In feet: 0.1, 0.2, 0.5, 1, 2, 5 or 10 ft",
     )
-    tile_size: Fraction | None = length(None, "side of a filter tile; default from density and memory")
-    halo: Fraction | None = length(None, "how far beyond its tile the filter looks; default from the method")
+    tile_size: Fraction | None = length(None, "side of a filter tile; default: from density and memory")
+    halo: Fraction | None = length(
+        None, "width of the margin around a tile that the filter reads; default: from the method"
+    )
     max_edge: Fraction = length(
         Fraction(100),
-        "a pixel has no height where the triangle of ground points around it has a longer edge, or the circle "
-        "through its corners a larger radius",
+        "longest edge and largest circumradius of a TIN facet that fills pixels; others stay nodata",
     )
     interpolation: str = setting(
         "linear",
@@ -118,15 +118,14 @@ class RunConfig:
     )
     surface: str | None = setting(
         None,
-        "which ground points make the DTM: all of them, or in each cell of half a pixel the one at the median or at "
-        "a percentile (p10) of the cell's heights; default: all, or the median where the cloud is taken for image "
-        "matching",
+        "ground points that make the DTM: all, or the one at the median or a percentile (p10) of the heights in each "
+        "cell of half a pixel; default: all, or the median for photogrammetric clouds",
         kind="surface",
     )
     erode: Fraction | None = length(
         None,
-        "leave out ground points nearer than this to an object at least 1 m higher, such as stumps of walls in "
-        "image matching; default: 0, or 0.5 m where the cloud is taken for image matching",
+        "leave out ground points nearer than this to an object at least 1 m higher, such as stumps of walls; "
+        "default: 0, or 0.5 m for photogrammetric clouds",
     )
     voids: str = setting(
         "leave",
@@ -136,8 +135,8 @@ class RunConfig:
     )
     canopy: str = setting(
         FILL_CANOPY,
-        "where a closed canopy hides the ground from image matching: fill (bridge it from the ground seen around it "
-        "and in its openings; 6 in the mask) or void (no heights)",
+        "terrain where a closed canopy hides the ground of a photogrammetric cloud: fill (interpolate from the ground "
+        "around it and in its openings, value 6 of the mask) or void (no heights)",
         choices=(FILL_CANOPY, VOID_CANOPY),
     )
     breaklines: tuple[str, ...] = files(
@@ -147,93 +146,90 @@ class RunConfig:
     )
     edits: str | None = file(
         None,
-        "file of polygons, in any CRS, with a column `action`: not_ground (no point inside is ground), ground (the "
-        "points inside that the input has as ground, or where it has none the lowest of each pixel), void (no "
-        "height), flat (the height in the column z); default: none",
+        "file of polygons, in any CRS, with a column `action`. not_ground: no point inside is ground. ground: the "
+        "ground points of the input are ground, or the lowest point of each pixel if there are none. void: no height. "
+        "flat: the height in the column z; default: none",
     )
     water: str = file(
         AUTO_WATER,
-        "bodies of water, level in the terrain (lakes) or falling along their flow (rivers): none, auto (found in "
-        "the data), or a file, in any CRS, with polygons, optional columns kind (lake, river) and level, and optional "
-        "lines along which rivers flow",
+        "water bodies: none, auto (found in the data) or FILE. Lakes become level, rivers fall along their flow. FILE "
+        "has polygons in any CRS with optional columns kind (lake, river) and level, and optional lines of flow",
     )
     water_low: str = setting(
         LOW_AS_NOISE,
-        "class in the classified clouds of returns from more than 0.5 m below the level of water: noise (7), or keep "
-        "(as other points in water)",
+        "class of returns from more than 0.5 m below the water level in the classified clouds: noise (7), or keep (as "
+        "other points in water)",
         choices=(LOW_AS_NOISE, KEEP_LOW),
     )
     water_min_lake: Fraction = area(
-        Fraction(8000), "smallest lake or pond that `--water auto` takes (8000, 0.8ha, 2acre)"
+        Fraction(8000), "smallest lake or pond that `--water auto` finds (8000, 0.8ha, 2acre)"
     )
     water_min_river_width: Fraction = length(
-        Fraction(15), "narrowest river or canal, by its mean width, that `--water auto` takes"
+        Fraction(15), "smallest mean width of a river or canal that `--water auto` finds"
     )
     water_min_island: Fraction = area(
         Fraction(1000), "smallest island that `--water auto` keeps; smaller ones become water"
     )
     bridges: str = setting(
         "keep",
-        "decks of bridges that the filter left in the terrain: keep, or remove (those that stand free, the ground 2 "
-        "m lower beside both edges and a road at both ends, get class 17; OUT/bridges.gpkg shows them)",
+        "bridge decks in the terrain: keep, or remove (class 17, listed in OUT/bridges.gpkg). A deck has ground 2 m "
+        "lower next to both edges, and a road at both ends",
         choices=("keep", "remove"),
     )
     contour_interval: Fraction | None = length(
         None,
-        "difference of height between contours; default: a round number of the CRS's unit that gives 50 levels at "
-        "most, four times the noise of the ground and 0.25 m (1 ft) at least",
+        "height difference between contours; default: a round number in the unit of the CRS, at least four times the "
+        "noise of the ground and 0.25 m (1 ft), with at most 50 levels",
     )
     contour_smooth: Fraction | None = length(
         None,
-        "smooth the heights for the contours by a Gaussian of this standard deviation; 0: not at all; default: 2 "
+        "standard deviation of the Gaussian that smooths the heights for contours; 0: no smoothing; default: 2 "
         "pixels",
     )
     classified: str = setting(
         "laz",
-        "the points with their new classes, OUT/classified: laz, las (larger, quicker to read), copc (by place, not "
-        "in the order of the input: other programs draw it at once and read parts of it), or none",
+        "format of the classified clouds in OUT/classified: laz, las (larger, faster to read), copc (points ordered "
+        "by position, for fast drawing and reading of parts) or none",
         choices=("laz", "las", "copc", "none"),
     )
     outline: str = setting(
         "survey",
-        "where heights end: at the survey, the places with points and gaps of up to 20 m between them (more where "
-        "points are sparse), or at the hull of facets up to `max-edge`",
+        "border of the heights: survey (positions with points, and gaps of up to 20 m between them, more if points "
+        "are sparse) or hull (of facets up to `max-edge`)",
         choices=("survey", "hull"),
     )
     spike: Fraction = length(
         Fraction(5),
-        "the DSM leaves out a pixel's highest return if it rises this far above all returns around it (next pixels, "
-        "at least 1 m)",
+        "rise of a pixel's highest return above all returns in the neighbouring pixels (at least 1 m) from which it is "
+        "left out of the DSM",
     )
     memory: int | None = setting(
         None,
-        "memory that one worker may use; default: half of that of the machine or container, divided by the workers, "
-        "4 GiB at most",
+        "memory limit of a worker; default: half of the memory of the machine or container, divided by the workers, at "
+        "most 4 GiB",
         kind="bytes",
     )
     workers: int | None = whole(
         None,
-        "worker processes, one thread each; default: the cores that tiler may use, fewer if memory is below 512 MiB "
-        "for each",
+        "number of worker processes, with one thread each; default: the cores that tiler may use, fewer if a worker "
+        "would have less than 512 MiB",
     )
-    in_process: bool = flag(
-        False, "work in the command's own process, for debugging: whatever crashes it ends the run"
-    )
+    in_process: bool = flag(False, "work in the process of the command, for debugging; a crash ends the run")
     task_seconds: int = whole(
         600,
-        "time for a task of up to a million points, in proportion for a larger one; a worker that takes longer "
-        "counts as hung and is replaced",
+        "time limit of a task of up to a million points, proportionally more for a larger one; a slower worker counts "
+        "as hung and is replaced",
         unit="s",
     )
     scheduler: str | None = setting(
         None, "address of a running Dask scheduler (tcp://host:8786); default: workers on this machine"
     )
-    store: str | None = setting(None, "place of the tile store; default OUT/store.zarr")
+    store: str | None = setting(None, "path or URL of the tile store; default: OUT/store.zarr")
     crs: str | None = setting(
         None,
-        "CRS of files that have none (EPSG:..., WKT; a compound one like EPSG:2154+5720 also gives its heights' "
-        "datum to files that name EPSG:2154 alone), or `none`: unknown, metres assumed; default: a file without CRS "
-        "is an error",
+        "CRS of files that have none (EPSG:..., WKT), or `none`: unknown, metres assumed. A compound CRS like "
+        "EPSG:2154+5720 also adds its vertical datum to files with only EPSG:2154; default: a file without CRS is an "
+        "error",
         kind="crs",
     )
     units: str | None = setting(
@@ -241,31 +237,30 @@ class RunConfig:
     )
     bounds: tuple[float, float, float, float] | None = setting(
         None,
-        "only this part: X0 Y0 X1 Y1 in CRS units; what lies around it is read as far as it matters; default: "
-        "everything",
+        "process only X0 Y0 X1 Y1 in CRS units; the necessary margin is read as well; default: everything",
         kind="bounds",
     )
     aoi: str | None = file(
         None,
-        "only what lies inside the polygons of a GeoPackage, GeoJSON or Shapefile, in any CRS; as with --bounds, "
-        "what lies around them is read as far as it matters; default: everything",
+        "process only the polygons of a GeoPackage, GeoJSON or Shapefile, in any CRS; the necessary margin is read as "
+        "well; default: everything",
     )
     keep_classes: tuple[int, ...] = classes(
         (7, 9, 17, 18),
-        "classes that take no part in filtering and are never overwritten; `none`: the classes of the input are "
-        "ignored, as a fair test on a labelled cloud needs",
+        "classes that are not filtered and never overwritten; `none`: ignore the classes of the input, for a fair "
+        "test on a labelled cloud",
     )
     reclass: str = setting(
         ONLY_GROUND,
-        "which classes change in the classified clouds: ground (ground gets 2, low noise 7; ground of the input that "
-        "is no ground gets 1, or 9 in water, or 17 on a bridge that is left out; every other class of the input "
-        "stays), or all (every point that takes part gets 2, 7, 17 or 1)",
+        "classes that change in the classified clouds: ground, or all. With ground, ground points get 2 and low noise "
+        "7. Points that were ground in the input get 1, or 9 in water, or 17 on a removed bridge. All other classes "
+        "stay. With all, every filtered point gets 2, 7, 17 or 1",
         choices=(ONLY_GROUND, ALL),
     )
     returns: str | None = setting(
         None,
-        "returns that are filtered and gridded: first, last, or numbers (1, 2-4); as with the four options that "
-        "follow, the classified clouds hold all points; default: all returns",
+        "returns that are filtered and gridded: first, last, or numbers (1, 2-4); default: all. The classified clouds "
+        "always hold all points, here and for the next four options",
         kind="returns",
     )
     scan_angle: float | None = setting(
@@ -285,27 +280,21 @@ class RunConfig:
         "points flagged as withheld: drop (they are neither filtered nor gridded), or keep (as other points)",
         choices=(DROP_WITHHELD, KEEP_WITHHELD),
     )
-    skip_synthetic: bool = flag(
-        False, "points flagged as synthetic take no part in filtering and keep their class"
-    )
-    skip_overlap: bool = flag(
-        False, "points flagged as overlap take no part in filtering and keep their class"
-    )
+    skip_synthetic: bool = flag(False, "do not filter points flagged as synthetic; they keep their class")
+    skip_overlap: bool = flag(False, "do not filter points flagged as overlap; they keep their class")
     sigma: Fraction | None = length(
         None,
-        "standard deviation of the noise of heights, for methods that need it; default: estimated from planar "
-        "patches",
+        "standard deviation of the height noise, for methods that need it; default: estimated from planar patches",
     )
     kind: str | None = setting(
         None,
-        "what made the cloud, a laser scanner (als) or matching of images from drones or aircraft (dim), for "
-        "methods that treat them differently; default: decided from the data",
+        "source of the cloud: laser scanning (als) or dense image matching (dim); default: decided from the data",
         choices=("als", "dim"),
     )
     statistics: str | None = setting(
         None,
-        "OUT folder of an earlier run of the same method: use the kind, density and noise that it found; "
-        "default: measure those of this run's own points",
+        "OUT folder of an earlier run with the same method, whose kind, density and noise are used; default: measure "
+        "them in this run",
     )
     nodata: float = setting(
         NODATA,
@@ -316,12 +305,12 @@ class RunConfig:
     compress: str = setting("deflate", "compression of rasters", choices=("deflate", "zstd"))
     on_error: str = setting(
         "skip",
-        "what becomes of a broken file or tile: skip it (exit code 5), or stop the run",
+        "reaction to a broken file or tile: skip it (exit code 5), or stop the run",
         choices=("skip", "stop"),
     )
     salvage: bool = flag(False, "read what is left of a truncated file instead of leaving it out")
-    verify: bool = flag(False, "read all inputs and outputs again to see whether they changed")
-    overwrite: bool = flag(False, "start afresh instead of resuming with what OUT holds")
+    verify: bool = flag(False, "read all inputs and outputs again to check whether they changed")
+    overwrite: bool = flag(False, "start again instead of resuming the run in OUT")
     force: bool = flag(False, "replace files in OUT that no run of this OUT wrote")
     clean_store: bool = flag(False, "remove the store when the run is done")
 

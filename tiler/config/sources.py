@@ -50,13 +50,13 @@ def load_config(path: Path) -> dict[str, Any]:
         with open(path, "rb") as stream:
             content = stream.read(MOST_BYTES + 1)
         if len(content) > MOST_BYTES:
-            raise ConfigError(f"{path}: more than {MOST_BYTES >> 20} MiB; name a TOML file of settings")
+            raise ConfigError(f"{path}: more than {MOST_BYTES >> 20} MiB; give a TOML file of settings")
         return tomllib.loads(
             content.decode("utf-8-sig")
         )  # Windows editors begin files with a byte order mark
     except OSError as error:
-        raise ConfigError(f"{path}: {error.strerror}; name a readable TOML file") from error
+        raise ConfigError(f"{path}: {error.strerror}; give a readable TOML file") from error
     except UnicodeDecodeError as error:
-        raise ConfigError(f"{path}: byte {error.start} is no UTF-8; save the file as UTF-8") from error
+        raise ConfigError(f"{path}: byte {error.start} is not UTF-8; save the file as UTF-8") from error
     except (ValueError, RecursionError) as error:  # also raised for endless numbers and endless nesting
         raise ConfigError(f"{path}: not valid TOML: {error}") from error

@@ -49,7 +49,7 @@ def parse_numbers(value: Any, what: str, lowest: int, highest: int) -> tuple[int
             stop = int(last) if dash else start
         except ValueError:
             raise ConfigError(
-                f"{value!r} are no {what}: write numbers or ranges with commas, like 7,18 or 3-5"
+                f"{value!r} are not {what}; give numbers or ranges with commas, like 7,18 or 3-5"
             ) from None
         if stop < start:
             raise ConfigError(f"{value!r}: the range {part} runs backwards; write {stop}-{start}")
@@ -65,14 +65,14 @@ def parse_returns(value: Any) -> str:
     if text in (FIRST, LAST):
         return text
     if not parse_numbers(value, "returns", 1, MOST_RETURNS):
-        raise ConfigError(f"{value!r} are no returns: write first, last, or numbers like 1 or 2-4")
+        raise ConfigError(f"{value!r} are not returns; give first, last, or numbers like 1 or 2-4")
     return text
 
 
 def parse_sources(value: Any) -> str:
     """The value if it is point source ids like ``12`` or ``12,20-31``; raises ConfigError."""
     if not parse_numbers(value, "point source ids", 0, LARGEST_SOURCE):
-        raise ConfigError(f"{value!r} are no point source ids: write numbers like 12,20-31")
+        raise ConfigError(f"{value!r} are not point source ids; give numbers like 12,20-31")
     return _text(value)
 
 
@@ -88,7 +88,7 @@ def parse_angle(value: Any) -> float:
     try:
         degrees = float(str(value).strip().removesuffix("deg"))
     except ValueError:
-        raise ConfigError(f"{value!r} is no angle: write degrees, like 20") from None
+        raise ConfigError(f"{value!r} is not an angle; give degrees, like 20") from None
     if not 0 < degrees <= LARGEST_ANGLE_DEG:
         raise ConfigError(f"{value!r}: scan angles are above 0 and at most {LARGEST_ANGLE_DEG:g} degrees")
     return degrees

@@ -10,16 +10,16 @@ GRID = "grid-"
 """The keys of the rasters begin with it; the name of the raster follows."""
 
 _TITLES = {
-    "identify": "look whether inputs changed",
+    "identify": "check inputs for changes",
     "spool": "read the clouds",
     "assemble": "sort the points",
-    "deck-cells": "look for bridges",
-    "decks": "look at what may be a bridge",
-    "edits": "look at the corrections",
+    "deck-cells": "find bridges",
+    "decks": "examine possible bridges",
+    "edits": "examine the corrections",
     "water-search": "find water",
-    "water": "find how high water stands",
-    "sheets": "look which sheets have heights",
-    "verify": "look whether results changed",
+    "water": "find water levels",
+    "sheets": "find sheets with heights",
+    "verify": "check results for changes",
     "export": "write the files",
     "mosaic": "write the mosaics",
     "catalogue": "write the catalogue",

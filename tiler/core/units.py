@@ -78,7 +78,7 @@ def parse_length(text: str | float | Fraction) -> Fraction:
     match = _LENGTH.match(str(text))
     if match is None:
         raise ConfigError(
-            f"{text!r} is no length: write a number, with a unit if it is not metres (1, 0.5, 1/3, 3ft)"
+            f"{text!r} is not a length; give a number in metres or with a unit (1, 0.5, 1/3, 3ft)"
         )
     number, unit = match.groups()
     dividend, _, divisor = number.partition("/")
@@ -96,7 +96,7 @@ def parse_area(text: str | float | Fraction) -> Fraction:
     match = re.fullmatch(r"\s*([0-9]*\.?[0-9]+)\s*([a-z0-9]*)\s*", str(text).lower())
     if match is None or match[2] not in _AREAS:
         raise ConfigError(
-            f"{text!r} is no area: write square metres, or a number with m2, ha, km2, ft2 or acre"
+            f"{text!r} is not an area; give square metres, or a number with m2, ha, km2, ft2 or acre"
         )
     return Fraction(match[1]) * _AREAS[match[2]]
 

@@ -133,7 +133,7 @@ def _warn_of_doubt(job: Job, survey: Mapping[str, Any]) -> None:
         return
     other = "als" if survey["kind"] == MATCHED else "dim"
     words = {"lidar": "laser scanning", MATCHED: "image matching"}[survey["kind"]]
-    text = f"that the clouds are from {words} is {100 * sure:.0f} % sure alone; if it is wrong, say --kind {other}"
+    text = f"it is only {100 * sure:.0f} % sure that the clouds are from {words}; use --kind {other} if they are not"
     job.facts["doubts"] = [text]
     job.listener("warning", {"text": text})
 

@@ -155,10 +155,10 @@ def _tell_of_outline(job: Job, gridding: Gridding) -> None:
     }  # fmt: skip
     if cut:
         unit = job.plan.meta.frame.units.horizontal
-        sparse = f", where they are sparse of up to {length_text(widest, unit)}," if widest > usual else ""
+        sparse = f" ({length_text(widest, unit)} where points are sparse)" if widest > usual else ""
         job.note(
-            f"left without a height, as beyond the survey: {counted(cut, 'pixel')}; gaps in the points of up to "
-            f"{length_text(usual, unit)}{sparse} count as surveyed (--outline hull keeps these heights)"
+            f"{counted(cut, 'pixel')} outside the survey left without a height; gaps of up to "
+            f"{length_text(usual, unit)}{sparse} between points count as surveyed (--outline hull keeps these heights)"
         )
 
 
@@ -181,7 +181,7 @@ def _tell_of_surface(job: Job, made: Mapping[str, Any]) -> None:
     if totals["deep"]:
         job.note(
             f"in {counted(totals['deep'], 'pixel')} all returns lie more than {DEEP_M:g} m below the terrain (low "
-            "noise, or steep ground that was taken for it): the surface model has the terrain's height there"
+            "noise, or steep ground classified as such): the surface model has the terrain's height there"
         )
 
 
@@ -208,7 +208,7 @@ def _tell_of_terrain(job: Job, spec: RasterSpec, tasks: list[Task], made: Mappin
         "thinned": any(task.arguments.thin for task in tasks),
     }
     if records and job.facts["dtm"]["filled"] == 0:
-        text = f"the terrain model has no height at all: {_why_empty(job)}"
+        text = f"the terrain model is empty: {_why_empty(job)}"
         job.record.notes.append(text)
         job.listener("warning", {"text": text})
 

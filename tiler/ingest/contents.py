@@ -38,6 +38,6 @@ def _content(path: Path, state: State) -> str:
     except OSError as error:
         refuse_changed(path, state)
         reason = error.strerror or error
-        raise InputError(f"{path}: cannot be read ({reason}); see to the disk and its rights") from error
+        raise InputError(f"{path}: cannot be read ({reason}); check the disk and the permissions") from error
     refuse_changed(path, state)
     return digest

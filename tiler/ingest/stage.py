@@ -129,7 +129,7 @@ def _misplaced(job: Job, sources: list[Source], spooled: Commits) -> dict[str, s
     if not any(held.values()):
         return {}
     found = {
-        s.name: f"all its {s.info.points:,} points have coordinates that no run can hold; see to its scales and offsets"
+        s.name: f"all its {s.info.points:,} points lie beyond the range of a run; check its scales and offsets"
         for s in sources
         if not held[s.name]
     }
@@ -188,7 +188,7 @@ def assemble(job: Job, sources: list[Source], spooled: Commits) -> Assembled:
         raise ProcessingError(f"no bucket could be written; the first: {job.record.first_error('assemble')}")
     area = job.plan.area
     if area is not None and area.bounds.intersection(assembled.bounds).empty:
-        raise InputError("no point of the clouds lies in the area, though some lie near it; name another")
+        raise InputError("no point of the clouds lies in the area, though some lie near it; give another")
     job.store.publish_index({c: BucketInfo(r["n"], r["n_candidates"]) for c, r in assembled.records.items()})
     within = sum(r["duplicates"]["within"] for r in assembled.records.values())
     between = sum(r["duplicates"]["between"] for r in assembled.records.values())
@@ -203,9 +203,7 @@ def assemble(job: Job, sources: list[Source], spooled: Commits) -> Assembled:
     _tell_of_no_part(job, assembled)
     _tell_of_strays(job, sources, assembled)
     if within or between:
-        job.note(
-            f"points that lie twice in the clouds are filtered once: {between:,} in two files, {within:,} in one"
-        )
+        job.note(f"duplicate points are filtered once: {between:,} between files, {within:,} within a file")
     return assembled
 
 

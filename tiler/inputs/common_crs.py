@@ -60,7 +60,7 @@ def _given(text: str | None) -> Georeference | None:
         ) from error
     if found.kind not in ("projected", "local"):
         kind = "; ".join(found.notes) if found.kind == "missing" else f"{found.name} is {found.kind}"
-        raise ConfigError(f"--crs {text}: {kind}; name a projected CRS")
+        raise ConfigError(f"--crs {text}: {kind}; give a projected CRS")
     return found
 
 
@@ -90,8 +90,7 @@ def _settled(path: Path, own: Georeference, given: Georeference | None, text: st
     """The CRS of a file, or that of ``--crs`` if the file has none; raises InputError."""
     if own.kind in ("geographic", "geocentric"):
         raise InputError(
-            f"{path}: its CRS {own.name} is {own.kind}, distances in it are no lengths; "
-            "reproject the file to a projected CRS"
+            f"{path}: CRS {own.name} is {own.kind}, not projected; reproject the file to a projected CRS"
         )
     if own.kind != "missing":
         return _with_heights(own, given)
@@ -101,7 +100,7 @@ def _settled(path: Path, own: Georeference, given: Georeference | None, text: st
         return Georeference("missing", "unknown")
     why = f" ({'; '.join(own.notes)})" if own.notes else ""
     raise InputError(
-        f"{path}: has no CRS{why}; name it with --crs EPSG:..., or --crs none to assume metres "
+        f"{path}: has no CRS{why}; give it with --crs EPSG:..., or --crs none to assume metres "
         "(feet: --crs none --units ft)"
     )
 
@@ -153,14 +152,14 @@ def _units(members: Sequence[tuple[Path, Georeference]], text: str | None, notes
     if text is not None:
         parts = [unit_named(part) for part in text.split(",")]
         if len(parts) > 2:
-            raise ConfigError(f"--units {text}: write h or h,v, like ft or m,ft")
+            raise ConfigError(f"--units {text}; give h or h,v, like ft or m,ft")
         units = Units(parts[0], parts[1] if len(parts) == 2 else chosen or parts[0])
         notes.append(
             f"--units: {unit_label(units.horizontal)} horizontally, {unit_label(units.vertical)} vertically"
         )
         if parts[0] != horizontal and any(g.wkt for _, g in members):
             notes.append(
-                f"--units {text}: x and y are taken as {unit_label(parts[0])} although their CRS says "
+                f"--units {text}: x and y are taken as {unit_label(parts[0])} although their CRS has "
                 f"{unit_label(horizontal)}; if this is the unit of the heights alone, write --units h,v"
             )
         return units
@@ -169,12 +168,12 @@ def _units(members: Sequence[tuple[Path, Georeference]], text: str | None, notes
         if unit != effective[0][1]:
             raise InputError(
                 f"{path}: its heights are in {unit_label(unit)}, those of {effective[0][0]} in "
-                f"{unit_label(effective[0][1])}; convert them, or say what all have with --units h,v"
+                f"{unit_label(effective[0][1])}; convert them, or give the units of all with --units h,v"
             )
     silent = sum(v is None for _, v in declared)
     if silent and any(g.wkt for _, g in members):
         notes.append(
             f"no vertical CRS in {silent} of {len(declared)} files: heights are taken to be in "
-            f"{unit_label(horizontal)}, as x and y are; --units h,v says otherwise"
+            f"{unit_label(horizontal)}, like x and y; use --units h,v if they are not"
         )
     return Units(horizontal, effective[0][1] if effective else horizontal)

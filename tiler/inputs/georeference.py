@@ -67,7 +67,7 @@ def crs_of_keys(directory: bytes) -> KeyedCrs:
         if abs(own / float(unit) - 1) > 1e-9:
             notes.append(
                 f"its GeoTIFF keys say {unit_label(unit)}, their EPSG:{keys[_PROJECTED]} is in "
-                f"{unit_label(exact_unit(own))}, which counts; --units says otherwise"
+                f"{unit_label(exact_unit(own))}, which is used; use --units to change it"
             )
     vertical = _of_code(keys.get(_VERTICAL), [])
     if vertical is not None and not vertical.is_vertical:

@@ -44,5 +44,5 @@ def read_list(text: str, function: Callable[..., Read], *arguments: Any, in_proc
         paths=(cloud_path(text),),
         memory_bytes=MEMORY_BYTES,
         seconds=LIST_SECONDS,
-        remedy="get it again, or name the clouds themselves",
+        remedy="get it again, or give the clouds themselves",
     )

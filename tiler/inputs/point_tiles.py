@@ -197,7 +197,7 @@ def _nodes(tiles: PointTiles, touches: Touches | None) -> Iterator[tuple[tuple[i
             if count != _NOT_LOADED:
                 yield key, count
             elif key == page:
-                _refuse(tiles.text, f"the page {name} of its hierarchy does not say how many points it has")
+                _refuse(tiles.text, f"the page {name} of its hierarchy has no number of points")
             else:
                 pages.append(key)
 

@@ -69,7 +69,7 @@ def find_inputs(
         No LAS or LAZ file was found.
     """
     if not paths:
-        raise ConfigError("no input; name LAS or LAZ files, folders, globs or .vpc files")
+        raise ConfigError("no input; give LAS or LAZ files, folders, globs or .vpc files")
     found: dict[Path, Path] = {}
     reported: list[str] = []
 
@@ -92,7 +92,7 @@ def find_inputs(
     if not found:
         why = f" ({reported[0]})" if reported else ""
         raise InputError(
-            f"{', '.join(map(str, paths))}: no .las or .laz file there{why}; name files, folders or globs"
+            f"{', '.join(map(str, paths))}: no .las or .laz file there{why}; give files, folders or globs"
         )
     urls = sorted((path for path in found.values() if is_url(path)), key=str)
     return sorted(path for path in found.values() if not is_url(path)) + urls
@@ -123,7 +123,7 @@ def _listed(text: str, wanted: Wanted, listed: Listed, in_process: bool) -> list
     tiles = read_list(text, read_point_tiles, text, in_process=in_process)
     found = read_list(text, node_files, tiles, wanted(tiles), in_process=in_process)
     if not found:
-        raise ConfigError(f"{text}: has no points near the area that is wanted; see to --bounds or --aoi")
+        raise ConfigError(f"{text}: has no points near the requested area; check --bounds or --aoi")
     counts = {cloud_path(place): count for place, count in found.items()}
     listed(tiles, counts)
     return list(counts)
@@ -141,13 +141,13 @@ def _expanded(text: str, note: Tell) -> tuple[Path, list[Path]]:
         fixed = text[: _before_magic(text)].rpartition("/")[0] if glob.has_magic(text) else text
         return cloud_path(fixed if is_url(fixed) else text), list_clouds(text, SUFFIXES)
     if not text:
-        raise ConfigError("an input has no name at all; name LAS or LAZ files, folders, globs or .vpc files")
+        raise ConfigError("an input has no name at all; give LAS or LAZ files, folders, globs or .vpc files")
     path = Path(text)
     try:
         is_folder, is_there = path.is_dir(), path.exists() or path.is_symlink()
     except OSError as error:
         raise ConfigError(
-            f"{text}: {error.strerror}; name LAS or LAZ files, folders, globs or .vpc files"
+            f"{text}: {error.strerror}; give LAS or LAZ files, folders, globs or .vpc files"
         ) from error
     if is_folder:
         return path, list(_walk(path, note))
@@ -156,7 +156,7 @@ def _expanded(text: str, note: Tell) -> tuple[Path, list[Path]]:
     matches = sorted(glob.glob(text, recursive=True))
     if not matches:
         raise ConfigError(
-            f"{text}: no such file or folder; name LAS or LAZ files, folders, globs or .vpc files"
+            f"{text}: no such file or folder; give LAS or LAZ files, folders, globs or .vpc files"
         )
     found: list[Path] = []
     for match in map(Path, matches):
@@ -176,14 +176,14 @@ def _walk(folder: Path, note: Tell) -> Iterator[Path]:
     """The clouds below a folder. Links to folders are not followed, as they may lead in circles or anywhere."""
 
     def unreadable(error: OSError) -> None:
-        note(f"{error.filename}: cannot be looked into ({error.strerror}); what it holds is left out")
+        note(f"{error.filename}: cannot be listed ({error.strerror}); skipped")
 
     for root, folders, names in os.walk(folder, onerror=unreadable):
         here = Path(root)
         folders[:] = sorted(name for name in folders if not name.startswith(SCRATCH_PREFIX))
         for name in folders:
             if (here / name).is_symlink():
-                note(f"{here / name}: is a link to a folder, not followed; name it to read what it holds")
+                note(f"{here / name}: is a link to a folder, not followed; give it as an input to read it")
         for name in sorted(names):
             if Path(name).suffix.lower() in SUFFIXES:
                 yield here / name
@@ -221,7 +221,7 @@ class _Made:
                 yield path
             elif folder not in self._reported:
                 self._reported.add(folder)
-                self._note(f"{folder}: is the result of a run, left out; name it to read what it holds")
+                self._note(f"{folder}: is the result of a run, left out; give it as an input to read it")
 
     def _folder_of(self, path: Path) -> Path | None:
         """The folder of results, below the root, that holds a path; None if there is none."""

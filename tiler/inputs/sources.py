@@ -201,7 +201,7 @@ def read_guarded(guard: Guard, function: Callable[..., Read], path: Path, *argum
         return guard.call(function, path, *arguments, seconds=seconds)
     except OSError as error:
         raise InputError(
-            f"{path}: cannot be read ({error.strerror or error}); name a readable file"
+            f"{path}: cannot be read ({error.strerror or error}); give a readable file"
         ) from error
     except NotStartedError as error:
         raise ProcessingError(

@@ -82,7 +82,7 @@ def _features(text: str) -> list[Any]:
             content = stream.read(LIST_BYTES + 1)
     except OSError as error:
         raise InputError(
-            f"{text}: cannot be read ({error.strerror or error}); name a readable .vpc file"
+            f"{text}: cannot be read ({error.strerror or error}); give a readable .vpc file"
         ) from error
     if len(content) > LIST_BYTES:
         _refuse(text, f"has more than {LIST_BYTES >> 20} MiB")
@@ -117,4 +117,4 @@ def _resolved(text: str, href: str) -> str:
 
 
 def _refuse(text: str, what: str) -> NoReturn:
-    raise InputError(f"{text}: is no virtual point cloud that can be read: {what}; write it again")
+    raise InputError(f"{text}: is not a readable virtual point cloud: {what}; write it again")

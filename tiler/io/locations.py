@@ -196,9 +196,9 @@ def list_clouds(url: str, suffixes: tuple[str, ...]) -> list[Path]:
                 return [cloud_path(url)]  # listing it would read the whole file on some servers
             found = system.glob(place) if has_magic(place) else system.find(place)
     except (OSError, ValueError) as error:
-        raise ConfigError(f"{url}: cannot be listed ({error}); see to the URL and its credentials") from error
+        raise ConfigError(f"{url}: cannot be listed ({error}); check the URL and its credentials") from error
     if not found:
-        raise ConfigError(f"{url}: nothing there; name LAS or LAZ objects, folders or globs")
+        raise ConfigError(f"{url}: nothing there; give LAS or LAZ objects, folders or globs")
     if found == [place]:
         return [cloud_path(url)]
     names = sorted(name for name in found if name.lower().endswith(suffixes))

@@ -52,13 +52,13 @@ def check_targets(targets: Iterable[Target], reads: Iterable[str | Path]) -> Non
         named = f"{target.option} {target.path}".strip()
         if target.suffixes and Path(str(target.path)).suffix.lower() not in target.suffixes:
             raise ConfigError(
-                f"{named}: would be of another kind than its name says; name it {target.suffixes[0]}"
+                f"{named}: its ending does not match the kind of file; use {target.suffixes[0]}"
             )
         check_names(target.option, target.path)
         for identity in _identities(target.path):
             if identity in known:
                 raise ConfigError(
-                    f"{named}: is an input ({known[identity]}); name another output, or give a copy of it"
+                    f"{named}: is an input ({known[identity]}); give another output, or give a copy of it"
                 )
 
 
@@ -70,7 +70,7 @@ def check_names(option: str, place: str | Path) -> None:
         if name_bytes(name) > LONGEST_NAME:
             raise ConfigError(
                 f"{option} {name[:20]}...: a name of {name_bytes(name)} bytes, {LONGEST_NAME} are possible; "
-                "name it shorter".strip()
+                "give a shorter name".strip()
             )
 
 
@@ -91,7 +91,7 @@ def check_folder(option: str, folder: str | Path, others: Iterable[str | Path]) 
         theirs = real_place(other)
         if theirs == mine or theirs.startswith(mine.rstrip("/") + "/"):
             what = "is the same as" if theirs == mine else "holds"
-            raise ConfigError(f"{option} {folder}: {what} {other}; name another place")
+            raise ConfigError(f"{option} {folder}: {what} {other}; give another place")
 
 
 def real_place(place: str | Path) -> str:

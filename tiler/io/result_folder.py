@@ -144,7 +144,7 @@ def earlier_statistics(out: Path, method: str, parameters: dict[str, Any]) -> di
         same = (before["method"], before["parameters"]) == (method, parameters)
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise ConfigError(
-            f"--statistics {out}: holds no run.json of a finished run; name an OUT folder"
+            f"--statistics {out}: holds no run.json of a finished run; give an OUT folder"
         ) from error
     if state != "done":
         raise ConfigError(f"--statistics {out}: that run is not finished; run it to its end first")

@@ -153,7 +153,7 @@ def too_much_between(plan: Plan, out: Path | None) -> str | None:
         return None
     return (
         f"one raster over all would have {pixels.largest:.2g} pixels, nearly all of them empty; "
-        "use --sheets or --bounds, or see to the coordinates"
+        "use --sheets or --bounds, or check the coordinates"
     )
 
 

@@ -70,7 +70,7 @@ def beyond_frame(sources: Sequence[SourceInfo], area: Area | None, wkt: str | No
                 ]
                 found, left = found + far, near
                 continue
-        remedy = "farther than one run can hold; run on each of them alone, or see to their coordinates"
+        remedy = "farther than one run can hold; run each of them alone, or check their coordinates"
         far = minority(left, wkt, metres, remedy)
         found, left = found + far, _without(left, far)
     return found
@@ -113,10 +113,10 @@ def _absurd(source: SourceInfo, metres: float) -> str | None:
     x, y = bounds.x0 / COUNTS_PER_UNIT, bounds.y0 / COUNTS_PER_UNIT
     if not _fits(bounds):
         return (
-            f"its points lie up to {_km(bounds, metres)} from one another, no survey; see to its coordinates"
+            f"its points are up to {_km(bounds, metres)} apart, too far for one survey; check its coordinates"
         )
     if max(map(abs, bounds.to_json())) / COUNTS_PER_UNIT * metres > FARTHEST_M:
-        return f"lies at x {x:.6g}, y {y:.6g}, where no CRS has coordinates; see to its offsets and scales"
+        return f"lies at x {x:.6g}, y {y:.6g}, where no CRS has coordinates; check its offsets and scales"
     return None
 
 

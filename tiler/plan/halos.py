@@ -55,7 +55,7 @@ def planned_passes(
     fixed = [step for step in asked if step.reach_m is not None]
     if config.halo is not None and fixed:
         notes.append(
-            "--halo does not count for passes that know how far they look: "
+            "--halo has no effect on passes with a fixed radius: "
             + ", ".join(f"{step.name} {step.reach_m:g} m" for step in fixed)
         )
     return tuple(PlannedPass(step, halo(step)) for step in params.passes)

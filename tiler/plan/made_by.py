@@ -39,7 +39,7 @@ def refuse_mixture(sources: Sequence[SourceInfo], config: RunConfig) -> None:
     if len(found) < 2:
         return
     raise ConfigError(
-        f"{_told(found.values())}: one run takes one kind; run them apart, or say --kind als or dim"
+        f"{_told(found.values())}: a run needs clouds of one kind; run them separately, or use --kind als or dim"
     )
 
 

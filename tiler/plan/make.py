@@ -256,7 +256,7 @@ def _method(config: RunConfig) -> tuple[dict[str, Any], Any]:
             raise ConfigError(f"--set {config.parameters[0][0]}: method keep has no parameters")
         if not config.ground_classes:
             raise ConfigError(
-                "--ground-classes none: method keep grids them as ground; name one or more, like 2"
+                "--ground-classes none: method keep grids them as ground; give one or more, like 2"
             )
         return {}, None
     if config.method not in METHODS:

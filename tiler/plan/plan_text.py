@@ -132,7 +132,7 @@ def _halo_in_words(plan: Plan) -> str:
         f"{words(plan.halo_of(kind), steps_of(plan.passes, kind))} for {KIND_WORDS[kind]}"
         for kind in plan.kinds
     )
-    return f"{found}, as the points will show (--kind says it beforehand)"
+    return f"{found}, decided from the points (or give --kind)"
 
 
 def _passes_in_words(plan: Plan) -> str:

@@ -100,8 +100,8 @@ def refuse_targets(plan: Plan, products: str, paths: Sequence[Path]) -> None:
     if found:
         more = f" and {len(found) - NAMED:,} more" if len(found) > NAMED else ""
         raise ConfigError(
-            f"-o {products}: {', '.join(found[:NAMED])}{more}: there already, and not known to be of a run of this "
-            "folder; use another -o, or --force to replace them"
+            f"-o {products}: {', '.join(found[:NAMED])}{more}: already exists and was not written by a run in "
+            "this folder; use another -o, or --force to replace them"
         )
 
 
@@ -267,16 +267,16 @@ def _refuse_disk(plan: Plan, out: Path) -> None:
         str(out).encode()
     except UnicodeEncodeError as error:  # as GDAL, which writes the rasters, takes no other names
         raise ConfigError(
-            f"-o {out}: its name is not UTF-8; name another folder, or use a UTF-8 locale (LC_ALL=C.UTF-8)"
+            f"-o {out}: its name is not UTF-8; give another folder, or use a UTF-8 locale (LC_ALL=C.UTF-8)"
         ) from error
     try:
         existing = next(p for p in (out, *Path(os.path.realpath(out)).parents) if p.exists())
     except OSError as error:
-        raise ConfigError(f"-o {out}: {error.strerror}; name another folder") from error
+        raise ConfigError(f"-o {out}: {error.strerror}; give another folder") from error
     if not existing.is_dir():
-        raise ConfigError(f"-o {out}: {existing} is a file; name a folder")
+        raise ConfigError(f"-o {out}: {existing} is a file; give a folder")
     if not os.access(existing, os.W_OK | os.X_OK):
-        raise ConfigError(f"-o {out}: {existing} cannot be written; name a folder on a disk that can")
+        raise ConfigError(f"-o {out}: {existing} cannot be written; give a folder on a disk that can")
     need, free = needed_bytes(plan), free_bytes(out)
     if need > free:
         remedy = "free some, or use --store on another disk or fewer --products"

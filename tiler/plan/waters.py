@@ -97,7 +97,7 @@ def _level(feature: Feature) -> int | None:
     known = isinstance(value, int | float) and not isinstance(value, bool)
     if not known or not abs(value) * COUNTS_PER_UNIT < INT32_LIMIT:
         raise InputError(
-            f"{feature.place}: its level {value!r} is no height; write a number in the unit of the heights into "
+            f"{feature.place}: its level {value!r} is not a height; give a number in the unit of the heights into "
             f"the column `{LEVEL}`, or nothing"
         )
     height: int = round(value * COUNTS_PER_UNIT)

@@ -157,7 +157,7 @@ def _requirements(found: list[Mapping[str, Any]]) -> Node:
 def _classes(found: Mapping[str, Any]) -> Node:
     pairs: dict[str, Content] = {
         "type I, ground lost": _percent(found["type_1"]),
-        "type II, objects taken for ground": _percent(found["type_2"]),
+        "type II, objects classified as ground": _percent(found["type_2"]),
         "total error": f"{_percent(found['total'])} of {found['points']:,} points",
         "Cohen's kappa": _percent(found["kappa"]),
     }

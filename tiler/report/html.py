@@ -78,7 +78,7 @@ def write_report_at(out: str) -> str:
         return str(write_report(Path(out)))
     run = read_run(out)
     if run is None:
-        raise InputError(f"{joined(out, RUN)}: cannot be read; name the OUT of a run")
+        raise InputError(f"{joined(out, RUN)}: cannot be read; give the OUT of a run")
     here = folder_here(out)
     here.mkdir(parents=True, exist_ok=True)
     put_file(write_report(here, run, out), joined(out, REPORT))
@@ -91,7 +91,7 @@ def _read_run(out: Path) -> dict[str, Any]:
         return read_object(path.read_text("utf-8"))
     except OSError as error:
         raise InputError(
-            f"{path}: cannot be read ({error.strerror}); name the OUT folder of a run"
+            f"{path}: cannot be read ({error.strerror}); give the OUT folder of a run"
         ) from error
     except ValueError as error:
         raise InputError(f"{path}: not valid JSON ({error}); run the same command again") from error

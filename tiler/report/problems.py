@@ -127,13 +127,13 @@ def _edits(run: Run) -> Iterator[Problem]:
 
 def _water(run: Run) -> Iterator[Problem]:
     for doubt in run.get("water_doubts", ()):
-        remedy = "look at it; water.gpkg can be edited and given back by --water"
+        remedy = "check it; edit water.gpkg and give it with --water to change it"
         yield Problem("doubtful water", place_of(doubt["place"]), doubt["text"], remedy)
 
 
 def _canopy(run: Run) -> Iterator[Problem]:
     for doubt in run.get("canopy_doubts", ()):
-        remedy = "--canopy void leaves it without heights, --edits with action ground takes the ground back"
+        remedy = "use --canopy void to leave it without heights, or --edits with the action ground"
         yield Problem("ground hidden by canopy", place_of(doubt["place"]), doubt["text"], remedy)
 
 
@@ -141,8 +141,8 @@ def _kept(run: Run) -> Iterator[Problem]:
     for code, count in run.get("classes", {}).get("no_part", {}).items():
         if int(code) in NOISE:
             continue
-        why = f"{count:,} points of class {code} took no part in the filter and keep their class"
-        yield Problem("class kept", None, why, "--keep-classes says which classes are kept")
+        why = f"{count:,} points of class {code} were not filtered and keep their class"
+        yield Problem("class kept", None, why, "--keep-classes sets the classes that are kept")
 
 
 def _strays(run: Run) -> Iterator[Problem]:

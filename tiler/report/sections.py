@@ -16,8 +16,8 @@ from tiler.report.problems import MOST_ROWS, Run
 STATES = {
     "done": "Finished",
     "running": "Still at work, or ended by force",
-    "failed": "Failed: an error ended it; the same command resumes",
-    "interrupted": "Interrupted: the same command resumes",
+    "failed": "Failed: an error ended it; run the same command again to resume",
+    "interrupted": "Interrupted: run the same command again to resume",
 }
 
 

@@ -155,7 +155,7 @@ class Access:
 
 def _remedy(place: str, what: str) -> str:
     if is_url(place):
-        return "see to the URL and to the credentials that the workers have"
+        return "check the URL and the credentials of the workers"
     return f"{what} by URL (s3://...), or on a disk that all machines share"
 
 

@@ -291,9 +291,11 @@ class DaskExecutor:
     def _lost(self) -> ConnectionLostError:
         text = "the connection broke and does not come back"
         if self._address is None:
-            return ConnectionLostError(f"the workers of this machine: {text}; the same command goes on")
+            return ConnectionLostError(
+                f"the workers of this machine: {text}; run the same command again to resume"
+            )
         return ConnectionLostError(
-            f"--scheduler {self._address}: {text}; see to the cluster, the same command goes on"
+            f"--scheduler {self._address}: {text}; check the cluster, then run the same command again to resume"
         )
 
     def _without_workers(self) -> ConfigError:

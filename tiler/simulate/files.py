@@ -125,11 +125,11 @@ def write_scene(
     """
     path = Path(path)
     if path.suffix.lower() not in (".laz", ".las"):
-        raise ConfigError(f"{path}: a simulated cloud is LAZ or LAS; name it .laz")
+        raise ConfigError(f"{path}: a simulated cloud is LAZ or LAS; give it a name that ends in .laz")
     _within("--resolution", pixel_m, *PIXEL_RANGE_M, "m")
     dtm = path.with_name(f"{path.stem}_dtm.tif")
     if os.path.lexists(dtm) and not os.path.lexists(path):
-        raise ConfigError(f"{dtm}: there already, without the cloud that it would be of; name another cloud")
+        raise ConfigError(f"{dtm}: already exists, but its cloud does not; give another name")
     part, dtm_part = (partial_path(target) for target in (path, dtm))
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -139,7 +139,7 @@ def write_scene(
         replace_file(dtm_part, dtm)
     except OSError as error:
         raise ProcessingError(
-            f"{path}: cannot be written ({error.strerror or error}); see to space and rights"
+            f"{path}: cannot be written ({error.strerror or error}); check free space and permissions"
         ) from error
     finally:
         for scratch in (part, dtm_part):

@@ -91,7 +91,7 @@ def version_of(path: str) -> str:
         raise CommandError(f"{path}: did not answer within {TEST_SECONDS:.0f} s; call it in a terminal")
     words = ended.text.split()
     if len(words) < 2 or words[0].rstrip(",") != "tiler":
-        raise CommandError(f"{path}: is not the command tiler; name another")
+        raise CommandError(f"{path}: is not the command tiler; give another")
     return words[-1]
 
 
@@ -196,7 +196,7 @@ def _follow(
     while True:
         if not asked and cancelled():
             asked = True
-            tell({"level": "info", "message": "tiler is told to stop"})
+            tell({"level": "info", "message": "tiler is asked to stop"})
             threading.Thread(target=_end, args=(process,), daemon=True).start()
         try:
             line = lines.get(timeout=POLL_SECONDS)

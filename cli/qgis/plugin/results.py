@@ -64,7 +64,7 @@ def read_record(folder: str) -> dict[str, Any]:
             raise TypeError
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise CommandError(
-            f"{folder}: holds no results of tiler (run.json cannot be read); name the folder of a run"
+            f"{folder}: holds no results of tiler (run.json cannot be read); give the folder of a run"
         ) from error
     return dict(record)
 
@@ -74,7 +74,7 @@ def clouds_of(folder: str, record: dict[str, Any]) -> list[str]:
     given = [str(path) for path in record.get("given", ())]
     if not given or not all("://" in path or Path(path).is_absolute() for path in given):
         raise CommandError(
-            f"{folder}: its run.json does not say where the clouds are; name those of the run as point clouds"
+            f"{folder}: its run.json does not say where the clouds are; give those of the run as point clouds"
         )
     return given
 
@@ -86,7 +86,9 @@ def load_folder(
     if context.project() is None:
         return
     if not Path(folder).is_dir():
-        feedback.pushWarning(f"{folder}: is no folder here, so its results are not added to the project")
+        feedback.pushWarning(
+            f"{folder}: is not a folder on this machine, so its results are not added to the project"
+        )
         return
     title = Path(folder).name + (" (NOT COMPLETE)" if incomplete else "")
     group = _group_of(context.project().layerTreeRoot(), folder)

@@ -170,7 +170,7 @@ class Shell(QgsProcessingAlgorithm):
         except CommandError as error:
             raise QgsProcessingException(str(error)) from error
         if self._ended.cancelled:
-            feedback.pushWarning("stopped; the same algorithm with the same folder goes on where it was")
+            feedback.pushWarning("stopped; run the same algorithm with the same folder again to resume")
             return {}
         for line in self._ended.text.splitlines():
             left_out = self._ended.code == PARTIAL and re.match(

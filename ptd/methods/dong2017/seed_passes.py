@@ -194,7 +194,7 @@ def _sigma(state: State, patches: list[dict[str, Any]]) -> tuple[float, str]:
         found = noise_sums.merge(patches)
         sigma, origin = found.sigma_m, f"from {found.patches:,} planar patches"
     if sigma is None:
-        raise MethodRefusal("no planar patch to measure the noise of heights; say it with --sigma (metres)")
+        raise MethodRefusal("no planar patch to measure the noise of heights; give it with --sigma (metres)")
     return sigma, origin
 
 

@@ -102,7 +102,7 @@ def test_other_files_are_refused(name: str, tmp_path: Path) -> None:
 
 def test_a_folder_of_clouds_is_refused(tmp_path: Path) -> None:
     (tmp_path / "a.LAZ").touch()
-    with pytest.raises(InputError, match="holds clouds; name one of them, or see `tiler plan` for all"):
+    with pytest.raises(InputError, match="holds clouds; give one of them, or see `tiler plan` for all"):
         describe(str(tmp_path))
 
 

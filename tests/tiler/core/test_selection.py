@@ -77,13 +77,13 @@ def test_lists_of_toml_are_what_the_command_line_has() -> None:
 @pytest.mark.parametrize(
     ("parse", "value", "message"),
     [
-        (parse_returns, "middle", "write numbers or ranges with commas"),
-        (parse_returns, "", "are no returns: write first, last, or numbers"),
+        (parse_returns, "middle", "give numbers or ranges with commas"),
+        (parse_returns, "", "are not returns; give first, last, or numbers"),
         (parse_returns, "0", "returns are 1 to 15"),
         (parse_returns, "3-2", "runs backwards; write 2-3"),
         (parse_sources, "70000", "point source ids are 0 to 65535"),
-        (parse_sources, ",", "are no point source ids"),
-        (parse_angle, "wide", "is no angle: write degrees, like 20"),
+        (parse_sources, ",", "are not point source ids"),
+        (parse_angle, "wide", "is not an angle; give degrees, like 20"),
         (parse_angle, "0", "above 0 and at most 180"),
         (parse_angle, "nan", "above 0 and at most 180"),
     ],

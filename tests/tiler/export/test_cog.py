@@ -179,7 +179,7 @@ def test_the_distribution_s_gdal_reads_it(tmp_path, store):
 
 def test_a_folder_that_is_not_there_is_one_line(tmp_path, store):
     with pytest.raises(
-        ProcessingError, match=r"cannot be written .*see to the disk and its rights, and run again$"
+        ProcessingError, match=r"cannot be written .*check free space and permissions, then run again$"
     ):
         export(tmp_path / "missing", store, SPEC)
 

@@ -56,7 +56,7 @@ def test_what_holds_stays_and_what_does_not_is_moved(tmp_path: Path) -> None:
 
 def test_a_wanted_file_that_no_run_made_is_refused(tmp_path: Path) -> None:
     write(tmp_path, "dtm.tif")
-    with pytest.raises(ConfigError, match=r"dtm\.tif: there already, and not known to be of a run"):
+    with pytest.raises(ConfigError, match=r"dtm\.tif: already exists and was not written by a run"):
         put_aside(job_in(tmp_path, {}), ["dtm.tif", "mask.tif"], "now")
     put_aside(job_in(tmp_path, {}, force=True), ["dtm.tif"], "now")
     put_aside(job_in(tmp_path, {"dtm.tif": "before"}), ["dtm.tif"], "now")

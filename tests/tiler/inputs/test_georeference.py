@@ -136,7 +136,7 @@ def test_notes_say_which_settings_are_used_and_which_are_not(make_cloud: Any) ->
             "1 of 1 files have their own, ETRS89 / UTM zone 32N, which is used; if it is wrong, write" in note
         )
     (note,) = [text for text in settle(path, units="ft").notes if "although" in text]
-    assert "x and y are taken as foot although their CRS says metre" in note
+    assert "x and y are taken as foot although their CRS has metre" in note
     assert not any("although" in text for text in settle(path, units="m,ft").notes)
 
 

@@ -46,7 +46,7 @@ def test_an_unreadable_folder_is_named(
     notes: list[str] = []
     assert len(find_inputs([str(tmp_path / "in")], note=notes.append)) == 1
     (note,) = notes
-    assert "shut: cannot be looked into (Permission denied); what it holds is left out" in note
+    assert "shut: cannot be listed (Permission denied); skipped" in note
 
 
 @pytest.mark.parametrize("kind", ["pipe", "device", "dangling link", "folder", "link to itself"])
@@ -58,13 +58,13 @@ def test_a_pipe_is_refused_without_waiting_for_it(kind: str, tmp_path: Path) -> 
         path.mkdir()
     else:
         path.symlink_to({"device": "/dev/zero", "dangling link": "nowhere", "link to itself": path}[kind])
-    with pytest.raises(InputError, match=r"odd\.las: (is no regular file|cannot be read)"):
+    with pytest.raises(InputError, match=r"odd\.las: (is not a regular file|cannot be read)"):
         inspect(path)
 
 
 def test_inputs_that_cannot_be_opened_are_refused(tmp_path: Path) -> None:
     for text in ("", "x" * 5000):
-        with pytest.raises(ConfigError, match="name LAS or LAZ files"):
+        with pytest.raises(ConfigError, match="give LAS or LAZ files"):
             find_inputs([text])
     for one, other in (("a.las", "b.las"), ("b.las", "a.las")):
         (tmp_path / one).symlink_to(other)
@@ -130,7 +130,7 @@ def test_results_of_a_run_in_any_folder_are_no_inputs(make_cloud: Any, tmp_path:
     make_cloud("in/.tiler-scratch/s.laz", n=3)
     mine = ["a.las", "b/mine/classified/m.las", "out/own.las"]
     assert found(notes, root, root) == mine
-    assert sum("is the result of a run, left out; name it" in note for note in notes) == 6
+    assert sum("is the result of a run, left out; give it" in note for note in notes) == 6
     assert found(notes, root, root / "**" / "*.la?") == mine
     assert found(notes, root, root / "*") == mine
     assert found(notes, root, root, out=root / "out") == mine

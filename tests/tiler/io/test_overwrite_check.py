@@ -35,7 +35,7 @@ def test_an_input_is_recognised_by_any_name(kind: str, read: Path, tmp_path: Pat
         target = tmp_path / "out" / "a.laz"
     elif kind == "file URL":
         target = f"file://{read}"
-    with pytest.raises(ConfigError, match=r"^-o .*: is an input \(.*a\.laz\); name another output"):
+    with pytest.raises(ConfigError, match=r"^-o .*: is an input \(.*a\.laz\); give another output"):
         check_targets([Target("-o", target)], [tmp_path / "none", read])
     check_targets([Target("-o", tmp_path / "c.laz")], [read])
 
@@ -54,7 +54,7 @@ def test_urls_are_compared_as_text() -> None:
 
 def test_a_name_must_have_the_suffix_of_its_kind(tmp_path: Path) -> None:
     with pytest.raises(
-        ConfigError, match=r"-o .*a\.laz: would be of another kind than its name says; name it \.png"
+        ConfigError, match=r"-o .*a\.laz: its ending does not match the kind of file; use \.png"
     ):
         check_targets([Target("-o", tmp_path / "a.laz", (".png",))], [])
     check_targets([Target("-o", tmp_path / "a.PNG", (".png",))], [])
@@ -78,7 +78,7 @@ def test_a_folder_that_a_command_fills_must_hold_nothing_else(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "out").mkdir()
     (tmp_path / "link").symlink_to("out")
-    with pytest.raises(ConfigError, match=f"^--store {folder}: {what} {other}; name another place"):
+    with pytest.raises(ConfigError, match=f"^--store {folder}: {what} {other}; give another place"):
         check_folder("--store", folder, [other])
     check_folder("--store", "out/store.zarr", ["out", "outside", "s3://b"])
 
@@ -86,6 +86,6 @@ def test_a_folder_that_a_command_fills_must_hold_nothing_else(
 def test_a_name_that_is_too_long_is_refused(tmp_path: Path) -> None:
     check_targets([Target("-o", tmp_path / f"{'ä' * 125}a.png")], [])
     with pytest.raises(
-        ConfigError, match=r"^-o ä{20}\.\.\.: a name of 256 bytes, 255 are possible; name it shorter$"
+        ConfigError, match=r"^-o ä{20}\.\.\.: a name of 256 bytes, 255 are possible; give a shorter name$"
     ):
         check_targets([Target("-o", tmp_path / f"{'ä' * 126}.png")], [])

@@ -109,7 +109,7 @@ def test_where_the_crs_of_the_clouds_is_unknown(tmp_path: Path) -> None:
     notes: list[str] = []
     assert area_of(RunConfig(aoi=str(path), in_process=True), None, notes) is not None
     assert "it is taken to be in that of the clouds" in notes[0]
-    with pytest.raises(InputError, match="the CRS of the clouds is unknown; name it with --crs, or use"):
+    with pytest.raises(InputError, match="the CRS of the clouds is unknown; give it with --crs, or use"):
         of(write(tmp_path / "a.gpkg", [SQUARE], "Polygon"), None)
 
 

@@ -170,7 +170,7 @@ def test_measurements_of_an_earlier_dtm_are_told_from_those_of_this_one(tmp_path
 
 def test_refusals(tmp_path: Path) -> None:
     for content, said in (
-        (None, r"run\.json: cannot be read \(No such file or directory\); name the OUT"),
+        (None, r"run\.json: cannot be read \(No such file or directory\); give the OUT"),
         ("{", "not valid JSON"),
         ('{"state": "done"}', r"not what this version of tiler writes \(KeyError: 'plan'\)"),
     ):

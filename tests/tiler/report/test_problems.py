@@ -80,7 +80,7 @@ def test_doubtful_tiles_have_a_place() -> None:
             {"classes": {"no_part": {"17": 1200}}},
             "class kept",
             None,
-            "1,200 points of class 17 took no part in the filter and keep their class",
+            "1,200 points of class 17 were not filtered and keep their class",
         ),
         (
             {"strays": [{"path": "a.laz", "point": 5, "x": 1.0, "y": 2.0, "z": 9.5}]},

@@ -90,7 +90,7 @@ def test_a_worker_without_tiler_is_refused(asked: Callable[..., Access]) -> None
         ({"path": Path("/nowhere/a.laz")}, r"cannot read /nowhere/a.laz \(No such file.*inputs by URL"),
         ({"size": 99}, r"cannot read .*cloud.laz \(100 bytes there, 99 here\)"),
         ({"url": "/nowhere/store.zarr"}, r"cannot use /nowhere/store.zarr \(.*--store by URL"),
-        ({"url": "nosuch://bucket"}, r"cannot use nosuch://bucket .*see to the URL and to the credentials"),
+        ({"url": "nosuch://bucket"}, r"cannot use nosuch://bucket .*check the URL and the credentials"),
     ],
 )
 def test_a_worker_without_access_is_refused(

@@ -67,7 +67,7 @@ def check_dtm(dtm: Path | str, points: Checkpoints, options: PointOptions | None
     difference = sampled - z
     own = options.rmse / float(metres)
     if not own:
-        notes.append("the checkpoints' own error is taken as 0; --points-rmse says otherwise")
+        notes.append("the checkpoints' own error is assumed to be 0; give it with --points-rmse")
     kinds, covers = np.array(points.kinds), np.array(points.covers)
     facts: dict[str, Any] = {
         "dtm": str(dtm),
@@ -111,7 +111,9 @@ def _in_crs_of(
     text = options.crs or points.crs
     x, y = points.xy
     if text is None:
-        notes.append("the checkpoints name no CRS: taken as that of the DTM; --points-crs says otherwise")
+        notes.append(
+            "the checkpoints have no CRS: it is assumed to be that of the DTM; use --points-crs if it is not"
+        )
         return x, y
     if raster.crs is None:
         raise ConfigError(
@@ -122,11 +124,11 @@ def _in_crs_of(
         own = CRS.from_wkt(raster.crs.to_wkt())
     except (ProjError, UnicodeError, RecursionError) as error:
         raise ConfigError(
-            f"the checkpoints are in {excerpt(text)}, which is no CRS that is known; name one with --points-crs"
+            f"the checkpoints are in {excerpt(text)}, which is not a known CRS; give one with --points-crs"
         ) from error
     source, target = split(named)[0], split(own)[0]
     if source is None or target is None:
-        raise ConfigError(f"{text}: has no horizontal part; name the CRS of x and y with --points-crs")
+        raise ConfigError(f"{text}: has no horizontal part; give the CRS of x and y with --points-crs")
     if same_horizontal(source, target):
         return x, y
     notes.append(
@@ -136,8 +138,8 @@ def _in_crs_of(
         moved = Transformer.from_crs(source, target, always_xy=True).transform(x, y)
     except ProjError as error:
         raise ConfigError(
-            f"the checkpoints are in {source.name}, from which no way leads into {target.name}; "
-            "name another CRS with --points-crs"
+            f"the checkpoints are in {source.name}, which cannot be transformed to {target.name}; "
+            "give another CRS with --points-crs"
         ) from error
     return np.asarray(moved[0], np.float64), np.asarray(moved[1], np.float64)
 

@@ -54,7 +54,7 @@ def refuse_figures(folder: Path, dtm: Path, points: Path | None, strips: Sequenc
     for path in (folder / name for name in FILES):
         if os.path.lexists(path) and not _is_drawing(path):
             raise ConfigError(
-                f"{path}: there already, and no drawing of a check; name another folder with --figures"
+                f"{path}: already exists and is not a drawing of a check; give another folder with --figures"
             )
 
 

@@ -51,7 +51,7 @@ def measure(
     """
     if figures is not None:
         if points is None:
-            raise ConfigError("--figures draws checkpoints; name them with --points")
+            raise ConfigError("--figures draws checkpoints; give them with --points")
         refuse_figures(figures, dtm, points, strips)
     read = [path for path in (dtm, points) if path is not None]
     report: dict[str, Any] = {"dtm": str(dtm)}
@@ -62,7 +62,7 @@ def measure(
         report["strips"] = strip_differences(strips)
     if len(report) == 1:
         raise ConfigError(
-            f"{dtm}: nothing to check; name --points, --tile-size (there is no run.json beside it) or --strips"
+            f"{dtm}: nothing to check; give --points, --tile-size (there is no run.json beside it) or --strips"
         )
     report |= {"requirements": judge(requirements, report), "figures": []}
     if figures is not None:

@@ -120,7 +120,7 @@ def read_checkpoints(path: Path | str) -> Checkpoints:
     path = Path(path)
     suffix = path.suffix.lower()
     if not path.is_file():
-        raise InputError(f"{path}: no such file; name a CSV, GeoJSON or GeoPackage file of checkpoints")
+        raise InputError(f"{path}: no such file; give a CSV, GeoJSON or GeoPackage file of checkpoints")
     if suffix in (".csv", ".txt"):
         rows, crs, notes = list(_csv_rows(path)), None, []
     else:
@@ -131,7 +131,7 @@ def read_checkpoints(path: Path | str) -> Checkpoints:
         raise InputError(f"{path}: holds no checkpoint")
     kinds = tuple(_kind(path, row.kind) for row in rows)
     if not any(row.kind for row in rows):
-        notes.append("no column says NVA or VVA: all checkpoints count as non-vegetated (NVA)")
+        notes.append("no column contains NVA or VVA: all checkpoints are assumed to be non-vegetated (NVA)")
     return Checkpoints(
         np.array([[row.x for row in rows], [row.y for row in rows]], np.float64),
         np.array([row.z for row in rows], np.float64),
@@ -163,7 +163,7 @@ def row_of(values: Mapping[str, Any], place: str) -> Row:
         except (TypeError, ValueError, OverflowError):
             number = math.nan
         if not math.isfinite(number):
-            raise InputError(f"{place}: {axis} {excerpt(text)} is no number (1234.5, with a point)")
+            raise InputError(f"{place}: {axis} {excerpt(text)} is not a number (1234.5, with a point)")
         if abs(number) >= FARTHEST:
             raise InputError(
                 f"{place}: {axis} {excerpt(text)} is farther than {FARTHEST:g}, where nothing lies"
@@ -185,7 +185,7 @@ def _kind(path: Path, text: str) -> str:
     kind = text.upper() or NVA
     if kind not in (NVA, VVA):
         raise InputError(
-            f"{path}: type {excerpt(text)} is neither NVA nor VVA; name land cover in a column `cover`"
+            f"{path}: type {excerpt(text)} is neither NVA nor VVA; give land cover in a column `cover`"
         )
     return kind
 
@@ -217,7 +217,7 @@ def _cells(line: str, delimiter: str, place: str) -> list[str]:
     try:
         return next(csv.reader([line], delimiter=delimiter, strict=True))
     except csv.Error as error:
-        raise InputError(f"{place}: is no line of a table ({error}); see to its quotes") from error
+        raise InputError(f"{place}: is not a line of a table ({error}); check its quotes") from error
 
 
 def _is_number(text: str) -> bool:

@@ -74,13 +74,13 @@ def parse_requirements(texts: Iterable[str]) -> list[Requirement]:
     for text in texts:
         name, sign, value = (part.strip() for part in text.partition("="))
         if not sign or name not in METRICS:
-            raise ConfigError(f"--require {text}: write NAME=VALUE with one of {', '.join(METRICS)}")
+            raise ConfigError(f"--require {text}; give NAME=VALUE with one of {', '.join(METRICS)}")
         if METRICS[name].is_length:
             found.append(Requirement(name, parse_length(value)))
         elif value.isdecimal():
             found.append(Requirement(name, Fraction(int(value))))
         else:
-            raise ConfigError(f"--require {text}: {value!r} is no number of points")
+            raise ConfigError(f"--require {text}: {value!r} is not a number of points")
     return found
 
 

@@ -74,7 +74,7 @@ def _strips_of(paths: Sequence[Path]) -> dict[str, Any]:
             keys, sums = summed(keys, sums)
     if not strips:
         raise InputError(
-            f"{paths[0]}: no ground (class 2) in {len(paths)} files; name classified clouds, as `tiler run` writes them"
+            f"{paths[0]}: no ground (class 2) in {len(paths)} files; give classified clouds, as `tiler run` writes them"
         )
     return {
         "unit": unit_label(vertical),

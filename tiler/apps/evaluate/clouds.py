@@ -117,7 +117,7 @@ def compare_files(
     mine, true = _whole(cloud), _whole(reference)
     in_cloud, in_reference = _pairs(mine.place, true.place)
     if len(in_cloud) == 0:
-        raise InputError(f"{reference}: none of its points is in {cloud}; name the reference of this cloud")
+        raise InputError(f"{reference}: none of its points is in {cloud}; give the reference of this cloud")
     findings.add(mine.classes[in_cloud], true.take(in_reference))
     return findings, {
         "matched_by": "coordinates",

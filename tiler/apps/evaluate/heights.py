@@ -222,7 +222,7 @@ def _opened(dtm: Path, truth: Path) -> Iterator[Pair]:
         pair = Pair(mine, true, round(row), round(col))
         apart = pair.row >= true.height or pair.col >= true.width
         if apart or pair.row + mine.height <= 0 or pair.col + mine.width <= 0:
-            raise ConfigError(f"{dtm} and {truth} do not overlap; name the truth of this DTM")
+            raise ConfigError(f"{dtm} and {truth} do not overlap; give the truth of this DTM")
         yield pair
 
 

@@ -126,7 +126,7 @@ def refuse_foreign_maps(folder: Path, names: Sequence[str]) -> None:
         there = [path for path in (tif, png) if os.path.lexists(path)]
         if there and not _is_map(tif):
             raise ConfigError(
-                f"{there[0]}: there already, and no map of errors; name another folder with --maps"
+                f"{there[0]}: already exists and is not a map of errors; give another folder with --maps"
             )
 
 

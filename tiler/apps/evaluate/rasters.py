@@ -37,7 +37,7 @@ def opened(path: Path | str) -> Any:
     if not is_url(path):
         return rasterio.open(path)
     if state_at(str(path)) is None:
-        raise InputError(f"{path}: nothing there; name a raster")
+        raise InputError(f"{path}: nothing there; give a raster")
     return rasterio.open(str(path), opener=url_to_fs(str(path))[0])
 
 
@@ -48,4 +48,4 @@ def raster_named(path: Path | str, what: str = "cannot be read") -> Iterator[Non
         yield
     except (RasterioError, CRSError, ProjError, UnicodeDecodeError) as error:
         reason = printable(" ".join(str(error).split()))
-        raise InputError(f"{path}: {what} ({reason}); name a readable raster") from error
+        raise InputError(f"{path}: {what} ({reason}); give a readable raster") from error

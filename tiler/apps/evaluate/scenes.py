@@ -86,7 +86,7 @@ def _partner(clouds: Sequence[tuple[Path, str]], reference: Path, place: str) ->
     if len(found) != 1:
         raise ConfigError(
             f"{reference}: {len(found) or 'none'} of the {len(clouds)} clouds {'are' if found else 'is'} named "
-            f"{reference.stem}; name clouds and references alike, or in the same order"
+            f"{reference.stem}; give clouds and references alike, or in the same order"
         )
     return found[0][0]
 

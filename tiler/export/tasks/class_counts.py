@@ -41,7 +41,7 @@ def kept_text(kept: Counts, no_part: Counts) -> str:
     """The line on classes of the input that classified clouds keep; empty where there is none."""
     parts = []
     if kept:
-        parts.append(f"{_listed(kept)}, which are no ground (--reclass all gives them class 1)")
+        parts.append(f"{_listed(kept)}, which are not ground (--reclass all gives them class 1)")
     if no_part:
         parts.append(f"{_listed(no_part)}, which take no part in the filter (--keep-classes)")
     return f"classes of the input are kept: {'; '.join(parts)}" if parts else ""

@@ -58,7 +58,7 @@ def put_aside(job: Job, wanted: Collection[str], basis: str) -> None:
     for path in _damaged(job, kept) if job.plan.config.verify else ():
         del kept[path]
         text = f"{path}: changed since a run wrote it; moved to {move_aside(job.products, [path])}/"
-        job.note(f"{text}, and not made again: --products does not name it")
+        job.note(f"{text}, and not made again, as --products does not list it")
     job.facts["outputs"] = kept
     job.facts["digests"] = {p: d for p, d in job.facts.get("digests", {}).items() if p in kept}
     job.facts["made_of"] = dict.fromkeys(kept, basis)
@@ -86,7 +86,7 @@ def _refuse_foreign(job: Job, wanted: list[str]) -> None:
     there = [path for path, size in zip(wanted, sizes, strict=True) if size is not None]
     if there:
         raise ConfigError(
-            f"-o {job.products}: {', '.join(there[:NAMED])}: there already, and not known to be of a run of this "
+            f"-o {job.products}: {', '.join(there[:NAMED])}: already exists and was not written by a run in this "
             "folder; move them away, or use --force to replace them"
         )
 

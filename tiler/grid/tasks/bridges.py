@@ -66,7 +66,7 @@ def find_bridges(
 def _told(records: Sequence[Mapping[str, Any]], frame: CoordFrame) -> str:
     """What was found, in a line."""
     if not records:
-        return "no bridge was found that stands free of the ground, none is left out of the terrain (--bridges remove)"
+        return "no bridge was found above the ground, so none was removed from the terrain (--bridges remove)"
     texts = []
     for record in records[:MOST_TOLD]:
         x, y = np.mean(record["ring"], axis=0) / COUNTS_PER_UNIT

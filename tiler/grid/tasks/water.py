@@ -58,13 +58,13 @@ def find_waters(job: Job, g: Gridding) -> Waters:
         rivers = counted(len(waters.bodies) - lakes, "river or canal", "rivers or canals")
         found = [counted(lakes, "lake")] * (lakes > 0) + [rivers] * (lakes < len(waters.bodies))
         job.note(
-            f"decided: water found, {' and '.join(found)}, level in the terrain ({WATER} can be edited and given back "
-            "by --water; --water none leaves the terrain as it is)"
+            f"decided: found {' and '.join(found)} and flattened the terrain there (edit {WATER} and give it with "
+            "--water to change this, or use --water none)"
         )
     if auto and not g.trusted:
         job.note(
-            "decided: in a matched cloud holes and false heights may be anywhere, so water is taken from class 9 of "
-            "the input alone (--water FILE: draw it)"
+            "decided: only class 9 of the input is water, as holes and false heights of a photogrammetric cloud may be "
+            "anywhere (give drawn water with --water FILE)"
         )
     tell_of_levels(job, waters, records)
     job.store.put_waters(waters)

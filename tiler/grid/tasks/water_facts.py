@@ -49,8 +49,8 @@ def _doubts(body: Water, record: Mapping[str, Any], unit: Fraction) -> list[dict
     found: list[tuple[str, tuple[float, float]]] = []
     if body.sure is not None and body.sure < SURE:
         text = (
-            f"{_named(body)} is water with {body.sure:.0%} certainty; look at it, and give water.gpkg back without it "
-            "(--water) if it is none"
+            f"{_named(body)} is water with {body.sure:.0%} certainty; check it, and if it is not water delete it from "
+            "water.gpkg and give that file with --water"
         )
         found.append((text, _place(body)))
     share, lowest = record.get("floating", (0.0, None))
@@ -58,8 +58,8 @@ def _doubts(body: Water, record: Mapping[str, Any], unit: Fraction) -> list[dict
         x, y = (value / COUNTS_PER_UNIT for value in lowest)
         text = (
             f"{_named(body)}: {share:.1%} of its shore lies more than {length_text(NOISE_M, unit)} below its level, "
-            f"the lowest at ({x:.1f}, {y:.1f}); look whether its level or its outline is wrong there (water.gpkg, "
-            "--water)"
+            f"the lowest at ({x:.1f}, {y:.1f}); check its level and its outline there (edit water.gpkg and give it "
+            "with --water)"
         )
         found.append((text, (x, y)))
     if record.get("uneven"):

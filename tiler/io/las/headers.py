@@ -166,7 +166,7 @@ def read_header(path: Path, salvage: bool = False) -> LasHeader:
         state = state_of(path)
         # Opening a pipe would wait for its other end.
         if not is_url(path) and not path.is_file():
-            refuse(path, "is no regular file", "name LAS or LAZ files")
+            refuse(path, "is not a regular file", "give LAS or LAZ files")
         with open_cloud(path, _BLOCK_BYTES) as stream:
             header = _fixed_block(path, stream, state, salvage)
             header = _records(header, stream)
@@ -178,7 +178,7 @@ def read_header(path: Path, salvage: bool = False) -> LasHeader:
                 refuse(path, f"{header.notes[-1]}; not one point can be salvaged")
             return replace(_extended(header, stream, salvage), digest=_digest(header, stream))
     except OSError as error:
-        refuse(path, f"cannot be read ({error.strerror or error})", "name a readable LAS or LAZ file")
+        refuse(path, f"cannot be read ({error.strerror or error})", "give a readable LAS or LAZ file")
 
 
 def read_payload(path: Path, record: VariableRecord, limit: int = 1 << 24) -> bytes:
@@ -193,7 +193,7 @@ def _fixed_block(path: Path, stream: BinaryIO, state: State, salvage: bool) -> L
     size = state.size
     raw = stream.read(HEADER_SIZES[5])
     if raw[:4] != b"LASF":
-        refuse(path, f"begins with {raw[:4]!r}, not with LASF: no LAS or LAZ file", "name LAS or LAZ files")
+        refuse(path, f"begins with {raw[:4]!r}, not with LASF: no LAS or LAZ file", "give LAS or LAZ files")
     if len(raw) < _BLOCK.size:
         refuse(path, f"has {size} bytes, its header alone needs {_BLOCK.size}")
     fields = _BLOCK.unpack_from(raw)

@@ -11,7 +11,7 @@ from tiler.errors import DiskFullError, InputError, TilerError
 from tiler.io.las.headers import LasHeader, read_header
 from tiler.io.locations import State, state_of
 
-AGAIN = "run again when nothing writes to it any more"
+AGAIN = "run again once the file is complete"
 
 
 @contextmanager

@@ -45,14 +45,14 @@ def check_file(path: Path, wanted: str) -> list[bool] | None:
             f"convert it, for example with `ogr2ogr {wanted}.gpkg FILE`"
         )
     if not path.is_file():
-        raise InputError(f"{path}: no such file; name a GeoPackage, GeoJSON or Shapefile with {wanted}")
+        raise InputError(f"{path}: no such file; give a GeoPackage, GeoJSON or Shapefile with {wanted}")
     if "!" in str(path.resolve()) or str(path.resolve()).startswith("/vsi"):
         raise InputError(f"{path}: GDAL would take its name for that of an archive; rename it")
     try:
         with path.open("rb") as stream:
             start = stream.read(len(signature))
     except OSError as error:
-        raise InputError(f"{path}: cannot be read ({error.strerror}); name a readable file") from error
+        raise InputError(f"{path}: cannot be read ({error.strerror}); give a readable file") from error
     if start != signature:
         raise InputError(
             f"{path}: does not begin as a {path.suffix.lower()} file does; get the file again, "
@@ -71,10 +71,12 @@ def _check_geojson(path: Path, wanted: str) -> list[bool]:
         ) from error
     features = content.get("features")
     if content.get("type") != "FeatureCollection" or not isinstance(features, list):
-        raise InputError(f"{path}: no GeoJSON FeatureCollection; write {wanted} as features")
+        raise InputError(f"{path}: not a GeoJSON FeatureCollection; write {wanted} as features")
     for number, feature in enumerate(features, start=1):
         if not isinstance(feature, dict) or feature.get("type") != "Feature":
-            raise InputError(f"{path}: feature {number}: is no GeoJSON Feature; write {wanted} as features")
+            raise InputError(
+                f"{path}: feature {number}: is not a GeoJSON Feature; write {wanted} as features"
+            )
     # Most programs still write the member that names the CRS, although RFC 7946 removed it.
     named = member(member(content, "crs"), "properties").get("name")
     try:

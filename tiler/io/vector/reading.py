@@ -216,7 +216,7 @@ def _features(
             )
         places = shapely.get_coordinates(geometry)
         if not np.isfinite(places).all():
-            raise InputError(f"{where}: has a place that is no number; draw it again")
+            raise InputError(f"{where}: has a coordinate that is not a number; draw it again")
         if np.abs(places).max() >= FARTHEST:
             raise InputError(
                 f"{where}: has a place farther away than {FARTHEST:g}; write coordinates of its CRS"

@@ -69,7 +69,7 @@ def in_crs(
     own = None if wkt is None else split(CRS.from_wkt(wkt))[0]
     if own is None:
         raise InputError(
-            f"{path}: is in {named.name}, the CRS of the clouds is unknown; name it with --crs, or use --bounds"
+            f"{path}: is in {named.name}, the CRS of the clouds is unknown; give it with --crs, or use --bounds"
         )
     if same_horizontal(named, own):
         return list(geometries)
@@ -78,7 +78,7 @@ def in_crs(
         transformer = Transformer.from_crs(named, own, always_xy=True)
     except ProjError as error:
         raise InputError(
-            f"{path}: is in {named.name}, from which no way leads into {own.name}; write it with another CRS"
+            f"{path}: is in {named.name}, which cannot be transformed to {own.name}; write it with another CRS"
         ) from error
     moved = partial(_moved, transformer, RETURN_DEG if named.is_geographic else RETURN)
     try:

@@ -132,7 +132,7 @@ def test_unfit_checkpoints_are_refused(tmp_path: Path) -> None:
     with pytest.raises(ConfigError, match="the DTM has no CRS"):
         check_dtm(write_surface(tmp_path / "d.tif", tilted, crs=None), points)
     with pytest.raises(
-        ConfigError, match="in .EPSG:1., which is no CRS that is known; name one with --points-crs"
+        ConfigError, match="in .EPSG:1., which is not a known CRS; give one with --points-crs"
     ):
         check_dtm(write_surface(tmp_path / "e.tif", tilted), points, PointOptions(crs="EPSG:1"))
     with pytest.raises(ConfigError, match="has no horizontal part"):

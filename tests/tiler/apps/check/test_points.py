@@ -34,7 +34,9 @@ def test_csv_with_a_heading(tmp_path: Path) -> None:
 def test_csv_without_a_heading(tmp_path: Path, delimiter: str) -> None:
     points = read_checkpoints(text(tmp_path / "p.txt", delimiter.join(("1", "2", "3")) + "\n"))
     assert (points.xy.tolist(), points.z.tolist(), points.names) == ([[1], [2]], [3], ("1",))
-    assert points.notes == ("no column says NVA or VVA: all checkpoints count as non-vegetated (NVA)",)
+    assert points.notes == (
+        "no column contains NVA or VVA: all checkpoints are assumed to be non-vegetated (NVA)",
+    )
 
 
 def feature(coordinates: list[float], **properties: object) -> dict[str, object]:
@@ -70,20 +72,20 @@ def test_geometries_of_other_formats(suffix: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("name", "content", "message"),
     [
-        ("p.csv", "x,y,z\n1,2,high\n", r"line 2: z 'high' is no number"),
+        ("p.csv", "x,y,z\n1,2,high\n", r"line 2: z 'high' is not a number"),
         ("p.csv", "x,y\n1,2\n", r"line 2: z is missing"),
-        ("p.csv", "x;y;z\n1;2;3,5\n", r"line 2: z '3,5' is no number \(1234.5, with a point\)"),
-        ("p.csv", "x,y,z\n1,2,inf\n", r"line 2: z 'inf' is no number"),
-        ("p.csv", "x,y,z,type\n1,2,3,forest\n", r"type 'forest' is neither NVA nor VVA; name land cover"),
+        ("p.csv", "x;y;z\n1;2;3,5\n", r"line 2: z '3,5' is not a number \(1234.5, with a point\)"),
+        ("p.csv", "x,y,z\n1,2,inf\n", r"line 2: z 'inf' is not a number"),
+        ("p.csv", "x,y,z,type\n1,2,3,forest\n", r"type 'forest' is neither NVA nor VVA; give land cover"),
         ("p.csv", "x,y,z\n", "holds no checkpoint"),
         ("p.csv", "", "holds no checkpoint"),
         ("p.shp", "", r"does not begin as a .shp file does"),
         ("p.geojson", "{", "not valid GeoJSON"),
         ("p.geojson", "[]", r"not valid GeoJSON \(holds no object\)"),
-        ("p.geojson", "{}", "no GeoJSON FeatureCollection"),
+        ("p.geojson", "{}", "not a GeoJSON FeatureCollection"),
         ("p.csv", "x,y,z,id\n1,2,3,'a'\n1,2,3,\"b\n4,5,6,c\n", "line 3: .* table .unexpected end of data"),
         ("p.csv", f"x,y,z\n1,2,{'9' * 200_000}\n", "line 2: .* table .field larger than field limit"),
-        ("p.csv", f"x,y,z\n1,2,{'9' * 400}\n", r"line 2: z '9+\.\.\. is no number"),
+        ("p.csv", f"x,y,z\n1,2,{'9' * 400}\n", r"line 2: z '9+\.\.\. is not a number"),
         ("p.gpkg", "no data base", "does not begin as a .gpkg file does"),
     ],
 )

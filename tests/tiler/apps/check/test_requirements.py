@@ -54,10 +54,10 @@ def test_a_requirement_without_a_figure_is_not_met() -> None:
 @pytest.mark.parametrize(
     ("text", "message"),
     [
-        ("rmse", "write NAME=VALUE"),
-        ("vva=0.1", "write NAME=VALUE"),
-        ("points=2.5", "no number of points"),
-        ("rmse=high", "no length"),
+        ("rmse", "give NAME=VALUE"),
+        ("vva=0.1", "give NAME=VALUE"),
+        ("points=2.5", "not a number of points"),
+        ("rmse=high", "not a length"),
     ],
 )
 def test_unknown_requirements_are_refused(text: str, message: str) -> None:

@@ -49,7 +49,7 @@ def test_rasters_that_cannot_be_compared_are_refused(tmp_path, west, size, messa
 
 def test_other_files_are_refused(tmp_path):
     (tmp_path / "a.tif").write_text("no raster")
-    with pytest.raises(InputError, match="name a readable raster"):
+    with pytest.raises(InputError, match="give a readable raster"):
         evaluate_dtm(tmp_path / "a.tif", tmp_path / "a.tif")
 
 

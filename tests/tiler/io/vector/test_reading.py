@@ -120,11 +120,11 @@ VRT = "<OGRVRTDataSource><OGRVRTLayer name='a'><SrcDataSource>b.json</SrcDataSou
         ("a.geojson", "{", "not valid GeoJSON"),
         ("a.json", "[]", r"not valid GeoJSON \(holds no object\); write polygons as features"),
         ("a.json", json.dumps(collection()), "holds no polygons"),
-        ("a.json", json.dumps({**collection(), "features": [7]}), "feature 1: is no GeoJSON Feature"),
+        ("a.json", json.dumps({**collection(), "features": [7]}), "feature 1: is not a GeoJSON Feature"),
         ("a.json", json.dumps(collection(POINT)), r"has 0 \(a \(Point\)\)"),
         ("a.json", polygon([1, 2], [3, "x"], [5, 6]), "feature 1: its geometry is damaged"),
         ("a.json", polygon([1, 2], [3, 4]), "feature 1: holds no place; draw it wider"),
-        ("a.json", polygon([1, 2], [3, 4], [5, float("inf")], [1, 2]), "damaged|that is no number"),
+        ("a.json", polygon([1, 2], [3, 4], [5, float("inf")], [1, 2]), "damaged|that is not a number"),
         ("a.json", json.dumps(ODD_CRS), "its CRS 'no CRS' is not known"),
         ("a.gpkg", "no data base", "does not begin as a .gpkg file does"),
         ("a.gpkg", VRT, "does not begin as a .gpkg file does"),
@@ -141,7 +141,7 @@ def test_wrong_vector_files_are_refused(tmp_path: Path, name: str, content: str,
 
 def test_files_that_are_not_whole(tmp_path: Path) -> None:
     with pytest.raises(
-        InputError, match="no such file; name a GeoPackage, GeoJSON or Shapefile with polygons"
+        InputError, match="no such file; give a GeoPackage, GeoJSON or Shapefile with polygons"
     ):
         read_features(tmp_path / "absent.gpkg", POLYGONS)
     path = write(tmp_path / "a.shp", [TRIANGLE], "Polygon")
