@@ -15,6 +15,7 @@ import click
 import pytest
 
 from cli.main import COMMANDS, STAGES, LazyGroup, group, main
+from tests.waiting import PATIENCE_SECONDS
 from tiler.errors import ConfigError, InputError, LockedError, ProcessingError, StoreError
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -109,7 +110,7 @@ def waiting(folder: Path) -> subprocess.Popen[str]:
 def end_of(process: subprocess.Popen[str]) -> tuple[int, str]:
     """Exit code and last words; whatever becomes of it, it is gone afterwards."""
     try:
-        _, error = process.communicate(timeout=900)
+        _, error = process.communicate(timeout=PATIENCE_SECONDS)
     finally:
         process.kill()
         process.communicate()

@@ -13,8 +13,9 @@ from typing import IO, Any
 import pytest
 
 from cli.output import print_json
-from tests.integration.command import TIMEOUT_SECONDS, assert_one_line, command, environment
+from tests.integration.command import assert_one_line, command, environment
 from tests.invariants import clouds
+from tests.waiting import PATIENCE_SECONDS
 
 
 def unread() -> IO[bytes]:
@@ -29,7 +30,7 @@ def run(*arguments: object, **streams: IO[bytes] | int) -> Any:
         "text": True,
         "env": environment(),
         "check": False,
-        "timeout": TIMEOUT_SECONDS,
+        "timeout": PATIENCE_SECONDS,
     }
     return subprocess.run(command(*arguments), **settings, **streams)
 

@@ -18,6 +18,7 @@ from pathlib import Path
 import pytest
 
 from tests.integration.command import environment
+from tests.waiting import PATIENCE_SECONDS
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted((ROOT / "docs").glob("*.md"))
@@ -148,6 +149,6 @@ def run_blocks(found: list[tuple[int, str]], tmp_path: Path) -> None:
             capture_output=True,
             text=True,
             check=False,
-            timeout=900,
+            timeout=PATIENCE_SECONDS,
         )
         assert done.returncode == code, f"{text}\n{done.stdout}\n{done.stderr}"

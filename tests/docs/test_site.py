@@ -14,6 +14,7 @@ import ptd
 import tiler
 from tests.docs.test_docs import LARGEST_PICTURE, PAGES, ROOT
 from tests.integration.command import environment
+from tests.waiting import PATIENCE_SECONDS
 
 pytest.importorskip("sphinx", reason="the site needs the extra `docs`")
 
@@ -36,7 +37,7 @@ def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
         capture_output=True,
         text=True,
         check=False,
-        timeout=1800,
+        timeout=PATIENCE_SECONDS,
     )
     assert done.returncode == 0, done.stderr
     return out

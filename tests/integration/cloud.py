@@ -9,12 +9,12 @@ import socket
 import subprocess
 import sys
 import threading
-import time
 import urllib.request
 from collections.abc import Iterator
 from pathlib import Path
 
-from tests.integration.command import TIMEOUT_SECONDS, environment
+from tests.integration.command import environment
+from tests.waiting import PATIENCE_SECONDS, wait_until
 
 BUCKET = "bucket"
 
@@ -62,12 +62,9 @@ class Cluster:
         # It chooses its port: one that is chosen here may be another's by then.
         told, options = self.folder / "scheduler.json", "--host 127.0.0.1 --port 0 --no-dashboard"
         scheduler = self._start("dask.__main__", "scheduler", *options.split(), "--scheduler-file", str(told))
-        began = time.monotonic()
-        while not (found := _address_in(told)):
-            assert scheduler.poll() is None, (self.folder / "log-0").read_text()
-            assert time.monotonic() - began < TIMEOUT_SECONDS
-            time.sleep(0.05)
-        self.address, self.port = found, int(found.rpartition(":")[2])
+        wait_until(lambda: _address_in(told), scheduler)
+        self.address = _address_in(told)
+        self.port = int(self.address.rpartition(":")[2])
         return self
 
     def __exit__(self, *error: object) -> None:
@@ -94,8 +91,8 @@ class Cluster:
     def wait_for(self, workers: int) -> None:
         from distributed import Client
 
-        with Client(self.address, timeout=TIMEOUT_SECONDS, set_as_default=False) as client:
-            client.wait_for_workers(workers, timeout=TIMEOUT_SECONDS)
+        with Client(self.address, timeout=PATIENCE_SECONDS, set_as_default=False) as client:
+            client.wait_for_workers(workers, timeout=PATIENCE_SECONDS)
 
     def _start(self, *arguments: str, **variables: str) -> subprocess.Popen[bytes]:
         with open(self.folder / f"log-{len(self._processes)}", "wb") as log:

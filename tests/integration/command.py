@@ -9,9 +9,9 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
+from tests.waiting import PATIENCE_SECONDS
+
 ROOT = Path(__file__).resolve().parents[2]
-TIMEOUT_SECONDS = 900.0
-"""For a loaded machine that compiles the kernels; nothing takes that long where all is well."""
 
 
 def environment() -> dict[str, str]:
@@ -26,7 +26,7 @@ def command(*arguments: object) -> list[str]:
 
 def ended(call: Sequence[object], **options: Any) -> subprocess.CompletedProcess[str]:
     """Run a program to its end, whatever its code."""
-    usual = {"env": environment(), "timeout": TIMEOUT_SECONDS, "check": False}
+    usual = {"env": environment(), "timeout": PATIENCE_SECONDS, "check": False}
     return subprocess.run([*map(str, call)], capture_output=True, text=True, **{**usual, **options})
 
 

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from cli import ending
 from cli.main import main
-from tests.integration.command import TIMEOUT_SECONDS
 from tests.integration.deadly import HOLD, held_tile
+from tests.waiting import PATIENCE_SECONDS
 from tiler.filter.tasks import passes
 
 
@@ -24,5 +24,5 @@ def held(*arguments: object) -> list[str]:
 
 if __name__ == "__main__":
     passes.filter_tile = held_tile  # type: ignore[attr-defined]
-    ending.GRACE_SECONDS = TIMEOUT_SECONDS
+    ending.GRACE_SECONDS = PATIENCE_SECONDS
     sys.exit(main())

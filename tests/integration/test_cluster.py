@@ -11,11 +11,12 @@ from typing import Any
 import pytest
 
 from tests.integration.cloud import BUCKET, Cable, Cluster, blind
-from tests.integration.command import TIMEOUT_SECONDS, assert_one_line, command, environment, started, tiler
+from tests.integration.command import assert_one_line, command, environment, started, tiler
 from tests.integration.held import held, hold
 from tests.invariants import clouds
 from tests.invariants.runs import do, output_digests
 from tests.scenes.running import wait_for
+from tests.waiting import PATIENCE_SECONDS
 from tiler.version import __version__
 
 pytestmark = pytest.mark.slow
@@ -55,7 +56,7 @@ def start(*arguments: object) -> subprocess.Popen[str]:
 
 def ended(process: subprocess.Popen[str]) -> str:
     """What a run that ends well said."""
-    _, error = process.communicate(timeout=TIMEOUT_SECONDS)
+    _, error = process.communicate(timeout=PATIENCE_SECONDS)
     assert process.returncode == 0, error
     return error
 
@@ -124,7 +125,7 @@ def test_the_connection_is_cut(cluster: Cluster, cloud: Path, local: Path, tmp_p
     process = started(held("run", cloud, "-o", gone, "--scheduler", cable.address, "-q", *OPTIONS))
     wait_for(gone, "task_done", "filter0", process)
     cable.cut(for_good=True)
-    _, error = process.communicate(timeout=TIMEOUT_SECONDS)
+    _, error = process.communicate(timeout=PATIENCE_SECONDS)
     assert process.returncode == 4, error
     tiles, *rest = error.splitlines(keepends=True)
     assert tiles.startswith("warning: tiles of 64 m")

@@ -12,10 +12,11 @@ import psutil
 import pytest
 
 from cli.main import main
-from tests.integration.command import TIMEOUT_SECONDS, assert_one_line, command, started
+from tests.integration.command import assert_one_line, command, started
 from tests.integration.hanging import endless_geopackage, huge_raster
 from tests.invariants import clouds
-from tests.scenes.running import all_gone, wait_until
+from tests.scenes.running import wait_until_gone
+from tests.waiting import PATIENCE_SECONDS, wait_until
 
 
 @pytest.fixture(scope="module")
@@ -89,8 +90,8 @@ def end_of(call: list[str], at_work: Callable[[psutil.Process], bool]) -> str:
     time.sleep(1.0)
     children = psutil.Process(process.pid).children(recursive=True)
     process.send_signal(signal.SIGTERM)
-    _, error = process.communicate(timeout=TIMEOUT_SECONDS)
-    assert all_gone(children)
+    _, error = process.communicate(timeout=PATIENCE_SECONDS)
+    wait_until_gone(children)
     assert process.returncode == 130, error
     return error
 

@@ -13,11 +13,12 @@ import psutil
 import pytest
 
 from ptd.precompile import warm_filters, warm_gridding
-from tests.integration.command import TIMEOUT_SECONDS, started
+from tests.integration.command import started
 from tests.integration.held import held, hold
 from tests.invariants import clouds
 from tests.invariants.runs import do, output_digests, the_store
-from tests.scenes.running import all_gone, wait_for
+from tests.scenes.running import wait_for, wait_until_gone
+from tests.waiting import PATIENCE_SECONDS
 
 STAGES = ("spool", "assemble", "filter0", "grid-dtm", "export")
 OPTIONS = "--method classic --workers 2 --resolution 1 --tile-size 64 --halo 80 --memory 1GiB"
@@ -76,11 +77,11 @@ def test_an_interrupt_ends_it_and_the_command_goes_on(
     group = psutil.Process(process.pid).children(recursive=True)
     assert len(group) >= 2
     os.killpg(process.pid, interrupt)
-    _, error = process.communicate(timeout=TIMEOUT_SECONDS)
+    _, error = process.communicate(timeout=PATIENCE_SECONDS)
     assert process.returncode == 130, error
     assert error.splitlines()[-1] == "tiler: interrupted; run the same command again to resume"
     assert "Traceback" not in error
-    assert all_gone(group)
+    wait_until_gone(group)
     assert json.loads((out / "run.json").read_text())["state"] == "interrupted"
     assert not list(out.rglob("*.partial*"))
     # The job again, here: nothing that was finished is done once more, and the bytes are those of a run in peace.
@@ -101,5 +102,5 @@ def test_kill_of_the_command_alone_takes_its_workers_along(start: Start, cloud: 
     group = psutil.Process(process.pid).children(recursive=True)
     assert len(group) >= 2
     process.kill()
-    process.communicate(timeout=TIMEOUT_SECONDS)
-    assert all_gone(group)
+    process.communicate(timeout=PATIENCE_SECONDS)
+    wait_until_gone(group)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import os
-import time
 from pathlib import Path
 
 import pytest
@@ -55,10 +54,8 @@ def test_a_server_that_stops_is_given_up(
     monkeypatch.setattr(locations, "QUIET_SECONDS", 0.3)
     monkeypatch.setattr(locations, "REQUEST_SECONDS", 1.0)
     with stalling_server(parts) as server:
-        began = time.monotonic()
         with pytest.raises(InputError, match=r"cannot be read \(its server did not answer in time\)"):
             find_inputs([f"{server}/{name}"], in_process=True)
-        assert time.monotonic() - began < 5
         monkeypatch.setattr(lists, "LIST_SECONDS", 1.0)
         assert main(["plan", f"{server}/{name}"]) == 3
     assert_one_line(

@@ -7,7 +7,8 @@ from typing import Any
 
 import pytest
 
-from tests.integration.command import TIMEOUT_SECONDS, environment
+from tests.integration.command import environment
+from tests.waiting import PATIENCE_SECONDS
 
 nbclient = pytest.importorskip("nbclient")
 nbformat = pytest.importorskip("nbformat")
@@ -29,7 +30,7 @@ def executed(folder: Path, monkeypatch: pytest.MonkeyPatch) -> list[list[dict[st
     monkeypatch.setenv("PYTHONPATH", environment()["PYTHONPATH"])
     client = nbclient.NotebookClient(
         notebook,
-        timeout=TIMEOUT_SECONDS,
+        timeout=PATIENCE_SECONDS,
         kernel_name="python3",
         resources={"metadata": {"path": str(folder)}},
     )

@@ -12,10 +12,11 @@ import psutil
 import pytest
 
 from cli.main import COMMANDS
-from tests.integration.command import TIMEOUT_SECONDS, command, environment, started, tiler
+from tests.integration.command import command, environment, started, tiler
 from tests.invariants import clouds
 from tests.invariants.runs import output_digests
-from tests.scenes.running import all_gone, wait_until
+from tests.scenes.running import wait_until_gone
+from tests.waiting import PATIENCE_SECONDS, wait_until
 
 pytestmark = pytest.mark.slow
 
@@ -75,8 +76,8 @@ def interrupted(call: list[str], after: float, begun: Path | None = None, **vari
     time.sleep(after)
     children = psutil.Process(process.pid).children(recursive=True) if process.poll() is None else []
     process.send_signal(signal.SIGTERM)
-    _, error = process.communicate(timeout=TIMEOUT_SECONDS)
-    assert all_gone(children)
+    _, error = process.communicate(timeout=PATIENCE_SECONDS)
+    wait_until_gone(children)
     # Before the command has begun, and after it is done, the signal ends Python itself.
     assert process.returncode in (130, -signal.SIGTERM, *ENDED_ITSELF), error
     if process.returncode == 130:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from multiprocessing.process import BaseProcess
 from typing import Any
 
-END_SECONDS = 900.0
+from tests.waiting import PATIENCE_SECONDS
 
 
 def forked(work: Callable[..., object], *arguments: Any, **settings: Any) -> BaseProcess:
@@ -21,6 +21,6 @@ def forked(work: Callable[..., object], *arguments: Any, **settings: Any) -> Bas
 
 def ended(process: BaseProcess) -> int:
     """Wait for the end of a process; its exit code."""
-    process.join(END_SECONDS)
+    process.join(PATIENCE_SECONDS)
     assert process.exitcode is not None, "still at work"
     return process.exitcode

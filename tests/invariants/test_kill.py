@@ -18,6 +18,7 @@ from tests.invariants import clouds
 from tests.invariants.forked import ended, forked
 from tests.invariants.runs import EVERY_STAGE, WITH_EVERY_STAGE, all_digests, do, the_store
 from tests.scenes.small_stores import USUAL_ROW_POINTS, small_stores
+from tests.waiting import wait_until
 from tiler.errors import StoreError
 
 METHOD = "auto"
@@ -80,8 +81,7 @@ def more(peace: Peace, tmp_path_factory: pytest.TempPathFactory) -> dict[str, st
 def wait_for_stage(out: Path, stage: str, process: BaseProcess) -> None:
     """Wait until a stage has begun, or the run has ended."""
     wanted, log = f'"event": "stage_started", "stage": "{stage}"', out / "events.jsonl"
-    while process.is_alive() and not (log.exists() and wanted in log.read_text()):
-        time.sleep(0.001)
+    wait_until(lambda: not process.is_alive() or (log.exists() and wanted in log.read_text()))
 
 
 @pytest.mark.slow

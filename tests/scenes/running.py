@@ -4,13 +4,12 @@ from __future__ import annotations
 
 import json
 import subprocess
-import time
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 
 import psutil
 
-from tests.integration.command import TIMEOUT_SECONDS
+from tests.waiting import wait_until
 
 
 def wait_for(out: Path, event: str, stage: str, process: subprocess.Popen[str]) -> None:
@@ -26,27 +25,15 @@ def wait_for(out: Path, event: str, stage: str, process: subprocess.Popen[str]) 
     wait_until(told, process)
 
 
-def wait_until(true: Callable[[], bool], process: subprocess.Popen[str]) -> None:
-    """Wait until something is true of a process that is at work."""
-    began = time.monotonic()
-    while time.monotonic() - began < TIMEOUT_SECONDS:
-        ended = process.poll() is not None  # before the look: what came at the very end is seen
-        if true():
-            return
-        assert not ended, process.communicate()
-        time.sleep(0.02)
-    raise AssertionError("it never came")
-
-
-def all_gone(processes: Iterable[psutil.Process]) -> bool:
-    """Whether processes end soon."""
-    _, alive = psutil.wait_procs(list(processes), timeout=120)
-    return not any(map(_works, alive))
+def wait_until_gone(processes: Iterable[psutil.Process]) -> None:
+    """Wait until processes have ended."""
+    wanted = list(processes)
+    wait_until(lambda: not any(map(_works, wanted)))
 
 
 def _works(process: psutil.Process) -> bool:
     """Whether a process is more than an entry that nobody has taken note of yet, as in containers without an init."""
     try:
-        return bool(process.status() != psutil.STATUS_ZOMBIE)
+        return bool(process.is_running() and process.status() != psutil.STATUS_ZOMBIE)
     except psutil.NoSuchProcess:
         return False

@@ -11,6 +11,7 @@ from typing import Any
 import pytest
 
 from tests.tiler.report import results
+from tests.waiting import PATIENCE_SECONDS
 from tiler.report.html import write_report
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
@@ -18,7 +19,7 @@ pytestmark = pytest.mark.slow
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 
 FRAMES_OF_A_DRAG = 20
-PATIENCE_MS = 300_000.0
+PATIENCE_MS = 1000 * PATIENCE_SECONDS
 READY = "html[data-ready=yes]"
 SHARE_PAINTED = """() => {
   const canvas = document.getElementById("canvas");

@@ -11,12 +11,11 @@ import psutil
 import pytest
 
 from tests.tiler.schedule import calls
+from tests.waiting import PATIENCE_SECONDS
 from tiler.errors import InputError, ProcessingError
 from tiler.inputs.sources import read_guarded
 from tiler.schedule import Died, Guard, NotStartedError, kept_forking, prepare_children
 from tiler.schedule.fork_server import FORKS
-
-SECONDS = 300.0
 
 
 @pytest.fixture(scope="module")
@@ -26,27 +25,29 @@ def guard() -> Iterator[Guard]:
 
 
 def test_one_child_answers_all_calls(guard: Guard) -> None:
-    assert [guard.call(calls.double, i, seconds=SECONDS) for i in range(50)] == list(range(0, 100, 2))
-    first = guard.call(calls.pid, seconds=SECONDS)
-    assert first == guard.call(calls.pid, seconds=SECONDS) != os.getpid()
+    assert [guard.call(calls.double, i, seconds=PATIENCE_SECONDS) for i in range(50)] == list(
+        range(0, 100, 2)
+    )
+    first = guard.call(calls.pid, seconds=PATIENCE_SECONDS)
+    assert first == guard.call(calls.pid, seconds=PATIENCE_SECONDS) != os.getpid()
 
 
 def test_an_error_of_the_call_is_raised(guard: Guard) -> None:
-    child = guard.call(calls.pid, seconds=SECONDS)
+    child = guard.call(calls.pid, seconds=PATIENCE_SECONDS)
     with pytest.raises(InputError, match="cloud.las: no good"):
-        guard.call(calls.fail, "cloud.las: no good", seconds=SECONDS)
-    assert guard.call(calls.pid, seconds=SECONDS) == child
+        guard.call(calls.fail, "cloud.las: no good", seconds=PATIENCE_SECONDS)
+    assert guard.call(calls.pid, seconds=PATIENCE_SECONDS) == child
 
 
 @pytest.mark.parametrize(
     ("work", "arguments", "seconds", "fate"),
     [
-        (calls.crash, (), SECONDS, r"crashed \(SIGSEGV\)"),
-        (calls.abort, (), SECONDS, r"crashed \(SIGABRT\)"),
-        (calls.leave, (), SECONDS, r"crashed \(exit code 7\)"),
+        (calls.crash, (), PATIENCE_SECONDS, r"crashed \(SIGSEGV\)"),
+        (calls.abort, (), PATIENCE_SECONDS, r"crashed \(SIGABRT\)"),
+        (calls.leave, (), PATIENCE_SECONDS, r"crashed \(exit code 7\)"),
         (calls.sleep, (), 0.5, r"did not end within 0\.5 s"),
         (calls.hang_with_the_lock, (), 0.5, r"did not end within 0\.5 s"),
-        (calls.allocate, (4,), SECONDS, "needs more than the 1024 MiB"),
+        (calls.allocate, (4,), PATIENCE_SECONDS, "needs more than the 1024 MiB"),
     ],
 )
 def test_a_child_that_dies_is_replaced(
@@ -54,44 +55,44 @@ def test_a_child_that_dies_is_replaced(
 ) -> None:
     with pytest.raises(Died, match=f"^{fate}"):
         guard.call(work, *arguments, seconds=seconds)
-    assert guard.call(calls.double, 21, seconds=SECONDS) == 42
+    assert guard.call(calls.double, 21, seconds=PATIENCE_SECONDS) == 42
 
 
 def test_a_panic_comes_back_as_an_exception(guard: Guard) -> None:
     with pytest.raises(RuntimeError, match="Panic: cannot be unpickled"):
-        guard.call(calls.panic, seconds=SECONDS)
+        guard.call(calls.panic, seconds=PATIENCE_SECONDS)
 
 
 def test_output_of_libraries_does_not_disturb_the_answers(guard: Guard) -> None:
-    assert guard.call(calls.chatter, seconds=SECONDS) == "answer"
-    assert guard.call(calls.double, 1, seconds=SECONDS) == 2
+    assert guard.call(calls.chatter, seconds=PATIENCE_SECONDS) == "answer"
+    assert guard.call(calls.double, 1, seconds=PATIENCE_SECONDS) == 2
 
 
 def test_no_child_starts_without_a_call_and_none_is_left_behind() -> None:
     before = len(psutil.Process().children())
     with Guard() as guard:
         assert len(psutil.Process().children()) == before
-        child = psutil.Process(guard.call(calls.pid, seconds=SECONDS))
+        child = psutil.Process(guard.call(calls.pid, seconds=PATIENCE_SECONDS))
     assert not child.is_running()
 
 
 def test_a_function_that_the_child_cannot_import_is_an_error(
     guard: Guard, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    child = guard.call(calls.pid, seconds=SECONDS)
+    child = guard.call(calls.pid, seconds=PATIENCE_SECONDS)
     monkeypatch.setattr(calls.double, "__qualname__", "triple")
     monkeypatch.setattr(calls, "triple", calls.double, raising=False)
     with pytest.raises(AttributeError, match="triple"):
-        guard.call(calls.double, 1, seconds=SECONDS)
-    assert guard.call(calls.pid, seconds=SECONDS) == child
+        guard.call(calls.double, 1, seconds=PATIENCE_SECONDS)
+    assert guard.call(calls.pid, seconds=PATIENCE_SECONDS) == child
 
 
 def test_children_have_the_environment_at_their_start(monkeypatch: pytest.MonkeyPatch) -> None:
     with kept_forking(), Guard() as first, Guard() as second:
-        assert first.call(os.getenv, "OF_NOW", seconds=SECONDS) is None
+        assert first.call(os.getenv, "OF_NOW", seconds=PATIENCE_SECONDS) is None
         monkeypatch.setenv("OF_NOW", "set")
-        assert second.call(os.getenv, "OF_NOW", seconds=SECONDS) == "set"
-        assert first.call(calls.double, 1, seconds=SECONDS) == 2
+        assert second.call(os.getenv, "OF_NOW", seconds=PATIENCE_SECONDS) == "set"
+        assert first.call(calls.double, 1, seconds=PATIENCE_SECONDS) == 2
 
 
 def test_the_preparation_is_there_in_each_child() -> None:
@@ -100,25 +101,27 @@ def test_the_preparation_is_there_in_each_child() -> None:
         found: list[str] = []
         while not found or found[-1] == "":  # the first may have been forked before
             with Guard() as guard:
-                found.append(guard.call(calls.prepared, seconds=SECONDS))
+                found.append(guard.call(calls.prepared, seconds=PATIENCE_SECONDS))
     assert found[-1] == "by the server"
 
 
 def test_the_server_of_forks_is_shared_and_replaced_when_it_dies() -> None:
     with Guard() as first, Guard() as second:
-        parents = {psutil.Process(g.call(calls.pid, seconds=SECONDS)).ppid() for g in (first, second)}
+        parents = {
+            psutil.Process(g.call(calls.pid, seconds=PATIENCE_SECONDS)).ppid() for g in (first, second)
+        }
         assert len(parents) == 1
         psutil.Process(parents.pop()).kill()
         for guard in (first, second):
             with pytest.raises(Died, match="SIGKILL"):
                 call_on(guard)
-            assert guard.call(calls.double, 21, seconds=SECONDS) == 42
+            assert guard.call(calls.double, 21, seconds=PATIENCE_SECONDS) == 42
 
 
 def call_on(guard: Guard) -> None:
     """Call until it fails: a child may answer once more before it is gone."""
     while True:
-        guard.call(calls.pid, seconds=SECONDS)
+        guard.call(calls.pid, seconds=PATIENCE_SECONDS)
 
 
 @pytest.mark.skipif(not FORKS, reason="children are not forked here")
@@ -126,9 +129,9 @@ def test_a_failed_fork_fails_only_its_own_call(monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.setenv("A_SERVER", "of its own")
     first, second = (Guard(prepare=calls.refuse_forks) for _ in range(2))
     with first, second:
-        child = first.call(calls.pid, seconds=SECONDS)
+        child = first.call(calls.pid, seconds=PATIENCE_SECONDS)
         with pytest.raises(NotStartedError, match="^could not start: the system has no memory left"):
-            second.call(calls.pid, seconds=SECONDS)
+            second.call(calls.pid, seconds=PATIENCE_SECONDS)
         with pytest.raises(ProcessingError, match="could not start: .* end other programs, then run again$"):
             read_guarded(second, calls.fail, Path(__file__))  # the file is not to blame
-        assert first.call(calls.pid, seconds=SECONDS) == child
+        assert first.call(calls.pid, seconds=PATIENCE_SECONDS) == child

@@ -8,21 +8,20 @@ from contextlib import suppress
 import psutil
 
 from tests.tiler.schedule import calls
+from tests.waiting import PATIENCE_SECONDS, wait_until
 from tiler.errors import InputError
 from tiler.schedule import Died, Guard, Guards
 from tiler.schedule.parallel_calls import AHEAD
 
-SECONDS = 300.0
-
 
 def work(guard: Guard, item: int) -> int:
     if item == 3:
-        return guard.call(calls.crash, seconds=SECONDS) or 0
+        return guard.call(calls.crash, seconds=PATIENCE_SECONDS) or 0
     if item == 5:
-        guard.call(calls.fail, "five", seconds=SECONDS)
+        guard.call(calls.fail, "five", seconds=PATIENCE_SECONDS)
     if item % 4 == 0:
         time.sleep(0.02)
-    return guard.call(calls.double, item, seconds=SECONDS)
+    return guard.call(calls.double, item, seconds=PATIENCE_SECONDS)
 
 
 def test_results_and_errors_come_in_order() -> None:
@@ -52,12 +51,11 @@ def test_few_calls_begin_before_the_first_result_is_taken() -> None:
 
 def test_no_child_outlives_an_early_end() -> None:
     def hang(guard: Guard, item: int) -> None:
-        guard.call(calls.sleep, seconds=SECONDS)
+        guard.call(calls.sleep, seconds=PATIENCE_SECONDS)
 
     with Guards(2) as guards:
         next(guards.each(hang, range(100)))
-        while len(_children()) < 2:
-            time.sleep(0.01)
+        wait_until(lambda: len(_children()) == 2)
     assert not _children()
 
 

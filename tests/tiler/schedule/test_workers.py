@@ -7,7 +7,6 @@ import logging
 import os
 import sys
 import tempfile
-import time
 from collections import Counter
 from collections.abc import Callable, Iterator
 from dataclasses import replace
@@ -22,13 +21,13 @@ import pytest
 from distributed import LocalCluster
 
 from tests.integration.cloud import Cable
+from tests.scenes.running import wait_until_gone
 from tests.tiler.schedule import calls
+from tests.waiting import PATIENCE_SECONDS, wait_until
 from tiler.errors import ConfigError, ConnectionLostError
 from tiler.schedule import TRIES, Executor, Limits, Outcome, SerialExecutor, Task
 from tiler.schedule.fork_server import FORKS, child_environment
 from tiler.schedule.workers import DaskExecutor
-
-SECONDS = 300.0
 
 
 def task(value: int, **arguments: Any) -> Task:
@@ -37,7 +36,7 @@ def task(value: int, **arguments: Any) -> Task:
 
 @pytest.fixture(scope="module")
 def two() -> Iterator[DaskExecutor]:
-    executor = DaskExecutor(2, limits=Limits(memory_bytes=1 << 30, seconds=SECONDS))
+    executor = DaskExecutor(2, limits=Limits(memory_bytes=1 << 30, seconds=PATIENCE_SECONDS))
     yield executor
     executor.close()
 
@@ -137,14 +136,15 @@ def test_workers_can_be_ended_during_their_work(tmp_path: Path) -> None:
     executor = DaskExecutor(2)
     outcomes = executor.run(calls.perform, str(tmp_path), [task(1), task(2, wait=900), task(3, wait=900)])
     next(outcomes)
-    workers, began = set[psutil.Process](), time.monotonic()
+
+    def workers() -> set[psutil.Process]:
+        return set(psutil.Process().children(recursive=True)) - before
+
     # The server of forks is included; the second worker may not have started when the first one is done.
-    while len(workers) < 3 and time.monotonic() - began < SECONDS:
-        time.sleep(0.01)
-        workers = set(psutil.Process().children(recursive=True)) - before
-    assert len(workers) == 3
+    wait_until(lambda: len(workers()) == 3)
+    at_work = workers()
     executor.close()
-    assert not psutil.wait_procs(workers, timeout=120)[1]
+    wait_until_gone(at_work)
     assert logging.getLogger("distributed").level == level
 
 
@@ -305,7 +305,7 @@ def test_a_cluster_whose_workers_come_late_is_waited_for(
         monkeypatch.setattr("tiler.schedule.workers.WORKERS_SECONDS", 0.5)
         with pytest.raises(ConfigError, match="it has no workers; start some with `dask worker"):
             DaskExecutor(1, cluster.scheduler_address)
-        monkeypatch.setattr("tiler.schedule.workers.WORKERS_SECONDS", SECONDS)
+        monkeypatch.setattr("tiler.schedule.workers.WORKERS_SECONDS", PATIENCE_SECONDS)
         Timer(1.0, cluster.scale, [1]).start()
         executor = DaskExecutor(1, cluster.scheduler_address)
         try:
@@ -329,7 +329,7 @@ def test_a_process_that_cannot_start_is_not_reported_as_killed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("A_SERVER", "that forks once")
-    limits = Limits(memory_bytes=1 << 30, seconds=SECONDS, prepare=calls.refuse_forks)
+    limits = Limits(memory_bytes=1 << 30, seconds=PATIENCE_SECONDS, prepare=calls.refuse_forks)
     executor = DaskExecutor(2, limits=limits)
     try:
         ends, _ = run(executor, [task(1, wait=3), task(2, wait=3)], tmp_path)

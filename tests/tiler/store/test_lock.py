@@ -15,6 +15,7 @@ from typing import Any
 import psutil
 import pytest
 
+from tests.waiting import wait_until
 from tiler.errors import LockedError
 from tiler.store import StoreMeta, TileStore, create_store, lock, locked_folder, open_store, remove_store
 from tiler.store.layout import LOCK_KEY
@@ -88,10 +89,7 @@ def test_a_held_lease_is_renewed_and_a_lost_lease_is_noticed(
     store, storage = create_store(store_url, meta), Storage(store_url)
     with store.lock() as held:
         first = storage.get_json(LOCK_KEY)["renewed"]
-        deadline = time.monotonic() + 120
-        while storage.get_json(LOCK_KEY)["renewed"] == first and time.monotonic() < deadline:
-            time.sleep(0.005)
-        assert storage.get_json(LOCK_KEY)["renewed"] > first
+        wait_until(lambda: storage.get_json(LOCK_KEY)["renewed"] > first)
         waits, wait = list[float](), held._stop.wait
 
         def noted(seconds: float) -> bool:
@@ -100,8 +98,7 @@ def test_a_held_lease_is_renewed_and_a_lost_lease_is_noticed(
 
         monkeypatch.setattr(held._stop, "wait", noted)
         monkeypatch.setattr(lock, "RENEW_SECONDS", 1000.0)
-        while 1000.0 not in waits:  # a renewal is under way
-            time.sleep(0.005)
+        wait_until(lambda: 1000.0 in waits)  # a renewal is under way
         storage.put_json(LOCK_KEY, lease(host="elsewhere"))
         with pytest.raises(LockedError, match="on elsewhere"):
             held.check()

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from tests.waiting import PATIENCE_SECONDS
 from tiler.core.lattice import Cell
 from tiler.store import BucketInfo, TileStore
 
@@ -41,7 +42,7 @@ def test_two_processes_write_different_buckets(local_store: TileStore) -> None:
         )
         for a, b in [(0, 20), (20, 40)]
     ]
-    assert [w.wait(timeout=600) for w in workers] == [0, 0]
+    assert [w.wait(timeout=PATIENCE_SECONDS) for w in workers] == [0, 0]
 
     done = local_store.committed("assemble")
     assert len(done) == 40
@@ -69,6 +70,6 @@ def test_two_processes_start_the_same_labels(filled: TileStore) -> None:
         subprocess.Popen([sys.executable, "-W", "error", "-c", LABELS, filled.url, str(i)], cwd=REPOSITORY)
         for i in (0, 1)
     ]
-    assert [w.wait(timeout=600) for w in workers] == [0, 0]
+    assert [w.wait(timeout=PATIENCE_SECONDS) for w in workers] == [0, 0]
     for i, (cell, info) in enumerate(filled.buckets().items()):
         assert filled.read_labels("pass", cell).tolist() == [i] * info.n

@@ -16,6 +16,7 @@ import pytest
 import shapely
 
 from tests.tiler.io.vector.files import collection, write
+from tests.waiting import PATIENCE_SECONDS
 from tiler.errors import InputError
 from tiler.io.vector import (
     LINES,
@@ -196,5 +197,5 @@ def test_two_gdals_in_one_process(tmp_path: Path) -> None:
     for order in (lines, lines[::-1]):
         script = "\n".join([*order, "print(p(), *numpy.round(r(), 4).ravel(), p())"])
         command = [sys.executable, "-W", "error", "-c", script]
-        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=900)
+        done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=PATIENCE_SECONDS)
         assert (done.stdout.split(), done.stderr) == (["EPSG:25832", "9.0", "48.753", "EPSG:25832"], "")
