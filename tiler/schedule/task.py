@@ -59,8 +59,6 @@ class Task:
     parts : tuple of Task
         Tasks that this one does together. Its record holds their records in the same order, as ``parts``, and each is
         committed by itself. The task is tried once; if it fails, the parts are done one by one.
-    starts_small : bool
-        Whether the task needs so much memory that its worker first frees what it keeps between tasks.
     """
 
     stage: str
@@ -70,7 +68,6 @@ class Task:
     arguments: Any = None
     points: int = 0
     parts: tuple[Task, ...] = ()
-    starts_small: bool = False
 
     @property
     def tries(self) -> int:

@@ -16,8 +16,8 @@ from tiler.errors import DamagedError, DiskFullError, StoreAccessError, TilerErr
 from tiler.schedule import Outcome, Task
 from tiler.store import open_store, packed_by_one_thread
 
-KEPT_SHARE = 10
-"""Part of its memory, one in this many bytes, that a worker keeps between tasks for the arrays of the next task."""
+KEPT_SHARE = 20
+"""Part of its memory, one in this many bytes, that a worker keeps between tasks of one stage."""
 
 # Options of mallopt, from malloc.h.
 _M_TRIM_THRESHOLD = -1
@@ -30,6 +30,8 @@ _NO_GLIBC = (OSError, AttributeError, TypeError)
 
 _kept_bytes = 0
 """Memory that this process may keep between tasks; 0 for as little as possible."""
+_last_stage = ""
+"""Stage of the task that this process did last."""
 
 
 def peak_rss_bytes() -> int:
@@ -59,6 +61,14 @@ def _give_back() -> None:
     """
     if _resident_bytes() > _kept_bytes:
         _give_all_back()
+
+
+def _begin_stage(stage: str) -> None:
+    """Return all freed memory to the system before the first task of a stage, whose arrays have other sizes."""
+    global _last_stage
+    if stage != _last_stage:
+        _give_all_back()
+        _last_stage = stage
 
 
 def _give_all_back() -> None:
@@ -96,7 +106,7 @@ def prepare(memory_bytes: int) -> None:
     Parameters
     ----------
     memory_bytes : int
-        Memory that a worker may use; it may keep a tenth of it between tasks.
+        Memory that a worker may use; it may keep a twentieth of it between tasks of a stage.
     """
     global _kept_bytes
     load_kernels()
@@ -119,8 +129,7 @@ def _run(store_url: str, task: Task, commit: bool) -> Outcome:
     start = time.monotonic()
     if _kept_bytes:
         _keep_freed_memory()
-    if task.starts_small:
-        _give_all_back()
+    _begin_stage(task.stage)
     _forget_peak()
     kind: type[BaseException]
     damaged: tuple[str, ...] = ()
