@@ -52,14 +52,16 @@ def small_buckets(monkeypatch: pytest.MonkeyPatch) -> None:
 def finished_run(demo: DemoScene, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, RunResult]:
     """OUT and result of the whole job by the Python API, with a method of one pass. Not to be changed."""
     out = tmp_path_factory.mktemp("run") / "out"
-    return out, run([str(path) for path in demo.paths], out, settings(tile_size="128"))
+    return out, run([str(path) for path in demo.paths], out, settings(tile_size="128", water="auto"))
 
 
 @pytest.fixture(scope="session")
 def default_run(demo: DemoScene, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, RunResult]:
     """The same with the default method."""
     out = tmp_path_factory.mktemp("default") / "out"
-    return out, run([str(path) for path in demo.paths], out, settings(tile_size="128", method="auto"))
+    return out, run(
+        [str(path) for path in demo.paths], out, settings(tile_size="128", method="auto", water="auto")
+    )
 
 
 @pytest.fixture(scope="module")

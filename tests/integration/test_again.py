@@ -51,7 +51,7 @@ def out(finished_run: Finished, demo: DemoScene, tmp_path: Path) -> Path:
 
 def again(demo: DemoScene, out: Path, **changes: Any) -> dict[str, int]:
     """Tasks that a run on all files computes, by stage; only those stages that computed something."""
-    result = do(list(demo.paths), out, **{"tile_size": "128", **changes})
+    result = do(list(demo.paths), out, **{"tile_size": "128", "water": "auto", **changes})
     assert result.exit_code == 0
     assert result.did_nothing == (not any(computed(result).values()))
     return {stage: n for stage, n in computed(result).items() if n}

@@ -20,7 +20,7 @@ from tests.waiting import PATIENCE_SECONDS, wait_until
 
 pytestmark = pytest.mark.slow
 
-INSTANTS, INSTANTS_OF_A_RUN = 2, 4
+INSTANTS, INSTANTS_OF_A_RUN = 1, 3
 OPTIONS = ("--method", "classic", "--workers", "2", "--resolution", "1", "--tile-size", "64", "--halo", "80")
 JOBS = ("run", "ingest", "filter", "grid", "export")
 ENDED_ITSELF = (0, 2, 3, 5)
@@ -105,12 +105,11 @@ def test_in_every_command(name: str, folder: Path, tmp_path: Path) -> None:
 
 
 def test_while_kernels_compile(folder: Path, tmp_path: Path) -> None:
-    """Which takes a minute, most of it in a library; on a quick machine less than the last of these times."""
-    for number, after in enumerate((1.0, 4.0, 9.0, 17.0)):
+    """Which takes a minute, most of it in a library."""
+    for number, after in enumerate((1.0, 9.0)):
         out = tmp_path / str(number)
         call = [*arguments("run", folder, out), "--method", "auto"]
-        cache = str(
-            tmp_path / f"cache{number}"
-        )  # root's own kernels would be taken over from the usual place
+        # From the usual place, kernels that were compiled before would be taken over.
+        cache = str(tmp_path / f"cache{number}")
         variables = {"NUMBA_CACHE_DIR": cache, "XDG_CACHE_HOME": cache}
         assert interrupted(call, after, out / "events.jsonl", **variables) in (130, 0)

@@ -130,6 +130,8 @@ def test_the_stages_one_by_one_are_the_whole_job(
         ("grid", set(GRID)),
         ("export", {"export", "catalogue"}),
     ):
-        result = do(list(demo.paths), tmp_path / "out", until=until, tile_size="128", method="auto")
+        result = do(
+            list(demo.paths), tmp_path / "out", until=until, tile_size="128", method="auto", water="auto"
+        )
         assert {stage for stage, n in computed(result).items() if n} == stages
     assert output_digests(tmp_path / "out") == output_digests(default_run[0])

@@ -116,7 +116,7 @@ def test_neither_tiles_nor_buckets_nor_order_show(
 
 
 def test_only_what_an_edit_reaches_is_done_again(quarter_files: list[Path], tmp_path: Path) -> None:
-    fine = {"resolution": "0.25", "max_edge": "2"}
+    fine = {"resolution": "0.25", "max_edge": "2", "water": "auto"}
     plain = do(quarter_files, tmp_path / "out", **fine)
     before = digests(tmp_path / "out")
     edits = draw(tmp_path / "e.json", [(shapely.box(165, 150, 185, 170), {"action": "not_ground"})])

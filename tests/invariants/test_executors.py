@@ -69,7 +69,7 @@ def test_every_executor_gives_the_same_bytes(
 ) -> None:
     small_stores(monkeypatch, row_points=USUAL_ROW_POINTS)  # what workers know
     monkeypatch.setattr("tiler.runs.executors.make_executor", lambda *_: (EXECUTORS | SLOW)[name]())
-    result = do(quarter_files, tmp_path / "out")
+    result = do(quarter_files, tmp_path / "out", water="auto")
     assert result.exit_code == 0
     assert output_digests(tmp_path / "out") == output_digests(finished)
 

@@ -28,8 +28,10 @@ FLOATING = {"als_weir": 0.015, "als_meander": 0.005, "als_lakes": 0.005}
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("classes", [False, True])
-@pytest.mark.parametrize("name", ["als_weir", "als_meander", "als_lakes"])
+@pytest.mark.parametrize(
+    ("name", "classes"),
+    [("als_weir", False), ("als_weir", True), ("als_meander", False), ("als_lakes", True)],
+)
 def test_extent_levels_and_shores(name: str, classes: bool, tmp_path: Path) -> None:
     figures = scored(name, HIDDEN_SEED, tmp_path, classes)
     assert figures["recall"] > 0.94

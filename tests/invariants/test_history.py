@@ -47,10 +47,11 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "trust the input": {"method": "keep", "ground_classes": [1]},
     "a part": {"bounds": [500_040.0, 5_400_010.0, 500_150.0, 5_400_170.0]},
     "fewer files": {},
+    "water": {"water": "auto"},
 }
 
 
-WRITES = 250
+WRITES = 400
 """Some more than a run does, so that a few end undisturbed."""
 
 
@@ -138,10 +139,11 @@ def test_an_eventful_history(
     ("other", "step"),
     [
         ("other pixels", 17),
-        pytest.param("as many other pixels", 2, marks=pytest.mark.slow),
+        pytest.param("as many other pixels", 7, marks=pytest.mark.slow),
         pytest.param("fewer files", 23, marks=pytest.mark.slow),
-        pytest.param("other tiles", 13, marks=pytest.mark.slow),
+        pytest.param("other tiles", 29, marks=pytest.mark.slow),
         pytest.param("two passes", 41, marks=pytest.mark.slow),
+        pytest.param("water", 13, marks=pytest.mark.slow),
     ],
 )
 def test_another_run_cut_off_at_each_write(

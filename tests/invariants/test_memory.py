@@ -18,7 +18,7 @@ MEASURED = """
 import json, sys
 from tests.invariants.runs import do
 from pathlib import Path
-do(Path(sys.argv[1]), Path(sys.argv[2]), **json.loads(sys.argv[3]))
+do(Path(sys.argv[1]), Path(sys.argv[2]), water="auto", **json.loads(sys.argv[3]))
 """
 
 
