@@ -29,6 +29,13 @@ def written_unit(metres: Fraction) -> str:
     return "usft" if metres == US_SURVEY_FOOT else short_unit(metres)
 
 
+def length_option(metres: Fraction, unit: Fraction) -> str:
+    """A length as a value on the command line: ``2``, or ``3ft`` where the unit of the CRS is the foot."""
+    if short_unit(unit) != "ft":
+        return f"{float(metres):g}"
+    return f"{float(metres / unit):g}{written_unit(unit)}"
+
+
 def area_text(square_metres: float, unit: float | Fraction) -> str:
     """An area: ``0.25 km2``; on a CRS in feet ``62 acres``, or square miles where it is larger."""
     if short_unit(unit) != "ft":

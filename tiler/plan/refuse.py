@@ -13,6 +13,7 @@ from tiler.config import RunConfig
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.products import PRODUCTS
 from tiler.core.sheet_names import beginning
+from tiler.core.units_text import in_unit_of_crs, length_option
 from tiler.errors import ConfigError
 from tiler.io.locations import joined
 from tiler.io.overwrite_check import Target, check_folder, check_targets
@@ -128,18 +129,29 @@ def _targets(plan: Plan) -> list[str]:
     return wanted
 
 
+def _error(plan: Plan, text: str) -> ConfigError:
+    """A refusal whose lengths have feet, if the CRS has."""
+    return ConfigError(in_unit_of_crs(text, plan.meta.frame.units))
+
+
+def _option(plan: Plan, metres: Fraction) -> str:
+    return length_option(metres, plan.meta.frame.units.horizontal)
+
+
 def refuse_resolution(plan: Plan) -> None:
     """Raise ConfigError for pixels with which gridding would not be exact."""
     pixel = plan.meta.frame.counts(plan.resolution)
     if pixel.denominator > MAX_DENOMINATOR:
-        raise ConfigError(
+        raise _error(
+            plan,
             f"--resolution {float(plan.resolution):g} m: {float(pixel) / COUNTS_PER_UNIT:.9g} CRS units "
-            "is too odd a fraction; give it in the unit of the CRS"
+            "is too odd a fraction; give it in the unit of the CRS",
         )
     if pixel >= WIDEST_PIXEL:
         most = float(WIDEST_PIXEL * plan.meta.frame.metres_xy)
-        raise ConfigError(
-            f"--resolution {float(plan.resolution):g} m: pixels are less than {most:,.0f} m wide; use a smaller one"
+        raise _error(
+            plan,
+            f"--resolution {float(plan.resolution):g} m: pixels are less than {most:.0f} m wide; use a smaller one",
         )
 
 
@@ -149,9 +161,10 @@ def refuse_fine(plan: Plan, out: Path | None) -> None:
     if usual is None or not too_much_between(plan, out) or too_much_between(usual, out):
         return
     pixels, spacing = pixels_of(plan).largest, 1 / math.sqrt(plan.density)
-    raise ConfigError(
+    raise _error(
+        plan,
         f"--resolution {float(plan.resolution):g} m: one raster would have {pixels:.2g} pixels, and the points are "
-        f"{spacing:.2g} m apart; use --resolution {float(usual.resolution):g}, or --sheets"
+        f"{spacing:.2g} m apart; use --resolution {_option(plan, usual.resolution)}, or --sheets",
     )
 
 
@@ -179,9 +192,11 @@ def refuse(plan: Plan, out: Path | None, changed: Changed) -> None:
     refuse_resolution(plan)
     sheets = plan.config.sheets
     if sheets is not None and (sheets / plan.resolution).denominator != 1:
-        raise ConfigError(
+        whole = max(round(sheets / plan.resolution), 1) * plan.resolution
+        raise _error(
+            plan,
             f"--sheets {float(sheets):g} m: no whole number of pixels of {float(plan.resolution):g} m; "
-            f"use --sheets {float(max(round(sheets / plan.resolution), 1) * plan.resolution):g} or another --resolution"
+            f"use --sheets {_option(plan, whole)} or another --resolution",
         )
     if sheets is not None and len(plan.config.exported) > 1 and "{name" not in plan.config.sheet_name:
         raise ConfigError(
@@ -282,5 +297,6 @@ def _refuse_disk(plan: Plan, out: Path) -> None:
         remedy = "free some, or use --store on another disk or fewer --products"
         usual = _usual_pixel(plan)
         if usual is not None and needed_bytes(usual) <= free:
-            remedy = f"use --resolution {float(usual.resolution):g} instead of {float(plan.resolution):g}, or free some"
+            coarser, asked = _option(plan, usual.resolution), _option(plan, plan.resolution)
+            remedy = f"use --resolution {coarser} instead of {asked}, or free some"
         raise ConfigError(f"{out}: needs about {need / 1e6:,.0f} MB, {free / 1e6:,.0f} MB are free; {remedy}")

@@ -70,6 +70,29 @@ def test_pixels_far_too_fine_are_the_cause_not_the_coordinates(wide: Path, tmp_p
     assert planned(wide, resolution="1").resolution == 1
 
 
+@pytest.mark.parametrize(
+    ("settings", "line"),
+    [
+        (
+            {"resolution": "0.0001ft"},
+            r"--resolution 0.0001 ft .* points are .* ft .*apart; use --resolution (.*), or",
+        ),
+        (
+            {"sheets": "500"},
+            r"--sheets 1,640 ft \(500 m\): no whole number of pixels of .* ft; use --sheets (.*) or another",
+        ),
+    ],
+)
+def test_a_refusal_for_a_cloud_in_feet_has_feet_and_what_it_names_suffices(
+    settings: dict[str, str], line: str, wide: Path
+) -> None:
+    text = refusal(wide, units="ft,ft", **settings)
+    named = re.match(line, text)
+    assert named, text
+    assert named[1].endswith("ft")
+    planned(wide, units="ft,ft", **dict.fromkeys(settings, named[1]))
+
+
 def test_a_disk_too_small_for_fine_pixels(
     wide: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
