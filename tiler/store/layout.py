@@ -239,6 +239,20 @@ _KEYS = re.compile(
     rf"|index/(current\.json|{_HEX}\.npy)"
     rf"|commits/{_NAME}/{_NAME}\.json|(packs|state)/{_NAME}\.json|trial/{_HEX}"
 )
+FOLDERS = (
+    "points",
+    "labels",
+    "elected",
+    "rasters",
+    "spool",
+    "records",
+    "index",
+    "commits",
+    "packs",
+    "state",
+    "trial",
+)
+"""Folders of a store."""
 # Temporary names of files, which are renamed once they are whole.
 _SCRATCH = re.compile(
     rf"((points|labels|elected|rasters|spool|records|index|commits|packs|state|trial)/(.+/)?)?[^/]+\.{_HEX}\.partial"

@@ -52,7 +52,7 @@ def create_store(
                 f"{url}: holds a store of other settings or inputs; use --overwrite or another --store"
             )
         return store
-    if there:
+    if there or storage.names(""):
         # The description stays until the new one replaces it, so that a killed run leaves a store.
         _empty(storage)
     root = sealed({"attributes": attributes, "zarr_format": 3, "node_type": "group"})
@@ -88,7 +88,7 @@ def _is_a_store(storage: Storage) -> bool:
     data = storage.get("zarr.json")
     if data is None:
         # A zarr.json that is listed but cannot be read is a folder, or a link to one.
-        others = [name for name in storage.names("") if name == "zarr.json" or not layout.is_ours(name)]
+        others = [name for name in storage.names("") if name == "zarr.json" or not _is_remains(storage, name)]
         if lock.is_foreign(storage):
             others.append(layout.LOCK_KEY)
         if others:
@@ -101,6 +101,11 @@ def _is_a_store(storage: Storage) -> bool:
             f"{url}: not a tile store of tiler; give another place, or remove it yourself"
         )
     return True
+
+
+def _is_remains(storage: Storage, name: str) -> bool:
+    """Whether a file or folder is all that is left of a store that somebody removed while a run wrote to it."""
+    return layout.is_ours(name) or (name in layout.FOLDERS and all(map(layout.is_ours, storage.keys(name))))
 
 
 def open_store(url: str) -> TileStore:

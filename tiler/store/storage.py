@@ -197,6 +197,10 @@ class Storage:
             return []
         return sorted(name.rstrip("/") for name in sync(_collected(self.zarr_store.list_dir(prefix))))
 
+    def keys(self, folder: str) -> list[str]:
+        """Keys of all objects below a folder that is there, in any order."""
+        return sync(_collected(self.zarr_store.list_prefix(f"{folder}/")))
+
     def exists(self) -> bool:
         """Whether a local folder is there; always true for object stores, which have no folders.
 

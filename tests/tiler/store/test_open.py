@@ -175,6 +175,21 @@ def test_only_files_of_the_store_are_removed(filled: TileStore) -> None:
         create_store(filled.url, filled.meta)
 
 
+def test_remains_of_a_store_are_replaced(store_url: str, meta: StoreMeta) -> None:
+    """As where somebody removed it while a run was writing a state."""
+    Storage(store_url).put("state/plan.json", b"1")
+    Storage(store_url).put(f"commits/filter0/{'a' * 8}.json", b"1")
+    store = create_store(store_url, meta)
+    assert store.get_state("plan") is None
+    assert store.committed("filter0") == {}
+
+
+def test_a_folder_with_a_name_of_the_layout_is_no_remains(store_url: str, meta: StoreMeta) -> None:
+    Storage(store_url).put("state/notes.md", b"mine")
+    with pytest.raises(ForeignStoreError, match=r"something else than a tile store \(state\)"):
+        create_store(store_url, meta)
+
+
 def _no_points() -> PointBlock:
     return make_points(*np.empty((2, 0), np.int64))
 
