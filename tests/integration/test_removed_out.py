@@ -9,6 +9,7 @@ from typing import Any
 import pytest
 
 from tests.invariants.runs import do
+from tests.waiting import wait_until
 from tiler.errors import ProcessingError
 from tiler.export.tasks import files as file_tasks
 from tiler.filter.tasks import passes
@@ -58,6 +59,22 @@ def test_what_was_removed_is_named(
     assert str(caught.value).startswith(f"{out / what}: was removed while the run went on; run again")
     monkeypatch.undo()
     assert do(cloud, out).exit_code == 0
+
+
+def test_nothing_is_written_after_out_was_removed(
+    cloud: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The code of the CRS is worked out beside the tasks that write; it comes after the removal here."""
+    out = tmp_path / "out"
+
+    def late(wkt: str) -> None:
+        wait_until(lambda: not out.exists())
+
+    monkeypatch.setattr("tiler.export.stage.horizontal_code", late)
+    remove_at("write_cog", out, True, monkeypatch)
+    with pytest.raises(ProcessingError, match="was removed while the run went on"):
+        do(cloud, out)
+    assert not (out / "store.zarr").exists()
 
 
 @pytest.mark.parametrize("name", ["write_cog", "write_classified"])

@@ -76,9 +76,14 @@ def export(
     written |= planned(gridding)
     put_aside(job, written.values(), basis)
     _make_folders(rasters, out)  # only now: the folder of sheets that were put aside is gone
+    # The store keeps the code, so that a run that finds all done does not work it out.
+    known = job.store.get_state("crs")
     with ThreadPoolExecutor(1) as meanwhile:  # the workers write
-        crs_code = meanwhile.submit(_crs_code, job)
+        computed = None if known else meanwhile.submit(horizontal_code, job.plan.meta.frame.crs_wkt)
         made = _write(job, "export", tasks, out)
+    crs_code = known["code"] if computed is None else computed.result()
+    if computed is not None:
+        job.store.put_state("crs", {"code": crs_code})
     job.store.drop_records()
     if clouds:
         tell_of_written(job, clouds, made)
@@ -90,7 +95,7 @@ def export(
     if mosaics or job.store.committed("mosaic"):
         mosaics += index_tasks(tasks, made, out)
         made |= _write(job, "mosaic", mosaics, out)
-    catalogue = list(catalogue_tasks(gridding, sources, labelled.kind, made, out, crs_code.result()))
+    catalogue = list(catalogue_tasks(gridding, sources, labelled.kind, made, out, crs_code))
     _make_folders(catalogue, out)
     made |= _write(job, STAGE, catalogue, out)
     files = [task.key for task in (*tasks, *mosaics, *catalogue) if task.key.endswith(PRODUCTS)]
@@ -114,15 +119,6 @@ def export(
         raise ProcessingError(
             f"{job.record.failed[-1]['key']} could not be written: {job.record.failed[-1]['error']}"
         )
-
-
-def _crs_code(job: Job) -> str | None:
-    """`horizontal_code` of the run's CRS, which the store keeps: a run that finds all done does not work it out."""
-    known: dict[str, str | None] | None = job.store.get_state("crs")
-    if known is None:
-        known = {"code": horizontal_code(job.plan.meta.frame.crs_wkt)}
-        job.store.put_state("crs", known)
-    return known["code"]
 
 
 def _make_folders(tasks: list[Task], out: str) -> None:
