@@ -192,6 +192,8 @@ def _fixed_block(path: Path, stream: BinaryIO, state: State, salvage: bool) -> L
     """The header with the fields of the public header block only."""
     size = state.size
     raw = stream.read(HEADER_SIZES[5])
+    if not raw:
+        refuse(path, "is empty")
     if raw[:4] != b"LASF":
         refuse(path, f"begins with {raw[:4]!r}, not with LASF: no LAS or LAZ file", "give LAS or LAZ files")
     if len(raw) < _BLOCK.size:

@@ -72,11 +72,14 @@ def test_false_headers_are_refused_in_one_line(make_cloud: Any, lie: str) -> Non
     assert ";" in text
 
 
-@pytest.mark.parametrize("size", [0, 3, 100, 226])
-def test_stubs_are_refused(make_cloud: Any, size: int) -> None:
+@pytest.mark.parametrize(
+    ("size", "said"),
+    [(0, "is empty"), (3, "begins with b'LAS'"), (100, "has 100 bytes"), (226, "has 226 bytes")],
+)
+def test_stubs_are_refused(make_cloud: Any, size: int, said: str) -> None:
     path = make_cloud("stub.las")
     path.write_bytes(path.read_bytes()[:size])
-    with pytest.raises(InputError):
+    with pytest.raises(InputError, match=f"stub.las: {said}"):
         read_header(path)
 
 
