@@ -19,8 +19,8 @@ from tiler.store import TileStore, open_store
 MARK = 0x80
 WITH_EVERY_STAGE = {"products": "dtm,slope,mask", "voids": "fill", "sheets": "64", "water": "auto"}
 """Settings with which a run has stages of every kind."""
-EVERY_STAGE = """identify spool assemble filter0 grid-dtm grid-slope grid-survey grid-dtm-outlined grid-mask sheets
-export mosaic""".split()  # noqa: SIM905
+EVERY_STAGE = """identify spool assemble filter0 grid-dtm grid-slope grid-survey grid-domain grid-water-ground
+grid-water-areas grid-dtm-outlined grid-mask sheets export mosaic""".split()  # noqa: SIM905
 
 
 def settings(**changes: Any) -> RunConfig:

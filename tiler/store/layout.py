@@ -254,9 +254,7 @@ FOLDERS = (
 )
 """Folders of a store."""
 # Temporary names of files, which are renamed once they are whole.
-_SCRATCH = re.compile(
-    rf"((points|labels|elected|rasters|spool|records|index|commits|packs|state|trial)/(.+/)?)?[^/]+\.{_HEX}\.partial"
-)
+_SCRATCH = re.compile(rf"(({'|'.join(FOLDERS)})/(.+/)?)?[^/]+\.{_HEX}\.partial")
 
 
 def is_scratch(key: str) -> bool:
