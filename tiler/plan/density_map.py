@@ -16,6 +16,8 @@ MOST_CELLS = 1_000_000
 """Most cells of the map. For larger surveys the cells are larger."""
 PARTS = 8
 """Parts of a cell along its side. A bit for each part says whether points cover it; a cell has 64 of them."""
+_BATCH = 4096
+"""Rectangles that are looked at together, which bounds the memory."""
 
 
 class DensityMap:
@@ -43,11 +45,10 @@ class DensityMap:
         while area / self._cell**2 + length / self._cell > MOST_CELLS:
             self._cell *= 2
         self._points = float(boxes[:, 4].sum())
-        parts = [_shares(box, self._cell) for box in boxes]
-        cells = np.concatenate([np.empty((0, 2), np.int64), *(c for c, _, _ in parts)])
-        weights = np.concatenate([np.empty(0), *(w for _, w, _ in parts)])
+        batches = np.split(boxes, range(_BATCH, len(boxes), _BATCH))
+        parts = [_shares(batch, self._cell) for batch in batches]
+        cells, weights, bits = (np.concatenate(columns) for columns in zip(*parts, strict=True))
         self._cells, self._held = _gathered(cells, weights)
-        bits = np.concatenate([np.empty(0, np.uint64), *(b for _, _, b in parts)])
         self.covered_m2 = _covered(cells, bits) * (self._cell / PARTS) ** 2
         # A plan asks for few sides, each many times. A run asks for the same squares whenever it writes run.json.
         self.fullest = cache(self._fullest)
@@ -107,22 +108,35 @@ def _covered(cells: npt.NDArray[np.int64], bits: npt.NDArray[np.uint64]) -> int:
 
 
 def _shares(
-    box: npt.NDArray[np.float64], cell: float
+    boxes: npt.NDArray[np.float64], cell: float
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64], npt.NDArray[np.uint64]]:
-    """Cells that a rectangle touches, int64 (n, 2); the points of each, by area; and the bits of the covered parts."""
-    columns, across = _overlaps(box[0], box[2], cell)
-    rows, along = _overlaps(box[1], box[3], cell)
-    ix, iy = np.meshgrid(columns, rows)
-    share = np.outer(along, across)
-    bits = np.outer(_spread(_parts(rows, box[1], box[3], cell)), _parts(columns, box[0], box[2], cell))
-    return np.stack([ix.ravel(), iy.ravel()], axis=1), share.ravel() * (box[4] / share.sum()), bits.ravel()
+    """Cells that rectangles touch, int64 (n, 2), each with its points, by area, and the bits of its covered parts."""
+    first = np.floor(boxes[:, :2] / cell).astype(np.int64)
+    counts = np.floor(boxes[:, 2:4] / cell).astype(np.int64) - first + 1
+    # A row for each pair of a rectangle and a cell that it touches.
+    box, place = _enumerated(counts.prod(axis=1))
+    columns = counts[box, 0]
+    cells = first[box] + np.stack([place % columns, place // columns], axis=1)
+    low, high, west_south = boxes[box, :2], boxes[box, 2:4], cells * cell
+    sides = np.minimum(west_south + cell, high) - np.maximum(west_south, low)
+    share = np.maximum(sides, 1e-9).prod(axis=1)
+    whole = np.bincount(box, share, minlength=len(boxes))
+    bits = _parts(low - west_south, high - west_south, cell)
+    return cells, share / whole[box] * boxes[box, 4], bits[:, 0] * _spread(bits[:, 1])
 
 
-def _parts(index: npt.NDArray[np.int64], low: float, high: float, cell: float) -> npt.NDArray[np.uint64]:
-    """Bits, for each cell along an axis, of the parts between ``low`` and ``high``; touched parts count."""
-    first, last = (np.floor((v - index * cell) / cell * PARTS).clip(0, PARTS - 1) for v in (low, high))
-    below, above = (np.uint64(1) << v.astype(np.uint64) for v in (first, last + 1))
-    return np.asarray(above - below, np.uint64)
+def _enumerated(counts: npt.NDArray[np.int64]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
+    """For ``counts`` (2, 3): 0 0 1 1 1, and 0 1 0 1 2."""
+    ends = np.cumsum(counts)
+    owner = np.repeat(np.arange(len(counts)), counts)
+    return owner, np.arange(len(owner)) - (ends - counts)[owner]
+
+
+def _parts(low: npt.NDArray[np.float64], high: npt.NDArray[np.float64], cell: float) -> npt.NDArray[np.uint64]:
+    """Bits of the parts of a cell between two distances from its edge, along an axis; touched parts count."""
+    first, last = (np.floor(v / cell * PARTS).clip(0, PARTS - 1).astype(np.uint64) for v in (low, high))
+    one = np.uint64(1)
+    return np.asarray((one << (last + one)) - (one << first), np.uint64)
 
 
 def _spread(bits: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
@@ -130,10 +144,3 @@ def _spread(bits: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
     rows = np.arange(PARTS, dtype=np.uint64)
     one = (bits[:, None] >> rows) & np.uint64(1)
     return np.asarray((one << (rows * np.uint64(PARTS))).sum(axis=1), np.uint64)
-
-
-def _overlaps(low: float, high: float, cell: float) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
-    """Indices of the cells along an axis, and the length of each between ``low`` and ``high``."""
-    index = np.arange(int(np.floor(low / cell)), int(np.floor(high / cell)) + 1)
-    part = np.minimum((index + 1) * cell, high) - np.maximum(index * cell, low)
-    return index, np.maximum(part, 1e-9)
