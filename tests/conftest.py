@@ -70,13 +70,19 @@ def shared_data() -> Path:
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Kernels compile in one of the processes, while another does what needs none; all others find them compiled."""
+    """Order the tests, and let those that start processes run again once.
+
+    Kernels compile in one of the processes, while another does what needs none; all others find them compiled.
+    """
 
     def turn(item: pytest.Item) -> int:
         path = item.path.relative_to(TESTS).as_posix()
         return 0 if path == COMPILE_FIRST else 1 if path.startswith(COMPILE_NOTHING) else 2
 
     items.sort(key=turn)
+    for item in items:
+        if item.get_closest_marker("processes"):
+            item.add_marker(pytest.mark.flaky(reruns=1))
 
 
 def pytest_terminal_summary(terminalreporter: pytest.TerminalReporter) -> None:

@@ -79,6 +79,7 @@ def test_image_is_slim_and_not_root() -> None:
     assert users == ["tiler"]
 
 
+@pytest.mark.processes
 def test_smoke_test_takes_the_files_that_the_image_takes() -> None:
     script = "sed -n 's/^COPY \\([^-].*\\) \\/src.*$/\\1/p' docker/Dockerfile | tr ' ' '\\n'"
     assert script in (ROOT / "docker/smoke.sh").read_text("utf-8")

@@ -7,9 +7,9 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-PATIENCE_SECONDS = 500.0
-"""Longest wait of a test: enough for a loaded machine that compiles the kernels, less than `faulthandler_timeout`, so
-that the test itself says what did not come."""
+PATIENCE_SECONDS = 250.0
+"""Longest wait of a test: enough for a loaded machine that compiles the kernels, less than the `timeout` of
+a test, so that the test itself says what did not come."""
 
 _PAUSE_SECONDS = 0.005
 

@@ -50,6 +50,7 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
     return seen
 
 
+@pytest.mark.processes
 @pytest.mark.parametrize(
     ("command", "until"),
     [("run", "export"), ("ingest", "ingest"), ("filter", "filter"), ("grid", "grid"), ("export", "export")],

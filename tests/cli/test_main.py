@@ -117,6 +117,7 @@ def end_of(process: subprocess.Popen[str]) -> tuple[int, str]:
     return process.returncode, error.strip()
 
 
+@pytest.mark.processes
 @pytest.mark.usefixtures("interruptible")
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
 def test_signals_end_a_process_with_130(number: signal.Signals, tmp_path: Path) -> None:
@@ -125,6 +126,7 @@ def test_signals_end_a_process_with_130(number: signal.Signals, tmp_path: Path) 
     assert end_of(process) == (130, "tiler: interrupted")
 
 
+@pytest.mark.processes
 @pytest.mark.usefixtures("interruptible")
 def test_in_the_background_of_a_script_ctrl_c_is_ignored(tmp_path: Path) -> None:
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # as a shell starts such a job
@@ -136,6 +138,7 @@ def test_in_the_background_of_a_script_ctrl_c_is_ignored(tmp_path: Path) -> None
     assert end_of(process) == (130, "tiler: interrupted")
 
 
+@pytest.mark.processes
 @pytest.mark.parametrize(
     ("arguments", "text"),
     [
@@ -169,6 +172,7 @@ def test_usage_errors_are_one_line_and_2(
     assert captured.out == ""
 
 
+@pytest.mark.processes
 @pytest.mark.parametrize(
     "arguments",
     [
@@ -235,6 +239,7 @@ def test_every_option_says_its_default(name: str, capsys: pytest.CaptureFixture[
         assert option.required or "default" in (option.help or ""), f"{option.opts[0]}: no default told"
 
 
+@pytest.mark.processes
 def test_help_imports_nothing_heavy() -> None:
     """That is what makes it quick."""
     script = (
@@ -253,6 +258,7 @@ def test_help_imports_nothing_heavy() -> None:
         assert done.stderr.strip() == "[]"
 
 
+@pytest.mark.processes
 def test_only_a_run_imports_dask() -> None:
     script = "import sys, tiler.apps.classify, tiler.apps.info, tiler.pipeline; print('distributed' in sys.modules)"
     assert subprocess.check_output([sys.executable, "-c", script], cwd=ROOT, text=True).strip() == "False"

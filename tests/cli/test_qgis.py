@@ -280,6 +280,7 @@ def test_the_version_of_a_command_tells_whether_it_is_the_right_one(
         process.version_of(str(path))
 
 
+@pytest.mark.processes
 def test_what_a_command_says_is_passed_on(
     process: ModuleType, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -304,6 +305,7 @@ def test_an_error_is_the_line_of_the_command(line: str, process: ModuleType, tmp
         process.run_command(script(tmp_path / "b", "exit 137"), lambda event: None, lambda: False)
 
 
+@pytest.mark.processes
 def test_cancel_tells_the_command_and_waits_for_its_end(process: ModuleType, tmp_path: Path) -> None:
     begun, stop = threading.Event(), tmp_path / "stopped"
     text = f"trap 'sleep 0.2; touch {stop}; exit 130' TERM\necho '{LINE}' >&2\nwhile :; do sleep 0.05; done"

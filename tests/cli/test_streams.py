@@ -35,6 +35,7 @@ def run(*arguments: object, **streams: IO[bytes] | int) -> Any:
     return subprocess.run(command(*arguments), **settings, **streams)
 
 
+@pytest.mark.processes
 @pytest.mark.parametrize(
     ("arguments", "code"),
     [(("methods",), 0), (("config", "--template"), 0), (("--help",), 0), (("info", "no"), 3)],
@@ -59,6 +60,7 @@ def test_json_can_be_read_back_whatever_the_code_page(encoding: str, monkeypatch
     assert text.isascii() == (encoding != "utf-8")
 
 
+@pytest.mark.processes
 @pytest.mark.slow
 def test_a_run_that_nobody_listens_to_goes_on(tmp_path: Path) -> None:
     cloud = clouds.write(tmp_path / "hill.laz", clouds.city(60.0, 1.0))
@@ -72,6 +74,7 @@ def test_a_run_that_nobody_listens_to_goes_on(tmp_path: Path) -> None:
         assert run("run", cloud, *options, stdout=nobody, stderr=nobody).returncode == 0
 
 
+@pytest.mark.processes
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is full")
 def test_results_on_a_full_disk_are_an_error_and_progress_is_not() -> None:
     with open("/dev/full", "wb") as full:

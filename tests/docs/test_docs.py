@@ -80,6 +80,7 @@ def test_every_block_is_run_or_says_why_not(page: Path) -> None:
             assert language == "text" or page.name == "index.md", f"a block of the language {language!r}"
 
 
+@pytest.mark.processes
 def test_parameters_are_those_of_the_source() -> None:
     made = subprocess.run(
         [sys.executable, "-c", "import reference, sys; sys.stdout.write(reference.page())"],
@@ -111,6 +112,7 @@ def test_pictures_are_small_and_shown(picture: Path) -> None:
     assert any(picture.name in text for text in texts)
 
 
+@pytest.mark.processes
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "page", [p for p in PAGES if blocks(p) and p.stem != "gallery"], ids=lambda p: p.stem
@@ -120,6 +122,7 @@ def test_every_command_works(page: Path, tmp_path: Path) -> None:
     run_blocks(blocks(page), tmp_path)
 
 
+@pytest.mark.processes
 @pytest.mark.slow
 def test_the_commands_of_the_readme_work(tmp_path: Path) -> None:
     """.ci/run runs the blocks that install, docker/smoke.sh the steps of the image."""

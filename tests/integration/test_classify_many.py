@@ -62,6 +62,7 @@ def test_a_folder_that_holds_the_inputs_is_refused(halves: Path) -> None:
     assert (halves / "half.laz").read_bytes() == before
 
 
+@pytest.mark.processes
 def test_a_broken_file_is_left_out_and_named(
     halves: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -117,6 +118,7 @@ def test_one_file_is_told_from_many(tmp_path: Path, sources: list[str], target: 
     assert is_one_file([s.format(folder=tmp_path) for s in sources], target) == one
 
 
+@pytest.mark.processes
 def test_python_takes_many_files_as_well(halves: Path, tmp_path: Path) -> None:
     result = tiler.classify([halves], tmp_path / "out", method="classic", workers=1)
     assert (result.exit_code, result.path) == (0, tmp_path / "out")

@@ -19,7 +19,7 @@ from tests.scenes.running import wait_for
 from tests.waiting import PATIENCE_SECONDS
 from tiler.version import __version__
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.processes]
 
 OPTIONS = ("--method", "classic", "--resolution", 1, "--tile-size", 64, "--halo", 80, "--memory", "1GiB")
 

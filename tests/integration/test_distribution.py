@@ -14,7 +14,7 @@ import pytest
 from tests.integration.command import ROOT, ended
 from tiler.version import __version__
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.processes]
 
 PACKAGES = ("tiler", "ptd", "cli")
 BUILD_OFFLINE = """

@@ -111,6 +111,7 @@ def test_a_file_that_comes_while_the_run_goes_on_is_not_replaced(
     assert (out / "dtm.tif").read_bytes() == b"mine, not a run's"
 
 
+@pytest.mark.processes
 @pytest.mark.parametrize(
     "where",
     [

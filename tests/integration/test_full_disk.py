@@ -94,6 +94,7 @@ def room(folder: Path) -> int:
     return sum(-(-path.stat().st_size // 4096) * 4096 for path in folder.rglob("*") if path.is_file())
 
 
+@pytest.mark.processes
 @pytest.mark.parametrize("share", [0.2, 0.85, *(pytest.param(s, marks=pytest.mark.slow) for s in SHARES)])
 def test_a_disk_that_fills_up(
     share: float, cloud: Path, whole: Path, disk: SmallDisk, monkeypatch: pytest.MonkeyPatch
@@ -118,6 +119,7 @@ def test_a_disk_that_fills_up(
     assert output_digests(out) == expected
 
 
+@pytest.mark.processes
 @pytest.mark.slow
 @pytest.mark.parametrize("number", range(len(EVERY_STAGE)))
 def test_a_disk_that_is_full_when_a_stage_begins(
@@ -172,6 +174,7 @@ def test_a_store_that_cannot_be_written_is_no_fault_of_the_inputs(
     assert do(cloud, out).exit_code == 0
 
 
+@pytest.mark.processes
 @pytest.mark.skipif(sys.platform != "linux", reason="limits of files are the system's")
 def test_a_raster_that_may_not_grow_says_why(tmp_path: Path) -> None:
     """GDAL does not, and rasterio names a previous exception."""
@@ -184,6 +187,7 @@ def test_a_raster_that_may_not_grow_says_why(tmp_path: Path) -> None:
     assert "previous exception" not in done.stdout
 
 
+@pytest.mark.processes
 def test_a_read_only_out_is_one_line(cloud: Path, disk: SmallDisk) -> None:
     disk.has(64 << 20)
     (disk.folder / "out").mkdir()

@@ -96,6 +96,7 @@ def end_of(call: list[str], at_work: Callable[[psutil.Process], bool]) -> str:
     return error
 
 
+@pytest.mark.processes
 @pytest.mark.parametrize("name", ["plan --aoi", pytest.param("info", marks=pytest.mark.slow)])
 def test_sigterm_ends_the_reading_of_what_never_ends(
     name: str, cloud: Path, hostile: dict[str, Path], tmp_path: Path
@@ -128,6 +129,7 @@ def interrupted(folder: Path, program: str) -> str:
     return end_of([sys.executable, str(folder / "stuck.py")], lambda _: (folder / "ready").exists())
 
 
+@pytest.mark.processes
 def test_an_interruption_of_which_a_library_makes_an_error_is_one(tmp_path: Path) -> None:
     """As a compressor does whose file is written by Python."""
     stuck = STUCK.format("__import__('time').sleep(60)").replace("pass", "raise ValueError('write')")
@@ -135,6 +137,7 @@ def test_an_interruption_of_which_a_library_makes_an_error_is_one(tmp_path: Path
     assert interrupted(tmp_path, patient) == "tiler: interrupted\n"
 
 
+@pytest.mark.processes
 @pytest.mark.parametrize(
     "what",
     [

@@ -14,6 +14,8 @@ from tests.integration.cloud import Cluster
 from tests.integration.command import ROOT, ended
 from tests.invariants import clouds
 
+pytestmark = pytest.mark.processes
+
 MODULES = """laspy lazrs random numpy tiler ptd cli json pickle queue typing zarr dask distributed
 sitecustomize usercustomize"""
 

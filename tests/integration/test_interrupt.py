@@ -20,6 +20,8 @@ from tests.invariants.runs import do, output_digests, the_store
 from tests.scenes.running import wait_for, wait_until_gone
 from tests.waiting import PATIENCE_SECONDS
 
+pytestmark = pytest.mark.processes
+
 STAGES = ("spool", "assemble", "filter0", "grid-dtm", "export")
 OPTIONS = "--method classic --workers 2 --resolution 1 --tile-size 64 --halo 80 --memory 1GiB"
 

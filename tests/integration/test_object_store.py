@@ -55,6 +55,7 @@ def test_results_and_store_by_url(bucket: Any, tmp_path: Path, monkeypatch: pyte
     assert [entry["path"] for entry in summary["inputs"]] == [f"s3://{BUCKET}/hill.laz"]
 
 
+@pytest.mark.processes
 def test_a_real_cloud_has_the_same_bytes_everywhere(
     bucket: Any, shared_data: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -35,6 +35,7 @@ def dies_at_first_state(cloud: Path, out: Path) -> None:
         do(cloud, out, memory="900MiB", tile_size=None, resolution=None)
 
 
+@pytest.mark.processes
 def test_a_run_that_is_killed_as_it_begins_has_settled_all_or_nothing(cloud: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     assert ended(forked(dies_at_first_state, cloud, out)) == 9

@@ -15,6 +15,8 @@ from tests.integration.command import ROOT, assert_one_line, command, ended, env
 from tests.scenes import bare_system, windows_files
 from tiler.simulate import DemoScene
 
+pytestmark = pytest.mark.processes
+
 IMPORT_ALL = """
 import importlib, pathlib, sys
 import cli

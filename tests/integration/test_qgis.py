@@ -28,6 +28,7 @@ STOPPED_AT = "grid: terrain"
 MULTIPLY = 13  # of the modes of QPainter
 
 pytestmark = [
+    pytest.mark.processes,
     pytest.mark.slow,
     pytest.mark.skipif(QGIS_PROCESS is None, reason="no QGIS here (apt-get install qgis)"),
 ]

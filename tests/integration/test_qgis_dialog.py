@@ -25,6 +25,7 @@ def program(path: Path, text: str) -> Path:
     return path
 
 
+@pytest.mark.processes
 @pytest.mark.parametrize("qt", [5, 6])
 def test_the_dialog_finds_and_tests_the_command(qt: int, tmp_path: Path) -> None:
     python = PYTHON

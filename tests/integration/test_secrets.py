@@ -82,6 +82,7 @@ def assert_secret(folder: Path, *texts: str) -> None:
             assert secret.encode() not in content, f"{secret} in {place}"
 
 
+@pytest.mark.processes
 @pytest.mark.slow
 def test_no_output_of_a_run_holds_a_secret_and_it_resumes(
     host: str, tmp_path: Path, capfd: pytest.CaptureFixture[str], logging_as_before: None

@@ -18,7 +18,7 @@ from tests.invariants.runs import output_digests
 from tests.scenes.running import wait_until_gone
 from tests.waiting import PATIENCE_SECONDS, wait_until
 
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.processes]
 
 INSTANTS, INSTANTS_OF_A_RUN = 1, 3
 OPTIONS = ("--method", "classic", "--workers", "2", "--resolution", "1", "--tile-size", "64", "--halo", "80")

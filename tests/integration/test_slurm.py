@@ -48,6 +48,7 @@ def recipe(cloud: Path, out: Path) -> str:
     return made.replace("CLOUDS", repr(str(cloud))).replace("OUT", repr(str(out)))
 
 
+@pytest.mark.processes
 def test_the_recipe_gives_the_bytes_of_one_machine(tmp_path: Path) -> None:
     programs, jobs, out = tmp_path / "bin", tmp_path / "jobs", tmp_path / "out"
     for folder in (programs, jobs):

@@ -100,6 +100,7 @@ def test_events_tell_the_same(default_run: Finished) -> None:
         assert len(done) == len(set(done)) == facts["tasks"]
 
 
+@pytest.mark.processes
 def test_the_command_line_does_the_same(
     default_run: Finished, demo: DemoScene, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:

@@ -215,6 +215,7 @@ def killed_after_writing(path: Path, out: Path) -> None:
     filtered(path, out, tile_size="16")
 
 
+@pytest.mark.processes
 def test_a_run_that_was_killed_while_it_elected(scene: Any, file: Path, tmp_path: Path) -> None:
     out = tmp_path / "out"
     filtered(file, out, kind="als", tile_size="16")

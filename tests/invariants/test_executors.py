@@ -74,6 +74,7 @@ def test_every_executor_gives_the_same_bytes(
     assert output_digests(tmp_path / "out") == output_digests(finished)
 
 
+@pytest.mark.processes
 def test_workers_and_memory_are_in_no_digest(quarter_files: list[Path], tmp_path: Path) -> None:
     do(quarter_files, tmp_path / "out")
     again = do(quarter_files, tmp_path / "out", workers=2, memory="2GiB")

@@ -135,6 +135,7 @@ def test_an_eventful_history(
     assert_no_trace(names, rng, quarter_files, tmp_path / "out", alone(names[-1]))
 
 
+@pytest.mark.processes
 @pytest.mark.parametrize(
     ("other", "step"),
     [

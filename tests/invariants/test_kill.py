@@ -22,6 +22,8 @@ from tests.scenes.small_stores import USUAL_ROW_POINTS, small_stores
 from tests.waiting import wait_until
 from tiler.errors import StoreError
 
+pytestmark = pytest.mark.processes
+
 METHOD = "auto"
 PASSES = sum(not isinstance(step, MatchedPass) for step in METHODS[METHOD].params().passes)  # a laser scan's
 STAGES = ("spool", "assemble", *(f"filter{n}" for n in range(PASSES)), "grid-dtm", "export")

@@ -40,10 +40,12 @@ def assert_within(content: dict) -> None:
     assert content["peak_rss_bytes"] > 50 << 20, "measured nothing"
 
 
+@pytest.mark.processes
 def test_a_small_run_stays_within_what_was_projected(city_file: Path, tmp_path: Path) -> None:
     assert_within(measured_run(city_file, tmp_path / "out"))
 
 
+@pytest.mark.processes
 @pytest.mark.slow
 @pytest.mark.parametrize(("density", "tile"), [(4.0, "600"), (16.0, "256")])
 def test_a_million_points_stay_within_what_was_projected(density: float, tile: str, tmp_path: Path) -> None:
@@ -52,6 +54,7 @@ def test_a_million_points_stay_within_what_was_projected(density: float, tile: s
     assert_within(measured_run(path, tmp_path / "out", tile_size=tile, halo=80, memory="2GiB"))
 
 
+@pytest.mark.processes
 @pytest.mark.slow
 def test_rasters_of_matched_clouds_stay_within_what_was_projected(tmp_path: Path) -> None:
     """A diagonal strip: the windows' rasters hold ten times as many cells as there are points elected."""

@@ -47,6 +47,7 @@ def shifted(las: bytes, east: float, north: float) -> bytes:
     return bytes(moved)
 
 
+@pytest.mark.processes
 @pytest.mark.slow
 def test_four_times_the_points_take_no_more_memory(tmp_path: Path) -> None:
     subprocess.run([sys.executable, "-m", "cli.main", "warm", "classic"], check=True)

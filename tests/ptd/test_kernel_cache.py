@@ -100,6 +100,7 @@ def reaches_python(user: int) -> bool:
     return True
 
 
+@pytest.mark.processes
 @pytest.mark.skipif(
     os.geteuid() != 0 or not reaches_python(65534),
     reason="no other user can start this Python, or this user cannot become another",

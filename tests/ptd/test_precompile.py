@@ -66,6 +66,7 @@ def test_without_a_folder_nothing_is_compiled(monkeypatch: pytest.MonkeyPatch) -
     assert told
 
 
+@pytest.mark.processes
 def test_another_installation_has_a_folder_of_its_own(tmp_path: Path) -> None:
     """numba keeps code by the location of its source, so installations do not share it."""
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": ""}

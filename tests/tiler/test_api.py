@@ -98,6 +98,7 @@ def imported(code: str) -> set[str]:
     return set(made.stdout.split())
 
 
+@pytest.mark.processes
 def test_importing_the_packages_is_cheap() -> None:
     loaded = imported("import tiler, ptd")
     assert not loaded & {"numpy", "numba", "dask", "zarr", "rasterio", "tiler.api", "ptd.api"}
@@ -289,6 +290,7 @@ assert configuration() == before
 """
 
 
+@pytest.mark.processes
 def test_a_run_leaves_the_configuration_of_libraries_as_it_was() -> None:
     made = subprocess.run(
         [sys.executable, "-c", CONFIGURATION], capture_output=True, text=True, check=False, env=environment()
@@ -296,6 +298,7 @@ def test_a_run_leaves_the_configuration_of_libraries_as_it_was() -> None:
     assert (made.returncode, made.stderr) == (0, "")
 
 
+@pytest.mark.processes
 @pytest.mark.slow
 @pytest.mark.parametrize("how", ["script.py", "-c", "-"])
 def test_the_main_program_needs_no_guard(how: str, folder: Path) -> None:

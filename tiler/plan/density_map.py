@@ -132,7 +132,9 @@ def _enumerated(counts: npt.NDArray[np.int64]) -> tuple[npt.NDArray[np.int64], n
     return owner, np.arange(len(owner)) - (ends - counts)[owner]
 
 
-def _parts(low: npt.NDArray[np.float64], high: npt.NDArray[np.float64], cell: float) -> npt.NDArray[np.uint64]:
+def _parts(
+    low: npt.NDArray[np.float64], high: npt.NDArray[np.float64], cell: float
+) -> npt.NDArray[np.uint64]:
     """Bits of the parts of a cell between two distances from its edge, along an axis; touched parts count."""
     first, last = (np.floor(v / cell * PARTS).clip(0, PARTS - 1).astype(np.uint64) for v in (low, high))
     one = np.uint64(1)

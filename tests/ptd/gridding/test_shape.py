@@ -82,6 +82,7 @@ def test_level_ground_and_the_sides_of_the_light() -> None:
     assert np.isnan(multidirectional_hillshade(np.array([np.nan]), zero[0])).all()
 
 
+@pytest.mark.processes
 @pytest.mark.parametrize("kind", ["hillshade", "slope"])
 def test_gdal_says_the_same(kind: str, tmp_path: Path) -> None:
     gdaldem = shutil.which("gdaldem")

@@ -99,6 +99,7 @@ def read_png(path: Path) -> np.ndarray:
         return picture.read(1)
 
 
+@pytest.mark.processes
 def test_a_preview_equals_a_run(hills: Path, tmp_path: Path) -> None:
     told: list[tuple[str, Any]] = []
     listener: Callable[[str, Any], None] = lambda kind, facts: told.append((kind, facts))  # noqa: E731

@@ -165,6 +165,7 @@ def test_a_raster_without_a_height_is_written(tmp_path):
         assert cog.transform[:6] == (1, 0, 0, 0, -1, 0)  # what GDAL takes for "no georeference" elsewhere
 
 
+@pytest.mark.processes
 def test_the_distribution_s_gdal_reads_it(tmp_path, store):
     gdalinfo = shutil.which("gdalinfo")
     if gdalinfo is None:

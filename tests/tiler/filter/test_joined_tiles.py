@@ -16,6 +16,8 @@ from tiler.filter.tasks.tiles import _bytes, tiles_of
 from tiler.plan import Plan, make_plan
 from tiler.plan.memory import JOINED_BYTES
 
+pytestmark = pytest.mark.processes
+
 EACH = 40_000
 """Candidates of a bucket."""
 

@@ -15,7 +15,7 @@ from tests.waiting import PATIENCE_SECONDS
 from tiler.report.html import write_report
 
 playwright = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-pytestmark = pytest.mark.slow
+pytestmark = [pytest.mark.slow, pytest.mark.processes]
 CHROMIUM = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 
 FRAMES_OF_A_DRAG = 20

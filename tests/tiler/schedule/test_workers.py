@@ -238,6 +238,7 @@ def port() -> Iterator[int]:
         yield int(cluster.scheduler_address.rsplit(":", 1)[1])
 
 
+@pytest.mark.processes
 @pytest.mark.parametrize("for_good", [False, True])
 def test_the_connection_breaks_while_a_result_is_fetched(
     for_good: bool,
@@ -275,6 +276,7 @@ def test_the_connection_breaks_while_a_result_is_fetched(
     assert sum(again.values()) >= 1
 
 
+@pytest.mark.processes
 @pytest.mark.parametrize("error", [OSError("no"), AttributeError("no"), RuntimeError("no")])
 def test_a_worker_that_is_unfit_is_refused_whenever_it_joins(
     error: Exception, port: int, tmp_path: Path
@@ -296,6 +298,7 @@ def test_a_worker_that_is_unfit_is_refused_whenever_it_joins(
         executor.close()
 
 
+@pytest.mark.processes
 def test_a_cluster_whose_workers_come_late_is_waited_for(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -52,6 +52,7 @@ def test_the_lock_refuses_a_second_run_and_names_the_holder(store: TileStore) ->
         pass
 
 
+@pytest.mark.processes
 @pytest.mark.parametrize(
     "changes",
     [
@@ -74,6 +75,7 @@ def test_a_damaged_lease_is_taken_over(store: TileStore) -> None:
         held.check()
 
 
+@pytest.mark.processes
 def test_a_fresh_lease_of_another_host_holds(store: TileStore) -> None:
     Storage(store.url).put_json(LOCK_KEY, lease(host="elsewhere", pid=2**22 + 1))
     with pytest.raises(LockedError, match="on elsewhere"), store.lock():
@@ -82,6 +84,7 @@ def test_a_fresh_lease_of_another_host_holds(store: TileStore) -> None:
         remove_store(store.url)
 
 
+@pytest.mark.processes
 def test_a_held_lease_is_renewed_and_a_lost_lease_is_noticed(
     store_url: str, meta: StoreMeta, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -105,6 +108,7 @@ def test_a_held_lease_is_renewed_and_a_lost_lease_is_noticed(
     assert storage.get_json(LOCK_KEY)["host"] == "elsewhere"
 
 
+@pytest.mark.processes
 def test_the_lock_of_a_killed_run_is_free_at_once(tmp_path: Path, meta: StoreMeta) -> None:
     store = create_store(str(tmp_path / "s"), meta)
     code = (
@@ -136,6 +140,7 @@ def test_a_jump_of_the_clock_does_not_free_a_lease(
         held.check()
 
 
+@pytest.mark.processes
 def test_a_lease_of_a_host_with_another_clock_holds_while_it_is_renewed(
     store_url: str, meta: StoreMeta, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -151,6 +156,7 @@ def test_a_lease_of_a_host_with_another_clock_holds_while_it_is_renewed(
         pass
 
 
+@pytest.mark.processes
 @pytest.mark.parametrize("other", [{"pid_namespace": "pid:[1]"}, {"boot": "another"}])
 def test_a_process_number_of_another_container_means_nothing(other: dict[str, Any], store: TileStore) -> None:
     """Two containers may share a host name: a process that is missing here may run in the other one."""
@@ -180,6 +186,7 @@ def test_a_folder_of_results_has_a_lease_of_its_own(tmp_path: Path, meta: StoreM
     assert [p.name for p in tmp_path.iterdir()] == ["store.zarr"]
 
 
+@pytest.mark.processes
 def test_a_run_in_another_container_is_alive(tmp_path: Path, meta: StoreMeta) -> None:
     """A PID namespace of its own with the same host name: process 1 in it is not process 1 here."""
     contained = ["unshare", "--pid", "--fork", "--kill-child"]

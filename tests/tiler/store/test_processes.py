@@ -7,15 +7,19 @@ import sys
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 from tests.waiting import PATIENCE_SECONDS
 from tiler.core.lattice import Cell
 from tiler.store import BucketInfo, TileStore
 
+pytestmark = pytest.mark.processes
+
 REPOSITORY = Path(__file__).resolve().parents[3]
 WORKER = """
 import sys
 import numpy as np
+import pytest
 from tiler.core.lattice import Cell
 from tiler.core.points import PointBlock
 from tiler.store import open_store
@@ -57,6 +61,7 @@ def test_two_processes_write_different_buckets(local_store: TileStore) -> None:
 LABELS = """
 import sys
 import numpy as np
+import pytest
 from tiler.store import open_store
 url, odd = sys.argv[1], int(sys.argv[2])
 for i, (cell, info) in enumerate(open_store(url).buckets().items()):
