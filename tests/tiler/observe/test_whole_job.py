@@ -106,7 +106,6 @@ def test_the_runs_own_pace_counts_from_the_first_tasks_on() -> None:
     assert 50 < left < 90
 
 
-@pytest.mark.processes
 @pytest.mark.parametrize("pace", [0.3, 1.0, 4.0])
 def test_the_bar_moves_while_time_goes_by(pace: float) -> None:
     """Looked at each 5 s: in a stage of one long task, of many, and between stages."""
