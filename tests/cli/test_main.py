@@ -40,9 +40,9 @@ class Panic(BaseException):
         (InputError("a.laz: cut short"), 3, "a.laz: cut short"),
         (StoreError("store.zarr: damaged"), 4, "store.zarr: damaged"),
         (ProcessingError("disk full\nreally"), 4, "disk full really"),
-        (ValueError("odd"), 4, "unexpected ValueError: odd; the same command with -vv shows the traceback"),
-        (MemoryError(), 4, "unexpected MemoryError; the same command with -vv shows the traceback"),
-        (Panic("index"), 4, "unexpected Panic: index; the same command with -vv shows the traceback"),
+        (ValueError("odd"), 4, "unexpected ValueError: odd; run the same command with -vv for the traceback"),
+        (MemoryError(), 4, "unexpected MemoryError; run the same command with -vv for the traceback"),
+        (Panic("index"), 4, "unexpected Panic: index; run the same command with -vv for the traceback"),
     ],
 )
 def test_errors_are_one_line_with_their_exit_code(
