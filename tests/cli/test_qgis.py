@@ -152,7 +152,9 @@ def test_nothing_is_packaged_for_upload_without_the_addresses(
     if lacking is not None:
         assert code == 2
         assert not target.exists()
-        assert "which the repository of QGIS plugins requires; add the missing values" in capsys.readouterr().err
+        assert (
+            "which the repository of QGIS plugins requires; add the missing values" in capsys.readouterr().err
+        )
         return
     assert code == 0
     with zipfile.ZipFile(target) as archive:

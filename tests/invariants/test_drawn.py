@@ -159,9 +159,9 @@ def test_classes_and_heights_follow_edits(made: Path) -> None:
     flat = (rows[:, None] > 150) & (cols > 20) & (rows[:, None] - 150 < 30 * (1 - (cols - 20) / 40) - 0.01)
     assert (heights[flat] == 104.25).all()
     page = (made / "report.html").read_text()
-    assert "4 corrections" in page
+    assert "4 edits" in page
     assert "Breaklines" in page
-    assert '"title":"corrections"' in page.replace(" ", "")
+    assert '"title":"edits"' in page.replace(" ", "")
 
 
 def test_a_correction_that_leaves_a_hole_is_a_problem(tmp_path: Path) -> None:
@@ -184,13 +184,11 @@ def test_a_correction_that_leaves_a_hole_is_a_problem(tmp_path: Path) -> None:
     assert east <= 41
     assert north <= 46
     kinds = {problem["what"]: problem["where"] for problem in summary["problems"]}
-    assert kinds.keys() == {"void inside the survey", "hole in a correction"}
+    assert kinds.keys() == {"void inside the survey", "hole in an edit"}
     assert kinds["void inside the survey"] == tuple(void["bounds"])
     page = (tmp_path / "out" / "report.html").read_text()
     assert "100.0 %" not in page
-    assert (
-        f"correction 1 (not_ground) leaves {summary['edits'][0]['holes']:,} pixels without a height" in page
-    )
+    assert f"edit 1 (not_ground) leaves {summary['edits'][0]['holes']:,} pixels without a height" in page
 
 
 def test_contours_agree_with_the_terrain_and_neither_cross_nor_break(made: Path) -> None:
