@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 EQUIVALENTS = {
-    "csf": "a cloth simulation is not among the methods, auto has a stiffer cloth of its own for matched clouds; ",
+    "csf": "a cloth simulation is not among the methods, auto has a stiffer cloth for photogrammetric clouds; ",
     "smrf": "the morphological filter SMRF is not among the methods, chen2023 opens step by step as it does; ",
     "pmf": "the morphological filter PMF is not among the methods, chen2023 opens step by step as it does; ",
     "ptd": "progressive TIN densification is --method classic; ",

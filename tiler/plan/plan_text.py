@@ -23,7 +23,7 @@ WIDTH = 120
 INDENT = " " * 12
 """Beginning of a line that continues the line above."""
 
-KIND_WORDS = {"lidar": "a laser scan", "dim": "a matched cloud"}
+KIND_WORDS = {"lidar": "a LiDAR cloud", "dim": "a photogrammetric cloud"}
 
 
 def plan_json(plan: Plan) -> dict[str, Any]:
