@@ -245,17 +245,17 @@ def test_spots_are_tops_and_bottoms(made: Path) -> None:
 
 LINE, FAR = shapely.LineString([(0, 0), (5, 5)]), shapely.LineString([(0, 0, 1), (1e10, 0, 1)])
 BOX = shapely.box(0, 0, 5, 5)
-ROOF = "its action is 'roof'; write one of not_ground, ground, void, flat into"
-FLAT = "is flat without a height; write it, in the unit of the heights, into"
+ROOF = "its action is 'roof'; give one of not_ground, ground, void, flat in"
+FLAT = "is flat without a height; give it in the column `z`, in the unit of the heights"
 
 
 @pytest.mark.parametrize(
     ("option", "features", "told"),
     [
-        ("breaklines", [(FAR, {})], "two of its vertices lie 1e+10 apart; give"),
+        ("breaklines", [(FAR, {})], "two of its vertices are 1e+10 apart; give"),
         ("breaklines", [(LINE, {})], "has no heights; draw it in 3D, or give it a column `z`"),
         ("edits", [(BOX, {"action": "roof"})], ROOF),
-        ("edits", [(BOX, {"name": "x"})], "has no `action`; write one of"),
+        ("edits", [(BOX, {"name": "x"})], "has no `action`; give one of"),
         ("edits", [(BOX, {"action": "flat"})], FLAT),
         ("edits", [(LINE, {"action": "void"})], "needs one layer of polygons, has 0"),
     ],
