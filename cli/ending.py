@@ -1,4 +1,4 @@
-"""Ends an interrupted command within seconds: the command may end by itself, and is killed if something hangs."""
+"""End of an interrupted command within seconds: the command may end by itself, and is killed if something hangs."""
 
 from __future__ import annotations
 
@@ -18,22 +18,28 @@ from cli import exit_codes
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM)
 GRACE_SECONDS = 4.0
-"""Time after a signal for closing files and for the last line; a batch system kills soon after."""
+"""Time after a signal for closing files and for the last line. A batch system kills the process soon after it."""
 FORCED = b"tiler: interrupted; the work did not stop, so the process was ended\n"
 
 
 @dataclass
 class Ending:
-    """Whether a command got a signal to end; a library may have turned the interruption into another error."""
+    """Record of whether a command got a signal to end.
+
+    The error that ends the command does not tell this, because a library may turn the interruption into another error.
+    """
 
     own_process: bool = False
     told: bool = False
 
     def interrupt(self, number: int, frame: object) -> NoReturn:
-        """Handle SIGINT or SIGTERM; a second one does not disturb the orderly end, which comes in any case."""
+        """Raise KeyboardInterrupt for SIGINT or SIGTERM.
+
+        A second signal of the same kind is ignored, so that it does not disturb the orderly end.
+        """
         self.told = True
         signal.signal(number, signal.SIG_IGN)
-        if self.own_process:  # objects that a library has half made complain when they are removed
+        if self.own_process:  # half-made objects of libraries warn when they are deleted
             sys.unraisablehook = lambda _: None
             sys.excepthook = lambda *_: None  # code in C may print an error and go on
         raise KeyboardInterrupt
@@ -43,22 +49,25 @@ class Ending:
 def ended_in_time(own_process: bool) -> Iterator[Ending]:
     """Let SIGTERM interrupt a command as Ctrl-C does, and end it within `GRACE_SECONDS` of either signal.
 
-    Python handles a signal between two of its instructions, so not while a library computes, and code that swallows
-    the interruption goes on. Therefore the signal itself wakes a thread, which ends this process as a kill would. A
-    kill harms no run.
+    Python handles a signal between two of its instructions, so not while a library computes, and code may swallow the
+    interruption. Therefore the signal also wakes a thread, which ends this process like a kill if it does not end
+    itself in time. A kill does not damage a run.
 
     Parameters
     ----------
     own_process : bool
-        Whether the process does nothing but this command. Then its last moments, after the block, are watched as well.
+        Whether the process runs only this command. Then the thread also watches the time after the block, until the
+        process ends.
     """
-    reading, writing = socket.socketpair()  # not every system has a pipe that does not block
+    reading, writing = socket.socketpair()  # pipes cannot be non-blocking on every system
     writing.setblocking(False)
     done = threading.Event()
     threading.Thread(target=_watch, args=(reading, done), name="tiler-ending", daemon=True).start()
     ending, before = Ending(own_process), {number: signal.getsignal(number) for number in SIGNALS}
     signal.signal(signal.SIGTERM, ending.interrupt)
-    if before[signal.SIGINT] is signal.default_int_handler:  # not ignored, as in the background of a script
+    if (
+        before[signal.SIGINT] is signal.default_int_handler
+    ):  # scripts start background commands with SIGINT ignored, which stays so
         signal.signal(signal.SIGINT, ending.interrupt)
     woken_before = signal.set_wakeup_fd(writing.fileno(), warn_on_full_buffer=False)
     try:
@@ -69,16 +78,16 @@ def ended_in_time(own_process: bool) -> Iterator[Ending]:
         if not own_process:
             signal.set_wakeup_fd(woken_before)
             done.set()
-            writing.close()  # the thread reads the end, and closes the other one
+            writing.close()  # the thread then reads the end of the stream, and closes the other socket
         else:
-            writing.detach()  # stays open to the last
+            writing.detach()  # stays open until the process ends
 
 
 def end_at_once(code: int) -> NoReturn:
-    """End this process after its last line, and the children that it was just starting.
+    """Kill the children of this process, flush its output, and end it at once.
 
-    Python's own way out would wait for threads. It would also end with another exit code if the interruption hit code
-    that is made at run time, such as that of a dataclass.
+    A normal exit of Python would wait for threads. It would also have another exit code if the interruption hit code
+    that is generated at run time, such as the methods of a dataclass.
     """
     _end_children()
     for stream in (sys.stdout, sys.stderr):
@@ -88,7 +97,7 @@ def end_at_once(code: int) -> NoReturn:
 
 
 def _end_children() -> None:
-    """Kill the processes that this one started, and theirs."""
+    """Kill all descendants of this process."""
     with suppress(psutil.Error):
         for child in psutil.Process().children(recursive=True):
             with suppress(psutil.Error):

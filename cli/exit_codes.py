@@ -1,4 +1,4 @@
-"""Exit codes and their meaning; each error class has its own code (`tiler.errors`)."""
+"""Exit codes and their meaning. Each error class has its own code (`tiler.errors`)."""
 
 from __future__ import annotations
 

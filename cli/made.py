@@ -1,4 +1,4 @@
-"""Lines about the results of a run, each with a count and a path, for the end of a job."""
+"""Lines about the results of a run with their counts and paths, printed at the end of a job."""
 
 from __future__ import annotations
 
@@ -12,18 +12,20 @@ from tiler.io.locations import joined
 from tiler.io.result_folder import BRIDGES, CLASSIFIED, OUTLINE, SHEETS, VIRTUAL, WATER
 
 MOST_EDITS = 10
-"""Largest number of corrections that get a line each."""
+"""Largest number of edits that are printed, one per line."""
 
 Summary = Mapping[str, Any]
 
 
 def made_lines(summary: Summary, out: str) -> Iterator[str]:
-    """Lines with name, count and path of each result that is no raster, and with the effect of each correction.
+    """Yield a line for each result that is not a raster, and for the effect of each edit.
+
+    The line of a result has its name, count and path.
 
     Parameters
     ----------
     summary : mapping
-        The content of run.json.
+        Content of run.json.
     out : str
         Folder of the results.
     """
@@ -35,13 +37,13 @@ def made_lines(summary: Summary, out: str) -> Iterator[str]:
         yield f"{name:12s}{text}{place}"
     edits = summary.get("edits") or ()
     for edit in edits[:MOST_EDITS]:
-        yield f"correction  {edit['number']} ({edit['action']}): {changed_text(edit)}"
+        yield f"edit        {edit['number']} ({edit['action']}): {changed_text(edit)}"
     if len(edits) > MOST_EDITS:
-        yield f"correction  {len(edits) - MOST_EDITS:,} more, in the report"
+        yield f"edits       {len(edits) - MOST_EDITS:,} more, in the report"
 
 
 def _results(summary: Summary) -> Iterator[tuple[str, str, str | None]]:
-    """Name, count and file of each result."""
+    """Yield name, count and file of each result."""
     unit = summary.get("plan", {}).get("metres_per_unit", {}).get("vertical", 1.0)
     if contours := summary.get("contours"):
         interval = length_text(contours["interval"] * unit, unit)
@@ -65,13 +67,16 @@ def _results(summary: Summary) -> Iterator[tuple[str, str, str | None]]:
 
 
 def _water(bodies: Sequence[Mapping[str, Any]]) -> str:
-    """The number of bodies of water by kind, as in ``1 lake, 2 rivers``."""
+    """Return the number of water bodies by kind, as in ``1 lake, 2 rivers``."""
     kinds = Counter(body["kind"] for body in bodies)
     return ", ".join(counted(number, kind) for kind, number in sorted(kinds.items())) or "none found"
 
 
 def ground_points(summary: Summary) -> int:
-    """Number of ground points in the classified clouds, after corrections; if none were written, that of the filter."""
+    """Return the number of ground points in the classified clouds, after the edits.
+
+    If no classified clouds were written, it is the number that the filter found.
+    """
     written: Mapping[str, int] = summary.get("classes", {}).get("written", {})
     points: int = written.get("2", 0) if written else summary["filter"]["ground"]
     return points

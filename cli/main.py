@@ -1,4 +1,4 @@
-"""Entry point of the command line: finds the command, and turns every end of it into an exit code and one line."""
+"""Entry point of the command line: runs a command, and turns its errors into one line and an exit code."""
 
 from __future__ import annotations
 
@@ -43,11 +43,16 @@ COMMANDS = {
     "qgis": "Install the QGIS plugin, or write it as an archive.",
     "demo": "Simulate a small city, run all stages on it, and score the result.",
 }
-"""First line of the help of each command, in the order of the list. The list must not import all commands."""
+"""First line of the help of each command, in the order of the list of commands.
+
+It is repeated here because the list must not import all commands.
+"""
 
 GARBAGE_OBJECTS = 100_000
-"""New objects between two searches for garbage. Imports make little garbage, and a search after each 700 objects takes
-a tenth of the start of a command."""
+"""Number of new objects between two runs of the garbage collector.
+
+Imports make little garbage, and a run after every 700 objects takes a tenth of the start of a command.
+"""
 
 STAGES = ("ingest", "filter", "grid", "export")
 """Commands that the module of ``run`` defines."""
@@ -85,7 +90,7 @@ class LazyGroup(click.Group):
 def group(context: click.Context) -> int:
     """Turn point clouds of any size into terrain models.
 
-    `tiler run INPUT... -o OUT` does the whole job; `tiler COMMAND --help` explains a command.
+    `tiler run INPUT... -o OUT` runs all stages. `tiler COMMAND --help` explains a command.
     """
     if context.invoked_subcommand is None:
         click.echo(context.get_help(), err=True)
@@ -99,7 +104,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     Parameters
     ----------
     arguments : sequence of str, optional
-        Arguments; those of the process if left out.
+        Arguments of the command. By default the arguments of the process.
 
     Returns
     -------
@@ -113,7 +118,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     with open_streams(own_process), ended_in_time(own_process) as ending:
         try:
             code = _run(arguments, ending)
-        except KeyboardInterrupt:  # while the line of an error was written
+        except KeyboardInterrupt:  # a signal arrived while the line of an error was written
             code = exit_codes.INTERRUPTED
         if own_process and code == exit_codes.INTERRUPTED:
             end_at_once(code)
@@ -128,24 +133,24 @@ def _run(arguments: Sequence[str] | None, ending: Ending) -> int:
         return code if isinstance(code, int) else exit_codes.DONE
     except SystemExit:
         raise
-    except BaseException as error:  # noqa: BLE001 - a decoder may panic with something that is no Exception
+    except BaseException as error:  # noqa: BLE001 - a decoder may panic with something that is not an Exception
         return _end(KeyboardInterrupt() if ending.told else error, session)
 
 
 def _progress_asked_for(arguments: Sequence[str]) -> str:
-    """``json`` if the arguments ask for it: errors in these arguments are written as JSON, too."""
+    """Return ``json`` if the arguments request it, so that errors in these arguments are written as JSON, too."""
     options = [*arguments, "--"]
     words = " ".join(options[: options.index("--")])
     return "json" if re.search(r"(^| )--progress[ =]json( |$)", words) else "auto"
 
 
 def _end(error: BaseException, session: Session) -> int:
-    """Write the line of the error that ended the command to stderr, and return the exit code."""
+    """Print the error on stderr in one line and return the exit code."""
     if session.verbosity >= 2:
         for line in "".join(traceback.format_exception(error)).splitlines():
             _tell(line, session)
     if isinstance(error, KeyboardInterrupt | click.Abort):
-        warnings.simplefilter("ignore")  # work that is half done warns when it is removed
+        warnings.simplefilter("ignore")  # unfinished work warns when it is deleted
         rest = "; run the same command again to resume" if session.resumes else ""
         _tell(f"tiler: interrupted{rest}", session)
         return exit_codes.INTERRUPTED
@@ -155,7 +160,7 @@ def _end(error: BaseException, session: Session) -> int:
 
 
 def _tell(line: str, session: Session) -> None:
-    """Write a line to stderr, in the form of the progress."""
+    """Write a line to stderr, as JSON if the progress is JSON."""
     if session.progress == "json":
         from tiler.observe.json_lines import json_line
 
@@ -172,7 +177,7 @@ def _line_and_code(error: BaseException) -> tuple[str, int]:
     if isinstance(error, click.ClickException):
         return error.format_message(), exit_codes.USAGE
     text = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
-    return f"unexpected {text}; the same command with -vv shows the traceback", exit_codes.PROCESSING
+    return f"unexpected {text}; run the same command with -vv for the traceback", exit_codes.PROCESSING
 
 
 if __name__ == "__main__":

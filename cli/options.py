@@ -1,4 +1,4 @@
-"""Command line options, made from the settings of a run (`tiler.config.settings`): names, help, units, defaults."""
+"""Command line options made from the settings of a run (`tiler.config.settings`): names, help, units, defaults."""
 
 from __future__ import annotations
 
@@ -31,11 +31,11 @@ _METAVARS = {
 }
 
 REPEATED = {"pairs": "the method's own", "files": "none", "names": "dtm"}
-"""Default in words of each kind of setting that may be given several times."""
+"""Default, in words, of each kind of setting that may be given several times."""
 
 
 def config_options(only: Collection[str] | None = None) -> Callable[[Command], Command]:
-    """Decorate a command with ``--config`` and an option for each setting, or for those of ``only``.
+    """Decorate a command with ``--config`` and an option for each setting, or only for the settings in ``only``.
 
     The command gets the options as keyword arguments, and passes them to `read_config`.
     """
@@ -49,9 +49,8 @@ def config_options(only: Collection[str] | None = None) -> Callable[[Command], C
             "config_file",
             type=click.Path(path_type=Path),
             metavar="FILE.toml",
-            help="settings in a file (see `tiler config --template`); they replace those of --preset, and options "
-            "of the command line replace them "
-            "[default: none]",
+            help="file with settings (see `tiler config --template`), which override the settings of --preset; options "
+            "of the command line override both [default: none]",
         )
         return file_option(command)
 
@@ -59,7 +58,7 @@ def config_options(only: Collection[str] | None = None) -> Callable[[Command], C
 
 
 def read_config(settings: dict[str, Any]) -> RunConfig:
-    """The effective settings: defaults, then the preset, then the TOML file, then the options that were given.
+    """Return the effective settings: defaults, then the preset, then the TOML file, then the given options.
 
     Parameters
     ----------
@@ -69,7 +68,7 @@ def read_config(settings: dict[str, Any]) -> RunConfig:
     Raises
     ------
     ConfigError
-        The file cannot be read, or a setting is refused.
+        The file cannot be read, or a setting is not valid.
     """
     file = settings.get("config_file")
     values: dict[str, Any] = load_config(file) if file is not None else {}
@@ -81,7 +80,7 @@ def read_config(settings: dict[str, Any]) -> RunConfig:
 
 
 def default_text(spec: dataclasses.Field[Any]) -> str:
-    """The default of a setting as people write it; empty if there is none or the data decide."""
+    """Return the default of a setting as users write it, or an empty text if there is none or the data decide."""
     value = spec.default
     if value is None or value == ():
         return ""
@@ -93,7 +92,7 @@ def default_text(spec: dataclasses.Field[Any]) -> str:
 
 
 def describe_setting(spec: dataclasses.Field[Any]) -> str:
-    """Help, unit and default of a setting in one line."""
+    """Return help, unit and default of a setting in one line."""
     parts = [f"unit: {spec.metadata['unit']}"] if spec.metadata["unit"] else []
     text = default_text(spec)
     if text:

@@ -1,4 +1,4 @@
-"""Writes results to stdout: JSON, tables (rich on a terminal, plain elsewhere) and lines of facts."""
+"""Output of results to stdout: JSON, tables (rich on a terminal, plain elsewhere) and lines of facts."""
 
 from __future__ import annotations
 
@@ -14,21 +14,25 @@ import click
 from tiler.redaction import shown, stored, without_secrets
 
 SHARES = (0.3, 0.75, 1.5)
-"""Shares of the median density at which the shades of a map end."""
+"""Upper limits of the shades of a map, as shares of the median density."""
 
 
 def say(line: str, error: bool = False) -> None:
-    """Write one line to stdout or stderr. All text goes this way, as it may contain names and texts from files.
+    """Write one line to stdout or stderr.
 
-    Nothing in the line can move or colour the terminal, and no URL in it shows a password or token.
+    All output passes through this function, because it may contain names and texts from files. It escapes control
+    sequences of the terminal, and hides passwords and tokens in URLs.
     """
     encoding = (sys.stderr if error else sys.stdout).encoding or "utf-8"
     click.echo(shown(line).encode(encoding, "backslashreplace").decode(encoding), err=error)
 
 
 def print_json(value: Any) -> None:
-    """Write indented JSON; characters that cannot be printed are escaped, on a code page all beyond ASCII."""
-    is_utf8 = codecs.lookup(sys.stdout.encoding or "utf-8").name == "utf-8"  # JSON is in no other encoding
+    """Write indented JSON.
+
+    Characters that cannot be printed are escaped. If stdout is not UTF-8, all characters beyond ASCII are escaped.
+    """
+    is_utf8 = codecs.lookup(sys.stdout.encoding or "utf-8").name == "utf-8"  # JSON must be UTF-8
     text = json.dumps(
         stored(value), indent=2, default=lambda v: without_secrets(str(v)), ensure_ascii=not is_utf8
     )
@@ -37,7 +41,7 @@ def print_json(value: Any) -> None:
 
 
 def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
-    """Write a table with a heading, drawn and wrapped by rich on a terminal, aligned and unwrapped elsewhere."""
+    """Write a table with a heading: wrapped by rich on a terminal, aligned and not wrapped elsewhere."""
     if sys.stdout.isatty():
         from rich.console import Console
         from rich.markup import escape
@@ -56,14 +60,14 @@ def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]
 
 
 def map_lines(density: Mapping[str, Any], encoding: str | None) -> list[str]:
-    """Lines of a small map of shades, north up, with a legend.
+    """Return the lines of a small map of shades, north up, with a legend.
 
     Parameters
     ----------
     density : mapping
-        As `tiler.apps.cloud_facts.density_map` gives it.
+        Density map made by `tiler.apps.cloud_facts.density_map`.
     encoding : str or None
-        Encoding of the terminal; the shades are letters if it has no blocks.
+        Encoding of the terminal. If it has no block characters, the shades are ASCII characters.
     """
     rows = density["per_m2"]
     found = sorted(value for row in rows for value in row if value > 0)
@@ -86,13 +90,16 @@ def map_lines(density: Mapping[str, Any], encoding: str | None) -> list[str]:
 
 
 def print_facts(facts: Mapping[str, Any]) -> None:
-    """Write a line for each fact that is not None, with aligned names and nested facts below theirs."""
+    """Print one line per fact with aligned names and nested facts below, but skip facts that are None."""
     for line in fact_lines(facts):
         say(line)
 
 
 def fact_lines(facts: Mapping[str, Any], indent: str = "") -> list[str]:
-    """The lines of `print_facts`: names of tiler in words, names of files and tags unchanged."""
+    """Return the lines of `print_facts`, with spaces in the names of tiler.
+
+    The names of files and tags do not change.
+    """
     ours = (n for n in facts if n.islower() and not set(n) & set("./-"))
     words = {name: name.replace("_", " ") for name in ours}
     shown = {words.get(name, name): value for name, value in facts.items() if value is not None}

@@ -1,4 +1,4 @@
-"""The state of one call of the command line (verbosity, progress), and the base class of all commands."""
+"""State of one call of the command line (verbosity, progress), and the base class of all commands."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ if TYPE_CHECKING:
 
 @dataclass
 class Session:
-    """One call of ``tiler``.
+    """State of one call of ``tiler``.
 
     Attributes
     ----------
@@ -25,7 +25,7 @@ class Session:
     resumes : bool
         Whether the same command would resume after an interruption.
     progress : {"auto", "plain", "json", "none"}
-        Form of the progress; with ``json`` every line on stderr is JSON.
+        Form of the progress. With ``json`` every line on stderr is JSON.
     """
 
     verbosity: int = 0
@@ -39,13 +39,13 @@ class Session:
 
 
 def current_session() -> Session:
-    """The session of the running command."""
+    """Return the session of the running command."""
     return click.get_current_context().ensure_object(Session)
 
 
 @contextmanager
 def shown_progress() -> Iterator[Listener]:
-    """The listener that shows the progress of the running command in the form that its options ask for."""
+    """Yield the listener that shows the progress of the running command in the form that its options select."""
     from tiler.observe.progress import open_progress
 
     session = current_session()
@@ -54,10 +54,10 @@ def shown_progress() -> Iterator[Listener]:
 
 
 class TilerCommand(click.Command):
-    """A command with -v and -q, and with --progress if it shows progress; it sets up the log before it runs.
+    """Command with -v and -q, and with --progress if it shows progress.
 
-    If the command ``reads`` clouds, the process that looks into them imports its libraries while the command imports
-    its own.
+    It sets up the log before it runs. If it ``reads`` clouds, the child process that inspects them imports its
+    libraries while the command imports its own.
     """
 
     def __init__(
@@ -77,7 +77,7 @@ class TilerCommand(click.Command):
                 type=click.Choice(("auto", "plain", "json", "none")),
                 default="auto",
                 help="form of the progress on stderr: bars on a terminal and lines elsewhere (auto), lines (plain), a "
-                "JSON object a line (json), or none [default: auto]",
+                "JSON object per line (json), or none [default: auto]",
             )
         said = "print more; -vv: everything, and tracebacks [default: progress, notes and warnings]"
         self._add("-v", "--verbose", callback=_louder, count=True, help=said)
@@ -89,7 +89,7 @@ class TilerCommand(click.Command):
         self.params.append(click.Option(names, expose_value=False, is_eager=True, **settings))
 
     def invoke(self, ctx: click.Context) -> Any:
-        """Run the command, and return its exit code; None counts as 0."""
+        """Run the command, and return its exit code, or None for 0."""
         from tiler.observe.logs import set_up_logging
 
         session = ctx.ensure_object(Session)

@@ -1,4 +1,4 @@
-"""Standard output and error of a command. It is no error if a reader closes the pipe (``tiler ... | head``)."""
+"""Standard output and error of a command, which may lose their reader without an error (``tiler ... | head``)."""
 
 from __future__ import annotations
 
@@ -16,16 +16,16 @@ NAMES = ("stdout", "stderr")
 
 @contextmanager
 def open_streams(own_process: bool) -> Iterator[None]:
-    """Let a command write its output to the end, also if its reader has gone, and raise if results cannot be written.
+    """Let a command continue if the reader of its output has gone, but raise if results cannot be written.
 
-    A run whose output goes to ``| head`` or ``| true`` goes on to its end. A full disk is an error for the results, but
-    not for the progress.
+    A run that is piped to ``head`` or ``true`` continues to its end. A full disk is an error for the results on stdout,
+    but not for the progress on stderr.
 
     Parameters
     ----------
     own_process : bool
-        Whether the process does nothing but this command. Then its streams stay replaced, as Python writes to them at
-        the end.
+        Whether the process runs only this command. Then its streams stay replaced, because Python writes to them when
+        it exits.
     """
     before = {name: getattr(sys, name) for name in NAMES}
     with open(os.devnull, "w", encoding="utf-8") as nowhere:
@@ -43,10 +43,10 @@ def open_streams(own_process: bool) -> Iterator[None]:
 
 
 def _patient(stream: TextIO, name: str) -> TextIO:
-    """The same stream on top of a `_Patient` one."""
+    """Return the same stream on top of a `_Patient`."""
     try:
         raw = _Patient(stream.fileno(), name)
-    except OSError:  # the caller put something else in its place
+    except OSError:  # the caller replaced the stream by an object without a descriptor
         return stream
     buffered = io.BufferedWriter(raw)
     return io.TextIOWrapper(
@@ -55,7 +55,7 @@ def _patient(stream: TextIO, name: str) -> TextIO:
 
 
 class _Patient(io.FileIO):
-    """A standard stream whose writes fail once at most, and not at all for progress, or where the reader has gone."""
+    """Standard stream that raises at most once, and never on stderr or if the reader has gone."""
 
     def __init__(self, descriptor: int, called: str) -> None:
         super().__init__(descriptor, "w", closefd=False)
@@ -63,7 +63,7 @@ class _Patient(io.FileIO):
         self._lost = False
 
     def write(self, data: Any) -> int:
-        """Write as long as the stream takes data, and drop the rest."""
+        """Write the data, or drop them after the first failure."""
         if not self._lost:
             try:
                 return super().write(data)

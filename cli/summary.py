@@ -1,4 +1,4 @@
-"""The lines at the end of a job, made from its summary."""
+"""Lines printed at the end of a job, made from its summary."""
 
 from __future__ import annotations
 
@@ -13,25 +13,25 @@ from tiler.io.locations import joined
 from tiler.observe.progress import duration_text, rate_text, size_text
 
 _RASTERS = {f"{name}.{kind}": place for place, name in enumerate(PRODUCTS) for kind in ("tif", "vrt")}
-"""Places of the files of products in the order of the products, by name."""
+"""Position of each product's files in the order of the products, by file name."""
 
 
 def percent_text(fraction: float | None) -> str:
-    """A fraction in percent; ``-`` for None."""
+    """Return a fraction in percent, or ``-`` for None."""
     return "-" if fraction is None else f"{100 * fraction:.2f} %"
 
 
 def summary_lines(summary: Mapping[str, Any], out: str, did_nothing: bool = False) -> list[str]:
-    """Lines about the results of a job, for people.
+    """Return lines about the results of a job.
 
     Parameters
     ----------
     summary : mapping
-        The content of ``run.json``; a job that ends after an early stage lacks some of it.
+        Content of ``run.json``. After a job that ended after an early stage, some of it is missing.
     out : str
         Folder of the results.
     did_nothing : bool
-        Whether everything had been done before.
+        Whether all results were up to date.
     """
     points = summary["counts"]["stored"]
     lines = ["nothing to do: all results are up to date"] if did_nothing else []
@@ -63,12 +63,14 @@ def summary_lines(summary: Mapping[str, Any], out: str, did_nothing: bool = Fals
     lines.append(f"time        {duration_text(summary['seconds'])}{rate}")
     lines.append(f"memory      {size_text(summary['peak_rss_bytes'])} at most in one process")
     for path, error in ((q["path"], q["error"]) for q in summary["quarantined"]):
-        lines.append(f"left out    {path}: {error.removeprefix(f'{path}: ')}")  # most begin with it
+        lines.append(
+            f"left out    {path}: {error.removeprefix(f'{path}: ')}"
+        )  # most errors begin with the path
     return [*lines, *failed_lines(summary["failed_tasks"])]
 
 
 def failed_lines(failed: Sequence[Mapping[str, Any]]) -> list[str]:
-    """A line for each failed task of run.json, with the place of the hole that it leaves."""
+    """Return one line per failed task of run.json, with the bounds of the gap that it leaves."""
     return [
         f"failed      {f.get('title', f['stage'])} {f['key']}{_place(f.get('bounds'))}: {f['error']}"
         for f in failed
@@ -80,12 +82,12 @@ def _place(bounds: Sequence[float] | None) -> str:
 
 
 def score_lines(classes: Mapping[str, Any], dtm: Mapping[str, Any] | None = None) -> list[str]:
-    """Lines with the errors of the classes, and with those of the DTM if its truth is known.
+    """Return lines with the errors of the classes, and of the DTM if its reference is known.
 
     Parameters
     ----------
     classes : mapping
-        Scores of `tiler.apps.evaluate.scores`, or those with the further facts of
+        Scores of `tiler.apps.evaluate.scores`, or the scores and further facts of
         `tiler.apps.evaluate.evaluate_scenes`.
     dtm : mapping, optional
         Errors of `tiler.apps.evaluate.evaluate_dtm`.
@@ -100,9 +102,9 @@ def score_lines(classes: Mapping[str, Any], dtm: Mapping[str, Any] | None = None
     if classes["ignored"]:
         each = ", ".join(f"{code}: {n:,}" for code, n in classes.get("left_out", {}).items())
         of = f" (class {each})" if each else ""
-        lines.append(f"ignored {classes['ignored']:,} points of the classes left out{of}")
+        lines.append(f"ignored {classes['ignored']:,} points of ignored classes{of}")
     if classes.get("withheld"):
-        lines.append(f"ignored {classes['withheld']:,} points that the reference withholds")
+        lines.append(f"ignored {classes['withheld']:,} points that are withheld in the reference")
     unmatched = classes.get("unmatched_reference", 0), classes.get("unmatched_cloud", 0)
     if any(unmatched):
         lines.append(
@@ -114,10 +116,10 @@ def score_lines(classes: Mapping[str, Any], dtm: Mapping[str, Any] | None = None
 
 
 def dtm_lines(dtm: Mapping[str, Any]) -> list[str]:
-    """Lines with the differences of a DTM from its truth, by `tiler.apps.evaluate.evaluate_dtm`."""
+    """Return lines with the differences of a DTM from its reference, as measured by `evaluate_dtm`."""
     unit = {"metre": "m", "foot": "ft"}.get(dtm["unit"], dtm["unit"])
     if dtm["rmse"] is None:
-        return ["DTM     no pixel has both heights"]
+        return ["DTM     no pixel has a height in both rasters"]
     first = (
         f"DTM     RMSE {dtm['rmse']:.3f} {unit}, bias {dtm['bias']:+.3f} {unit} over {dtm['pixels']:,} pixels"
     )
@@ -127,25 +129,25 @@ def dtm_lines(dtm: Mapping[str, Any]) -> list[str]:
     return [
         first,
         f"        {robust}, 95 % within {dtm['p95_abs']:.3f} {unit}",
-        f"        {percent_text(dtm['coverage'])} of the true pixels covered, {dtm['only_truth']:,} are not",
+        f"        {percent_text(dtm['coverage'])} of the reference pixels covered, {dtm['only_truth']:,} are not",
         *(sigma_lines(dtm["sigma"], unit) if "sigma" in dtm else ()),
     ]
 
 
 def sigma_lines(found: Mapping[str, Any], unit: str) -> list[str]:
-    """How well standard errors tell the errors, as `tiler.apps.evaluate.sigma.SigmaTally.summary` says it."""
+    """Return lines that compare standard errors with errors, from `tiler.apps.evaluate.sigma.SigmaTally.summary`."""
     if not found["pixels"]:
-        return ["sigma   no pixel has a standard error and a true height"]
+        return ["sigma   no pixel has both a standard error and a reference height"]
     shares = ", ".join(percent_text(found[f"within_{k}"]) for k in (1, 2, 3))
     lines = [
-        f"sigma   expected RMSE {found['predicted_rmse']:.3f} {unit}, true {found['rmse']:.3f} {unit}",
+        f"sigma   expected RMSE {found['predicted_rmse']:.3f} {unit}, actual {found['rmse']:.3f} {unit}",
         f"        errors within 1, 2, 3 sigma: {shares}",
     ]
     for row in found["by_slope"]:
         if row["pixels"]:
             expected, true = (f"{row[name]:.3f} {unit}" for name in ("predicted_rmse", "rmse"))
             where = f"slope {row['from_deg']} to {row['to_deg']} degrees"
-            lines.append(f"        {where}: expected {expected}, true {true} over {row['pixels']:,} pixels")
+            lines.append(f"        {where}: expected {expected}, actual {true} over {row['pixels']:,} pixels")
     if found["area"] is not None:
         first = f"{percent_text(found['in_first_tenth'])} of the squared error in a tenth of the area"
         curve = f"area under the curve {found['area']:.3f}, at best {found['area_at_best']:.3f}"

@@ -232,7 +232,7 @@ def _refuse_raster(counts: Int32, cell_m: float, scale: Scale) -> None:
     if math.prod(side / cell_m + 1 for side in sides) > MOST_CELLS:
         raise ValueError(
             f"xyz extends over {sides[0]:.0f} x {sides[1]:.0f} m, too much for a raster of {cell_m:g} m cells, which "
-            "the method makes of a matched cloud; leave distant points out, or use tiles (`tiler run`)"
+            "the method needs for a photogrammetric cloud; leave distant points out, or use tiles (`tiler run`)"
         )
 
 

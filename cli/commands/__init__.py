@@ -1,1 +1,1 @@
-"""One module per command; each is imported when its command is used, and names it `command`."""
+"""One module per command, which defines it as `command` and is imported when the command is used."""

@@ -27,23 +27,23 @@ HEADINGS = ("", "points", "RMSEV", "mean", "median", "NMAD", "95 % within", "lar
 @click.option(
     "--points-crs",
     metavar="CRS",
-    help="CRS of x and y of the checkpoints [default: that of FILE, else that of the DTM]",
+    help="CRS of x and y of the checkpoints [default: the CRS of FILE, else the CRS of the DTM]",
 )
 @click.option(
     "--points-unit",
     metavar="UNIT",
-    help="unit of the heights of the checkpoints: m, ft, usft [default: that of the DTM]",
+    help="unit of the heights of the checkpoints: m, ft, usft [default: the unit of the DTM]",
 )
 @click.option(
     "--points-rmse",
     metavar="LENGTH",
     default="0",
-    help="RMSE of the heights of the checkpoints themselves [unit: m; default: 0]",
+    help="RMSE of the checkpoint heights themselves [unit: m; default: 0]",
 )
 @click.option(
     "--tile-size",
     metavar="LENGTH",
-    help="look for seams at multiples of this length [unit: m; default: the tile size in run.json beside DTM]",
+    help="look for seams at multiples of this length [unit: m; default: the tile size in run.json next to DTM]",
 )
 @click.option(
     "--strips",
@@ -56,8 +56,9 @@ HEADINGS = ("", "points", "RMSEV", "mean", "median", "NMAD", "95 % within", "lar
     "--require",
     multiple=True,
     metavar="NAME=VALUE",
-    help="end with exit code 5 if a limit does not hold: at most for rmse, mean, median, nmad, p95, max, seam and "
-    "strips (m) and for outliers, at least for points; by NVA checkpoints; repeatable [default: none]",
+    help="end with exit code 5 if a requirement is not met. VALUE is a maximum for rmse, mean, median, nmad, p95, max, "
+    "seam and strips (m) and outliers, and a minimum for points. All except seam and strips are measured at the NVA "
+    "checkpoints; repeatable [default: none]",
 )
 @click.option(
     "--figures",
@@ -69,9 +70,10 @@ HEADINGS = ("", "points", "RMSEV", "mean", "median", "NMAD", "95 % within", "lar
 def command(dtm: str, as_json: bool, **options: Any) -> int:
     """Measure accuracy, seams and strip alignment of a DTM.
 
-    A difference is the height of the DTM, bilinear between pixel centres, minus that of the checkpoint. By the ASPRS
-    standards, Edition 2, the accuracy is the RMSE of the non-vegetated checkpoints (NVA) including their own error, and
-    a statement needs at least 30 of them. The RMSE of vegetated checkpoints (VVA) is reported, but has no limit.
+    A difference is the height of the DTM, interpolated bilinearly between pixel centres, minus the height of the
+    checkpoint. In the ASPRS standards, Edition 2, accuracy is the RMSE of the non-vegetated checkpoints (NVA) including
+    the error of the checkpoints themselves. A statement of accuracy needs at least 30 of these checkpoints. The RMSE of
+    vegetated checkpoints (VVA) is reported, but has no limit.
     """
     from tiler.api import check
 
@@ -107,10 +109,10 @@ def _print_accuracy(facts: Mapping[str, Any]) -> None:
     print_table(f"DTM minus checkpoint, {facts['unit']}", HEADINGS, rows)
     outside, none = facts["outside"], facts["no_height"]
     if outside or none:
-        say(f"without a height: {outside} outside the DTM, {none} where it has no data")
+        say(f"without a DTM height: {outside} outside the DTM, {none} at nodata pixels")
     asprs = facts["asprs"]
-    few = f"{facts['nva']['points']} NVA checkpoints, {asprs['least_points']} are needed"
-    say(asprs["statement"] or f"no statement by the ASPRS standards: {few}")
+    few = f"{facts['nva']['points']} NVA checkpoints, at least {asprs['least_points']} are needed"
+    say(asprs["statement"] or f"no accuracy statement by the ASPRS standards: {few}")
     for note in facts["notes"]:
         say(f"note    {note}")
 
@@ -140,7 +142,7 @@ def _print_seams(facts: Mapping[str, Any]) -> None:
 
 def _print_strips(facts: Mapping[str, Any]) -> None:
     if not facts["pairs"]:
-        say(f"strips  none to compare: {len(facts['strips'])} point source ids, no cell with two")
+        say(f"strips  none to compare: {len(facts['strips'])} point source ids, but no cell with two of them")
         return
     keys = ("rmse", "bias", "median", "nmad", "p95_abs")
     rows = [

@@ -35,7 +35,7 @@ SETTINGS = (
 )
 
 NOT_PRINTED = ("parameters", "failed_tasks", "quarantined")
-"""Facts that only the JSON has, or that are printed in another way."""
+"""Facts that are only in the JSON, or that are printed in another form."""
 
 
 @click.command("classify", cls=TilerCommand, progress=True, reads=True)
@@ -46,12 +46,12 @@ NOT_PRINTED = ("parameters", "failed_tasks", "quarantined")
 def command(source: tuple[str, ...], target: str, as_json: bool, **settings: Any) -> int:
     """Classify the points of one file or of many, without a store.
 
-    If IN is one file, OUT.laz (or OUT.las) gets its points in the same order, with new classes; OUT.copc.laz
-    orders them by place. If IN is several files, a folder or a glob, OUT is a folder and gets a LAZ file for
-    each; each file is seen with its neighbours, so no border shows. Only classes of the ground change, unless
-    --reclass all is given. A single file needs no CRS: without one, its coordinates are in metres, or in the
-    unit of --units. If a tile fails, its points keep the classes of IN, the tile is named, and the exit code is
-    5.
+    If IN is one file, OUT.laz (or OUT.las) gets its points in the same order, with new classes. OUT.copc.laz gets them
+    in spatial order. If IN is several files, a folder or a glob, OUT is a folder and gets a LAZ file for each. Each
+    file is classified together with the points of its neighbours, so no file border is visible in the classes. Only the
+    classes of the ground change, unless --reclass all is given. A single file does not need a CRS: without one, its
+    coordinates are in metres, or in the unit of --units. If a tile fails, its points keep the classes of IN, the output
+    lists the tile, and the exit code is 5.
     """
     config = read_config(settings)
     from tiler.apps.classify import classify_file, classify_files, is_one_file

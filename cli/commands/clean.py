@@ -14,15 +14,16 @@ from cli.session import TilerCommand
 @click.option(
     "--store",
     metavar="URL",
-    help="place of the store [default: that in OUT/run.json (without password or token of a URL), or OUT/store.zarr]",
+    help="location of the store [default: the store in OUT/run.json (its URL has no password or token there), else "
+    "OUT/store.zarr]",
 )
 @json_option
 def command(out: str, store: str | None, as_json: bool) -> None:
     """Delete temporary data that later runs do not need.
 
-    Removes scratch files of killed runs, decoded points that the store also holds sorted, and older indices. The same
-    `tiler run` still finds everything done. If you add a file, a run decodes again the files that it touches.
-    `tiler run --clean-store` removes the whole store.
+    Removes scratch files of killed runs, decoded points that the store also contains in sorted form, and outdated
+    indices. Afterwards the same `tiler run` still has nothing to do. If you add a file, a run decodes the files that
+    overlap it once more. `tiler run --clean-store` removes the whole store.
     """
     from tiler.apps.clean import clean
 

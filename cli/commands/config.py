@@ -16,7 +16,7 @@ from tiler.errors import ConfigError
 from tiler.redaction import without_secrets
 
 HEAD = "# Settings of tiler for --config; options override them. A setting in a comment has no value."
-LAST = "parameters"  # a table: TOML wants it after the plain values
+LAST = "parameters"  # a table, which must follow the plain values in TOML
 
 
 @click.command("config", cls=TilerCommand)
@@ -32,12 +32,12 @@ def command(template: bool, **settings: Any) -> None:
     config = read_config(settings)
     if config.store is not None and config.store != without_secrets(config.store):
         say(
-            "tiler: warning: store: written without the user, password and query of its URL, which tiler never shows",
+            "tiler: warning: store: written without the user, password and query of its URL, which tiler never prints",
             error=True,
         )
     lines = [HEAD]
     if name := config.preset:
-        head = f"# The values of the preset {name} hold below, unless something overrides them. The preset:"
+        head = f"# The values of the preset {name} apply below, unless another setting overrides them. The preset:"
         lines += ["#", head, *(f"#   {line}".rstrip() for line in preset_text(name).splitlines())]
     lines.append("")
     for name in (n for n in SETTINGS if n != LAST):
@@ -53,7 +53,7 @@ def command(template: bool, **settings: Any) -> None:
 
 
 def toml_line(name: str, value: Any) -> str:
-    """``name = value`` in TOML on one line."""
+    """Return ``name = value`` in TOML on one line."""
     import tomli_w
 
     if isinstance(value, list):  # the library writes arrays over several lines
@@ -63,7 +63,7 @@ def toml_line(name: str, value: Any) -> str:
 
 
 def _parameter_lines(config: RunConfig, template: bool) -> list[str]:
-    """Lines of the table with the effective value of each parameter of the method."""
+    """Return the lines of the table with the effective value of each parameter of the method."""
     lines = (
         [f"# parameters of the method {config.method}; `tiler methods` explains them"] if template else [""]
     )
@@ -80,7 +80,7 @@ def _parameter_lines(config: RunConfig, template: bool) -> list[str]:
         if template:
             unit = f" [unit: {spec.metadata['unit']}]" if spec.metadata["unit"] else ""
             lines.append(f"# {spec.metadata['help']}{unit}")
-        # The template must not freeze parameters that a newer version, or another method, sets otherwise.
+        # The template must not fix parameters for which a newer version or another method has other values.
         mark = "# " if template else ""
         lines.append(mark + toml_line(spec.name, getattr(params, spec.name)))
     return lines

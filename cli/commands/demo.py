@@ -40,15 +40,15 @@ SETTINGS = (
     default=1,
     type=click.IntRange(min=0),
     metavar="N",
-    help="seed of the simulated city: the same one gives the same city [default: 1]",
+    help="seed of the simulated city; the same seed gives the same city [default: 1]",
 )
 @config_options(only=SETTINGS)
 @json_option
 def command(out: str, seed: int, as_json: bool, **settings: Any) -> int:
     """Simulate a small city, run all stages on it, and score the result.
 
-    OUT/input gets the clouds of the city with their true classes and terrain, OUT gets the results of `tiler run`.
-    Prints the errors of the classes and of the DTM.
+    Writes the clouds of the city with reference classes and terrain to OUT/input, and the results of `tiler run` to
+    OUT. Prints the errors of the classes and of the DTM.
     """
     config = read_config(settings)
     from tiler.apps.demo import run_demo

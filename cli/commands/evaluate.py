@@ -27,13 +27,13 @@ SETTINGS = ("method", "parameters", "sigma", "kind", "units", "tile_size", "halo
     multiple=True,
     metavar="REF",
     type=click.Path(),
-    help="cloud, folder or glob with the true classes of the same points; repeatable [default: CLOUD itself, which "
-    "--method then filters]",
+    help="cloud, folder or glob with the reference classes of the same points; repeatable [default: CLOUD itself, "
+    "which --method then filters]",
 )
 @click.option(
     "--ignore",
     metavar="N,N,...",
-    help="true classes that do not count, or `none` [default: 7,9,17,18,26,64,65,66,67: noise, water, bridges, "
+    help="reference classes to ignore, or `none` [default: 7,9,17,18,26,64,65,66,67: noise, water, bridges, "
     "virtual points]",
 )
 @click.option(
@@ -42,24 +42,25 @@ SETTINGS = ("method", "parameters", "sigma", "kind", "units", "tile_size", "halo
     metavar="FOLDER",
     help="write a map of the errors of each cloud as GeoTIFF and PNG [default: none]",
 )
-@click.option(
-    "--map-cell", default="1", metavar="LENGTH", help="side of the maps' cells [unit: m; default: 1]"
-)
+@click.option("--map-cell", default="1", metavar="LENGTH", help="cell size of the maps [unit: m; default: 1]")
 @click.option("--dtm", type=click.Path(), metavar="DTM", help="DTM to score [default: none]")
 @click.option(
-    "--true-dtm", type=click.Path(), metavar="RASTER", help="true heights on the same pixels [default: none]"
+    "--true-dtm",
+    type=click.Path(),
+    metavar="RASTER",
+    help="reference heights on the same pixels [default: none]",
 )
 @click.option(
     "--dtm-sigma",
     type=click.Path(),
     metavar="RASTER",
-    help="standard errors of the DTM, which are judged as well [default: sigma.tif beside dtm.tif, if it is there]",
+    help="standard errors of the DTM to score as well [default: sigma.tif next to dtm.tif, if it exists]",
 )
 @click.option(
     "--difference",
     type=click.Path(path_type=Path),
     metavar="FILE.tif",
-    help="write DTM minus true DTM [default: none]",
+    help="write DTM minus reference DTM [default: none]",
 )
 @config_options(only=SETTINGS)
 @json_option
@@ -79,13 +80,14 @@ def command(
     """Score classes or a DTM against reference data.
 
     Class 2 is ground, every other class is not. The type I error is the share of ground points that were lost, type II
-    the share of other points that were classified as ground, total the share of wrong points. Kappa is Cohen's. With
-    --method the CLOUDs have true classes: each is filtered without its classes and scored against them. A cloud that
-    was filtered while its noise or water was labelled (without `--keep-classes none`) gets too good a score. Clouds and
-    references are paired by their names, or by their order if you name as many clouds as references.
+    the share of other points that were classified as ground, and total the share of all wrong points. Kappa is Cohen's
+    kappa. With --method, the classes of each CLOUD are the reference: the cloud is filtered without them and scored
+    against them. If a cloud already had classes of noise or water when it was filtered, and `--keep-classes none` was
+    not given, its score is too good. Clouds and references are paired by name, or by order if you give as many clouds
+    as references.
     """
     if (dtm is None) != (true_dtm is None):
-        raise click.UsageError("--dtm and --true-dtm belong together")
+        raise click.UsageError("--dtm and --true-dtm need each other; give both")
     if not clouds and dtm is None:
         raise click.UsageError("nothing to evaluate; give CLOUD, or --dtm and --true-dtm")
     if difference is not None and dtm is None:
@@ -94,7 +96,9 @@ def command(
         raise click.UsageError("--dtm-sigma needs --dtm and --true-dtm")
     filters = settings["method"] is not None
     if clouds and filters == bool(references):
-        raise click.UsageError("give either --reference REF, or --method NAME to filter labelled clouds")
+        raise click.UsageError(
+            "give either --reference REF, or --method NAME to filter clouds with reference classes"
+        )
     from tiler.apps import evaluate
     from tiler.schedule import half_of_memory, read_apart
 
@@ -133,14 +137,14 @@ def command(
 
 
 def _print_scores(facts: Mapping[str, Any]) -> None:
-    """Print the scores of all points, those by class, and those of each scene if there are several."""
+    """Print the scores of all points, by class, and by scene if there are several."""
     for line in score_lines(facts):
         say(line)
     rows = [
         (code, f"{c['points']:,}", f"{c['labelled_ground']:,}", percent_text(c["error"]))
         for code, c in facts["classes"].items()
     ]
-    print_table("by true class", ("class", "points", "labelled ground", "error"), rows)
+    print_table("by reference class", ("class", "points", "classified as ground", "error"), rows)
     scenes = facts["scenes"]
     if len(scenes) > 1:
         names = ("type_1", "type_2", "total", "kappa", "f1")

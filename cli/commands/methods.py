@@ -22,8 +22,8 @@ def command(name: str | None, as_json: bool) -> None:
     """List the ground filters and their parameters.
 
     Lists every method, or only METHOD, with default, unit, range and source of each parameter. In other commands
-    `--method METHOD` chooses a method, and `--set PARAMETER=VALUE` changes a parameter; the unit at the end of its name
-    can be left out. `--method keep` does not filter: it uses the classes of the input.
+    `--method METHOD` chooses a method, and `--set PARAMETER=VALUE` changes a parameter. You can leave out the unit at
+    the end of the parameter's name. `--method keep` does not filter: it uses the classes of the input.
     """
     from ptd.methods import METHODS
 
@@ -52,7 +52,7 @@ def command(name: str | None, as_json: bool) -> None:
 
 
 def parameter_facts(params: Any) -> list[dict[str, Any]]:
-    """Name, default and metadata of each field of a parameter dataclass."""
+    """Return name, default and metadata of each field of a parameter dataclass."""
     return [{"name": f.name, "default": f.default, **f.metadata} for f in dataclasses.fields(params)]
 
 
@@ -63,7 +63,7 @@ def _text(value: Any) -> str:
 
 
 def range_text(minimum: float | None, maximum: float | None) -> str:
-    """The range of a value; empty if it has no limit."""
+    """Return the range of a value as text, or an empty text if it has no limit."""
     if minimum is None and maximum is None:
         return ""
     if maximum is None:

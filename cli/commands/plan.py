@@ -17,7 +17,7 @@ from cli.session import TilerCommand
     "-o",
     "--out",
     metavar="OUT",
-    help="OUT of the run: check its disk, the files that are in it, and whether workers reach it [default: none]",
+    help="folder of the run, to check its disk, its existing files and the access of workers [default: none]",
 )
 @config_options()
 @json_option
@@ -25,9 +25,10 @@ def command(inputs: tuple[str, ...], out: str | None, as_json: bool, **settings:
     """Show what a run would do and which resources it needs.
 
     Prints the points, tiles, memory, disk space and time of `tiler run` with the same INPUT and options. It reads the
-    headers of the files and a few thousand points of each, and writes nothing. It refuses what a run would refuse, with
-    the same line. With --scheduler it also checks the workers: versions, memory and access to INPUT, and with -o and
-    --store whether they can write there, by an empty file that is removed at once.
+    headers of the files and a few thousand points of each, and writes nothing. If a run would end with an error before
+    its first stage, the plan ends with the same error. With --scheduler it also checks the versions and memory of the
+    workers and their access to INPUT. With -o or --store it then checks whether they can write there: they write an
+    empty file, which is removed at once.
     """
     config = read_config(settings)
     from tiler.io.locations import joined

@@ -17,7 +17,7 @@ from cli.session import TilerCommand
 def command(context: click.Context) -> int:
     """Install the QGIS plugin, or write it as an archive.
 
-    It adds tiler to the Processing toolbox of QGIS 3.22 or newer: Run, Preview, Classify, Check, Apply edits.
+    The plugin adds tiler to the Processing toolbox of QGIS 3.22 or newer: Run, Preview, Classify, Check, Apply edits.
     """
     if context.invoked_subcommand is None:
         for line in context.get_help().splitlines():
@@ -31,13 +31,14 @@ def command(context: click.Context) -> int:
     "--profile",
     default="default",
     metavar="NAME",
-    help="profile of QGIS, as Settings > User Profiles shows them [default: default]",
+    help="name of the QGIS profile, as listed under Settings > User Profiles [default: default]",
 )
 def install(profile: str) -> None:
     """Put the plugin into a profile of QGIS.
 
-    An earlier version is replaced. A folder of the same name that is not the plugin is an error, and stays. The plugin
-    gets the path of this command and a list of its settings. Run this command again after an update of tiler.
+    Replaces an earlier version of the plugin. If another folder has its name, the command ends with an error and does
+    not change that folder. The plugin gets the path of this command and a list of its settings. Run this command again
+    after an update of tiler.
     """
     folder = installation.install(profile)
     say(f"installed  {folder}")
@@ -53,13 +54,13 @@ def install(profile: str) -> None:
 @click.option(
     "--upload",
     is_flag=True,
-    help="refuse if an address is missing that the repository of QGIS plugins asks for",
+    help="end with an error if an address is missing that the repository of QGIS plugins requires",
 )
 def package(target: Path, upload: bool) -> None:
     """Write the plugin as an archive.
 
-    QGIS installs it under Plugins > Manage and Install Plugins > Install from ZIP. There the plugin looks for tiler in
-    PATH, unless its path is set under Settings > Options > Processing > Providers > tiler.
+    QGIS installs it under Plugins > Manage and Install Plugins > Install from ZIP. This plugin looks for tiler in
+    PATH, unless the path is set under Settings > Options > Processing > Providers > tiler.
     """
     installation.package(target, upload)
     say(f"written  {target}; QGIS: Plugins > Manage and Install Plugins > Install from ZIP")

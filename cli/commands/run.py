@@ -1,4 +1,4 @@
-"""``tiler run``, and its stages ``ingest``, ``filter``, ``grid`` and ``export``: commands that end after that stage."""
+"""``tiler run``, and ``ingest``, ``filter``, ``grid`` and ``export``, which end after the stage of that name."""
 
 from __future__ import annotations
 
@@ -13,9 +13,9 @@ from cli.summary import summary_lines
 
 RUN = """Run all stages: make a DTM and classified clouds.
 
-INPUT are LAS and LAZ files, folders (with all folders below), globs, virtual point clouds (.vpc) and EPT (ept.json),
+INPUT are LAS and LAZ files, folders (with all their subfolders), globs, virtual point clouds (.vpc) and EPT (ept.json),
 or URLs of these (s3://...). OUT gets dtm.tif, the other files of --products, classified/, report.html, run.json,
-events.jsonl and the tile store. After an interruption the same command resumes; after the end it has nothing to do.
+events.jsonl and the tile store. After an interruption the same command resumes. After the end it has nothing to do.
 Lengths are in metres unless written with a unit (3ft, 50cm).
 """
 
@@ -27,17 +27,17 @@ same INPUT, OUT and options: together they are `tiler run`.
 """,
     "filter": """Second stage: find the ground, tile by tile.
 
-Does the missing work of earlier stages first (ingest). Give all stages the same INPUT,
+Completes the earlier stage first (ingest). Give all stages the same INPUT,
 OUT and options: together they are `tiler run`.
 """,
     "grid": """Third stage: interpolate the ground at the pixels.
 
-Does the missing work of earlier stages first (ingest, filter). Give all stages the same INPUT,
+Completes the earlier stages first (ingest, filter). Give all stages the same INPUT,
 OUT and options: together they are `tiler run`.
 """,
     "export": """Fourth stage: write the DTM and the classified clouds.
 
-Does the missing work of earlier stages first (ingest, filter, grid). Give all stages the same INPUT,
+Completes the earlier stages first (ingest, filter, grid). Give all stages the same INPUT,
 OUT and options: together they are `tiler run`.
 """,
 }
@@ -55,7 +55,7 @@ def job_command(name: str, help: str, until: str) -> click.Command:
         config = read_config(settings)
         from tiler.preparation import prepare_workers
 
-        prepare_workers(config, out)  # while this process imports the same
+        prepare_workers(config, out)  # the workers import their libraries while this process imports its own
         from tiler.pipeline import run
 
         session = current_session()

@@ -12,7 +12,7 @@ from cli.session import TilerCommand, current_session, shown_progress
 
 
 def _list_scenes(context: click.Context, parameter: click.Parameter, wanted: bool) -> None:
-    """Print the names that --scene takes, and end."""
+    """Print the names that --scene accepts, and exit."""
     if not wanted:
         return
     from tiler.simulate import SCENES, SITES
@@ -31,7 +31,8 @@ def _list_scenes(context: click.Context, parameter: click.Parameter, wanted: boo
 @click.option(
     "--kind",
     type=click.Choice(["als", "dim"]),
-    help="laser scanner or dense image matching [default: that of the scene, else als]",
+    help="source of the cloud: laser scanning (als) or dense image matching (dim) [default: the kind of the scene, "
+    "else als]",
 )
 @click.option(
     "--scene",
@@ -45,44 +46,44 @@ def _list_scenes(context: click.Context, parameter: click.Parameter, wanted: boo
     is_eager=True,
     expose_value=False,
     callback=_list_scenes,
-    help="show the scenes and end [default: no]",
+    help="list the scenes and exit [default: no]",
 )
 @click.option(
     "--seed",
     type=click.IntRange(min=0),
     metavar="N",
-    help="the same seed and settings give the same bytes [default: that of the scene, else 1]",
+    help="seed of the scene; the same seed and settings give the same bytes [default: the seed of the scene, else 1]",
 )
 @click.option(
     "--size",
     metavar="LENGTH",
-    help="side of the square [unit: m; default: that of the scene, else 500 (als) or 150 (dim)]",
+    help="side of the square [unit: m; default: the side of the scene, else 500 (als) or 150 (dim)]",
 )
 @click.option(
     "--density",
     type=float,
     metavar="N",
-    help="pulses (als) or matches (dim) on open ground [unit: per m2; default: that of the scene, "
+    help="density of pulses (als) or points (dim) on open ground [unit: per m2; default: the density of the scene, "
     "else 4 (als) or 40 (dim)]",
 )
 @click.option(
     "--sigma",
     metavar="LENGTH",
-    help="standard deviation of the heights [unit: m; default: that of the scene, else 0.025 (als) or "
-    "0.066 (dim)]",
+    help="standard deviation of the heights [unit: m; default: the value of the scene, else 0.025 (als) "
+    "or 0.066 (dim)]",
 )
 @click.option(
     "--blunders",
     default=1.0,
     type=float,
     metavar="N",
-    help="number of points far below and above the ground, as a multiple of the usual one [default: 1]",
+    help="number of points far below and above the ground, as a multiple of the usual number [default: 1]",
 )
 @click.option(
     "--resolution",
     default="1",
     metavar="LENGTH",
-    help="pixel of the true terrain model [unit: m; default: 1]",
+    help="pixel size of the reference terrain model [unit: m; default: 1]",
 )
 @json_option
 def command(
@@ -99,10 +100,10 @@ def command(
 ) -> None:
     """Simulate a cloud with reference classes and terrain.
 
-    OUT.laz gets the points of a simulated place with their ASPRS classes: 1 cars and garden walls, 2 ground, 3, 4
-    and 5 plants below 1 m, below 3 m and higher, 6 buildings and facades, 7 blunders below the ground, 9 water, 14
-    wires, 15 towers, 17 bridges, 18 blunders in the air. OUT_dtm.tif beside it gets the true ground, also below
-    objects. The work is done patch by patch, so only the disk limits the size.
+    OUT.laz gets the points of a simulated place with their ASPRS classes. Class 1 is cars and garden walls, 2 ground, 6
+    buildings and facades, 9 water, 14 wires, 15 towers and 17 bridges. Classes 3, 4 and 5 are plants below 1 m, below
+    3 m and higher. Classes 7 and 18 are blunders below the ground and in the air. OUT_dtm.tif next to OUT.laz gets the
+    reference terrain, also below objects. The cloud is simulated patch by patch, so only the disk limits its size.
     """
     from tiler.core.units import parse_length
     from tiler.simulate.files import describe_scene, write_scene

@@ -1,5 +1,5 @@
-"""The plugin for QGIS, and what puts it into a profile of QGIS.
+"""The plugin for QGIS, and its installation in a profile of QGIS.
 
-`cli.qgis.plugin` runs in the Python of QGIS: it imports nothing of this project and gets its settings from the table
-that `cli.qgis.table` makes of the commands.
+`cli.qgis.plugin` runs in the Python of QGIS. It does not import other code of this project. It gets its settings from
+the table that `cli.qgis.table` makes from the commands.
 """

@@ -1,6 +1,6 @@
-"""What the repository of QGIS plugins asks for beside the files: public addresses, as the installed package has them.
+"""Public addresses that the repository of QGIS plugins requires, read from the installed package.
 
-Their one place is `pyproject.toml`: the table ``[project.urls]`` and ``email`` in ``authors``.
+They are defined only in `pyproject.toml`: in the table ``[project.urls]`` and as ``email`` in ``authors``.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ EMAIL = "email"
 
 
 def addresses() -> dict[str, str]:
-    """Key of ``metadata.txt`` -> address; without those that the project does not have."""
+    """Return the addresses of the project by their keys in ``metadata.txt``."""
     try:
         facts = metadata(DISTRIBUTION)
     except PackageNotFoundError:  # a checkout that is not installed
@@ -29,17 +29,18 @@ def addresses() -> dict[str, str]:
 
 
 def refuse_without(found: dict[str, str]) -> None:
-    """Raise ConfigError if an address is missing, without which the repository of QGIS plugins refuses a plugin."""
+    """Raise ConfigError if an address is missing that the repository of QGIS plugins requires."""
     missing = [f"{name} in [project.urls]" for key, name in URLS.items() if key not in found]
     if EMAIL not in found:
         missing.append("email in authors")
     if missing:
         raise ConfigError(
-            f"pyproject.toml has no {', no '.join(missing)}: the repository of QGIS plugins refuses a plugin without "
-            "them; fill them in and install tiler again, or leave out --upload"
+            f"pyproject.toml: has no {', no '.join(missing)}, which the repository of QGIS plugins requires; "
+            "add the missing values and install tiler again, or leave out --upload"
         )
     for key, address in found.items():
         if key != EMAIL and not address.startswith("https://"):
             raise ConfigError(
-                f"pyproject.toml: {URLS[key]} in [project.urls] is {address}; it begins with https://"
+                f"pyproject.toml: {URLS[key]} in [project.urls] does not begin with https:// ({address}); "
+                "give an https address"
             )

@@ -1,4 +1,4 @@
-"""Puts the plugin into a profile of QGIS, or into an archive."""
+"""Installation of the plugin in a profile of QGIS, and its packaging as an archive."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ from tiler.io.partial_files import appearing
 from tiler.version import __version__
 
 FOLDER = "tiler_qgis"
-"""Name of the plugin's folder, and by that of its Python package."""
+"""Name of the plugin's folder, which is also the name of its Python package."""
 TABLE = "settings.json"
 MARK = "tiler-dtm"
-"""Says in `TABLE` whose folder it is."""
+"""Entry of `TABLE` that shows that tiler wrote the folder."""
 FIRST_TIME = (1980, 1, 1, 0, 0, 0)
-"""Time of each file in an archive: equal plugins are equal bytes."""
+"""Time of each file in an archive. It is fixed, so that equal plugins have equal bytes."""
 
 
 def plugin_files(command: str = "") -> dict[str, bytes]:
-    """Name -> content of the plugin's files.
+    """Return the content of the plugin's files by name.
 
     Parameters
     ----------
     command : str
-        Path of ``tiler``; empty: the plugin looks for it in ``PATH``.
+        Path of ``tiler``. If it is empty, the plugin looks for it in ``PATH``.
     """
     found = {
         item.name: item.read_bytes()
@@ -52,19 +52,19 @@ def plugin_files(command: str = "") -> dict[str, bytes]:
 
 
 def install(profile: str) -> Path:
-    """Write the plugin into a profile of QGIS, in place of an earlier version of it; its folder.
+    """Write the plugin into a profile of QGIS, replace an earlier version, and return the plugin's folder.
 
     Raises
     ------
     ConfigError
-        There is no such profile, or something else has the place.
+        The profile does not exist, or another folder or file has the name of the plugin.
     """
     target = _profile_folder(profile) / "python" / "plugins" / FOLDER
     earlier = _own_files(target)
     new = plugin_files(find_own_command())
     try:
         target.mkdir(parents=True, exist_ok=True)
-        # The table first: a folder that was left half written is known by it.
+        # The table is first, because it identifies a folder that was only partly written.
         for name in sorted(new, key=lambda name: name != TABLE):
             with appearing(target / name) as part:
                 part.write_bytes(new[name])
@@ -81,13 +81,13 @@ def package(target: Path, upload: bool = False) -> None:
     Raises
     ------
     ConfigError
-        Something else has the name, or the archive is for ``upload`` to the repository of QGIS plugins, and lacks an
-        address.
+        Another file has the name, or the archive is for ``upload`` to the repository of QGIS plugins and an address is
+        missing.
     """
     if upload:
         refuse_without(addresses())
     if target.exists() and not _is_package(target):
-        raise ConfigError(f"{target}: is there and no package of this plugin; choose another name")
+        raise ConfigError(f"{target}: already exists and is not a package of this plugin; give another name")
     try:
         with appearing(target) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive:
             for name, content in plugin_files().items():
@@ -99,7 +99,7 @@ def package(target: Path, upload: bool = False) -> None:
 
 
 def _metadata(text: str) -> str:
-    """The plugin's metadata with this version, and with the addresses that the project has."""
+    """Return the plugin's metadata with this version and the addresses of the project."""
     values = {"version": __version__, **addresses()}
     lines = []
     for line in text.splitlines():
@@ -109,19 +109,19 @@ def _metadata(text: str) -> str:
 
 
 def find_own_command() -> str:
-    """The path of the command that runs. Raises ConfigError."""
+    """Return the path of the running command, or raise ConfigError."""
     called = Path(sys.argv[0])
     own = [str(called.absolute())] if called.stem == "tiler" else []
     for place in (*own, os.path.join(sysconfig.get_path("scripts"), "tiler"), "tiler"):
         if found := shutil.which(place):
             return os.path.abspath(found)
     raise ConfigError(
-        f"no command tiler beside {sys.executable}; install the package (pip install tiler-dtm)"
+        f"{sys.executable}: has no command tiler next to it; install the package (pip install tiler-dtm)"
     )
 
 
 def profiles_folder() -> Path:
-    """Where this user's QGIS keeps its profiles."""
+    """Return the folder in which QGIS stores the profiles of this user."""
     own = os.environ.get("QGIS_CUSTOM_CONFIG_PATH")
     if own:
         return Path(own) / "profiles"
@@ -139,14 +139,14 @@ def _profile_folder(name: str) -> Path:
     there = sorted(p.name for p in folder.iterdir() if p.is_dir()) if folder.is_dir() else []
     if name not in there and name != "default":
         raise ConfigError(
-            f"{folder}: no profile {name!r} of QGIS, there are: {', '.join(there) or 'none'}; make it in QGIS "
-            "(Settings > User Profiles) or give another with --profile"
+            f"{folder}: has no QGIS profile {name!r}, only: {', '.join(there) or 'none'}; create it in QGIS "
+            "(Settings > User Profiles) or give another one with --profile"
         )
     return folder / name
 
 
 def _own_files(folder: Path) -> set[str]:
-    """Files of an earlier version in this folder. Raises ConfigError where the folder is not ours."""
+    """Return the files of an earlier version in this folder, or raise ConfigError if tiler did not write it."""
     if not os.path.lexists(folder):
         return set()
     try:
@@ -158,7 +158,7 @@ def _own_files(folder: Path) -> set[str]:
         return {str(name) for name in content["files"] if Path(name).name == name}
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise ConfigError(
-            f"{folder}: is there, and `tiler qgis install` did not write it; remove or rename it first"
+            f"{folder}: already exists and was not written by `tiler qgis install`; remove or rename it first"
         ) from error
 
 

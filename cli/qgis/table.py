@@ -1,4 +1,4 @@
-"""The settings of the QGIS plugin, made from the commands: names, units, defaults, choices and help."""
+"""Settings of the QGIS plugin, made from the commands: names, units, defaults, choices and help."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ from tiler.core.products import PRODUCTS
 from tiler.version import __version__
 
 SHELLS = ("run", "preview", "classify", "check")
-"""Commands that are algorithms."""
+"""Commands that are algorithms of the plugin."""
 NOT_IN_QGIS = {"as_json", "progress", "verbose", "quiet", "in_process"}
-"""Options that QGIS decides, or that are for people who debug."""
+"""Options that QGIS sets itself, or that are only for debugging."""
 PLACES = {"inputs": "INPUT", "source": "INPUT", "dtm": "INPUT", "out": "OUTPUT", "target": "OUTPUT"}
-"""Parameters of commands that are places, by the names that QGIS has for these."""
+"""Names in QGIS of the parameters that are inputs or outputs of a command."""
 KINDS = {("run", "out"): "new_folder", ("preview", "out"): "new_picture", ("classify", "target"): "new_cloud",
          ("run", "inputs"): "clouds", ("preview", "inputs"): "clouds", ("classify", "source"): "cloud",
          ("check", "dtm"): "raster", ("check", "figures"): "new_plots"}  # fmt: skip
@@ -27,21 +27,21 @@ SHOWN_FIRST = {
     "crs", "bounds", "aoi", "units", "windows", "size", "points", "points_crs", "require", "keep_classes",
     "reclass",
 }  # fmt: skip
-"""Settings that are no advanced parameters."""
+"""Settings that are not advanced parameters."""
 _CONFIG_DEFAULTS = RunConfig().to_json()
 LABELS = {
     "INPUT": "Point clouds", "OUTPUT": "Folder of the results", "CONFIG": "File with settings (TOML)",
     "AOI": "Area (polygons)", "SET": "Parameters of the method (name=value)", "CRS": "CRS of clouds that have none",
     "BOUNDS": "Extent", "POINTS": "Checkpoints", "POINTS_CRS": "CRS of the checkpoints",
     "POINTS_UNIT": "Unit of the checkpoints' heights", "POINTS_RMSE": "RMSE of the checkpoints' heights",
-    "REQUIRE": "Required (name=value)", "FIGURES": "Folder for plots", "KIND": "What made the cloud",
+    "REQUIRE": "Required (name=value)", "FIGURES": "Folder for plots", "KIND": "Source of the cloud",
     "STRIPS": "Classified clouds whose flight strips are compared", "HALO": "Halo of a tile",
     "WATER_MIN_LAKE": "Smallest lake", "WATER_MIN_RIVER_WIDTH": "Smallest river (width)",
     "WATER_MIN_ISLAND": "Smallest island", "SIGMA": "Noise of heights (standard deviation)",
     "RECLASS": "Classes that change",
 }  # fmt: skip
 LABELS_OF = {
-    "preview": {"OUTPUT": "Picture", "SIZE": "Side of a window", "WINDOWS": "Windows, at most"},
+    "preview": {"OUTPUT": "Picture", "SIZE": "Side of a window", "WINDOWS": "Largest number of windows"},
     "classify": {"INPUT": "Point cloud", "OUTPUT": "Classified cloud"},
     "check": {"INPUT": "Terrain model"},
 }
@@ -49,7 +49,7 @@ CLOUD_FILES = "Point clouds (*.laz *.las *.vpc *.LAZ *.LAS *.json);;All files (*
 
 
 def table() -> dict[str, Any]:
-    """All that the plugin has to know of this version, as JSON can hold it."""
+    """Return the settings of this version for the plugin, as a JSON-able value."""
     return {
         "version": __version__,
         "cloud_files": CLOUD_FILES,
@@ -82,7 +82,7 @@ def _parameter(command: str, parameter: click.Parameter) -> dict[str, Any]:
         return facts | _from_setting(key)
     kind = KINDS.get((command, key)) or _kind(parameter)
     facts |= {"kind": kind, "help": getattr(parameter, "help", None) or ""}
-    # Of a place the default is a file in the working folder, which in QGIS means nothing.
+    # The default of an output is a file in the working folder, which has no meaning in QGIS.
     if parameter.default is not None and isinstance(parameter.default, str | int) and key not in PLACES:
         facts["default"] = parameter.default
     if isinstance(parameter.type, click.IntRange):
@@ -91,7 +91,7 @@ def _parameter(command: str, parameter: click.Parameter) -> dict[str, Any]:
 
 
 def _is_setting(parameter: click.Parameter) -> bool:
-    """Whether an option with the name of a setting is that setting: that of `tiler check --tile-size` is another."""
+    """Return whether an option is the setting of the same name, unlike `tiler check --tile-size`."""
     help: str = SETTINGS[str(parameter.name)].metadata["help"]
     return (getattr(parameter, "help", None) or "").startswith(help.split(" [")[0])
 

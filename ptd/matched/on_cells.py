@@ -35,8 +35,8 @@ class OnCells:
     """The parameter of methods that `either_way` applies to, for `ptd.params.like`."""
 
     robust_cells: bool = parameter(
-        True, "matched clouds: start from one robust height per cell of 1 m (2 m if sparse) and judge points to "
-        "both sides of the ground; no: from the lowest points, as the paper has it",
+        True, "photogrammetric clouds: start from one robust height per cell of 1 m (2 m if sparse), and judge points "
+        "on both sides of the ground; no: start from the lowest points, as in the paper",
     )  # fmt: skip
 
 

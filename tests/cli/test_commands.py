@@ -134,8 +134,8 @@ def test_a_summary_tells_what_was_made() -> None:
         "outline     1 polygon, OUT/outline.gpkg",
         "clouds      1 classified cloud, OUT/classified",
         "sheets      3 sheets, OUT/sheets.gpkg",
-        "correction  1 (not_ground): 7 of 9 points were ground, 0 are; 94,637 pixels without a height",
-        "correction  2 (flat): 1 pixel",
+        "edit        1 (not_ground): 7 of 9 points were ground, 0 are; 94,637 pixels without a height",
+        "edit        2 (flat): 1 pixel",
         "problems    3: void inside the survey, class kept",
         "time        1:30 min, 33.3 k points/s",
     ]
@@ -228,7 +228,7 @@ def test_scores() -> None:
         "type I  1.25 %  (ground lost)",
         "type II -  (objects classified as ground)",
         "total   1.00 %  of 1,000 points, kappa 97.50 %",
-        "ignored 7 points of the classes left out",
+        "ignored 7 points of ignored classes",
         "without a partner: 0 points of the reference, 3 of the cloud",
         "DTM     RMSE 0.123 m, bias -0.010 m over 360,000 pixels",
     ]
@@ -272,8 +272,8 @@ def test_evaluate_filters_labelled_clouds(
     assert clouds == ("a.laz", "b.laz")
     assert config == RunConfig(method="classic", parameters=(("rounds", "3"),))
     assert capsys.readouterr().out.splitlines()[-2:] == [
-        "  class  points  labelled ground  error",
-        "  6      10      1                10.00 %",
+        "  class  points  classified as ground  error",
+        "  6      10      1                     10.00 %",
     ]
 
 
@@ -288,7 +288,7 @@ def test_evaluate_of_a_dtm_alone(evaluations: object, capsys: pytest.CaptureFixt
         ([], "nothing to evaluate"),
         (["a.laz"], "give either --reference REF, or --method NAME"),
         (["a.laz", "--reference", "b.laz", "--method", "classic"], "give either --reference REF"),
-        (["--dtm", "a.tif"], "--dtm and --true-dtm belong together"),
+        (["--dtm", "a.tif"], "--dtm and --true-dtm need each other; give both"),
         (["a.laz", "--reference", "b", "--difference", "d.tif"], "--difference needs --dtm"),
         (["a.laz", "--reference", "b", "--map-cell", "0"], "must be above 0"),
     ],

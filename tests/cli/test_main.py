@@ -40,9 +40,9 @@ class Panic(BaseException):
         (InputError("a.laz: cut short"), 3, "a.laz: cut short"),
         (StoreError("store.zarr: damaged"), 4, "store.zarr: damaged"),
         (ProcessingError("disk full\nreally"), 4, "disk full really"),
-        (ValueError("odd"), 4, "unexpected ValueError: odd; the same command with -vv shows the traceback"),
-        (MemoryError(), 4, "unexpected MemoryError; the same command with -vv shows the traceback"),
-        (Panic("index"), 4, "unexpected Panic: index; the same command with -vv shows the traceback"),
+        (ValueError("odd"), 4, "unexpected ValueError: odd; run the same command with -vv for the traceback"),
+        (MemoryError(), 4, "unexpected MemoryError; run the same command with -vv for the traceback"),
+        (Panic("index"), 4, "unexpected Panic: index; run the same command with -vv for the traceback"),
     ],
 )
 def test_errors_are_one_line_with_their_exit_code(
@@ -153,7 +153,7 @@ def test_in_the_background_of_a_script_ctrl_c_is_ignored(tmp_path: Path) -> None
         (["plan", "a.laz", "--resolution", "-1"], "-1"),
         (["plan", "a.laz", "--resolution", "1furlong"], "unknown unit 'furlong'"),
         (["plan", "a.laz", "--memory", "lots"], "'lots' is not a memory size"),
-        (["plan", "a.laz", "--set", "rounds"], "--set rounds; give name=value"),
+        (["plan", "a.laz", "--set", "rounds"], "--set rounds: is not valid; give name=value"),
         (["plan", "a.laz", "--keep-classes", "7,300"], "classes are 0 to 255"),
         (["plan", "a.laz", "--bounds", "5", "0", "1", "1"], "X0 must be below X1"),
         (["plan", "a.laz", "--config", "/nowhere/x.toml"], "/nowhere/x.toml"),

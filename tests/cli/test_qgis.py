@@ -152,7 +152,9 @@ def test_nothing_is_packaged_for_upload_without_the_addresses(
     if lacking is not None:
         assert code == 2
         assert not target.exists()
-        assert "the repository of QGIS plugins refuses a plugin without them" in capsys.readouterr().err
+        assert (
+            "which the repository of QGIS plugins requires; add the missing values" in capsys.readouterr().err
+        )
         return
     assert code == 0
     with zipfile.ZipFile(target) as archive:
@@ -188,7 +190,7 @@ def test_no_foreign_archive_is_replaced(tmp_path: Path, capsys: pytest.CaptureFi
     foreign.write_bytes(b"mine")
     assert main(["qgis", "package", str(foreign)]) == 2
     assert foreign.read_bytes() == b"mine"
-    assert capsys.readouterr().err.startswith(f"tiler: error: {foreign}: is there and no package")
+    assert capsys.readouterr().err.startswith(f"tiler: error: {foreign}: already exists and is not a package")
 
 
 def test_installed_again_over_an_earlier_version(plugins: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -226,7 +228,7 @@ def test_no_foreign_folder_is_touched(
     elif kind == "file":
         folder.write_text("mine")
     assert main(["qgis", "install"]) == 2
-    assert "did not write it; remove or rename it first" in capsys.readouterr().err
+    assert "was not written by `tiler qgis install`; remove or rename it first" in capsys.readouterr().err
     assert (folder if kind == "file" else other / "metadata.txt").read_text() == "mine"
     assert kind == "file" or [p.name for p in other.iterdir()] == ["metadata.txt"]
 
@@ -235,7 +237,7 @@ def test_an_unknown_profile_is_named(plugins: Path, capsys: pytest.CaptureFixtur
     (plugins.parents[2] / "work").mkdir(parents=True)
     assert main(["qgis", "install", "--profile", "wrok"]) == 2
     error = capsys.readouterr().err
-    assert "no profile 'wrok' of QGIS, there are: work" in error
+    assert "has no QGIS profile 'wrok', only: work" in error
     assert main(["qgis", "install", "--profile", "work"]) == 0
 
 
@@ -250,8 +252,10 @@ def test_a_command_is_found_or_one_line_says_what_to_do(
 ) -> None:
     monkeypatch.setenv("PATH", "")
     monkeypatch.setenv("HOME", str(tmp_path))
-    for configured, where in (("", "in PATH"), ("/none/tiler", "at /none/tiler")):
-        with pytest.raises(process.CommandError, match=f"the command tiler is not {where}; install it"):
+    for configured, where in (("", "PATH"), ("/none/tiler", "/none/tiler")):
+        with pytest.raises(
+            process.CommandError, match=f"^{where}: the command tiler was not found; install it"
+        ):
             process.find_command(configured)
     local = tmp_path / ".local/bin/tiler"
     local.parent.mkdir(parents=True)
@@ -301,7 +305,7 @@ def test_an_error_is_the_line_of_the_command(line: str, process: ModuleType, tmp
         process.run_command(
             script(tmp_path / "a", f"echo '{line}' >&2; exit 3"), lambda event: None, lambda: False
         )
-    with pytest.raises(process.CommandError, match="ended with code 137 and said nothing"):
+    with pytest.raises(process.CommandError, match="ended with code 137 and without a message"):
         process.run_command(script(tmp_path / "b", "exit 137"), lambda event: None, lambda: False)
 
 

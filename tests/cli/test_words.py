@@ -41,7 +41,7 @@ def test_out_with_the_name_of_a_file_is_refused_with_the_remedy(
 ) -> None:
     out = tmp_path / "x.tif"
     for command in ("run", "plan"):
-        assert f"use -o {tmp_path / 'x'}, which gets dtm.tif" in error_of(
+        assert f"use -o {tmp_path / 'x'}, which will contain dtm.tif" in error_of(
             [command, cloud, "-o", str(out)], capsys
         )
     assert not out.exists()

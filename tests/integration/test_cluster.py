@@ -143,7 +143,7 @@ def test_workers_that_see_no_folder_of_the_client(
     out = tmp_path / "out"
     changes = {"store": f"s3://{BUCKET}/blind", "scheduler": cluster.address, "in_process": False}
     result = do([f"s3://{BUCKET}/clouds"], out, **changes)  # type: ignore[list-item]
-    assert any("do not see" in note for note in result.summary["notes"])
+    assert any("cannot write into" in note for note in result.summary["notes"])
     assert output_digests(out) == output_digests(local)
 
 
@@ -162,7 +162,7 @@ def test_the_plan_looks_at_the_workers(bucket: Any, cluster: Cluster, cloud: Pat
     assert not bucket.exists(f"{BUCKET}/planned")
     assert not (tmp_path / "out").exists()
     lines = tiler("plan", inputs, *options).stdout
-    assert "2 workers for 2 tasks at a time on 1 machines" in lines
+    assert "2 workers for 2 concurrent tasks on 1 machines" in lines
     done = tiler("plan", inputs, "--store", "s3://nowhere/store", *options)
     assert done.returncode == 2
     assert_one_line(done.stderr, "cannot use s3://nowhere/store", "credentials of the workers")

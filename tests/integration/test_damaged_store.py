@@ -112,5 +112,5 @@ def test_a_disk_that_damages_everything_ends_the_run(
             flip(path)
 
     monkeypatch.setattr(points, "write_rows", damaging)
-    with pytest.raises(StoreError, match="damaged or gone; run again"):
+    with pytest.raises(StoreError, match="damaged or missing; run again"):
         do(city, tmp_path / "out")

@@ -50,7 +50,7 @@ def test_sheets_have_the_names_of_the_template_and_an_index(cloud: Path, tmp_pat
             assert pyproj.CRS(raster.crs.to_wkt()).sub_crs_list[1].to_epsg() == 5783
     assert categories(tmp_path / "mask.vrt") == list(MASK_VALUES.values())
     assert do(cloud, tmp_path, sheet_name="{x_km:.2f}-{y_km:.2f}_{name}", **changes).did_nothing
-    with pytest.raises(ConfigError, match="several products would have one name; write {name} into it"):
+    with pytest.raises(ConfigError, match="several products would have the same name; add {name} to it"):
         do(cloud, tmp_path, sheet_name="{x}_{y}", **changes)
     do(cloud, tmp_path, **changes)
     assert not [p for p in tmp_path.glob("dtm/*.tif") if "-" in p.name]

@@ -125,15 +125,18 @@ def test_what_is_true_is_not_told(ept: Path, city: laspy.LasData, tmp_path: Path
         ({"points": 7}, ("says 7 points, its hierarchy ",)),
         (
             {"bounds": [500000.0, 5400100.0, 0.0, 500060.0, 5400160.0, 60.0]},
-            ("its bounds place the node in 500000 5400100 500060 5400160, points lie in", "in 0-0-0-0.laz ("),
+            (
+                "its bounds place the node in 500000 5400100 500060 5400160, but points lie in",
+                "in 0-0-0-0.laz (",
+            ),
         ),
         (
             {"schema": [{**entry, "scale": 0.01} for entry in SCHEMA]},
-            ("its schema says scales (0.01, 0.01, 0.01), they are (0.001, 0.001, 0.001) in 0-0-0-0.laz",),
+            ("its schema has scales (0.01, 0.01, 0.01), but they are (0.001, 0.001, 0.001) in 0-0-0-0.laz",),
         ),
         (
             {"schema": [{"name": n} for n in ("X", "Red", "Green", "Blue")]},
-            ("its schema has colours, there are none in 0-0-0-0.laz",),
+            ("its schema has colours, but there are none in 0-0-0-0.laz",),
         ),
     ],
 )
@@ -141,7 +144,7 @@ def test_what_the_files_do_not_say_is_told(
     changes: dict[str, object], parts: tuple[str, ...], city: laspy.LasData, tmp_path: Path
 ) -> None:
     (note,) = told(write_ept(tmp_path / "ept", city, 1500, **changes))
-    for part in (*parts, "; the files count; make it again"):
+    for part in (*parts, "; the files are used; create it again"):
         assert part in note
     assert "\n" not in note
 
@@ -156,7 +159,9 @@ def test_a_node_of_other_points_and_another_crs_is_told(city: laspy.LasData, tmp
     (note,) = told(path)
     nodes = len(list(node.parent.iterdir()))
     count = len(las.points)
-    line = f"its hierarchy says {count + 5} points, there are {count} in 0-0-0-0.laz (1 of {nodes} files)"
+    line = (
+        f"its hierarchy lists {count + 5} points, but there are {count} in 0-0-0-0.laz (1 of {nodes} files)"
+    )
     assert line in note
     content = json.loads(path.read_text())
     content["srs"] = {"authority": "EPSG", "horizontal": "25833"}
@@ -167,5 +172,5 @@ def test_a_node_of_other_points_and_another_crs_is_told(city: laspy.LasData, tmp
         las.write(other)
     notes = told(path)
     (srs,) = [note for note in notes if "srs" in note]
-    assert "its srs is ETRS89 / UTM zone 33N, the CRS is WGS 84 / UTM zone 32N in 0-0-0-0.laz" in srs
+    assert "its srs is ETRS89 / UTM zone 33N, but the CRS is WGS 84 / UTM zone 32N in 0-0-0-0.laz" in srs
     assert len(told(path, bounds=(500002.0, 5400002.0, 500012.0, 5400012.0))) == 2, "also of a part"

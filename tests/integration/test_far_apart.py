@@ -78,8 +78,8 @@ KEEP = {"method": "keep", "crs": "EPSG:25832", "resolution": "1"}
 @pytest.mark.parametrize(
     ("west", "south", "words"),
     [
-        (1e9, 1e9, "where no CRS has coordinates"),
-        (0.0, 0.0, "km from the other files: farther than one run can hold"),
+        (1e9, 1e9, "outside the coordinates of any CRS"),
+        (0.0, 0.0, "km from the other files: too far for one run"),
         (0.0, 4_000_000.0, "nearly all of them empty; use --sheets"),
     ],
 )
@@ -102,7 +102,7 @@ def test_a_file_with_absurd_coordinates_is_left_out(
 def test_one_good_file_is_told_from_one_beyond_its_crs(good: list[Path], tmp_path: Path) -> None:
     bad = site(tmp_path / "bad.las", 0.0, 0.0)
     assert do([bad, good[0]], tmp_path / "out", **KEEP).summary["quarantined"][0]["path"] == str(bad)
-    with pytest.raises(ConfigError, match=r"bad.las and .*g0.las lie up to .* run each of them alone"):
+    with pytest.raises(ConfigError, match=r"bad.las and .*g0.las lie up to .* run them separately"):
         do([bad, good[0]], tmp_path / "local", **{**KEEP, "crs": "none"})
 
 
@@ -124,7 +124,7 @@ def test_two_sites_400_km_apart(in_one_file: bool, tmp_path: Path) -> None:
     assert describe_raster(vrt)["heights"]["maximum"] < 110
     assert seam_steps(vrt, TileEdges(10))["interior"]["pairs"] > 1000
     assert evaluate_dtm(vrt, vrt)["rmse"] == 0
-    with pytest.raises(ConfigError, match=r"up to 400 km from one another: .* use --sheets or --bounds"):
+    with pytest.raises(ConfigError, match=r"up to 400 km apart: .* use --sheets or --bounds"):
         do(inputs, tmp_path / "whole", **KEEP)
     near = do(inputs, tmp_path / "part", bounds=[499_990, 4_999_990, 500_060, 5_000_060], **KEEP)
     assert near.exit_code == 0

@@ -194,7 +194,7 @@ def test_a_read_only_out_is_one_line(cloud: Path, disk: SmallDisk) -> None:
     done = subprocess.run(["mount", "-o", "remount,ro", disk.folder], capture_output=True, text=True)
     if done.returncode:
         pytest.skip(f"no read-only disk here: {done.stderr.strip()}")
-    with pytest.raises(ConfigError, match="cannot be written; give a folder on a disk that can"):
+    with pytest.raises(ConfigError, match="cannot be written; give a folder that can be written"):
         do(cloud, disk.folder / "out")
 
 

@@ -18,7 +18,7 @@ REFUSED = {
     "Semis_2022_0906_6665_nok.laz": "header was never finished",
     "epsg_4326.las": "geographic",
     "garbage_nVariableLength.las": "variable length records",
-    "no-points.las": "no points; there is nothing",
+    "no-points.las": "no points to make a terrain from",
     "spurious.las": "geographic",
     **dict.fromkeys(NO_CRS_FILES, "has no CRS"),
 }

@@ -128,7 +128,7 @@ def test_a_session(profile: dict[str, str], cloud: Path, by_command: Path, tmp_p
     assert found["resumed"]["ok"], found["resumed"]["errors"]
     assert output_digests(tmp_path / "then") == output_digests(by_command)
     names = [layer["name"] for layer in found["layers"]]
-    assert names == ["edits", "outline of the survey", "hillshade", "where heights come from", "terrain"]
+    assert names == ["edits", "outline of the survey", "hillshade", "source of heights", "terrain"]
     edits_layer, _, shade, mask, heights = found["layers"]
     assert {layer["group"] for layer in found["layers"]} == {"out"}
     assert edits_layer["widget"] == "ValueMap"
@@ -138,7 +138,7 @@ def test_a_session(profile: dict[str, str], cloud: Path, by_command: Path, tmp_p
     assert (mask["renderer"], mask["shown"]) == ("paletted", False)
     assert set(MASK_VALUES.values()) <= set(mask["legend"])
     assert not found["unsaved"]["ok"]
-    assert "edits: has changes that are not saved" in found["unsaved"]["errors"][0]
+    assert "edits: has unsaved changes" in found["unsaved"]["errors"][0]
     assert found["edited"]["ok"], found["edited"]["errors"]
     assert [layer["name"] for layer in found["layers_again"]] == names, "they are read again, not added twice"
     with rasterio.open(out / "dtm.tif") as terrain:

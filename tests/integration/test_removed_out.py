@@ -56,7 +56,7 @@ def test_what_was_removed_is_named(
     remove_at(name, out / what, early, monkeypatch)
     with pytest.raises(ProcessingError) as caught:
         do(cloud, out)
-    assert str(caught.value).startswith(f"{out / what}: was removed while the run went on; run again")
+    assert str(caught.value).startswith(f"{out / what}: was removed during the run; run again")
     monkeypatch.undo()
     assert do(cloud, out).exit_code == 0
 
@@ -72,7 +72,7 @@ def test_nothing_is_written_after_out_was_removed(
 
     monkeypatch.setattr("tiler.export.stage.horizontal_code", late)
     remove_at("write_cog", out, True, monkeypatch)
-    with pytest.raises(ProcessingError, match="was removed while the run went on"):
+    with pytest.raises(ProcessingError, match="was removed during the run"):
         do(cloud, out)
     assert not (out / "store.zarr").exists()
 

@@ -159,9 +159,9 @@ def test_classes_and_heights_follow_edits(made: Path) -> None:
     flat = (rows[:, None] > 150) & (cols > 20) & (rows[:, None] - 150 < 30 * (1 - (cols - 20) / 40) - 0.01)
     assert (heights[flat] == 104.25).all()
     page = (made / "report.html").read_text()
-    assert "4 corrections" in page
+    assert "4 edits" in page
     assert "Breaklines" in page
-    assert '"title":"corrections"' in page.replace(" ", "")
+    assert '"title":"edits"' in page.replace(" ", "")
 
 
 def test_a_correction_that_leaves_a_hole_is_a_problem(tmp_path: Path) -> None:
@@ -184,13 +184,11 @@ def test_a_correction_that_leaves_a_hole_is_a_problem(tmp_path: Path) -> None:
     assert east <= 41
     assert north <= 46
     kinds = {problem["what"]: problem["where"] for problem in summary["problems"]}
-    assert kinds.keys() == {"void inside the survey", "hole in a correction"}
+    assert kinds.keys() == {"void inside the survey", "hole in an edit"}
     assert kinds["void inside the survey"] == tuple(void["bounds"])
     page = (tmp_path / "out" / "report.html").read_text()
     assert "100.0 %" not in page
-    assert (
-        f"correction 1 (not_ground) leaves {summary['edits'][0]['holes']:,} pixels without a height" in page
-    )
+    assert f"edit 1 (not_ground) leaves {summary['edits'][0]['holes']:,} pixels without a height" in page
 
 
 def test_contours_agree_with_the_terrain_and_neither_cross_nor_break(made: Path) -> None:
@@ -247,17 +245,17 @@ def test_spots_are_tops_and_bottoms(made: Path) -> None:
 
 LINE, FAR = shapely.LineString([(0, 0), (5, 5)]), shapely.LineString([(0, 0, 1), (1e10, 0, 1)])
 BOX = shapely.box(0, 0, 5, 5)
-ROOF = "its action is 'roof'; write one of not_ground, ground, void, flat into"
-FLAT = "is flat without a height; write it, in the unit of the heights, into"
+ROOF = "its action is 'roof'; give one of not_ground, ground, void, flat in"
+FLAT = "is flat without a height; give it in the column `z`, in the unit of the heights"
 
 
 @pytest.mark.parametrize(
     ("option", "features", "told"),
     [
-        ("breaklines", [(FAR, {})], "two of its vertices lie 1e+10 apart; give"),
+        ("breaklines", [(FAR, {})], "two of its vertices are 1e+10 apart; give"),
         ("breaklines", [(LINE, {})], "has no heights; draw it in 3D, or give it a column `z`"),
         ("edits", [(BOX, {"action": "roof"})], ROOF),
-        ("edits", [(BOX, {"name": "x"})], "has no `action`; write one of"),
+        ("edits", [(BOX, {"name": "x"})], "has no `action`; give one of"),
         ("edits", [(BOX, {"action": "flat"})], FLAT),
         ("edits", [(LINE, {"action": "void"})], "needs one layer of polygons, has 0"),
     ],

@@ -317,7 +317,7 @@ def test_the_plan_knows_elected_points_and_margins(file: Path) -> None:
     assert step["spread"].work.label_margin_m == 3.0
     assert (step["mean"].work.elected, step["medians"].work.elected) == (True, False)
     assert (step["medians"].sometimes, step["census"].sometimes) == (True, False)
-    assert "not all of which apply to every cloud" in " ".join(plan_lines(plan))
+    assert "some of them only for some clouds" in " ".join(plan_lines(plan))
     assert filter_peak(plan, step["spread"], 64, 8) > filter_peak(plan, step["rising"], 64, 8)
 
 

@@ -72,7 +72,7 @@ def test_rasters_of_matched_clouds_stay_within_what_was_projected(tmp_path: Path
 def test_a_run_that_would_need_more_is_refused_before_it_reads(
     memory: str, city_file: Path, tmp_path: Path
 ) -> None:
-    with pytest.raises(ConfigError, match=r"needs .* MiB a worker, .* MiB are allowed; use --memory"):
+    with pytest.raises(ConfigError, match=r"needs .* MiB per worker, but .* MiB are allowed; use --memory"):
         do(city_file, tmp_path / "out", memory=memory)
     assert not (tmp_path / "out").exists()
 

@@ -117,12 +117,15 @@ def test_a_lake_without_returns_is_found_and_contours_go_around_it(tmp_path: Pat
 @pytest.mark.parametrize(
     ("features", "message"),
     [
-        ([(LAKE, {"kind": "swamp"})], "feature 1: its kind is 'swamp'; write lake or river"),
+        ([(LAKE, {"kind": "swamp"})], "feature 1: its kind is 'swamp'; give lake or river"),
         ([(LAKE, {"level": "high"})], "feature 1: its level 'high' is not a height; give a number"),
-        ([(shapely.LineString([(0, 0), (9, 9)]), {})], "has lines and no polygons; draw the water"),
+        (
+            [(shapely.LineString([(0, 0), (9, 9)]), {})],
+            "has lines but no polygons; add polygons of the water",
+        ),
         (
             [(RIVER, {}), (shapely.LineString([(40, 0, 3), (40, 9, 5), (40, 30, 4)]), {})],
-            "feature 2: its heights rise and fall; let them fall along the line",
+            "feature 2: its heights rise and fall; give heights that fall along the line",
         ),
     ],
 )

@@ -1,4 +1,4 @@
-"""Parses plain values of settings (TOML, JSON, options); a wrong value raises ConfigError."""
+"""Parsers of plain values of settings (TOML, JSON, options). A wrong value raises ConfigError."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ for _power, _letter in enumerate("kmgt", start=1):
 
 
 def parse_bytes(value: Any) -> int:
-    """A memory size in bytes: ``1000000``, ``4GB``, ``2GiB``, ``512M``; raises ConfigError."""
+    """Parse a memory size (``1000000``, ``4GB``, ``2GiB``, ``512M``) into bytes, or raise ConfigError."""
     text = str(value).strip()
     number = text.rstrip("bBkKmMgGtTiI")
     try:
@@ -30,12 +30,15 @@ def parse_bytes(value: Any) -> int:
     except (ValueError, KeyError, OverflowError):
         raise ConfigError(f"{value!r} is not a memory size; give 4GB, 512MiB or a number of bytes") from None
     if size <= 0:
-        raise ConfigError(f"{value!r} is not a memory size; give one above 0")
+        raise ConfigError(f"{value!r} is not a memory size; give a size above 0")
     return size
 
 
 def parse_classes(value: Any) -> tuple[int, ...]:
-    """ASPRS classes from ``7,18``, ``3-5``, 7 or a list; none from ``none`` or an empty text. Raises ConfigError."""
+    """Parse ASPRS classes from ``7,18``, ``3-5``, 7 or a list, or raise ConfigError.
+
+    ``none`` and an empty text give an empty tuple.
+    """
     if value == "none":
         return ()
     return parse_numbers(value, "classes", 0, 255)
@@ -44,7 +47,10 @@ def parse_classes(value: Any) -> tuple[int, ...]:
 def parse_names(
     name: str, text: str | list[str] | tuple[str, ...], choices: tuple[str, ...]
 ) -> tuple[str, ...]:
-    """The named ones of the ``choices``, in the order of the choices; several texts add up; raises ConfigError."""
+    """Parse names among ``choices`` from one or several texts, or raise ConfigError.
+
+    The result has the order of the choices.
+    """
     texts = [text] if isinstance(text, str) else text
     found: list[str] = []
     for each in texts:
@@ -53,21 +59,23 @@ def parse_names(
         if item not in choices:
             raise ConfigError(f"{name} {item!r}: choose from {', '.join(choices)}")
     if not found:
-        raise ConfigError(f"{name}: names at least one of {', '.join(choices)}")
+        raise ConfigError(f"{name}: is empty; give at least one of {', '.join(choices)}")
     return tuple(c for c in choices if c in found)
 
 
 def parse_surface(value: Any) -> str:
-    """The value if it is ``all``, ``median`` or ``p0`` to ``p100``; raises ConfigError."""
+    """Return the value if it is ``all``, ``median`` or ``p0`` to ``p100``, or raise ConfigError."""
     if value in ("all", "median"):
         return str(value)
     if isinstance(value, str) and value[:1] == "p" and value[1:].isdecimal() and int(value[1:]) <= 100:
         return value
-    raise ConfigError(f"surface {value!r}; give all, median, or a percentile of the heights like p10")
+    raise ConfigError(
+        f"surface {value!r}: is not valid; give all, median, or a percentile of the heights like p10"
+    )
 
 
 def parse_pairs(value: Any) -> tuple[tuple[str, str], ...]:
-    """Names and values of a method's parameters, from strings ``name=value`` or a mapping; raises ConfigError."""
+    """Parse names and values of parameters from strings ``name=value`` or a mapping, or raise ConfigError."""
     if isinstance(value, Mapping):
         return tuple((str(k), str(v)) for k, v in value.items())
     if not isinstance(value, list | tuple):
@@ -79,13 +87,15 @@ def parse_pairs(value: Any) -> tuple[tuple[str, str], ...]:
         else:
             name, sign, text = str(item).partition("=")
         if not sign or not name:
-            raise ConfigError(f"--set {item}; give name=value; `tiler methods` lists the names")
+            raise ConfigError(
+                f"--set {item}: is not valid; give name=value (`tiler methods` lists the names)"
+            )
         pairs.append((name.strip(), text.strip()))
     return tuple(pairs)
 
 
 def _named(name: str, parse: Callable[[Any], Value], value: Any) -> Value:
-    """Parse a value; an error begins with the name of the setting."""
+    """Parse a value, and begin an error with the name of the setting."""
     try:
         return parse(value)
     except ConfigError as error:
@@ -103,30 +113,30 @@ def _bounds(value: Any) -> tuple[float, float, float, float]:
     try:
         x0, y0, x1, y1 = (float(v) for v in value)
     except (TypeError, ValueError):
-        raise ConfigError(f"bounds {value!r}; give four numbers X0 Y0 X1 Y1 in units of the CRS") from None
+        raise ConfigError(
+            f"bounds {value!r}: are not valid; give four numbers X0 Y0 X1 Y1 in units of the CRS"
+        ) from None
     if not (x0 < x1 and y0 < y1):
         raise ConfigError(f"bounds {value!r}: X0 must be below X1 and Y0 below Y1")
     if not all(abs(v) < FARTHEST for v in (x0, y0, x1, y1)):
-        raise ConfigError(
-            f"bounds {value!r}: nothing lies farther than {FARTHEST:g}; write coordinates of the CRS"
-        )
+        raise ConfigError(f"bounds {value!r}: exceed {FARTHEST:g}; give coordinates in units of the CRS")
     return x0, y0, x1, y1
 
 
 def _crs(value: Any) -> str:
-    """A CRS as text; a whole number is an EPSG code."""
+    """Return a CRS as text, where a whole number is an EPSG code."""
     if isinstance(value, str):
         return value
     if isinstance(value, int) and not isinstance(value, bool):
         return f"EPSG:{value}"
-    raise ConfigError(f"crs {value!r}; give EPSG:2154, 2154, WKT or none")
+    raise ConfigError(f"crs {value!r}: is not valid; give EPSG:2154, 2154, WKT or none")
 
 
 def parse_files(name: str, value: Any) -> tuple[str, ...]:
-    """Names of files from one name or a list, each once; raises ConfigError."""
+    """Parse one name of a file or a list of names, without repetitions, or raise ConfigError."""
     files = [value] if isinstance(value, str) else value
     if not isinstance(files, list | tuple) or not all(isinstance(f, str) and f for f in files):
-        raise ConfigError(f"{name} {value!r}: must be the name of a file, or a list of them")
+        raise ConfigError(f"{name} {value!r}: must be the name of a file, or a list of names")
     return tuple(dict.fromkeys(files))
 
 
@@ -151,14 +161,14 @@ _PARSERS: dict[str, Parser] = {
 
 
 def parse_value(spec: dataclasses.Field[Any], value: Any) -> Any:
-    """Parse a plain value for a field of `RunConfig`, by the ``kind`` of the field; raises ConfigError."""
+    """Parse a plain value for a field of `RunConfig` by the ``kind`` of the field, or raise ConfigError."""
     kind = spec.metadata["kind"]
     texts = value if isinstance(value, list | tuple) else [value]
     if any(isinstance(text, str) and "\0" in text for text in texts):
-        raise ConfigError(f"{spec.name} {value!r}: holds a NUL character; give it without")
+        raise ConfigError(f"{spec.name} {value!r}: holds a NUL character; remove it")
     if value is None:
         if spec.default is not None:
-            raise ConfigError(f"{spec.name}: needs a value")
+            raise ConfigError(f"{spec.name}: has no value; give one")
         return None
     if kind == "length":
         return _positive_length(spec.name, value)
@@ -168,7 +178,7 @@ def parse_value(spec: dataclasses.Field[Any], value: Any) -> Any:
         return _PARSERS[kind](value)
     if kind == "names":
         if not isinstance(value, str | list | tuple):
-            raise ConfigError(f"{spec.name} {value!r}: must be names with commas")
+            raise ConfigError(f"{spec.name} {value!r}: must be names separated by commas")
         return parse_names(spec.name, value, spec.metadata["choices"])
     if kind == "files":
         return parse_files(spec.name, value)
@@ -186,7 +196,7 @@ def parse_value(spec: dataclasses.Field[Any], value: Any) -> Any:
 
 
 def plain_value(value: Any) -> Any:
-    """A value of a setting for JSON and TOML."""
+    """Return a value of a setting for JSON and TOML."""
     if isinstance(value, Fraction):
         decimal = f"{float(value):.12g}"
         if "e" in decimal or Fraction(decimal) != value:
@@ -195,5 +205,5 @@ def plain_value(value: Any) -> Any:
     if isinstance(value, tuple):
         return [plain_value(v) for v in value]
     if isinstance(value, float) and math.isnan(value):
-        return "nan"  # which JSON has no number for
+        return "nan"  # because JSON has no number for NaN
     return value

@@ -1,4 +1,4 @@
-"""The settings of a run: one frozen dataclass, the only home of their defaults, help texts and units.
+"""Settings of a run: one frozen dataclass, the only definition of their defaults, help texts and units.
 
 The command line, ``tiler config --template`` and the documentation are generated from the metadata of the fields.
 """
@@ -35,20 +35,20 @@ VOID_CANOPY = "void"
 
 
 UNITS = {"length": "m", "area": "m2", "bytes": "bytes"}
-"""Units by kind of setting."""
+"""Default unit of each kind of setting."""
 
 
 def setting(
     default: Any, help: str, *, unit: str = "", kind: str = "text", choices: tuple[str, ...] = ()
 ) -> Any:
-    """A field of `RunConfig` with its help, unit and kind; a text with ``choices`` must be one of them."""
+    """Return a field of `RunConfig` with its help, unit and kind. A text with ``choices`` must be one of them."""
     if choices and kind == "text":
         kind = "choice"
     metadata = {"help": help, "unit": unit or UNITS.get(kind, ""), "kind": kind, "choices": choices}
     return field(default=default, metadata=metadata)
 
 
-# Kinds that several settings have.
+# These kinds are used by several settings.
 length = partial(setting, kind="length")
 area = partial(setting, kind="area")
 flag = partial(setting, kind="flag")
@@ -60,15 +60,15 @@ files = partial(setting, kind="files")
 
 @dataclass(frozen=True)
 class RunConfig:
-    """All settings of a run; ``None`` means that tiler decides from the data, and reports the decision."""
+    """All settings of a run. ``None`` means that tiler decides from the data, and reports the decision."""
 
     preset: str | None = setting(
         None,
-        f"settings to start from: {', '.join(preset_names())}; those of --config and then those of the command line "
-        "win; `tiler config --preset NAME` shows them",
+        f"named settings to start from: {', '.join(preset_names())}. --config overrides them, and the command line "
+        "overrides both; `tiler config --preset NAME` prints them",
         kind="preset",
     )
-    method: str = setting("auto", "ground filter (see `tiler methods`); `keep` trusts the input's classes")
+    method: str = setting("auto", "ground filter (see `tiler methods`); `keep` uses the classes of the input")
     parameters: tuple[tuple[str, str], ...] = setting(
         (), "parameters of the method, name=value (`tiler methods NAME` lists them)", kind="pairs"
     )
@@ -79,27 +79,27 @@ class RunConfig:
         ("dtm",),
         "rasters to write, each as OUT/<name>.tif: dtm, dsm (surface), ndsm (surface above the terrain), hillshade, "
         "slope (degrees), density (ground points per m2), distance (to the nearest ground point, m), sigma (standard "
-        "error of the heights, in their unit), mask (where heights come from); as OUT/<name>.gpkg: contours (lines), "
-        "spots (tops and bottoms)",
+        "error of the heights, in their unit), mask (source of each height). Vector products, each as OUT/<name>.gpkg: "
+        "contours (lines), spots (tops and bottoms)",
         kind="names",
         choices=(*PRODUCTS, *DRAWN),
     )
     sheets: Fraction | None = length(
         None,
-        "side of the sheets into which each product is cut: files OUT/<product>/<sheet-name>.tif below "
-        "OUT/<product>.vrt, listed in OUT/sheets.gpkg; default: one file",
+        "side of the sheets into which each product is cut. The sheets are OUT/<product>/<sheet-name>.tif, with a VRT "
+        "OUT/<product>.vrt over them, and are listed in OUT/sheets.gpkg; default: one file",
     )
     sheet_name: str = setting(
         SHEET_NAME,
-        "name of a sheet's file without its ending; fields: name (product), x and y (west and south edge), east and "
-        "north, in units of the CRS, and x_km, y_km, east_km, north_km in thousands of them; a field may have a "
+        "file name of a sheet without its suffix. Fields are name (product), x and y (west and south edge), east and "
+        "north in units of the CRS, and x_km, y_km, east_km, north_km in thousands of units. A field may have a "
         "format: {x_km:04.0f}",
         kind="template",
     )
-    empty_sheets: bool = flag(False, "also write sheets that hold points but no heights")
+    empty_sheets: bool = flag(False, "also write sheets that contain points but no heights")
     resolution: Fraction | None = length(
         None,
-        "pixel size; default: 1 m (2 ft), or the point spacing if that is coarser. Photogrammetric clouds get 0.1, "
+        "pixel size; default: 1 m (2 ft), or the point spacing if it is larger. Photogrammetric clouds get 0.1, "
         "0.25 or 0.5 m if such a pixel holds about ten points. In feet: 0.1, 0.2, 0.5, 1, 2, 5 or 10 ft",
     )
     tile_size: Fraction | None = length(None, "side of a filter tile; default: from density and memory")
@@ -113,12 +113,12 @@ class RunConfig:
     interpolation: str = setting(
         "linear",
         "heights between ground points: linear on the TIN, natural neighbours, or idw (12 nearest, 1 / squared "
-        "distance); all give heights to the same pixels",
+        "distance). All of them fill the same pixels",
         choices=("linear", "natural", "idw"),
     )
     surface: str | None = setting(
         None,
-        "ground points that make the DTM: all, or the one at the median or a percentile (p10) of the heights in each "
+        "ground points used for the DTM: all, or the one at the median or a percentile (p10) of the heights in each "
         "cell of half a pixel; default: all, or the median for photogrammetric clouds",
         kind="surface",
     )
@@ -129,8 +129,8 @@ class RunConfig:
     )
     voids: str = setting(
         "leave",
-        "holes inside the survey that are wider than `max-edge`: leave (no heights), fill (from their rim), or mark "
-        "(fill, and write the mask)",
+        "holes inside the survey that are wider than `max-edge`: leave (no heights), fill (from their boundary), or "
+        "mark (fill, and write the mask)",
         choices=("leave", "fill", "mark"),
     )
     canopy: str = setting(
@@ -141,24 +141,24 @@ class RunConfig:
     )
     breaklines: tuple[str, ...] = files(
         (),
-        "file of lines in 3D, or with a height in a column (z, elevation), in any CRS, that the terrain follows; "
-        "ground nearer to them than half a pixel is left out",
+        "file of lines that the terrain follows, in any CRS, in 3D or with a height in a column (z, elevation). "
+        "Ground points within half a pixel of a line are left out",
     )
     edits: str | None = file(
         None,
-        "file of polygons, in any CRS, with a column `action`. not_ground: no point inside is ground. ground: the "
-        "ground points of the input are ground, or the lowest point of each pixel if there are none. void: no height. "
-        "flat: the height in the column z; default: none",
+        "file of polygons, in any CRS, with a column `action`. With not_ground, no point inside is ground. With "
+        "ground, the ground points of the input are ground, or the lowest point of each pixel if there are none. With "
+        "void, the terrain has no height. With flat, it has the height in the column z; default: none",
     )
     water: str = file(
         AUTO_WATER,
-        "water bodies: none, auto (found in the data) or FILE. Lakes become level, rivers fall along their flow. FILE "
-        "has polygons in any CRS with optional columns kind (lake, river) and level, and optional lines of flow",
+        "water bodies: none, auto (found in the data) or FILE. Lakes become level, and rivers fall along their flow. "
+        "FILE has polygons in any CRS with optional columns kind (lake, river) and level, and optional lines of flow",
     )
     water_low: str = setting(
         LOW_AS_NOISE,
-        "class of returns from more than 0.5 m below the water level in the classified clouds: noise (7), or keep (as "
-        "other points in water)",
+        "class of returns more than 0.5 m below the water level in the classified clouds: noise (7), or keep (as other "
+        "points in water)",
         choices=(LOW_AS_NOISE, KEEP_LOW),
     )
     water_min_lake: Fraction = area(
@@ -168,7 +168,7 @@ class RunConfig:
         Fraction(15), "smallest mean width of a river or canal that `--water auto` finds"
     )
     water_min_island: Fraction = area(
-        Fraction(1000), "smallest island that `--water auto` keeps; smaller ones become water"
+        Fraction(1000), "smallest island that `--water auto` keeps; smaller islands become water"
     )
     bridges: str = setting(
         "keep",
@@ -183,7 +183,7 @@ class RunConfig:
     )
     contour_smooth: Fraction | None = length(
         None,
-        "standard deviation of the Gaussian that smooths the heights for contours; 0: no smoothing; default: 2 "
+        "standard deviation of the Gaussian that smooths the heights for contours (0 for no smoothing); default: 2 "
         "pixels",
     )
     classified: str = setting(
@@ -200,8 +200,8 @@ class RunConfig:
     )
     spike: Fraction = length(
         Fraction(5),
-        "rise of a pixel's highest return above all returns in the neighbouring pixels (at least 1 m) from which it is "
-        "left out of the DSM",
+        "height above all returns in the neighbouring pixels (at least within 1 m) from which a pixel's highest return "
+        "is left out of the DSM",
     )
     memory: int | None = setting(
         None,
@@ -214,11 +214,13 @@ class RunConfig:
         "number of worker processes, with one thread each; default: the cores that tiler may use, fewer if a worker "
         "would have less than 512 MiB",
     )
-    in_process: bool = flag(False, "work in the process of the command, for debugging; a crash ends the run")
+    in_process: bool = flag(
+        False, "run all work in the process of the command, for debugging; a crash then ends the run"
+    )
     task_seconds: int = whole(
         600,
-        "time limit of a task of up to a million points, proportionally more for a larger one; a slower worker counts "
-        "as hung and is replaced",
+        "time limit of a task of up to a million points, proportionally longer for larger tasks. A worker that exceeds "
+        "it counts as hung and is replaced",
         unit="s",
     )
     scheduler: str | None = setting(
@@ -227,13 +229,13 @@ class RunConfig:
     store: str | None = setting(None, "path or URL of the tile store; default: OUT/store.zarr")
     crs: str | None = setting(
         None,
-        "CRS of files that have none (EPSG:..., WKT), or `none`: unknown, metres assumed. A compound CRS like "
+        "CRS of files that have none (EPSG:..., WKT), or `none` if it is unknown (metres assumed). A compound CRS like "
         "EPSG:2154+5720 also adds its vertical datum to files with only EPSG:2154; default: a file without CRS is an "
         "error",
         kind="crs",
     )
     units: str | None = setting(
-        None, "units of the coordinates, h or h,v (m, ft, usft); default: those of the CRS"
+        None, "units of the coordinates, h or h,v (m, ft, usft); default: the units of the CRS"
     )
     bounds: tuple[float, float, float, float] | None = setting(
         None,
@@ -247,8 +249,8 @@ class RunConfig:
     )
     keep_classes: tuple[int, ...] = classes(
         (7, 9, 17, 18),
-        "classes that are not filtered and never overwritten; `none`: ignore the classes of the input, for a fair "
-        "test on a labelled cloud",
+        "classes that are not filtered and never overwritten, or `none` to ignore the classes of the input, for a fair "
+        "test on a cloud with reference classes",
     )
     reclass: str = setting(
         ONLY_GROUND,
@@ -259,8 +261,8 @@ class RunConfig:
     )
     returns: str | None = setting(
         None,
-        "returns that are filtered and gridded: first, last, or numbers (1, 2-4); default: all. The classified clouds "
-        "always hold all points, here and for the next four options",
+        "returns that are filtered and gridded: first, last, or numbers (1, 2-4); default: all. With this option and "
+        "the next four options, the classified clouds still contain all points",
         kind="returns",
     )
     scan_angle: float | None = setting(
@@ -293,8 +295,8 @@ class RunConfig:
     )
     statistics: str | None = setting(
         None,
-        "OUT folder of an earlier run with the same method, whose kind, density and noise are used; default: measure "
-        "them in this run",
+        "OUT folder of an earlier run with the same method, from which kind, density and noise are used; default: "
+        "measure them in this run",
     )
     nodata: float = setting(
         NODATA,
@@ -308,15 +310,15 @@ class RunConfig:
         "reaction to a broken file or tile: skip it (exit code 5), or stop the run",
         choices=("skip", "stop"),
     )
-    salvage: bool = flag(False, "read what is left of a truncated file instead of leaving it out")
+    salvage: bool = flag(False, "read the intact part of a truncated file instead of leaving the file out")
     verify: bool = flag(False, "read all inputs and outputs again to check whether they changed")
-    overwrite: bool = flag(False, "start again instead of resuming the run in OUT")
+    overwrite: bool = flag(False, "start from the beginning instead of resuming the run in OUT")
     force: bool = flag(False, "replace files in OUT that no run of this OUT wrote")
     clean_store: bool = flag(False, "remove the store when the run is done")
 
     @property
     def surface_percent(self) -> int | None:
-        """Percentile of the heights in a cell that makes the DTM; None for all points."""
+        """Percentile of the heights in a cell that is used for the DTM, or None for all points."""
         if self.surface is None or self.surface == "all":
             return None
         if self.surface == "median":
@@ -325,33 +327,33 @@ class RunConfig:
 
     @property
     def erosion(self) -> Fraction:
-        """The setting `erode`, or 0 if it is not given."""
+        """Setting `erode`, or 0 if it is not given."""
         return Fraction(0) if self.erode is None else self.erode
 
     @property
     def water_file(self) -> str | None:
-        """The file that `water` names; None if it is none or auto."""
+        """File of the setting `water`, or None if the setting has another value."""
         return None if self.water in (NO_WATER, AUTO_WATER) else self.water
 
     @property
     def source_kind(self) -> str | None:
-        """The setting `kind` with the name that methods use (`ptd.passes.RunFacts`)."""
+        """Setting `kind`, with the name that methods use (`ptd.passes.RunFacts`)."""
         return "lidar" if self.kind == "als" else self.kind
 
     @property
     def exported(self) -> tuple[str, ...]:
-        """The products that become raster files."""
+        """Products that are written as rasters."""
         marked = {"mask"} if self.voids == "mark" else set()
         return tuple(name for name in PRODUCTS if name in marked or name in self.products)
 
     @property
     def drawn(self) -> tuple[str, ...]:
-        """The products that become vector files."""
+        """Products that are written as vector files."""
         return tuple(name for name in DRAWN if name in self.products)
 
     @property
     def selection(self) -> Selection:
-        """The points of the input that are filtered and gridded."""
+        """Selection of the points that are filtered and gridded."""
         return Selection(
             self.returns,
             self.scan_angle,
@@ -361,22 +363,22 @@ class RunConfig:
         )
 
     def to_json(self) -> dict[str, Any]:
-        """The settings as JSON-able values; `from_mapping` reads them back."""
+        """Return the settings as JSON-able values, which `from_mapping` reads."""
         return {f.name: plain_value(getattr(self, f.name)) for f in fields(self)}
 
     @classmethod
     def from_mapping(cls, data: Mapping[str, Any]) -> RunConfig:
-        """Settings from plain values (TOML, JSON, options); unknown names and bad values raise ConfigError.
+        """Parse settings from plain values (TOML, JSON, options), or raise ConfigError.
 
         If there is a ``preset``, settings that are not given come from it.
         """
         known = {f.name: f for f in fields(cls)}
         for name in data:
             if name not in known:
-                raise ConfigError(f"unknown setting {name!r}; `tiler config --template` lists them")
+                raise ConfigError(f"unknown setting {name!r}; use the names of `tiler config --template`")
         given = over_preset(data)
         return cls(**{name: parse_value(known[name], value) for name, value in given.items()})
 
     def updated(self, **changes: Any) -> RunConfig:
-        """A copy with these fields (already parsed) replaced."""
+        """Return a copy in which these fields (already parsed) are replaced."""
         return dataclasses.replace(self, **changes)

@@ -1,4 +1,4 @@
-"""Combines the sources of settings: a TOML file wins over a preset, and the command line over both."""
+"""Combination of the sources of settings: a TOML file overrides a preset, the command line overrides both."""
 
 from __future__ import annotations
 
@@ -13,7 +13,10 @@ from tiler.errors import ConfigError
 
 
 def over_preset(data: Mapping[str, Any]) -> Mapping[str, Any]:
-    """The settings, with those of their preset where they give none; parameters of another method are left out."""
+    """Return the settings, completed with the settings of their preset.
+
+    If the preset is for another method, its parameters are left out.
+    """
     if data.get("preset") is None:
         return data
     base = load_preset(data["preset"])
@@ -25,7 +28,10 @@ def over_preset(data: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def merged_pairs(base: Any, given: Any) -> dict[str, str]:
-    """Parameters of a method, where ``given`` wins over ``base``; a name may lack the unit at its end."""
+    """Return the parameters of a method, where ``given`` overrides ``base``.
+
+    The unit at the end of a name may be left out.
+    """
     over = dict(parse_pairs(given))
     bare = {_without_unit(name) for name in over}
     kept = {name: value for name, value in parse_pairs(base) if _without_unit(name) not in bare}
@@ -39,24 +45,25 @@ def _without_unit(name: str) -> str:
 
 
 MOST_BYTES = 1 << 20
-"""Largest file of settings, so that a wrong file does not fill the memory."""
+"""Largest size of a file of settings. The limit keeps a wrong file from filling the memory."""
 
 
 def load_config(path: Path) -> dict[str, Any]:
-    """The settings of a TOML file as plain values; its table ``[parameters]`` holds the parameters of the method."""
+    """Return the settings of a TOML file as plain values, or raise ConfigError.
+
+    Its table ``[parameters]`` contains the parameters of the method.
+    """
     import tomllib
 
     try:
         with open(path, "rb") as stream:
             content = stream.read(MOST_BYTES + 1)
         if len(content) > MOST_BYTES:
-            raise ConfigError(f"{path}: more than {MOST_BYTES >> 20} MiB; give a TOML file of settings")
-        return tomllib.loads(
-            content.decode("utf-8-sig")
-        )  # Windows editors begin files with a byte order mark
+            raise ConfigError(f"{path}: has more than {MOST_BYTES >> 20} MiB; give a TOML file of settings")
+        return tomllib.loads(content.decode("utf-8-sig"))  # Windows editors write a byte order mark first
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror}; give a readable TOML file") from error
     except UnicodeDecodeError as error:
         raise ConfigError(f"{path}: byte {error.start} is not UTF-8; save the file as UTF-8") from error
     except (ValueError, RecursionError) as error:  # also raised for endless numbers and endless nesting
-        raise ConfigError(f"{path}: not valid TOML: {error}") from error
+        raise ConfigError(f"{path}: is not valid TOML ({error}); correct the file") from error

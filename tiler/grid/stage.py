@@ -92,7 +92,7 @@ def _settle_surface(job: Job) -> None:
         reach = length_text(erode, plan.meta.frame.units.horizontal)
         job.note(
             f"decided: the surface is the {surface} of the heights in half a pixel, without ground within "
-            f"{reach} of objects, as the cloud is matched (--surface, --erode)"
+            f"{reach} of objects, because the cloud is photogrammetric (--surface, --erode)"
         )
     job.plan = replace(plan, config=config.updated(surface=surface, erode=erode))
 

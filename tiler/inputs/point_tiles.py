@@ -65,7 +65,7 @@ class PointTiles:
         if self.points in (None, total):
             return []
         return [
-            f"{self.text}: says {self.points} points, its hierarchy {total}; the files count; make it again"
+            f"{self.text}: says {self.points} points, its hierarchy {total}; the files are used; create it again"
         ]
 
     def place(self, folder: str, name: str) -> str:

@@ -39,7 +39,7 @@ def before(
     """
     if config.method in FOR_SCANNERS and made is not None and made.kind == DIM:
         yield (
-            f"the points look like image matching ({made.why}), and method {config.method} is made for laser scanning; "
+            f"the points look like image matching ({made.why}), but method {config.method} is made for LiDAR; "
             "use --preset dim"
         )
     spacing = 1 / math.sqrt(density)
@@ -49,11 +49,11 @@ def before(
         )
         apart = f"{spacing / float(unit):.2g} {short_unit(unit)}"
         yield (
-            f"--resolution {length_text(config.resolution, unit)} is finer than the points, which are {apart} apart: "
-            f"most pixels will be interpolated; use --resolution {coarser}"
+            f"--resolution {length_text(config.resolution, unit)} is finer than the point spacing of {apart}, so most "
+            f"pixels will be interpolated; use --resolution {coarser}"
         )
     if config.halo is not None and halo_m is not None and float(config.halo) < halo_m / 2:
         yield (
-            f"--halo {length_text(config.halo, unit)} is too small for method {config.method}: most tiles will be done "
-            f"again with more; leave it out, or use --halo {halo_m:g}"
+            f"--halo {length_text(config.halo, unit)} is too small for method {config.method}, so most tiles will be "
+            f"repeated with a wider halo; leave it out, or use --halo {halo_m:g}"
         )

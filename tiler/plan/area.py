@@ -39,11 +39,13 @@ def area_of(config: RunConfig, wkt: str | None, notes: list[str]) -> Area | None
         The file cannot be used: format, no polygon, CRS.
     """
     if config.bounds is not None and config.aoi is not None:
-        raise ConfigError("--bounds and --aoi: both name a part of the survey; give one of them")
+        raise ConfigError("--bounds and --aoi: both select a part of the survey; give only one of them")
     if config.bounds is not None:
         bounds = bounds_in_counts(config.bounds)
         if bounds.empty:
-            raise ConfigError(f"--bounds {' '.join(f'{v:g}' for v in config.bounds)}: holds no place")
+            raise ConfigError(
+                f"--bounds {' '.join(f'{v:g}' for v in config.bounds)}: is empty; give larger bounds"
+            )
         return Area.rectangle(bounds)
     if config.aoi is None:
         return None
@@ -74,16 +76,16 @@ def part_of(plan: Plan) -> Plan:
         west, south, east, north = (v / COUNTS_PER_UNIT for v in plan.area.bounds.to_json())
         x0, y0, x1, y1 = (v / COUNTS_PER_UNIT for v in plan.extent.to_json())
         raise ConfigError(
-            f"{option}: ({west:.10g}, {south:.10g}) to ({east:.10g}, {north:.10g}) holds nothing of the clouds, "
-            f"which lie in ({x0:.10g}, {y0:.10g}) to ({x1:.10g}, {y1:.10g}) in units of their CRS"
+            f"{option}: ({west:.10g}, {south:.10g}) to ({east:.10g}, {north:.10g}) contains no part of the clouds, "
+            f"which lie in ({x0:.10g}, {y0:.10g}) to ({x1:.10g}, {y1:.10g}); give an area there, in units of their CRS"
         )
     left = sum(bool(s.points) for s in plan.sources) - len(near) - len(damaged)
     notes = [
-        f"{option}: points within {_length(plan, plan.margin)} of it are read as well, so that its border shows "
-        f"in no result{_nearer(plan)}"
+        f"{option}: points within {_length(plan, plan.margin)} of it are read as well, so that its border is "
+        f"not visible in the results{_nearer(plan)}"
     ]
     if left:
-        notes.append(f"{option}: {left} files lie farther off and are not read")
+        notes.append(f"{option}: {left} files lie farther away and are not read")
     shares = [_share(plan, source) for source in near]
     points = max(round(sum(s.points * share for s, share in zip(near, shares, strict=True))), 1)
     extent = plan.extent.intersection(plan.area.bounds)

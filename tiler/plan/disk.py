@@ -152,7 +152,7 @@ def too_much_between(plan: Plan, out: Path | None) -> str | None:
     if pixels.largest <= MOST_PIXELS and not full:
         return None
     return (
-        f"one raster over all would have {pixels.largest:.2g} pixels, nearly all of them empty; "
+        f"a single raster would have {pixels.largest:.2g} pixels, nearly all of them empty; "
         "use --sheets or --bounds, or check the coordinates"
     )
 
@@ -164,6 +164,6 @@ def emptiness_warning(plan: Plan) -> str | None:
     if plan.config.sheets is not None or whole < MANY_PIXELS or pixels.empty < MOSTLY_EMPTY * whole:
         return None
     return (
-        f"the files lie far apart: of {whole:.2g} pixels of a raster {100 * pixels.filled / whole:.2g} % are near "
-        "points; --sheets writes these alone"
+        f"the files lie far apart: of the {whole:.2g} pixels of a raster, only {100 * pixels.filled / whole:.2g} % are "
+        "near points; use --sheets to write only these"
     )

@@ -64,13 +64,13 @@ def beyond_frame(sources: Sequence[SourceInfo], area: Area | None, wkt: str | No
             near = [s for s in left if bounds_of(s).overlaps(area.bounds.pad(FRAME // PARTS))]
             if near and len(near) < len(left):
                 far = [
-                    (s, _reason(s, near, metres, "not near the area that is wanted"))
+                    (s, _reason(s, near, metres, "not near the requested area"))
                     for s in left
                     if s not in near
                 ]
                 found, left = found + far, near
                 continue
-        remedy = "farther than one run can hold; run each of them alone, or check their coordinates"
+        remedy = "too far for one run; run them separately, or check the coordinates"
         far = minority(left, wkt, metres, remedy)
         found, left = found + far, _without(left, far)
     return found
@@ -95,12 +95,10 @@ def minority(sources: Sequence[SourceInfo], wkt: str | None, metres: float, reme
     span = _span(hull_of(sources))
     wide = [s for s in sources if 2 * _span(bounds_of(s)) > span]
     if wide and FEW * len(wide) <= len(sources):
-        return [
-            (s, f"its points lie up to {_km(bounds_of(s), metres)} from one another: {remedy}") for s in wide
-        ]
+        return [(s, f"its points lie up to {_km(bounds_of(s), metres)} apart: {remedy}") for s in wide]
     ends = wide[:1] or [pick(sources, key=lambda s: sum(bounds_of(s).to_json())) for pick in (min, max)]
     named = " and ".join(str(s.path) for s in ends) + (": its points lie" if wide else " lie")
-    raise ConfigError(f"{named} up to {_km(hull_of(sources), metres)} from one another: {remedy}")
+    raise ConfigError(f"{named} up to {_km(hull_of(sources), metres)} apart: {remedy}")
 
 
 def _points(sources: Iterable[SourceInfo]) -> int:
@@ -116,7 +114,9 @@ def _absurd(source: SourceInfo, metres: float) -> str | None:
             f"its points are up to {_km(bounds, metres)} apart, too far for one survey; check its coordinates"
         )
     if max(map(abs, bounds.to_json())) / COUNTS_PER_UNIT * metres > FARTHEST_M:
-        return f"lies at x {x:.6g}, y {y:.6g}, where no CRS has coordinates; check its offsets and scales"
+        return (
+            f"lies at x {x:.6g}, y {y:.6g}, outside the coordinates of any CRS; check its offsets and scales"
+        )
     return None
 
 

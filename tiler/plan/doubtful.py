@@ -36,15 +36,16 @@ def _too_high(plan: Plan) -> list[str]:
     relief = (max(b[5] for _, b in boxes) - min(b[2] for _, b in boxes)) * float(units.vertical)
     if relief > WIDEST_RELIEF_M:
         found.append(
-            f"heights span {relief:,.0f} m, more than any terrain: noise far from the ground, "
-            "or z is in another unit; --units h,v"
+            f"heights span {relief:,.0f} m, more than any terrain; check for noise far from the ground, "
+            "or give the unit of z with --units h,v"
         )
     for path, (x0, y0, z0, x1, y1, z1) in boxes:
         side = max(x1 - x0, y1 - y0, 1.0) * float(units.horizontal)
         rise = (z1 - z0) * float(units.vertical)
         if side > LEAST_SIDE_M and rise > 2 * side:
             found.append(
-                f"{path}: rises {rise:,.0f} m over {side:,.0f} m: noise, or z is in another unit; --units h,v"
+                f"{path}: rises {rise:,.0f} m over {side:,.0f} m; check for noise, or give the unit of z with "
+                "--units h,v"
             )
     return found
 
@@ -61,7 +62,7 @@ def _much_overlap(plan: Plan) -> list[str]:
     if sum(work) <= MUCH_OVERLAP * len(work):
         return []
     return [
-        f"tiles of {tile:g} m with up to {max(halos):g} m of halo do {sum(work) / len(work):.1f} times "
+        f"tiles of {tile:g} m with up to {max(halos):g} m of halo need {sum(work) / len(work):.1f} times "
         f"the work; use --tile-size {math.ceil(WIDE_TILE * max(halos))} or more --memory"
     ]
 
@@ -77,6 +78,6 @@ def _stretched(plan: Plan) -> list[str]:
     if scale is None or 1 / STRETCHED < scale < STRETCHED:
         return []
     return [
-        f"the CRS {crs_name(wkt)} makes lengths {scale:.2f} times those on the ground here (x {x:,.0f}, y {y:,.0f}), "
-        "and the filter takes them as they are; reproject the clouds to a CRS for surveys, such as UTM"
+        f"lengths in the CRS {crs_name(wkt)} are {scale:.2f} times those on the ground here (x {x:,.0f}, y {y:,.0f}), "
+        "and the filter does not correct them; reproject the clouds to a CRS for surveys, such as UTM"
     ]

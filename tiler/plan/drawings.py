@@ -64,8 +64,8 @@ def _tell_two_heights(lines: list[Counts]) -> list[str]:
         return []
     x, y, low, high = (value / COUNTS_PER_UNIT for value in places[0].tolist())
     return [
-        f"--breaklines: {len(places)} places have two heights, the first is ({x:.10g}, {y:.10g}): {low:g} and "
-        f"{high:g}; one of them holds; draw the top and the foot of a wall some centimetres apart"
+        f"--breaklines: {len(places)} positions have two heights, the first at ({x:.10g}, {y:.10g}): {low:g} and "
+        f"{high:g}; only one of them is used; draw the top and the foot of a wall some centimetres apart"
     ]
 
 
@@ -80,7 +80,7 @@ def _tell_upright(lines: list[Counts]) -> list[str]:
         return []
     x, y, _ = (value / COUNTS_PER_UNIT for value in places[0].tolist())
     return [
-        f"--breaklines: upright segments are left out ({len(places)}, the first at {x:.10g}, {y:.10g}); draw the top "
+        f"--breaklines: vertical segments are left out ({len(places)}, the first at {x:.10g}, {y:.10g}); draw the top "
         "and the foot of a wall some centimetres apart"
     ]
 
@@ -123,14 +123,15 @@ def _lines(feature: Feature) -> list[npt.NDArray[np.float64]]:
 def _counts(feature: Feature, line: npt.NDArray[np.float64]) -> Counts:
     if np.abs(line[:, 2]).max() * COUNTS_PER_UNIT > INT32_LIMIT:
         raise InputError(
-            f"{feature.place}: a height of {line[np.abs(line[:, 2]).argmax(), 2]:g} is no terrain's"
+            f"{feature.place}: its height {line[np.abs(line[:, 2]).argmax(), 2]:g} is not possible for terrain; "
+            "check its unit"
         )
     counts = np.rint(line * COUNTS_PER_UNIT).astype(np.int64)
     longest = int(np.abs(np.diff(counts[:, :2], axis=0)).max(initial=0))
     if longest > LONGEST_SEGMENT:
         raise InputError(
-            f"{feature.place}: two of its vertices lie {longest / COUNTS_PER_UNIT:.3g} apart; "
-            "give it coordinates of its CRS"
+            f"{feature.place}: two of its vertices are {longest / COUNTS_PER_UNIT:.3g} apart; "
+            "give coordinates in units of its CRS"
         )
     return counts
 
@@ -140,14 +141,12 @@ def _edit(number: int, feature: Feature) -> Edit:
     action: Any = feature.attributes.get("action")
     if not isinstance(action, str) or action.strip().lower() not in ACTIONS:
         what = "has no `action`" if action is None else f"its action is {action!r}"
-        raise InputError(
-            f"{feature.place}: {what}; write one of {', '.join(ACTIONS)} into the column `action`"
-        )
+        raise InputError(f"{feature.place}: {what}; give one of {', '.join(ACTIONS)} in the column `action`")
     action = action.strip().lower()
     height = feature.height() if action == FLAT else None
     if action == FLAT and (height is None or abs(height) * COUNTS_PER_UNIT > INT32_LIMIT):
         raise InputError(
-            f"{feature.place}: is flat without a height; write it, in the unit of the heights, into the column `z`"
+            f"{feature.place}: is flat without a height; give it in the column `z`, in the unit of the heights"
         )
     z = None if height is None else round(height * COUNTS_PER_UNIT)
     return Edit(number, action, area_in_counts(feature.place, [feature]), z)

@@ -34,7 +34,7 @@ def bare_lengths(config: RunConfig, units: Units) -> list[str]:
         if isinstance(value, BareLength) and unit != METRE and value:
             option, number = f"--{name.replace('_', '-')}", f"{float(value):g}"
             feet = f"{float(value / unit):.3g} {short_unit(unit)}"
-            wanted = f"; for feet write {number}ft" if unit in (FOOT, US_SURVEY_FOOT) else ""
+            wanted = f"; give {number}ft for feet" if unit in (FOOT, US_SURVEY_FOOT) else ""
             found.append(f"{option} {number} is {number} m = {feet}{wanted}")
     return found
 

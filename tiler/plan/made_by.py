@@ -12,7 +12,7 @@ from tiler.inputs import SourceInfo
 
 NOTICEABLE = 0.01
 """A run holds both kinds if laser scans and matched clouds each cover at least this share of the area."""
-NAMES = {LIDAR: "a laser scan", DIM: "from image matching"}
+NAMES = {LIDAR: "a LiDAR cloud", DIM: "a photogrammetric cloud"}
 
 
 def evidence_of(sources: Sequence[SourceInfo]) -> Evidence:

@@ -92,7 +92,7 @@ def make_plan(
     notes += bare_lengths(config, agreement.units)
     notes += [f"{s.path}: {text}" for s in sources for text in s.notes]
     if not _filled(sources):
-        raise InputError(f"{_names(sources)}: no points; there is nothing to make a terrain of")
+        raise InputError(f"{_names(sources)}: no points to make a terrain from; give clouds with points")
     area = area_of(config, agreement.wkt, notes)
     found = _Found(inputs, sources, unreadable, agreement, area, notes)
     metres = float(agreement.units.horizontal)
@@ -175,7 +175,7 @@ def _settled(found: _Found, config: RunConfig, parameters: dict[str, Any], defau
     if config.workers is None and workers < machine.cores():
         mib = machine.memory_bytes() >> 20
         notes.append(
-            f"decided: {workers} workers for {machine.cores()} cores, as memory is {mib:,} MiB (--workers)"
+            f"decided: {workers} workers for {machine.cores()} cores, because the memory is {mib:,} MiB (--workers)"
         )
     memory = config.memory or machine.fair_share(workers)
     bucket = sizes.bucket_m(density, found.density_map, memory)
@@ -191,7 +191,7 @@ def _settled(found: _Found, config: RunConfig, parameters: dict[str, Any], defau
     )
     if colours and not meta.has_rgb:
         raise ConfigError(
-            f"--method {config.method}: needs colours (RGB), no input has any; use another method"
+            f"--method {config.method}: needs colours (RGB), but no input has them; use another method"
         )
     known = None
     if config.statistics is not None:
@@ -242,7 +242,7 @@ def output_names(
         if str(name).lower() in taken:
             raise ConfigError(
                 f"{source.path} and {taken[str(name).lower()]} would both become classified/{name}; "
-                "rename one, or run on a folder that holds both in different places"
+                "rename one of them, or give a folder that contains both in different subfolders"
             )
         taken[str(name).lower()] = source.path
         names[source.path] = name
@@ -253,15 +253,15 @@ def _method(config: RunConfig) -> tuple[dict[str, Any], Any]:
     """Parameters as plain values, and their dataclass; ({}, None) for `keep`."""
     if config.method == KEEP:
         if config.parameters:
-            raise ConfigError(f"--set {config.parameters[0][0]}: method keep has no parameters")
+            raise ConfigError(f"--set {config.parameters[0][0]}: method keep has no parameters; leave it out")
         if not config.ground_classes:
             raise ConfigError(
-                "--ground-classes none: method keep grids them as ground; give one or more, like 2"
+                "--ground-classes none: method keep needs the classes of the ground; give at least one, such as 2"
             )
         return {}, None
     if config.method not in METHODS:
-        known = EQUIVALENTS.get(config.method.lower(), "")
-        raise ConfigError(f"--method {config.method}: {known}there is {', '.join([*METHODS, KEEP])}")
+        known = EQUIVALENTS.get(config.method.lower(), "does not exist; ")
+        raise ConfigError(f"--method {config.method}: {known}use one of {', '.join([*METHODS, KEEP])}")
     try:
         params = make_params(config.method, dict(config.parameters))
     except ValueError as error:
@@ -295,7 +295,7 @@ def _inspect_all(
                     raise
                 unreadable.append((str(path), str(error)))
     if not sources:
-        raise InputError(f"none of {len(paths)} inputs can be read; the first: {unreadable[0][1]}")
+        raise InputError(f"none of {len(paths)} inputs can be read; the first error: {unreadable[0][1]}")
     return sources, unreadable
 
 

@@ -23,7 +23,7 @@ WIDTH = 120
 INDENT = " " * 12
 """Beginning of a line that continues the line above."""
 
-KIND_WORDS = {"lidar": "a laser scan", "dim": "a matched cloud"}
+KIND_WORDS = {"lidar": "a LiDAR cloud", "dim": "a photogrammetric cloud"}
 
 
 def plan_json(plan: Plan) -> dict[str, Any]:
@@ -71,7 +71,7 @@ def plan_lines(plan: Plan) -> list[str]:
         *_drawn_in_words(plan),
         f"tiles       about {plan.tiles} of {length_text(plan.tile, unit)} with {_halo_in_words(plan)}, "
         f"about {plan.fullest_window():,} points in the fullest window"
-        + ("; larger tiles for passes on one point a cell" if any(map(plan.joins, plan.steps)) else ""),
+        + ("; larger tiles for passes on one point per cell" if any(map(plan.joins, plan.steps)) else ""),
         "memory      "
         + ", ".join(f"{stage} {size / 2**20:,.0f}" for stage, size in memory.items() if size)
         + f" MiB: a worker needs {memory[worst] / 2**20:,.0f} MiB at most ({worst}), "
@@ -79,7 +79,7 @@ def plan_lines(plan: Plan) -> list[str]:
         f"disk        about {sum(disk.values()) / 1e9:.2f} GB: "
         + ", ".join(f"{name} {size / 1e9:.2f}" for name, size in disk.items() if size),
         f"time        about {seconds:,.0f} s, plus start-up"
-        + ("" if measured else " (rates of another machine where none of an earlier run here are known)"),
+        + ("" if measured else " (with rates of another machine for stages without an earlier run here)"),
     ]
     lines += [f"note        {text}" for text in plan.notes]
     lines += [f"warning     {text}" for text in plan.warnings]
@@ -102,7 +102,7 @@ def wrapped(line: str) -> list[str]:
 
 def _drawn_in_words(plan: Plan) -> list[str]:
     """What people drew for the run, if anything."""
-    counts = {"correction": len(plan.edits), "breakline": len(plan.lines), "water polygon": len(plan.waters)}
+    counts = {"edit": len(plan.edits), "breakline": len(plan.lines), "water polygon": len(plan.waters)}
     parts = [f"{n:,} {name}{'' if n == 1 else 's'}" for name, n in counts.items() if n]
     return [f"drawn       {', '.join(parts)}"] if parts else []
 
@@ -141,7 +141,7 @@ def _passes_in_words(plan: Plan) -> str:
     if len(steps) < 2:
         return ", 1 pass" if steps else ""
     some = any(step.sometimes and (step.kind is None or plan.kinds) for step in steps)
-    text = f", {len(steps)} passes" + (", not all of which apply to every cloud" if some else "")
+    text = f", {len(steps)} passes" + (", some of them only for some clouds" if some else "")
     unit = plan.meta.frame.units.horizontal
     return text + ": " + ", ".join(f"{step.title} (halo {length_text(step.halo_m, unit)})" for step in steps)
 

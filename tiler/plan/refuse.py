@@ -72,8 +72,8 @@ def refuse_places(config: RunConfig, products: str, paths: Sequence[Path]) -> No
     name, folder = os.path.splitext(products)[1].lower(), os.path.isdir(products)
     if name in FILES and not folder:
         raise ConfigError(
-            f"-o {products}: is the folder of the results, and has the name of a file; use -o "
-            f"{os.path.splitext(products)[0]}, which gets dtm.tif and all else"
+            f"-o {products}: has the name of a file, but is the folder of all results; use -o "
+            f"{os.path.splitext(products)[0]}, which will contain dtm.tif"
         )
     for name in (CLASSIFIED, ASIDE):
         check_folder("-o", joined(products, name), paths)
@@ -145,13 +145,13 @@ def refuse_resolution(plan: Plan) -> None:
         raise _error(
             plan,
             f"--resolution {float(plan.resolution):g} m: {float(pixel) / COUNTS_PER_UNIT:.9g} CRS units "
-            "is too odd a fraction; give it in the unit of the CRS",
+            "is not a simple fraction; give it in the unit of the CRS",
         )
     if pixel >= WIDEST_PIXEL:
         most = float(WIDEST_PIXEL * plan.meta.frame.metres_xy)
         raise _error(
             plan,
-            f"--resolution {float(plan.resolution):g} m: pixels are less than {most:.0f} m wide; use a smaller one",
+            f"--resolution {float(plan.resolution):g} m: pixels must be below {most:.0f} m; use smaller pixels",
         )
 
 
@@ -163,8 +163,8 @@ def refuse_fine(plan: Plan, out: Path | None) -> None:
     pixels, spacing = pixels_of(plan).largest, 1 / math.sqrt(plan.density)
     raise _error(
         plan,
-        f"--resolution {float(plan.resolution):g} m: one raster would have {pixels:.2g} pixels, and the points are "
-        f"{spacing:.2g} m apart; use --resolution {_option(plan, usual.resolution)}, or --sheets",
+        f"--resolution {float(plan.resolution):g} m: a single raster would have {pixels:.2g} pixels, but the points "
+        f"are {spacing:.2g} m apart; use --resolution {_option(plan, usual.resolution)}, or --sheets",
     )
 
 
@@ -195,12 +195,12 @@ def refuse(plan: Plan, out: Path | None, changed: Changed) -> None:
         whole = max(round(sheets / plan.resolution), 1) * plan.resolution
         raise _error(
             plan,
-            f"--sheets {float(sheets):g} m: no whole number of pixels of {float(plan.resolution):g} m; "
+            f"--sheets {float(sheets):g} m: is not a whole number of pixels of {float(plan.resolution):g} m; "
             f"use --sheets {_option(plan, whole)} or another --resolution",
         )
     if sheets is not None and len(plan.config.exported) > 1 and "{name" not in plan.config.sheet_name:
         raise ConfigError(
-            f"--sheet-name {plan.config.sheet_name}: several products would have one name; write {{name}} into it"
+            f"--sheet-name {plan.config.sheet_name}: several products would have the same name; add {{name}} to it"
         )
     _refuse_long_names(plan)
     if out is not None:
@@ -219,7 +219,7 @@ def _refuse_long_names(plan: Plan) -> None:
                 shorter = ", use --classified laz"
             raise ConfigError(
                 f"{source}: its classified cloud {name.name[:20]}...{name.suffix} would have a name of {size} bytes, "
-                f"{LONGEST_NAME} are possible; rename the input{shorter}, or leave it out with --classified none"
+                f"but at most {LONGEST_NAME} are possible; rename the input{shorter}, or use --classified none"
             )
 
 
@@ -228,13 +228,13 @@ def _refuse_memory(plan: Plan, changed: Changed) -> None:
     worst = max(memory, key=lambda k: memory[k])
     if memory[worst] > plan.memory:
         raise ConfigError(
-            f"{worst} needs {memory[worst] / 2**20:,.0f} MiB a worker, {plan.memory / 2**20:,.0f} MiB are allowed; "
-            f"use --memory {enough_memory(plan, changed) >> 20}MiB{_instead(plan, worst, changed)}"
+            f"{worst} needs {memory[worst] / 2**20:,.0f} MiB per worker, but {plan.memory / 2**20:,.0f} MiB are "
+            f"allowed; use --memory {enough_memory(plan, changed) >> 20}MiB{_instead(plan, worst, changed)}"
         )
     workers, machine = plan.config.workers or 1, memory_bytes()
     if plan.config.scheduler is None and workers * memory[worst] > max(machine, memory[worst]):
         raise ConfigError(
-            f"--workers {workers}: each needs {memory[worst] / 2**20:,.0f} MiB ({worst}), this machine has "
+            f"--workers {workers}: each needs {memory[worst] / 2**20:,.0f} MiB ({worst}), but this machine has "
             f"{machine / 2**20:,.0f} MiB; use --workers {max(machine // memory[worst], 1)}"
         )
 
@@ -291,12 +291,14 @@ def _refuse_disk(plan: Plan, out: Path) -> None:
     if not existing.is_dir():
         raise ConfigError(f"-o {out}: {existing} is a file; give a folder")
     if not os.access(existing, os.W_OK | os.X_OK):
-        raise ConfigError(f"-o {out}: {existing} cannot be written; give a folder on a disk that can")
+        raise ConfigError(f"-o {out}: {existing} cannot be written; give a folder that can be written")
     need, free = needed_bytes(plan), free_bytes(out)
     if need > free:
-        remedy = "free some, or use --store on another disk or fewer --products"
+        remedy = "free some space, or use --store on another disk or fewer --products"
         usual = _usual_pixel(plan)
         if usual is not None and needed_bytes(usual) <= free:
             coarser, asked = _option(plan, usual.resolution), _option(plan, plan.resolution)
-            remedy = f"use --resolution {coarser} instead of {asked}, or free some"
-        raise ConfigError(f"{out}: needs about {need / 1e6:,.0f} MB, {free / 1e6:,.0f} MB are free; {remedy}")
+            remedy = f"use --resolution {coarser} instead of {asked}, or free some space"
+        raise ConfigError(
+            f"{out}: needs about {need / 1e6:,.0f} MB, but {free / 1e6:,.0f} MB are free; {remedy}"
+        )

@@ -70,8 +70,8 @@ def covered_m2(
     if not 0 < sample < MOSTLY_VOID * whole:
         return whole
     notes.append(
-        f"{points / sample:.2g} points/m2 where a sample lies, {points / whole:.2g} over the bounds of the files, "
-        "which are mostly void: sizes follow from the sample"
+        f"the bounds of the files are mostly void ({points / whole:.2g} points/m2 within them, "
+        f"{points / sample:.2g} points/m2 where a sample lies): sizes follow from the sample"
     )
     return sample
 
@@ -165,8 +165,8 @@ def resolution_of(
     if kind == DIM and (fine := _finest_pixel(density, unit)) is not None:
         held = density * float(fine) ** 2
         notes.append(
-            f"decided: pixels of {length_text(fine, unit)}, which hold about {held:.0f} points each, as "
-            "image matching smooths what is smaller (--resolution)"
+            f"decided: pixels of {length_text(fine, unit)}, which contain about {held:.0f} points each, "
+            "because image matching smooths smaller details (--resolution)"
         )
         return fine
     if spacing <= 1.05:
@@ -174,8 +174,8 @@ def resolution_of(
     if spacing > config.max_edge:
         edge, apart = length_text(config.max_edge, unit), length_text(round(spacing, 2), unit)
         notes.append(
-            f"decided: pixels of {edge}, though points are {apart} apart: --max-edge {float(config.max_edge):g}m lets "
-            "no height reach that far; set --resolution and --max-edge"
+            f"decided: pixels of {edge}, although points are {apart} apart, because facets with edges above "
+            f"--max-edge {float(config.max_edge):g}m have no heights; set --resolution and --max-edge"
         )
         return config.max_edge
     resolution = Fraction(math.ceil(2 * spacing), 2)
@@ -183,7 +183,7 @@ def resolution_of(
         rounder = next((side * unit for side in PIXELS_FT if side * unit >= spacing), None)
         resolution = math.ceil(spacing / unit / 10) * 10 * unit if rounder is None else rounder
     notes.append(
-        f"decided: pixels of {length_text(resolution, unit)}, as the points are "
+        f"decided: pixels of {length_text(resolution, unit)}, because the points are "
         f"{length_text(round(spacing, 2), unit)} apart (--resolution)"
     )
     return resolution

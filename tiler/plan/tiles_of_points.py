@@ -98,8 +98,8 @@ def refuse_far(plan: Plan, inputs: Sequence[str]) -> None:
         return
     if plan.margin > plan.meta.frame.counts(reach):
         raise ConfigError(
-            f"--halo: of ept.json nodes are looked for {float(reach):g} m around the area, this run needs points "
-            "farther off; use a smaller halo, or no --bounds"
+            f"--halo: nodes of ept.json are read up to {float(reach):g} m around the area, but this run needs points "
+            "farther away; use a smaller --halo, or leave out --bounds"
         )
 
 
@@ -141,14 +141,14 @@ def contradictions(
         if found:
             path, text = found[0]
             more = f" ({len(found)} of {len(sources)} files)" if len(sources) > 1 else ""
-            yield f"{tiles.text}: {text} in {path.name}{more}; the files count; make it again"
+            yield f"{tiles.text}: {text} in {path.name}{more}; the files are used; create it again"
 
 
 def _points(counts: Mapping[Path, int], source: SourceInfo) -> Told:
     said = counts[source.path]
     if said == source.points:
         return None
-    return f"its hierarchy says {said} points, there are {source.points}"
+    return f"its hierarchy lists {said} points, but there are {source.points}"
 
 
 def _place(tiles: PointTiles, source: SourceInfo) -> Told:
@@ -161,7 +161,7 @@ def _place(tiles: PointTiles, source: SourceInfo) -> Told:
         return None
     return (
         f"its bounds place the node in {west:.10g} {south:.10g} {east:.10g} {north:.10g}, "
-        f"points lie in {x0:.10g} {y0:.10g} {x1:.10g} {y1:.10g}"
+        f"but points lie in {x0:.10g} {y0:.10g} {x1:.10g} {y1:.10g}"
     )
 
 
@@ -175,18 +175,18 @@ def _crs(tiles: PointTiles, source: SourceInfo, same: dict[str, bool]) -> Told:
         same[wkt] = own is None or said is None or same_horizontal(said, own)
     if same[wkt]:
         return None
-    return f"its srs is {CRS.from_wkt(tiles.wkt).name}, the CRS is {source.georeference.name}"
+    return f"its srs is {CRS.from_wkt(tiles.wkt).name}, but the CRS is {source.georeference.name}"
 
 
 def _scales(tiles: PointTiles, source: SourceInfo) -> Told:
     if tiles.scales in (None, source.scales):
         return None
-    return f"its schema says scales {tiles.scales}, they are {source.scales}"
+    return f"its schema has scales {tiles.scales}, but they are {source.scales}"
 
 
 def _colours(tiles: PointTiles, source: SourceInfo) -> Told:
     if tiles.has_rgb in (None, source.has_rgb):
         return None
     if tiles.has_rgb:
-        return "its schema has colours, there are none"
-    return "its schema has no colours, there are some"
+        return "its schema has colours, but there are none"
+    return "its schema has no colours, but there are some"

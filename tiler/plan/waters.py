@@ -41,7 +41,9 @@ def waters_of(features: Sequence[Feature], extent: Bounds) -> list[Water]:
     polygons = [f for f in features if f.geometry.geom_type in POLYGONS.types]
     if not polygons:
         place = features[0].place.rpartition(",")[0]
-        raise InputError(f"{place}: has lines and no polygons; draw the water that they flow through")
+        raise InputError(
+            f"{place}: has lines but no polygons; add polygons of the water that the lines flow through"
+        )
     lines = _merged([f for f in features if f.geometry.geom_type in LINES.types])
     given, open_ones = list[tuple[Feature, int]](), dict[str, list[Feature]]()
     for feature in polygons:
@@ -83,7 +85,7 @@ def _kind(feature: Feature, lines: Sequence[Any]) -> str:
     kind = KINDS.get(said.strip().lower()) if isinstance(said, str) else None
     if kind is None:
         raise InputError(
-            f"{feature.place}: its kind is {said!r}; write {LAKE} or {RIVER} into the column `kind`, or nothing"
+            f"{feature.place}: its kind is {said!r}; give {LAKE} or {RIVER} in the column `kind`, or leave it empty"
         )
     return kind
 
@@ -97,8 +99,8 @@ def _level(feature: Feature) -> int | None:
     known = isinstance(value, int | float) and not isinstance(value, bool)
     if not known or not abs(value) * COUNTS_PER_UNIT < INT32_LIMIT:
         raise InputError(
-            f"{feature.place}: its level {value!r} is not a height; give a number in the unit of the heights into "
-            f"the column `{LEVEL}`, or nothing"
+            f"{feature.place}: its level {value!r} is not a height; give a number in the unit of the heights in "
+            f"the column `{LEVEL}`, or leave it empty"
         )
     height: int = round(value * COUNTS_PER_UNIT)
     return height
@@ -118,7 +120,8 @@ def _merged(features: Sequence[Feature]) -> list[Any]:
                 continue
             if ((np.diff(z) < 0).any() and (np.diff(z) > 0).any()) or np.abs(z).max() > 1e6:
                 raise InputError(
-                    f"{feature.place}: its heights rise and fall; let them fall along the line, or draw it in 2D"
+                    f"{feature.place}: its heights rise and fall; give heights that fall along the line, or draw "
+                    "it in 2D"
                 )
             found.append(shapely.reverse(line) if z[-1] > z[0] else line)
     return [*found, *(shapely.get_parts(shapely.line_merge(shapely.MultiLineString(flat))) if flat else ())]
@@ -187,7 +190,9 @@ def _at_stations(body: Water, line: Any, stations: Sequence[Feature]) -> Water:
     if (np.diff(lifted[:, 2]) > 0).any():
         if (np.diff(lifted[:, 2]) < 0).any():
             place = known[int(order[0])][0].place.rpartition(",")[0]
-            raise InputError(f"{place}: levels of a river rise and fall; let them fall along its line")
+            raise InputError(
+                f"{place}: levels of a river rise and fall; give levels that fall along its line"
+            )
         lifted = lifted[::-1].copy()
     return replace(body, level=None, flow=lifted)
 

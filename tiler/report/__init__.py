@@ -1,4 +1,4 @@
-"""Writes run.json and report.html, which tell people and scripts about a run."""
+"""Writes run.json and report.html, which describe a run for scripts and users."""
 
 from tiler.report.runfile import write_run_file
 

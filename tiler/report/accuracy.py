@@ -1,4 +1,4 @@
-"""The section of the report about accuracy, from the JSON files of `tiler check` and `tiler evaluate` in OUT."""
+"""Section of the report about accuracy, from the JSON files of `tiler check` and `tiler evaluate` in OUT."""
 
 from __future__ import annotations
 
@@ -27,14 +27,17 @@ FIGURES = {
 
 HOW = {
     "with checkpoints": "tiler check OUT/dtm.tif --points FILE --json > OUT/check.json",
-    "with true classes": "tiler evaluate CLOUD --reference REF --json > OUT/evaluate.json",
+    "with reference classes": "tiler evaluate CLOUD --reference REF --json > OUT/evaluate.json",
     "then": "tiler report OUT",
 }
-"""Commands that fill the section."""
+"""Commands that write the files of the section, and when to use them."""
 
 
 def read_measured(out: Path, name: str) -> dict[str, Any]:
-    """The content of a file of ``OUT``: empty if there is no file, ``unreadable`` if tiler did not write it."""
+    """Return the content of a file of ``OUT``, which is empty if the file does not exist.
+
+    If tiler did not write the file, the content is an error under ``unreadable``.
+    """
     path = out / name
     if not path.is_file():
         return {}
@@ -45,7 +48,7 @@ def read_measured(out: Path, name: str) -> dict[str, Any]:
     except (OSError, ValueError) as error:
         return {"unreadable": f"{name}: {error}"}
     except (KeyError, TypeError, AttributeError, OverflowError) as error:
-        what = f"not what this version of tiler writes ({type(error).__name__}: {error}); measure again"
+        what = f"was not written by this version of tiler ({type(error).__name__}: {error}); measure again"
         return {"unreadable": f"{name}: {what}"}
     dtms = [p for p in (out / "dtm.tif", out / "dtm.vrt") if p.is_file()]
     older = bool(dtms) and path.stat().st_mtime < max(p.stat().st_mtime for p in dtms)
@@ -53,7 +56,7 @@ def read_measured(out: Path, name: str) -> dict[str, Any]:
 
 
 def write_measured(out: Path, name: str, content: Mapping[str, Any]) -> None:
-    """Write measurements to the file that `read_measured` reads; raises ProcessingError."""
+    """Write measurements to the file that `read_measured` reads, or raise ProcessingError."""
     try:
         (out / name).write_text(json.dumps(content, indent=1, default=str) + "\n", encoding="utf-8")
     except OSError as error:
@@ -61,13 +64,13 @@ def write_measured(out: Path, name: str, content: Mapping[str, Any]) -> None:
 
 
 def accuracy_content(check: Mapping[str, Any], evaluation: Mapping[str, Any]) -> list[Content]:
-    """Tables of the measurements; if there are none, the commands that make them."""
+    """Return tables of the measurements, or the commands that make them if there are none."""
     found: list[Content] = []
     for name, measured in ((CHECK, check), (EVALUATION, evaluation)):
         if "unreadable" in measured:
             found.append(el("p", measured["unreadable"], class_="warning"))
         elif measured.get("older"):
-            text = f"{name} is older than the DTM: it may be of another one."
+            text = f"{name} is older than the DTM, so it may describe another DTM; measure again."
             found.append(el("p", text, class_="warning"))
     if check.get("accuracy"):
         found += _checkpoints(check["accuracy"])
@@ -80,13 +83,13 @@ def accuracy_content(check: Mapping[str, Any], evaluation: Mapping[str, Any]) ->
     if evaluation.get("dtm"):
         found.append(_true_dtm(evaluation["dtm"]))
     return found or [
-        el("p", "Nothing was measured yet; these commands fill this section:"),
+        el("p", "Nothing was measured yet. These commands fill this section:"),
         facts({when: el("code", command) for when, command in HOW.items()}),
     ]
 
 
 def checkpoints_on_map(check: Mapping[str, Any]) -> dict[str, Any]:
-    """Checkpoints for the map, each with its name, x, y, difference, and whether it is an outlier."""
+    """Return the checkpoints for the map, each with name, x, y, difference, and whether it is an outlier."""
     found = check.get("accuracy") or {}
     places = ("x", "y", "difference")
     return {
@@ -100,11 +103,11 @@ def checkpoints_on_map(check: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _finite(value: Any) -> float | None:
-    """A number or None, unchanged; raises ValueError if the JSON of a page cannot hold the number."""
+    """Return a finite number or None, or raise ValueError for other values."""
     if value is None:
         return None
     if not math.isfinite(value):
-        raise ValueError(f"{value} is no number")
+        raise ValueError(f"{value} is not a finite number")
     return float(value)
 
 
@@ -124,8 +127,8 @@ def _checkpoints(found: Mapping[str, Any]) -> list[Content]:
     rows = [(name, *(_number(values[key]) for key in FIGURES)) for name, values in groups.items()]
     asprs = found["asprs"]
     statement = asprs["statement"] or (
-        f"No statement by the ASPRS standards: {found['nva']['points']} NVA checkpoints, "
-        f"{asprs['least_points']} are needed."
+        f"No accuracy statement by the ASPRS standards: {found['nva']['points']} NVA checkpoints, "
+        f"at least {asprs['least_points']} are needed."
     )
     return [
         el("h3", f"Checkpoints: DTM minus checkpoint, {found['unit']}"),
@@ -161,7 +164,7 @@ def _classes(found: Mapping[str, Any]) -> Node:
         "total error": f"{_percent(found['total'])} of {found['points']:,} points",
         "Cohen's kappa": _percent(found["kappa"]),
     }
-    return el("div", el("h3", "Classes against the truth"), facts(pairs))
+    return el("div", el("h3", "Classes against the reference"), facts(pairs))
 
 
 def _true_dtm(found: Mapping[str, Any]) -> Node:
@@ -171,4 +174,4 @@ def _true_dtm(found: Mapping[str, Any]) -> Node:
         text: f"{_number(found[key])} {unit}" for key, text in keys.items() if found.get(key) is not None
     }
     pairs["pixels"] = _number(found["pixels"])
-    return el("div", el("h3", "DTM against the true one"), facts(pairs))
+    return el("div", el("h3", "DTM against the reference"), facts(pairs))

@@ -1,7 +1,7 @@
-"""One HTML file that needs nothing else: elements, and the page around them.
+"""A self-contained HTML file: elements, and the page around them.
 
-Elements are those of `xml.etree.ElementTree`, whose serializer escapes every text and attribute, so that no file name
-and no message can become markup. A content security policy lets the page load nothing, and run no script but its own.
+Elements are from `xml.etree.ElementTree`, whose serializer escapes every text and attribute, so that file names and
+messages cannot become markup. A content security policy forbids the page to load anything or to run other scripts.
 """
 
 from __future__ import annotations
@@ -21,7 +21,10 @@ Content = Node | str | None
 
 
 def el(tag: str, *children: Content, **attributes: str | int | float) -> Node:
-    """An element. Children that are None are left out; ``class_`` becomes ``class``, ``data_x`` becomes ``data-x``."""
+    """Return an element without the children that are None.
+
+    The attribute ``class_`` becomes ``class``, and ``data_x`` becomes ``data-x``.
+    """
     names = {name.rstrip("_").replace("_", "-"): shown(str(value)) for name, value in attributes.items()}
     node = Node(tag, names)
     for child in children:
@@ -35,7 +38,7 @@ def el(tag: str, *children: Content, **attributes: str | int | float) -> Node:
 
 
 def table(headings: Sequence[str], rows: Sequence[Sequence[Content]], numbers: Sequence[int] = ()) -> Node:
-    """A table in a box that scrolls if the table is too wide; the columns ``numbers`` are aligned right."""
+    """Return a table whose columns ``numbers`` are aligned right, in a box that scrolls if the table is too wide."""
     classes = [{"class_": "number"} if i in numbers else {} for i in range(len(headings))]
     head = el("tr", *(el("th", h, scope="col", **c) for h, c in zip(headings, classes, strict=True)))
     body = [el("tr", *(el("td", cell, **c) for cell, c in zip(row, classes, strict=True))) for row in rows]
@@ -43,20 +46,20 @@ def table(headings: Sequence[str], rows: Sequence[Sequence[Content]], numbers: S
 
 
 def facts(pairs: Mapping[str, Content]) -> Node:
-    """A list of names and values, without those that are None."""
+    """Return a list of names and values, without values that are None."""
     shown = [(name, value) for name, value in pairs.items() if value is not None]
     return el("dl", *(node for name, value in shown for node in (el("dt", name), el("dd", value))))
 
 
 def section(name: str, title: str, *children: Content) -> Node:
-    """A part of the page, to which the list of contents links."""
+    """Return a section of the page, to which the list of contents links."""
     return el(
         "section", el("h2", title, id=f"{name}-title"), *children, id=name, aria_labelledby=f"{name}-title"
     )
 
 
 def page(title: str, header: Node, sections: Sequence[Node], data: Mapping[str, Any]) -> bytes:
-    """The whole file as bytes.
+    """Return the whole file as bytes.
 
     Parameters
     ----------
@@ -65,7 +68,7 @@ def page(title: str, header: Node, sections: Sequence[Node], data: Mapping[str, 
     sections : sequence of Element
         Sections of `section`.
     data : mapping
-        Data of the script of the page, as JSON.
+        Data for the script of the page, embedded as JSON.
 
     Returns
     -------

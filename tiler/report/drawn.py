@@ -1,4 +1,4 @@
-"""The section of the report about water, bridges, corrections, breaklines and contours, and the layers of the map."""
+"""Section of the report about water, bridges, edits, breaklines and contours, and the layers of the map."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tiler.report.profiles import profile
 
 
 def drawn(run: Run) -> list[Node]:
-    """The section in a list; an empty list if the run has none of these."""
+    """Return the section in a list, or an empty list if the run has none of these features."""
     lines, edits, water, contours = (run.get(name) for name in ("breaklines", "edits", "water", "contours"))
     wide = run.get("plan", {}).get("metres_per_unit", {}).get("horizontal", 1.0)
     high = run.get("plan", {}).get("metres_per_unit", {}).get("vertical", 1.0)
@@ -27,8 +27,8 @@ def drawn(run: Run) -> list[Node]:
             for e in edits[:MOST_ROWS]
         ]
         content += [
-            el("h3", counted(len(edits), "correction")),
-            table(("feature", "action", "west, south, east, north", "what it changed"), rows, (0,)),
+            el("h3", counted(len(edits), "edit")),
+            table(("feature", "action", "west, south, east, north", "effect"), rows, (0,)),
         ]
     if lines:
         text = f"The terrain follows {counted(lines['lines'], 'line')}, by {lines['vertices']:,} vertices."
@@ -38,7 +38,7 @@ def drawn(run: Run) -> list[Node]:
             (str(b["number"]), b["kind"], _levels(b), small_area_text(b["area_m2"], wide), _sure(b))
             for b in water[:MOST_ROWS]
         ]
-        columns = ("number", "kind", f"level, {unit}", "area", "how sure")
+        columns = ("number", "kind", f"level, {unit}", "area", "confidence")
         content += [el("h3", f"Water: {len(water):,}"), table(columns, bodies, (0, 3))]
         pictures = [profile(body, unit) for body in water[:MOST_ROWS]]
         content += [picture for picture in pictures if picture is not None]
@@ -55,13 +55,13 @@ LAYERS = {
     "water": ("water", "#1f78d1", True),
     "bridges": ("bridges", "#8a3ffc", True),
     "breaklines": ("breaklines", "#0b7a75", False),
-    "edits": ("corrections", "#d1341f", False),
+    "edits": ("edits", "#d1341f", False),
 }
-"""Layers of the map from the lowest: title, colour, and whether the area inside is tinted."""
+"""Layers of the map from the bottom up: title, colour, and whether the area inside is tinted."""
 
 
 def shapes(run: Run) -> list[dict[str, Any]]:
-    """Layers of the map that can be switched off, with lines as x, y, x, y, ... in units of the CRS."""
+    """Return the layers of the map that can be switched off, with lines as x, y, x, y, ... in units of the CRS."""
     of_features = {name: run.get(name) or () for name in ("water", "bridges", "edits")}
     lines = {name: [r for f in found for r in f.get("rings", ())] for name, found in of_features.items()}
     lines["outline"] = (run.get("outline") or {}).get("rings", [])
@@ -76,13 +76,13 @@ def shapes(run: Run) -> list[dict[str, Any]]:
 
 def _bridges(bridges: Sequence[Mapping[str, Any]], unit: float) -> list[Content]:
     if not bridges:
-        return [el("h3", "Bridges"), el("p", "None was found that stands free of the ground.")]
+        return [el("h3", "Bridges"), el("p", "No bridge was found that stands free of the ground.")]
     names = ("length_m", "width_m", "clearance_m")
     rows = [
         (*(length_text(round(b[name], 1), unit) for name in names), str(b["below"]))
         for b in bridges[:MOST_ROWS]
     ]
-    heads = ("length", "width", "clearance", "points seen beneath")
+    heads = ("length", "width", "clearance", "points below")
     return [
         el("h3", f"{counted(len(bridges), 'bridge')} left out of the terrain"),
         table(heads, rows, (0, 1, 2, 3)),
@@ -90,7 +90,7 @@ def _bridges(bridges: Sequence[Mapping[str, Any]], unit: float) -> list[Content]
 
 
 def _levels(body: Mapping[str, Any]) -> str:
-    """The level of a lake, or the highest and lowest level of a river."""
+    """Return the level of a lake, or the highest and lowest level of a river."""
     high, low = body["level"], body["level_end"]
     return f"{high:.2f}" if high == low else f"{high:.2f} to {low:.2f}"
 
@@ -100,7 +100,7 @@ def _sure(body: Mapping[str, Any]) -> str:
 
 
 def changed_text(edit: Mapping[str, Any]) -> str:
-    """The effect of a correction, in words, as if it did not overlap with others."""
+    """Return the effect of an edit in words, as if it did not overlap with other edits."""
     holes = f"; {counted(edit['holes'], 'pixel')} without a height" if edit.get("holes") else ""
     if "pixels" in edit:
         return f"{counted(edit['pixels'], 'pixel')}{holes}"

@@ -1,4 +1,4 @@
-"""The report's part on the standard error: the RMSE to expect of the terrain, and how many pixels have which error."""
+"""Part of the report about standard errors: the expected RMSE of the terrain, and a histogram of the errors."""
 
 from __future__ import annotations
 
@@ -11,23 +11,21 @@ from tiler.report.document import Content, Node, el, table
 from tiler.report.problems import Run
 
 CALIBRATED = {
-    "lidar": "27 laser scans whose terrain is known, 14 simulated and 13 real ones with labelled ground",
-    "dim": "21 matched clouds whose terrain is known, 14 simulated and 7 made of real surfaces",
+    "lidar": "27 LiDAR clouds whose terrain is known, 14 simulated and 13 real ones with classified ground",
+    "dim": "21 photogrammetric clouds whose terrain is known, 14 simulated and 7 made from real surfaces",
 }
-"""What the constants of each kind of cloud were fitted to."""
-UNKNOWN = (
-    "both laser scans and matched clouds, the larger error of the two, as nothing tells what made this cloud"
-)
+"""Scenes to which the constants of each kind of cloud were fitted."""
+UNKNOWN = "both LiDAR and photogrammetric clouds (the larger error counts, because the kind of this cloud is unknown)"
 NAMES = {
     OPEN: "open ground",
-    COVERED: "covered ground: objects are half of the points around, or the terrain is bridged or filled",
+    COVERED: "covered ground: half of the nearby points are objects, or the terrain is bridged or filled",
     WET: "water",
 }
 BAR_WIDTH, BAR_HEIGHT = 300, 10
 
 
 def expected(run: Run) -> list[Content]:
-    """A table and a histogram; nothing where the run made no standard errors."""
+    """Return a table and a histogram, or an empty list if the run made no standard errors."""
     found = run.get("sigma")
     if not found:
         return []
@@ -41,9 +39,10 @@ def expected(run: Run) -> list[Content]:
     ]
     basis = CALIBRATED.get(found["kind"] or "", UNKNOWN)
     text = (
-        f"Estimated without checkpoints, with constants fitted to {basis}. Of scenes that were left out of the fit, "
-        "four of five laser scans and nine of ten matched clouds had a true RMSE within a factor of 2. An error that "
-        "all strips share is not in it, and a smooth wrong surface, such as a roof taken for ground, can look sure."
+        f"Estimated without checkpoints, with constants fitted to {basis}. For scenes that were left out of the fit, "
+        "the actual RMSE was within a factor of 2 in four of five LiDAR clouds and nine of ten photogrammetric clouds. "
+        "The estimate does not include errors that all strips share. It can be too small where a smooth surface is "
+        "wrong, such as a roof classified as ground."
     )
     return [
         el("h3", f"Expected RMSE of this terrain, {unit}"),
@@ -54,7 +53,7 @@ def expected(run: Run) -> list[Content]:
 
 
 def _histogram(found: Mapping[str, Any], unit_m: float) -> list[tuple[Content, ...]]:
-    """A row for each class of standard errors, with a bar; classes without pixels at either end are left out."""
+    """Return a row with a bar for each class of standard errors, without empty classes at either end."""
     counts = [sum(both) for both in zip(*(found[name]["histogram"] for name in GROUPS), strict=True)]
     there = [i for i, n in enumerate(counts) if n]
     if not there:

@@ -1,4 +1,4 @@
-"""Writes ``report.html``: a run as one page that needs no server, no network and no other file."""
+"""Writes ``report.html``: a page about a run that does not need a server, a network or other files."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ from tiler.report.problems import problems
 
 
 def write_report(out: Path, run: Mapping[str, Any] | None = None, products: str | None = None) -> Path:
-    """Write ``OUT/report.html``; it appears when it is whole.
+    """Write ``OUT/report.html``, which appears only once it is complete.
 
     Parameters
     ----------
     out : Path
         The result folder of a run.
     run : mapping, optional
-        The content of its run.json; it is read by default.
+        Content of its run.json, which is read by default.
     products : str, optional
-        Path or URL of the rasters; by default that of run.json, which lacks passwords and tokens.
+        Path or URL of the folder of the rasters. By default the one in run.json, which has no passwords or tokens.
 
     Returns
     -------
@@ -43,7 +43,7 @@ def write_report(out: Path, run: Mapping[str, Any] | None = None, products: str 
     Raises
     ------
     InputError
-        ``out`` holds no run.json, or one that tiler did not write.
+        ``out`` does not contain a run.json that tiler wrote.
     ProcessingError
         A raster cannot be read, or the report cannot be written.
     """
@@ -52,7 +52,7 @@ def write_report(out: Path, run: Mapping[str, Any] | None = None, products: str 
         page = _page(out, content, products or content.get("products_at") or str(out))
     except (KeyError, TypeError, AttributeError, ValueError, OverflowError, IndexError) as error:
         raise InputError(
-            f"{out / RUN}: not what this version of tiler writes ({type(error).__name__}: {error}); run again"
+            f"{out / RUN}: was not written by this version of tiler ({type(error).__name__}: {error}); run again"
         ) from error
     except (RasterioError, OSError) as error:
         raise ProcessingError(
@@ -67,7 +67,9 @@ def write_report(out: Path, run: Mapping[str, Any] | None = None, products: str 
 
 
 def write_report_at(out: str) -> str:
-    """Write the report of the OUT of a run. If OUT is a URL, the report is made from its files and copied to it.
+    """Write the report of a run into its OUT.
+
+    If OUT is a URL, the report is written in a local folder and copied to OUT.
 
     Returns
     -------
@@ -78,7 +80,7 @@ def write_report_at(out: str) -> str:
         return str(write_report(Path(out)))
     run = read_run(out)
     if run is None:
-        raise InputError(f"{joined(out, RUN)}: cannot be read; give the OUT of a run")
+        raise InputError(f"{joined(out, RUN)}: cannot be read; give the OUT folder of a run")
     here = folder_here(out)
     here.mkdir(parents=True, exist_ok=True)
     put_file(write_report(here, run, out), joined(out, REPORT))
@@ -94,7 +96,7 @@ def _read_run(out: Path) -> dict[str, Any]:
             f"{path}: cannot be read ({error.strerror}); give the OUT folder of a run"
         ) from error
     except ValueError as error:
-        raise InputError(f"{path}: not valid JSON ({error}); run the same command again") from error
+        raise InputError(f"{path}: is not valid JSON ({error}); run the same command again") from error
 
 
 def _page(out: Path, run: Mapping[str, Any], products: str) -> bytes:
@@ -116,13 +118,13 @@ def _page(out: Path, run: Mapping[str, Any], products: str) -> bytes:
         tables.settings(run),
     ]
     made = f"Made by tiler {run['version']} from run.json, written {run.get('written', 'at an unknown time')} (UTC)."
-    about = (el("p", made), el("p", "It loads nothing and sends nothing."))
+    about = (el("p", made), el("p", "This page does not load or send any data."))
     parts.append(section("about", "About this page", *about))
     return document.page(title, sections.header(run, title), parts, map_data(run, pictures, check))
 
 
 def _rasters(place: str, run: Mapping[str, Any]) -> dict[str, str]:
-    """Path or URL of the raster that this run wrote, or of the VRT over its sheets, by product."""
+    """Return the path or URL of the raster of each product, or of the VRT over its sheets, if it exists."""
     written = run.get("outputs", {})
     named = {
         product: joined(place, f"{product}.{kind}")

@@ -1,4 +1,4 @@
-"""Data that the map draws over the pictures: tiles with state and time, outlines of files, drawings, checkpoints."""
+"""Data that the map draws over the pictures: tiles with state and time, outlines of files, features, checkpoints."""
 
 from __future__ import annotations
 
@@ -16,7 +16,10 @@ from tiler.report.problems import marked_places
 from tiler.report.runfile import title_of
 
 MOST_TILES = 20_000
-"""Most tiles on the map, of all stages together: a page of 5 MB holds no more. A stage is shown whole or not at all."""
+"""Largest number of tiles on the map, all stages together: more do not fit into a page of 5 MB.
+
+A stage is shown with all its tiles or not at all.
+"""
 
 MOST_FILES = 5_000
 TIME_COLOURS = 16
@@ -26,9 +29,9 @@ Extent = tuple[float, float, float, float]
 
 
 def with_earlier_times(run: Mapping[str, Any], out: Path) -> dict[str, Any]:
-    """The content of run.json, with time and memory of tiles of earlier runs, taken from the log of events.
+    """Return the content of run.json, with time and memory of tiles of earlier runs from the log of events.
 
-    The last event of a task belongs to the current result, because a task that is done again logs a new event.
+    The last event of a task belongs to the current result, because each repetition of a task logs a new event.
     """
     tiles = {stage: [dict(tile) for tile in of_stage] for stage, of_stage in run.get("tiles", {}).items()}
     unknown: dict[tuple[str, str], dict[str, Any]] = {
@@ -47,7 +50,7 @@ def with_earlier_times(run: Mapping[str, Any], out: Path) -> dict[str, Any]:
 
 
 def _events(path: Path) -> Iterator[dict[str, Any]]:
-    """Events of a log, without lines that a killed run left unfinished or a disk damaged."""
+    """Yield the events of a log, without incomplete lines of killed runs and damaged lines."""
     if not path.is_file():
         return
     with open(path, encoding="utf-8", errors="replace") as lines:
@@ -61,15 +64,15 @@ def _events(path: Path) -> Iterator[dict[str, Any]]:
 def map_data(
     run: Mapping[str, Any], pictures: Pictures | None, accuracy: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """Data for page.js, with coordinates in units of the CRS.
+    """Return the data for page.js, with coordinates in units of the CRS.
 
     Parameters
     ----------
     run : mapping
-        The content of run.json, with the times of `with_earlier_times`.
+        Content of run.json, with the times of `with_earlier_times`.
     pictures : Pictures or None
     accuracy : mapping
-        Result of `tiler.apps.check`, with the checkpoints under ``accuracy``; may be empty.
+        Result of `tiler.apps.check`, with the checkpoints under ``accuracy``. It may be empty.
     """
     return {
         "extent": pictures.extent if pictures else _extent(run),
@@ -92,13 +95,13 @@ def _css(colour: tuple[int, int, int]) -> str:
 
 
 def _extent(run: Mapping[str, Any]) -> Extent:
-    """The bounds of the plan, for runs without a raster."""
+    """Return the bounds of the plan, for runs without a raster."""
     west, south, east, north = run["plan"].get("extent") or (0.0, 0.0, 1.0, 1.0)
     return west, south, east, north
 
 
 def _stages(run: Mapping[str, Any]) -> list[dict[str, Any]]:
-    """Stages of tiles. The last pass of the filter comes first, because it made the labels."""
+    """Return the stages with their tiles. The last pass of the filter is first, because it made the labels."""
     found, room = [], MOST_TILES
     tiles = run.get("tiles", {})
     passes = sum(name.startswith("filter") for name in tiles)
@@ -118,6 +121,6 @@ def _stages(run: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 
 def _files(run: Mapping[str, Any]) -> list[list[Any]]:
-    """Name and bounds of the clouds that were read."""
+    """Return name and bounds of each input cloud."""
     inputs = [i for i in run.get("inputs", ()) if i.get("bounds")][:MOST_FILES]
     return [[shown(Path(i["path"]).name), *(i["bounds"][k] for k in (0, 1, 3, 4))] for i in inputs]

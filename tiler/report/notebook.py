@@ -1,4 +1,4 @@
-"""Shows results in notebooks: a few lines of HTML in which all texts and attributes are escaped."""
+"""HTML of results for notebooks, in which all texts and attributes are escaped."""
 
 from __future__ import annotations
 
@@ -18,23 +18,23 @@ from tiler.report.pictures import small_hillshade
 from tiler.report.sections import figures, noted, sentence, settled, state_text, value_text, warned
 
 PICTURE_PIXELS = 480
-"""Pixels of the longer side of a picture; a smaller raster is enlarged by a whole factor."""
+"""Pixels of the longer side of a picture. A smaller raster is enlarged by a whole factor."""
 MOST_LINKS = 12
 MOST_NOTES = 20
 
 
 def markup(title: str, *children: Content) -> str:
-    """A titled block of HTML that loads nothing and runs nothing."""
+    """Return a titled block of HTML that does not load files or run scripts."""
     return ElementTree.tostring(el("div", el("b", title), *children), encoding="unicode", method="html")
 
 
 def run_markup(run: Mapping[str, Any], products: str, files: Mapping[str, str]) -> str:
-    """HTML of a run: its state, figures, a picture of the DTM, decisions, and links to the files.
+    """Return HTML about a run: its state, figures, a picture of the DTM, decisions, and links to the files.
 
     Parameters
     ----------
     run : mapping
-        The content of run.json.
+        Content of run.json.
     products : str
         Path or URL of OUT.
     files : mapping of str to str
@@ -47,15 +47,15 @@ def run_markup(run: Mapping[str, Any], products: str, files: Mapping[str, str]) 
         table(("figure", "value"), list(figures(run)), (1,)),
         *_picture(run, products),
         _list("Warnings", warned(run)),
-        el("p", "Decided automatically, or by you:"),
+        el("p", "Settings chosen automatically or by you:"),
         table(("setting", "value", "by", "why"), settled(run)),
-        _list("Noted on the way", noted(run)),
+        _list("Notes", noted(run)),
         el("p", "Files: ", *_links(files)),
     )
 
 
 def classified_markup(result: Mapping[str, Any], target: Path, notes: Sequence[str]) -> str:
-    """HTML of a classified cloud: points by class, notes, and a link to the file.
+    """Return HTML about a classified cloud: points by class, notes, and a link to the file.
 
     Parameters
     ----------
@@ -70,15 +70,15 @@ def classified_markup(result: Mapping[str, Any], target: Path, notes: Sequence[s
     return markup(
         f"tiler.classify: {counted(result['points'], 'point')} by the method {result['method']}",
         table(("class", "points"), rows, (0, 1)),
-        el("p", f"{counted(result['changed'], 'point')} got another class than before."),
-        _list("Tiles that failed: their points keep their classes", failed),
-        _list("Noted on the way", notes),
+        el("p", f"{counted(result['changed'], 'point')} got a new class."),
+        _list("Failed tiles, whose points keep their classes", failed),
+        _list("Notes", notes),
         el("p", "File: ", *_links({target.name: str(target)})),
     )
 
 
 def check_markup(report: Mapping[str, Any]) -> str:
-    """HTML of a check: errors of NVA and VVA checkpoints, steps at seams, differences of strips, requirements."""
+    """Return HTML about a check: errors of checkpoints, steps at seams, differences of strips, requirements."""
     accuracy = report.get("accuracy", {})
     names = ("points", "rmse_v", "bias", "median", "nmad", "p95_abs")
     rows = [
@@ -98,15 +98,15 @@ def check_markup(report: Mapping[str, Any]) -> str:
         el("p", accuracy["asprs"]["statement"]) if accuracy and accuracy["asprs"]["statement"] else None,
         facts(dict(_steps(report))),
         table(("required", "limit", "measured", "met"), required, (1, 2)) if required else None,
-        _list("Noted", accuracy.get("notes", ())),
-        el("p", "Drawn: ", *_links({Path(p).name: p for p in report["figures"]}))
+        _list("Notes", accuracy.get("notes", ())),
+        el("p", "Figures: ", *_links({Path(p).name: p for p in report["figures"]}))
         if report["figures"]
         else None,
     )
 
 
 def _steps(report: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """Names and values of the figures that need no checkpoints."""
+    """Yield names and values of the figures that do not need checkpoints."""
     if "seams" in report:
         seams = report["seams"]
         for name in ("tiles", "interior"):
@@ -117,12 +117,12 @@ def _steps(report: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
 
 
 def _rounded(value: float | None) -> str:
-    """A figure to the millimetre."""
+    """Return a figure with three decimals."""
     return f"{value:.3f}" if isinstance(value, float) else value_text(value)
 
 
 def _picture(run: Mapping[str, Any], products: str) -> Iterator[Content]:
-    """The hillshade of the DTM, if there is one and it can be read."""
+    """Yield the hillshade of the DTM, or an error if the DTM cannot be read."""
     name = next((name for name in ("dtm.tif", "dtm.vrt") if name in run.get("outputs", {})), None)
     if name is None or state_at(place := joined(products, name)) is None:
         return
@@ -146,7 +146,7 @@ def _list(title: str, texts: Sequence[str]) -> Content:
 
 
 def _links(files: Mapping[str, str]) -> Iterator[Content]:
-    """Links to files, separated by spaces; links into folders come last, as there may be many."""
+    """Yield links to files, separated by spaces. Links into folders are last, because there may be many."""
     for name, place in sorted(files.items(), key=lambda file: "/" in file[0])[:MOST_LINKS]:
         yield el("a", name, href=_href(place), target="_blank", rel="noopener")
         yield " "
@@ -155,11 +155,14 @@ def _links(files: Mapping[str, str]) -> Iterator[Content]:
 
 
 def _href(place: str) -> str:
-    """The link to a file: relative if the file is below the current folder, which the server of a notebook serves."""
+    """Return the link to a file.
+
+    It is relative if the file is in the current folder, which the server of a notebook serves.
+    """
     if is_url(place):
         return place
     path = Path(os.path.abspath(place))
-    try:  # the text before a colon would be taken for the scheme of a URL
+    try:  # browsers would read the text before a colon as the scheme of a URL
         return quote(os.fsencode(path.relative_to(Path.cwd())))
     except (ValueError, OSError):
         return path.as_uri()

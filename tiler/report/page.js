@@ -1,5 +1,5 @@
 "use strict";
-// The map: pictures of the page drawn on a canvas, and over them tiles, outlines of files, what people drew, checkpoints.
+// The map: pictures of the page drawn on a canvas, and over them tiles, outlines of files, features, checkpoints.
 (() => {
   const data = JSON.parse(document.getElementById("data").textContent);
   const canvas = document.getElementById("canvas");
@@ -299,7 +299,7 @@
   addButton("All", "Show all", fitAll);
 
   canvas.addEventListener("wheel", (event) => {
-    // The page goes on scrolling unless someone works with the map.
+    // The page scrolls as usual unless the map has the focus.
     if (document.activeElement !== canvas && !event.ctrlKey) return;
     event.preventDefault();
     zoom(Math.exp(-event.deltaY / 400), event.offsetX, event.offsetY);

@@ -1,7 +1,7 @@
-"""Makes small pictures of the rasters of a run: decimated reads, whole-number shades, paletted PNGs of bounded size.
+"""Small pictures of the rasters of a run: decimated reads, whole-number shades, paletted PNGs of limited size.
 
-Memory is that of one picture, whatever the raster's size: values are float32, and what is computed of them is
-computed in strips of rows, one picture after another.
+The memory does not depend on the size of the rasters. Only one picture is in memory at a time, its values are float32,
+and derived values are computed in strips of rows.
 """
 
 from __future__ import annotations
@@ -26,24 +26,24 @@ from tiler.io.locations import is_url, plain_scheme
 from tiler.io.picture import palette_png_bytes
 
 LONGER_SIDE = 1600
-"""Pixels of a picture at most."""
+"""Largest number of pixels of the longer side of a picture."""
 
 MOST_BYTES = 3 << 20
-"""Bytes of all pictures together, as files (a third more in the page). Beyond that they are drawn again, smaller."""
+"""Largest size of all pictures together, as files (a third more in the page). Above it, smaller pictures are drawn."""
 
 SHADES = 63
-"""Steps of a picture: more are not seen, and cost bytes."""
+"""Number of shades of a picture. More shades are not visible, and make the file larger."""
 
 CLIPPED_PERCENT = 0.5
-"""Percentage of pixels at either end that share one colour, so that a spike does not take up the whole range."""
+"""Percentage of pixels at either end that share one colour, so that a spike does not stretch the range."""
 
 LEGEND_STEPS = 5
 
 CACHE_MB = 16
-"""GDAL's cache while a raster is read: it holds two rows of blocks of an overview twice as wide as a picture."""
+"""GDAL's cache while a raster is read. Two rows of blocks of an overview twice as wide as a picture fit into it."""
 
 STRIP_ROWS = 128
-"""Rows of a picture whose slopes or colours are computed at once."""
+"""Number of rows of a picture whose slopes or colours are computed together."""
 
 Colour = tuple[int, int, int]
 UInt8s = npt.NDArray[np.uint8]
@@ -65,7 +65,7 @@ GREY: tuple[Colour, ...] = ((16, 16, 16), (255, 255, 255))
 
 @dataclass(frozen=True)
 class Picture:
-    """One raster, ready for the page.
+    """One raster as a picture for the page.
 
     Attributes
     ----------
@@ -73,7 +73,7 @@ class Picture:
         Name of the product.
     title : str
     uri : str
-        A PNG as data URI.
+        PNG as a data URI.
     size : (int, int)
         Width and height, pixels.
     legend : tuple of (colour, str)
@@ -102,14 +102,14 @@ class Pictures:
 
 
 def draw(rasters: Mapping[str, str], run: Mapping[str, Any]) -> Pictures | None:
-    """Pictures of the rasters of a run; None if there is no DTM.
+    """Return pictures of the rasters of a run, or None if there is no DTM.
 
     Parameters
     ----------
     rasters : mapping of str to str
         Path or URL of a GeoTIFF or a VRT, by product.
     run : mapping
-        The content of run.json, whose units the slopes need.
+        Content of run.json, whose units are needed for the slopes.
 
     Raises
     ------
@@ -128,7 +128,10 @@ def draw(rasters: Mapping[str, str], run: Mapping[str, Any]) -> Pictures | None:
 
 
 def small_hillshade(dtm: str, run: Mapping[str, Any], longer: int) -> Picture:
-    """A hillshade of the DTM at a path or URL, at most ``longer`` pixels wide or high; it raises as `draw` does."""
+    """Return a hillshade of the DTM at a path or URL, at most ``longer`` pixels wide or high.
+
+    It raises the same errors as `draw`.
+    """
     with rasterio.Env(GDAL_CACHEMAX=CACHE_MB):
         heights = _read(dtm, longer, Resampling.average)
         return _hillshade(heights, _extent(dtm), run)
@@ -143,7 +146,7 @@ def _draw(rasters: Mapping[str, str], run: Mapping[str, Any], longer: int) -> Pi
 def _each(
     rasters: Mapping[str, str], extent: Extent, run: Mapping[str, Any], longer: int
 ) -> Iterator[Picture]:
-    """The pictures one after another, so that only one is in memory."""
+    """Yield the pictures one after another, so that only one is in memory."""
     heights = _read(rasters["dtm"], longer, Resampling.average)
     yield _hillshade(heights, extent, run)
     yield _heights(heights, run)
@@ -163,14 +166,14 @@ def _picture(
     colours: Mapping[int, Colour],
     legend: Sequence[tuple[Colour, str]],
 ) -> Picture:
-    """A picture of values from 0 (no data) to `SHADES`."""
+    """Return a picture of values from 0 (no data) to `SHADES`."""
     height, width = values.shape
     data = base64.b64encode(palette_png_bytes(values, colours)).decode("ascii")
     return Picture(name, title, f"data:image/png;base64,{data}", (width, height), tuple(legend))
 
 
 def _open(place: str) -> Any:
-    """Open a raster. A raster at a URL is read in parts, because its overviews need only a few of them."""
+    """Open a raster. A raster at a URL is read in parts, because its overviews are only a few parts of the file."""
     return (
         rasterio.open(place, opener=url_to_fs(plain_scheme(place))[0])
         if is_url(place)
@@ -184,7 +187,7 @@ def _extent(place: str) -> Extent:
 
 
 def _read(place: str, longer: int, resampling: Resampling) -> Floats:
-    """Pixels, NaN where there is no data; from the overviews of a large raster, block by block."""
+    """Read pixels, with NaN for nodata, from the overviews of a large raster, block by block."""
     with _open(place) as raster:
         shrink = max(max(raster.shape) / longer, 1.0)
         shape = tuple(max(round(side / shrink), 1) for side in raster.shape)
@@ -201,7 +204,7 @@ def _values(raster: Any, shape: tuple[int, ...], resampling: Resampling) -> Floa
 
 
 def _read_sheets(vrt: Any, shape: tuple[int, ...], resampling: Resampling) -> Floats:
-    """The picture of a VRT, from the overviews of its sheets: GDAL would look at all pixels between them."""
+    """Read a VRT from the overviews of its sheets, because GDAL would read all pixels between the sheets as well."""
     values = np.full(shape, np.nan, np.float32)
     down, across = (side / whole for side, whole in zip(shape, vrt.shape, strict=True))
     for path in vrt.files:
@@ -226,7 +229,7 @@ def _strips(rows: int) -> Iterator[slice]:
 
 
 def _hillshade(heights: Floats, extent: Extent, run: Mapping[str, Any]) -> Picture:
-    """Hillshade of the decimated heights, as details smaller than a pixel of the picture cannot be seen."""
+    """Draw a hillshade of the decimated heights, as details smaller than a pixel of the picture are not visible."""
     west, south, east, north = extent
     metres = run["plan"].get("metres_per_unit", {"horizontal": 1.0, "vertical": 1.0})
     rows, columns = heights.shape
@@ -253,7 +256,7 @@ def _heights(heights: Floats, run: Mapping[str, Any]) -> Picture:
 
 
 def _density(density: Floats) -> Picture:
-    """A picture of density with logarithmic shades, so that clearings in a wood and overlaps of strips both show."""
+    """Draw the density with logarithmic shades, so that forest clearings and overlaps of strips are both visible."""
     density[density <= 0] = np.nan
     found = np.log10(density, out=density)
     low, high = _range(found)
@@ -261,7 +264,7 @@ def _density(density: Floats) -> Picture:
 
 
 def _sigma(sigma: Floats, run: Mapping[str, Any]) -> Picture:
-    """On a scale of logarithms: errors of centimetres and of metres both show."""
+    """Draw standard errors with logarithmic shades, so that errors of centimetres and of metres are both visible."""
     unit = short_unit(run["plan"].get("metres_per_unit", {}).get("vertical", 1.0))
     found = np.log10(sigma, out=sigma)
     low, high = _range(found)
@@ -272,11 +275,11 @@ def _mask(mask: Floats) -> Picture:
     product = PRODUCTS["mask"]
     values = np.nan_to_num(mask, copy=False, nan=OUTSIDE).astype(np.uint8)
     legend = [(product.colours[v], text) for v, text in MASK_VALUES.items() if v != OUTSIDE]
-    return _picture("mask", "Where heights come from", values, product.colours, legend)
+    return _picture("mask", "Source of heights", values, product.colours, legend)
 
 
 def _range(values: Floats) -> tuple[float, float]:
-    """Lowest and highest value of the colour scale."""
+    """Return the lowest and highest value of the colour scale."""
     there = values[np.isfinite(values)]
     if there.size == 0:
         return 0.0, 1.0
@@ -305,7 +308,7 @@ def _ramp(
 
 
 def ramp_colour(stops: tuple[Colour, ...], share: float) -> Colour:
-    """The colour at a share, 0 to 1, of a ramp with stops of equal distance."""
+    """Return the colour at a share, 0 to 1, of a ramp with equally spaced stops."""
     place = share * (len(stops) - 1)
     i = min(int(place), len(stops) - 2)
     red, green, blue = (round(a + (place - i) * (b - a)) for a, b in zip(stops[i], stops[i + 1], strict=True))

@@ -1,6 +1,6 @@
-"""Problems of a run: one list of small records about missing and doubtful results, made from the content of run.json.
+"""Problems of a run: a list of records about missing and doubtful results, made from the content of run.json.
 
-A source is a function from run.json to problems. Another kind of problem is another function in `SOURCES`.
+A source is a function from run.json to problems. To add a kind of problem, add a function to `SOURCES`.
 """
 
 from __future__ import annotations
@@ -16,26 +16,26 @@ from tiler.report.document import Content, Node, el, section, table
 from tiler.report.runfile import title_of
 
 MOST_ROWS = 1000
-"""Largest number of rows of a table; the rest is in run.json."""
+"""Largest number of rows of a table. The other rows are in run.json."""
 
 Run = Mapping[str, Any]
 Place = tuple[float, float, float, float]
-"""West, south, east, north in units of the CRS; for a point west equals east and south equals north."""
+"""West, south, east, north in units of the CRS. For a point, west equals east and south equals north."""
 
 
 class Problem(NamedTuple):
-    """Something that a person should look at.
+    """Missing or doubtful result that a user should check.
 
     Attributes
     ----------
     what : str
         Kind of the problem, such as ``void inside the survey``.
     where : Place or None
-        Place of the problem; None if it has none.
+        Extent of the problem, or None if it has no location.
     why : str
         Cause and size of the problem.
     remedy : str
-        Remedy in words; empty if there is nothing to do.
+        Remedy in words. It is empty if there is nothing to do.
     """
 
     what: str
@@ -45,12 +45,12 @@ class Problem(NamedTuple):
 
 
 def problems_of(run: Run) -> list[Problem]:
-    """All problems of a run, in the order of `SOURCES`."""
+    """Return all problems of a run, in the order of `SOURCES`."""
     return [problem for source in SOURCES for problem in source(run)]
 
 
 def place_of(bounds: Sequence[float] | None) -> Place | None:
-    """The place of four edges (west, south, east, north), or of a point (x, y)."""
+    """Return the extent of four edges (west, south, east, north), or of a point (x, y)."""
     if not bounds:
         return None
     west, south, *rest = (float(v) for v in bounds)
@@ -66,7 +66,7 @@ def _warnings(run: Run) -> Iterator[Problem]:
 
 
 def _objects(run: Run) -> Iterator[Problem]:
-    """Roofs and crowns that may still be in the finished terrain."""
+    """Yield roofs and crowns that may still be in the finished terrain."""
     places = run.get("advice_at", ())
     for text, place in zip_longest(run.get("advice", ()), places):
         yield Problem("objects suspected in the terrain", place_of(place), text)
@@ -75,26 +75,26 @@ def _objects(run: Run) -> Iterator[Problem]:
 def _files(run: Run) -> Iterator[Problem]:
     for file in run.get("quarantined", ()):
         why = file["error"].removeprefix(f"{file['path']}: ")
-        yield Problem("file left out", None, f"{file['path']}: {why}", "repair the file, and run again")
+        yield Problem("file left out", None, f"{file['path']}: {why}", "repair the file, then run again")
 
 
 def _tasks(run: Run) -> Iterator[Problem]:
     for task in run.get("failed_tasks", ()):
         why = f"{title_of(run, task['stage'])} {task['key']}: {task['error']}"
-        yield Problem("task that failed", place_of(task.get("bounds")), why, "run again")
+        yield Problem("failed task", place_of(task.get("bounds")), why, "run again")
 
 
 def _labels(run: Run) -> Iterator[Problem]:
-    """Tiles with labels that points beyond their halo could change."""
+    """Yield tiles with labels that points beyond their halo could change."""
     marked = run.get("filter", {}).get("marked", 0)
     tiles = [t for name, found in run.get("tiles", {}).items() if name.startswith("filter") for t in found]
     doubtful = [tile for tile in tiles if tile["marked"]]
     remedy = "use a larger --halo"
     for tile in doubtful:
-        why = f"tile {tile['key']}: {tile['marked']:,} labels are not certified, as points beyond its halo could "
+        why = f"tile {tile['key']}: {tile['marked']:,} labels are not certified, because points beyond its halo could "
         yield Problem("doubtful tile", place_of(tile["bounds"]), f"{why}change them", remedy)
     if marked and not doubtful:
-        why = f"{marked:,} labels are not certified: points beyond the widest halo could change them"
+        why = f"{marked:,} labels are not certified, because points beyond the widest halo could change them"
         yield Problem("doubtful tiles", None, why, remedy)
 
 
@@ -105,35 +105,35 @@ def _area(run: Run, square_metres: float) -> str:
 def _voids(run: Run) -> Iterator[Problem]:
     for void in run.get("voids", {}).get("largest", ()):
         why = f"{counted(void['pixels'], 'pixel')} ({_area(run, void['area_m2'])}) without a height"
-        remedy = "--voids fill takes heights from the rim, --edits with action void accepts it"
+        remedy = "use --voids fill to fill it from its boundary, or --edits with action void to accept it"
         yield Problem("void inside the survey", place_of(void["bounds"]), why, remedy)
 
 
 def _edits(run: Run) -> Iterator[Problem]:
-    """Corrections that leave holes against the wish of the user, and corrections that changed nothing."""
+    """Yield edits that leave holes although the user did not ask for them, and edits that changed nothing."""
     for edit in run.get("edits") or ():
-        holes, name = edit.get("holes", 0), f"correction {edit['number']} ({edit['action']})"
+        holes, name = edit.get("holes", 0), f"edit {edit['number']} ({edit['action']})"
         if holes and edit["action"] != "void":
             why = f"{name} leaves {counted(holes, 'pixel')} without a height"
             yield Problem(
-                "hole in a correction",
+                "hole in an edit",
                 place_of(edit["bounds"]),
                 why,
-                "use --voids fill, or a larger --max-edge",
+                "use --voids fill or a larger --max-edge",
             )
         if edit.get("changed") is False:
-            yield Problem("correction without effect", place_of(edit["bounds"]), f"{name} changed nothing")
+            yield Problem("edit without effect", place_of(edit["bounds"]), f"{name} changed nothing")
 
 
 def _water(run: Run) -> Iterator[Problem]:
     for doubt in run.get("water_doubts", ()):
-        remedy = "check it; edit water.gpkg and give it with --water to change it"
+        remedy = "check it; to change it, edit water.gpkg and give the file with --water"
         yield Problem("doubtful water", place_of(doubt["place"]), doubt["text"], remedy)
 
 
 def _canopy(run: Run) -> Iterator[Problem]:
     for doubt in run.get("canopy_doubts", ()):
-        remedy = "use --canopy void to leave it without heights, or --edits with the action ground"
+        remedy = "use --canopy void for nodata there, or --edits with the action ground"
         yield Problem("ground hidden by canopy", place_of(doubt["place"]), doubt["text"], remedy)
 
 
@@ -142,18 +142,18 @@ def _kept(run: Run) -> Iterator[Problem]:
         if int(code) in NOISE:
             continue
         why = f"{count:,} points of class {code} were not filtered and keep their class"
-        yield Problem("class kept", None, why, "--keep-classes sets the classes that are kept")
+        yield Problem("class kept", None, why, "use --keep-classes to choose the classes that are kept")
 
 
 def _strays(run: Run) -> Iterator[Problem]:
     for stray in run.get("strays", ()):
-        why = f"point {stray['point']:,} of {stray['path']}, at the height {stray['z']:g}, is far from all others"
+        why = f"point {stray['point']:,} of {stray['path']}, at the height {stray['z']:g}, is far from all other points"
         yield Problem("stray point", place_of((stray["x"], stray["y"])), why, "it was left out")
 
 
 def _healed(run: Run) -> Iterator[Problem]:
     if healed := ", ".join(run.get("healed", ())):
-        yield Problem("damaged store", None, f"{healed}: damaged, and made again")
+        yield Problem("damaged store", None, f"{healed}: was damaged; it was computed again")
 
 
 SOURCES: tuple[Callable[[Run], Iterator[Problem]], ...] = (
@@ -170,23 +170,23 @@ SOURCES: tuple[Callable[[Run], Iterator[Problem]], ...] = (
     _strays,
     _healed,
 )
-"""Sources of problems, the gravest first."""
+"""Sources of problems, the most serious first."""
 
 
 def problems(run: Run) -> Node:
-    """The section of the report about missing and doubtful results, with remedies."""
+    """Return the section of the report about missing and doubtful results, with remedies."""
     found = problems_of(run)
     if not found:
-        none = "None: every file was read, every tile was made, and nothing looks doubtful."
+        none = "None: every file was read, every tile was processed, and no result is doubtful."
         return section("problems", "Problems", el("p", none))
     rows: list[tuple[Content, ...]] = [(p.what, _link(p.where), p.why, p.remedy) for p in found[:MOST_ROWS]]
     more = len(found) - MOST_ROWS
     rest = el("p", f"{more:,} more are in run.json.") if more > 0 else None
-    return section("problems", "Problems", table(("what", "where", "why", "what to do"), rows), rest)
+    return section("problems", "Problems", table(("problem", "location", "cause", "remedy"), rows), rest)
 
 
 def _link(where: Place | None) -> Content:
-    """A place as a link that shows it on the map."""
+    """Return an extent as a link that shows it on the map."""
     if where is None:
         return "-"
     west, south, east, north = where
@@ -195,6 +195,6 @@ def _link(where: Place | None) -> Content:
 
 
 def marked_places(run: Run) -> list[list[Any]]:
-    """Kind, west, south, east and north of each problem that has a place, for the map."""
+    """Return kind, west, south, east and north of each problem that has a location, for the map."""
     found = [problem for problem in problems_of(run) if problem.where is not None]
     return [[problem.what, *(problem.where or ())] for problem in found[:MOST_ROWS]]

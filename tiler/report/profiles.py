@@ -1,4 +1,4 @@
-"""Draws profiles of rivers: the level of the water along the flow, and the heights from which it was found."""
+"""Profiles of rivers: the level of the water along the flow, and the heights that determine it."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ LEFT, RIGHT, TOP, BOTTOM = 64, 16, 12, 26
 """Margins of a picture, pixels."""
 WATER, BANKS = "#1f78d1", "#b0722a"
 LEAST_RANGE = 0.5
-"""A picture shows at least so many units of height: noise shall not look like a fall."""
+"""Smallest range of heights of a picture, so that noise does not look like a waterfall."""
 LINES_ACROSS, LINES_ALONG = 4, 6
-"""A picture has at most so many lines at round heights, and at round lengths."""
+"""Largest number of grid lines of a picture, at round heights and at round lengths."""
 
 Scale = Callable[[float], float]
 Station = Mapping[str, Any]
 
 
 def profile(body: Mapping[str, Any], unit: str) -> Node | None:
-    """The profile of a river of run.json; None if its level has fewer than two stations.
+    """Return the profile of a river of run.json, or None if its level has fewer than two stations.
 
     Parameters
     ----------
@@ -34,7 +34,7 @@ def profile(body: Mapping[str, Any], unit: str) -> Node | None:
     if len(stations) < 2:
         return None
     banks = [(s["along"], s[side]) for s in stations for side in ("left", "right") if s[side] is not None]
-    # Banks may be cliffs, and a canal's lie below: what is far from the water is not drawn.
+    # Banks may be cliffs, and banks of canals lie below the water. Heights far from the water are not drawn.
     low, high = _span([s["level"] for s in stations], [z for _, z in banks])
     length = max(float(stations[-1]["along"]), 1e-9)
 
@@ -68,7 +68,7 @@ def profile(body: Mapping[str, Any], unit: str) -> Node | None:
 
 
 def round_steps(low: float, high: float, most: int) -> list[float]:
-    """Multiples of 1, 2 or 5 times a power of ten from ``low`` to ``high``: as many as possible, at most ``most``."""
+    """Return multiples of 1, 2 or 5 times a power of ten from ``low`` to ``high``, as many as ``most`` allows."""
     power = 10.0 ** math.floor(math.log10((high - low) / most))
     for step in (power * factor for factor in (1, 2, 5, 10, 20)):
         first, last = math.ceil(low / step - 1e-9), math.floor(high / step + 1e-9)
@@ -80,14 +80,14 @@ def round_steps(low: float, high: float, most: int) -> list[float]:
 def _caption(body: Mapping[str, Any], stations: Sequence[Station], unit: str) -> str:
     seen = sum(bool(station["seen"]) for station in stations)
     return (
-        f"{body['kind'].capitalize()} {body['number']}: level of the water along its flow (line), in {unit}; lengths "
-        f"are in the unit of the CRS. At {seen} of {len(stations)} places it rests on returns of the water (blue), at "
-        "the others on the banks (brown: the level that each bank gives)."
+        f"{body['kind'].capitalize()} {body['number']}: level of the water along its flow (line), in {unit}. Lengths "
+        f"are in the unit of the CRS. At {seen} of {len(stations)} stations the level comes from returns of the water "
+        "(blue), at the others from the banks (brown: the level by each bank)."
     )
 
 
 def _span(levels: Sequence[float], banks: Sequence[float]) -> tuple[float, float]:
-    """Lowest and highest height of a picture."""
+    """Return the lowest and highest height of a picture."""
     low, high = min(levels), max(levels)
     reach = max(high - low, LEAST_RANGE)
     near = [z for z in banks if low - reach <= z <= high + reach]
@@ -97,7 +97,7 @@ def _span(levels: Sequence[float], banks: Sequence[float]) -> tuple[float, float
 
 
 def _heights(low: float, high: float, down: Scale) -> list[Node]:
-    """Lines across the picture at round heights."""
+    """Draw lines across the picture at round heights."""
     found, digits = [], 2 if high - low < LINES_ACROSS else 0
     for z in round_steps(low, high, LINES_ACROSS):
         y = f"{down(z):.1f}"
@@ -107,7 +107,7 @@ def _heights(low: float, high: float, down: Scale) -> list[Node]:
 
 
 def _lengths(length: float, across: Scale) -> list[Node]:
-    """Short lines below the picture at round lengths."""
+    """Draw short lines below the picture at round lengths."""
     found = []
     for along in round_steps(0.0, length, LINES_ALONG):
         x = f"{across(along):.1f}"

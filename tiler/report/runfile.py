@@ -1,4 +1,4 @@
-"""Writes ``run.json`` so that it is whole and valid at any time, also after a crash."""
+"""Writes ``run.json`` so that it is complete and valid at any time, also after a crash."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from tiler.io.result_folder import RUN
 
 
 def write_run_file(out: Path, content: dict[str, Any]) -> None:
-    """Replace ``OUT/run.json``; raises ProcessingError if it cannot be written."""
-    # People read the file when the run is done. Until then it has one line, which Python writes ten times as fast.
+    """Replace ``OUT/run.json``, or raise ProcessingError if it cannot be written."""
+    # Users read the file when the run is done. Until then it has one line, which Python writes ten times as fast.
     indent = None if content["state"] == "running" else 1
     text = json.dumps(content, indent=indent, sort_keys=True) + "\n"
     try:
@@ -41,5 +41,5 @@ def tell_end(out: Path, state: str, exit_code: int) -> None:
 
 
 def title_of(run: Mapping[str, Any], stage: str) -> str:
-    """The title of a stage in words, also for runs of versions before 0.1, which have no titles."""
+    """Return the title of a stage, also for runs of versions before 0.1, whose run.json has no titles."""
     return str(run.get("stages", {}).get(stage, {}).get("title") or stage_title(stage))

@@ -1,4 +1,4 @@
-"""Parts of the report that are text and tables, made from the content of run.json."""
+"""Sections of the report with text and tables, made from the content of run.json."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from tiler.report.problems import MOST_ROWS, Run
 
 STATES = {
     "done": "Finished",
-    "running": "Still at work, or ended by force",
-    "failed": "Failed: an error ended it; run the same command again to resume",
+    "running": "Still running, or killed",
+    "failed": "Failed with an error: run the same command again to resume",
     "interrupted": "Interrupted: run the same command again to resume",
 }
 
 
 def header(run: Run, title: str) -> Node:
-    """The head of the report: title, state, result in a sentence, and the figures that most people look for."""
+    """Return the head of the report: title, state, result in a sentence, and the key figures."""
     good = run["state"] == "done" and not _left_out(run)
     cards = [el("div", el("b", value), el("span", name), class_="card") for name, value in figures(run)]
     return el(
@@ -35,25 +35,25 @@ def header(run: Run, title: str) -> Node:
 
 
 def state_text(run: Run) -> str:
-    """The state of the run in a few words."""
+    """Return the state of the run in a few words."""
     if run["state"] == "done" and _left_out(run):
-        return "Finished, with something left out"
+        return "Finished, but incomplete"
     return STATES.get(run["state"], str(run["state"]))
 
 
 def _left_out(run: Run) -> str:
-    """Number of files and tasks that are missing, in words; empty if nothing is missing."""
+    """Return the number of missing files and tasks in words, or an empty text if nothing is missing."""
     files, tasks = len(run.get("quarantined", ())), len(run.get("failed_tasks", ()))
     parts = [f"{n} {name}{'' if n == 1 else 's'}" for n, name in ((files, "file"), (tasks, "task")) if n]
     return " and ".join(parts)
 
 
 def sentence(run: Run) -> str:
-    """The result of the run, in a sentence or two."""
+    """Return the result of the run in one or two sentences."""
     plan, dtm, left_out = run["plan"], run.get("dtm"), _left_out(run)
-    what = "A run that made no terrain model yet"
+    what = "A run without a terrain model so far"
     if dtm:
-        what = f"A terrain model of pixels of {_length(run, dtm['resolution_m'])}"
+        what = f"A terrain model with pixels of {_length(run, dtm['resolution_m'])}"
     seconds = f" in {duration_text(run['seconds'])}" if "seconds" in run and not done_before(run) else ""
     missing = f" Left out: {left_out}; see Problems." if left_out else " Nothing was left out."
     return (
@@ -63,7 +63,7 @@ def sentence(run: Run) -> str:
 
 
 def figures(run: Run) -> Iterator[tuple[str, str]]:
-    """Names and values of the figures that most people look for."""
+    """Yield names and values of the key figures."""
     plan = run["plan"]
     if "counts" in run:
         yield "points read", count_text(run["counts"]["read"])
@@ -72,52 +72,52 @@ def figures(run: Run) -> Iterator[tuple[str, str]]:
         ground, points = written.get("2", 0), sum(written.values())
         if not points:
             ground, points = run["filter"]["ground"], run["filter"]["points"]
-        yield "of them ground", f"{ground / points:.1%}"
+        yield "ground points", f"{ground / points:.1%}"
     yield "points per m2", f"{plan['density_per_m2']:.3g}"
     if "dtm" in run:
         dtm = run["dtm"]
         yield f"pixels of {_length(run, dtm['resolution_m'])}", f"{dtm['width']:,} x {dtm['height']:,}"
         pixels = max(dtm["width"] * dtm["height"], 1)
         if "voids" in run:
-            # A ragged survey covers a part of the rectangle of the raster; outside of it nothing is missing.
-            yield "of the survey with a height", share_with_height(run["voids"])
+            # A ragged survey covers only a part of the raster. The pixels outside are not missing.
+            yield "of the survey has a height", share_with_height(run["voids"])
         else:
-            yield "of them with a height", f"{dtm['filled'] / pixels:.1%}"
+            yield "of the pixels have a height", f"{dtm['filled'] / pixels:.1%}"
     if "seconds" in run:
         yield "time of the last run" if done_before(run) else "time", duration_text(run["seconds"])
     yield "peak memory of a process", size_text(run["peak_rss_bytes"])
 
 
 def _length(run: Run, metres: float) -> str:
-    """A length in the unit of the CRS."""
+    """Return a length as text in the unit of the CRS."""
     return length_text(metres, _unit(run))
 
 
 def _unit(run: Run) -> float:
-    """Metres of a horizontal unit of the CRS."""
+    """Return the metres per horizontal unit of the CRS."""
     return float(run["plan"].get("metres_per_unit", {}).get("horizontal", 1.0))
 
 
 def share_with_height(voids: Mapping[str, Any]) -> str:
-    """Share of the pixels of the survey that have a height, in percent, rounded down: 100 % means all."""
+    """Return the share of the survey's pixels that have a height, rounded down so that 100 % means all pixels."""
     inside = voids["surveyed_pixels"]
     known = inside - voids["pixels"] - voids["asked_pixels"]
     return f"{1000 * known // max(inside, 1) / 10:.1f} %"
 
 
 def done_before(run: Run) -> int:
-    """Number of tasks that an earlier run in the same OUT had done."""
+    """Return the number of tasks that were up to date before this run."""
     return sum(stage["done"] for stage in run.get("stages", {}).values())
 
 
 def _halo_m(run: Run) -> float:
-    """The widest halo of the passes that the run did, as far as the plan knew it."""
+    """Return the widest planned halo of the passes that the run did."""
     plan, survey = run["plan"], (run.get("statistics") or {}).get("survey", {}).get("survey", {})
     return float(plan.get("halo_by_kind_m", {}).get(survey.get("kind"), plan["halo_m"]))
 
 
 class Settled(NamedTuple):
-    """A setting that tiler can choose by itself: its value, who chose it (``you`` or ``automatic``), and why."""
+    """Setting that tiler can choose: its value, who chose it (``you`` or ``automatic``), and why."""
 
     setting: str
     value: str
@@ -126,19 +126,19 @@ class Settled(NamedTuple):
 
 
 def settled(run: Run) -> list[Settled]:
-    """The values of those settings that tiler can choose by itself."""
+    """Return the values of the settings that tiler can choose."""
     plan, config = run["plan"], run["configuration"]
-    memory, declared = plan["memory_bytes"], "what the files declare"
+    memory, declared = plan["memory_bytes"], "declared by the files"
     units = " and ".join(dict.fromkeys(plan.get("units", {}).values()))
     found = {
         "resolution": (
             _length(run, plan["resolution_m"]),
-            "1 m (2 ft), the points' spacing if wider; finer where matched points are dense",
+            "1 m (2 ft), or the point spacing if larger; finer for dense photogrammetric clouds",
         ),
-        "tile_size": (_length(run, plan["tile_m"]), "what fits into a worker's memory"),
-        "halo": (_length(run, _halo_m(run)), "the method's own reach"),
+        "tile_size": (_length(run, plan["tile_m"]), "fits into the memory of a worker"),
+        "halo": (_length(run, _halo_m(run)), "the radius that the method needs"),
         "workers": (str(plan["workers"]), "the cores that tiler may use"),
-        "memory": (size_text(memory), "a fair share of the machine, 4 GiB at most"),
+        "memory": (size_text(memory), "a fair share of the machine, at most 4 GiB"),
         "units": (units, declared),
         "crs": (_crs_name(plan["crs"]), declared),
     }
@@ -149,49 +149,52 @@ def settled(run: Run) -> list[Settled]:
 
 
 def noted(run: Run) -> list[str]:
-    """The notes of the plan and of the run, each once."""
+    """Return the notes of the plan and of the run, each once."""
     return list(dict.fromkeys([*run["plan"].get("notes", ()), *run.get("notes", ())]))
 
 
 def warned(run: Run) -> list[str]:
-    """Warnings about the settings and the data."""
+    """Return warnings about the settings and the data."""
     doubts = [*run.get("canopy_doubts", ()), *run.get("water_doubts", ())]
     texts = [doubt["text"] for doubt in doubts]
     return [*run["plan"].get("warnings", ()), *run.get("doubts", ()), *texts, *run.get("advice", ())]
 
 
 def decisions(run: Run) -> Node:
-    """The section about automatic decisions and their reasons."""
+    """Return the section about automatic decisions and their reasons."""
     told = [el("li", text) for text in noted(run)[:MOST_ROWS]]
     found = list(_measured(run))
     content: list[Content] = [table(("setting", "value", "by", "why"), settled(run))]
     if told:
-        content += [el("h3", "Noted on the way"), el("ul", *told)]
+        content += [el("h3", "Notes"), el("ul", *told)]
     if found:
-        measured = table(("by pass", "figure", "value"), found[:MOST_ROWS])
+        measured = table(("pass", "figure", "value"), found[:MOST_ROWS])
         content += [el("h3", "Measured over the whole run"), measured]
     return section("decisions", "Decided automatically", *content)
 
 
 FIGURES_IN_WORDS = {
     "survey / kind": "kind of cloud",
-    "survey / sure": "how sure the kind is",
+    "survey / sure": "confidence of the kind",
     "survey / density_m2": "points per m2, without empty cells",
     "survey / sigma_m": "noise of heights, m",
     "survey / cell_sigma_m": "noise of heights within cells, m",
     "canopy / share": "share of the area in which a canopy hides the ground",
     "survey / cell_m": "side of cells, m",
-    "places": "places of 256 m with figures of their own",
-    "survey / several": "share of points that are one of several returns",
+    "places": "squares of 256 m with separate figures",
+    "survey / several": "share of points from pulses with several returns",
 }
-"""Readable names of figures that passes measure; others keep the names that the passes give them."""
+"""Readable names of figures that passes measure. Other figures keep the names of the passes."""
 
 
 def _measured(run: Run) -> Iterator[tuple[str, str, str]]:
-    """Pass, figure and value; a figure that later passes only hand on is listed once, with the first pass."""
+    """Yield pass, figure and value.
+
+    A figure that later passes only repeat is listed once, with the first pass.
+    """
     known: dict[str, str] = {}
     states = {step: dict(_flat("", state)) for step, state in run.get("statistics", {}).items()}
-    # The survey comes first; passes after it hand its figures on.
+    # The survey comes first. Later passes repeat its figures.
     for step, state in sorted(states.items(), key=lambda found: (found[0] != "survey", len(found[1]))):
         new = {name: text for name, text in state.items() if known.get(name) != text}
         known |= new
@@ -201,12 +204,15 @@ def _measured(run: Run) -> Iterator[tuple[str, str, str]]:
 
 
 def _crs_name(wkt: str | None) -> str:
-    """The name that a WKT begins with: ``PROJCRS["name", ...``."""
+    """Return the name at the beginning of a WKT: ``PROJCRS["name", ...``."""
     return "none" if wkt is None else wkt.split('"')[1] if wkt.count('"') > 1 else wkt
 
 
 def _flat(prefix: str, value: Any) -> Iterator[tuple[str, str]]:
-    """Nested facts as names and texts; a long list, and a fact known by place, as its length."""
+    """Yield nested facts as names and texts.
+
+    Of long lists and of facts by place, only the length is given.
+    """
     if prefix == PLACES:
         yield prefix, f"{len(value):,}"
     elif isinstance(value, Mapping):
@@ -219,7 +225,7 @@ def _flat(prefix: str, value: Any) -> Iterator[tuple[str, str]]:
 
 
 def value_text(value: Any) -> str:
-    """A plain value as people read it."""
+    """Return a plain value as readable text."""
     if isinstance(value, list | tuple):
         return ", ".join(value_text(v) for v in value) or "none"
     if value is None or isinstance(value, bool):
@@ -230,7 +236,7 @@ def value_text(value: Any) -> str:
 
 
 def terrain_map(pictures: Pictures | None) -> Node:
-    """The map that the script draws, and each picture with its legend for printing and for browsers without scripts."""
+    """Return the map of the script, and pictures with legends for printing and for browsers without scripts."""
     keys = "Drag or arrow keys: move. Wheel, + and -: zoom. 0: all. N and P: next and previous tile."
     frame = el(
         "div",
@@ -250,7 +256,7 @@ def terrain_map(pictures: Pictures | None) -> Node:
     ]
     if figures:
         return section("map", "Map", frame, el("div", *figures, class_="gallery"))
-    missing = el("p", "No terrain model was written yet: the map shows files and tiles.")
+    missing = el("p", "No terrain model was written yet, so the map shows only files and tiles.")
     return section("map", "Map", missing, frame)
 
 

@@ -20,23 +20,23 @@ SLOWEST = 10
 
 
 def counts(run: Run) -> Node:
-    """The table of counts: points that were read, stored and dropped, their classes, and pixels."""
+    """Return the table of counts: points that were read, stored and dropped, their classes, and pixels."""
     found = run.get("counts", {})
     pairs: dict[str, Content] = {"read": _count(found.get("read")), "stored": _count(found.get("stored"))}
     pairs |= {f"dropped: {reason}": _count(n) for reason, n in found.get("dropped", {}).items()}
     names = {
         "duplicates_within_files": "duplicates within files",
         "duplicates_between_files": "duplicates between files",
-        "kept_out": "kept out of the filter",
-        "participating": "taking part in the filter",
-        "strays": "far from all others",
+        "kept_out": "excluded from the filter",
+        "participating": "used by the filter",
+        "strays": "far from all other points",
     }
     pairs |= {text: _count(found.get(name)) for name, text in names.items()}
     names = {
         "ground": "ground",
         "unclassified": "unclassified",
         "low_noise": "low noise",
-        "kept": "no part in the filter, class kept",
+        "kept": "not filtered, class kept",
         "marked": "label not certified",
     }
     pairs |= {f"labelled: {text}": _count(run.get("filter", {}).get(name)) for name, text in names.items()}
@@ -54,7 +54,7 @@ def _count(n: int | None) -> str | None:
 
 
 def inputs(run: Run) -> Node:
-    """The table of files that were read, with notes about each."""
+    """Return the table of input files, with notes about each."""
     files = run.get("inputs", ())
     warned = run["plan"].get("notes", ())
     rows = [
@@ -77,12 +77,12 @@ def inputs(run: Run) -> Node:
 
 
 def _more(number: int) -> Node | None:
-    """A line about the rows beyond `MOST_ROWS`, which a table does not show."""
+    """Return a line about the rows beyond `MOST_ROWS`, which a table does not show."""
     return el("p", f"{number - MOST_ROWS:,} more are in run.json.") if number > MOST_ROWS else None
 
 
 def outputs(run: Run) -> Node:
-    """The table of files that were written, files in folders last, with relative links."""
+    """Return the table of output files with relative links. Files in folders are last."""
     found = run.get("outputs", {})
     rows = [
         (el("a", name, href=quote(os.fsencode(name))), size_text(size))
@@ -93,7 +93,7 @@ def outputs(run: Run) -> Node:
 
 
 def timings(run: Run) -> Node:
-    """The tables of time and memory by stage, and of the slowest tiles."""
+    """Return the tables of time and memory by stage, and of the slowest tiles."""
     stages = run.get("stages", {})
     longest = max((s["seconds"] for s in stages.values()), default=0) or 1
     rows = [
@@ -108,16 +108,16 @@ def timings(run: Run) -> Node:
         )
         for name, s in sorted(stages.items(), key=lambda item: _order(item[0]))
     ]
-    columns = ("stage", "tasks", "done now", "time", "", "rate", "peak memory")
+    columns = ("stage", "tasks", "done in this run", "time", "", "rate", "peak memory")
     plan = run["plan"]
     projected = max(plan["projected_memory_bytes"].values(), default=0)
     memory: dict[str, Content] = {
-        "peak of a process": size_text(run["peak_rss_bytes"]),
-        "planned for a worker": size_text(projected),
-        "allowed for a worker": size_text(plan["memory_bytes"]),
+        "peak of one process": size_text(run["peak_rss_bytes"]),
+        "planned per worker": size_text(projected),
+        "allowed per worker": size_text(plan["memory_bytes"]),
     }
     before, tasks = done_before(run), sum(s["tasks"] for s in stages.values())
-    earlier = f"{before:,} of {tasks:,} tasks were done by earlier runs; the times of stages are those of the last one."
+    earlier = f"{before:,} of {tasks:,} tasks were done by earlier runs. The times of the stages are from the last run."
     return section(
         "timings",
         "Time and memory",
@@ -129,14 +129,14 @@ def timings(run: Run) -> Node:
 
 
 def _rate(stage: Mapping[str, Any]) -> str:
-    """Rate of pixels if a stage makes some, else of points."""
+    """Return the rate of pixels if a stage makes pixels, else the rate of points."""
     if pixels := stage.get("pixels", 0):
         return rate_text(pixels, stage["seconds"], "pixels")
     return rate_text(stage["points"], stage["seconds"])
 
 
 def _order(stage: str) -> tuple[int, str]:
-    """The place of a stage in a run."""
+    """Return the sort key of a stage by its position in a run."""
     known = ("spool", "assemble", "filter", "grid-", "export", "mosaic")
     return next((i for i, name in enumerate(known) if stage.startswith(name)), len(known)), stage
 
@@ -169,7 +169,7 @@ def _slowest(run: Run) -> list[Content]:
 
 
 def settings(run: Run) -> Node:
-    """The tables that a repetition of the run needs: parameters, configuration, versions, CRS."""
+    """Return the tables needed to repeat the run: parameters, configuration, versions, CRS."""
     plan = run["plan"]
     parameters = [(name, value_text(value)) for name, value in plan["parameters"].items()]
     configuration = [(name, value_text(value)) for name, value in run["configuration"].items()]
@@ -180,10 +180,10 @@ def settings(run: Run) -> Node:
         "settings",
         "Parameters and versions",
         el("h3", f"Parameters of {plan['method']}"),
-        table(("parameter", "value"), parameters) if parameters else el("p", "It has none."),
+        table(("parameter", "value"), parameters) if parameters else el("p", "The method has no parameters."),
         el("h3", "Versions"),
         facts(dict(versions)),
         el("details", el("summary", "Configuration"), table(("setting", "value"), configuration)),
         el("details", el("summary", "CRS"), el("pre", plan["crs"] or "none")),
-        el("details", el("summary", "Inputs, by the digests of their bytes"), pre),
+        el("details", el("summary", "Input files and the digests of their bytes"), pre),
     )

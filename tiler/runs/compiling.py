@@ -124,7 +124,8 @@ class Compiler:
         if not is_compiled(kernels.name):
             why = f" ({self._errors[kernels.name]})" if kernels.name in self._errors else ""
             text = (
-                f"kernels ({kernels.name}) could not be compiled ahead{why}: each process compiles for itself"
+                f"kernels ({kernels.name}) could not be compiled in advance{why}, so each process compiles them "
+                "itself"
             )
             self._listener("warning", {"text": text})
 

@@ -39,13 +39,13 @@ class Cluster:
         threads = sum(m.threads for m in self.machines)
         least = min(m.memory_bytes // m.threads for m in self.machines)
         found = [
-            f"cluster     {workers} workers for {threads} tasks at a time on {len(self.machines)} machines; "
-            f"{least / 2**20:,.0f} MiB for each task at least, {need_bytes / 2**20:,.0f} MiB needed; "
-            "all have these versions and read the inputs"
+            f"cluster     {workers} workers for {threads} concurrent tasks on {len(self.machines)} machines; "
+            f"{least / 2**20:,.0f} MiB or more per task, {need_bytes / 2**20:,.0f} MiB needed; "
+            "all have the versions of this machine and can read the inputs"
         ]
         if not self.out_seen:
             found.append(
-                "note        the cluster's workers do not see OUT: this machine would write the files"
+                "note        the workers of the cluster cannot write into OUT, so this machine would write the files"
             )
         return found
 
@@ -140,7 +140,9 @@ class Executors:
         if not writes_out or self._access is None or self._access.out_seen:
             return self._main
         if self._here is None:
-            self._note(f"the cluster's workers do not see {self._products}: this machine writes the files")
+            self._note(
+                f"the workers of the cluster cannot write into {self._products}, so this machine writes the files"
+            )
             self._here = _executor(self._plan, None)
         return self._here
 

@@ -99,7 +99,7 @@ class RunResult:
         try:
             import rioxarray
         except ImportError as error:
-            raise ConfigError("dtm(): needs rioxarray; pip install 'tiler-dtm[xarray]'") from error
+            raise ConfigError("dtm(): needs rioxarray; run pip install 'tiler-dtm[xarray]'") from error
         for name in ("dtm.tif", "dtm.vrt"):
             if name in self.files:
                 opened: Any = rioxarray.open_rasterio(self.files[name], masked=True)

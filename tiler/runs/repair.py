@@ -18,7 +18,7 @@ ROUNDS = 3
 def heal(job: Job, keys: Iterable[str]) -> None:
     """Take back what wrote the objects of these keys, as `tiler.errors.DamagedError` names them."""
     for key in sorted(set(keys)):
-        job.note(f"store: {key} is damaged or gone; what wrote it is done again")
+        job.note(f"store: {key} is damaged or missing; the task that wrote it is run again")
         kind, name, chunk = [*key.split("/"), "", ""][:3]
         numbers = chunk_numbers(chunk)  # None: the whole array
         if kind == "spool":

@@ -88,7 +88,7 @@ def run_stage(
             done[outcome.task.key] = (outcome.task.digest, outcome.record)
     if damaged:
         keys = tuple(sorted(damaged))
-        raise DamagedError(f"{job.store.url}: {', '.join(keys)}: damaged or gone; run again", keys)
+        raise DamagedError(f"{job.store.url}: {', '.join(keys)}: damaged or missing; run again", keys)
     seconds = round(time.monotonic() - start, 3)
     job.record.computed += len(todo)
     job.store.compact(stage, PACKED_COMMITS)
@@ -160,7 +160,7 @@ def _report(job: Job, outcome: Outcome) -> None:
     job.record.failed.append(failure)
     if job.plan.config.on_error == "stop":
         raise ProcessingError(
-            f"{failure['title']} {task.key}: {outcome.error}; --on-error skip goes on without it"
+            f"{failure['title']} {task.key}: {outcome.error}; use --on-error skip to continue without it"
         )
 
 
@@ -172,9 +172,7 @@ def _refuse_gone(job: Job) -> None:
         gone = job.store.url
     else:
         return
-    raise ProcessingError(
-        f"{gone}: was removed while the run went on; run again, and what is gone is made anew"
-    )
+    raise ProcessingError(f"{gone}: was removed during the run; run again to create it anew")
 
 
 def _place(job: Job, task: Task) -> list[float] | None:

@@ -135,7 +135,7 @@ _ALL = (
               182, 180.0, {"density": 10.0, "sigma_m": 0.02}),
     SceneSpec("dim_mountain", "dim", "wooded ridges and a settlement, hardly any ground seen below the wood",
               "dim mountain", "mountain", 241, 180.0, {"density": 15.0}),
-    SceneSpec("dim_drone", "dim", "a suburb matched from a drone: 80 points/m2, sigma 0.02, sharper edges",
+    SceneSpec("dim_drone", "dim", "a suburb photographed from a drone: 80 points/m2, sigma 0.02, sharper edges",
               "dim drone", "suburb", 242, 100.0, {"density": 80.0, "sigma_m": 0.02, "edge_m": 0.15}),
     SceneSpec("dim_rows", "dim", "terraced houses cut by the border, gardens, sheds, a canal; 60 points/m2", "dim rows",
               "rows", 251, 120.0, ROUGH | {"density": 60.0, "tails": 4.0, "shadow": 2.0, "edge_m": 0.4}),

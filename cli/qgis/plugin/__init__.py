@@ -1,4 +1,4 @@
-"""Plugin of QGIS that offers ``tiler`` in the Processing toolbox; it needs Python 3.9 and nothing but QGIS."""
+"""Plugin of QGIS that offers ``tiler`` in the Processing toolbox. It needs only QGIS and Python 3.9."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Any
 
 
 def classFactory(interface: Any) -> Any:
-    """Make the plugin; QGIS looks for this name."""
+    """Make the plugin. QGIS calls this function by its name."""
     from .provider import Plugin
 
     return Plugin(interface)

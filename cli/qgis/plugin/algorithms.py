@@ -1,4 +1,4 @@
-"""The algorithms, a command of ``tiler`` each."""
+"""The algorithms of the plugin. Each runs a command of ``tiler``."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ class Run(Shell):
     command = "run"
 
     def add_outputs(self) -> None:
-        """The terrain and the report, for models and for the viewer of results."""
+        """Add the terrain and the report as outputs, for models and for the viewer of results."""
         self.addParameter(QgsProcessingParameterBoolean(LOAD, "Add the results to the project", True))
         self.addOutput(QgsProcessingOutputRasterLayer("DTM", "Terrain model"))
         self.addOutput(QgsProcessingOutputFile("REPORT", "Report"))
 
     def outputs(self) -> dict[str, Any]:
-        """The folder, and what of it others can use."""
+        """Return the folder of the results, and those of its files that other algorithms can use."""
         dtm, report = results.raster(self._place, "dtm"), results.existing(self._place, "report.html")
         found = {"OUTPUT": self._place, "DTM": dtm, "REPORT": report}
         return {name: path for name, path in found.items() if path}
@@ -52,36 +52,37 @@ class Run(Shell):
 
 
 class ApplyEdits(Run):
-    """``tiler run`` again with the settings of a folder, and polygons of corrections."""
+    """``tiler run`` with the settings of an earlier run and polygons of edits."""
 
     def name(self) -> str:
-        """Behind ``tiler:``."""
+        """Return the name of the algorithm after ``tiler:``."""
         return "applyedits"
 
     def displayName(self) -> str:
-        """In the toolbox."""
+        """Return the name in the toolbox."""
         return "Apply edits"
 
     def shortDescription(self) -> str:
-        """One line."""
-        return "Correct the terrain by polygons: what they reach is done again."
+        """Return a description in one line."""
+        return "Correct the terrain with polygons. Only the affected parts are computed again."
 
     def shortHelpString(self) -> str:
-        """What it does, and what the polygons say."""
+        """Return the help: the purpose of the algorithm and the meaning of the polygons."""
         help = next(s["help"] for s in TABLE["commands"]["run"]["parameters"] if s["key"] == "edits")
         return (
-            "<p>Runs tiler again on a folder of results, with its settings and these corrections. Only what they "
-            "reach is done again.</p><p>Draw polygons in the layer <i>edits</i> that a run adds to the project, "
-            "save it, and run this. All of the layer counts: a polygon that is gone is undone.</p>"
+            "<p>Runs tiler again on a folder of results, with its settings and these edits. Only the affected parts "
+            "are computed again.</p><p>Draw polygons in the layer <i>edits</i> that a run adds to the project, "
+            "save the layer, and run this algorithm. The whole layer is applied each time: if you delete a polygon, "
+            "its effect is undone.</p>"
             f"<p>{html.escape(help)}</p>"
         )
 
     def specs(self) -> list[dict[str, Any]]:
-        """None: the settings are those of the run."""
+        """Return an empty list, because the settings are those of the earlier run."""
         return []
 
     def add_outputs(self) -> None:
-        """The folder, the polygons, and the clouds where the folder does not tell them."""
+        """Add the folder, the polygons, and the clouds in case run.json does not name them."""
         self.addParameter(
             QgsProcessingParameterFile(
                 "OUTPUT", "Folder of the results of a run", QgsProcessingParameterFile.Behavior.Folder
@@ -89,10 +90,10 @@ class ApplyEdits(Run):
         )
         self.addParameter(
             QgsProcessingParameterVectorLayer(
-                "EDITS", "Corrections (polygons)", [QgsProcessing.SourceType.TypeVectorPolygon]
+                "EDITS", "Edits (polygons)", [QgsProcessing.SourceType.TypeVectorPolygon]
             )
         )
-        label = "Point clouds of the run (empty: those that its run.json names)"
+        label = "Point clouds of the run (empty: the clouds listed in run.json)"
         self.addParameter(
             QgsProcessingParameterMultipleLayers(
                 "INPUT", label, QgsProcessing.SourceType.TypeFile, optional=True
@@ -101,7 +102,7 @@ class ApplyEdits(Run):
         super().add_outputs()
 
     def make_arguments(self, parameters: dict[str, Any], context: QgsProcessingContext) -> list[str]:
-        """The command of the run, and the edits."""
+        """Return the command of the earlier run with the edits."""
         self._place = absolute(self.parameterAsFile(parameters, "OUTPUT", context))
         record = results.read_record(self._place)
         given = [path for path in self.parameterAsFileList(parameters, "INPUT", context) if path]
@@ -119,17 +120,17 @@ class ApplyEdits(Run):
         ]
 
     def _edits(self, parameters: dict[str, Any], context: QgsProcessingContext) -> str:
-        """The file of the layer."""
+        """Return the file of the layer of edits."""
         layer = self.parameterAsVectorLayer(parameters, "EDITS", context)
         if layer is None:
-            raise CommandError(f"{parameters.get('EDITS')}: no layer of polygons")
+            raise CommandError(f"{parameters.get('EDITS')}: is not a layer of polygons; give the layer edits")
         path = layer.source().split("|")[0]
         if layer.isModified():
-            raise CommandError(
-                f"{layer.name()}: has changes that are not saved; save the layer, then run this again"
-            )
+            raise CommandError(f"{layer.name()}: has unsaved changes; save the layer, then run this again")
         if not Path(path).is_file():
-            raise CommandError(f"{layer.name()}: is in no file; save it as a GeoPackage, then run this again")
+            raise CommandError(
+                f"{layer.name()}: is not stored in a file; save it as a GeoPackage, then run this again"
+            )
         return absolute(path)
 
 
@@ -139,11 +140,11 @@ class Preview(Shell):
     command = "preview"
 
     def add_outputs(self) -> None:
-        """A page with the picture, for the viewer of results."""
+        """Add a page with the picture as an output, for the viewer of results."""
         self.addOutput(QgsProcessingOutputFile("PAGE", "Page with the picture"))
 
     def outputs(self) -> dict[str, Any]:
-        """The picture, and the page."""
+        """Write the page, and return picture and page."""
         lines = html.escape(self._ended.text)
         body = f'<p><img src="{html.escape(Path(self._place).as_uri())}"></p><pre>{lines}</pre>'
         self._page = write_page("preview", body)
@@ -156,7 +157,7 @@ class Classify(Shell):
     command = "classify"
 
     def add_outputs(self) -> None:
-        """Whether the cloud is shown."""
+        """Add the parameter that decides whether the cloud is added to the project."""
         self.addParameter(
             QgsProcessingParameterBoolean(LOAD, "Add the classified cloud to the project", True)
         )
@@ -177,15 +178,15 @@ class Check(Shell):
     shows_progress = False
 
     def add_outputs(self) -> None:
-        """A page with the figures, for the viewer of results."""
+        """Add a page with the figures as an output, for the viewer of results."""
         self.addOutput(QgsProcessingOutputFile("PAGE", "Page with the figures"))
 
     def tell_partial(self, feedback: QgsProcessingFeedback) -> None:
-        """What is required does not hold: that is no success."""
+        """Raise an error with the requirements that are not met, because the check has failed."""
         unmet = [line for line in self._ended.text.splitlines() if line.endswith("NOT met")]
         raise QgsProcessingException("; ".join(unmet) or "a required check failed")
 
     def outputs(self) -> dict[str, Any]:
-        """The page."""
+        """Write the page, and return it."""
         self._page = write_page("check", f"<pre>{html.escape(self._ended.text)}</pre>")
         return {"PAGE": self._page}

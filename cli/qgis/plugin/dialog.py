@@ -1,4 +1,4 @@
-"""The dialog that finds the command, says how to install it, and tests it."""
+"""The dialog that finds the command, explains its installation, and tests it."""
 
 from __future__ import annotations
 
@@ -20,20 +20,20 @@ from . import process
 from .process import INSTALL, TABLE, CommandError
 
 HOW = (
-    "The plugin calls the command <i>tiler</i>, a program of its own, and installs nothing by itself. Install the "
-    "command in a terminal, in an environment of Python 3.11 or newer that is not the one of QGIS:"
+    "The plugin calls the command <i>tiler</i>, which is a separate program that the plugin does not install. Install "
+    "the command in a terminal, in an environment of Python 3.11 or newer that is not the environment of QGIS:"
 )
 
 
 class CommandDialog(QDialog):
-    """A line with the path of the command, how to install the command, and a button that tests the command.
+    """Dialog with the path of the command, instructions to install it, and a button that tests it.
 
     Parameters
     ----------
     configured : str
-        Path in the options of Processing; empty: the plugin looks for the command.
+        Path in the options of Processing. If it is empty, the plugin looks for the command.
     save : callable
-        Gets the new path.
+        Function that stores the new path.
     parent : QWidget, optional
     """
 
@@ -42,7 +42,7 @@ class CommandDialog(QDialog):
         self._save = save
         self.setWindowTitle("tiler: the command")
         self.path = QLineEdit(configured)
-        self.path.setPlaceholderText(TABLE["command"] or "looked for in PATH and ~/.local/bin")
+        self.path.setPlaceholderText(TABLE["command"] or "empty: searched in PATH and ~/.local/bin")
         self.install = QLineEdit(INSTALL)
         self.install.setReadOnly(True)
         self.status = QLabel()
@@ -80,7 +80,7 @@ class CommandDialog(QDialog):
             self.test()
 
     def test(self) -> None:
-        """Find the command, call it, and say what came of that."""
+        """Find the command, call it, and show the result."""
         try:
             path = process.find_command(self.path.text().strip() or TABLE["command"])
             version = process.version_of(path)
@@ -89,10 +89,10 @@ class CommandDialog(QDialog):
             return
         text = f"{path} works: tiler {version}"
         if version != TABLE["version"]:
-            text += f"; this plugin is of tiler {TABLE['version']}: run `tiler qgis install`, then start QGIS again"
+            text += f"; this plugin belongs to tiler {TABLE['version']}: run `tiler qgis install`, then restart QGIS"
         self.status.setText(text)
 
     def accept(self) -> None:
-        """Keep the path."""
+        """Save the path, and close the dialog."""
         self._save(self.path.text().strip())
         super().accept()

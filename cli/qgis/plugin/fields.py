@@ -1,4 +1,4 @@
-"""The parameters of an algorithm: made from the table, and read."""
+"""Parameters of an algorithm: their definitions, made from the table, and their values."""
 
 from __future__ import annotations
 
@@ -23,15 +23,15 @@ from qgis.core import (
 from .process import TABLE, absolute
 
 FOLDER = "FOLDER"
-"""Name of the parameter that can stand for the files of ``INPUT``."""
+"""Name of the parameter that can replace the files of ``INPUT``."""
 ALL_FILES = "All files (*)"
 
 
 def make_parameters(spec: dict[str, Any]) -> list[Any]:
-    """What QGIS shows for an entry of the table."""
+    """Return the parameters of QGIS for an entry of the table."""
     made = [_parameter(spec)]
     if spec["kind"] == "clouds":
-        label = "... or a folder: all clouds in it and below it"
+        label = "... or a folder (all clouds in it and in its subfolders)"
         made.append(
             QgsProcessingParameterFile(
                 FOLDER, label, behavior=QgsProcessingParameterFile.Behavior.Folder, optional=True
@@ -58,12 +58,14 @@ def _parameter(spec: dict[str, Any]) -> Any:
         )
     if kind in ("cloud", "file"):
         filter = TABLE["cloud_files"] if kind == "cloud" else ALL_FILES
-        optional = not spec["required"]  # also with a default, which QGIS does not take for a file's value
+        optional = not spec[
+            "required"
+        ]  # also if it has a default, which QGIS does not accept as the value of a file
         return QgsProcessingParameterFile(
             name, label, defaultValue=default, optional=optional, fileFilter=filter
         )
     if kind in ("new_folder", "new_plots"):
-        # No FolderDestination: that offers a temporary folder, in which a job that was stopped could not go on.
+        # A FolderDestination would offer a temporary folder, in which a stopped job cannot resume.
         return QgsProcessingParameterFile(
             name, label, behavior=QgsProcessingParameterFile.Behavior.Folder, optional=optional
         )
@@ -76,7 +78,7 @@ def _parameter(spec: dict[str, Any]) -> Any:
         return QgsProcessingParameterEnum(
             name, label, spec["choices"], False, default, optional, usesStaticStrings=True
         )
-    if kind == "names":  # by their numbers: QGIS 3.22 loses several names in its dialog
+    if kind == "names":  # these are numbers, because the dialog of QGIS 3.22 loses several names
         return QgsProcessingParameterEnum(
             name, label, spec["choices"], True, numbers_of_names(spec, default), optional
         )
@@ -100,7 +102,10 @@ def _parameter(spec: dict[str, Any]) -> Any:
 
 
 def numbers_of_names(spec: dict[str, Any], value: Any) -> Any:
-    """Places of choices in their list, from names or numbers in a list or behind commas; what is neither stays."""
+    """Return the positions of choices, given as names or numbers in a list or separated by commas.
+
+    Other items are returned unchanged.
+    """
     value = value.split(",") if isinstance(value, str) else value
     items = value if isinstance(value, (list, tuple)) else [value]
     choices = spec["choices"]
@@ -114,13 +119,16 @@ def read_value(
     parameters: dict[str, Any],
     context: QgsProcessingContext,
 ) -> Any:
-    """The value of a parameter as plain Python: paths absolute, None where it is not given; not of an extent."""
+    """Return the value of a parameter in plain Python types, with absolute paths, or None if it is not given.
+
+    It does not read parameters of extents.
+    """
     name, kind = spec["name"], spec["kind"]
     given = parameters.get(name) is not None
     if kind in ("new_picture", "new_cloud"):
         path = algorithm.parameterAsFileOutput(parameters, name, context)
         return absolute(path) if given else path
-    if not given:  # also of what has a default: the command has the same
+    if not given:  # parameters with a default as well, because the command has the same default
         return None
     if kind in ("clouds", "files"):
         paths = algorithm.parameterAsFileList(parameters, name, context)

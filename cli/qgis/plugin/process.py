@@ -1,4 +1,4 @@
-"""The command as a process: where it is, its arguments, its progress, and its end. Imports nothing of QGIS."""
+"""The command as a process: its path, its arguments, its progress and its end. Does not import QGIS."""
 
 from __future__ import annotations
 
@@ -14,15 +14,15 @@ from queue import Empty, SimpleQueue
 from typing import Any, Callable, NamedTuple
 
 TABLE: dict[str, Any] = json.loads(Path(__file__).with_name("settings.json").read_text("utf-8"))
-"""Made by ``tiler qgis install`` or ``package``."""
+"""Settings of the plugin, written by ``tiler qgis install`` or ``package``."""
 INTERRUPTED = 130
 PARTIAL = 5
 USAGE = 2
 INSTALL = "python -m pip install tiler-dtm"
 TEST_SECONDS = 60.0
-"""For the answer to ``--version``: the first start of a newly installed command takes some seconds."""
+"""Time limit of ``--version``. The first start of a newly installed command takes some seconds."""
 GRACE_SECONDS = 30.0
-"""After the request to end, before the process is killed; no run is harmed by that."""
+"""Time between the request to end and the kill of the process. A kill does not damage a run."""
 POLL_SECONDS = 0.1
 QGIS_OWN = (
     "PYTHONHOME",
@@ -33,24 +33,24 @@ QGIS_OWN = (
     "PROJ_LIB",
     "PROJ_DATA",
 )
-"""Variables by which QGIS finds its own Python and libraries, and the command would find the wrong ones."""
+"""Variables for the Python and libraries of QGIS. With them the command would find the wrong ones."""
 
 
 class CommandError(Exception):
-    """What ended the command, in one line."""
+    """Error that ended the command, in one line."""
 
 
 class Ended(NamedTuple):
-    """How a command ended.
+    """Result of a command.
 
     Attributes
     ----------
     code : int
-        0, or 5: done, but something was left out or not met.
+        Exit code: 0, or 5 if something was left out or a requirement is not met.
     text : str
-        What it printed as its result.
+        Text that the command printed to stdout.
     cancelled : bool
-        It was asked to end.
+        Whether the command was asked to end.
     """
 
     code: int
@@ -59,44 +59,48 @@ class Ended(NamedTuple):
 
 
 def find_command(configured: str) -> str:
-    """The path of ``tiler``: the one that is configured, else the one of PATH or of ``~/.local/bin``."""
+    """Return the path of ``tiler``: the configured one, else the one in ``PATH`` or in ``~/.local/bin``."""
     if configured:
         found = shutil.which(os.path.expanduser(configured))
-        where = f"at {configured}"
+        where = configured
     else:
         local = os.path.expanduser("~/.local/bin/tiler")
         found = shutil.which("tiler") or shutil.which(local)
-        where = "in PATH"
+        where = "PATH"
     if found is None:
         raise CommandError(
-            f"the command tiler is not {where}; install it ({INSTALL}), and run `tiler qgis install` "
+            f"{where}: the command tiler was not found; install it ({INSTALL}), then run `tiler qgis install` "
             "or set its path under Settings > Options > Processing > Providers > tiler"
         )
     return found
 
 
 def version_of(path: str) -> str:
-    """Call a command to see whether it is ``tiler`` and works; its version.
+    """Check that a command is ``tiler`` and works, and return its version.
 
     Raises
     ------
     CommandError
-        With what is wrong, and what to do.
+        The command is not ``tiler`` or does not work.
     """
     began = time.monotonic()
     ended = run_command(
         [path, "--version"], lambda event: None, lambda: time.monotonic() - began > TEST_SECONDS
     )
     if ended.cancelled:
-        raise CommandError(f"{path}: did not answer within {TEST_SECONDS:.0f} s; call it in a terminal")
+        raise CommandError(
+            f"{path}: did not answer within {TEST_SECONDS:.0f} s; run it in a terminal to see why"
+        )
     words = ended.text.split()
     if len(words) < 2 or words[0].rstrip(",") != "tiler":
-        raise CommandError(f"{path}: is not the command tiler; give another")
+        raise CommandError(f"{path}: is not the command tiler; give another path")
     return words[-1]
 
 
 def options(spec: dict[str, Any], value: Any) -> list[str]:
-    """Arguments that give a parameter this value; none where it has none or is the default, so a preset can decide.
+    """Return the arguments that set a parameter to a value.
+
+    There are none if the value is empty or the default, so that a preset can decide.
 
     Parameters
     ----------
@@ -118,7 +122,7 @@ def options(spec: dict[str, Any], value: Any) -> list[str]:
 
 
 def options_of_config(command: str, config: dict[str, Any]) -> list[str]:
-    """Arguments that make the settings of an earlier run again, from its run.json."""
+    """Return the arguments that repeat the settings of an earlier run, from its run.json."""
     found: list[str] = []
     for spec in TABLE["commands"][command]["parameters"]:
         key = spec["key"]
@@ -134,7 +138,7 @@ def options_of_config(command: str, config: dict[str, Any]) -> list[str]:
 
 
 def absolute(path: str) -> str:
-    """A path that holds in any working folder; URLs stay."""
+    """Return a path that is valid in every working folder, and a URL unchanged."""
     return path if "://" in path or "::" in path else os.path.abspath(os.path.expanduser(path))
 
 
@@ -146,16 +150,17 @@ def run_command(
     Parameters
     ----------
     arguments : list of str
-        The command and what it is called with.
+        The command and its arguments.
     tell : callable
-        Gets each object of ``--progress json``, and other lines as the ``message`` of one, in this thread.
+        Function that gets each object of ``--progress json``, in this thread. Other lines are passed as the
+        ``message`` of an object.
     cancelled : callable
-        Asked now and then; once it says yes the command is told to end, and waited for.
+        Function that is called regularly. Once it returns True, the command is asked to end, and its end is awaited.
 
     Raises
     ------
     CommandError
-        With the line that the command ended with.
+        The command failed. The message is its last line.
     """
     with tempfile.TemporaryFile() as output:
         try:
@@ -181,7 +186,8 @@ def run_command(
         return Ended(INTERRUPTED, text, True)
     if code not in (0, PARTIAL):
         raise CommandError(
-            last.removeprefix("tiler: error: ") or f"{arguments[0]} ended with code {code} and said nothing"
+            last.removeprefix("tiler: error: ")
+            or f"{arguments[0]}: ended with code {code} and without a message; run it in a terminal to see why"
         )
     return Ended(code, text)
 
@@ -189,7 +195,10 @@ def run_command(
 def _follow(
     process: subprocess.Popen[bytes], tell: Callable[[dict[str, Any]], None], cancelled: Callable[[], bool]
 ) -> tuple[str, bool]:
-    """Pass on what the process says until it ends; its last error, and whether it was told to end."""
+    """Pass on the events of a process until it ends.
+
+    Returns its last error, and whether it was asked to end.
+    """
     lines: SimpleQueue[bytes | None] = SimpleQueue()
     threading.Thread(target=_read, args=(process, lines), daemon=True).start()
     last, asked = "", False
@@ -222,7 +231,7 @@ def _read(process: subprocess.Popen[bytes], lines: SimpleQueue[bytes | None]) ->
 
 
 def _event(line: str) -> dict[str, Any]:
-    """An object of ``--progress json``; of any other line, one with that as its message."""
+    """Return the object of a line of ``--progress json``, or an object with another line as its message."""
     try:
         event = json.loads(line)
     except ValueError:
@@ -233,7 +242,7 @@ def _event(line: str) -> dict[str, Any]:
 
 
 def _end(process: subprocess.Popen[bytes]) -> None:
-    """Tell a process to end (SIGTERM, which ``tiler`` takes as Ctrl-C), and kill it if it does not."""
+    """Ask a process to end (with SIGTERM, which ``tiler`` treats as Ctrl-C), and kill it if it does not."""
     process.terminate()
     try:
         process.wait(GRACE_SECONDS)

@@ -1,4 +1,4 @@
-"""The plugin and its provider: the algorithms, and the setting that says where the command is."""
+"""The plugin and its provider: the algorithms, and the setting with the path of the command."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ ICON = str(Path(__file__).with_name("icon.png"))
 
 
 class Plugin:
-    """The object that QGIS loads: it adds the provider, and an entry to the menu of plugins.
+    """Object that QGIS loads, which adds the provider and an entry in the menu of plugins.
 
     Parameters
     ----------
     interface : QgisInterface or None
-        The desktop application; None in ``qgis_process``.
+        The desktop application, or None in ``qgis_process``.
     """
 
     def __init__(self, interface: Any) -> None:
@@ -31,12 +31,12 @@ class Plugin:
         self._menu: Any = None
 
     def initProcessing(self) -> None:
-        """Add the provider; all that ``qgis_process`` calls."""
+        """Add the provider. ``qgis_process`` calls only this method."""
         self._provider = Provider()
         QgsApplication.processingRegistry().addProvider(self._provider)
 
     def initGui(self) -> None:
-        """Begin in the desktop application."""
+        """Add the provider and the menu in the desktop application."""
         self.initProcessing()
         self._menu = self._interface.pluginMenu().addMenu(QIcon(ICON), "tiler")
         self._menu.addAction("The command...", lambda: self.show_dialog())
@@ -49,7 +49,7 @@ class Plugin:
         CommandDialog(configured, _save_command, self._interface.mainWindow()).exec()
 
     def unload(self) -> None:
-        """Take the provider and the entry of the menu away."""
+        """Remove the provider and the entry of the menu."""
         if self._menu is not None:
             self._interface.pluginMenu().removeAction(self._menu.menuAction())
             self._menu = None
@@ -59,7 +59,7 @@ class Plugin:
 
 
 def _save_command(path: str) -> None:
-    """Keep the path of the command in the options of Processing."""
+    """Save the path of the command in the options of Processing."""
     ProcessingConfig.setSettingValue(COMMAND, path)
 
 
@@ -67,26 +67,26 @@ class Provider(QgsProcessingProvider):
     """The algorithms ``tiler:run``, ``tiler:preview``, ``tiler:classify``, ``tiler:check`` and ``tiler:applyedits``."""
 
     def id(self) -> str:
-        """First part of the algorithms' names."""
+        """Return the first part of the algorithms' names."""
         return "tiler"
 
     def name(self) -> str:
-        """In the toolbox."""
+        """Return the name in the toolbox."""
         return "tiler"
 
     def icon(self) -> QIcon:
-        """In the toolbox and in the options."""
+        """Return the icon for the toolbox and the options."""
         return QIcon(ICON)
 
     def longName(self) -> str:
-        """In the list of providers."""
+        """Return the name in the list of providers."""
         return f"tiler {TABLE['version']}: point clouds to terrain"
 
     def load(self) -> bool:
         """Add the setting and the algorithms."""
         ProcessingConfig.settingIcons[self.name()] = self.icon()
-        # Empty at first: QGIS keeps what it shows there, which would be in the way of a later installation.
-        label = f"Path of the command tiler (empty: {TABLE['command'] or 'that of PATH'})"
+        # The setting is empty at first. QGIS saves the shown value, which would hide the path of a later installation.
+        label = f"Path of the command tiler (empty: {TABLE['command'] or 'the one in PATH'})"
         setting = Setting(self.name(), COMMAND, label, "", valuetype=Setting.STRING)
         ProcessingConfig.addSetting(setting)
         ProcessingConfig.readSettings()
@@ -94,7 +94,7 @@ class Provider(QgsProcessingProvider):
         return True
 
     def unload(self) -> None:
-        """Take the setting away."""
+        """Remove the setting."""
         ProcessingConfig.removeSetting(COMMAND)
 
     def loadAlgorithms(self) -> None:

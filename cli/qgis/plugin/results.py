@@ -1,4 +1,4 @@
-"""Results of a run as layers of the project, in a group and in the right order."""
+"""Layers of the project for the results of a run, in one group and in the right order."""
 
 from __future__ import annotations
 
@@ -26,16 +26,16 @@ from .process import TABLE, CommandError
 KEY = "tiler/result"
 """Property of a layer (the result and the folder that it shows) and of a group (the folder)."""
 RANK = "tiler/rank"
-"""Property of an entry in the tree of layers: where it belongs in its group."""
+"""Property of an entry in the tree of layers: its rank in its group."""
 LOWEST = 1000
 EDITS_FIELDS = "field=action:string(10)&field=z:double&field=note:string(200)"
 
 _KEPT: list[Any] = []
-"""Post-processors, which QGIS does not keep alive."""
+"""Post-processors. They are kept here because QGIS does not keep them alive."""
 
 
 class Wanted(NamedTuple):
-    """A layer to be: its name, what makes it, its style, and whether it is switched on."""
+    """Specification of a layer: name, factory, style and visibility."""
 
     key: str
     name: str
@@ -45,18 +45,18 @@ class Wanted(NamedTuple):
 
 
 def existing(folder: str, name: str) -> str:
-    """The path of a file in a folder, empty where it is not there."""
+    """Return the path of a file in a folder, or an empty text if it does not exist."""
     path = Path(folder) / name
     return str(path) if path.is_file() else ""
 
 
 def raster(folder: str, name: str) -> str:
-    """The path of a product, in one file or in sheets; empty where it is not there."""
+    """Return the path of a product, in one file or in sheets, or an empty text if it does not exist."""
     return existing(folder, f"{name}.tif") or existing(folder, f"{name}.vrt")
 
 
 def read_record(folder: str) -> dict[str, Any]:
-    """The run.json of a folder; raises CommandError."""
+    """Return the content of run.json in a folder, or raise CommandError."""
     path = Path(folder) / "run.json"
     try:
         record = json.loads(path.read_text("utf-8"))
@@ -64,17 +64,17 @@ def read_record(folder: str) -> dict[str, Any]:
             raise TypeError
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise CommandError(
-            f"{folder}: holds no results of tiler (run.json cannot be read); give the folder of a run"
+            f"{folder}: does not contain results of tiler (run.json cannot be read); give the folder of a run"
         ) from error
     return dict(record)
 
 
 def clouds_of(folder: str, record: dict[str, Any]) -> list[str]:
-    """What a run was given as INPUT; raises CommandError where that cannot be found from here."""
+    """Return the INPUT of a run, or raise CommandError if run.json does not have absolute paths."""
     given = [str(path) for path in record.get("given", ())]
     if not given or not all("://" in path or Path(path).is_absolute() for path in given):
         raise CommandError(
-            f"{folder}: its run.json does not say where the clouds are; give those of the run as point clouds"
+            f"{folder}: its run.json does not contain the full paths of the clouds; give the point clouds of the run"
         )
     return given
 
@@ -82,7 +82,7 @@ def clouds_of(folder: str, record: dict[str, Any]) -> list[str]:
 def load_folder(
     folder: str, incomplete: bool, context: QgsProcessingContext, feedback: QgsProcessingFeedback
 ) -> None:
-    """Add what a folder holds to the project; what is there already is read again."""
+    """Add the results in a folder to the project, and read layers again that the project already has."""
     if context.project() is None:
         return
     if not Path(folder).is_dir():
@@ -100,20 +100,20 @@ def load_folder(
 
 
 def load_cloud(path: str, context: QgsProcessingContext, feedback: QgsProcessingFeedback) -> None:
-    """Add a classified cloud to the project, where this QGIS can show one."""
+    """Add a classified cloud to the project, if this QGIS can show one."""
     if context.project() is None:
         return
     wanted = _cloud(path, path, Path(path).stem, True)
     if wanted is None:
         feedback.pushWarning(
-            f"{path}: is not added to the project, as this QGIS ({Qgis.QGIS_VERSION}) cannot show LAS and LAZ"
+            f"{path}: is not added to the project, because this QGIS ({Qgis.QGIS_VERSION}) cannot show LAS and LAZ"
         )
     else:
         _add(path, "", "", 0, wanted, context)
 
 
 def _cloud(path: str, key: str, name: str, shown: bool) -> Wanted | None:
-    """The layer of a cloud, None where nothing in this QGIS shows such a one."""
+    """Return the layer of a cloud, or None if this QGIS cannot show its format."""
     there = QgsProviderRegistry.instance().providerList()
     kinds = (
         ("vpc",) if path.endswith(".vpc") else ("copc", "pdal") if path.endswith(".copc.laz") else ("pdal",)
@@ -125,7 +125,7 @@ def _cloud(path: str, key: str, name: str, shown: bool) -> Wanted | None:
 
 
 def _wanted(folder: str, feedback: QgsProcessingFeedback) -> list[Wanted]:
-    """The layers of a folder, from the top of the map to its bottom."""
+    """Return the layers of a folder, from the top of the map to its bottom."""
     found: list[Wanted] = []
 
     def vector(name: str, table: str, label: str, style: Callable[..., None]) -> None:
@@ -141,7 +141,7 @@ def _wanted(folder: str, feedback: QgsProcessingFeedback) -> list[Wanted]:
     vector("spots", "spots", "spot heights", styles.spots)
     vector("contours", "contours", "contours", styles.contours)
     vector("outline", "outline", "outline of the survey", styles.outline)
-    vector("bridges", "bridges", "bridges left out", styles.bridges)
+    vector("bridges", "bridges", "removed bridges", styles.bridges)
     vector("water", "flow", "flow of rivers", styles.flow)
     vector("water", "water", "water", styles.water)
     terrain = raster(folder, "dtm")
@@ -149,8 +149,8 @@ def _wanted(folder: str, feedback: QgsProcessingFeedback) -> list[Wanted]:
         found.append(_raster(folder, "hillshade", "hillshade", styles.grey_shade, True))
     elif terrain:
         found.append(Wanted("shade", "hillshade", lambda n: QgsRasterLayer(terrain, n), styles.shade, True))
-    if raster(folder, "mask"):  # beneath the hillshade, above the heights
-        found.append(_raster(folder, "mask", "where heights come from", styles.mask, False))
+    if raster(folder, "mask"):  # below the hillshade, above the heights
+        found.append(_raster(folder, "mask", "source of heights", styles.mask, False))
     if terrain:
         found.append(_raster(folder, "dtm", "terrain", styles.heights, True))
     rest = (name for name in TABLE["products"] if name not in ("dtm", "hillshade", "mask"))
@@ -163,7 +163,7 @@ def _raster(folder: str, name: str, label: str, style: Callable[..., None], show
 
 
 def _tables(path: str) -> list[str]:
-    """The layers of a GeoPackage."""
+    """Return the names of the layers of a GeoPackage."""
     if not path:
         return []
     layer = QgsVectorLayer(path, "", "ogr")
@@ -171,7 +171,7 @@ def _tables(path: str) -> list[str]:
 
 
 def _make_edits(folder: str, feedback: QgsProcessingFeedback) -> None:
-    """An empty layer for corrections beside the results, unless there is one."""
+    """Write an empty layer for edits next to the results, unless there is one."""
     path, terrain = Path(folder) / "edits.gpkg", raster(folder, "dtm")
     if path.exists() or not terrain:
         return
@@ -188,22 +188,22 @@ def _make_edits(folder: str, feedback: QgsProcessingFeedback) -> None:
 def _add_clouds(
     folder: str, title: str, context: QgsProcessingContext, feedback: QgsProcessingFeedback
 ) -> None:
-    """The classified clouds as one layer, or why there is none."""
+    """Add the classified clouds as one layer, or report why this QGIS cannot show them."""
     path = existing(folder, "classified.vpc")
     if not path:
         return
     wanted = _cloud(path, "clouds", "classified clouds", False)
     if wanted is None:
         feedback.pushInfo(
-            f"{path}: the classified clouds as one layer, for QGIS 3.32 or newer; this one "
-            f"({Qgis.QGIS_VERSION}) cannot show it"
+            f"{path}: contains the classified clouds as one layer, which this QGIS ({Qgis.QGIS_VERSION}) cannot show; "
+            "use QGIS 3.32 or newer"
         )
     else:
         _add(f"{folder}|clouds", folder, title, LOWEST, wanted, context)
 
 
 def _add(key: str, folder: str, title: str, rank: int, wanted: Wanted, context: QgsProcessingContext) -> None:
-    """Have a layer added when the algorithm is done, or read again if the project has it."""
+    """Register a layer to be added when the algorithm ends, or reload it if the project already has it."""
     for layer in context.project().mapLayers().values():
         if layer.customProperty(KEY) == key:
             layer.dataProvider().reloadData()
@@ -223,7 +223,7 @@ def _add(key: str, folder: str, title: str, rank: int, wanted: Wanted, context: 
 
 
 class _Placer(QgsProcessingLayerPostProcessorInterface):
-    """Puts a layer into the group of its folder, below those that belong above it."""
+    """Post-processor that moves a layer into the group of its folder, at the position of its rank."""
 
     def __init__(self, folder: str, title: str, rank: int, shown: bool) -> None:
         super().__init__()
@@ -253,5 +253,5 @@ class _Placer(QgsProcessingLayerPostProcessorInterface):
 
 
 def _group_of(root: Any, folder: str) -> Any:
-    """The group with the results of a folder, None where there is none yet."""
+    """Return the group with the results of a folder, or None if there is no such group yet."""
     return next((group for group in root.findGroups() if group.customProperty(KEY) == folder), None)

@@ -1,4 +1,4 @@
-"""What all algorithms share: the values of the parameters become a call of ``tiler``, which is followed to its end."""
+"""Base class of all algorithms: makes a call of ``tiler`` from the parameters, and follows it to its end."""
 
 from __future__ import annotations
 
@@ -29,16 +29,16 @@ from .process import PARTIAL, TABLE, CommandError, Ended, absolute
 
 LOAD = "LOAD"
 COMMAND = "TILER_COMMAND"
-"""Name of the setting in the options of Processing."""
+"""Name of the setting, in the options of Processing, that has the path of the command."""
 
 
 def find_command() -> str:
-    """The path of ``tiler``: the one of the options, else that of the installation, else one in ``PATH``."""
+    """Return the path of ``tiler``: from the options, else from the installation, else from ``PATH``."""
     return process.find_command(ProcessingConfig.getSetting(COMMAND) or TABLE["command"])
 
 
 class Shell(QgsProcessingAlgorithm):
-    """An algorithm that runs a command; what differs between them is below."""
+    """Algorithm that runs a command. Derived classes override the parts that differ."""
 
     command = ""
     shows_progress = True
@@ -51,23 +51,23 @@ class Shell(QgsProcessingAlgorithm):
         self._ended = Ended(process.INTERRUPTED, "")
 
     def createInstance(self) -> QgsProcessingAlgorithm:
-        """Make another one, as QGIS does for each use."""
+        """Make a new instance, which QGIS needs for each use."""
         return type(self)()
 
     def name(self) -> str:
-        """Behind ``tiler:``."""
+        """Return the name of the algorithm after ``tiler:``."""
         return self.command
 
     def displayName(self) -> str:
-        """In the toolbox."""
+        """Return the name in the toolbox."""
         return self.command.capitalize()
 
     def shortDescription(self) -> str:
-        """One line, of the command."""
+        """Return the description of the command in one line."""
         return str(TABLE["commands"][self.command]["summary"])
 
     def shortHelpString(self) -> str:
-        """The help of the command, and of each parameter."""
+        """Return the help of the command and of each parameter."""
         facts = TABLE["commands"][self.command]
         paragraphs = (" ".join(p.split()) for p in facts["help"].split("\n\n"))
         text = "".join(f"<p>{html.escape(p)}</p>" for p in paragraphs)
@@ -80,19 +80,19 @@ class Shell(QgsProcessingAlgorithm):
             for parameter in make_parameters(spec):
                 self.addParameter(parameter)
         self.addOutput(
-            QgsProcessingOutputNumber("EXIT_CODE", "Exit code: 0 done, 5 done but something was left out")
+            QgsProcessingOutputNumber("EXIT_CODE", "Exit code: 0 done; 5 done, but something was left out")
         )
         self.add_outputs()
 
     def specs(self) -> list[dict[str, Any]]:
-        """Entries of the table."""
+        """Return the entries of the table for the parameters of the command."""
         return list(TABLE["commands"][self.command]["parameters"])
 
     def add_outputs(self) -> None:
-        """What else there is to give and to find; nothing here."""
+        """Add further parameters and outputs. Derived classes override this method."""
 
     def checkParameterValues(self, parameters: dict[str, Any], context: QgsProcessingContext) -> Any:
-        """Check the values as QGIS does; products may be given by name as well as by number."""
+        """Check the values as QGIS does, but also accept the names of products instead of their numbers."""
         numbers = {
             spec["name"]: numbers_of_names(spec, parameters[spec["name"]])
             for spec in self.specs()
@@ -103,7 +103,7 @@ class Shell(QgsProcessingAlgorithm):
     def prepareAlgorithm(
         self, parameters: dict[str, Any], context: QgsProcessingContext, feedback: QgsProcessingFeedback
     ) -> bool:
-        """Read all parameters, where layers may be looked at."""
+        """Read all parameters here, because layers may only be read in this method."""
         try:
             self._arguments = self.make_arguments(parameters, context)
         except CommandError as error:
@@ -113,7 +113,7 @@ class Shell(QgsProcessingAlgorithm):
         return True
 
     def make_arguments(self, parameters: dict[str, Any], context: QgsProcessingContext) -> list[str]:
-        """What the command is called with."""
+        """Return the command line."""
         arguments = [find_command(), self.command]
         places: list[str] = []
         extent: list[str] = []
@@ -126,7 +126,7 @@ class Shell(QgsProcessingAlgorithm):
                 folder = self.parameterAsFile(parameters, FOLDER, context)
                 value = [*(value or []), *([absolute(folder)] if folder else [])]
                 if not value:
-                    raise CommandError("no clouds: name files or a folder")
+                    raise CommandError("INPUT: has no clouds; give files or a folder")
                 places = value + places
             elif not spec["option"]:
                 places.append(value)
@@ -143,7 +143,7 @@ class Shell(QgsProcessingAlgorithm):
     def _edges(
         self, name: str, parameters: dict[str, Any], context: QgsProcessingContext, command: list[str]
     ) -> list[str]:
-        """West, south, east and north in the CRS of the clouds, which `tiler plan` tells."""
+        """Return west, south, east and north in the CRS of the clouds, which comes from `tiler plan`."""
         given = parameters[name]
         extent = self.parameterAsExtent(parameters, name, context)
         if not isinstance(given, str) or "[" in given:
@@ -182,13 +182,13 @@ class Shell(QgsProcessingAlgorithm):
         return {"EXIT_CODE": self._ended.code, **self.outputs()}
 
     def tell_partial(self, feedback: QgsProcessingFeedback) -> None:
-        """Say that something is missing (exit code 5)."""
+        """Report that something is missing (exit code 5)."""
         feedback.reportError(
-            "NOT COMPLETE: files or tiles were left out (exit code 5), see the red lines and the report"
+            "NOT COMPLETE: files or tiles were left out (exit code 5); see the red lines and the report"
         )
 
     def outputs(self) -> dict[str, Any]:
-        """What the algorithm gives."""
+        """Return the outputs of the algorithm."""
         return {"OUTPUT": self._place}
 
     def postProcessAlgorithm(
@@ -201,7 +201,7 @@ class Shell(QgsProcessingAlgorithm):
     def show_page(self, path: str, context: QgsProcessingContext, feedback: QgsProcessingFeedback) -> None:
         """Put a page into the viewer of results.
 
-        It is no output of type HTML: of these QGIS says that they were made, also where the algorithm failed.
+        The page is not an output of type HTML, because QGIS lists these as results even if the algorithm failed.
         """
         if path and context.project() is not None:
             resultsList.addResult(self.icon(), self.displayName(), time.localtime(), path)
@@ -214,13 +214,13 @@ class Shell(QgsProcessingAlgorithm):
 
 
 class Teller:
-    """Shows what a command says: progress bar, stage, and lines of the log."""
+    """Listener that shows the progress, stages and log lines of a command."""
 
     def __init__(self, feedback: QgsProcessingFeedback) -> None:
         self._feedback, self._title = feedback, ""
 
     def __call__(self, event: dict[str, Any]) -> None:
-        """Take in an object of ``--progress json``."""
+        """Show an object of ``--progress json``."""
         if event.get("progress") is not None:
             self._feedback.setProgress(100.0 * float(event["progress"]))
         title = event.get("title")
@@ -233,7 +233,7 @@ class Teller:
 
 
 def write_page(name: str, body: str) -> str:
-    """Write a page into the temporary folder of QGIS; its path."""
+    """Write a page into the temporary folder of QGIS, and return its path."""
     path = QgsProcessingUtils.generateTempFilename(f"{name}.html")
     Path(path).write_text(f'<!doctype html><meta charset="utf-8"><title>{name}</title>{body}', "utf-8")
     return str(path)

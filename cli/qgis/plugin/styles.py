@@ -1,4 +1,4 @@
-"""How the results look, and the forms of the layers that people fill in."""
+"""Styles of the result layers, and forms of the layers that users edit."""
 
 from __future__ import annotations
 
@@ -32,25 +32,25 @@ from qgis.PyQt.QtGui import QColor, QPainter
 from .process import TABLE
 
 GREEN_TO_WHITE = ((0.0, "#5b8c5a"), (0.25, "#a9bf7a"), (0.5, "#e8dca0"), (0.75, "#b98b5e"), (1.0, "#f4f1ee"))
-"""Heights, low to high."""
+"""Colours of heights from low to high."""
 ACTIONS = {
     "not_ground": ("not_ground: no point inside is ground", "#d1495b"),
     "ground": ("ground: the points inside are ground", "#8a5a2b"),
     "void": ("void: no height inside", "#555555"),
-    "flat": ("flat: the height of column z inside", "#2a6f97"),
+    "flat": ("flat: the terrain inside has the height in column z", "#2a6f97"),
 }
 WATERS = ("lake", "pond", "reservoir", "basin", "sea", "lagoon", "river", "stream", "canal", "ditch")
 CUT = 0.01
-"""Share of the lowest and of the highest heights that have the colours of the ends."""
+"""Share of the lowest and of the highest heights that get the first and the last colour."""
 BRIGHTER = 50
 """Brightness added to a hillshade, 0 to 255, so that flat ground nearly keeps its colour."""
 LEAST_RANGE = 1e-3
 SAMPLE_PIXELS = 300
-"""Side, in pixels, of the sample from which the range of heights is taken."""
+"""Side, in pixels, of the sample that decides the range of heights."""
 
 
 def heights(layer: Any) -> None:
-    """Colours from low to high, beneath the hillshade."""
+    """Style heights with colours from low to high, below the hillshade."""
     provider = layer.dataProvider()
     low, high = _range(layer)
     stops = [QgsGradientStop(at, QColor(colour)) for at, colour in GREEN_TO_WHITE[1:-1]]
@@ -72,10 +72,10 @@ def heights(layer: Any) -> None:
 
 
 def _range(layer: Any) -> tuple[float, float]:
-    """Heights between which the colours lie.
+    """Return the lowest and highest height of the colour ramp.
 
-    From a sample of pixels: GDAL would keep its statistics in a file beside the raster, and believe them after the
-    raster has changed.
+    They come from a sample of pixels. GDAL would store its statistics in a file next to the raster, and use them even
+    after the raster has changed.
     """
     block = layer.dataProvider().block(1, layer.extent(), SAMPLE_PIXELS, SAMPLE_PIXELS)
     places = range(block.width() * block.height())
@@ -87,26 +87,26 @@ def _range(layer: Any) -> tuple[float, float]:
 
 
 def shade(layer: Any) -> None:
-    """The terrain as a hillshade that darkens what lies beneath."""
+    """Style the terrain as a hillshade that darkens the layers below it."""
     renderer = QgsHillshadeRenderer(layer.dataProvider(), 1, 315.0, 45.0)
     renderer.setMultiDirectional(True)
     _darken(layer, renderer)
 
 
 def grey_shade(layer: Any) -> None:
-    """A hillshade that is a file."""
+    """Style a hillshade that was written as a file."""
     _darken(layer, QgsSingleBandGrayRenderer(layer.dataProvider(), 1))
 
 
 def _darken(layer: Any, renderer: Any) -> None:
-    """Draw a hillshade so that it darkens what lies beneath."""
+    """Draw a hillshade so that it darkens the layers below it."""
     layer.setRenderer(renderer)
     layer.brightnessFilter().setBrightness(BRIGHTER)
     layer.setBlendMode(QPainter.CompositionMode.CompositionMode_Multiply)
 
 
 def mask(layer: Any) -> None:
-    """The classes with their colours and names; what is outside shows nothing."""
+    """Style the classes with their colours and names. Pixels outside are transparent."""
     classes = [
         QgsPalettedRasterRenderer.Class(
             entry["value"], QColor(*entry["colour"], 255 if entry["value"] else 0), entry["label"]
@@ -117,7 +117,7 @@ def mask(layer: Any) -> None:
 
 
 def cloud(layer: Any) -> None:
-    """Points by class."""
+    """Style points by class."""
     renderer = QgsPointCloudClassifiedRenderer()
     renderer.setAttribute("Classification")
     renderer.setCategories(QgsPointCloudClassifiedRenderer.defaultCategories())
@@ -125,17 +125,17 @@ def cloud(layer: Any) -> None:
 
 
 def outline(layer: Any) -> None:
-    """A line, nothing inside."""
+    """Style the outline as a dashed line without a fill."""
     _fill(layer, "0,0,0,0", "#222222", "0.5", outline_style="dash")
 
 
 def bridges(layer: Any) -> None:
-    """Red, as they are not in the terrain."""
+    """Style bridges in red, because they are not in the terrain."""
     _fill(layer, "209,73,91,60", "#d1495b", "0.4")
 
 
 def water(layer: Any) -> None:
-    """Blue; in the form the kind is a list."""
+    """Style water in blue, and offer its kinds as a list in the form."""
     _fill(layer, "70,130,200,120", "#2a6f97", "0.3")
     _list(layer, "kind", {kind: kind for kind in WATERS})
 
@@ -147,13 +147,13 @@ def _fill(layer: Any, inside: str, line: str, width: str, **more: str) -> None:
 
 
 def flow(layer: Any) -> None:
-    """Along the middle of rivers."""
+    """Style the lines along the middle of rivers."""
     line = QgsLineSymbol.createSimple({"color": "#1d4e89", "width": "0.4"})
     layer.setRenderer(QgsSingleSymbolRenderer(line))
 
 
 def contours(layer: Any) -> None:
-    """Every fifth line stronger, with its height."""
+    """Style contours, with thicker index contours that are labelled with their height."""
     thin, strong = ({"color": "#7a5c3a", "width": width} for width in ("0.15", "0.4"))
     categories = [
         QgsRendererCategory(value, QgsLineSymbol.createSimple(style), label)
@@ -164,14 +164,14 @@ def contours(layer: Any) -> None:
 
 
 def spots(layer: Any) -> None:
-    """Dots with their height."""
+    """Style spot heights as dots with their height."""
     dot = {"name": "circle", "size": "1.2", "color": "#222222", "outline_style": "no"}
     layer.setRenderer(QgsSingleSymbolRenderer(QgsMarkerSymbol.createSimple(dot)))
     _label(layer, "elevation", "", QgsPalLayerSettings.Placement.OrderedPositionsAroundPoint)
 
 
 def edits(layer: Any) -> None:
-    """Style corrections by action; the form offers the actions as a list and names z."""
+    """Style edits by action. The form offers the actions as a list and explains z."""
     categories = []
     for action, (label, colour) in ACTIONS.items():
         inside = ",".join(str(part) for part in QColor(colour).getRgb()[:3])
@@ -182,13 +182,13 @@ def edits(layer: Any) -> None:
     if (place := layer.fields().indexOf("action")) >= 0:
         layer.setDefaultValueDefinition(place, QgsDefaultValue("'not_ground'"))
     if (place := layer.fields().indexOf("z")) >= 0:
-        layer.setFieldAlias(place, "z: height, for flat")
+        layer.setFieldAlias(place, "z: height (only for flat)")
     if (place := layer.fields().indexOf("fid")) >= 0:
         layer.setEditorWidgetSetup(place, QgsEditorWidgetSetup("Hidden", {}))
 
 
 def _list(layer: Any, name: str, values: dict[str, str]) -> None:
-    """Let a column be chosen from a list in the form."""
+    """Offer the values of a column as a list in the form."""
     place = layer.fields().indexOf(name)
     if place >= 0:
         entries = [{label: value} for label, value in values.items()]
@@ -196,9 +196,11 @@ def _list(layer: Any, name: str, values: dict[str, str]) -> None:
 
 
 def _label(layer: Any, column: str, filter: str, placement: Any) -> None:
-    """Write a height at each feature."""
+    """Label each feature with its height."""
     settings = QgsPalLayerSettings()
-    written = layer.fields().indexOf("label") >= 0  # with as many decimals as all others; not in older files
+    written = (
+        layer.fields().indexOf("label") >= 0
+    )  # has the same number of decimals in all features; older files do not have it
     settings.fieldName = '"label"' if written else f'round("{column}", 2)'
     settings.isExpression = True
     settings.placement = placement

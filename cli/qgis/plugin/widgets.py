@@ -1,4 +1,4 @@
-"""What the desktop application shows for a list of files; imported there alone."""
+"""Widget for a list of files, which is only imported in the desktop application."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ from qgis.gui import QgsFileWidget, QgsGui
 
 
 class FilesWrapper(WidgetWrapper):
-    """A line of quoted paths or URLs, and a button that picks files.
+    """Widget with a line of quoted paths or URLs, and a button that selects files.
 
-    The one of QGIS 3.22 tries to load each file as a layer, and forgets those that are none.
+    The widget of QGIS 3.22 tries to load each file as a layer, and drops files that are not layers.
     """
 
     def __new__(cls, parameter: Any, dialog: Any, row: int = 0, column: int = 0, **settings: Any) -> Any:
-        """In the designer of models QGIS's own, which knows the inputs of the model."""
+        """Make this widget, or in the designer of models the widget of QGIS, which offers the inputs of the model."""
         if type(dialog).__name__ == "ModelerParametersDialog":
             registry = QgsGui.processingGuiRegistry()
             made = registry.createModelerParameterWidget(
@@ -26,7 +26,7 @@ class FilesWrapper(WidgetWrapper):
         return super().__new__(cls)
 
     def createWidget(self, filter: str = "") -> Any:
-        """Make the line and its button."""
+        """Return the line and its button."""
         widget = QgsFileWidget()
         widget.setStorageMode(QgsFileWidget.StorageMode.GetMultipleFiles)
         widget.setFilter(filter)
@@ -39,7 +39,7 @@ class FilesWrapper(WidgetWrapper):
         self.widget.setFilePath(" ".join(f'"{path}"' for path in paths))
 
     def value(self) -> Any:
-        """The files, or None."""
+        """Return the files, or None."""
         text = self.widget.filePath().strip()
         paths = QgsFileWidget.splitFilePaths(text) if '"' in text else [text]
         return [path for path in paths if path] or None

@@ -124,8 +124,8 @@ class AutoParameters:
     label_floor_m: float = like(Progressive, "label_floor_m", 0.24)
     label_slope_m: float = parameter(1.0, "last pass: extra height allowed per unit of slope", 0.0, 10.0, "m")
     refine: bool = parameter(
-        True, "matched clouds: trees fitted to scenes with known labels look once more at each point near the edge of "
-        "the ground; no: the height above the surface alone decides",
+        True, "photogrammetric clouds: trees fitted to scenes with reference classes classify each point near the edge "
+        "of the ground once more; no: only the height above the surface decides",
     )  # fmt: skip
 
     fine_surface: bool = parameter(

@@ -25,7 +25,11 @@ class Dong2017Parameters:
         source="Dong 2017, 3.3.2: H",
     )
     glass_factor: float = parameter(
-        0.5, "share of a facade that is matched; the rest is glass", 0.01, 1.0, source="Dong 2017, 3.3.2"
+        0.5,
+        "share of a facade that image matching can see; the rest is glass",
+        0.01,
+        1.0,
+        source="Dong 2017, 3.3.2",
     )
     seed_distance_m: float = parameter(
         4.0, "distance of a seed from the facade", 1.0, 30.0, "m", source="Dong 2017, 3.1: d"

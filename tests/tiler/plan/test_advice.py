@@ -22,7 +22,7 @@ MATCHED, LASER = Finding("dim", 0.9, "colours"), Finding("lidar", 0.9, "returns"
     ("made", "settings", "density", "words"),
     [
         (MATCHED, {}, 1.0, ["look like image matching", "method classic", "use --preset dim"]),
-        (MATCHED, {"method": "ridge2016"}, 1.0, ["method ridge2016 is made for laser scanning"]),
+        (MATCHED, {"method": "ridge2016"}, 1.0, ["method ridge2016 is made for LiDAR"]),
         (LASER, {}, 8.0, []),
         (None, {}, 8.0, []),  # their fields do not say it
         (MATCHED, {"method": "dong2018"}, 40.0, []),
@@ -31,7 +31,7 @@ MATCHED, LASER = Finding("dim", 0.9, "colours"), Finding("lidar", 0.9, "returns"
             None,
             {"resolution": "0.5"},
             1.0,
-            ["--resolution 0.5 m is finer", "1 m apart", "use --resolution 1"],
+            ["--resolution 0.5 m is finer", "point spacing of 1 m", "use --resolution 1"],
         ),
         (None, {"resolution": "0.5"}, 3.0, []),
         (None, {"halo": "10"}, 3.0, ["--halo 10 m is too small", "leave it out, or use --halo 100"]),
@@ -52,7 +52,7 @@ def test_the_plan_gives_the_advice(make_cloud: MakeCloud) -> None:
     config = RunConfig.from_mapping({"method": "classic", "halo": "10", "resolution": "0.1"})
     warnings = make_plan([str(path)], config).warnings
     assert sum("--halo 10 m is too small" in text for text in warnings) == 1
-    assert sum("is finer than the points" in text for text in warnings) == 1
+    assert sum("is finer than the point spacing" in text for text in warnings) == 1
 
 
 @pytest.mark.parametrize(
@@ -64,9 +64,9 @@ def test_small_tiles_are_told_of_where_there_are_several(
     settings = {"method": "classic", "tile_size": tile, "halo": 100, "in_process": True}
     plan = make_plan([str(make_cloud())], RunConfig.from_mapping(settings))
     found = warnings_of(replace(plan, extent=Bounds(0, 0, 1000 * side, 1000 * side)))
-    assert [f"do {times} times the work; use --tile-size 483 or more --memory" in text for text in found] == (
-        [True] if times else []
-    )
+    assert [
+        f"need {times} times the work; use --tile-size 483 or more --memory" in text for text in found
+    ] == ([True] if times else [])
 
 
 @pytest.mark.parametrize(("crs", "told"), [("EPSG:3857", 1), ("EPSG:25832", 0)])
@@ -74,4 +74,4 @@ def test_a_crs_that_stretches_lengths_is_told_of(crs: str, told: int, make_cloud
     plan = make_plan([str(make_cloud(crs=crs))], RunConfig.from_mapping({"in_process": True}))
     found = [text for text in plan.warnings if "times those on the ground" in text]
     assert len(found) == told
-    assert all("makes lengths 1.38 times" in text and "UTM" in text for text in found)
+    assert all("are 1.38 times those on the ground" in text and "UTM" in text for text in found)

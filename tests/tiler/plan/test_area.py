@@ -76,8 +76,8 @@ def test_polygons_in_metres_for_clouds_in_feet(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("settings", "error", "message"),
     [
-        ({"bounds": (0.0, 0.0, 1.0, 1.0), "aoi": "a.shp"}, ConfigError, "--bounds and --aoi: both name"),
-        ({"bounds": (0.0001, 0.0, 0.0002, 1.0)}, ConfigError, "holds no place"),
+        ({"bounds": (0.0, 0.0, 1.0, 1.0), "aoi": "a.shp"}, ConfigError, "--bounds and --aoi: both select"),
+        ({"bounds": (0.0001, 0.0, 0.0002, 1.0)}, ConfigError, "is empty"),
         ({"aoi": "absent.gpkg"}, InputError, "no such file"),
         ({"aoi": "a.shp"}, InputError, "has no CRS; write it with one"),
         ({"aoi": "odd.shp"}, InputError, "its CRS .* is not known|has no CRS"),
@@ -119,7 +119,7 @@ def test_files_far_off_are_not_read(make_cloud: Any, tmp_path: Path) -> None:
     bounds = (499_000.0, 5_399_000.0, 500_000.0, 5_400_000.0)
     plan = make_plan([str(near), str(far)], RunConfig(bounds=bounds))
     assert [source.path for source in plan.sources] == list(plan.names) == [near]
-    assert any(note.endswith("1 files lie farther off and are not read") for note in plan.notes)
+    assert any(note.endswith("1 files lie farther away and are not read") for note in plan.notes)
     assert 0 < plan.points < 1000 < everything.points
     for name in ("meta", "resolution", "tile"):
         assert getattr(plan, name) == getattr(everything, name)
@@ -132,10 +132,14 @@ def test_files_far_off_are_not_read(make_cloud: Any, tmp_path: Path) -> None:
         (
             ["--bounds", "0", "0", "9", "9"],
             2,
-            "--bounds: (0, 0) to (9, 9) holds nothing of the clouds, which",
+            "--bounds: (0, 0) to (9, 9) contains no part of the clouds, which",
         ),
-        (["--aoi", "far.gpkg"], 2, "--aoi far.gpkg: (700000, 5400000) to (700001, 5400001) holds nothing of"),
-        (["--aoi", "far.gpkg", "--bounds", "0", "0", "9", "9"], 2, "--bounds and --aoi: both name a part"),
+        (
+            ["--aoi", "far.gpkg"],
+            2,
+            "--aoi far.gpkg: (700000, 5400000) to (700001, 5400001) contains no part of",
+        ),
+        (["--aoi", "far.gpkg", "--bounds", "0", "0", "9", "9"], 2, "--bounds and --aoi: both select a part"),
         (["--aoi", "none.gpkg"], 3, "none.gpkg: no such file"),
         (["--aoi", "no.shp"], 3, "no.shp: holds no polygon"),
     ],

@@ -76,7 +76,7 @@ def test_a_part_that_cannot_fit_is_refused_with_what_helps(
     for module in ("model", "projection"):
         monkeypatch.setattr(f"tiler.plan.{module}.GROUND_BYTES", 100_000)
     monkeypatch.setattr("tiler.plan.model.MAX_GROUND", 60_000)
-    with pytest.raises(ConfigError, match=r"grid needs .* MiB a worker, .*MiB or a smaller --max-edge"):
+    with pytest.raises(ConfigError, match=r"grid needs .* MiB per worker, .*MiB or a smaller --max-edge"):
         planned(wide, spot)
     fits = projected_memory(planned(wide, spot, memory="4GiB", max_edge="5"))
     assert BASE_BYTES < before["grid"] < fits["grid"] <= 4 << 30

@@ -11,7 +11,7 @@ def test_upright_segments_are_told_of() -> None:
     wall = np.array([(1000, 2000, 0), (1000, 2000, 5000), (3000, 2000, 5000), (3000, 2000, 5000)])
     slope = np.array([(0, 0, 0), (1000, 0, 1000)])
     assert _tell_upright([slope, wall]) == [
-        "--breaklines: upright segments are left out (1, the first at 1, 2); draw the top and the foot of a wall some "
+        "--breaklines: vertical segments are left out (1, the first at 1, 2); draw the top and the foot of a wall some "
         "centimetres apart"
     ]
     assert _tell_upright([slope]) == []

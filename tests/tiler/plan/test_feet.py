@@ -18,8 +18,8 @@ def test_a_bare_length_gets_a_line_and_one_with_a_unit_none() -> None:
         {"contour_interval": "5", "resolution": "3ft", "sheets": "1km", "max_edge": 30, "erode": 0}
     )
     assert bare_lengths(config, SURVEY_FEET) == [
-        "--max-edge 30 is 30 m = 98.4 ft; for feet write 30ft",
-        "--contour-interval 5 is 5 m = 16.4 ft; for feet write 5ft",
+        "--max-edge 30 is 30 m = 98.4 ft; give 30ft for feet",
+        "--contour-interval 5 is 5 m = 16.4 ft; give 5ft for feet",
     ]
     assert bare_lengths(config, Units()) == []
     assert [text.split()[0] for text in bare_lengths(config, Units(METRE, FOOT))] == ["--contour-interval"]

@@ -36,7 +36,7 @@ def test_both_kinds_in_one_run_are_refused_unless_the_user_says_which(make_cloud
         str(make_cloud("laser.las", offsets=places[0])),
         str(make_cloud("drone.las", point_format=2, offsets=places[1], edit=grey)),
     ]
-    told = r"drone.las is from image matching \(98 % .*laser.las is a laser scan \(99 %"
+    told = r"drone.las is a photogrammetric cloud \(98 % .*laser.las is a LiDAR cloud \(99 %"
     with pytest.raises(ConfigError, match=told):
         make_plan(clouds, RunConfig(in_process=True))
     assert make_plan(clouds, RunConfig(in_process=True, kind="als")).kind == LIDAR

@@ -63,7 +63,7 @@ def test_the_halo_that_is_named_suffices(wide: Path) -> None:
 def test_pixels_far_too_fine_are_the_cause_not_the_coordinates(wide: Path, tmp_path: Path) -> None:
     text = refusal(wide, resolution="0.0001")
     assert re.fullmatch(
-        r"--resolution 0.0001 m: one raster would have 1.6e\+13 pixels, and the points are 0.5 m apart; "
+        r"--resolution 0.0001 m: a single raster would have 1.6e\+13 pixels, but the points are 0.5 m apart; "
         r"use --resolution 1, or --sheets",
         text,
     )
@@ -79,7 +79,7 @@ def test_pixels_far_too_fine_are_the_cause_not_the_coordinates(wide: Path, tmp_p
         ),
         (
             {"sheets": "500"},
-            r"--sheets 1,640 ft \(500 m\): no whole number of pixels of .* ft; use --sheets (.*) or another",
+            r"--sheets 1,640 ft \(500 m\): is not a whole number of pixels of .* ft; use --sheets (.*) or another",
         ),
     ],
 )
@@ -97,6 +97,8 @@ def test_a_disk_too_small_for_fine_pixels(
     wide: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("shutil.disk_usage", lambda path: SimpleNamespace(free=1 << 30))
-    with pytest.raises(ConfigError, match=r"MB are free; use --resolution 1 instead of 0.01, or free some$"):
+    with pytest.raises(
+        ConfigError, match=r"MB are free; use --resolution 1 instead of 0.01, or free some space$"
+    ):
         planned(wide, tmp_path / "out", resolution="0.01")
     assert planned(wide, tmp_path / "out").resolution == 1

@@ -100,7 +100,7 @@ def test_everything_is_drawn(opened: Any, scheme: str) -> None:
         run_of_many_tiles(inputs=[results.source(results.HOSTILE)], quarantined=left), color_scheme=scheme
     )
     assert painted(page) > 0.2
-    assert page.locator("#state").inner_text() == "Finished, with something left out"
+    assert page.locator("#state").inner_text() == "Finished, but incomplete"
     for what in ("file left out", "task that failed"):
         assert page.get_by_role("cell", name=what).first.is_visible()
     assert page.locator("#legend").inner_text().split("\n")[-1].strip() == "1 tile failed"

@@ -30,14 +30,14 @@ def test_each_kind_of_ground_has_its_expected_rmse() -> None:
     assert "0.500" in told
     assert "75.0%" in told
     assert "water" not in told
-    assert "27 laser scans" in told
+    assert "27 LiDAR clouds" in told
 
 
 def test_heights_in_feet_have_errors_in_feet() -> None:
     told = text_of(run_with("dim", 0.3048))
     assert "0.328" in told
     assert "1.640" in told
-    assert "21 matched clouds" in told
+    assert "21 photogrammetric clouds" in told
 
 
 def test_a_run_without_standard_errors_says_nothing_of_them() -> None:

@@ -30,7 +30,7 @@ def test_every_figure_of_run_json_is_there(tmp_path: Path) -> None:
             "200 points dropped: withheld",
             "slope_deg 12.5",
             "tile size 30 m you",
-            "halo 104 m automatic the method's own reach",
+            "halo 104 m automatic the radius that the method needs",
             "WGS 84 / UTM zone 32N",
         ],
         "counts": ["read 4,000", "stored 3,800", "dropped: withheld 200", "ground 1,900", "low noise 10"],
@@ -40,7 +40,7 @@ def test_every_figure_of_run_json_is_there(tmp_path: Path) -> None:
             "filter: seeds, densification, labels 4 4 1:01 min",
             "200.0 MiB",
             "t+001+001",
-            "planned for a worker 500.0 MiB",
+            "planned per worker 500.0 MiB",
         ],
         "settings": ["max_building_size_m 20", "label_pass yes", "numpy 2.3.4", "tiler 0.1.0"],
         "accuracy": ["Nothing was measured yet"],
@@ -113,12 +113,12 @@ def test_what_was_left_out_comes_first(tmp_path: Path) -> None:
         failed_tasks=[{"stage": "filter0", "key": "t+1+1", "error": "no memory", "bounds": [1, 2, 3, 4.5]}],
     )
     page = page_of(tmp_path / "out", content)
-    assert "Finished, with something left out" in page.texts[""]
+    assert "Finished, but incomplete" in page.texts[""]
     assert "Left out: 1 file and 1 task; see Problems." in page.texts[""]
     assert next(iter(page.texts)) == ""
     assert list(page.texts)[1] == "problems"
     assert "file left out - cut.laz: cut short" in page.texts["problems"]
-    failed = "task that failed 2.0, 3.2 filter: seeds, densification, labels t+1+1: no memory run again"
+    failed = "failed task 2.0, 3.2 filter: seeds, densification, labels t+1+1: no memory run again"
     assert failed in page.texts["problems"]
 
 
@@ -172,7 +172,7 @@ def test_refusals(tmp_path: Path) -> None:
     for content, said in (
         (None, r"run\.json: cannot be read \(No such file or directory\); give the OUT"),
         ("{", "not valid JSON"),
-        ('{"state": "done"}', r"not what this version of tiler writes \(KeyError: 'plan'\)"),
+        ('{"state": "done"}', r"was not written by this version of tiler \(KeyError: 'plan'\)"),
     ):
         if content is not None:
             (tmp_path / "run.json").write_text(content)

@@ -33,7 +33,7 @@ def test_a_run_without_problems_says_so(tmp_path: Path) -> None:
     content["plan"]["warnings"] = []
     assert found() == []
     page = results.read(write_report(results.write(tmp_path / "out", content)))
-    assert "None: every file was read, every tile was made" in page.texts["problems"]
+    assert "None: every file was read, every tile was processed" in page.texts["problems"]
 
 
 def test_doubts_about_water_are_problems_with_a_place() -> None:
@@ -75,7 +75,7 @@ def test_doubtful_tiles_have_a_place() -> None:
             "of an earlier version",
         ),
         ({"doubts": ["not sure"]}, "doubtful decision", None, "not sure"),
-        ({"healed": ["a", "b"]}, "damaged store", None, "a, b: damaged, and made again"),
+        ({"healed": ["a", "b"]}, "damaged store", None, "a, b: was damaged; it was computed again"),
         (
             {"classes": {"no_part": {"17": 1200}}},
             "class kept",
@@ -86,7 +86,7 @@ def test_doubtful_tiles_have_a_place() -> None:
             {"strays": [{"path": "a.laz", "point": 5, "x": 1.0, "y": 2.0, "z": 9.5}]},
             "stray point",
             (1.0, 2.0, 1.0, 2.0),
-            "point 5 of a.laz, at the height 9.5, is far from all others",
+            "point 5 of a.laz, at the height 9.5, is far from all other points",
         ),
     ],
 )

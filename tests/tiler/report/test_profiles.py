@@ -39,7 +39,7 @@ def test_the_line_falls_along_the_flow_and_marks_show_what_each_place_rests_on()
     caption = "".join(picture.find("figcaption").itertext())  # type: ignore[union-attr]
     assert "River 3" in caption
     assert "in ft" in caption
-    assert "At 2 of 3 places" in caption
+    assert "At 2 of 3 stations" in caption
 
 
 def test_a_lake_and_a_river_with_one_station_have_none() -> None:

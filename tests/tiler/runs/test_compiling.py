@@ -72,7 +72,7 @@ def test_a_failed_compilation_is_reported(
     at_work, name = compiler(told), str(tmp_path / "never")
     at_work.finish(Kernels(name, work, 1))
     at_work.close()
-    text = f"kernels ({name}) could not be compiled ahead ({why}): each process compiles for itself"
+    text = f"kernels ({name}) could not be compiled in advance ({why}), so each process compiles them itself"
     assert told[-1] == ("warning", {"text": text})
 
 

@@ -67,7 +67,7 @@ def _looked(job: Job, tasks: list[Task]) -> list[dict[str, Any]]:
             continue
         if outcome.damaged:
             places = ", ".join(outcome.damaged)
-            raise DamagedError(f"{job.store.url}: {places}: damaged or gone; run again", outcome.damaged)
+            raise DamagedError(f"{job.store.url}: {places}: damaged or missing; run again", outcome.damaged)
         if outcome.record is None:
             raise ProcessingError(f"flaws in the terrain cannot be looked for: {outcome.error}")
         records[outcome.task.key] = outcome.record
