@@ -59,19 +59,19 @@ class ArrayKind:
     ----------
     dtype : str
         Name of the numpy dtype, which is little-endian on disk.
-        chunks : tuple of int
-            Shape of a chunk.
-        fill : float
-            Value of every element that was never written.
-        sparse : bool
-            Whether chunks that hold only `fill` are not stored. If False, every chunk is stored, so that a missing
-            chunk is an error and is not read as zeros.
-        item : int
-            Bytes that the shuffle treats as one item. 0 means the size of the dtype.
-        codec : str
-            Compressor within blosc. Points, labels and spool are read so often that speed matters more than size.
-        level : int
-            Compression level.
+    chunks : tuple of int
+        Shape of a chunk.
+    fill : float
+        Value of every element that was never written.
+    sparse : bool
+        Whether chunks that hold only `fill` are not stored. If False, every chunk is stored, so that a missing
+        chunk is an error and is not read as zeros.
+    item : int
+        Bytes that the shuffle treats as one item. 0 means the size of the dtype.
+    codec : str
+        Compressor within blosc. Points, labels and spool are read so often that speed matters more than size.
+    level : int
+        Compression level.
     """
 
     dtype: str
@@ -102,8 +102,8 @@ class Column:
     name : str
     fields : mapping of str to slice
         Position of each field among the `width` values of a point.
-        width : int
-            Number of values per point.
+    width : int
+        Number of values per point.
     kind : ArrayKind
     """
 

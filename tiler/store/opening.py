@@ -33,8 +33,8 @@ def create_store(
     ------
     ConfigError
         The URL contains a store with another `StoreMeta`.
-        StoreError
-            The URL contains something other than a store.
+    StoreError
+        The URL contains something other than a store.
     """
     storage = Storage(url)
     attributes = {

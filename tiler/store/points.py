@@ -90,13 +90,13 @@ class ColumnStore(StorePart):
         parts : sequence of Part
         fields : sequence of str
             Fields of `PointBlock` to read. xyz is always read, and rgb stays None if the store has no colours.
-            keep : callable, optional
-                Function that makes the mask of the points to keep from the xyz of a part and the part. A mask of None
-                keeps all points.
-            labels : StoredArray, optional
-                Labels of a pass, which are read as well.
-            kept : list of int, optional
-                List that receives the number of points kept of each part.
+        keep : callable, optional
+            Function that makes the mask of the points to keep from the xyz of a part and the part. A mask of None
+            keeps all points.
+        labels : StoredArray, optional
+            Labels of a pass, which are read as well.
+        kept : list of int, optional
+            List that receives the number of points kept of each part.
         """
         columns = self._needed(fields)
         opened = {c.name: self._column(c) for c in columns}
