@@ -43,7 +43,7 @@ def test_a_store_is_no_place_of_inputs_or_results(
     (tmp_path / "link").symlink_to("in")
     (tmp_path / "out").mkdir()
     before = content(tmp_path)
-    with pytest.raises(ConfigError, match="(is the same as|holds) .*; give another place"):
+    with pytest.raises(ConfigError, match="(is the same as|contains) .*; give another folder"):
         do(Path("in/hill.laz"), Path("out"), store=store, clean_store=True, overwrite=True)
     assert content(tmp_path) == before
 
