@@ -174,7 +174,10 @@ def test_an_empty_file_and_one_that_went_away(
     """What is left holds no point: no input could be read, though one of them could."""
     path = files[1]
     empty = clouds.write(tmp_path / "in" / "empty.las", clouds.city(96.0).take(np.zeros(0, np.intp)))
-    aside, line = tmp_path / "aside.las", r"^no input could be read; the first: .*east\.las: .*went away"
+    aside, line = (
+        tmp_path / "aside.las",
+        r"^no input could be read; the first: .*east\.las: .*was removed during",
+    )
     for module, name in ((fingerprints, "read_files"), (ingest_tasks, "spool_piece")):
         with monkeypatch.context() as patch:
             change_before(patch, module, name, Path.rename, path, aside)

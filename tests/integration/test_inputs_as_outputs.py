@@ -77,7 +77,7 @@ def test_a_folder_of_results_that_leads_to_the_inputs(link: str, cloud: Path, tm
     out = tmp_path / "out"
     out.mkdir()
     (out / link).symlink_to(cloud.parent)
-    with pytest.raises(ConfigError, match=rf"-o {out}/{link}: holds {cloud}"):
+    with pytest.raises(ConfigError, match=rf"-o {out}/{link}: contains {cloud}"):
         do(cloud, out, force=True)
 
 

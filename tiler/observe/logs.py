@@ -17,9 +17,8 @@ class _StderrHandler(logging.Handler):
 
     def emit(self, record: logging.LogRecord) -> None:
         text = self.format(record)
-        if (
-            record.name == "py.warnings"
-        ):  # The text of a Python warning has several lines, with source code at the end.
+        if record.name == "py.warnings":
+            # The text of a Python warning has several lines, with source code at the end.
             text = " ".join(text.split())
         print(shown(text), file=sys.stderr, flush=True)
 
