@@ -127,7 +127,7 @@ def _held(out: Path, products: str, url: str) -> Iterator[tuple[Lease, ...]]:
 
 @contextmanager
 def _copied(out: Path, products: str) -> Iterator[None]:
-    """Copy run.json, the log and the report to the URL of the products, if it is a URL, after any end of the run."""
+    """Copy run.json, the log and the report to the products if these are at a URL, even if the run fails."""
 
     def copy() -> None:
         for path in (out / name for name in (RUN, EVENTS, REPORT)) if is_url(products) else ():

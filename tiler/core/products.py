@@ -15,7 +15,7 @@ CONTOURS, SPOTS = "contours", "spots"
 DRAWN = (CONTOURS, SPOTS)
 """Vector products: GeoPackages of lines and of points."""
 
-# The next four values are those of a coarse cell of the survey (`tiler.grid.survey`).
+# A coarse cell of the survey (`tiler.grid.survey`) has one of the next four values.
 BEYOND = 0
 """Cell outside the survey."""
 BORDER = 1

@@ -116,7 +116,6 @@ class Guard:
             return  # The child died while it waited, and `_answer` raises the error.
 
     def _answer(self) -> Any:
-        """Wait for the result of the call."""
         assert self._child is not None  # `_ask` has started the child.
         try:
             fine, result = pickle.load(_pipe(self._child.stdout))  # The pickle is from the own child.

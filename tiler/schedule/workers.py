@@ -82,13 +82,11 @@ class _Silence:
 _silence = _Silence()
 
 _dask: Any = distributed
-"""The module `distributed` without type checks, since its functions have no types."""
+"""Module `distributed` without type checks, since its functions have no types."""
 
 
 @dataclass(frozen=True)
 class _Try:
-    """Submission of a task."""
-
     task: Task
     number: int
 

@@ -37,7 +37,7 @@ Two writers can both succeed on object stores through fsspec and on disks withou
 
 @dataclass(frozen=True)
 class Holder:
-    """A run that holds a lease, as the lease describes it."""
+    """Run that holds a lease, as the lease describes it."""
 
     token: str
     host: str
@@ -50,7 +50,7 @@ class Holder:
 
 
 class Lease:
-    """A lock while it is held. Call `check` before anything that only the holder may do."""
+    """Lock while it is held. Call `check` before anything that only the holder may do."""
 
     def __init__(self, storage: Storage, key: str) -> None:
         self._storage = storage

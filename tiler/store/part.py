@@ -9,7 +9,7 @@ from tiler.store.storage import Storage
 
 
 class StorePart:
-    """A part of `tiler.store.store.TileStore`, which inherits from all parts.
+    """Part of `tiler.store.store.TileStore`, which inherits from all parts.
 
     Attributes
     ----------

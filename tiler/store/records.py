@@ -94,7 +94,7 @@ class KeptRecords:
 
 
 class RecordStore(StorePart):
-    """The records of each source piece."""
+    """Records of each source piece."""
 
     def keep_records(self, piece: str, identity: str | None, record_bytes: int) -> RecordKeeper:
         """Remove the records that an earlier run kept of a source piece, and return a keeper for new ones."""

@@ -56,9 +56,9 @@ class StateStore(StorePart):
         self.put_state(f"edits-{edits.key}", edits.to_json())
 
     def edits(self, key: str, bounds: Bounds, actions: Iterable[str]) -> Edits | None:
-        """Return those edits kept under a key that have one of the actions and are near the bounds, or None.
+        """Return the edits kept under a key that have one of the actions and touch the bounds.
 
-        None means that there are no such edits. Raise StoreError if the key is missing.
+        The result is None if there are no matching edits. Raise StoreError if the key is missing.
         """
         found = self._kept(f"edits-{key}", Edits.from_json).near(bounds, actions)
         return found if found.edits else None
@@ -76,9 +76,9 @@ class StateStore(StorePart):
         self.put_state(f"waters-{waters.key}", waters.to_json())
 
     def waters(self, key: str | None, bounds: Bounds) -> Waters | None:
-        """Return those bodies of water kept under a key that are near the bounds.
+        """Return the bodies of water kept under a key that touch the bounds.
 
-        The result is None if there are no such bodies or if ``key`` is None. Raise StoreError if the key is missing.
+        The result is None if no body touches the bounds or if ``key`` is None. Raise StoreError if the key is missing.
         """
         if key is None:
             return None

@@ -37,7 +37,7 @@ _UNKNOWN = 1 << 40
 _MANY = 10_000_000
 """Maximum number of points of a file that is not checked for being a decompression bomb."""
 _DENSEST = 1000
-"""Maximum number of points per compressed byte, above which a file is refused as a bomb. Real clouds have below 1."""
+"""Number of points per compressed byte above which a file is refused as a bomb. Real clouds have less than one."""
 
 FINEST_SCALE = 1e-9
 """Smallest scale factor, in units of the CRS. With a smaller one all points would have the same position."""

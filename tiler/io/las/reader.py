@@ -30,7 +30,7 @@ NEEDED = (
 """Layers of point formats 6 to 10 that a store keeps. Other fields of the decoded records are undefined."""
 
 TO_SELECT = NEEDED | lazrs.SELECTIVE_DECOMPRESS_SCAN_ANGLE | lazrs.SELECTIVE_DECOMPRESS_POINT_SOURCE_ID
-"""Layers that a store keeps, and those by which `tiler.core.selection` selects points."""
+"""Layers that a store keeps, and layers by which `tiler.core.selection` selects points."""
 
 EVERYTHING = lazrs.SELECTIVE_DECOMPRESS_ALL
 COORDINATES = lazrs.SELECTIVE_DECOMPRESS_XY_RETURNS_CHANNEL | lazrs.SELECTIVE_DECOMPRESS_Z
