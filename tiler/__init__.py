@@ -1,4 +1,4 @@
-"""City- to country-scale terrain from point clouds: `run`, `classify`, `check`, `open_store` (docs/python.md)."""
+"""Terrain of cities to countries from point clouds: `run`, `classify`, `check`, `open_store` (docs/python.md)."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ __all__ = [
 
 
 def __getattr__(name: str) -> Any:
-    """Load what the package offers when it is first used: importing the package stays cheap."""
+    """Load the names of the package when they are first used, so that importing the package is fast."""
     if name in __all__:
         from tiler import api
 
@@ -49,5 +49,5 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    """What the package offers, loaded or not."""
+    """Return the names of the package, loaded or not."""
     return sorted({*globals(), *__all__})

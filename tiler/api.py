@@ -1,8 +1,8 @@
-"""The Python interface: `run`, `classify`, `check` and `open_store`, as the commands do it.
+"""Python interface: `run`, `classify`, `check` and `open_store`, equivalent to the commands.
 
-What a command refuses raises the same line as a `tiler.errors.TilerError`. Nothing is printed: what is decided on the
-way is in the result, is given to ``progress``, and goes to the logger ``tiler``. A script needs no
-``if __name__ == "__main__":``, as workers import nothing of it.
+Errors of a command are raised as `tiler.errors.TilerError` with the same line. Nothing is printed: notes and warnings
+are in the result, are passed to ``progress``, and are sent to the logger ``tiler``. A script does not need
+``if __name__ == "__main__":``, since workers do not import it.
 """
 
 from __future__ import annotations
@@ -53,11 +53,13 @@ Settings: TypeAlias = RunConfig | Mapping[str, Any]
 """Settings of a run, by the names of ``tiler config --template``: ``{"resolution": "50cm", "products": ["dtm"]}``."""
 TellProgress: TypeAlias = Callable[[Progress], object]
 ShowProgress: TypeAlias = TellProgress | bool | None
-"""A function that is given each `Progress`; True: bars in a terminal or a notebook, and lines elsewhere; False: nothing
-is shown; None: a bar in a notebook alone."""
+"""Function that receives each `Progress`, or a choice of display.
+
+True shows bars in a terminal or a notebook, and lines elsewhere. False shows nothing. None shows a bar only in a
+notebook."""
 
 _logger = logging.getLogger("tiler")
-_logger.addHandler(logging.NullHandler())  # who wants the log says so: Python would print warnings
+_logger.addHandler(logging.NullHandler())  # Without a handler, Python would print warnings.
 
 
 def run(
@@ -69,25 +71,25 @@ def run(
     progress: ShowProgress = None,
     **settings: Any,
 ) -> RunResult:
-    """Turn point clouds into a terrain model and classified clouds, as ``tiler run``.
+    """Make a terrain model and classified clouds from point clouds, like ``tiler run``.
 
-    After an interruption the same call resumes.
+    After an interruption the same call resumes the run.
 
     Parameters
     ----------
     inputs : path or sequence of paths
         Files, folders, globs or URLs of point clouds.
     out : path or URL
-        Folder of the results; it is created if it does not exist.
+        Folder of the results, which is created if it does not exist.
     config : mapping or RunConfig, optional
-        Settings by the names of ``tiler config --template``; lengths are metres unless written with a unit.
+        Settings by the names of ``tiler config --template``. Lengths without a unit are in metres.
     until : {"ingest", "filter", "grid", "export"}
-        Last stage to do.
+        Last stage to run.
     progress : callable or bool, optional
-        A function, which is called from time to time with a `Progress` (docs/progress.md). True shows bars in a
-        terminal or a notebook, and lines elsewhere; False shows nothing. By default a bar is shown in a notebook alone.
+        Function that is called at intervals with a `Progress` (docs/progress.md). True shows bars in a terminal or a
+        notebook, and lines elsewhere. False shows nothing. By default a bar is shown only in a notebook.
     **settings
-        Settings as keywords: ``resolution=0.5, crs=2154``. A setting is given once, here or in ``config``.
+        Settings as keywords: ``resolution=0.5, crs=2154``. Give a setting once, here or in ``config``.
 
     Returns
     -------
@@ -96,7 +98,7 @@ def run(
     Raises
     ------
     TilerError
-        With the line and the ``exit_code`` of the command; finished work is kept.
+        The run failed. The error has the line and the ``exit_code`` of the command. Finished work is kept.
 
     Examples
     --------
@@ -120,18 +122,18 @@ def run(
 
 @dataclass(frozen=True)
 class ClassifyResult:
-    """Result of `classify`; a notebook shows it as a table.
+    """Result of `classify`, which a notebook shows as a table.
 
     Attributes
     ----------
     exit_code : int
-        0, or 5 if tiles failed, whose points keep their classes, or if a file was left out.
+        0, or 5 if a tile failed (its points keep their classes) or a file was left out.
     summary : dict
-        What ``tiler classify --json`` prints: points, changed, classes, method, parameters, seconds and more.
+        Output of ``tiler classify --json``: points, changed, classes, method, parameters, seconds and more.
     path : Path
         Path of the classified cloud.
     notes : tuple of str
-        Decisions and findings, a line each.
+        Decisions and findings, one line per item.
     """
 
     exit_code: int
@@ -156,17 +158,17 @@ def classify(
     progress: ShowProgress = None,
     **settings: Any,
 ) -> ClassifyResult:
-    """Classify LAS or LAZ files, as ``tiler classify``; the points keep their order and get new classes.
+    """Classify LAS or LAZ files, like ``tiler classify``. The points keep their order and get new classes.
 
     Parameters
     ----------
     source : path or URL, or several of them
-        The cloud; or several clouds, folders and globs.
+        Cloud, or several clouds, folders and globs.
     target : path
-        The classified cloud, LAZ or LAS by its name; it appears when it is whole. Of several clouds the folder that
-        gets a LAZ file for each.
+        Path of the classified cloud, whose suffix selects LAZ or LAS. The file appears when it is complete. For
+        several clouds, the path of a folder that gets one LAZ file per cloud.
     config, progress, **settings
-        As in `run`.
+        Settings and progress, see `run`.
 
     Returns
     -------
@@ -175,7 +177,7 @@ def classify(
     Raises
     ------
     TilerError
-        With the line and the ``exit_code`` of the command.
+        The classification failed. The error has the line and the ``exit_code`` of the command.
 
     Examples
     --------
@@ -204,15 +206,15 @@ def classify(
 
 @dataclass(frozen=True)
 class CheckResult:
-    """Result of `check`; a notebook shows it as tables.
+    """Result of `check`, which a notebook shows as tables.
 
     Attributes
     ----------
     exit_code : int
         0, or 5 if a requirement is not met.
     summary : dict
-        What ``tiler check --json`` prints: ``accuracy`` by checkpoints, ``seams``, ``strips``, ``requirements``,
-        ``figures``. Each of the first three is there only if it was measured.
+        Output of ``tiler check --json``: ``accuracy`` by checkpoints, ``seams``, ``strips``, ``requirements``,
+        ``figures``. Each of the first three exists only if it was measured.
     """
 
     exit_code: int
@@ -239,26 +241,26 @@ def check(
     require: Iterable[str] = (),
     figures: PathLike | None = None,
 ) -> CheckResult:
-    """Measure the vertical accuracy of a DTM, its seams, and the fit of flight strips, as ``tiler check``.
+    """Measure the vertical accuracy of a DTM, its seams, and the fit of flight strips, like ``tiler check``.
 
     Parameters
     ----------
     dtm : path or URL
-        A raster of heights.
+        Raster of heights.
     points : path, optional
         Checkpoints: CSV (x, y, z, type NVA or VVA, cover), GeoJSON, GeoPackage and others.
     points_crs : str, optional
-        CRS of x and y of the checkpoints; by default that of their file, or else that of the DTM.
+        CRS of x and y of the checkpoints. The default is the CRS of their file, or else of the DTM.
     points_unit : {"m", "ft", "usft"}, optional
-        Unit of the heights of the checkpoints; by default that of the DTM.
+        Unit of the heights of the checkpoints. The default is the unit of the DTM.
     points_rmse : length
         RMSE of the heights of the checkpoints themselves, in metres or with a unit.
     tile_size : length, optional
-        Distance of the seams that are looked for; by default the tile size in the run.json beside the DTM.
+        Distance between possible seams. The default is the tile size in the run.json next to the DTM.
     strips : sequence of paths
         Classified clouds, whose flight strips are compared.
     require : sequence of str
-        Limits as ``name=value``, such as ``rmse=0.1``; ``tiler check --help`` lists the names.
+        Limits as ``name=value``, such as ``rmse=0.1``. ``tiler check --help`` lists the names.
     figures : path, optional
         Folder for histogram.svg and map.svg of the checkpoints.
 
@@ -269,7 +271,7 @@ def check(
     Raises
     ------
     TilerError
-        With the line and the ``exit_code`` of the command.
+        The measurement failed. The error has the line and the ``exit_code`` of the command.
 
     Examples
     --------
@@ -296,12 +298,12 @@ def check(
 
 
 def open_store(path: PathLike) -> TileStore:
-    """Open the tile store of a run to read its points; no points are read yet.
+    """Open the tile store of a run to read its points. No points are read yet.
 
     Parameters
     ----------
     path : path or URL
-        The store, ``OUT/store.zarr``.
+        Path or URL of the store, ``OUT/store.zarr``.
 
     Returns
     -------
@@ -325,27 +327,29 @@ def open_store(path: PathLike) -> TileStore:
 
 
 def _texts(name: str, paths: PathLike | Iterable[PathLike]) -> list[str]:
-    """Paths as texts, also where there is one alone; raises ConfigError as `_text` does."""
+    """Return one or several paths as texts. Raise ConfigError like `_text`."""
     if isinstance(paths, str | bytes | os.PathLike) or not isinstance(paths, Iterable):
         return [_text(name, paths)]
     return [_text(name, path) for path in paths]
 
 
 def _text(name: str, path: object) -> str:
-    """A path as text; ConfigError where what was given as the argument ``name`` cannot be one."""
+    """Return a path as text. Raise ConfigError if the value of the argument ``name`` cannot be a path."""
     if not isinstance(path, str | os.PathLike):
-        raise ConfigError(f"{name}: {path!r} is {type(path).__name__}, no path; give a str or a pathlib.Path")
+        raise ConfigError(
+            f"{name}: {path!r} is {type(path).__name__}, not a path; give a str or a pathlib.Path"
+        )
     text = str(path)
     if "\0" in text:
-        raise ConfigError(f"{name}: {text!r} holds a NUL character, which no path can; give it without")
+        raise ConfigError(f"{name}: {text!r} contains a NUL character; give a path without it")
     return text
 
 
 def _settings(config: Settings | None, keywords: Mapping[str, Any]) -> RunConfig:
-    """The configuration that a mapping, or a RunConfig, and keywords give together."""
+    """Return the configuration from a mapping or RunConfig, together with keywords."""
     if not isinstance(config, RunConfig | Mapping | None):
         raise ConfigError(
-            f"config: {config!r} is {type(config).__name__}, no mapping; give a dict of settings"
+            f"config: {config!r} is {type(config).__name__}, not a mapping; give a dict of settings"
         )
     if isinstance(config, RunConfig):
         return _over(config, keywords)
@@ -357,14 +361,14 @@ def _settings(config: Settings | None, keywords: Mapping[str, Any]) -> RunConfig
 
 
 def _over(config: RunConfig, keywords: Mapping[str, Any]) -> RunConfig:
-    """A RunConfig in which keywords replace its settings."""
+    """Return a RunConfig in which keywords replace its settings."""
     parsed = RunConfig.from_mapping(keywords)
     return config.updated(**{name: getattr(parsed, name) for name in keywords})
 
 
 @contextmanager
 def _listening(progress: ShowProgress) -> Iterator[Listener]:
-    """The listeners of a job: the log, and what ``progress`` asks for."""
+    """Yield a listener of a job, for the log and for the display that ``progress`` selects."""
     log = ProgressRecords(_log)
     if callable(progress):
         yield combine(log, ProgressRecords(progress))

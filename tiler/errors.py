@@ -1,4 +1,4 @@
-"""The exception tree; each class knows the exit code of the command line."""
+"""Exceptions of tiler. Each class has an exit code of the command line."""
 
 from __future__ import annotations
 
@@ -14,24 +14,24 @@ _NEXT_TO_NOTHING_BYTES = 1 << 20
 
 
 def first_line(error: BaseException) -> str:
-    """The first line of an error's text, or the error's name if it has no text. Libraries write several lines."""
+    """Return the first line of an error's text, since libraries write several lines, or its name if it has no text."""
     return (str(error) or repr(error)).splitlines()[0]
 
 
 class TilerError(Exception):
-    """Something that tiler refuses or cannot do; the message is one line: what, where, value, remedy."""
+    """Error of tiler. The message is one line: where, what is wrong, value, remedy."""
 
     exit_code = 4
     again = False
-    """Whether a task that ended with this error may be tried again, as the cause may be temporary."""
+    """Whether a task that ended with this error may be retried, since the cause may be temporary."""
 
     def __init__(self, *parts: object) -> None:
-        # Messages name URLs, and reach terminals, files and other machines. All of them pass here.
+        # Messages contain URLs, and are sent to terminals, files and other machines. All of them are made here.
         super().__init__(*(without_secrets(part) if isinstance(part, str) else part for part in parts))
 
 
 def exit_code_of(error: BaseException) -> int:
-    """The exit code of a command that ends with an error or an interruption."""
+    """Return the exit code of a command that ends with an error or an interruption."""
     if isinstance(error, TilerError):
         return error.exit_code
     return 130 if isinstance(error, KeyboardInterrupt) else TilerError.exit_code
@@ -52,13 +52,13 @@ class StoreError(TilerError):
 
 
 class ForeignStoreError(StoreError):
-    """There is no store of this version at the given place; the user has to name another place."""
+    """There is no store of this version at the given location. The user has to give another location."""
 
     exit_code = 2
 
 
 class DamagedError(StoreError):
-    """Objects of a store are damaged or missing; a run repeats the tasks that wrote them.
+    """Objects of a store are damaged or missing. A run repeats the tasks that wrote them.
 
     Attributes
     ----------
@@ -97,20 +97,22 @@ class DiskFullError(ProcessingError):
 
 
 class StoreAccessError(ProcessingError):
-    """The store accepts no writes. No input or tile is the cause, so the run ends once repeated tries failed."""
+    """The store does not accept writes. The cause is not an input or a tile, so the run ends if all retries fail."""
 
 
 def refused_write(what: str, error: Exception, folder: Path | None = None) -> ProcessingError:
-    """The one-line error for a write that the file system refused; a `DiskFullError` if no space is left.
+    """Return the one-line error for a write that the file system refused.
+
+    The error is a `DiskFullError` if no space is left.
 
     Parameters
     ----------
     what : str
         Name of the file or object that could not be written.
     error : Exception
-        An OSError, or an error of a library, which does not say why it could not write.
+        OSError, or an error of a library, which does not contain the reason.
     folder : Path, optional
-        Folder of the file. If a library gives no reason, the free space of the folder does.
+        Folder of the file. If the error does not contain the reason, the free space of this folder is checked.
     """
     number = getattr(error, "errno", None)
     full = number in _NO_SPACE
@@ -119,7 +121,7 @@ def refused_write(what: str, error: Exception, folder: Path | None = None) -> Pr
     reason = os.strerror(number) if number else " ".join(str(error).split())
     if full:
         return DiskFullError(
-            f"{what}: cannot be written ({reason}): the disk is full; free some and run again"
+            f"{what}: cannot be written ({reason}): the disk is full; free some space and run again"
         )
     return ProcessingError(
         f"{what}: cannot be written ({reason}); check free space and permissions, then run again"

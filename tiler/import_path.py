@@ -1,4 +1,4 @@
-"""Keeps untrusted folders out of the import path: the current folder, which may hold data, and Dask's scratch."""
+"""Import path without untrusted folders: the current folder, which may contain data, and Dask's scratch."""
 
 import os
 import sys
@@ -6,28 +6,28 @@ import sys
 # Nothing else is imported here, since it could come from one of the untrusted folders.
 
 _HOME = os.path.realpath(os.path.join(os.path.dirname(__file__), os.pardir))
-"""The folder from which tiler itself was imported."""
+"""Folder from which tiler itself was imported."""
 
 _SCRATCH = "dask-scratch-space"
-"""Beginning of the names of Dask's scratch folders, which by default lie in a folder that all users share."""
+"""Prefix of the names of Dask's scratch folders, which by default are in a folder that all users share."""
 
 
 def without_scratch(entries: list[str]) -> list[str]:
-    """The entries of an import path that are not in a scratch folder of Dask."""
+    """Return the entries of an import path that are not in a scratch folder of Dask."""
     return [entry for entry in entries if f"{os.sep}{_SCRATCH}" not in entry]
 
 
 def trusted_path() -> list[str]:
-    """The entries of `sys.path` without Dask's folders, and without the current folder unless tiler itself lies there.
+    """Return the entries of `sys.path` without Dask's folders and without the current folder.
 
-    A ``laspy.py`` in a folder of clouds must not be executed, and a ``random.py`` of the user must not replace Python's
-    own. Python puts the current folder first for ``python -m`` and ``python -c``, and for each empty entry of
-    ``PYTHONPATH``.
+    The current folder stays if tiler itself is in it. A ``laspy.py`` in a folder of clouds must not be executed, and a
+    ``random.py`` of the user must not replace Python's own. Python puts the current folder first for ``python -m`` and
+    ``python -c``, and for each empty entry of ``PYTHONPATH``.
     """
     entries = without_scratch(sys.path)
     try:
         here = os.getcwd()
-    except FileNotFoundError:  # the current folder was removed, so nothing can be imported from it
+    except FileNotFoundError:  # The current folder was removed, so nothing can be imported from it.
         return [entry for entry in entries if os.path.isabs(entry)]
     real = os.path.realpath(here)
     found = [os.path.join(here, entry) for entry in entries if entry]

@@ -1,4 +1,4 @@
-"""The whole job, in order: plan, ingest (spool, assemble), filter, grid, export, run.json. Read this page first."""
+"""The whole job in order: plan, ingest (spool, assemble), filter, grid, export, run.json. Read this page first."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ from tiler.store import (
 STAGES = ("ingest", "filter", "grid", "export")
 
 
-@kept_forking()  # who reads the headers and who does the tasks share what was imported
+@kept_forking()  # Children that read headers and children that do tasks share the imports.
 def run(
     inputs: Sequence[str],
     out: str | Path,
@@ -56,30 +56,30 @@ def run(
     until: str = "export",
     known: Sequence[SourceInfo] = (),
 ) -> RunResult:
-    """Clouds to terrain; goes on with what ``out`` holds.
+    """Make terrain from clouds, or resume the run in ``out``.
 
     Parameters
     ----------
     inputs : sequence of str
-        Files, folders, globs.
+        Files, folders, globs or URLs of clouds.
     out : path
-        Folder of the results, made if it is not there; or a URL, whose last name is then that of a folder here for
-        run.json, the log and the report.
+        Folder of the results, which is made if it does not exist, or a URL. For a URL, run.json, the log and the report
+        are in a local folder with the last name of the URL, and are copied to the URL at the end.
     config : RunConfig
     listener : callable
-        Told what happens, see `tiler.observe.events`.
+        Listener of events, see `tiler.observe.events`.
     until : str
-        Last stage to do: ``ingest``, ``filter``, ``grid`` or ``export``.
+        Last stage to run: ``ingest``, ``filter``, ``grid`` or ``export``.
     known : sequence of SourceInfo
-        See `tiler.plan.make_plan`.
+        Inputs that were inspected before, see `tiler.plan.make_plan`.
 
     Raises
     ------
     TilerError
-        With the exit code of the command; nothing that was finished is lost.
+        The run failed. The error has the exit code of the command. Finished work is kept.
     """
     if until not in STAGES:
-        raise ConfigError(f"no stage {until!r}; there are {', '.join(STAGES)}")
+        raise ConfigError(f"until {until!r}: no such stage; use {', '.join(STAGES)}")
     config, products = config or RunConfig(), str(out)
     if not products:
         raise ConfigError("-o: has no name; give a folder for the results")
@@ -89,11 +89,11 @@ def run(
     started = time.monotonic()
     url = config.store or joined(products, STORE)
     if prepare_workers(config, products):
-        import_dask()  # while the headers are read
+        import_dask()  # The import runs while the headers are read.
     plan = make_plan(inputs, config, products, known)
     _make_folder(out)
     if not is_url(products):
-        products = str(out.resolve())  # workers have folders of their own
+        products = str(out.resolve())  # Workers have other current folders.
         url = config.store or joined(products, STORE)
     with _held(out, products, url) as leases, _copied(out, products):
         plan, store = _frozen(plan, url)
@@ -102,20 +102,22 @@ def run(
         job.facts["given"] = [str(source) for source in inputs]
         job.facts["earlier_outputs"] = earlier_outputs(out, products)
         job.facts["digests"], job.earlier_settings = earlier_facts(out, products)
-        job.save("running")  # before any other file, which is known by it as this run's own
+        # run.json is written first, since it shows that the later files belong to this run.
+        job.save("running")
         with EventLog(out / EVENTS) as log:
             job.listener = discreet(combine(listener, log, job.record.keep_warning))
             result = _locked_run(job, until, started)
         if config.clean_store and until == "export" and (left := remove_store(url)):
             listener(
-                "note", {"text": f"{url}: the store is removed; {', '.join(left)}: not its own, left there"}
+                "note",
+                {"text": f"{url}: the store was deleted; kept, since not part of it: {', '.join(left)}"},
             )
     return result
 
 
 @contextmanager
 def _held(out: Path, products: str, url: str) -> Iterator[tuple[Lease, ...]]:
-    """Hold OUT and the store for this run alone: two runs on one OUT may have stores of their own."""
+    """Hold the locks of OUT and of the store, since two runs on the same OUT may have different stores."""
     with ExitStack() as held:
         folders = [
             held.enter_context(locked_folder(p)) for p in dict.fromkeys((str(out.resolve()), products))
@@ -125,7 +127,7 @@ def _held(out: Path, products: str, url: str) -> Iterator[tuple[Lease, ...]]:
 
 @contextmanager
 def _copied(out: Path, products: str) -> Iterator[None]:
-    """Copy run.json, the log and the report to where the products are, if that is a URL, however the run ends."""
+    """Copy run.json, the log and the report to the products if these are at a URL, even if the run fails."""
 
     def copy() -> None:
         for path in (out / name for name in (RUN, EVENTS, REPORT)) if is_url(products) else ():
@@ -135,14 +137,14 @@ def _copied(out: Path, products: str) -> Iterator[None]:
     try:
         yield
     except BaseException:
-        with suppress(ProcessingError):  # what ended the run is told
+        with suppress(ProcessingError):  # The error that ended the run is reported.
             copy()
         raise
     copy()
 
 
 def _locked_run(job: Job, until: str, started: float) -> RunResult:
-    """The run itself, by the one process that holds the store."""
+    """Run the job in the process that holds the locks."""
     plan, listener = job.plan, job.listener
     for text in plan.notes:
         listener("note", {"text": text})
@@ -155,8 +157,8 @@ def _locked_run(job: Job, until: str, started: float) -> RunResult:
         )
     if plan.candidate_cell_m and not plan.on_candidates:
         job.note(
-            f"passes read all points: the store has a candidate for each cell of {float(plan.fine_m):g} m, of which "
-            f"the method's cells of {plan.candidate_cell_m:g} m are not made; --overwrite makes it anew, for these"
+            f"passes read all points: the store has one candidate per cell of {float(plan.fine_m):g} m, which does not "
+            f"divide the method's cells of {plan.candidate_cell_m:g} m; --overwrite rebuilds the store for this method"
         )
     if is_url(job.products):
         job.note(
@@ -173,7 +175,8 @@ def _locked_run(job: Job, until: str, started: float) -> RunResult:
         state = "failed" if isinstance(error, Exception) else "interrupted"
         try:
             job.save(state)
-        except ProcessingError:  # a full disk refuses this as well: what ended the run is told
+        except ProcessingError:
+            # A full disk refuses this as well, and the error that ended the run is reported.
             tell_end(job.out, state, code)
         raise
     finally:
@@ -181,7 +184,7 @@ def _locked_run(job: Job, until: str, started: float) -> RunResult:
         job.executors.close()
     if until != "export" and job.record.computed and job.facts["earlier_outputs"]:
         job.note(
-            f"files in {job.products} are those of an earlier run until `tiler export` or `tiler run` writes them anew"
+            f"files in {job.products} are those of an earlier run until `tiler export` or `tiler run` replaces them"
         )
     job.facts["seconds"] = round(time.monotonic() - started, 3)
     remember(plan, job.record.stages)
@@ -194,13 +197,13 @@ def _locked_run(job: Job, until: str, started: float) -> RunResult:
 
 
 def _report(job: Job) -> dict[str, Any]:
-    """Save run.json, and draw it for people; what it says. A report that fails leaves a finished run finished."""
+    """Save run.json, write the report, and return the summary. If the report fails, the run is still finished."""
     job.facts["report"] = REPORT
     summary = job.save("done")
     try:
         write_report(job.out, summary, job.products)
-    except Exception as error:  # noqa: BLE001 - whatever it is: the results are there
-        text = f"{REPORT} could not be drawn: {error}; `tiler report {job.out}` tries again"
+    except Exception as error:  # noqa: BLE001 - The results exist after any error of the report.
+        text = f"{REPORT} could not be drawn: {error}; run `tiler report {job.out}` to try again"
         job.listener("warning", {"text": text})
         job.record.notes.append(text)
         job.facts["report"] = None
@@ -209,7 +212,7 @@ def _report(job: Job) -> dict[str, Any]:
 
 
 def _healing_stages(job: Job, until: str) -> None:
-    """Run the stages; where objects of the store are damaged, repair it and run them again."""
+    """Run the stages. If objects of the store are damaged, repair it and run the stages again."""
     for number in range(ROUNDS + 1):
         job.record.failed, job.record.quarantined = (
             [],
@@ -225,12 +228,13 @@ def _healing_stages(job: Job, until: str) -> None:
 
 
 def _stages(job: Job, until: str) -> None:
-    """Run the stages in their order, up to the last one that is wanted."""
+    """Run the stages in their order, up to the stage ``until``."""
     if job.plan.area is not None:
         job.store.put_area(job.plan.area)
     sources = numbered(job)
     if job.plan.config.scheduler is None and not job.store.committed("spool"):
-        job.compiler.begin(job.plan, until)  # while the points are read, which needs no kernel
+        # Kernels are compiled while the points are read, which does not need kernels.
+        job.compiler.begin(job.plan, until)
     spooled, sources = spool(job, sources)
     assembled = assemble(job, sources, spooled)
     if until == "ingest":
@@ -255,7 +259,10 @@ def _make_folder(out: Path) -> None:
 
 
 def _frozen(plan: Plan, url: str) -> tuple[Plan, TileStore]:
-    """The store, and the plan with what its first run settled: frame, buckets, tiles, resolution, thinning."""
+    """Return the plan with the settings of the store's first run, and the store.
+
+    These settings are frame, buckets, tiles, resolution and thinning.
+    """
     if plan.config.overwrite or not store_exists(url):
         first = {
             "tile": str(plan.tile),
@@ -269,12 +276,12 @@ def _frozen(plan: Plan, url: str) -> tuple[Plan, TileStore]:
     old, new = store.meta, plan.meta
     if (old.frame.crs_wkt, old.frame.units) != (new.frame.crs_wkt, new.frame.units):
         raise ConfigError(
-            f"{url}: holds points in {crs_name(old.frame.crs_wkt)}, the inputs are in {crs_name(new.frame.crs_wkt)}; "
-            "use --overwrite or another -o"
+            f"{url}: contains points in {crs_name(old.frame.crs_wkt)}, "
+            f"the inputs are in {crs_name(new.frame.crs_wkt)}; use --overwrite or another -o"
         )
     if new.has_rgb and not old.has_rgb:
         raise ConfigError(
-            f"{url}: holds no colours, which --method {plan.config.method} needs; use --overwrite or another -o"
+            f"{url}: contains no colours, which --method {plan.config.method} needs; use --overwrite or another -o"
         )
     config, settled = plan.config, store.settled
     try:
@@ -292,7 +299,7 @@ def _frozen(plan: Plan, url: str) -> tuple[Plan, TileStore]:
     )
 
     def changed(memory: int, tile_size: Fraction | None = None, **_: Any) -> Plan:
-        """What more memory, or tiles of another size, would make of the plan; all else is settled."""
+        """Return the plan with more memory or another tile size. All other values are fixed."""
         if tile_size in (None, plan.tile):
             return dataclasses.replace(plan, memory=memory)
         return dataclasses.replace(plan, memory=memory, tile=tile_size, tile_memory=memory, tile_workers=0)

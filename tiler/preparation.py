@@ -1,6 +1,6 @@
-"""Prepares the server of forks: it imports what the workers of a run need while this process imports its own.
+"""Preparation of the server of forks, which imports the workers' modules while this process imports its own.
 
-The functions import inside, since the server calls them by name and importing this module has to take no time.
+The functions contain the imports, since the server calls them by name and importing this module must be fast.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ if TYPE_CHECKING:
 
 
 def import_reading() -> None:
-    """Import what looks into clouds."""
+    """Import the modules that inspect clouds."""
     import tiler.inputs.sources
 
 
@@ -39,7 +39,7 @@ def load_kernels() -> None:
 
 
 def import_libraries() -> None:
-    """Import the libraries that work imports only when it uses them."""
+    """Import the libraries that tasks import only when they use them."""
     import pyogrio
     import scipy.ndimage
     import scipy.optimize
@@ -47,13 +47,18 @@ def import_libraries() -> None:
 
 
 def prepare_workers(config: RunConfig, products: str) -> bool:
-    """Prepare the workers of a run, unless it has none, or an earlier run made its store; returns whether it did.
+    """Prepare the workers of a run, unless it has no workers or its store may exist already.
 
     Parameters
     ----------
     config : RunConfig
     products : str
         Path or URL of the results.
+
+    Returns
+    -------
+    bool
+        Whether workers are prepared.
     """
     store = config.store or joined(products, STORE)
     if config.in_process or is_url(store) or os.path.exists(store):

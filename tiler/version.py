@@ -1,3 +1,3 @@
-"""The version of the distribution; hatchling reads it from here."""
+"""Version of the distribution, which hatchling reads."""
 
 __version__ = "0.1.0"

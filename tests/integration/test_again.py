@@ -127,7 +127,7 @@ def test_clean_store_leaves_the_results_alone(out: Path, demo: DemoScene) -> Non
 
 def test_a_store_of_another_crs_is_refused(out: Path, tmp_path: Path) -> None:
     other = clouds.write(tmp_path / "other.laz", clouds.city(100.0), crs="EPSG:25833")
-    with pytest.raises(ConfigError, match=r"holds points in .*; use --overwrite or another -o"):
+    with pytest.raises(ConfigError, match=r"contains points in .*; use --overwrite or another -o"):
         do(other, out)
 
 

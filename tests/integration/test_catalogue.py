@@ -157,8 +157,8 @@ def test_members_are_found_beside_the_file_or_elsewhere(folder: Path, tmp_path: 
     ("content", "reason"),
     [
         (b"\x80", "can't decode byte"),
-        (b"[" * 100_000, "nested too deep"),
-        (b"[]", "holds no object"),
+        (b"[" * 100_000, "nested too deeply"),
+        (b"[]", "not a JSON object"),
         (b'{"type": "Feature"}', "holds no FeatureCollection"),
         (b'{"type": "FeatureCollection", "features": []}', "names no cloud at all"),
         (b'{"type": "FeatureCollection", "features": [7]}', "its feature 1 names no cloud"),

@@ -21,7 +21,7 @@ from tiler.ingest.tasks import fingerprints
 from tiler.ingest.tasks import points as ingest_tasks
 from tiler.io.las.reader import PointReader
 
-CHANGED = "was replaced or written to while the run went on"
+CHANGED = "was replaced or changed during the run"
 Work = Callable[[str, dict[str, Any]], dict[str, Any]]
 
 
@@ -149,7 +149,7 @@ def test_the_only_input_went_away(
     files: tuple[Path, Path, Path], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     change_before(monkeypatch, ingest_tasks, "spool_piece", Path.unlink, files[1])
-    line = r"east\.las: left out: went away while the run went on \(No such file"
+    line = r"east\.las: left out: was removed during the run \(No such file"
     with pytest.raises(InputError, match=line):
         do(files[1], tmp_path / "out")
 
@@ -174,7 +174,10 @@ def test_an_empty_file_and_one_that_went_away(
     """What is left holds no point: no input could be read, though one of them could."""
     path = files[1]
     empty = clouds.write(tmp_path / "in" / "empty.las", clouds.city(96.0).take(np.zeros(0, np.intp)))
-    aside, line = tmp_path / "aside.las", r"^no input could be read; the first: .*east\.las: .*went away"
+    aside, line = (
+        tmp_path / "aside.las",
+        r"^no input could be read; the first: .*east\.las: .*was removed during",
+    )
     for module, name in ((fingerprints, "read_files"), (ingest_tasks, "spool_piece")):
         with monkeypatch.context() as patch:
             change_before(patch, module, name, Path.rename, path, aside)

@@ -129,7 +129,7 @@ def test_the_connection_is_cut(cluster: Cluster, cloud: Path, local: Path, tmp_p
     assert process.returncode == 4, error
     tiles, *rest = error.splitlines(keepends=True)
     assert tiles.startswith("warning: tiles of 64 m")
-    assert_one_line("".join(rest), "the connection broke and does not come back")
+    assert_one_line("".join(rest), "the connection broke and was not restored")
     do(cloud, gone)
     assert output_digests(gone) == output_digests(local)
 

@@ -81,7 +81,7 @@ def test_a_window_over_http_reads_the_nodes_near_it(
         ("ept.json", {"dataType": "laszip", "bounds": [0, 0, 0]}, "no cube"),
         ("ept.json", {"dataType": "laszip", "bounds": [0, 0, 0, 10**400, 1, 1]}, "no cube"),
         ("ept.json", {"dataType": "laszip", "bounds": [-1.7e308, 0, 0, 1.7e308, 1, 1]}, "no cube"),
-        ("ept.json", "[]", "holds no object"),
+        ("ept.json", "[]", "not a JSON object"),
         ("ept-hierarchy/0-0-0-0.json", {"0-0-0-0": 5, "1-7-0-0": 3}, "says '1-7-0-0: 3'"),
         ("ept-hierarchy/0-0-0-0.json", {"0-0-0-0": -1}, "has no number of points"),
         ("ept-hierarchy/0-0-0-0.json", {"0-0-0-0": 5, "2-0-0-0": -1}, "2-0-0-0.json cannot be read"),

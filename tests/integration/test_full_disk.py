@@ -103,7 +103,7 @@ def test_a_disk_that_fills_up(
     monkeypatch.setattr("tiler.plan.disk.projected_disk", lambda plan: {"store": 0})
     disk.has(int(room(whole) * share))
     out = disk.folder / "out"
-    with pytest.raises(DiskFullError, match="the disk is full; free some and run again") as caught:
+    with pytest.raises(DiskFullError, match="the disk is full; free some space and run again") as caught:
         do(cloud, out)
     assert caught.value.exit_code == 4
     assert "\n" not in str(caught.value)
@@ -134,7 +134,7 @@ def test_a_disk_that_is_full_when_a_stage_begins(
             used = shutil.disk_usage(disk.folder).used
             disk.has(used + left, again=True)
 
-    with pytest.raises(DiskFullError, match="the disk is full; free some and run again") as caught:
+    with pytest.raises(DiskFullError, match="the disk is full; free some space and run again") as caught:
         run([str(cloud)], out, settings(**WITH_EVERY_STAGE), fill)
     assert "\n" not in str(caught.value)
     assert not [path for path in out.rglob("*.partial*") if "store.zarr" not in path.parts]

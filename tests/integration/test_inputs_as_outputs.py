@@ -43,7 +43,7 @@ def test_a_store_is_no_place_of_inputs_or_results(
     (tmp_path / "link").symlink_to("in")
     (tmp_path / "out").mkdir()
     before = content(tmp_path)
-    with pytest.raises(ConfigError, match="(is the same as|holds) .*; give another place"):
+    with pytest.raises(ConfigError, match="(is the same as|contains) .*; give another folder"):
         do(Path("in/hill.laz"), Path("out"), store=store, clean_store=True, overwrite=True)
     assert content(tmp_path) == before
 
@@ -77,7 +77,7 @@ def test_a_folder_of_results_that_leads_to_the_inputs(link: str, cloud: Path, tm
     out = tmp_path / "out"
     out.mkdir()
     (out / link).symlink_to(cloud.parent)
-    with pytest.raises(ConfigError, match=rf"-o {out}/{link}: holds {cloud}"):
+    with pytest.raises(ConfigError, match=rf"-o {out}/{link}: contains {cloud}"):
         do(cloud, out, force=True)
 
 

@@ -48,7 +48,7 @@ def test_results_and_store_by_url(bucket: Any, tmp_path: Path, monkeypatch: pyte
     assert bucket.find(f"{BUCKET}/town/store.zarr") == [f"{BUCKET}/town/store.zarr/points/notes.txt"]
     assert not [name for name in bucket.find(f"{BUCKET}/town") if "lock" in name]
     assert json.loads(bucket.cat(f"{BUCKET}/town/run.json"))["state"] == "done"
-    with pytest.raises(ConfigError, match=f"--store s3://{BUCKET}/: holds {out}"):
+    with pytest.raises(ConfigError, match=f"--store s3://{BUCKET}/: contains {out}"):
         do(store=f"s3://{BUCKET}/")
     bucket.put_file(str(cloud), f"{BUCKET}/hill.laz")
     summary = run([f"s3://{BUCKET}"], "other", settings()).summary

@@ -67,7 +67,9 @@ def test_a_report_that_fails_is_told_and_costs_nothing(
     result = do(cloud, tmp_path / "out")
     assert result.exit_code == 0
     assert result.summary["report"] is None
-    assert result.summary["notes"][-1].startswith("report.html could not be drawn: no luck; `tiler report")
+    assert result.summary["notes"][-1].startswith(
+        "report.html could not be drawn: no luck; run `tiler report"
+    )
     assert result.summary == json.loads((tmp_path / "out" / "run.json").read_text())
     assert (tmp_path / "out" / "dtm.tif").is_file()
     monkeypatch.undo()

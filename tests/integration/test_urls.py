@@ -130,13 +130,13 @@ def test_an_object_that_is_replaced_is_left_out(
         return spool_piece(store_url, work)
 
     monkeypatch.setattr(ingest_tasks, "spool_piece", changed)
-    with pytest.raises(InputError, match="c.las: left out: was replaced or written to while the run went on"):
+    with pytest.raises(InputError, match="c.las: left out: was replaced or changed during the run"):
         do([f"{servers['http']}/b/c.las"], tmp_path / "out")
 
 
 def test_a_server_that_gives_no_parts_is_told_of(tmp_path: Path) -> None:
     clouds.write(tmp_path / "west.las", clouds.city(160.0, 2.0))
     with http_server(tmp_path, parts=False) as server:
-        line = r"west\.las: .*its server gives no parts of files, no range requests"
+        line = r"west\.las: .*its server does not support range requests"
         with pytest.raises(InputError, match=line):
             inspect(cloud_path(f"{server}/west.las"))

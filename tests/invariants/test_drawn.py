@@ -288,4 +288,4 @@ def test_contours_of_others_are_not_replaced(city_file: Path, tmp_path: Path) ->
 def test_drawings_outside_of_the_survey_are_warned_of(city_file: Path, tmp_path: Path) -> None:
     edits = draw(tmp_path / "e.json", [(shapely.box(900, 0, 905, 5), {"action": "void"})])
     warnings = make_plan([str(city_file)], settings(edits=edits)).warnings
-    assert any(f"{edits}: 1 of 1 features lie outside of the survey" in text for text in warnings)
+    assert any(f"{edits}: 1 of 1 features lie outside the survey" in text for text in warnings)

@@ -184,7 +184,7 @@ def test_a_new_file_with_the_statistics_of_before_changes_only_its_surroundings(
 def test_statistics_of_another_run_are_refused(tmp_path: Path) -> None:
     path = clouds.write(tmp_path / "city.laz", clouds.city(64.0))
     do(path, tmp_path / "out", "filter", method="lonely")
-    with pytest.raises(ConfigError, match="other parameters"):
+    with pytest.raises(ConfigError, match="its method or parameters differ"):
         do(path, tmp_path / "other", statistics=str(tmp_path / "out"))
     with pytest.raises(ConfigError, match=r"no run\.json"):
         do(path, tmp_path / "other", method="lonely", statistics=str(tmp_path))
@@ -230,7 +230,7 @@ def test_a_store_keeps_colours_for_a_method_that_needs_them(
     assert open_store(str(out / "store.zarr")).meta.has_rgb is False
     monkeypatch.setitem(METHODS, "lonely", Method("lonely", "three passes", Parameters, needs=("rgb",)))
     with pytest.raises(
-        ConfigError, match=r"store.zarr: holds no colours, which --method lonely needs; use --ov"
+        ConfigError, match=r"store.zarr: contains no colours, which --method lonely needs; use --ov"
     ):
         do(path, out, "filter", method="lonely")
     do(path, out, "filter", method="lonely", overwrite=True)

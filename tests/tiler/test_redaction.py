@@ -85,6 +85,6 @@ def test_the_path_of_a_url_keeps_its_secrets() -> None:
 
 def test_a_password_that_breaks_its_url_is_refused() -> None:
     for refuses in (cloud_path, Storage):
-        with pytest.raises(ConfigError, match="write / as %2F") as caught:
+        with pytest.raises(ConfigError, match="use %2F for /") as caught:
             refuses("ftp://anna:pw/x@host/town.laz")
         assert "pw" not in str(caught.value)

@@ -1,1 +1,4 @@
-"""Basic types: units, frames, lattices, points, rasters, classes, products. Numpy only, and pyproj for CRS."""
+"""Basic types: units, frames, lattices, points, rasters, classes, products.
+
+They need only numpy, and pyproj for CRS.
+"""

@@ -1,4 +1,4 @@
-"""The area of interest of a run: polygons in absolute counts, exact to the count."""
+"""Area of interest of a run: polygons in absolute counts, exact to the count."""
 
 from __future__ import annotations
 
@@ -17,39 +17,41 @@ from tiler.core.lattice import Bounds, Lattice
 Counts = npt.NDArray[np.int64]
 
 MOST_BOXES = 1 << 14
-"""Most rectangles of cells that `Area.cells` divides; they take some seconds."""
+"""Maximum number of rectangles of cells that `Area.cells` examines, which takes some seconds."""
 
 FEW_SIDES = 1 << 14
-"""Up to so many pairs of a place and an edge are compared in one array."""
+"""Maximum number of pairs of a position and an edge that are compared in one array."""
 
 Runs = list[list[int]]
 """Runs of neighbouring cells in rows of a lattice: [iy, first ix, end ix], row by row from the south-west."""
 
 LONGEST_EDGE = 1 << 30
-"""Longest edge of a polygon, in counts along each axis, with which the exact test of a point stays within int64."""
+"""Longest edge of a polygon, in counts along each axis, for which the exact test of a point fits int64."""
 
 
 @dataclass(frozen=True, eq=False)
 class Area:
-    """Polygons; a place is inside the area if it is inside one of them.
+    """Area of polygons. A position is inside the area if it is inside one of them.
 
     Attributes
     ----------
     polygons : tuple of tuple of int64 (n, 2)
-        Rings of each polygon, closed or not, in absolute counts. A place is inside a polygon if a ray from it crosses
-        the rings an odd number of times: holes are rings like others, and the direction of rings does not matter.
+        Rings of each polygon, closed or not, in absolute counts. A position is inside a polygon if a ray from it
+        crosses the rings an odd number of times: holes are rings like others, and the direction of rings does not
+        matter.
 
     Notes
     -----
-    Areas are half-open: a place on an edge that two areas share is inside exactly one of them. A rectangle holds its
-    lower and left edge, as `Bounds` do. Only edges along an axis may be longer than `LONGEST_EDGE`, see `shortened`.
+    Areas are half-open: a position on an edge that two areas share is inside exactly one of them. A rectangle contains
+    its lower and left edge, like `Bounds`. Only edges along an axis may be longer than `LONGEST_EDGE` (see
+    `shortened`).
     """
 
     polygons: tuple[tuple[Counts, ...], ...]
 
     @classmethod
     def rectangle(cls, bounds: Bounds) -> Area:
-        """The area that equals ``bounds``."""
+        """Return the area that equals ``bounds``."""
         x0, y0, x1, y1 = bounds.to_json()
         return cls(((np.array([[x0, y0], [x1, y0], [x1, y1], [x0, y1]], np.int64),),))
 
@@ -62,7 +64,7 @@ class Area:
 
     @cached_property
     def key(self) -> str:
-        """A digest of the polygons."""
+        """Digest of the polygons."""
         found = hashlib.blake2b(digest_size=16)
         for rings in self.polygons:
             found.update(b"polygon %d" % len(rings))
@@ -73,7 +75,7 @@ class Area:
 
     @cached_property
     def edges(self) -> tuple[Counts, ...]:
-        """The edges of each polygon except level ones: x, y of the lower end, x, y of the upper end, int64 (4, n)."""
+        """Edges of each polygon except level ones: x, y of the lower end, x, y of the upper end, int64 (4, n)."""
         return tuple(_rising(rings) for rings in self.polygons)
 
     @cached_property
@@ -82,7 +84,7 @@ class Area:
         return np.concatenate([_edges(ring) for ring in chain(*self.polygons)], axis=1)
 
     def inside(self, x: Counts, y: Counts) -> npt.NDArray[np.bool_]:
-        """Mask of the places inside; x and y are absolute counts, int64 (n,)."""
+        """Return the mask of the positions inside the area, given by x and y in absolute counts, int64 (n,)."""
         found = np.zeros(x.shape, np.bool_)
         if not x.size:
             return found
@@ -97,11 +99,11 @@ class Area:
         return found
 
     def covers(self, bounds: Bounds) -> bool:
-        """Whether every count of the bounds is inside; False if an outline runs through them."""
+        """Return whether every count of the bounds is inside. The result is False if an edge is near the bounds."""
         return not _near(self._outline, bounds).size and self._holds_corner(bounds)
 
     def touches(self, bounds: Bounds) -> bool:
-        """Whether some count of the bounds is inside, or is so near to an edge that rounding could decide."""
+        """Return whether some count of the bounds is inside, or so near to an edge that rounding could decide."""
         mine = self.bounds
         if mine.x0 > bounds.x1 or mine.x1 < bounds.x0 or mine.y0 > bounds.y1 or mine.y1 < bounds.y0:
             return False
@@ -110,9 +112,10 @@ class Area:
         return bool(_near(self._outline, bounds).size) or self._holds_corner(bounds)
 
     def cells(self, lattice: Lattice, window: Bounds, margin: int) -> Runs | None:
-        """Cells that overlap ``window`` and come within ``margin`` counts of the area; None if it covers the window.
+        """Return the cells that overlap ``window`` and come within ``margin`` counts of the area.
 
-        If the outline is longer than about `MOST_BOXES` cells, cells beyond the margin may be among them.
+        The result is None if the area covers the window. If the outline is longer than about `MOST_BOXES` cells, it may
+        include cells beyond the margin.
         """
         if self.covers(window):
             return None
@@ -123,7 +126,8 @@ class Area:
             lattice.index_of(window.y1 - 1) + 1,
         )
         rows: dict[int, list[tuple[int, int]]] = {}
-        boxes = deque([(whole, self._outline)])  # rectangles of cells, with the edges near them
+        # Each box is a rectangle of cells with the edges near it.
+        boxes = deque([(whole, self._outline)])
         looked_at = 0
         while boxes:
             box, outline = boxes.popleft()
@@ -152,12 +156,12 @@ class Area:
         return bool(self.inside(np.array([bounds.x0], np.int64), np.array([bounds.y0], np.int64))[0])
 
     def to_json(self) -> list[list[list[int]]]:
-        """Rings of each polygon as x, y, x, y, ...; `from_json` reads them back."""
+        """Return the rings of each polygon as x, y, x, y, ..., which `from_json` reads."""
         return [[ring.ravel().tolist() for ring in rings] for rings in self.polygons]
 
     @classmethod
     def from_json(cls, data: Sequence[Sequence[Sequence[int]]]) -> Area:
-        """The area that `to_json` wrote."""
+        """Return the area that `to_json` wrote."""
         polygons = []
         for rings in data:
             polygons.append(tuple(np.array(ring, np.int64).reshape(-1, 2) for ring in rings))
@@ -165,7 +169,7 @@ class Area:
 
 
 class Places:
-    """Places, sorted so that each of many areas is compared only with the places as far north as itself."""
+    """Positions sorted by y, so that each of many areas is compared only with the positions in its range of y."""
 
     def __init__(self, x: Counts, y: Counts) -> None:
         self._order = np.argsort(y, kind="stable")
@@ -173,7 +177,7 @@ class Places:
         self._y = y[self._order]
 
     def inside(self, area: Area) -> npt.NDArray[np.intp]:
-        """Indices of the places inside an area, ascending."""
+        """Return the indices of the positions inside an area, ascending."""
         bounds = area.bounds
         strip = slice(*np.searchsorted(self._y, (bounds.y0, bounds.y1)).tolist())
         x = self._x[strip]
@@ -182,7 +186,10 @@ class Places:
 
 
 def shortened(ring: Counts) -> Counts:
-    """A ring with further points, rounded to counts, on the edges that are longer than `LONGEST_EDGE` along an axis."""
+    """Return a ring with additional points on the edges that are longer than `LONGEST_EDGE` along an axis.
+
+    The points are rounded to counts.
+    """
     if np.ptp(ring, axis=0).max() < LONGEST_EDGE:
         return ring
     parts = []
@@ -194,7 +201,7 @@ def shortened(ring: Counts) -> Counts:
 
 
 def in_runs(runs: Runs, ix: Counts, iy: Counts) -> npt.NDArray[np.bool_]:
-    """Mask of the cells (ix, iy) that are in ``runs``."""
+    """Return the mask of the cells (ix, iy) that are in ``runs``."""
     if not runs:
         return np.zeros(ix.shape, np.bool_)
     row, first, end = np.array(runs, np.int64).T
@@ -207,20 +214,20 @@ def in_runs(runs: Runs, ix: Counts, iy: Counts) -> npt.NDArray[np.bool_]:
 
 
 def _edges(ring: Counts) -> Counts:
-    """x0, y0, x1, y1 of the edges of a ring, int64 (4, n). The edge that closes a closed ring has no length."""
+    """Return x0, y0, x1, y1 of the edges of a ring, int64 (4, n). The last edge of a closed ring has length 0."""
     following = np.concatenate((ring[1:], ring[:1]))
     return np.concatenate((ring, following), axis=1).T
 
 
 def _rising(rings: Sequence[Counts]) -> Counts:
-    """The edges of rings except level ones, from the lower end to the upper end."""
+    """Return the edges of rings except level ones, from the lower end to the upper end."""
     edges = _edges(rings[0]) if len(rings) == 1 else np.concatenate([_edges(ring) for ring in rings], axis=1)
     edges = edges[:, edges[1] != edges[3]]
     return np.where(edges[1] < edges[3], edges, edges[[2, 3, 0, 1]])
 
 
 def _near(edges: Counts, bounds: Bounds) -> Counts:
-    """The edges that touch the bounds, including their upper edges, or miss them by less than a rounding."""
+    """Return the edges that touch the bounds (including upper edges) or miss them by less than a rounding error."""
     x0, y0, x1, y1 = edges
     hit = (np.minimum(x0, x1) <= bounds.x1) & (np.maximum(x0, x1) >= bounds.x0)
     hit &= (np.minimum(y0, y1) <= bounds.y1) & (np.maximum(y0, y1) >= bounds.y0)
@@ -233,14 +240,15 @@ def _near(edges: Counts, bounds: Bounds) -> Counts:
 
 
 def _crossed_oddly(edges: Counts, x: Counts, y: Counts) -> npt.NDArray[np.bool_]:
-    """Mask of the places from which a ray to the east crosses an odd number of edges; y must be ascending.
+    """Return the mask of the positions from which a ray to the east crosses an odd number of edges.
 
-    An edge holds its lower end but not its upper end. A place on an edge is not west of it.
+    ``y`` must be ascending. An edge includes its lower end but not its upper end. A position on an edge is not west
+    of it.
     """
     x0, y0, x1, y1 = edges
     facing = (y0 <= y[-1]) & (y1 > y[0]) & (np.maximum(x0, x1) > x.min())
     beyond = facing & (np.minimum(x0, x1) > x.max())
-    # Edges east of all places are crossed by every ray that is as far north.
+    # Edges east of all positions are crossed by every ray in their range of y.
     lower = np.sort(y0[beyond])
     upper = np.sort(y1[beyond])
     crossings = np.searchsorted(lower, y, side="right") - np.searchsorted(upper, y, side="right")
@@ -255,7 +263,7 @@ def _crossed_oddly(edges: Counts, x: Counts, y: Counts) -> npt.NDArray[np.bool_]
 
 
 def _few_crossed_oddly(edges: Counts, x: Counts, y: Counts) -> npt.NDArray[np.bool_]:
-    """`_crossed_oddly` for a few places in any order, which compares every place with every edge."""
+    """Return `_crossed_oddly` for a few positions in any order, by comparing every position with every edge."""
     x0, y0, x1, y1 = edges[:, :, np.newaxis]
     crossed = (x1 - x0) * (y - y0) > (x - x0) * (y1 - y0)
     crossed &= (y0 <= y) & (y < y1)
@@ -264,7 +272,7 @@ def _few_crossed_oddly(edges: Counts, x: Counts, y: Counts) -> npt.NDArray[np.bo
 
 
 def _quarters(box: Bounds) -> list[Bounds]:
-    """Up to four parts of a rectangle of cells; fewer if it is one cell wide or high."""
+    """Return four parts of a rectangle of cells, or fewer if it is one cell wide or high."""
     xs = (box.x0, (box.x0 + box.x1 + 1) // 2, box.x1)
     ys = (box.y0, (box.y0 + box.y1 + 1) // 2, box.y1)
     parts = [Bounds(x0, y0, x1, y1) for (y0, y1), (x0, x1) in product(pairwise(ys), pairwise(xs))]
@@ -272,7 +280,7 @@ def _quarters(box: Bounds) -> list[Bounds]:
 
 
 def _joined(runs: list[tuple[int, int]]) -> list[list[int]]:
-    """Join adjacent runs of a row; the runs are ascending."""
+    """Join adjacent runs of a row. The runs are ascending."""
     found: list[list[int]] = []
     for first, end in runs:
         if found and found[-1][1] == first:

@@ -12,7 +12,7 @@ from tiler.core.lattice import Bounds, Cell, Lattice
 
 
 class AreaIndex:
-    """Finds the areas near a place. An answer holds indices into ``areas``, ascending."""
+    """Index of areas by position. Its methods return ascending indices into ``areas``."""
 
     def __init__(self, areas: Sequence[Area]) -> None:
         import shapely
@@ -22,18 +22,18 @@ class AreaIndex:
         self._tree = shapely.STRtree(shapely.box(*edges.T))
 
     def overlapping(self, bounds: Bounds) -> list[int]:
-        """The areas whose bounds overlap ``bounds``."""
+        """Return the areas whose bounds overlap ``bounds``."""
         import shapely
 
         near = np.sort(self._tree.query(shapely.box(*bounds.to_json()))).tolist()
         return [i for i in near if self._areas[i].bounds.overlaps(bounds)]
 
     def touching(self, bounds: Bounds) -> list[int]:
-        """The areas that touch ``bounds``; see `Area.touches`."""
+        """Return the areas that touch ``bounds`` (see `Area.touches`)."""
         return [i for i in self.overlapping(bounds) if self._areas[i].touches(bounds)]
 
     def by_cell(self, lattice: Lattice, cells: Iterable[Cell]) -> dict[Cell, list[int]]:
-        """The areas that touch each cell; cells without areas are left out."""
+        """Return the areas that touch each cell, without the cells that have no areas."""
         import shapely
 
         places = [(cell, lattice.bounds(cell)) for cell in cells]

@@ -1,10 +1,11 @@
-"""Breaklines: lines of known height, divided into pieces so short that they become edges of the TIN.
+"""Breaklines: lines of known height, divided into pieces short enough to become edges of the TIN.
 
 A piece of a line is an edge of the Delaunay triangulation if no other vertex lies in the circle that has the piece as
-its diameter. No ground point lies there, since no piece is longer than a pixel and ground points within half a pixel
-of a line are left out. No other line lies there, since pieces are shorter where lines come near each other. The pieces
-depend on the lines and the pixel alone, so blocks, tiles and the order of the lines do not change the result. A
-triangulation with constrained edges would not be Delaunay: it would not be unique, and a block could not certify it.
+its diameter. No ground point lies in this circle, since no piece is longer than a pixel and ground points within half
+a pixel of a line are left out. No other line lies in it, since pieces are shorter where lines come near each other.
+The pieces depend only on the lines and the pixel, so blocks, tiles and the order of the lines do not change the
+result. A triangulation with constrained edges would not be Delaunay: it would not be unique, and a block could not
+certify it.
 """
 
 from __future__ import annotations
@@ -26,13 +27,13 @@ from tiler.core.lattice import Bounds, Cell, Lattice
 Counts = npt.NDArray[np.int64]
 
 SHORTEST_M = Fraction(1, 50)
-"""Shorter pieces are not divided, even where lines meet at sharp angles or lie on each other."""
+"""Length in metres below which a piece is not divided, even where lines meet at sharp angles or overlap."""
 
 LONGEST_SEGMENT = 1 << 32
 """Longest segment between two vertices, in counts along an axis, that can be divided within int64."""
 
 ALIKE = 10
-"""Largest difference of the heights of two lines where they meet, in counts."""
+"""Largest difference of height at which two lines that meet count as equally high, in counts."""
 
 
 _NO_PIECES = np.empty((0, 6), np.int64)
@@ -45,9 +46,9 @@ class Breaklines:
     Attributes
     ----------
     pieces : int64 (n, 6)
-        The x, y, z of both ends in absolute counts, sorted, each piece once.
+        x, y, z of both ends in absolute counts, sorted, each piece once.
     pixel : Fraction
-        Side of a pixel in counts, which is the greatest length of a piece.
+        Side of a pixel in counts, which is the maximum length of a piece.
     """
 
     pieces: Counts
@@ -55,16 +56,16 @@ class Breaklines:
 
     @classmethod
     def of(cls, lines: Iterable[Counts], pixel: Fraction, shortest: Fraction, data: Bounds) -> Breaklines:
-        """Divide lines.
+        """Divide lines into pieces.
 
         Parameters
         ----------
         lines : iterable of int64 (n, 3)
             Vertices x, y, z in absolute counts.
         pixel, shortest : Fraction
-            Length of the longest piece, and the length below which a piece is not divided, in counts.
+            Maximum length of a piece, and the length below which a piece is not divided, in counts.
         data : Bounds
-            Bounds of all points of the run; pieces more than three pixels outside are left out.
+            Bounds of all points of the run. Pieces more than three pixels outside are left out.
         """
         segments = np.unique(np.concatenate([_NO_PIECES, *map(_segments, lines)]), axis=0)
         return cls(_divided(segments, float(pixel), float(shortest), data.pad(int(3 * pixel))), pixel)
@@ -76,11 +77,11 @@ class Breaklines:
 
     @cached_property
     def key(self) -> str:
-        """A digest of the pieces and the pixel."""
+        """Digest of the pieces and the pixel."""
         return hashlib.blake2b(self.pieces.tobytes() + str(self.pixel).encode(), digest_size=16).hexdigest()
 
     def digests(self, lattice: Lattice) -> dict[Cell, str]:
-        """Digest of the pieces that begin in each cell of a lattice."""
+        """Return the digest of the pieces that begin in each cell of a lattice."""
         ix = lattice.index(self.pieces[:, 0])
         iy = lattice.index(self.pieces[:, 1])
         order = np.lexsort((ix, iy))
@@ -96,17 +97,18 @@ class Breaklines:
     def applied(
         self, xyz: npt.NDArray[np.int32], window: Bounds, data: Bounds, origin: tuple[int, int]
     ) -> npt.NDArray[np.int32]:
-        """The points for the TIN of a window: ground points that are not too near to a line, and vertices of lines.
+        """Return the points for the TIN of a window: vertices of lines, and ground points not too near to a line.
 
         Parameters
         ----------
         xyz : int32 (3, n)
             Ground points, local counts.
         window : Bounds
+            Bounds of the window. Vertices outside are left out.
         data : Bounds
-            Bounds of all points of the run; vertices outside are left out.
+            Bounds of all points of the run. Vertices outside are left out.
         origin : tuple of int
-            Absolute counts of the local 0.
+            Absolute counts of the local count 0.
         """
         near = self._within(window.pad(int(2 * self.pixel) + 1))
         if not len(near):
@@ -121,17 +123,17 @@ class Breaklines:
         return np.concatenate((kept, local.T), axis=1)
 
     def _within(self, bounds: Bounds) -> Counts:
-        """The pieces that begin in ``bounds``."""
+        """Return the pieces that begin in ``bounds``."""
         first, last = np.searchsorted(self.pieces[:, 0], (bounds.x0, bounds.x1))
         found = self.pieces[first:last]
         return found[(found[:, 1] >= bounds.y0) & (found[:, 1] < bounds.y1)]
 
     def _beside(self, xy: Counts, pieces: Counts) -> npt.NDArray[np.bool_]:
-        """Mask of the places, int64 (n, 2), that are within half a pixel of a piece."""
+        """Return the mask of the positions, int64 (n, 2), that are within half a pixel of a piece."""
         import shapely
 
         found = np.zeros(len(xy), np.bool_)
-        # Only places in pixels next to the end of a piece can be so near.
+        # Only positions in pixels next to the end of a piece can be this near.
         lattice = Lattice(self.pixel)
         ends = lattice.index(pieces.reshape(-1, 3)[:, :2])
         west, south = ends.min(axis=0) - 1
@@ -142,26 +144,32 @@ class Breaklines:
         cells = lattice.index(xy) - (west, south)
         possible = (cells[:, 0] >= 0) & (cells[:, 0] < wide)
         rows = np.flatnonzero(possible & np.isin(cells[:, 1] * wide + cells[:, 0], around))
-        # The distance depends on one place and one piece alone, and float64 holds their counts exactly.
+        # The distance depends only on one position and one piece, and their counts are exact in float64.
         tree = shapely.STRtree(_as_lines(pieces))
         hits = tree.query(shapely.points(xy[rows]), predicate="dwithin", distance=float(self.pixel / 2))
         found[rows[hits[0]]] = True
         return found
 
     def to_json(self) -> dict[str, str]:
-        """A JSON-able description; `from_json` reads it back."""
+        """Return a JSON-able description, which `from_json` reads."""
         packed = zlib.compress(np.diff(self.pieces, axis=0, prepend=0).astype("<i8").tobytes())
         return {"pixel": str(self.pixel), "pieces": base64.b85encode(packed).decode("ascii")}
 
     @classmethod
     def from_json(cls, data: dict[str, str]) -> Breaklines:
-        """The lines that `to_json` described."""
+        """Return the lines that `to_json` described."""
         steps = np.frombuffer(zlib.decompress(base64.b85decode(data["pieces"])), "<i8").reshape(-1, 6)
         return cls(np.cumsum(steps, axis=0).astype(np.int64), Fraction(data["pixel"]))
 
 
 def two_heights(lines: Iterable[Counts]) -> Counts:
-    """Places where lines meet or cross at heights that differ by more than `ALIKE`: int64 (n, 4), x, y and both z."""
+    """Return the positions where lines meet or cross at heights that differ by more than `ALIKE`.
+
+    Returns
+    -------
+    int64 (n, 4)
+        x, y and both z, in absolute counts.
+    """
     import shapely
 
     segments = np.unique(np.concatenate([_NO_PIECES, *map(_segments, lines)]), axis=0)
@@ -177,7 +185,7 @@ def two_heights(lines: Iterable[Counts]) -> Counts:
 
 
 def _heights_at(segments: Counts, places: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
-    """The height of each segment at a place that lies on it."""
+    """Return the height of each segment at a position on it."""
     way = segments[:, 3:] - segments[:, :3]
     along = ((places - segments[:, :2]) * way[:, :2]).sum(axis=1) / (way[:, :2] ** 2).sum(axis=1)
     heights: npt.NDArray[np.float64] = segments[:, 2] + along * way[:, 2]
@@ -185,7 +193,7 @@ def _heights_at(segments: Counts, places: npt.NDArray[np.float64]) -> npt.NDArra
 
 
 def _segments(line: Counts) -> Counts:
-    """Straight parts of a line, int64 (n, 6), the smaller end by (x, y) first; vertical parts are left out."""
+    """Return the straight parts of a line, int64 (n, 6), without vertical ones. The smaller end by (x, y) is first."""
     found = np.concatenate((line[:-1], line[1:]), axis=1)
     x0, y0, _, x1, y1, _ = found.T
     backwards = (x0 > x1) | ((x0 == x1) & (y0 > y1))
@@ -195,7 +203,10 @@ def _segments(line: Counts) -> Counts:
 
 
 def _divided(segments: Counts, longest: float, shortest: float, wanted: Bounds) -> Counts:
-    """Halve segments until no other one enters the circle around a piece; sorted pieces that touch ``wanted``."""
+    """Halve segments until no other segment enters the circle around a piece.
+
+    Only pieces that touch ``wanted`` are kept. They are returned sorted.
+    """
     import shapely
 
     done = [_NO_PIECES]
@@ -223,7 +234,7 @@ def _divided(segments: Counts, longest: float, shortest: float, wanted: Bounds) 
 
 
 def _touching(pieces: Counts, bounds: Bounds) -> npt.NDArray[np.bool_]:
-    """Mask of the pieces whose bounds touch ``bounds``."""
+    """Return the mask of the pieces whose bounds touch ``bounds``."""
     x = pieces[:, [0, 3]]
     y = pieces[:, [1, 4]]
     found: npt.NDArray[np.bool_] = (x.max(axis=1) >= bounds.x0) & (x.min(axis=1) < bounds.x1)
@@ -232,7 +243,7 @@ def _touching(pieces: Counts, bounds: Bounds) -> npt.NDArray[np.bool_]:
 
 
 def _part(segments: Counts, number: Counts, parts: int) -> Counts:
-    """Part ``number`` of the ``parts`` equal parts of each segment, its ends rounded to counts."""
+    """Return part ``number`` of the ``parts`` equal parts of each segment, with ends rounded to counts."""
     start = segments[:, :3]
     way = segments[:, 3:] - start
     ends = [start + (2 * way * (number + more)[:, None] + parts) // (2 * parts) for more in (0, 1)]

@@ -1,4 +1,4 @@
-"""ASPRS classes: which points take part in a filter, and which classes a filter may write."""
+"""ASPRS classes: the points that take part in a filter, and the classes that a filter may write."""
 
 from __future__ import annotations
 
@@ -20,29 +20,29 @@ HIGH_NOISE = 18
 
 NOISE = (LOW_NOISE, HIGH_NOISE)
 
-# Bits of `PointBlock.flags`, the same for every point format.
+# The bits of `PointBlock.flags` are the same for every point format. The first four flags come from the source.
 WITHHELD_FLAG = 1
 SYNTHETIC_FLAG = 2
 OVERLAP_FLAG = 4
 KEY_POINT_FLAG = 8
 STRAY_FLAG = 16
-"""Set by ingest (`tiler.ingest.strays`) on points that belong to nothing; the first four flags come from the source."""
+"""Flag that ingest (`tiler.ingest.strays`) sets on stray points."""
 UNSELECTED_FLAG = 32
-"""Set by ingest on points that the settings of the run do not select (`tiler.core.selection`)."""
+"""Flag that ingest sets on points that the settings of the run do not select (`tiler.core.selection`)."""
 
 UNSEEN_FLAGS = WITHHELD_FLAG | STRAY_FLAG | UNSELECTED_FLAG
-"""Flags of points that no run sees, whatever its other settings."""
+"""Flags of points that a run ignores, independent of its other settings."""
 
 MARK_BIT = 0x80
-"""Bit of a label: data outside the filter's window could change the decision."""
+"""Bit of a label that data outside the filter's window could change."""
 WATER_BIT = 0x40
-"""Bit of a label: the point lies in a body of water."""
+"""Bit of the label of a point in a body of water."""
 
 WITHOUT_OBJECT = (0, UNCLASSIFIED, GROUND)
-"""Classes of a producer that name no kind of object. Class 0 is "never classified"."""
+"""Classes of a producer that do not name a kind of object. Class 0 is "never classified"."""
 
 Counts = Mapping[str, int]
-"""Class, as JSON has it, to points."""
+"""Number of points by class, which is a string as in JSON."""
 
 
 def participates(
@@ -51,7 +51,7 @@ def participates(
     keep_classes: Sequence[int] = (LOW_NOISE, WATER, BRIDGE, HIGH_NOISE),
     skip_flags: int = WITHHELD_FLAG,
 ) -> npt.NDArray[np.bool_]:
-    """Mask of the points that take part in filtering.
+    """Return the mask of the points that take part in filtering.
 
     Parameters
     ----------
@@ -59,7 +59,7 @@ def participates(
     keep_classes : sequence of int
         Classes that never take part and are never overwritten.
     skip_flags : int
-        Bits of `flags` that keep a point out; withheld points always stay out.
+        Bits of ``flags`` that exclude a point. Withheld points are always excluded.
     """
     kept = np.zeros(256, dtype=np.bool_)
     kept[list(keep_classes)] = True
@@ -69,20 +69,20 @@ def participates(
 
 @cache
 def written_classes(reclass: str) -> npt.NDArray[np.uint8]:
-    """Table of the classes in a classified cloud.
+    """Return the table of the classes in a classified cloud.
 
     Parameters
     ----------
     reclass : str
-        With `tiler.core.reclass.ALL`, a point gets the class of its label. With `ONLY_GROUND`, a point that is neither
-        ground nor low noise keeps the class of its producer, except for `WITHOUT_OBJECT`; in water, former ground
-        becomes water.
+        With `tiler.core.reclass.ALL`, a point gets the class of its label. With `ONLY_GROUND`, ground in water becomes
+        `WATER`, and a point with the label `UNCLASSIFIED` keeps the class of its producer. If that class is in
+        `WITHOUT_OBJECT`, the point becomes `UNCLASSIFIED`, or `WATER` in water.
 
     Returns
     -------
     uint8, shape (256, 256)
-        The new class by label (first axis) and class of the producer (second axis). A label has no `MARK_BIT`, but has
-        `WATER_BIT` in water. The label 0 keeps the class.
+        New class by label (first axis) and class of the producer (second axis). Labels are without `MARK_BIT`, but
+        with `WATER_BIT` in water. The label 0 keeps the class.
     """
     given = np.arange(256, dtype=np.uint8)
     plain = np.isin(given, WITHOUT_OBJECT)
@@ -98,7 +98,7 @@ def written_classes(reclass: str) -> npt.NDArray[np.uint8]:
 
 
 def sum_by_class(counts: Iterable[Counts]) -> dict[str, int]:
-    """The sum of counts by class, in the order of the classes."""
+    """Return the sum of counts by class, in the order of the classes."""
     total: Counter[str] = Counter()
     for found in counts:
         total.update(found)

@@ -9,7 +9,7 @@ from pyproj.exceptions import ProjError
 
 
 def split(crs: CRS) -> tuple[CRS | None, CRS | None]:
-    """The horizontal CRS and the one that defines heights (vertical, or with three axes), or None in place of each."""
+    """Return the horizontal CRS and the CRS that defines heights (vertical or with three axes). Each may be None."""
     if crs.is_bound and crs.source_crs is not None:
         return split(crs.source_crs)
     if crs.is_compound:
@@ -25,7 +25,10 @@ def split(crs: CRS) -> tuple[CRS | None, CRS | None]:
 
 
 def vertical_name(wkt: str | None) -> str | None:
-    """Name of the height reference of a CRS, like ``NAVD88 height (EPSG:5703)``; None if the CRS defines none."""
+    """Return the name of the height reference of a CRS, like ``NAVD88 height (EPSG:5703)``.
+
+    The result is None if the CRS does not define heights.
+    """
     if wkt is None:
         return None
     vertical = split(CRS.from_wkt(wkt))[1]
@@ -36,7 +39,10 @@ def vertical_name(wkt: str | None) -> str | None:
 
 
 def same_horizontal(one: CRS, other: CRS) -> bool:
-    """Whether the definitions are equal except for names and the order of axes, or the EPSG codes and units are."""
+    """Return whether two CRS are the same horizontally.
+
+    Either their definitions are equal except for names and the order of axes, or their EPSG codes and units are equal.
+    """
     if one == other or one.equals(other, ignore_axis_order=True):
         return True
     code = one.to_epsg()
@@ -45,7 +51,7 @@ def same_horizontal(one: CRS, other: CRS) -> bool:
 
 
 def crs_name(wkt: str | None) -> str:
-    """The name of a CRS, with its code if it has one; ``none`` for no CRS."""
+    """Return the name of a CRS, with its code if it has one, or ``none`` if there is no CRS."""
     if wkt is None:
         return "none"
     crs = CRS.from_user_input(wkt)
@@ -54,9 +60,10 @@ def crs_name(wkt: str | None) -> str:
 
 
 def length_scale(wkt: str, x: float, y: float) -> float | None:
-    """Length in the plane of the CRS over length on the ground at a place: 1.5 in Web Mercator at 48 degrees.
+    """Return the point scale factor of a CRS at a position, for example 1.5 in Web Mercator at 48 degrees.
 
-    The scale in the direction in which it differs most from 1; None if PROJ does not know it.
+    The factor is the length in the plane of the CRS divided by the length on the ground, in the direction in which it
+    differs most from 1. It is None if the CRS is not projected or PROJ cannot compute it.
     """
     horizontal = split(CRS.from_wkt(wkt))[0]
     if horizontal is None or not horizontal.is_projected:

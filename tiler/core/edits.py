@@ -1,4 +1,4 @@
-"""Corrections that a user draws: polygons that say which points are ground, or what height the terrain has."""
+"""Edits that a user draws: polygons that set the class of points or the height of the terrain."""
 
 from __future__ import annotations
 
@@ -25,17 +25,17 @@ TO_GROUND = "ground"
 VOID = "void"
 FLAT = "flat"
 ACTIONS = (NOT_GROUND, TO_GROUND, VOID, FLAT)
-"""What a user can ask for."""
+"""Actions that a user can request."""
 DECK = "deck"
-"""The action of an edit that tiler makes itself, for the deck of a bridge that it found."""
+"""Action of an edit that tiler makes itself, for the deck of a bridge that it found."""
 DrawnDeck = tuple[tuple[int, ...], float, float, float, int]
-"""Outline as x, y, x, y, ... in counts; length, width and clearance in metres; points seen beneath."""
+"""Outline as x, y, x, y, ... in counts, length, width and clearance in metres, and number of points below the deck."""
 OF_POINTS = (NOT_GROUND, TO_GROUND, DECK)
 """Actions that change the class of points."""
 OF_PIXELS = (VOID, FLAT)
 """Actions that change the height of pixels."""
 
-# Decisions of the edits about a point.
+# The edits make one of these decisions about each point.
 UNTOUCHED = -1
 FORCED_OFF = 0
 FORCED_ON = 1
@@ -48,9 +48,10 @@ Rows = npt.NDArray[np.intp]
 
 @dataclass(frozen=True)
 class DeckSurface:
-    """Surface of a deck: its height is a + b s + c s^2 + d t at the place (x, y) + s (ux, uy) + t (-uy, ux), in counts.
+    """Surface of a deck, in counts.
 
-    A point of the deck may lie ``low`` counts below the surface and ``high`` counts above it.
+    Its height is a + b s + c s^2 + d t at the position (x, y) + s (ux, uy) + t (-uy, ux). A point of the deck may lie
+    up to ``low`` counts below the surface and up to ``high`` counts above it.
     """
 
     x: float
@@ -67,7 +68,7 @@ class DeckSurface:
     def holds(
         self, x: npt.NDArray[np.int64], y: npt.NDArray[np.int64], z: npt.NDArray[np.int32]
     ) -> npt.NDArray[np.bool_]:
-        """Mark the points that are as high as the deck."""
+        """Return the mask of the points that are as high as the deck."""
         dx = x - self.x
         dy = y - self.y
         s = dx * self.ux + dy * self.uy
@@ -79,20 +80,22 @@ class DeckSurface:
 
 @dataclass(frozen=True, eq=False)
 class Edit:
-    """The polygons of one feature, and what is done inside them.
+    """Polygons of one feature and the action inside them.
 
     Attributes
     ----------
     number : int
-        Number of the feature in its file; the first is 1.
+        Number of the feature in its file. The first is 1.
     action : str
         One of `ACTIONS`, or `DECK`.
+    area : Area
+        Polygons of the feature.
     z : int or None
         Height that `FLAT` sets, in counts.
     lowest : bool
-        `TO_GROUND` takes the lowest point of each cell. It does so if the input has no ground inside.
+        Whether `TO_GROUND` selects the lowest point of each cell, as it does if the input has no ground inside.
     deck : DeckSurface or None
-        Surface of the deck, for `DECK` only.
+        Surface of the deck, only for `DECK`.
     """
 
     number: int
@@ -104,14 +107,14 @@ class Edit:
 
     @cached_property
     def digest(self) -> list[Any]:
-        """The values on which a result depends."""
+        """Values on which results depend."""
         found = [self.action, self.area.key, self.z, self.lowest]
         if self.deck is not None:
             found += astuple(self.deck)
         return found
 
     def to_json(self) -> dict[str, Any]:
-        """A JSON-able description."""
+        """Return a JSON-able description, which `from_json` reads."""
         return {
             "number": self.number,
             "action": self.action,
@@ -123,7 +126,7 @@ class Edit:
 
     @classmethod
     def from_json(cls, data: dict[str, Any]) -> Edit:
-        """The edit that `to_json` described."""
+        """Return the edit that `to_json` described."""
         return cls(
             number=data["number"],
             action=data["action"],
@@ -136,13 +139,13 @@ class Edit:
 
 @dataclass(frozen=True, eq=False)
 class Edits:
-    """Edits in the order of their file; if two overlap, the later one wins.
+    """Edits in the order of their file. If two edits overlap, the later one applies.
 
     Attributes
     ----------
     edits : tuple of Edit
     cell : Lattice
-        Cells in which `TO_GROUND` takes the lowest point.
+        Lattice of the cells in which `TO_GROUND` selects the lowest point.
     """
 
     edits: tuple[Edit, ...]
@@ -150,7 +153,7 @@ class Edits:
 
     @cached_property
     def key(self) -> str:
-        """A digest of all edits."""
+        """Digest of all edits."""
         text = json.dumps([self.cell.to_json(), *([edit.number, *edit.digest] for edit in self.edits)])
         return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
@@ -159,12 +162,12 @@ class Edits:
         return AreaIndex([edit.area for edit in self.edits])
 
     def near(self, bounds: Bounds, actions: Iterable[str]) -> Edits:
-        """The edits that have one of the actions and touch the bounds."""
+        """Return the edits that have one of the actions and touch the bounds."""
         found = (self.edits[i] for i in self._index.touching(bounds))
         return replace(self, edits=tuple(edit for edit in found if edit.action in actions))
 
     def by_cell(self, lattice: Lattice, cells: Iterable[Cell]) -> dict[Cell, list[Edit]]:
-        """The edits of points that touch each cell; cells without edits are left out."""
+        """Return the edits of points that touch each cell, without the cells that have no edits."""
         found = {}
         for cell, near in self._index.by_cell(lattice, cells).items():
             edits = [self.edits[i] for i in near if self.edits[i].action in OF_POINTS]
@@ -173,7 +176,7 @@ class Edits:
         return found
 
     def digest(self, bounds: Bounds, actions: Iterable[str]) -> list[Any]:
-        """The values on which results inside the bounds depend; empty if no edit touches the bounds."""
+        """Return the values on which results inside the bounds depend. They are empty if no edit touches the bounds."""
         found = self.near(bounds, actions).edits
         if not found:
             return []
@@ -189,7 +192,7 @@ class Edits:
         classes : uint8 (n,)
             Classes without edits, with or without `MARK_BIT`.
         origin : tuple of int
-            Absolute counts of the local 0.
+            Absolute counts of the local count 0.
         """
         found = np.full(len(classes), UNTOUCHED, np.int8)
         points = EditedPoints(block, classes, origin)
@@ -204,7 +207,7 @@ class Edits:
         return found
 
     def labels(self, block: PointBlock, labels: Classes, origin: tuple[int, int]) -> Classes:
-        """The labels of a bucket's points after the edits."""
+        """Return the labels of a bucket's points after the edits."""
         forced = self.forced(block, labels, origin)
         classes = labels & ~np.uint8(MARK_BIT)
         edited = labels.copy()
@@ -221,7 +224,7 @@ class Edits:
         Returns
         -------
         list of tuple of int
-            Number of each edit, and how many pixels it changed.
+            Number of each edit, and number of pixels that it changed.
         """
         changed = []
         for edit in self.edits:
@@ -236,17 +239,17 @@ class Edits:
         return changed
 
     def to_json(self) -> dict[str, Any]:
-        """A JSON-able description; `from_json` reads it back."""
+        """Return a JSON-able description, which `from_json` reads."""
         return {"cell": self.cell.to_json(), "edits": [edit.to_json() for edit in self.edits]}
 
     @classmethod
     def from_json(cls, data: dict[str, Any]) -> Edits:
-        """The edits that `to_json` described."""
+        """Return the edits that `to_json` described."""
         return cls(tuple(Edit.from_json(e) for e in data["edits"]), Lattice.from_json(data["cell"]))
 
 
 class EditedPoints:
-    """The points of a bucket, prepared for queries of many edits.
+    """Points of a bucket, prepared for queries of many edits.
 
     Parameters
     ----------
@@ -255,7 +258,7 @@ class EditedPoints:
     classes : uint8 (n,)
         Classes without edits, with or without `MARK_BIT`.
     origin : tuple of int
-        Absolute counts of the local 0.
+        Absolute counts of the local count 0.
     """
 
     def __init__(self, block: PointBlock, classes: Classes, origin: tuple[int, int]) -> None:
@@ -273,15 +276,18 @@ class EditedPoints:
         return can_be_ground(self._block, self._classes)
 
     def inside(self, area: Area) -> Rows:
-        """Rows of the points inside an area, ascending."""
+        """Return the rows of the points inside an area, ascending."""
         return self._places.inside(area)
 
     def on_deck(self, rows: Rows, deck: DeckSurface) -> Rows:
-        """The ``rows`` whose points are as high as a deck."""
+        """Return the ``rows`` whose points are as high as a deck."""
         return rows[deck.holds(self._x[rows], self._y[rows], self._block.xyz[2][rows])]
 
     def to_ground(self, rows: Rows, cell: Lattice | None) -> Rows:
-        """The ``rows`` that become ground: the lowest of each cell, or without ``cell`` the ground of the input."""
+        """Return the ``rows`` that become ground.
+
+        These are the lowest point of each cell, or without ``cell`` the ground of the input.
+        """
         rows = rows[self._can_be_ground[rows]]
         if cell is None:
             given = self._block.classification
@@ -291,16 +297,19 @@ class EditedPoints:
 
 
 def ground_with(is_ground: npt.NDArray[np.bool_], forced: Int8) -> npt.NDArray[np.bool_]:
-    """Mark the points that are ground after the edits."""
+    """Return the mask of the points that are ground after the edits."""
     found: npt.NDArray[np.bool_] = (is_ground & (forced == UNTOUCHED)) | (forced == FORCED_ON)
     return found
 
 
 def can_be_ground(block: PointBlock, classes: Classes) -> npt.NDArray[np.bool_]:
-    """Mark the points that the run sees, and that are no noise, water or bridge in the input or in ``classes``."""
+    """Return the mask of the points that may become ground.
+
+    These points take part in the run, and are not noise, water or bridge in the input or in ``classes``.
+    """
     excluded = (*NOISE, WATER, BRIDGE)
     if block.flags is None or block.classification is None:
-        raise ValueError("needs the flags and classes of the points")
+        raise ValueError("block: flags or classification is None; read both columns")
     found: npt.NDArray[np.bool_] = (block.flags & UNSEEN_FLAGS) == 0
     found &= ~np.isin(classes & ~np.uint8(MARK_BIT), excluded)
     found &= ~np.isin(block.classification, excluded)
@@ -310,7 +319,7 @@ def can_be_ground(block: PointBlock, classes: Classes) -> npt.NDArray[np.bool_]:
 def _lowest(
     x: npt.NDArray[np.int64], y: npt.NDArray[np.int64], z: npt.NDArray[np.int32], cell: Lattice
 ) -> Rows:
-    """Indices of the lowest point of each cell; of equally low points, the first by (x, y)."""
+    """Return the indices of the lowest point of each cell. Of equally low points, it is the first by (x, y)."""
     ix, iy = cell.index(x), cell.index(y)
     order = np.lexsort((y, x, z, ix, iy))
     first = np.ones(len(order), np.bool_)

@@ -1,4 +1,4 @@
-"""Lines of what people drew, or of what was found, as run.json keeps them for the map of the report."""
+"""Lines and rings of drawn and detected features in run.json, for the map of the report."""
 
 from __future__ import annotations
 
@@ -14,21 +14,21 @@ from tiler.core.breaklines import Counts
 from tiler.core.frame import COUNTS_PER_UNIT
 
 MOST_PLACES = 20_000
-"""Vertices that a page takes of all edits, breaklines or water."""
+"""Maximum number of vertices of all edits, all breaklines or all water on a page."""
 
 MOST_VERTICES = 8_000
-"""Most vertices of the outline on the map of the report."""
+"""Maximum number of vertices of the outline on the map of the report."""
 
 
 def drawn(lines: Sequence[Counts]) -> list[list[float]]:
-    """Lines, x, y, x, y, ... in units of the CRS; none where they have too many vertices for a page."""
+    """Return lines as x, y, x, y, ... in units of the CRS, or no lines if they have too many vertices for a page."""
     if sum(map(len, lines)) > MOST_PLACES:
         return []
     return [(line[:, :2] / COUNTS_PER_UNIT).ravel().tolist() for line in lines]
 
 
 def add_rings(facts: Sequence[dict[str, Any]], areas: Sequence[Area]) -> None:
-    """Add to each fact the closed rings of its area, unless all have too many vertices for a page."""
+    """Add the closed rings of its area to each fact, unless all rings together have too many vertices for a page."""
     rings = [[ring for rings in area.polygons for ring in rings] for area in areas]
     if sum(len(ring) for of_area in rings for ring in of_area) <= MOST_PLACES:
         for fact, of_area in zip(facts, rings, strict=True):
@@ -36,7 +36,7 @@ def add_rings(facts: Sequence[dict[str, Any]], areas: Sequence[Area]) -> None:
 
 
 def rings_of(parts: npt.NDArray[Any], size: float) -> list[list[float]]:
-    """Rings of polygons, without steps of ``size`` and, if they are too many for a page, with steps twice as wide."""
+    """Return rings of polygons, simplified by ``size``. The tolerance doubles while they have too many vertices."""
     while True:
         simple = shapely.simplify(parts, size)
         simple = simple[~shapely.is_empty(simple)]

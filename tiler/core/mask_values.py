@@ -1,4 +1,4 @@
-"""Values of the mask: where the height of a pixel comes from."""
+"""Values of the mask, which is the source of the height of each pixel."""
 
 from __future__ import annotations
 

@@ -16,24 +16,25 @@ Index: TypeAlias = "npt.NDArray[np.intp] | npt.NDArray[np.bool_] | slice"
 
 @dataclass(frozen=True)
 class PointBlock:
-    """Columns of ``n`` points; columns that were not read, or that the sources lack, are None.
+    """Columns of ``n`` points. A column is None if it was not read or the sources do not have it.
 
     Attributes
     ----------
     xyz : int32, shape (3, n)
         Local counts of the run's `CoordFrame`: x east, y north, z up.
     classification : uint8, shape (n,)
-        ASPRS class as the source gives it.
+        ASPRS class in the source.
     flags : uint8, shape (n,)
-        Bits of `tiler.core.classes`: withheld, synthetic, overlap, key point.
+        Bits of `tiler.core.classes`: withheld, synthetic, overlap, key point, stray, unselected.
     returns : uint8, shape (2, n)
         Return number and number of returns.
     rgb : uint16, shape (3, n)
-        Red, green, blue as the source gives them.
+        Red, green and blue in the source.
     origin : int64, shape (n,)
-        ``source id << 40 | source row``, so that a classified file has its points in the order of its input.
+        Position of the point in the sources, ``source id << 40 | source row``. With it, a classified file has its
+        points in the order of its input.
     labels : uint8, shape (n,)
-        Labels from a pass of the filter.
+        Labels of a pass of the filter.
     """
 
     xyz: npt.NDArray[np.int32]
@@ -48,7 +49,7 @@ class PointBlock:
         return int(self.xyz.shape[1])
 
     def take(self, index: Index) -> PointBlock:
-        """The points of ``index`` (indices, a mask or a slice), in that order."""
+        """Return the points of ``index`` (indices, a mask or a slice), in that order."""
         if not isinstance(index, slice) and index.dtype == np.bool_ and index.all():
             return self
         taken: dict[str, Any] = {}
@@ -59,7 +60,7 @@ class PointBlock:
         return PointBlock(**taken)
 
     def inside(self, bounds: Bounds, origin: tuple[int, int]) -> npt.NDArray[np.bool_]:
-        """Mask of the points in ``bounds`` (absolute counts), given the frame's origin."""
+        """Return the mask of the points in ``bounds`` (absolute counts), given the frame's origin."""
         x, y, _ = self.xyz
         ox, oy = origin
         mask: npt.NDArray[np.bool_] = x >= bounds.x0 - ox
@@ -70,7 +71,7 @@ class PointBlock:
 
     @staticmethod
     def concatenate(blocks: Sequence[PointBlock]) -> PointBlock:
-        """All points of ``blocks`` (at least one) in order; a column that one block lacks is None."""
+        """Return all points of ``blocks`` (at least one) in order. A column that is None in one block is None."""
         joined: dict[str, Any] = {}
         for field in fields(PointBlock):
             columns = [getattr(block, field.name) for block in blocks]
@@ -80,7 +81,7 @@ class PointBlock:
 
 
 def _take(column: npt.NDArray[Any], index: Index) -> npt.NDArray[Any]:
-    """``column[..., index]``, but three times faster."""
+    """Return ``column[..., index]`` three times faster."""
     if isinstance(index, slice):
         return column[..., index]
     if index.dtype == np.bool_:
@@ -89,14 +90,14 @@ def _take(column: npt.NDArray[Any], index: Index) -> npt.NDArray[Any]:
 
 
 SOURCE_SHIFT = 40
-"""An origin has room for 2**40 rows of each source, and for 2**23 sources."""
+"""Bits of the row in an origin: 2**40 rows per source and 2**23 sources fit."""
 
 
 def pack_origin(source: int, rows: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
-    """``source id << 40 | row``, int64."""
+    """Return ``source id << 40 | row``, int64."""
     return (np.int64(source) << SOURCE_SHIFT) | rows
 
 
 def unpack_origin(origin: npt.NDArray[np.int64]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Source ids and rows, both int64."""
+    """Return source ids and rows, both int64."""
     return origin >> SOURCE_SHIFT, origin & ((1 << SOURCE_SHIFT) - 1)

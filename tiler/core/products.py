@@ -1,4 +1,7 @@
-"""The products of a run: what each raster holds, and how its file describes it. This is the only list of them."""
+"""Products of a run, with the content of each raster and its description in the file.
+
+This is the only list of the products.
+"""
 
 from __future__ import annotations
 
@@ -10,41 +13,41 @@ from tiler.core.nodata import NODATA as NODATA
 
 CONTOURS, SPOTS = "contours", "spots"
 DRAWN = (CONTOURS, SPOTS)
-"""Products that are not rasters but GeoPackages, of lines and of points."""
+"""Vector products: GeoPackages of lines and of points."""
 
-# Values of a coarse cell of the survey (`tiler.grid.survey`).
+# A coarse cell of the survey (`tiler.grid.survey`) has one of the next four values.
 BEYOND = 0
-"""Outside the survey."""
+"""Cell outside the survey."""
 BORDER = 1
-"""The outermost ring of the survey's cells. Its outline cuts them, so a pixel without a height there is no hole."""
+"""Cell in the outermost ring of the survey. The outline cuts it, so a pixel without a height there is not a hole."""
 SURVEYED = 2
 VOID = 3
-"""Inside the survey, but without points, and wider than the gaps that are bridged."""
+"""Cell inside the survey, in a gap without points that is wider than the gaps that are bridged."""
 
 HEIGHT = "height"
-"""Stands for the vertical unit of the CRS."""
+"""Unit of a band in the vertical unit of the CRS."""
 
 
 @dataclass(frozen=True)
 class Product:
-    """A raster that users open.
+    """Raster that a run writes for the user.
 
     Attributes
     ----------
     description : str
         Description of the band.
     unit : str
-        Unit of the band as GDAL names it, `HEIGHT`, or empty for none.
+        Unit of the band as GDAL names it, `HEIGHT`, or empty if it has no unit.
     dtype : str
         ``float32`` or ``uint8``.
     nodata : float or None
-        None if every pixel has a value.
+        Value of pixels without a value, or None if every pixel has a value.
     resampling : str
         Resampling of the overviews, as GDAL's COG driver names it.
     predictor : str
         Predictor of the compression, as GDAL's COG driver names it.
     colours : mapping of int to (red, green, blue)
-        Colour table, empty for none.
+        Colour table, empty if there is none.
     values : mapping of int to str
         Meaning of each value, if the values are classes.
     """
@@ -92,4 +95,4 @@ PRODUCTS: dict[str, Product] = {
         values=MASK_VALUES,
     ),
 }
-"""The products by name, in the order in which they are made."""
+"""Products by name, in the order in which they are made."""

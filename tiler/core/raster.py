@@ -1,4 +1,4 @@
-"""The raster: pixels on a lattice anchored at CRS coordinate 0, rows from north to south."""
+"""Rasters: pixels on a lattice anchored at CRS coordinate 0, with rows from north to south."""
 
 from __future__ import annotations
 
@@ -12,20 +12,20 @@ import numpy.typing as npt
 
 from tiler.core.area import Area
 from tiler.core.lattice import Bounds, Cell, Lattice, row_by_row
-from tiler.core.nodata import NODATA as NODATA  # modules that work with rasters import it from here
+from tiler.core.nodata import NODATA as NODATA  # Modules that work with rasters import it from here.
 
 BLOCK_PIXELS = 512
-"""Side of a block of a raster. One task makes a block; a block is a chunk in the store and a tile in the files."""
+"""Side of a block of a raster, in pixels. One task makes a block, which is a chunk in the store and a tile in files."""
 SMALLEST_PART = 32
-"""Blocks of this many pixels a side, or fewer, are not divided further."""
+"""Side of the largest block that is not divided further, in pixels."""
 
 FEW_PIXELS = 4096
-"""Up to so many pixels are tested one by one, since a look at the outline of the area would take as long."""
+"""Maximum number of pixels that are tested one by one, since testing the outline of the area would take as long."""
 
 
 @dataclass(frozen=True)
 class Block:
-    """A window of a raster: ``row, col`` of its north-west pixel, and its size in pixels."""
+    """Window of a raster: ``row, col`` of its north-west pixel, and its size in pixels."""
 
     row: int
     col: int
@@ -34,24 +34,24 @@ class Block:
 
     @property
     def name(self) -> str:
-        """A name that sorts: row and column of the north-west pixel."""
+        """Sortable name: row and column of the north-west pixel."""
         return f"r{self.row:07d}c{self.col:07d}"
 
 
 def north_west(block: Block) -> tuple[int, int]:
-    """Sorts blocks row by row from the north-west."""
+    """Return a sort key that orders blocks row by row from the north-west."""
     return block.row, block.col
 
 
 def within(part: Block, block: Block) -> tuple[slice, slice]:
-    """Rows and columns of ``part`` in an array of the pixels of ``block``."""
+    """Return the rows and columns of ``part`` in an array of the pixels of ``block``."""
     row = part.row - block.row
     col = part.col - block.col
     return slice(row, row + part.height), slice(col, col + part.width)
 
 
 def hull_of(blocks: Iterable[Block]) -> Block:
-    """The smallest block that holds all ``blocks`` (at least one)."""
+    """Return the smallest block that contains all ``blocks`` (at least one)."""
     found = list(blocks)
     row = min(b.row for b in found)
     col = min(b.col for b in found)
@@ -62,10 +62,10 @@ def hull_of(blocks: Iterable[Block]) -> Block:
 
 @dataclass(frozen=True)
 class RasterSpec:
-    """Place and size of a raster: its lattice, its north-west pixel, its rows and columns.
+    """Position and size of a raster: its lattice, its north-west pixel, its rows and columns.
 
-    Pixel ``(row, col)`` is cell ``(west + col, north - 1 - row)`` of `lattice`: its centre is
-    at ``(west + col + 1/2) * size`` absolute counts east, ``(north - row - 1/2) * size`` north.
+    Pixel ``(row, col)`` is cell ``(west + col, north - 1 - row)`` of `lattice`. Its centre is at
+    ``(west + col + 1/2) * size`` absolute counts east and ``(north - row - 1/2) * size`` north.
     """
 
     lattice: Lattice
@@ -76,7 +76,7 @@ class RasterSpec:
 
     @classmethod
     def covering(cls, lattice: Lattice, extent: Bounds) -> RasterSpec:
-        """The smallest raster whose pixels hold every count of ``extent``."""
+        """Return the smallest raster whose pixels contain every count of ``extent``."""
         west = lattice.index_of(extent.x0)
         south = lattice.index_of(extent.y0)
         east = lattice.index_of(extent.x1 - 1) + 1
@@ -85,9 +85,9 @@ class RasterSpec:
 
     @classmethod
     def enclosing(cls, lattice: Lattice, extent: Bounds) -> RasterSpec:
-        """The smallest raster that has every count of ``extent`` in its pixels or on its outer edge.
+        """Return the smallest raster that has every count of ``extent`` in its pixels or on its outer edge.
 
-        Points on the edge alone would add a row or column of pixels without heights. The raster has at least one row
+        A row or column of pixels for points on its edge only would have no heights. The raster has at least one row
         and one column.
         """
         west = lattice.index_of(extent.x0)
@@ -97,26 +97,27 @@ class RasterSpec:
         return cls(lattice, west, north, north - south, east - west)
 
     def blocks(self, size: int) -> Iterator[Block]:
-        """Blocks of ``size`` pixels (smaller at the south and east end) that cover each pixel once."""
+        """Yield blocks of ``size`` pixels (smaller at the south and east end) that cover each pixel once."""
         for row in range(0, self.height, size):
             for col in range(0, self.width, size):
                 yield self.block_at(row, col, size)
 
     def block_at(self, row: int, col: int, size: int) -> Block:
-        """The block whose north-west pixel is (row, col)."""
+        """Return the block whose north-west pixel is (row, col)."""
         return Block(row, col, min(size, self.height - row), min(size, self.width - col))
 
     def block_named(self, name: str, size: int) -> Block:
-        """The block with this `Block.name`."""
+        """Return the block with this `Block.name`."""
         row, _, col = name.removeprefix("r").partition("c")
         return self.block_at(int(row), int(col), size)
 
     def blocks_near(
         self, lattice: Lattice, cells: Iterable[Cell], size: int, reach: int = 0
     ) -> dict[Block, list[Cell]]:
-        """The `blocks` within ``reach`` counts of ``cells``, each with its cells; both are in order, row by row.
+        """Return the `blocks` within ``reach`` counts of ``cells``, each with its cells.
 
-        The cost follows the number of cells, not the number of blocks in the raster.
+        Blocks and cells are in order, row by row. The cost depends on the number of cells, not on the number of blocks
+        in the raster.
         """
         found: dict[Block, list[Cell]] = defaultdict(list)
         for cell in sorted(cells, key=row_by_row):
@@ -125,7 +126,7 @@ class RasterSpec:
         return {block: found[block] for block in sorted(found, key=north_west)}
 
     def blocks_within(self, bounds: Bounds, size: int) -> Iterator[Block]:
-        """The `blocks` that overlap ``bounds``, in the same order."""
+        """Yield the `blocks` that overlap ``bounds``, in the same order."""
         if bounds.empty:
             return
         index = self.lattice.index_of
@@ -138,14 +139,14 @@ class RasterSpec:
                 yield self.block_at(row, col, size)
 
     def block_bounds(self, block: Block) -> Bounds:
-        """The absolute counts that the pixels of a block cover."""
+        """Return the bounds of the pixels of a block, in absolute counts."""
         first = self.lattice.first
         west = self.west + block.col
         north = self.north - block.row
         return Bounds(first(west), first(north - block.height), first(west + block.width), first(north))
 
     def centres(self, block: Block) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-        """Centres x and y of the pixels of a block, in absolute counts rounded down, each of shape (height, width)."""
+        """Return x and y of the pixel centres of a block, in absolute counts rounded down, each (height, width)."""
         p, q = self.lattice.p, self.lattice.q
         west = self.west + block.col
         north = self.north - block.row
@@ -155,13 +156,16 @@ class RasterSpec:
         return x, y
 
     def window(self, block: Block) -> RasterSpec:
-        """The pixels of a block as a raster of their own."""
+        """Return the pixels of a block as a separate raster."""
         west = self.west + block.col
         north = self.north - block.row
         return RasterSpec(self.lattice, west, north, block.height, block.width)
 
     def inside(self, block: Block, area: Area | None) -> npt.NDArray[np.bool_]:
-        """Mask of the pixels of a block whose centres lie in ``area``, shape (height, width); all pixels for None."""
+        """Return the mask of the pixels of a block whose centres lie in ``area``, shape (height, width).
+
+        The mask has all pixels if ``area`` is None.
+        """
         shape = (block.height, block.width)
         if area is None:
             return np.ones(shape, np.bool_)
@@ -178,7 +182,7 @@ class RasterSpec:
         return found
 
     def part(self, block: Block, bounds: Bounds) -> Block:
-        """The pixels of a block that touch ``bounds``; a block of no height or width if none does."""
+        """Return the pixels of a block that touch ``bounds``. If no pixel does, the height or width is 0."""
         index = self.lattice.index_of
         left = max(index(bounds.x0) - self.west, block.col)
         right = min(index(bounds.x1) - self.west + 1, block.col + block.width)
@@ -187,12 +191,12 @@ class RasterSpec:
         return Block(top, left, max(bottom - top, 0), max(right - left, 0))
 
     def transform(self, counts_per_unit: int) -> tuple[float, float, float, float, float, float]:
-        """Affine coefficients (a, b, c, d, e, f) in the order of rasterio's ``Affine``, in units of the CRS."""
+        """Return affine coefficients (a, b, c, d, e, f) in the order of rasterio's ``Affine``, in units of the CRS."""
         size = self.lattice.size / counts_per_unit
         return float(size), 0.0, float(self.west * size), 0.0, -float(size), float(self.north * size)
 
     def to_json(self) -> dict[str, Any]:
-        """A JSON-able description; `from_json` reads it back."""
+        """Return a JSON-able description, which `from_json` reads."""
         return {
             "lattice": self.lattice.to_json(),
             "west": self.west,
@@ -203,5 +207,5 @@ class RasterSpec:
 
     @classmethod
     def from_json(cls, data: dict[str, Any]) -> RasterSpec:
-        """The raster that `to_json` described."""
+        """Return the raster that `to_json` described."""
         return cls(**{**data, "lattice": Lattice.from_json(data["lattice"])})

@@ -1,4 +1,4 @@
-"""Values of `--reclass`, apart from `tiler.core.classes.written_classes`, which explains them but needs numpy."""
+"""Values of `--reclass`, which `tiler.core.classes.written_classes` describes. This module does not need numpy."""
 
 from __future__ import annotations
 

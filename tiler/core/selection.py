@@ -1,4 +1,4 @@
-"""Settings that choose the points which the filter and the rasters see: return, scan angle, source and class."""
+"""Settings that select the points for the filter and the rasters by return, scan angle, source and class."""
 
 from __future__ import annotations
 
@@ -9,36 +9,36 @@ from typing import Any
 from tiler.errors import ConfigError
 
 FIRST, LAST = "first", "last"
-"""Names of `--returns`."""
+"""Values of `--returns` that are not numbers."""
 DROP_WITHHELD, KEEP_WITHHELD = "drop", "keep"
 """Values of `--withheld`."""
 
 WITHHELD = "withheld"
-"""Key of the counts of points that their flag leaves out, beside those of `Selection.options`."""
+"""Key of the number of points that the flag "withheld" excludes, in addition to the keys of `Selection.options`."""
 
 MOST_RETURNS = 15
-"""Largest return number that LAS records hold."""
+"""Largest return number in LAS records."""
 LARGEST_SOURCE = 65_535
-"""Largest point source id that LAS records hold."""
+"""Largest point source id in LAS records."""
 LARGEST_ANGLE_DEG = 180.0
-"""Largest scan angle that LAS records hold, in degrees."""
+"""Largest scan angle in LAS records, in degrees."""
 
 
 def parse_numbers(value: Any, what: str, lowest: int, highest: int) -> tuple[int, ...]:
-    """Whole numbers from ``7,18``, ``3-5``, 7 or a list of such, sorted and each once.
+    """Parse whole numbers from ``7,18``, ``3-5``, 7 or a list of these, and return them sorted, each once.
 
     Parameters
     ----------
     value : str, int or sequence
     what : str
-        Name of the numbers in messages: ``classes``.
+        Name of the numbers in messages, like ``classes``.
     lowest, highest : int
         Limits of the numbers.
 
     Raises
     ------
     ConfigError
-        The text is no list of numbers and ranges, or a number lies beyond the limits.
+        The text is not a list of numbers and ranges, or a number lies beyond the limits.
     """
     parts = value if isinstance(value, list | tuple) else str(value).split(",")
     found: set[int] = set()
@@ -49,18 +49,18 @@ def parse_numbers(value: Any, what: str, lowest: int, highest: int) -> tuple[int
             stop = int(last) if dash else start
         except ValueError:
             raise ConfigError(
-                f"{value!r} are not {what}; give numbers or ranges with commas, like 7,18 or 3-5"
+                f"{value!r} are not {what}; give numbers or ranges separated by commas, like 7,18 or 3-5"
             ) from None
         if stop < start:
-            raise ConfigError(f"{value!r}: the range {part} runs backwards; write {stop}-{start}")
+            raise ConfigError(f"{value!r}: the range {part} runs backwards; use {stop}-{start}")
         if not lowest <= start <= stop <= highest:
-            raise ConfigError(f"{value!r}: {what} are {lowest} to {highest}")
+            raise ConfigError(f"{value!r}: {what} out of range; give {lowest} to {highest}")
         found.update(range(start, stop + 1))
     return tuple(sorted(found))
 
 
 def parse_returns(value: Any) -> str:
-    """The value if it is ``first``, ``last``, or return numbers like ``1`` or ``2-4``; raises ConfigError."""
+    """Return the value if it is ``first``, ``last``, or return numbers like ``2-4``, else raise ConfigError."""
     text = _text(value)
     if text in (FIRST, LAST):
         return text
@@ -70,42 +70,44 @@ def parse_returns(value: Any) -> str:
 
 
 def parse_sources(value: Any) -> str:
-    """The value if it is point source ids like ``12`` or ``12,20-31``; raises ConfigError."""
+    """Return the value if it is a list of point source ids like ``12`` or ``12,20-31``, else raise ConfigError."""
     if not parse_numbers(value, "point source ids", 0, LARGEST_SOURCE):
         raise ConfigError(f"{value!r} are not point source ids; give numbers like 12,20-31")
     return _text(value)
 
 
 def _text(value: Any) -> str:
-    """The value as the command line has it; a list of TOML becomes numbers with commas."""
+    """Return the value as it is written on the command line. A TOML list becomes numbers separated by commas."""
     if isinstance(value, list | tuple):
         return ",".join(str(part) for part in value)
     return str(value).strip()
 
 
 def parse_angle(value: Any) -> float:
-    """A scan angle in degrees, above 0 and at most 180; raises ConfigError."""
+    """Return a scan angle in degrees, above 0 and at most 180, else raise ConfigError."""
     try:
         degrees = float(str(value).strip().removesuffix("deg"))
     except ValueError:
         raise ConfigError(f"{value!r} is not an angle; give degrees, like 20") from None
     if not 0 < degrees <= LARGEST_ANGLE_DEG:
-        raise ConfigError(f"{value!r}: scan angles are above 0 and at most {LARGEST_ANGLE_DEG:g} degrees")
+        raise ConfigError(
+            f"{value!r}: scan angle out of range; give above 0 and at most {LARGEST_ANGLE_DEG:g} degrees"
+        )
     return degrees
 
 
 @dataclass(frozen=True)
 class Selection:
-    """The points that the filter and the rasters see; None and an empty tuple select all.
+    """Selection of points for the filter and the rasters. None and an empty tuple select all points.
 
     Attributes
     ----------
     returns : str or None
-        ``first``, ``last``, or return numbers, see `parse_returns`.
+        ``first``, ``last``, or return numbers (see `parse_returns`).
     scan_angle_deg : float or None
-        Largest scan angle to either side.
+        Largest scan angle to either side, in degrees.
     source_ids : str or None
-        Point source ids, see `parse_sources`: the flight lines of most clouds.
+        Point source ids (see `parse_sources`), which are the flight lines in most clouds.
     drop_classes : tuple of int
         Classes that are not selected.
     withheld : bool
@@ -120,7 +122,7 @@ class Selection:
 
     @property
     def options(self) -> Mapping[str, str]:
-        """Options of the command line that leave points out, as the user writes them, by the name of the setting."""
+        """Command-line options that exclude points, as the user writes them, by name of the setting."""
         found = {}
         if self.returns is not None:
             found["returns"] = f"--returns {self.returns}"
@@ -134,4 +136,4 @@ class Selection:
 
 
 EVERY_POINT = Selection()
-"""The selection without any setting: all points but withheld ones."""
+"""Selection without any setting: all points except withheld points."""

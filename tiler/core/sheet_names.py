@@ -1,4 +1,4 @@
-"""Names of the files of sheets, from a template like ``{name}_{x}_{y}``."""
+"""File names of sheets, from a template like ``{name}_{x}_{y}``."""
 
 from __future__ import annotations
 
@@ -13,29 +13,30 @@ EDGES = ("x", "y", "east", "north")
 FIELDS = ("name", *EDGES, *(f"{edge}_km" for edge in EDGES))
 """Fields of a template: the product, the edges, and the edges in thousands of units."""
 LONGEST = 200
-"""Most bytes of a name without its ending."""
+"""Maximum length of a name without its suffix, in bytes."""
 FORBIDDEN = '/\\:*?"<>|'
-"""Characters that some system does not allow in the name of a file, besides control characters."""
+"""Characters that some system does not allow in file names, in addition to control characters."""
 
 
 class _Place(float):
-    """A coordinate that is written without superfluous zeros if the template gives no format: ``2600000``, ``0.5``."""
+    """Coordinate that is written without superfluous zeros if the template has no format: ``2600000``, ``0.5``."""
 
     def __format__(self, spec: str) -> str:
         return super().__format__(spec) if spec else f"{float(self):.3f}".rstrip("0").rstrip(".")
 
 
 def sheet_name(template: str, product: str, x: float, y: float, side: float) -> str:
-    """The name of a sheet's file without its ending.
+    """Return the file name of a sheet without its suffix.
 
     Parameters
     ----------
     template : str
-        A template that `check_template` accepts.
+        Template that `check_template` accepts.
     product : str
     x, y : float
-        The south-west corner.
+        South-west corner of the sheet, in units of the CRS.
     side : float
+        Side of the sheet, in units of the CRS.
     """
     edges = dict(zip(EDGES, (x, y, x + side, y + side), strict=True))
     places = {name: _Place(edge) for name, edge in edges.items()}
@@ -44,7 +45,7 @@ def sheet_name(template: str, product: str, x: float, y: float, side: float) -> 
 
 
 def beginning(template: str, product: str) -> str:
-    """The text with which the names of all sheets of a product begin."""
+    """Return the text at the beginning of the names of all sheets of a product."""
     found = ""
     for text, field, _, _ in Formatter().parse(template):
         found += text
@@ -56,35 +57,37 @@ def beginning(template: str, product: str) -> str:
 
 
 def check_template(template: str) -> str:
-    """The template; raises ConfigError if it cannot name sheets."""
+    """Return the template. Raise ConfigError if it does not give valid, different names."""
     try:
         fields = [field for _, field, _, _ in Formatter().parse(template) if field is not None]
         unknown = [field for field in fields if field not in FIELDS]
         if unknown:
             known = ", ".join(FIELDS)
-            raise ConfigError(f"sheet_name {template!r}: no field {{{unknown[0]}}}; there are {known}")
+            raise ConfigError(f"sheet_name {template!r}: no field {{{unknown[0]}}}; use {known}")
         names = [sheet_name(template, "dtm", *place, 1000.0) for place in ((0, 0), (1000, 0), (0, 1000))]
     except (ValueError, KeyError, IndexError) as error:
-        raise ConfigError(f"sheet_name {template!r}: {error}; write one like {DEFAULT}") from error
+        raise ConfigError(f"sheet_name {template!r}: {error}; use a template like {DEFAULT}") from error
     if len({name.lower() for name in names}) < len(names):
         raise ConfigError(
-            f"sheet_name {template!r}: sheets side by side would have one name; write one like {DEFAULT}"
+            f"sheet_name {template!r}: adjacent sheets would have the same name; use a template like {DEFAULT}"
         )
     for name in names:
         wrong = _wrong_with(name)
         if wrong:
-            raise ConfigError(f"sheet_name {template!r}: {name!r} {wrong}; write one like {DEFAULT}")
+            raise ConfigError(f"sheet_name {template!r}: {name!r} {wrong}; use a template like {DEFAULT}")
         if len(name.encode()) > LONGEST:
-            raise ConfigError(f"sheet_name {template!r}: more than {LONGEST} bytes; write a shorter one")
+            raise ConfigError(
+                f"sheet_name {template!r}: names have more than {LONGEST} bytes; use a shorter template"
+            )
     return template
 
 
 def _wrong_with(name: str) -> str:
     bad = sorted({c for c in name if c in FORBIDDEN or ord(c) < ord(" ")})
     if bad:
-        return f"holds {' '.join(map(repr, bad))}"
+        return f"contains {' '.join(map(repr, bad))}"
     if name.startswith(".") or name != name.strip() or not name.isprintable():
-        return "begins or ends as no name of a file should"
+        return "begins with a dot, begins or ends with a space, or is not printable"
     return ""
 
 
@@ -94,6 +97,6 @@ def refuse_alike(template: str, names: Iterable[str]) -> None:
     for name in names:
         if name.lower() in seen:
             raise ConfigError(
-                f"--sheet-name {template}: two sheets would be {name}; write more digits into it"
+                f"--sheet-name {template}: two sheets would have the name {name}; use more digits"
             )
         seen.add(name.lower())

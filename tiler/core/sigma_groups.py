@@ -1,4 +1,4 @@
-"""Groups of ground, and classes of size, in which run.json and the report tell the standard error."""
+"""Groups of ground and classes of the standard error in run.json and the report."""
 
 from __future__ import annotations
 
@@ -9,19 +9,20 @@ from typing import Any
 OPEN, COVERED, WET = "open", "covered", "water"
 GROUPS = (OPEN, COVERED, WET)
 COVERED_SHARE = 0.5
-"""Least share of objects among the points around covered ground; ground that was bridged is covered as well."""
+"""Minimum share of objects among the points around covered ground. Bridged ground is covered as well."""
 EDGES_M = (0.0, 0.02, 0.03, 0.05, 0.07, 0.1, 0.15, 0.2, 0.3, 0.5, 0.7, 1.0, 1.5, 2.0, 3.0, 5.0)
-"""Edges of the classes; the last class has all that is larger."""
+"""Edges of the classes of the standard error, in metres."""
 
 
 def sigma_facts(kind: str | None, records: Iterable[Mapping[str, Any]]) -> dict[str, Any]:
-    """What run.json says of the standard error, from the records of its blocks.
+    """Return the summary of the standard error for run.json, from the records of its blocks.
 
     Returns
     -------
     dict
-        ``kind`` (that of the constants, None: the larger of both); for each of `GROUPS` ``pixels``, ``rmse_m`` (the
-        expected one, None without pixels) and ``histogram`` (pixels by `EDGES_M`); ``edges_m``.
+        ``kind``: kind of cloud whose constants were used, or None for the larger of both. ``edges_m``: `EDGES_M`. For
+        each of `GROUPS` a dict of ``pixels``, ``rmse_m`` (expected RMSE, None without pixels) and ``histogram``
+        (pixels by `EDGES_M`).
     """
     found: dict[str, Any] = {"kind": kind, "edges_m": list(EDGES_M)}
     made = list(records)

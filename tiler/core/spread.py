@@ -1,4 +1,4 @@
-"""Mean, RMSE and percentiles of height differences: exact ones, or estimates in bounded memory."""
+"""Mean, RMSE and percentiles of height differences: exact, or estimated in bounded memory."""
 
 from __future__ import annotations
 
@@ -9,13 +9,13 @@ import numpy as np
 import numpy.typing as npt
 
 STEP = 1e-4
-"""A tally rounds differences to this step, in units of the heights: a tenth of a millimetre in metres."""
+"""Step to which a tally rounds differences, in units of the heights: a tenth of a millimetre in metres."""
 
 MOST_STEPS = 2_000_000
-"""Different values in a tally; if there are more, its step becomes ten times as large."""
+"""Maximum number of different values in a tally. If there are more, its step becomes ten times as large."""
 
 NMAD_FACTOR = 1.4826
-"""Turns the median absolute deviation into the standard deviation if the errors are normally distributed."""
+"""Ratio of the standard deviation to the median absolute deviation of normally distributed errors."""
 
 NAMES = ("rmse", "bias", "median", "nmad", "p5", "p25", "p75", "p95", "p95_abs", "max_abs")
 
@@ -24,10 +24,9 @@ Int64s = npt.NDArray[np.int64]
 
 
 class SpreadTally:
-    """Counts differences that come in pieces; `MOST_STEPS` bounds its memory.
+    """Counter of differences that arrive in pieces. `MOST_STEPS` limits its memory.
 
-    Mean and root mean square are those of the unrounded values, medians and percentiles those of the values rounded to
-    `step`.
+    Mean and root mean square use the unrounded values. Medians and percentiles use the values rounded to `step`.
     """
 
     def __init__(self) -> None:
@@ -58,7 +57,7 @@ class SpreadTally:
         self._counts = np.bincount(at.ravel(), counts, self._values.size).astype(np.int64)
 
     def summary(self) -> dict[str, float | None]:
-        """The figures of `spread`."""
+        """Return the same figures as `spread`."""
         if self.n == 0:
             return dict.fromkeys(NAMES)
         values = self._values.astype(np.float64) * self.step
@@ -66,7 +65,7 @@ class SpreadTally:
 
 
 def spread(differences: Float64s) -> dict[str, float | None]:
-    """Describe differences that fit into memory.
+    """Compute statistics of differences that fit into memory.
 
     Parameters
     ----------
@@ -76,10 +75,10 @@ def spread(differences: Float64s) -> dict[str, float | None]:
     Returns
     -------
     dict
-        In the same unit: ``rmse``; ``bias`` (the mean); ``median``; ``nmad``, 1.4826 times the median absolute
-        deviation from the median (Hoehle and Hoehle 2009, ISPRS J. 64, table 2); percentiles ``p5``, ``p25``,
-        ``p75``, ``p95`` (linear between order statistics); ``p95_abs``, ``max_abs`` of the absolute values. All
-        are None if there are no differences.
+        Statistics in the same unit: ``rmse``, ``bias`` (the mean), ``median``, ``nmad``, percentiles ``p5``,
+        ``p25``, ``p75``, ``p95`` (linear between order statistics), ``p95_abs`` and ``max_abs`` of the absolute
+        values. ``nmad`` is 1.4826 times the median absolute deviation from the median (Hoehle and Hoehle 2009,
+        ISPRS J. 64, table 2). All are None if there are no differences.
     """
     values = np.sort(np.asarray(differences, np.float64), axis=None)
     if values.size == 0:
@@ -90,7 +89,7 @@ def spread(differences: Float64s) -> dict[str, float | None]:
 
 
 def _summary(values: Float64s, counts: Int64s, square: float, mean: float, largest: float) -> dict[str, Any]:
-    """The figures of ascending values; each occurs ``counts`` times, and ``square`` is their mean square."""
+    """Return the statistics of ascending values that occur ``counts`` times each. ``square`` is their mean square."""
     p5, p25, median, p75, p95 = quantiles(values, counts, (5, 25, 50, 75, 95))
     figures = {
         "rmse": np.sqrt(square),
@@ -114,7 +113,7 @@ def _quantile_of_absolute(values: Float64s, counts: Int64s, percent: float) -> f
 
 
 def quantiles(values: Float64s, counts: Int64s, percents: Sequence[float]) -> list[float]:
-    """Percentiles of ascending values, linear between order statistics; each value occurs ``counts`` times."""
+    """Return percentiles, linear between order statistics, of ascending values that occur ``counts`` times each."""
     ends = np.cumsum(counts)
     found = []
     for percent in percents:

@@ -1,13 +1,13 @@
-"""Titles of the stages, as progress and log show them; store, run.json and events use the keys of the stages."""
+"""Titles of the stages in progress and log. Store, run.json and events use the keys of the stages."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 FILTER = "filter"
-"""The keys of the method's passes begin with it; the number of the pass follows."""
+"""Prefix of the keys of the method's passes. The number of the pass follows."""
 GRID = "grid-"
-"""The keys of the rasters begin with it; the name of the raster follows."""
+"""Prefix of the keys of the rasters. The name of the raster follows."""
 
 _TITLES = {
     "identify": "check inputs for changes",
@@ -51,14 +51,14 @@ _FORMS = {
 
 
 def stage_title(stage: str, passes: Sequence[str] = ()) -> str:
-    """The title of a stage.
+    """Return the title of a stage.
 
     Parameters
     ----------
     stage : str
         Key of the stage: ``spool``, ``filter3``, ``grid-dtm-outlined``.
     passes : sequence of str
-        What each pass of the method does; a pass beyond them is titled by its number.
+        Titles of the method's passes. A pass without a title here gets its number as title.
     """
     if stage in _TITLES:
         return _TITLES[stage]

@@ -1,4 +1,4 @@
-"""Lengths and linear units, exact: every unit is a fraction of a metre."""
+"""Exact lengths and linear units: every unit is a fraction of a metre."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ FOOT = Fraction(3048, 10000)
 US_SURVEY_FOOT = Fraction(1200, 3937)
 
 FARTHEST = 9e12
-"""Largest coordinate, in units of the CRS; see `tiler.inputs.requantise.BEYOND`."""
+"""Largest coordinate, in units of the CRS (see `tiler.inputs.requantise.BEYOND`)."""
 
 FEET = ("ft", "foot", "feet")
-"""Names of the foot of whatever CRS; `tiler.plan.feet` says which one that is."""
+"""Names of the foot that the CRS uses. `tiler.plan.feet` decides which foot this is."""
 
 _NAMES = {
     **dict.fromkeys(("m", "metre", "meter", "metres", "meters"), METRE),
@@ -40,31 +40,31 @@ _LENGTH = re.compile(r"\s*([0-9]*\.?[0-9]+(?:/0*[1-9][0-9]*)?)\s*([a-zA-Z_-]*)\s
 
 
 class BareLength(Fraction):
-    """A length in metres that was written without a unit."""
+    """Length in metres that was written without a unit."""
 
 
 class FeetLength(Fraction):
-    """A length in metres that was written in feet, without saying which."""
+    """Length in metres that was written in feet without the kind of foot."""
 
 
 def unit_named(name: str) -> Fraction:
-    """Metres in one unit called ``name`` (``m``, ``ft``, ``usft``, ...); raises ConfigError."""
+    """Return the metres in one unit ``name`` (``m``, ``ft``, ``usft``, ...). Raise ConfigError if it is unknown."""
     try:
         return _NAMES[name.strip().lower()]
     except KeyError:
         raise ConfigError(
-            f"unknown unit {name!r}: use m, ft (international) or usft (US survey foot)"
+            f"unknown unit {name!r}; use m, ft (international) or usft (US survey foot)"
         ) from None
 
 
 def unit_label(metres: Fraction) -> str:
-    """The name of a linear unit in GDAL's style: ``metre``, ``foot``, ``US survey foot``, or metres per unit."""
+    """Return the name of a linear unit as in GDAL: ``metre``, ``foot``, ``US survey foot``, or metres per unit."""
     labels = {METRE: "metre", FOOT: "foot", US_SURVEY_FOOT: "US survey foot"}
     return labels.get(metres, f"{float(metres):.12g} m")
 
 
 def exact_unit(metres: float) -> Fraction:
-    """The exact fraction for a floating conversion factor of a CRS (``0.3048006096...`` is 1200/3937)."""
+    """Return the exact fraction of a floating-point conversion factor of a CRS (``0.3048006096...`` is 1200/3937)."""
     for known in (METRE, FOOT, US_SURVEY_FOOT):
         if abs(metres / float(known) - 1.0) < 1e-9:
             return known
@@ -72,7 +72,10 @@ def exact_unit(metres: float) -> Fraction:
 
 
 def parse_length(text: str | float | Fraction) -> Fraction:
-    """An exact length in metres from text like ``1``, ``0.5``, ``1/3``, ``3ft`` or ``50cm``; raises ConfigError."""
+    """Return an exact length in metres from text like ``1``, ``0.5``, ``1/3``, ``3ft`` or ``50cm``.
+
+    Raise ConfigError if the text is not a length.
+    """
     if isinstance(text, Fraction):
         return text
     match = _LENGTH.match(str(text))
@@ -90,7 +93,10 @@ def parse_length(text: str | float | Fraction) -> Fraction:
 
 
 def parse_area(text: str | float | Fraction) -> Fraction:
-    """An exact area in square metres from text like ``8000``, ``0.8ha`` or ``2 acres``; raises ConfigError."""
+    """Return an exact area in square metres from text like ``8000``, ``0.8ha`` or ``2 acres``.
+
+    Raise ConfigError if the text is not an area.
+    """
     if isinstance(text, Fraction):
         return text
     match = re.fullmatch(r"\s*([0-9]*\.?[0-9]+)\s*([a-z0-9]*)\s*", str(text).lower())
@@ -103,7 +109,7 @@ def parse_area(text: str | float | Fraction) -> Fraction:
 
 @dataclass(frozen=True)
 class Units:
-    """Metres per unit of the CRS, horizontally and vertically."""
+    """Horizontal and vertical units of a CRS, in metres per unit."""
 
     horizontal: Fraction = METRE
     vertical: Fraction = METRE

@@ -1,4 +1,4 @@
-"""Lengths as they are printed: in the unit of the CRS, with metres beside them where those are the rounder number."""
+"""Printed lengths: in the unit of the CRS, followed by metres if the number of metres is rounder."""
 
 from __future__ import annotations
 
@@ -9,15 +9,16 @@ from tiler.core.units import FOOT, METRE, US_SURVEY_FOOT, Units
 
 SQUARE_KM, ACRE, ACRES_PER_SQUARE_MILE = 1e6, float(43_560 * FOOT**2), 640
 ROUND = 3e-6
-"""A number of feet that is nearer than this share to one with two decimals, or above ten to one with one, is printed
-alone: the two feet differ by 2e-6."""
+"""Largest relative difference of a number of feet from its rounded value with which it is printed without metres.
+
+The rounded value has two decimals, or one from ten feet on. The two kinds of foot differ by 2e-6."""
 
 _METRES = re.compile(r"(?<![\w.,(])(?:([\d.]+) to )?([\d.]+(?:e-?\d+)?) m\b(?! =|[/\\]|\.\w)")
-"""A length in metres. One in brackets, and one before ``=``, has its feet already; ``5 m.laz`` is a name."""
+"""Length in metres without feet. Lengths in brackets and before ``=`` have feet already, and ``5 m.laz`` is a name."""
 
 
 def short_unit(metres: Fraction | float) -> str:
-    """``m`` or ``ft``; of another unit how many metres it has."""
+    """Return ``m`` or ``ft``, or the metres per unit of another unit."""
     for unit, name in ((METRE, "m"), (FOOT, "ft"), (US_SURVEY_FOOT, "ft")):
         if abs(float(metres) / float(unit) - 1) < 1e-9:
             return name
@@ -25,19 +26,19 @@ def short_unit(metres: Fraction | float) -> str:
 
 
 def written_unit(metres: Fraction) -> str:
-    """The unit as it is written behind a length on the command line."""
+    """Return the unit as it is written after a length on the command line."""
     return "usft" if metres == US_SURVEY_FOOT else short_unit(metres)
 
 
 def length_option(metres: Fraction, unit: Fraction) -> str:
-    """A length as a value on the command line: ``2``, or ``3ft`` where the unit of the CRS is the foot."""
+    """Return a length as a value on the command line: ``2``, or ``3ft`` if the unit of the CRS is the foot."""
     if short_unit(unit) != "ft":
         return f"{float(metres):g}"
     return f"{float(metres / unit):g}{written_unit(unit)}"
 
 
 def area_text(square_metres: float, unit: float | Fraction) -> str:
-    """An area: ``0.25 km2``; on a CRS in feet ``62 acres``, or square miles where it is larger."""
+    """Return an area as text: ``0.25 km2``, or for a CRS in feet ``62 acres`` or square miles."""
     if short_unit(unit) != "ft":
         return f"{square_metres / SQUARE_KM:,.3g} km2"
     acres = square_metres / ACRE
@@ -49,19 +50,21 @@ def area_text(square_metres: float, unit: float | Fraction) -> str:
 
 
 def small_area_text(square_metres: float, unit: float | Fraction) -> str:
-    """An area of some pixels: ``9,200 m2``, or ``99,000 ft2``."""
+    """Return a small area as text: ``9,200 m2``, or for a CRS in feet ``99,000 ft2``."""
     name = short_unit(unit)
     return f"{square_metres / float(unit) ** 2:,.0f} ft2" if name == "ft" else f"{square_metres:,.0f} m2"
 
 
 def length_text(metres: float | Fraction, unit: float | Fraction) -> str:
-    """A length: ``2 m``; on a CRS in feet ``3 ft``, or ``3.28 ft (1 m)`` where that is no round number of feet.
+    """Return a length as text: ``2 m``, or for a CRS in feet ``3 ft`` or ``3.28 ft (1 m)``.
+
+    Metres are added if the number of feet is not round.
 
     Parameters
     ----------
     metres : number
     unit : number
-        Metres of a unit of the CRS.
+        Metres per unit of the CRS.
     """
     name = short_unit(unit)
     if name == "m":
@@ -75,9 +78,9 @@ def length_text(metres: float | Fraction, unit: float | Fraction) -> str:
 
 
 def in_unit_of_crs(text: str, units: Units) -> str:
-    """Return a text whose lengths in metres (``0.12 m``) are in feet as well, if the CRS is: ``0.394 ft (0.12 m)``.
+    """Add feet to the lengths in metres of a text if the CRS is in feet: ``0.12 m`` becomes ``0.394 ft (0.12 m)``.
 
-    The text stays as it is if heights have another unit than x and y, as a length may be one of either.
+    The text does not change if heights have another unit than x and y, since a length may be in either direction.
     """
     if short_unit(units.horizontal) != "ft" or units.vertical != units.horizontal:
         return text

@@ -1,4 +1,4 @@
-"""Standing and running water: polygons in which the terrain is level, or falls along a line."""
+"""Standing and running water: polygons in which the terrain is level or falls along a line."""
 
 from __future__ import annotations
 
@@ -25,21 +25,22 @@ KINDS = {
     LAKE: LAKE, "pond": LAKE, "reservoir": LAKE, "basin": LAKE, "sea": LAKE, "lagoon": LAKE,
     RIVER: RIVER, "stream": RIVER, "canal": RIVER, "ditch": RIVER,
 }  # fmt: skip
-"""Kinds as files name them, and whether each is level as a lake or falls as a river."""
+"""Names of kinds in files, with the kind of each: level like a lake or falling like a river."""
 
 
 class Station(NamedTuple):
-    """A place along a river where its level was estimated, in absolute counts.
+    """Position along a river at which its level was estimated, in absolute counts.
 
     Attributes
     ----------
     x, y : int
+        Position of the station.
     level : int
-        Of the water.
+        Level of the water.
     seen : int
-        Pixels of the water itself that the level rests on; 0 where it rests on the banks.
+        Number of pixels of the water from which the level was estimated, or 0 if it was estimated from the banks.
     left, right : int or None
-        Level that the bank on that side would give, looking downstream; None where it was not seen.
+        Level estimated from the left and from the right bank, looking downstream, or None if there is no data there.
     """
 
     x: int
@@ -52,24 +53,25 @@ class Station(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Water:
-    """A body of water.
+    """Body of water.
 
     Attributes
     ----------
     number : int
-        From 1 on.
+        Number of the body, starting at 1.
     kind : str
         `LAKE` or `RIVER`.
     area : Area
+        Polygons of the body.
     level : int or None
-        Counts of the height of a lake, and of a river without a line; None while it is not known.
+        Height of a lake, or of a river without a line, in counts. None until it is known.
     flow : int64 (n, 2 or 3) or None
-        Line of a river in absolute counts: x, y, and the height of the water once it is known, which falls or stays
-        from each vertex to the next. A place of the river has the height of the nearest place of the line.
+        Line of a river in absolute counts: x, y, and the height of the water once it is known. The height never rises
+        from a vertex to the next. A position in the river has the height of the nearest position on the line.
     sure : float or None
-        How sure it is that this is water, 0 to 1; None where a person said so.
+        Confidence that this is water, 0 to 1, or None for water drawn by the user.
     stations : tuple of Station
-        What the heights of a river without given ones rest on, downstream.
+        Stations from which the heights of a river were estimated, downstream. Empty if its heights were given.
     """
 
     number: int
@@ -82,7 +84,7 @@ class Water:
 
     @property
     def levelled(self) -> bool:
-        """Whether its heights are known."""
+        """Whether the heights of the body are known."""
         return self.level is not None or (self.flow is not None and self.flow.shape[1] == 3)
 
     @property
@@ -93,12 +95,12 @@ class Water:
 
     @cached_property
     def digest(self) -> list[Any]:
-        """What a result depends on."""
+        """Values on which results depend."""
         flow = None if self.flow is None else self.flow.tolist()
         return [self.kind, self.area.key, self.level, flow, [list(station) for station in self.stations]]
 
     def heights(self, x: Counts, y: Counts) -> npt.NDArray[np.float64]:
-        """Levels at places in absolute counts, whole counts."""
+        """Return the levels at positions in absolute counts, in whole counts."""
         if self.level is not None or self.flow is None:
             return np.full(x.shape, float(self.level or 0))
         import shapely
@@ -109,7 +111,7 @@ class Water:
         return heights
 
     def to_json(self) -> dict[str, Any]:
-        """A JSON-able description; `from_json` reads it back."""
+        """Return a JSON-able description, which `from_json` reads."""
         flow = None if self.flow is None else self.flow.tolist()
         return {
             "number": self.number, "kind": self.kind, "rings": self.area.to_json(), "level": self.level,
@@ -118,7 +120,7 @@ class Water:
 
     @classmethod
     def from_json(cls, data: dict[str, Any]) -> Water:
-        """The water that `to_json` described."""
+        """Return the water that `to_json` described."""
         flow = None if data["flow"] is None else np.array(data["flow"], np.int64)
         area = Area.from_json(data["rings"])
         stations = tuple(Station(*station) for station in data["stations"])
@@ -126,25 +128,27 @@ class Water:
 
 
 def lengths_along(line: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
-    """Length of a line up to each vertex, in counts."""
+    """Return the length of a line up to each vertex, in counts."""
     steps = np.hypot(*np.diff(line[:, :2].astype(np.float64), axis=0).T)
     return np.concatenate(([0.0], np.cumsum(steps)))
 
 
 def lifted_line(line: npt.NDArray[Any], places: npt.NDArray[Any], heights: npt.NDArray[Any]) -> Counts:
-    """A line with heights that are known at places along it.
+    """Return a line with heights, which are interpolated between known heights along it.
 
     Parameters
     ----------
     line : shape (n, 2)
-        Absolute counts.
-    places, heights : shape (m,)
-        Counts from the start of the line, ascending, and counts of height.
+        Vertices of the line, in absolute counts.
+    places : shape (m,)
+        Distances of the known heights from the start of the line, ascending, in counts.
+    heights : shape (m,)
+        Known heights, in counts.
 
     Returns
     -------
     int64, shape (k, 3)
-        The vertices of the line and the places, each once.
+        Vertices of the line and positions of the known heights, each once.
     """
     lengths = lengths_along(line)
     every = np.unique(np.concatenate((lengths, places.clip(0, lengths[-1]))))
@@ -156,38 +160,41 @@ def lifted_line(line: npt.NDArray[Any], places: npt.NDArray[Any], heights: npt.N
 
 @dataclass(frozen=True, eq=False)
 class Waters:
-    """Bodies of water with known heights; where they overlap, the last one holds."""
+    """Bodies of water with known heights. Where bodies overlap, the last one applies."""
 
     bodies: tuple[Water, ...]
 
     @cached_property
     def key(self) -> str:
-        """A digest of them all."""
+        """Digest of all bodies."""
         text = json.dumps([[body.number, *body.digest] for body in self.bodies])
         return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
 
     @cached_property
     def index(self) -> AreaIndex:
-        """Finds those near a place."""
+        """Spatial index of the bodies."""
         return AreaIndex([body.area for body in self.bodies])
 
     def near(self, bounds: Bounds) -> Waters:
-        """Bodies that touch the bounds."""
+        """Return the bodies that touch the bounds."""
         return replace(self, bodies=tuple(self.bodies[i] for i in self.index.touching(bounds)))
 
     def digest(self, bounds: Bounds) -> list[Any]:
-        """What results within some bounds depend on."""
+        """Return the values on which results within the bounds depend."""
         return [body.digest for body in self.near(bounds).bodies]
 
     def holds(self, x: Counts, y: Counts) -> Bools:
-        """Mask of the places, absolute counts, that are water."""
+        """Return the mask of the positions, in absolute counts, that are water."""
         found = np.zeros(x.shape, np.bool_)
         for body in self.bodies:
             found |= body.area.inside(x, y)
         return found
 
     def reaches(self, xyz: Counts, above: float) -> Bools:
-        """Mask of points, absolute counts of shape (3, n), in the water or up to ``above`` counts over its level."""
+        """Return the mask of the points, absolute counts (3, n), that are in water.
+
+        These points are inside a body and at most ``above`` counts above its level.
+        """
         x, y, z = xyz
         found = np.zeros(x.shape, np.bool_)
         for body in self.bodies:
@@ -197,7 +204,7 @@ class Waters:
         return found
 
     def inside(self, spec: RasterSpec, block: Block) -> Bools:
-        """Mask of the pixels of a block that are water."""
+        """Return the mask of the pixels of a block that are water."""
         found = np.zeros((block.height, block.width), np.bool_)
         for body in self.bodies:
             part = spec.part(block, body.area.bounds)
@@ -207,7 +214,13 @@ class Waters:
     def set_heights(
         self, spec: RasterSpec, block: Block, heights: npt.NDArray[np.float32], where: Bools
     ) -> list[tuple[str, int]]:
-        """Set the heights of the water's pixels, units of the CRS; key of each area, and its pixels."""
+        """Set the heights of the water's pixels, in units of the CRS.
+
+        Returns
+        -------
+        list of tuple of str and int
+            Key of the area and number of pixels of each body.
+        """
         found = []
         for body in self.bodies:
             part = spec.part(block, body.area.bounds)
@@ -219,10 +232,10 @@ class Waters:
         return found
 
     def to_json(self) -> list[dict[str, Any]]:
-        """A JSON-able description; `from_json` reads it back."""
+        """Return a JSON-able description, which `from_json` reads."""
         return [body.to_json() for body in self.bodies]
 
     @classmethod
     def from_json(cls, data: list[dict[str, Any]]) -> Waters:
-        """The waters that `to_json` described."""
+        """Return the waters that `to_json` described."""
         return cls(tuple(Water.from_json(body) for body in data))

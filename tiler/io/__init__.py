@@ -1,1 +1,1 @@
-"""Files: their places, what a run may overwrite, and the formats of clouds and vectors."""
+"""Files: locations, checks before files are overwritten, and formats of clouds and vectors."""

@@ -1,4 +1,4 @@
-"""Opens files at a path or URL for random reading; every error of a library becomes an OSError."""
+"""Random reading of files at a path or URL. Every error of a library becomes an OSError."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from typing import Any, BinaryIO, cast
 from tiler.io.locations import is_url, storage_errors
 
 BLOCK_BYTES = 1 << 22
-"""Bytes that a request to a URL asks for: some chunks of points."""
+"""Bytes per request to a URL, which contain several chunks of points."""
 KEPT_BLOCKS = 8
-"""Blocks of an object that are kept while it is read: those of its header, its table and its points."""
+"""Number of blocks of an object that are kept while it is read: blocks of its header, table and points."""
 
 _fetched = [0]
 
 
 def fetched_bytes() -> int:
-    """Bytes that this process has read from URLs so far."""
+    """Return the number of bytes that this process has read from URLs so far."""
     return _fetched[0]
 
 
 def open_cloud(path: Path, block_bytes: int = BLOCK_BYTES, parts: Sequence[tuple[int, int]] = ()) -> BinaryIO:
-    """Open a file for random reading; raises OSError.
+    """Open a file for random reading. Raise OSError if it cannot be opened.
 
-    A URL is read in blocks of ``block_bytes``. Its ``parts`` (first and end byte of each) are read at once, each with
-    one request.
+    A URL is read in blocks of ``block_bytes``. Its ``parts`` (first and end byte of each) are read immediately, each
+    with one request.
     """
     if not is_url(path):
         return open(path, "rb")
@@ -37,8 +37,8 @@ def open_cloud(path: Path, block_bytes: int = BLOCK_BYTES, parts: Sequence[tuple
     with storage_errors():
         opened = cast(Any, path).open("rb", block_size=block_bytes)
         if isinstance(opened, AbstractBufferedFile):
-            # A decoder jumps between header, points and the table at the end; the cache fetches each block once.
-            # It is not set by options of `open`, as some file systems do not accept them.
+            # A decoder jumps between header, points and the table at the end. The cache requests each block once. It
+            # is not set by options of `open`, since some file systems do not accept them.
             opened.cache = BlockCache(block_bytes, _counted(opened._fetch_range), opened.size, KEPT_BLOCKS)
         return cast(BinaryIO, _Guarded(opened, _read_parts(opened, cast(Any, path), parts)))
 
@@ -53,19 +53,19 @@ def _counted(fetch: Callable[[int, int], bytes]) -> Callable[[int, int], bytes]:
 
 
 def _read_parts(opened: Any, path: Any, parts: Sequence[tuple[int, int]]) -> list[tuple[int, bytes]]:
-    """First byte and content of each part; the requests overlap."""
+    """Return first byte and content of each part. The requests overlap."""
     if not parts:
         return []
     starts, ends = zip(*parts, strict=True)
     found = opened.fs.cat_ranges([path.path] * len(parts), list(starts), list(ends), on_error="raise")
     _fetched[0] += sum(map(len, found))
     if any(len(data) != end - start for data, (start, end) in zip(found, parts, strict=True)):
-        raise OSError("its server gives no parts of files, no range requests; download it")
+        raise OSError("its server does not support range requests; download it")
     return list(zip(starts, found, strict=True))
 
 
 def digest_of_file(path: Path) -> str:
-    """Digest of all bytes of a path or URL; raises OSError."""
+    """Return the digest of all bytes of a path or URL. Raise OSError if it cannot be read."""
     digest = hashlib.blake2b(digest_size=16)
     with open_cloud(path) as stream:
         while part := stream.read(BLOCK_BYTES):
@@ -74,19 +74,19 @@ def digest_of_file(path: Path) -> str:
 
 
 def second_view(file: BinaryIO, path: Path) -> BinaryIO:
-    """The same file, opened again with a position of its own; at a URL the two share their blocks."""
+    """Open the same file again, with a separate position. At a URL the two share their blocks."""
     if isinstance(file, _Guarded):
         return cast(BinaryIO, _Guarded(file.shared, file.parts))
     return open(path, "rb")
 
 
 class _Guarded(io.RawIOBase):
-    """A file of fsspec that raises only OSErrors; several objects in one thread may share the file.
+    """File of fsspec that raises only OSErrors. Several objects in one thread may share the file.
 
     Parameters
     ----------
     shared : file object
-        The file. It is never closed, as other objects may read it, and has only blocks to free.
+        File of fsspec. It is never closed, since other objects may read it and only its blocks use memory.
     parts : sequence of (int, bytes)
         First byte and content of parts that were read before.
     """
@@ -124,7 +124,7 @@ class _Guarded(io.RawIOBase):
             except ValueError as error:
                 if "http" not in self.shared.fs.protocol:
                     raise
-                raise OSError("its server gives no parts of files, no range requests; download it") from error
+                raise OSError("its server does not support range requests; download it") from error
         target[: len(data)] = data
         self._place += len(data)
         return len(data)

@@ -1,4 +1,4 @@
-"""GeoTIFFs: a plain tiled one that is written block by block, and its metadata."""
+"""GeoTIFFs: metadata, and plain tiled files that are written block by block."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ CACHE_MB = 64
 
 @dataclass(frozen=True)
 class RasterLook:
-    """The metadata of a raster file.
+    """Metadata of a raster file.
 
     Attributes
     ----------
     crs : str or None
-        WKT or authority code; None if unknown.
+        WKT or authority code, or None if unknown.
     unit : str
-        Vertical unit of the band, as `tiler.core.units.unit_label` names it.
+        Vertical unit of the band, as `tiler.core.units.unit_label` returns it.
     description : str
         Description of the band.
     tags : mapping of str to str
@@ -42,11 +42,11 @@ class RasterLook:
     dtype : str
     nodata : float or None
     colours : mapping of int to (red, green, blue)
-        Colour table of a uint8 band, empty for none.
+        Colour table of a uint8 band, empty if there is none.
     meanings : mapping of str to str
-        Tags of the band that say what its values mean; empty if the values are measures.
+        Tags of the band with the meaning of its values, empty if the values are measures.
     categories : tuple of str
-        Names of the values 0, 1, 2 ... if these are classes. A GeoTIFF has no place for them.
+        Names of the values 0, 1, 2 ... if these are classes. A GeoTIFF cannot contain them.
     """
 
     crs: str | None
@@ -61,7 +61,7 @@ class RasterLook:
 
 
 class PlainWriter:
-    """Takes blocks of an open raster."""
+    """Writer of the blocks of an open raster."""
 
     def __init__(self, raster: Any) -> None:
         self._raster = raster
@@ -77,7 +77,7 @@ class PlainWriter:
 
 
 def tiled_profile(height: int, width: int, transform: Sequence[float]) -> dict[str, Any]:
-    """Options with which rasterio makes a tiled GeoTIFF, BigTIFF if it may exceed 4 GB; without bands and CRS."""
+    """Return rasterio's options for a tiled GeoTIFF, BigTIFF if it may exceed 4 GB, without bands and CRS."""
     blocks = {"tiled": True, "blockxsize": BLOCK_PIXELS, "blockysize": BLOCK_PIXELS, "BIGTIFF": "IF_SAFER"}
     return {"driver": "GTiff", "height": height, "width": width, "transform": Affine(*transform), **blocks}
 
@@ -92,17 +92,23 @@ def plain_geotiff(
 ) -> Iterator[PlainWriter]:
     """Open a new tiled GeoTIFF for blocks in any order: not compressed, BigTIFF if it may exceed 4 GB.
 
-    Blocks that are never written stay nodata and take no disk space. Raises ProcessingError.
+    Blocks that are never written stay nodata and need no disk space.
 
     Parameters
     ----------
     path : Path
-        Target; a file of that name is replaced.
+        Path of the file, which replaces a file with this name.
     height, width : int
         Size in pixels.
     transform : tuple of float
-        a, b, c, d, e, f of rasterio's ``Affine``; pixels are areas.
+        a, b, c, d, e, f of rasterio's ``Affine``, for pixels that are areas.
     look : RasterLook
+        Metadata of the file.
+
+    Raises
+    ------
+    ProcessingError
+        The file cannot be written.
     """
     crs = None if look.crs is None else CRS.from_user_input(look.crs)
     profile = {"count": 1, "dtype": look.dtype, "nodata": look.nodata, "crs": crs, "SPARSE_OK": True}
@@ -115,7 +121,7 @@ def plain_geotiff(
         rasterio.open(path, "w", **tiled_profile(height, width, transform), **profile) as raster,
     ):
         raster.update_tags(AREA_OR_POINT="Area", **look.tags)
-        if look.colours:  # GDAL takes colours only before the first pixel
+        if look.colours:  # GDAL accepts colours only before the first pixel.
             raster.write_colormap(1, dict(look.colours))
         if look.unit:
             raster.units = (look.unit,)
@@ -133,7 +139,7 @@ def any_place() -> Iterator[None]:
 
 @contextmanager
 def raster_errors(path: Path) -> Iterator[None]:
-    """Turn errors of rasterio and of the disk into a ProcessingError that names the file."""
+    """Convert errors of rasterio and of the disk to a ProcessingError that names the file."""
     try:
         yield
     except RasterioError as error:

@@ -1,4 +1,4 @@
-"""Reads JSON that other programs wrote."""
+"""JSON that other programs wrote."""
 
 from __future__ import annotations
 
@@ -7,24 +7,24 @@ from typing import Any
 
 
 def read_object(text: str | bytes) -> dict[str, Any]:
-    """The object in a JSON text; raises ValueError with the reason if there is none."""
+    """Return the object in a JSON text. Raise ValueError with the reason if the text is not a JSON object."""
     try:
         found = json.loads(text)
     except RecursionError as error:
-        raise ValueError("nested too deep") from error
+        raise ValueError("nested too deeply") from error
     if not isinstance(found, dict):
-        raise ValueError("holds no object")
+        raise ValueError("not a JSON object")
     return found
 
 
 def member(value: Any, name: str) -> dict[str, Any]:
-    """The member ``name`` of an object if it is an object, too; otherwise an empty one."""
+    """Return the member ``name`` of an object if both are objects, otherwise an empty dict."""
     found = value.get(name) if isinstance(value, dict) else None
     return found if isinstance(found, dict) else {}
 
 
 def excerpt(value: Any, most: int = 40) -> str:
-    """A value as an error shows it: printable, in one line, and at most ``most`` characters long."""
+    """Return a value as text for an error: printable, in one line, and shortened to ``most`` characters."""
     if isinstance(value, int) and abs(value) >= 10**most:
         return "a number of many digits"
     text = repr(value)

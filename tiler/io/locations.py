@@ -1,4 +1,4 @@
-"""Finds, lists, moves and writes files in the same way at a local path and at a URL (fsspec)."""
+"""Finding, listing, moving and writing of files at local paths and at URLs (fsspec)."""
 
 from __future__ import annotations
 
@@ -18,26 +18,29 @@ from tiler.errors import ConfigError, refused_write
 from tiler.io.partial_files import SCRATCH_PREFIX, replace_file
 
 ASKED_AT_ONCE = 16
-"""Objects for whose state requests are sent at the same time."""
+"""Number of objects whose state is requested at the same time."""
 QUIET_SECONDS = 30.0
-"""A request fails if a web server sends nothing for so long."""
+"""Time after which a request fails if a web server sends nothing."""
 REQUEST_SECONDS = 300.0
-"""A request to a web server fails after this time."""
+"""Time after which a request to a web server fails."""
 _SCHEME = re.compile(r"(?:^|(?<=::))[A-Za-z][A-Za-z0-9+.-]*(?=::|://)")
 
 
 def is_url(text: str | Path) -> bool:
-    """Whether a text is a URL and not a path on this machine."""
+    """Return whether a text is a URL and not a path on this machine."""
     return "://" in str(text)
 
 
 def plain_scheme(text: str) -> str:
-    """A URL with its schemes in lower case, as libraries do not know ``HTTP://``; a path as it is."""
+    """Return a URL with schemes in lower case, since libraries do not support ``HTTP://``, or a path unchanged."""
     return _SCHEME.sub(lambda found: found[0].lower(), text) if is_url(text) else text
 
 
 def cloud_path(text: str | Path) -> Path:
-    """A path, or an object like one for a URL (``s3://bucket/town.laz``); ConfigError if no library can read it."""
+    """Return a path, or an object like a path for a URL (``s3://bucket/town.laz``).
+
+    Raise ConfigError if no library can read the URL.
+    """
     if not is_url(text):
         return Path(text)
     url = plain_scheme(str(text))
@@ -57,26 +60,26 @@ def cloud_path(text: str | Path) -> Path:
 
 
 def without_query(text: str) -> str:
-    """A URL of a web server without its query, so that it ends with the name of the file; any other text as it is."""
+    """Return the URL of a web server without its query, so that it ends with the file name, or other text unchanged."""
     return text.partition("?")[0] if plain_scheme(text).startswith("http") else text
 
 
 def _is_on_server(url: str) -> bool:
-    """Whether a URL names a host and perhaps a user, see `tiler.io.server_paths`."""
+    """Return whether a URL contains a host and perhaps a user (see `tiler.io.server_paths`)."""
     return url.startswith(("ftp://", "sftp://", "ssh://", "smb://"))
 
 
 def _login(url: str) -> dict[str, str]:
-    """User and password of a URL without escapes, which fsspec would not remove."""
+    """Return user and password of a URL without escapes, which fsspec would not remove."""
     parts = urlsplit(url)
     named = {"username": parts.username, "password": parts.password}
     return {name: unquote(value) for name, value in named.items() if value}
 
 
 def _options(url: str) -> dict[str, Any]:
-    """Options of a file system: for web servers the time to wait, unless the configuration of fsspec sets it.
+    """Return options of a file system: for web servers the timeouts, unless the configuration of fsspec sets them.
 
-    Raises ImportError if the library for web servers is not installed.
+    Raise ImportError if the library for web servers is not installed.
     """
     if not url.startswith(("http://", "https://")):
         return {}
@@ -89,7 +92,7 @@ def _options(url: str) -> dict[str, Any]:
 
 
 def _system(url: str) -> tuple[Any, str]:
-    """The file system of a URL, and the place in it."""
+    """Return the file system of a URL, and the path in it."""
     from fsspec.core import url_to_fs
 
     url = plain_scheme(url)
@@ -101,23 +104,23 @@ def _system(url: str) -> tuple[Any, str]:
 
 
 def location(path: Path) -> str:
-    """An absolute path, or the whole URL with its passwords and tokens, so that any process can open it."""
+    """Return an absolute path, or the complete URL with passwords and tokens, so that any process can open it."""
     return str(path) if is_url(path) else str(path.resolve())
 
 
 def refuse_unescaped(url: str) -> None:
-    """Raise ConfigError if a password breaks a URL into pieces, which libraries would show in their errors."""
+    """Raise ConfigError if characters of a password make a URL invalid, since libraries would show it in errors."""
     try:
         urlsplit(url.rpartition("::")[2]).port  # noqa: B018 - reading it raises the error
     except ValueError:
         raise ConfigError(
-            f"{url}: no valid URL; in its user and password write / as %2F, ? as %3F, # as %23, @ as %40, % as %25"
+            f"{url}: not a valid URL; in user and password, use %2F for /, %3F for ?, %23 for #, %40 for @, %25 for %"
         ) from None
 
 
 @contextmanager
 def storage_errors() -> Iterator[None]:
-    """Turn the exceptions of a library for object stores into OSErrors."""
+    """Convert the exceptions of a library for object stores to OSErrors."""
     try:
         yield
     except (OSError, ImportError) as error:
@@ -130,27 +133,27 @@ def storage_errors() -> Iterator[None]:
 
 
 def stat_cloud(path: Path) -> os.stat_result:
-    """Size and time of change of a path or URL; raises OSError."""
+    """Return size and time of the last change of a path or URL. Raise OSError if this fails."""
     with storage_errors():
         return path.stat()
 
 
 TAGS = ("ETag", "etag", "Content-MD5", "md5Hash", "generation", "Last-Modified")
-"""Names under which object stores and servers give a tag that changes with the content."""
+"""Names of the tags with which object stores and servers identify the content."""
 
 
 @dataclass(frozen=True)
 class State:
-    """Shows whether a file is still the same, without reading it.
+    """State of a file, which shows without reading it whether it is still the same.
 
     Attributes
     ----------
     size : int
         Size in bytes.
     mtime_ns : int
-        Time of the last change; 0 if a server does not give it.
+        Time of the last change in nanoseconds, or 0 if a server does not report it.
     tag : str
-        Tag that an object store or server gives to the content; empty on a disk.
+        Tag with which an object store or server identifies the content, empty on a disk.
     """
 
     size: int
@@ -158,12 +161,12 @@ class State:
     tag: str = ""
 
     def to_json(self) -> list[Any]:
-        """Size, time and tag."""
+        """Return size, time and tag."""
         return [self.size, self.mtime_ns, self.tag]
 
 
 def state_of(path: Path) -> State:
-    """The present state of a path or URL, not from a cache; raises OSError."""
+    """Return the current state of a path or URL, not from a cache. Raise OSError if this fails."""
     if not is_url(path):
         stat = path.stat()
         return State(stat.st_size, stat.st_mtime_ns)
@@ -173,27 +176,28 @@ def state_of(path: Path) -> State:
         found = place.stat()
         info = found.as_info()
         if info.get("size") is None:
-            raise OSError("its server does not tell its size; download it")
+            raise OSError("its server does not report its size; download it")
         tag = next((str(info[name]) for name in TAGS if info.get(name)), "").removeprefix("W/").strip('"')
         return State(int(found.st_size), int(found.st_mtime_ns), tag)
 
 
 def list_clouds(url: str, suffixes: tuple[str, ...]) -> list[Path]:
-    """The clouds at a URL: one object, all clouds below a folder, or those that a glob matches.
+    """Return the clouds at a URL: one object, all clouds in a folder and its subfolders, or all clouds of a glob.
 
     Raises
     ------
     ConfigError
-        There is nothing, or the URL cannot be listed.
+        There is nothing at the URL, or it cannot be listed.
     """
     url = plain_scheme(url)
-    cloud_path(url)  # its error names the missing library
+    cloud_path(url)  # This raises an error that names a missing library.
     path = without_query(url)
     try:
         with storage_errors():
             system, place = _system(url)
             if path.lower().endswith(suffixes) and not has_magic(path) and _is_object(system, place):
-                return [cloud_path(url)]  # listing it would read the whole file on some servers
+                # Listing the file would read all of it on some servers.
+                return [cloud_path(url)]
             found = system.glob(place) if has_magic(place) else system.find(place)
     except (OSError, ValueError) as error:
         raise ConfigError(f"{url}: cannot be listed ({error}); check the URL and its credentials") from error
@@ -213,9 +217,9 @@ def _is_object(system: Any, place: str) -> bool:
 
 
 def _url_of(name: str, url: str, place: str) -> str | None:
-    """The URL of a file that was found at ``url``; file systems leave out host and user.
+    """Return the URL of a file that was found at ``url``, since file systems leave out host and user.
 
-    None if ``url`` does not end with ``place``, at which the file system looked.
+    The result is None if ``url`` does not end with ``place``, the path that was listed.
     """
     place = place.rstrip("/")
     head, chain, rest = url, "", ""
@@ -228,12 +232,12 @@ def _url_of(name: str, url: str, place: str) -> str | None:
 
 
 def joined(place: str, *names: str) -> str:
-    """A path or URL below another one."""
+    """Return the path or URL of a name in a folder."""
     return "/".join((place.rstrip("/"), *names))
 
 
 def names_in(place: str) -> list[str]:
-    """Sorted names of the files and folders directly in a folder at a path or URL; empty if it does not exist."""
+    """Return the sorted names in a folder at a path or URL, or an empty list if it does not exist."""
     try:
         if not is_url(place):
             return sorted(os.listdir(place))
@@ -245,7 +249,7 @@ def names_in(place: str) -> list[str]:
 
 
 def state_at(place: str) -> State | None:
-    """The state of a file at a path or URL; None if it does not exist."""
+    """Return the state of a file at a path or URL, or None if it does not exist."""
     try:
         return state_of(cloud_path(place))
     except (FileNotFoundError, NotADirectoryError):
@@ -253,7 +257,7 @@ def state_at(place: str) -> State | None:
 
 
 def states_at(places: Sequence[str]) -> list[State | None]:
-    """`state_at` for many files; requests to servers overlap, as each takes its time."""
+    """Return `state_at` of many files. Requests to servers overlap, since each takes long."""
     if not any(is_url(place) for place in places):
         return [state_at(place) for place in places]
     with ThreadPoolExecutor(ASKED_AT_ONCE) as threads:
@@ -261,12 +265,15 @@ def states_at(places: Sequence[str]) -> list[State | None]:
 
 
 def sizes_at(places: Sequence[str]) -> list[int | None]:
-    """Sizes of many files at paths or URLs, in bytes; None for each that does not exist."""
+    """Return the sizes of many files at paths or URLs, in bytes, None for each that does not exist."""
     return [None if state is None else state.size for state in states_at(places)]
 
 
 def read_bytes(place: str) -> bytes | None:
-    """The content of a small file at a path or URL; None if it does not exist. Raises OSError."""
+    """Return the content of a small file at a path or URL, or None if it does not exist.
+
+    Raise OSError if it cannot be read.
+    """
     try:
         with storage_errors():
             return cloud_path(place).read_bytes()
@@ -275,7 +282,7 @@ def read_bytes(place: str) -> bytes | None:
 
 
 def move_file(place: str, target: str) -> None:
-    """Give a file at a path or URL another name; at a URL it exists twice for a moment. Raises OSError."""
+    """Rename a file at a path or URL. At a URL it exists twice for a moment. Raise OSError if this fails."""
     if not is_url(place):
         Path(target).parent.mkdir(parents=True, exist_ok=True)
         replace_file(place, target)
@@ -286,7 +293,7 @@ def move_file(place: str, target: str) -> None:
 
 
 def put_file(path: Path, url: str) -> None:
-    """Copy a file to a URL, where it appears once it is whole; raises ProcessingError."""
+    """Copy a file to a URL, where it appears once it is complete. Raise ProcessingError if this fails."""
     try:
         with storage_errors():
             system, place = _system(url)
@@ -297,7 +304,7 @@ def put_file(path: Path, url: str) -> None:
 
 @contextmanager
 def folder_for(place: str) -> Iterator[Path]:
-    """Give a folder to write to: the folder itself, or for a URL a temporary one whose files are then copied there."""
+    """Yield a folder to write to: the folder itself, or a temporary folder whose files are then copied to the URL."""
     if not is_url(place):
         yield Path(place)
         return
@@ -308,7 +315,7 @@ def folder_for(place: str) -> Iterator[Path]:
 
 
 def try_write(url: str) -> None:
-    """Write an object and remove it; raises OSError if that fails."""
+    """Write an object and remove it. Raise OSError if this fails."""
     with storage_errors():
         system, place = _system(url)
         system.pipe_file(place, b"tiler")

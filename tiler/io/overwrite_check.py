@@ -1,6 +1,6 @@
-"""Refuses to write over an input, by whatever name the user gives it.
+"""Checks that no output overwrites an input, even if it has another name.
 
-Every command calls `check_targets` with the files that its user names for output, before it writes any of them.
+Every command calls `check_targets` with the output files that the user gives, before it writes any of them.
 """
 
 from __future__ import annotations
@@ -17,16 +17,16 @@ from tiler.io.partial_files import LONGEST_NAME, name_bytes
 
 @dataclass(frozen=True)
 class Target:
-    """A file that a command will write.
+    """File that a command will write.
 
     Attributes
     ----------
     option : str
-        Option with which the user names the file; empty for an argument.
+        Option with which the user gives the file, or empty for an argument.
     path : str or Path
-        Path or URL.
+        Path or URL of the file.
     suffixes : tuple of str
-        Suffixes that the name may have; empty if every suffix is right.
+        Allowed suffixes, or empty if every suffix is allowed.
     """
 
     option: str
@@ -37,7 +37,7 @@ class Target:
 def check_targets(targets: Iterable[Target], reads: Iterable[str | Path]) -> None:
     """Raise ConfigError if a target is a file that the command reads, or its name is too long or has a wrong suffix.
 
-    Files are compared and not names, so that links, hard links and other spellings of a path are recognised.
+    Files are compared, not names, so links, hard links and other spellings of a path are recognised.
 
     Parameters
     ----------
@@ -52,13 +52,13 @@ def check_targets(targets: Iterable[Target], reads: Iterable[str | Path]) -> Non
         named = f"{target.option} {target.path}".strip()
         if target.suffixes and Path(str(target.path)).suffix.lower() not in target.suffixes:
             raise ConfigError(
-                f"{named}: its ending does not match the kind of file; use {target.suffixes[0]}"
+                f"{named}: its suffix does not match the kind of file; use {target.suffixes[0]}"
             )
         check_names(target.option, target.path)
         for identity in _identities(target.path):
             if identity in known:
                 raise ConfigError(
-                    f"{named}: is an input ({known[identity]}); give another output, or give a copy of it"
+                    f"{named}: is an input ({known[identity]}); give another output, or a copy of the input"
                 )
 
 
@@ -69,33 +69,33 @@ def check_names(option: str, place: str | Path) -> None:
     for name in Path(place).parts:
         if name_bytes(name) > LONGEST_NAME:
             raise ConfigError(
-                f"{option} {name[:20]}...: a name of {name_bytes(name)} bytes, {LONGEST_NAME} are possible; "
+                f"{option} {name[:20]}...: its name has {name_bytes(name)} bytes, {LONGEST_NAME} are possible; "
                 "give a shorter name".strip()
             )
 
 
 def check_folder(option: str, folder: str | Path, others: Iterable[str | Path]) -> None:
-    """Raise ConfigError if a folder that a command will fill is, or holds, one of the ``others``.
+    """Raise ConfigError if a folder that a command will write to is, or contains, one of the ``others``.
 
     Parameters
     ----------
     option : str
-        Option with which the user names the folder, or a description of the folder.
+        Option with which the user gives the folder, or a description of the folder.
     folder : str or Path
-        Path or URL.
+        Path or URL of the folder.
     others : iterable of str or Path
-        Paths and URLs that the command reads, or to which it also writes.
+        Paths and URLs that the command reads, or to which it writes as well.
     """
     mine = real_place(folder)
     for other in others:
         theirs = real_place(other)
         if theirs == mine or theirs.startswith(mine.rstrip("/") + "/"):
-            what = "is the same as" if theirs == mine else "holds"
-            raise ConfigError(f"{option} {folder}: {what} {other}; give another place")
+            what = "is the same as" if theirs == mine else "contains"
+            raise ConfigError(f"{option} {folder}: {what} {other}; give another folder")
 
 
 def real_place(place: str | Path) -> str:
-    """A path without links and dots, or a URL without a slash at its end."""
+    """Return a path without links and dots, or a URL without a slash at its end."""
     text = plain_scheme(str(place))
     for scheme in ("file://", "local://"):
         text = text.removeprefix(scheme)
@@ -103,12 +103,12 @@ def real_place(place: str | Path) -> str:
 
 
 def _identities(place: str | Path) -> list[object]:
-    """Values that are equal for all names of the same file."""
+    """Return values that are equal for all names of the same file."""
     found: list[object] = [real_place(place)]
     if not is_url(real_place(place)):
         try:
             status = os.stat(real_place(place))
             found.append((status.st_dev, status.st_ino))
-        except OSError:  # the file does not exist yet
+        except OSError:  # The file does not exist yet.
             pass
     return found

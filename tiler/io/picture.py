@@ -1,4 +1,4 @@
-"""Pictures for people: PNG from arrays."""
+"""PNG pictures from arrays."""
 
 from __future__ import annotations
 
@@ -13,22 +13,23 @@ from tiler.io.geotiff import any_place, raster_errors
 from tiler.io.partial_files import appearing
 
 DEFLATE_LEVEL = 4
-"""Compression level of PNGs. It takes a third of the time of the usual level 6, and files are a few percent larger."""
+"""Compression level of PNGs, with a third of the time of the usual level 6 and files a few percent larger."""
 
 
 def png_bytes(rgba: npt.NDArray[np.uint8]) -> bytes:
-    """Bytes of a PNG of a picture, uint8 of shape (height, width, 4): red, green, blue, opacity."""
+    """Return the bytes of a PNG of a picture, uint8 (height, width, 4): red, green, blue, opacity."""
     return _encoded(np.moveaxis(rgba, -1, 0), None)
 
 
 def palette_png_bytes(values: npt.NDArray[np.uint8], colours: Mapping[int, tuple[int, int, int]]) -> bytes:
-    """Bytes of a PNG with a palette, for a picture of few colours.
+    """Return the bytes of a PNG with a palette, for a picture of few colours.
 
     Parameters
     ----------
     values : uint8, shape (height, width)
-        0 is transparent.
+        Value of each pixel. 0 is transparent.
     colours : mapping of int to (red, green, blue)
+        Colour of each value.
     """
     table = {value: (*colour, 255) for value, colour in colours.items()}
     return _encoded(values[None], {**table, 0: (0, 0, 0, 0)})
@@ -47,6 +48,6 @@ def _encoded(bands: npt.NDArray[np.uint8], colours: Mapping[int, tuple[int, int,
 
 
 def write_png(path: Path, rgba: npt.NDArray[np.uint8]) -> None:
-    """Write a picture as a PNG, which appears when it is whole. Raises ProcessingError."""
+    """Write a picture as a PNG, which appears when it is complete. Raise ProcessingError if this fails."""
     with raster_errors(path), appearing(path) as partial:
         partial.write_bytes(png_bytes(rgba))

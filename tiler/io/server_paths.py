@@ -1,4 +1,4 @@
-"""Paths on servers (FTP, SSH, SMB) that keep host and user in their text, which universal-pathlib leaves out.
+"""Paths on servers (FTP, SSH, SMB) whose text contains host and user, which universal-pathlib leaves out.
 
 This module is imported only if such a URL is used, since universal-pathlib need not be installed.
 """
@@ -19,7 +19,7 @@ from upath.registry import register_implementation
 
 
 def _url(path: Any, text: str) -> str:
-    """The whole URL of a path; a relative path stays as it is."""
+    """Return the complete URL of a path, or a relative path unchanged."""
     options = path.storage_options
     protocol, separator, _ = text.partition("://")
     if not separator or "host" not in options:
@@ -36,10 +36,10 @@ def _url(path: Any, text: str) -> str:
 
 
 class FtpSystem(FTPFileSystem):  # type: ignore[misc]  # fsspec has no types
-    """An FTP server whose connections are closed at a known time.
+    """FTP server whose connections are closed at a known time.
 
-    fsspec leaves a connection that it replaces, and one whose login is refused, to the garbage collector. The collector
-    may also end a socket before the file system that would close it.
+    fsspec leaves a connection that it replaces, and a connection with a refused login, to the garbage collector. The
+    collector may also end a socket before the file system that would close it.
     """
 
     _close: weakref.finalize[Any, FtpSystem] | None = None
@@ -56,7 +56,7 @@ class FtpSystem(FTPFileSystem):  # type: ignore[misc]  # fsspec has no types
 
 
 class OnFtp(FTPPath):
-    """A path on an FTP server."""
+    """Path on an FTP server."""
 
     __slots__ = ()
 
@@ -65,7 +65,7 @@ class OnFtp(FTPPath):
 
 
 class OnSftp(SFTPPath):
-    """A path on an SSH server."""
+    """Path on an SSH server."""
 
     __slots__ = ()
 
@@ -74,7 +74,7 @@ class OnSftp(SFTPPath):
 
 
 class OnSmb(SMBPath):
-    """A path on a Windows share."""
+    """Path on a Windows share."""
 
     __slots__ = ()
 
@@ -90,5 +90,5 @@ for _protocol, _class in _PATHS.items():
 
 
 def server_path(url: str, **login: str) -> Any:
-    """The path of a URL of one of these protocols; user and password are not escaped."""
+    """Return the path of a URL of one of these protocols, with user and password without escapes."""
     return UPath(url, **login)

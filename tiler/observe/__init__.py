@@ -1,1 +1,1 @@
-"""Events of a run, and the listeners that show or keep them."""
+"""Events of a run, and listeners that display or record them."""

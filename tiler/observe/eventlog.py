@@ -1,4 +1,4 @@
-"""Writes ``events.jsonl``: all events of all runs with the same OUT, one JSON object a line."""
+"""Writer of ``events.jsonl``: all events of all runs with the same OUT, one JSON object per line."""
 
 from __future__ import annotations
 
@@ -14,20 +14,20 @@ from tiler.errors import refused_write
 
 
 class EventLog:
-    """A listener that appends each event to a file, and a context manager that closes the file.
+    """Listener that appends each event to a file, and context manager that closes the file.
 
-    Each line is written at once, so that users can follow the file and it holds everything up to a crash. An unfinished
-    line of a killed run is ended before the next line.
+    Each line is written immediately, so that users can follow the file and it contains everything before a crash. An
+    incomplete line of a killed run is ended before the next line.
 
     Parameters
     ----------
     path : Path
-        The file, which is made together with its folder, or continued.
+        Path of the file, which is made together with its folder, or continued.
 
     Raises
     ------
     ProcessingError
-        The file cannot be written, now or later.
+        The file cannot be written, now or during a later call.
     """
 
     def __init__(self, path: Path) -> None:
@@ -35,7 +35,7 @@ class EventLog:
         try:
             path.parent.mkdir(parents=True, exist_ok=True)
             # Without a buffer, closing the file does not repeat a failed write.
-            self._stream = open(path, "a+b", buffering=0)  # noqa: SIM115 - closed by close()
+            self._stream = open(path, "a+b", buffering=0)  # noqa: SIM115 - `close` closes the file.
             if self._stream.tell() > 0:
                 self._stream.seek(-1, 2)
                 if self._stream.read(1) != b"\n":
@@ -55,7 +55,7 @@ class EventLog:
             raise refused_write(str(self._path), error, self._path.parent) from error
 
     def close(self) -> None:
-        """Close the file; a later event would raise ValueError."""
+        """Close the file. A later event would raise ValueError."""
         self._stream.close()
 
     def __enter__(self) -> EventLog:

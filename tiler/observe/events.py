@@ -8,22 +8,33 @@ from typing import Any
 from tiler.redaction import stored
 
 Listener = Callable[[str, dict[str, Any]], None]
-"""Receives the name of an event and its JSON-able fields.
+"""Function that receives the name of an event and its JSON-able fields.
 
-Names and fields: ``note`` (text), ``warning`` (text), ``job_started`` (stages: stage, title and expected seconds of
-each), ``stages_passed_over`` (stages: keys of the stages that the job does not need after all), ``stage_started``
-(stage, title, tasks, points, pixels, done), ``task_done`` (stage, key, points, pixels, seconds, peak_rss_bytes),
-``task_again`` (stage, title, key, error; the task failed and is tried again), ``task_failed`` (the same, and bounds),
-``stage_finished`` (stage, seconds), ``run_finished``. ``stage`` is a key, and ``title`` names the stage in words.
+======================  ==========================================================================
+Event                   Fields
+======================  ==========================================================================
+``note``                text
+``warning``             text
+``job_started``         stages (stage, title and expected seconds of each)
+``stages_passed_over``  stages (keys of the stages that the job does not need after all)
+``stage_started``       stage, title, tasks, points, pixels, done
+``task_done``           stage, key, points, pixels, seconds, peak_rss_bytes
+``task_again``          stage, title, key, error of a task that failed and is retried
+``task_failed``         stage, title, key, error, bounds of a task that failed
+``stage_finished``      stage, seconds
+``run_finished``        seconds
+======================  ==========================================================================
+
+``stage`` is a key, and ``title`` is the name of the stage in words.
 """
 
 
 def silent(event: str, fields: dict[str, Any]) -> None:
-    """A listener that ignores everything."""
+    """Ignore an event."""
 
 
 def combine(*listeners: Listener) -> Listener:
-    """One listener that passes each event to all listeners, in their order."""
+    """Return a listener that passes each event to all listeners, in their order."""
 
     def pass_on(event: str, fields: dict[str, Any]) -> None:
         for listener in listeners:
@@ -33,5 +44,5 @@ def combine(*listeners: Listener) -> Listener:
 
 
 def discreet(listener: Listener) -> Listener:
-    """A listener that passes on events without the passwords and tokens of URLs."""
+    """Return a listener that passes events to another one, without passwords and tokens in URLs."""
     return lambda event, fields: listener(event, stored(fields))

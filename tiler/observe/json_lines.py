@@ -1,4 +1,4 @@
-"""Progress for programs: one JSON object a line, with the same entries in each (docs/progress.md)."""
+"""Progress for programs: one JSON object per line, with the same entries in each (docs/progress.md)."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ from tiler.observe.whole_job import WholeJob
 from tiler.redaction import stored
 
 LEAST_SECONDS = 0.2
-"""Shortest time between two lines without a message, unless a stage begins or ends."""
+"""Minimum time between two lines without a message, unless a stage begins or ends."""
 REPORTED_BY_FILE = "spool"
-"""Failed tasks of this stage are not shown, since a warning names each file once."""
+"""Stage whose failed tasks are not reported, since one warning per file reports them."""
 
 
 class Progress(TypedDict):
-    """Progress of a job: the entries of a line of ``--progress json`` (docs/progress.md)."""
+    """Progress of a job, with the entries of a line of ``--progress json`` (docs/progress.md)."""
 
     stage: str | None
     title: str | None
@@ -33,17 +33,17 @@ class Progress(TypedDict):
 def progress_record(
     message: str | None = None, level: str = "info", job: WholeJob | None = None, now: float = 0.0
 ) -> Progress:
-    """The progress of a job.
+    """Return the progress of a job.
 
     Parameters
     ----------
     message : str, optional
-        Message for the user; None if only numbers have changed.
+        Message for the user, or None if only numbers have changed.
     level : {"info", "warning", "error"}
     job : WholeJob, optional
-        The job; without it, the record has a message only.
+        Progress of the job. Without it, the record has only a message.
     now : float
-        Present time by the clock of the job.
+        Current time by the clock of the job.
     """
     record: dict[str, Any] = dict.fromkeys(("stage", "title", "done", "total", "rate", "progress", "eta"))
     if job is not None:
@@ -62,7 +62,7 @@ def progress_record(
 
 
 def message_of(event: str, fields: dict[str, Any]) -> tuple[str, str] | None:
-    """Text and level of a note, a warning or a failed task; None for other events."""
+    """Return text and level of a note, a warning or a failed task, or None for other events."""
     if event == "note":
         return str(fields["text"]), "info"
     if event == "warning":
@@ -74,7 +74,7 @@ def message_of(event: str, fields: dict[str, Any]) -> tuple[str, str] | None:
 
 
 def json_line(message: str | None = None, level: str = "info") -> str:
-    """A line of ``--progress json`` with a message only; it has no line end."""
+    """Return a line of ``--progress json`` with only a message, without a line end."""
     return json.dumps(progress_record(message, level))
 
 
@@ -83,13 +83,14 @@ def _rounded(value: float | None, digits: int = 1) -> float | None:
 
 
 class ProgressRecords:
-    """A listener that makes a `Progress` for each message, begin and end of a stage, and now and then between them.
+    """Listener that makes a `Progress` for each message, begin and end of a stage, and at intervals between them.
 
     Parameters
     ----------
     tell : callable
-        Receives each `Progress`.
+        Function that receives each `Progress`.
     clock : callable
+        Function that returns the time in seconds.
     """
 
     def __init__(
@@ -110,7 +111,7 @@ class ProgressRecords:
         elif event == "stage_started":
             self._record()
         elif event == "stage_finished" and at_work is not None:
-            ended, self._job.stage = self._job.stage, at_work  # make a last record of that stage
+            ended, self._job.stage = self._job.stage, at_work  # The last record is for the ended stage.
             self._record()
             self._job.stage = ended
         elif event == "task_done" and self._clock() - self._last >= LEAST_SECONDS:
@@ -124,12 +125,13 @@ class ProgressRecords:
 
 
 class JsonLines(ProgressRecords):
-    """A listener that writes each `Progress` as a line of JSON.
+    """Listener that writes each `Progress` as a line of JSON.
 
     Parameters
     ----------
     stream : text stream
     clock : callable
+        Function that returns the time in seconds.
     """
 
     def __init__(self, stream: IO[str], clock: Callable[[], float] = time.monotonic) -> None:

@@ -1,4 +1,4 @@
-"""Sets up logging to stderr, as detailed as -v and -q say."""
+"""Set-up of logging to stderr, with the level of detail of -v and -q."""
 
 from __future__ import annotations
 
@@ -13,17 +13,18 @@ _OWN_LOGGERS = ("tiler", "ptd", "cli")
 
 
 class _StderrHandler(logging.Handler):
-    """Writes to the present `sys.stderr`, which progress bars replace."""
+    """Handler that writes to the current `sys.stderr`, which progress bars replace."""
 
     def emit(self, record: logging.LogRecord) -> None:
         text = self.format(record)
-        if record.name == "py.warnings":  # such a text has several lines, with source code at the end
+        if record.name == "py.warnings":
+            # The text of a Python warning has several lines, with source code at the end.
             text = " ".join(text.split())
         print(shown(text), file=sys.stderr, flush=True)
 
 
 class _JsonHandler(_StderrHandler):
-    """Writes each record as a line of ``--progress json``."""
+    """Handler that writes each record as a line of ``--progress json``."""
 
     def emit(self, record: logging.LogRecord) -> None:
         level = "info"
@@ -36,15 +37,15 @@ class _JsonHandler(_StderrHandler):
 
 
 def set_up_logging(verbosity: int, as_json: bool = False) -> None:
-    """Send the log to stderr; another call replaces the set-up.
+    """Send the log to stderr. Another call replaces the set-up.
 
     Parameters
     ----------
     verbosity : int
-        -1 or less: errors only; 0: warnings, too; 1: decisions and steps of tiler; 2 or more: all details of tiler, and
-        messages of the libraries (from level INFO).
+        Level of detail. -1 or less shows only errors, 0 also warnings, 1 also decisions and steps of tiler, 2 or more
+        also all details of tiler and messages of the libraries (from level INFO).
     as_json : bool
-        Write each message as a line of ``--progress json``.
+        Whether to write each message as a line of ``--progress json``.
     """
     level = _LEVELS.get(max(verbosity, -1), logging.DEBUG)
     handler = _JsonHandler() if as_json else _StderrHandler()

@@ -1,4 +1,4 @@
-"""Progress in a Jupyter notebook: one bar that is drawn again in its place, with the warnings below it."""
+"""Progress in a Jupyter notebook: one bar that is updated in place, with the warnings below it."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from tiler.redaction import shown
 
 
 def in_notebook() -> bool:
-    """Whether this process is the kernel of a notebook. IPython is not imported to find out."""
+    """Return whether this process is the kernel of a notebook, without importing IPython."""
     if "IPython" not in sys.modules:
         return False
     from IPython import get_ipython
@@ -21,25 +21,25 @@ def in_notebook() -> bool:
 
 
 class NotebookBar:
-    """Draws progress records (`tiler.observe.json_lines.ProgressRecords`) in the output of a notebook's cell."""
+    """Bar for progress records (`tiler.observe.json_lines.ProgressRecords`) in the output of a notebook's cell."""
 
     def __init__(self) -> None:
         from IPython import display
 
-        jupyter: Any = display  # without types
+        jupyter: Any = display  # The functions of IPython have no types.
         self._html = jupyter.HTML
         self._warnings: list[str] = []
         self._shown = jupyter.display(self._html(""), display_id=True)
 
     def __call__(self, record: Progress) -> None:
-        """Draw the bar with a new record."""
+        """Update the bar with a new record."""
         if record["level"] == "warning" and record["message"]:
             self._warnings.append(record["message"])
         self._shown.update(self._html(bar_markup(record, self._warnings)))
 
 
 def bar_markup(record: Progress, warnings: list[str]) -> str:
-    """HTML of a bar, of the stage at work with the time that is left, and of warnings.
+    """Return the HTML of a bar, of the running stage with the time left, and of warnings.
 
     Parameters
     ----------

@@ -1,4 +1,4 @@
-"""Shows progress: bars with rate and ETA on a terminal, and a line now and then elsewhere."""
+"""Display of progress: bars with rate and ETA on a terminal, and lines at intervals elsewhere."""
 
 from __future__ import annotations
 
@@ -14,31 +14,31 @@ from tiler.redaction import shown
 
 _LINE_INTERVAL_SECONDS = 15.0
 _LEAST_SECONDS = 1.0
-"""A stage that takes less has no line of its own."""
+"""Duration below which a stage has no line."""
 _START_LINE_SECONDS = 5.0
-"""A stage that takes longer has a line when it begins as well, so that a log shows what is at work."""
+"""Duration from which a stage also has a line about its beginning, so that a log shows the running stage."""
 ALMOST = 0.999
-"""The bar is full when the run is finished."""
+"""Maximum of the bar before the run is finished."""
 TROUBLE = ("warning", "task_failed")
 """Events that are shown even with ``--quiet``."""
 
 
 def rate_text(count: float, seconds: float, unit: str = "points") -> str:
-    """Points, or another unit, per second in short: ``2.1 M points/s``; empty if there is no rate yet."""
+    """Return points, or another unit, per second as short text: ``2.1 M points/s``, empty if there is no rate yet."""
     if count <= 0 or seconds <= 0:
         return ""
     return f"{count_text(count / seconds)} {unit}/s"
 
 
 def stage_rate(stage: StageState, seconds: float) -> str:
-    """The rate of a stage so far: of pixels where it makes some, else of points."""
+    """Return the rate of a stage so far: of pixels if it makes pixels, else of points."""
     if stage.pixels:
         return rate_text(stage.pixels_done, seconds, "pixels")
     return rate_text(stage.points_done, seconds)
 
 
 def count_text(count: float) -> str:
-    """A count in short: ``870``, ``12.3 k``, ``10.7 M``, ``1.2 G``."""
+    """Return a count as short text: ``870``, ``12.3 k``, ``10.7 M``, ``1.2 G``."""
     for factor, letter in ((1e9, "G"), (1e6, "M"), (1e3, "k")):
         if count >= factor:
             return f"{count / factor:.1f} {letter}"
@@ -46,7 +46,7 @@ def count_text(count: float) -> str:
 
 
 def size_text(size: float) -> str:
-    """A number of bytes in short: ``812.0 MiB``."""
+    """Return a number of bytes as short text: ``812.0 MiB``."""
     for factor, unit in ((1 << 30, "GiB"), (1 << 20, "MiB"), (1 << 10, "KiB")):
         if size >= factor:
             return f"{size / factor:.1f} {unit}"
@@ -54,7 +54,7 @@ def size_text(size: float) -> str:
 
 
 def duration_text(seconds: float) -> str:
-    """A duration in short: ``4.2 s``, ``3:25 min``, ``1:02:07 h``."""
+    """Return a duration as short text: ``4.2 s``, ``3:25 min``, ``1:02:07 h``."""
     if seconds < 60:
         return f"{seconds:.1f} s"
     minutes, rest = divmod(round(seconds), 60)
@@ -65,9 +65,9 @@ def duration_text(seconds: float) -> str:
 
 
 class PlainLines:
-    """A listener for logs and CI that writes a line for each stage, and more lines while a long stage is at work.
+    """Listener for logs and CI that writes a line per stage, and more lines during a long stage.
 
-    A stage of less than a second has no line, and one of less than five seconds a single one, so that the log of a
+    A stage of less than a second has no line, and a stage of less than five seconds has one line, so that the log of a
     small run is short.
     """
 
@@ -105,7 +105,7 @@ class PlainLines:
         return ", ".join(filter(None, parts))
 
     def _show(self, stage: StageState) -> None:
-        """Write a line about a stage at work: its beginning once it has taken some seconds, then its progress."""
+        """Write a line about the running stage: its beginning once it has taken some seconds, then its progress."""
         if not self._begun and self._clock() - stage.started >= _START_LINE_SECONDS:
             self._begun = True
             self._write(f"{stage.title}: {start_text(stage)}")
@@ -123,13 +123,13 @@ class PlainLines:
 
 
 def message_text(event: str, fields: dict[str, Any]) -> str | None:
-    """The line for a note, a warning or a failed task; None for other events."""
+    """Return the line for a note, a warning or a failed task, or None for other events."""
     text, level = message_of(event, fields) or (None, "")
     return f"warning: {text}" if level == "warning" else text
 
 
 def start_text(stage: StageState) -> str:
-    """The work that a stage had before it when it began."""
+    """Return text about the work of a stage at its beginning."""
     todo = stage.tasks - stage.before
     text = "1 task" if todo == 1 else f"{todo} tasks"
     if stage.points:
@@ -141,7 +141,7 @@ def start_text(stage: StageState) -> str:
 
 @contextmanager
 def bar_progress(stream: IO[str]) -> Iterator[Listener]:
-    """A listener that draws two bars (rich): the whole job with the time left, and the stage at work."""
+    """Yield a listener that draws two bars (rich): the whole job with the time left, and the running stage."""
     from rich.console import Console
     from rich.progress import BarColumn, Progress, ProgressColumn, TextColumn
     from rich.progress import Task as Bar
@@ -150,7 +150,7 @@ def bar_progress(stream: IO[str]) -> Iterator[Listener]:
     job = WholeJob()
 
     class Figures(ProgressColumn):
-        """The rate of a stage; for the job, or a stage without a job, the time spent and the time left."""
+        """Column with the rate of a stage, and for the job or a stage without a job with the times spent and left."""
 
         def render(self, task: Bar) -> Text:
             parts = [str(task.fields["rate"])]
@@ -162,7 +162,7 @@ def bar_progress(stream: IO[str]) -> Iterator[Listener]:
             return Text(", ".join(filter(None, parts)))
 
     class Grows(ProgressColumn):
-        """Nothing to see: before the bar of the whole job is drawn, it gets as long as it is by now."""
+        """Empty column that updates the length of the bar of the whole job before the bar is drawn."""
 
         max_refresh = None
 
@@ -207,17 +207,17 @@ def bar_progress(stream: IO[str]) -> Iterator[Listener]:
 
 @contextmanager
 def open_progress(stream: IO[str], quiet: bool = False, form: str = "auto") -> Iterator[Listener]:
-    """The listener for a stream: bars on a terminal, lines elsewhere.
+    """Yield the listener for a stream: bars on a terminal, lines elsewhere.
 
     Parameters
     ----------
     stream : text stream
-        Stream to write to: stderr, since results go to stdout.
+        Stream to write to, which is stderr, since results go to stdout.
     quiet : bool
-        Show warnings and failures only.
+        Whether to show only warnings and failures.
     form : {"auto", "plain", "json", "none"}
-        Form of the progress: by the stream, lines of text, a JSON object a line (`tiler.observe.json_lines`), or
-        messages without progress.
+        Form of the progress: depending on the stream, lines of text, one JSON object per line
+        (`tiler.observe.json_lines`), or messages without progress.
     """
     if form == "json":
         lines = JsonLines(stream)

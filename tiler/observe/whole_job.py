@@ -1,4 +1,4 @@
-"""Estimates the progress of a whole job, and the time left, from its events."""
+"""Estimates of the progress of a whole job and of the time left, from its events."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ from dataclasses import dataclass
 from typing import Any
 
 OWN_SHARE = 0.03
-"""Share of the job after which only the pace of this run counts. Before, the expected pace counts as well."""
+"""Share of the job from which only the pace of this run counts. Before, the expected pace counts as well."""
 
 LEAST_LEFT = 0.1
-"""Least share of a stage's remaining time that is shown while one of its tasks takes longer than expected."""
+"""Minimum share of a stage's remaining time that is shown while one of its tasks takes longer than expected."""
 
 
 @dataclass
 class StageState:
-    """Progress of a stage, by points if their number is known, and by tasks if not.
+    """Progress of a stage, measured in points if their number is known, and in tasks if not.
 
     Attributes
     ----------
@@ -28,15 +28,15 @@ class StageState:
     tasks_done : int
         Number of tasks that are done, in this run or before.
     started : float
-        Start by the clock of the listener.
+        Time of the start by the clock of the listener.
     before : int
         Number of tasks that earlier runs did.
     points_done : int
         Number of points that this run did.
     pixels, pixels_done : int
-        Number of pixels that this run makes, and of those that it made.
+        Number of pixels that this run makes, and that it has made so far.
     last_end : float
-        End of the last task, or start of the stage, by the clock of the listener.
+        Time of the end of the last task, or of the start of the stage, by the clock of the listener.
     """
 
     key: str
@@ -53,7 +53,7 @@ class StageState:
 
     @classmethod
     def at_start(cls, fields: dict[str, Any], now: float) -> StageState:
-        """The stage of an event ``stage_started``."""
+        """Return the stage of an event ``stage_started``."""
         done = fields.get("done", 0)
         return cls(
             key=fields["stage"],
@@ -76,12 +76,12 @@ class StageState:
 
     @property
     def spent(self) -> float:
-        """Seconds from the start of the stage to the end of its last task."""
+        """Time from the start of the stage to the end of its last task, in seconds."""
         return self.last_end - self.started
 
     @property
     def fraction(self) -> float:
-        """Done part of this run's work, 0 to 1."""
+        """Share of this run's work that is done, 0 to 1."""
         if self.points > 0:
             return min(self.points_done / self.points, 1.0)
         todo = self.tasks - self.before
@@ -91,13 +91,13 @@ class StageState:
 
     @property
     def todo_share(self) -> float:
-        """Share of the tasks that earlier runs left to this one."""
+        """Share of the tasks that earlier runs did not do."""
         if self.tasks == 0:
             return 0.0
         return 1 - self.before / self.tasks
 
     def rate(self, seconds: float) -> float | None:
-        """Points per second, or tasks if points are not counted; None before the first."""
+        """Return points per second, or tasks if points are not counted, or None before the first."""
         done = self.points_done if self.points else self.tasks_done - self.before
         if not done or seconds <= 0:
             return None
@@ -105,21 +105,22 @@ class StageState:
 
 
 class WholeJob:
-    """A listener that estimates the progress of a job.
+    """Listener that estimates the progress of a job.
 
     The weight of a stage is its expected time in seconds, from the rates of earlier runs. The time left is the expected
-    time, multiplied by the measured over the expected time of the work that is done. Once `OWN_SHARE` of the job is
-    done, only this run decides that factor, since the rates of a busy machine may be wrong by a factor of six. Between
-    the ends of tasks the done part grows with time.
+    time, multiplied by the ratio of measured to expected time of the work that is done. Once `OWN_SHARE` of the job
+    is done, only this run determines that ratio, since the rates of a busy machine may be wrong by a factor of six.
+    Between the ends of tasks the done share grows with time.
 
     Parameters
     ----------
     clock : callable
+        Function that returns the time in seconds.
 
     Attributes
     ----------
     stage : StageState or None
-        The stage at work.
+        Running stage.
     """
 
     def __init__(self, clock: Callable[[], float] = time.monotonic) -> None:
@@ -150,7 +151,7 @@ class WholeJob:
         elif event == "stage_started":
             self.stage = StageState.at_start(fields, self._clock())
             keys = list(self._expected)
-            if self.stage.key in self._expected:  # earlier stages that did not run are not needed
+            if self.stage.key in self._expected:  # Earlier stages that did not run are not needed.
                 self._ended.update(keys[: keys.index(self.stage.key)])
         elif event == "task_done" and self.stage is not None and self.stage.key == fields["stage"]:
             self.stage.count(fields, self._clock())
@@ -162,18 +163,21 @@ class WholeJob:
             self.stage = None
 
     def fraction(self) -> float:
-        """Done part of the job, 0 to 1; it never falls, and it grows with time."""
+        """Return the share of the job that is done, 0 to 1. It never decreases, and it grows with time."""
         now = self._clock()
         left = self.seconds_left()
         passed = now - self._looked
         self._looked = now
-        if left is not None and left > 0:  # the rest of the bar takes the time that is left
+        if left is not None and left > 0:  # The rest of the bar fills in the time left.
             self._furthest += (1 - self._furthest) * passed / (passed + left)
         self._furthest = max(self._furthest, self._done_share())
         return self._furthest
 
     def seconds_left(self) -> float | None:
-        """Time left for the job, or for the stage at work if the job is not known; None without an estimate."""
+        """Return the time left for the job in seconds, or for the running stage if the job is not known.
+
+        The result is None if there is no estimate.
+        """
         stage = self.stage
         if not self.known:
             return None if stage is None else self._own_left(stage)
@@ -186,22 +190,23 @@ class WholeJob:
         return self._pace() * sum(later.values()) + self._stage_left(stage)
 
     def _done_share(self) -> float:
-        """Done part of the job by its finished tasks."""
+        """Return the share of the job that is done, from its finished tasks."""
         total = sum(self._expected.values())
         if not total:
             return 0.0
         done = sum(seconds for key, seconds in self._expected.items() if key in self._ended)
         if self.stage is not None and self.stage.key not in self._ended:
-            stage_share = 1 - self.stage.todo_share * (1 - self.stage.fraction)  # earlier runs included
+            # The share of the stage includes the work of earlier runs.
+            stage_share = 1 - self.stage.todo_share * (1 - self.stage.fraction)
             done += self._expected.get(self.stage.key, 0.0) * stage_share
         return min(done / total, 1.0)
 
     def _expected_of(self, stage: StageState) -> float:
-        """Expected time for this run's part of a stage, in seconds."""
+        """Return the expected time for this run's part of a stage, in seconds."""
         return self._expected.get(stage.key, 0.0) * stage.todo_share
 
     def _pace(self) -> float:
-        """Measured time over expected time."""
+        """Return the ratio of measured to expected time."""
         seconds = self._seen_seconds
         expected = self._seen_expected
         if self.stage is not None and self._expected_of(self.stage) > 0 and self.stage.fraction > 0:
@@ -213,7 +218,7 @@ class WholeJob:
         return own * seconds / expected + (1 - own)
 
     def _stage_left(self, stage: StageState) -> float:
-        """Time left for a stage at work; the more of it is done, the more its own pace counts."""
+        """Return the time left for the running stage. The more of it is done, the more its own pace counts."""
         expected = self._expected_of(stage)
         if expected <= 0:
             return self._own_left(stage) or 0.0
@@ -225,7 +230,10 @@ class WholeJob:
         return max(left - (self._clock() - stage.last_end), LEAST_LEFT * left)
 
     def _own_left(self, stage: StageState) -> float | None:
-        """Time left for a stage without an expected time, by its own pace; None before its first task is done."""
+        """Return the time left for a stage without an expected time, from its own pace.
+
+        The result is None before its first task is done.
+        """
         if stage.fraction <= 0:
             return None
         spent = self._clock() - stage.started

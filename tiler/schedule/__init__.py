@@ -1,4 +1,4 @@
-"""Interchangeable executors of tasks: in this process, or on Dask workers of this machine or of a cluster."""
+"""Interchangeable executors of tasks: in this process, or on Dask workers of this machine or a cluster."""
 
 from __future__ import annotations
 
@@ -57,10 +57,10 @@ __all__ = [
 
 
 def import_dask() -> None:
-    """Import in a thread what `make_executor` needs for workers, while this process waits for something else."""
+    """Import the modules that `make_executor` needs for workers, in a thread while this process waits."""
 
     def work() -> None:
-        # `make_executor` raises an ImportError again; a process that is ending refuses the import with a RuntimeError
+        # `make_executor` raises an ImportError again. A process that is ending refuses imports with a RuntimeError.
         with suppress(ImportError, RuntimeError):
             import_module("tiler.schedule.workers")
 
@@ -72,7 +72,7 @@ def make_executor(
 ) -> Executor:
     """Make an executor in this process, or on Dask workers of this machine or of the cluster at an address.
 
-    A single worker also has a process of its own, so that its crash does not end the run.
+    A single worker also has a separate process, so that its crash does not end the run.
     """
     if in_process:
         return SerialExecutor()

@@ -1,7 +1,7 @@
-"""Runs the tasks of a Dask worker in child processes, see `Guard`.
+"""Child processes for the tasks of a Dask worker (see `Guard`).
 
-A native crash, a hang or too much memory costs only the child and one try of its task, and the cause is known. The Dask
-worker and its other tasks go on.
+A native crash, a hang or too much memory ends only the child and one try of its task, and the cause is known. The Dask
+worker and its other tasks continue.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from tiler.schedule.guard import Died, Guard, NotStartedError
 from tiler.schedule.task import Limits, Outcome, Perform, Task
 
 WORKER_DIED = "WorkerDied"
-"""Kind of error of a task that killed its worker."""
+"""Error kind of a task that killed its worker."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Run:
 
 
 class Children:
-    """The children of a Dask worker: one for each task at work; idle ones are kept for the next task."""
+    """Children of a Dask worker: one per running task. Idle children are kept for the next task."""
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
@@ -53,12 +53,12 @@ class Children:
         try:
             outcome = guard.call(perform, store_url, task, seconds=run.limits.seconds_of(task))
             if outcome.again:
-                guard.close()  # the next try gets a new process
+                guard.close()  # The next try gets a new process.
         except NotStartedError as error:
             outcome = Outcome(task, None, f"its process {error}", "MemoryError", again=True)
         except Died as died:
             outcome = Outcome(task, None, str(died), WORKER_DIED, again=True)
-        except Exception as error:  # noqa: BLE001 - the task, or its outcome, could not be sent
+        except Exception as error:  # noqa: BLE001 - The task, or its outcome, could not be sent.
             kind = type(error).__name__
             outcome = Outcome(task, None, f"{kind}: {error}", kind, again=True)
         finally:
@@ -66,7 +66,7 @@ class Children:
         return outcome
 
     def call(self, run: Run, function: Callable[..., Any], *arguments: Any) -> Any:
-        """The result of ``function(*arguments)`` in a child; raises the exception of the function, or `Died`."""
+        """Return the result of ``function(*arguments)`` in a child. Raise the exception of the function, or `Died`."""
         guard = self._take(run)
         try:
             return guard.call(function, *arguments, seconds=run.limits.seconds)
@@ -74,7 +74,7 @@ class Children:
             self._give_back(guard)
 
     def end(self, token: str) -> None:
-        """End the children that work for one executor, and all idle ones; later tasks of the executor end at once."""
+        """End the children that work for one executor, and all idle ones. Its later tasks end immediately."""
         with self._lock:
             self._ended.add(token)
             for guard, owner in self._busy.items():
@@ -85,7 +85,7 @@ class Children:
             guard.close()
 
     def _take(self, run: Run) -> Guard:
-        """An idle child with the same limit, or a new one."""
+        """Return an idle child with the same memory limit, or a new one."""
         with self._lock:
             others, self._idle = self._idle, []
             guard = Guard(run.limits.memory_bytes, run.limits.prepare)
@@ -97,7 +97,7 @@ class Children:
                 other.close()
             self._busy[guard] = run.token
             if run.token in self._ended:
-                guard.kill()  # a task of an executor that has ended
+                guard.kill()  # The executor of the task has ended.
             return guard
 
     def _give_back(self, guard: Guard) -> None:
@@ -110,28 +110,28 @@ class Children:
 
 
 def perform_in_child(run: Run, perform: Perform, store_url: str, task: Task) -> Outcome:
-    """`Children.perform` on a Dask worker."""
+    """Call `Children.perform` on a Dask worker."""
     return _children(distributed.get_worker()).perform(run, perform, store_url, task)
 
 
 async def call_in_child(
     run: Run, function: Callable[..., Any], *arguments: Any, dask_worker: distributed.Worker
 ) -> Any:
-    """`Children.call` on a Dask worker, beside its tasks; Dask fills in the worker."""
+    """Call `Children.call` on a Dask worker, in parallel with its tasks. Dask passes the worker."""
     return await asyncio.to_thread(_children(dask_worker).call, run, function, *arguments)
 
 
 def machine_of(dask_worker: distributed.Worker) -> tuple[str, int, int]:
-    """Name and memory (bytes) of a Dask worker's machine, and the worker's threads; Dask fills in the worker."""
+    """Return name and memory (bytes) of a Dask worker's machine, and the worker's threads. Dask passes the worker."""
     return socket.gethostname(), MEMORY_LIMIT, dask_worker.state.nthreads
 
 
 def end_children(token: str, dask_worker: distributed.Worker) -> None:
-    """`Children.end` on a Dask worker; Dask fills in the worker."""
+    """Call `Children.end` on a Dask worker. Dask passes the worker."""
     _children(dask_worker).end(token)
 
 
 def _children(worker: distributed.Worker) -> Children:
-    # They are kept with the worker, as a process can have several workers.
+    # The children are an attribute of the worker, since a process can have several workers.
     found: Children = vars(worker).setdefault("tiler_children", Children())
     return found

@@ -1,4 +1,4 @@
-"""Checks the workers of a cluster before the first task: their versions, and access to inputs, store and OUT."""
+"""Checks of the workers of a cluster before the first task: versions, and access to inputs, store and OUT."""
 
 from __future__ import annotations
 
@@ -29,20 +29,20 @@ LIBRARIES = (
     "contourpy",
     "distributed",
 )
-"""Libraries whose versions must be equal, as they change the bytes of results or the messages to workers."""
+"""Libraries whose versions must be equal, since they change the bytes of results or the messages to workers."""
 
 LOOKED_AT = 20
 """Approximate number of inputs that each worker checks: the first, the last, and some between them."""
 
 
 def versions() -> dict[str, str]:
-    """Versions of tiler, Python and `LIBRARIES` in this process."""
+    """Return the versions of tiler, Python and `LIBRARIES` in this process."""
     python = ".".join(platform.python_version_tuple()[:2])
     return {"tiler": __version__, "Python": python, **{name: version(name) for name in LIBRARIES}}
 
 
 class Access:
-    """Checks the workers of a cluster; an instance is a `tiler.schedule.Look`.
+    """Check of the workers of a cluster. An instance is a `tiler.schedule.Look`.
 
     Parameters
     ----------
@@ -51,16 +51,16 @@ class Access:
     sources : sequence of (str, State)
         Path or URL of each input, and its state in the plan.
     store_url : str or None
-        URL of the store; None if it is not known yet.
+        URL of the store, or None if it is not known yet.
     products : str or None
-        Folder or URL of the files that the run writes; None if it is not known yet.
+        Folder or URL of the files that the run writes, or None if it is not known yet.
     store_there : bool
-        Whether there is a store; if not, its future place is checked.
+        Whether there is a store. If not, its future location is checked.
 
     Attributes
     ----------
     out_seen : bool
-        Whether all workers so far can write into OUT.
+        Whether all workers checked so far can write to OUT.
     """
 
     def __init__(
@@ -96,13 +96,13 @@ class Access:
         if self._products is not None and is_url(self._products):
             for reason in self._asked(ask, worker, unwritable, self._products):
                 self._refuse(
-                    worker, f"cannot write into {self._products} ({reason}); {_remedy(self._products, '-o')}"
+                    worker, f"cannot write to {self._products} ({reason}); {_remedy(self._products, '-o')}"
                 )
         elif self._products is not None:
             self.out_seen &= self._seen(ask, worker, self._products)
 
     def refuse_small(self, machines: Iterable[Machine], need_bytes: int) -> None:
-        """Raise ConfigError for a machine whose memory is too small for so many tasks at a time."""
+        """Raise ConfigError for a machine with too little memory for a task per thread, ``need_bytes`` each."""
         for machine in machines:
             if machine.threads * need_bytes > machine.memory_bytes:
                 raise ConfigError(
@@ -112,17 +112,17 @@ class Access:
                 )
 
     def _store_trouble(self, ask: Callable[..., Any], worker: str, url: str) -> list[str]:
-        """Reasons why a worker cannot use the store or its future place; empty if it can."""
+        """Return the reasons why a worker cannot use the store or its future location, or an empty list if it can."""
         if self._store_there:
             return list(self._asked(ask, worker, unusable, url))
         if is_url(url):
             return list(self._asked(ask, worker, unwritable, url))
         if self._seen(ask, worker, url):
             return []
-        return ["it does not see that folder, or cannot write there"]
+        return ["it cannot access that folder, or cannot write there"]
 
     def _seen(self, ask: Callable[..., Any], worker: str, folder: str) -> bool:
-        """Whether a worker can write into a folder of the client, or into its nearest parent that exists."""
+        """Return whether a worker can write to a folder of the client, or to its nearest existing parent."""
         place = Path(folder).absolute()
         token = next(p for p in (place, *place.parents) if p.is_dir()) / f".tiler-{uuid.uuid4().hex}.partial"
         try:
@@ -141,10 +141,8 @@ class Access:
         except ConnectionLostError:
             raise
         except Exception as error:
-            text = (
-                f"cannot do as tiler {__version__} asks ({type(error).__name__}: {error}); install it there, "
-            )
-            raise self._refusal(worker, text + "with the libraries that are here") from error
+            text = f"cannot run functions of tiler {__version__} ({type(error).__name__}: {error}); install it there, "
+            raise self._refusal(worker, text + "with the same versions of libraries as here") from error
 
     def _refuse(self, worker: str, what: str) -> None:
         raise self._refusal(worker, what)
@@ -156,11 +154,11 @@ class Access:
 def _remedy(place: str, what: str) -> str:
     if is_url(place):
         return "check the URL and the credentials of the workers"
-    return f"{what} by URL (s3://...), or on a disk that all machines share"
+    return f"give {what} by URL (s3://...), or on a disk that all machines share"
 
 
 def unreadable(sources: Sequence[tuple[str, State]]) -> list[tuple[str, str]]:
-    """The first input that this worker cannot read, and why; empty if it can read all."""
+    """Return the first input that this worker cannot read, and the reason, or an empty list if it can read all."""
     for place, state in sources:
         try:
             found = state_of(cloud_path(place))
@@ -170,22 +168,22 @@ def unreadable(sources: Sequence[tuple[str, State]]) -> list[tuple[str, str]]:
             return [(place, f"{found.size:,} bytes there, {state.size:,} here")]
         if found != state:
             return [
-                (place, "the same size, but another time of change: copies keep it with cp -p or rsync -t")
+                (place, "the same size, but another modification time: cp -p or rsync -t keep it in copies")
             ]
     return []
 
 
 def unusable(store_url: str) -> list[str]:
-    """The reason why this worker cannot read or write the store; empty if it can."""
+    """Return the reason why this worker cannot read or write the store, or an empty list if it can."""
     try:
         open_store(store_url).try_write(uuid.uuid4().hex)
-    except Exception as error:  # noqa: BLE001 - libraries of object stores have exceptions of their own
+    except Exception as error:  # noqa: BLE001 - Libraries of object stores have their own exceptions.
         return [str(error)]
     return []
 
 
 def unwritable(url: str) -> list[str]:
-    """The reason why this worker cannot write at a URL; empty if it can."""
+    """Return the reason why this worker cannot write at a URL, or an empty list if it can."""
     try:
         try_write(joined(url, f".tiler-{uuid.uuid4().hex}"))
     except OSError as error:
@@ -194,7 +192,7 @@ def unwritable(url: str) -> list[str]:
 
 
 def sees(token: str) -> bool:
-    """Whether this worker sees a file of the client, and can write into its folder."""
+    """Return whether this worker can access a file of the client and write to its folder."""
     mine = Path(f"{token}.worker.partial")
     try:
         if not Path(token).exists():

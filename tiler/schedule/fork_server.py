@@ -1,8 +1,8 @@
-"""A server process that starts the children of `Guard` as forks, and imports what they need before it forks.
+"""Server process that starts the children of `Guard` as forks, and imports the modules they need before it forks.
 
-Imports take a second and more; the server does them once for all children. It ends with the last child, or with the
-last `kept_forking`. It has a single thread, since other threads would be lost in a fork. Only Linux forks safely with
-all libraries; on other systems each child starts by itself.
+Imports take a second or more, and the server does them once for all children. It ends with the last child, or with
+the last `kept_forking`. It has a single thread, since other threads would be lost in a fork. Only Linux forks safely
+with all libraries. On other systems each child starts without the server.
 """
 
 from __future__ import annotations
@@ -28,41 +28,42 @@ FORKS = sys.platform == "linux" and hasattr(os, "fork") and hasattr(socket, "sen
 """Whether children are forks of a server on this system, which start in milliseconds."""
 
 SERVES = "fork"
-"""Argument with which `tiler.schedule.guarded` is the server."""
+"""Argument that makes `tiler.schedule.guarded` the server."""
 
 _SET_BY_LIBRARIES = "_CURL_CA_BUNDLE"
-"""End of the names of variables that rasterio and pyproj set when they are imported."""
+"""Suffix of the environment variables that rasterio and pyproj set when they are imported."""
 
 _SIZE = 8
-"""Bytes of the length of a request."""
+"""Size of the length of a request, in bytes."""
 _CODE = 8
-"""Bytes of an exit code."""
+"""Size of an exit code, in bytes."""
 
 NOT_STARTED = 1 << 16
-"""Stands for the exit code of a child that could not start for want of memory or processes."""
+"""Value in place of the exit code of a child that could not start because memory or processes ran out."""
 
 _GARBAGE_OBJECTS = 100_000
-"""Threshold of the garbage collector. With the default of 700, it takes a tenth of the time of imports."""
+"""Threshold of the garbage collector. With the default of 700, collection takes a tenth of the import time."""
 
 _ONE_THREAD = "OPENBLAS_NUM_THREADS"
-"""Without this variable, numpy's library for linear algebra starts a busy thread for each core when it is loaded."""
+"""Variable without which numpy's library for linear algebra starts a busy thread per core when it is loaded."""
 
 
 def child_environment() -> dict[str, str]:
-    """Environment of a child, with the import path of this process and one thread for linear algebra."""
+    """Return the environment of a child, with the import path of this process and one thread for linear algebra."""
     return {_ONE_THREAD: "1", **os.environ, "PYTHONPATH": os.pathsep.join(trusted_path())}
 
 
 _Child = tuple[int | None, bytes, bytes]
-"""Memory, first call, and preparation of a requested child."""
+"""Memory limit in bytes, first call, and preparation of a requested child."""
 
 
 class ForkedChild:
-    """A child of the server, with the methods of `subprocess.Popen` that `Guard` uses.
+    """Child of the server, with the methods of `subprocess.Popen` that `Guard` uses.
 
     Attributes
     ----------
     stdin, stdout : binary file
+        Pipes to and from the child.
     """
 
     def __init__(self, server: _Server, stdin: IO[bytes], stdout: IO[bytes], line: socket.socket) -> None:
@@ -72,19 +73,22 @@ class ForkedChild:
         self._line = line
 
     def kill(self) -> None:
-        """Let the server kill the child, as only the server knows that the process number is still the child's."""
-        with suppress(OSError):  # the child has ended
+        """Let the server kill the child, since only the server can be sure that the process ID is still the child's."""
+        with suppress(OSError):  # The child may have ended.
             self._line.shutdown(socket.SHUT_WR)
 
     def leave(self) -> None:
         """Let the server kill the child, and do not wait for it, since the server may be importing."""
         for end in (self._line, self.stdin, self.stdout):
-            with suppress(OSError):  # buffered data cannot be written any more
+            with suppress(OSError):  # Buffered data cannot be written any more.
                 end.close()
         _used(self._server, -1)
 
     def wait(self, timeout: float | None = None) -> int:
-        """Wait for the end of the child, and return its exit code; raises `subprocess.TimeoutExpired`."""
+        """Wait for the end of the child, and return its exit code.
+
+        Raise `subprocess.TimeoutExpired` if the child does not end within ``timeout`` seconds.
+        """
         self._line.settimeout(timeout)
         try:
             code = self._line.recv(_CODE)
@@ -95,12 +99,12 @@ class ForkedChild:
         self._line.close()
         _used(self._server, -1)
         if not code:
-            return -signal.SIGKILL  # the server was killed, and with it its children
+            return -signal.SIGKILL  # The server was killed, and its children with it.
         return int.from_bytes(code, "little", signed=True)
 
 
 class _Server:
-    """The server, as its client sees it; ``uses`` counts its children."""
+    """Client side of the server. ``uses`` is the number of its children."""
 
     def __init__(self, setting: tuple[Any, ...]) -> None:
         self.setting = setting
@@ -116,11 +120,11 @@ class _Server:
             )
 
     def prepare(self, names: Sequence[str]) -> None:
-        """See `prepare_children`; raises OSError if the server is gone."""
+        """Send names of functions to call (see `prepare_children`). Raise OSError if the server has ended."""
         self._ask(names, [])
 
     def fork(self, memory_bytes: int | None, call: bytes, prepare: Callable[[], None] | None) -> ForkedChild:
-        """Request a child; raises OSError if the server is gone."""
+        """Request a child. Raise OSError if the server has ended."""
         calls, stdin = os.pipe()
         stdout, answers = os.pipe()
         line, theirs = socket.socketpair()
@@ -155,12 +159,15 @@ _kept = 0
 
 
 def fork_child(memory_bytes: int | None, call: bytes, prepare: Callable[[], None] | None) -> ForkedChild:
-    """Fork a child that may allocate ``memory_bytes``; the server imports what ``call`` needs and calls ``prepare``."""
+    """Fork a child that may allocate ``memory_bytes``.
+
+    Before, the server imports the modules that ``call`` needs and calls ``prepare``.
+    """
     with _lock:
         server = _current()
         try:
             child = server.fork(memory_bytes, call, prepare)
-        except OSError:  # the server died just now
+        except OSError:  # The server has just died.
             server = _current(anew=True)
             child = server.fork(memory_bytes, call, prepare)
         _used(server, 1)
@@ -168,10 +175,13 @@ def fork_child(memory_bytes: int | None, call: bytes, prepare: Callable[[], None
 
 
 def _current(anew: bool = False) -> _Server:
-    """The server for the present environment and folder; a new one if the old one has others, or is dead."""
+    """Return the server for the current environment and folder.
+
+    It is a new one if the old one has ended or has another environment or folder.
+    """
     global _server
     environment = {n: value for n, value in os.environ.items() if not n.endswith(_SET_BY_LIBRARIES)}
-    # The import path is no part of it: on a cluster Dask adds folders, from which no child imports.
+    # The setting is without the import path: on a cluster Dask adds folders, from which children do not import.
     setting = (environment, _folder())
     old = _server
     if old is not None and (anew or old.setting != setting or old.process.poll() is not None):
@@ -183,7 +193,7 @@ def _current(anew: bool = False) -> _Server:
 
 @contextmanager
 def kept_forking() -> Iterator[None]:
-    """Keep the server until the end of the block, so that children that follow one another share its imports."""
+    """Keep the server until the end of the block, so that consecutive children share its imports."""
     _keep(1)
     try:
         yield
@@ -192,12 +202,14 @@ def kept_forking() -> Iterator[None]:
 
 
 def prepare_children(*steps: Callable[[], object]) -> None:
-    """Let the server do what children will need, such as imports, in the background; call it within `kept_forking`.
+    """Let the server call functions that prepare children, such as imports, in the background.
+
+    Call this within `kept_forking`.
 
     Parameters
     ----------
     *steps : callable
-        Functions of modules, called in this order; between two of them the server forks children that are requested.
+        Functions of modules, called in this order. Between two of them the server forks requested children.
     """
     if FORKS:
         names = [f"{step.__module__}:{step.__qualname__}" for step in steps]
@@ -228,13 +240,13 @@ def _used(server: _Server, change: int) -> None:
 def _folder() -> str:
     try:
         return os.getcwd()
-    except FileNotFoundError:  # the folder was removed
+    except FileNotFoundError:  # The folder was removed.
         return ""
 
 
 def serve(door: socket.socket, answer_calls: Callable[[int | None], None]) -> None:
-    """Run the server: fork the children that are requested, kill those that are given up, report how each ended."""
-    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches every process; the client handles it
+    """Run the server: fork requested children, kill abandoned children, and report the exit code of each."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches every process, and the client handles it.
     ended, wake = socket.socketpair()
     wake.setblocking(False)
     signal.set_wakeup_fd(wake.fileno())
@@ -253,7 +265,7 @@ def serve(door: socket.socket, answer_calls: Callable[[int | None], None]) -> No
         for source in [key.fileobj for key, _ in events]:
             if source is ended:
                 ended.recv(4096)
-            elif source is not door:  # the user of this child has given it up, or is gone
+            elif source is not door:  # The user of this child has abandoned it or has ended.
                 selector.unregister(source)
                 os.kill(lines[source], signal.SIGKILL)  # type: ignore[index]
             elif (request := _request(door)) is None:
@@ -286,7 +298,7 @@ def serve(door: socket.socket, answer_calls: Callable[[int | None], None]) -> No
             ended_pid, status = os.waitpid(pid, os.WNOHANG)
             if ended_pid:
                 _report(line, os.waitstatus_to_exitcode(status))
-                with suppress(KeyError):  # the child was killed
+                with suppress(KeyError):  # The line of a killed child is unregistered already.
                     selector.unregister(line)
                 line.close()
                 del lines[line]
@@ -302,12 +314,15 @@ def _refuse(calls: int, answers: int, line: socket.socket) -> None:
 
 
 def _report(line: socket.socket, code: int) -> None:
-    with suppress(OSError):  # no process waits for the code
+    with suppress(OSError):  # The process that waited for the code may have ended.
         line.send(code.to_bytes(_CODE, "little", signed=True))
 
 
 def _request(door: socket.socket) -> tuple[Any, list[int]] | None:
-    """A requested child with its pipes and line, or names of functions without files; None if the client has ended."""
+    """Return a requested child with its pipes and line, or names of functions without files.
+
+    The result is None if the client has ended.
+    """
     size, files, _, _ = socket.recv_fds(door, _SIZE, 3)
     if len(size) < _SIZE:
         return None
@@ -318,31 +333,32 @@ def _request(door: socket.socket) -> tuple[Any, list[int]] | None:
         if not part:
             return None
         request += part
-    return pickle.loads(request), files  # the process that started this one wrote the pickle
+    return pickle.loads(request), files  # The pickle is from the process that started this one.
 
 
 def _prepare(name: str) -> None:
-    with suppress(BaseException):  # a child that needs it raises the error again
+    with suppress(BaseException):  # A child that needs the function raises the error again.
         resolve_name(name)()
 
 
 def _import(call: bytes, prepare: bytes) -> None:
-    """Import what the first call of a child needs, and call its preparation, so that all children share both."""
-    with suppress(BaseException):  # the child raises the error again
+    """Import the modules of a child's first call and call its preparation, so that all children share both."""
+    with suppress(BaseException):  # The child raises the error again.
         pickle.loads(call)
         preparation = pickle.loads(prepare)
         if preparation is not None:
             preparation()
-    gc.freeze()  # the collector then does not write to shared memory
+    gc.freeze()  # The collector then does not write to shared memory.
 
 
 def _become_child(calls: int, answers: int) -> None:
-    """Set up a child just forked: its pipes, no signal handlers of the server, and its death with the server."""
+    """Set up a forked child: its pipes, its signal handlers, and its death together with the server."""
     import ctypes
 
     signal.set_wakeup_fd(-1)
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
-    ctypes.CDLL(None).prctl(1, signal.SIGKILL)  # PR_SET_PDEATHSIG: no other process could end it
+    # 1 is PR_SET_PDEATHSIG. No other process could end the child if the server died.
+    ctypes.CDLL(None).prctl(1, signal.SIGKILL)
     os.dup2(calls, 0)
     os.dup2(answers, 1)
     os.close(calls)

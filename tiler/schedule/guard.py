@@ -1,7 +1,7 @@
-"""Calls functions that may crash, hang or eat memory in a child process, which is replaced when it dies.
+"""Calls in a child process of functions that may crash, hang or exhaust memory. A dead child is replaced.
 
-The child is a plain process with a pipe and not one of `multiprocessing`: it does not import the main module of the
-caller again and inherits no threads, and its exit code shows what killed it.
+The child is a plain process with a pipe and not a process of `multiprocessing`. It does not import the main module of
+the caller again and does not inherit threads, and its exit code shows the cause of its death.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from tiler.schedule.fork_server import FORKS, NOT_STARTED, ForkedChild, child_en
 
 try:
     import resource
-except ImportError:  # Windows
+except ImportError:  # Windows does not have this module.
     _resource: Any = None
 else:
     _resource = resource
@@ -33,26 +33,30 @@ _Child: TypeAlias = "subprocess.Popen[bytes] | ForkedChild"
 MEMORY_BYTES = 1 << 30
 
 SIZE = struct.Struct("<Q")
-"""Length of a call, which is sent before it, so that the thread that reads calls need not unpickle (and import)."""
+"""Format of the length of a call, which is sent before the call.
+
+With the length, the thread that reads calls need not unpickle them, which would import modules."""
 
 
 class Died(TilerError):
-    """The child died during a call, or had to be ended; the message is a predicate: "crashed (SIGSEGV)"."""
+    """The child died during a call, or had to be ended. The message is a predicate: "crashed (SIGSEGV)"."""
 
 
 class NotStartedError(Died):
-    """There was no memory or no process for a child; the call is not to blame."""
+    """There was no memory or no process for a child. The call is not the cause."""
 
 
 class Guard:
-    """A child process for calls. The first call starts it, and `close` ends it. A context manager.
+    """Child process for calls. The first call starts it, and `close` ends it.
+
+    The class is a context manager.
 
     Parameters
     ----------
     memory_bytes : int or None
-        Memory that the child may allocate, if the system can limit it (`limits_memory`); None for no limit.
+        Memory that the child may allocate, if the system can limit it (`limits_memory`), or None for no limit.
     prepare : callable, optional
-        A function of a module that the server of forks calls once, before it forks the children.
+        Function of a module that the server of forks calls once, before it forks the children.
     """
 
     def __init__(
@@ -74,27 +78,27 @@ class Guard:
         self.close()
 
     def call(self, function: Callable[..., Result], *arguments: Any, seconds: float) -> Result:
-        """The result of ``function(*arguments)`` in the child; one call at a time.
+        """Return the result of ``function(*arguments)`` in the child. There can be one call at a time.
 
         Parameters
         ----------
         function : callable
-            A function of a module, since it is pickled by name; arguments and result are pickled, too.
+            Function of a module, since it is pickled by name. Arguments and result are pickled, too.
         seconds : float
-            Time after which the child counts as hung, and ends.
+            Time after which the child counts as hung and ends.
 
         Raises
         ------
         Died
             The child crashed, hung, ran out of memory, or was ended by `kill`. The next call gets a new child.
         Exception
-            The exception that the function raised.
+            Exception that the function raised.
         """
         try:
             self._ask(function, arguments, seconds)
             return self._answer()  # type: ignore[no-any-return]  # pickle has no types
         except KeyboardInterrupt:
-            self.close()  # the child still works on this call; the next call must not get its answer
+            self.close()  # The child still works on this call, and the next call must not get its answer.
             raise
 
     def _ask(self, function: Callable[..., Any], arguments: tuple[Any, ...], seconds: float) -> None:
@@ -102,20 +106,19 @@ class Guard:
         if self._child is None:
             self._child = _child(self.memory_bytes, call, self.prepare)
         if self.killed:
-            self._child.kill()  # `kill` was called before there was a child
+            self._child.kill()  # `kill` was called before there was a child.
         self._began = time.monotonic()
         self._seconds = seconds
         try:
             _pipe(self._child.stdin).write(SIZE.pack(len(call)) + call)
             _pipe(self._child.stdin).flush()
         except OSError:
-            return  # the child died while it waited; `_answer` raises it
+            return  # The child died while it waited, and `_answer` raises the error.
 
     def _answer(self) -> Any:
-        """Wait for the result of the call."""
-        assert self._child is not None  # `_ask` has started it
+        assert self._child is not None  # `_ask` has started the child.
         try:
-            fine, result = pickle.load(_pipe(self._child.stdout))  # our own child wrote it
+            fine, result = pickle.load(_pipe(self._child.stdout))  # The pickle is from the own child.
         except (EOFError, OSError, pickle.UnpicklingError):
             late = time.monotonic() - self._began >= self._seconds
             code = self._end()
@@ -129,7 +132,7 @@ class Guard:
         raise result
 
     def kill(self) -> None:
-        """End the child for good; may be called from another thread during a call, which then raises `Died`."""
+        """End the child permanently. Another thread may call this during a call, which then raises `Died`."""
         self.killed = True
         child = self._child
         if child is not None:
@@ -142,7 +145,7 @@ class Guard:
             self._end()
 
     def leave(self) -> None:
-        """End the child like `close`, but do not wait for it; only for a child that writes nothing."""
+        """End the child like `close`, but do not wait for its end. The child must not write anything."""
         child = self._child
         if isinstance(child, ForkedChild):
             self._child = None
@@ -153,8 +156,8 @@ class Guard:
     def _end(self) -> int:
         """Wait for the end of a child, and return its exit code."""
         child, self._child = self._child, None
-        assert child is not None  # callers check that
-        with suppress(OSError):  # buffered data cannot be written any more
+        assert child is not None  # Callers check this.
+        with suppress(OSError):  # Buffered data cannot be written any more.
             _pipe(child.stdin).close()
         _pipe(child.stdout).close()
         try:
@@ -165,9 +168,9 @@ class Guard:
 
 
 def _child(memory_bytes: int | None, call: bytes, prepare: Callable[[], None] | None) -> _Child:
-    """Start a child with the import path of this process, and never the current folder (``-P``)."""
+    """Start a child with the import path of this process and without the current folder (``-P``)."""
     if not sys.executable:
-        raise ConfigError("no workers can start: Python does not know its own program (sys.executable)")
+        raise ConfigError("workers cannot start: sys.executable is empty; start tiler with a Python program")
     if FORKS:
         return fork_child(memory_bytes, call, prepare)
     limit = [] if memory_bytes is None else [str(memory_bytes)]
@@ -187,12 +190,12 @@ def _pipe(stream: IO[bytes] | None) -> IO[bytes]:
 
 
 def limits_memory() -> bool:
-    """Whether `limit_memory` works on this system: only Linux counts all that a process allocates."""
+    """Return whether `limit_memory` works on this system. Only Linux counts all memory that a process allocates."""
     return _resource is not None and sys.platform == "linux"
 
 
 def limit_memory(size_bytes: int) -> None:
-    """Limit the memory of this process, if `limits_memory`; an allocation beyond the limit then fails at once."""
+    """Limit the memory of this process, if `limits_memory`. An allocation beyond the limit then fails immediately."""
     if limits_memory():
         _, hard = _resource.getrlimit(_resource.RLIMIT_DATA)
         size = size_bytes if hard == _resource.RLIM_INFINITY else min(size_bytes, hard)
@@ -200,13 +203,13 @@ def limit_memory(size_bytes: int) -> None:
 
 
 def _fate(code: int, late: bool, seconds: float) -> str:
-    """The end of a child by its exit code, as a predicate for messages."""
+    """Return the end of a child by its exit code, as a predicate for messages."""
     if (hasattr(signal, "SIGALRM") and code == -signal.SIGALRM) or (code == 1 and late):
         return f"did not end within {seconds:g} s"
     if code == NOT_STARTED:
         return "could not start: the system has no memory left, or allows no more processes"
     if code < 0 and signal.Signals(-code).name == "SIGKILL":
-        return "was killed (SIGKILL), as a system does that runs out of memory"
+        return "was killed (SIGKILL), probably because memory ran out"
     if code < 0:
         return f"crashed ({signal.Signals(-code).name})"
     return f"crashed (exit code {code})"

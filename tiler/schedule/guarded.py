@@ -1,4 +1,4 @@
-"""The program of a child of `Guard`, which answers calls from its standard input, or of the server of forks."""
+"""Program of a child of `Guard`, which answers calls from its standard input, or of the server of forks."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tiler.schedule.guard import SIZE, limit_memory
 
 
 def answer_calls(memory_bytes: int | None) -> NoReturn:
-    """Answer calls, one after another, until the pipe ends; ``memory_bytes`` limits the memory."""
+    """Answer calls, one after another, until the pipe ends. ``memory_bytes`` limits the memory."""
     # Ctrl-C reaches every process, but only the end of the pipe ends this one.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     if memory_bytes is not None:
@@ -29,11 +29,11 @@ def answer_calls(memory_bytes: int | None) -> NoReturn:
     threading.Thread(target=_listen, args=(calls, asked), daemon=True).start()
     while True:
         try:
-            # The process that started this one wrote the pickle.
+            # The pickle is from the process that started this one.
             function, arguments, seconds = pickle.loads(asked.get())
             _end_after(seconds)
             answer = (True, function(*arguments))
-        except BaseException as error:  # noqa: BLE001 - the panic of a decoder is no Exception
+        except BaseException as error:  # noqa: BLE001 - The panic of a decoder is not an Exception.
             answer = (False, _portable(error))
         _end_after(0.0)
         pickle.dump(answer, answers)
@@ -41,8 +41,11 @@ def answer_calls(memory_bytes: int | None) -> NoReturn:
 
 
 def _end_after(seconds: float) -> None:
-    """End this process after some seconds, even if it hangs in a library and holds Python's lock; never for 0."""
-    if hasattr(signal, "setitimer"):  # the system ends the process, which need not run any code for it
+    """End this process after some seconds, even if it hangs in a library and holds Python's lock.
+
+    A time of 0 cancels this.
+    """
+    if hasattr(signal, "setitimer"):  # The system ends the process without running its code.
         signal.signal(signal.SIGALRM, signal.SIG_DFL)
         signal.setitimer(signal.ITIMER_REAL, seconds)
     elif seconds > 0:
@@ -52,7 +55,7 @@ def _end_after(seconds: float) -> None:
 
 
 def _listen(calls: BinaryIO, asked: queue.SimpleQueue[bytes]) -> None:
-    """Read calls into the queue; the end of the pipe ends this process, even during a call."""
+    """Read calls into the queue. The end of the pipe ends this process, even during a call."""
     while True:
         size = calls.read(SIZE.size)
         if len(size) < SIZE.size:
@@ -64,10 +67,10 @@ def _listen(calls: BinaryIO, asked: queue.SimpleQueue[bytes]) -> None:
 
 
 def _portable(error: BaseException) -> BaseException:
-    """The exception itself if it can be pickled, or one with its text."""
+    """Return the exception if it can be pickled, or another one with its text."""
     try:
         pickle.loads(pickle.dumps(error))
-    except Exception:  # noqa: BLE001 - the exception of a library may raise anything
+    except Exception:  # noqa: BLE001 - Pickling the exception of a library may raise any error.
         return RuntimeError(f"{type(error).__name__}: {error}")
     return error
 

@@ -1,4 +1,4 @@
-"""Reads files of unknown origin in a child process with limits of time and memory."""
+"""Reading of files of unknown origin in a child process with limits of time and memory."""
 
 from __future__ import annotations
 
@@ -16,17 +16,17 @@ Result = TypeVar("Result")
 
 LEAST_SECONDS = 60.0
 BYTES_PER_SECOND = 1e6
-"""Lowest speed of reading a whole file; every disk and decoder is faster."""
+"""Lowest speed of reading a whole file. Every disk and decoder is faster."""
 
 
 def seconds_for(paths: Sequence[Path]) -> float:
-    """Time that reading some files may take; missing files count nothing. Raises OSError."""
+    """Return the time that reading some files may take, without missing files. Raise OSError for other errors."""
     size = 0
     for path in paths:
         try:
             size += stat_cloud(path).st_size
         except (FileNotFoundError, NotADirectoryError):
-            continue  # the function that reads the file raises the error
+            continue  # The function that reads the file raises the error.
     return LEAST_SECONDS + size / BYTES_PER_SECOND
 
 
@@ -38,20 +38,21 @@ def read_apart(
     seconds: float | None = None,
     remedy: str = "get the file again",
 ) -> Result:
-    """The result of ``function(*arguments)`` in a child process of its own.
+    """Return the result of ``function(*arguments)`` in a separate child process.
 
-    A child is needed since a small file can hold an endless view, or claim to have a million times a million pixels.
+    A child is needed since a small file can contain an endless view, or state a size of a million times a million
+    pixels.
 
     Parameters
     ----------
     function : callable
-        A function of a module, since function, arguments and result are pickled.
+        Function of a module, since function, arguments and result are pickled.
     paths : sequence of Path
         Files that the function reads, for messages.
     memory_bytes : int
         Memory that the child may allocate.
     seconds : float, optional
-        Time that the call may take; the default follows from the sizes of the files.
+        Time that the call may take. The default depends on the sizes of the files.
     remedy : str
         Advice for the user if reading fails.
 
@@ -60,7 +61,7 @@ def read_apart(
     InputError
         Reading crashed, took too long, or needed too much memory.
     Exception
-        The exception that the function raised.
+        Exception that the function raised.
     """
     names = ", ".join(map(str, paths))
     if seconds is None:
@@ -77,5 +78,5 @@ def read_apart(
 
 
 def half_of_memory() -> int:
-    """Half of this machine's memory in bytes, for reading whose need grows with the number of points or blocks."""
+    """Return half of this machine's memory in bytes, for reading that needs more memory for more points or blocks."""
     return psutil.virtual_memory().total // 2

@@ -1,12 +1,12 @@
-"""A Dask cluster inside the command's own process, for the workers of this machine.
+"""Dask cluster inside the command's own process, for the workers of this machine.
 
-Scheduler and workers are objects of one thread that communicate through memory; their tasks run in child processes
-(`tiler.schedule.children`). So the cluster starts in hundredths of a second, and opens no port.
+Scheduler and workers are objects of one thread that communicate through memory, and their tasks run in child processes
+(`tiler.schedule.children`). Therefore the cluster starts in hundredths of a second and does not open a port.
 
 By default, Dask makes a folder with a known name in the shared temporary folder, puts it first on `sys.path`, and then
-imports optional modules: another user who made that folder before could have code imported from it. Here the folder is
-private. It is removed from the disk and from `sys.path` once the cluster has started, since Dask uses it only with a
-limit of memory.
+imports optional modules. If another user made that folder before, Dask could import that user's code. Here the folder
+is private. It is removed from the disk and from `sys.path` once the cluster has started, since Dask uses it only with
+a memory limit.
 """
 
 from __future__ import annotations
@@ -28,38 +28,38 @@ from tiler.import_path import without_scratch
 _WITHOUT_PORTS = {"protocol": "inproc://", "dashboard": False}
 _WITHOUT_FOLDERS = {"needs_workdir": False}
 _QUIET = {
-    "distributed.worker.profile.enabled": False,  # it would sample every thread a hundred times a second
+    "distributed.worker.profile.enabled": False,  # The profiler would sample every thread 100 times per second.
     "distributed.admin.tick.interval": "1s",
     "distributed.admin.system-monitor.interval": "10s",
     "distributed.admin.system-monitor.gil.enabled": False,
     "distributed.scheduler.http.routes": [],
     "distributed.worker.http.routes": [],
 }
-"""Settings without measurements of the command's own process and without web pages, which no result depends on."""
+"""Settings that disable web pages and measurements of the command's own process, which do not affect results."""
 
 _configuring = Lock()
 
 
 class QuietScheduler(distributed.Scheduler):
-    """A Dask scheduler without the web page, for which it would open a port to the network."""
+    """Dask scheduler without the web page, for which it would open a port to the network."""
 
     def start_http_server(self, *arguments: Any, **options: Any) -> None:
-        """Start no server."""
+        """Do not start a server."""
 
 
 class QuietWorker(distributed.Worker):
-    """A Dask worker without the web page."""
+    """Dask worker without the web page."""
 
     def start_http_server(self, *arguments: Any, **options: Any) -> None:
-        """Start no server."""
+        """Do not start a server."""
 
 
 def cluster_here(workers: int) -> Any:
-    """A cluster of ``workers`` workers with one thread each."""
+    """Return a cluster of ``workers`` workers with one thread each."""
     alone = {**_WITHOUT_PORTS, **_WITHOUT_FOLDERS}
     options = {**alone, "nthreads": 1, "memory_limit": 0}
     with _configured(), warnings.catch_warnings():
-        # Dask looks for an address of this machine to name the workers; without a network there is none.
+        # Dask searches for an address of this machine to name the workers, but without a network there is none.
         warnings.filterwarnings("ignore", "Couldn't detect a suitable IP address", RuntimeWarning)
         return SpecCluster(
             scheduler={"cls": QuietScheduler, "options": alone},
@@ -72,8 +72,8 @@ def cluster_here(workers: int) -> Any:
 def _configured() -> Iterator[None]:
     """Configure Dask during the block, and restore its configuration afterwards.
 
-    Blocks in several threads wait for each other: if they overlapped, the last one would restore the settings of
-    another one.
+    Blocks in several threads wait for each other. If they overlapped, the last one would restore the settings of
+    another block.
     """
     with _configuring, TemporaryDirectory(prefix="tiler-dask-") as folder:
         try:

@@ -1,4 +1,4 @@
-"""Runs guarded calls in parallel, each in a child process; results come in the order of the calls."""
+"""Parallel guarded calls, each in a child process. Results come in the order of the calls."""
 
 from __future__ import annotations
 
@@ -15,18 +15,20 @@ Item = TypeVar("Item")
 Result = TypeVar("Result")
 
 AHEAD = 16
-"""Calls for each child that may begin before the first result is taken, so that one long call does not stop others."""
+"""Calls per child that may begin before the first result is read, so that one long call does not stop others."""
 
 
 class Guards:
-    """Several `Guard` that work at the same time; each starts its child when it is first needed. A context manager.
+    """Several `Guard` that work at the same time. Each starts its child when it is first needed.
+
+    The class is a context manager.
 
     Parameters
     ----------
     count : int
         Number of guards.
     memory_bytes : int or None
-        Memory that each child may allocate; None for no limit.
+        Memory that each child may allocate, or None for no limit.
     """
 
     def __init__(self, count: int, memory_bytes: int | None = MEMORY_BYTES) -> None:
@@ -43,7 +45,7 @@ class Guards:
     def __exit__(
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
-        """End all children, even at work."""
+        """End all children, even during a call."""
         for guard in self._all:
             guard.kill()
         self._threads.shutdown(cancel_futures=True)
@@ -53,14 +55,16 @@ class Guards:
     def each(
         self, function: Callable[[Guard, Item], Result], items: Iterable[Item]
     ) -> Iterator[Callable[[], Result]]:
-        """Call ``function(guard, item)`` for each item; yield in their order a function for each result, or error.
+        """Call ``function(guard, item)`` for each item, and yield a function per item, in order.
+
+        Each of these functions returns the result of a call, or raises its error.
 
         Parameters
         ----------
         function : callable
-            A function that is called in a thread, with a guard for the work of the child.
+            Function that is called in a thread, with a guard for the work of the child.
         items : iterable
-            Items, which are taken one by one, at most `AHEAD` for each child before their results are taken.
+            Items, which are consumed one by one, at most `AHEAD` per child before their results are read.
         """
 
         def work(item: Item) -> Result:

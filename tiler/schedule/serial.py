@@ -1,4 +1,4 @@
-"""Runs tasks one after another in this process."""
+"""Executor that runs tasks one after another in this process."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from tiler.schedule.task import Look, Machine, Outcome, Perform, Task
 
 
 class SerialExecutor:
-    """An executor without workers; the obvious reference for the other one."""
+    """Executor without workers, which is the simple reference for `DaskExecutor`."""
 
     workers = 1
 
     def on_each_worker(self, look: Look) -> None:
-        """Do nothing: there is no worker of a cluster."""
+        """Do nothing, since there are no workers of a cluster."""
 
     def machines(self) -> list[Machine]:
-        """An empty list, as there is no cluster."""
+        """Return an empty list, since there is no cluster."""
         return []
 
     def run(self, perform: Perform, store_url: str, tasks: Iterable[Task]) -> Iterator[Outcome]:
-        """Outcomes in the order of the tasks."""
+        """Run tasks and yield outcomes in the order of the tasks."""
         for task in tasks:
             for tries in range(1, task.tries + 1):
                 outcome = perform(store_url, task)

@@ -14,51 +14,53 @@ from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
 
 from tiler.redaction import stored
 
-if TYPE_CHECKING:  # numpy is loaded later, while the children start
+if TYPE_CHECKING:  # At run time, numpy is loaded later, while the children start.
     from tiler.core.lattice import Bounds, Lattice
 
 Work = Callable[[str, Any], dict[str, Any]]
-"""``work(store_url, arguments) -> record``: a function of a module, since it is pickled by name. The arguments are a
-frozen dataclass that defines what is read and written, and with which parameters; the record is JSON-able."""
+"""Function ``work(store_url, arguments) -> record`` of a module, since it is pickled by name.
+
+The arguments are a frozen dataclass that defines the data to read and write and the parameters. The record is
+JSON-able."""
 
 NOT_IN_DIGEST = {"digest": False}
-"""Metadata of a field in the arguments that changes how the work is done, but not its result."""
+"""Metadata of a field of the arguments that changes the execution of the work, but not its result."""
 
 
 @runtime_checkable
 class Placed(Protocol):
-    """Arguments of work that has a place on the map."""
+    """Arguments of work with a position on the map."""
 
     def place(self, buckets: Lattice) -> Bounds | None:
-        """The bounds of the work, in absolute counts; ``buckets`` is the lattice of the store's buckets."""
+        """Return the bounds of the work, in absolute counts, given the lattice of the store's buckets."""
         ...
 
 
 TRIES = 3
-"""A task that failed so many times is given up, and the other tasks go on."""
+"""Number of failed tries after which a task is abandoned and the other tasks continue."""
 
 
 @dataclass(frozen=True)
 class Task:
-    """One unit of work, which is resumed and tried again as a whole.
+    """Unit of work, which is resumed and retried as a whole.
 
     Attributes
     ----------
     stage : str
-        Stage of the task; with `key` it names the commit in the store.
+        Stage of the task. Stage and `key` are the key of the commit in the store.
     key : str
         Name that is unique in the stage and safe as a file name.
     digest : str
         Digest of everything that the result depends on. If a commit has the same digest, the task is done.
     work : Work
-        The function that a worker calls; the worker commits its result with the digest.
+        Function that a worker calls. The worker commits its result with the digest.
     arguments : dataclass
-        Argument of `work`: frozen, small, with values that `digest_of` knows.
+        Argument of `work`: frozen, small, with values that `digest_of` supports.
     points : int
         Number of points, which measures the work for progress and ETA.
     parts : tuple of Task
-        Tasks that this one does together. Its record holds their records in the same order, as ``parts``, and each is
-        committed by itself. The task is tried once; if it fails, the parts are done one by one.
+        Tasks that this task does together. The item ``parts`` of its record contains their records in the same order,
+        and each is committed separately. The task is tried once. If it fails, the parts are done one by one.
     """
 
     stage: str
@@ -71,27 +73,29 @@ class Task:
 
     @property
     def tries(self) -> int:
-        """Most tries of the task."""
+        """Maximum number of tries of the task."""
         return 1 if self.parts else TRIES
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """Outcome of one try of a task: its record, or the error.
+    """Outcome of a try of a task: its record, or the error.
 
     Attributes
     ----------
     task : Task
     record : dict or None
-        Result of the work; None if the try failed.
+        Result of the work, or None if the try failed.
     error, error_kind : str or None
-        The error in one line, and the name of its exception.
+        Error in one line, and name of its exception.
     seconds : float
+        Duration of the try.
     peak_rss_bytes : int
+        Largest resident memory of the process.
     again : bool
-        Whether another try could help. If an executor yields it, another try follows.
+        Whether a retry could succeed. If an executor yields True, it retries the task.
     fatal : bool
-        Whether no other task can succeed either.
+        Whether all other tasks would fail as well.
     damaged : tuple of str
         Objects of the store that the task could not read.
     """
@@ -107,7 +111,10 @@ class Outcome:
     damaged: tuple[str, ...] = ()
 
     def of_parts(self) -> list[Outcome]:
-        """Outcomes of the parts of a task, with the time divided by points; without parts, or failed, the outcome."""
+        """Return the outcomes of the parts of a task, with the time divided in proportion to the points.
+
+        If the task has no parts or failed, the result is only this outcome.
+        """
         parts = self.task.parts
         if not parts or self.record is None:
             return [self]
@@ -120,16 +127,16 @@ class Outcome:
 
 @dataclass(frozen=True)
 class Limits:
-    """Limits of memory and time for a worker; beyond them it is ended.
+    """Limits of memory and time for a worker, beyond which it is ended.
 
     Attributes
     ----------
     memory_bytes : int or None
-        Memory that a worker of this machine may allocate; None for no limit.
+        Memory that a worker of this machine may allocate, or None for no limit.
     seconds : float
-        Time for a task of up to a million points; larger tasks have more in proportion.
+        Time for a task of up to a million points. Larger tasks have more time in proportion.
     prepare : callable, optional
-        See `tiler.schedule.Guard`.
+        Function that the server of forks calls once (see `tiler.schedule.Guard`).
     """
 
     memory_bytes: int | None = None
@@ -137,22 +144,26 @@ class Limits:
     prepare: Callable[[], None] | None = None
 
     def seconds_of(self, task: Task) -> float:
-        """Time after which the worker of a task counts as hung."""
+        """Return the time in seconds after which the worker of a task counts as hung."""
         return self.seconds * max(task.points / 1e6, 1.0)
 
 
 Perform = Callable[[str, Task], Outcome]
-"""``perform(store_url, task)`` runs the work on a worker and commits its record; a failed task is no exception."""
+"""Function ``perform(store_url, task)`` that runs the work on a worker and commits its record.
+
+It returns an outcome and does not raise an exception if the task fails."""
 
 
 Look = Callable[[Callable[..., Any], str], None]
-"""``look(ask, worker)`` checks a worker, with ``ask(function, *arguments)`` for the result of a function there; it
-raises an error to end the run."""
+"""Function ``look(ask, worker)`` that checks a worker.
+
+``ask(function, *arguments)`` returns the result of a function on the worker. An error that ``look`` raises ends the
+run."""
 
 
 @dataclass(frozen=True)
 class Machine:
-    """A machine of a cluster.
+    """Machine of a cluster.
 
     Attributes
     ----------
@@ -160,7 +171,7 @@ class Machine:
     memory_bytes : int
         Memory of the machine, or of its container or batch job.
     workers, threads : int
-        Workers of the cluster on the machine, and their threads, which do one task at a time each.
+        Number of the cluster's workers on the machine, and of their threads. Each thread does one task at a time.
     """
 
     name: str
@@ -170,7 +181,7 @@ class Machine:
 
 
 class Executor(Protocol):
-    """Runs tasks; all executors give the same result."""
+    """Runner of tasks. All executors give the same result."""
 
     workers: int
 
@@ -179,13 +190,13 @@ class Executor(Protocol):
         ...
 
     def machines(self) -> list[Machine]:
-        """The machines of a cluster that have workers now, by name; empty without a cluster."""
+        """Return the machines of a cluster that have workers now, by name. The list is empty without a cluster."""
         ...
 
     def run(self, perform: Perform, store_url: str, tasks: Iterable[Task]) -> Iterator[Outcome]:
-        """Run tasks, a bounded number at a time, and yield an outcome for each try, in any order.
+        """Run tasks, a bounded number at a time, and yield an outcome per try, in any order.
 
-        Raises ConnectionLostError if the connection to a cluster is lost for good.
+        Raise ConnectionLostError if the connection to a cluster is permanently lost.
         """
         ...
 
@@ -195,9 +206,9 @@ class Executor(Protocol):
 
 
 def digest_of(*parts: Any) -> str:
-    """A short stable digest of JSON-able values and dataclasses, without fields that are `NOT_IN_DIGEST`.
+    """Return a short stable digest of JSON-able values and dataclasses, without fields that are `NOT_IN_DIGEST`.
 
-    The order of keys, and passwords and tokens in URLs, do not change it.
+    The digest does not depend on the order of keys, or on passwords and tokens in URLs.
     """
     text = json.dumps(parts, sort_keys=True, separators=(",", ":"), default=to_json)
     if ":/" in text:
@@ -211,4 +222,6 @@ def to_json(value: Any) -> Any:
         return str(value)
     if is_dataclass(value):
         return {f.name: getattr(value, f.name) for f in fields(value) if f.metadata.get("digest", True)}
-    raise TypeError(f"{type(value).__name__} has no place in the arguments of a task")
+    raise TypeError(
+        f"{type(value).__name__} is not allowed in the arguments of a task; use a JSON-able value"
+    )

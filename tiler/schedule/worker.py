@@ -1,4 +1,4 @@
-"""Runs a task on a worker: the work, then the commit. A failure is an outcome and not an exception."""
+"""Running of a task on a worker: the work, then the commit. A failure is an outcome and not an exception."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from tiler.schedule import Outcome, Task
 from tiler.store import open_store, packed_by_one_thread
 
 KEPT_SHARE = 20
-"""Part of its memory, one in this many bytes, that a worker keeps between tasks of one stage."""
+"""Divisor of a worker's memory that gives the freed memory it may keep between tasks of one stage."""
 
-# Options of mallopt, from malloc.h.
+# These options of mallopt are from malloc.h.
 _M_TRIM_THRESHOLD = -1
 _M_MMAP_MAX = -4
 _M_ARENA_MAX = -8
@@ -29,42 +29,43 @@ _FATAL = (DiskFullError, StoreAccessError)
 _NO_GLIBC = (OSError, AttributeError, TypeError)
 
 _kept_bytes = 0
-"""Memory that this process may keep between tasks; 0 for as little as possible."""
+"""Memory in bytes that this process may keep between tasks, or 0 to keep as little as possible."""
 _last_stage = ""
-"""Stage of the task that this process did last."""
+"""Stage of the last task of this process."""
 
 
 def peak_rss_bytes() -> int:
-    """Largest resident memory of this process so far."""
+    """Return the largest resident memory of this process so far, in bytes."""
     try:
         # `getrusage` would include the peak of the process that forked this one.
         with open("/proc/self/status", encoding="ascii") as status:
             line = next(line for line in status if line.startswith("VmHWM:"))
         return int(line.split()[1]) * 1024
-    except (OSError, StopIteration):  # not Linux
+    except (OSError, StopIteration):  # This system is not Linux.
         memory = psutil.Process().memory_info()
-        return int(getattr(memory, "peak_wset", memory.rss))  # Windows; other systems: the present memory
+        # Windows has a peak. Other systems only have the current memory.
+        return int(getattr(memory, "peak_wset", memory.rss))
 
 
 def _forget_peak() -> None:
-    """Let `peak_rss_bytes` start anew for each task, if the system can."""
+    """Reset the peak of `peak_rss_bytes`, if the system can."""
     with suppress(OSError), open("/proc/self/clear_refs", "w", encoding="ascii") as peak:
         peak.write("5")
 
 
 def _give_back() -> None:
-    """Return freed memory to the system if it is more than `prepare` lets a worker keep.
+    """Return freed memory to the system if it is more than `prepare` allows a worker to keep.
 
     The allocator of the C library keeps freed memory in pieces that are too small for the arrays of the next stage, so
-    that a worker would grow with each task. But memory that the next task uses again is cheaper than new pages, which
-    the system has to clear, and on a virtual machine often to fetch from the host.
+    a worker would grow with each task. However, memory that the next task uses again is cheaper than new pages, which
+    the system has to clear, and on a virtual machine often to request from the host.
     """
     if _resident_bytes() > _kept_bytes:
         _give_all_back()
 
 
 def _begin_stage(stage: str) -> None:
-    """Return all freed memory to the system before the first task of a stage, whose arrays have other sizes."""
+    """Return all freed memory to the system before the first task of a stage, since its arrays have other sizes."""
     global _last_stage
     if stage != _last_stage:
         _give_all_back()
@@ -77,10 +78,10 @@ def _give_all_back() -> None:
 
 
 def _keep_freed_memory() -> None:
-    """Let the allocator keep freed large arrays, too, which it returns to the system by default.
+    """Let the allocator also keep freed large arrays, which it returns to the system by default.
 
-    Each worker does this by itself and not the server of forks, whose settings all children would inherit: those that
-    read files need `mremap` for growing buffers, which this setting prevents.
+    Each worker does this itself. If the server of forks did it, all children would inherit the setting, which prevents
+    `mremap`. Children that read files need `mremap` for growing buffers.
     """
     with suppress(*_NO_GLIBC):
         for option, value in ((_M_MMAP_MAX, 0), (_M_TRIM_THRESHOLD, 2**31 - 1), (_M_ARENA_MAX, 1)):
@@ -96,17 +97,17 @@ def _c_library() -> Any:
 
 
 def load_kernels() -> None:
-    """Call a kernel; the first call loads most of numba."""
+    """Call a kernel, since the first call loads most of numba."""
     wide(0)
 
 
 def prepare(memory_bytes: int) -> None:
-    """Load, before workers are forked, what all of them need, and set how much freed memory each may keep.
+    """Load shared kernels before workers are forked, and set the freed memory that each worker may keep.
 
     Parameters
     ----------
     memory_bytes : int
-        Memory that a worker may use; it may keep a twentieth of it between tasks of a stage.
+        Memory that a worker may use. It may keep a twentieth of it between tasks of a stage.
     """
     global _kept_bytes
     load_kernels()
@@ -114,13 +115,13 @@ def prepare(memory_bytes: int) -> None:
 
 
 def perform(store_url: str, task: Task) -> Outcome:
-    """Run a task and commit its record, so that the task is done even if the command ends."""
+    """Run a task and commit its record, so that it counts as done even if the command ends."""
     with packed_by_one_thread():
         return _run(store_url, task, commit=True)
 
 
 def compute(store_url: str, task: Task) -> Outcome:
-    """Run a task without a commit; the command keeps its record."""
+    """Run a task without a commit, since the command keeps its record."""
     with packed_by_one_thread():
         return _run(store_url, task, commit=False)
 
@@ -147,7 +148,7 @@ def _run(store_url: str, task: Task, commit: bool) -> Outcome:
         again = error.again
         if isinstance(error, DamagedError):
             damaged = error.keys
-    except BaseException as error:  # noqa: BLE001 - every error, panics included, is an outcome; other tasks go on
+    except BaseException as error:  # noqa: BLE001 - Every error (also a panic) is an outcome, and other tasks continue.
         where = traceback.extract_tb(error.__traceback__)[-1]
         kind = type(error)
         again = True

@@ -1,7 +1,7 @@
-"""Runs tasks on Dask workers: of this machine, in the command's own process, or of a running cluster.
+"""Executor of tasks on Dask workers: on this machine, in the command's own process, or on a running cluster.
 
 There is no graph of all tasks. Each worker has a few tasks at a time, and another one is submitted when one is done. A
-failed task is tried again. `tiler.schedule.children` shows what a worker does with a task.
+failed task is retried. `tiler.schedule.children` runs a task on a worker.
 """
 
 from __future__ import annotations
@@ -35,26 +35,26 @@ from tiler.schedule.local_cluster import cluster_here
 from tiler.schedule.task import Limits, Look, Machine, Outcome, Perform, Task
 
 WAITING_PER_WORKER = 1
-"""Tasks that wait at each worker of a cluster, so that it has work while its result travels to the client."""
+"""Number of tasks that wait at each worker of a cluster, so that it has work while a result is sent to the client."""
 
 CONNECT_SECONDS = 20
 WORKERS_SECONDS = 20
-"""Time for the first worker of a cluster that was just started: workers start later than their scheduler."""
+"""Time until a new cluster has its first worker, since workers start later than their scheduler."""
 CLOSE_SECONDS = 5
 LOOKS_AT_A_TIME = 16
-"""Workers that are checked at the same time; each starts a child, which takes about a second."""
+"""Number of workers that are checked at the same time. Each starts a child, which takes about a second."""
 LOOK_SECONDS = 5.0
-"""Time between two looks for workers that have joined the cluster."""
+"""Time between two searches for workers that have joined the cluster."""
 
 _BROKEN = (OSError, CancelledError, AttributeError, RuntimeError)
-"""Errors of Dask's client if its connection to the scheduler broke; the last two come once it has given up."""
+"""Errors of Dask's client if its connection to the scheduler broke. It raises the last two after its last retry."""
 
 _LOGGERS = ("distributed", "distributed.client")
-"""Loggers of Dask that have their own levels. A broken connection is reported in one line of tiler's instead."""
+"""Loggers of Dask that have their own levels. Instead of them, tiler reports a broken connection in one line."""
 
 
 class _Silence:
-    """Silences the loggers of Dask while there is an executor, and restores their levels after the last one."""
+    """Switch that silences the loggers of Dask while there is an executor, and restores their levels afterwards."""
 
     def __init__(self) -> None:
         self._lock = Lock()
@@ -62,7 +62,7 @@ class _Silence:
         self._levels: dict[str, int] = {}
 
     def begin(self) -> None:
-        """Count one executor more."""
+        """Add one to the number of executors, and silence the loggers for the first."""
         with self._lock:
             self._users += 1
             if self._users == 1:
@@ -71,7 +71,7 @@ class _Silence:
                     logging.getLogger(name).setLevel(logging.CRITICAL)
 
     def end(self) -> None:
-        """Count one executor less."""
+        """Subtract one from the number of executors, and restore the levels after the last."""
         with self._lock:
             self._users -= 1
             if self._users == 0:
@@ -82,19 +82,17 @@ class _Silence:
 _silence = _Silence()
 
 _dask: Any = distributed
-"""The module without type checks, as its functions have no types."""
+"""Module `distributed` without type checks, since its functions have no types."""
 
 
 @dataclass(frozen=True)
 class _Try:
-    """One submission of a task."""
-
     task: Task
     number: int
 
 
 class DaskExecutor:
-    """Gives tasks to Dask workers, a few at a time.
+    """Executor that submits tasks to Dask workers, a few at a time.
 
     Parameters
     ----------
@@ -115,7 +113,7 @@ class DaskExecutor:
         self._submissions = 0
         self._cluster: Any = None
         self._address = address
-        _silence.begin()  # until `close`; the tasks report what matters
+        _silence.begin()  # The loggers are silent until `close`, since the tasks report their errors.
         try:
             self._client = self._connected(workers, address)
         except BaseException:
@@ -137,22 +135,23 @@ class DaskExecutor:
             raise self._without_workers()
 
     def _connected(self, workers: int, address: str | None) -> Any:
-        """A client for new workers on this machine, or for the cluster at an address."""
+        """Return a client for new workers on this machine, or for the cluster at an address."""
         if address is None:
             self._cluster = cluster_here(workers)
             return _dask.Client(self._cluster, set_as_default=False)
         try:
-            get_address_host_port(address)  # raises for a wrong address before there is a client to be closed
+            # This raises an error for a wrong address before there is a client that would have to be closed.
+            get_address_host_port(address)
             return _dask.Client(address, timeout=CONNECT_SECONDS, set_as_default=False)
         except (OSError, ValueError) as error:
             raise ConfigError(f"--scheduler {address}: no Dask scheduler answers there ({error})") from error
 
     def _look(self) -> None:
-        """Find the present workers of the cluster, and check the new ones."""
+        """Find the current workers of the cluster, and check the new ones."""
         self._looked = time.monotonic()
         threads = self._threads()
         if threads is None:
-            return  # the tasks report a broken connection
+            return  # The tasks report a broken connection.
         self.workers = len(threads)
         self._room = max(sum(threads.values()) + WAITING_PER_WORKER * self.workers, 1)
         if self._judge is not None:
@@ -162,7 +161,7 @@ class DaskExecutor:
                     found.result()
 
     def _threads(self) -> dict[str, int] | None:
-        """Number of threads of each worker; None if the scheduler cannot be asked."""
+        """Return the number of threads of each worker, or None if the connection to the scheduler broke."""
         try:
             return dict(self._client.nthreads())
         except _BROKEN:
@@ -175,9 +174,9 @@ class DaskExecutor:
         except ConnectionLostError:
             if self._submissions == 0:
                 raise
-            # Later, the tasks report the loss, or the connection is back and the next look asks the worker.
+            # Later, the tasks report the loss, or the connection is restored and the next `_look` checks the worker.
         except ConfigError:
-            if worker in (self._threads() or ()):  # the worker is still there
+            if worker in (self._threads() or ()):  # A worker that has left the cluster needs no error.
                 raise
 
     def on_each_worker(self, look: Look) -> None:
@@ -187,12 +186,12 @@ class DaskExecutor:
             self._look()
 
     def machines(self) -> list[Machine]:
-        """The machines of a cluster that have workers now, by name; empty without a cluster."""
+        """Return the machines of a cluster that have workers now, by name. The list is empty without a cluster."""
         if self._cluster is not None:
             return []
         found: dict[str, Machine] = {}
         for answer in self._on_workers(machine_of).values():
-            if isinstance(answer, BaseException):  # the worker went away just now
+            if isinstance(answer, BaseException):  # The worker has just left the cluster.
                 continue
             name, memory, threads = answer
             known = found.get(name, Machine(name, 0, 0, 0))
@@ -207,7 +206,7 @@ class DaskExecutor:
         return [found[name] for name in sorted(found)]
 
     def _ask(self, worker: str, function: Callable[..., Any], *arguments: Any) -> Any:
-        """The result of a function in a child of one worker."""
+        """Return the result of a function in a child of one worker."""
         answers = self._on_workers(call_in_child, self._run, function, *arguments, workers=[worker])
         (answer,) = answers.values()
         if isinstance(answer, BaseException):
@@ -215,25 +214,27 @@ class DaskExecutor:
         return answer
 
     def _on_workers(self, function: Callable[..., Any], *arguments: Any, **options: Any) -> dict[str, Any]:
-        """The result of a function on each worker, or its exception."""
+        """Return the result of a function on each worker, or its exception."""
         try:
             return dict(self._client.run(function, *arguments, on_error="return", **options))
         except _BROKEN as error:
             raise self._lost() from error
 
     def run(self, perform: Perform, store_url: str, tasks: Iterable[Task]) -> Iterator[Outcome]:
-        """Run tasks and yield an outcome for each try; after `Outcome.again`, another try follows."""
+        """Run tasks and yield an outcome per try. If `Outcome.again` is True, the task is retried."""
         waiting = iter(tasks)
         running: dict[str, _Try] = {}
         done = _dask.as_completed(loop=self._client.loop)
 
         def submit(task: Task, number: int) -> None:
-            self._submissions += 1  # each name is new, as Dask would return an old result for a known name
-            name = f"{task.stage}-{self._submissions}/{task.key}"  # Dask groups by what is before the number
+            # Each name is new, since Dask would return an old result for a known name. Dask groups tasks by the text
+            # before the number.
+            self._submissions += 1
+            name = f"{task.stage}-{self._submissions}/{task.key}"
             arguments = (perform_in_child, self._run, perform, store_url, task)
             try:
                 future = self._client.submit(*arguments, pure=False, key=name)
-            except Exception as error:  # its class depends on the version of Dask
+            except Exception as error:  # The class of the error depends on the version of Dask.
                 if self._client.status in ("running", "connecting"):
                     raise
                 raise self._lost() from error
@@ -262,13 +263,13 @@ class DaskExecutor:
             return self._cut_off(this)
         error = future.exception()
         if isinstance(error, KilledWorker):
-            text = "its worker went away each time (a machine that was lost, or its memory)"
+            text = "its worker was lost each time (a lost machine, or too little memory)"
             return Outcome(this.task, None, text, WORKER_DIED, again=again)
         if error is not None:
             return Outcome(this.task, None, first_line(error), type(error).__name__, again=again)
         try:
             outcome: Outcome = future.result()
-        except _BROKEN as broken:  # an error of the task itself is the `error` above
+        except _BROKEN as broken:  # An error of the task itself is the `error` above.
             text = f"its result could not be fetched ({type(broken).__name__}: {first_line(broken)})"
             return replace(self._cut_off(this), error=text, again=again)
         if outcome.error_kind == WORKER_DIED:
@@ -279,7 +280,10 @@ class DaskExecutor:
         return replace(outcome, again=outcome.again and again)
 
     def _cut_off(self, this: _Try) -> Outcome:
-        """The outcome of a try during which the connection broke: Dask's client reconnects, but forgets its tasks."""
+        """Return the outcome of a try during which the connection broke.
+
+        The task has to be retried, since Dask's client loses its tasks when it reconnects.
+        """
         while self._client.status == "connecting":
             time.sleep(0.1)
         if self._client.status != "running":
@@ -289,7 +293,7 @@ class DaskExecutor:
         )
 
     def _lost(self) -> ConnectionLostError:
-        text = "the connection broke and does not come back"
+        text = "the connection broke and was not restored"
         if self._address is None:
             return ConnectionLostError(
                 f"the workers of this machine: {text}; run the same command again to resume"
@@ -304,8 +308,8 @@ class DaskExecutor:
         )
 
     def close(self) -> None:
-        """End all work for this executor; a cluster goes on."""
-        if self._client.status == "running":  # the connection is not lost
+        """End all work for this executor. A cluster keeps running."""
+        if self._client.status == "running":  # Without a connection, the children cannot be ended.
             with suppress(*_BROKEN):
                 ending = self._client._run, end_children, self._run.token
                 self._client.sync(*ending, callback_timeout=CLOSE_SECONDS)

@@ -1,6 +1,6 @@
-"""The tile store: a zarr 3 container in which each chunk has one writer and each point is stored once.
+"""Tile store: a zarr 3 container in which each chunk has one writer and each point is stored once.
 
-No other package knows zarr, nor the paths, dtypes, chunks and schema version of a store.
+No other package depends on zarr, or on the paths, dtypes, chunks and schema version of a store.
 """
 
 from __future__ import annotations

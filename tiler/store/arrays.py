@@ -1,8 +1,8 @@
-"""Arrays of a store: zarr makes their metadata; the calling thread reads and writes whole chunks.
+"""Arrays of a store. Zarr makes their metadata, and the calling thread reads and writes whole chunks.
 
 The chunks are packed as zarr packs them (blosc, then a crc32c), so that zarr can read them. They do not go through
-zarr itself, whose event loop and pool of threads cost more than a millisecond of CPU time for each chunk, however
-small it is: see docs/decisions.md.
+zarr itself, whose event loop and thread pool need more than a millisecond of CPU time per chunk of any size. See
+docs/decisions.md.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from tiler.store.storage import Storage, seal_holds, sealed
 
 _CHECKSUM_BYTES = 4
 _UNPACKED = slice(4, 8)
-"""Bytes of a blosc frame that hold its size when unpacked (C-Blosc, README_CHUNK_FORMAT)."""
+"""Bytes of a blosc frame that contain its uncompressed size (C-Blosc, README_CHUNK_FORMAT)."""
 
 Chunk = tuple[int, ...]
 """Number of a chunk along each axis."""
@@ -37,7 +37,7 @@ Chunk = tuple[int, ...]
 
 @dataclass(frozen=True)
 class StoredArray:
-    """An open array.
+    """Open array.
 
     Attributes
     ----------
@@ -46,7 +46,7 @@ class StoredArray:
     kind : ArrayKind
     shape : tuple of int
     fill : float
-        Value of every element that was never written. It is the `fill` of ``kind``, except for rasters.
+        Value of every element that was never written: the `fill` of ``kind``, except for rasters.
     attributes : dict
     """
 
@@ -63,11 +63,11 @@ class StoredArray:
         return self.shape[0]
 
     def read_rows(self, numbers: Sequence[int]) -> list[npt.NDArray[Any]]:
-        """`read` for an array whose chunks follow one another along the first axis."""
+        """Return whole chunks as `read` does, for an array whose chunks follow one another along the first axis."""
         return self.read([self._row(number) for number in numbers])
 
     def read(self, chunks: Sequence[Chunk]) -> list[npt.NDArray[Any]]:
-        """Whole chunks, read-only; raises DamagedError, which names the chunks that are damaged or missing."""
+        """Return whole chunks, read-only. Raise DamagedError with the keys of damaged and missing chunks."""
         keys = [layout.chunk_key(self.path, chunk) for chunk in chunks]
         found = []
         bad = []
@@ -80,17 +80,17 @@ class StoredArray:
                 reason = reason or str(error)
         if bad:
             raise DamagedError(
-                f"{self.storage.url}: {self.path} is damaged ({reason}); run again, and it is made anew",
+                f"{self.storage.url}: {self.path} is damaged ({reason}); run again to rebuild it",
                 tuple(bad),
             )
         return found
 
     def write_row(self, number: int, values: npt.NDArray[Any]) -> None:
-        """`write` for an array whose chunks follow one another along the first axis."""
+        """Write a whole chunk as `write` does, for an array whose chunks follow one another along the first axis."""
         self.write(self._row(number), values)
 
     def write(self, chunk: Chunk, values: npt.NDArray[Any]) -> None:
-        """Write a whole chunk; raises ProcessingError if the file system refuses."""
+        """Write a whole chunk. Raise ProcessingError if the file system refuses."""
         key = layout.chunk_key(self.path, chunk)
         if self.kind.sparse and np.all(values == self.fill):
             self.storage.delete(key)
@@ -101,9 +101,9 @@ class StoredArray:
         return (number, *(0,) * (len(self.shape) - 1))
 
     def _decoded(self, data: bytes | None) -> npt.NDArray[Any]:
-        """The values of a chunk; ValueError, or RuntimeError from blosc, says what is wrong with the chunk.
+        """Return the values of a chunk. Raise ValueError, or RuntimeError from blosc, if the chunk is damaged.
 
-        The size in the blosc frame is checked first, since blosc allocates whatever size a damaged frame names.
+        The size in the blosc frame is checked first, since blosc allocates any size that a damaged frame states.
         """
         if data is None:
             if self.kind.sparse:
@@ -119,7 +119,7 @@ class StoredArray:
 
 @contextmanager
 def packed_by_one_thread() -> Iterator[None]:
-    """Pack and unpack chunks in the calling thread alone, as tasks do: the parallel work is done by processes."""
+    """Pack and unpack chunks only in the calling thread, as tasks do: processes do the parallel work."""
     before = numcodecs.blosc.use_threads
     numcodecs.blosc.use_threads = False
     try:
@@ -136,7 +136,10 @@ def _encoded(values: npt.NDArray[Any], kind: ArrayKind) -> bytes:
 
 
 def find_array(storage: Storage, path: str, kind: ArrayKind) -> StoredArray | None:
-    """The array at ``path``, or None if there is none; raises StoreError if tiler does not write such an array."""
+    """Return the array at ``path``, or None if there is none.
+
+    Raise DamagedError if its metadata are damaged, and StoreError if tiler does not write such an array.
+    """
     data = storage.get(f"{path}/zarr.json")
     if data is None:
         return None
@@ -147,7 +150,15 @@ def find_array(storage: Storage, path: str, kind: ArrayKind) -> StoredArray | No
 
 
 def open_array(storage: Storage, path: str, kind: ArrayKind) -> StoredArray:
-    """The array at ``path``; DamagedError if there is none, StoreError if tiler does not write such an array."""
+    """Return the array at ``path``.
+
+    Raises
+    ------
+    DamagedError
+        There is no array at ``path``, or its metadata are damaged.
+    StoreError
+        Tiler does not write such an array.
+    """
     array = find_array(storage, path, kind)
     if array is None:
         raise DamagedError(f"{storage.url}: there is no {path}; run the stage that writes it first", (path,))
@@ -155,13 +166,16 @@ def open_array(storage: Storage, path: str, kind: ArrayKind) -> StoredArray:
 
 
 def find_or_make(storage: Storage, path: str, kind: ArrayKind, rows: int) -> StoredArray:
-    """The array at ``path``, made if there is none; tasks that make it at the same time write the same bytes."""
+    """Return the array at ``path``, and make it if there is none.
+
+    Tasks that make it at the same time write the same bytes.
+    """
     array = find_array(storage, path, kind)
     return array or write_metadata(storage, path, (rows, *kind.chunks[1:]), kind)
 
 
 def lengthen_rows(storage: Storage, path: str, kind: ArrayKind, rows: int) -> None:
-    """Make the array at ``path``, or lengthen it to ``rows``; it is never shortened."""
+    """Make the array at ``path``, or lengthen it to ``rows``. It is never shortened."""
     array = find_or_make(storage, path, kind, rows)
     if array.rows < rows:
         write_metadata(storage, path, (rows, *kind.chunks[1:]), kind, array.attributes)
@@ -174,9 +188,9 @@ def write_metadata(
     kind: ArrayKind,
     attributes: dict[str, Any] | None = None,
 ) -> StoredArray:
-    """Write the metadata of a new or changed array; its chunks stay as they are.
+    """Write the metadata of a new or changed array. The chunks do not change.
 
-    Zarr makes the metadata in memory, so that they reach the store in one piece and with a checksum.
+    Zarr makes the metadata in memory, so that they are written in one piece and with a checksum.
     """
     attributes = attributes or {}
     blosc = BloscCodec(typesize=kind.shuffled, cname=kind.codec, clevel=kind.level, shuffle="shuffle")
@@ -200,7 +214,7 @@ def write_metadata(
 
 
 def _checked(data: bytes, where: str, path: str, kind: ArrayKind) -> dict[str, Any]:
-    """The metadata of an array; raises DamagedError or StoreError if tiler cannot have written them."""
+    """Return the metadata of an array. Raise DamagedError or StoreError if tiler cannot have written them."""
     try:
         metadata: dict[str, Any] = json.loads(data)
         if not seal_holds(metadata):
@@ -214,9 +228,7 @@ def _checked(data: bytes, where: str, path: str, kind: ArrayKind) -> dict[str, A
         codecs = {codec["name"] for codec in metadata["codecs"]}
         transformers = metadata.get("storage_transformers")
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise DamagedError(
-            f"{where}: its metadata are damaged; run again, and it is made anew", (path,)
-        ) from error
+        raise DamagedError(f"{where}: its metadata are damaged; run again to rebuild it", (path,)) from error
     wanted = {"zarr_format": 3, "node_type": "array", "data_type": kind.dtype, "chunks": kind.chunks}
     if found != wanted or transformers:
         raise StoreError(f"{where}: not an array that this version writes; run again with --overwrite")

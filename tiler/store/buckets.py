@@ -1,4 +1,4 @@
-"""Buckets: each point of the run is stored once, in the rows of its bucket; a window of buckets gives tile and halo."""
+"""Buckets: each point of the run is stored once, in the rows of its bucket. Tile and halo are a window of buckets."""
 
 from __future__ import annotations
 
@@ -14,21 +14,22 @@ from tiler.store.storage import Storage
 
 
 class BucketStore(points.ColumnStore):
-    """The points of a store by bucket, and the index of the buckets."""
+    """Points of a store by bucket, and the index of the buckets."""
 
     def __init__(self, storage: Storage, meta: StoreMeta) -> None:
         super().__init__(storage, meta)
         self._index: BucketIndex | None = None
 
     def allocate(self, counts: Mapping[Cell, int]) -> None:
-        """Give rows to buckets (*coordinator*, while no task runs).
+        """Allocate rows for buckets (*coordinator*, while no task runs).
+
+        A bucket with enough rows keeps its rows and its points. A bucket that needs more rows than it has loses its
+        points and has to be written again. Buckets that are not in ``counts`` do not change.
 
         Parameters
         ----------
         counts : mapping of Cell to int
-            Upper bound of the points of each bucket. A bucket whose rows suffice keeps its rows and its points. A
-            bucket that outgrew its rows loses its points and has to be written again. Buckets that are not named
-            stay as they are.
+            Upper bound of the number of points in each bucket.
         """
         before = index.current_index(self._storage)
         after, moved = before.allocated(counts, layout.ROW_POINTS)
@@ -50,7 +51,7 @@ class BucketStore(points.ColumnStore):
                 self._storage.delete(layout.chunk_key(path, (row, 0, 0)))
 
     def write_bucket(self, cell: Cell, block: PointBlock, n_candidates: int) -> BucketInfo:
-        """Write all points of a bucket, with the candidates first; give what it returns to `publish_index`.
+        """Write all points of a bucket, candidates first, and return the info for `publish_index`.
 
         Raises
         ------
@@ -69,7 +70,7 @@ class BucketStore(points.ColumnStore):
         return BucketInfo(len(block), n_candidates)
 
     def publish_index(self, infos: Mapping[Cell, BucketInfo]) -> None:
-        """Make exactly these buckets readable (*coordinator*, once all of them are written)."""
+        """Make exactly these buckets readable (*coordinator*, once all of them were written)."""
         published = index.current_index(self._storage).with_infos(infos, layout.ROW_POINTS)
         published.publish(self._storage)
         self._index = published
@@ -77,17 +78,20 @@ class BucketStore(points.ColumnStore):
     def read_bucket(
         self, cell: Cell, columns: Sequence[str] = ("xyz",), candidates_only: bool = False
     ) -> PointBlock:
-        """The points of a bucket in stored order; raises StoreError if it is not published, or is damaged."""
+        """Return the points of a bucket in stored order. Raise StoreError if it is not published or is damaged."""
         bucket = self._bucket(cell)
         return self._read_points(points.parts_of(bucket, count_of(bucket, candidates_only)), columns)
 
     def buckets(self) -> dict[Cell, BucketInfo]:
-        """The published buckets, row by row from the south-west."""
+        """Return the published buckets, row by row from the south-west."""
         self.refresh()
         return {b.cell: b.info for b in self._current().published() if b.info is not None}
 
     def buckets_within(self, bounds: Bounds) -> dict[Cell, BucketInfo]:
-        """The published buckets that overlap ``bounds``; the cost does not grow with the number of other buckets."""
+        """Return the published buckets that overlap ``bounds``.
+
+        The cost does not grow with the number of other buckets.
+        """
         self.refresh()
         return {b.cell: b.info for b in self._overlapping(bounds) if b.info is not None}
 
@@ -99,11 +103,11 @@ class BucketStore(points.ColumnStore):
         labels: str | None = None,
         places: dict[Cell, slice] | None = None,
     ) -> PointBlock:
-        """All points of ``bounds``, each once; with the labels called ``labels`` if that is given.
+        """Return all points of ``bounds``, each once, with the labels named ``labels`` if given.
 
-        Buckets come row by row from the south-west, and their points in stored order, whatever the bounds. Only the
-        buckets that overlap the bounds are read. The peak memory is the result, one of its columns once more, and
-        eight rows. ``places`` receives the slice of the result that holds the points of each bucket.
+        Buckets come row by row from the south-west, and their points in stored order, independent of the bounds. Only
+        the buckets that overlap the bounds are read. The peak memory is the result, a second copy of one column, and
+        eight rows. ``places`` receives the slice of each bucket's points in the result.
         """
         parts: list[points.Part] = []
         for bucket in self._overlapping(bounds):
@@ -124,16 +128,16 @@ class BucketStore(points.ColumnStore):
         return self._opened(layout.labels_path(name), layout.LABELS)
 
     def _overlapping(self, bounds: Bounds) -> list[Bucket]:
-        """The published buckets that overlap ``bounds``, row by row from the south-west."""
+        """Return the published buckets that overlap ``bounds``, row by row from the south-west."""
         return self._current().overlapping(self.meta.bucket, bounds)
 
     def owner_of(self, row: int) -> Cell | None:
-        """The cell of the bucket that owns a row of the columns; None if no bucket does."""
+        """Return the cell of the bucket that owns a row of the columns, or None if no bucket owns it."""
         self.refresh()
         return self._current().owner(row)
 
     def refresh(self) -> None:
-        """Read the index again, as another process may have published a newer one."""
+        """Read the index again, since another process may have published a newer one."""
         self._index = index.current_index(self._storage)
 
     def _current(self) -> BucketIndex:
@@ -149,7 +153,7 @@ class BucketStore(points.ColumnStore):
 
 
 def count_of(bucket: Bucket, candidates_only: bool = False) -> int:
-    """Number of points, or of candidates, in a bucket; raises StoreError if it is not published."""
+    """Return the number of points, or of candidates, in a bucket. Raise StoreError if it is not published."""
     if bucket.info is None:
-        raise StoreError(f"bucket {bucket.cell.name}: not published yet; run ingest first")
+        raise StoreError(f"bucket {bucket.cell.name}: not published yet; run `tiler ingest` first")
     return bucket.info.n_candidates if candidates_only else bucket.info.n

@@ -1,4 +1,4 @@
-"""Reads rasters of coarse cells, in windows and at the pixels of finer rasters."""
+"""Reading of rasters of coarse cells, in windows and at the pixels of finer rasters."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ Floats = npt.NDArray[np.float32]
 
 
 def read_cells(store: TileStore, name: str, coarse: RasterSpec, window: Block, fill: float = 0.0) -> Floats:
-    """Cells of a raster in a window that may reach beyond it, where they hold ``fill``; float32 (height, width)."""
+    """Return a window of a raster, float32 (height, width). Cells of the window beyond the raster are ``fill``."""
     found = np.full((window.height, window.width), fill, np.float32)
     top, left = max(window.row, 0), max(window.col, 0)
     bottom = min(window.row + window.height, coarse.height)
@@ -24,9 +24,9 @@ def read_cells(store: TileStore, name: str, coarse: RasterSpec, window: Block, f
 
 
 def coarse_cells(coarse: RasterSpec, spec: RasterSpec, block: Block) -> tuple[npt.NDArray[np.int64], ...]:
-    """Row and column of the coarse cell at each pixel's centre: int64 (height,) and (width,).
+    """Return row and column of the coarse cell at each pixel's centre, int64 (height,) and (width,).
 
-    They may lie beyond the raster of coarse cells, by one, where the sides do not divide one another.
+    They may be one cell beyond the raster of coarse cells if the sides do not divide one another.
     """
     p, q = spec.lattice.p, spec.lattice.q
     x = ((2 * (spec.west + block.col + np.arange(block.width, dtype=np.int64)) + 1) * p) // (2 * q)
@@ -35,14 +35,14 @@ def coarse_cells(coarse: RasterSpec, spec: RasterSpec, block: Block) -> tuple[np
 
 
 def coarse_window(coarse: RasterSpec, spec: RasterSpec, block: Block) -> Block:
-    """The cells at the centres of a block's pixels."""
+    """Return the window of the coarse cells at the centres of a block's pixels."""
     rows, cols = coarse_cells(coarse, spec, block)
     top, left = int(rows.min()), int(cols.min())
     return Block(top, left, int(rows.max()) - top + 1, int(cols.max()) - left + 1)
 
 
 def coarse_values(store: TileStore, name: str, coarse: RasterSpec, spec: RasterSpec, block: Block) -> Floats:
-    """Values of a coarse raster at a block's pixels, float32 (height, width); 0 beyond the raster."""
+    """Return the values of a coarse raster at a block's pixels, float32 (height, width), 0 beyond the raster."""
     window = coarse_window(coarse, spec, block)
     cells = read_cells(store, name, coarse, window)
     rows, cols = coarse_cells(coarse, spec, block)

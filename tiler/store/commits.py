@@ -1,4 +1,4 @@
-"""Commits: one small object for each finished task, written after the task's data."""
+"""Commits: one small object per finished task, written after the task's data."""
 
 from __future__ import annotations
 
@@ -11,18 +11,18 @@ from tiler.store.part import StorePart
 from tiler.store.storage import parse_json
 
 Commits = dict[str, tuple[str, dict[str, Any]]]
-"""Key of a task -> its digest and its record."""
+"""Digest and record of each finished task, by key of the task."""
 
 
 class CommitStore(StorePart):
-    """The tasks that are done."""
+    """Commits of the finished tasks of each stage."""
 
     def commit(self, stage: str, key: str, digest: str, record: Mapping[str, Any]) -> None:
-        """Record that a task is done, once its data are written; an earlier record of the task is replaced."""
+        """Record that a task is done, in place of an earlier record. The task's data must be written before."""
         self._storage.put_json(layout.commit_key(stage, key), {"digest": digest, "record": dict(record)})
 
     def committed(self, stage: str) -> Commits:
-        """Every finished task of a stage. A task whose commit is damaged counts as not done."""
+        """Return every finished task of a stage. A task with a damaged commit counts as not done."""
         found = self._packed(stage)
         names = self._names(stage)
         objects = self._storage.get_many([layout.commit_key(stage, name) for name in names])
@@ -40,8 +40,8 @@ class CommitStore(StorePart):
     def compact(self, stage: str, fewest: int = 1) -> None:
         """Pack the commits of a stage into one object (*coordinator*, while no task of the stage runs).
 
-        Without it, each `committed` of a stage of 10^5 tasks would cost 10^5 requests. Fewer commits than ``fewest``
-        stay as they are.
+        Without this, each call of `committed` for a stage of 10^5 tasks would need 10^5 requests. Fewer commits than
+        ``fewest`` are not packed.
         """
         names = self._names(stage)
         if len(names) >= fewest:

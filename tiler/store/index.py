@@ -1,4 +1,4 @@
-"""The bucket index: which rows of the columns belong to which bucket, and how many points they hold."""
+"""Bucket index: the rows of the columns that belong to each bucket, and the number of points in them."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ UNPUBLISHED = -1
 
 @dataclass(frozen=True)
 class BucketInfo:
-    """Points of a bucket: ``n`` in all; the first ``n_candidates`` are candidates."""
+    """Number of points in a bucket: ``n`` in total. The first ``n_candidates`` points are candidates."""
 
     n: int
     n_candidates: int
@@ -30,7 +30,7 @@ class BucketInfo:
 
 @dataclass(frozen=True)
 class Bucket:
-    """A bucket and its place: rows ``row`` to ``row + rows - 1``; ``info`` is None until the bucket is published."""
+    """Bucket and its rows ``row`` to ``row + rows - 1``. ``info`` is None until the bucket is published."""
 
     cell: Cell
     row: int
@@ -39,12 +39,13 @@ class Bucket:
 
 
 class BucketIndex:
-    """An immutable table of buckets, sorted by (iy, ix). A change makes a new table.
+    """Immutable table of buckets, sorted by (iy, ix). A change makes a new table.
 
     Parameters
     ----------
     table : int64, shape (k, 6)
-        Columns ix, iy, first row, rows, points, candidates (-1 where the bucket is not published).
+        Columns ix, iy, first row, number of rows, points and candidates. The last two are -1 if the bucket is not
+        published.
     """
 
     def __init__(self, table: npt.NDArray[np.int64]) -> None:
@@ -54,7 +55,7 @@ class BucketIndex:
 
     @classmethod
     def empty(cls) -> BucketIndex:
-        """The index of a new store."""
+        """Return the index of a new store."""
         return cls(np.empty((0, 6), dtype=np.int64))
 
     @property
@@ -63,7 +64,7 @@ class BucketIndex:
         return int((self._table[:, _ROW] + self._table[:, _ROWS]).max(initial=0))
 
     def find(self, cell: Cell) -> Bucket | None:
-        """The bucket of a cell; None if it has no rows."""
+        """Return the bucket of a cell, or None if it has no rows."""
         if self._place is None:
             cells = zip(self._table[:, _IX].tolist(), self._table[:, _IY].tolist(), strict=True)
             self._place = {key: i for i, key in enumerate(cells)}
@@ -73,7 +74,7 @@ class BucketIndex:
         return _bucket(self._table[i].tolist())
 
     def owner(self, row: int) -> Cell | None:
-        """The cell whose bucket owns a row; None if no bucket does."""
+        """Return the cell whose bucket owns a row, or None if no bucket owns it."""
         first = self._table[:, _ROW]
         owners = self._table[(first <= row) & (row < first + self._table[:, _ROWS])]
         if not len(owners):
@@ -81,12 +82,12 @@ class BucketIndex:
         return Cell(int(owners[0, _IX]), int(owners[0, _IY]))
 
     def published(self) -> Iterator[Bucket]:
-        """All published buckets, row by row from the south-west."""
+        """Yield all published buckets, row by row from the south-west."""
         for line in self._table[self._table[:, _N] >= 0].tolist():
             yield _bucket(line)
 
     def overlapping(self, lattice: Lattice, bounds: Bounds) -> list[Bucket]:
-        """The published buckets whose cells overlap ``bounds``, row by row from the south-west."""
+        """Return the published buckets whose cells overlap ``bounds``, row by row from the south-west."""
         if bounds.empty:
             return []
         south = np.searchsorted(self._iy, lattice.index_of(bounds.y0))
@@ -98,10 +99,10 @@ class BucketIndex:
         return [_bucket(line) for line in table[hit].tolist()]
 
     def allocated(self, counts: Mapping[Cell, int], row_points: int) -> tuple[BucketIndex, list[Bucket]]:
-        """An index with rows for ``counts``, and the buckets that moved away from their rows.
+        """Return an index with rows for ``counts``, and the old entries of the buckets that got new rows.
 
-        A bucket whose rows suffice keeps its rows and its info. A bucket that outgrew its rows, like a new one, gets
-        rows at the end and is unpublished. Neighbouring buckets get neighbouring rows.
+        A bucket with enough rows keeps its rows and its info. A new bucket, or one that needs more rows than it has,
+        gets rows at the end and is unpublished. Neighbouring buckets get neighbouring rows.
         """
         row = self.rows
         lines = {(line[_IX], line[_IY]): line for line in self._table.tolist()}
@@ -118,21 +119,22 @@ class BucketIndex:
         return BucketIndex(np.array(list(lines.values()), dtype=np.int64).reshape(-1, 6)), moved
 
     def with_infos(self, infos: Mapping[Cell, BucketInfo], row_points: int) -> BucketIndex:
-        """An index in which exactly the buckets of ``infos`` are published; StoreError if one does not fit its rows."""
+        """Return an index in which exactly the buckets of ``infos`` are published.
+
+        Raise StoreError if the points of a bucket do not fit its rows.
+        """
         table = self._table.copy()
         table[:, _N:] = UNPUBLISHED
         place = {(line[_IX], line[_IY]): i for i, line in enumerate(table.tolist())}
         for cell, info in infos.items():
             i = place.get((cell.ix, cell.iy))
             if i is None or not 0 <= info.n_candidates <= info.n <= table[i, _ROWS] * row_points:
-                raise StoreError(
-                    f"bucket {cell.name}: {info.n} points do not fit what was allocated; allocate first"
-                )
+                raise StoreError(f"bucket {cell.name}: {info.n} points do not fit its rows; allocate first")
             table[i, _N:] = info.n, info.n_candidates
         return BucketIndex(table)
 
     def publish(self, storage: Storage) -> str:
-        """Write the index and make it the current one; returns its digest."""
+        """Write the index, make it the current one, and return its digest."""
         stream = io.BytesIO()
         np.save(stream, self._table, allow_pickle=False)
         data = stream.getvalue()
@@ -146,7 +148,7 @@ class BucketIndex:
 
 
 def current_index(storage: Storage) -> BucketIndex:
-    """The index that was published last; the process keeps it in memory while it stays the same."""
+    """Return the index that was published last. The process keeps it in memory until it changes."""
     for _ in range(5):
         try:
             digest = storage.get_json(layout.INDEX_POINTER)
@@ -157,14 +159,12 @@ def current_index(storage: Storage) -> BucketIndex:
         index = _loaded(storage, digest)
         if index is not None:
             return index
-        _loaded.cache_clear()  # it was replaced between the two reads
-    raise DamagedError(
-        f"{storage.url}: its bucket index is missing; run again, and it is made anew", ("index",)
-    )
+        _loaded.cache_clear()  # The index was replaced between the two reads.
+    raise DamagedError(f"{storage.url}: its bucket index is missing; run again to rebuild it", ("index",))
 
 
 def remove_older(storage: Storage) -> BucketIndex:
-    """Remove every index but the current one; returns the current one."""
+    """Remove every index but the current one, and return the current one."""
     current = current_index(storage)
     kept = {layout.INDEX_POINTER}
     pointer = storage.get_json(layout.INDEX_POINTER)
@@ -182,9 +182,7 @@ def _loaded(storage: Storage, digest: str) -> BucketIndex | None:
     if data is None:
         return None
     if _digest(data) != digest:
-        raise DamagedError(
-            f"{storage.url}: its bucket index is damaged; run again, and it is made anew", ("index",)
-        )
+        raise DamagedError(f"{storage.url}: its bucket index is damaged; run again to rebuild it", ("index",))
     return BucketIndex(np.load(io.BytesIO(data), allow_pickle=False))
 
 

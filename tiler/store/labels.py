@@ -1,4 +1,4 @@
-"""Results of passes: a label for each point of a bucket, and elected points in the first places of its rows."""
+"""Results of passes: a label per point of a bucket, and elected points in the first positions of its rows."""
 
 from __future__ import annotations
 
@@ -16,12 +16,15 @@ from tiler.store.layout import NOWHERE, ROW_POINTS, ArrayKind
 
 
 class LabelStore(BucketStore):
-    """Labels and elected points by bucket, under the name of the pass that made them."""
+    """Labels and elected points by bucket, under the name of their pass."""
 
     def write_labels(
         self, name: str, cell: Cell, labels: npt.NDArray[np.uint8], candidates_only: bool = False
     ) -> None:
-        """Write the labels of a bucket, uint8 (n,), in the stored order of its points; StoreError if n differs."""
+        """Write the labels of a bucket, uint8 (n,), in the stored order of its points.
+
+        Raise StoreError if ``labels`` has another shape or dtype.
+        """
         bucket = self._bucket(cell)
         n = count_of(bucket, candidates_only)
         if labels.shape != (n,) or labels.dtype != np.uint8:
@@ -31,7 +34,7 @@ class LabelStore(BucketStore):
         points.write_rows(self._made(layout.labels_path(name), layout.LABELS), bucket, labels[np.newaxis])
 
     def read_labels(self, name: str, cell: Cell, candidates_only: bool = False) -> npt.NDArray[np.uint8]:
-        """The labels of a bucket, uint8 (n,); raises StoreError if they were not written."""
+        """Return the labels of a bucket, uint8 (n,). Raise StoreError if they were not written."""
         bucket = self._bucket(cell)
         parts = points.parts_of(bucket, count_of(bucket, candidates_only))
         if not parts:
@@ -40,7 +43,10 @@ class LabelStore(BucketStore):
         return labels
 
     def write_elected(self, name: str, cell: Cell, xyz: npt.NDArray[np.int32]) -> None:
-        """Write the points that a pass elected in a bucket, int32 (3, m); StoreError if one lies outside the bucket."""
+        """Write the points that a pass elected in a bucket, int32 (3, m).
+
+        Raise StoreError if a point lies outside the bucket or the bucket has no room for the points.
+        """
         if xyz.dtype != np.int32 or xyz.ndim != 2 or xyz.shape[0] != 3:
             raise StoreError(
                 f"elected points of bucket {cell.name}: need int32 (3, m), got {xyz.dtype} {xyz.shape}"
@@ -54,7 +60,7 @@ class LabelStore(BucketStore):
         self._write_first(layout.labels_path(name), layout.LABELS, cell, labels[np.newaxis])
 
     def elected(self, name: str, bounds: Bounds, labels: str | None = None) -> PointBlock:
-        """The points of ``bounds`` that a pass elected; with the labels called ``labels`` if that is given.
+        """Return the points of ``bounds`` that a pass elected, with the labels named ``labels`` if given.
 
         Buckets come row by row from the south-west, and their points in stored order.
         """
@@ -78,26 +84,26 @@ class LabelStore(BucketStore):
         return PointBlock(xyz, labels=np.concatenate(labelled))
 
     def _write_first(self, path: str, kind: ArrayKind, cell: Cell, values: npt.NDArray[np.generic]) -> None:
-        """Write values (width, m) of elected points; raises StoreError if the bucket's rows have no room for them."""
+        """Write values (width, m) of elected points. Raise StoreError if the bucket's rows have no room for them."""
         bucket = self._bucket(cell)
         m = values.shape[1]
         room = len(_places(bucket)) * ROW_POINTS
         if m > room:
             raise StoreError(
                 f"bucket {cell.name}: {m} elected points do not fit the rows of {count_of(bucket)} points; "
-                "elect no more than there are"
+                "elect at most as many points as the rows hold"
             )
         full = np.full((values.shape[0], room), kind.fill, values.dtype)
         full[:, :m] = values
         points.write_rows(self._made(path, kind), bucket, full)
 
     def _made(self, path: str, kind: ArrayKind) -> StoredArray:
-        """The array at a path; the first task that writes to the array makes it."""
+        """Return the array at a path, and make it if no task has written to it yet."""
         if path not in self._open:
             self._open[path] = find_or_make(self._storage, path, kind, self._current().rows)
         return self._open[path]
 
 
 def _places(bucket: Bucket) -> list[points.Part]:
-    """All rows of a bucket, each to its end: the number of elected points is known only once the rows are read."""
+    """Return all rows of a bucket as whole rows, since the number of elected points is not known before reading."""
     return [points.Part(bucket, part.row, ROW_POINTS) for part in points.parts_of(bucket, count_of(bucket))]

@@ -1,18 +1,18 @@
-"""The layout of a store: the only file that knows paths, dtypes, chunks, codecs and the schema version.
+"""Layout of a store. Only this file defines paths, dtypes, chunks, codecs and the schema version.
 
 ::
 
-    zarr.json                      root group; its attributes hold the schema version and the `StoreMeta`
-    points/<column>                chunk-owned columns (rows, width, ROW_POINTS): a bucket owns whole rows
-    index/<digest>.npy             which rows belong to which bucket, and how many points they hold
-    index/current.json             which index is the current one
-    labels/<name>                  uint8, rows as in points
-    elected/<name>                 int32 (rows, 3, ROW_POINTS): points that a pass made, in the rows of their buckets
-    rasters/<name>                 float32 (height, width)
+    zarr.json                      root group with the schema version and the `StoreMeta` as attributes
+    points/<column>                columns (rows, width, ROW_POINTS); each bucket owns whole rows
+    index/<digest>.npy             rows and number of points of each bucket
+    index/current.json             digest of the current index
+    labels/<name>                  labels of a pass, uint8, rows as in points
+    elected/<name>                 points that a pass made, int32 (rows, 3, ROW_POINTS), in the rows of their buckets
+    rasters/<name>                 raster, float32 (height, width)
     spool/<piece>                  points of one source piece, sorted by bucket
-    records/<piece>-<bytes>        records of one source piece as they were decoded
-    commits/<stage>/<key>.json     one finished task
-    packs/<stage>.json             finished tasks, packed into one object
+    records/<piece>-<bytes>        decoded records of one source piece
+    commits/<stage>/<key>.json     commit of one finished task
+    packs/<stage>.json             commits of finished tasks, packed into one object
     state/<name>.json              state of the run
     lock.json                      lease of the run that holds the store
 """
@@ -34,11 +34,15 @@ SCHEMA_VERSION = 4
 ROOT_ATTRIBUTE = "tiler_store"
 
 CHUNK_SEPARATOR = "."
-"""Separates the numbers of a chunk in its key. A slash would make two folders for each chunk on a local disk, and
-making and removing the folders takes longer than writing the chunk."""
+"""Separator of the numbers of a chunk in its key.
+
+With a slash, each chunk would have two folders on a local disk, and making and removing these takes longer than
+writing the chunk."""
 
 ROW_POINTS = 131072
-"""Points in a row of the columns: one chunk, one object. Measured: see docs/decisions.md, "Store layout"."""
+"""Points in a row of the columns, which is one chunk and one object.
+
+Measurements are in docs/decisions.md, "Store layout"."""
 
 SPOOL_CHUNK = 65536
 
@@ -49,24 +53,25 @@ ALLOWED_CODECS = frozenset({"bytes", "blosc", "crc32c"})
 
 @dataclass(frozen=True)
 class ArrayKind:
-    """Storage of the arrays of one kind.
+    """Storage parameters of one kind of array.
 
     Attributes
     ----------
     dtype : str
-        Name of the numpy dtype; little-endian on disk.
+        Name of the numpy dtype, which is little-endian on disk.
     chunks : tuple of int
+        Shape of a chunk.
     fill : float
         Value of every element that was never written.
     sparse : bool
-        Chunks that hold nothing but `fill` are not stored. Where it is False, every chunk is stored, so that a
-        missing chunk is an error and is not read as zeros.
+        Whether chunks that hold only `fill` are not stored. If False, every chunk is stored, so that a missing
+        chunk is an error and is not read as zeros.
     item : int
-        Bytes that the shuffle treats as one item; 0 means the size of the dtype.
+        Bytes that the shuffle treats as one item. 0 means the size of the dtype.
     codec : str
-        Compressor within blosc: points, labels and spool are read so often that speed matters more than size.
+        Compressor within blosc. Points, labels and spool are read so often that speed matters more than size.
     level : int
-        Level of compression.
+        Compression level.
     """
 
     dtype: str
@@ -79,25 +84,26 @@ class ArrayKind:
 
     @property
     def chunk_bytes(self) -> int:
-        """Bytes of a chunk before compression."""
+        """Size of a chunk before compression, in bytes."""
         return math.prod(self.chunks) * np.dtype(self.dtype).itemsize
 
     @property
     def shuffled(self) -> int:
-        """Bytes of one item for the shuffle."""
+        """Size of one item for the shuffle, in bytes."""
         return self.item or np.dtype(self.dtype).itemsize
 
 
 @dataclass(frozen=True)
 class Column:
-    """A stored column: fields of `PointBlock` side by side.
+    """Stored column: fields of `PointBlock` next to each other.
 
     Attributes
     ----------
     name : str
     fields : mapping of str to slice
-        The place of each field among the `width` values of a point.
+        Position of each field among the `width` values of a point.
     width : int
+        Number of values per point.
     kind : ArrayKind
     """
 
@@ -116,7 +122,7 @@ def _column(name: str, dtype: str, **widths: int) -> Column:
     return Column(name, fields, end, ArrayKind(dtype, (1, end, ROW_POINTS)))
 
 
-# Class, flags and returns share a column, since they are read together and each column costs an object.
+# Class, flags and returns share a column, since they are read together and each column needs its own objects.
 COLUMNS = (
     _column("xyz", "int32", xyz=3),
     _column("attributes", "uint8", classification=1, flags=1, returns=2),
@@ -125,22 +131,22 @@ COLUMNS = (
 )
 LABELS = ArrayKind("uint8", (1, 1, ROW_POINTS))
 NOWHERE = -(2**31)
-"""x of the unused places in a bucket's rows of elected points, which fill the first places."""
+"""x of the unused positions in a bucket's rows of elected points. Elected points fill the first positions."""
 ELECTED = ArrayKind("int32", (1, 3, ROW_POINTS), fill=NOWHERE)
 
 
 def columns(has_rgb: bool) -> tuple[Column, ...]:
-    """The columns of a store."""
+    """Return the columns of a store."""
     return tuple(c for c in COLUMNS if has_rgb or c.name != "rgb")
 
 
 def raster_kind(fill: float) -> ArrayKind:
-    """Rasters: chunks of one block; a block that holds no data is not stored."""
+    """Return the kind of a raster. A chunk is one block, and a block that holds only ``fill`` is not stored."""
     return ArrayKind("float32", (BLOCK_PIXELS, BLOCK_PIXELS), fill, sparse=True, codec="zstd", level=3)
 
 
 def record_type(has_rgb: bool) -> np.dtype[np.void]:
-    """One point of the spool."""
+    """Return the dtype of one point of the spool."""
     names: list[tuple[str, Any] | tuple[str, Any, int]] = [
         ("xyz", "<i4", 3),
         ("classification", "u1"),
@@ -154,72 +160,75 @@ def record_type(has_rgb: bool) -> np.dtype[np.void]:
 
 
 def spool_kind(has_rgb: bool) -> ArrayKind:
-    """Pieces of the spool: bytes of whole records, shuffled as such."""
+    """Return the kind of a piece of the spool: bytes of whole records, each an item of the shuffle."""
     return records_kind(record_type(has_rgb).itemsize)
 
 
 def records_kind(record_bytes: int) -> ArrayKind:
-    """Pieces of sources as they were decoded: bytes of whole records, shuffled as such."""
+    """Return the kind of a piece's decoded records: bytes of whole records, each an item of the shuffle."""
     return ArrayKind("uint8", (SPOOL_CHUNK, record_bytes), item=record_bytes)
 
 
 def points_path(column: str) -> str:
-    """Path of a column."""
+    """Return the path of a column."""
     return f"points/{column}"
 
 
 def labels_path(name: str) -> str:
-    """Path of the labels of a pass."""
+    """Return the path of the labels of a pass."""
     return f"labels/{safe(name)}"
 
 
 def elected_path(name: str) -> str:
-    """Path of the points that a pass elected."""
+    """Return the path of the points that a pass elected."""
     return f"elected/{safe(name)}"
 
 
 def raster_path(name: str) -> str:
-    """Path of a raster."""
+    """Return the path of a raster."""
     return f"rasters/{safe(name)}"
 
 
 def spool_path(piece: str) -> str:
-    """Path of a piece of the spool."""
+    """Return the path of a piece of the spool."""
     return f"spool/{safe(piece)}"
 
 
 def records_path(piece: str, record_bytes: int) -> str:
-    """Path of the records of a piece. An earlier file of the same name may have had records of another length."""
+    """Return the path of the records of a piece.
+
+    The path contains the record length, since an earlier file of the same name may have had records of another length.
+    """
     return f"records/{safe(piece)}-{record_bytes}"
 
 
 def index_key(digest: str) -> str:
-    """Key of a bucket index."""
+    """Return the key of a bucket index."""
     return f"index/{digest}.npy"
 
 
 def commit_key(stage: str, key: str) -> str:
-    """Key of a finished task."""
+    """Return the key of the commit of a finished task."""
     return f"commits/{safe(stage)}/{safe(key)}.json"
 
 
 def pack_key(stage: str) -> str:
-    """Key of the packed commits of a stage."""
+    """Return the key of the packed commits of a stage."""
     return f"packs/{safe(stage)}.json"
 
 
 def state_key(name: str) -> str:
-    """Key of a piece of run state."""
+    """Return the key of a state of the run."""
     return f"state/{safe(name)}.json"
 
 
 def chunk_key(path: str, chunk: Sequence[int]) -> str:
-    """Key of a chunk of the array at ``path``."""
+    """Return the key of a chunk of the array at ``path``."""
     return f"{path}/{CHUNK_SEPARATOR.join(['c', *map(str, chunk)])}"
 
 
 def chunk_numbers(name: str) -> tuple[int, ...] | None:
-    """Numbers of the chunk whose key ends in ``name``; None if that is not the name of a chunk."""
+    """Return the numbers of the chunk whose key ends in ``name``, or None if this is not the name of a chunk."""
     first, *numbers = name.split(CHUNK_SEPARATOR)
     if first != "c" or not numbers:
         return None
@@ -231,7 +240,7 @@ def chunk_numbers(name: str) -> tuple[int, ...] | None:
 _NAME = r"[A-Za-z0-9_+=-][A-Za-z0-9._+=-]{0,199}"
 _SAFE = re.compile(_NAME)
 _HEX = "[0-9a-f]{32}"
-# Up to schema 3 the keys of chunks had slashes; --overwrite removes such stores.
+# Up to schema 3 the keys of chunks had slashes, and --overwrite removes stores of these schemas.
 _KEYS = re.compile(
     r"zarr\.json|lock\.json"
     rf"|(points|labels|elected|rasters|spool|records)/({_NAME}/)?zarr\.json"
@@ -253,22 +262,24 @@ FOLDERS = (
     "trial",
 )
 """Folders of a store."""
-# Temporary names of files, which are renamed once they are whole.
+# Files have temporary names until they are complete.
 _SCRATCH = re.compile(rf"(({'|'.join(FOLDERS)})/(.+/)?)?[^/]+\.{_HEX}\.partial")
 
 
 def is_scratch(key: str) -> bool:
-    """Whether a key is a temporary name, as a killed write leaves it behind."""
+    """Return whether a key is a temporary name, which a killed write can leave."""
     return _SCRATCH.fullmatch(key) is not None
 
 
 def is_ours(key: str) -> bool:
-    """Whether a key belongs to the layout. Other files in the folder of a store are never removed."""
+    """Return whether a key belongs to the layout. Other files in the folder of a store are never removed."""
     return _KEYS.fullmatch(key) is not None or is_scratch(key)
 
 
 def safe(name: str) -> str:
-    """The name itself; raises StoreError if some file system or object store does not allow it in a path."""
+    """Return the name. Raise StoreError if some file system or object store does not allow it in a path."""
     if _SAFE.fullmatch(name) is None:
-        raise StoreError(f"{name!r} cannot name an object of a store: use letters, digits and . _ + = -")
+        raise StoreError(
+            f"{name!r} is not a valid name of an object in a store; use letters, digits and . _ + = -"
+        )
     return name

@@ -1,4 +1,4 @@
-"""Locks that allow one run for each store, and for each folder of results: leases that a live run renews."""
+"""Locks that allow one run per store and per folder of results: leases that a live run renews."""
 
 from __future__ import annotations
 
@@ -21,22 +21,23 @@ from tiler.store.layout import LOCK_KEY
 from tiler.store.storage import Storage
 
 LEASE_SECONDS = 120.0
-"""A lease of another host that was not renewed for so long seems to be abandoned."""
+"""Age in seconds at which a lease of another host that was not renewed seems to be abandoned."""
 RENEW_SECONDS = 20.0
 OBSERVE_SECONDS = 1.5 * RENEW_SECONDS
-"""A lease that seems to be abandoned is watched for so long, since the clock of the other host may differ."""
+"""Time to watch a lease that seems to be abandoned, since the clock of the other host may differ."""
 DAMAGED = "?"
-"""Name of the host in place of a lease that cannot be read."""
+"""Host name of the `Holder` that stands for a lease that cannot be read."""
 FOLDER_LOCK = f"{SCRATCH_PREFIX}lock.json"
 """Name of the lease in a folder of results."""
 SETTLE_SECONDS = 0.5
-"""Where two writers can both succeed (object stores through fsspec, disks without hard links), the lease is read
-again after this time: the last writer holds it."""
+"""Time until a new lease is read again if two writers can both succeed: the last writer holds the lease.
+
+Two writers can both succeed on object stores through fsspec and on disks without hard links."""
 
 
 @dataclass(frozen=True)
 class Holder:
-    """A run that holds a lease, as the lease describes it."""
+    """Run that holds a lease, as the lease describes it."""
 
     token: str
     host: str
@@ -49,7 +50,7 @@ class Holder:
 
 
 class Lease:
-    """A lock while it is held. Call `check` before anything that only the holder may do."""
+    """Lock while it is held. Call `check` before anything that only the holder may do."""
 
     def __init__(self, storage: Storage, key: str) -> None:
         self._storage = storage
@@ -59,7 +60,7 @@ class Lease:
         self._since = time.time()
 
     def check(self) -> None:
-        """Raise LockedError if another run took the lease over, which can happen while this machine sleeps."""
+        """Raise LockedError if another run took over the lease, which can happen while this machine sleeps."""
         holder = _holder(self._storage, self._key)
         if holder is None or holder.token != self._token:
             raise _refused(self._storage, holder)
@@ -82,9 +83,9 @@ class Lease:
                 self.check()
                 self._storage.put_json(self._key, self._body())
             except LockedError:
-                return  # the next `check` of the run raises it again
+                return  # The next `check` of the run raises the error again.
             except (TilerError, OSError):
-                continue  # a passing fault of the storage: the lease outlives several missed renewals
+                continue  # The fault may be temporary, and the lease remains valid without several renewals.
 
     def _acquire(self) -> None:
         holder = _holder(self._storage, self._key)
@@ -106,10 +107,15 @@ class Lease:
 
 @contextmanager
 def locked(storage: Storage, key: str = LOCK_KEY) -> Iterator[Lease]:
-    """Hold the lock; raises LockedError, which names the holder, if another run holds it.
+    """Hold the lock.
 
     Two kinds of lease are taken over: one whose process ran on this machine and has ended, and one that seems older
     than `LEASE_SECONDS` and is not renewed during `OBSERVE_SECONDS`.
+
+    Raises
+    ------
+    LockedError
+        Another run holds the lock. The message names that run.
     """
     lease = Lease(storage, key)
     lease._acquire()
@@ -124,7 +130,7 @@ def locked(storage: Storage, key: str = LOCK_KEY) -> Iterator[Lease]:
 
 
 def locked_folder(place: str) -> AbstractContextManager[Lease]:
-    """Hold the lock of a folder of results, by path or URL; raises LockedError if another run holds it."""
+    """Hold the lock of a folder of results, given as path or URL. Raise LockedError if another run holds it."""
     return locked(Storage(place), FOLDER_LOCK)
 
 
@@ -139,7 +145,10 @@ def refuse_if_held(storage: Storage) -> None:
 
 
 def is_foreign(storage: Storage) -> bool:
-    """Whether the object with the name of a lease is no lease. A lease appears whole, so it is never damaged."""
+    """Return whether the object with the name of a lease is not a lease.
+
+    A lease is written in one piece, so an object that cannot be read is not a damaged lease.
+    """
     holder = _holder(storage, LOCK_KEY)
     return holder is not None and holder.host == DAMAGED
 
@@ -156,10 +165,10 @@ def _holder(storage: Storage, key: str) -> Holder | None:
 
 
 def _here() -> dict[str, str]:
-    """Identity of this machine and of its table of processes.
+    """Return the identity of this machine and of its process table.
 
-    The name of the host alone is no identity: two machines may share it, and so may the containers of a machine, each
-    with its own table of processes. The identities of the boot and of the table are empty if the system has none.
+    The host name is not enough: two machines may share it, and so may the containers of a machine, each with its own
+    process table. The identities of the boot and of the process table are empty if the system has none.
     """
     try:
         boot = Path("/proc/sys/kernel/random/boot_id").read_text().strip()
@@ -170,7 +179,7 @@ def _here() -> dict[str, str]:
 
 
 def _is_here(holder: Holder) -> bool:
-    """Whether a holder runs, or ran, in the table of processes of this process."""
+    """Return whether a holder runs, or ran, in the process table of this process."""
     return all(getattr(holder, name) == value for name, value in _here().items())
 
 
@@ -182,9 +191,9 @@ def _refused(storage: Storage, holder: Holder | None) -> LockedError:
 
 
 def _stale(storage: Storage, key: str, holder: Holder) -> bool:
-    """Whether the holder of a lease is gone. A clock alone cannot tell, since clocks jump and differ."""
+    """Return whether the holder of a lease has ended. Clocks are not enough to decide it: they jump and differ."""
     if _is_here(holder):
-        # The number alone is not enough: another process may have it by now.
+        # Another process may have the same number by now, so the start is compared as well.
         return _start_of(holder.pid) != holder.started
     if holder.host == DAMAGED:
         return True
@@ -196,12 +205,16 @@ def _stale(storage: Storage, key: str, holder: Holder) -> bool:
 
 
 def _start_of(pid: int) -> float | None:
-    """Start of a process, by a clock that never jumps if the system has one; None if there is no such process."""
+    """Return the start of a process, or None if the process does not exist.
+
+    The start is measured with a clock that never jumps if the system has one.
+    """
     try:
-        # psutil adds these ticks to the time of the boot, and so its result jumps with the clock of the machine.
+        # psutil adds these ticks to the time of the boot, so its result jumps with the clock of the machine.
         after_name = Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2]
         return float(after_name.split()[19])
-    except (FileNotFoundError, ProcessLookupError):  # the second if the process ends while its file is read
+    except (FileNotFoundError, ProcessLookupError):
+        # ProcessLookupError is raised if the process ends during the read.
         if Path("/proc/self/stat").exists():
             return None
     try:

@@ -1,4 +1,4 @@
-"""What is fixed when a store is made: its frame, its lattices, and whether its points have colours."""
+"""Properties that are fixed when a store is made: its frame, its lattices, and whether points have colours."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from tiler.errors import ConfigError, StoreError
 
 @dataclass(frozen=True)
 class StoreMeta:
-    """Everything that the points of a store have in common.
+    """Properties that all points of a store share.
 
     Attributes
     ----------
     frame : CoordFrame
-        The meaning of the int32 counts.
+        Frame that gives the int32 counts their meaning.
     bucket : Lattice
-        Buckets, the unit of storage; their size is in counts.
+        Lattice of the buckets, the units of storage. Its size is in counts.
     fine : Lattice
-        Cells with one candidate each; their size divides the size of a bucket.
+        Lattice of the cells with one candidate each. Its size divides the size of a bucket.
     has_rgb : bool
-        Whether the points keep their colours. They do if the method of the first run uses colours.
+        Whether the points keep their colours, which is the case if the method of the first run uses colours.
 
     Raises
     ------
@@ -40,12 +40,12 @@ class StoreMeta:
         cells = self.bucket.size / self.fine.size
         if cells.denominator != 1 or cells < 1:
             raise ConfigError(
-                f"buckets of {self.bucket.size} counts are no whole number of cells of {self.fine.size}; "
-                "choose a bucket that is a multiple of the candidate cell"
+                f"bucket size {self.bucket.size} is not a multiple of the candidate cell {self.fine.size} (in counts); "
+                "use a bucket size that is a multiple of the candidate cell"
             )
 
     def to_json(self) -> dict[str, Any]:
-        """An exact JSON-able description; `from_json` reads it back."""
+        """Return an exact JSON-able description, which `from_json` reads."""
         return {
             "frame": self.frame.to_json(),
             "bucket": self.bucket.to_json(),
@@ -55,7 +55,7 @@ class StoreMeta:
 
     @classmethod
     def from_json(cls, data: dict[str, Any]) -> StoreMeta:
-        """Read the description that `to_json` wrote; raises StoreError if it is damaged."""
+        """Read the description that `to_json` wrote. Raise StoreError if it is damaged."""
         try:
             return cls(
                 frame=CoordFrame.from_json(data["frame"]),

@@ -1,4 +1,4 @@
-"""Make, open, find and remove stores. Nothing that tiler did not write is opened or deleted."""
+"""Functions that make, open, find and remove stores. They do not open or delete what tiler did not write."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ def create_store(
     meta : StoreMeta
     settled : mapping, optional
         JSON-able settings that the first run decides for all later runs. They are written in one object with the
-        description of the store, so that no store is without them.
+        description of the store, so that every store has them.
     anew : bool
         Empty an existing store and give it the new description.
 
     Raises
     ------
     ConfigError
-        A store with another `StoreMeta` is there.
+        The URL contains a store with another `StoreMeta`.
     StoreError
-        Something other than a store is there.
+        The URL contains something other than a store.
     """
     storage = Storage(url)
     attributes = {
@@ -49,11 +49,11 @@ def create_store(
         store = open_store(url)
         if store.meta != meta:
             raise ConfigError(
-                f"{url}: holds a store of other settings or inputs; use --overwrite or another --store"
+                f"{url}: contains a store of other settings or inputs; use --overwrite or another --store"
             )
         return store
     if there or storage.names(""):
-        # The description stays until the new one replaces it, so that a killed run leaves a store.
+        # The description stays until the new one replaces it, so that a killed run leaves a valid store.
         _empty(storage)
     root = sealed({"attributes": attributes, "zarr_format": 3, "node_type": "group"})
     storage.put("zarr.json", json.dumps(root).encode())
@@ -62,12 +62,12 @@ def create_store(
 
 @contextmanager
 def held_store(url: str) -> Iterator[lock.Lease]:
-    """Lock the store at ``url`` for one run; there need not be a store yet.
+    """Lock the store at ``url`` for one run. The store need not exist yet.
 
     Raises
     ------
     ForeignStoreError
-        Something other than a store is there; nothing is written.
+        The URL contains something other than a store. Nothing is written.
     LockedError
         Another run holds the lock.
     """
@@ -78,48 +78,46 @@ def held_store(url: str) -> Iterator[lock.Lease]:
 
 
 def _is_a_store(storage: Storage) -> bool:
-    """Whether there is a store; False if there is nothing, ForeignStoreError if there is something else."""
+    """Return whether there is a store. Raise ForeignStoreError if there is something other than a store."""
     url = storage.url
     root = storage.root
     if root is not None and root.is_symlink() and not root.exists():
-        raise ForeignStoreError(f"{url}: is a link to nothing; make what it leads to, or give another place")
+        raise ForeignStoreError(f"{url}: is a link to a missing folder; make the folder or give another path")
     if root is not None and root.is_file():
-        raise ForeignStoreError(f"{url}: is a file, not a tile store; give another place")
+        raise ForeignStoreError(f"{url}: is a file, not a tile store; give another path")
     data = storage.get("zarr.json")
     if data is None:
-        # A zarr.json that is listed but cannot be read is a folder, or a link to one.
+        # A zarr.json that is listed but cannot be read is a folder or a link to a folder.
         others = [name for name in storage.names("") if name == "zarr.json" or not _is_remains(storage, name)]
         if lock.is_foreign(storage):
             others.append(layout.LOCK_KEY)
         if others:
             raise ForeignStoreError(
-                f"{url}: holds something else than a tile store ({others[0]}); give an empty or new place"
+                f"{url}: contains something other than a tile store ({others[0]}); give an empty or new folder"
             )
         return False
     if _description(data) is None and not _is_damaged(data):
-        raise ForeignStoreError(
-            f"{url}: not a tile store of tiler; give another place, or remove it yourself"
-        )
+        raise ForeignStoreError(f"{url}: not a tile store of tiler; give another path, or remove it yourself")
     return True
 
 
 def _is_remains(storage: Storage, name: str) -> bool:
-    """Whether a file or folder is all that is left of a store that somebody removed while a run wrote to it."""
+    """Return whether a file or folder belongs to the remains of a store that was removed while a run wrote to it."""
     return layout.is_ours(name) or (name in layout.FOLDERS and all(map(layout.is_ours, storage.keys(name))))
 
 
 def open_store(url: str) -> TileStore:
-    """Open the store at ``url``; this is cheap, so that every task can do it.
+    """Open the store at ``url``. This is fast enough for every task to do it.
 
     Raises
     ------
     StoreError
-        There is no store, or another version wrote it.
+        There is no store, another version wrote it, or its description is damaged.
     """
     storage = Storage(url)
     data = storage.get("zarr.json")
     if data is None:
-        raise ForeignStoreError(f"{url}: no tile store here; `tiler ingest` or `tiler run` makes one")
+        raise ForeignStoreError(f"{url}: no tile store here; run `tiler ingest` or `tiler run` to make one")
     description = _description(data)
     if description is None:
         raise ForeignStoreError(f"{url}: not a tile store of tiler; give another path")
@@ -139,7 +137,7 @@ def open_store(url: str) -> TileStore:
 
 
 def _description(data: bytes) -> dict[str, Any] | None:
-    """The description in the root object of a store; None if tiler did not write the object."""
+    """Return the description in the root object of a store, or None if tiler did not write the object."""
     try:
         found = json.loads(data)["attributes"][layout.ROOT_ATTRIBUTE]
     except (ValueError, KeyError, TypeError, RecursionError):
@@ -148,7 +146,7 @@ def _description(data: bytes) -> dict[str, Any] | None:
 
 
 def _is_damaged(data: bytes) -> bool:
-    """Whether this is the root object of a store, but damaged."""
+    """Return whether the data is the damaged root object of a store."""
     try:
         json.loads(data)
     except (ValueError, RecursionError):
@@ -157,13 +155,13 @@ def _is_damaged(data: bytes) -> bool:
 
 
 def store_exists(url: str) -> bool:
-    """Whether a tile store, of any version, lies at ``url``."""
+    """Return whether there is a tile store, of any version, at ``url``."""
     data = Storage(url).get("zarr.json")
     return data is not None and _description(data) is not None
 
 
 def remove_store(url: str) -> list[str]:
-    """Delete the store at ``url`` if there is one. Files that are not the store's own stay.
+    """Delete the store at ``url`` if there is one. Files that do not belong to the store stay.
 
     Returns
     -------
@@ -173,7 +171,7 @@ def remove_store(url: str) -> list[str]:
     Raises
     ------
     StoreError
-        Something other than a store is there; nothing is deleted.
+        The URL contains something other than a store. Nothing is deleted.
     LockedError
         A run of another process holds the store.
     """
@@ -188,7 +186,7 @@ def remove_store(url: str) -> list[str]:
 
 
 def _empty(storage: Storage) -> None:
-    """Remove everything but the description and the lease of a store. The commits go first."""
+    """Remove everything but the description and the lease of a store. The commits are removed first."""
     for folder in ("packs", "commits"):
         storage.delete_folder(folder)
     storage.delete_folder("", keep=("zarr.json", layout.LOCK_KEY))

@@ -1,4 +1,4 @@
-"""Base class of the parts of a store: it holds the location, the metadata and the open arrays."""
+"""Base class of the parts of a store, with the location, the metadata and the open arrays."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from tiler.store.storage import Storage
 
 
 class StorePart:
-    """A part of `tiler.store.store.TileStore`, which inherits from all parts.
+    """Part of `tiler.store.store.TileStore`, which inherits from all parts.
 
     Attributes
     ----------
@@ -24,7 +24,7 @@ class StorePart:
         self._open: dict[str, StoredArray] = {}
 
     def _opened(self, path: str, kind: ArrayKind) -> StoredArray:
-        """The array at a path, opened at the first call; raises DamagedError if there is none."""
+        """Return the array at a path, which the first call opens. Raise DamagedError if there is no array."""
         if path not in self._open:
             self._open[path] = open_array(self._storage, path, kind)
         return self._open[path]

@@ -1,4 +1,4 @@
-"""Points in chunk-owned columns: a bucket owns whole rows, so each chunk has exactly one writer."""
+"""Points in columns of rows: a bucket owns whole rows, so each chunk has exactly one writer."""
 
 from __future__ import annotations
 
@@ -23,14 +23,14 @@ Mask = npt.NDArray[np.bool_] | None
 Keep = Callable[[PointBlock, "Part"], Mask]
 
 ROWS_AT_ONCE = 8
-"""Rows whose chunks are fetched together."""
+"""Number of rows whose chunks are read together."""
 
 _LABELS = "labels"
 
 
 @dataclass(frozen=True)
 class Part:
-    """The first ``n`` points of a row of a bucket."""
+    """First ``n`` points of a row of a bucket."""
 
     bucket: Bucket
     row: int
@@ -38,13 +38,13 @@ class Part:
 
 
 def parts_of(bucket: Bucket, n: int) -> list[Part]:
-    """The rows that hold the first ``n`` points of a bucket."""
+    """Return the rows that hold the first ``n`` points of a bucket."""
     starts = range(0, n, ROW_POINTS)
     return [Part(bucket, bucket.row + i, min(ROW_POINTS, n - start)) for i, start in enumerate(starts)]
 
 
 class ColumnStore(StorePart):
-    """The points of a store, column by column."""
+    """Points of a store, column by column."""
 
     @property
     def _columns(self) -> tuple[Column, ...]:
@@ -60,7 +60,7 @@ class ColumnStore(StorePart):
         self._open.clear()
 
     def _write_points(self, bucket: Bucket, block: PointBlock) -> None:
-        """Write all points of a bucket in whole chunks; raises StoreError if a column is missing."""
+        """Write all points of a bucket in whole chunks. Raise StoreError if a column is missing."""
         for column in self._columns:
             write_rows(self._column(column), bucket, self._joined(column, block, bucket))
 
@@ -83,19 +83,20 @@ class ColumnStore(StorePart):
         labels: StoredArray | None = None,
         kept: list[int] | None = None,
     ) -> PointBlock:
-        """The points of ``parts`` in order, as far as ``keep`` selects them.
+        """Return the points of ``parts`` that ``keep`` selects, in order.
 
         Parameters
         ----------
         parts : sequence of Part
         fields : sequence of str
-            Fields of `PointBlock`; xyz is always read, and rgb stays None if the store has no colours.
+            Fields of `PointBlock` to read. xyz is always read, and rgb stays None if the store has no colours.
         keep : callable, optional
-            Makes the mask of the points to keep from a part and its xyz; None keeps all of them.
+            Function that makes the mask of the points to keep from the xyz of a part and the part. A mask of None
+            keeps all points.
         labels : StoredArray, optional
-            Labels of a pass, which are read, too.
+            Labels of a pass, which are read as well.
         kept : list of int, optional
-            Receives the number of points kept of each part.
+            List that receives the number of points kept of each part.
         """
         columns = self._needed(fields)
         opened = {c.name: self._column(c) for c in columns}
@@ -125,11 +126,14 @@ class ColumnStore(StorePart):
 
 
 Gathered = dict[str, list[npt.NDArray[Any]]]
-"""For each column, the values of one part after the other."""
+"""Values of each column, as one array per part."""
 
 
 def _side_by_side(gathered: Gathered, name: str, kind: layout.ArrayKind) -> npt.NDArray[Any]:
-    """The values of a column in one array. The column leaves ``gathered``, so that one column at most is held twice."""
+    """Return the values of a column in one array.
+
+    The column is removed from ``gathered``, so that at most one column is in memory twice.
+    """
     pieces = gathered.pop(name)
     return np.concatenate([np.empty((kind.chunks[1], 0), kind.dtype), *pieces], axis=1)
 
@@ -140,7 +144,10 @@ def _gather(
     keep: Keep | None,
     gathered: Gathered,
 ) -> None:
-    """Add the points that ``keep`` selects, column by column, xyz first; other parts are read no further."""
+    """Add the points that ``keep`` selects to ``gathered``, column by column.
+
+    xyz is read first. Other columns are read only for parts with selected points.
+    """
     masks: list[Mask] = [None] * len(parts)
     for name, array in opened.items():
         chunks = array.read_rows([part.row for part in parts])
@@ -156,15 +163,19 @@ def _gather(
 
 
 def _masked(values: npt.NDArray[Any], mask: Mask) -> npt.NDArray[Any]:
-    """The values (width, n) that a mask selects. They are a copy always, so that their chunk can be freed."""
+    """Return the values (width, n) that a mask selects. They are always a copy, so that their chunk can be freed."""
     if mask is None:
         return values.copy()
-    kept: npt.NDArray[Any] = np.compress(mask, values, axis=1)  # three times faster than `values[:, mask]`
+    # `np.compress` is three times faster than `values[:, mask]`.
+    kept: npt.NDArray[Any] = np.compress(mask, values, axis=1)
     return kept
 
 
 def inside(bounds: Bounds, origin: tuple[int, int], cell_bounds: Callable[[Bucket], Bounds]) -> Keep:
-    """A `Keep` for the points of ``bounds``; the points of a bucket that lies inside are not compared one by one."""
+    """Return a `Keep` for the points of ``bounds``.
+
+    The points of a bucket that lies inside the bounds are not compared one by one.
+    """
 
     def keep(block: PointBlock, part: Part) -> Mask:
         a = cell_bounds(part.bucket)
@@ -176,7 +187,7 @@ def inside(bounds: Bounds, origin: tuple[int, int], cell_bounds: Callable[[Bucke
 
 
 def write_rows(array: StoredArray, bucket: Bucket, values: npt.NDArray[Any]) -> None:
-    """Write ``values`` (width, n) to the rows of a bucket; the last row is padded with zeros."""
+    """Write ``values`` (width, n) to the rows of a bucket. The last row is padded with zeros."""
     for part in parts_of(bucket, values.shape[1]):
         start = (part.row - bucket.row) * ROW_POINTS
         row = np.zeros((1, values.shape[0], ROW_POINTS), dtype=values.dtype)
@@ -185,6 +196,6 @@ def write_rows(array: StoredArray, bucket: Bucket, values: npt.NDArray[Any]) -> 
 
 
 def read_rows(array: StoredArray, parts: Sequence[Part]) -> npt.NDArray[Any]:
-    """The values (width, n) of ``parts``, side by side."""
+    """Return the values (width, n) of ``parts``, concatenated in order."""
     chunks = array.read_rows([part.row for part in parts])
     return np.concatenate([chunk[0, :, : part.n] for chunk, part in zip(chunks, parts, strict=True)], axis=1)

@@ -1,4 +1,4 @@
-"""Rasters: one chunk for each block, so that each block has one writer; pixels never written are nodata."""
+"""Rasters of a store, with one chunk per block, so that each block has one writer."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from tiler.store.part import StorePart
 
 
 class RasterStore(StorePart):
-    """The rasters of a store."""
+    """Rasters of a store. Pixels that were never written hold the raster's fill."""
 
     def create_raster(self, name: str, height: int, width: int, fill: float = NODATA) -> None:
-        """Make a float32 raster; an existing one of the same shape and fill keeps its blocks (*coordinator*)."""
+        """Make a float32 raster (*coordinator*). An existing raster of the same shape and fill keeps its blocks."""
         path = layout.raster_path(name)
         kind = layout.raster_kind(fill)
         found = arrays.find_array(self._storage, path, kind)
@@ -29,12 +29,12 @@ class RasterStore(StorePart):
         self._open[path] = found
 
     def write_block(self, name: str, block: Block, values: npt.NDArray[np.float32]) -> None:
-        """Write a whole block of 512 x 512 pixels, or fewer at the south and east edge: one chunk.
+        """Write a whole block as one chunk: 512 x 512 pixels, or fewer at the south and east edge.
 
         Raises
         ------
         StoreError
-            The block is not a chunk of the raster, or ``values`` have another shape.
+            The block is not a chunk of the raster, or ``values`` has another shape.
         """
         array = self._raster(name)
         height, width = array.shape
@@ -42,14 +42,14 @@ class RasterStore(StorePart):
         aligned = block.row % BLOCK_PIXELS == 0 and block.col % BLOCK_PIXELS == 0
         if not aligned or (block.height, block.width) != whole or values.shape != whole:
             raise StoreError(
-                f"{array.path}: block {block.name} is no chunk; blocks are {BLOCK_PIXELS} pixels wide"
+                f"{array.path}: block {block.name} is not a chunk; blocks are {BLOCK_PIXELS} pixels wide"
             )
         chunk = np.full(array.kind.chunks, array.fill, np.float32)
         chunk[: block.height, : block.width] = values
         array.write((block.row // BLOCK_PIXELS, block.col // BLOCK_PIXELS), chunk)
 
     def read_block(self, name: str, block: Block) -> npt.NDArray[np.float32]:
-        """Any window of a raster, float32 (height, width); pixels that were never written hold the fill.
+        """Return any window of a raster, float32 (height, width). Pixels that were never written hold the fill.
 
         Raises
         ------
@@ -76,7 +76,7 @@ class RasterStore(StorePart):
         return found
 
     def stored_blocks(self, name: str) -> set[tuple[int, int]]:
-        """First row and column of each block with a stored chunk; other blocks hold the fill, or are lost."""
+        """Return first row and column of each block with a stored chunk. Other blocks hold the fill or are lost."""
         found = set()
         for key in self._storage.names(layout.raster_path(name)):
             numbers = layout.chunk_numbers(key)
@@ -85,7 +85,7 @@ class RasterStore(StorePart):
         return found
 
     def erase_blocks(self, name: str, blocks: Iterable[Block]) -> None:
-        """Remove the chunks of some blocks, which then hold the raster's fill."""
+        """Remove the chunks of some blocks, whose pixels then hold the raster's fill."""
         for block in blocks:
             chunk = (block.row // BLOCK_PIXELS, block.col // BLOCK_PIXELS)
             self._storage.delete(layout.chunk_key(layout.raster_path(name), chunk))

@@ -1,4 +1,7 @@
-"""Decoded records of the sources, kept until the classified clouds are written, since decoding again costs far more."""
+"""Decoded records of the sources, kept until the classified clouds are written.
+
+Decoding the sources again would take much longer than writing and reading the records.
+"""
 
 from __future__ import annotations
 
@@ -16,12 +19,12 @@ from tiler.store.part import StorePart
 from tiler.store.storage import Storage
 
 LONGEST_BYTES = 255
-"""Longest record that is kept, since blosc cannot shuffle longer items."""
+"""Size of the longest record that is kept, since blosc cannot shuffle longer items."""
 
 
 @dataclass(frozen=True)
 class KeptPiece:
-    """A piece of a source: its name, first record, number of records, and the identity of its content."""
+    """Piece of a source: its name, first record, number of records, and the identity of its content."""
 
     name: str
     start: int
@@ -30,14 +33,14 @@ class KeptPiece:
 
 
 class RecordKeeper:
-    """Writes the records of one piece, `SPOOL_CHUNK` at a time; they are valid once `close` was called.
+    """Writer of the records of one piece, in chunks of `SPOOL_CHUNK`. The records are valid once `close` was called.
 
     Parameters
     ----------
     storage : Storage
     piece : str
     identity : str or None
-        Identity of the piece's content: records of a source that has changed since are not used.
+        Identity of the piece's content. The records are not used if the source has changed since.
     record_bytes : int
     """
 
@@ -49,7 +52,7 @@ class RecordKeeper:
         storage.delete_folder(path)
 
     def add(self, records: npt.NDArray[np.void]) -> None:
-        """Append the records of a chunk; only the last chunk may be shorter than `SPOOL_CHUNK`."""
+        """Append the records of a chunk. Only the last chunk may be shorter than `SPOOL_CHUNK`."""
         chunk = np.zeros(self._array.kind.chunks, np.uint8)
         chunk[: len(records)] = records.view(np.uint8).reshape(len(records), -1)
         self._array.write_row(self._chunks, chunk)
@@ -57,21 +60,24 @@ class RecordKeeper:
         self._count += len(records)
 
     def close(self) -> None:
-        """Write the metadata, which make the records valid."""
+        """Write the metadata, which makes the records valid."""
         array = self._array
         shape = (self._count, array.shape[1])
         arrays.write_metadata(array.storage, array.path, shape, array.kind, array.attributes)
 
 
 class KeptRecords:
-    """Reads any records of a source whose pieces were all kept."""
+    """Reader of the records of a source whose pieces were all kept."""
 
     def __init__(self, pieces: Sequence[tuple[int, StoredArray]], dtype: np.dtype[np.void]) -> None:
         self._pieces = pieces
         self._dtype = dtype
 
     def read(self, start: int, count: int) -> npt.NDArray[np.void]:
-        """Records ``start`` to ``start + count - 1``, structured, shape (count,); raises DamagedError."""
+        """Return records ``start`` to ``start + count - 1``, structured, shape (count,).
+
+        Raise DamagedError if a chunk is damaged or missing.
+        """
         found: npt.NDArray[np.void] = np.empty(count, self._dtype)
         raw = found.view(np.uint8).reshape(count, self._dtype.itemsize)
         for first, array in self._pieces:
@@ -88,16 +94,19 @@ class KeptRecords:
 
 
 class RecordStore(StorePart):
-    """The records of each source piece."""
+    """Records of each source piece."""
 
     def keep_records(self, piece: str, identity: str | None, record_bytes: int) -> RecordKeeper:
-        """A keeper for the records of a source piece; records of an earlier run are removed."""
+        """Remove the records that an earlier run kept of a source piece, and return a keeper for new ones."""
         return RecordKeeper(self._storage, piece, identity, record_bytes)
 
     def records(
         self, pieces: Sequence[KeptPiece], count: int, dtype: np.dtype[np.void]
     ) -> KeptRecords | None:
-        """The ``count`` records of a source that consists of ``pieces`` in this order; None if some were not kept."""
+        """Return the ``count`` records of a source that consists of ``pieces`` in this order, or None.
+
+        None means that some records were not kept, or belong to another content of the source.
+        """
         if dtype.itemsize > LONGEST_BYTES:
             return None
         found: list[tuple[int, StoredArray]] = []

@@ -1,4 +1,4 @@
-"""The spool: decoded points on the way to their buckets, as one array of whole records for each source piece."""
+"""Spool: decoded points on the way to their buckets, as one array of whole records per source piece."""
 
 from __future__ import annotations
 
@@ -14,10 +14,10 @@ from tiler.store.part import StorePart
 
 
 class SpoolStore(StorePart):
-    """The points of each source piece, sorted by bucket."""
+    """Points of each source piece, sorted by bucket."""
 
     def write_piece(self, piece: str, block: PointBlock) -> None:
-        """Write a piece in place of an earlier attempt; raises StoreError if a column is missing."""
+        """Write a piece in place of an earlier attempt. Raise StoreError if a column is missing."""
         record_type = layout.record_type(self.meta.has_rgb)
         for name in record_type.names or ():
             if getattr(block, name) is None:
@@ -34,7 +34,7 @@ class SpoolStore(StorePart):
             array.write_row(chunk, records.view(np.uint8).reshape(kind.chunks))
 
     def read_fragment(self, piece: str, start: int, stop: int) -> PointBlock:
-        """Points ``start`` to ``stop - 1`` of a piece with all columns; reads only the chunks that hold them."""
+        """Return points ``start`` to ``stop - 1`` of a piece with all columns. Only their chunks are read."""
         kind = layout.spool_kind(self.meta.has_rgb)
         array = arrays.open_array(self._storage, layout.spool_path(piece), kind)
         if not 0 <= start <= stop <= array.rows:
@@ -52,7 +52,7 @@ class SpoolStore(StorePart):
         return PointBlock(**{name: np.ascontiguousarray(records[name].T) for name in names})
 
     def pieces(self) -> set[str]:
-        """Names of the pieces in the spool, including pieces that were written only in part."""
+        """Return the names of the pieces in the spool, including pieces that were only partly written."""
         return set(self._storage.names("spool"))
 
     def drop_spool(self) -> None:

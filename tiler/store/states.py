@@ -1,6 +1,6 @@
 """State of the run: JSON-able values by name.
 
-Areas, corrections, breaklines and waters are states, too; a process reads each of them once.
+Areas, edits, breaklines and waters are states, too. A process keeps the last ones that it read in memory.
 """
 
 from __future__ import annotations
@@ -20,70 +20,77 @@ from tiler.store.part import StorePart
 Kept = TypeVar("Kept")
 
 _MOST_CACHED = 6
-"""Most areas, corrections, breaklines and waters in `_cache`: no run uses more at a time."""
+"""Maximum number of areas, edits, breaklines and waters in `_cache`: no run uses more at the same time."""
 _cache: dict[tuple[str, str], Any] = {}
-"""Values by URL of the store and name. A name holds a digest of the content, so that no value goes out of date.
-The cache is the process's and not the store's, since each task opens the store anew."""
+"""Values by URL of the store and name. A name contains a digest of the content, so no value can be outdated.
+
+The cache belongs to the process and not to a `TileStore`, since each task opens the store again."""
 
 
 class StateStore(StorePart):
-    """Values that the coordinator keeps for the tasks, and for later runs."""
+    """Values that the coordinator keeps for the tasks and for later runs."""
 
     def put_state(self, name: str, value: Any) -> None:
-        """Keep a JSON-able value under a name (*coordinator*)."""
+        """Write a JSON-able value under a name (*coordinator*)."""
         try:
             self._storage.put_json(layout.state_key(name), value)
         except TypeError as error:
             raise StoreError(f"state {name}: not JSON-able ({error})") from error
 
     def get_state(self, name: str) -> Any:
-        """The value kept under a name; None if there is none."""
+        """Return the value kept under a name, or None if there is none."""
         return self._storage.get_json(layout.state_key(name))
 
     def put_area(self, area: Area) -> None:
-        """Keep an area under its key."""
+        """Write an area under its key."""
         self.put_state(f"area-{area.key}", area.to_json())
 
     def area(self, key: str | None) -> Area | None:
-        """The area kept under a key, None for None; raises StoreError if it is missing."""
+        """Return the area kept under a key, or None for None. Raise StoreError if it is missing."""
         if key is None:
             return None
         return self._kept(f"area-{key}", Area.from_json)
 
     def put_edits(self, edits: Edits) -> None:
-        """Keep corrections under their key."""
+        """Write edits under their key."""
         self.put_state(f"edits-{edits.key}", edits.to_json())
 
     def edits(self, key: str, bounds: Bounds, actions: Iterable[str]) -> Edits | None:
-        """The corrections kept under a key that take one of the actions and touch the bounds; None if there is none."""
+        """Return the edits kept under a key that have one of the actions and touch the bounds.
+
+        The result is None if there are no matching edits. Raise StoreError if the key is missing.
+        """
         found = self._kept(f"edits-{key}", Edits.from_json).near(bounds, actions)
         return found if found.edits else None
 
     def put_breaklines(self, lines: Breaklines) -> None:
-        """Keep breaklines under their key."""
+        """Write breaklines under their key."""
         self.put_state(f"breaklines-{lines.key}", lines.to_json())
 
     def breaklines(self, key: str) -> Breaklines:
-        """The breaklines kept under a key."""
+        """Return the breaklines kept under a key. Raise StoreError if they are missing."""
         return self._kept(f"breaklines-{key}", Breaklines.from_json)
 
     def put_waters(self, waters: Waters) -> None:
-        """Keep bodies of water under their key."""
+        """Write bodies of water under their key."""
         self.put_state(f"waters-{waters.key}", waters.to_json())
 
     def waters(self, key: str | None, bounds: Bounds) -> Waters | None:
-        """The bodies of water kept under a key that touch the bounds; None if there is none, or no key."""
+        """Return the bodies of water kept under a key that touch the bounds.
+
+        The result is None if no body touches the bounds or if ``key`` is None. Raise StoreError if the key is missing.
+        """
         if key is None:
             return None
         found = self.all_waters(key).near(bounds)
         return found if found.bodies else None
 
     def all_waters(self, key: str) -> Waters:
-        """The bodies of water kept under a key."""
+        """Return all bodies of water kept under a key. Raise StoreError if they are missing."""
         return self._kept(f"waters-{key}", Waters.from_json)
 
     def _kept(self, name: str, read: Callable[[Any], Kept]) -> Kept:
-        """A state, from the cache if it is there; raises StoreError if the store has no such state."""
+        """Return a state from the cache or from the store. Raise StoreError if the store has no such state."""
         at = (self.url, name)
         if at not in _cache:
             found = self.get_state(name)

@@ -1,6 +1,6 @@
-"""The storage below a store: bytes under keys, on a local path or at any fsspec URL, through zarr's own stores.
+"""Storage of a store: bytes by key, on a local path or at any fsspec URL, through zarr's stores.
 
-Every `put` is atomic (a rename on local disks, one PUT on object stores): a reader sees the old object, the new
+Every `put` is atomic (a rename on local disks, one PUT on object stores): a reader gets the old object, the new
 object, or no object.
 """
 
@@ -43,14 +43,14 @@ _NO_HARD_LINKS = (errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)
 
 @dataclass(frozen=True)
 class Usage:
-    """Number of objects in a store, and their size."""
+    """Number of objects in a store and their total size in bytes."""
 
     objects: int
     size_bytes: int
 
 
 def local_path(url: str) -> Path | None:
-    """The folder that a URL names; None if it is not on a local file system."""
+    """Return the folder at a URL, or None if the URL is not on a local file system."""
     if url.startswith(("file://", "local://")):
         return Path(url.partition("://")[2])
     if "://" in url or "::" in url:
@@ -59,7 +59,7 @@ def local_path(url: str) -> Path | None:
 
 
 class Storage:
-    """The objects of one store by key. Its calls block, and may come from several processes.
+    """Objects of one store by key. Calls block, and may come from several processes.
 
     Parameters
     ----------
@@ -95,11 +95,11 @@ class Storage:
         return hash(self.url)
 
     def get(self, key: str) -> bytes | None:
-        """The object's bytes; None if there is no such object."""
+        """Return the object's bytes, or None if there is no such object."""
         return self.get_many([key])[0]
 
     def get_many(self, keys: Sequence[str]) -> list[bytes | None]:
-        """The bytes of each object in the order of the keys, None for missing ones; remote requests overlap."""
+        """Return the bytes of each object in the order of the keys, None for missing ones. Remote requests overlap."""
         if self.root is not None:
             return [_file_bytes(f"{self.root}/{key}") for key in keys]
         prototype = default_buffer_prototype()
@@ -116,7 +116,7 @@ class Storage:
         return sync(every())
 
     def put(self, key: str, data: bytes) -> None:
-        """Write an object; an object of the same key is replaced."""
+        """Write an object in place of an older one with the same key."""
         try:
             if self.root is not None:
                 _write_file(f"{self.root}/{key}", data)
@@ -126,13 +126,13 @@ class Storage:
             raise failed_write(self.url, key, error) from error
 
     def put_json_new(self, key: str, body: Any) -> bool:
-        """`put_json`, unless an object is there; a later `get_json` shows whose object it is.
+        """Write a value as `put_json` does, unless an object exists. A later `get_json` shows whose object it is.
 
         Returns
         -------
         bool
-            True where only one of two writers can succeed, as on local file systems with hard links. Elsewhere the
-            last of two writers wins.
+            True on storage on which only one of two writers can succeed, as on local file systems with hard links. On
+            other storage the object of the last writer stays.
         """
         data = _sealed(body)
         try:
@@ -145,7 +145,7 @@ class Storage:
         return self.root is not None
 
     def delete(self, key: str) -> None:
-        """Remove an object if it is there."""
+        """Remove an object if it exists."""
         try:
             if self.exists():
                 sync(self.zarr_store.delete(key))
@@ -153,9 +153,9 @@ class Storage:
             raise failed_write(self.url, key, error) from error
 
     def delete_folder(self, prefix: str, keep: Collection[str] = ()) -> None:
-        """Remove every object of the layout below ``prefix`` except the keys of ``keep``, then the empty folders.
+        """Remove every object of the layout in ``prefix`` except the keys of ``keep``, then the empty folders.
 
-        Files that are not tiler's stay, and so does a folder that is a link.
+        Files that do not belong to the layout stay, and so does a folder that is a link.
         """
         if self.root is not None:
             try:
@@ -176,8 +176,8 @@ class Storage:
             filesystem.rm(gone)
 
     def _delete_files(self, folder: Path, unwanted: Callable[[str], bool]) -> None:
-        """Remove files below a folder of a local store by their keys, then the empty folders."""
-        assert self.root is not None  # callers check that
+        """Remove files in a folder of a local store by their keys, then the empty folders."""
+        assert self.root is not None  # Callers check this.
         for place, _, names in os.walk(folder, topdown=False):
             for name in names:
                 path = Path(place, name)
@@ -187,29 +187,29 @@ class Storage:
                 os.rmdir(place)
 
     def remove_scratch(self) -> None:
-        """Remove the temporary files that killed writes left on a local disk; object stores have none."""
+        """Remove the temporary files that killed writes left on a local disk. Object stores have no such files."""
         if self.root is not None:
             self._delete_files(self.root, layout.is_scratch)
 
     def names(self, prefix: str) -> list[str]:
-        """Sorted names of the objects and folders directly below ``prefix``."""
+        """Return the sorted names of the objects and folders directly in ``prefix``."""
         if not self.exists():
             return []
         return sorted(name.rstrip("/") for name in sync(_collected(self.zarr_store.list_dir(prefix))))
 
     def keys(self, folder: str) -> list[str]:
-        """Keys of all objects below a folder that is there, in any order."""
+        """Return the keys of all objects in an existing folder, in any order."""
         return sync(_collected(self.zarr_store.list_prefix(f"{folder}/")))
 
     def exists(self) -> bool:
-        """Whether a local folder is there; always true for object stores, which have no folders.
+        """Return whether the folder of a local store exists, or True for object stores, which have no folders.
 
-        Callers ask before they list: the first request to zarr's local store would create the folder.
+        Callers call this before they list, because the first request to zarr's local store would create the folder.
         """
         return self.root is None or self.root.is_dir()
 
     def usage(self) -> Usage:
-        """Count the objects and their bytes (lists the whole store)."""
+        """Count the objects and their bytes. This lists the whole store."""
         from fsspec.core import url_to_fs
 
         if not self.exists():
@@ -220,11 +220,11 @@ class Storage:
         return Usage(len(sizes), sum(sizes))
 
     def put_json(self, key: str, body: Any) -> None:
-        """Write a JSON-able value with a checksum; passwords and tokens are removed from its URLs."""
+        """Write a JSON-able value with a checksum, and without passwords and tokens in its URLs."""
         self.put(key, _sealed(body))
 
     def get_json(self, key: str) -> Any:
-        """The value that `put_json` wrote, or None if there is none; raises StoreError if it is damaged."""
+        """Return the value that `put_json` wrote, or None if there is none. Raise StoreError if it is damaged."""
         data = self.get(key)
         if data is None:
             return None
@@ -232,23 +232,23 @@ class Storage:
 
 
 def parse_json(data: bytes, where: str) -> Any:
-    """The value in an object that `Storage.put_json` wrote; raises StoreError if it is damaged."""
+    """Return the value in an object that `Storage.put_json` wrote. Raise StoreError if it is damaged."""
     try:
         envelope = json.loads(data)
         body, crc = envelope["body"], envelope["crc32"]
     except (ValueError, KeyError, TypeError) as error:
-        raise StoreError(f"{where}: damaged, no valid JSON; delete it and run again") from error
+        raise StoreError(f"{where}: damaged, not valid JSON; delete it and run again") from error
     if zlib.crc32(_canonical(body).encode()) != crc:
         raise StoreError(f"{where}: damaged, its checksum does not fit; delete it and run again")
     return body
 
 
 SEAL = "tiler_crc32"
-"""Attribute that holds a checksum of the rest of the metadata; zarr itself writes none."""
+"""Name of the attribute with a checksum of the rest of the metadata. Zarr itself does not write a checksum."""
 
 
 def sealed(metadata: dict[str, Any]) -> dict[str, Any]:
-    """Metadata of an array or group with a checksum among its attributes."""
+    """Return the metadata of an array or group with a checksum among its attributes."""
     attributes = {**metadata.get("attributes", {})}
     attributes.pop(SEAL, None)
     checksum = zlib.crc32(_canonical({**metadata, "attributes": attributes}).encode())
@@ -256,12 +256,12 @@ def sealed(metadata: dict[str, Any]) -> dict[str, Any]:
 
 
 def seal_holds(metadata: dict[str, Any]) -> bool:
-    """Whether the checksum of `sealed` fits; metadata of older versions, which have none, are accepted."""
+    """Return whether the checksum of `sealed` fits. Metadata of older versions, which have none, are accepted."""
     return SEAL not in metadata["attributes"] or sealed(metadata) == metadata
 
 
 def failed_write(url: str, key: str, error: OSError) -> ProcessingError:
-    """The one-line error for a write or a removal that the file system refused."""
+    """Return the one-line error for a write or a removal that the file system refused."""
     refused = refused_write(f"{url}: {key}", error, local_path(url))
     if isinstance(refused, DiskFullError):
         return refused
@@ -270,7 +270,7 @@ def failed_write(url: str, key: str, error: OSError) -> ProcessingError:
 
 def _sealed(body: Any) -> bytes:
     text = _canonical(body)
-    if ":/" in text:  # without it, the text holds no URL
+    if ":/" in text:  # A text without this contains no URL.
         text = _canonical(stored(body))
     return f'{{"crc32": {zlib.crc32(text.encode())}, "body": {text}}}'.encode()
 
@@ -288,12 +288,12 @@ def _file_bytes(path: str) -> bytes | None:
 
 
 def _write_file(path: str, data: bytes) -> None:
-    """Write a file that gets its name once it is whole; a killed write leaves a `layout.is_scratch`."""
+    """Write a file that gets its name once it is complete. A killed write leaves a `layout.is_scratch` file."""
     partial = f"{path}.{uuid.uuid4().hex}.partial"
     try:
         try:
             _fill(partial, data)
-        except FileNotFoundError:  # the first file of its folder
+        except FileNotFoundError:  # The folder does not exist yet.
             os.makedirs(os.path.dirname(path), exist_ok=True)
             _fill(partial, data)
         replace_file(partial, path)

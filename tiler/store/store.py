@@ -1,4 +1,4 @@
-"""`TileStore`, which unites the parts of a store: points, labels, rasters, spool, records, states and commits."""
+"""`TileStore`, which combines the parts of a store: points, labels, rasters, spool, records, states and commits."""
 
 from __future__ import annotations
 
@@ -20,10 +20,10 @@ from tiler.store.storage import Storage, Usage
 
 
 class TileStore(LabelStore, RasterStore, SpoolStore, RecordStore, StateStore, CommitStore):
-    """An open store, made by `create_store` or `open_store`. Each part is a class, and a module, of its own.
+    """Open store, made by `create_store` or `open_store`. Each part has its own class and module.
 
     All calls block and may come from several processes at once, as long as each bucket, block, piece and
-    commit has one writer. Methods marked *coordinator* are for the one process that holds the `lock`.
+    commit has one writer. Methods marked *coordinator* are only for the process that holds the `lock`.
 
     Attributes
     ----------
@@ -47,14 +47,14 @@ class TileStore(LabelStore, RasterStore, SpoolStore, RecordStore, StateStore, Co
         return f"<TileStore {self.url}: {points:,} points in {len(buckets):,} buckets, {crs}>"
 
     def lock(self) -> AbstractContextManager[lock.Lease]:
-        """Hold the store for one run; raises LockedError, which names the holder, if another run holds it."""
+        """Hold the lock of the store for one run. Raise LockedError if another run holds it."""
         return lock.locked(self._storage)
 
     def tidy(self) -> None:
         """Remove what later runs do not need, and pack the commits (*coordinator*, while no task runs).
 
-        The spool goes once its points are in buckets; kept records, older indices and the temporary files of killed
-        writes go, too.
+        The spool is removed once its points are in buckets. Kept records, older indices and the temporary files of
+        killed writes are removed, too.
         """
         if index.remove_older(self._storage).rows:
             self.drop_spool()
@@ -64,19 +64,19 @@ class TileStore(LabelStore, RasterStore, SpoolStore, RecordStore, StateStore, Co
         self._storage.remove_scratch()
 
     def forget(self, folder: str) -> None:
-        """Remove every object below a damaged folder (*coordinator*)."""
+        """Remove every object in a damaged folder (*coordinator*)."""
         self._storage.delete_folder(folder)
         self._open.clear()
         self._index = None
 
     def try_write(self, name: str) -> None:
-        """Write an object, read it and remove it; raises StoreError or ProcessingError if that fails."""
+        """Write an object, read it and remove it. Raise StoreError or ProcessingError if one of these steps fails."""
         key = f"trial/{name}"
         self._storage.put_json(key, name)
         if self._storage.get_json(key) != name:
-            raise StoreError(f"{self.url}: {key} was written, and cannot be read")
+            raise StoreError(f"{self.url}: {key} was written but cannot be read; check the storage")
         self._storage.delete(key)
 
     def usage(self) -> Usage:
-        """Count the objects of the store and their bytes (lists the whole store)."""
+        """Count the objects of the store and their bytes. This lists the whole store."""
         return self._storage.usage()

@@ -83,7 +83,7 @@ def test_an_unknown_preset_is_refused_with_the_names() -> None:
 @pytest.mark.parametrize(
     ("value", "error"),
     [
-        ("many", "must be a number"),
+        ("many", "not a number"),
         (0, "could be a height"),
         (-0.5, "could be a height"),
         (8848.0, "could be"),

@@ -77,11 +77,11 @@ def test_lists_of_toml_are_what_the_command_line_has() -> None:
 @pytest.mark.parametrize(
     ("parse", "value", "message"),
     [
-        (parse_returns, "middle", "give numbers or ranges with commas"),
+        (parse_returns, "middle", "give numbers or ranges separated by commas"),
         (parse_returns, "", "are not returns; give first, last, or numbers"),
-        (parse_returns, "0", "returns are 1 to 15"),
-        (parse_returns, "3-2", "runs backwards; write 2-3"),
-        (parse_sources, "70000", "point source ids are 0 to 65535"),
+        (parse_returns, "0", "returns out of range; give 1 to 15"),
+        (parse_returns, "3-2", "runs backwards; use 2-3"),
+        (parse_sources, "70000", "point source ids out of range; give 0 to 65535"),
         (parse_sources, ",", "are not point source ids"),
         (parse_angle, "wide", "is not an angle; give degrees, like 20"),
         (parse_angle, "0", "above 0 and at most 180"),

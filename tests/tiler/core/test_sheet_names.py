@@ -24,14 +24,14 @@ def test_names_follow_the_template(template: str, name: str) -> None:
 @pytest.mark.parametrize(
     ("template", "why"),
     [
-        ("{name}", "one name"),
-        ("{name}_{x_km:.0f}", "one name"),
+        ("{name}", "the same name"),
+        ("{name}_{x_km:.0f}", "the same name"),
         ("{name}/{x}_{y}", "'/'"),
-        (".{x}_{y}", "begins or ends"),
-        ("{x}_{y}_{tile}", "no field {tile}; there are name, x, y"),
+        (".{x}_{y}", "begins with a dot"),
+        ("{x}_{y}_{tile}", "no field {tile}; use name, x, y"),
         ("{x.real}_{y}", "no field {x.real}"),
-        ("{x:Q}_{y}", "write one like"),
-        ("{x}_{y", "write one like"),
+        ("{x:Q}_{y}", "use a template like"),
+        ("{x}_{y", "use a template like"),
         ("{name:_>300}{x}{y}", "more than 200"),
     ],
 )
@@ -43,5 +43,5 @@ def test_a_template_that_cannot_name_files_is_refused(template: str, why: str) -
 
 def test_no_two_sheets_have_one_name() -> None:
     refuse_alike(DEFAULT, ["a_1", "a_2"])
-    with pytest.raises(ConfigError, match="two sheets would be A_1; write more digits"):
+    with pytest.raises(ConfigError, match="two sheets would have the name A_1; use more digits"):
         refuse_alike(DEFAULT, ["a_1", "A_1"])

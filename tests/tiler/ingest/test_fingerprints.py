@@ -99,7 +99,7 @@ def test_a_file_that_changes_meanwhile_is_left_out(
     assert [s.number for s in sources] == [0, 1, 2, 3, 5, 6, 7, 8, 9]
     (left_out,) = job.record.quarantined
     assert left_out["path"] == str(paths[4])
-    assert "while the run went on (" in left_out["error"]
+    assert "during the run (" in left_out["error"]
     monkeypatch.undo()
     assert [s.number for s in numbered(paths, small_store)[0]] == list(range(10))
 

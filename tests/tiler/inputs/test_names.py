@@ -167,7 +167,7 @@ def test_a_run_does_not_overwrite_the_results_that_it_reads(make_cloud: Any, tmp
     out = tmp_path / "out"
     make_cloud("out/classified/a.laz", n=3)
     for known in (False, True):
-        with pytest.raises(ConfigError, match=r"classified: holds .*a\.laz"):
+        with pytest.raises(ConfigError, match=r"classified: contains .*a\.laz"):
             make_plan([str(out / "classified")], RunConfig(in_process=True), out)
         if not known:
             a_run(out)

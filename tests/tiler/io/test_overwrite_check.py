@@ -54,7 +54,7 @@ def test_urls_are_compared_as_text() -> None:
 
 def test_a_name_must_have_the_suffix_of_its_kind(tmp_path: Path) -> None:
     with pytest.raises(
-        ConfigError, match=r"-o .*a\.laz: its ending does not match the kind of file; use \.png"
+        ConfigError, match=r"-o .*a\.laz: its suffix does not match the kind of file; use \.png"
     ):
         check_targets([Target("-o", tmp_path / "a.laz", (".png",))], [])
     check_targets([Target("-o", tmp_path / "a.PNG", (".png",))], [])
@@ -65,11 +65,11 @@ def test_a_name_must_have_the_suffix_of_its_kind(tmp_path: Path) -> None:
     [
         ("out", "out", "is the same as"),
         ("out/", "out/../out", "is the same as"),
-        (".", "out/a.laz", "holds"),
-        ("link", "out/a.laz", "holds"),
-        ("s3://b/x", "s3://b/x/y", "holds"),
+        (".", "out/a.laz", "contains"),
+        ("link", "out/a.laz", "contains"),
+        ("s3://b/x", "s3://b/x/y", "contains"),
         ("s3://b/x/", "s3://b/x", "is the same as"),
-        ("file:///", "out", "holds"),
+        ("file:///", "out", "contains"),
     ],
 )
 def test_a_folder_that_a_command_fills_must_hold_nothing_else(
@@ -78,7 +78,7 @@ def test_a_folder_that_a_command_fills_must_hold_nothing_else(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "out").mkdir()
     (tmp_path / "link").symlink_to("out")
-    with pytest.raises(ConfigError, match=f"^--store {folder}: {what} {other}; give another place"):
+    with pytest.raises(ConfigError, match=f"^--store {folder}: {what} {other}; give another folder"):
         check_folder("--store", folder, [other])
     check_folder("--store", "out/store.zarr", ["out", "outside", "s3://b"])
 
@@ -86,6 +86,6 @@ def test_a_folder_that_a_command_fills_must_hold_nothing_else(
 def test_a_name_that_is_too_long_is_refused(tmp_path: Path) -> None:
     check_targets([Target("-o", tmp_path / f"{'ä' * 125}a.png")], [])
     with pytest.raises(
-        ConfigError, match=r"^-o ä{20}\.\.\.: a name of 256 bytes, 255 are possible; give a shorter name$"
+        ConfigError, match=r"^-o ä{20}\.\.\.: its name has 256 bytes, 255 are possible; give a shorter name$"
     ):
         check_targets([Target("-o", tmp_path / f"{'ä' * 126}.png")], [])

@@ -50,7 +50,7 @@ def test_polygons_of_another_crs_are_brought_into_that_of_the_clouds(tmp_path: P
     notes: list[str] = []
     area = area_of(RunConfig(aoi=str(paths[0])), UTM, notes)
     assert area is not None
-    assert notes == [f"{paths[0]}: is brought from WGS 84 into ETRS89 / UTM zone 32N"]
+    assert notes == [f"{paths[0]}: was transformed from WGS 84 to ETRS89 / UTM zone 32N"]
     move = Transformer.from_crs(4326, 25832, always_xy=True).transform
     rng = np.random.default_rng(1)
     lon, lat = rng.uniform(west - 0.01, east + 0.01, 3000), rng.uniform(south - 0.01, north + 0.01, 3000)
@@ -81,8 +81,8 @@ def test_polygons_in_metres_for_clouds_in_feet(tmp_path: Path) -> None:
         ({"aoi": "absent.gpkg"}, InputError, "no such file"),
         ({"aoi": "a.shp"}, InputError, "has no CRS; write it with one"),
         ({"aoi": "odd.shp"}, InputError, "its CRS .* is not known|has no CRS"),
-        ({"aoi": "world.geojson"}, InputError, "reaches where ETRS89 / UTM zone 32N has no coordinates"),
-        ({"aoi": "thin.gpkg"}, InputError, "holds no place"),
+        ({"aoi": "world.geojson"}, InputError, "extends beyond the area of use of ETRS89 / UTM zone 32N"),
+        ({"aoi": "thin.gpkg"}, InputError, "has no area"),
     ],
 )
 def test_what_is_refused(
@@ -108,7 +108,7 @@ def test_where_the_crs_of_the_clouds_is_unknown(tmp_path: Path) -> None:
     path = write(tmp_path / "a.shp", [SQUARE], "Polygon", None)
     notes: list[str] = []
     assert area_of(RunConfig(aoi=str(path), in_process=True), None, notes) is not None
-    assert "it is taken to be in that of the clouds" in notes[0]
+    assert "the CRS of the clouds is assumed" in notes[0]
     with pytest.raises(InputError, match="the CRS of the clouds is unknown; give it with --crs, or use"):
         of(write(tmp_path / "a.gpkg", [SQUARE], "Polygon"), None)
 
@@ -141,7 +141,7 @@ def test_files_far_off_are_not_read(make_cloud: Any, tmp_path: Path) -> None:
         ),
         (["--aoi", "far.gpkg", "--bounds", "0", "0", "9", "9"], 2, "--bounds and --aoi: both select a part"),
         (["--aoi", "none.gpkg"], 3, "none.gpkg: no such file"),
-        (["--aoi", "no.shp"], 3, "no.shp: holds no polygon"),
+        (["--aoi", "no.shp"], 3, "no.shp: contains no polygon"),
     ],
 )
 def test_one_line_and_its_exit_code(

@@ -51,7 +51,9 @@ def test_a_copy_with_another_time_of_change_is_refused(tmp_path: Path) -> None:
     cloud.write_bytes(b"x" * 100)
     look = Access("tcp://s:1", [(str(cloud), state_of(cloud))], None, None)
     os.utime(cloud, ns=(0, 1_000_000_007))
-    with pytest.raises(ConfigError, match=r"cloud\.laz \(the same size, but another time of change: .*cp -p"):
+    with pytest.raises(
+        ConfigError, match=r"cloud\.laz \(the same size, but another modification time: .*cp -p"
+    ):
         look(here, "tcp://w:2")
 
 
@@ -79,7 +81,7 @@ def test_a_worker_without_tiler_is_refused(asked: Callable[..., Access]) -> None
     def bare(function: Callable[..., Any], *arguments: Any) -> Any:
         raise ModuleNotFoundError("No module named 'tiler'")
 
-    line = r"worker tcp://w:2 cannot do as tiler .*No module named 'tiler'.*install it there"
+    line = r"worker tcp://w:2 cannot run functions of tiler .*No module named 'tiler'.*install it there"
     with pytest.raises(ConfigError, match=line):
         asked()(bare, "tcp://w:2")
 
@@ -107,7 +109,9 @@ def test_the_future_place_of_a_store_is_checked(
     coming(here, "tcp://w:2")
     assert sorted(p.name for p in tmp_path.iterdir()) == ["cloud.laz", "store.zarr"]
     monkeypatch.setattr(cluster_check, "sees", lambda token: False)
-    with pytest.raises(ConfigError, match=r"cannot use .*later/store.zarr \(it does not see.*--store by URL"):
+    with pytest.raises(
+        ConfigError, match=r"cannot use .*later/store.zarr \(it cannot access.*--store by URL"
+    ):
         coming(here, "tcp://w:2")
 
 

@@ -70,7 +70,7 @@ def others(n: int) -> list[Task]:
     [
         ("leave", "killed its worker 3 times: it crashed (exit code 7)"),
         ("crash", "killed its worker 3 times: it crashed (SIGSEGV)"),
-        ("kill", "3 times: it was killed (SIGKILL), as a system does that runs out of memory"),
+        ("kill", "3 times: it was killed (SIGKILL), probably because memory ran out"),
         ("allocate", "Unable to allocate 8.00 GiB"),
     ],
 )
@@ -262,7 +262,7 @@ def test_the_connection_breaks_while_a_result_is_fetched(
     executor._client._gather_remote = cut
     try:
         if for_good:
-            with pytest.raises(ConnectionLostError, match="the connection broke and does not come back"):
+            with pytest.raises(ConnectionLostError, match="the connection broke and was not restored"):
                 run(executor, others(2), tmp_path)
             with pytest.raises(ConnectionLostError):
                 executor.machines()

@@ -62,9 +62,9 @@ def test_state_comes_back(store: TileStore) -> None:
 
 @pytest.mark.parametrize("name", ["", "a/b", "..", ".hidden", "a b", "x" * 201, "\u00e4"])
 def test_names_that_cannot_be_keys_are_refused(store: TileStore, name: str) -> None:
-    with pytest.raises(StoreError, match="cannot name an object"):
+    with pytest.raises(StoreError, match="is not a valid name"):
         store.commit("filter", name, "", {})
-    with pytest.raises(StoreError, match="cannot name an object"):
+    with pytest.raises(StoreError, match="is not a valid name"):
         store.put_state(name, {})
 
 

@@ -51,13 +51,13 @@ def test_a_raster_made_again_with_the_same_shape_keeps_its_blocks(local_store: T
 )
 def test_a_block_that_shares_a_chunk_is_refused(local_store: TileStore, block: Block) -> None:
     local_store.create_raster("dtm", 600, 600)
-    with pytest.raises(StoreError, match="is no chunk"):
+    with pytest.raises(StoreError, match="is not a chunk"):
         local_store.write_block("dtm", block, np.zeros((block.height, block.width), np.float32))
 
 
 def test_values_of_another_shape_and_windows_beyond_are_refused(local_store: TileStore) -> None:
     local_store.create_raster("dtm", 600, 600)
-    with pytest.raises(StoreError, match="is no chunk"):
+    with pytest.raises(StoreError, match="is not a chunk"):
         local_store.write_block("dtm", Block(512, 512, 88, 88), np.zeros((1, 88), np.float32))
     with pytest.raises(StoreError, match="reaches beyond 600 x 600"):
         local_store.read_block("dtm", Block(512, 512, 89, 88))

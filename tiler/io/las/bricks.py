@@ -1,4 +1,4 @@
-"""Distributes points to the nodes of an octree: upper levels get few, evenly spread points, and leaves get the rest."""
+"""Nodes of an octree for each point: upper levels get few, evenly distributed points, and leaves get the rest."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ import numpy.typing as npt
 from tiler.io.las.reader import Records
 
 Key = tuple[int, int, int, int]
-"""Key of a node: its level, 0 for the root, and its place along x, y and z."""
+"""Key of a node: its level, 0 for the root, and its position along x, y and z."""
 Places = npt.NDArray[np.int32]
-"""Places of points in the cube of the octree, shape (3, n), from 0 to 2**DEPTH - 1."""
+"""Positions of points in the cube of the octree, shape (3, n), from 0 to 2**DEPTH - 1."""
 
 DEPTH = 28
 CELLS_OF_NODE = 7
-"""A node has 2**7 cells along each axis. A node with children holds one point of each cell."""
+"""Levels of cells in a node, which has 2**7 cells along each axis. A node with children has one point per cell."""
 DEEPEST = DEPTH - CELLS_OF_NODE
-"""Level at which nodes are not divided, however many points are at one place."""
+"""Level at which nodes are not divided, however many points have the same position."""
 LEAF_POINTS = 32_768
-"""Most points of a leaf; a node with children may hold more, one for each cell."""
+"""Maximum number of points of a leaf. A node with children may have more, one per cell."""
 FEWEST_POINTS = 256
-"""Fewest points of a node below the root; fewer points stay with the node above."""
+"""Minimum number of points of a node below the root. Fewer points stay in the node above."""
 
 _BITS = 21
-"""Bits of a place in a brick along each axis; three of them fit into 64 bits."""
+"""Bits of a position in a brick along each axis. The bits of three axes fit into 64 bits."""
 _AXES = (0, 1, 2)
 _SPREADING = (
     (32, 0x1F00000000FFFF),
@@ -36,7 +36,7 @@ _SPREADING = (
     (4, 0x10C30C30C30C30C3),
     (2, 0x1249249249249249),
 )
-"""Shifts and masks that put two zero bits between the bits of a number, as a Z-order curve needs it."""
+"""Shifts and masks that put two zero bits between the bits of a number, for a Z-order curve."""
 
 
 def bricks(
@@ -47,7 +47,7 @@ def bricks(
     folder: str,
     key: Key = (0, 0, 0, 0),
 ) -> Iterator[tuple[Key, Records]]:
-    """Divide the points of a cloud into bricks: cubes of the octree that hold at most ``most`` points each.
+    """Divide the points of a cloud into bricks: cubes of the octree with at most ``most`` points each.
 
     Parameters
     ----------
@@ -56,17 +56,18 @@ def bricks(
     count : int
         Number of records in all pieces.
     most : int
+        Maximum number of points of a brick.
     places : callable
-        Computes the places of records.
+        Function that computes the positions of records.
     folder : str
         Folder for temporary files, which have no name.
     key : Key
-        Key of the node that holds the points.
+        Key of the node with the points.
 
     Yields
     ------
     key : Key
-        Key of the brick; the bricks in one parent follow one another.
+        Key of the brick. The bricks in one parent follow one another.
     records : Records
         Points of the brick, in an order that depends only on the order of the pieces.
     """
@@ -105,18 +106,18 @@ def _read(spool: BinaryIO, parts: Iterable[tuple[int, int]], dtype: np.dtype[np.
         spool.seek(at)
         raw = spool.read(count * dtype.itemsize)
         if len(raw) < count * dtype.itemsize:
-            raise OSError("a temporary file lost its end")
+            raise OSError("a temporary file is incomplete")
         yield np.frombuffer(raw, dtype=dtype)
 
 
 class Levels:
-    """Chooses the level of each point, brick by brick; it remembers which cells larger than a brick have a point."""
+    """Levels of points, chosen brick by brick. The object records the cells larger than a brick that have a point."""
 
     def __init__(self) -> None:
         self._taken: set[Key] = set()
 
     def of_brick(self, key: Key, places: Places) -> npt.NDArray[np.int8]:
-        """The level of the node that each point of a brick belongs to, int8, shape (n,)."""
+        """Return the level of the node to which each point of a brick belongs, int8, shape (n,)."""
         code = curve(places, key[0])
         order = np.argsort(code, kind="stable")
         found = np.empty(order.size, dtype=np.int8)
@@ -124,7 +125,7 @@ class Levels:
         return found
 
     def _of_sorted(self, key: Key, code: npt.NDArray[np.int64]) -> npt.NDArray[np.int8]:
-        """Levels of points that are sorted along the curve, on which every cell of every level is a run of points."""
+        """Return the levels of points that are sorted along the curve, on which every cell of every level is a run."""
         deepest = min(key[0] + _BITS - CELLS_OF_NODE, DEEPEST)
         found = np.full(code.size, deepest, dtype=np.int8)
         rest = np.arange(code.size)
@@ -135,9 +136,8 @@ class Levels:
             if not rest.size:
                 break
             starts, counts = runs(_cut(code[rest], max(below + CELLS_OF_NODE, 0)))
-            picked = (
-                starts + counts // 2
-            )  # the middle one, which is neither the lowest nor the highest of its cell
+            # The middle point is neither the lowest nor the highest of its cell.
+            picked = starts + counts // 2
             if below + CELLS_OF_NODE <= 0 and not self._take(key, level):
                 continue
             found[rest[picked]] = level
@@ -147,7 +147,7 @@ class Levels:
         return found
 
     def _take(self, key: Key, level: int) -> bool:
-        """Take the place of a cell that holds the whole brick, and other bricks; False if it is taken already."""
+        """Mark the cell that contains the brick and other bricks as taken. Return False if it was taken already."""
         up = key[0] - level - CELLS_OF_NODE
         cell = (level, key[1] >> up, key[2] >> up, key[3] >> up)
         free = cell not in self._taken
@@ -165,7 +165,7 @@ def _settle(
 ) -> npt.NDArray[np.int64]:
     """Give ``level`` to all points of cubes with at most ``most`` points, ``below`` levels below the brick.
 
-    Returns the indices of the other points.
+    Return the indices of the other points.
     """
     if not rest.size:
         return rest
@@ -176,7 +176,7 @@ def _settle(
 
 
 def curve(places: Places, level: int) -> npt.NDArray[np.int64]:
-    """Number of each place along a Z-order curve in a brick of a level."""
+    """Return the number of each position along a Z-order curve in a brick of a level."""
     found = np.zeros(places.shape[1], dtype=np.int64)
     for axis in _AXES:
         v = (places[axis].astype(np.int64) << level >> DEPTH - _BITS) & (1 << _BITS) - 1
@@ -187,11 +187,11 @@ def curve(places: Places, level: int) -> npt.NDArray[np.int64]:
 
 
 def _cut(code: npt.NDArray[np.int64], levels: int) -> npt.NDArray[np.int64]:
-    """Number of the cube ``levels`` below the brick in which each point lies."""
+    """Return the number of the cube of each point, ``levels`` below the brick."""
     return code >> 3 * (_BITS - levels)
 
 
 def runs(numbers: npt.NDArray[np.int64]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """First index and length of each run of equal numbers; there must be at least one number."""
+    """Return first index and length of each run of equal numbers. There must be at least one number."""
     starts = np.flatnonzero(np.concatenate(([True], numbers[1:] != numbers[:-1])))
     return starts, np.diff(np.append(starts, numbers.size))

@@ -1,6 +1,6 @@
-"""Converts the fields of LAS records to columns of a `PointBlock`, which do not depend on the point format.
+"""Conversion of the fields of LAS records to columns of a `PointBlock`, which do not depend on the point format.
 
-LAS 1.4 R15, tables 8 to 17: formats 0 to 5 keep class (5 bits) and flags in one byte, formats 6 to 10 in two.
+In formats 0 to 5, class (5 bits) and flags are in one byte, in formats 6 to 10 in two (LAS 1.4 R15, tables 8 to 17).
 """
 
 from __future__ import annotations
@@ -14,23 +14,23 @@ from tiler.io.las.headers import LasHeader
 from tiler.io.las.reader import Records
 
 OVERLAP_CLASS = 12
-"""Class of overlap points in formats 0 to 5, which have no flag for overlap."""
+"""Class of overlap points in formats 0 to 5, which do not have a flag for overlap."""
 
 LEGACY_CLASS_MASK = 0x1F
 
 SCAN_STEP_DEGREES = 0.006
-"""Step of the scan angles of formats 6 to 10; older formats have whole degrees."""
+"""Step of the scan angles of formats 6 to 10. Older formats have whole degrees."""
 
 RGB_FORMATS = (2, 3, 5, 7, 8, 10)
 
 
 def is_legacy(point_format: int) -> bool:
-    """Whether a point format is one of 0 to 5, which have five bits for the class."""
+    """Return whether a point format is one of 0 to 5, which have five bits for the class."""
     return point_format < 6
 
 
 def coordinate(records: Records, header: LasHeader, axis: int) -> npt.NDArray[np.float64]:
-    """Coordinates along an axis (0 x, 1 y, 2 z) in units of the CRS, float64 of shape (n,)."""
+    """Return coordinates along an axis (0 x, 1 y, 2 z) in units of the CRS, float64 of shape (n,)."""
     found: npt.NDArray[np.float64] = records["XYZ"[axis]] * header.scales[axis] + header.offsets[axis]
     return found
 
@@ -38,11 +38,11 @@ def coordinate(records: Records, header: LasHeader, axis: int) -> npt.NDArray[np
 def class_and_flags(
     records: Records, point_format: int
 ) -> tuple[npt.NDArray[np.uint8], npt.NDArray[np.uint8]]:
-    """Class and flags (bits of `tiler.core.classes`), uint8 of shape (n,) each."""
+    """Return class and flags (bits of `tiler.core.classes`), uint8 of shape (n,) each."""
     if is_legacy(point_format):
         raw = records["raw_classification"].astype(np.uint8)
         classification = raw & np.uint8(LEGACY_CLASS_MASK)
-        # Bit 5: synthetic, 6: key point, 7: withheld.
+        # Bit 5 is synthetic, bit 6 is key point, and bit 7 is withheld.
         flags = _bit(raw, 5, SYNTHETIC_FLAG) | _bit(raw, 6, KEY_POINT_FLAG) | _bit(raw, 7, WITHHELD_FLAG)
         flags |= (classification == OVERLAP_CLASS).astype(np.uint8) * np.uint8(OVERLAP_FLAG)
         return classification, flags
@@ -53,7 +53,7 @@ def class_and_flags(
 
 
 def returns(records: Records, point_format: int) -> npt.NDArray[np.uint8]:
-    """Return number and number of returns, uint8, shape (2, n)."""
+    """Return the return number and the number of returns, uint8, shape (2, n)."""
     raw = records["bit_fields"].astype(np.uint8)
     if is_legacy(point_format):
         return np.stack((raw & 7, (raw >> 3) & 7))
@@ -61,21 +61,21 @@ def returns(records: Records, point_format: int) -> npt.NDArray[np.uint8]:
 
 
 def scan_angles(records: Records, point_format: int) -> npt.NDArray[np.float32]:
-    """Scan angles in degrees, negative to the left of the flight, float32 of shape (n,)."""
+    """Return scan angles in degrees, negative to the left of the flight, float32 of shape (n,)."""
     if is_legacy(point_format):
         return records["scan_angle_rank"].astype(np.float32)
     return records["scan_angle"] * np.float32(SCAN_STEP_DEGREES)
 
 
 def colours(records: Records, point_format: int) -> npt.NDArray[np.uint16] | None:
-    """Red, green, blue, uint16, shape (3, n); None if the format has no colours."""
+    """Return red, green, blue, uint16, shape (3, n), or None if the format has no colours."""
     if point_format not in RGB_FORMATS:
         return None
     return np.stack([records[name] for name in ("red", "green", "blue")]).astype(np.uint16)
 
 
 def evidence(records: Records, point_format: int) -> Evidence:
-    """Evidence, in the fields of some records, of what made the cloud."""
+    """Return evidence of the source of the cloud (laser scanning or image matching) from the fields of records."""
     names = records.dtype.names or ()
     angle = "scan_angle_rank" if is_legacy(point_format) else "scan_angle"
     found = colours(records, point_format)
@@ -88,7 +88,7 @@ def evidence(records: Records, point_format: int) -> Evidence:
         source_id=records["point_source_id"],
         flags=(flags,),
         intensity=records["intensity"],
-        # If the format has no colours, the cloud has none.
+        # A format without colours means that the cloud has no colours.
         rgb=np.zeros((records.size, 3)) if found is None else found.T,
     )
 
@@ -96,7 +96,7 @@ def evidence(records: Records, point_format: int) -> Evidence:
 def write_classes(
     records: Records, point_format: int, classes: npt.NDArray[np.uint8], chosen: npt.NDArray[np.bool_]
 ) -> None:
-    """Set the class of the chosen records in place; flags do not change."""
+    """Set the class of the chosen records in place. Flags do not change."""
     if is_legacy(point_format):
         raw = records["raw_classification"]
         raw[chosen] = (raw[chosen] & ~np.uint8(LEGACY_CLASS_MASK)) | classes[chosen]

@@ -1,4 +1,4 @@
-"""Writes clouds as COPC 1.0: LAZ whose chunks are the nodes of an octree (https://copc.io)."""
+"""Writer of clouds as COPC 1.0: LAZ whose chunks are the nodes of an octree (https://copc.io)."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ from tiler.io.las.writer import layout_of
 
 HEADER_BYTES = 375
 INFO_BYTES = 54 + 160
-"""Size of the info record, which is the first behind the header."""
+"""Size of the info record, which is the first record after the header, in bytes."""
 BRICK_POINTS = 1 << 19
-"""Points that are distributed to nodes at a time."""
+"""Number of points that are distributed to nodes at a time."""
 
 _INFO_RECORD = 1
 _HIERARCHY_RECORD = 1000
@@ -34,7 +34,7 @@ _AXES = ("X", "Y", "Z")
 
 @dataclass(frozen=True)
 class Cube:
-    """The cube of an octree.
+    """Cube of an octree.
 
     Attributes
     ----------
@@ -54,7 +54,7 @@ class Cube:
     half: float
 
     def places(self, records: Records) -> Places:
-        """The places of records in the cube."""
+        """Return the positions of records in the cube."""
         found = np.empty((3, len(records)), dtype=np.int32)
         for axis, (name, low, side) in enumerate(zip(_AXES, self.corner, self.sides, strict=True)):
             raised = (records[name].astype(np.int64) - low) * (2**DEPTH / side)
@@ -63,18 +63,18 @@ class Cube:
 
 
 class CopcWriter:
-    """Writes records of format 6, 7 or 8 behind the header, which the caller writes; `close` makes the octree.
+    """Writer of records of format 6, 7 or 8 after the header, which the caller writes. `close` makes the octree.
 
     It is a context manager.
 
     Parameters
     ----------
     target : BinaryIO
-        A file, at the position where the points begin.
+        File, at the position where the points begin.
     header : LasHeader
         Header for the records.
     folder : str
-        Folder for temporary files, of twice the size of all records.
+        Folder for temporary files, which need twice the size of all records.
     """
 
     def __init__(self, target: BinaryIO, header: LasHeader, folder: str) -> None:
@@ -114,7 +114,7 @@ class CopcWriter:
             self._times = [min(low, float(times.min())), max(high, float(times.max()))]
 
     def close(self) -> None:
-        """Write points, table of chunks, hierarchy and the info record; raises OSError."""
+        """Write points, chunk table, hierarchy and the info record. Raise OSError if they cannot be written."""
         layout = layout_of(self._header, own_sizes=True)
         cube = self._cube()
         try:
@@ -135,9 +135,8 @@ class CopcWriter:
     def _write_hierarchy(self, cube: Cube, table: list[tuple[int, int]]) -> None:
         place = self._begin + 8
         entries = b""
-        for (key, points), (_, size) in zip(
-            self._entries, table, strict=False
-        ):  # without points: one chunk, no entry
+        # Without points there is one chunk and no entry.
+        for (key, points), (_, size) in zip(self._entries, table, strict=False):
             entries += _ENTRY.pack(*key, place, size, points)
             place += size
         self._target.seek(0, 2)
@@ -154,7 +153,7 @@ class CopcWriter:
         self._target.seek(0, 2)
 
     def _cube(self) -> Cube:
-        """The cube around all points, one integer wider so that no point lies on its far side."""
+        """Return the cube around all points, one integer wider so that no point lies on its far side."""
         scales, offsets = self._header.scales, self._header.offsets
         low, high = [0] * 3, [0] * 3
         if self._points:
@@ -169,14 +168,14 @@ class CopcWriter:
         )
 
     def _pieces(self) -> Iterator[Records]:
-        """All records in their order, read from the temporary file, which is then closed."""
+        """Yield all records in their order from the temporary file, which is then closed."""
         self._spool.seek(0)
         with self._spool:
             while raw := self._spool.read(self._step * self._header.record_length):
                 yield np.frombuffer(raw, dtype=self._dtype)
 
     def _nodes(self, cube: Cube) -> Iterator[tuple[Key, Records]]:
-        """Nodes and their points, sorted by the time of the pulse; children come before their parents."""
+        """Yield nodes and their points, sorted by GPS time. Children come before their parents."""
         levels = Levels()
         above: dict[Key, list[Records]] = defaultdict(list)
         if not self._points:
@@ -200,7 +199,7 @@ class CopcWriter:
 def _of_levels(
     places: Places, level_of: npt.NDArray[np.int8], brick: Key
 ) -> list[tuple[Key, npt.NDArray[np.int64]]]:
-    """Nodes and the ascending rows of their points; nodes near each other follow one another."""
+    """Return nodes and the ascending rows of their points. Nodes near each other follow one another."""
     found: list[tuple[Key, npt.NDArray[np.int64]]] = []
     for level in np.unique(level_of).tolist():
         rows = np.flatnonzero(level_of == level)
@@ -218,11 +217,11 @@ def _of_levels(
 
 
 def _holds(key: Key, brick: Key) -> bool:
-    """Whether the cube of a node holds a brick."""
+    """Return whether the cube of a node contains a brick."""
     down = brick[0] - key[0]
     return down >= 0 and all(b >> down == k for b, k in zip(brick[1:], key[1:], strict=True))
 
 
 def _by_time(records: Records) -> Records:
-    """Sort records by the time of their pulse; no other order compresses better."""
+    """Sort records by GPS time, the order that compresses best."""
     return records[np.argsort(records["gps_time"], kind="stable")]

@@ -1,4 +1,4 @@
-"""Reads parts of a cloud: a sample of places, and windows at full density, written as LAS files."""
+"""Parts of a cloud: a sample of positions, and windows at full density, written as LAS files."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _PLACE_POINTS = 1000
 _PLACE_STEP = 250
 _OF_PLACE = _PLACE_POINTS // _PLACE_STEP
 _BLOCK_BYTES = 1 << 16
-"""Bytes that a request to a URL asks for, to read the header and the records before the points."""
+"""Bytes per request to a URL, to read the header and the records before the points."""
 
 Box = tuple[float, float, float, float]
 """Lowest x, y, highest x, y in units of the CRS, half-open."""
@@ -28,16 +28,17 @@ Box = tuple[float, float, float, float]
 def sample_places(
     path: Path, places: int, salvage: bool = False, octree: Octree | None = None
 ) -> list[tuple[float, float]]:
-    """The x and y of a few points, at even distances in the file or from the root of an octree.
+    """Return x and y of a few points, at even distances in the file or from the root of an octree.
 
     Parameters
     ----------
     path : Path
     places : int
-        Number of places in the file, with four points each.
+        Number of positions in the file, with four points each.
     salvage : bool
         See `tiler.io.las.headers.read_header`.
     octree : Octree, optional
+        Octree of the file, from whose root the points are read if given.
 
     Raises
     ------
@@ -76,7 +77,7 @@ def cut_windows(
     salvage: bool = False,
     octree: Octree | None = None,
 ) -> list[int]:
-    """Write the points of each window into a file of its own.
+    """Write the points of each window to a separate file.
 
     The files are like the source, but not compressed and without EVLRs. A window without points gets no file.
 
@@ -84,12 +85,13 @@ def cut_windows(
     ----------
     path : Path
     windows : sequence of (x0, y0, x1, y1)
+        Windows in units of the CRS.
     targets : sequence of str
-        A file for each window.
+        Path of the file of each window.
     salvage : bool
         See `tiler.io.las.headers.read_header`.
     octree : Octree, optional
-        Octree of the file; with it, only the nodes near the windows are read.
+        Octree of the file. If given, only the nodes near the windows are read.
 
     Returns
     -------
@@ -119,9 +121,9 @@ def cut_windows(
 
 
 def _write(header: LasHeader, records: Records, target: Path) -> None:
-    """Write records behind the header of their source, with the fields about points changed (LAS 1.4 R15, table 3).
+    """Write records after the header of their source, with changed fields about points (LAS 1.4 R15, table 3).
 
-    Points by return are not counted.
+    The numbers of points by return are 0.
     """
     with open_cloud(header.path, _BLOCK_BYTES) as source:
         front = bytearray(source.read(header.points_offset))

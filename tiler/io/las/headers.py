@@ -1,6 +1,7 @@
-"""Reads LAS headers, and checks all their fields against the file.
+"""LAS headers, with all fields checked against the file.
 
-LAS specification 1.5 R00, tables of the header, of VLRs and of EVLRs; the headers of LAS 1.0 to 1.4 are prefixes of it.
+The layout is that of the LAS specification 1.5 R00, tables of the header, of VLRs and of EVLRs. The headers of LAS 1.0
+to 1.4 are prefixes of it.
 """
 
 from __future__ import annotations
@@ -19,13 +20,13 @@ from tiler.io.las.records import VariableRecord, walk_records
 from tiler.io.locations import State, is_url, state_of
 
 _BLOCK_BYTES = 1 << 14
-"""Bytes that a request to a URL asks for; the bytes before the points, the chunk table or a record seldom take more."""
+"""Bytes per request to a URL. The bytes before the points, the chunk table or a record are seldom more."""
 _BLOCK = struct.Struct("<4sHH16sBB32s32sHHHIIBHI5I12d")
 _LAS14 = struct.Struct("<QQIQ")
 _LAS15 = struct.Struct("<ddH")
 
 HEADER_SIZES = {0: 227, 1: 227, 2: 227, 3: 235, 4: 375, 5: 393}
-"""Length of the header by the minor version."""
+"""Length of the header by minor version, in bytes."""
 _RECORD_SIZES = (20, 28, 26, 34, 57, 63, 30, 36, 38, 59, 67)
 _WKT_BIT = 0x10
 _STANDARD_TIME_BIT, _TIME_OFFSET_BIT = 0x01, 0x40
@@ -34,22 +35,22 @@ _OLDEST_FORMAT_15 = 6
 _UNKNOWN = 1 << 40
 """Number of points of a compressed file whose header does not give it."""
 _MANY = 10_000_000
-"""A file with more points is checked for being a decompression bomb."""
+"""Maximum number of points of a file that is not checked for being a decompression bomb."""
 _DENSEST = 1000
-"""A file with more points for each compressed byte is refused as a bomb; real clouds have less than one."""
+"""Number of points per compressed byte above which a file is refused as a bomb. Real clouds have less than one."""
 
 FINEST_SCALE = 1e-9
-"""Smallest scale factor, in units of the CRS; with a smaller one all points would be at one place."""
+"""Smallest scale factor, in units of the CRS. With a smaller one all points would have the same position."""
 COARSEST_SCALE = 1e3
-"""Largest scale factor, in units of the CRS; with a larger one the points would not be on earth."""
+"""Largest scale factor, in units of the CRS. With a larger one the points would not be on earth."""
 
 AGAIN = "get the file again"
-SALVAGE = "get the file again, or read what is there with --salvage"
+SALVAGE = "get the file again, or read its intact part with --salvage"
 
 
 @dataclass(frozen=True)
 class LasHeader:
-    """The header of a file, as far as it is possible in that file.
+    """Header of a file, with values that are possible in this file.
 
     Attributes
     ----------
@@ -65,25 +66,26 @@ class LasHeader:
     scales, offsets : tuple of 3 float
         Scales from `FINEST_SCALE` to `COARSEST_SCALE`, and finite offsets.
     mins, maxs : tuple of 3 float
-        Bounds as the file gives them; they may be wrong.
+        Bounds in the header, which may be wrong.
     waveform_start : int
         First byte of the waveform packets (LAS 1.3 and later), or 0.
     evlrs_start : int
-        First byte of the EVLRs by the header (LAS 1.4), or 0.
+        First byte of the EVLRs according to the header (LAS 1.4), or 0.
     vlrs, evlrs : tuple of VariableRecord
-        The records that were found.
+        Records that were found.
     laz : LazLayout or None
-        None if the points are not compressed.
+        Layout of the compressed points, or None if the points are not compressed.
     digest : str
-        Digest of the bytes before the points, and of the table of chunks.
+        Digest of the bytes before the points and of the chunk table.
     notes : tuple of str
         Harmless faults of the file.
     created : tuple of int
-        Year and day of the year (1 to 366) on which the file was made; 0 if unknown.
+        Year and day of the year (1 to 366) on which the file was made, 0 if unknown.
     gps_times : tuple of 2 float, or None
-        First and last GPS time as LAS 1.5 gives them; None where it gives none (0 and 0), and in earlier versions.
+        First and last GPS time in a LAS 1.5 header. None if both are 0, and in earlier versions.
     time_offset : int or None
-        Millions of seconds that LAS 1.5 took off the GPS times of the points, if its global encoding says so.
+        Millions of seconds that were subtracted from the GPS times of the points, if the global encoding of LAS 1.5
+        has the bit for it.
     """
 
     path: Path
@@ -117,22 +119,22 @@ class LasHeader:
 
     @property
     def stamp(self) -> list[Any]:
-        """State and digest, which change if the file changes; see `tiler.io.las.unchanged`."""
+        """State and digest, which change if the file changes (see `tiler.io.las.unchanged`)."""
         return [*self.state.to_json(), self.digest]
 
     @property
     def prefers_wkt(self) -> bool:
-        """Whether the global encoding names the WKT record as the source of the CRS."""
+        """Whether the global encoding has the bit for a CRS in the WKT record."""
         return bool(self.global_encoding & _WKT_BIT)
 
     @property
     def points_end(self) -> int:
-        """End of the bytes that can hold points: the first byte of waveforms or EVLRs, or the end of the file."""
+        """End of the bytes that can contain points: the first byte of waveforms or EVLRs, or the end of the file."""
         starts = (self.waveform_start, self.evlrs_start, self.size)
         return min(start for start in starts if self.points_offset <= start <= self.size)
 
     def noted(self, text: str) -> LasHeader:
-        """A copy of the header with one more note."""
+        """Return a copy of the header with one more note."""
         return replace(self, notes=(*self.notes, text))
 
 
@@ -142,25 +144,25 @@ def refuse(path: Path, what: str, remedy: str = AGAIN) -> NoReturn:
 
 
 def _salvaged(header: LasHeader, what: str, salvage: bool) -> LasHeader:
-    """The header with a note about a damage; raises InputError without ``--salvage``."""
+    """Return the header with a note about a damage. Raise InputError without ``--salvage``."""
     if not salvage:
         refuse(header.path, what, SALVAGE)
     return header.noted(what)
 
 
 def read_header(path: Path, salvage: bool = False) -> LasHeader:
-    """The header of a LAS or LAZ file, checked against the file.
+    """Read the header of a LAS or LAZ file and check it against the file.
 
     Parameters
     ----------
     path : Path
     salvage : bool
-        If a file is cut short, use the whole records or chunks that are there.
+        Whether to use the complete records or chunks of a file that is cut short.
 
     Raises
     ------
     InputError
-        The file cannot be opened, is no LAS file, or its header contradicts the file.
+        The file cannot be opened, is not a LAS file, or its header contradicts the file.
     """
     try:
         state = state_of(path)
@@ -182,33 +184,35 @@ def read_header(path: Path, salvage: bool = False) -> LasHeader:
 
 
 def read_payload(path: Path, record: VariableRecord, limit: int = 1 << 24) -> bytes:
-    """The content of a record, at most ``limit`` bytes."""
+    """Return the content of a record, at most ``limit`` bytes."""
     with open_cloud(path, _BLOCK_BYTES) as stream:
         stream.seek(record.payload)
         return stream.read(min(record.length, limit))
 
 
 def _fixed_block(path: Path, stream: BinaryIO, state: State, salvage: bool) -> LasHeader:
-    """The header with the fields of the public header block only."""
+    """Return the header with only the fields of the public header block."""
     size = state.size
     raw = stream.read(HEADER_SIZES[5])
     if not raw:
         refuse(path, "is empty")
     if raw[:4] != b"LASF":
-        refuse(path, f"begins with {raw[:4]!r}, not with LASF: no LAS or LAZ file", "give LAS or LAZ files")
+        refuse(
+            path, f"begins with {raw[:4]!r}, not with LASF: not a LAS or LAZ file", "give LAS or LAZ files"
+        )
     if len(raw) < _BLOCK.size:
         refuse(path, f"has {size} bytes, its header alone needs {_BLOCK.size}")
     fields = _BLOCK.unpack_from(raw)
     encoding, major, minor = fields[2], fields[4], fields[5]
     header_size, points_offset, _, form, length, legacy_count = fields[10:16]
     if major != 1 or minor not in HEADER_SIZES:
-        refuse(path, f"is LAS {major}.{minor}, LAS 1.0 to 1.5 can be read", "convert it")
+        refuse(path, f"is LAS {major}.{minor}, LAS 1.0 to 1.5 can be read", "convert it to LAS 1.4")
     least = HEADER_SIZES[minor]
     if size < least:
         refuse(path, f"has {size} bytes, its header alone needs {least}")
     unfinished = header_size == 0 and points_offset == 0
     if unfinished and not salvage:
-        refuse(path, "its header was never finished (header size 0): whatever wrote it was stopped", SALVAGE)
+        refuse(path, "its header was never finished (header size 0): its writer was stopped", SALVAGE)
     if unfinished:
         header_size = least
     elif not least <= header_size <= points_offset <= size:
@@ -216,7 +220,7 @@ def _fixed_block(path: Path, stream: BinaryIO, state: State, salvage: bool) -> L
         refuse(path, what)
     plain = form & 0x3F
     if form & 0x40 or plain >= len(_RECORD_SIZES):
-        refuse(path, f"point format {form} is not known, 0 to 10 are", "convert it")
+        refuse(path, f"point format {form} is not known, 0 to 10 are", "convert it to LAS 1.4")
     if length < _RECORD_SIZES[plain]:
         refuse(path, f"says records of {length} bytes, format {plain} needs {_RECORD_SIZES[plain]}")
     bounds = fields[27:33]
@@ -260,11 +264,12 @@ def _fixed_block(path: Path, stream: BinaryIO, state: State, salvage: bool) -> L
 
 
 def _with_times(header: LasHeader, raw: bytes) -> LasHeader:
-    """The header with the fields that LAS 1.5 added."""
+    """Return the header with the fields that LAS 1.5 added."""
     last, first, offset = _LAS15.unpack_from(raw, HEADER_SIZES[4])
     if header.point_format < _OLDEST_FORMAT_15:
         header = header.noted(f"has points of format {header.point_format}; LAS 1.5 has formats 6 to 10")
-    standard = header.global_encoding & _STANDARD_TIME_BIT  # week times have no offset
+    # GPS week times have no offset.
+    standard = header.global_encoding & _STANDARD_TIME_BIT
     if standard and header.global_encoding & _TIME_OFFSET_BIT and header.point_format not in _WITHOUT_TIME:
         header = replace(header, time_offset=offset)
     if first == last == 0:
@@ -275,7 +280,7 @@ def _with_times(header: LasHeader, raw: bytes) -> LasHeader:
 
 
 def _records(header: LasHeader, stream: BinaryIO) -> LasHeader:
-    """The header with its VLRs and, from them, the compression of the points."""
+    """Return the header with its VLRs and, from them, the compression of the points."""
     unfinished = header.points_offset == 0
     stream.seek(100)
     count, form = struct.unpack("<IB", stream.read(5))
@@ -283,7 +288,7 @@ def _records(header: LasHeader, stream: BinaryIO) -> LasHeader:
     end = header.size if unfinished else header.points_offset
     vlrs, whole = walk_records(stream, header.header_size, count, end, extended=False)
     if not whole:
-        # A wrong count alone is harmless; if the points do not fit either, the file is damaged.
+        # Only a wrong count is harmless. If the points do not fit either, the file is damaged.
         fits = compressed or header.points_offset + header.point_count * header.record_length <= header.size
         if not fits or unfinished:
             refuse(header.path, f"says {count} variable length records, there is room for {len(vlrs)}")
@@ -310,7 +315,7 @@ def _records(header: LasHeader, stream: BinaryIO) -> LasHeader:
 
 
 def _plain_points(header: LasHeader, salvage: bool) -> LasHeader:
-    """Check the number of points of a LAS file against the room for them."""
+    """Check the number of points of a LAS file against the bytes for them."""
     room = (header.points_end - header.points_offset) // header.record_length
     if header.point_count == 0 and room:
         what = f"says 0 points, has room for {room}: it was never finished"
@@ -325,7 +330,7 @@ def _plain_points(header: LasHeader, salvage: bool) -> LasHeader:
 
 
 def _compressed_points(header: LasHeader, layout: LazLayout, stream: BinaryIO, salvage: bool) -> LasHeader:
-    """Read the table of chunks of a LAZ file, and check it against the number of points."""
+    """Read the chunk table of a LAZ file, and check it against the number of points."""
     behind = bytes_of_points(stream, header.points_offset, header.points_end, header.size)
     if header.point_count == 0 and behind < layout.least_chunk:
         return header
@@ -340,7 +345,7 @@ def _compressed_points(header: LasHeader, layout: LazLayout, stream: BinaryIO, s
     except LazDamage as damage:
         header = _salvaged(header, str(damage), salvage)
     if not layout.layers:
-        # Such chunks do not hold their own size; the decoder finds where they end.
+        # Chunks without layers do not contain their size, so the decoder finds their ends.
         return replace(header, laz=replace(layout, rebuilt=True))
     counts, sizes = walk_chunks(stream, layout, header.points_offset, header.size)
     layout = replace(layout, counts=counts, sizes=sizes, rebuilt=True)
@@ -348,7 +353,7 @@ def _compressed_points(header: LasHeader, layout: LazLayout, stream: BinaryIO, s
 
 
 def _extended(header: LasHeader, stream: BinaryIO, salvage: bool) -> LasHeader:
-    """The header with the EVLRs of LAS 1.4."""
+    """Return the header with the EVLRs of LAS 1.4."""
     if header.version[1] < 4:
         return header
     stream.seek(227)

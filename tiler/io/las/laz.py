@@ -1,4 +1,4 @@
-"""Reads how the points of a LAZ file are compressed (laszip record and chunk table), and checks it against the file."""
+"""Layout of the compressed points of a LAZ file (laszip record and chunk table), checked against the file."""
 
 from __future__ import annotations
 
@@ -15,23 +15,26 @@ _ITEM = struct.Struct("<HHH")
 _POINTWISE_CHUNKED = 2
 _LAYERED = 3
 _VARIABLE = 2**32 - 1
-"""Size of the chunks in the laszip record if each chunk has its own size."""
+"""Size of the chunks in a laszip record if the chunks have different sizes."""
 _LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}
-"""Number of layers by the kind of an item."""
+"""Number of layers by kind of item."""
 _BYTE14 = 14
-"""Kind of the item for extra bytes, which has a layer for each byte."""
+"""Kind of the item for extra bytes, which has one layer per byte."""
 _ITEM_VERSION = 3
 
 MOST_CHUNKS = 1 << 21
-"""Most chunks of a file. With 50,000 points in each, no file has so many; a longer table would fill the memory."""
+"""Maximum number of chunks of a file. With 50,000 points each, no file has more. A longer table would fill memory."""
 
 
 class LazDamage(Exception):
-    """A fault of the compressed points; becomes an InputError that names the file."""
+    """Fault of the compressed points, which callers convert to an InputError that names the file."""
 
 
 def is_panic(error: BaseException) -> bool:
-    """Whether a Rust extension panicked. Its exception is no Exception and cannot be imported; only its name tells."""
+    """Return whether a Rust extension panicked, by the name of the exception.
+
+    The exception is not an Exception, and its class cannot be imported.
+    """
     return type(error).__name__ == "PanicException"
 
 
@@ -44,13 +47,13 @@ class LazLayout:
     record_data : bytes
         Content of the laszip record.
     chunk_size : int or None
-        Number of points in a chunk; None if every chunk has its own number (COPC).
+        Number of points in a chunk, or None if chunks have different numbers of points (COPC).
     layers : int
-        Number of compressed layers in a chunk (point formats 6 to 10); 0 if whole points follow one another.
+        Number of compressed layers in a chunk (point formats 6 to 10), or 0 if whole points follow one another.
     item_size : int
-        Bytes of one decoded record.
+        Size of one decoded record in bytes.
     counts, sizes : int64, shape (chunks,)
-        Points and bytes of each chunk; empty if the file has no usable table.
+        Number of points and bytes of each chunk, empty if the file has no usable table.
     rebuilt : bool
         Whether the file has no usable table, so that `counts` and `sizes` come from the chunks themselves.
     """
@@ -65,14 +68,14 @@ class LazLayout:
 
     @property
     def least_chunk(self) -> int:
-        """Fewest bytes of a chunk."""
+        """Minimum size of a chunk in bytes."""
         if not self.layers:
             return self.item_size
         return self.item_size + 4 + 4 * self.layers
 
 
 def parse_laszip(record_data: bytes) -> LazLayout:
-    """The layout in a laszip record, without the table of chunks; raises LazDamage."""
+    """Return the layout in a laszip record, without the chunk table. Raise LazDamage if the record is wrong."""
     if len(record_data) < _LASZIP.size:
         raise LazDamage(f"its laszip record has {len(record_data)} bytes, {_LASZIP.size} are needed")
     compressor, _, _, _, _, _, chunk_size, _, _, n_items = _LASZIP.unpack_from(record_data)
@@ -104,7 +107,7 @@ def parse_laszip(record_data: bytes) -> LazLayout:
 def read_table(
     stream: BinaryIO, layout: LazLayout, points_offset: int, file_size: int, point_count: int
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Points and bytes of every chunk, int64 each; raises LazDamage if the table cannot be right.
+    """Return the number of points and bytes of every chunk, int64 each. Raise LazDamage if the table is wrong.
 
     The number of chunks is compared with the size of the file before lazrs reads the table.
     """
@@ -143,7 +146,10 @@ def read_table(
 def _true_counts(
     layout: LazLayout, counts: npt.NDArray[np.int64], sizes: npt.NDArray[np.int64], point_count: int
 ) -> npt.NDArray[np.int64]:
-    """Number of points in each chunk; the last chunk may not be full. Raises LazDamage."""
+    """Return the number of points in each chunk. The last chunk may not be full.
+
+    Raise LazDamage if the numbers do not fit ``point_count``.
+    """
     if layout.chunk_size is None:
         if int(counts.sum()) != point_count:
             raise LazDamage(f"its chunks have {int(counts.sum())} points, its header says {point_count}")
@@ -159,7 +165,7 @@ def _true_counts(
 
 
 def bytes_of_points(stream: BinaryIO, points_offset: int, end: int, file_size: int) -> int:
-    """Bytes of the compressed points, which end at the table of chunks, or at ``end`` if there is no table."""
+    """Return the size of the compressed points, which end at the chunk table, or at ``end`` if there is no table."""
     data = points_offset + 8
     table = _table_position(stream, data, file_size)
     if data <= table <= file_size - 8:
@@ -168,10 +174,10 @@ def bytes_of_points(stream: BinaryIO, points_offset: int, end: int, file_size: i
 
 
 def _table_position(stream: BinaryIO, data: int, file_size: int) -> int:
-    """First byte of the chunk table, as the file gives it."""
+    """Return the first byte of the chunk table according to the file."""
     stream.seek(data - 8)
     table = _int64(stream)
-    if table == -1 and file_size >= data + 8:  # a writer that cannot seek writes the position last
+    if table == -1 and file_size >= data + 8:  # A writer that cannot seek writes the position last.
         stream.seek(file_size - 8)
         table = _int64(stream)
     return table
@@ -183,9 +189,10 @@ def _int64(stream: BinaryIO) -> int:
 
 
 def layered_chunk(stream: BinaryIO, layout: LazLayout, start: int) -> tuple[int, int] | None:
-    """Points and bytes of the layered chunk at byte ``start``, as it claims; None at the end of the file.
+    """Return the number of points and bytes that the layered chunk at byte ``start`` states.
 
-    A chunk holds its first record raw, its number of points, the sizes of the layers, and the layers.
+    The result is None at the end of the file. A chunk contains its first record uncompressed, its number of points, the
+    sizes of the layers, and the layers.
     """
     stream.seek(start + layout.item_size)
     head = stream.read(4 + 4 * layout.layers)
@@ -196,9 +203,9 @@ def layered_chunk(stream: BinaryIO, layout: LazLayout, start: int) -> tuple[int,
 
 
 def check_layers(stream: BinaryIO, layout: LazLayout, points_offset: int, first: int, stop: int) -> None:
-    """Compare the layers of chunks ``first`` to ``stop - 1`` with the table; raises LazDamage.
+    """Compare the layers of chunks ``first`` to ``stop - 1`` with the table. Raise LazDamage if they differ.
 
-    Without this check, lazrs would allocate the size that a damaged layer claims, up to 4 GiB.
+    Without this check, lazrs would allocate the size that a damaged layer states, up to 4 GiB.
     """
     start = points_offset + 8 + int(layout.sizes[:first].sum())
     for chunk in range(first, stop):
@@ -218,7 +225,7 @@ def check_layers(stream: BinaryIO, layout: LazLayout, points_offset: int, first:
 def walk_chunks(
     stream: BinaryIO, layout: LazLayout, points_offset: int, file_size: int
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Points and bytes of the whole layered chunks of a file without a usable table."""
+    """Return the number of points and bytes of the complete layered chunks of a file without a usable table."""
     found: list[tuple[int, int]] = []
     start = points_offset + 8
     limit = layout.chunk_size or _VARIABLE

@@ -1,4 +1,4 @@
-"""Converts records of point formats 0 to 5, 9 and 10 to formats 6 to 8, the only ones in COPC, which is LAS 1.4."""
+"""Conversion of records of point formats 0 to 5, 9 and 10 to formats 6 to 8, the only formats of COPC (LAS 1.4)."""
 
 from __future__ import annotations
 
@@ -17,26 +17,26 @@ _WITHOUT_TIME = (0, 2)
 _WITH_WAVEFORMS = (4, 5, 9, 10)
 
 STANDARD_OFFSET = 1000
-"""Millions of seconds that "adjusted standard GPS time" of LAS 1.1 to 1.4 takes off."""
+"""Offset in millions of seconds that "adjusted standard GPS time" of LAS 1.1 to 1.4 subtracts."""
 
-# Bits of the global encoding.
+# The next two constants are bits of the global encoding.
 _WKT_BIT = 0x10
 _KEPT_BITS = 0x09
-"""The kind of GPS time, and synthetic return numbers; the other bits are about the CRS and waveforms."""
+"""Bits for the kind of GPS time and for synthetic return numbers. The other bits are about CRS and waveforms."""
 
 
 def newer_format(point_format: int) -> int:
-    """The format 6, 7 or 8 that holds all fields of ``point_format`` except waveforms."""
+    """Return the format 6, 7 or 8 that has all fields of ``point_format`` except waveforms."""
     return _NEWER[point_format]
 
 
 def newer_bytes(point_format: int, record_length: int) -> int:
-    """Length of a converted record, which keeps its extra bytes."""
+    """Return the length of a converted record, which keeps its extra bytes."""
     return _bare_bytes(_NEWER[point_format]) + record_length - _bare_bytes(point_format)
 
 
 def newer_header(header: LasHeader) -> LasHeader:
-    """The header for the converted points of a file; its variable length records are those of the file."""
+    """Return the header for the converted points of a file, with the variable length records of the file."""
     return replace(
         header,
         version=(1, 4),
@@ -51,7 +51,7 @@ def _bare_bytes(point_format: int) -> int:
 
 
 def as_newer(records: Records, point_format: int) -> Records:
-    """Convert records to format 6, 7 or 8; they are returned as they are if they have it already.
+    """Convert records to format 6, 7 or 8. Records that have this format already are returned unchanged.
 
     Class 12 (overlap) of formats 0 to 5 is kept and sets the overlap flag as well. Angles are rounded to steps of
     0.006 degrees, which does not lose whole degrees.
@@ -73,14 +73,14 @@ def as_newer(records: Records, point_format: int) -> Records:
     found["classification"] = classification
     raw = records["raw_classification"]
     overlap = (flags & OVERLAP_FLAG != 0).astype(np.uint8)
-    # Bits 0 to 2: synthetic, key point, withheld; 3: overlap; 6: scan direction; 7: edge of the flight line.
+    # Bits 0 to 2 are synthetic, key point and withheld, 3 overlap, 6 scan direction, 7 edge of the flight line.
     found["classification_flags"] = (raw >> 5) | (overlap << 3) | (bits & 0xC0)
     found["scan_angle"] = np.rint(records["scan_angle_rank"] / SCAN_STEP_DEGREES)
     return found
 
 
 def as_standard_times(records: Records, header: LasHeader) -> Records:
-    """Records with GPS times as LAS 1.4 has them, from those with the time offset of LAS 1.5."""
+    """Convert GPS times from the time offset of LAS 1.5 to the times of LAS 1.4."""
     if header.time_offset is None:
         return records
     found = records.copy()
@@ -89,7 +89,7 @@ def as_standard_times(records: Records, header: LasHeader) -> Records:
 
 
 def changes_of_format(header: LasHeader) -> list[str]:
-    """Notes about changes and losses by the conversion of a file's points; empty if there are none."""
+    """Return notes about changes and losses by the conversion of a file's points. The list may be empty."""
     old = header.point_format
     new = _NEWER[old]
     found = []

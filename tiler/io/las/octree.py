@@ -1,4 +1,4 @@
-"""Reads the octree of a COPC file, which gives the cube of each chunk of points (COPC 1.0)."""
+"""Octree of a COPC file, with the cube of each chunk of points (COPC 1.0)."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ _INFO_BYTES = 160
 _ENTRY_BYTES = 32
 _DEEPEST = 30
 _INFO = 1
-"""Number of the record with the cube of the root."""
+"""Record ID of the record with the cube of the root."""
 _BLOCK_BYTES = 1 << 14
-"""Bytes that a request to a URL asks for until the hierarchy is found; each page is then read with one request."""
+"""Bytes per request to a URL until the hierarchy is found. Each page is then read with one request."""
 
 
 Box = tuple[float, float, float, float]
@@ -30,7 +30,7 @@ Box = tuple[float, float, float, float]
 
 @dataclass(frozen=True)
 class Octree:
-    """The squares of the chunks, seen from above.
+    """Squares of the chunks in plan view.
 
     Attributes
     ----------
@@ -46,20 +46,20 @@ class Octree:
     keys: tuple[tuple[int, int, int], ...]
 
     def box(self, key: tuple[int, int, int]) -> Box:
-        """The square of a chunk."""
+        """Return the square of a chunk."""
         level, column, row = key
         side = self.side / 2**level
         x, y = self.west + column * side, self.south + row * side
         return x, y, x + side, y + side
 
     def root(self, header: LasHeader, most: int) -> tuple[int, int]:
-        """Range (first record, number) of the uppermost node with points, of at most ``most`` records."""
+        """Return the range (first record, number) of the uppermost node with points, at most ``most`` records."""
         counts = _points_of_chunks(header)
         _, chunk = min((key[0], number) for number, key in enumerate(self.keys) if counts[number])
         return sum(counts[:chunk]), min(counts[chunk], most)
 
     def near(self, header: LasHeader, boxes: Sequence[Box]) -> list[tuple[int, int]]:
-        """Ranges (first record, number) of the nodes within one unit of a box; adjacent ranges are joined."""
+        """Return ranges (first record, number) of the nodes within one unit of a box. Adjacent ranges are joined."""
         found: list[tuple[int, int]] = []
         start = 0
         for key, count in zip(self.keys, _points_of_chunks(header), strict=True):
@@ -75,9 +75,9 @@ class Octree:
     def spread(
         self, counts: Sequence[int], sample: npt.NDArray[np.float64], level: int
     ) -> dict[tuple[int, int, int], float]:
-        """Squares of a level that hold points, with an estimate of their number.
+        """Return the squares of a level with points, and an estimate of the number of their points.
 
-        The points of a node above that level are divided among its squares as the sample is.
+        The points of a node above that level are divided among its squares in proportion to the sample.
 
         Parameters
         ----------
@@ -99,18 +99,18 @@ class Octree:
             window = np.s_[column : column + (1 << above), row : row + (1 << above)]
             if seen[window].any():
                 held[window] += count * seen[window] / seen[window].sum()
-            else:  # no sample point shows where these few points are in the node
+            else:  # There is no sample point that shows the position of these few points in the node.
                 held[column + (1 << above) // 2, row + (1 << above) // 2] += count
         return {(level, int(c), int(r)): float(held[c, r]) for c, r in np.argwhere(held)}
 
 
 def read_octree(header: LasHeader) -> Octree:
-    """Read the octree of a COPC file, and check it against the table of chunks.
+    """Read the octree of a COPC file, and check it against the chunk table.
 
     Raises
     ------
     LazDamage
-        There is no octree, or it is damaged, or it does not name each chunk once.
+        There is no octree, it is damaged, or it does not contain each chunk once.
     """
     layout = header.laz
     info_record = next((v for v in header.vlrs if v.is_copc and v.record_id == _INFO), None)
@@ -142,7 +142,8 @@ def read_octree(header: LasHeader) -> Octree:
         found[chunk] = entry
     if len(found) != len(chunk_at):
         raise LazDamage(f"its octree names {len(found)} of {len(chunk_at)} chunks")
-    keys = [(0, 0, 0)] * layout.counts.size  # remains for chunks without points, which are in no node
+    # Chunks without points are in no node and keep this key.
+    keys = [(0, 0, 0)] * layout.counts.size
     for chunk, entry in found.items():
         keys[chunk] = (entry.key.level, entry.key.x, entry.key.y)
     west, south = (float(c - info.halfsize) for c in info.center[:2])
@@ -150,11 +151,12 @@ def read_octree(header: LasHeader) -> Octree:
 
 
 def _entries(path: Path, info: CopcInfoVlr, size: int, chunks: int) -> list[Entry]:
-    """The nodes with points, from all pages of the hierarchy."""
+    """Return the nodes with points, from all pages of the hierarchy."""
     found: list[Entry] = []
     pages = [(info.hierarchy_root_offset, info.hierarchy_root_size)]
     seen = set[int]()
-    left = _ENTRY_BYTES * (8 * chunks + 9)  # a node has eight children at most, with points or without
+    # A node has at most eight children, with points or without.
+    left = _ENTRY_BYTES * (8 * chunks + 9)
     while pages:
         offset, length = pages.pop()
         left -= length
@@ -193,7 +195,7 @@ def _points_of_chunks(header: LasHeader) -> list[int]:
 
 
 def _are_near(one: Box, other: Box) -> bool:
-    """Whether two boxes are at most one unit apart."""
+    """Return whether two boxes are at most one unit apart."""
     west, south, east, north = one
     w, s, e, n = other
     return w <= east + 1 and e >= west - 1 and s <= north + 1 and n >= south - 1

@@ -1,4 +1,4 @@
-"""Reads any range of records of a LAS or LAZ file, decoded in one thread."""
+"""Reader of any range of records of a LAS or LAZ file, decoded in one thread."""
 
 from __future__ import annotations
 
@@ -27,27 +27,27 @@ NEEDED = (
     | lazrs.SELECTIVE_DECOMPRESS_FLAGS
     | lazrs.SELECTIVE_DECOMPRESS_RGB
 )
-"""Layers of point formats 6 to 10 that a store keeps; other fields of the decoded records are undefined."""
+"""Layers of point formats 6 to 10 that a store keeps. Other fields of the decoded records are undefined."""
 
 TO_SELECT = NEEDED | lazrs.SELECTIVE_DECOMPRESS_SCAN_ANGLE | lazrs.SELECTIVE_DECOMPRESS_POINT_SOURCE_ID
-"""Layers by which `tiler.core.selection` chooses points, besides those that a store keeps."""
+"""Layers that a store keeps, and layers by which `tiler.core.selection` selects points."""
 
 EVERYTHING = lazrs.SELECTIVE_DECOMPRESS_ALL
 COORDINATES = lazrs.SELECTIVE_DECOMPRESS_XY_RETURNS_CHANNEL | lazrs.SELECTIVE_DECOMPRESS_Z
 
 BYTES_AT_ONCE = 1 << 27
-"""Most bytes of decoded records that are read at a time; a single record may have 64 KiB."""
+"""Maximum size of the decoded records that are read at a time. A single record may have 64 KiB."""
 
 _STEP = 1 << 16
 
 
 def rows_at_once(record_length: int, most: int) -> int:
-    """Number of records to read at a time: ``most``, or fewer if they are long."""
+    """Return the number of records to read at a time: ``most``, or fewer if they are long."""
     return max(min(most, BYTES_AT_ONCE // record_length), 1)
 
 
 def record_dtype(point_format: int, record_length: int) -> np.dtype[np.void]:
-    """The fields of a record as laspy names them; the field ``extra`` holds all extra bytes."""
+    """Return the dtype of a record with the field names of laspy. The field ``extra`` contains all extra bytes."""
     fields: np.dtype[np.void] = laspy.PointFormat(point_format).dtype()
     extra = record_length - fields.itemsize
     if extra == 0:
@@ -57,7 +57,7 @@ def record_dtype(point_format: int, record_length: int) -> np.dtype[np.void]:
 
 @contextmanager
 def decoding(path: Path) -> Iterator[None]:
-    """Turn every error of a decoder about damaged bytes into an InputError that names the file.
+    """Convert every error of a decoder about damaged bytes to an InputError that names the file.
 
     This includes the panic of a Rust extension, but not KeyboardInterrupt and SystemExit.
     """
@@ -76,18 +76,18 @@ def _line(error: BaseException) -> str:
 
 
 class PointReader:
-    """Reads ranges of records of one file. It is a context manager.
+    """Reader of ranges of records of one file. It is a context manager.
 
     Parameters
     ----------
     header : LasHeader
     selection : int
-        Layers to decode (`NEEDED`, `EVERYTHING`, `COORDINATES`); only point formats 6 to 10 have layers.
+        Layers to decode (`NEEDED`, `EVERYTHING`, `COORDINATES`). Only point formats 6 to 10 have layers.
     block_bytes : int
-        Bytes that a request to a URL asks for.
+        Bytes per request to a URL.
     ranges : sequence of (int, int), optional
-        First record and number of records of each range that will be read, from its beginning to its end; the default
-        is the whole file. Ranges are whole chunks, and only their bytes are fetched from a URL.
+        First record and number of records of each range that will be read, from its beginning to its end. The default
+        is the whole file. Ranges are whole chunks, and only their bytes are requested from a URL.
     """
 
     def __init__(
@@ -104,7 +104,7 @@ class PointReader:
         self._selection = selection
         with decoding(header.path):
             self._file: BinaryIO = open_cloud(header.path, block_bytes, _parts(header, ranges or ()))
-            # The decoder needs the position of its file, so checks of the next chunks use a file of their own.
+            # The decoder needs the position of its file, so checks of the next chunks use a separate file.
             self._probe: BinaryIO = second_view(self._file, header.path)
         self._decoder: Any = None
         self._next = 0
@@ -122,7 +122,10 @@ class PointReader:
         self._probe.close()
 
     def read(self, start: int, count: int) -> Records:
-        """Records ``start`` to ``start + count - 1``, structured, shape (count,); raises InputError."""
+        """Return records ``start`` to ``start + count - 1``, structured, shape (count,).
+
+        Raise InputError if they cannot be decoded.
+        """
         with decoding(self.header.path):
             if count <= 0:
                 return np.empty(0, dtype=self.dtype)
@@ -133,7 +136,7 @@ class PointReader:
             return np.frombuffer(raw, dtype=self.dtype)
 
     def pieces(self, most: int = 1_000_000) -> Iterator[Records]:
-        """All records of the ranges in their order, ``most`` at a time or fewer if they are long."""
+        """Yield all records of the ranges in their order, ``most`` at a time or fewer if they are long."""
         step = rows_at_once(self.header.record_length, most)
         for first, count in self._ranges:
             for start in range(first, first + count, step):
@@ -159,7 +162,7 @@ class PointReader:
         if self._decoder is None or start != self._next or start in self._stops:
             end = None
             known = self._stops.get(start)
-            if known is not None:  # the decoder must not read beyond the range
+            if known is not None:  # The decoder must not read beyond the range.
                 end = int(np.searchsorted(ends, known - 1, side="right")) + 1
             self._decoder, self._next = self._open_decoder(layout, start, first, end)
             self._skip(start - self._next)
@@ -169,11 +172,11 @@ class PointReader:
         return raw
 
     def _open_decoder(self, layout: LazLayout, start: int, chunk: int, stop: int | None) -> tuple[Any, int]:
-        """A decoder and the record that it decodes next, which is ``start`` or an earlier one of the same chunk.
+        """Return a decoder and the record that it decodes next: ``start`` or an earlier one of the same chunk.
 
-        lazrs seeks to the right point only if there is a table and all chunks have the same size; with chunks of their
-        own sizes it silently decodes other points. Otherwise it gets a view of the file that begins with ``chunk`` and
-        ends before chunk ``stop``.
+        lazrs seeks to the right point only if there is a table and all chunks have the same size. With chunks of
+        different sizes it would silently decode other points. In the other cases it gets a view of the file that begins
+        with ``chunk`` and ends before chunk ``stop``.
         """
         selection = lazrs.DecompressionSelection(self._selection)
         if layout.chunk_size is not None and not layout.rebuilt:
@@ -202,7 +205,7 @@ class PointReader:
 
 
 def _parts(header: LasHeader, ranges: Sequence[tuple[int, int]]) -> list[tuple[int, int]]:
-    """First and end byte of the chunks that hold some ranges of records; adjacent chunks are joined."""
+    """Return first and end byte of the chunks with some ranges of records. Adjacent chunks are joined."""
     if not ranges or header.laz is None:
         return []
     ends = np.cumsum(header.laz.counts)
@@ -218,9 +221,9 @@ def _parts(header: LasHeader, ranges: Sequence[tuple[int, int]]) -> list[tuple[i
 
 
 class _ChunkView(io.RawIOBase):
-    """A stream that shows some chunks of a LAZ file as a whole: the position of the table, the chunks, the table.
+    """Stream of some chunks of a LAZ file as if they were the whole file: position of the table, chunks, table.
 
-    The chunks begin at byte ``start``; ``chunks`` holds the points and bytes of each.
+    The chunks begin at byte ``start``, and ``chunks`` contains the number of points and bytes of each.
     """
 
     def __init__(self, file: BinaryIO, start: int, chunks: list[tuple[int, int]], record_data: bytes) -> None:
@@ -259,7 +262,7 @@ class _ChunkView(io.RawIOBase):
 
 
 def count_decodable(header: LasHeader) -> int:
-    """Number of points in a file. If its table is unusable and its chunks have no sizes, they are decoded."""
+    """Return the number of points in a file. If it has no usable table and its chunks have no sizes, decode them."""
     if header.laz is None or not header.laz.rebuilt or header.laz.sizes.size:
         return header.point_count
     found = 0

@@ -1,4 +1,4 @@
-"""Finds variable length records (VLRs and EVLRs) in a file, and packs new ones."""
+"""Variable length records (VLRs and EVLRs): finding them in a file, and packing new ones."""
 
 from __future__ import annotations
 
@@ -15,24 +15,24 @@ LASZIP_RECORD = 22204
 COPC_USER = "copc"
 
 MOST_RECORDS = 10_000
-"""Most records of a file that are read: a large file could hold more empty ones than fit into memory."""
+"""Maximum number of records that are read: a large file could have more empty records than fit into memory."""
 
 
 @dataclass(frozen=True)
 class VariableRecord:
-    """Place of a VLR or EVLR in its file.
+    """Position of a VLR or EVLR in its file.
 
     Attributes
     ----------
     user_id : str
-        Text up to the first NUL.
+        User ID up to the first NUL.
     record_id : int
     start : int
         Byte offset of the record's own header.
     payload : int
         Byte offset of the content.
     length : int
-        Bytes of the content.
+        Length of the content in bytes.
     """
 
     user_id: str
@@ -43,7 +43,7 @@ class VariableRecord:
 
     @property
     def end(self) -> int:
-        """Position of the first byte behind the record."""
+        """Byte offset of the first byte after the record."""
         return self.payload + self.length
 
     @property
@@ -60,7 +60,7 @@ class VariableRecord:
 def packed_record(
     user_id: str, record_id: int, description: str, payload: bytes, extended: bool = False
 ) -> bytes:
-    """A whole VLR, or EVLR, as bytes."""
+    """Return a complete VLR or EVLR as bytes."""
     form = _EVLR if extended else _VLR
     return form.pack(0, user_id.encode(), record_id, len(payload), description.encode()) + payload
 
@@ -68,9 +68,9 @@ def packed_record(
 def walk_records(
     stream: BinaryIO, start: int, count: int, end: int, extended: bool
 ) -> tuple[tuple[VariableRecord, ...], bool]:
-    """The records from ``start`` that fit before ``end``, and whether all ``count`` records do.
+    """Return the records from ``start`` that fit before ``end``, and whether all ``count`` records fit.
 
-    Only the headers of the records are read, of at most `MOST_RECORDS` records.
+    Only the headers of the records are read, and at most `MOST_RECORDS` of them.
     """
     form = _EVLR if extended else _VLR
     found: list[VariableRecord] = []

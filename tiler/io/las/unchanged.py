@@ -1,4 +1,4 @@
-"""Checks that an input has not changed when a task reads it after the plan."""
+"""Check that an input has not changed when a task reads it after the plan."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ AGAIN = "run again once the file is complete"
 
 @contextmanager
 def unchanged(path: Path, stamp: list[Any] | None, salvage: bool) -> Iterator[LasHeader]:
-    """Give the header of a file, and check before and after the block that the file has not changed.
+    """Yield the header of a file, and check before and after the block that the file has not changed.
 
     Parameters
     ----------
     path : Path
     stamp : list, optional
-        `LasHeader.stamp` in the plan; None to check only that the file does not change during the block.
+        `LasHeader.stamp` in the plan, or None to check only that the file does not change during the block.
     salvage : bool
         See `tiler.io.las.headers.read_header`.
 
@@ -39,7 +39,7 @@ def unchanged(path: Path, stamp: list[Any] | None, salvage: bool) -> Iterator[La
     except DiskFullError:
         raise
     except TilerError:
-        # A half written file cannot be decoded; its change is then the true cause.
+        # A partly written file cannot be decoded, and its change is the true cause.
         if stamp is not None:
             refuse_changed(path, State(*stamp[:3]))
         raise
@@ -52,7 +52,7 @@ def refuse_changed(path: Path, state: State) -> None:
         now = state_of(path)
     except OSError as error:
         raise InputError(
-            f"{path}: went away while the run went on ({error.strerror or error}); {AGAIN}"
+            f"{path}: was removed during the run ({error.strerror or error}); {AGAIN}"
         ) from error
     if now != state:
         raise _changed(path, state, now)
@@ -62,4 +62,4 @@ def _changed(path: Path, before: State, now: State) -> InputError:
     how = "as large as before, with another time, tag or header"
     if before.size != now.size:
         how = f"{before.size:,} bytes before, {now.size:,} now"
-    return InputError(f"{path}: was replaced or written to while the run went on ({how}); {AGAIN}")
+    return InputError(f"{path}: was replaced or changed during the run ({how}); {AGAIN}")

@@ -1,4 +1,4 @@
-"""Vector files: reads features into the CRS of a run, and writes GeoPackages."""
+"""Vector files: reading of features in the CRS of a run, and writing of GeoPackages."""
 
 from tiler.io.vector.reading import (
     LINES,

@@ -1,4 +1,4 @@
-"""Reads polygons as an area in counts. It is a module of its own to keep the imports of the child process few."""
+"""Polygons as an area in counts, in a separate module so that the child process has few imports."""
 
 from __future__ import annotations
 
@@ -16,22 +16,28 @@ from tiler.io.vector.reading import POLYGONS, Feature, read_in_crs
 
 
 def read_area(path: Path, wkt: str | None) -> tuple[Area, list[str]]:
-    """The polygons of a file in absolute counts of a CRS, and notes for the user; raises InputError."""
+    """Return the polygons of a file in absolute counts of a CRS, and notes for the user.
+
+    Raise InputError if the file cannot be read or its polygons have no area.
+    """
     found = read_in_crs(path, POLYGONS, wkt)
     return area_in_counts(str(path), found.features), list(found.notes)
 
 
 def area_in_counts(place: str, features: Sequence[Feature]) -> Area:
-    """The polygons of features in absolute counts; raises InputError, which names ``place``, if their area is empty."""
+    """Return the polygons of features in absolute counts.
+
+    Raise InputError, which names the file ``place``, if they have no area or a coordinate is too large.
+    """
     geometries = [feature.geometry for feature in features]
     if np.abs(shapely.bounds(geometries)).max() >= FARTHEST:
-        raise InputError(f"{place}: has a place farther away than {FARTHEST:g}; write coordinates of its CRS")
+        raise InputError(f"{place}: has a coordinate beyond {FARTHEST:g}; use coordinates in its CRS")
     polygons = []
     for polygon in shapely.get_parts(geometries):
         polygons.append(tuple(_in_counts(ring) for ring in (polygon.exterior, *polygon.interiors)))
     area = Area(tuple(polygons))
     if area.bounds.empty:
-        raise InputError(f"{place}: its polygons hold no place; draw them wider")
+        raise InputError(f"{place}: its polygons have no area; draw them wider")
     return area
 
 

@@ -1,4 +1,4 @@
-"""Checks vector files before GDAL opens them, since GDAL ignores suffixes and follows links in a file."""
+"""Checks of vector files before GDAL opens them, since GDAL ignores suffixes and follows links in a file."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ SIGNATURES = {
     ".shp": b"\0\0\x27\x0a",
     ".fgb": b"fgb\x03fgb",
 }
-"""Suffixes of the formats that are read, and the first bytes of their files; GeoJSON is checked as a whole."""
+"""Suffixes of the formats that are read, and the first bytes of their files. GeoJSON is checked as a whole."""
 
 
 def check_file(path: Path, wanted: str) -> list[bool] | None:
     """Raise InputError for a file that GDAL must not open.
 
     GDAL recognises a format by the content and not by the name: it would follow the links to other files or hosts in a
-    VRT or WFS that is named ``area.gpkg``. So the first bytes of a file have to fit its suffix.
+    VRT or WFS with the name ``area.gpkg``. Therefore the first bytes of a file must match its suffix.
 
     Returns
     -------
     list of bool or None
-        Whether each feature of a GeoJSON file has a geometry; None for other formats.
+        Whether each feature of a GeoJSON file has a geometry, or None for other formats.
     """
     signature = SIGNATURES.get(path.suffix.lower())
     if signature is None:
@@ -47,7 +47,7 @@ def check_file(path: Path, wanted: str) -> list[bool] | None:
     if not path.is_file():
         raise InputError(f"{path}: no such file; give a GeoPackage, GeoJSON or Shapefile with {wanted}")
     if "!" in str(path.resolve()) or str(path.resolve()).startswith("/vsi"):
-        raise InputError(f"{path}: GDAL would take its name for that of an archive; rename it")
+        raise InputError(f"{path}: GDAL would read it as an archive because of its name; rename it")
     try:
         with path.open("rb") as stream:
             start = stream.read(len(signature))
@@ -77,30 +77,32 @@ def _check_geojson(path: Path, wanted: str) -> list[bool]:
             raise InputError(
                 f"{path}: feature {number}: is not a GeoJSON Feature; write {wanted} as features"
             )
-    # Most programs still write the member that names the CRS, although RFC 7946 removed it.
+    # Most programs still write the member with the CRS, although RFC 7946 removed it.
     named = member(member(content, "crs"), "properties").get("name")
     try:
         if named is not None:
             CRS.from_user_input(str(named))
     except (ProjError, UnicodeError, RecursionError) as error:
-        raise InputError(f"{path}: its CRS {excerpt(named)} is not known; write it with another") from error
+        raise InputError(
+            f"{path}: its CRS {excerpt(named)} is not known; write it with another CRS"
+        ) from error
     return [feature.get("geometry") is not None for feature in features]
 
 
 @contextmanager
 def reading(path: Path) -> Iterator[list[str]]:
-    """Turn errors of libraries into an InputError, and collect their warnings in the list."""
+    """Convert errors of libraries to an InputError, and yield a list that receives their warnings."""
     reported: list[str] = []
     try:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             yield reported
-    # pyogrio raises RuntimeErrors; names and texts that are not UTF-8 raise UnicodeDecodeErrors.
+    # pyogrio raises RuntimeErrors. Names and texts that are not UTF-8 raise UnicodeDecodeErrors.
     except (RuntimeError, ValueError, OverflowError, ShapelyError) as error:
         raise InputError(f"{path}: cannot be read ({_short(error)}); get the file again") from error
     reported += sorted({_short(warning.message) for warning in caught})
 
 
 def _short(problem: Any) -> str:
-    """The message of a library, in one line and without the advice after a semicolon."""
+    """Return the message of a library, in one line and without the advice after a semicolon."""
     return printable(" ".join(str(problem).split(";")[0].split()))[:150]

@@ -1,6 +1,6 @@
-"""Reads features of vector files: geometry and attributes, in the CRS of the file or in that of the run.
+"""Features of vector files: geometry and attributes, in the CRS of the file or of the run.
 
-Callers use `tiler.schedule.read_apart`, so that files from elsewhere are read in a child process.
+Callers use `tiler.schedule.read_apart`, which reads files in a child process, since files may be malicious.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from tiler.io.vector.reprojection import in_crs
 from tiler.redaction import printable
 
 HEIGHT_COLUMNS = ("z", "h", "height", "elevation", "elev", "ele", "altitude")
-"""Names of attributes that hold the height of a feature drawn in two dimensions, in lower case."""
+"""Names of attributes with the height of a feature that is drawn in two dimensions, in lower case."""
 SIMPLIFY = "simplify it (`ogr2ogr -simplify`, Simplify in QGIS), or divide it"
 MOST_PASSED = 1e9
-"""Limit for a polygon: its vertices, times the length of its outline over its width; so many pairs are tested."""
+"""Limit of the number of edge pairs to test in a polygon: its vertices times the ratio of outline to width."""
 
 
 @dataclass(frozen=True)
 class Kind:
-    """Kind of the geometries that a file should hold.
+    """Kind of the geometries that a file should contain.
 
     Attributes
     ----------
@@ -38,7 +38,7 @@ class Kind:
     types : frozenset of str
         Geometry types of shapely.
     point_layers : frozenset of str
-        Names of layers of points that are read as well.
+        Names of point layers that are read as well.
     left_out : frozenset of str
         Names of layers that are not read.
     """
@@ -49,7 +49,7 @@ class Kind:
     left_out: frozenset[str] = frozenset()
 
     def takes_layer(self, name: str, shape: str) -> bool:
-        """Whether a layer with the type ``shape`` may hold such geometries."""
+        """Return whether a layer with the type ``shape`` may contain geometries of this kind."""
         if name in self.left_out:
             return False
         if name in self.point_layers:
@@ -57,7 +57,7 @@ class Kind:
         return shape == "Unknown" or _plain_type(shape) in self.types
 
     def takes(self, layer: str, shape: str) -> bool:
-        """Whether a geometry type is one of these in a layer."""
+        """Return whether a geometry type is of this kind in a layer."""
         return shape in self.types or (layer in self.point_layers and shape in POINTS.types)
 
 
@@ -69,16 +69,16 @@ LINES_AND_POLYGONS = Kind("lines or polygons", LINES.types | POLYGONS.types)
 
 @dataclass(frozen=True)
 class Feature:
-    """One feature.
+    """Feature of a vector file.
 
     Attributes
     ----------
     place : str
         File, layer and number of the feature (the first is 1), for messages.
     geometry : shapely geometry
-        The geometry, which is not empty; it has z if the file has it, in the vertical unit of the file.
+        Geometry, which is not empty. It has z if the file has z, in the vertical unit of the file.
     attributes : dict
-        Attributes by name in lower case; None if a feature has no value.
+        Attributes by name in lower case, with None for missing values.
     """
 
     place: str
@@ -86,7 +86,7 @@ class Feature:
     attributes: dict[str, Any]
 
     def height(self) -> float | None:
-        """The number in the first of the `HEIGHT_COLUMNS` that holds one; None if there is none."""
+        """Return the number in the first of the `HEIGHT_COLUMNS` with a number, or None if there is none."""
         for name in HEIGHT_COLUMNS:
             value = self.attributes.get(name)
             if isinstance(value, int | float) and not isinstance(value, bool):
@@ -96,14 +96,14 @@ class Feature:
 
 @dataclass(frozen=True)
 class Features:
-    """The features of a file that have one kind of geometry.
+    """Features of a file that have one kind of geometry.
 
     Attributes
     ----------
     features : tuple of Feature
         Features in the order of the file.
     crs : str or None
-        WKT or authority code of the geometries; None if it is unknown.
+        WKT or authority code of the geometries, or None if it is unknown.
     notes : tuple of str
         Notes for the user, which name the file.
     """
@@ -114,21 +114,22 @@ class Features:
 
 
 def read_features(path: Path, kind: Kind, every_layer: bool = False) -> Features:
-    """Read the features of a file; features without a geometry are left out.
+    """Read the features of a file. Features without a geometry are left out.
 
     Parameters
     ----------
     path : Path
         ``.gpkg``, ``.geojson``, ``.json``, ``.shp`` or ``.fgb``.
     kind : Kind
-        Kind of the geometries; another kind in a layer that is read is an error.
+        Kind of the geometries. Another kind in a layer that is read is an error.
     every_layer : bool
-        Read all layers that may hold this kind, which must share a CRS. Otherwise there must be exactly one.
+        Whether to read all layers that may contain this kind, which must share a CRS. If False, there must be exactly
+        one layer.
 
     Raises
     ------
     InputError
-        The file cannot be read; the message names the file, perhaps a layer and a feature, and a remedy.
+        The file cannot be read. The message contains the file, a layer and a feature if known, and a remedy.
     """
     import pyogrio
     from pyogrio import raw
@@ -150,20 +151,22 @@ def read_features(path: Path, kind: Kind, every_layer: bool = False) -> Features
         notes += [f"{path}: {printable(name)}: {text}" for text in warned]
         empty = sum(shape is None for shape in shapes)
         if empty:
-            # GDAL does not distinguish the two cases.
+            # GDAL does not distinguish missing and damaged geometries.
             left = f"{empty} features without a geometry, or with a damaged one, are left out"
             notes.append(f"{path}: {printable(name)}: {left}")
         features += _features(f"{path}: {printable(name)}", records, kind, present, name)
         systems.append(meta["crs"])
     if len(set(systems)) > 1:
-        raise InputError(f"{path}: its layers of {kind.name} have different CRS; write them with one")
+        raise InputError(
+            f"{path}: its layers of {kind.name} have different CRS; write them with the same CRS"
+        )
     if not features:
-        raise InputError(f"{path}: holds no {kind.name}; draw some, or leave the option out")
+        raise InputError(f"{path}: contains no {kind.name}; draw some, or leave the option out")
     return Features(tuple(features), systems[0], tuple(notes))
 
 
 def _layers(path: Path, kind: Kind, every: bool) -> list[str]:
-    """Names of the layers that may hold geometries of a kind."""
+    """Return the names of the layers that may contain geometries of a kind."""
     import pyogrio
 
     with reading(path):
@@ -179,7 +182,7 @@ def _layers(path: Path, kind: Kind, every: bool) -> list[str]:
 
 
 def _plain_type(shape: str) -> str:
-    """A geometry type without dimensions, like ``Point`` for ``2.5D Point``, ``Measured 3D Point`` and ``Point Z``."""
+    """Return a geometry type without dimensions: ``Point`` for ``2.5D Point``, ``Measured 3D Point``, ``Point Z``."""
     return next((word for word in shape.split() if word not in ("2.5D", "3D", "Measured")), shape)
 
 
@@ -190,9 +193,10 @@ def _features(
     present: list[bool] | None,
     layer: str,
 ) -> Iterator[Feature]:
-    """Make features of records, and check their geometries; raises InputError.
+    """Make features of records, and check their geometries. Raise InputError if a geometry is wrong.
 
-    ``present`` marks the records with a geometry in the file; if GDAL gives none for such a record, it is damaged.
+    ``present`` marks the records with a geometry in the file. If GDAL returns no geometry for one of these, the
+    geometry is damaged.
     """
     for number, (shape, attributes) in enumerate(records, start=1):
         where = f"{place}, feature {number}"
@@ -201,8 +205,8 @@ def _features(
         if shape is None:
             continue
         try:
-            with np.errstate(invalid="ignore"):  # coordinates that are not finite are refused below
-                geometry = shapely.from_wkb(shape, on_invalid="fix")  # closes open rings
+            with np.errstate(invalid="ignore"):  # Coordinates that are not finite are refused below.
+                geometry = shapely.from_wkb(shape, on_invalid="fix")  # This closes open rings.
         except shapely.errors.GEOSException as error:
             said = " ".join(str(error).split())[:100]
             raise InputError(f"{where}: its geometry is damaged ({said}); draw it again") from error
@@ -212,37 +216,35 @@ def _features(
             continue
         if not kind.takes(layer, geometry.geom_type):
             raise InputError(
-                f"{where}: is a {geometry.geom_type}; {kind.name} are wanted: write them to a file of their own"
+                f"{where}: is a {geometry.geom_type}; {kind.name} are needed: write them to a separate file"
             )
         places = shapely.get_coordinates(geometry)
         if not np.isfinite(places).all():
             raise InputError(f"{where}: has a coordinate that is not a number; draw it again")
         if np.abs(places).max() >= FARTHEST:
-            raise InputError(
-                f"{where}: has a place farther away than {FARTHEST:g}; write coordinates of its CRS"
-            )
+            raise InputError(f"{where}: has a coordinate beyond {FARTHEST:g}; use coordinates in its CRS")
         yield Feature(where, geometry, {k: _plain(v) for k, v in attributes.items()})
 
 
 def _plain(value: Any) -> Any:
-    """None in place of NaN, which stands for a missing value."""
+    """Return None in place of NaN, which represents a missing value, and other values unchanged."""
     return None if isinstance(value, float) and value != value else value
 
 
 def read_in_crs(
     path: Path, kind: Kind, wkt: str | None, every_layer: bool = False, needs_z: bool = False
 ) -> Features:
-    """Read the features of a file into the horizontal CRS of a run, with invalid polygons repaired.
+    """Read the features of a file, transform them to the horizontal CRS of a run, and repair invalid polygons.
 
     Parameters
     ----------
     path, kind, every_layer
         See `read_features`.
     wkt : str or None
-        CRS of the run; None if it is unknown.
+        CRS of the run, or None if it is unknown.
     needs_z : bool
-        Every vertex needs a height: its own, or one from a column of its feature (see `HEIGHT_COLUMNS`) for all its
-        vertices. Heights are not converted.
+        Whether every vertex needs a height: its own, or one from a column of its feature (see `HEIGHT_COLUMNS`) for
+        all vertices. Heights are not converted.
 
     Returns
     -------
@@ -252,7 +254,7 @@ def read_in_crs(
     Raises
     ------
     InputError
-        An error of `read_features`, a missing CRS, or a missing height.
+        `read_features` or the transformation failed, or a height is missing.
     """
     found = read_features(path, kind, every_layer)
     notes = list(found.notes)
@@ -266,7 +268,7 @@ def read_in_crs(
 
 
 def _refuse_spikes(features: list[Feature]) -> None:
-    """Raise InputError for a polygon with so many spikes that a test for crossings would not end."""
+    """Raise InputError for a polygon with too many spikes, for which a test for crossings would not end."""
     shapes = np.array([f.geometry for f in features], object)
     vertices = shapely.get_num_coordinates(shapes)
     lengths = shapely.length(shapes)
@@ -280,7 +282,7 @@ def _refuse_spikes(features: list[Feature]) -> None:
 
 
 def _with_heights(feature: Feature) -> Feature:
-    """The feature with a height at every vertex; raises InputError."""
+    """Return the feature with a height at every vertex. Raise InputError if it has no height."""
     geometry = feature.geometry
     if geometry.has_z and np.isfinite(shapely.get_coordinates(geometry, include_z=True)[:, 2]).all():
         return feature
@@ -291,7 +293,10 @@ def _with_heights(feature: Feature) -> Feature:
 
 
 def _repaired(path: Path, features: list[Feature], notes: list[str]) -> list[Feature]:
-    """Features with valid polygons; a place is inside if a ray from it crosses the outline an odd number of times."""
+    """Return the features with valid polygons.
+
+    A position is inside a repaired polygon if a ray from it crosses the outline an odd number of times.
+    """
     polygons = [i for i, feature in enumerate(features) if feature.geometry.geom_type in POLYGONS.types]
     _refuse_spikes([features[i] for i in polygons])
     broken = [i for i in polygons if not shapely.is_valid(features[i].geometry)]
@@ -299,23 +304,25 @@ def _repaired(path: Path, features: list[Feature], notes: list[str]) -> list[Fea
     for i in broken:
         try:
             valid = shapely.make_valid(features[i].geometry)
-        except shapely.errors.GEOSException as error:  # out of memory
+        except shapely.errors.GEOSException as error:  # GEOS ran out of memory.
             raise InputError(
-                f"{features[i].place}: its outline crosses itself too often to be mended; {SIMPLIFY}"
+                f"{features[i].place}: its outline crosses itself too often to be repaired; {SIMPLIFY}"
             ) from error
         parts = shapely.get_parts(shapely.get_parts(valid))
         areas = [part for part in parts if part.geom_type == "Polygon" and not part.is_empty]
         if not areas:
-            raise InputError(f"{features[i].place}: holds no place; draw it wider")
+            raise InputError(f"{features[i].place}: has no area; draw it wider")
         area = areas[0] if len(areas) == 1 else shapely.union_all(areas)
         repaired[i] = replace(features[i], geometry=area)
     if broken:
-        notes.append(f"{path}: {len(broken)} of {len(polygons)} polygons crossed themselves and were mended")
+        notes.append(
+            f"{path}: {len(broken)} of {len(polygons)} polygons crossed themselves and were repaired"
+        )
     return repaired
 
 
 def tell_outside(path: Path, features: Features, extent: tuple[float, float, float, float]) -> list[str]:
-    """A warning if features lie completely outside the survey; else an empty list.
+    """Return a warning if features lie completely outside the survey, else an empty list.
 
     Parameters
     ----------
@@ -329,6 +336,6 @@ def tell_outside(path: Path, features: Features, extent: tuple[float, float, flo
     if not outside:
         return []
     return [
-        f"{path}: {len(outside)} of {len(features.features)} features lie outside of the survey and do nothing, "
+        f"{path}: {len(outside)} of {len(features.features)} features lie outside the survey and have no effect, "
         f"the first is {outside[0].place.removeprefix(f'{path}: ')}"
     ]

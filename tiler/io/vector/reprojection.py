@@ -1,4 +1,4 @@
-"""Transforms geometries into the CRS of a run; edges that become curved get more vertices."""
+"""Transformation of geometries to the CRS of a run. Edges that become curved get more vertices."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from tiler.errors import InputError
 from tiler.io.json_text import excerpt
 
 MOST_HALVINGS = 12
-"""An edge is halved at most so many times."""
+"""Maximum number of times that an edge is halved."""
 BEND = 0.005
 """Largest distance between a straight edge and the curve, in units of the CRS."""
 
-# A place is beyond the reach of a CRS if the inverse transformation misses it by more than this.
+# A position is outside the area of use of a CRS if the inverse transformation misses it by more than this tolerance.
 RETURN = 1e-2
-"""Tolerance in units of the CRS."""
+"""Tolerance of the inverse transformation in units of the CRS."""
 RETURN_DEG = 1e-6
-"""Tolerance in degrees."""
+"""Tolerance of the inverse transformation in degrees."""
 
 Places = npt.NDArray[np.float64]
 
@@ -36,7 +36,7 @@ Places = npt.NDArray[np.float64]
 def in_crs(
     path: Path, geometries: Sequence[BaseGeometry], text: str | None, wkt: str | None, notes: list[str]
 ) -> list[BaseGeometry]:
-    """Geometries in the horizontal CRS of a run; heights stay as they are.
+    """Transform geometries to the horizontal CRS of a run. Heights do not change.
 
     Parameters
     ----------
@@ -44,28 +44,31 @@ def in_crs(
         File of the geometries, for messages.
     geometries : sequence of shapely geometries
     text : str or None
-        CRS of the geometries, as the file names it.
+        CRS of the geometries in the file, or None if it has none.
     wkt : str or None
-        CRS of the run; None if it is unknown.
+        CRS of the run, or None if it is unknown.
     notes : list of str
-        Receives notes for the user.
+        List that receives notes for the user.
 
     Raises
     ------
     InputError
-        The CRS is missing, unknown, or cannot be transformed to that of the run, which may not reach so far.
+        The CRS is missing, unknown, or cannot be transformed to the CRS of the run, or a position is outside the area
+        of use of the CRS of the run.
     """
     if text is None and wkt is None:
-        notes.append(f"{path}: names no CRS: it is taken to be in that of the clouds")
+        notes.append(f"{path}: has no CRS: the CRS of the clouds is assumed")
         return list(geometries)
     if text is None:
         raise InputError(f"{path}: has no CRS; write it with one, `ogr2ogr -a_srs EPSG:... new.gpkg {path}`")
     try:
         named = split(CRS.from_user_input(text))[0]
     except (ProjError, UnicodeError, RecursionError) as error:
-        raise InputError(f"{path}: its CRS {excerpt(text)} is not known; write it with another") from error
+        raise InputError(
+            f"{path}: its CRS {excerpt(text)} is not known; write it with another CRS"
+        ) from error
     if named is None:
-        raise InputError(f"{path}: its CRS {excerpt(text)} has no horizontal part; write it with another")
+        raise InputError(f"{path}: its CRS {excerpt(text)} has no horizontal part; write it with another CRS")
     own = None if wkt is None else split(CRS.from_wkt(wkt))[0]
     if own is None:
         raise InputError(
@@ -73,7 +76,7 @@ def in_crs(
         )
     if same_horizontal(named, own):
         return list(geometries)
-    notes.append(f"{path}: is brought from {named.name} into {own.name}")
+    notes.append(f"{path}: was transformed from {named.name} to {own.name}")
     try:
         transformer = Transformer.from_crs(named, own, always_xy=True)
     except ProjError as error:
@@ -85,16 +88,16 @@ def in_crs(
         return [_rebuilt(geometry, moved) for geometry in geometries]
     except _Beyond as error:
         raise InputError(
-            f"{path}: reaches where {own.name} has no coordinates; cut it to the survey"
+            f"{path}: extends beyond the area of use of {own.name}; clip it to the survey"
         ) from error
 
 
 class _Beyond(Exception):
-    """A place is beyond the reach of the CRS of the run."""
+    """Position outside the area of use of the CRS of the run."""
 
 
 def _rebuilt(geometry: BaseGeometry, moved: Any) -> BaseGeometry:
-    """A geometry with all its lines, rings or points transformed by ``moved``."""
+    """Return a geometry with all its lines, rings or points transformed by ``moved``."""
     if geometry.geom_type == "Polygon":
         rings = [moved(_places(ring), True) for ring in (geometry.exterior, *geometry.interiors)]
         return shapely.Polygon(rings[0], rings[1:])
@@ -114,7 +117,7 @@ def _places(geometry: BaseGeometry) -> Places:
 def _moved(transformer: Transformer, near: float, places: Places, closed: bool) -> Places:
     """Transform a line or ring, with more vertices on the edges that become curved.
 
-    The direction of an edge does not change how it is divided, so that neighbours keep a common border.
+    The division of an edge does not depend on its direction, so neighbours keep a common border.
     """
     start = places[:-1] if closed else places
     there = _transformed(transformer, start)

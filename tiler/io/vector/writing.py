@@ -1,4 +1,4 @@
-"""Writes GeoPackages, which appear whole, with the same bytes for the same features."""
+"""Writing of GeoPackages, which appear when they are complete, with the same bytes for the same features."""
 
 from __future__ import annotations
 
@@ -18,14 +18,14 @@ from tiler.errors import refused_write
 from tiler.io.partial_files import appearing, cause_of
 
 WHEN = "2000-01-01T00:00:00.000Z"
-"""Stands for the time of writing, which would change the bytes of each layer."""
+"""Fixed time in place of the time of writing, which would change the bytes of each layer."""
 
 VERSION = "1.2"
-"""Version of GeoPackage. GDAL before 3.7, as in QGIS 3.22, warns of newer versions whenever it opens a file."""
+"""Version of GeoPackage. GDAL before 3.7, as in QGIS 3.22, warns about newer versions whenever it opens a file."""
 
 
 class GeoPackage:
-    """A file that takes layers; made by `geopackage`."""
+    """Open GeoPackage to which layers are added, made by `geopackage`."""
 
     def __init__(self, path: Path, crs: str | None) -> None:
         self._path = path
@@ -35,17 +35,18 @@ class GeoPackage:
     def add(
         self, layer: str, kind: str, geometries: Sequence[Any], columns: Mapping[str, npt.NDArray[Any]]
     ) -> None:
-        """Write features; a layer may be written in several calls with the same columns.
+        """Write features. A layer may be written in several calls with the same columns.
 
         Parameters
         ----------
         layer : str
+            Name of the layer.
         kind : str
             Type of the geometries: ``Point``, ``LineString`` or ``Polygon``, with ``Multi`` before or `` Z`` after.
         geometries : sequence of shapely geometries
-            In units of the CRS.
+            Geometries in units of the CRS.
         columns : mapping of str to arrays
-            A value for each geometry; objects are text.
+            Columns with a value per geometry. Objects are text.
         """
         from pyogrio import raw
 
@@ -53,7 +54,7 @@ class GeoPackage:
         shapes = np.empty(len(geometries), object)
         shapes[:] = [shapely.to_wkb(g, output_dimension=dimensions, flavor="extended") for g in geometries]
         with warnings.catch_warnings():
-            # GDAL warns of the temporary name, which has another suffix, and of a missing CRS.
+            # GDAL warns about the temporary name, which has another suffix, and about a missing CRS.
             warnings.simplefilter("ignore", RuntimeWarning)
             warnings.simplefilter("ignore", UserWarning)
             raw.write(
@@ -73,18 +74,18 @@ class GeoPackage:
 
 @contextmanager
 def geopackage(path: Path, crs: str | None) -> Iterator[GeoPackage]:
-    """Give a file that is written layer by layer and gets its name once it is whole.
+    """Yield a file that is written layer by layer and gets its name once it is complete.
 
     Parameters
     ----------
     path : Path
     crs : str or None
-        WKT or authority code. The file gets its horizontal part; heights are in units of the vertical part.
+        WKT or authority code. The file gets the horizontal part, and heights are in units of the vertical part.
 
     Raises
     ------
     ProcessingError
-        The file system refuses a write, see `tiler.errors.refused_write`.
+        The file system refuses a write (see `tiler.errors.refused_write`).
     """
     import pyogrio
     from pyogrio.errors import DataLayerError, DataSourceError, FeatureError
@@ -93,7 +94,7 @@ def geopackage(path: Path, crs: str | None) -> Iterator[GeoPackage]:
     pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": WHEN})
     try:
         with appearing(path) as partial:
-            partial.unlink(missing_ok=True)  # GDAL would add layers to the file of a killed run
+            partial.unlink(missing_ok=True)  # GDAL would add layers to the file of a killed run.
             try:
                 yield GeoPackage(partial, _horizontal(crs))
             except (DataLayerError, DataSourceError, FeatureError) as error:

@@ -81,7 +81,7 @@ def test_geometries_of_other_formats(suffix: str, tmp_path: Path) -> None:
         ("p.csv", "", "holds no checkpoint"),
         ("p.shp", "", r"does not begin as a .shp file does"),
         ("p.geojson", "{", "not valid GeoJSON"),
-        ("p.geojson", "[]", r"not valid GeoJSON \(holds no object\)"),
+        ("p.geojson", "[]", r"not valid GeoJSON \(not a JSON object\)"),
         ("p.geojson", "{}", "not a GeoJSON FeatureCollection"),
         ("p.csv", "x,y,z,id\n1,2,3,'a'\n1,2,3,\"b\n4,5,6,c\n", "line 3: .* table .unexpected end of data"),
         ("p.csv", f"x,y,z\n1,2,{'9' * 200_000}\n", "line 2: .* table .field larger than field limit"),
@@ -96,7 +96,7 @@ def test_what_is_refused(tmp_path: Path, name: str, content: str, message: str) 
 
 def test_unfit_geopackages_are_refused(tmp_path: Path) -> None:
     square = write(tmp_path / "a.gpkg", [shapely.box(0, 0, 1, 1)])
-    with pytest.raises(InputError, match="l0, feature 1: is a Polygon; checkpoints are wanted"):
+    with pytest.raises(InputError, match="l0, feature 1: is a Polygon; checkpoints are needed"):
         read_checkpoints(square)
     write(square, [shapely.Point(1, 2, 3)], "Point Z", layer="l1")
     with pytest.raises(InputError, match=r"needs one layer of checkpoints, has 2 \(l0 \(Unknown\), l1 \("):

@@ -70,11 +70,11 @@ def test_other_formats(suffix: str, tmp_path: Path) -> None:
 def test_polygons_are_repaired_and_features_outside_are_reported(tmp_path: Path) -> None:
     bow = shapely.Polygon([[0, 0], [10, 10], [10, 0], [0, 10], [0, 0]])
     found = read_in_crs(path := write(tmp_path / "a.gpkg", [bow, TRIANGLE], "Polygon"), POLYGONS, UTM)
-    assert found.notes == (f"{path}: 1 of 2 polygons crossed themselves and were mended",)
+    assert found.notes == (f"{path}: 1 of 2 polygons crossed themselves and were repaired",)
     assert shapely.area(found.features[0].geometry) == 50
     assert shapely.equals_exact(found.features[1].geometry, TRIANGLE)
     assert tell_outside(path, found, (-1, -1, 15, 15)) == [
-        f"{path}: 1 of 2 features lie outside of the survey and do nothing, the first is l0, feature 2"
+        f"{path}: 1 of 2 features lie outside the survey and have no effect, the first is l0, feature 2"
     ]
     assert tell_outside(path, found, (-1, -1, 25, 15)) == []
 
@@ -119,12 +119,12 @@ VRT = "<OGRVRTDataSource><OGRVRTLayer name='a'><SrcDataSource>b.json</SrcDataSou
     [
         ("a.kml", "", r"polygons are read from .gpkg, .geojson, .json, .shp and .fgb files; convert it"),
         ("a.geojson", "{", "not valid GeoJSON"),
-        ("a.json", "[]", r"not valid GeoJSON \(holds no object\); write polygons as features"),
-        ("a.json", json.dumps(collection()), "holds no polygons"),
+        ("a.json", "[]", r"not valid GeoJSON \(not a JSON object\); write polygons as features"),
+        ("a.json", json.dumps(collection()), "contains no polygons"),
         ("a.json", json.dumps({**collection(), "features": [7]}), "feature 1: is not a GeoJSON Feature"),
         ("a.json", json.dumps(collection(POINT)), r"has 0 \(a \(Point\)\)"),
         ("a.json", polygon([1, 2], [3, "x"], [5, 6]), "feature 1: its geometry is damaged"),
-        ("a.json", polygon([1, 2], [3, 4]), "feature 1: holds no place; draw it wider"),
+        ("a.json", polygon([1, 2], [3, 4]), "feature 1: has no area; draw it wider"),
         ("a.json", polygon([1, 2], [3, 4], [5, float("inf")], [1, 2]), "damaged|that is not a number"),
         ("a.json", json.dumps(ODD_CRS), "its CRS 'no CRS' is not known"),
         ("a.gpkg", "no data base", "does not begin as a .gpkg file does"),
