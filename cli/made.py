@@ -11,7 +11,7 @@ from tiler.core.words import counted
 from tiler.io.locations import joined
 from tiler.io.result_folder import BRIDGES, CLASSIFIED, OUTLINE, SHEETS, VIRTUAL, WATER
 
-MOST_EDITS = 10
+MAX_EDITS = 10
 """Largest number of edits that are printed, one per line."""
 
 Summary = Mapping[str, Any]
@@ -36,10 +36,10 @@ def made_lines(summary: Summary, out: str) -> Iterator[str]:
         place = f", {joined(out, file)}" if file and written else ""
         yield f"{name:12s}{text}{place}"
     edits = summary.get("edits") or ()
-    for edit in edits[:MOST_EDITS]:
+    for edit in edits[:MAX_EDITS]:
         yield f"edit        {edit['number']} ({edit['action']}): {changed_text(edit)}"
-    if len(edits) > MOST_EDITS:
-        yield f"edits       {len(edits) - MOST_EDITS:,} more, in the report"
+    if len(edits) > MAX_EDITS:
+        yield f"edits       {len(edits) - MAX_EDITS:,} more, in the report"
 
 
 def _results(summary: Summary) -> Iterator[tuple[str, str, str | None]]:

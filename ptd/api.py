@@ -24,17 +24,17 @@ from ptd.places import PLACES
 COUNTS_PER_METRE = 1000
 BLOCK_POINTS = 8192
 """Number of points that are rounded at once, so that intermediate arrays stay in the processor's cache."""
-SMALLEST_SIGMA_M = 1e-6
-LARGEST_SIGMA_M = 1e3
-LONGEST_SHOWN = 12
+MIN_SIGMA_M = 1e-6
+MAX_SIGMA_M = 1e3
+MAX_SHOWN = 12
 """Longest list whose values a notebook shows."""
-LARGEST_EXTENT_M = 60_000.0
+MAX_EXTENT_M = 60_000.0
 """Largest extent, as in-circle tests are exact for differences below 2**26 counts."""
-FARTHEST_M = 9e12
+MAX_DISTANCE_M = 9e12
 """Largest distance from 0, as counts of x and y are exact in float64 below 2**53."""
-HIGHEST_M = 2_000_000.0
+MAX_HEIGHT_M = 2_000_000.0
 """Largest height above or below 0, as heights are int32 counts."""
-MOST_CELLS = 1 << 27
+MAX_CELLS = 1 << 27
 """Most cells of a raster of the whole extent. A cell takes about 35 bytes."""
 
 CLASS_NAMES = {1: "unclassified", 2: "ground", 7: "low noise"}
@@ -85,7 +85,7 @@ def _flat(values: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
             found.append((name, f"{len(value):,} values"))
         elif isinstance(value, Mapping):
             found += _flat(value, f"{prefix}{name} / ")
-        elif isinstance(value, list | tuple) and len(value) > LONGEST_SHOWN:
+        elif isinstance(value, list | tuple) and len(value) > MAX_SHOWN:
             found.append((f"{prefix}{name}", f"{len(value):,} values"))
         elif value is not None:
             items = list(value) if isinstance(value, list | tuple) else [value]
@@ -181,8 +181,8 @@ def classify(
         params = wanted()
     if type(params) is not wanted:  # parameters may derive from those of another method
         raise ValueError(f"params is {type(params).__name__}, method {method} takes {wanted.__name__}")
-    if sigma is not None and not SMALLEST_SIGMA_M <= sigma <= LARGEST_SIGMA_M:
-        raise ValueError(f"sigma {sigma}: must be {SMALLEST_SIGMA_M:g} to {LARGEST_SIGMA_M:g} m")
+    if sigma is not None and not MIN_SIGMA_M <= sigma <= MAX_SIGMA_M:
+        raise ValueError(f"sigma {sigma}: must be {MIN_SIGMA_M:g} to {MAX_SIGMA_M:g} m")
     counts, scale = _counts(points)
     columns = {
         "rgb": _column("rgb", rgb, len(points), 3, np.uint16),
@@ -229,7 +229,7 @@ def _refuse_raster(counts: Int32, cell_m: float, scale: Scale) -> None:
     if counts.shape[1] == 0:
         return
     sides = [float((int(axis.max()) - int(axis.min())) * scale.metres_xy) for axis in counts[:2]]
-    if math.prod(side / cell_m + 1 for side in sides) > MOST_CELLS:
+    if math.prod(side / cell_m + 1 for side in sides) > MAX_CELLS:
         raise ValueError(
             f"xyz extends over {sides[0]:.0f} x {sides[1]:.0f} m, too much for a raster of {cell_m:g} m cells, which "
             "the method needs for a photogrammetric cloud; leave distant points out, or use tiles (`tiler run`)"
@@ -311,18 +311,18 @@ def _counts(points: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.int32], Sca
         low, high = np.minimum(low, metres.min(axis=1)), np.maximum(high, metres.max(axis=1))
     if not (np.isfinite(low).all() and np.isfinite(high).all()):
         raise ValueError("xyz has values that are not finite; leave those points out")
-    if (high[:2] - low[:2]).max() > LARGEST_EXTENT_M:
+    if (high[:2] - low[:2]).max() > MAX_EXTENT_M:
         raise ValueError(
             f"xyz extends over {(high[:2] - low[:2]).max() / 1000:.0f} km; "
-            f"above {LARGEST_EXTENT_M / 1000:.0f} km use tiles"
+            f"above {MAX_EXTENT_M / 1000:.0f} km use tiles"
         )
-    if (highest := max(-low[2], high[2])) > HIGHEST_M:
+    if (highest := max(-low[2], high[2])) > MAX_HEIGHT_M:
         raise ValueError(
-            f"xyz has heights of {highest:g} m above or below 0; up to {HIGHEST_M / 1000:.0f} km are allowed"
+            f"xyz has heights of {highest:g} m above or below 0; up to {MAX_HEIGHT_M / 1000:.0f} km are allowed"
         )
-    if (farthest := max(-low[:2].min(), high[:2].max())) > FARTHEST_M:
+    if (farthest := max(-low[:2].min(), high[:2].max())) > MAX_DISTANCE_M:
         raise ValueError(
-            f"xyz has x or y of {farthest:g} m; up to {FARTHEST_M:g} m from 0 are exact, so subtract an offset"
+            f"xyz has x or y of {farthest:g} m; up to {MAX_DISTANCE_M:g} m from 0 are exact, so subtract an offset"
         )
     origin = [round(float(v) * COUNTS_PER_METRE) for v in low[:2]]
     counts, at = np.empty((3, len(points)), np.int32), 0

@@ -15,7 +15,7 @@ from ptd.frame import Scale
 from ptd.ground.morphology import EMPTY, Bool, Float64
 from ptd.ground.plateaus import ROOF_CELL_M, ROOF_STEPS_M, Plateaus, plateaus
 
-WIDEST_M = 240.0
+MAX_WIDTH_M = 240.0
 """The widest roof that is looked for."""
 MILLIMETRES = Scale()
 
@@ -57,7 +57,7 @@ def left_roofs(heights: Float64, cell_m: float = ROOF_CELL_M, least_m: float = 0
     counts[known] = np.rint(1000 * heights[known])
     found = np.zeros(heights.shape, np.bool_)
     for step_m in ROOF_STEPS_M:
-        rule = Plateaus.of(MILLIMETRES, WIDEST_M, step_m, cell_m)
+        rule = Plateaus.of(MILLIMETRES, MAX_WIDTH_M, step_m, cell_m)
         ground = np.where(found | (rises > step_m), EMPTY, counts).astype(np.int32)
         found |= plateaus(ground, rule, found, known)
     numbers, _ = scipy.ndimage.label(found, np.ones((3, 3)))
@@ -83,4 +83,4 @@ def _measured(piece: Bool, box: tuple[slice, ...], cell_m: float) -> LeftRoof:
 
 def reach_m(cell_m: float = ROOF_CELL_M) -> float:
     """Metres beyond which nothing has a part in whether a cell is on a roof."""
-    return (Plateaus.of(MILLIMETRES, WIDEST_M, cell_m=cell_m).reach + 1) * cell_m
+    return (Plateaus.of(MILLIMETRES, MAX_WIDTH_M, cell_m=cell_m).reach + 1) * cell_m

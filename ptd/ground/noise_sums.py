@@ -11,11 +11,11 @@ import numpy.typing as npt
 
 PATCH_M = 4.0
 """Side of the cells that are counted."""
-LARGEST_SIGMA_M = 0.3
+MAX_SIGMA_M = 0.3
 """What is rougher is not counted."""
 BIN_M = 0.001
-BINS = round(LARGEST_SIGMA_M / BIN_M) + 2
-LEAST_SHARE = 0.005
+BINS = round(MAX_SIGMA_M / BIN_M) + 2
+MIN_SHARE = 0.005
 """Least share of planar patches among cells with enough points: in a wood the few that look planar tell nothing."""
 SMOOTHEST_SHARE, SMOOTHEST_FACTOR = 0.05, 1.25
 """Noise from what is smoothest, whatever stands on the ground: this quantile of all quarters of patches, times this."""
@@ -85,7 +85,7 @@ class Sums:
         smoothest = _quantile(self.quarters, SMOOTHEST_SHARE)
         smoothest = None if smoothest is None else round(SMOOTHEST_FACTOR * smoothest, 6)
         n = int(self.patches.sum())
-        sigma = None if n < LEAST_SHARE * self.full else _quantile(self.patches, 0.25)
+        sigma = None if n < MIN_SHARE * self.full else _quantile(self.patches, 0.25)
         return Roughness(density, sigma, n, smoothest)
 
 

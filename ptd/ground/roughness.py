@@ -4,9 +4,9 @@ The paper averages nine patches picked by hand. Here patches are the cells of a 
 coordinate 0, and those count that are
 
 - *many*: at least `MIN_POINTS` points, `MIN_QUARTER` in each quarter of the cell, and of such cells a share of at least
-  `LEAST_SHARE` passes;
-- *planar*: residuals of at most `LARGEST_SIGMA_M`, none beyond `LARGEST_RESIDUAL` of their root mean square, and planes
-  of the quarters leave at least `LEAST_QUARTERS` of their variance, so a bend or a step is less than the noise;
+  `MIN_SHARE` passes;
+- *planar*: residuals of at most `MAX_SIGMA_M`, none beyond `MAX_RESIDUAL` of their root mean square, and planes
+  of the quarters leave at least `MIN_QUARTERS` of their variance, so a bend or a step is less than the noise;
 - *ground*: no steeper than 45 degrees, and no patch within `REACH_CELLS` cells lies more than `DROP_M` below the plane.
 
 The noise is the lower quartile of the patches' values (`ptd.ground.noise_sums`): lawns, fields and low plants pass all
@@ -27,14 +27,14 @@ import numpy.typing as npt
 
 from ptd.cells import Int32, Int64, Xyz, cell_keys, occupied
 from ptd.frame import Cells, Scale, Window
-from ptd.ground.noise_sums import BIN_M, LARGEST_SIGMA_M, PATCH_M, histogram
+from ptd.ground.noise_sums import BIN_M, MAX_SIGMA_M, PATCH_M, histogram
 from ptd.ground.planes import MOMENTS, add_point, fit_plane
 from ptd.kernel import kernel
 
 MIN_POINTS = 16
 MIN_QUARTER = 4
-LARGEST_RESIDUAL = 4.5
-LEAST_QUARTERS = 0.5
+MAX_RESIDUAL = 4.5
+MIN_QUARTERS = 0.5
 STEEPEST = 1.0
 DROP_M = 2.0
 REACH_CELLS = 5
@@ -115,7 +115,7 @@ def _patches(moments: _Moments, whole: Int64, tallest: float, largest: float, z_
         for quarter in range(4):
             left = fit_plane(sums[k, quarter], z_ratio)[3]
             parts = parts + left if left >= 0.0 and parts >= 0.0 else -1.0
-        if parts / (n - 12 if n > 12 else 1) < LEAST_QUARTERS * variance and squares > 0.0:
+        if parts / (n - 12 if n > 12 else 1) < MIN_QUARTERS * variance and squares > 0.0:
             continue
         planes[k, 0], planes[k, 1], planes[k, 2], planes[k, 3] = a, b, c, math.sqrt(variance) * cos
     return planes
@@ -138,7 +138,7 @@ def _quarters(sums: Int64, z_ratio: float) -> Float64:
 
 @kernel
 def _drop_bent(points: Xyz, slot: Int64, moments: _Moments, planes: Float64, z_ratio: float) -> None:
-    """Refuse the patches one of whose points lies beyond `LARGEST_RESIDUAL` times the noise."""
+    """Refuse the patches one of whose points lies beyond `MAX_RESIDUAL` times the noise."""
     x, y, z = points
     worst = np.zeros(planes.shape[0])
     for i in range(x.size):
@@ -150,7 +150,7 @@ def _drop_bent(points: Xyz, slot: Int64, moments: _Moments, planes: Float64, z_r
         vertical = (z[i] - moments.low[k]) * z_ratio - level
         worst[k] = max(worst[k], abs(vertical) / math.sqrt(1.0 + a * a + b * b))
     for k in range(worst.size):
-        if worst[k] > LARGEST_RESIDUAL * planes[k, 3]:
+        if worst[k] > MAX_RESIDUAL * planes[k, 3]:
             planes[k, 3] = -1.0
 
 
@@ -242,13 +242,13 @@ def patches(xyz: Int32, core: Window, scale: Scale) -> Patches:
     tallest, ratio = scale.counts_z(TALLEST_M), scale.z_ratio
     moments = _sums(points, slot, corners, (cells.p, cells.q), tallest)
     whole = moments.sums.sum(axis=1)
-    planes = _patches(moments, whole, tallest, scale.counts(LARGEST_SIGMA_M), ratio)
+    planes = _patches(moments, whole, tallest, scale.counts(MAX_SIGMA_M), ratio)
     _drop_bent(points, slot, moments, planes, ratio)
     side, drop = scale.counts(PATCH_M), scale.counts(DROP_M)
     ground = _drop_raised(keys, width, moments, whole, planes, side, drop, ratio)
     held = np.bincount(slot[inside], minlength=keys.size) if core.closed else whole[:, 0]
     quarters = _quarters(moments.sums[held > 0], ratio)
-    quarters[quarters >= scale.counts(LARGEST_SIGMA_M)] = -1.0
+    quarters[quarters >= scale.counts(MAX_SIGMA_M)] = -1.0
     noise = np.where(ground, planes[:, 3], -1.0)
     some = held > 0
     return Patches(

@@ -26,7 +26,7 @@ ROUGH_M, SMOOTHER = 0.3, 0.35
 """Median residual over the large windows from which on, and its part over the small ones up to which, a block does."""
 ONE_WAY = 0.7
 """Mean gradient of a block in parts of the mean of its lengths, from which on its slopes fall one way."""
-LEAST_FILLED = 0.3
+MIN_FILLED = 0.3
 
 Float64 = npt.NDArray[np.float64]
 Place = tuple[slice, slice]
@@ -57,7 +57,7 @@ def crowns(heights: Float64) -> Crowns:
         Metres, NaN where there are none; cells of about 1 m. Blocks begin in the first row and column.
     """
     large = residuals(heights, LARGE)
-    filled = [place for place in _blocks(heights) if _share_held(large[place]) >= LEAST_FILLED]
+    filled = [place for place in _blocks(heights) if _share_held(large[place]) >= MIN_FILLED]
     rough = [place for place in filled if np.nanmedian(large[place]) > ROUGH_M]
     if not rough:  # as nearly everywhere: what follows is half of the work
         return Crowns(len(filled), [])

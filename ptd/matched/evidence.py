@@ -34,7 +34,7 @@ TIMES_PER_POINT = 0.01
 """GPS times for each point, at least, where a sensor measured: blocks of matched clouds have one each."""
 SURE = 0.9
 """Confidence from which on an answer needs no second look."""
-MOST_SURE = 0.99
+MAX_CONFIDENCE = 0.99
 """Largest confidence that the weights allow."""
 
 Column = npt.NDArray[np.generic]
@@ -54,7 +54,7 @@ class Finding(NamedTuple):
     ----------
     kind : {"lidar", "dim"}
     sure : float or None
-        Probability that it is so, 0.5 to `MOST_SURE`; None where the user says it.
+        Probability that it is so, 0.5 to `MAX_CONFIDENCE`; None where the user says it.
     why : str
         The two strongest pieces of evidence.
     """
@@ -175,7 +175,7 @@ def concluded(pieces: Iterable[Piece]) -> Finding:
     score = sum(piece.weight for piece in found)
     side = 1.0 if score >= 0 else -1.0
     speaking = sorted((p for p in found if side * p.weight > 0), key=lambda p: -abs(p.weight))
-    sure = min(1 / (1 + math.exp(-abs(score))), MOST_SURE)
+    sure = min(1 / (1 + math.exp(-abs(score))), MAX_CONFIDENCE)
     return Finding(DIM if score >= 0 else LIDAR, sure, "; ".join(piece.text for piece in speaking[:2]))
 
 

@@ -16,7 +16,7 @@ from ptd.tin.layout import Int32Array
 from ptd.tin.location import locate
 from ptd.tin.mesh import Tin
 
-WIDEST_M = 30.0
+MAX_WIDTH_M = 30.0
 """Largest circumradius of a facet that says where the ground is: a void of twice that is passed over."""
 ANY_EDGE = 2**62
 """Square of an edge that none reaches."""
@@ -30,7 +30,7 @@ def reach_m() -> float:
     A facet is the untiled one if no vertex lies in its circle (`docs/filters.md`, Certificates); that ends within two
     of its radii from any place in it.
     """
-    return 2.0 * WIDEST_M + 1.0
+    return 2.0 * MAX_WIDTH_M + 1.0
 
 
 def ground_heights(x: Int32, y: Int32, z: Int32, ground: Bool, scale: Scale) -> Float64:
@@ -47,7 +47,7 @@ def ground_heights(x: Int32, y: Int32, z: Int32, ground: Bool, scale: Scale) -> 
     tin = Tin.build(x[ground], y[ground], z[ground])
     found = np.full(x.size, np.nan)
     if tin.n_triangles:
-        rule = Rule(ANY_EDGE, scale.counts(WIDEST_M))
+        rule = Rule(ANY_EDGE, scale.counts(MAX_WIDTH_M))
         _between_vertices(tin.vertex_array, tin.triangle_array, x, y, rule, found)
     found[ground] = z[ground]
     return found

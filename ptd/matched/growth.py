@@ -20,7 +20,7 @@ from ptd.matched.cells import CELL_M
 
 GROWS_M = 8.0
 """Largest distance to which ground grows."""
-HIGHEST_M = 3.0
+MAX_HEIGHT_M = 3.0
 """What lies higher above the surface does not join: roofs of houses on slopes may go on as the terrain above."""
 PLANE_CELLS = 2
 """Reach of the ground cells that make a plane, in cells along rows and columns."""

@@ -32,7 +32,7 @@ cells say how the terrain slopes."""
 TILT_BLOCKS, ROOFS_TILT_BLOCKS = 1.0, 2.0
 """Standard deviation of the surroundings from which a slope is taken, in blocks; and where there are large roofs yet,
 which must not tilt what is looked for below them."""
-TILT_RADIUS, LEAST_WEIGHT = 5, 1e-3
+TILT_RADIUS, MIN_WEIGHT = 5, 1e-3
 """Blocks at which those surroundings end, and the weight of their cells from which on there is a slope."""
 LOWEST = -(2**31) + 1
 NONE = 2**30
@@ -115,7 +115,7 @@ def tilts(heights: Int32, std_blocks: float, block: int) -> tuple[Int64, Int64]:
     found = []
     for axis in (0, 1):
         ahead, behind = np.roll(mean, -1, axis), np.roll(mean, 1, axis)
-        known = (np.roll(weight, -1, axis) > LEAST_WEIGHT) & (np.roll(weight, 1, axis) > LEAST_WEIGHT)
+        known = (np.roll(weight, -1, axis) > MIN_WEIGHT) & (np.roll(weight, 1, axis) > MIN_WEIGHT)
         slope = np.where(known, (ahead - behind) / (2 * block), 0.0)
         found.append(np.rint(slope[margin:-margin, margin:-margin]).astype(np.int64))
     return found[0], found[1]

@@ -5,13 +5,13 @@ with those of its neighbours: how many of them are ground, how they scatter, how
 cells of the surface up to 10 m away. Trees that a script fitted to scenes with known labels
 (``tests/benchmarks/last_look_weights.py``) turn these features into the log-odds of ground. Their say is limited:
 
-- low noise stays, and so does what lies farther than `FARTHEST_M` from the surface and was no ground;
+- low noise stays, and so does what lies farther than `MAX_DISTANCE_M` from the surface and was no ground;
 - a label changes only where the trees are sure enough (`CHANGE_ODDS`);
 - where all points around are ground, or none is, nothing changes.
 
 Features are whole numbers: millimetres, or thousandths. The sums behind them are of whole numbers, too, over windows
 of fixed reach on a lattice that is anchored at 0: neither tiles nor the order of points change a bit. A window is as
-wide as it must be to hold `LEAST_POINTS`, so it follows the density of the place.
+wide as it must be to hold `MIN_POINTS`, so it follows the density of the place.
 """
 
 from __future__ import annotations
@@ -34,11 +34,11 @@ from ptd.passes import UInt8
 
 CELL_M = 0.25
 """Side of the cells in which points are counted."""
-LEAST_POINTS, WIDEST = 20, 5
+MIN_POINTS, WIDEST = 20, 5
 """A window is a square of 2 r + 1 cells with the smallest r that holds so many points, and r is at most this."""
 REACH_M = (2 * WIDEST + 1) * CELL_M
 """The wider window, of 4 r + 1 cells, ends within this distance of a point."""
-FARTHEST_M = 0.5
+MAX_DISTANCE_M = 0.5
 """What was no ground becomes ground only as near to the surface as this."""
 CHANGE_ODDS = 1.5
 """A label changes where the odds against it are at least this."""
@@ -154,10 +154,10 @@ def _features(
     found = np.empty((index.size, 13 + around.shape[1] - 1), np.int32)
     for k in index:
         ground = labels[k] == GROUND
-        if not (ground or (labels[k] == UNCLASSIFIED and abs(voted[k]) < 1000 * FARTHEST_M)):
+        if not (ground or (labels[k] == UNCLASSIFIED and abs(voted[k]) < 1000 * MAX_DISTANCE_M)):
             continue
         i, j, r = row[k] - south, column[k] - west, 1
-        while r < WIDEST and _within(sums, COUNT, i, j, r) < LEAST_POINTS:
+        while r < WIDEST and _within(sums, COUNT, i, j, r) < MIN_POINTS:
             r += 1
         of_ground = _within(sums, ON_GROUND, i, j, 2 * r)
         if of_ground == (_within(sums, COUNT, i, j, 2 * r) if ground else 0):

@@ -36,7 +36,7 @@ CUT_NEAR = 0.5
 may lie near the hull."""
 AREA_M2 = 40.0
 """The smallest object that is judged as a whole; smaller ones are passed below by less stiff hulls."""
-WIDEST_M = 200.0
+MAX_WIDTH_M = 200.0
 """What is wider than this is terrain."""
 TERRAIN_M, TERRAIN_FALLS, TERRAIN_RIM = 100.0, 0.35, 0.2
 """So is what is wider than this and falls at no more than this share of its rim, however little of it the hull touches:
@@ -100,7 +100,7 @@ def _rims(
 
 def reach_cells(cell_m: float) -> int:
     """Cells beyond which nothing has a part in what `judged` says, its hull apart."""
-    return round(WIDEST_M / cell_m) + FALL_CELLS + 1
+    return round(MAX_WIDTH_M / cell_m) + FALL_CELLS + 1
 
 
 def judged(
@@ -144,7 +144,9 @@ def judged(
     around = falls > np.maximum(ALL_FALLS * (rim - inside), FALL_LEAST * rim)
     around &= (cut <= (1.0 - ALL_FALLS) * rim) | (near < CUT_NEAR * area)
     stands = (near < NEAR_SHARE * area) & (fallen > FALL_SHARE) | around
-    objects = large & stands & (width_m <= WIDEST_M)
+    objects = large & stands & (width_m <= MAX_WIDTH_M)
     wide = (width_m > TERRAIN_M) | (sides_m.min(axis=0) > ON_HULL_M) & (near >= ON_HULL_SHARE * area)
-    terrain = wide & (fallen <= TERRAIN_FALLS) & (rim <= TERRAIN_RIM * area) & ~objects | (width_m > WIDEST_M)
+    terrain = wide & (fallen <= TERRAIN_FALLS) & (rim <= TERRAIN_RIM * area) & ~objects | (
+        width_m > MAX_WIDTH_M
+    )
     return np.append(objects, False)[surface], np.append(terrain, False)[surface]

@@ -3,15 +3,16 @@
 Image matching gives one surface: its points lie above each other beside walls alone, which are lines. Cells are
 those of a lattice of `CELL_M` anchored at CRS coordinate 0. A cell has a *gap* if no point lies in `GAP_BINS` or more
 successive bins of height, each `BIN_M` high from the cell's lowest point on, between two of its points. It is *seen
-through* if so have `LEAST_OF_9` of the 3 x 3 cells around it, itself among them. Each cell belongs to the core that
+through* if so have `MIN_OF_9` of the 3 x 3 cells around it, itself among them. Each cell belongs to the core that
 holds its lowest point: counts add up for any tiles. Where nothing stands, nothing is seen through: then it tells
 nothing.
 
 Where points are sparse such cells hold too few. So *wide* cells of `WIDE_M` are counted as well, and told apart from
 walls and slopes by where the points lie: below plants points lie among those above, below a wall or a cliff beside
 them. A wide cell is *mixed* if between some `GAP_M` of height without a point, no line in the plan parts the points
-below, `BELOW` at least (blunders are fewer), from those above; it is seen through if so are `LEAST_MIXED` of the 3 x 3
-around it. Its points are `FEWEST` to `MOST`: in fewer nothing shows, and where there are more the other cells tell.
+below, `BELOW` at least (blunders are fewer), from those above; it is seen through if so are `MIN_MIXED` of the 3 x 3
+around it. Its points are `MIN_POINTS` to `MAX_POINTS`: in fewer nothing shows, and where there are more the other
+cells tell.
 
 *Overhangs* are counted in an eighth of the area, in cells about eight points wide, of all `OVERHANG_CELLS_M` those with
 `HANGING_FEWEST` to `HANGING_MOST` points: a cell has one if two points at least lie below and two above `HANGING_GAP_M`
@@ -32,9 +33,9 @@ from ptd.kernel import kernel, wide
 from ptd.matched.cells import by_cell
 
 CELL_M, BIN_M = 2.0, 1.0
-GAP_BINS, LEAST_OF_9 = 2, 7
+GAP_BINS, MIN_OF_9 = 2, 7
 WIDE_M, GAP_M, BELOW = 4.0, 2.0, 3
-LEAST_MIXED, FEWEST, MOST = 3, 6, 96
+MIN_MIXED, MIN_POINTS, MAX_POINTS = 3, 6, 96
 OVERHANG_CELLS_M = (0.5, 1.0, 2.0, 4.0)
 HANGING_FEWEST, HANGING_MOST, HANGING_GAP_M = 24, 192, 1.0
 REACH_M = 3 * WIDE_M
@@ -93,7 +94,7 @@ def _mixed(
     asked, gap, mixed = np.zeros(n, np.bool_), np.zeros(n, np.bool_), np.zeros(n, np.bool_)
     for k in range(n):
         points = order[starts[k] : starts[k + 1]]
-        if not FEWEST <= points.size <= MOST:
+        if not MIN_POINTS <= points.size <= MAX_POINTS:
             continue
         rising = points[np.argsort(z[points], kind="mergesort")]
         asked[k] = True
@@ -167,7 +168,7 @@ def seen_through(xyz: Int32, core: Window, scale: Scale, wide_cells: bool = True
     raster = _Raster.of(CELL_M, x, y, z, scale)
     gap = _gaps(z, raster.slot, z[raster.lowest], scale.counts_z(BIN_M))
     own = core.has(x[raster.lowest], y[raster.lowest])
-    through = int(_seen_through(raster.keys, gap, own, raster.width, LEAST_OF_9))
+    through = int(_seen_through(raster.keys, gap, own, raster.width, MIN_OF_9))
     found = dict.fromkeys(COUNTS, 0) | {"looks": int(own.sum()), "through": through}
     some = np.flatnonzero(raster.some()[raster.slot])
     found |= _of_overhangs(x[some], y[some], z[some], core, scale)
@@ -232,5 +233,5 @@ def _of_wide_cells(x: Int32, y: Int32, z: Int32, core: Window, scale: Scale) -> 
     starts, order = by_cell(raster.slot, raster.keys.size)
     asked, gap, mixed = _mixed(x, y, z, starts, order, scale.counts_z(GAP_M))
     own = asked & core.has(x[raster.lowest], y[raster.lowest])
-    through = _seen_through(raster.keys, mixed, own, raster.width, LEAST_MIXED)
+    through = _seen_through(raster.keys, mixed, own, raster.width, MIN_MIXED)
     return {"wide_looks": int(own.sum()), "wide_through": int(through), "wide_gaps": int((own & gap).sum())}

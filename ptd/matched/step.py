@@ -11,7 +11,7 @@ from ptd.frame import Cells, Scale, Window
 from ptd.ground.morphology import Bool
 from ptd.matched.cells import Raster
 from ptd.matched.place_figures import CELL_SIGMA
-from ptd.matched.survey import LEAST_CELL_SIGMA_M
+from ptd.matched.survey import MIN_CELL_SIGMA_M
 from ptd.passes import Model, Pass, Points, State, UInt8
 from ptd.places import PLACES, Field, field
 
@@ -28,7 +28,7 @@ def is_matched(state: State) -> bool:
 
 def noise_m(state: State, scale: Scale) -> Field:
     """The noise of each place that the cells' rules start from."""
-    return field(state[PLACES], CELL_SIGMA, scale, LEAST_CELL_SIGMA_M)
+    return field(state[PLACES], CELL_SIGMA, scale, MIN_CELL_SIGMA_M)
 
 
 def cell_m(state: State) -> float:

@@ -51,7 +51,7 @@ from which on the stiff one does: half as many above a hull as on it, as many.""
 RIDGE_M, RIDGE_SHARE, RIDGE_CONTRAST, CREST_CONTRAST = 6.0, (0.6, 0.85), (0.02, 0.06), (0.05, 0.15)
 """The same for ridges, and the share of open ground or of terrain from which on, and at which, their hulls hold. The
 last is for hulls that hold where it is steep."""
-LEAST_LEFT = 0.3
+MIN_SHARE_LEFT = 0.3
 """Open ground is a share of the cells that are left, beside a roof or a pond as in the open, but not of fewer than
 this share of all places."""
 TERRAIN_M = 8.0
@@ -228,7 +228,7 @@ def _bent(
     pliable = np.maximum(hull(PLIABLE), stiff)
     contrast, _ = _contrast(cells, ~terrain, pliable, sigma_m, CONTRAST_M)
     surface = pliable - _ramp(contrast, CONTRAST) * (pliable - stiff)
-    left = np.maximum(cells.around(cells.there, RIDGE_M), LEAST_LEFT)
+    left = np.maximum(cells.around(cells.there, RIDGE_M), MIN_SHARE_LEFT)
     for rule in RIDGES:
         slope = _slope_around(cells, surface)
         share = _of_terrain(cells, terrain, surface, sigma_m)
@@ -306,7 +306,7 @@ def _to_edges(
     """The surface after ground grew to the edges of terraces and banks; changed only near cells that joined."""
     residual = cells.height - surface
     ground = cells.there & (residual < above) & (residual > -below)
-    may_join = cells.there & (residual >= above) & (residual < growth.HIGHEST_M)
+    may_join = cells.there & (residual >= above) & (residual < growth.MAX_HEIGHT_M)
     joined = growth.grown(cells.height, ground, may_join, terrain, sigma, narrowing, cells.cell_m)
     joins = ~np.isnan(joined)
     if not joins.any():

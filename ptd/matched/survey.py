@@ -23,7 +23,7 @@ SEEN_THROUGH_SHARE = 0.004
 """Share of cells that are seen through from which on the cloud is a laser scan, whatever its returns are said to be:
 0.006 to 0.28 in real laser scans of 4 points/m2 or more (0.0002 in a simulated one without trees), 0 to 0.003 in
 matched clouds, of which those of wooded cliffs have most."""
-WIDE_M2, LEAST_M2 = 4.0, 1.0
+WIDE_M2, MIN_DENSITY_M2 = 4.0, 1.0
 """Points per square metre below which wide cells say what is seen through, too, and from which on they can."""
 WIDE_SHARE, STANDING = 0.05, 100
 """The same for wide cells: 0.054 to 0.33 in laser scans with plants, thinned to 1 to 3 points/m2, 0 to 0.047 in matched
@@ -35,12 +35,12 @@ points/m2, laser scans with nothing to see through have 0.016 to 0.036 m, matche
 near by (0.016 and 0.027), which lose no more in the way of laser scans than in their own."""
 MATCHED_LOOK, SPARSE_LOOK = 1.9, -1.5
 """Weights (`ptd.matched.evidence`) of nothing that a laser would have seen, and of sparse clouds of little relief."""
-LEAST_THROUGH, PER_DECADE = -1.0, -0.7
+MIN_THROUGH, PER_DECADE = -1.0, -0.7
 """Weight of as little that is seen through as decides, and more for each ten times as much."""
-NO_OVERHANGS, OVERHANG_WEIGHT, MOST_OVERHANG = 0.0966, 0.9, 0.95
+NO_OVERHANGS, OVERHANG_WEIGHT, MAX_OVERHANG = 0.0966, 0.9, 0.95
 """Overhangs (and 0.01) at which the odds are even, weight of e times as many, and the largest weight, which is less
 than those above: 0 to 0.19 of the cells in matched clouds, 0.3 or more in two laser scans of three."""
-LEAST_CELL_SIGMA_M, MOST_CELL_SIGMA_M = 0.03, 0.25
+MIN_CELL_SIGMA_M, MAX_CELL_SIGMA_M = 0.03, 0.25
 """Noise that the rules of matched clouds start from: errors of neighbours are alike, which planes do not see; and among
 trees nothing is smooth."""
 
@@ -109,8 +109,8 @@ def figures(found: Roughness, run: Mapping[str, Any]) -> tuple[float, float | No
     else:
         few = found.density_m2 < SPARSE_M2 and found.sigma_m is not None  # for planes of quarters of patches
         sigma, cell_sigma = found.sigma_m, found.sigma_m if few else found.smoothest_m
-    cell_sigma = LEAST_CELL_SIGMA_M if cell_sigma is None else cell_sigma
-    return found.density_m2, sigma, min(max(cell_sigma, LEAST_CELL_SIGMA_M), MOST_CELL_SIGMA_M)
+    cell_sigma = MIN_CELL_SIGMA_M if cell_sigma is None else cell_sigma
+    return found.density_m2, sigma, min(max(cell_sigma, MIN_CELL_SIGMA_M), MAX_CELL_SIGMA_M)
 
 
 def run_facts(sigma_m: float | None, kind: str | None, evidence: Evidence | None) -> RunFacts:
@@ -151,10 +151,10 @@ def geometry(found: Roughness, seen: Seen) -> list[Piece]:
     pieces = []
     if through >= SEEN_THROUGH_SHARE or wide_through >= WIDE_SHARE:
         most = max(through, wide_through)
-        weight = LEAST_THROUGH + PER_DECADE * max(math.log10(most / SEEN_THROUGH_SHARE), 0.0)
+        weight = MIN_THROUGH + PER_DECADE * max(math.log10(most / SEEN_THROUGH_SHARE), 0.0)
         pieces.append(Piece(weight, f"pulses passed through plants in {percent(most)} % of the area"))
-    elif found.density_m2 < LEAST_M2:
-        pieces.append(Piece(SPARSE_LOOK, f"fewer than {LEAST_M2:g} points/m2"))
+    elif found.density_m2 < MIN_DENSITY_M2:
+        pieces.append(Piece(SPARSE_LOOK, f"fewer than {MIN_DENSITY_M2:g} points/m2"))
     elif sparse and seen.wide_gaps < STANDING:
         pieces.append(
             Piece(SPARSE_LOOK, "sparse, and next to nothing stands there that a laser would see through")
@@ -170,7 +170,7 @@ def geometry(found: Roughness, seen: Seen) -> list[Piece]:
 
 def _overhangs(share: float) -> Piece:
     weight = OVERHANG_WEIGHT * math.log(NO_OVERHANGS / (share + 0.01))
-    weight = min(max(weight, -MOST_OVERHANG), MOST_OVERHANG)
+    weight = min(max(weight, -MAX_OVERHANG), MAX_OVERHANG)
     return Piece(weight, f"{percent(share)} % of the cells have overhangs")
 
 

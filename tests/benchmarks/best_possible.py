@@ -31,7 +31,7 @@ SQUARE_M = 10.0
 PIXEL_M = 0.25
 SIZES = (3, 7)
 """Pixels on a side of the squares over which heights are averaged."""
-FARTHEST_M = 1.0
+MAX_DISTANCE_M = 1.0
 """What lies farther from the terrain has no part in means and is no ground."""
 HEIGHT_BINS, ROUGH_BINS = 24, 8
 
@@ -41,7 +41,7 @@ Array = np.ndarray
 def around(cloud: Cloud, height: Array) -> tuple[list[Array], Array]:
     """Mean heights around each point at all sizes, and the standard deviation at the largest."""
     column, row = (np.maximum(c / PIXEL_M, 0).astype(int) for c in cloud.xyz[:, :2].T)
-    shape, near = (row.max() + 1, column.max() + 1), np.abs(height) < FARTHEST_M
+    shape, near = (row.max() + 1, column.max() + 1), np.abs(height) < MAX_DISTANCE_M
     pixel, n_pixels = (row * shape[1] + column)[near], shape[0] * shape[1]
     sums = [np.bincount(pixel, height[near] ** power, n_pixels).reshape(shape) for power in range(3)]
     means = []
@@ -67,7 +67,7 @@ def best_labels(cloud: Cloud) -> Array:
     alike = alike * ROUGH_BINS + np.digitize(rough, steps)
     alike = alike * 3 + np.digitize(height, (0.0, 0.2))
     black = np.floor(cloud.xyz[:, :2] / SQUARE_M).sum(axis=1) % 2 == 0
-    ground, near = cloud.classification == 2, np.abs(height) < FARTHEST_M
+    ground, near = cloud.classification == 2, np.abs(height) < MAX_DISTANCE_M
     counted, labels = near & ~np.isin(cloud.classification, IGNORED), np.ones(len(height), np.uint8)
     for here in (black, ~black):
         votes = np.bincount(alike[counted & ~here], 2.0 * ground[counted & ~here] - 1.0, alike.max() + 1)

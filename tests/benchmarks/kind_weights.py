@@ -22,7 +22,7 @@ from ptd.matched.evidence import SAME, Evidence, concluded
 RIDGE = 0.3
 """Weights are drawn to 0 by so much: there are few clouds of some sorts."""
 SENSOR = ("share_several", "angle_distinct", "psid_distinct", "edge_used")
-MOST_WITHOUT = (0, 1, 1, 0)
+MAX_WITHOUT = (0, 1, 1, 0)
 """The highest values of these columns in a cloud without a trace of a sensor."""
 NAMES = ("trace", "no trace", "own intensity", "no intensity", "grey intensity", "colour", "no colour")
 
@@ -68,7 +68,7 @@ def read(path: Path) -> list[Fingerprint]:
 
 def evidence_of(row: dict[str, str]) -> Evidence:
     """The evidence that a row of the table holds."""
-    told = [float(row[n]) > most for n, most in zip(SENSOR, MOST_WITHOUT, strict=True) if row[n]]
+    told = [float(row[n]) > most for n, most in zip(SENSOR, MAX_WITHOUT, strict=True) if row[n]]
     if row["gps_kind"]:
         told.append(row["gps_kind"] == "many")
     several = float(row["share_several"]) if row["share_several"] else None

@@ -33,7 +33,7 @@ MATCHED_SETTINGS = {
 """Constants of matched clouds, at least one of each step, and their modules: the rim of large objects, which hull
 holds, what lies about the surface, over what it is averaged, what counts less beside objects, the last label."""
 
-MATCHED_FACTORS, MOST_CHANGED = (0.67, 1.0, 1.5), 1
+MATCHED_FACTORS, MAX_CHANGED = (0.67, 1.0, 1.5), 1
 """Of their defaults, and how many differ from these at once."""
 
 

@@ -32,7 +32,7 @@ STEPS = 25
 RIDGE = 1e-9
 WRONG_M, LOOKED_AT = 0.5, 0.1
 """Pixels are wrong beyond this; a person looks at this share of the area."""
-LEAST_WRONG = 20
+MIN_WRONG = 20
 """Wrong pixels of a scene from which on it counts how many of them are found."""
 GIVEN = {
     "als": {"always": FLOOR_M2, "roughness": LINEAR},
@@ -78,7 +78,7 @@ def scored(sample: Sample, weights: np.ndarray) -> dict[str, float]:
     wrong = off > WRONG_M
     looked = np.argsort(-sigma, kind="stable")[: max(int(LOOKED_AT * sigma.size), 1)]
     found = float("nan")
-    if wrong.sum() >= LEAST_WRONG:
+    if wrong.sum() >= MIN_WRONG:
         found = wrong[looked].sum() / min(wrong.sum(), looked.size)
     within = {f"within_{k}": float(np.mean(off <= k * sigma)) for k in (1, 2, 3)}
     true, predicted = (float(np.sqrt(np.mean(v**2))) for v in (off, sigma))

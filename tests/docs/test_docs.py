@@ -27,7 +27,7 @@ INDENTED = re.compile(r"^ {4}(tiler|python|pip|dask) ", re.MULTILINE)
 NOT_RUN = re.compile(r"# .+: not run by the tests\n")
 NEEDS = re.compile(r"# needs (.+)\n")
 LINK = re.compile(r"\]\(([^)#:]+)(?:#[^)]*)?\)")
-LARGEST_PICTURE = 200_000
+MAX_PICTURE = 200_000
 PORT = "8786"
 
 
@@ -107,7 +107,7 @@ def test_every_page_is_linked() -> None:
 
 @pytest.mark.parametrize("picture", sorted((ROOT / "docs").glob("*.png")), ids=lambda p: p.name)
 def test_pictures_are_small_and_shown(picture: Path) -> None:
-    assert picture.stat().st_size < LARGEST_PICTURE
+    assert picture.stat().st_size < MAX_PICTURE
     texts = [(ROOT / "README.md").read_text("utf-8"), *(p.read_text("utf-8") for p in PAGES)]
     assert any(picture.name in text for text in texts)
 

@@ -13,7 +13,7 @@ import pytest
 
 import ptd
 import tiler
-from tests.docs.test_docs import LARGEST_PICTURE, PAGES, ROOT
+from tests.docs.test_docs import MAX_PICTURE, PAGES, ROOT
 from tests.integration.command import environment
 from tests.waiting import PATIENCE_SECONDS
 
@@ -79,4 +79,4 @@ def test_pictures_of_the_gallery_are_made_and_small(site: Path) -> None:
     assert names
     for name in names:
         picture = site / "_images" / name
-        assert 10_000 < picture.stat().st_size < LARGEST_PICTURE, name
+        assert 10_000 < picture.stat().st_size < MAX_PICTURE, name

@@ -31,7 +31,7 @@ print(sum(name.startswith(("ptd", "tiler", "cli")) for name in sys.modules))
 """
 
 
-LONGEST_BELOW_OUT = 120
+MAX_LENGTH_BELOW_OUT = 120
 """Of the 259 characters of a path that Windows takes, so many lie below OUT at most, in this run."""
 LIKE_WINDOWS = """
 import builtins, os, pathlib, subprocess, sys, tempfile
@@ -127,7 +127,7 @@ def test_a_run_with_files_as_on_windows_gives_the_same(
     for path in out.rglob("*"):
         assert not windows_files.ILLEGAL.search(path.name), path
         assert not windows_files.DEVICES.fullmatch(path.name), path
-        assert len(str(path.relative_to(out))) <= LONGEST_BELOW_OUT, path
+        assert len(str(path.relative_to(out))) <= MAX_LENGTH_BELOW_OUT, path
     again = ended(command("run", named, "-o", out, *options, "--json"), **windows)
     assert again.returncode == 0, again.stderr
     assert not any(stage["computed"] for stage in json.loads(again.stdout)["stages"].values())

@@ -27,7 +27,7 @@ from typing import Any
 OWN = ("tiler", "ptd", "cli")
 IN_USE, NOT_THERE, EXISTS, BAD_NAME = 32, 3, 183, 123
 """Numbers of Windows' errors."""
-LONGEST_PATH = 259
+MAX_PATH_LENGTH = 259
 ILLEGAL = re.compile(r'[<>:"|?*\\\x00-\x1f]|[ .]$')
 DEVICES = re.compile(r"(con|prn|aux|nul|com\d|lpt\d)(\..*)?", re.IGNORECASE)
 POSIX_ALONE = ("/proc", "/dev", "/sys")
@@ -65,7 +65,7 @@ def as_stored(path: Any) -> Any:
         path = os.fspath(path)
     if not isinstance(path, str) or not path or on_posix_alone(path) or is_there(path):
         return path
-    if len(os.path.abspath(path)) > LONGEST_PATH:
+    if len(os.path.abspath(path)) > MAX_PATH_LENGTH:
         raise refusal(FileNotFoundError, errno.ENOENT, NOT_THERE, path)
     folder, name = os.path.split(path)
     if not name or folder == path:

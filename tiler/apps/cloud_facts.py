@@ -20,7 +20,7 @@ from tiler.io.las.reader import NEEDED, PointReader
 
 _POINTS_PER_CELL = 16
 """Mean number of points in a cell of the raster that measures the filled part of the extent."""
-_MOST_CELLS = 1024
+_MAX_CELLS = 1024
 """Most cells along a side of that raster, so that it takes 8 MB at most."""
 
 _MAP_COLUMNS = 64
@@ -69,7 +69,7 @@ def _point_facts(path: Path, bounds: tuple[float, ...] | None, metres: float) ->
     classes, flagged = np.zeros(256, np.int64), np.zeros(256, np.int64)
     x0, y0, _, x1, y1, _ = bounds
     extent, longer = (x1 - x0) * (y1 - y0), max(x1 - x0, y1 - y0)
-    cell = max(math.sqrt(extent * _POINTS_PER_CELL / header.point_count), longer / _MOST_CELLS) or 1.0
+    cell = max(math.sqrt(extent * _POINTS_PER_CELL / header.point_count), longer / _MAX_CELLS) or 1.0
     last = int(longer / cell)
     counts = np.zeros((last + 1, last + 1), np.int64)
     with PointReader(header, NEEDED) as reader:

@@ -28,11 +28,11 @@ from tiler.plan import Plan, make_plan
 from tiler.schedule import Guard
 from tiler.store import TileStore, open_store
 
-WIDEST_M = 200.0
+MAX_WIDTH_M = 200.0
 """Largest default side of a window, which shows a few blocks of a town."""
-NARROWEST_M = 20.0
+MIN_WIDTH_M = 20.0
 """Smallest default side of a window, below which a building would fill it."""
-MOST_POINTS = 700_000
+MAX_POINTS = 700_000
 """Most points of a window without a given side; one core processes them in a few seconds."""
 FILES = 6
 """Most files that are sampled for places of windows."""
@@ -142,8 +142,8 @@ def _once(listener: Listener) -> Listener:
 
 def _side(plan: Plan, side_m: float | None) -> float:
     if side_m is None:
-        side_m = min(WIDEST_M, math.sqrt(MOST_POINTS / plan.density))
-        side_m = max(side_m // 10 * 10, NARROWEST_M)
+        side_m = min(MAX_WIDTH_M, math.sqrt(MAX_POINTS / plan.density))
+        side_m = max(side_m // 10 * 10, MIN_WIDTH_M)
     return side_m / float(plan.meta.frame.units.horizontal)
 
 

@@ -44,7 +44,7 @@ def _without_unit(name: str) -> str:
     return name
 
 
-MOST_BYTES = 1 << 20
+MAX_BYTES = 1 << 20
 """Largest size of a file of settings. The limit keeps a wrong file from filling the memory."""
 
 
@@ -57,9 +57,9 @@ def load_config(path: Path) -> dict[str, Any]:
 
     try:
         with open(path, "rb") as stream:
-            content = stream.read(MOST_BYTES + 1)
-        if len(content) > MOST_BYTES:
-            raise ConfigError(f"{path}: has more than {MOST_BYTES >> 20} MiB; give a TOML file of settings")
+            content = stream.read(MAX_BYTES + 1)
+        if len(content) > MAX_BYTES:
+            raise ConfigError(f"{path}: has more than {MAX_BYTES >> 20} MiB; give a TOML file of settings")
         return tomllib.loads(content.decode("utf-8-sig"))  # Windows editors write a byte order mark first
     except OSError as error:
         raise ConfigError(f"{path}: {error.strerror}; give a readable TOML file") from error

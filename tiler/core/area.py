@@ -16,7 +16,7 @@ from tiler.core.lattice import Bounds, Lattice
 
 Counts = npt.NDArray[np.int64]
 
-MOST_BOXES = 1 << 14
+MAX_BOXES = 1 << 14
 """Maximum number of rectangles of cells that `Area.cells` examines, which takes some seconds."""
 
 FEW_SIDES = 1 << 14
@@ -25,7 +25,7 @@ FEW_SIDES = 1 << 14
 Runs = list[list[int]]
 """Runs of neighbouring cells in rows of a lattice: [iy, first ix, end ix], row by row from the south-west."""
 
-LONGEST_EDGE = 1 << 30
+MAX_EDGE = 1 << 30
 """Longest edge of a polygon, in counts along each axis, for which the exact test of a point fits int64."""
 
 
@@ -43,7 +43,7 @@ class Area:
     Notes
     -----
     Areas are half-open: a position on an edge that two areas share is inside exactly one of them. A rectangle contains
-    its lower and left edge, like `Bounds`. Only edges along an axis may be longer than `LONGEST_EDGE` (see
+    its lower and left edge, like `Bounds`. Only edges along an axis may be longer than `MAX_EDGE` (see
     `shortened`).
     """
 
@@ -114,7 +114,7 @@ class Area:
     def cells(self, lattice: Lattice, window: Bounds, margin: int) -> Runs | None:
         """Return the cells that overlap ``window`` and come within ``margin`` counts of the area.
 
-        The result is None if the area covers the window. If the outline is longer than about `MOST_BOXES` cells, it may
+        The result is None if the area covers the window. If the outline is longer than about `MAX_BOXES` cells, it may
         include cells beyond the margin.
         """
         if self.covers(window):
@@ -135,7 +135,7 @@ class Area:
             bounds = Bounds(*(lattice.first(i) for i in box.to_json()))
             outline = _near(outline, bounds.pad(margin))
             inside = not _near(outline, bounds).size and self._holds_corner(bounds)
-            smallest = box.area() == 1 or looked_at > MOST_BOXES
+            smallest = box.area() == 1 or looked_at > MAX_BOXES
             if inside or (outline.size and smallest):
                 for iy in range(box.y0, box.y1):
                     rows.setdefault(iy, []).append((box.x0, box.x1))
@@ -150,7 +150,7 @@ class Area:
     @cached_property
     def _is_small(self) -> bool:
         bounds = self.bounds
-        return max(bounds.x1 - bounds.x0, bounds.y1 - bounds.y0) <= LONGEST_EDGE
+        return max(bounds.x1 - bounds.x0, bounds.y1 - bounds.y0) <= MAX_EDGE
 
     def _holds_corner(self, bounds: Bounds) -> bool:
         return bool(self.inside(np.array([bounds.x0], np.int64), np.array([bounds.y0], np.int64))[0])
@@ -186,15 +186,15 @@ class Places:
 
 
 def shortened(ring: Counts) -> Counts:
-    """Return a ring with additional points on the edges that are longer than `LONGEST_EDGE` along an axis.
+    """Return a ring with additional points on the edges that are longer than `MAX_EDGE` along an axis.
 
     The points are rounded to counts.
     """
-    if np.ptp(ring, axis=0).max() < LONGEST_EDGE:
+    if np.ptp(ring, axis=0).max() < MAX_EDGE:
         return ring
     parts = []
     for (x0, y0), (x1, y1) in zip(ring.tolist(), np.roll(ring, -1, axis=0).tolist(), strict=True):
-        number = max(abs(x1 - x0), abs(y1 - y0)) // LONGEST_EDGE + 1
+        number = max(abs(x1 - x0), abs(y1 - y0)) // MAX_EDGE + 1
         for i in range(number):
             parts.append([x0 + (x1 - x0) * i // number, y0 + (y1 - y0) * i // number])
     return np.array(parts, np.int64)

@@ -26,10 +26,10 @@ from tiler.core.lattice import Bounds, Cell, Lattice
 
 Counts = npt.NDArray[np.int64]
 
-SHORTEST_M = Fraction(1, 50)
+MIN_LENGTH_M = Fraction(1, 50)
 """Length in metres below which a piece is not divided, even where lines meet at sharp angles or overlap."""
 
-LONGEST_SEGMENT = 1 << 32
+MAX_SEGMENT = 1 << 32
 """Longest segment between two vertices, in counts along an axis, that can be divided within int64."""
 
 ALIKE = 10

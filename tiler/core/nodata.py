@@ -13,7 +13,7 @@ NODATA = -9999.0
 
 LOWEST_HEIGHT = -2000.0
 """Lowest value that could be a height, in metres or feet."""
-HIGHEST_HEIGHT = 100_000.0
+MAX_HEIGHT = 100_000.0
 """Highest value that could be a height, in metres or feet."""
 
 
@@ -35,6 +35,6 @@ def parse_nodata(value: Any) -> float:
         exact = False
     if not exact or not math.isfinite(number):
         raise ConfigError(f"nodata {value}: a float32 raster cannot hold it exactly; use -9999 or -999999")
-    if LOWEST_HEIGHT < number < HIGHEST_HEIGHT:
+    if LOWEST_HEIGHT < number < MAX_HEIGHT:
         raise ConfigError(f"nodata {value}: could be a height; use -9999 or -999999")
     return number

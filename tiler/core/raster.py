@@ -16,7 +16,7 @@ from tiler.core.nodata import NODATA as NODATA  # Modules that work with rasters
 
 BLOCK_PIXELS = 512
 """Side of a block of a raster, in pixels. One task makes a block, which is a chunk in the store and a tile in files."""
-SMALLEST_PART = 32
+MIN_PART = 32
 """Side of the largest block that is not divided further, in pixels."""
 
 FEW_PIXELS = 4096

@@ -16,11 +16,11 @@ DROP_WITHHELD, KEEP_WITHHELD = "drop", "keep"
 WITHHELD = "withheld"
 """Key of the number of points that the flag "withheld" excludes, in addition to the keys of `Selection.options`."""
 
-MOST_RETURNS = 15
+MAX_RETURNS = 15
 """Largest return number in LAS records."""
-LARGEST_SOURCE = 65_535
+MAX_SOURCE_ID = 65_535
 """Largest point source id in LAS records."""
-LARGEST_ANGLE_DEG = 180.0
+MAX_ANGLE_DEG = 180.0
 """Largest scan angle in LAS records, in degrees."""
 
 
@@ -64,14 +64,14 @@ def parse_returns(value: Any) -> str:
     text = _text(value)
     if text in (FIRST, LAST):
         return text
-    if not parse_numbers(value, "returns", 1, MOST_RETURNS):
+    if not parse_numbers(value, "returns", 1, MAX_RETURNS):
         raise ConfigError(f"{value!r} are not returns; give first, last, or numbers like 1 or 2-4")
     return text
 
 
 def parse_sources(value: Any) -> str:
     """Return the value if it is a list of point source ids like ``12`` or ``12,20-31``, else raise ConfigError."""
-    if not parse_numbers(value, "point source ids", 0, LARGEST_SOURCE):
+    if not parse_numbers(value, "point source ids", 0, MAX_SOURCE_ID):
         raise ConfigError(f"{value!r} are not point source ids; give numbers like 12,20-31")
     return _text(value)
 
@@ -89,9 +89,9 @@ def parse_angle(value: Any) -> float:
         degrees = float(str(value).strip().removesuffix("deg"))
     except ValueError:
         raise ConfigError(f"{value!r} is not an angle; give degrees, like 20") from None
-    if not 0 < degrees <= LARGEST_ANGLE_DEG:
+    if not 0 < degrees <= MAX_ANGLE_DEG:
         raise ConfigError(
-            f"{value!r}: scan angle out of range; give above 0 and at most {LARGEST_ANGLE_DEG:g} degrees"
+            f"{value!r}: scan angle out of range; give above 0 and at most {MAX_ANGLE_DEG:g} degrees"
         )
     return degrees
 

@@ -11,7 +11,7 @@ import numpy.typing as npt
 STEP = 1e-4
 """Step to which a tally rounds differences, in units of the heights: a tenth of a millimetre in metres."""
 
-MOST_STEPS = 2_000_000
+MAX_STEPS = 2_000_000
 """Maximum number of different values in a tally. If there are more, its step becomes ten times as large."""
 
 NMAD_FACTOR = 1.4826
@@ -24,7 +24,7 @@ Int64s = npt.NDArray[np.int64]
 
 
 class SpreadTally:
-    """Counter of differences that arrive in pieces. `MOST_STEPS` limits its memory.
+    """Counter of differences that arrive in pieces. `MAX_STEPS` limits its memory.
 
     Mean and root mean square use the unrounded values. Medians and percentiles use the values rounded to `step`.
     """
@@ -48,7 +48,7 @@ class SpreadTally:
         self._largest = max(self._largest, float(np.abs(differences).max()))
         found, counts = np.unique(np.rint(differences / self.step).astype(np.int64), return_counts=True)
         self._merge(np.concatenate((self._values, found)), np.concatenate((self._counts, counts)))
-        while self._values.size > MOST_STEPS:
+        while self._values.size > MAX_STEPS:
             self.step *= 10
             self._merge(np.rint(self._values / 10).astype(np.int64), self._counts)
 

@@ -33,7 +33,7 @@ from tiler.io.locations import cloud_path, folder_for, state_of
 from tiler.io.partial_files import partial_path, replace_file, sync_folder
 from tiler.store import SPOOL_CHUNK, KeptRecords, TileStore, open_store
 
-ROWS_AT_ONCE = 1 << 27
+ROWS_PER_BATCH = 1 << 27
 """Most labels in memory at a time, one byte each."""
 
 _STEP = SPOOL_CHUNK
@@ -213,15 +213,15 @@ def _reader(
 
 
 def _spans(ranges: Iterable[tuple[int, int]]) -> Iterator[list[tuple[int, int]]]:
-    """Group ranges of rows, given as (start, count), into lists of (first, end) that span at most `ROWS_AT_ONCE` rows.
+    """Group ranges of rows, (start, count), into lists of (first, end) that span at most `ROWS_PER_BATCH` rows.
 
     The buckets are read once for each group, as an octree has many small nodes.
     """
     together: list[tuple[int, int]] = []
     for start, count in ranges:
-        for first in range(start, start + count, ROWS_AT_ONCE):
-            end = min(first + ROWS_AT_ONCE, start + count)
-            if together and end - together[0][0] > ROWS_AT_ONCE:
+        for first in range(start, start + count, ROWS_PER_BATCH):
+            end = min(first + ROWS_PER_BATCH, start + count)
+            if together and end - together[0][0] > ROWS_PER_BATCH:
                 yield together
                 together = []
             together.append((first, end))

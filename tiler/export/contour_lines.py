@@ -27,7 +27,7 @@ pixel centre, where they would touch, and go around a lake that lies exactly on 
 
 SHORT = 10.0
 """Pixels: shorter rings are drawn only around a top or a pit."""
-LEAST_RISE = 0.5
+MIN_RISE = 0.5
 """Share of the interval by which the ground inside of a short ring differs from its level, if it is drawn."""
 
 LINES_OF_RELIEF = 50
@@ -40,7 +40,7 @@ STEPS = (1, 2, 5)
 REACH_SIGMAS = 3
 """Standard deviations at which the weights of the smoothing end."""
 
-MOST_HELD = 4_000_000
+MAX_HELD_VERTICES = 4_000_000
 """Vertices of unfinished lines that are held at once; beyond it the longest are cut."""
 
 Key = tuple[int, int, int, int]
@@ -179,7 +179,7 @@ class Joiner:
         How often that happened.
     """
 
-    most_held: int = MOST_HELD
+    most_held: int = MAX_HELD_VERTICES
     cut: int = 0
     _starts: dict[Key, _Line] = field(default_factory=dict)
     _ends: dict[Key, _Line] = field(default_factory=dict)
@@ -250,7 +250,7 @@ def is_short(places: Floats) -> bool:
 
 
 def stays(places: Floats, heights: Floats, level: float, interval: float) -> bool:
-    """Whether a short ring is the only one of a top or pit that differs from its level by `LEAST_RISE` intervals.
+    """Whether a short ring is the only one of a top or pit that differs from its level by `MIN_RISE` intervals.
 
     Parameters
     ----------
@@ -267,4 +267,4 @@ def stays(places: Floats, heights: Floats, level: float, interval: float) -> boo
     if not len(inside):
         return False
     rise = float(np.abs(inside - level).max()) / interval
-    return LEAST_RISE <= rise < 1.0
+    return MIN_RISE <= rise < 1.0

@@ -36,7 +36,7 @@ def write_outline(store_url: str, work: WriteOutline) -> dict[str, Any]:
     -------
     dict
         As of `new_file`; ``polygons``; ``rings``: for a map, each as
-        x, y, x, y, ... in units of the CRS, with no more detail than `tiler.core.map_lines.MOST_VERTICES` allow.
+        x, y, x, y, ... in units of the CRS, with no more detail than `tiler.core.map_lines.MAX_VERTICES` allow.
 
     Raises
     ------

@@ -25,7 +25,7 @@ UNKNOWN_DATES = {"start_datetime": "1970-01-01T00:00:00Z", "end_datetime": "9999
 _WGS84, _DIGITS = 4326, 7
 _GPS_EPOCH, _GPS_OFFSET_S = datetime(1980, 1, 6, tzinfo=UTC), 1_000_000_000
 _TIMED, _INFRARED = (1, 3, 4, 5), (8, 10)
-_FEWEST_STEPS = 8
+_MIN_STEPS = 8
 
 
 def horizontal_code(wkt: str | None) -> str | None:
@@ -64,7 +64,7 @@ class Globe:
         """West, south, east and north in degrees; west is larger than east across the antimeridian."""
         if self._transformer is None:
             return None
-        found = self._transformer.transform_bounds(*box, densify_pts=_FEWEST_STEPS)
+        found = self._transformer.transform_bounds(*box, densify_pts=_MIN_STEPS)
         if not all(map(math.isfinite, found)):
             return None
         return [round(v, _DIGITS) for v in found]

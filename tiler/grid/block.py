@@ -22,14 +22,14 @@ from ptd.tin.mesh import MAX_EXTENT
 from tiler.core.edits import OF_PIXELS
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds
-from tiler.core.raster import NODATA, SMALLEST_PART, Block, RasterSpec, hull_of
+from tiler.core.raster import MIN_PART, NODATA, Block, RasterSpec, hull_of
 from tiler.errors import ProcessingError
 from tiler.grid.checksum import checksum
 from tiler.grid.thinning import most_of_bucket, surface_ground
 from tiler.grid.work import GridBlock, GridBlocks, TinBlock
 from tiler.store import TileStore, open_store
 
-WIDEST_WINDOW = MAX_EXTENT // 2
+MAX_WINDOW = MAX_EXTENT // 2
 """A block whose window has a side of this many counts, or more, is divided: the TIN would not be exact."""
 
 
@@ -160,7 +160,7 @@ def _window(work: GridBlock, halo: int) -> Bounds:
 def _too_wide(work: GridBlock, halo: int) -> bool:
     """Whether a block's window is too wide for a TIN."""
     window = _window(work, halo)
-    return max(window.x1 - window.x0, window.y1 - window.y0) >= WIDEST_WINDOW
+    return max(window.x1 - window.x0, window.y1 - window.y0) >= MAX_WINDOW
 
 
 def _too_full(store: TileStore, work: GridBlock, halo: int) -> bool:
@@ -168,7 +168,7 @@ def _too_full(store: TileStore, work: GridBlock, halo: int) -> bool:
     side = max(work.block.height, work.block.width)
     if side > 1 and _too_wide(work, halo):
         return True
-    if work.max_points is None or side <= SMALLEST_PART:
+    if work.max_points is None or side <= MIN_PART:
         return False
     held = store.buckets_within(_window(work, halo)).values()
     return sum(most_of_bucket(info.n, store.meta.bucket, work.thin) for info in held) > work.max_points

@@ -13,7 +13,7 @@ from tiler.core.area import Area
 
 Floats = npt.NDArray[np.float64]
 
-MOST_CELLS = 1_000_000
+MAX_CELLS = 1_000_000
 """Largest number of cells of the raster on which the line is searched."""
 CELLS_ACROSS = 8
 """Cells of that raster across the mean width of the river, unless this makes too many of them."""
@@ -47,7 +47,7 @@ def course_of(shape: Any) -> Floats | None:
     from rasterio.features import rasterize
 
     west, south, east, north = shape.bounds
-    cell = max(mean_width(shape) / CELLS_ACROSS, math.sqrt((east - west) * (north - south) / MOST_CELLS), 1.0)
+    cell = max(mean_width(shape) / CELLS_ACROSS, math.sqrt((east - west) * (north - south) / MAX_CELLS), 1.0)
     height, width = math.ceil((north - south) / cell) + 2, math.ceil((east - west) / cell) + 2
     to_cells = Affine(cell, 0, west - cell, 0, -cell, north + cell)
     wet = rasterize([(shape, 1)], (height, width), transform=to_cells, all_touched=True, dtype="uint8") > 0

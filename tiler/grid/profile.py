@@ -20,7 +20,7 @@ Floats = npt.NDArray[np.float64]
 
 BANK_PERCENT = 10
 """Percentile of a bank's heights at which the water stands: at or just below the bank."""
-LEAST_PIXELS = 5
+MIN_PIXELS = 5
 """Fewest heights of a bank, or of the water itself, from which a level is estimated."""
 SMOOTH_M = 0.3
 """Heights of the water decide its level only if half of them lie within this range."""
@@ -100,7 +100,7 @@ def water_level(heights: npt.NDArray[np.int64], scale: Scale) -> float | None:
 
     Where heights differ by more than waves do, as between strips flown at two levels, the lower level holds.
     """
-    if len(heights) < LEAST_PIXELS:
+    if len(heights) < MIN_PIXELS:
         return None
     low, middle, high = np.percentile(heights, (25, 50, 75))
     if high - low > 2 * SMOOTH_M * scale.z:
@@ -146,7 +146,7 @@ def _station(
     x: int, y: int, own: npt.NDArray[np.int64], banks: list[npt.NDArray[np.int64]], scale: Scale
 ) -> tuple[Station | None, float]:
     """A station and the weight of its level; None without evidence."""
-    levels = [round(bank_level(bank)) if len(bank) >= LEAST_PIXELS else None for bank in banks]
+    levels = [round(bank_level(bank)) if len(bank) >= MIN_PIXELS else None for bank in banks]
     seen = water_level(own, scale)
     known = [level for level in levels if level is not None]
     if seen is not None:

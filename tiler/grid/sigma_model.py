@@ -21,7 +21,7 @@ LASER, MATCHED = "lidar", "dim"
 GAP_M = 0.5
 """Ground that is nearer than this is as good as ground in the pixel."""
 
-FARTHEST_TREND_M = 10.0
+MAX_TREND_M = 10.0
 """Widest gap that counts with the deviation from the trend; the trend itself sees 8.5 m."""
 FLOOR_M2 = 0.02**2
 """The least variance: strips, grids and geoids differ by some centimetres, which no measure sees."""
@@ -77,7 +77,7 @@ def terms(found: Measures, mask: npt.NDArray[np.float32]) -> dict[str, Float64]:
         "gap_slope": gap * found.slope,
         "gap_objects": gap * objects,
         "trend_objects": off * objects,
-        "trend_gap": off * np.minimum(gap, FARTHEST_TREND_M),
+        "trend_gap": off * np.minimum(gap, MAX_TREND_M),
         "canopy": (mask == CANOPY).astype(np.float64),
         "water": wet.astype(np.float64),
     }

@@ -30,7 +30,7 @@ from tiler.store import open_store, read_cells
 
 WINDOW = 128
 """Side of the windows in coarse cells, anchored at CRS coordinate 0; each window has its own widest gap."""
-LEAST_GAP = 6
+MIN_GAP = 6
 """Cells: a disk of a smaller diameter is not round."""
 ENOUGH_CELLS = 4
 """Mean occupied cells of the squares, half a gap wide, that hold any: where there are so many, gaps are real."""
@@ -156,7 +156,7 @@ def gaps_of(occupied: Bools, gap: float, most: float) -> npt.NDArray[np.float64]
     float64, shape (height / 128 - 2, width / 128 - 2)
     """
     rows, cols = (side // WINDOW - 2 for side in occupied.shape)
-    found = np.full((rows, cols), min(max(gap, LEAST_GAP), most))
+    found = np.full((rows, cols), min(max(gap, MIN_GAP), most))
     for row, col in np.ndindex(rows, cols):
         near = occupied[row * WINDOW : (row + 3) * WINDOW, col * WINDOW : (col + 3) * WINDOW]
         found[row, col] = gap_of(near, gap, most)
@@ -172,7 +172,7 @@ def gap_of(occupied: Bools, gap: float, most: float) -> float:
     gap, most : float
         Cells: the usual one, and the widest.
     """
-    gap = max(gap, LEAST_GAP)
+    gap = max(gap, MIN_GAP)
     rows, cols = np.nonzero(occupied)
     while gap < most and len(rows):
         side = int(gap / 2)

@@ -29,7 +29,7 @@ SPARSE = 0.6
 SPARSE_CELLS = 5
 FLAT_M = 0.35
 """Difference of height between neighbouring cells of water, noise included."""
-LEAST_WIDTH_M = 6
+MIN_WIDTH_M = 6
 """What is narrower is no candidate: shadows, hedges."""
 
 SHORE_M, RING_M = 3.0, (7.0, 13.0)
@@ -38,15 +38,15 @@ NEAREST = 20
 """Cells of the shore with which a place of the ring is compared,"""
 LOW_PERCENT = 20
 """and the percentile of their heights."""
-PLACES_AT_ONCE = 1 << 14
+PLACES_PER_BATCH = 1 << 14
 """Each takes some 600 bytes while it is compared."""
 RISE_M, FALL_M = 0.3, 0.2
 """Least difference of height by which a place of the ring is above, or below, the shore."""
-LEAST_RISING, MOST_FALLING = 0.6, 0.05
+MIN_RISING, MAX_FALLING = 0.6, 0.05
 """Around water, at least this share of the ring is above the shore, and at most that share below it."""
-LEAST_KNOWN = 0.4
+MIN_KNOWN = 0.4
 """Least share of the shore that has ground heights: with less nothing is decided."""
-LEAST_CELLS = 20
+MIN_CELLS = 20
 """Fewest cells of shore and of ring with which anything is decided."""
 GIVEN_SHARE = 0.03
 """A candidate with this share of cells that the input calls water is water, unless its ring is lower."""
@@ -146,7 +146,7 @@ class Rim(NamedTuple):
     @property
     def known(self) -> bool:
         """Whether so much of the land is known that anything can be decided."""
-        return min(self.shore, self.ring) >= LEAST_CELLS and self.shore >= LEAST_KNOWN * self.beside
+        return min(self.shore, self.ring) >= MIN_CELLS and self.shore >= MIN_KNOWN * self.beside
 
     @property
     def rises(self) -> float:
@@ -161,7 +161,7 @@ class Rim(NamedTuple):
     @property
     def sure(self) -> float:
         """How sure it is that what lies within is water, where enough of the ring rises."""
-        return round(0.5 + 0.45 * (self.rises - LEAST_RISING) / (1 - LEAST_RISING) - 2 * self.falls, 2)
+        return round(0.5 + 0.45 * (self.rises - MIN_RISING) / (1 - MIN_RISING) - 2 * self.falls, 2)
 
 
 class Size(NamedTuple):
@@ -190,7 +190,7 @@ def water_areas(cells: Cells, usual: float | None) -> Bools:
     candidates = cells.given
     if usual is not None:
         candidates = candidates | sparse_cells(cells, flat_cells(cells), usual)
-    candidates = scipy.ndimage.binary_opening(candidates, disk(LEAST_WIDTH_M / 2 / cells.size))
+    candidates = scipy.ndimage.binary_opening(candidates, disk(MIN_WIDTH_M / 2 / cells.size))
     candidates |= cells.given & scipy.ndimage.binary_dilation(candidates, np.ones((3, 3), np.bool_))
     return np.asarray(candidates)
 
@@ -212,8 +212,8 @@ def sparse_cells(cells: Cells, flat: Bools, usual: float) -> Bools:
 def judged(size: Size, rim: Rim) -> float | None:
     """How sure it is that an area is water, by the land around it; None where it is none."""
     if size.is_given:
-        return None if rim.known and rim.falls >= 5 * MOST_FALLING else 0.95
-    if not rim.known or rim.rises < LEAST_RISING or rim.falls > MOST_FALLING:
+        return None if rim.known and rim.falls >= 5 * MAX_FALLING else 0.95
+    if not rim.known or rim.rises < MIN_RISING or rim.falls > MAX_FALLING:
         return None
     return rim.sure
 
@@ -250,8 +250,8 @@ def _near_ground(
     """What ``level`` makes of the ground [n, k] of the known cells that are nearest to each place (row, column)."""
     heights, tree = ground[known], scipy.spatial.cKDTree(np.argwhere(known))
     found = np.empty(len(places))
-    for first in range(0, len(places), PLACES_AT_ONCE):
-        part = places[first : first + PLACES_AT_ONCE]
+    for first in range(0, len(places), PLACES_PER_BATCH):
+        part = places[first : first + PLACES_PER_BATCH]
         _, near = tree.query(part, k=min(NEAREST, len(heights)))
         found[first : first + len(part)] = level(heights[near.reshape(len(part), -1)])
     return found

@@ -19,12 +19,12 @@ from tiler.grid.pieces import Piece, cells_of, components
 from tiler.grid.reach import box_around
 from tiler.grid.water_extent import smoothed
 from tiler.grid.water_search import Sources, inner_window, read_search_cells
-from tiler.grid.water_shore import MOST_M, REACH_CELLS, depths, shore_polygons
+from tiler.grid.water_shore import MAX_DEPTH_M, REACH_CELLS, depths, shore_polygons
 from tiler.store import TileStore, open_store, read_cells
 
 ROUND = 1 / 3
 """4 pi area / length of the shore squared, 1 for a disk: what has less is long, and so a river."""
-LEAST_LENGTH = 3
+MIN_LENGTH = 3
 """A river is at least so many times as long as it is wide."""
 SIMPLER = 0.15
 """Cells by which a polygon may differ from its shore, so that it has fewer vertices."""
@@ -131,7 +131,7 @@ def _polygons(store: TileStore, work: DescribeBody, block: Block) -> list[Any]:
     wet = cells_of(store, work.water, work.coarse, window, work.pieces)
     box = box_around(wet, REACH_CELLS)
     cells = read_search_cells(store, work.sources, work.coarse, window, 1).cut(box)
-    field = np.full(wet.shape, MOST_M)
+    field = np.full(wet.shape, MAX_DEPTH_M)
     field[box] = depths(cells.with_ground(smoothed(cells.ground)), wet[box])
     cut = inner_window(padded(block, 1), REACH_CELLS - 1)
     return shore_polygons(field[cut], work.coarse, padded(block, 1))

@@ -27,7 +27,7 @@ from tiler.store import TileStore, open_store, read_cells
 
 SHORE_M = 20.0
 """Water goes on so far where the ground beside it is as low."""
-MOST_ISLAND_CELLS = 128
+MAX_ISLAND_CELLS = 128
 """Coarse cells around a block in which an island has to lie whole to become water."""
 
 SEEN_SHARE = 0.25
@@ -64,7 +64,7 @@ def finish_margin(work: FinishWater, size_m: float) -> int:
 
 def _longest_island(work: FinishWater, size_m: float) -> int:
     """Rows or columns of the longest island that every window holds whole."""
-    return min(math.ceil(work.island_m2 / size_m**2), MOST_ISLAND_CELLS)
+    return min(math.ceil(work.island_m2 / size_m**2), MAX_ISLAND_CELLS)
 
 
 def finish_water(store_url: str, work: FinishWater) -> dict[str, Any]:

@@ -20,7 +20,7 @@ from tiler.core.lattice import Bounds, Lattice
 from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec
 from tiler.core.water import RIVER, Counts, Water
 from tiler.grid.course import course_of, mean_width, polygon_of
-from tiler.grid.profile import LEAST_PIXELS, SMOOTH_M, Profile, Scale, bank_level, profile_along, water_level
+from tiler.grid.profile import MIN_PIXELS, SMOOTH_M, Profile, Scale, bank_level, profile_along, water_level
 from tiler.store import TileStore, open_store
 
 Floats = npt.NDArray[np.float64]
@@ -31,7 +31,7 @@ STATION_PIXELS = 10
 """Least distance between the places along a river where its level is estimated."""
 NOISE_M = 0.1
 """Ground of the shore may be measured so much too low."""
-MOST_WITHIN = 50_000
+MAX_WITHIN = 50_000
 """About how many pixels of the water itself are used at most."""
 
 
@@ -84,7 +84,7 @@ def level_water(store_url: str, work: LevelWater) -> dict[str, Any]:
     )
     shore, within = heights_of(store, work)
     found: Water | None = None
-    if max(shore.shape[1], within.shape[1]) >= LEAST_PIXELS:
+    if max(shore.shape[1], within.shape[1]) >= MIN_PIXELS:
         profile = None
         if body.kind == RIVER:
             profile = _profile(body, shore, within, float(STATION_PIXELS * work.spec.lattice.size), scale)
@@ -116,7 +116,7 @@ def heights_of(store: TileStore, work: LevelWater) -> tuple[Counts, Counts]:
     """Absolute counts x, y, z of pixels with a height beside the water, and of some within it: int64 (3, n) each."""
     spec, area = work.spec, work.body.area
     pixels = polygon_of(area).area / float(spec.lattice.size) ** 2
-    step = math.ceil(math.sqrt(max(pixels / MOST_WITHIN, 1.0)))
+    step = math.ceil(math.sqrt(max(pixels / MAX_WITHIN, 1.0)))
     shores, insides = [np.empty((3, 0), np.int64)], [np.empty((3, 0), np.int64)]
     pad = int(SHORE_PIXELS * spec.lattice.size) + 1
     for block in spec.blocks_within(area.bounds.pad(pad), BLOCK_PIXELS):
@@ -146,7 +146,7 @@ def _seen(store: TileStore, work: LevelWater, points: str, ground: str) -> Count
     """Absolute counts x, y, z of the cells within a body that returns came from; int64 (3, n)."""
     coarse, area, found = work.coarse, work.body.area, [np.empty((3, 0), np.int64)]
     cells = polygon_of(area).area / float(coarse.lattice.size) ** 2
-    step = math.ceil(math.sqrt(max(cells / MOST_WITHIN, 1.0)))
+    step = math.ceil(math.sqrt(max(cells / MAX_WITHIN, 1.0)))
     for block in coarse.blocks_within(area.bounds, BLOCK_PIXELS):
         part = coarse.part(block, area.bounds)
         seen = coarse.inside(part, area)

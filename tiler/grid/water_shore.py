@@ -15,7 +15,7 @@ from tiler.grid.water_extent import water_heights
 
 REACH_CELLS = 24
 """Cells around a block from which the level of its water is taken."""
-MOST_M, LEAST_M = 2.0, 0.02
+MAX_DEPTH_M, MIN_DEPTH_M = 2.0, 0.02
 """Largest and smallest height above or below the level that counts, in metres; others are moved to these limits."""
 BANK_CELLS = 2
 """Outermost cells of the water that may be bank: gravel that rises by 4 % takes two of them below
@@ -37,16 +37,16 @@ def depths(cells: Cells, wet: Bools) -> Floats:
     """
     level = water_heights(cells, wet)
     if level is None:
-        return np.where(wet, -MOST_M, MOST_M)
+        return np.where(wet, -MAX_DEPTH_M, MAX_DEPTH_M)
     above = cells.ground - level
     for _ in range(BANK_CELLS):
         wet = wet & ~_banks(above, wet, cells.returns > 0)
-    found = np.where(wet, -MOST_M, MOST_M)
+    found = np.where(wet, -MAX_DEPTH_M, MAX_DEPTH_M)
     beside = ~wet & ~np.isnan(above) & scipy.ndimage.binary_dilation(wet, AROUND)
-    found[beside] = np.clip(above[beside], LEAST_M, MOST_M)
+    found[beside] = np.clip(above[beside], MIN_DEPTH_M, MAX_DEPTH_M)
     gone_on = _gone_on(above, wet)
     outermost = ~np.isnan(gone_on)
-    found[outermost] = np.clip(gone_on[outermost], -MOST_M, -LEAST_M)
+    found[outermost] = np.clip(gone_on[outermost], -MAX_DEPTH_M, -MIN_DEPTH_M)
     return found
 
 
@@ -56,7 +56,7 @@ def _banks(above: Floats, wet: Bools, seen: Bools) -> Bools:
     The mean height of a cell that the shore cuts is no lower than that of the bank at its middle, so both are asked.
     """
     with np.errstate(invalid="ignore"):
-        return wet & seen & (np.minimum(above, _gone_on(above, wet)) > LEAST_M)
+        return wet & seen & (np.minimum(above, _gone_on(above, wet)) > MIN_DEPTH_M)
 
 
 def _gone_on(above: Floats, wet: Bools) -> Floats:
@@ -65,9 +65,9 @@ def _gone_on(above: Floats, wet: Bools) -> Floats:
     total, number = np.zeros(wet.shape), np.zeros(wet.shape, np.int64)
     for axis, step in ((0, 1), (0, -1), (1, 1), (1, -1)):
         first, second = np.roll(bank, step, axis), np.roll(bank, 2 * step, axis)
-        gone_on = 2 * np.clip(first, LEAST_M, MOST_M) - np.clip(second, LEAST_M, MOST_M)
+        gone_on = 2 * np.clip(first, MIN_DEPTH_M, MAX_DEPTH_M) - np.clip(second, MIN_DEPTH_M, MAX_DEPTH_M)
         here = wet & ~np.isnan(gone_on)
-        total[here] += np.clip(gone_on[here], -MOST_M, MOST_M)
+        total[here] += np.clip(gone_on[here], -MAX_DEPTH_M, MAX_DEPTH_M)
         number[here] += 1
     found = np.full(wet.shape, np.nan)
     np.divide(total, number, out=found, where=number > 0)
@@ -83,7 +83,7 @@ def shore_polygons(field: Floats, coarse: RasterSpec, window: Block) -> list[Any
     x = (coarse.west + window.col + np.arange(window.width) + 0.5) * side
     y = (coarse.north - window.row - np.arange(window.height) - 0.5) * side
     lines = contour_generator(x, y, field, fill_type=FillType.OuterOffset)
-    outers, offsets = lines.filled(-2 * MOST_M, 0.0)  # type: ignore[misc]
+    outers, offsets = lines.filled(-2 * MAX_DEPTH_M, 0.0)  # type: ignore[misc]
     found = []
     for places, starts in zip(outers, offsets, strict=True):
         rings = np.split(places, starts[1:-1])

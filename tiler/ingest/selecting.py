@@ -7,9 +7,9 @@ import numpy.typing as npt
 
 from tiler.core.selection import (
     FIRST,
-    LARGEST_SOURCE,
     LAST,
-    MOST_RETURNS,
+    MAX_RETURNS,
+    MAX_SOURCE_ID,
     Selection,
     parse_numbers,
 )
@@ -47,7 +47,7 @@ def unselected(
     if selection.scan_angle_deg is not None:
         found["scan_angle"] = np.abs(angles_deg) > selection.scan_angle_deg
     if selection.source_ids is not None:
-        wanted = parse_numbers(selection.source_ids, "point source ids", 0, LARGEST_SOURCE)
+        wanted = parse_numbers(selection.source_ids, "point source ids", 0, MAX_SOURCE_ID)
         found["source_id"] = ~np.isin(source_ids, wanted)
     if selection.drop_classes:
         found["drop_classes"] = np.isin(classes, selection.drop_classes)
@@ -60,4 +60,4 @@ def _of_returns(wanted: str, returns: npt.NDArray[np.uint8]) -> Bools:
         return np.asarray(number >= of)
     if wanted == FIRST:
         return np.asarray(number == 1)
-    return np.isin(number, parse_numbers(wanted, "returns", 1, MOST_RETURNS))
+    return np.isin(number, parse_numbers(wanted, "returns", 1, MAX_RETURNS))

@@ -25,7 +25,7 @@ from tiler.io.las.reader import EVERYTHING, NEEDED, TO_SELECT, PointReader, Reco
 from tiler.io.las.unchanged import unchanged
 from tiler.io.locations import cloud_path
 from tiler.schedule.task import NOT_IN_DIGEST
-from tiler.store import LONGEST_BYTES, SPOOL_CHUNK, RecordKeeper, StoreMeta, TileStore, open_store
+from tiler.store import MAX_NAME_BYTES, SPOOL_CHUNK, RecordKeeper, StoreMeta, TileStore, open_store
 
 NOT_FINITE = "not finite"
 BEYOND_FRAME = "beyond the frame"
@@ -161,7 +161,7 @@ class _Step:
 
 def _keeper(store: TileStore, work: SpoolPiece, header: LasHeader) -> RecordKeeper | None:
     """A keeper for the records of a piece; None if they are not wanted, not compressed, or too long."""
-    if not work.keep or work.ranges or header.laz is None or header.record_length > LONGEST_BYTES:
+    if not work.keep or work.ranges or header.laz is None or header.record_length > MAX_NAME_BYTES:
         return None
     return store.keep_records(work.piece, work.identity, header.record_length)
 

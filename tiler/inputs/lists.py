@@ -13,7 +13,7 @@ Read = TypeVar("Read")
 
 LIST_BYTES = 1 << 28
 """Largest size of such a file; pdal_wrench writes some kilobytes for each cloud."""
-MOST_CLOUDS = 1 << 18
+MAX_CLOUDS = 1 << 18
 """Most clouds that a list may name; a URL takes 1.4 kB of memory before any cloud is read."""
 LIST_SECONDS = 300.0
 """Longest time for reading a whole ``.vpc`` or hierarchy, however slow its server is."""

@@ -11,7 +11,7 @@ from pyproj import CRS
 from pyproj.exceptions import CRSError
 
 from tiler.errors import InputError
-from tiler.inputs.lists import LIST_BYTES, MOST_CLOUDS
+from tiler.inputs.lists import LIST_BYTES, MAX_CLOUDS
 from tiler.io.cloud_reading import open_cloud
 from tiler.io.json_text import excerpt, read_object
 from tiler.io.locations import cloud_path, is_url
@@ -19,7 +19,7 @@ from tiler.io.locations import cloud_path, is_url
 NAME = "ept.json"
 DATA_FOLDER = "ept-data"
 
-_LONGEST_WKT = 1 << 20
+_MAX_WKT_BYTES = 1 << 20
 _DEEPEST = 30
 _FARTHEST = 1e12
 """Largest coordinate, in units. No CRS reaches so far; with larger numbers a float could not hold the side of a box."""
@@ -167,11 +167,9 @@ def node_counts(tiles: PointTiles, touches: Touches | None = None) -> dict[tuple
     """Like `node_files`, but by the key of the node: level, column, row and layer."""
     counts: dict[tuple[int, ...], int] = {}
     for key, count in _nodes(tiles, touches):
-        if counts.setdefault(key, count) != count or len(counts) > MOST_CLOUDS:
+        if counts.setdefault(key, count) != count or len(counts) > MAX_CLOUDS:
             name = "-".join(map(str, key))
-            _refuse(
-                tiles.text, f"its hierarchy names the node {name} twice, or more than {MOST_CLOUDS} nodes"
-            )
+            _refuse(tiles.text, f"its hierarchy names the node {name} twice, or more than {MAX_CLOUDS} nodes")
     if not any(counts.values()) and touches is None:
         _refuse(tiles.text, "its hierarchy names no points")
     return {key: count for key, count in counts.items() if count}
@@ -218,8 +216,8 @@ def _wkt(text: str, found: Mapping[str, Any]) -> str | None:
     if not isinstance(srs, dict):
         return None
     wkt = srs.get("wkt")
-    if len(str(wkt)) > _LONGEST_WKT:
-        _refuse(text, f"its CRS has more than {_LONGEST_WKT} characters")
+    if len(str(wkt)) > _MAX_WKT_BYTES:
+        _refuse(text, f"its CRS has more than {_MAX_WKT_BYTES} characters")
     definitions = [wkt]
     codes = [str(srs[name]) for name in ("horizontal", "vertical") if srs.get(name)]
     if srs.get("authority") and codes:

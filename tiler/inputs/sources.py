@@ -32,7 +32,7 @@ INSPECTION_SECONDS = 60.0
 BYTES_PER_SECOND = 1e6
 """Lowest speed of an inspection that reads all points of a file; every disk and decoder is faster."""
 
-_LARGEST_CHUNK = 4_000_000
+_MAX_CHUNK = 4_000_000
 """Larger chunks, in points, are divided, since a damaged file may claim chunks that memory cannot hold."""
 
 
@@ -236,7 +236,7 @@ def pieces(info: SourceInfo, size: int = 1_000_000) -> list[tuple[int, int]]:
     if info.points == 0:
         return []
     size = rows_at_once(info.record_length, size)
-    largest = rows_at_once(info.record_length, _LARGEST_CHUNK)
+    largest = rows_at_once(info.record_length, _MAX_CHUNK)
     if isinstance(info.chunks, tuple):
         return _whole_chunks(info.chunks, size, largest)
     step = size

@@ -8,7 +8,7 @@ from typing import Any, NoReturn
 from urllib.parse import unquote, urljoin, urlsplit
 
 from tiler.errors import InputError
-from tiler.inputs.lists import LIST_BYTES, MOST_CLOUDS
+from tiler.inputs.lists import LIST_BYTES, MAX_CLOUDS
 from tiler.io.cloud_reading import open_cloud
 from tiler.io.json_text import excerpt, member, read_object
 from tiler.io.locations import cloud_path, is_url
@@ -52,8 +52,8 @@ def members(text: str, suffixes: tuple[str, ...]) -> list[str]:
         found.setdefault(place)
     if not found:
         _refuse(text, "names no cloud at all")
-    if len(found) > MOST_CLOUDS:
-        _refuse(text, f"names {len(found)} clouds, {MOST_CLOUDS} at most can be read")
+    if len(found) > MAX_CLOUDS:
+        _refuse(text, f"names {len(found)} clouds, {MAX_CLOUDS} at most can be read")
     return list(found)
 
 

@@ -17,7 +17,7 @@ from urllib.parse import unquote, urlsplit
 from tiler.errors import ConfigError, refused_write
 from tiler.io.partial_files import SCRATCH_PREFIX, replace_file
 
-ASKED_AT_ONCE = 16
+CONCURRENT_REQUESTS = 16
 """Number of objects whose state is requested at the same time."""
 QUIET_SECONDS = 30.0
 """Time after which a request fails if a web server sends nothing."""
@@ -260,7 +260,7 @@ def states_at(places: Sequence[str]) -> list[State | None]:
     """Return `state_at` of many files. Requests to servers overlap, since each takes long."""
     if not any(is_url(place) for place in places):
         return [state_at(place) for place in places]
-    with ThreadPoolExecutor(ASKED_AT_ONCE) as threads:
+    with ThreadPoolExecutor(CONCURRENT_REQUESTS) as threads:
         return list(threads.map(state_at, places))
 
 

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from tiler.errors import ConfigError
 from tiler.io.locations import is_url, plain_scheme
-from tiler.io.partial_files import LONGEST_NAME, name_bytes
+from tiler.io.partial_files import MAX_NAME_LENGTH, name_bytes
 
 
 @dataclass(frozen=True)
@@ -67,9 +67,9 @@ def check_names(option: str, place: str | Path) -> None:
     if is_url(real_place(place)):
         return
     for name in Path(place).parts:
-        if name_bytes(name) > LONGEST_NAME:
+        if name_bytes(name) > MAX_NAME_LENGTH:
             raise ConfigError(
-                f"{option} {name[:20]}...: its name has {name_bytes(name)} bytes, {LONGEST_NAME} are possible; "
+                f"{option} {name[:20]}...: its name has {name_bytes(name)} bytes, {MAX_NAME_LENGTH} are possible; "
                 "give a shorter name".strip()
             )
 

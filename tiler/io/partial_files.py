@@ -12,7 +12,7 @@ from pathlib import Path
 from tiler.errors import first_line
 
 _ONE_MORE_BYTES = 1 << 22
-LONGEST_NAME = 255
+MAX_NAME_LENGTH = 255
 """Length of the longest file name on most file systems, in bytes."""
 
 IN_USE = (5, 32)
@@ -40,7 +40,7 @@ def partial_path(target: Path, kind: str = "") -> Path:
         Text that distinguishes several temporary files of one target.
     """
     name = f"{SCRATCH_PREFIX}{target.name}{kind and f'.{kind}'}.partial"
-    if name_bytes(name) > LONGEST_NAME:
+    if name_bytes(name) > MAX_NAME_LENGTH:
         short = hashlib.blake2b(os.fsencode(name), digest_size=16).hexdigest()
         name = f"{SCRATCH_PREFIX}{short}.partial"
     return target.with_name(name)

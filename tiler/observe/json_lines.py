@@ -10,7 +10,7 @@ from typing import IO, Any, TypedDict, cast
 from tiler.observe.whole_job import WholeJob
 from tiler.redaction import stored
 
-LEAST_SECONDS = 0.2
+MIN_SECONDS = 0.2
 """Minimum time between two lines without a message, unless a stage begins or ends."""
 REPORTED_BY_FILE = "spool"
 """Stage whose failed tasks are not reported, since one warning per file reports them."""
@@ -114,7 +114,7 @@ class ProgressRecords:
             ended, self._job.stage = self._job.stage, at_work  # The last record is for the ended stage.
             self._record()
             self._job.stage = ended
-        elif event == "task_done" and self._clock() - self._last >= LEAST_SECONDS:
+        elif event == "task_done" and self._clock() - self._last >= MIN_SECONDS:
             self._record()
         elif event == "run_finished":
             self._record("done")

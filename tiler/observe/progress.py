@@ -13,7 +13,7 @@ from tiler.observe.whole_job import StageState, WholeJob
 from tiler.redaction import shown
 
 _LINE_INTERVAL_SECONDS = 15.0
-_LEAST_SECONDS = 1.0
+_MIN_SECONDS = 1.0
 """Duration below which a stage has no line."""
 _START_LINE_SECONDS = 5.0
 """Duration from which a stage also has a line about its beginning, so that a log shows the running stage."""
@@ -95,7 +95,7 @@ class PlainLines:
             self._show(stage)
         elif event == "stage_finished" and stage is not None and stage.todo_share > 0:
             seconds = fields.get("seconds", self._clock() - stage.started)
-            if self._begun or seconds >= _LEAST_SECONDS:
+            if self._begun or seconds >= _MIN_SECONDS:
                 self._write(f"{stage.title}: {self._end(stage, seconds)}")
 
     def _end(self, stage: StageState, seconds: float) -> str:

@@ -10,7 +10,7 @@ from typing import Any
 OWN_SHARE = 0.03
 """Share of the job from which only the pace of this run counts. Before, the expected pace counts as well."""
 
-LEAST_LEFT = 0.1
+MIN_SHARE_LEFT = 0.1
 """Minimum share of a stage's remaining time that is shown while one of its tasks takes longer than expected."""
 
 
@@ -227,7 +227,7 @@ class WholeJob:
         if done > 0:
             pace = done * stage.spent / (expected * done) + (1 - done) * pace
         left = pace * expected * (1 - done)
-        return max(left - (self._clock() - stage.last_end), LEAST_LEFT * left)
+        return max(left - (self._clock() - stage.last_end), MIN_SHARE_LEFT * left)
 
     def _own_left(self, stage: StageState) -> float | None:
         """Return the time left for a stage without an expected time, from its own pace.

@@ -10,7 +10,7 @@ from tiler.plan.area import buckets_of, chunks_of
 from tiler.plan.disk import too_much_between
 from tiler.plan.make import make_plan, output_names
 from tiler.plan.memory import PlannedPass
-from tiler.plan.model import KEEP, LEAST_MATCHED_M2, PIECE_POINTS, Plan
+from tiler.plan.model import KEEP, MIN_MATCHED_M2, PIECE_POINTS, Plan
 from tiler.plan.plan_text import crs_name, plan_json, plan_lines
 from tiler.plan.projection import projected_memory
 from tiler.plan.rates import remember, stage_seconds
@@ -19,7 +19,7 @@ from tiler.plan.sizes import bounds_of
 
 __all__ = [
     "KEEP",
-    "LEAST_MATCHED_M2",
+    "MIN_MATCHED_M2",
     "PIECE_POINTS",
     "Plan",
     "PlannedPass",

@@ -12,7 +12,7 @@ from tiler.inputs import Patch
 
 CELL_M = 64.0
 """Side of a cell of the map: about a bucket."""
-MOST_CELLS = 1_000_000
+MAX_CELLS = 1_000_000
 """Most cells of the map. For larger surveys the cells are larger."""
 PARTS = 8
 """Parts of a cell along its side. A bit for each part says whether points cover it; a cell has 64 of them."""
@@ -42,7 +42,7 @@ class DensityMap:
         wide, tall = boxes[:, 2] - boxes[:, 0], boxes[:, 3] - boxes[:, 1]
         area, length = float(np.sum(wide * tall)), float(np.sum(wide + tall))
         self._cell = CELL_M
-        while area / self._cell**2 + length / self._cell > MOST_CELLS:
+        while area / self._cell**2 + length / self._cell > MAX_CELLS:
             self._cell *= 2
         self._points = float(boxes[:, 4].sum())
         batches = np.split(boxes, range(_BATCH, len(boxes), _BATCH))

@@ -34,7 +34,7 @@ COPIES = 2
 have as many."""
 CLASSIFIED_SHARE = 1.2
 """Size of a classified file over that of its LAZ input. LAS inputs shrink."""
-MOST_PIXELS = 2e10
+MAX_PIXELS = 2e10
 """Most pixels of a file that is mostly empty. GDAL writes some 5e7 empty pixels a second."""
 MANY_PIXELS = 1e9
 """Smaller files are written without a warning, however empty they are."""
@@ -149,7 +149,7 @@ def too_much_between(plan: Plan, out: Path | None) -> str | None:
         with suppress(OSError):  # `refuse` says what is wrong with the folder
             free = free_bytes(out)
     full = free is not None and needed_bytes(plan) > free >= needed_bytes(plan) - empty
-    if pixels.largest <= MOST_PIXELS and not full:
+    if pixels.largest <= MAX_PIXELS and not full:
         return None
     return (
         f"a single raster would have {pixels.largest:.2g} pixels, nearly all of them empty; "

@@ -29,7 +29,7 @@ PARTS = 16
 """Groups of files are separated on a lattice with so many cells along the longer side of the whole extent."""
 FEW = 4
 """At most one file in so many is left out."""
-FARTHEST_M = 5e7
+MAX_DISTANCE_M = 5e7
 """No CRS has larger coordinates: this is more than once around the Earth."""
 BESIDE_DEG = 5.0
 """A CRS may well be used so many degrees beyond its area of use."""
@@ -113,7 +113,7 @@ def _absurd(source: SourceInfo, metres: float) -> str | None:
         return (
             f"its points are up to {_km(bounds, metres)} apart, too far for one survey; check its coordinates"
         )
-    if max(map(abs, bounds.to_json())) / COUNTS_PER_UNIT * metres > FARTHEST_M:
+    if max(map(abs, bounds.to_json())) / COUNTS_PER_UNIT * metres > MAX_DISTANCE_M:
         return (
             f"lies at x {x:.6g}, y {y:.6g}, outside the coordinates of any CRS; check its offsets and scales"
         )

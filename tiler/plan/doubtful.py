@@ -8,9 +8,9 @@ from tiler.core.crs import crs_name, length_scale
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.plan.model import Plan, steps_of
 
-WIDEST_RELIEF_M = 9000
+MAX_RELIEF_M = 9000
 """Largest difference of heights that terrain can have."""
-LEAST_SIDE_M = 100
+MIN_SIDE_M = 100
 """Smaller clouds may be higher than wide: single buildings, trees."""
 WIDE_TILE = 2 + 2 * math.sqrt(2)
 """With tiles of so many halos a side, halos double the work."""
@@ -34,7 +34,7 @@ def _too_high(plan: Plan) -> list[str]:
     boxes = [(s.path, s.bounds) for s in plan.sources if s.points and s.bounds is not None]
     found = []
     relief = (max(b[5] for _, b in boxes) - min(b[2] for _, b in boxes)) * float(units.vertical)
-    if relief > WIDEST_RELIEF_M:
+    if relief > MAX_RELIEF_M:
         found.append(
             f"heights span {relief:,.0f} m, more than any terrain; check for noise far from the ground, "
             "or give the unit of z with --units h,v"
@@ -42,7 +42,7 @@ def _too_high(plan: Plan) -> list[str]:
     for path, (x0, y0, z0, x1, y1, z1) in boxes:
         side = max(x1 - x0, y1 - y0, 1.0) * float(units.horizontal)
         rise = (z1 - z0) * float(units.vertical)
-        if side > LEAST_SIDE_M and rise > 2 * side:
+        if side > MIN_SIDE_M and rise > 2 * side:
             found.append(
                 f"{path}: rises {rise:,.0f} m over {side:,.0f} m; check for noise, or give the unit of z with "
                 "--units h,v"

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from tiler.core.breaklines import LONGEST_SEGMENT, two_heights
+from tiler.core.breaklines import MAX_SEGMENT, two_heights
 from tiler.core.edits import ACTIONS, FLAT, Edit
 from tiler.core.frame import COUNTS_PER_UNIT, INT32_LIMIT
 from tiler.core.water import Water
@@ -128,7 +128,7 @@ def _counts(feature: Feature, line: npt.NDArray[np.float64]) -> Counts:
         )
     counts = np.rint(line * COUNTS_PER_UNIT).astype(np.int64)
     longest = int(np.abs(np.diff(counts[:, :2], axis=0)).max(initial=0))
-    if longest > LONGEST_SEGMENT:
+    if longest > MAX_SEGMENT:
         raise InputError(
             f"{feature.place}: two of its vertices are {longest / COUNTS_PER_UNIT:.3g} apart; "
             "give coordinates in units of its CRS"

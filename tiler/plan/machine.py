@@ -10,9 +10,9 @@ from pathlib import Path, PurePosixPath
 
 import psutil
 
-LEAST_BYTES = 512 << 20
+MIN_BYTES = 512 << 20
 """Default memory of a worker at least: with less, hardly anything fits."""
-MOST_BYTES = 4 << 30
+MAX_BYTES = 4 << 30
 """Default memory of a worker at most: more makes no run faster."""
 SHARE = 2
 """Part of the memory that the workers together take by default: one in this many. The rest is for the
@@ -33,8 +33,8 @@ def cores() -> int:
 
 
 def default_workers() -> int:
-    """Default number of workers: one for each core, fewer if memory is below `LEAST_BYTES` for each."""
-    return max(min(cores(), memory_bytes() // LEAST_BYTES), 1)
+    """Default number of workers: one for each core, fewer if memory is below `MIN_BYTES` for each."""
+    return max(min(cores(), memory_bytes() // MIN_BYTES), 1)
 
 
 def memory_bytes() -> int:
@@ -44,7 +44,7 @@ def memory_bytes() -> int:
 
 def fair_share(workers: int) -> int:
     """Default memory of each worker, in bytes. Fewer workers than cores get no more."""
-    return min(max(memory_bytes() // (SHARE * max(workers, cores())), LEAST_BYTES), MOST_BYTES)
+    return min(max(memory_bytes() // (SHARE * max(workers, cores())), MIN_BYTES), MAX_BYTES)
 
 
 def _container_limits() -> Iterator[int]:

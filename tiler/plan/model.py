@@ -17,7 +17,7 @@ from tiler.core.area import Area
 from tiler.core.breaklines import Counts
 from tiler.core.edits import Edit
 from tiler.core.lattice import Bounds
-from tiler.core.raster import BLOCK_PIXELS, SMALLEST_PART
+from tiler.core.raster import BLOCK_PIXELS, MIN_PART
 from tiler.core.stage_names import stage_title
 from tiler.core.water import Water
 from tiler.inputs import SourceInfo
@@ -48,10 +48,10 @@ THIN_SHARE = 4
 PART = 128
 """Side, in pixels, of the parts into which a block with many points is divided."""
 
-LEAST_CANDIDATES = 500_000
+MIN_CANDIDATES = 500_000
 """Do not split a tile merely to occupy workers if a half would hold fewer candidates."""
 
-LEAST_MATCHED_M2 = 0.5
+MIN_MATCHED_M2 = 0.5
 """Below this density, in points per square metre, the plan assumes a laser scan unless `--kind` says otherwise. `auto`
 asks for twice the density before it takes a cloud for a matched one."""
 
@@ -74,7 +74,7 @@ def known_kind(
 
 def likely_of(steps: Iterable[PlannedPass], kind: str | None, density: float) -> tuple[PlannedPass, ...]:
     """The passes for which the plan reserves memory: all that a run may do and that suit the density."""
-    if kind is None and density < LEAST_MATCHED_M2:
+    if kind is None and density < MIN_MATCHED_M2:
         return tuple(step for step in steps if step.kind != "dim")
     return tuple(steps)
 
@@ -219,7 +219,7 @@ class Plan:
 
     def wanted_tiles(self, candidates: int) -> int:
         """Number of joined tiles of a pass on so many candidates: a power of two, about one for each worker."""
-        return min(1 << (self.tile_workers - 1).bit_length(), max(candidates // LEAST_CANDIDATES, 1))
+        return min(1 << (self.tile_workers - 1).bit_length(), max(candidates // MIN_CANDIDATES, 1))
 
     @property
     def fine_m(self) -> Fraction:
@@ -277,7 +277,7 @@ class Plan:
         if self.thin is not None:
             return self.thin
         mean = self.density * self._part_side_m(PART) ** 2
-        return max(mean, self.density_map.fullest(self._part_side_m(SMALLEST_PART))) > MAX_GROUND
+        return max(mean, self.density_map.fullest(self._part_side_m(MIN_PART))) > MAX_GROUND
 
     @property
     def surface_share(self) -> int | None:
@@ -295,7 +295,7 @@ class Plan:
     @property
     def fullest_part(self) -> float:
         """Approximate number of points in the smallest part of a block, in the fullest place."""
-        side = self._part_side_m(SMALLEST_PART)
+        side = self._part_side_m(MIN_PART)
         points = max(self.density * side**2, self.density_map.fullest(side))
         if self.surface_share is None:
             return points

@@ -26,7 +26,7 @@ TYPICAL = {
 }
 """Worker seconds a million points where nothing is known of a stage; measured on a city, other machines differ."""
 
-FEWEST_POINTS = 1_000_000
+MIN_POINTS = 1_000_000
 """Points of the smallest run that is remembered: the time of smaller ones is mostly start-up."""
 
 _NEWEST = 0.5
@@ -44,7 +44,7 @@ def remember(plan: Plan, stages: Mapping[str, Mapping[str, Any]]) -> None:
     stages : mapping
         Name -> ``tasks``, ``computed`` (of these, in this run) and ``seconds``, as in ``run.json``.
     """
-    if plan.points < FEWEST_POINTS or plan.config.scheduler is not None:
+    if plan.points < MIN_POINTS or plan.config.scheduler is not None:
         return
     known = _read()
     for stage, facts in stages.items():

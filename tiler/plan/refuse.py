@@ -17,7 +17,7 @@ from tiler.core.units_text import in_unit_of_crs, length_option
 from tiler.errors import ConfigError
 from tiler.io.locations import joined
 from tiler.io.overwrite_check import Target, check_folder, check_targets
-from tiler.io.partial_files import LONGEST_NAME, name_bytes
+from tiler.io.partial_files import MAX_NAME_LENGTH, name_bytes
 from tiler.io.result_folder import (
     ASIDE,
     BRIDGES,
@@ -50,7 +50,7 @@ Changed = Callable[..., Plan]
 
 MAX_DENOMINATOR = 511
 """Largest denominator of a pixel's side in counts with which gridding is exact in int64."""
-WIDEST_PIXEL = 1 << 26
+MAX_PIXEL = 1 << 26
 """Gridding is exact in int64 for pixels with a side below so many counts."""
 
 NAMED = 5
@@ -147,8 +147,8 @@ def refuse_resolution(plan: Plan) -> None:
             f"--resolution {float(plan.resolution):g} m: {float(pixel) / COUNTS_PER_UNIT:.9g} CRS units "
             "is not a simple fraction; give it in the unit of the CRS",
         )
-    if pixel >= WIDEST_PIXEL:
-        most = float(WIDEST_PIXEL * plan.meta.frame.metres_xy)
+    if pixel >= MAX_PIXEL:
+        most = float(MAX_PIXEL * plan.meta.frame.metres_xy)
         raise _error(
             plan,
             f"--resolution {float(plan.resolution):g} m: pixels must be below {most:.0f} m; use smaller pixels",
@@ -213,13 +213,13 @@ def _refuse_long_names(plan: Plan) -> None:
         return
     for source, name in plan.names.items():
         size = name_bytes(name)
-        if size > LONGEST_NAME:
+        if size > MAX_NAME_LENGTH:
             shorter = ""
-            if size - len(COPC_SUFFIX) + len(".laz") <= LONGEST_NAME:
+            if size - len(COPC_SUFFIX) + len(".laz") <= MAX_NAME_LENGTH:
                 shorter = ", use --classified laz"
             raise ConfigError(
                 f"{source}: its classified cloud {name.name[:20]}...{name.suffix} would have a name of {size} bytes, "
-                f"but at most {LONGEST_NAME} are possible; rename the input{shorter}, or use --classified none"
+                f"but at most {MAX_NAME_LENGTH} are possible; rename the input{shorter}, or use --classified none"
             )
 
 

@@ -8,7 +8,7 @@ from typing import Any
 from tiler.core.units_text import length_text, short_unit, small_area_text
 from tiler.core.words import counted
 from tiler.report.document import Content, Node, el, section, table
-from tiler.report.problems import MOST_ROWS, Run
+from tiler.report.problems import MAX_ROWS, Run
 from tiler.report.profiles import profile
 
 
@@ -24,7 +24,7 @@ def drawn(run: Run) -> list[Node]:
     if edits:
         rows = [
             (str(e["number"]), e["action"], ", ".join(f"{v:,.1f}" for v in e["bounds"]), changed_text(e))
-            for e in edits[:MOST_ROWS]
+            for e in edits[:MAX_ROWS]
         ]
         content += [
             el("h3", counted(len(edits), "edit")),
@@ -36,11 +36,11 @@ def drawn(run: Run) -> list[Node]:
     if water:
         bodies = [
             (str(b["number"]), b["kind"], _levels(b), small_area_text(b["area_m2"], wide), _sure(b))
-            for b in water[:MOST_ROWS]
+            for b in water[:MAX_ROWS]
         ]
         columns = ("number", "kind", f"level, {unit}", "area", "confidence")
         content += [el("h3", f"Water: {len(water):,}"), table(columns, bodies, (0, 3))]
-        pictures = [profile(body, unit) for body in water[:MOST_ROWS]]
+        pictures = [profile(body, unit) for body in water[:MAX_ROWS]]
         content += [picture for picture in pictures if picture is not None]
     if contours:
         interval = length_text(contours["interval"] * high, high)
@@ -80,7 +80,7 @@ def _bridges(bridges: Sequence[Mapping[str, Any]], unit: float) -> list[Content]
     names = ("length_m", "width_m", "clearance_m")
     rows = [
         (*(length_text(round(b[name], 1), unit) for name in names), str(b["below"]))
-        for b in bridges[:MOST_ROWS]
+        for b in bridges[:MAX_ROWS]
     ]
     heads = ("length", "width", "clearance", "points below")
     return [

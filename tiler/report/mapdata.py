@@ -15,13 +15,13 @@ from tiler.report.pictures import VIRIDIS, Pictures, ramp_colour
 from tiler.report.problems import marked_places
 from tiler.report.runfile import title_of
 
-MOST_TILES = 20_000
+MAX_TILES = 20_000
 """Largest number of tiles on the map, all stages together: more do not fit into a page of 5 MB.
 
 A stage is shown with all its tiles or not at all.
 """
 
-MOST_FILES = 5_000
+MAX_FILES = 5_000
 TIME_COLOURS = 16
 
 
@@ -102,7 +102,7 @@ def _extent(run: Mapping[str, Any]) -> Extent:
 
 def _stages(run: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Return the stages with their tiles. The last pass of the filter is first, because it made the labels."""
-    found, room = [], MOST_TILES
+    found, room = [], MAX_TILES
     tiles = run.get("tiles", {})
     passes = sum(name.startswith("filter") for name in tiles)
     errors = {(f["stage"], f["key"]): f["error"] for f in run.get("failed_tasks", ())}
@@ -122,5 +122,5 @@ def _stages(run: Mapping[str, Any]) -> list[dict[str, Any]]:
 
 def _files(run: Mapping[str, Any]) -> list[list[Any]]:
     """Return name and bounds of each input cloud."""
-    inputs = [i for i in run.get("inputs", ()) if i.get("bounds")][:MOST_FILES]
+    inputs = [i for i in run.get("inputs", ()) if i.get("bounds")][:MAX_FILES]
     return [[shown(Path(i["path"]).name), *(i["bounds"][k] for k in (0, 1, 3, 4))] for i in inputs]

@@ -19,8 +19,8 @@ from tiler.report.sections import figures, noted, sentence, settled, state_text,
 
 PICTURE_PIXELS = 480
 """Pixels of the longer side of a picture. A smaller raster is enlarged by a whole factor."""
-MOST_LINKS = 12
-MOST_NOTES = 20
+MAX_LINKS = 12
+MAX_NOTES = 20
 
 
 def markup(title: str, *children: Content) -> str:
@@ -140,18 +140,18 @@ def _picture(run: Mapping[str, Any], products: str) -> Iterator[Content]:
 def _list(title: str, texts: Sequence[str]) -> Content:
     if not texts:
         return None
-    more = [f"and {len(texts) - MOST_NOTES} more"] if len(texts) > MOST_NOTES else []
-    items = [el("li", text) for text in (*texts[:MOST_NOTES], *more)]
+    more = [f"and {len(texts) - MAX_NOTES} more"] if len(texts) > MAX_NOTES else []
+    items = [el("li", text) for text in (*texts[:MAX_NOTES], *more)]
     return el("div", el("p", f"{title}:"), el("ul", *items))
 
 
 def _links(files: Mapping[str, str]) -> Iterator[Content]:
     """Yield links to files, separated by spaces. Links into folders are last, because there may be many."""
-    for name, place in sorted(files.items(), key=lambda file: "/" in file[0])[:MOST_LINKS]:
+    for name, place in sorted(files.items(), key=lambda file: "/" in file[0])[:MAX_LINKS]:
         yield el("a", name, href=_href(place), target="_blank", rel="noopener")
         yield " "
-    if len(files) > MOST_LINKS:
-        yield f"and {len(files) - MOST_LINKS} more"
+    if len(files) > MAX_LINKS:
+        yield f"and {len(files) - MAX_LINKS} more"
 
 
 def _href(place: str) -> str:

@@ -28,7 +28,7 @@ from tiler.io.picture import palette_png_bytes
 LONGER_SIDE = 1600
 """Largest number of pixels of the longer side of a picture."""
 
-MOST_BYTES = 3 << 20
+MAX_BYTES = 3 << 20
 """Largest size of all pictures together, as files (a third more in the page). Above it, smaller pictures are drawn."""
 
 SHADES = 63
@@ -122,9 +122,9 @@ def draw(rasters: Mapping[str, str], run: Mapping[str, Any]) -> Pictures | None:
     while True:
         found = _draw(rasters, run, longer)
         taken = sum(len(picture.uri) * 3 // 4 for picture in found.pictures)
-        if taken <= MOST_BYTES:
+        if taken <= MAX_BYTES:
             return found
-        longer = min(int(longer * math.sqrt(MOST_BYTES / taken)), longer - 1)
+        longer = min(int(longer * math.sqrt(MAX_BYTES / taken)), longer - 1)
 
 
 def small_hillshade(dtm: str, run: Mapping[str, Any], longer: int) -> Picture:

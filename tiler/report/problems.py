@@ -15,7 +15,7 @@ from tiler.core.words import counted
 from tiler.report.document import Content, Node, el, section, table
 from tiler.report.runfile import title_of
 
-MOST_ROWS = 1000
+MAX_ROWS = 1000
 """Largest number of rows of a table. The other rows are in run.json."""
 
 Run = Mapping[str, Any]
@@ -179,8 +179,8 @@ def problems(run: Run) -> Node:
     if not found:
         none = "None: every file was read, every tile was processed, and no result is doubtful."
         return section("problems", "Problems", el("p", none))
-    rows: list[tuple[Content, ...]] = [(p.what, _link(p.where), p.why, p.remedy) for p in found[:MOST_ROWS]]
-    more = len(found) - MOST_ROWS
+    rows: list[tuple[Content, ...]] = [(p.what, _link(p.where), p.why, p.remedy) for p in found[:MAX_ROWS]]
+    more = len(found) - MAX_ROWS
     rest = el("p", f"{more:,} more are in run.json.") if more > 0 else None
     return section("problems", "Problems", table(("problem", "location", "cause", "remedy"), rows), rest)
 
@@ -197,4 +197,4 @@ def _link(where: Place | None) -> Content:
 def marked_places(run: Run) -> list[list[Any]]:
     """Return kind, west, south, east and north of each problem that has a location, for the map."""
     found = [problem for problem in problems_of(run) if problem.where is not None]
-    return [[problem.what, *(problem.where or ())] for problem in found[:MOST_ROWS]]
+    return [[problem.what, *(problem.where or ())] for problem in found[:MAX_ROWS]]

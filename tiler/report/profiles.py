@@ -12,7 +12,7 @@ WIDTH, HEIGHT = 640, 190
 LEFT, RIGHT, TOP, BOTTOM = 64, 16, 12, 26
 """Margins of a picture, pixels."""
 WATER, BANKS = "#1f78d1", "#b0722a"
-LEAST_RANGE = 0.5
+MIN_RANGE = 0.5
 """Smallest range of heights of a picture, so that noise does not look like a waterfall."""
 LINES_ACROSS, LINES_ALONG = 4, 6
 """Largest number of grid lines of a picture, at round heights and at round lengths."""
@@ -89,10 +89,10 @@ def _caption(body: Mapping[str, Any], stations: Sequence[Station], unit: str) ->
 def _span(levels: Sequence[float], banks: Sequence[float]) -> tuple[float, float]:
     """Return the lowest and highest height of a picture."""
     low, high = min(levels), max(levels)
-    reach = max(high - low, LEAST_RANGE)
+    reach = max(high - low, MIN_RANGE)
     near = [z for z in banks if low - reach <= z <= high + reach]
     low, high = min([low, *near]), max([high, *near])
-    pad = max(LEAST_RANGE - (high - low), 0.1 * (high - low)) / 2
+    pad = max(MIN_RANGE - (high - low), 0.1 * (high - low)) / 2
     return low - pad, high + pad
 
 

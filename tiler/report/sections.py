@@ -11,7 +11,7 @@ from tiler.core.words import counted
 from tiler.observe.progress import count_text, duration_text, size_text
 from tiler.report.document import Content, Node, el, section, table
 from tiler.report.pictures import Pictures
-from tiler.report.problems import MOST_ROWS, Run
+from tiler.report.problems import MAX_ROWS, Run
 
 STATES = {
     "done": "Finished",
@@ -162,13 +162,13 @@ def warned(run: Run) -> list[str]:
 
 def decisions(run: Run) -> Node:
     """Return the section about automatic decisions and their reasons."""
-    told = [el("li", text) for text in noted(run)[:MOST_ROWS]]
+    told = [el("li", text) for text in noted(run)[:MAX_ROWS]]
     found = list(_measured(run))
     content: list[Content] = [table(("setting", "value", "by", "why"), settled(run))]
     if told:
         content += [el("h3", "Notes"), el("ul", *told)]
     if found:
-        measured = table(("pass", "figure", "value"), found[:MOST_ROWS])
+        measured = table(("pass", "figure", "value"), found[:MAX_ROWS])
         content += [el("h3", "Measured over the whole run"), measured]
     return section("decisions", "Decided automatically", *content)
 

@@ -12,7 +12,7 @@ from urllib.parse import quote
 from tiler.core.words import counted
 from tiler.observe.progress import duration_text, rate_text, size_text
 from tiler.report.document import Content, Node, el, facts, section, table
-from tiler.report.problems import MOST_ROWS, Run
+from tiler.report.problems import MAX_ROWS, Run
 from tiler.report.runfile import title_of
 from tiler.report.sections import done_before, value_text
 
@@ -67,7 +67,7 @@ def inputs(run: Run) -> Node:
             f["crs"] or "-",
             "; ".join([*f["notes"], *(["salvaged"] if f["salvaged"] else [])]),
         )
-        for f in files[:MOST_ROWS]
+        for f in files[:MAX_ROWS]
     ]
     columns = ("file", "points", "stored", "format", "size", "CRS", "warnings")
     notes = f", {counted(len(warned), 'note')}: see Decided automatically" if warned else ""
@@ -77,8 +77,8 @@ def inputs(run: Run) -> Node:
 
 
 def _more(number: int) -> Node | None:
-    """Return a line about the rows beyond `MOST_ROWS`, which a table does not show."""
-    return el("p", f"{number - MOST_ROWS:,} more are in run.json.") if number > MOST_ROWS else None
+    """Return a line about the rows beyond `MAX_ROWS`, which a table does not show."""
+    return el("p", f"{number - MAX_ROWS:,} more are in run.json.") if number > MAX_ROWS else None
 
 
 def outputs(run: Run) -> Node:
@@ -86,7 +86,7 @@ def outputs(run: Run) -> Node:
     found = run.get("outputs", {})
     rows = [
         (el("a", name, href=quote(os.fsencode(name))), size_text(size))
-        for name, size in sorted(found.items(), key=lambda file: "/" in file[0])[:MOST_ROWS]
+        for name, size in sorted(found.items(), key=lambda file: "/" in file[0])[:MAX_ROWS]
     ]
     body = table(("file", "size"), rows, (1,)) if rows else el("p", "None yet.")
     return section("outputs", "Results", body, _more(len(found)))
@@ -174,7 +174,7 @@ def settings(run: Run) -> Node:
     parameters = [(name, value_text(value)) for name, value in plan["parameters"].items()]
     configuration = [(name, value_text(value)) for name, value in run["configuration"].items()]
     versions = [("tiler", run["version"]), *run.get("libraries", {}).items()]
-    digests = {Path(f["path"]).name: f["content"] for f in run.get("inputs", ())[:MOST_ROWS]}
+    digests = {Path(f["path"]).name: f["content"] for f in run.get("inputs", ())[:MAX_ROWS]}
     pre = el("pre", json.dumps(digests, ensure_ascii=False))
     return section(
         "settings",

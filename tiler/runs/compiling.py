@@ -20,7 +20,7 @@ from ptd.precompile import (
 )
 from tiler.errors import first_line
 from tiler.observe.events import Listener
-from tiler.plan import KEEP, LEAST_MATCHED_M2, Plan
+from tiler.plan import KEEP, MIN_MATCHED_M2, Plan
 from tiler.schedule import Died, Guard
 
 Tell = Callable[[], None]
@@ -60,7 +60,7 @@ def likely_kind(plan: Plan) -> str:
     if plan.kind is not None:
         return plan.kind
     several = any(source.returns > 1 for source in plan.sources)
-    return "lidar" if several or plan.density < LEAST_MATCHED_M2 else "dim"
+    return "lidar" if several or plan.density < MIN_MATCHED_M2 else "dim"
 
 
 class Compiler:

@@ -14,7 +14,7 @@ from tiler.schedule.guard import MEMORY_BYTES, Died, Guard, NotStartedError
 
 Result = TypeVar("Result")
 
-LEAST_SECONDS = 60.0
+MIN_SECONDS = 60.0
 BYTES_PER_SECOND = 1e6
 """Lowest speed of reading a whole file. Every disk and decoder is faster."""
 
@@ -27,7 +27,7 @@ def seconds_for(paths: Sequence[Path]) -> float:
             size += stat_cloud(path).st_size
         except (FileNotFoundError, NotADirectoryError):
             continue  # The function that reads the file raises the error.
-    return LEAST_SECONDS + size / BYTES_PER_SECOND
+    return MIN_SECONDS + size / BYTES_PER_SECOND
 
 
 def read_apart(

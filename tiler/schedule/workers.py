@@ -41,7 +41,7 @@ CONNECT_SECONDS = 20
 WORKERS_SECONDS = 20
 """Time until a new cluster has its first worker, since workers start later than their scheduler."""
 CLOSE_SECONDS = 5
-LOOKS_AT_A_TIME = 16
+CONCURRENT_CHECKS = 16
 """Number of workers that are checked at the same time. Each starts a child, which takes about a second."""
 LOOK_SECONDS = 5.0
 """Time between two searches for workers that have joined the cluster."""
@@ -156,7 +156,7 @@ class DaskExecutor:
         self._room = max(sum(threads.values()) + WAITING_PER_WORKER * self.workers, 1)
         if self._judge is not None:
             new = sorted(set(threads) - self._judged)
-            with ThreadPoolExecutor(LOOKS_AT_A_TIME) as pool:
+            with ThreadPoolExecutor(CONCURRENT_CHECKS) as pool:
                 for found in [pool.submit(self._judge_one, self._judge, worker) for worker in new]:
                     found.result()
 

@@ -71,8 +71,8 @@ class LabelStore(BucketStore):
             parts.extend(_places(bucket))
         held: list[npt.NDArray[np.int32]] = [np.empty((3, 0), np.int32)]
         labelled: list[npt.NDArray[np.uint8]] = [np.empty(0, np.uint8)]
-        for start in range(0, len(parts), points.ROWS_AT_ONCE):
-            batch = parts[start : start + points.ROWS_AT_ONCE]
+        for start in range(0, len(parts), points.ROWS_PER_BATCH):
+            batch = parts[start : start + points.ROWS_PER_BATCH]
             xyz = points.read_rows(array, batch)
             keep = (xyz[0] != NOWHERE) & PointBlock(xyz).inside(bounds, self.meta.frame.origin)
             held.append(xyz[:, keep])

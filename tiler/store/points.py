@@ -22,7 +22,7 @@ from tiler.store.part import StorePart
 Mask = npt.NDArray[np.bool_] | None
 Keep = Callable[[PointBlock, "Part"], Mask]
 
-ROWS_AT_ONCE = 8
+ROWS_PER_BATCH = 8
 """Number of rows whose chunks are read together."""
 
 _LABELS = "labels"
@@ -103,8 +103,8 @@ class ColumnStore(StorePart):
         if labels is not None:
             opened[_LABELS] = labels
         gathered: Gathered = {name: [] for name in opened}
-        for start in range(0, len(parts), ROWS_AT_ONCE):
-            _gather(opened, parts[start : start + ROWS_AT_ONCE], keep, gathered)
+        for start in range(0, len(parts), ROWS_PER_BATCH):
+            _gather(opened, parts[start : start + ROWS_PER_BATCH], keep, gathered)
         if kept is not None:
             kept.extend(piece.shape[1] for piece in gathered["xyz"])
         found: dict[str, npt.NDArray[Any]] = {}

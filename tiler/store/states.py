@@ -19,7 +19,7 @@ from tiler.store.part import StorePart
 
 Kept = TypeVar("Kept")
 
-_MOST_CACHED = 6
+_MAX_CACHED = 6
 """Maximum number of areas, edits, breaklines and waters in `_cache`: no run uses more at the same time."""
 _cache: dict[tuple[str, str], Any] = {}
 """Values by URL of the store and name. A name contains a digest of the content, so no value can be outdated.
@@ -96,7 +96,7 @@ class StateStore(StorePart):
             found = self.get_state(name)
             if found is None:
                 raise StoreError(f"{name}: not in {self.url}; run again")
-            while len(_cache) >= _MOST_CACHED:
+            while len(_cache) >= _MAX_CACHED:
                 oldest = next(iter(_cache))
                 _cache.pop(oldest, None)
             _cache[at] = read(found)

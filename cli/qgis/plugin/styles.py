@@ -44,7 +44,7 @@ CUT = 0.01
 """Share of the lowest and of the highest heights that get the first and the last colour."""
 BRIGHTER = 50
 """Brightness added to a hillshade, 0 to 255, so that flat ground nearly keeps its colour."""
-LEAST_RANGE = 1e-3
+MIN_RANGE = 1e-3
 SAMPLE_PIXELS = 300
 """Side, in pixels, of the sample that decides the range of heights."""
 
@@ -83,7 +83,7 @@ def _range(layer: Any) -> tuple[float, float]:
     if not values:
         return 0.0, 1.0
     low, high = values[int(CUT * len(values))], values[int((1 - CUT) * len(values))]
-    return low, max(high, low + LEAST_RANGE)
+    return low, max(high, low + MIN_RANGE)
 
 
 def shade(layer: Any) -> None:

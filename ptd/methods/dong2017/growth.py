@@ -20,7 +20,7 @@ from ptd.methods.dong2017.virtual_border import REACH, rim
 from ptd.passes import Model, Points
 from ptd.tin.mesh import Tin
 
-WIDEST_CELLS = 1.5
+MAX_WIDTH_CELLS = 1.5
 """Largest circumradius of a facet that tests points, in cells. Within the rim it is at most sqrt(2)."""
 
 
@@ -48,7 +48,7 @@ class Stage(NamedTuple):
     @classmethod
     def of_ground(cls, cell_m: float, tins: int) -> Stage:
         """TINs from which ground grows."""
-        return cls(cell_m, WIDEST_CELLS * cell_m, tins, True)
+        return cls(cell_m, MAX_WIDTH_CELLS * cell_m, tins, True)
 
     @property
     def reach_m(self) -> float:

@@ -89,7 +89,7 @@ TIMES_ON_CELLS = 3
 Wide TINs continue beyond a bank that only the finest TINs climbed.
 """
 
-WIDEST_SEEDS = 3.0
+MAX_SEED_CELLS = 3.0
 """Largest circumradius, in seed cells, of a facet of seeds that tests points: seeds lie along streets."""
 
 
@@ -154,7 +154,7 @@ class Dong2017(Dong2017Parameters):
     @property
     def first_stage(self) -> Stage:
         """The TIN of the seeds."""
-        return Stage(self.seed_cell_m, WIDEST_SEEDS * self.seed_cell_m, 1, rim=False)
+        return Stage(self.seed_cell_m, MAX_SEED_CELLS * self.seed_cell_m, 1, rim=False)
 
     @property
     def halo_m(self) -> float:

@@ -13,7 +13,7 @@ from ptd.ground.distance_angle import Bins, Bool, Int64, Threshold, Trial
 from ptd.ground.random_choice import picked_per_cell
 from ptd.tin.mesh import Tin
 
-WIDEST_M = 20.0
+MAX_WIDTH_M = 20.0
 """Largest circumradius of a facet that tests points; larger ones lie under objects or across voids."""
 
 DISTANCE_BIN_M = 0.02  # fine compared with the noise of matched clouds, about 0.1 m
@@ -25,7 +25,7 @@ _SALT = 2018
 
 def reach_m(scale_m: float) -> float:
     """Metres around a point within which facets decide on it: the largest circle, and the cells cut by its edge."""
-    return 2.0 * WIDEST_M + 2.0 * scale_m
+    return 2.0 * MAX_WIDTH_M + 2.0 * scale_m
 
 
 class EvenTin:
@@ -57,7 +57,7 @@ class EvenTin:
             px, py = x[picked], y[picked]
             box = int(px.min()), int(py.min()), int(px.max()) + 1, int(py.max()) + 1
         self._doubt = Doubt(known, known, box, scale)
-        self._trial = Trial(tin, scale, WIDEST_M, self._doubt, largest=True)
+        self._trial = Trial(tin, scale, MAX_WIDTH_M, self._doubt, largest=True)
         self.vertices = int(picked.size)
 
     def histogram(self, x: Int32, y: Int32, z: Int32, which: Bool) -> Int64:

@@ -23,7 +23,7 @@ from ptd.passes import Measured, MethodRefusal, Model, Pass, Points, State, UInt
 
 SPARSE_M2 = 1.0
 """Points per square metre below which no plausible noise has an effect."""
-LONGEST_STOP_M = 1000.0
+MAX_STOP_M = 1000.0
 """Upper limit of ``edge_length_stop_m``. Noise of many metres would require longer edges."""
 
 
@@ -69,7 +69,7 @@ class NoisePass(Pass):
         density = f"{found.density_m2:.3g} points/m2"
         assumed = sigma
         if assumed is None:
-            assumed = noise_sums.LARGEST_SIGMA_M
+            assumed = noise_sums.MAX_SIGMA_M
         least = self.params.threshold_m2(assumed)
         if found.density_m2 < SPARSE_M2 or (sigma is None and found.density_m2 <= least):
             return with_notes(
@@ -142,7 +142,7 @@ class StageOneModel(TinLabels):
         low = self._pits.holds(x, y, z)
         cell = float(state["thin_cell_m"])
         x, y, z = thinned((x[~low], y[~low], z[~low]), cell, scale)
-        edge = min(round(even_edge_m(state["threshold_m2"]), DECIMALS), LONGEST_STOP_M)
+        edge = min(round(even_edge_m(state["threshold_m2"]), DECIMALS), MAX_STOP_M)
         limits = replace(params, edge_length_stop_m=max(params.edge_length_stop_m, edge)).limits(scale)
         cells = Cells.of(cell, scale)
         known = window.inside(Cells.of(pits.CELL_M, scale), pits.REACH_CELLS).inside(cells)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 import ptd
 from ptd import Evidence
-from ptd.matched.evidence import COLOUR, DIM, LIDAR, MOST_SURE, Piece, concluded, decided_by
+from ptd.matched.evidence import COLOUR, DIM, LIDAR, MAX_CONFIDENCE, Piece, concluded, decided_by
 
 N = 500
 RNG = np.random.default_rng(1)
@@ -60,7 +60,7 @@ def test_weights_are_logarithms_of_odds() -> None:
     assert made.kind == DIM
     assert made.sure == pytest.approx(math.exp(2.4) / (1 + math.exp(2.4)))
     assert made.why == "a; c"
-    assert concluded([Piece(-40, "much")]).sure == MOST_SURE
+    assert concluded([Piece(-40, "much")]).sure == MAX_CONFIDENCE
 
 
 shares = st.none() | st.floats(0, 1)

@@ -9,7 +9,7 @@ from ptd.frame import Scale
 from ptd.ground.connected import connected_surfaces
 from ptd.matched.cells import EMPTY
 from ptd.matched.hull import ROOFS_TILT_BLOCKS, hull_below, tilts
-from ptd.matched.objects import DIAGONAL, WIDEST_M, judged
+from ptd.matched.objects import DIAGONAL, MAX_WIDTH_M, judged
 from ptd.matched.surface import STIFF
 
 MM = Scale()
@@ -83,7 +83,7 @@ def test_a_ridge_is_terrain_but_not_the_top_of_a_wood(full_of_gaps: bool) -> Non
     assert of(z)[1][61, 33] == (not full_of_gaps)
 
 
-@pytest.mark.parametrize(("wide", "is_object"), [(int(WIDEST_M), True), (int(WIDEST_M) + 1, False)])
+@pytest.mark.parametrize(("wide", "is_object"), [(int(MAX_WIDTH_M), True), (int(MAX_WIDTH_M) + 1, False)])
 def test_what_is_wider_than_a_limit_is_terrain(wide: int, is_object: bool) -> None:
     side = 260
     plateau = box(side, 100, 150, 30, 30 + wide)

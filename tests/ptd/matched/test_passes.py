@@ -15,7 +15,7 @@ from ptd.matched.ground_model import Ground, Place, _heights_above
 from ptd.matched.passes import PASSES, CellModel, ObjectPass
 from ptd.matched.step import OBJECT, Codes, noise_m
 from ptd.matched.surface import Surface
-from ptd.matched.survey import LEAST_CELL_SIGMA_M, MOST_CELL_SIGMA_M, Seen, figures
+from ptd.matched.survey import MAX_CELL_SIGMA_M, MIN_CELL_SIGMA_M, Seen, figures
 from ptd.methods.auto.label_thresholds import decided
 from ptd.methods.auto.method import Auto
 from ptd.passes import Points
@@ -43,10 +43,10 @@ def survey(
     [
         (0.07, None, 0.07),
         (0.07, 0.12, 0.12),
-        (None, None, LEAST_CELL_SIGMA_M),
-        (0.001, None, LEAST_CELL_SIGMA_M),
-        (0.9, None, MOST_CELL_SIGMA_M),
-        (0.07, 0.9, MOST_CELL_SIGMA_M),
+        (None, None, MIN_CELL_SIGMA_M),
+        (0.001, None, MIN_CELL_SIGMA_M),
+        (0.9, None, MAX_CELL_SIGMA_M),
+        (0.07, 0.9, MAX_CELL_SIGMA_M),
     ],
 )
 def test_noise_is_that_of_the_smoothest_places_within_limits(

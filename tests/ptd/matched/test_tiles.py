@@ -44,7 +44,7 @@ def test_walls_roofs_crowns_and_blunders_are_no_ground() -> None:
 def short_sighted(monkeypatch: pytest.MonkeyPatch) -> type[Auto]:
     """`auto` whose matched branch sees less far, so that tiles of a small scene have neighbours beyond their reach."""
     short_sighted_surface(monkeypatch)
-    monkeypatch.setattr(objects, "WIDEST_M", 14.0)
+    monkeypatch.setattr(objects, "MAX_WIDTH_M", 14.0)
     monkeypatch.setattr(objects, "TERRAIN_M", 10.0)
     seen = max(
         side * (objects.reach_cells(side) + replace(surface.STIFF, cell_m=side).reach + 1)

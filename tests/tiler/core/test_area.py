@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tiler.core.area import LONGEST_EDGE, Area, Places, in_runs, shortened
+from tiler.core.area import MAX_EDGE, Area, Places, in_runs, shortened
 from tiler.core.area_index import AreaIndex
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.raster import Block, RasterSpec
@@ -112,10 +112,10 @@ def test_a_window_inside_needs_no_cells() -> None:
 
 
 def test_long_edges_are_divided() -> None:
-    ring = np.array([[0, 0], [5 * LONGEST_EDGE, 7], [0, 3 * LONGEST_EDGE]], np.int64)
+    ring = np.array([[0, 0], [5 * MAX_EDGE, 7], [0, 3 * MAX_EDGE]], np.int64)
     parts = shortened(ring)
     steps = np.abs(np.roll(parts, -1, axis=0) - parts)
-    assert steps.max() <= LONGEST_EDGE
+    assert steps.max() <= MAX_EDGE
     assert {tuple(p) for p in ring.tolist()} <= {tuple(p) for p in parts.tolist()}
     assert shortened(STAR).tolist() == STAR.tolist()
 
@@ -141,7 +141,7 @@ def test_an_outline_of_thousands_of_kilometres_is_found_in_bounded_time(
     lattice, window = Lattice(Fraction(10)), Bounds(-5000, -5000, 5000, 5000)
     area = Area(((np.array([[-4000, -3900], [4100, -3000], [200, 4300]], np.int64),),))
     exact = area.cells(lattice, window, 7)
-    monkeypatch.setattr("tiler.core.area.MOST_BOXES", 100)
+    monkeypatch.setattr("tiler.core.area.MAX_BOXES", 100)
     rough = area.cells(lattice, window, 7)
     assert exact is not None
     assert rough is not None

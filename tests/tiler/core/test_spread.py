@@ -44,7 +44,7 @@ def test_a_tally_equals_the_spread_up_to_its_step() -> None:
 
 
 def test_a_tally_that_grows_too_large_gets_coarser(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(module, "MOST_STEPS", 300)
+    monkeypatch.setattr(module, "MAX_STEPS", 300)
     d = np.random.default_rng(6).uniform(-5, 5, 20_000)
     tally = SpreadTally()
     for part in np.split(d, 20):

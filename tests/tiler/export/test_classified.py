@@ -204,7 +204,7 @@ def test_copc_becomes_plain_laz(shared_data: Path, memory_store: Any, tmp_path: 
 def test_rows_in_several_ranges_and_steps(
     make_cloud: Any, memory_store: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(classified, "ROWS_AT_ONCE", 300)
+    monkeypatch.setattr(classified, "ROWS_PER_BATCH", 300)
     monkeypatch.setattr(classified, "_STEP", 70)
     path = make_cloud("a.laz")
     labels = {row: 1 + row % 2 for row in range(1000)}
@@ -285,7 +285,7 @@ def test_wave_packets_of_several_channels_are_refused_not_damaged(
 
 
 def test_nodes_that_lie_together_share_what_is_read_of_the_store(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(classified, "ROWS_AT_ONCE", 10)
+    monkeypatch.setattr(classified, "ROWS_PER_BATCH", 10)
     ranges = [(0, 3), (4, 2), (9, 4), (30, 25)]
     spans = list(classified._spans(ranges))
     assert spans == [[(0, 3), (4, 6)], [(9, 13)], [(30, 40)], [(40, 50)], [(50, 55)]]

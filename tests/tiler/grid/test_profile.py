@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from tiler.grid.course import course_of, mean_width
-from tiler.grid.profile import LEAST_PIXELS, profile_along
+from tiler.grid.profile import MIN_PIXELS, profile_along
 
 NONE = np.empty((3, 0), np.int64)
 STRAIGHT = np.array([[0.0, 0.0], [300_000.0, 0.0], [600_000.0, 0.0]])
@@ -74,7 +74,7 @@ def test_a_dam_is_a_step_and_the_water_on_both_sides_is_level() -> None:
 def test_without_evidence_at_two_places_there_are_no_two_stations() -> None:
     few = np.array([[0, 1, 2, 3, 4], [0] * 5, [7000] * 5])
     assert len(profile_along(STRAIGHT, NONE, few, 40_000).stations) < 2
-    assert not profile_along(STRAIGHT, few[:, : LEAST_PIXELS - 1], NONE, 40_000).stations
+    assert not profile_along(STRAIGHT, few[:, : MIN_PIXELS - 1], NONE, 40_000).stations
 
 
 @given(st.integers(0, 10_000), st.floats(0, 3), st.floats(0, 0.5))

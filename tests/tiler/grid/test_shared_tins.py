@@ -71,7 +71,7 @@ def test_blocks_far_apart_and_other_interpolations_stay_alone() -> None:
 
 
 def test_a_task_has_no_more_pixels_than_the_memory_is_planned_for(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tiler.grid.tasks.shared_tins.MOST_PIXELS", 2 * 512 * 512)
+    monkeypatch.setattr("tiler.grid.tasks.shared_tins.MAX_PIXELS", 2 * 512 * 512)
     assert len(joined_blocks(plan(), RECORDS, tasks(), 1)) >= 3
 
 

@@ -86,7 +86,7 @@ def test_water_between_rising_banks_is_found(ground: np.ndarray, wet: np.ndarray
 def test_the_land_around_may_be_compared_in_pieces(left: float, monkeypatch: pytest.MonkeyPatch) -> None:
     given = cells(VALLEY, RIVER, left)
     whole = [(body.tolist(), sure) for body, sure in bodies(given)]
-    monkeypatch.setattr(water_cells, "PLACES_AT_ONCE", 7)
+    monkeypatch.setattr(water_cells, "PLACES_PER_BATCH", 7)
     monkeypatch.setattr(reach, "STRIP_ROWS", 9)
     assert whole
     assert [(body.tolist(), sure) for body, sure in bodies(given, pieces=5)] == whole

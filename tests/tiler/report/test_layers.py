@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import shapely
 
-from tiler.core.map_lines import MOST_VERTICES, rings_of
+from tiler.core.map_lines import MAX_VERTICES, rings_of
 from tiler.report.drawn import drawn, shapes
 
 RING = [0.0, 0.0, 9.0, 0.0, 9.0, 9.0, 0.0, 0.0]
@@ -34,6 +34,6 @@ def test_an_outline_of_many_steps_fits_the_page_and_stays_where_it_is() -> None:
     wave = 5000 + 500 * np.sin(900 * angle)
     coast = shapely.Polygon(np.column_stack((wave * np.cos(angle), wave * np.sin(angle))))
     rings = rings_of(np.array([coast], object), 2.0)
-    assert sum(len(ring) for ring in rings) <= 2 * MOST_VERTICES
+    assert sum(len(ring) for ring in rings) <= 2 * MAX_VERTICES
     drawn_ring = shapely.Polygon(np.reshape(rings[0], (-1, 2)))
     assert abs(drawn_ring.area / coast.area - 1) < 0.1

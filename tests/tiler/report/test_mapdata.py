@@ -57,7 +57,7 @@ def test_the_pass_that_labels_comes_first_and_what_does_not_fit_is_left_out(
     titles = [stage["title"] for stage in map_data(content, None, {})["stages"]]
     first = "filter: seeds, densification, labels"
     assert titles == ["filter, pass 2", first, "grid: terrain", "grid: density"]
-    monkeypatch.setattr(mapdata, "MOST_TILES", 11)
+    monkeypatch.setattr(mapdata, "MAX_TILES", 11)
     assert [s["name"] for s in map_data(content, None, {})["stages"]] == ["filter1", "filter0"]
 
 

@@ -87,7 +87,7 @@ def test_a_single_pixel_and_an_empty_raster(tmp_path: Path) -> None:
 def test_pictures_shrink_until_they_fit(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     noise = np.random.default_rng(1).normal(100, 20, (600, 900)).astype(np.float32)
     results.write_raster(tmp_path / "dtm.tif", noise)
-    monkeypatch.setattr(pictures, "MOST_BYTES", 100_000)
+    monkeypatch.setattr(pictures, "MAX_BYTES", 100_000)
     found = draw({"dtm": tmp_path / "dtm.tif"}, results.run())
     assert found is not None
     assert 50_000 < sum(len(p.uri) for p in found.pictures) * 3 / 4 <= 100_000

@@ -27,8 +27,8 @@ from tiler.errors import ConfigError
 from tiler.io.json_text import excerpt
 
 STANDARD = "ASPRS Positional Accuracy Standards for Digital Geospatial Data, Edition 2"
-LEAST_POINTS = 30  # the standard's numbers of checkpoints
-MOST_POINTS = 120
+MIN_POINTS = 30  # the standard's numbers of checkpoints
+MAX_POINTS = 120
 OUTLIER_NMADS = 3.0
 """Distance of an outlier from the median, in NMAD. Outliers are named, and stay in all figures."""
 _ROUNDING = 1e-9
@@ -220,7 +220,7 @@ def _figures(difference: Floats, own_rmse: float) -> dict[str, Any]:
 def least_points(area_km2: float) -> int:
     """Checkpoints that the standard requires: 30 up to 1000 km2, 10 more per further 1000 km2, 120 at most."""
     further = max(math.ceil(min(area_km2, 1e9) / 1000) - 1, 0)
-    return min(LEAST_POINTS + 10 * further, MOST_POINTS)
+    return min(MIN_POINTS + 10 * further, MAX_POINTS)
 
 
 def _area_km2(raster: Any) -> float:

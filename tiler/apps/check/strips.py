@@ -22,9 +22,9 @@ from tiler.schedule import half_of_memory, read_apart
 
 CELL_M = 2.0
 """Side of the compared cells: large enough for a few points of each strip, small enough to be nearly flat."""
-LEAST_POINTS = 3
+MIN_POINTS = 3
 """Fewest points of each strip in a compared cell."""
-MOST_ROUGH_M = 0.1
+MAX_ROUGH_M = 0.1
 """Largest standard deviation of a strip's heights in a compared cell; others are too rough or steep."""
 
 Floats = npt.NDArray[np.float64]
@@ -81,7 +81,7 @@ def _strips_of(paths: Sequence[Path]) -> dict[str, Any]:
         "metres_per_unit": float(vertical),
         "cell_m": CELL_M,
         "strips": {str(strip): strips[strip] for strip in sorted(strips)},
-        **_compared(keys, sums, MOST_ROUGH_M / float(vertical)),
+        **_compared(keys, sums, MAX_ROUGH_M / float(vertical)),
     }
 
 
@@ -104,7 +104,7 @@ def _compared(keys: Int64s, sums: Floats, most_rough: float) -> dict[str, Any]:
     n, total, squares = sums
     mean = total / n
     deviation = np.sqrt(np.maximum(squares / n - mean**2, 0.0))
-    fit = (n >= LEAST_POINTS) & (deviation <= most_rough)
+    fit = (n >= MIN_POINTS) & (deviation <= most_rough)
     firsts, seconds = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
     rough, step = 0, 1
     while True:

@@ -33,9 +33,9 @@ BANDS = (
     "type I, percent of the cell's points",
     "type II, percent of the cell's points",
 )
-MOST_CELLS = 1 << 31
+MAX_CELLS = 1 << 31
 """Most cells of a map; stray points far away would make it arbitrarily large."""
-LARGEST_PICTURE = 4000
+MAX_PICTURE = 4000
 """Longest side of a PNG in pixels; larger maps are drawn in larger cells."""
 
 _COLOURS = {
@@ -165,7 +165,7 @@ def write_error_map(grid: ErrorGrid, folder: Path, name: str, crs: str | None) -
     if grid.places.shape[1] == 0:
         return []
     _, _, width, height = grid.extent
-    if width * height > MOST_CELLS:
+    if width * height > MAX_CELLS:
         raise ConfigError(
             f"{name}: an error map of {width} x {height} cells is too large; use larger --map-cell"
         )
@@ -173,7 +173,7 @@ def write_error_map(grid: ErrorGrid, folder: Path, name: str, crs: str | None) -
     with raster_errors(folder):
         tif.parent.mkdir(parents=True, exist_ok=True)
     _write_geotiff(grid, tif, crs)
-    factor = math.ceil(max(width, height) / LARGEST_PICTURE)
+    factor = math.ceil(max(width, height) / MAX_PICTURE)
     small = grid
     if factor > 1:
         small = grid.coarser(factor)

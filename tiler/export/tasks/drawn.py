@@ -29,7 +29,7 @@ from tiler.version import __version__
 
 SMOOTH_PIXELS = 2
 """Standard deviation of the Gaussian that smooths the heights, where the user names none."""
-SPOT_REACH_M, WIDEST_REACH = 50, 256
+SPOT_REACH_M, MAX_REACH = 50, 256
 """How far around a spot nothing is higher or lower; and the pixels that this is at most."""
 
 
@@ -48,7 +48,7 @@ def drawn_tasks(g: Gridding, out: str, noise_m: float) -> Iterator[Task]:
     }
     smooth = config.contour_smooth
     sigma = Fraction(SMOOTH_PIXELS) if smooth is None else smooth / plan.resolution
-    reach = min(math.ceil(SPOT_REACH_M / plan.resolution), WIDEST_REACH)
+    reach = min(math.ceil(SPOT_REACH_M / plan.resolution), MAX_REACH)
     works: dict[str, tuple[Work, DrawnFile]] = {
         CONTOURS: (write_contours, WriteContours(**common, sigma=float(sigma))),
         SPOTS: (write_spots, WriteSpots(**common, reach=reach)),

@@ -25,7 +25,7 @@ from tiler.plan.halos import MAX_HALO_FACTOR, widened
 from tiler.plan.memory import BASE_BYTES, bucket_bytes, filter_bytes, held_bytes
 from tiler.plan.sizes import SPARSE_TILE_M
 
-WIDEST_WINDOW = MAX_EXTENT // 2
+MAX_WINDOW = MAX_EXTENT // 2
 """Longest side of a window, in counts, with which a TIN is exact even if the method widens the window."""
 
 NEAR_HALF = 0.1
@@ -151,7 +151,7 @@ def _halo(plan: Plan, step: PlannedPass) -> int:
 
 def _too_wide(plan: Plan, cells: Sequence[Cell], halo: int) -> bool:
     window = plan.meta.bucket.hull(cells).pad(MAX_HALO_FACTOR * halo)
-    return max(window.x1 - window.x0, window.y1 - window.y0) > WIDEST_WINDOW
+    return max(window.x1 - window.x0, window.y1 - window.y0) > MAX_WINDOW
 
 
 def _widest(plan: Plan, records: Records, step: PlannedPass, cells: Sequence[Cell], halo: int) -> int:

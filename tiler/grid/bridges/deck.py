@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from tiler.grid.bridges.deck_cells import DROP_M, WIDEST_M
+from tiler.grid.bridges.deck_cells import DROP_M, MAX_WIDTH_M
 from tiler.grid.bridges.deck_sides import BESIDE_M, TOLERANCE_M, Bools, Floats, Sides, sides_of
 
 Ints = npt.NDArray[np.intp]
@@ -25,25 +25,25 @@ Surface = tuple[float, float, float, float]
 
 END_M = 12.0
 """Distance beyond the free part within which the ground beside comes up and the road goes on."""
-SHORTEST_M, LONGEST_M = 5.0, 300.0
+MIN_LENGTH_M, MAX_LENGTH_M = 5.0, 300.0
 """Limits of the length of the free part."""
-NARROWEST_M = 2.0
+MIN_WIDTH_M = 2.0
 """Least width of the free part."""
 SLIMNESS = 1.0
 """Least length over width of the free part."""
-FEWEST_SLICES = 4
+MIN_SLICES = 4
 """Least number of slices of the free part."""
 CLEARANCE_M = 2.0
 """Least height of a deck above what lies beside it: lower ones look like terraces, or banks with plants."""
-LEAST_SLICE_M = 1.5
+MIN_SLICE_M = 1.5
 """Least length of a slice."""
-MOST_TURNS = 2
+MAX_TURNS = 2
 """Most corrections of a deck's direction."""
 STRAIGHT = 0.02
 """Slope of a deck's edges, against its direction, that needs no correction."""
 ROAD_SLICES = 3
 """Slices beyond an end in which the road has to go on."""
-FEWEST_ROAD, MOSTLY_ROAD = 3, 0.5
+MIN_ROAD_SLICES, MOSTLY_ROAD = 3, 0.5
 """Least number of ground points of the road there, and their least share of all points there."""
 INNER_M = 0.7
 """Distance within a deck's edges from which on a point lies beneath the deck."""
@@ -131,7 +131,7 @@ def find_deck(
         if free is None:
             return None, "no part stands free on both sides"
         slope = _slope(view, free)
-        if turns == MOST_TURNS or abs(slope) < STRAIGHT:
+        if turns == MAX_TURNS or abs(slope) < STRAIGHT:
             break
         along, turns = along + slope * np.array((-along[1], along[0])), turns + 1
         along = along / np.hypot(*along)
@@ -155,7 +155,7 @@ def _seen(xyz: Floats, seeds: Bools, centre: Floats, along: Floats, spacing: flo
     surface = _fitted(s, t, xyz[:, 2], seeds)
     if surface is None:
         return None
-    off, width = xyz[:, 2] - _height(surface, s, t), max(LEAST_SLICE_M, 2.5 * spacing)
+    off, width = xyz[:, 2] - _height(surface, s, t), max(MIN_SLICE_M, 2.5 * spacing)
     first, last = s[seeds].min() - 2 * END_M, s[seeds].max() + 2 * END_M
     numbers = np.arange(np.floor(first / width), np.ceil(last / width))
     return _View(s, t, off, surface, numbers * width, width, sides_of(s, t, off, numbers, width, spacing))
@@ -169,8 +169,8 @@ def _slope(view: _View, free: Ints) -> float:
 
 
 def _wrong_size(long: float, wide: float, slices: int) -> str:
-    shortest = max(SHORTEST_M, SLIMNESS * wide)
-    if NARROWEST_M <= wide <= WIDEST_M and shortest <= long <= LONGEST_M and slices >= FEWEST_SLICES:
+    shortest = max(MIN_LENGTH_M, SLIMNESS * wide)
+    if MIN_WIDTH_M <= wide <= MAX_WIDTH_M and shortest <= long <= MAX_LENGTH_M and slices >= MIN_SLICES:
         return ""
     return f"{long:.0f} m by {wide:.0f} m"
 
@@ -197,7 +197,7 @@ def _wrong_end(view: _View, ground: Bools, edges: Floats, end: int, step: int, c
     box = (view.s >= begins.min()) & (view.s < begins.max() + view.width)
     box &= (view.t > np.median(edges[:, 0])) & (view.t < np.median(edges[:, 1]))
     road = int((box & ground & (np.abs(view.off) < 2 * TOLERANCE_M)).sum())
-    if road >= max(FEWEST_ROAD, MOSTLY_ROAD * int(box.sum())):
+    if road >= max(MIN_ROAD_SLICES, MOSTLY_ROAD * int(box.sum())):
         return ""
     return "no road goes on at an end"
 

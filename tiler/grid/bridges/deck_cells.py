@@ -23,9 +23,9 @@ CLEAR_M = 1.8
 """Least height of the highest part of a deck above the ground beside it; such parts are searched first."""
 STEP_M = 0.5
 """Largest difference of height between neighbouring cells of a deck."""
-WIDEST_M, LONGEST_M, VOID_M = 40.0, 60.0, 40.0
+MAX_WIDTH_M, MAX_LENGTH_M, VOID_M = 40.0, 60.0, 40.0
 """Widest deck; distance along it, either way, to where the road reaches ground; distance to the far bank of water."""
-REACH_M = WIDEST_M + LONGEST_M + VOID_M
+REACH_M = MAX_WIDTH_M + MAX_LENGTH_M + VOID_M
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ def _spans(cells: Cells, direction: int) -> tuple[Ints, Ints, Ints]:
     rows, cols = rows[edge], cols[edge]
     start_rows, start_cols, before = rows, cols, cells.top[rows, cols]
     found = [np.empty((3, 0), np.int64)]
-    for step in range(cells.steps(WIDEST_M)):
+    for step in range(cells.steps(MAX_WIDTH_M)):
         ended = _drops(cells, rows, cols, before, direction, -1)
         if step:
             found.append(np.stack((start_rows[ended], start_cols[ended], np.full(int(ended.sum()), step))))
@@ -126,7 +126,7 @@ def _spans(cells: Cells, direction: int) -> tuple[Ints, Ints, Ints]:
         rows, cols, start_rows, start_cols = rows[go_on], cols[go_on], start_rows[go_on], start_cols[go_on]
     first_rows, first_cols, steps = np.concatenate(found, axis=1)
     places = []
-    for step in range(cells.steps(WIDEST_M) + 1):
+    for step in range(cells.steps(MAX_WIDTH_M) + 1):
         down, right = along(direction, -step)
         has = np.flatnonzero(steps >= step)
         middle = (step == steps[has] // 2).astype(np.int64)
@@ -141,7 +141,7 @@ def _road_goes_on(cells: Cells, marked: Bools, rows: Ints, cols: Ints, direction
     which, before, gaps = np.arange(len(rows)), cells.at(cells.top, rows, cols), np.zeros(len(rows), np.int64)
     arrived = np.zeros(len(rows), np.int64)
     turn = direction + sign * DIRECTIONS // 2
-    for step in range(1, cells.steps(LONGEST_M) + 1):
+    for step in range(1, cells.steps(MAX_LENGTH_M) + 1):
         down, right = along(turn, step)
         r, c = rows[which] + down, cols[which] + right
         here, inside = cells.at(cells.top, r, c), cells.inside(r, c)

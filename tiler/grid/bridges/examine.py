@@ -32,7 +32,7 @@ LOWEST = -(1 << 31)
 """Counts below which no point lies."""
 FEWEST = 12
 """Points that a deck has at least."""
-MOST_DIRECTIONS = 3
+MAX_DIRECTIONS = 3
 """Directions across a deck that are tried, those of the most cells first."""
 
 
@@ -136,7 +136,7 @@ def _examine(
     xyz = (counts - corner) * metres
     places, why = np.array(cells), "too few points"
     votes = np.bincount(places[:, 2], minlength=DIRECTIONS)
-    for direction in np.argsort(-votes, kind="stable")[:MOST_DIRECTIONS].tolist():
+    for direction in np.argsort(-votes, kind="stable")[:MAX_DIRECTIONS].tolist():
         mask = np.zeros(shape, np.bool_)
         mine = places[places[:, 2] == direction, :2] - (top, left)
         there = ((mine >= 0) & (mine < shape)).all(axis=1)

@@ -34,13 +34,13 @@ from tiler.version import __version__
 REMOVE = "remove"
 CELLS, DECKS = "deck-cells", "decks"
 """Names of the stages."""
-WIDEST_M = 600.0
+MAX_WIDTH_M = 600.0
 """A place that is larger is no bridge, and its points are too many to look at once."""
 TOUCHING = 1.5
 """Cells: distance of the centres of cells that touch at a side or corner, and no others."""
-MOST_TOLD = 5
+MAX_REPORTED = 5
 """Bridges whose sizes and places are told in the log; all are in the report."""
-FEWEST_CELLS = 4
+MIN_CELLS = 4
 """A place of fewer is too small for a bridge."""
 ABOVE_M = 0.6
 """Largest height of a deck's points above its surface; points below it belong to the nearer of deck and ground."""
@@ -68,13 +68,13 @@ def _told(records: Sequence[Mapping[str, Any]], frame: CoordFrame) -> str:
     if not records:
         return "no bridge was found above the ground, so none was removed from the terrain (--bridges remove)"
     texts = []
-    for record in records[:MOST_TOLD]:
+    for record in records[:MAX_REPORTED]:
         x, y = np.mean(record["ring"], axis=0) / COUNTS_PER_UNIT
         long, wide = (
             length_text(round(record[f"{name}_m"]), frame.units.horizontal) for name in ("length", "width")
         )
         texts.append(f"{long} long and {wide} wide at x {x:.0f}, y {y:.0f}")
-    more = f", and {len(records) - MOST_TOLD} more" if len(records) > MOST_TOLD else ""
+    more = f", and {len(records) - MAX_REPORTED} more" if len(records) > MAX_REPORTED else ""
     found = counted(len(records), "bridge")
     return f"left out of the terrain: {found} ({'; '.join(texts)}{more}; --bridges keep leaves bridges in)"
 
@@ -98,8 +98,8 @@ def _deck_tasks(g: Gridding, found: Commits) -> Iterator[Task]:
     for cells in _places(found):
         bounds = examined(spec, cells, metres)
         if (
-            len(cells) >= FEWEST_CELLS
-            and max(bounds.x1 - bounds.x0, bounds.y1 - bounds.y0) * metres <= WIDEST_M
+            len(cells) >= MIN_CELLS
+            and max(bounds.x1 - bounds.x0, bounds.y1 - bounds.y0) * metres <= MAX_WIDTH_M
         ):
             groups[next(lattice.cells(bounds))].append(cells)
     for cell, places in sorted(groups.items()):

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from tiler.core.breaklines import SHORTEST_M, Breaklines
+from tiler.core.breaklines import MIN_LENGTH_M, Breaklines
 from tiler.core.edits import ACTIONS, OF_PIXELS, OF_POINTS, TO_GROUND, DrawnDeck, Edit, Edits
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds, Cell, Lattice
@@ -103,7 +103,7 @@ def correct(job: Job, assembled: Assembled, labelled: Labelled) -> tuple[Labelle
         labelled = replace(labelled, digests=_labels(plan, edits, labels))
     if plan.lines:
         pixel = plan.meta.frame.counts(plan.resolution)
-        lines = Breaklines.of(plan.lines, pixel, plan.meta.frame.counts(SHORTEST_M), assembled.bounds)
+        lines = Breaklines.of(plan.lines, pixel, plan.meta.frame.counts(MIN_LENGTH_M), assembled.bounds)
         job.store.put_breaklines(lines)
         vertices, on_map = len(lines.vertices), drawn(plan.lines)
         job.facts["breaklines"] = {"lines": len(plan.lines), "vertices": vertices, "drawn": on_map}

@@ -28,7 +28,7 @@ from tiler.version import __version__
 
 COARSE_CELL_M = 2
 """Side of a coarse cell, where `--max-edge` is not small. All usual pixels have it, so they find the same water."""
-WIDEST_USUAL_PIXEL_M = 10
+MAX_USUAL_PIXEL_M = 10
 """Coarse cells of larger pixels are these pixels: such points are too sparse for water, and may lie very far apart."""
 GAP_M = 20
 """Gaps up to this width belong to every survey: shadows of buildings, gaps between strips."""
@@ -216,7 +216,7 @@ class Gridding:
     def coarse_m(self) -> Fraction:
         """Metres of a coarse cell."""
         usual = min(Fraction(COARSE_CELL_M), self.plan.config.max_edge / 4)
-        if self.plan.resolution <= WIDEST_USUAL_PIXEL_M:
+        if self.plan.resolution <= MAX_USUAL_PIXEL_M:
             return usual
         return max(usual, self.plan.resolution)
 

@@ -21,7 +21,7 @@ from tiler.plan import Plan
 from tiler.plan.memory import GROUND_BYTES, TIN_BYTES
 from tiler.schedule import Task
 
-MOST_PIXELS = 16 * BLOCK_PIXELS**2
+MAX_PIXELS = 16 * BLOCK_PIXELS**2
 """Most pixels of a task: they take 13 bytes each, which is little beside the base of a worker."""
 TASKS_PER_WORKER = 4
 """Tasks are divided, so that no worker waits for the others, until there are this many for each worker."""
@@ -93,7 +93,7 @@ def _fitting(survey: _Survey, most: int) -> list[_Group]:
 
 
 def _too_large(group: _Group, most: int) -> bool:
-    return group.points > most or group.pixels > MOST_PIXELS
+    return group.points > most or group.pixels > MAX_PIXELS
 
 
 def _busy(survey: _Survey, groups: list[_Group], workers: int) -> list[_Group]:

@@ -15,7 +15,7 @@ from tiler.grid import CELL_PIXELS
 from tiler.runs.job import Job
 from tiler.store import Commits
 
-MOST_LISTED = 1000
+MAX_LISTED = 1000
 """Voids in run.json, the largest."""
 TOUCHING = 1.5
 """Cells: distance of the centres of cells that touch at a side or corner, and no others."""
@@ -37,7 +37,7 @@ def tell_of_voids(job: Job, spec: RasterSpec, outlined: Commits) -> None:
         "pixels": sum(void["pixels"] for void in voids),
         "asked_pixels": sum(record["voided"] for record in records),
         "number": len(voids),
-        "largest": voids[:MOST_LISTED],
+        "largest": voids[:MAX_LISTED],
     }
 
 

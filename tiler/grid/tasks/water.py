@@ -17,7 +17,7 @@ from tiler.grid.tasks.gridding import Gridding
 from tiler.grid.tasks.survey import names_of, near_places
 from tiler.grid.tasks.water_facts import tell_of_levels
 from tiler.grid.tasks.water_search import area_sums
-from tiler.grid.water_find import LEAST_LENGTH
+from tiler.grid.water_find import MIN_LENGTH
 from tiler.io.result_folder import WATER
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage
@@ -83,7 +83,7 @@ def _found(job: Job, g: Gridding) -> tuple[Water, ...]:
 def _body_tasks(g: Gridding) -> Iterator[Task]:
     """One for each connected area of water that is large enough."""
     config, coarse = g.plan.config, g.coarse
-    least_m2 = min(config.water_min_lake, LEAST_LENGTH * config.water_min_river_width**2)
+    least_m2 = min(config.water_min_lake, MIN_LENGTH * config.water_min_river_width**2)
     joined = g.areas(CELLS)
     for name, (cells, known, hundredths) in area_sums(joined, g.records(CELLS)).items():
         if cells * g.coarse_m**2 < least_m2:

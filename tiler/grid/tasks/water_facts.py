@@ -16,7 +16,7 @@ from tiler.store import Commits
 
 SURE = 0.8
 """A body with less certainty is a problem."""
-MOST_FLOATING = 0.005
+MAX_FLOATING = 0.005
 """A larger share of the shore below the level of the water is a problem."""
 
 
@@ -54,7 +54,7 @@ def _doubts(body: Water, record: Mapping[str, Any], unit: Fraction) -> list[dict
         )
         found.append((text, _place(body)))
     share, lowest = record.get("floating", (0.0, None))
-    if share > MOST_FLOATING and lowest is not None:
+    if share > MAX_FLOATING and lowest is not None:
         x, y = (value / COUNTS_PER_UNIT for value in lowest)
         text = (
             f"{_named(body)}: {share:.1%} of its shore lies more than {length_text(NOISE_M, unit)} below its level, "

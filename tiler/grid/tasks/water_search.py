@@ -22,7 +22,7 @@ from tiler.grid.returns import usual_returns
 from tiler.grid.tasks.gridding import Gridding, Place, Raster
 from tiler.grid.tasks.survey import names_of, near_places
 from tiler.grid.water_cells import ENOUGH_RETURNS, Rim, Size, judged
-from tiler.grid.water_find import LEAST_LENGTH
+from tiler.grid.water_find import MIN_LENGTH
 from tiler.grid.water_ground import NEAR_CELLS
 from tiler.grid.water_planes import DAM_M, SHORE_CELLS, Plane
 from tiler.schedule import Task
@@ -210,7 +210,7 @@ def _rims(g: Gridding, rims: str, which: int = 0) -> dict[Piece, Rim]:
 def _likely_planes(g: Gridding, planes: str) -> tuple[list[Piece], list[Piece]]:
     """Planes that may be water by themselves, and others that may lie beside them."""
     config, joined, records = g.plan.config, g.areas(planes), g.records(planes)
-    least_m2 = float(min(config.water_min_lake, LEAST_LENGTH * config.water_min_river_width**2))
+    least_m2 = float(min(config.water_min_lake, MIN_LENGTH * config.water_min_river_width**2))
     least = least_m2 / float(g.coarse_m) ** 2 / 2  # a plane without its shore
     sizes = {name: Plane(*size) for name, size in area_sums(joined, records).items() if size[0] >= least}
     boxes = {name: _box(joined.areas[name], records) for name in sizes}

@@ -23,7 +23,7 @@ DEEPEST = DEPTH - CELLS_OF_NODE
 """Level at which nodes are not divided, however many points have the same position."""
 LEAF_POINTS = 32_768
 """Maximum number of points of a leaf. A node with children may have more, one per cell."""
-FEWEST_POINTS = 256
+MIN_POINTS = 256
 """Minimum number of points of a node below the root. Fewer points stay in the node above."""
 
 _BITS = 21
@@ -143,7 +143,7 @@ class Levels:
             found[rest[picked]] = level
             rest = np.delete(rest, picked)
             if below >= -1:
-                rest = _settle(found, rest, code, below + 1, level, FEWEST_POINTS - 1)
+                rest = _settle(found, rest, code, below + 1, level, MIN_POINTS - 1)
         return found
 
     def _take(self, key: Key, level: int) -> bool:

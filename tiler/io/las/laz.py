@@ -22,7 +22,7 @@ _BYTE14 = 14
 """Kind of the item for extra bytes, which has one layer per byte."""
 _ITEM_VERSION = 3
 
-MOST_CHUNKS = 1 << 21
+MAX_CHUNKS = 1 << 21
 """Maximum number of chunks of a file. With 50,000 points each, no file has more. A longer table would fill memory."""
 
 
@@ -124,8 +124,8 @@ def read_table(
         raise LazDamage(
             f"its chunk table says {chunks} chunks, {table - data} bytes hold {point_count} points"
         )
-    if chunks > MOST_CHUNKS:
-        raise LazDamage(f"its chunk table says {chunks} chunks, {MOST_CHUNKS} can be read")
+    if chunks > MAX_CHUNKS:
+        raise LazDamage(f"its chunk table says {chunks} chunks, {MAX_CHUNKS} can be read")
     stream.seek(points_offset)
     try:
         entries = np.asarray(lazrs.read_chunk_table(stream, lazrs.LazVlr(layout.record_data)), dtype=np.int64)

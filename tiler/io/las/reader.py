@@ -35,7 +35,7 @@ TO_SELECT = NEEDED | lazrs.SELECTIVE_DECOMPRESS_SCAN_ANGLE | lazrs.SELECTIVE_DEC
 EVERYTHING = lazrs.SELECTIVE_DECOMPRESS_ALL
 COORDINATES = lazrs.SELECTIVE_DECOMPRESS_XY_RETURNS_CHANNEL | lazrs.SELECTIVE_DECOMPRESS_Z
 
-BYTES_AT_ONCE = 1 << 27
+BYTES_PER_BATCH = 1 << 27
 """Maximum size of the decoded records that are read at a time. A single record may have 64 KiB."""
 
 _STEP = 1 << 16
@@ -43,7 +43,7 @@ _STEP = 1 << 16
 
 def rows_at_once(record_length: int, most: int) -> int:
     """Return the number of records to read at a time: ``most``, or fewer if they are long."""
-    return max(min(most, BYTES_AT_ONCE // record_length), 1)
+    return max(min(most, BYTES_PER_BATCH // record_length), 1)
 
 
 def record_dtype(point_format: int, record_length: int) -> np.dtype[np.void]:

@@ -14,7 +14,7 @@ LASZIP_USER = "laszip encoded"
 LASZIP_RECORD = 22204
 COPC_USER = "copc"
 
-MOST_RECORDS = 10_000
+MAX_RECORDS = 10_000
 """Maximum number of records that are read: a large file could have more empty records than fit into memory."""
 
 
@@ -70,12 +70,12 @@ def walk_records(
 ) -> tuple[tuple[VariableRecord, ...], bool]:
     """Return the records from ``start`` that fit before ``end``, and whether all ``count`` records fit.
 
-    Only the headers of the records are read, and at most `MOST_RECORDS` of them.
+    Only the headers of the records are read, and at most `MAX_RECORDS` of them.
     """
     form = _EVLR if extended else _VLR
     found: list[VariableRecord] = []
     position = start
-    for _ in range(min(count, MOST_RECORDS)):
+    for _ in range(min(count, MAX_RECORDS)):
         if position + form.size > end:
             return tuple(found), False
         stream.seek(position)
@@ -86,4 +86,4 @@ def walk_records(
         name = user.split(b"\0")[0].decode("ascii", "replace")
         found.append(VariableRecord(name, record_id, position, payload, length))
         position = payload + length
-    return tuple(found), count <= MOST_RECORDS
+    return tuple(found), count <= MAX_RECORDS

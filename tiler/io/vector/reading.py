@@ -23,7 +23,7 @@ from tiler.redaction import printable
 HEIGHT_COLUMNS = ("z", "h", "height", "elevation", "elev", "ele", "altitude")
 """Names of attributes with the height of a feature that is drawn in two dimensions, in lower case."""
 SIMPLIFY = "simplify it (`ogr2ogr -simplify`, Simplify in QGIS), or divide it"
-MOST_PASSED = 1e9
+MAX_PASSED = 1e9
 """Limit of the number of edge pairs to test in a polygon: its vertices times the ratio of outline to width."""
 
 
@@ -274,7 +274,7 @@ def _refuse_spikes(features: list[Feature]) -> None:
     lengths = shapely.length(shapes)
     west, south, east, north = shapely.bounds(shapes).T
     across = lengths / np.maximum(np.maximum(east - west, north - south), 1e-9)
-    for i in np.flatnonzero(vertices * across > MOST_PASSED):
+    for i in np.flatnonzero(vertices * across > MAX_PASSED):
         raise InputError(
             f"{features[i].place}: its outline of {vertices[i]:,} vertices runs across it {across[i]:,.0f} times; "
             f"{SIMPLIFY}"

@@ -19,7 +19,7 @@ from tiler.core.crs import same_horizontal, split
 from tiler.errors import InputError
 from tiler.io.json_text import excerpt
 
-MOST_HALVINGS = 12
+MAX_HALVINGS = 12
 """Maximum number of times that an edge is halved."""
 BEND = 0.005
 """Largest distance between a straight edge and the curve, in units of the CRS."""
@@ -121,7 +121,7 @@ def _moved(transformer: Transformer, near: float, places: Places, closed: bool) 
     """
     start = places[:-1] if closed else places
     there = _transformed(transformer, start)
-    for _ in range(MOST_HALVINGS):
+    for _ in range(MAX_HALVINGS):
         x, y = transformer.transform(there[:, 0], there[:, 1], direction=TransformDirection.INVERSE)
         back = np.stack([x, y], axis=1)
         if not (np.isfinite(there[:, :2]).all() and np.allclose(back, start[:, :2], rtol=0, atol=near)):
