@@ -125,8 +125,8 @@ class _Limits(NamedTuple):
 
     floor: float
     per_slope: float
-    most_floor: float
-    most_per_slope: float
+    max_floor: float
+    max_per_slope: float
 
 
 @kernel
@@ -194,7 +194,7 @@ def _fits(f: _Facet, distance: float, x: int, y: int, bands: Bands) -> bool:
 def _surely(f: _Facet, distance: float, limits: _Limits) -> tuple[bool, bool]:
     """Whether a point at some distance from a facet is ground at any place, and whether it is at none."""
     least = CLEAR * (limits.floor * f.cos + limits.per_slope * f.sin)
-    most = (limits.most_floor * f.cos + limits.most_per_slope * f.sin) * (1.0 / CLEAR)
+    most = (limits.max_floor * f.cos + limits.max_per_slope * f.sin) * (1.0 / CLEAR)
     return distance <= least, distance > most
 
 

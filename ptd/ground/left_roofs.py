@@ -36,7 +36,7 @@ class LeftRoof(NamedTuple):
     column: float
 
 
-def left_roofs(heights: Float64, cell_m: float = ROOF_CELL_M, least_m: float = 0.0) -> list[LeftRoof]:
+def left_roofs(heights: Float64, cell_m: float = ROOF_CELL_M, min_width_m: float = 0.0) -> list[LeftRoof]:
     """Connected surfaces of a terrain model that lie above all that is seen around them.
 
     Nothing farther than `reach_m` has a part in whether a surface is found.
@@ -63,7 +63,7 @@ def left_roofs(heights: Float64, cell_m: float = ROOF_CELL_M, least_m: float = 0
     numbers, _ = scipy.ndimage.label(found, np.ones((3, 3)))
     boxes = scipy.ndimage.find_objects(numbers)
     roofs = (_measured(numbers[box] == number, box, cell_m) for number, box in enumerate(boxes, start=1))
-    return [roof for roof in roofs if roof.width_m >= least_m]
+    return [roof for roof in roofs if roof.width_m >= min_width_m]
 
 
 def _rises(heights: Float64, known: Bool) -> Float64:

@@ -179,7 +179,7 @@ class Joiner:
         How often that happened.
     """
 
-    most_held: int = MAX_HELD_VERTICES
+    max_held: int = MAX_HELD_VERTICES
     cut: int = 0
     _starts: dict[Key, _Line] = field(default_factory=dict)
     _ends: dict[Key, _Line] = field(default_factory=dict)
@@ -218,11 +218,11 @@ class Joiner:
         done = [line for line in self._starts.values() if not (waits(line.start) or waits(line.end))]
         for line in done:
             yield self._given(line)
-        if self._held > self.most_held:
+        if self._held > self.max_held:
             for line in sorted(self._starts.values(), key=lambda held: (-held.n, held.start)):
                 self.cut += 1
                 yield self._given(line)
-                if self._held <= self.most_held // 2:
+                if self._held <= self.max_held // 2:
                     break
 
     def _given(self, line: _Line) -> tuple[int, Floats]:

@@ -30,7 +30,7 @@ from tiler.grid.survey import (
     occupancy_block,
     survey_block,
 )
-from tiler.grid.thinning import most_of_bucket
+from tiler.grid.thinning import max_points_in_bucket
 from tiler.grid.voids import FillBlock, FindVoids, Void, VoidRasters, fill_block, find_voids
 from tiler.grid.water_find import DescribeBody, describe_body
 from tiler.grid.water_finish import FinishWater, finish_water
@@ -116,7 +116,7 @@ __all__ = [
     "keep_planes",
     "level_water",
     "mask_block",
-    "most_of_bucket",
+    "max_points_in_bucket",
     "occupancy_block",
     "outline_block",
     "reach_of",

@@ -25,7 +25,7 @@ from tiler.core.lattice import Bounds
 from tiler.core.raster import MIN_PART, NODATA, Block, RasterSpec, hull_of
 from tiler.errors import ProcessingError
 from tiler.grid.checksum import checksum
-from tiler.grid.thinning import most_of_bucket, surface_ground
+from tiler.grid.thinning import max_points_in_bucket, surface_ground
 from tiler.grid.work import GridBlock, GridBlocks, TinBlock
 from tiler.store import TileStore, open_store
 
@@ -171,7 +171,7 @@ def _too_full(store: TileStore, work: GridBlock, halo: int) -> bool:
     if work.max_points is None or side <= MIN_PART:
         return False
     held = store.buckets_within(_window(work, halo)).values()
-    return sum(most_of_bucket(info.n, store.meta.bucket, work.thin) for info in held) > work.max_points
+    return sum(max_points_in_bucket(info.n, store.meta.bucket, work.thin) for info in held) > work.max_points
 
 
 def _in_quarters(store: TileStore, work: GridBlock, tries: int) -> tuple[Heights, dict[str, Any]]:

@@ -20,7 +20,7 @@ Index = npt.NDArray[np.intp]
 Int64 = npt.NDArray[np.int64]
 
 
-def most_of_bucket(points: int, buckets: Lattice, thin: Lattice | None) -> int:
+def max_points_in_bucket(points: int, buckets: Lattice, thin: Lattice | None) -> int:
     """Most points of a bucket that may make the surface: one in each cell of ``thin``."""
     return points if thin is None else min(points, math.ceil(buckets.size / thin.size + 1) ** 2)
 

@@ -61,7 +61,7 @@ class GrowthPass(Pass):
         return {**state, "ridge2016": found, "notes": noted(state, note)}
 
 
-def most_gained(points: int, growth: float) -> Fraction:
+def max_growth(points: int, growth: float) -> Fraction:
     """Largest number of points that may join in the last round: p_min of equation 11 times all, exactly."""
     return Fraction(repr(float(growth))) * points
 
@@ -79,7 +79,7 @@ def last_round(points: int, gained: list[int], unsure: list[int], growth: float)
     growth : float
         p_min of equation 11.
     """
-    limit = most_gained(points, growth)
+    limit = max_growth(points, growth)
     last = next((k for k, n in enumerate(gained, 1) if n <= limit), len(gained))
     share = 100 * gained[last - 1] / max(points, 1)
     note = f"densification ends after {last} rounds, the last of which added {share:.2f} % of all points to the terrain"
@@ -109,7 +109,7 @@ class GrowthModel(TinLabels):
             alone = not window.closed and self._points == len(points)
             enough = -1
             if alone:
-                enough = int(most_gained(self._points, params.growth))
+                enough = int(max_growth(self._points, params.growth))
             self._codes = np.full(self._prepared.stacks.x.size, UNCLASSIFIED, np.uint8)
             self.stats.update(self._prepared.counts, rounds=self._count(self._prepared, core, enough))
 

@@ -61,7 +61,7 @@ def test_a_roof_is_found_with_its_place_and_width(
     roof = max(left_roofs(heights))  # an annexe is one of its own
     assert roof.width_m == pytest.approx(width, abs=4)
     assert (roof.row, roof.column) == (pytest.approx(middle[0], abs=2), pytest.approx(middle[1], abs=2))
-    assert left_roofs(heights, least_m=2 * width) == []
+    assert left_roofs(heights, min_width_m=2 * width) == []
 
 
 ridge = np.abs(COLUMNS - 75)
@@ -83,7 +83,7 @@ ridge = np.abs(COLUMNS - 75)
     ids=["plain", "podium", "pit", "terrace", "ridge", "cone", "embankment", "unknown", "nothing"],
 )
 def test_terrain_is_no_roof(heights: np.ndarray) -> None:
-    assert left_roofs(heights, least_m=10.0) == []
+    assert left_roofs(heights, min_width_m=10.0) == []
 
 
 def test_a_roof_among_unknown_heights_is_none() -> None:

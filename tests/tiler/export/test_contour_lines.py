@@ -18,9 +18,9 @@ from tiler.export.contour_lines import (
 )
 
 
-def lines_of(heights, size, interval=Fraction(1), sigma=0.0, most_held=10**6):
+def lines_of(heights, size, interval=Fraction(1), sigma=0.0, max_held=10**6):
     """All lines of a raster that is seen in blocks of ``size`` pixels."""
-    joiner, found, reach = Joiner(most_held), [], smoothing_reach(sigma)
+    joiner, found, reach = Joiner(max_held), [], smoothing_reach(sigma)
     height, width = heights.shape
     for row in range(0, height, size):
         for col in range(0, width, size):
@@ -97,7 +97,7 @@ def test_a_cone_has_circles():
 
 def test_long_lines_are_cut_where_too_many_vertices_wait(hills):
     whole, _ = lines_of(hills, 17)
-    cut, times = lines_of(hills, 17, most_held=100)
+    cut, times = lines_of(hills, 17, max_held=100)
     assert times > 0
     for level in {level for level, _ in whole}:
         merged, expected = (

@@ -217,7 +217,7 @@ def _figures(difference: Floats, own_rmse: float) -> dict[str, Any]:
     }
 
 
-def least_points(area_km2: float) -> int:
+def min_points(area_km2: float) -> int:
     """Checkpoints that the standard requires: 30 up to 1000 km2, 10 more per further 1000 km2, 120 at most."""
     further = max(math.ceil(min(area_km2, 1e9) / 1000) - 1, 0)
     return min(MIN_POINTS + 10 * further, MAX_POINTS)
@@ -233,7 +233,7 @@ def _area_km2(raster: Any) -> float:
 
 
 def _statement(facts: dict[str, Any], area_km2: float, metres: float) -> dict[str, Any]:
-    nva, vva, needed = facts["nva"], facts["vva"], least_points(area_km2)
+    nva, vva, needed = facts["nva"], facts["vva"], min_points(area_km2)
     enough = nva["points"] >= needed
     text = None
     if enough:

@@ -96,7 +96,7 @@ def _ground(path: Path) -> Iterator[tuple[Int64s, Floats, Floats, Floats]]:
             yield records["point_source_id"].astype(np.int64), x, y, z
 
 
-def _compared(keys: Int64s, sums: Floats, most_rough: float) -> dict[str, Any]:
+def _compared(keys: Int64s, sums: Floats, max_rough: float) -> dict[str, Any]:
     """Differences of all pairs of strips in the cells that they share.
 
     ``keys`` are strip, column and row, sorted by row, column, strip; ``sums`` points, heights, squared heights.
@@ -104,7 +104,7 @@ def _compared(keys: Int64s, sums: Floats, most_rough: float) -> dict[str, Any]:
     n, total, squares = sums
     mean = total / n
     deviation = np.sqrt(np.maximum(squares / n - mean**2, 0.0))
-    fit = (n >= MIN_POINTS) & (deviation <= most_rough)
+    fit = (n >= MIN_POINTS) & (deviation <= max_rough)
     firsts, seconds = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
     rough, step = 0, 1
     while True:

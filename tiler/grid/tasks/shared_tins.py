@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from tiler.core.lattice import Cell
 from tiler.core.raster import BLOCK_PIXELS, Block
-from tiler.grid import GridBlock, GridBlocks, grid_blocks, most_of_bucket
+from tiler.grid import GridBlock, GridBlocks, grid_blocks, max_points_in_bucket
 from tiler.plan import Plan
 from tiler.plan.memory import GROUND_BYTES, TIN_BYTES
 from tiler.schedule import Task
@@ -132,7 +132,7 @@ class _Survey:
         self._stop = np.array([(b.row + b.height, b.col + b.width) for b in blocks])
         self._cells = np.array([(cell.ix, cell.iy) for cell in records])
         self._points = np.array(
-            [most_of_bucket(r["n"], self._buckets, works[0].thin) for r in records.values()]
+            [max_points_in_bucket(r["n"], self._buckets, works[0].thin) for r in records.values()]
         )
 
     def whole(self) -> _Group:

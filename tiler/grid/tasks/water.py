@@ -83,10 +83,10 @@ def _found(job: Job, g: Gridding) -> tuple[Water, ...]:
 def _body_tasks(g: Gridding) -> Iterator[Task]:
     """One for each connected area of water that is large enough."""
     config, coarse = g.plan.config, g.coarse
-    least_m2 = min(config.water_min_lake, MIN_LENGTH * config.water_min_river_width**2)
+    min_m2 = min(config.water_min_lake, MIN_LENGTH * config.water_min_river_width**2)
     joined = g.areas(CELLS)
     for name, (cells, known, hundredths) in area_sums(joined, g.records(CELLS)).items():
-        if cells * g.coarse_m**2 < least_m2:
+        if cells * g.coarse_m**2 < min_m2:
             continue
         pieces = joined.areas[name]
         places = sorted({(piece.row, piece.col) for piece in pieces})

@@ -210,8 +210,8 @@ def _rims(g: Gridding, rims: str, which: int = 0) -> dict[Piece, Rim]:
 def _likely_planes(g: Gridding, planes: str) -> tuple[list[Piece], list[Piece]]:
     """Planes that may be water by themselves, and others that may lie beside them."""
     config, joined, records = g.plan.config, g.areas(planes), g.records(planes)
-    least_m2 = float(min(config.water_min_lake, MIN_LENGTH * config.water_min_river_width**2))
-    least = least_m2 / float(g.coarse_m) ** 2 / 2  # a plane without its shore
+    min_m2 = float(min(config.water_min_lake, MIN_LENGTH * config.water_min_river_width**2))
+    least = min_m2 / float(g.coarse_m) ** 2 / 2  # a plane without its shore
     sizes = {name: Plane(*size) for name, size in area_sums(joined, records).items() if size[0] >= least}
     boxes = {name: _box(joined.areas[name], records) for name in sizes}
     evident = [name for name, plane in sizes.items() if plane.is_evident]

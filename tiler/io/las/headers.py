@@ -332,7 +332,7 @@ def _plain_points(header: LasHeader, salvage: bool) -> LasHeader:
 def _compressed_points(header: LasHeader, layout: LazLayout, stream: BinaryIO, salvage: bool) -> LasHeader:
     """Read the chunk table of a LAZ file, and check it against the number of points."""
     behind = bytes_of_points(stream, header.points_offset, header.points_end, header.size)
-    if header.point_count == 0 and behind < layout.least_chunk:
+    if header.point_count == 0 and behind < layout.min_chunk:
         return header
     if header.point_count > max(_MANY, _DENSEST * header.size) and header.point_count != _UNKNOWN:
         refuse(header.path, f"says {header.point_count} points in {header.size} bytes")

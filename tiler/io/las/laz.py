@@ -67,7 +67,7 @@ class LazLayout:
     rebuilt: bool = False
 
     @property
-    def least_chunk(self) -> int:
+    def min_chunk(self) -> int:
         """Minimum size of a chunk in bytes."""
         if not self.layers:
             return self.item_size
@@ -156,7 +156,7 @@ def _true_counts(
         return np.ascontiguousarray(counts)
     needed = -(-point_count // layout.chunk_size)
     behind = int(sizes[needed]) if counts.size == needed + 1 else 0
-    if not needed <= counts.size <= needed + 1 or behind >= layout.least_chunk:
+    if not needed <= counts.size <= needed + 1 or behind >= layout.min_chunk:
         raise LazDamage(f"its chunk table has {counts.size} chunks, {point_count} points need {needed}")
     full = np.full(needed, layout.chunk_size, dtype=np.int64)
     if needed:
