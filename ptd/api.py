@@ -213,7 +213,7 @@ def do_passes(
             continue
         for other in params.passes[number:]:
             if other.raster_cell_m and other.applies(state):
-                _refuse_raster(counts, other.raster_cell_m, scale)
+                _validate_raster_size(counts, other.raster_cell_m, scale)
         model = step.fit(_given(cloud.seen(step), step), window, window, scale, state)
         if step.elects:
             cloud.elect(model.elect(window), model if step.gives_labels else None)
@@ -224,7 +224,7 @@ def do_passes(
     return cloud.everything.known_labels(), state, stats
 
 
-def _refuse_raster(counts: Int32, cell_m: float, scale: Scale) -> None:
+def _validate_raster_size(counts: Int32, cell_m: float, scale: Scale) -> None:
     """Raise ValueError if the cells of a cloud's extent do not fit into memory, usually because of distant points."""
     if counts.shape[1] == 0:
         return

@@ -29,7 +29,7 @@ from tiler.plan import Plan, crs_name, make_plan, refuse, remember, stage_second
 from tiler.preparation import prepare_workers
 from tiler.redaction import without_secrets
 from tiler.report.html import write_report
-from tiler.report.runfile import tell_end
+from tiler.report.runfile import record_end
 from tiler.runs.job import Job, Ownership, RunResult
 from tiler.runs.repair import ROUNDS, heal
 from tiler.schedule import import_dask, kept_forking, limits_memory
@@ -177,7 +177,7 @@ def _locked_run(job: Job, until: str, started: float) -> RunResult:
             job.save(state)
         except ProcessingError:
             # A full disk refuses this as well, and the error that ended the run is reported.
-            tell_end(job.out, state, code)
+            record_end(job.out, state, code)
         raise
     finally:
         job.compiler.close()

@@ -107,7 +107,7 @@ def command(
         scenes = evaluate.find_scenes(clouds, references or clouds) if clouds else []
         read = [path for scene in scenes for path in (scene.cloud, scene.reference)]
         rasters = [raster for raster in (dtm, true_dtm, dtm_sigma) if raster is not None]
-        evaluate.refuse_targets(difference, maps, [scene.name for scene in scenes], read, rasters)
+        evaluate.validate_targets(difference, maps, [scene.name for scene in scenes], read, rasters)
     facts: dict[str, Any] = {}
     if clouds:
         cell = parse_length(map_cell)

@@ -28,7 +28,7 @@ def addresses() -> dict[str, str]:
     return {key: address for key, address in found.items() if address}
 
 
-def refuse_without(found: dict[str, str]) -> None:
+def validate_addresses(found: dict[str, str]) -> None:
     """Raise ConfigError if an address is missing that the repository of QGIS plugins requires."""
     missing = [f"{name} in [project.urls]" for key, name in URLS.items() if key not in found]
     if EMAIL not in found:

@@ -12,7 +12,7 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from cli.qgis.addresses import addresses, refuse_without
+from cli.qgis.addresses import addresses, validate_addresses
 from cli.qgis.table import table
 from tiler.errors import ConfigError, refused_write
 from tiler.io.partial_files import appearing
@@ -85,7 +85,7 @@ def package(target: Path, upload: bool = False) -> None:
         missing.
     """
     if upload:
-        refuse_without(addresses())
+        validate_addresses(addresses())
     if target.exists() and not _is_package(target):
         raise ConfigError(f"{target}: already exists and is not a package of this plugin; give another name")
     try:

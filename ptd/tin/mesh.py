@@ -75,7 +75,7 @@ class Tin:
         px, py, pz = _points(x, y, z)
         if px.size == 0:
             return cls(max_vertices)
-        box = _refuse_wide(px, py)
+        box = _validate_width(px, py)
         order = bulk.insertion_order(px, py)  # before the arrays exist, which can then reuse its memory
         tin = cls(max(px.size, max_vertices))
         tin._box = box
@@ -115,11 +115,11 @@ class Tin:
         px, py, _ = _points(x, y, np.zeros(np.shape(x), np.int32))
         if self.n_triangles == 0 or px.size == 0:
             return np.full(px.size, np.nan)
-        _refuse_wide(np.append(px, self._box[:2]), np.append(py, self._box[2:]))
+        _validate_width(np.append(px, self._box[:2]), np.append(py, self._box[2:]))
         return interpolation.heights(self.vertex_array, self.triangle_array, px, py)
 
 
-def _refuse_wide(x: Int32Array, y: Int32Array) -> tuple[int, int, int, int]:
+def _validate_width(x: Int32Array, y: Int32Array) -> tuple[int, int, int, int]:
     """Least and greatest x and y. Raises ValueError if predicates would not be exact over this extent."""
     west, east, south, north = int(x.min()), int(x.max()), int(y.min()), int(y.max())
     for name, low, high in (("x", west, east), ("y", south, north)):

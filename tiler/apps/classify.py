@@ -118,7 +118,7 @@ def classify_files(
     folder = Path(folder)
     if folder.suffix.lower() in SUFFIXES:
         raise ConfigError(f"{folder}: several clouds are classified into a folder; give a folder")
-    _refuse_own_inputs(sources, folder)
+    _validate_not_inputs(sources, folder)
     config = _checked(config).updated(classified="laz")
     with _scratch_beside(folder / "file", config) as (scratch, settings):
         result = run(list(sources), scratch, settings, listener, until="filter")
@@ -149,7 +149,7 @@ def classify_files(
     }
 
 
-def _refuse_own_inputs(sources: Sequence[str], folder: Path) -> None:
+def _validate_not_inputs(sources: Sequence[str], folder: Path) -> None:
     """Raise ConfigError where the folder would replace inputs, or feed its files to the next call."""
     paths = find_inputs(sources)
     check_targets([Target("", folder / path.name) for path in paths if not is_url(path)], paths)

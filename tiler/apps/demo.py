@@ -65,7 +65,7 @@ def run_demo(out: str | Path, seed: int, config: RunConfig, listener: Listener) 
         If `tiler.pipeline.run` raises it, or a file that no demo made would be replaced.
     """
     out = Path(out)
-    _refuse_foreign_files(out, config)
+    _validate_own_files(out, config)
     listener("note", {"text": f"simulating a city of seed {seed} in {out / 'input'}"})
     scene = demo_city(out / "input", seed)
     config = config.updated(resolution=RESOLUTION_M)
@@ -81,7 +81,7 @@ def run_demo(out: str | Path, seed: int, config: RunConfig, listener: Listener) 
     return DemoResult(result.summary, classes, dtm, result.exit_code)
 
 
-def _refuse_foreign_files(out: Path, config: RunConfig) -> None:
+def _validate_own_files(out: Path, config: RunConfig) -> None:
     """Raise ConfigError if files that no demo made would be replaced; mark the folder as that of a demo."""
     mark = out / "input" / MARK
     wanted = [*demo_files(out / "input"), out / EVALUATION]

@@ -91,7 +91,7 @@ def _wrong_with(name: str) -> str:
     return ""
 
 
-def refuse_alike(template: str, names: Iterable[str]) -> None:
+def validate_distinct_names(template: str, names: Iterable[str]) -> None:
     """Raise ConfigError if two of the names are the same on a disk that ignores case."""
     seen: set[str] = set()
     for name in names:

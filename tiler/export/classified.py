@@ -27,7 +27,7 @@ from tiler.io.las.copc_writer import CopcWriter
 from tiler.io.las.headers import LasHeader
 from tiler.io.las.newer_formats import as_newer, as_standard_times, newer_header
 from tiler.io.las.reader import EVERYTHING, PointReader, Records, count_decodable, record_dtype, rows_at_once
-from tiler.io.las.unchanged import refuse_changed, unchanged
+from tiler.io.las.unchanged import unchanged, validate_unchanged
 from tiler.io.las.writer import PlainWriter, PointWriter
 from tiler.io.locations import cloud_path, folder_for, state_of
 from tiler.io.partial_files import partial_path, replace_file, sync_folder
@@ -112,7 +112,7 @@ def _write(store: TileStore, header: LasHeader, work: WriteClassified, out: Path
                 write_back(header, source, target, crs)
             target.flush()
             os.fsync(target.fileno())
-        refuse_changed(header.path, header.state)
+        validate_unchanged(header.path, header.state)
         digest = digest_of_file(partial)
         replace_file(partial, out)
         sync_folder(out.parent)

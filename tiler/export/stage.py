@@ -11,7 +11,7 @@ from tiler.errors import ProcessingError, refused_write
 from tiler.export import WriteCog
 from tiler.export.stac import horizontal_code
 from tiler.export.tasks.catalogue import STAGE, catalogue_tasks, planned
-from tiler.export.tasks.class_counts import tell_of_earlier, tell_of_written
+from tiler.export.tasks.class_counts import report_earlier_classes, report_written_classes
 from tiler.export.tasks.drawn import drawn_tasks
 from tiler.export.tasks.files import (
     classified_tasks,
@@ -67,7 +67,7 @@ def export(
             None if edits is None else edits.key,
             out,
         )
-        tell_of_earlier(job, clouds)
+        report_earlier_classes(job, clouds)
     tasks += clouds
     mosaics = list(mosaic_tasks(gridding, digest, out))
     basis = _basis(gridding)
@@ -86,10 +86,10 @@ def export(
         job.store.put_state("crs", {"code": crs_code})
     job.store.drop_records()
     if clouds:
-        tell_of_written(job, clouds, made)
-    _tell_of_contours(job)
-    _tell_of_spots(job)
-    _tell_of_outline(job)
+        report_written_classes(job, clouds, made)
+    _report_contours(job)
+    _report_spots(job)
+    _report_outline(job)
     if "fetched" in job.facts:
         job.facts["fetched"]["classified"] = sum(r.get("fetched", 0) for _, r in made.values())
     if mosaics or job.store.committed("mosaic"):
@@ -114,7 +114,7 @@ def export(
     job.facts["earlier_outputs"] = {
         p: None for p, size in zip(unwritten, sizes, strict=True) if size is not None
     }
-    _refuse_removed(job)
+    _validate_outputs_exist(job)
     if not all(key in made for key in files):
         raise ProcessingError(
             f"{job.record.failed[-1]['key']} could not be written: {job.record.failed[-1]['error']}"
@@ -129,14 +129,14 @@ def _make_folders(tasks: list[Task], out: str) -> None:
             raise refused_write(folder, error, Path(out)) from error
 
 
-def _tell_of_outline(job: Job) -> None:
+def _report_outline(job: Job) -> None:
     found = job.store.committed("export").get(OUTLINE)
     if found is not None and "outline" in job.facts:
         more = {"rings": found[1].get("rings", []), "polygons": found[1]["polygons"]}
         job.facts["outline"] = {**job.facts["outline"], **more}
 
 
-def _tell_of_contours(job: Job) -> None:
+def _report_contours(job: Job) -> None:
     found = job.store.committed("export").get(f"{CONTOURS}.gpkg")
     if CONTOURS not in job.plan.config.drawn or found is None:
         return
@@ -154,13 +154,13 @@ def _tell_of_contours(job: Job) -> None:
         )
 
 
-def _tell_of_spots(job: Job) -> None:
+def _report_spots(job: Job) -> None:
     found = job.store.committed("export").get(f"{SPOTS}.gpkg")
     if SPOTS in job.plan.config.drawn and found is not None:
         job.facts["spots"] = {name: found[1][name] for name in ("highs", "lows")}
 
 
-def _refuse_removed(job: Job) -> None:
+def _validate_outputs_exist(job: Job) -> None:
     """Raise ProcessingError where files that were written are gone already: a run that is done has them."""
     outputs = list(job.facts["outputs"])
     sizes = sizes_at([joined(job.products, path) for path in outputs])

@@ -77,7 +77,7 @@ def filter_points(job: Job, assembled: Assembled) -> Labelled:
         statistics[step.name] = told
         state = after
         if step.name == SurveyPass.name:
-            _warn_of_doubt(job, state["survey"])
+            _warn_of_uncertain_kind(job, state["survey"])
     return Labelled.of(config, before.digests, statistics)
 
 
@@ -126,7 +126,7 @@ def _reduced(job: Job, step: Pass, partials: Iterable[dict[str, Any]], state: St
     return found
 
 
-def _warn_of_doubt(job: Job, survey: Mapping[str, Any]) -> None:
+def _warn_of_uncertain_kind(job: Job, survey: Mapping[str, Any]) -> None:
     """Warn where it is not sure what made the clouds: all passes after the one that decides it depend on that."""
     sure = survey.get("sure")
     if sure is None or sure >= SURE:

@@ -24,13 +24,13 @@ from tiler.filter.tasks.labelled import Labelled
 from tiler.grid import DEEP_M, BlankBlocks, blank_blocks
 from tiler.grid.tasks.advice import advise
 from tiler.grid.tasks.canopy import canopy_cells
-from tiler.grid.tasks.corrections import Corrections, tell_of_pixels
+from tiler.grid.tasks.corrections import Corrections, report_edited_pixels
 from tiler.grid.tasks.gridding import GAP_M, Gridding, Raster
 from tiler.grid.tasks.raster_table import wanted
 from tiler.grid.tasks.shared_tins import joined_blocks
-from tiler.grid.tasks.voids import tell_of_voids
+from tiler.grid.tasks.voids import report_voids
 from tiler.grid.tasks.water import find_waters
-from tiler.grid.tasks.water_facts import tell_of_waters
+from tiler.grid.tasks.water_facts import report_waters
 from tiler.ingest.tasks.assembled import Assembled
 from tiler.plan import KEEP
 from tiler.runs.compiling import grid_kernels
@@ -64,18 +64,18 @@ def grid(job: Job, assembled: Assembled, labelled: Labelled, corrections: Correc
         join = partial(joined_blocks, job.plan, assembled.records) if name == "dtm" else None
         gridding.made[name] = _make(job, raster, gridding.spec_of(raster), tasks, join)
         if name == "dtm":
-            tell_of_pixels(job, gridding.made[name])
-            _tell_of_terrain(job, gridding.spec, tasks, gridding.made[name])
+            report_edited_pixels(job, gridding.made[name])
+            _report_terrain(job, gridding.spec, tasks, gridding.made[name])
             advise(job, labelled, gridding.spec, gridding.made[name])
     if job.plan.config.water != NO_WATER:
-        tell_of_waters(job, gridding.waters, gridding.made["dtm-outlined"])
-    _tell_of_outline(job, gridding)
+        report_waters(job, gridding.waters, gridding.made["dtm-outlined"])
+    _report_outline(job, gridding)
     if "dtm-outlined" in gridding.made:
-        tell_of_voids(job, gridding.spec, gridding.made["dtm-outlined"])
+        report_voids(job, gridding.spec, gridding.made["dtm-outlined"])
     if "dsm" in gridding.made:
-        _tell_of_surface(job, gridding.made["dsm"])
+        _report_surface(job, gridding.made["dsm"])
     if "mask" in gridding.made:
-        _tell_of_mask(job, gridding.spec, gridding.made["mask"])
+        _report_mask(job, gridding.spec, gridding.made["mask"])
     if "sigma" in gridding.made:
         job.facts["sigma"] = sigma_facts(
             gridding.kind, (record for _, record in gridding.made["sigma"].values())
@@ -140,7 +140,7 @@ def _blank(job: Job, name: str, spec: RasterSpec, keys: Collection[str]) -> None
             raise ProcessingError(f"{name}: blocks of an earlier run cannot be removed: {outcome.error}")
 
 
-def _tell_of_outline(job: Job, gridding: Gridding) -> None:
+def _report_outline(job: Job, gridding: Gridding) -> None:
     made = gridding.made.get("dtm-outlined")
     if not made:
         return
@@ -174,7 +174,7 @@ def _gaps(gridding: Gridding) -> tuple[float, float]:
     return usual * size, max(windows) * size
 
 
-def _tell_of_surface(job: Job, made: Mapping[str, Any]) -> None:
+def _report_surface(job: Job, made: Mapping[str, Any]) -> None:
     records = [record for _, record in made.values()]
     totals = {key: sum(record[key] for record in records) for key in ("filled", "measured", "deep")}
     job.facts["dsm"] = totals
@@ -185,13 +185,13 @@ def _tell_of_surface(job: Job, made: Mapping[str, Any]) -> None:
         )
 
 
-def _tell_of_mask(job: Job, spec: RasterSpec, made: Mapping[str, Any]) -> None:
+def _report_mask(job: Job, spec: RasterSpec, made: Mapping[str, Any]) -> None:
     totals = np.sum([record["values"] for _, record in made.values()], axis=0).tolist()
     totals[OUTSIDE] += spec.height * spec.width - sum(record["pixels"] for _, record in made.values())
     job.facts["mask"] = {text.split(":")[0]: totals[value] for value, text in MASK_VALUES.items()}
 
 
-def _tell_of_terrain(job: Job, spec: RasterSpec, tasks: list[Task], made: Mapping[str, Any]) -> None:
+def _report_terrain(job: Job, spec: RasterSpec, tasks: list[Task], made: Mapping[str, Any]) -> None:
     if job.plan.thin_ground and job.plan.config.surface_percent is None:
         job.note(
             "decided: one ground point in each quarter of a pixel makes the surface, as all of them would need more "

@@ -8,7 +8,7 @@ from typing import Any
 
 from tiler.errors import InputError
 from tiler.io.cloud_reading import digest_of_file
-from tiler.io.las.unchanged import refuse_changed
+from tiler.io.las.unchanged import validate_unchanged
 from tiler.io.locations import State, cloud_path
 
 
@@ -32,12 +32,12 @@ def read_files(store_url: str, work: ReadFiles) -> dict[str, Any]:
 
 def _content(path: Path, state: State) -> str:
     """Digest of all bytes of a file that is in this state before and after they are read; raises InputError."""
-    refuse_changed(path, state)
+    validate_unchanged(path, state)
     try:
         digest = digest_of_file(path)
     except OSError as error:
-        refuse_changed(path, state)
+        validate_unchanged(path, state)
         reason = error.strerror or error
         raise InputError(f"{path}: cannot be read ({reason}); check the disk and the permissions") from error
-    refuse_changed(path, state)
+    validate_unchanged(path, state)
     return digest

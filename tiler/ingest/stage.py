@@ -51,7 +51,7 @@ def spool(job: Job, sources: list[Source]) -> tuple[Commits, list[Source]]:
     """Decode; a source with a piece that failed, or whose points cannot be where they are, is left out whole."""
     spooled = run_stage(job, "spool", spool_tasks(job.plan, sources, _keeps_records(job)))
     failed = [f for f in job.record.failed if f["stage"] == "spool"]
-    _refuse_own_faults(failed)
+    _validate_inputs_read(failed)
     bad = {source_of(f["key"]): f["error"] for f in failed}
     job.record.failed = [f for f in job.record.failed if f["stage"] != "spool"]
     bad |= _misplaced(job, [s for s in sources if s.name not in bad], spooled)
@@ -107,7 +107,7 @@ def spool(job: Job, sources: list[Source]) -> tuple[Commits, list[Source]]:
     return spooled, good
 
 
-def _refuse_own_faults(failed: Sequence[Mapping[str, Any]]) -> None:
+def _validate_inputs_read(failed: Sequence[Mapping[str, Any]]) -> None:
     """Raise ProcessingError where a task failed by the store or the system, which is no fault of the input."""
     for failure in failed:
         if failure["kind"] in OWN_FAULTS:
@@ -200,14 +200,14 @@ def assemble(job: Job, sources: list[Source], spooled: Commits) -> Assembled:
         "kept_out": job.facts["counts"]["stored"] - taking,
         "buckets": len(assembled.records),
     }
-    _tell_of_no_part(job, assembled)
-    _tell_of_strays(job, sources, assembled)
+    _report_unfiltered(job, assembled)
+    _report_strays(job, sources, assembled)
     if within or between:
         job.note(f"duplicate points are filtered once: {between:,} between files, {within:,} within a file")
     return assembled
 
 
-def _tell_of_no_part(job: Job, assembled: Assembled) -> None:
+def _report_unfiltered(job: Job, assembled: Assembled) -> None:
     """Count the points of each class of the input, and tell of classes that keep many points out of the filter."""
     config = job.plan.config
     found = sum_by_class(record["classes"] for record in assembled.records.values())
@@ -236,7 +236,7 @@ def _bring_back(job: Job, sources: list[Source], todo: list[Task]) -> None:
         run_stage(job, "spool", spool_tasks(job.plan, sources, _keeps_records(job)))
 
 
-def _tell_of_strays(job: Job, sources: list[Source], assembled: Assembled) -> None:
+def _report_strays(job: Job, sources: list[Source], assembled: Assembled) -> None:
     """List the points that belong to nothing."""
     paths = {source.number: str(source.info.path) for source in sources}
     found: list[dict[str, Any]] = []

@@ -44,7 +44,7 @@ def cloud_path(text: str | Path) -> Path:
     if not is_url(text):
         return Path(text)
     url = plain_scheme(str(text))
-    refuse_unescaped(url)
+    validate_escaped(url)
     try:
         if _is_on_server(url):
             from tiler.io.server_paths import server_path
@@ -108,7 +108,7 @@ def location(path: Path) -> str:
     return str(path) if is_url(path) else str(path.resolve())
 
 
-def refuse_unescaped(url: str) -> None:
+def validate_escaped(url: str) -> None:
     """Raise ConfigError if characters of a password make a URL invalid, since libraries would show it in errors."""
     try:
         urlsplit(url.rpartition("::")[2]).port  # noqa: B018 - reading it raises the error

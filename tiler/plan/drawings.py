@@ -14,7 +14,7 @@ from tiler.core.edits import ACTIONS, FLAT, Edit
 from tiler.core.frame import COUNTS_PER_UNIT, INT32_LIMIT
 from tiler.core.water import Water
 from tiler.errors import ConfigError, InputError
-from tiler.io.vector import LINES_AND_POLYGONS, POLYGONS, Feature, Features, Kind, read_in_crs, tell_outside
+from tiler.io.vector import LINES_AND_POLYGONS, POLYGONS, Feature, Features, Kind, read_in_crs, warn_outside
 from tiler.io.vector.areas import area_in_counts
 from tiler.plan.model import Plan
 from tiler.plan.waters import DRAWN_WATER, waters_of
@@ -43,7 +43,7 @@ def with_drawings(plan: Plan) -> Plan:
         for feature in found.features:
             lines += [_counts(feature, line) for line in _lines(feature)]
     if lines:
-        warnings += [*_tell_two_heights(lines), *_tell_upright(lines)]
+        warnings += [*_warn_two_heights(lines), *_warn_upright(lines)]
     edits: tuple[Edit, ...] = ()
     if config.edits is not None:
         found = _read(plan, Path(config.edits), POLYGONS, False, notes, warnings)
@@ -57,7 +57,7 @@ def with_drawings(plan: Plan) -> Plan:
     )
 
 
-def _tell_two_heights(lines: list[Counts]) -> list[str]:
+def _warn_two_heights(lines: list[Counts]) -> list[str]:
     """A warning if breaklines give a place two heights."""
     places = two_heights(lines)
     if not len(places):
@@ -69,7 +69,7 @@ def _tell_two_heights(lines: list[Counts]) -> list[str]:
     ]
 
 
-def _tell_upright(lines: list[Counts]) -> list[str]:
+def _warn_upright(lines: list[Counts]) -> list[str]:
     """A warning if two vertices of a line differ only in height: the terrain has one height at each place."""
     upright = []
     for line in lines:
@@ -103,7 +103,7 @@ def _read(
         found = read_apart(read_in_crs, path, kind, wkt, every, needs_z, paths=(path,))
     notes += found.notes
     x0, y0, x1, y1 = (v / COUNTS_PER_UNIT for v in plan.extent.to_json())
-    warnings += tell_outside(path, found, (x0, y0, x1, y1))
+    warnings += warn_outside(path, found, (x0, y0, x1, y1))
     return found
 
 

@@ -20,7 +20,7 @@ def evidence_of(sources: Sequence[SourceInfo]) -> Evidence:
     return Evidence.merged((source.evidence, _area(source)) for source in sources)
 
 
-def refuse_mixture(sources: Sequence[SourceInfo], config: RunConfig) -> None:
+def validate_single_kind(sources: Sequence[SourceInfo], config: RunConfig) -> None:
     """Raise ConfigError if some files are surely laser scans, others surely matched clouds, and `--kind` is not given.
 
     Files of one writer are judged together, as a small piece of a survey may lack the evidence.

@@ -32,17 +32,17 @@ from tiler.plan.drawings import with_drawings
 from tiler.plan.equivalents import EQUIVALENTS
 from tiler.plan.feet import bare_lengths, in_feet_of
 from tiler.plan.halos import own_halo, planned_passes
-from tiler.plan.made_by import evidence_of, refuse_mixture
+from tiler.plan.made_by import evidence_of, validate_single_kind
 from tiler.plan.memory import fine_cell_m
 from tiler.plan.model import KEEP, Plan, known_kind, likely_of, steps_of
 from tiler.plan.refuse import (
     refuse,
-    refuse_fine,
-    refuse_places,
-    refuse_resolution,
-    refuse_targets,
+    validate_output_paths,
+    validate_pixel_count,
+    validate_resolution,
+    validate_targets,
 )
-from tiler.plan.tiles_of_points import TilesOfRun, refuse_far
+from tiler.plan.tiles_of_points import TilesOfRun, validate_distances
 from tiler.schedule import FORKS, Guards
 from tiler.store import StoreMeta
 
@@ -83,7 +83,7 @@ def make_plan(
     tiles = TilesOfRun(config)
     paths = find_inputs(inputs, folder, notes.append, False, tiles.wanted, tiles.listed, config.in_process)
     if out is not None:
-        refuse_places(config, str(out), paths)
+        validate_output_paths(config, str(out), paths)
     sources, unreadable = _inspect_all(paths, config, known)
     sources = tiles.with_crs(sources, notes)
     agreement = agree(sources, config)
@@ -98,12 +98,12 @@ def make_plan(
     metres = float(agreement.units.horizontal)
     found = _without(found, beyond_frame(_filled(sources), area, agreement.wkt, metres), config)
     plan = _settled(found, config, parameters, defaults)
-    refuse_resolution(plan)  # else the raster would be called too large
-    refuse_fine(plan, folder)
+    validate_resolution(plan)  # else the raster would be called too large
+    validate_pixel_count(plan, folder)
     while remedy := too_much_between(plan, folder):
         found = _without(found, minority(plan.filled, agreement.wkt, metres, remedy), config)
         plan = _settled(found, config, parameters, defaults)
-    refuse_far(plan, inputs)
+    validate_distances(plan, inputs)
     plan = with_drawings(plan)
 
     def changed(**values: Any) -> Plan:
@@ -112,7 +112,7 @@ def make_plan(
 
     refuse(plan, folder, changed)
     if out is not None:
-        refuse_targets(plan, str(out), paths)
+        validate_targets(plan, str(out), paths)
     return plan
 
 
@@ -209,7 +209,7 @@ def _settled(found: _Found, config: RunConfig, parameters: dict[str, Any], defau
         statistics=known, tile_workers=0 if config.tile_size else workers, evidence=evidence,
     )  # fmt: skip
     if known is None and plan.asks_kind:
-        refuse_mixture(filled, config)
+        validate_single_kind(filled, config)
     made, unit = decided_by(evidence) if evidence else None, agreement.units.horizontal
     advised = advice.before(config, made, density, own_halo(defaults), unit)
     plan = part_of(replace(plan, warnings=(*warnings_of(plan), *advised)))

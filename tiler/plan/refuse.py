@@ -67,7 +67,7 @@ FILES = (".tif", ".tiff", ".vrt", ".las", ".laz", ".gpkg", ".asc", ".img", ".png
 """Endings of names that are those of files: who gives one as OUT takes it for the terrain model."""
 
 
-def refuse_places(config: RunConfig, products: str, paths: Sequence[Path]) -> None:
+def validate_output_paths(config: RunConfig, products: str, paths: Sequence[Path]) -> None:
     """Raise ConfigError if OUT has a file's name, a folder lies among the inputs, or the store among the results."""
     name, folder = os.path.splitext(products)[1].lower(), os.path.isdir(products)
     if name in FILES and not folder:
@@ -83,7 +83,7 @@ def refuse_places(config: RunConfig, products: str, paths: Sequence[Path]) -> No
         check_folder("-o", joined(products, name), [store])
 
 
-def refuse_targets(plan: Plan, products: str, paths: Sequence[Path]) -> None:
+def validate_targets(plan: Plan, products: str, paths: Sequence[Path]) -> None:
     """Raise ConfigError if a run would write over its inputs, or over files that no run of its OUT made."""
     out = folder_here(products)
     wanted = _targets(plan)
@@ -138,7 +138,7 @@ def _option(plan: Plan, metres: Fraction) -> str:
     return length_option(metres, plan.meta.frame.units.horizontal)
 
 
-def refuse_resolution(plan: Plan) -> None:
+def validate_resolution(plan: Plan) -> None:
     """Raise ConfigError for pixels with which gridding would not be exact."""
     pixel = plan.meta.frame.counts(plan.resolution)
     if pixel.denominator > MAX_DENOMINATOR:
@@ -155,7 +155,7 @@ def refuse_resolution(plan: Plan) -> None:
         )
 
 
-def refuse_fine(plan: Plan, out: Path | None) -> None:
+def validate_pixel_count(plan: Plan, out: Path | None) -> None:
     """Raise ConfigError if a raster is too large because of its fine pixels, not because the files lie far apart."""
     usual = _usual_pixel(plan)
     if usual is None or not too_much_between(plan, out) or too_much_between(usual, out):
@@ -188,8 +188,8 @@ def refuse(plan: Plan, out: Path | None, changed: Changed) -> None:
     changed : callable
         Makes the plan for other values of settings, given by name. A refusal names values that suffice.
     """
-    _refuse_memory(plan, changed)
-    refuse_resolution(plan)
+    _validate_memory(plan, changed)
+    validate_resolution(plan)
     sheets = plan.config.sheets
     if sheets is not None and (sheets / plan.resolution).denominator != 1:
         whole = max(round(sheets / plan.resolution), 1) * plan.resolution
@@ -202,12 +202,12 @@ def refuse(plan: Plan, out: Path | None, changed: Changed) -> None:
         raise ConfigError(
             f"--sheet-name {plan.config.sheet_name}: several products would have the same name; add {{name}} to it"
         )
-    _refuse_long_names(plan)
+    _validate_name_lengths(plan)
     if out is not None:
-        _refuse_disk(plan, out)
+        _validate_disk(plan, out)
 
 
-def _refuse_long_names(plan: Plan) -> None:
+def _validate_name_lengths(plan: Plan) -> None:
     """Raise ConfigError if a classified cloud would have a longer name than a file system takes."""
     if not plan.writes_clouds:
         return
@@ -223,7 +223,7 @@ def _refuse_long_names(plan: Plan) -> None:
             )
 
 
-def _refuse_memory(plan: Plan, changed: Changed) -> None:
+def _validate_memory(plan: Plan, changed: Changed) -> None:
     memory = projected_memory(plan)
     worst = max(memory, key=lambda k: memory[k])
     if memory[worst] > plan.memory:
@@ -277,7 +277,7 @@ def _instead(plan: Plan, stage: str, changed: Changed) -> str:
     return " or another --method"
 
 
-def _refuse_disk(plan: Plan, out: Path) -> None:
+def _validate_disk(plan: Plan, out: Path) -> None:
     try:
         str(out).encode()
     except UnicodeEncodeError as error:  # as GDAL, which writes the rasters, takes no other names

@@ -91,7 +91,7 @@ class TilesOfRun:
         return found
 
 
-def refuse_far(plan: Plan, inputs: Sequence[str]) -> None:
+def validate_distances(plan: Plan, inputs: Sequence[str]) -> None:
     """Raise ConfigError if a run needs points farther from its area than nodes of point tiles were considered."""
     reach = _reach_m(plan.config)
     if plan.area is None or not any(map(is_point_tiles, inputs)):

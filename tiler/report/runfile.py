@@ -25,7 +25,7 @@ def write_run_file(out: Path, content: dict[str, Any]) -> None:
         raise refused_write(f"{out}/{RUN}", error, out) from error
 
 
-def tell_end(out: Path, state: str, exit_code: int) -> None:
+def record_end(out: Path, state: str, exit_code: int) -> None:
     """Change the state in ``OUT/run.json`` in place, for a disk that has no room for a new file."""
     changes = {
         b'"state": "running"': f'"state": "{state}"',

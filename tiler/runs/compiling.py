@@ -99,13 +99,13 @@ class Compiler:
     def finish(self, kernels: Kernels) -> None:
         """Compile kernels, or wait until they are compiled."""
         if not self._apart:
-            kernels.compile(lambda: self._tell_why(kernels))
+            kernels.compile(lambda: self._report_why(kernels))
             return
         if is_compiled(kernels.name):
             return
         if kernels.name not in self._begun:
             self._start(kernels)
-        self._tell_why(kernels)
+        self._report_why(kernels)
         ended, _ = self._begun[kernels.name]
         started = time.monotonic()
         reported = 0
@@ -129,7 +129,7 @@ class Compiler:
             )
             self._listener("warning", {"text": text})
 
-    def _tell_why(self, kernels: Kernels) -> None:
+    def _report_why(self, kernels: Kernels) -> None:
         why = self._why.get(kernels.name) or why_not_compiled(kernels.name)
         if why not in self._told:
             self._told.add(why)

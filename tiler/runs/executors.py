@@ -86,7 +86,7 @@ def _look_at_workers(
     access = Access(str(plan.config.scheduler), sources, store_url, products, there)
     executor.on_each_worker(access)
     machines = executor.machines()
-    access.refuse_small(machines, max(projected_memory(plan).values()))
+    access.validate_memory(machines, max(projected_memory(plan).values()))
     return access, machines
 
 

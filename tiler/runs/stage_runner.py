@@ -148,7 +148,7 @@ def _report(job: Job, outcome: Outcome) -> None:
         "error": outcome.error or "",
         "kind": outcome.error_kind or "",
     }
-    _refuse_gone(job)
+    _validate_folders_exist(job)
     if outcome.fatal and not outcome.again:
         kind = DiskFullError if outcome.error_kind == DiskFullError.__name__ else StoreAccessError
         raise kind(f"{failure['title']} {task.key}: {outcome.error}")
@@ -164,7 +164,7 @@ def _report(job: Job, outcome: Outcome) -> None:
         )
 
 
-def _refuse_gone(job: Job) -> None:
+def _validate_folders_exist(job: Job) -> None:
     """Raise ProcessingError if OUT or the store was removed, so that the task is not to blame."""
     if not job.out.is_dir():
         gone = str(job.out)

@@ -101,7 +101,7 @@ class Access:
         elif self._products is not None:
             self.out_seen &= self._seen(ask, worker, self._products)
 
-    def refuse_small(self, machines: Iterable[Machine], need_bytes: int) -> None:
+    def validate_memory(self, machines: Iterable[Machine], need_bytes: int) -> None:
         """Raise ConfigError for a machine with too little memory for a task per thread, ``need_bytes`` each."""
         for machine in machines:
             if machine.threads * need_bytes > machine.memory_bytes:

@@ -134,7 +134,7 @@ def locked_folder(place: str) -> AbstractContextManager[Lease]:
     return locked(Storage(place), FOLDER_LOCK)
 
 
-def refuse_if_held(storage: Storage) -> None:
+def validate_not_held(storage: Storage) -> None:
     """Raise LockedError if a run of another process holds the store."""
     holder = _holder(storage, LOCK_KEY)
     if holder is None or _stale(storage, LOCK_KEY, holder):

@@ -178,7 +178,7 @@ def remove_store(url: str) -> list[str]:
     storage = Storage(url)
     if not _is_a_store(storage):
         return []
-    lock.refuse_if_held(storage)
+    lock.validate_not_held(storage)
     _empty(storage)
     storage.delete("zarr.json")
     storage.delete_folder("")

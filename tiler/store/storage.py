@@ -31,7 +31,7 @@ from tiler.errors import (
     StoreError,
     refused_write,
 )
-from tiler.io.locations import plain_scheme, refuse_unescaped
+from tiler.io.locations import plain_scheme, validate_escaped
 from tiler.io.partial_files import replace_file
 from tiler.redaction import stored
 from tiler.store import layout
@@ -80,7 +80,7 @@ class Storage:
         if self.root is not None:
             self.zarr_store = LocalStore(self.root)
         else:
-            refuse_unescaped(url)
+            validate_escaped(url)
             try:
                 self.zarr_store = FsspecStore.from_url(url)
             except (ImportError, ValueError) as error:

@@ -181,7 +181,7 @@ class Check(Shell):
         """Add a page with the figures as an output, for the viewer of results."""
         self.addOutput(QgsProcessingOutputFile("PAGE", "Page with the figures"))
 
-    def tell_partial(self, feedback: QgsProcessingFeedback) -> None:
+    def report_partial(self, feedback: QgsProcessingFeedback) -> None:
         """Raise an error with the requirements that are not met, because the check has failed."""
         unmet = [line for line in self._ended.text.splitlines() if line.endswith("NOT met")]
         raise QgsProcessingException("; ".join(unmet) or "a required check failed")

@@ -178,10 +178,10 @@ class Shell(QgsProcessingAlgorithm):
             )
             (feedback.reportError if left_out else feedback.pushInfo)(line)
         if self._ended.code == PARTIAL:
-            self.tell_partial(feedback)
+            self.report_partial(feedback)
         return {"EXIT_CODE": self._ended.code, **self.outputs()}
 
-    def tell_partial(self, feedback: QgsProcessingFeedback) -> None:
+    def report_partial(self, feedback: QgsProcessingFeedback) -> None:
         """Report that something is missing (exit code 5)."""
         feedback.reportError(
             "NOT COMPLETE: files or tiles were left out (exit code 5); see the red lines and the report"

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tiler.core.sheet_names import DEFAULT, beginning, check_template, refuse_alike, sheet_name
+from tiler.core.sheet_names import DEFAULT, beginning, check_template, sheet_name, validate_distinct_names
 from tiler.errors import ConfigError
 
 
@@ -42,6 +42,6 @@ def test_a_template_that_cannot_name_files_is_refused(template: str, why: str) -
 
 
 def test_no_two_sheets_have_one_name() -> None:
-    refuse_alike(DEFAULT, ["a_1", "a_2"])
+    validate_distinct_names(DEFAULT, ["a_1", "a_2"])
     with pytest.raises(ConfigError, match="two sheets would have the name A_1; use more digits"):
-        refuse_alike(DEFAULT, ["a_1", "A_1"])
+        validate_distinct_names(DEFAULT, ["a_1", "A_1"])

@@ -123,7 +123,7 @@ def test_places_that_are_not_known_yet_are_not_checked(monkeypatch: pytest.Monke
 
 def test_machines_with_too_little_memory_are_refused() -> None:
     look = Access("tcp://s:1", [], None, None)
-    look.refuse_small([Machine("a", 4 << 30, 2, 4), Machine("b", 1 << 30, 1, 1)], 1 << 30)
+    look.validate_memory([Machine("a", 4 << 30, 2, 4), Machine("b", 1 << 30, 1, 1)], 1 << 30)
     line = r"tcp://s:1: machine b has 4,096 MiB for 5 tasks at a time of up to 1,024 MiB; start fewer"
     with pytest.raises(ConfigError, match=line):
-        look.refuse_small([Machine("a", 4 << 30, 2, 4), Machine("b", 4 << 30, 1, 5)], 1 << 30)
+        look.validate_memory([Machine("a", 4 << 30, 2, 4), Machine("b", 4 << 30, 1, 5)], 1 << 30)

@@ -44,7 +44,7 @@ _NONE = "#777"  # grey without a height
 FILES = ("histogram.svg", "map.svg")
 
 
-def refuse_figures(folder: Path, dtm: Path, points: Path | None, strips: Sequence[str]) -> None:
+def validate_figure_files(folder: Path, dtm: Path, points: Path | None, strips: Sequence[str]) -> None:
     """Raise ConfigError if drawings of `write_figures` would replace files that the check reads."""
     reads: list[str | Path] = list(files_of_raster(dtm))
     if points is not None:

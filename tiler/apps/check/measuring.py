@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from tiler.apps.check.accuracy import check_dtm
-from tiler.apps.check.figures import refuse_figures, write_figures
+from tiler.apps.check.figures import validate_figure_files, write_figures
 from tiler.apps.check.points import PointOptions, read_checkpoints
 from tiler.apps.check.requirements import Requirement, judge
 from tiler.apps.check.seams import seams_of
@@ -52,7 +52,7 @@ def measure(
     if figures is not None:
         if points is None:
             raise ConfigError("--figures draws checkpoints; give them with --points")
-        refuse_figures(figures, dtm, points, strips)
+        validate_figure_files(figures, dtm, points, strips)
     read = [path for path in (dtm, points) if path is not None]
     report: dict[str, Any] = {"dtm": str(dtm)}
     report |= read_apart(

@@ -5,7 +5,7 @@
 """
 
 from tiler.apps.evaluate.clouds import evaluate_files
-from tiler.apps.evaluate.heights import evaluate_dtm, files_of_raster, refuse_targets, sigma_beside
+from tiler.apps.evaluate.heights import evaluate_dtm, files_of_raster, sigma_beside, validate_targets
 from tiler.apps.evaluate.labels import IGNORED, confusion, evaluate_labels, scores
 from tiler.apps.evaluate.scenes import MapRequest, Scene, evaluate_scenes, filter_and_evaluate, find_scenes
 
@@ -21,7 +21,7 @@ __all__ = [
     "files_of_raster",
     "filter_and_evaluate",
     "find_scenes",
-    "refuse_targets",
     "scores",
     "sigma_beside",
+    "validate_targets",
 ]

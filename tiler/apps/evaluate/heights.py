@@ -15,7 +15,7 @@ import rasterio
 from pyproj import CRS
 
 from tiler.apps.evaluate.labels import ratio
-from tiler.apps.evaluate.maps import refuse_foreign_maps
+from tiler.apps.evaluate.maps import validate_map_files
 from tiler.apps.evaluate.rasters import open_raster, raster_named
 from tiler.apps.evaluate.sigma import SigmaTally, slopes_of
 from tiler.core.crs import same_horizontal, split
@@ -79,7 +79,7 @@ def evaluate_dtm(
     ProcessingError
         If ``difference`` cannot be written.
     """
-    refuse_targets(difference, None, (), (), (dtm, truth))
+    validate_targets(difference, None, (), (), (dtm, truth))
     tally, both, only_dtm, only_truth = SpreadTally(), 0, 0, 0
     with ExitStack() as stack:
         pair = stack.enter_context(_opened(Path(dtm), Path(truth)))
@@ -139,7 +139,7 @@ def sigma_beside(dtm: Path | str) -> Path | None:
     return found if Path(dtm).stem == "dtm" and found.is_file() else None
 
 
-def refuse_targets(
+def validate_targets(
     difference: Path | str | None,
     maps: Path | None,
     names: Sequence[str],
@@ -169,7 +169,7 @@ def refuse_targets(
         reads += files_of_raster(raster)
     check_targets(targets, reads)
     if maps is not None:
-        refuse_foreign_maps(maps, names)
+        validate_map_files(maps, names)
 
 
 def files_of_raster(path: Path | str) -> list[str]:

@@ -120,7 +120,7 @@ class ErrorGrid:
         return found
 
 
-def refuse_foreign_maps(folder: Path, names: Sequence[str]) -> None:
+def validate_map_files(folder: Path, names: Sequence[str]) -> None:
     """Raise ConfigError if a file with the name of an error map is not an error map."""
     for tif, png in ((folder / f"{name}.tif", folder / f"{name}.png") for name in names):
         there = [path for path in (tif, png) if os.path.lexists(path)]

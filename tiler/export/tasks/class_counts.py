@@ -12,7 +12,7 @@ from tiler.schedule import Task
 from tiler.store import Commits
 
 
-def tell_of_written(job: Job, tasks: Iterable[Task], made: Commits) -> None:
+def report_written_classes(job: Job, tasks: Iterable[Task], made: Commits) -> None:
     """Count the points of each class of the classified clouds, and tell which classes of the input they keep."""
     records = [made[task.key][1] for task in tasks if task.key in made]
     kept = sum_by_class(record["kept"] for record in records)
@@ -23,7 +23,7 @@ def tell_of_written(job: Job, tasks: Iterable[Task], made: Commits) -> None:
         job.note(text)
 
 
-def tell_of_earlier(job: Job, tasks: Iterable[Task]) -> None:
+def report_earlier_classes(job: Job, tasks: Iterable[Task]) -> None:
     """Tell that clouds are written again which an earlier version wrote, as it kept no class of the input."""
     if job.plan.config.reclass != ONLY_GROUND:
         return

@@ -14,7 +14,7 @@ from tiler.core.lattice import Cell
 from tiler.core.products import NODATA, PRODUCTS
 from tiler.core.raster import BLOCK_PIXELS
 from tiler.core.reclass import ONLY_GROUND
-from tiler.core.sheet_names import refuse_alike
+from tiler.core.sheet_names import validate_distinct_names
 from tiler.core.water import Waters
 from tiler.export import (
     WriteClassified,
@@ -111,7 +111,7 @@ def mosaic_tasks(g: Gridding, whole_inputs: str, out: str) -> Iterator[Task]:
     """One VRT for each product that is cut into sheets."""
     for name in g.plan.config.exported if g.sheets else ():
         files = [(name_of(g, name, sheet), sheet.spec) for sheet in g.sheets]
-        refuse_alike(g.plan.config.sheet_name, (file for file, _ in files))
+        validate_distinct_names(g.plan.config.sheet_name, (file for file, _ in files))
         work = WriteMosaic(
             product=name,
             out=out,

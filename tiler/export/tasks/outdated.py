@@ -49,7 +49,7 @@ def put_aside(job: Job, wanted: Collection[str], basis: str) -> None:
     # What was dealt with already is this run's own: after a repair of the store all of this is done again.
     earlier = {**job.facts["earlier_outputs"], **dict.fromkeys(job.facts.get("outputs", {}), basis)}
     if not job.plan.config.force:
-        _refuse_foreign(job, [path for path in wanted if path not in earlier])
+        _validate_own_files(job, [path for path in wanted if path not in earlier])
     there = {p: of for p, of in earlier.items() if p not in wanted and _inside(job.products, p)}
     sizes = dict(zip(there, sizes_at([joined(job.products, p) for p in there]), strict=True))
     stale = sorted(path for path, of in there.items() if of != basis and sizes[path] is not None)
@@ -80,7 +80,7 @@ def _damaged(job: Job, paths: Collection[str]) -> list[str]:
     return [places[place] for place, result in found if result.get("content") != known[places[place]]]
 
 
-def _refuse_foreign(job: Job, wanted: list[str]) -> None:
+def _validate_own_files(job: Job, wanted: list[str]) -> None:
     """Raise ConfigError for files that came after the plan, or whose names it could not know."""
     sizes = sizes_at([joined(job.products, path) for path in wanted])
     there = [path for path, size in zip(wanted, sizes, strict=True) if size is not None]

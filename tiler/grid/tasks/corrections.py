@@ -167,7 +167,7 @@ def _fact(edit: Edit, counts: Sequence[int]) -> dict[str, Any]:
     return fact
 
 
-def tell_of_pixels(job: Job, terrain: Commits) -> None:
+def report_edited_pixels(job: Job, terrain: Commits) -> None:
     """Add to run.json how many pixels of the terrain each edit set."""
     counts: dict[int, int] = {}
     for _, record in terrain.values():

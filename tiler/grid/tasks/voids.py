@@ -21,7 +21,7 @@ TOUCHING = 1.5
 """Cells: distance of the centres of cells that touch at a side or corner, and no others."""
 
 
-def tell_of_voids(job: Job, spec: RasterSpec, outlined: Commits) -> None:
+def report_voids(job: Job, spec: RasterSpec, outlined: Commits) -> None:
     """Add to run.json the voids of the delivered terrain, and the holes inside of each correction."""
     records = [record for _, record in outlined.values()]
     inside: Counter[int] = Counter()

@@ -15,7 +15,7 @@ from tiler.core.words import counted
 from tiler.grid import DescribeBody, LevelWater, Sources, describe_body, level_water
 from tiler.grid.tasks.gridding import Gridding
 from tiler.grid.tasks.survey import names_of, near_places
-from tiler.grid.tasks.water_facts import tell_of_levels
+from tiler.grid.tasks.water_facts import report_levels
 from tiler.grid.tasks.water_search import area_sums
 from tiler.grid.water_find import MIN_LENGTH
 from tiler.io.result_folder import WATER
@@ -66,7 +66,7 @@ def find_waters(job: Job, g: Gridding) -> Waters:
             "decided: only class 9 of the input is water, as holes and false heights of a photogrammetric cloud may be "
             "anywhere (give drawn water with --water FILE)"
         )
-    tell_of_levels(job, waters, records)
+    report_levels(job, waters, records)
     job.store.put_waters(waters)
     return waters
 

@@ -20,7 +20,7 @@ MAX_FLOATING = 0.005
 """A larger share of the shore below the level of the water is a problem."""
 
 
-def tell_of_levels(job: Job, waters: Waters, records: Mapping[int, Mapping[str, Any]]) -> None:
+def report_levels(job: Job, waters: Waters, records: Mapping[int, Mapping[str, Any]]) -> None:
     """Note which rivers are level for want of evidence, and warn about bodies that need a look.
 
     Parameters
@@ -82,7 +82,7 @@ def _named(body: Water) -> str:
     return f"{body.kind} {body.number} at ({x:.1f}, {y:.1f})"
 
 
-def tell_of_waters(job: Job, waters: Waters, terrain: Commits) -> None:
+def report_waters(job: Job, waters: Waters, terrain: Commits) -> None:
     """Write the bodies of water, and how many pixels of the terrain each has, into run.json."""
     pixels: dict[str, int] = {}
     for _, record in terrain.values():

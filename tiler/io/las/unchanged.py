@@ -41,12 +41,12 @@ def unchanged(path: Path, stamp: list[Any] | None, salvage: bool) -> Iterator[La
     except TilerError:
         # A partly written file cannot be decoded, and its change is the true cause.
         if stamp is not None:
-            refuse_changed(path, State(*stamp[:3]))
+            validate_unchanged(path, State(*stamp[:3]))
         raise
-    refuse_changed(path, header.state)
+    validate_unchanged(path, header.state)
 
 
-def refuse_changed(path: Path, state: State) -> None:
+def validate_unchanged(path: Path, state: State) -> None:
     """Raise InputError if a file is no longer in this state."""
     try:
         now = state_of(path)

@@ -10,7 +10,7 @@ from tiler.io.vector.reading import (
     Kind,
     read_features,
     read_in_crs,
-    tell_outside,
+    warn_outside,
 )
 from tiler.io.vector.writing import GeoPackage, geopackage
 
@@ -26,5 +26,5 @@ __all__ = [
     "geopackage",
     "read_features",
     "read_in_crs",
-    "tell_outside",
+    "warn_outside",
 ]

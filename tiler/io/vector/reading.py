@@ -267,7 +267,7 @@ def read_in_crs(
     return Features(tuple(features), wkt, tuple(notes))
 
 
-def _refuse_spikes(features: list[Feature]) -> None:
+def _validate_no_spikes(features: list[Feature]) -> None:
     """Raise InputError for a polygon with too many spikes, for which a test for crossings would not end."""
     shapes = np.array([f.geometry for f in features], object)
     vertices = shapely.get_num_coordinates(shapes)
@@ -298,7 +298,7 @@ def _repaired(path: Path, features: list[Feature], notes: list[str]) -> list[Fea
     A position is inside a repaired polygon if a ray from it crosses the outline an odd number of times.
     """
     polygons = [i for i, feature in enumerate(features) if feature.geometry.geom_type in POLYGONS.types]
-    _refuse_spikes([features[i] for i in polygons])
+    _validate_no_spikes([features[i] for i in polygons])
     broken = [i for i in polygons if not shapely.is_valid(features[i].geometry)]
     repaired = list(features)
     for i in broken:
@@ -321,7 +321,7 @@ def _repaired(path: Path, features: list[Feature], notes: list[str]) -> list[Fea
     return repaired
 
 
-def tell_outside(path: Path, features: Features, extent: tuple[float, float, float, float]) -> list[str]:
+def warn_outside(path: Path, features: Features, extent: tuple[float, float, float, float]) -> list[str]:
     """Return a warning if features lie completely outside the survey, else an empty list.
 
     Parameters

@@ -25,7 +25,7 @@ from tiler.io.vector import (
     geopackage,
     read_features,
     read_in_crs,
-    tell_outside,
+    warn_outside,
 )
 
 SQUARE = [[0.0, 0.0], [10.0, 0.0], [10.0, 10.0], [0.0, 10.0], [0.0, 0.0]]
@@ -73,10 +73,10 @@ def test_polygons_are_repaired_and_features_outside_are_reported(tmp_path: Path)
     assert found.notes == (f"{path}: 1 of 2 polygons crossed themselves and were repaired",)
     assert shapely.area(found.features[0].geometry) == 50
     assert shapely.equals_exact(found.features[1].geometry, TRIANGLE)
-    assert tell_outside(path, found, (-1, -1, 15, 15)) == [
+    assert warn_outside(path, found, (-1, -1, 15, 15)) == [
         f"{path}: 1 of 2 features lie outside the survey and have no effect, the first is l0, feature 2"
     ]
-    assert tell_outside(path, found, (-1, -1, 25, 15)) == []
+    assert warn_outside(path, found, (-1, -1, 25, 15)) == []
 
 
 def test_heights_of_lines(tmp_path: Path) -> None:
