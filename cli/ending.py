@@ -23,7 +23,7 @@ FORCED = b"tiler: interrupted; the work did not stop, so the process was ended\n
 
 
 @dataclass
-class Ending:
+class InterruptState:
     """Record of whether a command got a signal to end.
 
     The error that ends the command does not tell this, because a library may turn the interruption into another error.
@@ -46,7 +46,7 @@ class Ending:
 
 
 @contextmanager
-def ended_in_time(own_process: bool) -> Iterator[Ending]:
+def ended_in_time(own_process: bool) -> Iterator[InterruptState]:
     """Let SIGTERM interrupt a command as Ctrl-C does, and end it within `GRACE_SECONDS` of either signal.
 
     Python handles a signal between two of its instructions, so not while a library computes, and code may swallow the
@@ -63,7 +63,7 @@ def ended_in_time(own_process: bool) -> Iterator[Ending]:
     writing.setblocking(False)
     done = threading.Event()
     threading.Thread(target=_watch, args=(reading, done), name="tiler-ending", daemon=True).start()
-    ending, before = Ending(own_process), {number: signal.getsignal(number) for number in SIGNALS}
+    ending, before = InterruptState(own_process), {number: signal.getsignal(number) for number in SIGNALS}
     signal.signal(signal.SIGTERM, ending.interrupt)
     if (
         before[signal.SIGINT] is signal.default_int_handler

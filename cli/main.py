@@ -15,7 +15,7 @@ from typing import Any
 import click
 
 from cli import exit_codes
-from cli.ending import Ending, end_at_once, ended_in_time
+from cli.ending import InterruptState, end_at_once, ended_in_time
 from cli.output import say
 from cli.session import Session
 from cli.streams import open_streams
@@ -125,7 +125,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         return code
 
 
-def _run(arguments: Sequence[str] | None, ending: Ending) -> int:
+def _run(arguments: Sequence[str] | None, ending: InterruptState) -> int:
     session = Session(progress=_progress_asked_for(sys.argv[1:] if arguments is None else arguments))
     try:
         code: Any = group.main(arguments, prog_name="tiler", standalone_mode=False, obj=session)

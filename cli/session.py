@@ -98,9 +98,9 @@ class TilerCommand(click.Command):
         if not self._reads or ctx.params.get("in_process"):
             return super().invoke(ctx)
         from tiler.preparation import import_reading
-        from tiler.schedule import kept_forking, prepare_children
+        from tiler.schedule import fork_server_running, prepare_children
 
-        with kept_forking():
+        with fork_server_running():
             prepare_children(import_reading)
             return super().invoke(ctx)
 

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, TextIO
 
-from tiler.errors import refused_write
+from tiler.errors import write_error
 
 NAMES = ("stdout", "stderr")
 
@@ -70,5 +70,5 @@ class _Patient(io.FileIO):
             except OSError as error:
                 self._lost = True
                 if not isinstance(error, BrokenPipeError) and self._called == "stdout":
-                    raise refused_write(self._called, error) from error
+                    raise write_error(self._called, error) from error
         return memoryview(data).nbytes

@@ -18,7 +18,7 @@ from ptd.matched.evidence import Evidence
 from ptd.matched.survey import run_facts
 from ptd.methods import METHODS
 from ptd.params import to_json
-from ptd.passes import KINDS, Int32, Model, Pass, Points, RunFacts, UInt8, later_passes, read_at_candidates
+from ptd.passes import KINDS, Int32, Model, Pass, Points, RunHints, UInt8, later_passes, read_at_candidates
 from ptd.places import PLACES
 
 COUNTS_PER_METRE = 1000
@@ -199,7 +199,7 @@ def classify(
 
 
 def do_passes(
-    params: Any, counts: Int32, columns: dict[str, Any], scale: Scale, window: Window, facts: RunFacts
+    params: Any, counts: Int32, columns: dict[str, Any], scale: Scale, window: Window, facts: RunHints
 ) -> tuple[UInt8, dict[str, Any], dict[str, Any]]:
     """Run all passes that apply on one window; return labels, state, and the statistics of each pass."""
     state: dict[str, Any] = {"run": asdict(facts)}

@@ -45,7 +45,7 @@ class MethodRefusal(ValueError):
 
 
 @dataclass(frozen=True)
-class RunFacts:
+class RunHints:
     """Facts about a run before its first pass; none of them changes with each added file.
 
     Attributes
@@ -170,7 +170,7 @@ class Model(ABC):
         return 0
 
 
-class Measured(Model):
+class StatisticsModel(Model):
     """The result of a pass that gives no labels.
 
     Parameters

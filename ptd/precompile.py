@@ -69,7 +69,7 @@ def warm_filters(method: str, tell: Callable[[], None], kind: str | None = None)
     """
     from ptd.api import do_passes
     from ptd.methods import METHODS
-    from ptd.passes import KINDS, RunFacts
+    from ptd.passes import KINDS, RunHints
 
     def work(which: str | None) -> None:
         xyz, rgb = _scene()
@@ -80,7 +80,7 @@ def warm_filters(method: str, tell: Callable[[], None], kind: str | None = None)
             returns += 1
         columns = {"rgb": np.ascontiguousarray(rgb.T), "returns": returns}
         tile = Window(0, 0, 60_000, 60_000)  # points beyond it are in doubt, which needs further kernels
-        do_passes(METHODS[method].params(), counts, columns, Scale(), tile, RunFacts())
+        do_passes(METHODS[method].params(), counts, columns, Scale(), tile, RunHints())
 
     kinds: tuple[str | None, ...] = (None,)
     if has_kinds(method):
@@ -123,17 +123,17 @@ def warm_gridding(interpolation: Literal["linear", "natural"], tell: Callable[[]
     """Compile the kernels of gridding unless that was done; call ``tell`` before it takes long."""
     from ptd.gridding import ground_cells, highest_returns, nearest, wall_feet
     from ptd.tin import Pixels, Tin, rasterise
-    from ptd.tin import Window as Seen
+    from ptd.tin import Window as ReturnStatistics
 
     def work() -> None:
         pixels = Pixels(1000, 1, 0, 59, 60, 60)
         xyz = np.ascontiguousarray((1000 * _scene()[0]).T.astype(np.int32))
         tin = Tin.build(*xyz)
-        window = Seen(-1000, -1000, 61_000, 61_000)
+        window = ReturnStatistics(-1000, -1000, 61_000, 61_000)
         rasterise(tin, pixels, interpolator=interpolation, max_edge=5e4, max_radius=5e4, window=window)
         nearest.nearest_points(xyz[0], xyz[1], xyz[2], pixels, 1, 5e3)
         highest_returns.HighestReturns(1, 1).add(np.zeros(xyz.shape[1], np.int64), xyz)
-        wall_feet.beside_objects(xyz, xyz, Fraction(1000), 1000, (0, 0))
+        wall_feet.near_objects(xyz, xyz, Fraction(1000), 1000, (0, 0))
         cells = ground_cells.CellWindow(1000, 1, 0, 59, 60, 60)
         ground_cells.plane_variance(xyz, cells, (2, 5))
         ground_cells.cell_counts(xyz, cells)

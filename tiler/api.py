@@ -21,7 +21,7 @@ from tiler.apps.classify import classify_file, classify_files, is_one_file
 from tiler.config import RunConfig
 from tiler.core.units import parse_length, unit_named
 from tiler.errors import ConfigError, InputError, ProcessingError, TilerError
-from tiler.io.locations import cloud_path
+from tiler.io.locations import as_path
 from tiler.observe.events import Listener, combine
 from tiler.observe.json_lines import Progress, ProgressRecords
 from tiler.observe.notebook_bar import NotebookBar, in_notebook
@@ -281,7 +281,7 @@ def check(
     (True, 3)
     """
     report = measure(
-        cloud_path(_text("dtm", dtm)),
+        as_path(_text("dtm", dtm)),
         None if points is None else Path(_text("points", points)),
         PointOptions(
             points_crs,

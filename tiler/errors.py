@@ -57,7 +57,7 @@ class ForeignStoreError(StoreError):
     exit_code = 2
 
 
-class DamagedError(StoreError):
+class CorruptStoreError(StoreError):
     """Objects of a store are damaged or missing. A run repeats the tasks that wrote them.
 
     Attributes
@@ -100,7 +100,7 @@ class StoreAccessError(ProcessingError):
     """The store does not accept writes. The cause is not an input or a tile, so the run ends if all retries fail."""
 
 
-def refused_write(what: str, error: Exception, folder: Path | None = None) -> ProcessingError:
+def write_error(what: str, error: Exception, folder: Path | None = None) -> ProcessingError:
     """Return the one-line error for a write that the file system refused.
 
     The error is a `DiskFullError` if no space is left.

@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from tiler.config import RunConfig
-from tiler.errors import ConfigError, DamagedError, ProcessingError, StoreError, exit_code_of
+from tiler.errors import ConfigError, CorruptStoreError, ProcessingError, StoreError, exit_code_of
 from tiler.export.stage import export
 from tiler.filter.stage import filter_points
 from tiler.grid.stage import grid
@@ -20,19 +20,19 @@ from tiler.grid.tasks.raster_table import wanted
 from tiler.ingest.stage import assemble, spool
 from tiler.ingest.tasks.fingerprints import numbered
 from tiler.inputs import SourceInfo
-from tiler.io.locations import is_url, joined, put_file
+from tiler.io.locations import is_url, joined, upload_file
 from tiler.io.overwrite_check import check_names
-from tiler.io.result_folder import EVENTS, REPORT, RUN, STORE, earlier_facts, earlier_outputs, folder_here
+from tiler.io.result_folder import EVENTS, REPORT, RUN, STORE, earlier_facts, earlier_outputs, local_folder
 from tiler.observe.eventlog import EventLog
-from tiler.observe.events import Listener, combine, discreet, silent
+from tiler.observe.events import Listener, combine, redacting, silent
 from tiler.plan import Plan, crs_name, make_plan, refuse, remember, stage_seconds
 from tiler.preparation import prepare_workers
 from tiler.redaction import without_secrets
 from tiler.report.html import write_report
 from tiler.report.runfile import record_end
-from tiler.runs.job import Job, Ownership, RunResult
+from tiler.runs.job import Job, LeaseWatch, RunResult
 from tiler.runs.repair import ROUNDS, heal
-from tiler.schedule import import_dask, kept_forking, limits_memory
+from tiler.schedule import fork_server_running, import_dask, limits_memory
 from tiler.store import (
     Lease,
     TileStore,
@@ -47,7 +47,7 @@ from tiler.store import (
 STAGES = ("ingest", "filter", "grid", "export")
 
 
-@kept_forking()  # Children that read headers and children that do tasks share the imports.
+@fork_server_running()  # Children that read headers and children that do tasks share the imports.
 def run(
     inputs: Sequence[str],
     out: str | Path,
@@ -85,7 +85,7 @@ def run(
         raise ConfigError("-o: has no name; give a folder for the results")
     check_names("-o", products)
     check_names("--store", config.store or products)
-    out = folder_here(products)
+    out = local_folder(products)
     started = time.monotonic()
     url = config.store or joined(products, STORE)
     if prepare_workers(config, products):
@@ -97,7 +97,7 @@ def run(
         url = config.store or joined(products, STORE)
     with _held(out, products, url) as leases, _copied(out, products):
         plan, store = _frozen(plan, url)
-        job = Job(plan, out, products, store, discreet(listener), Ownership(leases))
+        job = Job(plan, out, products, store, redacting(listener), LeaseWatch(leases))
         job.facts["products_at"] = products if is_url(products) else None
         job.facts["given"] = [str(source) for source in inputs]
         job.facts["earlier_outputs"] = earlier_outputs(out, products)
@@ -105,7 +105,7 @@ def run(
         # run.json is written first, since it shows that the later files belong to this run.
         job.save("running")
         with EventLog(out / EVENTS) as log:
-            job.listener = discreet(combine(listener, log, job.record.keep_warning))
+            job.listener = redacting(combine(listener, log, job.record.keep_warning))
             result = _locked_run(job, until, started)
         if config.clean_store and until == "export" and (left := remove_store(url)):
             listener(
@@ -132,7 +132,7 @@ def _copied(out: Path, products: str) -> Iterator[None]:
     def copy() -> None:
         for path in (out / name for name in (RUN, EVENTS, REPORT)) if is_url(products) else ():
             if path.is_file():
-                put_file(path, joined(products, path.name))
+                upload_file(path, joined(products, path.name))
 
     try:
         yield
@@ -221,7 +221,7 @@ def _healing_stages(job: Job, until: str) -> None:
         try:
             _stages(job, until)
             return
-        except DamagedError as damage:
+        except CorruptStoreError as damage:
             if number == ROUNDS or not damage.keys:
                 raise
             heal(job, damage.keys)

@@ -100,7 +100,7 @@ def command(
             "give either --reference REF, or --method NAME to filter clouds with reference classes"
         )
     from tiler.apps import evaluate
-    from tiler.schedule import half_of_memory, read_apart
+    from tiler.schedule import call_isolated, half_of_memory
 
     ignored = evaluate.IGNORED if ignore is None else parse_classes(ignore)
     if maps is not None or difference is not None:
@@ -123,7 +123,7 @@ def command(
                 facts = evaluate.filter_and_evaluate(clouds, config, ignored, request, listener)
     if dtm is not None and true_dtm is not None:
         both, sigma = (Path(dtm), Path(true_dtm)), dtm_sigma or evaluate.sigma_beside(dtm)
-        facts["dtm"] = read_apart(
+        facts["dtm"] = call_isolated(
             evaluate.evaluate_dtm, *both, difference, sigma, paths=both, memory_bytes=half_of_memory()
         )
     if as_json:

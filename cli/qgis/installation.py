@@ -14,8 +14,8 @@ from typing import Any
 
 from cli.qgis.addresses import addresses, validate_addresses
 from cli.qgis.table import table
-from tiler.errors import ConfigError, refused_write
-from tiler.io.partial_files import appearing
+from tiler.errors import ConfigError, write_error
+from tiler.io.partial_files import atomic_path
 from tiler.version import __version__
 
 FOLDER = "tiler_qgis"
@@ -66,12 +66,12 @@ def install(profile: str) -> Path:
         target.mkdir(parents=True, exist_ok=True)
         # The table is first, because it identifies a folder that was only partly written.
         for name in sorted(new, key=lambda name: name != TABLE):
-            with appearing(target / name) as part:
+            with atomic_path(target / name) as part:
                 part.write_bytes(new[name])
         for name in earlier - new.keys():
             (target / name).unlink(missing_ok=True)
     except OSError as error:
-        raise refused_write(str(target), error, target.parent) from error
+        raise write_error(str(target), error, target.parent) from error
     return target
 
 
@@ -89,13 +89,13 @@ def package(target: Path, upload: bool = False) -> None:
     if target.exists() and not _is_package(target):
         raise ConfigError(f"{target}: already exists and is not a package of this plugin; give another name")
     try:
-        with appearing(target) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive:
+        with atomic_path(target) as part, zipfile.ZipFile(part, "w", zipfile.ZIP_DEFLATED) as archive:
             for name, content in plugin_files().items():
                 entry = zipfile.ZipInfo(f"{FOLDER}/{name}", FIRST_TIME)
                 entry.compress_type, entry.external_attr = zipfile.ZIP_DEFLATED, 0o644 << 16
                 archive.writestr(entry, content)
     except OSError as error:
-        raise refused_write(str(target), error, target.parent) from error
+        raise write_error(str(target), error, target.parent) from error
 
 
 def _metadata(text: str) -> str:

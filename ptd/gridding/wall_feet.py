@@ -53,7 +53,7 @@ def _beside(
     return out
 
 
-def beside_objects(
+def near_objects(
     ground: Int32, objects: Int32, reach: Fraction, rise: int, origin: tuple[int, int]
 ) -> npt.NDArray[np.bool_]:
     """Ground points that have a point of an object within ``reach`` in plan and at least ``rise`` higher.

@@ -169,7 +169,7 @@ def _disks_in_doubt(
         out[i] = _disk_in_doubt(float(x[i]), float(y[i]), radius, sides, cell, free)
 
 
-class Doubt:
+class UncertifiedRegion:
     """Places in doubt: all outside the known window, and a raster of those inside it.
 
     Parameters

@@ -181,7 +181,7 @@ def accepts(
     Parameters
     ----------
     in_doubt : uint8 [triangles]
-        See `ptd.ground.certificates.Doubt.triangles`.
+        See `ptd.ground.certificates.UncertifiedRegion.triangles`.
 
     Returns
     -------

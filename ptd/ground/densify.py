@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from ptd.cells import Int32, Xyz
 from ptd.frame import Cells, Scale, Window
-from ptd.ground.certificates import Doubt, UInt8
+from ptd.ground.certificates import UInt8, UncertifiedRegion
 from ptd.ground.criteria import Limits, accepts
 from ptd.ground.seeds import RING, box_with_ring, choose_seeds
 from ptd.kernel import kernel, wide
@@ -106,7 +106,7 @@ def _insert_points(
 
 
 def densify(
-    tin: Tin, points: Xyz, state: UInt8, limits: Limits, rounds: int, doubt: Doubt
+    tin: Tin, points: Xyz, state: UInt8, limits: Limits, rounds: int, doubt: UncertifiedRegion
 ) -> tuple[npt.NDArray[np.bool_], int]:
     """Batch rounds until nothing passes any more, or `rounds` of them.
 
@@ -179,12 +179,12 @@ def densify_seeds(
     -------
     tin : Tin
     in_doubt : uint8 [triangles]
-        See `ptd.ground.certificates.Doubt.triangles`.
+        See `ptd.ground.certificates.UncertifiedRegion.triangles`.
     rounds : int
         How many were run.
     """
     x, y, z = points
-    doubt = Doubt(known, known.inside(seed_cells, RING), box_with_ring(x, y, seed_cells), scale)
+    doubt = UncertifiedRegion(known, known.inside(seed_cells, RING), box_with_ring(x, y, seed_cells), scale)
     seeds = choose_seeds(x, y, z, ~outlier, seed_cells, doubt)
     state = np.where(outlier, np.uint8(REFUSED), np.uint8(WAITING)).astype(np.uint8)
     state[seeds.chosen] = VERTEX

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from ptd.cells import Int32, Xyz
 from ptd.frame import Scale
-from ptd.ground.certificates import Doubt, UInt8
+from ptd.ground.certificates import UInt8, UncertifiedRegion
 from ptd.ground.criteria import across, facet_measures
 from ptd.kernel import kernel
 from ptd.tin.circles import Rule, facet_passes
@@ -55,7 +55,7 @@ class Tested(NamedTuple):
     usable : bool [triangles]
         Facets whose circumcircles are not too wide.
     in_doubt : uint8 [triangles]
-        See `ptd.ground.certificates.Doubt.triangles`.
+        See `ptd.ground.certificates.UncertifiedRegion.triangles`.
     locator : Locator
     z_ratio : float
         Horizontal counts in one vertical count.
@@ -180,7 +180,12 @@ class Trial:
     """
 
     def __init__(
-        self, tin: Tin, scale: Scale, widest_m: float, doubt: Doubt | None = None, largest: bool = False
+        self,
+        tin: Tin,
+        scale: Scale,
+        widest_m: float,
+        doubt: UncertifiedRegion | None = None,
+        largest: bool = False,
     ) -> None:
         self.tin, self.scale, self.radius = tin, scale, scale.counts(widest_m)
         self.usable = _usable(tin.mesh, tin.n_triangles, Rule(ANY_EDGE, self.radius))
@@ -189,7 +194,7 @@ class Trial:
             self._tested = Tested(tin.mesh, self.usable, in_doubt, Locator.of(tin), scale.z_ratio, largest)
 
     def test(
-        self, x: Int32, y: Int32, z: Int32, which: Bool, threshold: Threshold, doubt: Doubt
+        self, x: Int32, y: Int32, z: Int32, which: Bool, threshold: Threshold, doubt: UncertifiedRegion
     ) -> tuple[Bool, Bool]:
         """Test the chosen points: which pass, and which results points outside the window could change; bool [n] each.
 

@@ -317,7 +317,7 @@ def label_points(
     points : Xyz
         In any order (fast where neighbours follow each other).
     in_doubt : uint8 [triangles]
-        See `ptd.ground.certificates.Doubt.triangles`.
+        See `ptd.ground.certificates.UncertifiedRegion.triangles`.
     rule : GroundRule
     bands : Bands, optional
         For `heights_only`, where ``floor`` and ``per_slope`` of the rule differ by place.

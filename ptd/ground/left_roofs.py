@@ -20,7 +20,7 @@ MAX_WIDTH_M = 240.0
 MILLIMETRES = Scale()
 
 
-class LeftRoof(NamedTuple):
+class RemainingRoof(NamedTuple):
     """A surface of the terrain that looks like a roof.
 
     Attributes
@@ -36,7 +36,9 @@ class LeftRoof(NamedTuple):
     column: float
 
 
-def left_roofs(heights: Float64, cell_m: float = ROOF_CELL_M, min_width_m: float = 0.0) -> list[LeftRoof]:
+def left_roofs(
+    heights: Float64, cell_m: float = ROOF_CELL_M, min_width_m: float = 0.0
+) -> list[RemainingRoof]:
     """Connected surfaces of a terrain model that lie above all that is seen around them.
 
     Nothing farther than `reach_m` has a part in whether a surface is found.
@@ -74,11 +76,11 @@ def _rises(heights: Float64, known: Bool) -> Float64:
     return rises
 
 
-def _measured(piece: Bool, box: tuple[slice, ...], cell_m: float) -> LeftRoof:
+def _measured(piece: Bool, box: tuple[slice, ...], cell_m: float) -> RemainingRoof:
     """A roof from its cells, around which a row of its edge was too steep to be found."""
     depth = scipy.ndimage.distance_transform_edt(np.pad(piece, 1))
     row, column = ((side.start + side.stop) / 2 for side in box)
-    return LeftRoof(2 * (float(depth.max()) + 1) * cell_m, row, column)
+    return RemainingRoof(2 * (float(depth.max()) + 1) * cell_m, row, column)
 
 
 def reach_m(cell_m: float = ROOF_CELL_M) -> float:

@@ -29,10 +29,10 @@ def _mixed32(values: UInt32) -> UInt32:
     return mixed
 
 
-def lots(x: Int32, y: Int32, z: Int32, cells: Cells, salt: int) -> Int32:
+def point_hashes(x: Int32, y: Int32, z: Int32, cells: Cells, salt: int) -> Int32:
     """A random number for each point from its absolute position and a salt: int32 [n].
 
-    Points of one (x, y) and different heights have different numbers, so ties in `picked_per_cell` are between
+    Points of one (x, y) and different heights have different numbers, so ties in `random_per_cell` are between
     different places, or between equal points.
     """
     with np.errstate(over="ignore"):
@@ -42,7 +42,7 @@ def lots(x: Int32, y: Int32, z: Int32, cells: Cells, salt: int) -> Int32:
         return _mixed32(place.astype(np.uint32) ^ z.view(np.uint32)).view(np.int32)
 
 
-def picked_per_cell(x: Int32, y: Int32, z: Int32, cells: Cells, salt: int) -> Int32:
+def random_per_cell(x: Int32, y: Int32, z: Int32, cells: Cells, salt: int) -> Int32:
     """One random point of each cell that holds one, in row-major order of the cells.
 
     The pick depends on the cell's own points and the salt alone: not on their order, the tile or the frame's offset.
@@ -62,4 +62,4 @@ def picked_per_cell(x: Int32, y: Int32, z: Int32, cells: Cells, salt: int) -> In
     """
     if x.size == 0:
         return np.zeros(0, np.int32)
-    return lowest_per_cell(x, y, lots(x, y, np.ascontiguousarray(z), cells, salt), cells)
+    return lowest_per_cell(x, y, point_hashes(x, y, np.ascontiguousarray(z), cells, salt), cells)

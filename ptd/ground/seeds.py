@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from ptd.cells import Int32, lowest_per_cell
 from ptd.frame import Cells
-from ptd.ground.certificates import Doubt
+from ptd.ground.certificates import UncertifiedRegion
 
 RING = 2
 """Cells of virtual seeds around occupied ones. Any circle of a radius above sqrt(2) cells around or through a point
@@ -39,7 +39,7 @@ def choose_seeds(
     z: Int32,
     eligible: npt.NDArray[np.bool_],
     cells: Cells,
-    doubt: Doubt,
+    doubt: UncertifiedRegion,
     unsure: npt.NDArray[np.bool_] | None = None,
 ) -> Seeds:
     """Lowest eligible point per cell of a lattice anchored at CRS coordinate 0, and the ring around them.
@@ -103,7 +103,7 @@ def _ring(heights: dict[tuple[int, int], int]) -> dict[tuple[int, int], int]:
 
 
 def _doubt_cells(
-    filled: set[tuple[int, int]], unsure: set[tuple[int, int]], cells: Cells, doubt: Doubt
+    filled: set[tuple[int, int]], unsure: set[tuple[int, int]], cells: Cells, doubt: UncertifiedRegion
 ) -> None:
     """Put in doubt what may have another seed: cells not wholly known, and empty ones within the ring of such.
 

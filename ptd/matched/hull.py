@@ -40,7 +40,7 @@ NONE = 2**30
 
 
 @dataclass(frozen=True)
-class Hull:
+class Envelope:
     """How a hull is made.
 
     Attributes
@@ -234,8 +234,8 @@ def _union(
     return hull
 
 
-def hull_below(
-    heights: Int32, rule: Hull, scale: Scale, row: int, column: int, tilt_blocks: float = TILT_BLOCKS
+def lower_envelope(
+    heights: Int32, rule: Envelope, scale: Scale, row: int, column: int, tilt_blocks: float = TILT_BLOCKS
 ) -> Int32:
     """The hull of a raster of cells.
 

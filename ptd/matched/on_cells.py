@@ -3,8 +3,8 @@
 The papers' seeds and vertices are the lowest points of cells. In a matched cloud these are blunders, or the lower end
 of the noise. So there a method is given one robust height per cell (`ptd.matched.cells`) instead of the points, and
 what it finds to be ground among those is the surface against which all points are judged, to both sides, with the noise
-around them and the vote of their neighbours, as in `auto` (`ptd.matched.passes`). `either_way` makes the passes of a
-method do so where the survey finds a matched cloud; laser scans are filtered as ever.
+around them and the vote of their neighbours, as in `auto` (`ptd.matched.passes`). `for_both_kinds` makes the passes of
+a method do so where the survey finds a matched cloud; laser scans are filtered as ever.
 """
 
 from __future__ import annotations
@@ -31,8 +31,8 @@ from ptd.passes import Model, Pass, Points, State, noted
 
 
 @dataclass(frozen=True)
-class OnCells:
-    """The parameter of methods that `either_way` applies to, for `ptd.params.like`."""
+class RobustCells:
+    """The parameter of methods that `for_both_kinds` applies to, for `ptd.params.like`."""
 
     robust_cells: bool = parameter(
         True, "photogrammetric clouds: start from one robust height per cell of 1 m (2 m if sparse), and judge points "
@@ -40,7 +40,9 @@ class OnCells:
     )  # fmt: skip
 
 
-def either_way(own: Sequence[Pass], on_cells: Sequence[Pass] | None = None, *notes: str) -> tuple[Pass, ...]:
+def for_both_kinds(
+    own: Sequence[Pass], on_cells: Sequence[Pass] | None = None, *notes: str
+) -> tuple[Pass, ...]:
     """Passes of a method that starts from robust cells where a cloud is matched.
 
     Parameters
@@ -55,9 +57,9 @@ def either_way(own: Sequence[Pass], on_cells: Sequence[Pass] | None = None, *not
     cells = own if on_cells is None else on_cells
     return (
         MethodSurveyPass(notes=notes),
-        *(OfLaser.of(step) for step in own),
+        *(OnLidar.of(step) for step in own),
         CellPass(),
-        *(OfCells.of(step, f"{step.name}-of-cells") for step in cells),
+        *(OnMatchedCells.of(step, f"{step.name}-of-cells") for step in cells),
         NearGroundPass(),
     )
 
@@ -121,7 +123,7 @@ class _Wrapped(Pass):
 
 
 @dataclass(frozen=True)
-class OfLaser(_Wrapped):
+class OnLidar(_Wrapped):
     """A pass on points, where the cloud is no matched one."""
 
     kind = LIDAR
@@ -132,7 +134,7 @@ class OfLaser(_Wrapped):
 
 
 @dataclass(frozen=True)
-class OfCells(_Wrapped):
+class OnMatchedCells(_Wrapped):
     """A pass on the cells of a matched cloud."""
 
     kind = DIM

@@ -12,7 +12,7 @@ from ptd.matched import by_side, last_look, objects, surface, voting
 from ptd.matched.canopy_pass import CanopyPass, below_canopy
 from ptd.matched.cells import CELL_M, EMPTY, SPARSE_CELL_M, cell_heights, raster_of
 from ptd.matched.ground_model import GroundModel
-from ptd.matched.hull import ROOFS_TILT_BLOCKS, hull_below
+from ptd.matched.hull import ROOFS_TILT_BLOCKS, lower_envelope
 from ptd.matched.place_figures import SIDES_M, sides
 from ptd.matched.step import (
     CODE,
@@ -128,7 +128,7 @@ class ObjectPass(MatchedPass):
         before[raster.keys[codes == OBJECT]] = True
         removed = before.reshape(raster.heights.shape)
         rule = replace(surface.STIFF, cell_m=side)
-        hull = hull_below(raster.heights, rule, scale, raster.row, raster.column, ROOFS_TILT_BLOCKS)
+        hull = lower_envelope(raster.heights, rule, scale, raster.row, raster.column, ROOFS_TILT_BLOCKS)
         noise = on_cells(noise_m(state, scale), cells, raster.row, raster.column, raster.heights.shape)
         large, terrain = objects.judged(raster.heights, hull, removed, noise, scale, side)
         codes[large.reshape(-1)[raster.keys]] = OBJECT

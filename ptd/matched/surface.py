@@ -29,13 +29,13 @@ from ptd.frame import Scale
 from ptd.ground.morphology import Bool
 from ptd.matched import growth
 from ptd.matched.cells import CELL_M, EMPTY
-from ptd.matched.hull import LOWEST, Hull, hull_below
+from ptd.matched.hull import LOWEST, Envelope, lower_envelope
 from ptd.matched.surroundings import CellsLeft, gaussian_radius, share_radius, slope_radius, smoothed
 
 Float64 = npt.NDArray[np.float64]
 
-STIFF, PLIABLE = Hull(0.01, 11.5), Hull(0.04, 11.5)
-RIDGES = (Hull(0.08, 6.0), Hull(0.2, 6.0), Hull(0.5, 6.0))
+STIFF, PLIABLE = Envelope(0.01, 11.5), Envelope(0.04, 11.5)
+RIDGES = (Envelope(0.08, 6.0), Envelope(0.2, 6.0), Envelope(0.5, 6.0))
 OPEN_GROUND = 0.3
 """Curvature up to which open ground all around is reason enough; beyond, only terrain as a whole is: cars are small."""
 CREST_SLOPE, CREST_M = (0.1, 0.2), 7.0
@@ -162,8 +162,8 @@ def ground_surface(
     metres = 1.0 / scale.counts_z(1.0)
     cells = CellsLeft(np.where(there, heights * metres, 0.0), there, cell_m)
 
-    def hull(rule: Hull) -> Float64:
-        found = hull_below(heights, replace(rule, cell_m=cell_m), scale, row, column)
+    def hull(rule: Envelope) -> Float64:
+        found = lower_envelope(heights, replace(rule, cell_m=cell_m), scale, row, column)
         below: Float64 = np.where(there & (found != LOWEST), found * metres, 0.0)
         return below
 
@@ -221,7 +221,7 @@ def _contrast(
 
 
 def _bent(
-    cells: CellsLeft, terrain: Bool, hull: Callable[[Hull], Float64], sigma_m: float | Float64
+    cells: CellsLeft, terrain: Bool, hull: Callable[[Envelope], Float64], sigma_m: float | Float64
 ) -> Float64:
     """The hull that bends as much as the cells show."""
     stiff = hull(STIFF)

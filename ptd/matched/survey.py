@@ -16,7 +16,7 @@ from ptd.matched import penetration
 from ptd.matched.cells import SPARSE_M2, cell_side_m
 from ptd.matched.evidence import DIM, SEVERAL_SHARE, Evidence, Finding, Piece, concluded, decided_by, percent
 from ptd.matched.place_figures import with_sides
-from ptd.passes import Measured, Pass, Points, RunFacts, State, noted
+from ptd.passes import Pass, Points, RunHints, State, StatisticsModel, noted
 from ptd.places import PLACES, Figures, name_of
 
 SEEN_THROUGH_SHARE = 0.004
@@ -45,7 +45,7 @@ MIN_CELL_SIGMA_M, MAX_CELL_SIGMA_M = 0.03, 0.25
 trees nothing is smooth."""
 
 
-class Seen(NamedTuple):
+class ReturnStatistics(NamedTuple):
     """Counts of a run.
 
     Attributes
@@ -71,7 +71,7 @@ class Seen(NamedTuple):
     overhangs: int = 0
 
 
-def surveyed(found: Roughness, seen: Seen, run: Mapping[str, Any]) -> tuple[dict[str, Any], str]:
+def surveyed(found: Roughness, seen: ReturnStatistics, run: Mapping[str, Any]) -> tuple[dict[str, Any], str]:
     """What a run is, and a line that says so.
 
     Parameters
@@ -80,7 +80,7 @@ def surveyed(found: Roughness, seen: Seen, run: Mapping[str, Any]) -> tuple[dict
         Density and noise.
     seen : Seen
     run : mapping
-        `ptd.passes.RunFacts`.
+        `ptd.passes.RunHints`.
 
     Returns
     -------
@@ -113,14 +113,14 @@ def figures(found: Roughness, run: Mapping[str, Any]) -> tuple[float, float | No
     return found.density_m2, sigma, min(max(cell_sigma, MIN_CELL_SIGMA_M), MAX_CELL_SIGMA_M)
 
 
-def run_facts(sigma_m: float | None, kind: str | None, evidence: Evidence | None) -> RunFacts:
+def run_facts(sigma_m: float | None, kind: str | None, evidence: Evidence | None) -> RunHints:
     """What is known before the first pass: ``kind`` as the user says it, else as the evidence shows it, if it does."""
     if kind is not None or evidence is None:
-        return RunFacts(sigma_m, kind)
+        return RunHints(sigma_m, kind)
     made = decided_by(evidence)
     if made is None:
-        return RunFacts(sigma_m, evidence=asdict(evidence))
-    return RunFacts(sigma_m, *made)
+        return RunHints(sigma_m, evidence=asdict(evidence))
+    return RunHints(sigma_m, *made)
 
 
 def in_words(made: Finding) -> str:
@@ -130,7 +130,7 @@ def in_words(made: Finding) -> str:
     return f"{named} ({sure}{made.why})"
 
 
-def made_by(found: Roughness, seen: Seen, run: Mapping[str, Any]) -> Finding:
+def made_by(found: Roughness, seen: ReturnStatistics, run: Mapping[str, Any]) -> Finding:
     """What made a run's clouds: as the user or the files say, else by all evidence together.
 
     See `surveyed` for the parameters.
@@ -143,7 +143,7 @@ def made_by(found: Roughness, seen: Seen, run: Mapping[str, Any]) -> Finding:
     return concluded([*told.pieces(), *geometry(found, seen)])
 
 
-def geometry(found: Roughness, seen: Seen) -> list[Piece]:
+def geometry(found: Roughness, seen: ReturnStatistics) -> list[Piece]:
     """What the places of the points say about what made them: the look of the surface, and what hangs over it."""
     sparse = found.density_m2 < WIDE_M2
     through = seen.through / seen.looks if seen.looks else 0.0
@@ -185,9 +185,11 @@ class SurveyPass(Pass):
     gives_labels: bool = False
     reach_m: float | None = max(roughness.REACH_M, penetration.REACH_M)
 
-    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Measured:
+    def fit(
+        self, points: Points, window: Window, core: Window, scale: Scale, state: State
+    ) -> StatisticsModel:
         """Count."""
-        counts = dict.fromkeys(Seen._fields, 0)
+        counts = dict.fromkeys(ReturnStatistics._fields, 0)
         if points.returns is not None:
             of = points.returns[1, core.has(*points.xyz[:2])] if core.closed else points.returns[1]
             counts |= {"told": int(np.count_nonzero(of)), "several": int(np.count_nonzero(of > 1))}
@@ -196,12 +198,14 @@ class SurveyPass(Pass):
         if state["run"].get("kind") is None and not told:
             dense = not core.closed and noise_sums.merge(found).density_m2 >= WIDE_M2
             counts |= penetration.seen_through(points.xyz, core, scale, wide_cells=not dense)
-        return Measured({"places": found, **counts}, {"points": sum(place["points"] for place in found)})
+        return StatisticsModel(
+            {"places": found, **counts}, {"points": sum(place["points"] for place in found)}
+        )
 
     def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
         """``survey``, see `surveyed`; and ``places``, the figures of each place (`ptd.places`)."""
         parts = list(partials)
-        seen = Seen(*(sum(p[name] for p in parts) for name in Seen._fields))
+        seen = ReturnStatistics(*(sum(p[name] for p in parts) for name in ReturnStatistics._fields))
         counted = [place for p in parts for place in p["places"]]
         measured = noise_by_place.by_place(counted).items()
         table = with_sides({name_of(*place): [*figures(found, state["run"])] for place, found in measured})
@@ -210,7 +214,7 @@ class SurveyPass(Pass):
         return {**state, "survey": survey, PLACES: table, "notes": noted(state, *notes)}
 
     def decided(
-        self, found: Roughness, seen: Seen, held: Sequence[Figures], run: Mapping[str, Any]
+        self, found: Roughness, seen: ReturnStatistics, held: Sequence[Figures], run: Mapping[str, Any]
     ) -> tuple[dict[str, Any], list[str]]:
         """What the run is, and lines that say so; ``held``: figures of the places that hold points."""
         survey, note = surveyed(found, seen, run)

@@ -100,7 +100,7 @@ def simulate_buckets(number: int, memory: bool = False) -> dict[str, Any]:
     from tiler.filter.tasks.passes import filter_tasks, label_digests
     from tiler.grid.tasks.gridding import Gridding
     from tiler.grid.tasks.raster_table import wanted
-    from tiler.ingest.tasks.assembled import Assembled
+    from tiler.ingest.tasks.assembled import IngestResult
     from tiler.ingest.tasks.points import Source
     from tiler.plan import make_plan
     from tiler.store import BucketInfo, create_store
@@ -126,7 +126,7 @@ def simulate_buckets(number: int, memory: bool = False) -> dict[str, Any]:
             tracemalloc.start()
         counts = {"n": 100_000, "n_candidates": 40_000}
         records = {c: {"cell": [c.ix, c.iy], **counts, "bounds": lattice.bounds(c).to_json()} for c in cells}
-        assembled = Assembled(records, {c: f"{i:032x}" for i, c in enumerate(cells)})
+        assembled = IngestResult(records, {c: f"{i:032x}" for i, c in enumerate(cells)})
         store = create_store(str(Path(scratch) / "store.zarr"), plan.meta)
 
         def publish() -> None:

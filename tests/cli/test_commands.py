@@ -247,7 +247,7 @@ def evaluations(monkeypatch: pytest.MonkeyPatch) -> list[tuple[Any, ...]]:
     monkeypatch.setattr("tiler.apps.evaluate.evaluate_scenes", answer)
     monkeypatch.setattr("tiler.apps.evaluate.filter_and_evaluate", answer)
     monkeypatch.setattr("tiler.apps.evaluate.evaluate_dtm", lambda *_: {"unit": "metre", "rmse": None})
-    monkeypatch.setattr("tiler.schedule.read_apart", lambda work, *arguments, **how: work(*arguments))
+    monkeypatch.setattr("tiler.schedule.call_isolated", lambda work, *arguments, **how: work(*arguments))
     return seen
 
 

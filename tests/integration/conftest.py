@@ -80,7 +80,7 @@ def bucket() -> Iterator[Any]:
 
 
 class Here:
-    """Instead of `tiler.schedule.Guard`: what is called is done in this process."""
+    """Instead of `tiler.schedule.ChildProcess`: what is called is done in this process."""
 
     def __init__(self, memory_bytes: int) -> None:
         """Limit nothing."""
@@ -102,7 +102,7 @@ def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
     def here(guard: Any, function: Any, *arguments: Any, **named: Any) -> Any:
         return function(*arguments, **named)
 
-    monkeypatch.setattr("tiler.schedule.isolated_reading.Guard", Here)
+    monkeypatch.setattr("tiler.schedule.isolated_reading.ChildProcess", Here)
     for module in ("tiler.apps.preview", "tiler.apps.classify"):
         monkeypatch.setattr(f"{module}.read_guarded", here)
     for module in ("classify", "preview", "evaluate"):

@@ -15,7 +15,7 @@ from tests.invariants.runs import do, settings
 from tests.scenes.folders import content
 from tiler.errors import ConfigError, ProcessingError
 from tiler.export import stage as export
-from tiler.io.locations import cloud_path
+from tiler.io.locations import as_path
 from tiler.io.partial_files import is_scratch, partial_path
 from tiler.pipeline import run
 
@@ -168,7 +168,7 @@ def test_at_a_url_as_well(cloud: Path, tmp_path: Path, monkeypatch: pytest.Monke
     monkeypatch.chdir(tmp_path)
     url = f"memory://{uuid.uuid4().hex}/town"
     for name in ("dtm.tif", "run.json"):
-        cloud_path(f"{url}/{name}").write_bytes(b"mine")
+        as_path(f"{url}/{name}").write_bytes(b"mine")
     with pytest.raises(ConfigError, match="dtm.tif, run.json: already exists"):
         run([str(cloud)], url, settings())
     assert not (tmp_path / "town").exists()
@@ -176,7 +176,7 @@ def test_at_a_url_as_well(cloud: Path, tmp_path: Path, monkeypatch: pytest.Monke
     assert run([str(cloud)], other, settings()).exit_code == 0
     with pytest.raises(ConfigError, match="dtm.tif, run.json: already exists"):
         run([str(cloud)], url, settings())  # what town/run.json lists is elsewhere
-    assert cloud_path(f"{url}/dtm.tif").read_bytes() == b"mine"
+    assert as_path(f"{url}/dtm.tif").read_bytes() == b"mine"
     for path in (tmp_path / "town").iterdir():
         path.unlink()  # as from another machine
     assert run([str(cloud)], other, settings()).did_nothing

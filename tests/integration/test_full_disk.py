@@ -17,7 +17,7 @@ import pytest
 from tests.integration.command import ended
 from tests.invariants import clouds
 from tests.invariants.runs import EVERY_STAGE, WITH_EVERY_STAGE, all_digests, do, output_digests, settings
-from tiler.errors import ConfigError, DamagedError, DiskFullError, ProcessingError, StoreAccessError
+from tiler.errors import ConfigError, CorruptStoreError, DiskFullError, ProcessingError, StoreAccessError
 from tiler.ingest.tasks import points as ingest_tasks
 from tiler.observe.eventlog import EventLog
 from tiler.pipeline import run
@@ -222,7 +222,7 @@ def test_an_error_of_the_store_while_clouds_are_read_leaves_no_input_out(
     """Only what reading the input says is the input's fault."""
 
     def damaged(store_url: str, work: Any) -> Any:
-        raise DamagedError(f"{store_url}: meta.json is damaged")
+        raise CorruptStoreError(f"{store_url}: meta.json is damaged")
 
     monkeypatch.setattr(ingest_tasks, "spool_piece", damaged)
     with pytest.raises(ProcessingError, match="meta.json is damaged") as caught:

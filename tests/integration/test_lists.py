@@ -92,7 +92,7 @@ def test_schemes_are_known_in_capitals(tmp_path: Path) -> None:
     with http_server(tmp_path) as server:
         shouted = server.replace("http", "HTTP")
         found = [*map(str, find_inputs([f"{shouted}/town.vpc", f"{shouted}/ept.json"], in_process=True))]
-        assert str(locations.list_clouds(f"{shouted}/", (".vpc",))[0]) == f"{server}/town.vpc"
+        assert str(locations.list_inputs(f"{shouted}/", (".vpc",))[0]) == f"{server}/town.vpc"
     assert found == [f"{server}/a.laz", f"{server}/ept-data/0-0-0-0.laz", "https://Host/B.laz?Key=1"]
     assert locations.plain_scheme("SimpleCache::S3://B/C") == "simplecache::s3://B/C"
     assert locations.plain_scheme("./A/b") == "./A/b"

@@ -22,7 +22,7 @@ from tiler.errors import ConfigError, InputError
 from tiler.ingest import SpoolPiece, spool_piece
 from tiler.ingest.tasks import points as ingest_tasks
 from tiler.inputs import inspect
-from tiler.io.locations import cloud_path, list_clouds, location, state_of
+from tiler.io.locations import as_path, list_inputs, location, state_of
 from tiler.pipeline import RunResult, run
 
 SUFFIXES = (".las", ".laz")
@@ -54,7 +54,7 @@ def servers(folder: Path) -> Iterator[dict[str, str]]:
 
 def names(url: str) -> list[str]:
     """What is found, as it is named to workers."""
-    return [location(path) for path in list_clouds(url, SUFFIXES)]
+    return [location(path) for path in list_inputs(url, SUFFIXES)]
 
 
 @pytest.mark.parametrize("protocol", ["http", "ftp"])
@@ -67,8 +67,8 @@ def test_what_is_found_is_named_by_its_whole_url(
     assert names(f"{server}/a/*.laz") == both[:1]
     for url in both:
         assert names(url) == [url]
-        assert state_of(cloud_path(url)).size == (folder / "a" / url.rpartition("/")[2]).stat().st_size
-        assert inspect(cloud_path(url)).points > 1000
+        assert state_of(as_path(url)).size == (folder / "a" / url.rpartition("/")[2]).stat().st_size
+        assert inspect(as_path(url)).points > 1000
     with pytest.raises(ConfigError, match=r"no\.laz: nothing there"):
         names(f"{server}/a/no.laz")
 
@@ -76,7 +76,7 @@ def test_what_is_found_is_named_by_its_whole_url(
 def test_a_token_stays_with_its_object(servers: dict[str, str]) -> None:
     url = f"{servers['http']}/a/east.laz?token=abc"
     assert names(url) == [url]
-    assert inspect(cloud_path(url)).points > 1000
+    assert inspect(as_path(url)).points > 1000
 
 
 def test_a_wrong_password_is_told_and_its_connection_is_closed(servers: dict[str, str]) -> None:
@@ -86,7 +86,7 @@ def test_a_wrong_password_is_told_and_its_connection_is_closed(servers: dict[str
 
 
 def test_an_ftp_connection_that_is_replaced_is_closed(servers: dict[str, str]) -> None:
-    system: Any = cloud_path(f"{servers['ftp']}/a/east.laz").fs
+    system: Any = as_path(f"{servers['ftp']}/a/east.laz").fs
     first = system.ftp
     system._connect()  # fsspec does so if a server does not stop sending
     assert first.sock is None
@@ -94,7 +94,7 @@ def test_an_ftp_connection_that_is_replaced_is_closed(servers: dict[str, str]) -
 
 
 def test_an_ftp_connection_is_closed_before_its_socket_is_collected(servers: dict[str, str]) -> None:
-    circle: list[Any] = [cloud_path(f"{servers['ftp']}/a/east.laz")]
+    circle: list[Any] = [as_path(f"{servers['ftp']}/a/east.laz")]
     circle.append(circle)
     socket = circle[0].fs.ftp.sock
     gc.collect()  # what only the circle holds now comes after the socket in the collector's list
@@ -139,4 +139,4 @@ def test_a_server_that_gives_no_parts_is_told_of(tmp_path: Path) -> None:
     with http_server(tmp_path, parts=False) as server:
         line = r"west\.las: .*its server does not support range requests"
         with pytest.raises(InputError, match=line):
-            inspect(cloud_path(f"{server}/west.las"))
+            inspect(as_path(f"{server}/west.las"))

@@ -19,7 +19,7 @@ from tiler.grid.block import block_heights
 from tiler.grid.tasks.gridding import Gridding
 from tiler.grid.tasks.raster_table import raster_table
 from tiler.grid.tasks.rasters import terrain_tasks
-from tiler.ingest.tasks.assembled import Assembled
+from tiler.ingest.tasks.assembled import IngestResult
 from tiler.plan import make_plan
 
 SIZES = st.fractions(min_value=Fraction(1, 3), max_value=3000, max_denominator=400)
@@ -50,7 +50,7 @@ def test_each_block_is_one_task_and_none_shows(quarter_files: list[Path], tmp_pa
     assert result.summary["stages"]["grid-dtm"]["tasks"] == 4
     plan = make_plan([str(p) for p in quarter_files], settings(resolution="0.3"))
     store = the_store(out)
-    assembled = Assembled.of(store.committed("assemble"))
+    assembled = IngestResult.of(store.committed("assemble"))
     labels = label_digests(assembled, store.committed("filter0"))
     gridding = Gridding(plan, assembled, labels)
     spec = gridding.spec

@@ -21,7 +21,7 @@ from tests.invariants.runs import computed, do, settings, stored_labels, the_sto
 from tests.ptd.medians import (
     METHOD,
     Census,
-    LaserPass,
+    LidarPass,
     MeanPass,
     MedianPass,
     Parameters,
@@ -333,7 +333,7 @@ def test_passes_of_another_branch_make_no_tile_smaller(file: Path, monkeypatch: 
         return found
 
     with monkeypatch.context() as patch:
-        wide = [SplitPass(), LaserPass()]
+        wide = [SplitPass(), LidarPass()]
         for step in wide:
             step.reach_m = 20.0
         patch.setattr(Parameters, "passes", (Census(), *wide))

@@ -14,7 +14,7 @@ import pytest
 
 from ptd.frame import Cells, Scale, Window
 from ptd.methods import METHODS
-from ptd.passes import Measured, Method, MethodRefusal, Model, Pass, Points, State
+from ptd.passes import Method, MethodRefusal, Model, Pass, Points, State, StatisticsModel
 from tests.invariants import clouds
 from tests.invariants.runs import computed, do, settings, stored_labels
 from tests.ptd import medians
@@ -31,7 +31,9 @@ class MeanHeight(Census):
 
     name = "mean"
 
-    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Measured:
+    def fit(
+        self, points: Points, window: Window, core: Window, scale: Scale, state: State
+    ) -> StatisticsModel:
         assert points.labels is None
         assert window == core
         assert inside(points, core).all()
@@ -133,7 +135,7 @@ def test_the_plan_says_how_far_each_pass_sees(tmp_path: Path) -> None:
     assert projected_memory(wider)["filter"] > projected_memory(ours)["filter"]
 
 
-class Wary(Measured):
+class Wary(StatisticsModel):
     """Not certain with less than 20 m around its core."""
 
     def uncertain(self) -> int:

@@ -15,7 +15,7 @@ from scipy.spatial import cKDTree
 
 from ptd.frame import Cells, Scale, Window
 from ptd.params import parameter
-from ptd.passes import Measured, Method, Model, Pass, Points, State
+from ptd.passes import Method, Model, Pass, Points, State, StatisticsModel
 
 HIGH, LOW = 3, 4
 CELL_M, SEEN_M, SPREAD_M, TERRAIN_M, MEAN_M = 1.0, 6.0, 3.0, 5.0, 1.0
@@ -32,9 +32,11 @@ def around(of: np.ndarray, among: np.ndarray, reach: float) -> list[list[int]]:
 class Census(Pass):
     name, gives_labels, every_point, reach_m = "census", False, True, 0.0
 
-    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Measured:
+    def fit(
+        self, points: Points, window: Window, core: Window, scale: Scale, state: State
+    ) -> StatisticsModel:
         z = points.xyz[2, core.has(points.xyz[0], points.xyz[1])].astype(np.int64)
-        return Measured({"n": int(z.size), "sum": int(z.sum())})
+        return StatisticsModel({"n": int(z.size), "sum": int(z.sum())})
 
     def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
         parts = list(partials)
@@ -42,7 +44,7 @@ class Census(Pass):
         return {**state, "mean": mean, "survey": {"kind": state["run"]["kind"] or "lidar"}}
 
 
-class OfLaser(Pass):
+class OnLidar(Pass):
     def applies(self, state: State) -> bool:
         return bool(state["survey"]["kind"] == "lidar")
 
@@ -64,14 +66,14 @@ class Split(Model):
         return np.where(high, *self.codes).astype(np.uint8), np.zeros(len(points), bool)
 
 
-class SplitPass(OfLaser):
+class SplitPass(OnLidar):
     name, reach_m, every_point = "split", 0.0, True
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Split:
         return Split(state["mean"], (HIGH, LOW))
 
 
-class LaserPass(SplitPass):
+class LidarPass(SplitPass):
     """The last pass of its branch."""
 
     name, columns = "laser", ("labels",)
@@ -193,7 +195,7 @@ class Parameters:
     @property
     def passes(self) -> tuple[Pass, ...]:
         images = (MedianPass(), RisingPass(), SpreadPass(), MeanPass())
-        return (Census(), SplitPass(), LaserPass(), *images)
+        return (Census(), SplitPass(), LidarPass(), *images)
 
 
 METHOD = Method("medians", "laser or images", Parameters)

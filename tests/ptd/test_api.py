@@ -13,7 +13,7 @@ import pytest
 import ptd
 from ptd.frame import Scale, Window
 from ptd.methods import METHODS
-from ptd.passes import Method, Model, Pass, Points, RunFacts, State
+from ptd.passes import Method, Model, Pass, Points, RunHints, State
 
 N = 50
 XYZ = np.random.default_rng(1).random((N, 3)) * 30
@@ -72,7 +72,7 @@ def echo(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_columns_and_labels_go_from_pass_to_pass() -> None:
     result = ptd.classify(XYZ, "echo", rgb=RGB, returns=RETURNS, sigma=0.05)
     assert np.array_equal(result.classification, RGB[:, 0] % 100 + RETURNS[:, 1])
-    assert result.decisions["statistics"] == {"run": asdict(RunFacts(0.05)), "n": N}
+    assert result.decisions["statistics"] == {"run": asdict(RunHints(0.05)), "n": N}
     assert result.stats == {"first": {"given": N}, "second": {"given": N}}
 
 

@@ -11,7 +11,7 @@ import pytest
 import ptd
 from ptd.frame import Scale
 from ptd.methods import METHODS
-from ptd.passes import Method, Points, RunFacts
+from ptd.passes import Method, Points, RunHints
 from tests.ptd import medians
 from tests.ptd.medians import METHOD, Parameters
 from tests.ptd.tiling import classify_tiled
@@ -60,7 +60,7 @@ def test_later_passes_see_and_label_elected_points(xyz: np.ndarray) -> None:
     assert 0.2 < (result.classification == 2).mean() < 0.95
     assert list(result.stats) == ["census", "medians", "rising", "spread", "mean"]
     assert 550 < result.stats["medians"]["cells"] == result.stats["rising"]["elected"] <= 24**2
-    assert result.decisions["statistics"]["run"] == asdict(RunFacts(kind="dim"))
+    assert result.decisions["statistics"]["run"] == asdict(RunHints(kind="dim"))
 
 
 @pytest.mark.parametrize("tile_m", [None, 3.0, 8.0, 11.0])

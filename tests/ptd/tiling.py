@@ -10,7 +10,7 @@ import numpy as np
 
 from ptd.cells import lowest_per_cell
 from ptd.frame import OPEN, Cells, Scale, Window
-from ptd.passes import Pass, Points, RunFacts, later_passes
+from ptd.passes import Pass, Points, RunHints, later_passes
 
 MARK = np.uint8(128)
 
@@ -44,7 +44,7 @@ def classify_tiled(
     n = len(points)
     labels, marks = np.zeros(n, np.uint8), np.zeros(n, bool)
     elected, codes, doubts = Points(np.zeros((3, 0), np.int32)), np.zeros(0, np.uint8), np.zeros(0, bool)
-    state: dict[str, Any] = {"run": asdict(RunFacts(sigma_m, kind))}
+    state: dict[str, Any] = {"run": asdict(RunHints(sigma_m, kind))}
     for number, step in enumerate(params.passes):
         if not step.applies(state):
             continue

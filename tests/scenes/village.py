@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ptd.matched import surface
-from ptd.matched.hull import Hull
+from ptd.matched.hull import Envelope
 from ptd.passes import Points
 
 SIDE_M, DENSITY_M2, NOISE_M = 90.0, 12.0, 0.06
@@ -44,7 +44,12 @@ def counts(xyz: np.ndarray) -> Points:
 
 def short_sighted_surface(patch: pytest.MonkeyPatch) -> None:
     """Let the ground's surface see less far, so that small scenes have places beyond its reach."""
-    near = {"STIFF": Hull(0.04, 2.0), "PLIABLE": Hull(0.08, 2.0), "RIDGES": (Hull(0.3, 2.0),), "ROUNDS": 2}
+    near = {
+        "STIFF": Envelope(0.04, 2.0),
+        "PLIABLE": Envelope(0.08, 2.0),
+        "RIDGES": (Envelope(0.3, 2.0),),
+        "ROUNDS": 2,
+    }
     near |= {"CONTRAST_M": 2.0, "RIDGE_M": 2.0, "TERRAIN_M": 2.0, "EXTENDED_M": (1.0, 2.0)}
     for name, value in near.items():
         patch.setattr(surface, name, value)

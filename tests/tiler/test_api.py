@@ -62,7 +62,8 @@ def in_process(monkeypatch: pytest.MonkeyPatch) -> None:
     read = tiler.api._settings
     monkeypatch.setattr("tiler.api._settings", lambda *given: read(*given).updated(in_process=True))
     monkeypatch.setattr(
-        "tiler.apps.check.measuring.read_apart", lambda function, *arguments, **limits: function(*arguments)
+        "tiler.apps.check.measuring.call_isolated",
+        lambda function, *arguments, **limits: function(*arguments),
     )
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import pytest
 
-from tiler.errors import ConfigError, DamagedError, InputError
-from tiler.io.locations import cloud_path, location
+from tiler.errors import ConfigError, CorruptStoreError, InputError
+from tiler.io.locations import as_path, location
 from tiler.redaction import printable, shown, stored, without_secrets
 from tiler.schedule import digest_of
 from tiler.store.storage import Storage
@@ -68,7 +68,7 @@ def test_characters_that_are_not_printable_become_escapes() -> None:
 
 def test_an_error_never_holds_a_secret() -> None:
     assert str(InputError("http://a:b@c/x?t=1: gone")) == "http://c/x: gone"
-    damaged = DamagedError("http://a:b@c/store: k: damaged", ("k",))
+    damaged = CorruptStoreError("http://a:b@c/store: k: damaged", ("k",))
     assert (str(damaged), damaged.keys) == ("http://c/store: k: damaged", ("k",))
 
 
@@ -80,11 +80,11 @@ def test_another_token_does_not_change_the_digest() -> None:
 def test_the_path_of_a_url_keeps_its_secrets() -> None:
     pytest.importorskip("upath")
     url = "http://anna:pw@host/town.laz?token=t"
-    assert location(cloud_path(url)) == url
+    assert location(as_path(url)) == url
 
 
 def test_a_password_that_breaks_its_url_is_refused() -> None:
-    for refuses in (cloud_path, Storage):
+    for refuses in (as_path, Storage):
         with pytest.raises(ConfigError, match="use %2F for /") as caught:
             refuses("ftp://anna:pw/x@host/town.laz")
         assert "pw" not in str(caught.value)

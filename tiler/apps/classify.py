@@ -20,15 +20,15 @@ from tiler.export.tasks.class_counts import kept_text
 from tiler.export.tasks.files import kept_pieces
 from tiler.filter import LABELS
 from tiler.ingest.tasks.points import Source, by_source
-from tiler.inputs import find_inputs, inspect, inspect_guarded, read_guarded
-from tiler.io.locations import cloud_path, is_url, location, state_at
+from tiler.inputs import find_inputs, inspect, inspect_in_child, read_in_child
+from tiler.io.locations import as_path, is_url, location, state_at
 from tiler.io.overwrite_check import Target, check_targets
 from tiler.io.result_folder import COPC_SUFFIX, STORE
 from tiler.observe.events import Listener, silent
 from tiler.pipeline import run
 from tiler.plan import KEEP, Plan
 from tiler.redaction import without_secrets
-from tiler.schedule import Guard, Guards
+from tiler.schedule import ChildPool, ChildProcess
 from tiler.store import TileStore, open_store
 
 SUFFIXES = (".laz", ".las")
@@ -77,13 +77,13 @@ def classify_file(
     """
     if is_url(target):
         raise ConfigError(f"{target}: one file is written here; give a file, `tiler run` writes to URLs")
-    source = cloud_path(source)
+    source = as_path(source)
     target = Path(target)
     config = _checked(config)
     check_targets([Target("", target, SUFFIXES)], [source])
     if state_at(str(source)) is None:
         raise ConfigError(f"{source}: no such file; give a LAS or LAZ file")
-    with Guard() as guard:
+    with ChildProcess() as guard:
         return _classify(guard, source, target, config, listener)
 
 
@@ -128,7 +128,7 @@ def classify_files(
         works = list(_works(store, result.plan, targets))
         for work in works:
             Path(work.out).parent.mkdir(parents=True, exist_ok=True)
-        with Guards(result.plan.workers) as guards:
+        with ChildPool(result.plan.workers) as guards:
             made = guards.each(lambda guard, work: _written(guard, store.url, work, config), works)
             records, failed = _records(works, made)
     if not records:
@@ -232,20 +232,20 @@ def _facts(summary: Mapping[str, Any], config: RunConfig) -> dict[str, Any]:
     }
 
 
-def _written(guard: Guard, store_url: str, work: WriteClassified, config: RunConfig) -> dict[str, Any]:
+def _written(guard: ChildProcess, store_url: str, work: WriteClassified, config: RunConfig) -> dict[str, Any]:
     """Write a file in a child process, which may crash: it decodes fields that were not needed before."""
     if config.in_process:
         return write_classified(store_url, work)
-    return read_guarded(guard, _write, cloud_path(work.path), store_url, work)
+    return read_in_child(guard, _write, as_path(work.path), store_url, work)
 
 
 def _classify(
-    guard: Guard, source: Path, target: Path, config: RunConfig, listener: Listener
+    guard: ChildProcess, source: Path, target: Path, config: RunConfig, listener: Listener
 ) -> dict[str, Any]:
     info = (
         inspect(source, config.salvage)
         if config.in_process
-        else inspect_guarded(guard, source, config.salvage)
+        else inspect_in_child(guard, source, config.salvage)
     )
     if info.georeference.kind == "missing" and config.crs is None:
         listener(

@@ -10,7 +10,7 @@ from typing import Any
 
 from tiler.apps.evaluate import Scene, evaluate_dtm, evaluate_scenes
 from tiler.config import RunConfig
-from tiler.errors import ConfigError, refused_write
+from tiler.errors import ConfigError, write_error
 from tiler.io.result_folder import CLASSIFIED, EVALUATION
 from tiler.observe.events import Listener
 from tiler.pipeline import run
@@ -94,4 +94,4 @@ def _validate_own_files(out: Path, config: RunConfig) -> None:
         mark.parent.mkdir(parents=True, exist_ok=True)
         mark.touch()
     except OSError as error:
-        raise refused_write(str(mark), error, out) from error
+        raise write_error(str(mark), error, out) from error

@@ -11,8 +11,8 @@ import numpy as np
 from tiler.core.crs import crs_name
 from tiler.core.units import unit_label
 from tiler.errors import InputError, StoreError
-from tiler.io.json_text import read_object
-from tiler.io.locations import cloud_path, is_url, joined, state_at, storage_errors, without_query
+from tiler.io.json_text import parse_json_object
+from tiler.io.locations import as_path, is_url, joined, state_at, storage_errors, without_query
 from tiler.io.result_folder import RUN, STORE, read_run
 
 if TYPE_CHECKING:
@@ -56,7 +56,7 @@ def describe(path: str) -> dict[str, Any]:
     StoreError
         If another version wrote the store.
     """
-    place = cloud_path(path)
+    place = as_path(path)
     name = without_query(path).lower()
     try:
         with storage_errors():
@@ -85,15 +85,15 @@ def describe(path: str) -> dict[str, Any]:
 
         return read_list(path, describe_point_tiles, path)
     if not name.endswith(_CLOUDS):
-        from tiler.schedule import half_of_memory, read_apart
+        from tiler.schedule import call_isolated, half_of_memory
 
-        return read_apart(describe_raster, place, paths=(place,), memory_bytes=half_of_memory())
+        return call_isolated(describe_raster, place, paths=(place,), memory_bytes=half_of_memory())
     from tiler.apps.cloud_facts import describe_cloud
-    from tiler.inputs import read_guarded
-    from tiler.schedule import Guard
+    from tiler.inputs import read_in_child
+    from tiler.schedule import ChildProcess
 
-    with Guard() as guard:
-        return read_guarded(guard, describe_cloud, place)
+    with ChildProcess() as guard:
+        return read_in_child(guard, describe_cloud, place)
 
 
 def _describe_folder(folder: Path) -> dict[str, Any]:
@@ -144,7 +144,7 @@ def describe_result(folder: Path) -> dict[str, Any]:
     from tiler.store import store_exists
 
     try:
-        run = read_object((folder / RUN).read_text("utf-8"))
+        run = parse_json_object((folder / RUN).read_text("utf-8"))
     except OSError as error:
         raise InputError(
             f"{folder / RUN}: cannot be read ({error.strerror}); check its permissions"

@@ -9,10 +9,10 @@ from typing import Any
 from tiler.core.crs import crs_name
 from tiler.core.units_text import short_unit
 from tiler.errors import InputError
-from tiler.inputs import SourceInfo, find_inputs, inspect_guarded
+from tiler.inputs import SourceInfo, find_inputs, inspect_in_child
 from tiler.io.locations import is_url
 from tiler.io.result_folder import RUN
-from tiler.schedule import Guards
+from tiler.schedule import ChildPool
 
 COLUMNS = ("file", "points", "per m2", "west", "south", "east", "north", "lowest", "highest", "unit", "CRS")
 ZARR = "zarr.json"
@@ -51,8 +51,8 @@ def describe_many(paths: Sequence[str]) -> list[dict[str, Any]]:
         No cloud is there.
     """
     found, files = [], find_inputs(paths)
-    with Guards(1) as guards:
-        for path, look in zip(files, guards.each(inspect_guarded, files), strict=True):
+    with ChildPool(1) as guards:
+        for path, look in zip(files, guards.each(inspect_in_child, files), strict=True):
             try:
                 found.append(_facts(look()))
             except InputError as error:

@@ -17,7 +17,7 @@ from ptd.gridding.shape import gradients, multidirectional_hillshade
 from tiler.config import RunConfig
 from tiler.core.raster import NODATA, Block, RasterSpec
 from tiler.errors import InputError
-from tiler.inputs import SourceInfo, read_guarded
+from tiler.inputs import SourceInfo, read_in_child
 from tiler.io.las.extract import Box, cut_windows, sample_places
 from tiler.io.overwrite_check import Target, check_targets
 from tiler.io.picture import write_png
@@ -25,7 +25,7 @@ from tiler.io.result_folder import STORE
 from tiler.observe.events import Listener, silent
 from tiler.pipeline import run
 from tiler.plan import Plan, make_plan
-from tiler.schedule import Guard
+from tiler.schedule import ChildProcess
 from tiler.store import TileStore, open_store
 
 MAX_WIDTH_M = 200.0
@@ -111,7 +111,7 @@ def make_preview(
         tell("warning", {"text": text})
     sources = [s for s in plan.sources if s.points and s.bounds is not None]
     side = _side(plan, side_m)
-    with TemporaryDirectory(prefix=".tiler-preview-") as scratch, Guard() as guard:
+    with TemporaryDirectory(prefix=".tiler-preview-") as scratch, ChildProcess() as guard:
         places = _places(guard, sources, config.salvage)
         windows = spread(places, number, side, _hull(sources))
         files = _cut(guard, sources, windows, Path(scratch), config.salvage)
@@ -147,12 +147,12 @@ def _side(plan: Plan, side_m: float | None) -> float:
     return side_m / float(plan.meta.frame.units.horizontal)
 
 
-def _places(guard: Guard, sources: Sequence[SourceInfo], salvage: bool) -> list[tuple[float, float]]:
+def _places(guard: ChildProcess, sources: Sequence[SourceInfo], salvage: bool) -> list[tuple[float, float]]:
     chosen = sorted({len(sources) * i // FILES for i in range(FILES)})
     each = max(PLACES // len(chosen), 1)
     places = []
     for source in (sources[i] for i in chosen):
-        places += read_guarded(guard, sample_places, source.path, each, salvage, source.octree)
+        places += read_in_child(guard, sample_places, source.path, each, salvage, source.octree)
     return places
 
 
@@ -191,7 +191,7 @@ def spread(places: Sequence[tuple[float, float]], number: int, side: float, hull
 
 
 def _cut(
-    guard: Guard, sources: Sequence[SourceInfo], windows: Sequence[Box], scratch: Path, salvage: bool
+    guard: ChildProcess, sources: Sequence[SourceInfo], windows: Sequence[Box], scratch: Path, salvage: bool
 ) -> list[dict[str, str]]:
     """Files with the points of each window, and the cloud from which each was cut."""
     files: list[dict[str, str]] = [{} for _ in windows]
@@ -203,7 +203,7 @@ def _cut(
             continue
         targets = [str(scratch / f"w{i}-{number}.las") for i in mine]
         wanted = [windows[i] for i in mine]
-        counts = read_guarded(guard, cut_windows, source.path, wanted, targets, salvage, source.octree)
+        counts = read_in_child(guard, cut_windows, source.path, wanted, targets, salvage, source.octree)
         for i, path, count in zip(mine, targets, counts, strict=True):
             if count:
                 files[i][path] = str(source.path)

@@ -11,7 +11,7 @@ from ptd.precompile import is_compiled
 from tiler.errors import ConfigError, ProcessingError
 from tiler.plan.machine import cores
 from tiler.runs.compiling import SECONDS, Kernels, filter_kernels, grid_kernels, kinds_of, silent
-from tiler.schedule import Died, Guard, Guards
+from tiler.schedule import ChildDiedError, ChildPool, ChildProcess
 
 
 def warm(methods: Sequence[str]) -> dict[str, Any]:
@@ -42,10 +42,10 @@ def warm(methods: Sequence[str]) -> dict[str, Any]:
     wanted += [grid_kernels(interpolation) for interpolation in ("linear", "natural")]
     todo = [kernels for kernels in wanted if not is_compiled(kernels.name)]
     try:
-        with Guards(max(min(cores(), len(todo)), 1), None) as guards:
+        with ChildPool(max(min(cores(), len(todo)), 1), None) as guards:
             for done in guards.each(_compile, todo):
                 done()
-    except Died as died:
+    except ChildDiedError as died:
         raise ProcessingError(
             f"compiling kernels: the process {died}; free some memory and try again"
         ) from died
@@ -53,5 +53,5 @@ def warm(methods: Sequence[str]) -> dict[str, Any]:
     return {"folder": str(folder), "kernels": count, "compiled": count - before}
 
 
-def _compile(guard: Guard, kernels: Kernels) -> None:
+def _compile(guard: ChildProcess, kernels: Kernels) -> None:
     guard.call(kernels.compile, silent, seconds=SECONDS)

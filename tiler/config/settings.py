@@ -15,7 +15,7 @@ from typing import Any
 from tiler.config.parsing import parse_value, plain_value
 from tiler.config.presets import preset_names
 from tiler.config.sources import over_preset
-from tiler.core.products import DRAWN, NODATA, PRODUCTS
+from tiler.core.products import NODATA, PRODUCTS, VECTOR_PRODUCTS
 from tiler.core.reclass import ALL, ONLY_GROUND
 from tiler.core.selection import DROP_WITHHELD, KEEP_WITHHELD, Selection
 from tiler.core.sheet_names import DEFAULT as SHEET_NAME
@@ -82,7 +82,7 @@ class RunConfig:
         "error of the heights, in their unit), mask (source of each height). Vector products, each as OUT/<name>.gpkg: "
         "contours (lines), spots (tops and bottoms)",
         kind="names",
-        choices=(*PRODUCTS, *DRAWN),
+        choices=(*PRODUCTS, *VECTOR_PRODUCTS),
     )
     sheets: Fraction | None = length(
         None,
@@ -337,7 +337,7 @@ class RunConfig:
 
     @property
     def source_kind(self) -> str | None:
-        """Setting `kind`, with the name that methods use (`ptd.passes.RunFacts`)."""
+        """Setting `kind`, with the name that methods use (`ptd.passes.RunHints`)."""
         return "lidar" if self.kind == "als" else self.kind
 
     @property
@@ -349,7 +349,7 @@ class RunConfig:
     @property
     def drawn(self) -> tuple[str, ...]:
         """Products that are written as vector files."""
-        return tuple(name for name in DRAWN if name in self.products)
+        return tuple(name for name in VECTOR_PRODUCTS if name in self.products)
 
     @property
     def selection(self) -> Selection:

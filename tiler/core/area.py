@@ -44,7 +44,7 @@ class Area:
     -----
     Areas are half-open: a position on an edge that two areas share is inside exactly one of them. A rectangle contains
     its lower and left edge, like `Bounds`. Only edges along an axis may be longer than `MAX_EDGE` (see
-    `shortened`).
+    `segmentized`).
     """
 
     polygons: tuple[tuple[Counts, ...], ...]
@@ -95,7 +95,7 @@ class Area:
         order = np.argsort(y, kind="stable")
         xs, ys = x[order], y[order]
         for edges in self.edges:
-            found[order] |= _crossed_oddly(edges, xs, ys)
+            found[order] |= _odd_crossings(edges, xs, ys)
         return found
 
     def covers(self, bounds: Bounds) -> bool:
@@ -185,7 +185,7 @@ class Places:
         return np.sort(self._order[near[area.inside(self._x[near], self._y[near])]])
 
 
-def shortened(ring: Counts) -> Counts:
+def segmentized(ring: Counts) -> Counts:
     """Return a ring with additional points on the edges that are longer than `MAX_EDGE` along an axis.
 
     The points are rounded to counts.
@@ -239,7 +239,7 @@ def _near(edges: Counts, bounds: Bounds) -> Counts:
     return edges[:, (np.min(sides, axis=0) <= slack) & (np.max(sides, axis=0) >= -slack)]
 
 
-def _crossed_oddly(edges: Counts, x: Counts, y: Counts) -> npt.NDArray[np.bool_]:
+def _odd_crossings(edges: Counts, x: Counts, y: Counts) -> npt.NDArray[np.bool_]:
     """Return the mask of the positions from which a ray to the east crosses an odd number of edges.
 
     ``y`` must be ascending. An edge includes its lower end but not its upper end. A position on an edge is not west
@@ -263,7 +263,7 @@ def _crossed_oddly(edges: Counts, x: Counts, y: Counts) -> npt.NDArray[np.bool_]
 
 
 def _few_crossed_oddly(edges: Counts, x: Counts, y: Counts) -> npt.NDArray[np.bool_]:
-    """Return `_crossed_oddly` for a few positions in any order, by comparing every position with every edge."""
+    """Return `_odd_crossings` for a few positions in any order, by comparing every position with every edge."""
     x0, y0, x1, y1 = edges[:, :, np.newaxis]
     crossed = (x1 - x0) * (y - y0) > (x - x0) * (y1 - y0)
     crossed &= (y0 <= y) & (y < y1)

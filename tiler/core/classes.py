@@ -33,7 +33,7 @@ UNSELECTED_FLAG = 32
 UNSEEN_FLAGS = WITHHELD_FLAG | STRAY_FLAG | UNSELECTED_FLAG
 """Flags of points that a run ignores, independent of its other settings."""
 
-MARK_BIT = 0x80
+UNCERTIFIED_BIT = 0x80
 """Bit of a label that data outside the filter's window could change."""
 WATER_BIT = 0x40
 """Bit of the label of a point in a body of water."""
@@ -81,8 +81,8 @@ def written_classes(reclass: str) -> npt.NDArray[np.uint8]:
     Returns
     -------
     uint8, shape (256, 256)
-        New class by label (first axis) and class of the producer (second axis). Labels are without `MARK_BIT`, but
-        with `WATER_BIT` in water. The label 0 keeps the class.
+        New class by label (first axis) and class of the producer (second axis). Labels are without `UNCERTIFIED_BIT`,
+        but with `WATER_BIT` in water. The label 0 keeps the class.
     """
     given = np.arange(256, dtype=np.uint8)
     plain = np.isin(given, WITHOUT_OBJECT)

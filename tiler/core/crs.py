@@ -59,7 +59,7 @@ def crs_name(wkt: str | None) -> str:
     return f"{crs.name} ({':'.join(code)})" if code else crs.name
 
 
-def length_scale(wkt: str, x: float, y: float) -> float | None:
+def point_scale_factor(wkt: str, x: float, y: float) -> float | None:
     """Return the point scale factor of a CRS at a position, for example 1.5 in Web Mercator at 48 degrees.
 
     The factor is the length in the plane of the CRS divided by the length on the ground, in the direction in which it

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from tiler.core.area import Area, Places
 from tiler.core.area_index import AreaIndex
-from tiler.core.classes import BRIDGE, GROUND, MARK_BIT, NOISE, UNCLASSIFIED, UNSEEN_FLAGS, WATER
+from tiler.core.classes import BRIDGE, GROUND, NOISE, UNCERTIFIED_BIT, UNCLASSIFIED, UNSEEN_FLAGS, WATER
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.points import PointBlock
@@ -190,7 +190,7 @@ class Edits:
         block : PointBlock
             Points with the flags and classes of the input.
         classes : uint8 (n,)
-            Classes without edits, with or without `MARK_BIT`.
+            Classes without edits, with or without `UNCERTIFIED_BIT`.
         origin : tuple of int
             Absolute counts of the local count 0.
         """
@@ -209,7 +209,7 @@ class Edits:
     def labels(self, block: PointBlock, labels: Classes, origin: tuple[int, int]) -> Classes:
         """Return the labels of a bucket's points after the edits."""
         forced = self.forced(block, labels, origin)
-        classes = labels & ~np.uint8(MARK_BIT)
+        classes = labels & ~np.uint8(UNCERTIFIED_BIT)
         edited = labels.copy()
         edited[(forced == FORCED_OFF) & (classes == GROUND)] = UNCLASSIFIED
         edited[(forced == FORCED_BRIDGE) & np.isin(classes, (GROUND, UNCLASSIFIED))] = BRIDGE
@@ -256,7 +256,7 @@ class EditedPoints:
     block : PointBlock
         Points with the flags and classes of the input.
     classes : uint8 (n,)
-        Classes without edits, with or without `MARK_BIT`.
+        Classes without edits, with or without `UNCERTIFIED_BIT`.
     origin : tuple of int
         Absolute counts of the local count 0.
     """
@@ -311,7 +311,7 @@ def can_be_ground(block: PointBlock, classes: Classes) -> npt.NDArray[np.bool_]:
     if block.flags is None or block.classification is None:
         raise ValueError("block: flags or classification is None; read both columns")
     found: npt.NDArray[np.bool_] = (block.flags & UNSEEN_FLAGS) == 0
-    found &= ~np.isin(classes & ~np.uint8(MARK_BIT), excluded)
+    found &= ~np.isin(classes & ~np.uint8(UNCERTIFIED_BIT), excluded)
     found &= ~np.isin(block.classification, excluded)
     return found
 

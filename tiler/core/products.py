@@ -12,7 +12,7 @@ from tiler.core.mask_values import CANOPY, FILLED, HOLE, INTERPOLATED, MASK_VALU
 from tiler.core.nodata import NODATA as NODATA
 
 CONTOURS, SPOTS = "contours", "spots"
-DRAWN = (CONTOURS, SPOTS)
+VECTOR_PRODUCTS = (CONTOURS, SPOTS)
 """Vector products: GeoPackages of lines and of points."""
 
 # A coarse cell of the survey (`tiler.grid.survey`) has one of the next four values.

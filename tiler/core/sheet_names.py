@@ -44,7 +44,7 @@ def sheet_name(template: str, product: str, x: float, y: float, side: float) -> 
     return template.format(name=product, **places)
 
 
-def beginning(template: str, product: str) -> str:
+def name_prefix(template: str, product: str) -> str:
     """Return the text at the beginning of the names of all sheets of a product."""
     found = ""
     for text, field, _, _ in Formatter().parse(template):

@@ -12,24 +12,31 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from tiler.core.classes import LOW_NOISE, MARK_BIT, UNCLASSIFIED, WATER_BIT, WITHOUT_OBJECT, written_classes
+from tiler.core.classes import (
+    LOW_NOISE,
+    UNCERTIFIED_BIT,
+    UNCLASSIFIED,
+    WATER_BIT,
+    WITHOUT_OBJECT,
+    written_classes,
+)
 from tiler.core.edits import OF_POINTS
 from tiler.core.lattice import Cell
 from tiler.core.points import unpack_origin
-from tiler.errors import ProcessingError, refused_write
+from tiler.errors import ProcessingError, write_error
 from tiler.export.cloud_crs import new_crs
 from tiler.export.cloud_frame import patch_window, write_back, write_copc_back, write_copc_front, write_front
 from tiler.export.cloud_statistics import CloudStatistics
 from tiler.export.work import WriteClassified
-from tiler.io.cloud_reading import BLOCK_BYTES, digest_of_file, fetched_bytes, open_cloud
+from tiler.io.cloud_reading import BLOCK_BYTES, digest_of_file, fetched_bytes, open_location
 from tiler.io.las.columns import class_and_flags, write_classes
 from tiler.io.las.copc_writer import CopcWriter
 from tiler.io.las.headers import LasHeader
-from tiler.io.las.newer_formats import as_newer, as_standard_times, newer_header
+from tiler.io.las.newer_formats import as_standard_times, upgrade_records, upgraded_header
 from tiler.io.las.reader import EVERYTHING, PointReader, Records, count_decodable, record_dtype, rows_at_once
 from tiler.io.las.unchanged import unchanged, validate_unchanged
 from tiler.io.las.writer import PlainWriter, PointWriter
-from tiler.io.locations import cloud_path, folder_for, state_of
+from tiler.io.locations import as_path, staging_folder, state_of
 from tiler.io.partial_files import partial_path, replace_file, sync_folder
 from tiler.store import SPOOL_CHUNK, KeptRecords, TileStore, open_store
 
@@ -77,25 +84,25 @@ def write_classified(store_url: str, work: WriteClassified) -> dict[str, Any]:
     """
     store = open_store(store_url)
     place, name = os.path.split(work.out)
-    with unchanged(cloud_path(work.path), work.stamp, work.salvage) as header, folder_for(place) as folder:
+    with unchanged(as_path(work.path), work.stamp, work.salvage) as header, staging_folder(place) as folder:
         before = fetched_bytes()
         header = replace(header, point_count=count_decodable(header))  # as it was read, if salvaged
         record = _write(store, header, work, folder / name)
         record["fetched"] = fetched_bytes() - before
-    return {**record, "state": state_of(cloud_path(work.out)).to_json()}
+    return {**record, "state": state_of(as_path(work.out)).to_json()}
 
 
 def _write(store: TileStore, header: LasHeader, work: WriteClassified, out: Path) -> dict[str, Any]:
     """Write a cloud on this machine; the record of `write_classified`."""
     partial, compressed = partial_path(out), out.suffix.lower() == ".laz"
-    form = newer_header(header) if work.copc else header
+    form = upgraded_header(header) if work.copc else header
     crs = new_crs(header, work, store.meta.frame.crs_wkt)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         block_bytes = BLOCK_BYTES
         if work.ranges:  # a part of the points: the rest of the file is not read
             block_bytes = _FEW_BYTES
-        with open_cloud(header.path, block_bytes) as source, open(partial, "w+b") as target:
+        with open_location(header.path, block_bytes) as source, open(partial, "w+b") as target:
             if work.copc:
                 notes = write_copc_front(header, source, target, crs)
                 with CopcWriter(target, form, str(out.parent)) as copc:
@@ -117,7 +124,7 @@ def _write(store: TileStore, header: LasHeader, work: WriteClassified, out: Path
         replace_file(partial, out)
         sync_folder(out.parent)
     except OSError as error:
-        raise refused_write(str(out), error, out.parent) from error
+        raise write_error(str(out), error, out.parent) from error
     finally:
         partial.unlink(missing_ok=True)
     return {
@@ -159,7 +166,7 @@ def _write_points(
                         "would be damaged by the compressor; split the file by channel"
                     )
                 if work.copc:
-                    records = as_newer(as_standard_times(records, header), header.point_format)
+                    records = upgrade_records(as_standard_times(records, header), header.point_format)
                 labels = found[start - first : stop - first]
                 if wanted is not None:
                     inside = wanted[start - first : stop - first]
@@ -250,7 +257,7 @@ def collect_labels(store: TileStore, work: WriteClassified, first: int, last: in
         final = store.read_labels(work.labels, cell)
         if work.edits is not None:
             final = _corrected(store, work.edits, cell, final)
-        final = final & ~np.uint8(MARK_BIT)
+        final = final & ~np.uint8(UNCERTIFIED_BIT)
         if work.waters is not None:
             final = _with_water(store, work, cell, final)
         found[rows[mine] - first] = final[mine]

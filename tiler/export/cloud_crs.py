@@ -14,7 +14,7 @@ from tiler.core.crs import split
 from tiler.core.units import FOOT, METRE, US_SURVEY_FOOT, exact_unit
 from tiler.export.work import WriteClassified
 from tiler.io.las.headers import LasHeader
-from tiler.io.las.records import PROJECTION_USER, VariableRecord, packed_record
+from tiler.io.las.records import PROJECTION_USER, Vlr, packed_record
 
 WKT_BIT = 0x10
 """Bit of the global encoding that makes the WKT record the source of the CRS."""
@@ -77,12 +77,12 @@ def new_crs(header: LasHeader, work: WriteClassified, run_wkt: str | None) -> Ne
     return NewCrs(_wkt_record(work.wkt), True, told)
 
 
-def without_crs(records: Sequence[VariableRecord]) -> list[VariableRecord]:
+def without_crs(records: Sequence[Vlr]) -> list[Vlr]:
     """All records except those of a CRS."""
     return [record for record in records if not _is_crs(record)]
 
 
-def _is_crs(record: VariableRecord) -> bool:
+def _is_crs(record: Vlr) -> bool:
     return record.user_id == PROJECTION_USER and record.record_id in (_WKT, _KEYS, _NUMBERS, _TEXTS)
 
 

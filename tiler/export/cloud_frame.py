@@ -15,8 +15,8 @@ from tiler.export.cloud_crs import WKT_BIT, NewCrs, without_crs
 from tiler.export.cloud_statistics import CloudStatistics
 from tiler.io.las.copc_writer import HEADER_BYTES, INFO_BYTES, CopcWriter
 from tiler.io.las.headers import HEADER_SIZES, LasHeader
-from tiler.io.las.newer_formats import changes_of_format, newer_header
-from tiler.io.las.records import VariableRecord
+from tiler.io.las.newer_formats import changes_of_format, upgraded_header
+from tiler.io.las.records import Vlr
 from tiler.io.las.writer import laszip_vlr
 
 _COPY = 1 << 20
@@ -28,7 +28,7 @@ _MARKED_BYTES = 2
 _WAVE_USER, _WAVE_RECORDS = "LASF_Spec", (*range(100, 355), 65535)
 
 
-def _kept(records: Sequence[VariableRecord], crs: NewCrs | None) -> list[VariableRecord]:
+def _kept(records: Sequence[Vlr], crs: NewCrs | None) -> list[Vlr]:
     """Records of the source, without those of an octree and of a CRS that is written anew."""
     if crs is not None:
         records = without_crs(records)
@@ -141,7 +141,7 @@ def write_back(header: LasHeader, source: BinaryIO, target: BinaryIO, crs: NewCr
 
 def write_copc_front(header: LasHeader, source: BinaryIO, target: BinaryIO, crs: NewCrs | None) -> list[str]:
     """Write header and VLRs of a COPC file, with room for what is known only at its end. Returns notes."""
-    form, notes = newer_header(header), changes_of_format(header)
+    form, notes = upgraded_header(header), changes_of_format(header)
     source.seek(0)
     target.write(source.read(_OLDEST_HEADER_BYTES).ljust(HEADER_BYTES + INFO_BYTES, b"\0"))
     target.write(laszip_vlr(form, own_sizes=True))
@@ -185,12 +185,12 @@ def write_copc_back(
     target.seek(0, os.SEEK_END)
 
 
-def _kept_by_copc(records: Sequence[VariableRecord], crs: NewCrs | None) -> list[VariableRecord]:
+def _kept_by_copc(records: Sequence[Vlr], crs: NewCrs | None) -> list[Vlr]:
     """Records of the source, without those of an octree, of waveforms, and of a CRS that is written anew."""
     return [record for record in _kept(records, crs) if not _is_waveform(record)]
 
 
-def _is_waveform(record: VariableRecord) -> bool:
+def _is_waveform(record: Vlr) -> bool:
     return record.user_id == _WAVE_USER and record.record_id in _WAVE_RECORDS
 
 

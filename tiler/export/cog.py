@@ -27,7 +27,7 @@ from tiler.core.units import unit_label
 from tiler.errors import ProcessingError
 from tiler.export.whole_files import new_file
 from tiler.export.work import ProductFile, WriteCog
-from tiler.io.geotiff import CACHE_MB, RasterLook, plain_geotiff, raster_errors
+from tiler.io.geotiff import CACHE_MB, RasterMetadata, plain_geotiff, raster_errors
 from tiler.io.partial_files import partial_path, replace_file, sync_folder
 from tiler.store import TileStore, open_store
 
@@ -125,7 +125,7 @@ def _write_plain(store: TileStore, work: WriteCog, path: Path) -> Statistics:
     spec = work.spec
     statistics = Statistics()
     nodata = PRODUCTS[work.product].nodata
-    look = raster_look(store.meta.frame, work)
+    look = raster_metadata(store.meta.frame, work)
     area = store.area(work.area)
     with plain_geotiff(path, spec.height, spec.width, spec.transform(COUNTS_PER_UNIT), look) as raster:
         for block in spec.blocks(BLOCK_PIXELS):
@@ -156,13 +156,13 @@ def _read(store: TileStore, work: WriteCog, block: Block) -> npt.NDArray[np.floa
     return values
 
 
-def raster_look(frame: CoordFrame, work: ProductFile) -> RasterLook:
+def raster_metadata(frame: CoordFrame, work: ProductFile) -> RasterMetadata:
     """The metadata of the file of a product."""
     product = _product(work)
     unit = product.unit
     if unit == HEIGHT:
         unit = unit_label(frame.units.vertical)
-    return RasterLook(
+    return RasterMetadata(
         frame.crs_wkt,
         unit,
         product.description,

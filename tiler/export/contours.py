@@ -27,7 +27,7 @@ from tiler.export.contour_lines import (
 )
 from tiler.export.spots import HIGH, LOW, spots_of_block
 from tiler.export.whole_files import new_file
-from tiler.export.work import DrawnFile, WriteContours, WriteSpots
+from tiler.export.work import VectorFile, WriteContours, WriteSpots
 from tiler.io.vector import GeoPackage, geopackage
 from tiler.store import TileStore, open_store
 
@@ -177,7 +177,7 @@ def write_contours(store_url: str, work: WriteContours) -> dict[str, Any]:
     }
 
 
-def _interval(work: DrawnFile, terrain: _Terrain, low: float, high: float) -> Fraction:
+def _interval(work: VectorFile, terrain: _Terrain, low: float, high: float) -> Fraction:
     """The interval asked for, or that which relief and noise give; a terrain without any height has none."""
     if work.interval is not None:
         return work.interval
@@ -270,6 +270,6 @@ def _columns_of_spots(heights: Floats, kind: str, decimals: int) -> dict[str, np
     }
 
 
-def _terrain(store_url: str, work: DrawnFile) -> _Terrain:
+def _terrain(store_url: str, work: VectorFile) -> _Terrain:
     store = open_store(store_url)
     return _Terrain(store, work.raster, work.spec, store.area(work.area), work.waters)

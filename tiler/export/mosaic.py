@@ -15,10 +15,10 @@ from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.products import PRODUCTS
 from tiler.core.raster import BLOCK_PIXELS, RasterSpec
 from tiler.errors import ProcessingError
-from tiler.export.cog import raster_look
+from tiler.export.cog import raster_metadata
 from tiler.export.whole_files import write_bytes
 from tiler.export.work import WriteLegend, WriteMosaic
-from tiler.io.geotiff import RasterLook
+from tiler.io.geotiff import RasterMetadata
 from tiler.store import open_store
 
 _TYPES = {"float32": "Float32", "uint8": "Byte"}
@@ -38,7 +38,7 @@ def write_mosaic(store_url: str, work: WriteMosaic) -> dict[str, Any]:
     ElementTree.SubElement(root, "GeoTransform").text = ", ".join(repr(v) for v in (c, a, b, f, d, e))
     _add_metadata(root, {"AREA_OR_POINT": "Area", **work.tags})
     band = ElementTree.SubElement(root, "VRTRasterBand", dataType=_TYPES[product.dtype], band="1")
-    _describe_band(band, raster_look(frame, work))
+    _describe_band(band, raster_metadata(frame, work))
     for path, spec in work.sheets:
         _add_sheet(band, path, spec, whole, _TYPES[product.dtype])
     ElementTree.indent(root)
@@ -71,7 +71,7 @@ def _add_metadata(parent: ElementTree.Element, tags: dict[str, str]) -> None:
         ElementTree.SubElement(metadata, "MDI", key=key).text = value
 
 
-def _describe_band(band: ElementTree.Element, look: RasterLook) -> None:
+def _describe_band(band: ElementTree.Element, look: RasterMetadata) -> None:
     """What the files of the sheets say of their bands; in the order that GDAL's schema wants."""
     _add_metadata(band, dict(look.meanings))
     ElementTree.SubElement(band, "Description").text = look.description

@@ -7,12 +7,12 @@ from pathlib import Path
 
 from tiler.core.products import CONTOURS, SPOTS
 from tiler.core.units_text import short_unit
-from tiler.errors import ProcessingError, refused_write
+from tiler.errors import ProcessingError, write_error
 from tiler.export import WriteCog
 from tiler.export.stac import horizontal_code
 from tiler.export.tasks.catalogue import STAGE, catalogue_tasks, planned
 from tiler.export.tasks.class_counts import report_earlier_classes, report_written_classes
-from tiler.export.tasks.drawn import drawn_tasks
+from tiler.export.tasks.drawn import vector_tasks
 from tiler.export.tasks.files import (
     classified_tasks,
     cog_tasks,
@@ -21,7 +21,7 @@ from tiler.export.tasks.files import (
     legend_tasks,
     mosaic_tasks,
 )
-from tiler.export.tasks.outdated import put_aside, take_back_spoilt
+from tiler.export.tasks.outdated import archive_outdated, invalidate_changed_outputs
 from tiler.export.tasks.sheets import cut
 from tiler.filter.tasks.labelled import Labelled
 from tiler.grid.tasks.corrections import Corrections
@@ -53,7 +53,7 @@ def export(
         job.facts["sheets"] = len(gridding.sheets)
     digest = digest_of(sorted(source.content for source in sources))
     tasks = [*cog_tasks(gridding, inputs_of(sources, spooled), digest, out), *legend_tasks(gridding, out)]
-    tasks += drawn_tasks(gridding, out, labelled.noise_m)
+    tasks += vector_tasks(gridding, out, labelled.noise_m)
     rasters = list(tasks)
     clouds: list[Task] = []
     if job.plan.writes_clouds:
@@ -74,7 +74,7 @@ def export(
     written = {key: below(out, place) for key, place in _files([*tasks, *mosaics]).items()}
     written |= {SHEETS: SHEETS} if mosaics else {}
     written |= planned(gridding)
-    put_aside(job, written.values(), basis)
+    archive_outdated(job, written.values(), basis)
     _make_folders(rasters, out)  # only now: the folder of sheets that were put aside is gone
     # The store keeps the code, so that a run that finds all done does not work it out.
     known = job.store.get_state("crs")
@@ -126,7 +126,7 @@ def _make_folders(tasks: list[Task], out: str) -> None:
         try:
             Path(folder).mkdir(exist_ok=True)
         except OSError as error:
-            raise refused_write(folder, error, Path(out)) from error
+            raise write_error(folder, error, Path(out)) from error
 
 
 def _report_outline(job: Job) -> None:
@@ -194,7 +194,7 @@ def _files(tasks: list[Task]) -> dict[str, str]:
 def _write(job: Job, stage: str, tasks: list[Task], out: str) -> Commits:
     """Write files that are not there, or not as they were written; the commits of those that were."""
     files = _files(tasks)
-    take_back_spoilt(job, stage, files)
+    invalidate_changed_outputs(job, stage, files)
     written = run_stage(job, stage, tasks, writes_out=True)
     job.facts["outputs"] |= {below(out, files[k]): record["bytes"] for k, (_, record) in written.items()}
     job.facts["digests"] |= {

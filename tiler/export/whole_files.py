@@ -10,8 +10,8 @@ from typing import Any
 from tiler.export.work import WriteText
 from tiler.io.cloud_reading import digest_of_file
 from tiler.io.geotiff import raster_errors
-from tiler.io.locations import cloud_path, folder_for, joined, state_of
-from tiler.io.partial_files import write_whole
+from tiler.io.locations import as_path, joined, staging_folder, state_of
+from tiler.io.partial_files import write_atomic
 
 
 @contextmanager
@@ -31,17 +31,17 @@ def new_file(out: str, name: str) -> Iterator[tuple[Path, dict[str, Any]]]:
         ``path`` (the file's name), ``bytes``, ``digest`` (of all bytes), ``state`` (a `tiler.io.locations.State`).
     """
     record: dict[str, Any] = {}
-    with folder_for(out) as folder:
+    with staging_folder(out) as folder:
         target = folder / name
         yield target, record
         record |= {"path": name, "bytes": target.stat().st_size, "digest": digest_of_file(target)}
-    record["state"] = state_of(cloud_path(joined(out, name))).to_json()
+    record["state"] = state_of(as_path(joined(out, name))).to_json()
 
 
 def write_bytes(out: str, name: str, content: bytes) -> dict[str, Any]:
     """Write a small file and return the record of `new_file`. Raises ProcessingError."""
     with new_file(out, name) as (target, record), raster_errors(target):
-        write_whole(target, content)
+        write_atomic(target, content)
     return record
 
 

@@ -179,7 +179,7 @@ class WriteLegend(NamedFile):
 
 
 @dataclass(frozen=True, kw_only=True)
-class DrawnFile:
+class VectorFile:
     """A file of vectors that follows from the terrain.
 
     Attributes
@@ -207,14 +207,14 @@ class DrawnFile:
 
 
 @dataclass(frozen=True, kw_only=True)
-class WriteContours(DrawnFile):
+class WriteContours(VectorFile):
     """Contour lines; ``sigma``: pixels, of the Gaussian that smooths the heights beforehand."""
 
     sigma: float
 
 
 @dataclass(frozen=True, kw_only=True)
-class WriteSpots(DrawnFile):
+class WriteSpots(VectorFile):
     """Spot heights; ``reach``: pixels around a spot in which nothing is higher, or lower."""
 
     reach: int

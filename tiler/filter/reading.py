@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.passes import Pass, Points
-from tiler.core.classes import MARK_BIT, participates
+from tiler.core.classes import UNCERTIFIED_BIT, participates
 from tiler.core.lattice import Bounds, Cell
 from tiler.core.points import PointBlock
 from tiler.filter.work import FilterTile
@@ -135,7 +135,7 @@ class TileReader:
         return self._store.elected(self._work.elected_in, bounds, self._elected_labels)
 
     def _as_points(self, block: PointBlock) -> Points:
-        labels = None if block.labels is None else block.labels & ~np.uint8(MARK_BIT)
+        labels = None if block.labels is None else block.labels & ~np.uint8(UNCERTIFIED_BIT)
         if labels is None and "labels" in self._step.columns:
             labels = np.zeros(len(block), np.uint8)  # none yet
         return Points(block.xyz, labels, block.rgb, block.returns)
@@ -148,4 +148,4 @@ class TileReader:
 
 
 def _any_marked(block: PointBlock) -> bool:
-    return block.labels is not None and bool((block.labels >= MARK_BIT).any())
+    return block.labels is not None and bool((block.labels >= UNCERTIFIED_BIT).any())

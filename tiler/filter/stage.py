@@ -17,8 +17,8 @@ from tiler.core.units_text import in_unit_of_crs
 from tiler.errors import ConfigError, ProcessingError
 from tiler.filter import FilterTile
 from tiler.filter.tasks.labelled import MATCHED, Labelled
-from tiler.filter.tasks.passes import Before, filter_tasks, labels_given
-from tiler.ingest.tasks.assembled import Assembled
+from tiler.filter.tasks.passes import PassInputs, filter_tasks, labels_given
+from tiler.ingest.tasks.assembled import IngestResult
 from tiler.plan import KEEP
 from tiler.runs.compiling import filter_kernels, likely_kind
 from tiler.runs.job import Job
@@ -26,7 +26,7 @@ from tiler.runs.stage_runner import run_stage
 from tiler.schedule import Task
 
 
-def filter_points(job: Job, assembled: Assembled) -> Labelled:
+def filter_points(job: Job, assembled: IngestResult) -> Labelled:
     """Run the passes of the method."""
     if job.plan.config.method == KEEP:
         return Labelled.of(job.plan.config, assembled.digests, {})
@@ -39,7 +39,7 @@ def filter_points(job: Job, assembled: Assembled) -> Labelled:
     sigma = None if config.sigma is None else float(config.sigma)
     facts = run_facts(sigma, config.source_kind, job.plan.evidence)
     state: dict[str, Any] = {"run": dataclasses.asdict(facts)}
-    before = Before(assembled.digests)
+    before = PassInputs(assembled.digests)
     statistics = job.facts["statistics"] = {}
     writes, last = False, ""
     for number, step in enumerate(passes):
@@ -138,7 +138,7 @@ def _warn_of_uncertain_kind(job: Job, survey: Mapping[str, Any]) -> None:
     job.listener("warning", {"text": text})
 
 
-def _leave_out(job: Job, task: Task, step: Pass, before: Before) -> None:
+def _leave_out(job: Job, task: Task, step: Pass, before: PassInputs) -> None:
     """The points of a tile that failed have no label, and elect none: nothing of an earlier run, either."""
     work: FilterTile = task.arguments
     buckets = job.store.buckets_within(job.plan.meta.bucket.hull(work.cells))

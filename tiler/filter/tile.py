@@ -15,7 +15,7 @@ from ptd.frame import OPEN, Scale
 from ptd.frame import Window as Known
 from ptd.methods import METHODS
 from ptd.passes import Model, Pass, Points, joined
-from tiler.core.classes import GROUND, LOW_NOISE, MARK_BIT, UNCLASSIFIED
+from tiler.core.classes import GROUND, LOW_NOISE, UNCERTIFIED_BIT, UNCLASSIFIED
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.filter.reading import TileReader
 from tiler.filter.work import FilterTile
@@ -31,7 +31,7 @@ REACH_CELLS = 4
 """Cells of a method's lattice beyond a window within which an occupied bucket shows that the data go on there."""
 
 
-def sight_m(step: Pass, params: Any) -> float:
+def influence_margin_m(step: Pass, params: Any) -> float:
     """Metres beyond core and halo from which buckets can change a tile, for a pass and its method's parameters."""
     return float((REACH_CELLS + 1) * params.align_m + params.margin_m) if step.reach_m is None else 0.0
 
@@ -72,13 +72,13 @@ def filter_tile(store_url: str, work: FilterTile) -> dict[str, Any]:
                 continue
             labels[cell], near = _label(reader, cell, model)
             inherited |= near
-        marked = sum(int(np.count_nonzero(found & MARK_BIT)) for found in labels.values())
+        marked = sum(int(np.count_nonzero(found & UNCERTIFIED_BIT)) for found in labels.values())
         if (marked == 0 and model.uncertain() == 0) or halo >= work.max_halo:
             break
         halo = min(2 * halo, work.max_halo)
         del points, model  # before the wider window is read, which is what the memory was reckoned for
     if inherited:  # what a doubtful label of the pass before may have changed
-        labels = {cell: found | (found > 0) * np.uint8(MARK_BIT) for cell, found in labels.items()}
+        labels = {cell: found | (found > 0) * np.uint8(UNCERTIFIED_BIT) for cell, found in labels.items()}
         marked = sum(int(np.count_nonzero(found)) for found in labels.values())
     elected = {} if work.elected_out is None else _elect(store, work.cells, model, work.elected_out)
     for cell, found in labels.items():
@@ -88,7 +88,7 @@ def filter_tile(store_url: str, work: FilterTile) -> dict[str, Any]:
             store.write_labels(work.labels_out, cell, found, work.of_candidates)
     counts = np.zeros(256, np.int64)
     for found in labels.values():
-        counts += np.bincount(found & ~np.uint8(MARK_BIT), minlength=256)
+        counts += np.bincount(found & ~np.uint8(UNCERTIFIED_BIT), minlength=256)
     return {
         "points": int(counts.sum()),
         "ground": int(counts[GROUND]),
@@ -120,14 +120,14 @@ def _label(reader: TileReader, cell: Cell, model: Model) -> tuple[npt.NDArray[np
     if len(own.points):
         labels, marks = model.label(joined([own.points, *others]) if others else own.points)
         n = len(own.points)
-        found[own.which] = labels[:n] | (marks[:n].astype(np.uint8) * np.uint8(MARK_BIT))
+        found[own.which] = labels[:n] | (marks[:n].astype(np.uint8) * np.uint8(UNCERTIFIED_BIT))
     return found, near
 
 
 def _label_elected(store: TileStore, cell: Cell, model: Model) -> npt.NDArray[np.uint8]:
     """Labels with marks of the points that a pass elects in a bucket."""
     labels, marks = model.label(Points(model.elect(_local(store.meta.bucket.bounds(cell), store))))
-    return labels | (marks.astype(np.uint8) * np.uint8(MARK_BIT))
+    return labels | (marks.astype(np.uint8) * np.uint8(UNCERTIFIED_BIT))
 
 
 def _elect(store: TileStore, cells: Sequence[Cell], model: Model, name: str) -> dict[str, Any]:

@@ -40,7 +40,7 @@ def mean_width(shape: Any) -> float:
     return float(2 * shape.area / outer) if outer else 0.0
 
 
-def course_of(shape: Any) -> Floats | None:
+def centreline(shape: Any) -> Floats | None:
     """Line through the middle of a polygon, float64 (n, 2); None where it is too small for one."""
     import shapely
     from affine import Affine

@@ -10,8 +10,8 @@ from fractions import Fraction
 import numpy as np
 import numpy.typing as npt
 
-from ptd.gridding.wall_feet import beside_objects
-from tiler.core.classes import GROUND, MARK_BIT, NOISE, WITHHELD_FLAG
+from ptd.gridding.wall_feet import near_objects
+from tiler.core.classes import GROUND, NOISE, UNCERTIFIED_BIT, WITHHELD_FLAG
 from tiler.core.edits import OF_POINTS, ground_with
 from tiler.core.lattice import Bounds, Cell
 from tiler.core.points import PointBlock
@@ -49,7 +49,7 @@ class GroundRule:
         """Whether a class or label is ground: bool (256,)."""
         table = np.zeros(256, np.bool_)
         for value in self.classes:
-            table[[value, value | MARK_BIT] if self.labels is not None else [value]] = True
+            table[[value, value | UNCERTIFIED_BIT] if self.labels is not None else [value]] = True
         return table
 
 
@@ -59,7 +59,17 @@ Choose = Callable[[Cell, npt.NDArray[np.int32]], npt.NDArray[np.intp]]
 
 @dataclass(frozen=True)
 class Ground:
-    """Ground points ``xyz`` (int32 (3, n), local counts), of ``read`` ones; ``marked`` of these have the `MARK_BIT`."""
+    """Ground points of a window.
+
+    Attributes
+    ----------
+    xyz : int32 (3, n)
+        Local counts.
+    read : int
+        Number of points that were read.
+    marked : int
+        Number of ground points that have the `UNCERTIFIED_BIT`.
+    """
 
     xyz: npt.NDArray[np.int32]
     read: int
@@ -91,7 +101,7 @@ def read_ground(store: TileStore, rule: GroundRule, bounds: Bounds, choose: Choo
         points = block.xyz.take(index, axis=1)
         read += points.shape[1]
         parts.append(points if choose is None else points[:, choose(cell, points)])
-        marks.append((classes[index] >= MARK_BIT) & (rule.labels is not None))
+        marks.append((classes[index] >= UNCERTIFIED_BIT) & (rule.labels is not None))
     return Ground(np.concatenate(parts, axis=1), read, int(np.concatenate(marks).sum()))
 
 
@@ -152,7 +162,7 @@ def _beside_objects(
     around = store.meta.bucket.bounds(cell).pad(math.ceil(rule.erode))
     others = [edges[other] for other in store.meta.bucket.among(around, edges) if other != cell]
     objects = np.concatenate([own, *others], axis=1)
-    return beside_objects(ground, objects, rule.erode, rule.erode_rise, store.meta.frame.origin)
+    return near_objects(ground, objects, rule.erode, rule.erode_rise, store.meta.frame.origin)
 
 
 def _is_object(
@@ -173,7 +183,7 @@ def _is_noise(
 ) -> npt.NDArray[np.bool_]:
     """Points that the input calls noise, or the filter, if it gave labels."""
     noise = np.isin(_there(block.classification, store, cell), NOISE)
-    return noise if labels is None else noise | np.isin(labels & ~np.uint8(MARK_BIT), NOISE)
+    return noise if labels is None else noise | np.isin(labels & ~np.uint8(UNCERTIFIED_BIT), NOISE)
 
 
 def surface_points(

@@ -31,7 +31,7 @@ class SigmaBlock(PointsBlock):
     terrain, mask : str
         Rasters of the delivered heights, and of where they come from.
     kind : str or None
-        What made the cloud, as methods name it (`ptd.passes.RunFacts`); None: not known.
+        What made the cloud, as methods name it (`ptd.passes.RunHints`); None: not known.
     cap : Fraction
         Counts: ground that is farther than this counts as this far.
     """

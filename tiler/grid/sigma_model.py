@@ -17,7 +17,7 @@ from tiler.core.mask_values import CANOPY, WATER
 from tiler.grid.sigma_measures import Measures
 
 LASER, MATCHED = "lidar", "dim"
-"""Kinds of clouds, as methods name them (`ptd.passes.RunFacts`)."""
+"""Kinds of clouds, as methods name them (`ptd.passes.RunHints`)."""
 GAP_M = 0.5
 """Ground that is nearer than this is as good as ground in the pixel."""
 

@@ -31,7 +31,7 @@ from tiler.grid.tasks.shared_tins import joined_blocks
 from tiler.grid.tasks.voids import report_voids
 from tiler.grid.tasks.water import find_waters
 from tiler.grid.tasks.water_facts import report_waters
-from tiler.ingest.tasks.assembled import Assembled
+from tiler.ingest.tasks.assembled import IngestResult
 from tiler.plan import KEEP
 from tiler.runs.compiling import grid_kernels
 from tiler.runs.job import Job
@@ -47,7 +47,7 @@ BLANK_BLOCKS = 256
 """Blocks of an earlier run that one task removes."""
 
 
-def grid(job: Job, assembled: Assembled, labelled: Labelled, corrections: Corrections) -> Gridding:
+def grid(job: Job, assembled: IngestResult, labelled: Labelled, corrections: Corrections) -> Gridding:
     """All rasters that the products need, block by block."""
     if labelled.matched and job.plan.config.method != KEEP:
         _settle_surface(job)
@@ -110,14 +110,14 @@ def _holes(job: Job) -> list[Bounds]:
 def _make(job: Job, raster: Raster, spec: RasterSpec, tasks: list[Task], join: Join | None) -> Commits:
     """Make one raster of the store."""
     name, stage = raster.name, raster.stage
-    done, stale = job.sorted_out(stage, tasks)
-    job.take_back(stage, stale)
+    done, stale = job.split_commits(stage, tasks)
+    job.invalidate(stage, stale)
     job.store.create_raster(name, spec.height, spec.width, raster.fill)
     stored = {spec.block_at(*place, BLOCK_PIXELS).name for place in job.store.stored_blocks(name)}
     lost = {key for key, (_, record) in done.items() if record.get("filled")} - stored
     if lost:
         job.note(f"gone from the store, and made again: {counted(len(lost), 'block')} of {name}")
-    job.take_back(stage, lost)
+    job.invalidate(stage, lost)
     _blank(job, name, spec, stored - done.keys())
     job.store.put_state(f"raster-{name}", spec.to_json())
     if not tasks:

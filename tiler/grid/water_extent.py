@@ -76,7 +76,7 @@ def shore_area(cells: Cells, water: Bools, reach: int) -> Bools:
     return found
 
 
-def under_bridges(ground: Floats, water: Bools, size_m: float, longest_island: int) -> Bools:
+def close_bridge_gaps(ground: Floats, water: Bools, size_m: float, longest_island: int) -> Bools:
     """Water with gaps closed that bridges leave, where the terrain between is about as low as the shores.
 
     A bridge comes from the bank, so enclosed land of up to ``longest_island`` rows and columns stays; `without_islands`
@@ -100,7 +100,7 @@ def under_bridges(ground: Floats, water: Bools, size_m: float, longest_island: i
     return np.asarray(water | (gaps & ~island[labels]))
 
 
-def without_narrows(water: Bools, width: float) -> Bools:
+def remove_narrow_parts(water: Bools, width: float) -> Bools:
     """Water without what is narrower than a width in cells; what is left keeps its shore."""
     least = max(width / 2 - 0.5, 1.0)
     inner = ~within(~np.pad(water, 1), math.nextafter(least, 0.0))[1:-1, 1:-1]

@@ -15,11 +15,11 @@ from tiler.grid.pieces import label_block
 from tiler.grid.reach import box_around
 from tiler.grid.water_extent import (
     BRIDGE_M,
+    close_bridge_gaps,
+    remove_narrow_parts,
     shore_area,
     smoothed,
-    under_bridges,
     without_islands,
-    without_narrows,
 )
 from tiler.grid.water_search import SEEN_CELLS, Sources, inner_window, read_search_cells
 from tiler.grid.work import BlockWork
@@ -110,6 +110,6 @@ def _finished(store: TileStore, work: FinishWater, water: Bools, window: Block, 
     """Water of a window up to its shores, with what lies beneath bridges, without narrow arms and small islands."""
     cells = read_search_cells(store, work.sources, work.spec, window, 1)
     water = shore_area(cells.with_ground(smoothed(cells.ground)), water, math.ceil(SHORE_M / size_m))
-    water = under_bridges(cells.ground, water, size_m, _longest_island(work, size_m))
-    water = without_narrows(water, work.river_width_m / size_m)
+    water = close_bridge_gaps(cells.ground, water, size_m, _longest_island(work, size_m))
+    water = remove_narrow_parts(water, work.river_width_m / size_m)
     return without_islands(water, SEEN_SHARE * work.island_m2 / size_m**2)

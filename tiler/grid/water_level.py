@@ -19,7 +19,7 @@ from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds, Lattice
 from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec
 from tiler.core.water import RIVER, Counts, Water
-from tiler.grid.course import course_of, mean_width, polygon_of
+from tiler.grid.course import centreline, mean_width, polygon_of
 from tiler.grid.profile import MIN_PIXELS, SMOOTH_M, Profile, Scale, bank_level, profile_along, water_level
 from tiler.store import TileStore, open_store
 
@@ -173,7 +173,7 @@ def _padded(spec: RasterSpec, block: Block, reach: int) -> Block:
 def _profile(body: Water, shore: Counts, within: Counts, least: float, scale: Scale) -> Profile | None:
     """The profile of a river; None where it is too small for a line."""
     shape = polygon_of(body.area)
-    line = course_of(shape) if body.flow is None else body.flow[:, :2].astype(np.float64)
+    line = centreline(shape) if body.flow is None else body.flow[:, :2].astype(np.float64)
     if line is None or len(line) < 2:
         return None
     return profile_along(line, shore, within, max(least, mean_width(shape)), scale)

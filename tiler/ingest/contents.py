@@ -9,7 +9,7 @@ from typing import Any
 from tiler.errors import InputError
 from tiler.io.cloud_reading import digest_of_file
 from tiler.io.las.unchanged import validate_unchanged
-from tiler.io.locations import State, cloud_path
+from tiler.io.locations import State, as_path
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ def read_files(store_url: str, work: ReadFiles) -> dict[str, Any]:
     found = {}
     for place, state in work.files:
         try:
-            found[place] = {"content": _content(cloud_path(place), state)}
+            found[place] = {"content": _content(as_path(place), state)}
         except InputError as error:
             found[place] = {"error": str(error)}
     return found

@@ -23,7 +23,7 @@ from tiler.io.las.columns import class_and_flags, colours, returns, scan_angles
 from tiler.io.las.headers import LasHeader
 from tiler.io.las.reader import EVERYTHING, NEEDED, TO_SELECT, PointReader, Records
 from tiler.io.las.unchanged import unchanged
-from tiler.io.locations import cloud_path
+from tiler.io.locations import as_path
 from tiler.schedule.task import NOT_IN_DIGEST
 from tiler.store import MAX_NAME_BYTES, SPOOL_CHUNK, RecordKeeper, StoreMeta, TileStore, open_store
 
@@ -110,7 +110,7 @@ def spool_piece(store_url: str, work: SpoolPiece) -> dict[str, Any]:
     store = open_store(store_url)
     frame = store.meta.frame
     before = fetched_bytes()
-    with unchanged(cloud_path(work.path), work.stamp, work.salvage) as header:
+    with unchanged(as_path(work.path), work.stamp, work.salvage) as header:
         keeper = _keeper(store, work, header)
         layers = TO_SELECT if work.selection.options else NEEDED
         layers = EVERYTHING if keeper is not None else layers

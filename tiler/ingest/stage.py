@@ -15,7 +15,7 @@ from tiler.core.lattice import Bounds, Cell
 from tiler.core.selection import WITHHELD
 from tiler.errors import InputError, ProcessingError
 from tiler.ingest import OUTSIDE_AREA, Strays
-from tiler.ingest.tasks.assembled import Assembled
+from tiler.ingest.tasks.assembled import IngestResult
 from tiler.ingest.tasks.points import (
     Source,
     assemble_tasks,
@@ -27,7 +27,7 @@ from tiler.ingest.tasks.points import (
 )
 from tiler.inputs import FAR
 from tiler.io.locations import is_url
-from tiler.plan import KEEP, Plan, bounds_of, too_much_between
+from tiler.plan import KEEP, Plan, bounds_of, sparse_raster_remedy
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage
 from tiler.schedule import Task
@@ -165,25 +165,25 @@ def _far_away(plan: Plan, out: Path | None, sources: list[Source], spooled: Comm
     extent = reduce(Bounds.union, extents.values(), plan.extent)
     if plan.area is not None:
         extent = extent.intersection(plan.area.bounds)
-    remedy = too_much_between(dataclasses.replace(plan, extent=extent), out) if extents else None
+    remedy = sparse_raster_remedy(dataclasses.replace(plan, extent=extent), out) if extents else None
     if remedy is None:
         return {}
     return dict.fromkeys(extents, f"holds points far outside of the bounds that its header gives: {remedy}")
 
 
-def assemble(job: Job, sources: list[Source], spooled: Commits) -> Assembled:
+def assemble(job: Job, sources: list[Source], spooled: Commits) -> IngestResult:
     """Points into buckets; tell of duplicates and of what takes no part."""
     fragments = fragments_of(spooled)
     tasks = list(assemble_tasks(job.plan, spooled, fragments, strays_of(job.plan, sources, spooled)))
-    done, stale = job.sorted_out("assemble", tasks)
+    done, stale = job.split_commits("assemble", tasks)
     _forget_labels(job, stale)
-    job.take_back("assemble", stale)
+    job.invalidate("assemble", stale)
     job.store.allocate(
         {cell: sum(stop - start for _, start, stop in runs) for cell, runs in fragments.items()}
     )
     _bring_back(job, sources, [task for task in tasks if task.key not in done])
     commits = run_stage(job, "assemble", tasks)
-    assembled = Assembled.of(commits)
+    assembled = IngestResult.of(commits)
     if not commits:
         raise ProcessingError(f"no bucket could be written; the first: {job.record.first_error('assemble')}")
     area = job.plan.area
@@ -207,7 +207,7 @@ def assemble(job: Job, sources: list[Source], spooled: Commits) -> Assembled:
     return assembled
 
 
-def _report_unfiltered(job: Job, assembled: Assembled) -> None:
+def _report_unfiltered(job: Job, assembled: IngestResult) -> None:
     """Count the points of each class of the input, and tell of classes that keep many points out of the filter."""
     config = job.plan.config
     found = sum_by_class(record["classes"] for record in assembled.records.values())
@@ -232,11 +232,11 @@ def _bring_back(job: Job, sources: list[Source], todo: list[Task]) -> None:
     gone = needed - job.store.pieces() if needed else set()
     if gone:
         job.note(f"{len(gone)} parts of the decoded points are gone from the store; they are decoded again")
-        job.take_back("spool", gone)
+        job.invalidate("spool", gone)
         run_stage(job, "spool", spool_tasks(job.plan, sources, _keeps_records(job)))
 
 
-def _report_strays(job: Job, sources: list[Source], assembled: Assembled) -> None:
+def _report_strays(job: Job, sources: list[Source], assembled: IngestResult) -> None:
     """List the points that belong to nothing."""
     paths = {source.number: str(source.info.path) for source in sources}
     found: list[dict[str, Any]] = []
@@ -258,6 +258,6 @@ def _forget_labels(job: Job, stale: Commits) -> None:
     for number in range(job.store.get_state("passes") or 0):
         stage = f"filter{number}"
         tiles = job.store.committed(stage) if cells else {}
-        job.take_back(
+        job.invalidate(
             stage, [k for k, (_, r) in tiles.items() if not cells.isdisjoint(map(tuple, r["cells"]))]
         )

@@ -1,47 +1,48 @@
 """Inputs: which files a run gets, what their headers and a sample of their points say, and the CRS that they share.
 
-The plan uses `find_inputs`, `inspect` (in parallel for several files) and `agree`; ingest divides files into `pieces`.
+The plan uses `find_inputs`, `inspect` (in parallel for several files) and `resolve_common_crs`; ingest divides files
+into `pieces`.
 """
 
-from tiler.inputs.common_crs import Agreement, agree
+from tiler.inputs.common_crs import CommonCrs, resolve_common_crs
 from tiler.inputs.extent import FAR
 from tiler.inputs.georeference import Georeference, describe
 from tiler.inputs.lists import read_list
 from tiler.inputs.patches import Patch
-from tiler.inputs.point_tiles import PointTiles, Touches, is_point_tiles, key_of, read_point_tiles
+from tiler.inputs.point_tiles import EptDataset, Touches, is_ept, key_of, read_point_tiles
 from tiler.inputs.requantise import bounds_in_counts
 from tiler.inputs.search import find_inputs, is_list
 from tiler.inputs.sources import (
     SourceInfo,
-    claimed_bounds,
+    header_bounds,
     inspect,
-    inspect_guarded,
+    inspect_in_child,
     pieces,
-    read_guarded,
+    read_in_child,
     window_pieces,
 )
 
 __all__ = [
     "FAR",
-    "Agreement",
+    "CommonCrs",
+    "EptDataset",
     "Georeference",
     "Patch",
-    "PointTiles",
     "SourceInfo",
     "Touches",
-    "agree",
     "bounds_in_counts",
-    "claimed_bounds",
     "describe",
     "find_inputs",
+    "header_bounds",
     "inspect",
-    "inspect_guarded",
+    "inspect_in_child",
+    "is_ept",
     "is_list",
-    "is_point_tiles",
     "key_of",
     "pieces",
-    "read_guarded",
+    "read_in_child",
     "read_list",
     "read_point_tiles",
+    "resolve_common_crs",
     "window_pieces",
 ]

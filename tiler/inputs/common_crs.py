@@ -18,7 +18,7 @@ from tiler.inputs.georeference import Georeference, describe
 from tiler.inputs.sources import SourceInfo
 
 
-class Agreement(NamedTuple):
+class CommonCrs(NamedTuple):
     """The CRS of a run (None if it is unknown), its units, and notes for the user."""
 
     wkt: str | None
@@ -26,7 +26,7 @@ class Agreement(NamedTuple):
     notes: list[str]
 
 
-def agree(infos: Sequence[SourceInfo], config: RunConfig) -> Agreement:
+def resolve_common_crs(infos: Sequence[SourceInfo], config: RunConfig) -> CommonCrs:
     """Find the CRS and the units that all sources share. Files without points are not asked.
 
     Raises
@@ -45,7 +45,7 @@ def agree(infos: Sequence[SourceInfo], config: RunConfig) -> Agreement:
     texts = {g.wkt for _, g in members if g.wkt is not None}
     # Equal definitions may have different texts: choose one that does not depend on the order of the files.
     wkt = min(texts, key=lambda text: (-text.count("ID["), text), default=None)
-    return Agreement(wkt, units, notes)
+    return CommonCrs(wkt, units, notes)
 
 
 def _given(text: str | None) -> Georeference | None:

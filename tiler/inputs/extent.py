@@ -104,16 +104,16 @@ def find_extent(header: LasHeader, octree: Octree | None = None) -> Extent:
             sample = [reader.read(s, min(length, header.point_count - s)) for s in starts]
         most = max(int(returns(records, header.point_format)[1].max(initial=0)) for records in sample)
         told = evidence(np.concatenate(sample), header.point_format)
-        near = _Hull.around(header, sample)
-        claim = _Hull(np.array(header.mins), np.array(header.maxs))
+        near = _BoundingBox.around(header, sample)
+        claim = _BoundingBox(np.array(header.mins), np.array(header.maxs))
         note = None
         credible = bool(np.all(claim.high - claim.low <= _WIDEST))
         claimed = credible and claim.holds(near, header.scales)
         if credible and not claimed and _few_outside(header, sample, claim):
             claimed = True
-            near = _Hull(np.maximum(near.low, claim.low), np.minimum(near.high, claim.high))
+            near = _BoundingBox(np.maximum(near.low, claim.low), np.minimum(near.high, claim.high))
         if not claimed:
-            claim = _Hull.around(header, reader.pieces(_SCAN))
+            claim = _BoundingBox.around(header, reader.pieces(_SCAN))
             note = "its points lie outside the bounds that its header gives: read from the points"
     if not np.all(np.isfinite(claim.low)):
         raise InputError(
@@ -152,7 +152,7 @@ def _patches_of(
     return tuple(found)
 
 
-def _few_outside(header: LasHeader, sample: Iterable[Records], claim: _Hull) -> bool:
+def _few_outside(header: LasHeader, sample: Iterable[Records], claim: _BoundingBox) -> bool:
     """Whether, in x and y, the points of a sample outside ``claim`` can be strays and the others fill ``claim``."""
     places = np.concatenate([_plan_view(header, records) for records in sample], axis=1)
     tolerance = np.asarray(header.scales[:2])
@@ -172,14 +172,14 @@ def _plan_view(header: LasHeader, records: Records) -> Array:
 
 
 @dataclass(frozen=True)
-class _Hull:
+class _BoundingBox:
     """Lowest and highest x, y, z, float64, shape (3,) each; infinite without points."""
 
     low: Array
     high: Array
 
     @classmethod
-    def around(cls, header: LasHeader, blocks: Iterable[Records]) -> _Hull:
+    def around(cls, header: LasHeader, blocks: Iterable[Records]) -> _BoundingBox:
         """The hull of some records; coordinates that are not finite are left out."""
         low = np.full(3, np.inf)
         high = np.full(3, -np.inf)
@@ -199,12 +199,12 @@ class _Hull:
                 high[axis] = max(high[axis], ends[1])
         return cls(low, high)
 
-    def holds(self, other: _Hull, tolerance: Sequence[float]) -> bool:
+    def holds(self, other: _BoundingBox, tolerance: Sequence[float]) -> bool:
         """Whether another hull lies inside, apart from rounding."""
         inside = np.all(other.low >= self.low - tolerance) and np.all(other.high <= self.high + tolerance)
         return bool(inside)
 
-    def trimmed(self, near: _Hull) -> _Hull | None:
+    def trimmed(self, near: _BoundingBox) -> _BoundingBox | None:
         """The hull, cut to ``near`` on each side in x and y on which it reaches far beyond; None if it does not."""
         if not np.all(np.isfinite(near.low)):
             return None
@@ -213,7 +213,7 @@ class _Hull:
         west[2] = east[2] = False
         if not (west.any() or east.any()):
             return None
-        return _Hull(np.where(west, near.low, self.low), np.where(east, near.high, self.high))
+        return _BoundingBox(np.where(west, near.low, self.low), np.where(east, near.high, self.high))
 
 
 def _chunk_start(header: LasHeader, point: int) -> int:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import Any, TypeVar
 
-from tiler.io.locations import cloud_path
-from tiler.schedule import read_apart
+from tiler.io.locations import as_path
+from tiler.schedule import call_isolated
 from tiler.schedule.guard import MEMORY_BYTES
 
 Read = TypeVar("Read")
@@ -38,10 +38,10 @@ def read_list(text: str, function: Callable[..., Read], *arguments: Any, in_proc
     """
     if in_process:
         return function(*arguments)
-    return read_apart(
+    return call_isolated(
         function,
         *arguments,
-        paths=(cloud_path(text),),
+        paths=(as_path(text),),
         memory_bytes=MEMORY_BYTES,
         seconds=LIST_SECONDS,
         remedy="get it again, or give the clouds themselves",

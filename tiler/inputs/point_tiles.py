@@ -12,9 +12,9 @@ from pyproj.exceptions import CRSError
 
 from tiler.errors import InputError
 from tiler.inputs.lists import LIST_BYTES, MAX_CLOUDS
-from tiler.io.cloud_reading import open_cloud
-from tiler.io.json_text import excerpt, read_object
-from tiler.io.locations import cloud_path, is_url
+from tiler.io.cloud_reading import open_location
+from tiler.io.json_text import excerpt, parse_json_object
+from tiler.io.locations import as_path, is_url
 
 NAME = "ept.json"
 DATA_FOLDER = "ept-data"
@@ -32,7 +32,7 @@ Touches = Callable[[Box], bool]
 
 
 @dataclass(frozen=True)
-class PointTiles:
+class EptDataset:
     """The content of ``ept.json``.
 
     Attributes
@@ -82,13 +82,13 @@ class PointTiles:
         return x, y, x + side, y + side
 
 
-def is_point_tiles(text: str | Path) -> bool:
+def is_ept(text: str | Path) -> bool:
     """Whether an input has the name of an ``ept.json``."""
     place = str(text).partition("?")[0] if is_url(text) else str(text)
     return place.lower().replace("\\", "/").rpartition("/")[2] == NAME
 
 
-def read_point_tiles(text: str) -> PointTiles:
+def read_point_tiles(text: str) -> EptDataset:
     """Read ``ept.json``; raises InputError if it cannot be read, or its points are not in LAZ files."""
     found = _read(text, text)
     kind = found.get("dataType")
@@ -105,7 +105,7 @@ def read_point_tiles(text: str) -> PointTiles:
     if not isinstance(points, int) or abs(points) >= 1 << 63:
         points = None
     scales, has_rgb = _schema(found)
-    return PointTiles(
+    return EptDataset(
         text=text,
         west=float(bounds[0]),
         south=float(bounds[1]),
@@ -140,7 +140,7 @@ def _schema(found: Mapping[str, Any]) -> tuple[tuple[float, ...] | None, bool | 
     return scales, has_rgb
 
 
-def node_files(tiles: PointTiles, touches: Touches | None = None) -> dict[str, int]:
+def node_files(tiles: EptDataset, touches: Touches | None = None) -> dict[str, int]:
     """Path or URL of the file of each node with points, root first, and the number of points in the hierarchy.
 
     Parameters
@@ -163,7 +163,7 @@ def key_of(path: Path) -> tuple[int, ...] | None:
     return _key(path.name.rpartition(".")[0])
 
 
-def node_counts(tiles: PointTiles, touches: Touches | None = None) -> dict[tuple[int, ...], int]:
+def node_counts(tiles: EptDataset, touches: Touches | None = None) -> dict[tuple[int, ...], int]:
     """Like `node_files`, but by the key of the node: level, column, row and layer."""
     counts: dict[tuple[int, ...], int] = {}
     for key, count in _nodes(tiles, touches):
@@ -175,7 +175,7 @@ def node_counts(tiles: PointTiles, touches: Touches | None = None) -> dict[tuple
     return {key: count for key, count in counts.items() if count}
 
 
-def _nodes(tiles: PointTiles, touches: Touches | None) -> Iterator[tuple[tuple[int, ...], int]]:
+def _nodes(tiles: EptDataset, touches: Touches | None) -> Iterator[tuple[tuple[int, ...], int]]:
     """Keys and numbers of points of the wanted nodes, page by page."""
     pages = [(0, 0, 0, 0)]
     seen = set[tuple[int, ...]]()
@@ -234,14 +234,14 @@ def _wkt(text: str, found: Mapping[str, Any]) -> str | None:
 
 def _read(text: str, place: str) -> dict[str, Any]:
     try:
-        with open_cloud(cloud_path(place), 1 << 16) as stream:
+        with open_location(as_path(place), 1 << 16) as stream:
             content = stream.read(LIST_BYTES + 1)
     except OSError as error:
         _refuse(text, f"{place} cannot be read ({error.strerror or error})", "get it again")
     if len(content) > LIST_BYTES:
         _refuse(text, f"{place} has more than {LIST_BYTES >> 20} MiB")
     try:
-        return read_object(content)
+        return parse_json_object(content)
     except ValueError as error:  # also raised if the bytes are not UTF-8
         _refuse(text, f"{place}: {' '.join(str(error).split())}")
 

@@ -10,20 +10,20 @@ from pathlib import Path
 
 from tiler.errors import ConfigError, InputError
 from tiler.inputs.lists import read_list
-from tiler.inputs.point_tiles import PointTiles, Touches, is_point_tiles, node_files, read_point_tiles
+from tiler.inputs.point_tiles import EptDataset, Touches, is_ept, node_files, read_point_tiles
 from tiler.inputs.virtual_cloud import is_virtual, members
-from tiler.io.locations import cloud_path, is_url, list_clouds
+from tiler.io.locations import as_path, is_url, list_inputs
 from tiler.io.partial_files import SCRATCH_PREFIX
-from tiler.io.result_folder import ASIDE, CLASSIFIED, is_results
+from tiler.io.result_folder import CLASSIFIED, OUTDATED, is_results
 
 SUFFIXES = (".las", ".laz")
 
-MADE = (CLASSIFIED, ASIDE)
+MADE = (CLASSIFIED, OUTDATED)
 """Folders in OUT into which a run writes clouds."""
 
 Tell = Callable[[str], None]
-Wanted = Callable[[PointTiles], Touches | None]
-Listed = Callable[[PointTiles, dict[Path, int]], None]
+Wanted = Callable[[EptDataset], Touches | None]
+Listed = Callable[[EptDataset, dict[Path, int]], None]
 
 
 def find_inputs(
@@ -100,7 +100,7 @@ def find_inputs(
 
 def is_list(text: str | Path) -> bool:
     """Whether an input has the name of a file that lists clouds: .vpc, or ept.json."""
-    return is_virtual(text) or is_point_tiles(text)
+    return is_virtual(text) or is_ept(text)
 
 
 def _globbed_lists(text: str) -> list[str]:
@@ -119,12 +119,12 @@ def _listed(text: str, wanted: Wanted, listed: Listed, in_process: bool) -> list
     """The clouds that a virtual point cloud names, or the files of the wanted nodes of point tiles."""
     if is_virtual(text):
         places = read_list(text, members, text, SUFFIXES, in_process=in_process)
-        return [cloud_path(place) for place in places]
+        return [as_path(place) for place in places]
     tiles = read_list(text, read_point_tiles, text, in_process=in_process)
     found = read_list(text, node_files, tiles, wanted(tiles), in_process=in_process)
     if not found:
         raise ConfigError(f"{text}: has no points near the requested area; check --bounds or --aoi")
-    counts = {cloud_path(place): count for place, count in found.items()}
+    counts = {as_path(place): count for place, count in found.items()}
     listed(tiles, counts)
     return list(counts)
 
@@ -138,8 +138,8 @@ def _real(path: Path) -> Path:
 def _expanded(text: str, note: Tell) -> tuple[Path, list[Path]]:
     """The root folder (or file) of an input, and the clouds there."""
     if is_url(text):
-        fixed = text[: _before_magic(text)].rpartition("/")[0] if glob.has_magic(text) else text
-        return cloud_path(fixed if is_url(fixed) else text), list_clouds(text, SUFFIXES)
+        fixed = text[: _glob_base(text)].rpartition("/")[0] if glob.has_magic(text) else text
+        return as_path(fixed if is_url(fixed) else text), list_inputs(text, SUFFIXES)
     if not text:
         raise ConfigError("an input has no name at all; give LAS or LAZ files, folders, globs or .vpc files")
     path = Path(text)
@@ -164,10 +164,10 @@ def _expanded(text: str, note: Tell) -> tuple[Path, list[Path]]:
             found += _walk(match, note)
         elif match.suffix.lower() in SUFFIXES:
             found.append(match)
-    return Path(text[: _before_magic(text)] + "x").parent, found
+    return Path(text[: _glob_base(text)] + "x").parent, found
 
 
-def _before_magic(pattern: str) -> int:
+def _glob_base(pattern: str) -> int:
     """Number of characters before the first wildcard of a glob."""
     return min(pattern.index(sign) for sign in "*?[" if sign in pattern)
 

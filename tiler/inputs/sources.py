@@ -19,11 +19,11 @@ from tiler.inputs.patches import Patch
 from tiler.io.cloud_reading import fetched_bytes
 from tiler.io.las.columns import RGB_FORMATS
 from tiler.io.las.headers import LasHeader, read_header
-from tiler.io.las.laz import LazDamage, LazLayout
+from tiler.io.las.laz import CorruptLazError, LazLayout
 from tiler.io.las.octree import Octree, read_octree
 from tiler.io.las.reader import count_decodable, rows_at_once
-from tiler.io.locations import State, stat_cloud
-from tiler.schedule.guard import Died, Guard, NotStartedError
+from tiler.io.locations import State, stat_location
+from tiler.schedule.guard import ChildDiedError, ChildProcess, ChildStartError
 
 Read = TypeVar("Read")
 
@@ -185,33 +185,33 @@ def _octree(header: LasHeader) -> tuple[Octree | None, str]:
         return None, ""
     try:
         return read_octree(header), ""
-    except LazDamage as damage:
+    except CorruptLazError as damage:
         return None, str(damage)
 
 
-def inspect_guarded(guard: Guard, path: Path, salvage: bool = False) -> SourceInfo:
+def inspect_in_child(guard: ChildProcess, path: Path, salvage: bool = False) -> SourceInfo:
     """`inspect` in a child process."""
-    return read_guarded(guard, inspect, path, salvage)
+    return read_in_child(guard, inspect, path, salvage)
 
 
-def read_guarded(guard: Guard, function: Callable[..., Read], path: Path, *arguments: Any) -> Read:
+def read_in_child(guard: ChildProcess, function: Callable[..., Read], path: Path, *arguments: Any) -> Read:
     """The result of ``function(path, ...)`` in a child process; a crash, a hang or too much memory is an InputError."""
     try:
-        seconds = INSPECTION_SECONDS + stat_cloud(path).st_size / BYTES_PER_SECOND
+        seconds = INSPECTION_SECONDS + stat_location(path).st_size / BYTES_PER_SECOND
         return guard.call(function, path, *arguments, seconds=seconds)
     except OSError as error:
         raise InputError(
             f"{path}: cannot be read ({error.strerror or error}); give a readable file"
         ) from error
-    except NotStartedError as error:
+    except ChildStartError as error:
         raise ProcessingError(
             f"{path}: the process that reads it {error}; end other programs, then run again"
         ) from error
-    except Died as died:
+    except ChildDiedError as died:
         raise InputError(f"{path}: the process that reads it {died}; get the file again") from died
 
 
-def claimed_bounds(info: SourceInfo) -> Bounds | None:
+def header_bounds(info: SourceInfo) -> Bounds | None:
     """Bounds in the header of a source, in absolute counts; None if they are known to be wrong.
 
     They are wider by one unit, since some writers round carelessly.

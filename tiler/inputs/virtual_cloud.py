@@ -9,9 +9,9 @@ from urllib.parse import unquote, urljoin, urlsplit
 
 from tiler.errors import InputError
 from tiler.inputs.lists import LIST_BYTES, MAX_CLOUDS
-from tiler.io.cloud_reading import open_cloud
-from tiler.io.json_text import excerpt, member, read_object
-from tiler.io.locations import cloud_path, is_url
+from tiler.io.cloud_reading import open_location
+from tiler.io.json_text import excerpt, member, parse_json_object
+from tiler.io.locations import as_path, is_url
 
 SUFFIX = ".vpc"
 REMOTE = ("http", "https", "s3", "gs", "gcs", "abfs", "abfss", "az")
@@ -78,7 +78,7 @@ def _is_name(place: str) -> bool:
 
 def _features(text: str) -> list[Any]:
     try:
-        with open_cloud(cloud_path(text)) as stream:
+        with open_location(as_path(text)) as stream:
             content = stream.read(LIST_BYTES + 1)
     except OSError as error:
         raise InputError(
@@ -87,7 +87,7 @@ def _features(text: str) -> list[Any]:
     if len(content) > LIST_BYTES:
         _refuse(text, f"has more than {LIST_BYTES >> 20} MiB")
     try:
-        found = read_object(content)
+        found = parse_json_object(content)
     except ValueError as error:  # also raised if the bytes are not UTF-8
         _refuse(text, " ".join(str(error).split()))
     features = found.get("features")

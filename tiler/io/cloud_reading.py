@@ -23,7 +23,9 @@ def fetched_bytes() -> int:
     return _fetched[0]
 
 
-def open_cloud(path: Path, block_bytes: int = BLOCK_BYTES, parts: Sequence[tuple[int, int]] = ()) -> BinaryIO:
+def open_location(
+    path: Path, block_bytes: int = BLOCK_BYTES, parts: Sequence[tuple[int, int]] = ()
+) -> BinaryIO:
     """Open a file for random reading. Raise OSError if it cannot be opened.
 
     A URL is read in blocks of ``block_bytes``. Its ``parts`` (first and end byte of each) are read immediately, each
@@ -67,13 +69,13 @@ def _read_parts(opened: Any, path: Any, parts: Sequence[tuple[int, int]]) -> lis
 def digest_of_file(path: Path) -> str:
     """Return the digest of all bytes of a path or URL. Raise OSError if it cannot be read."""
     digest = hashlib.blake2b(digest_size=16)
-    with open_cloud(path) as stream:
+    with open_location(path) as stream:
         while part := stream.read(BLOCK_BYTES):
             digest.update(part)
     return digest.hexdigest()
 
 
-def second_view(file: BinaryIO, path: Path) -> BinaryIO:
+def reopen(file: BinaryIO, path: Path) -> BinaryIO:
     """Open the same file again, with a separate position. At a URL the two share their blocks."""
     if isinstance(file, _Guarded):
         return cast(BinaryIO, _Guarded(file.shared, file.parts))

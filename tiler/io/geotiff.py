@@ -18,7 +18,7 @@ from rasterio.errors import NotGeoreferencedWarning, RasterioError
 from rasterio.windows import Window
 
 from tiler.core.raster import BLOCK_PIXELS, NODATA
-from tiler.errors import refused_write
+from tiler.errors import write_error
 from tiler.io.partial_files import cause_of
 
 CACHE_MB = 64
@@ -26,7 +26,7 @@ CACHE_MB = 64
 
 
 @dataclass(frozen=True)
-class RasterLook:
+class RasterMetadata:
     """Metadata of a raster file.
 
     Attributes
@@ -88,7 +88,7 @@ def plain_geotiff(
     height: int,
     width: int,
     transform: tuple[float, float, float, float, float, float],
-    look: RasterLook,
+    look: RasterMetadata,
 ) -> Iterator[PlainWriter]:
     """Open a new tiled GeoTIFF for blocks in any order: not compressed, BigTIFF if it may exceed 4 GB.
 
@@ -143,6 +143,6 @@ def raster_errors(path: Path) -> Iterator[None]:
     try:
         yield
     except RasterioError as error:
-        raise refused_write(str(path), cause_of(path, error), path.parent) from error
+        raise write_error(str(path), cause_of(path, error), path.parent) from error
     except OSError as error:
-        raise refused_write(str(path), error, path.parent) from error
+        raise write_error(str(path), error, path.parent) from error

@@ -6,7 +6,7 @@ import json
 from typing import Any
 
 
-def read_object(text: str | bytes) -> dict[str, Any]:
+def parse_json_object(text: str | bytes) -> dict[str, Any]:
     """Return the object in a JSON text. Raise ValueError with the reason if the text is not a JSON object."""
     try:
         found = json.loads(text)

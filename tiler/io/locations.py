@@ -14,7 +14,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, cast
 from urllib.parse import unquote, urlsplit
 
-from tiler.errors import ConfigError, refused_write
+from tiler.errors import ConfigError, write_error
 from tiler.io.partial_files import SCRATCH_PREFIX, replace_file
 
 CONCURRENT_REQUESTS = 16
@@ -36,7 +36,7 @@ def plain_scheme(text: str) -> str:
     return _SCHEME.sub(lambda found: found[0].lower(), text) if is_url(text) else text
 
 
-def cloud_path(text: str | Path) -> Path:
+def as_path(text: str | Path) -> Path:
     """Return a path, or an object like a path for a URL (``s3://bucket/town.laz``).
 
     Raise ConfigError if no library can read the URL.
@@ -97,7 +97,7 @@ def _system(url: str) -> tuple[Any, str]:
 
     url = plain_scheme(url)
     if _is_on_server(url):
-        path = cast(Any, cloud_path(url))
+        path = cast(Any, as_path(url))
         return path.fs, path.path
     found: tuple[Any, str] = url_to_fs(url, **_options(url))
     return found
@@ -132,7 +132,7 @@ def storage_errors() -> Iterator[None]:
         raise OSError(f"{type(error).__name__}: {error}") from error
 
 
-def stat_cloud(path: Path) -> os.stat_result:
+def stat_location(path: Path) -> os.stat_result:
     """Return size and time of the last change of a path or URL. Raise OSError if this fails."""
     with storage_errors():
         return path.stat()
@@ -181,7 +181,7 @@ def state_of(path: Path) -> State:
         return State(int(found.st_size), int(found.st_mtime_ns), tag)
 
 
-def list_clouds(url: str, suffixes: tuple[str, ...]) -> list[Path]:
+def list_inputs(url: str, suffixes: tuple[str, ...]) -> list[Path]:
     """Return the clouds at a URL: one object, all clouds in a folder and its subfolders, or all clouds of a glob.
 
     Raises
@@ -190,23 +190,23 @@ def list_clouds(url: str, suffixes: tuple[str, ...]) -> list[Path]:
         There is nothing at the URL, or it cannot be listed.
     """
     url = plain_scheme(url)
-    cloud_path(url)  # This raises an error that names a missing library.
+    as_path(url)  # This raises an error that names a missing library.
     path = without_query(url)
     try:
         with storage_errors():
             system, place = _system(url)
             if path.lower().endswith(suffixes) and not has_magic(path) and _is_object(system, place):
                 # Listing the file would read all of it on some servers.
-                return [cloud_path(url)]
+                return [as_path(url)]
             found = system.glob(place) if has_magic(place) else system.find(place)
     except (OSError, ValueError) as error:
         raise ConfigError(f"{url}: cannot be listed ({error}); check the URL and its credentials") from error
     if not found:
         raise ConfigError(f"{url}: nothing there; give LAS or LAZ objects, folders or globs")
     if found == [place]:
-        return [cloud_path(url)]
+        return [as_path(url)]
     names = sorted(name for name in found if name.lower().endswith(suffixes))
-    return [cloud_path(_url_of(name, url, place) or system.unstrip_protocol(name)) for name in names]
+    return [as_path(_url_of(name, url, place) or system.unstrip_protocol(name)) for name in names]
 
 
 def _is_object(system: Any, place: str) -> bool:
@@ -251,7 +251,7 @@ def names_in(place: str) -> list[str]:
 def state_at(place: str) -> State | None:
     """Return the state of a file at a path or URL, or None if it does not exist."""
     try:
-        return state_of(cloud_path(place))
+        return state_of(as_path(place))
     except (FileNotFoundError, NotADirectoryError):
         return None
 
@@ -276,7 +276,7 @@ def read_bytes(place: str) -> bytes | None:
     """
     try:
         with storage_errors():
-            return cloud_path(place).read_bytes()
+            return as_path(place).read_bytes()
     except FileNotFoundError:
         return None
 
@@ -292,18 +292,18 @@ def move_file(place: str, target: str) -> None:
         system.mv(path, _system(target)[1])
 
 
-def put_file(path: Path, url: str) -> None:
+def upload_file(path: Path, url: str) -> None:
     """Copy a file to a URL, where it appears once it is complete. Raise ProcessingError if this fails."""
     try:
         with storage_errors():
             system, place = _system(url)
-            system.put_file(str(path), place)
+            system.upload_file(str(path), place)
     except OSError as error:
-        raise refused_write(url, error) from error
+        raise write_error(url, error) from error
 
 
 @contextmanager
-def folder_for(place: str) -> Iterator[Path]:
+def staging_folder(place: str) -> Iterator[Path]:
     """Yield a folder to write to: the folder itself, or a temporary folder whose files are then copied to the URL."""
     if not is_url(place):
         yield Path(place)
@@ -311,7 +311,7 @@ def folder_for(place: str) -> Iterator[Path]:
     with TemporaryDirectory(prefix=SCRATCH_PREFIX) as scratch:
         yield Path(scratch)
         for path in sorted(Path(scratch).iterdir()):
-            put_file(path, joined(place, path.name))
+            upload_file(path, joined(place, path.name))
 
 
 def try_write(url: str) -> None:

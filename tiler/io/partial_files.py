@@ -47,7 +47,7 @@ def partial_path(target: Path, kind: str = "") -> Path:
 
 
 @contextmanager
-def appearing(target: Path) -> Iterator[Path]:
+def atomic_path(target: Path) -> Iterator[Path]:
     """Yield a temporary path for a file that replaces ``target`` if the block succeeds."""
     partial = partial_path(target)
     try:
@@ -95,9 +95,9 @@ def cause_of(partial: Path, error: BaseException) -> Exception:
     return error if isinstance(error, Exception) else Exception(first_line(error))
 
 
-def write_whole(target: Path, content: bytes) -> None:
+def write_atomic(target: Path, content: bytes) -> None:
     """Write a file that gets its name once it is complete and on the disk. Raise OSError if this fails."""
-    with appearing(target) as partial, open(partial, "wb") as stream:
+    with atomic_path(target) as partial, open(partial, "wb") as stream:
         stream.write(content)
         stream.flush()
         os.fsync(stream.fileno())

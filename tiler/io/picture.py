@@ -10,7 +10,7 @@ import numpy.typing as npt
 from rasterio.io import MemoryFile
 
 from tiler.io.geotiff import any_place, raster_errors
-from tiler.io.partial_files import appearing
+from tiler.io.partial_files import atomic_path
 
 DEFLATE_LEVEL = 4
 """Compression level of PNGs, with a third of the time of the usual level 6 and files a few percent larger."""
@@ -49,5 +49,5 @@ def _encoded(bands: npt.NDArray[np.uint8], colours: Mapping[int, tuple[int, int,
 
 def write_png(path: Path, rgba: npt.NDArray[np.uint8]) -> None:
     """Write a picture as a PNG, which appears when it is complete. Raise ProcessingError if this fails."""
-    with raster_errors(path), appearing(path) as partial:
+    with raster_errors(path), atomic_path(path) as partial:
         partial.write_bytes(png_bytes(rgba))

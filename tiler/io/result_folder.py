@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from tiler.errors import ConfigError
-from tiler.io.json_text import read_object
+from tiler.io.json_text import parse_json_object
 from tiler.io.locations import is_url, joined, names_in, read_bytes, sizes_at
 from tiler.redaction import without_secrets
 
@@ -48,7 +48,7 @@ CHECK = "check.json"
 """Results of `tiler check`, for the report."""
 EVALUATION = "evaluate.json"
 """Results of `tiler evaluate`, for the report."""
-ASIDE = "outdated"
+OUTDATED = "outdated"
 """Folder of files that earlier runs wrote and later runs did not replace."""
 
 _KEYS = frozenset(("state", "version", "configuration", "plan", "stages"))
@@ -65,7 +65,7 @@ def mosaic_file(product: str) -> str:
     return f"{product}.vrt"
 
 
-def folder_here(products: str) -> Path:
+def local_folder(products: str) -> Path:
     """Return the folder on this machine for run.json, log and report.
 
     This is OUT, or a folder with the last name of the URL if OUT is a URL.
@@ -144,7 +144,7 @@ def earlier_statistics(out: Path, method: str, parameters: dict[str, Any]) -> di
         There is no run in ``out``, it was not finished, or its method or parameters differ.
     """
     try:
-        found = read_object((out / RUN).read_text(encoding="utf-8"))
+        found = parse_json_object((out / RUN).read_text(encoding="utf-8"))
         before, statistics, state = found["plan"], dict(found["statistics"]), found["state"]
         same = (before["method"], before["parameters"]) == (method, parameters)
     except (OSError, ValueError, KeyError, TypeError) as error:

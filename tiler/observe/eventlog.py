@@ -10,7 +10,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any
 
-from tiler.errors import refused_write
+from tiler.errors import write_error
 
 
 class EventLog:
@@ -41,7 +41,7 @@ class EventLog:
                 if self._stream.read(1) != b"\n":
                     self._stream.write(b"\n")
         except OSError as error:
-            raise refused_write(str(path), error, path.parent) from error
+            raise write_error(str(path), error, path.parent) from error
 
     def __call__(self, event: str, fields: dict[str, Any]) -> None:
         """Append one event: ``{"time": UTC time in ISO 8601, "event": name, ...fields}``."""
@@ -52,7 +52,7 @@ class EventLog:
             if self._stream.write(data) != len(data):
                 raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         except OSError as error:
-            raise refused_write(str(self._path), error, self._path.parent) from error
+            raise write_error(str(self._path), error, self._path.parent) from error
 
     def close(self) -> None:
         """Close the file. A later event would raise ValueError."""

@@ -43,6 +43,6 @@ def combine(*listeners: Listener) -> Listener:
     return pass_on
 
 
-def discreet(listener: Listener) -> Listener:
+def redacting(listener: Listener) -> Listener:
     """Return a listener that passes events to another one, without passwords and tokens in URLs."""
     return lambda event, fields: listener(event, stored(fields))

@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from typing import IO, Any, TypedDict, cast
 
-from tiler.observe.whole_job import WholeJob
+from tiler.observe.whole_job import JobProgress
 from tiler.redaction import stored
 
 MIN_SECONDS = 0.2
@@ -31,7 +31,7 @@ class Progress(TypedDict):
 
 
 def progress_record(
-    message: str | None = None, level: str = "info", job: WholeJob | None = None, now: float = 0.0
+    message: str | None = None, level: str = "info", job: JobProgress | None = None, now: float = 0.0
 ) -> Progress:
     """Return the progress of a job.
 
@@ -99,7 +99,7 @@ class ProgressRecords:
         self._tell = tell
         self._clock = clock
         self._last = 0.0
-        self._job = WholeJob(clock)
+        self._job = JobProgress(clock)
 
     def __call__(self, event: str, fields: dict[str, Any]) -> None:
         """Handle an event."""

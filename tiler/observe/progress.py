@@ -9,7 +9,7 @@ from typing import IO, Any
 
 from tiler.observe.events import Listener
 from tiler.observe.json_lines import JsonLines, message_of
-from tiler.observe.whole_job import StageState, WholeJob
+from tiler.observe.whole_job import JobProgress, StageProgress
 from tiler.redaction import shown
 
 _LINE_INTERVAL_SECONDS = 15.0
@@ -30,7 +30,7 @@ def rate_text(count: float, seconds: float, unit: str = "points") -> str:
     return f"{count_text(count / seconds)} {unit}/s"
 
 
-def stage_rate(stage: StageState, seconds: float) -> str:
+def stage_rate(stage: StageProgress, seconds: float) -> str:
     """Return the rate of a stage so far: of pixels if it makes pixels, else of points."""
     if stage.pixels:
         return rate_text(stage.pixels_done, seconds, "pixels")
@@ -74,7 +74,7 @@ class PlainLines:
     def __init__(self, stream: IO[str], clock: Callable[[], float] = time.monotonic) -> None:
         self._stream = stream
         self._clock = clock
-        self._job = WholeJob(clock)
+        self._job = JobProgress(clock)
         self._last_line = clock()
         self._begun = False
 
@@ -93,18 +93,18 @@ class PlainLines:
             self._begun = False
         elif event == "task_done" and stage is not None:
             self._show(stage)
-        elif event == "stage_finished" and stage is not None and stage.todo_share > 0:
+        elif event == "stage_finished" and stage is not None and stage.remaining_share > 0:
             seconds = fields.get("seconds", self._clock() - stage.started)
             if self._begun or seconds >= _MIN_SECONDS:
                 self._write(f"{stage.title}: {self._end(stage, seconds)}")
 
-    def _end(self, stage: StageState, seconds: float) -> str:
+    def _end(self, stage: StageProgress, seconds: float) -> str:
         parts = [f"done in {duration_text(seconds)}", stage_rate(stage, seconds)]
         if not self._begun:
             parts.insert(0, start_text(stage))
         return ", ".join(filter(None, parts))
 
-    def _show(self, stage: StageState) -> None:
+    def _show(self, stage: StageProgress) -> None:
         """Write a line about the running stage: its beginning once it has taken some seconds, then its progress."""
         if not self._begun and self._clock() - stage.started >= _START_LINE_SECONDS:
             self._begun = True
@@ -112,7 +112,7 @@ class PlainLines:
         elif self._begun and self._clock() - self._last_line >= _LINE_INTERVAL_SECONDS:
             self._write(f"{stage.title}: {self._middle(stage)}")
 
-    def _middle(self, stage: StageState) -> str:
+    def _middle(self, stage: StageProgress) -> str:
         parts = [f"{stage.fraction:.0%}", stage_rate(stage, self._clock() - stage.started)]
         left = self._job.seconds_left()
         if self._job.known:
@@ -128,7 +128,7 @@ def message_text(event: str, fields: dict[str, Any]) -> str | None:
     return f"warning: {text}" if level == "warning" else text
 
 
-def start_text(stage: StageState) -> str:
+def start_text(stage: StageProgress) -> str:
     """Return text about the work of a stage at its beginning."""
     todo = stage.tasks - stage.before
     text = "1 task" if todo == 1 else f"{todo} tasks"
@@ -147,7 +147,7 @@ def bar_progress(stream: IO[str]) -> Iterator[Listener]:
     from rich.progress import Task as Bar
     from rich.text import Text
 
-    job = WholeJob()
+    job = JobProgress()
 
     class Figures(ProgressColumn):
         """Column with the rate of a stage, and for the job or a stage without a job with the times spent and left."""

@@ -15,7 +15,7 @@ MIN_SHARE_LEFT = 0.1
 
 
 @dataclass
-class StageState:
+class StageProgress:
     """Progress of a stage, measured in points if their number is known, and in tasks if not.
 
     Attributes
@@ -52,7 +52,7 @@ class StageState:
     last_end: float = 0.0
 
     @classmethod
-    def at_start(cls, fields: dict[str, Any], now: float) -> StageState:
+    def at_start(cls, fields: dict[str, Any], now: float) -> StageProgress:
         """Return the stage of an event ``stage_started``."""
         done = fields.get("done", 0)
         return cls(
@@ -90,7 +90,7 @@ class StageState:
         return min((self.tasks_done - self.before) / todo, 1.0)
 
     @property
-    def todo_share(self) -> float:
+    def remaining_share(self) -> float:
         """Share of the tasks that earlier runs did not do."""
         if self.tasks == 0:
             return 0.0
@@ -104,7 +104,7 @@ class StageState:
         return done / seconds
 
 
-class WholeJob:
+class JobProgress:
     """Listener that estimates the progress of a job.
 
     The weight of a stage is its expected time in seconds, from the rates of earlier runs. The time left is the expected
@@ -131,7 +131,7 @@ class WholeJob:
         self._seen_expected = 0.0
         self._furthest = 0.0
         self._looked = clock()
-        self.stage: StageState | None = None
+        self.stage: StageProgress | None = None
 
     @property
     def known(self) -> bool:
@@ -149,7 +149,7 @@ class WholeJob:
             for key in fields["stages"]:
                 self._expected.pop(key, None)
         elif event == "stage_started":
-            self.stage = StageState.at_start(fields, self._clock())
+            self.stage = StageProgress.at_start(fields, self._clock())
             keys = list(self._expected)
             if self.stage.key in self._expected:  # Earlier stages that did not run are not needed.
                 self._ended.update(keys[: keys.index(self.stage.key)])
@@ -197,13 +197,13 @@ class WholeJob:
         done = sum(seconds for key, seconds in self._expected.items() if key in self._ended)
         if self.stage is not None and self.stage.key not in self._ended:
             # The share of the stage includes the work of earlier runs.
-            stage_share = 1 - self.stage.todo_share * (1 - self.stage.fraction)
+            stage_share = 1 - self.stage.remaining_share * (1 - self.stage.fraction)
             done += self._expected.get(self.stage.key, 0.0) * stage_share
         return min(done / total, 1.0)
 
-    def _expected_of(self, stage: StageState) -> float:
+    def _expected_of(self, stage: StageProgress) -> float:
         """Return the expected time for this run's part of a stage, in seconds."""
-        return self._expected.get(stage.key, 0.0) * stage.todo_share
+        return self._expected.get(stage.key, 0.0) * stage.remaining_share
 
     def _pace(self) -> float:
         """Return the ratio of measured to expected time."""
@@ -217,7 +217,7 @@ class WholeJob:
         own = min(expected / (OWN_SHARE * sum(self._expected.values())), 1.0)
         return own * seconds / expected + (1 - own)
 
-    def _stage_left(self, stage: StageState) -> float:
+    def _stage_left(self, stage: StageProgress) -> float:
         """Return the time left for the running stage. The more of it is done, the more its own pace counts."""
         expected = self._expected_of(stage)
         if expected <= 0:
@@ -229,7 +229,7 @@ class WholeJob:
         left = pace * expected * (1 - done)
         return max(left - (self._clock() - stage.last_end), MIN_SHARE_LEFT * left)
 
-    def _own_left(self, stage: StageState) -> float | None:
+    def _own_left(self, stage: StageProgress) -> float | None:
         """Return the time left for a stage without an expected time, from its own pace.
 
         The result is None before its first task is done.

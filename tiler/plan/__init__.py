@@ -7,7 +7,7 @@ people.
 """
 
 from tiler.plan.area import buckets_of, chunks_of
-from tiler.plan.disk import too_much_between
+from tiler.plan.disk import sparse_raster_remedy
 from tiler.plan.make import make_plan, output_names
 from tiler.plan.memory import PlannedPass
 from tiler.plan.model import KEEP, MIN_MATCHED_M2, PIECE_POINTS, Plan
@@ -34,6 +34,6 @@ __all__ = [
     "projected_memory",
     "refuse",
     "remember",
+    "sparse_raster_remedy",
     "stage_seconds",
-    "too_much_between",
 ]

@@ -13,11 +13,11 @@ from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds
 from tiler.core.units_text import length_text
 from tiler.errors import ConfigError, InputError
-from tiler.inputs import SourceInfo, bounds_in_counts, claimed_bounds
+from tiler.inputs import SourceInfo, bounds_in_counts, header_bounds
 from tiler.io.vector.areas import read_area
 from tiler.plan.model import Plan
 from tiler.plan.sizes import bounds_of
-from tiler.schedule import read_apart
+from tiler.schedule import call_isolated
 
 
 def area_of(config: RunConfig, wkt: str | None, notes: list[str]) -> Area | None:
@@ -53,7 +53,7 @@ def area_of(config: RunConfig, wkt: str | None, notes: list[str]) -> Area | None
     if config.in_process:
         area, decided = read_area(path, wkt)
     else:
-        area, decided = read_apart(read_area, path, wkt, paths=(path,))
+        area, decided = call_isolated(read_area, path, wkt, paths=(path,))
     notes += decided
     return area
 
@@ -106,7 +106,7 @@ def buckets_of(plan: Plan, source: SourceInfo) -> Runs | None:
     """The buckets for which points of a source are read; None: all of them."""
     if plan.area is None:
         return None
-    extent = claimed_bounds(source)
+    extent = header_bounds(source)
     if extent is None:  # its points may be anywhere
         extent = plan.area.bounds.pad(plan.margin)
     return plan.area.cells(plan.meta.bucket, extent, plan.margin)

@@ -138,7 +138,7 @@ def free_bytes(out: Path) -> int:
     return shutil.disk_usage(existing).free
 
 
-def too_much_between(plan: Plan, out: Path | None) -> str | None:
+def sparse_raster_remedy(plan: Plan, out: Path | None) -> str | None:
     """Remedy if one raster would be too large because of the emptiness between the points; else None."""
     pixels = pixels_of(plan)
     if plan.config.sheets is not None or pixels.empty <= pixels.filled:
@@ -157,7 +157,7 @@ def too_much_between(plan: Plan, out: Path | None) -> str | None:
     )
 
 
-def emptiness_warning(plan: Plan) -> str | None:
+def sparse_raster_warning(plan: Plan) -> str | None:
     """Warning about a file that is mostly empty and takes long to write; None if there is none."""
     pixels = pixels_of(plan)
     whole = pixels.filled + pixels.empty

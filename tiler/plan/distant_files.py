@@ -37,7 +37,9 @@ BESIDE_DEG = 5.0
 LeftOut = list[tuple[SourceInfo, str]]
 
 
-def beyond_frame(sources: Sequence[SourceInfo], area: Area | None, wkt: str | None, metres: float) -> LeftOut:
+def files_beyond_frame(
+    sources: Sequence[SourceInfo], area: Area | None, wkt: str | None, metres: float
+) -> LeftOut:
     """Files that cannot be in one run with the others, each with the reason.
 
     Parameters
@@ -71,12 +73,12 @@ def beyond_frame(sources: Sequence[SourceInfo], area: Area | None, wkt: str | No
                 found, left = found + far, near
                 continue
         remedy = "too far for one run; run them separately, or check the coordinates"
-        far = minority(left, wkt, metres, remedy)
+        far = outlying_files(left, wkt, metres, remedy)
         found, left = found + far, _without(left, far)
     return found
 
 
-def minority(sources: Sequence[SourceInfo], wkt: str | None, metres: float, remedy: str) -> LeftOut:
+def outlying_files(sources: Sequence[SourceInfo], wkt: str | None, metres: float, remedy: str) -> LeftOut:
     """The files that lie apart from most others, each with the reason, which ends with ``remedy``.
 
     Raises

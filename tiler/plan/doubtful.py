@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from tiler.core.crs import crs_name, length_scale
+from tiler.core.crs import crs_name, point_scale_factor
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.plan.model import Plan, steps_of
 
@@ -74,7 +74,7 @@ def _stretched(plan: Plan) -> list[str]:
         return []
     x = (extent.x0 + extent.x1) / 2 / COUNTS_PER_UNIT
     y = (extent.y0 + extent.y1) / 2 / COUNTS_PER_UNIT
-    scale = length_scale(wkt, x, y)
+    scale = point_scale_factor(wkt, x, y)
     if scale is None or 1 / STRETCHED < scale < STRETCHED:
         return []
     return [

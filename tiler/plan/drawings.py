@@ -18,7 +18,7 @@ from tiler.io.vector import LINES_AND_POLYGONS, POLYGONS, Feature, Features, Kin
 from tiler.io.vector.areas import area_in_counts
 from tiler.plan.model import Plan
 from tiler.plan.waters import DRAWN_WATER, waters_of
-from tiler.schedule import read_apart
+from tiler.schedule import call_isolated
 
 Counts = npt.NDArray[np.int64]
 
@@ -100,7 +100,7 @@ def _read(
     if plan.config.in_process:
         found = read_in_crs(path, kind, wkt, every, needs_z)
     else:
-        found = read_apart(read_in_crs, path, kind, wkt, every, needs_z, paths=(path,))
+        found = call_isolated(read_in_crs, path, kind, wkt, every, needs_z, paths=(path,))
     notes += found.notes
     x0, y0, x1, y1 = (v / COUNTS_PER_UNIT for v in plan.extent.to_json())
     warnings += warn_outside(path, found, (x0, y0, x1, y1))

@@ -19,14 +19,22 @@ from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Lattice
 from tiler.core.units_text import in_unit_of_crs
 from tiler.errors import ConfigError, InputError
-from tiler.inputs import Agreement, SourceInfo, agree, find_inputs, inspect, inspect_guarded, is_list
-from tiler.io.locations import cloud_path, is_url
+from tiler.inputs import (
+    CommonCrs,
+    SourceInfo,
+    find_inputs,
+    inspect,
+    inspect_in_child,
+    is_list,
+    resolve_common_crs,
+)
+from tiler.io.locations import as_path, is_url
 from tiler.io.result_folder import CLOUD_SUFFIXES, COPC_SUFFIX, earlier_statistics
 from tiler.plan import advice, machine, sizes
 from tiler.plan.area import area_of, part_of
 from tiler.plan.density_map import DensityMap
-from tiler.plan.disk import emptiness_warning, too_much_between
-from tiler.plan.distant_files import LeftOut, beyond_frame, minority
+from tiler.plan.disk import sparse_raster_remedy, sparse_raster_warning
+from tiler.plan.distant_files import LeftOut, files_beyond_frame, outlying_files
 from tiler.plan.doubtful import warnings_of
 from tiler.plan.drawings import with_drawings
 from tiler.plan.equivalents import EQUIVALENTS
@@ -43,7 +51,7 @@ from tiler.plan.refuse import (
     validate_targets,
 )
 from tiler.plan.tiles_of_points import TilesOfRun, validate_distances
-from tiler.schedule import FORKS, Guards
+from tiler.schedule import FORKS, ChildPool
 from tiler.store import StoreMeta
 
 FILES_OF_A_READER = 2 if FORKS else 16
@@ -86,7 +94,7 @@ def make_plan(
         validate_output_paths(config, str(out), paths)
     sources, unreadable = _inspect_all(paths, config, known)
     sources = tiles.with_crs(sources, notes)
-    agreement = agree(sources, config)
+    agreement = resolve_common_crs(sources, config)
     notes += agreement.notes
     config = in_feet_of(config, agreement.units)
     notes += bare_lengths(config, agreement.units)
@@ -96,12 +104,12 @@ def make_plan(
     area = area_of(config, agreement.wkt, notes)
     found = _Found(inputs, sources, unreadable, agreement, area, notes)
     metres = float(agreement.units.horizontal)
-    found = _without(found, beyond_frame(_filled(sources), area, agreement.wkt, metres), config)
+    found = _without(found, files_beyond_frame(_filled(sources), area, agreement.wkt, metres), config)
     plan = _settled(found, config, parameters, defaults)
     validate_resolution(plan)  # else the raster would be called too large
     validate_pixel_count(plan, folder)
-    while remedy := too_much_between(plan, folder):
-        found = _without(found, minority(plan.filled, agreement.wkt, metres, remedy), config)
+    while remedy := sparse_raster_remedy(plan, folder):
+        found = _without(found, outlying_files(plan.filled, agreement.wkt, metres, remedy), config)
         plan = _settled(found, config, parameters, defaults)
     validate_distances(plan, inputs)
     plan = with_drawings(plan)
@@ -123,7 +131,7 @@ class _Found:
     inputs: Sequence[str]
     sources: Sequence[SourceInfo]
     unreadable: Sequence[tuple[str, str]]
-    agreement: Agreement
+    agreement: CommonCrs
     area: Area | None
     notes: Sequence[str]
 
@@ -213,7 +221,7 @@ def _settled(found: _Found, config: RunConfig, parameters: dict[str, Any], defau
     made, unit = decided_by(evidence) if evidence else None, agreement.units.horizontal
     advised = advice.before(config, made, density, own_halo(defaults), unit)
     plan = part_of(replace(plan, warnings=(*warnings_of(plan), *advised)))
-    text = emptiness_warning(plan)
+    text = sparse_raster_warning(plan)
     warnings = plan.warnings if text is None else (*plan.warnings, text)
     units = agreement.units
     return replace(
@@ -228,7 +236,7 @@ def output_names(
 ) -> dict[Path, Path]:
     """Path of each classified file below OUT/classified; ConfigError where two would be one."""
     # A URL names what is below it, or one object: then nothing is left of the name below it.
-    named = [(cloud_path(i), is_list(i) and not Path(i).is_dir()) for i in inputs]
+    named = [(as_path(i), is_list(i) and not Path(i).is_dir()) for i in inputs]
     folders = [p.parent if virtual else p for p, virtual in named if virtual or is_url(p) or p.is_dir()]
     names: dict[Path, Path] = {}
     taken: dict[str, Path] = {}
@@ -281,11 +289,11 @@ def _inspect_all(
         return [given[str(path)] for path in paths], []
     sources: list[SourceInfo] = []
     unreadable: list[tuple[str, str]] = []
-    with Guards(_readers(paths, config)) as guards:
+    with ChildPool(_readers(paths, config)) as guards:
         looks: Iterable[Callable[[], SourceInfo]] = (
             (partial(inspect, path, config.salvage) for path in paths)
             if config.in_process
-            else guards.each(partial(inspect_guarded, salvage=config.salvage), paths)
+            else guards.each(partial(inspect_in_child, salvage=config.salvage), paths)
         )
         for path, look in zip(paths, looks, strict=True):
             try:

@@ -317,11 +317,11 @@ class Plan:
         return max(math.ceil(self.area_m2 / float(self.tile) ** 2), 1)
 
     @property
-    def fullest_bucket(self) -> float:
+    def max_bucket_points(self) -> float:
         """Approximate number of points in the fullest bucket."""
         return max(self.density * self.bucket_m**2, self.density_map.fullest(self.bucket_m))
 
-    def fullest_window(self) -> int:
+    def max_window_points(self) -> int:
         """Approximate number of points in the fullest window of a filter tile, halo included."""
         side = float(self.tile) + 2 * self.halo_m
         mean = min(self.density * side**2, self.points)

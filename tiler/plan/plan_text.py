@@ -42,7 +42,7 @@ def plan_json(plan: Plan) -> dict[str, Any]:
         "resolution_m": float(plan.resolution), "tile_m": float(plan.tile), "bucket_m": plan.bucket_m,
         "halo_m": plan.halo_m, "tiles": plan.tiles, "overlap_work": overlap_of(plan, plan.steps),
         "halo_by_kind_m": {kind: plan.halo_of(kind) for kind in plan.kinds},
-        "fullest_window_points": plan.fullest_window(), "workers": plan.workers, "memory_bytes": plan.memory,
+        "fullest_window_points": plan.max_window_points(), "workers": plan.workers, "memory_bytes": plan.memory,
         "projected_memory_bytes": projected_memory(plan), "projected_disk_bytes": sum(disk.values()),
         "disk_bytes": disk, "projected_seconds": seconds, "rates_of_this_machine": measured,
         "notes": list(plan.notes), "warnings": list(plan.warnings),
@@ -70,7 +70,7 @@ def plan_lines(plan: Plan) -> list[str]:
         f"products    {', '.join(plan.config.products)}",
         *_drawn_in_words(plan),
         f"tiles       about {plan.tiles} of {length_text(plan.tile, unit)} with {_halo_in_words(plan)}, "
-        f"about {plan.fullest_window():,} points in the fullest window"
+        f"about {plan.max_window_points():,} points in the fullest window"
         + ("; larger tiles for passes on one point per cell" if any(map(plan.joins, plan.steps)) else ""),
         "memory      "
         + ", ".join(f"{stage} {size / 2**20:,.0f}" for stage, size in memory.items() if size)

@@ -25,7 +25,7 @@ def projected_memory(plan: Plan) -> dict[str, int]:
     ground = int(min(plan.points, max(plan.block_points, plan.fullest_part))) * GROUND_BYTES
     largest = min(max(source.points for source in plan.sources), EXPORT_POINTS)
     return {
-        "ingest": ingest_bytes(PIECE_POINTS, plan.fullest_bucket),
+        "ingest": ingest_bytes(PIECE_POINTS, plan.max_bucket_points),
         "filter": max((_pass_bytes(plan, step) for step in plan.likely), default=0),
         "grid": BASE_BYTES + ground + plan.line_bytes,
         "export": BASE_BYTES + EXPORT_BYTES + largest,

@@ -10,7 +10,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
-from tiler.io.json_text import read_object
+from tiler.io.json_text import parse_json_object
 from tiler.io.partial_files import replace_file
 from tiler.plan.model import Plan
 from tiler.version import __version__
@@ -115,7 +115,7 @@ def _path() -> Path:
 def _read() -> dict[str, float]:
     """What is remembered of this version; a file of another one, or a damaged one, is as none."""
     try:
-        content = read_object(_path().read_text())
+        content = parse_json_object(_path().read_text())
         if content["version"] != __version__:
             return {}
         return {str(k): float(v) for k, v in content["seconds_per_million"].items()}

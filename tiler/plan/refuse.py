@@ -12,19 +12,19 @@ from pathlib import Path
 from tiler.config import RunConfig
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.products import PRODUCTS
-from tiler.core.sheet_names import beginning
+from tiler.core.sheet_names import name_prefix
 from tiler.core.units_text import in_unit_of_crs, length_option
 from tiler.errors import ConfigError
 from tiler.io.locations import joined
 from tiler.io.overwrite_check import Target, check_folder, check_targets
 from tiler.io.partial_files import MAX_NAME_LENGTH, name_bytes
 from tiler.io.result_folder import (
-    ASIDE,
     BRIDGES,
     CLASSIFIED,
     COPC_SUFFIX,
     EVENTS,
     LEGEND,
+    OUTDATED,
     OUTLINE,
     REPORT,
     RUN,
@@ -34,12 +34,12 @@ from tiler.io.result_folder import (
     STORE,
     VIRTUAL,
     WATER,
-    folder_here,
     foreign_files,
+    local_folder,
     mosaic_file,
     raster_file,
 )
-from tiler.plan.disk import free_bytes, needed_bytes, pixels_of, too_much_between
+from tiler.plan.disk import free_bytes, needed_bytes, pixels_of, sparse_raster_remedy
 from tiler.plan.machine import memory_bytes
 from tiler.plan.model import Plan
 from tiler.plan.projection import projected_memory
@@ -75,17 +75,17 @@ def validate_output_paths(config: RunConfig, products: str, paths: Sequence[Path
             f"-o {products}: has the name of a file, but is the folder of all results; use -o "
             f"{os.path.splitext(products)[0]}, which will contain dtm.tif"
         )
-    for name in (CLASSIFIED, ASIDE):
+    for name in (CLASSIFIED, OUTDATED):
         check_folder("-o", joined(products, name), paths)
     store = config.store or joined(products, STORE)
     check_folder("--store", store, [products, *paths, *read_besides(config)])
-    for name in (CLASSIFIED, ASIDE, *config.exported):
+    for name in (CLASSIFIED, OUTDATED, *config.exported):
         check_folder("-o", joined(products, name), [store])
 
 
 def validate_targets(plan: Plan, products: str, paths: Sequence[Path]) -> None:
     """Raise ConfigError if a run would write over its inputs, or over files that no run of its OUT made."""
-    out = folder_here(products)
+    out = local_folder(products)
     wanted = _targets(plan)
     places = [joined(products, name) for name in wanted]
     places += [joined(place, name) for place in (str(out), products) for name in (RUN, EVENTS, REPORT)]
@@ -96,7 +96,7 @@ def validate_targets(plan: Plan, products: str, paths: Sequence[Path]) -> None:
     starts = {}
     if plan.config.sheets is not None:
         names = (*plan.config.exported, SHEET_ITEMS)
-        starts = {name: beginning(plan.config.sheet_name, name) for name in names}
+        starts = {name: name_prefix(plan.config.sheet_name, name) for name in names}
     found = foreign_files(out, products, wanted, starts)
     if found:
         more = f" and {len(found) - NAMED:,} more" if len(found) > NAMED else ""
@@ -158,7 +158,7 @@ def validate_resolution(plan: Plan) -> None:
 def validate_pixel_count(plan: Plan, out: Path | None) -> None:
     """Raise ConfigError if a raster is too large because of its fine pixels, not because the files lie far apart."""
     usual = _usual_pixel(plan)
-    if usual is None or not too_much_between(plan, out) or too_much_between(usual, out):
+    if usual is None or not sparse_raster_remedy(plan, out) or sparse_raster_remedy(usual, out):
         return
     pixels, spacing = pixels_of(plan).largest, 1 / math.sqrt(plan.density)
     raise _error(

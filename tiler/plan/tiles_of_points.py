@@ -19,12 +19,12 @@ from tiler.core.crs import same_horizontal, split
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.errors import ConfigError
 from tiler.inputs import (
+    EptDataset,
     Georeference,
-    PointTiles,
     SourceInfo,
     bounds_in_counts,
     describe,
-    is_point_tiles,
+    is_ept,
     key_of,
 )
 from tiler.plan.area import area_of
@@ -59,9 +59,9 @@ class TilesOfRun:
 
     def __init__(self, config: RunConfig) -> None:
         self._config = config
-        self._found: list[tuple[PointTiles, dict[Path, int]]] = []
+        self._found: list[tuple[EptDataset, dict[Path, int]]] = []
 
-    def wanted(self, tiles: PointTiles) -> Near | None:
+    def wanted(self, tiles: EptDataset) -> Near | None:
         """Test whether the square of a node lies near the area of the run; None: there is no area."""
         area = area_of(self._config, tiles.wkt, [])
         if area is None:
@@ -71,7 +71,7 @@ class TilesOfRun:
             unit = describe(CRS.from_wkt(tiles.wkt)).horizontal
         return Near(area, math.ceil(_reach_m(self._config) / (unit or 1) * COUNTS_PER_UNIT))
 
-    def listed(self, tiles: PointTiles, counts: dict[Path, int]) -> None:
+    def listed(self, tiles: EptDataset, counts: dict[Path, int]) -> None:
         """Record the files of the nodes that are read, with their number of points by the hierarchy."""
         self._found.append((tiles, counts))
 
@@ -94,7 +94,7 @@ class TilesOfRun:
 def validate_distances(plan: Plan, inputs: Sequence[str]) -> None:
     """Raise ConfigError if a run needs points farther from its area than nodes of point tiles were considered."""
     reach = _reach_m(plan.config)
-    if plan.area is None or not any(map(is_point_tiles, inputs)):
+    if plan.area is None or not any(map(is_ept, inputs)):
         return
     if plan.margin > plan.meta.frame.counts(reach):
         raise ConfigError(
@@ -108,7 +108,7 @@ def _reach_m(config: RunConfig) -> Fraction:
 
 
 def contradictions(
-    tiles: PointTiles, counts: Mapping[Path, int], sources: Sequence[SourceInfo], whole: bool
+    tiles: EptDataset, counts: Mapping[Path, int], sources: Sequence[SourceInfo], whole: bool
 ) -> Iterator[str]:
     """Yield a line for each kind of contradiction, with the first file that shows it.
 
@@ -151,7 +151,7 @@ def _points(counts: Mapping[Path, int], source: SourceInfo) -> Told:
     return f"its hierarchy lists {said} points, but there are {source.points}"
 
 
-def _place(tiles: PointTiles, source: SourceInfo) -> Told:
+def _place(tiles: EptDataset, source: SourceInfo) -> Told:
     key = key_of(source.path)
     if source.bounds is None or key is None:
         return None
@@ -165,7 +165,7 @@ def _place(tiles: PointTiles, source: SourceInfo) -> Told:
     )
 
 
-def _crs(tiles: PointTiles, source: SourceInfo, same: dict[str, bool]) -> Told:
+def _crs(tiles: EptDataset, source: SourceInfo, same: dict[str, bool]) -> Told:
     wkt = source.georeference.wkt
     if tiles.wkt is None or wkt is None:
         return None
@@ -178,13 +178,13 @@ def _crs(tiles: PointTiles, source: SourceInfo, same: dict[str, bool]) -> Told:
     return f"its srs is {CRS.from_wkt(tiles.wkt).name}, but the CRS is {source.georeference.name}"
 
 
-def _scales(tiles: PointTiles, source: SourceInfo) -> Told:
+def _scales(tiles: EptDataset, source: SourceInfo) -> Told:
     if tiles.scales in (None, source.scales):
         return None
     return f"its schema has scales {tiles.scales}, but they are {source.scales}"
 
 
-def _colours(tiles: PointTiles, source: SourceInfo) -> Told:
+def _colours(tiles: EptDataset, source: SourceInfo) -> Told:
     if tiles.has_rgb in (None, source.has_rgb):
         return None
     if tiles.has_rgb:

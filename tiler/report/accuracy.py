@@ -8,8 +8,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from tiler.errors import refused_write
-from tiler.io.json_text import read_object
+from tiler.errors import write_error
+from tiler.io.json_text import parse_json_object
 from tiler.io.result_folder import CHECK, EVALUATION
 from tiler.redaction import shown
 from tiler.report.document import Content, Node, el, facts, table
@@ -42,7 +42,7 @@ def read_measured(out: Path, name: str) -> dict[str, Any]:
     if not path.is_file():
         return {}
     try:
-        found = read_object(path.read_text("utf-8"))
+        found = parse_json_object(path.read_text("utf-8"))
         checkpoints_on_map(found)
         accuracy_content(*((found, {}) if name == CHECK else ({}, found)))
     except (OSError, ValueError) as error:
@@ -60,7 +60,7 @@ def write_measured(out: Path, name: str, content: Mapping[str, Any]) -> None:
     try:
         (out / name).write_text(json.dumps(content, indent=1, default=str) + "\n", encoding="utf-8")
     except OSError as error:
-        raise refused_write(str(out / name), error, out) from error
+        raise write_error(str(out / name), error, out) from error
 
 
 def accuracy_content(check: Mapping[str, Any], evaluation: Mapping[str, Any]) -> list[Content]:

@@ -9,11 +9,11 @@ from typing import Any
 from rasterio.errors import RasterioError
 
 from tiler.core.products import PRODUCTS
-from tiler.errors import InputError, ProcessingError, refused_write
-from tiler.io.json_text import read_object
-from tiler.io.locations import is_url, joined, put_file, state_at
-from tiler.io.partial_files import write_whole
-from tiler.io.result_folder import CHECK, EVALUATION, REPORT, RUN, folder_here, read_run
+from tiler.errors import InputError, ProcessingError, write_error
+from tiler.io.json_text import parse_json_object
+from tiler.io.locations import is_url, joined, state_at, upload_file
+from tiler.io.partial_files import write_atomic
+from tiler.io.result_folder import CHECK, EVALUATION, REPORT, RUN, local_folder, read_run
 from tiler.report import accuracy, document, sections, tables
 from tiler.report.document import el, section
 from tiler.report.drawn import drawn
@@ -60,9 +60,9 @@ def write_report(out: Path, run: Mapping[str, Any] | None = None, products: str 
         ) from error
     target = out / REPORT
     try:
-        write_whole(target, page)
+        write_atomic(target, page)
     except OSError as error:
-        raise refused_write(str(target), error, out) from error
+        raise write_error(str(target), error, out) from error
     return target
 
 
@@ -81,16 +81,16 @@ def write_report_at(out: str) -> str:
     run = read_run(out)
     if run is None:
         raise InputError(f"{joined(out, RUN)}: cannot be read; give the OUT folder of a run")
-    here = folder_here(out)
+    here = local_folder(out)
     here.mkdir(parents=True, exist_ok=True)
-    put_file(write_report(here, run, out), joined(out, REPORT))
+    upload_file(write_report(here, run, out), joined(out, REPORT))
     return joined(out, REPORT)
 
 
 def _read_run(out: Path) -> dict[str, Any]:
     path = out / RUN
     try:
-        return read_object(path.read_text("utf-8"))
+        return parse_json_object(path.read_text("utf-8"))
     except OSError as error:
         raise InputError(
             f"{path}: cannot be read ({error.strerror}); give the OUT folder of a run"

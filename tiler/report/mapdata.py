@@ -6,7 +6,7 @@ from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
-from tiler.io.json_text import read_object
+from tiler.io.json_text import parse_json_object
 from tiler.io.result_folder import EVENTS
 from tiler.redaction import shown
 from tiler.report.accuracy import checkpoints_on_map
@@ -56,7 +56,7 @@ def _events(path: Path) -> Iterator[dict[str, Any]]:
     with open(path, encoding="utf-8", errors="replace") as lines:
         for line in lines:
             try:
-                yield read_object(line)
+                yield parse_json_object(line)
             except ValueError:
                 continue
 

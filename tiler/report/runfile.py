@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from tiler.core.stage_names import stage_title
-from tiler.errors import refused_write
-from tiler.io.partial_files import write_whole
+from tiler.errors import write_error
+from tiler.io.partial_files import write_atomic
 from tiler.io.result_folder import RUN
 
 
@@ -20,9 +20,9 @@ def write_run_file(out: Path, content: dict[str, Any]) -> None:
     indent = None if content["state"] == "running" else 1
     text = json.dumps(content, indent=indent, sort_keys=True) + "\n"
     try:
-        write_whole(out / RUN, text.encode())
+        write_atomic(out / RUN, text.encode())
     except OSError as error:
-        raise refused_write(f"{out}/{RUN}", error, out) from error
+        raise write_error(f"{out}/{RUN}", error, out) from error
 
 
 def record_end(out: Path, state: str, exit_code: int) -> None:

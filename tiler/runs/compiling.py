@@ -21,7 +21,7 @@ from ptd.precompile import (
 from tiler.errors import first_line
 from tiler.observe.events import Listener
 from tiler.plan import KEEP, MIN_MATCHED_M2, Plan
-from tiler.schedule import Died, Guard
+from tiler.schedule import ChildDiedError, ChildProcess
 
 Tell = Callable[[], None]
 
@@ -78,7 +78,7 @@ class Compiler:
 
     def __init__(self, listener: Listener, apart: bool, note: Callable[[str], None]) -> None:
         self._listener, self._apart, self._note = listener, apart, note
-        self._begun: dict[str, tuple[threading.Event, Guard]] = {}
+        self._begun: dict[str, tuple[threading.Event, ChildProcess]] = {}
         self._errors: dict[str, str] = {}
         self._why: dict[str, str] = {}
         self._told: set[str] = set()
@@ -143,14 +143,14 @@ class Compiler:
 
     def _start(self, kernels: Kernels) -> None:
         # The run waits for an event and not for the thread, which in Python 3.11 seems ended after Ctrl-C in `join`.
-        guard = Guard(None)
+        guard = ChildProcess(None)
         ended = threading.Event()
         self._why[kernels.name] = why_not_compiled(kernels.name)  # before this run compiles any
 
         def work() -> None:
             try:
                 guard.call(kernels.compile, silent, seconds=SECONDS)
-            except Died as died:
+            except ChildDiedError as died:
                 self._errors[kernels.name] = f"the process {died}"
             except Exception as error:  # noqa: BLE001 - an error of a thread is lost; `finish` reports it
                 self._errors[kernels.name] = f"{type(error).__name__}: {first_line(error)}"

@@ -10,7 +10,7 @@ from typing import Any
 from tiler.io.locations import location
 from tiler.plan import Plan, projected_memory
 from tiler.schedule import Executor, Limits, Machine, make_executor
-from tiler.schedule.cluster_check import Access
+from tiler.schedule.cluster_check import ClusterAccess
 from tiler.schedule.worker import prepare
 from tiler.store import store_exists
 
@@ -79,11 +79,11 @@ def look_at_cluster(plan: Plan, store_url: str | None, products: str | None) -> 
 
 def _look_at_workers(
     plan: Plan, executor: Executor, store_url: str | None, products: str | None
-) -> tuple[Access, list[Machine]]:
+) -> tuple[ClusterAccess, list[Machine]]:
     """Check the workers of a cluster, now and when they join, and the memory of their machines."""
     sources = [(location(s.path), s.state) for s in plan.sources]
     there = store_url is not None and store_exists(store_url)
-    access = Access(str(plan.config.scheduler), sources, store_url, products, there)
+    access = ClusterAccess(str(plan.config.scheduler), sources, store_url, products, there)
     executor.on_each_worker(access)
     machines = executor.machines()
     access.validate_memory(machines, max(projected_memory(plan).values()))
@@ -117,7 +117,7 @@ class Executors:
         self._note = note
         self._main: Executor | None = None
         self._here: Executor | None = None
-        self._access: Access | None = None
+        self._access: ClusterAccess | None = None
 
     def choose(self, writes_out: bool = False) -> Executor:
         """The executor for some tasks.

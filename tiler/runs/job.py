@@ -10,8 +10,8 @@ from typing import TYPE_CHECKING, Any
 
 from tiler.core.units_text import in_unit_of_crs
 from tiler.errors import ConfigError
-from tiler.io.locations import is_url, joined, put_file
-from tiler.io.result_folder import RUN, folder_here
+from tiler.io.locations import is_url, joined, upload_file
+from tiler.io.result_folder import RUN, local_folder
 from tiler.observe.events import Listener
 from tiler.plan import Plan
 from tiler.report import write_run_file
@@ -62,7 +62,7 @@ class RunResult:
         found = {}
         report = self.summary.get("report")
         if report:
-            found[report] = str(folder_here(self.out) / report)
+            found[report] = str(local_folder(self.out) / report)
         for name in self.summary.get("outputs", {}):
             found[name] = joined(self.out, name)
         return found
@@ -111,7 +111,7 @@ class RunResult:
         return run_markup(self.summary, self.out, self.files)
 
 
-class Ownership:
+class LeaseWatch:
     """The locks of store and OUT, which are checked from time to time."""
 
     def __init__(self, leases: tuple[Lease, ...]) -> None:
@@ -139,7 +139,7 @@ class Job:
     products: str
     store: TileStore
     listener: Listener
-    ownership: Ownership
+    ownership: LeaseWatch
     record: RunRecord = field(default_factory=RunRecord)
     earlier_settings: Mapping[str, Any] = field(default_factory=dict)
     executors: Executors = field(init=False)
@@ -165,7 +165,7 @@ class Job:
             self.record.notes.append(text)
         self.listener("note", {"text": text})
 
-    def sorted_out(self, stage: str, tasks: Iterable[Task]) -> tuple[Commits, Commits]:
+    def split_commits(self, stage: str, tasks: Iterable[Task]) -> tuple[Commits, Commits]:
         """Commits of a stage that fit these tasks, and those of other settings or inputs, which do not."""
         digests = {task.key: task.digest for task in tasks}
         done: Commits = {}
@@ -176,14 +176,14 @@ class Job:
             fits[key] = commit
         return done, stale
 
-    def take_back(self, stage: str, keys: Iterable[str]) -> None:
+    def invalidate(self, stage: str, keys: Iterable[str]) -> None:
         """Mark tasks as not done. Call it before the data of the tasks are overwritten or removed.
 
         Otherwise a killed run could leave commits without their data.
         """
         self.store.uncommit(stage, *keys)
 
-    def save_on_the_way(self) -> None:
+    def save_if_due(self) -> None:
         """Write run.json, unless that was done a moment ago."""
         if time.monotonic() - self._saved > max(SAVED_SECONDS, SHARE * self._took):
             self.save("running")
@@ -194,7 +194,7 @@ class Job:
         content = self.record.content(self.plan, state)
         write_run_file(self.out, content)
         if is_url(self.products):  # a run from another machine learns from it which files tiler wrote
-            put_file(self.out / RUN, joined(self.products, RUN))
+            upload_file(self.out / RUN, joined(self.products, RUN))
         self._saved = time.monotonic()
         self._took = self._saved - began
         return content

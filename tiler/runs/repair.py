@@ -16,7 +16,7 @@ ROUNDS = 3
 
 
 def heal(job: Job, keys: Iterable[str]) -> None:
-    """Take back what wrote the objects of these keys, as `tiler.errors.DamagedError` names them."""
+    """Take back what wrote the objects of these keys, as `tiler.errors.CorruptStoreError` names them."""
     for key in sorted(set(keys)):
         job.note(f"store: {key} is damaged or missing; the task that wrote it is run again")
         kind, name, chunk = [*key.split("/"), "", ""][:3]
@@ -63,15 +63,15 @@ def _take_back_bucket(job: Job, kind: str, row: int) -> None:
     if kind == "points":
         for task, (_, record) in job.store.committed("assemble").items():
             if any(bucket["cell"] == place for bucket in record["buckets"]):
-                job.take_back("assemble", [task])
+                job.invalidate("assemble", [task])
         return
     for stage in _passes(job):
         for task, (_, record) in job.store.committed(stage).items():
             if place in record["cells"]:
-                job.take_back(stage, [task])
+                job.invalidate(stage, [task])
 
 
 def _take_back_block(job: Job, name: str, row: int, col: int) -> None:
     """The task that wrote a chunk of a raster."""
     block = Block(row * BLOCK_PIXELS, col * BLOCK_PIXELS, BLOCK_PIXELS, BLOCK_PIXELS)
-    job.take_back(f"grid-{name}", [block.name])
+    job.invalidate(f"grid-{name}", [block.name])

@@ -9,7 +9,7 @@ from typing import Any
 
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.raster import Block
-from tiler.errors import DamagedError, DiskFullError, ProcessingError, StoreAccessError
+from tiler.errors import CorruptStoreError, DiskFullError, ProcessingError, StoreAccessError
 from tiler.runs import record
 from tiler.runs.compiling import Kernels
 from tiler.runs.job import Job
@@ -59,8 +59,8 @@ def run_stage(
         A task failed and ``--on-error`` is ``stop``, or store or OUT are gone.
     """
     wanted = {task.key: task for task in tasks}
-    done, stale = job.sorted_out(stage, wanted.values())
-    job.take_back(stage, stale)
+    done, stale = job.split_commits(stage, wanted.values())
+    job.invalidate(stage, stale)
     todo = [task for key, task in wanted.items() if key not in done]
     info = {
         "stage": stage,
@@ -88,13 +88,13 @@ def run_stage(
             done[outcome.task.key] = (outcome.task.digest, outcome.record)
     if damaged:
         keys = tuple(sorted(damaged))
-        raise DamagedError(f"{job.store.url}: {', '.join(keys)}: damaged or missing; run again", keys)
+        raise CorruptStoreError(f"{job.store.url}: {', '.join(keys)}: damaged or missing; run again", keys)
     seconds = round(time.monotonic() - start, 3)
     job.record.computed += len(todo)
     job.store.compact(stage, PACKED_COMMITS)
     job.record.stages[stage] = {**info, "computed": len(todo), "seconds": seconds, "peak_rss_bytes": peak_rss}
     job.listener("stage_finished", {"stage": stage, "seconds": seconds})
-    job.save_on_the_way()
+    job.save_if_due()
     return dict(sorted(done.items()))
 
 

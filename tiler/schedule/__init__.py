@@ -6,10 +6,10 @@ from contextlib import suppress
 from importlib import import_module
 from threading import Thread
 
-from tiler.schedule.fork_server import FORKS, kept_forking, prepare_children
-from tiler.schedule.guard import Died, Guard, NotStartedError, limits_memory
-from tiler.schedule.isolated_reading import half_of_memory, read_apart, seconds_for
-from tiler.schedule.parallel_calls import Guards
+from tiler.schedule.fork_server import FORKS, fork_server_running, prepare_children
+from tiler.schedule.guard import ChildDiedError, ChildProcess, ChildStartError, limits_memory
+from tiler.schedule.isolated_reading import call_isolated, half_of_memory, seconds_for
+from tiler.schedule.parallel_calls import ChildPool
 from tiler.schedule.serial import SerialExecutor
 from tiler.schedule.task import (
     NOT_IN_DIGEST,
@@ -30,28 +30,28 @@ __all__ = [
     "FORKS",
     "NOT_IN_DIGEST",
     "TRIES",
-    "Died",
+    "ChildDiedError",
+    "ChildPool",
+    "ChildProcess",
+    "ChildStartError",
     "Executor",
-    "Guard",
-    "Guards",
     "Limits",
     "Look",
     "Machine",
-    "NotStartedError",
     "Outcome",
     "Perform",
     "Placed",
     "SerialExecutor",
     "Task",
     "Work",
+    "call_isolated",
     "digest_of",
+    "fork_server_running",
     "half_of_memory",
     "import_dask",
-    "kept_forking",
     "limits_memory",
     "make_executor",
     "prepare_children",
-    "read_apart",
     "seconds_for",
 ]
 

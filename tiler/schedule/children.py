@@ -1,4 +1,4 @@
-"""Child processes for the tasks of a Dask worker (see `Guard`).
+"""Child processes for the tasks of a Dask worker (see `ChildProcess`).
 
 A native crash, a hang or too much memory ends only the child and one try of its task, and the cause is known. The Dask
 worker and its other tasks continue.
@@ -16,7 +16,7 @@ from typing import Any
 import distributed
 from distributed.system import MEMORY_LIMIT
 
-from tiler.schedule.guard import Died, Guard, NotStartedError
+from tiler.schedule.guard import ChildDiedError, ChildProcess, ChildStartError
 from tiler.schedule.task import Limits, Outcome, Perform, Task
 
 WORKER_DIED = "WorkerDied"
@@ -43,8 +43,8 @@ class Children:
 
     def __init__(self) -> None:
         self._lock = threading.Lock()
-        self._idle: list[Guard] = []
-        self._busy: dict[Guard, str] = {}
+        self._idle: list[ChildProcess] = []
+        self._busy: dict[ChildProcess, str] = {}
         self._ended: set[str] = set()
 
     def perform(self, run: Run, perform: Perform, store_url: str, task: Task) -> Outcome:
@@ -54,9 +54,9 @@ class Children:
             outcome = guard.call(perform, store_url, task, seconds=run.limits.seconds_of(task))
             if outcome.again:
                 guard.close()  # The next try gets a new process.
-        except NotStartedError as error:
+        except ChildStartError as error:
             outcome = Outcome(task, None, f"its process {error}", "MemoryError", again=True)
-        except Died as died:
+        except ChildDiedError as died:
             outcome = Outcome(task, None, str(died), WORKER_DIED, again=True)
         except Exception as error:  # noqa: BLE001 - The task, or its outcome, could not be sent.
             kind = type(error).__name__
@@ -66,7 +66,10 @@ class Children:
         return outcome
 
     def call(self, run: Run, function: Callable[..., Any], *arguments: Any) -> Any:
-        """Return the result of ``function(*arguments)`` in a child. Raise the exception of the function, or `Died`."""
+        """Return the result of ``function(*arguments)`` in a child.
+
+        Raise the exception of the function, or `ChildDiedError`.
+        """
         guard = self._take(run)
         try:
             return guard.call(function, *arguments, seconds=run.limits.seconds)
@@ -84,11 +87,11 @@ class Children:
         for guard in idle:
             guard.close()
 
-    def _take(self, run: Run) -> Guard:
+    def _take(self, run: Run) -> ChildProcess:
         """Return an idle child with the same memory limit, or a new one."""
         with self._lock:
             others, self._idle = self._idle, []
-            guard = Guard(run.limits.memory_bytes, run.limits.prepare)
+            guard = ChildProcess(run.limits.memory_bytes, run.limits.prepare)
             while others:
                 other = others.pop()
                 if other.memory_bytes == guard.memory_bytes:
@@ -100,7 +103,7 @@ class Children:
                 guard.kill()  # The executor of the task has ended.
             return guard
 
-    def _give_back(self, guard: Guard) -> None:
+    def _give_back(self, guard: ChildProcess) -> None:
         with self._lock:
             del self._busy[guard]
             if not guard.killed:

@@ -9,8 +9,8 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from tiler.errors import ConfigError, ConnectionLostError, TilerError, refused_write
-from tiler.io.locations import State, cloud_path, is_url, joined, state_of, try_write
+from tiler.errors import ConfigError, ConnectionLostError, TilerError, write_error
+from tiler.io.locations import State, as_path, is_url, joined, state_of, try_write
 from tiler.schedule import Machine
 from tiler.store import open_store
 from tiler.version import __version__
@@ -41,7 +41,7 @@ def versions() -> dict[str, str]:
     return {"tiler": __version__, "Python": python, **{name: version(name) for name in LIBRARIES}}
 
 
-class Access:
+class ClusterAccess:
     """Check of the workers of a cluster. An instance is a `tiler.schedule.Look`.
 
     Parameters
@@ -129,7 +129,7 @@ class Access:
             token.touch()
             return bool(self._asked(ask, worker, sees, str(token)))
         except OSError as error:
-            raise refused_write(str(token.parent), error) from error
+            raise write_error(str(token.parent), error) from error
         finally:
             token.unlink(missing_ok=True)
 
@@ -161,7 +161,7 @@ def unreadable(sources: Sequence[tuple[str, State]]) -> list[tuple[str, str]]:
     """Return the first input that this worker cannot read, and the reason, or an empty list if it can read all."""
     for place, state in sources:
         try:
-            found = state_of(cloud_path(place))
+            found = state_of(as_path(place))
         except (OSError, TilerError) as error:
             return [(place, getattr(error, "strerror", None) or str(error))]
         if found.size != state.size:

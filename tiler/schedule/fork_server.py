@@ -1,8 +1,8 @@
-"""Server process that starts the children of `Guard` as forks, and imports the modules they need before it forks.
+"""Server process that imports the modules that children need, and starts each `ChildProcess` as a fork.
 
 Imports take a second or more, and the server does them once for all children. It ends with the last child, or with
-the last `kept_forking`. It has a single thread, since other threads would be lost in a fork. Only Linux forks safely
-with all libraries. On other systems each child starts without the server.
+the last `fork_server_running`. It has a single thread, since other threads would be lost in a fork. Only Linux forks
+safely with all libraries. On other systems each child starts without the server.
 """
 
 from __future__ import annotations
@@ -58,7 +58,7 @@ _Child = tuple[int | None, bytes, bytes]
 
 
 class ForkedChild:
-    """Child of the server, with the methods of `subprocess.Popen` that `Guard` uses.
+    """Child of the server, with the methods of `subprocess.Popen` that `ChildProcess` uses.
 
     Attributes
     ----------
@@ -192,7 +192,7 @@ def _current(anew: bool = False) -> _Server:
 
 
 @contextmanager
-def kept_forking() -> Iterator[None]:
+def fork_server_running() -> Iterator[None]:
     """Keep the server until the end of the block, so that consecutive children share its imports."""
     _keep(1)
     try:
@@ -204,7 +204,7 @@ def kept_forking() -> Iterator[None]:
 def prepare_children(*steps: Callable[[], object]) -> None:
     """Let the server call functions that prepare children, such as imports, in the background.
 
-    Call this within `kept_forking`.
+    Call this within `fork_server_running`.
 
     Parameters
     ----------

@@ -38,15 +38,15 @@ SIZE = struct.Struct("<Q")
 With the length, the thread that reads calls need not unpickle them, which would import modules."""
 
 
-class Died(TilerError):
+class ChildDiedError(TilerError):
     """The child died during a call, or had to be ended. The message is a predicate: "crashed (SIGSEGV)"."""
 
 
-class NotStartedError(Died):
+class ChildStartError(ChildDiedError):
     """There was no memory or no process for a child. The call is not the cause."""
 
 
-class Guard:
+class ChildProcess:
     """Child process for calls. The first call starts it, and `close` ends it.
 
     The class is a context manager.
@@ -69,7 +69,7 @@ class Guard:
         self._began = 0.0
         self._seconds = 0.0
 
-    def __enter__(self) -> Guard:
+    def __enter__(self) -> ChildProcess:
         return self
 
     def __exit__(
@@ -122,17 +122,19 @@ class Guard:
         except (EOFError, OSError, pickle.UnpicklingError):
             late = time.monotonic() - self._began >= self._seconds
             code = self._end()
-            kind = NotStartedError if code == NOT_STARTED else Died
+            kind = ChildStartError if code == NOT_STARTED else ChildDiedError
             raise kind(_fate(code, late, self._seconds)) from None
         if fine:
             return result
         if isinstance(result, MemoryError):
             self.close()
-            raise Died(f"needs more than the {(self.memory_bytes or 0) >> 20} MiB of memory that it may have")
+            raise ChildDiedError(
+                f"needs more than the {(self.memory_bytes or 0) >> 20} MiB of memory that it may have"
+            )
         raise result
 
     def kill(self) -> None:
-        """End the child permanently. Another thread may call this during a call, which then raises `Died`."""
+        """End the child permanently. Another thread may call this during a call, which then raises `ChildDiedError`."""
         self.killed = True
         child = self._child
         if child is not None:

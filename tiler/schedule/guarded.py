@@ -1,4 +1,4 @@
-"""Program of a child of `Guard`, which answers calls from its standard input, or of the server of forks."""
+"""Program of a child of `ChildProcess`, which answers calls from its standard input, or of the server of forks."""
 
 from __future__ import annotations
 

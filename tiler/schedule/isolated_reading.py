@@ -9,8 +9,8 @@ from typing import Any, TypeVar
 import psutil
 
 from tiler.errors import InputError, ProcessingError
-from tiler.io.locations import stat_cloud
-from tiler.schedule.guard import MEMORY_BYTES, Died, Guard, NotStartedError
+from tiler.io.locations import stat_location
+from tiler.schedule.guard import MEMORY_BYTES, ChildDiedError, ChildProcess, ChildStartError
 
 Result = TypeVar("Result")
 
@@ -24,13 +24,13 @@ def seconds_for(paths: Sequence[Path]) -> float:
     size = 0
     for path in paths:
         try:
-            size += stat_cloud(path).st_size
+            size += stat_location(path).st_size
         except (FileNotFoundError, NotADirectoryError):
             continue  # The function that reads the file raises the error.
     return MIN_SECONDS + size / BYTES_PER_SECOND
 
 
-def read_apart(
+def call_isolated(
     function: Callable[..., Result],
     *arguments: Any,
     paths: Sequence[Path],
@@ -67,13 +67,13 @@ def read_apart(
     if seconds is None:
         seconds = seconds_for(paths)
     try:
-        with Guard(memory_bytes) as guard:
+        with ChildProcess(memory_bytes) as guard:
             return guard.call(function, *arguments, seconds=seconds)
-    except NotStartedError as error:
+    except ChildStartError as error:
         raise ProcessingError(
             f"{names}: the process that reads it {error}; end other programs, then run again"
         ) from error
-    except Died as died:
+    except ChildDiedError as died:
         raise InputError(f"{names}: the process that reads it {died}; {remedy}") from died
 
 

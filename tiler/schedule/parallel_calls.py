@@ -9,7 +9,7 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from types import TracebackType
 from typing import TypeVar
 
-from tiler.schedule.guard import MEMORY_BYTES, Guard
+from tiler.schedule.guard import MEMORY_BYTES, ChildProcess
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -18,8 +18,8 @@ AHEAD = 16
 """Calls per child that may begin before the first result is read, so that one long call does not stop others."""
 
 
-class Guards:
-    """Several `Guard` that work at the same time. Each starts its child when it is first needed.
+class ChildPool:
+    """Several `ChildProcess` that work at the same time. Each starts its child when it is first needed.
 
     The class is a context manager.
 
@@ -33,13 +33,13 @@ class Guards:
 
     def __init__(self, count: int, memory_bytes: int | None = MEMORY_BYTES) -> None:
         self._count = count
-        self._all = [Guard(memory_bytes) for _ in range(count)]
-        self._idle: queue.LifoQueue[Guard] = queue.LifoQueue()
+        self._all = [ChildProcess(memory_bytes) for _ in range(count)]
+        self._idle: queue.LifoQueue[ChildProcess] = queue.LifoQueue()
         for guard in self._all:
             self._idle.put(guard)
         self._threads = ThreadPoolExecutor(count, thread_name_prefix="guard")
 
-    def __enter__(self) -> Guards:
+    def __enter__(self) -> ChildPool:
         return self
 
     def __exit__(
@@ -53,7 +53,7 @@ class Guards:
             guard.leave()
 
     def each(
-        self, function: Callable[[Guard, Item], Result], items: Iterable[Item]
+        self, function: Callable[[ChildProcess, Item], Result], items: Iterable[Item]
     ) -> Iterator[Callable[[], Result]]:
         """Call ``function(guard, item)`` for each item, and yield a function per item, in order.
 

@@ -136,7 +136,7 @@ class Limits:
     seconds : float
         Time for a task of up to a million points. Larger tasks have more time in proportion.
     prepare : callable, optional
-        Function that the server of forks calls once (see `tiler.schedule.Guard`).
+        Function that the server of forks calls once (see `tiler.schedule.ChildProcess`).
     """
 
     memory_bytes: int | None = None

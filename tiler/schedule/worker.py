@@ -12,7 +12,7 @@ from typing import Any
 import psutil
 
 from ptd.kernel import wide
-from tiler.errors import DamagedError, DiskFullError, StoreAccessError, TilerError
+from tiler.errors import CorruptStoreError, DiskFullError, StoreAccessError, TilerError
 from tiler.schedule import Outcome, Task
 from tiler.store import open_store, packed_by_one_thread
 
@@ -146,7 +146,7 @@ def _run(store_url: str, task: Task, commit: bool) -> Outcome:
         text = str(error)
         kind = type(error)
         again = error.again
-        if isinstance(error, DamagedError):
+        if isinstance(error, CorruptStoreError):
             damaged = error.keys
     except BaseException as error:  # noqa: BLE001 - Every error (also a panic) is an outcome, and other tasks continue.
         where = traceback.extract_tb(error.__traceback__)[-1]

@@ -11,7 +11,7 @@ import numpy as np
 import pyproj
 
 from tiler.core.raster import BLOCK_PIXELS
-from tiler.io.geotiff import RasterLook, plain_geotiff
+from tiler.io.geotiff import RasterMetadata, plain_geotiff
 from tiler.simulate.points import Points, UInt8s
 from tiler.simulate.site import Site
 
@@ -89,7 +89,7 @@ def write_dtm(path: Path, site: Site, pixel_m: float) -> None:
     top = pixels * pixel_m
     x = (np.arange(pixels) + 0.5) * pixel_m
     transform = (pixel_m, 0.0, ORIGIN[0], 0.0, -pixel_m, ORIGIN[1] + top)
-    look = RasterLook(CRS, "metre", "true terrain height", {})
+    look = RasterMetadata(CRS, "metre", "true terrain height", {})
     with plain_geotiff(path, pixels, pixels, transform, look) as raster:
         for row in range(0, pixels, BLOCK_PIXELS):
             y = top - (np.arange(row, min(row + BLOCK_PIXELS, pixels)) + 0.5) * pixel_m

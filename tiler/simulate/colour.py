@@ -9,7 +9,7 @@ from tiler.core.classes import GROUND, WATER
 from tiler.simulate.objects import BRIDGE, BUILDING, HIGH_VEGETATION, LOW_VEGETATION, MEDIUM_VEGETATION
 from tiler.simulate.randomness import COLOUR, node_normals, smooth_noise
 from tiler.simulate.site import Site
-from tiler.simulate.skin import PIXEL_M, Skin
+from tiler.simulate.skin import PIXEL_M, MatchedSurface
 
 Floats = npt.NDArray[np.float64]
 
@@ -71,7 +71,7 @@ def _from_edge(x: Floats, side: float) -> Floats:
     return np.asarray(x - side * np.rint(x / side))
 
 
-def shadows(skin: Skin) -> npt.NDArray[np.bool_]:
+def shadows(skin: MatchedSurface) -> npt.NDArray[np.bool_]:
     """Mask of the nodes of a skin in the shadow of another node within `SHADOW_REACH_M`."""
     length = float(np.hypot(*SUN_STEP)) * PIXEL_M
     climb = length * np.tan(np.radians(SUN_ELEVATION_DEG))

@@ -16,7 +16,7 @@ from tiler.simulate.objects import BUILDING, LOW_VEGETATION
 from tiler.simulate.points import Box, Points
 from tiler.simulate.randomness import BIAS, BLUNDERS, MATCHES, TEXTURE, generator, smooth_noise
 from tiler.simulate.site import Site
-from tiler.simulate.skin import PIXEL_M, Skin, skin_of
+from tiler.simulate.skin import PIXEL_M, MatchedSurface, render_surface
 
 Floats = npt.NDArray[np.float64]
 UInt8s = npt.NDArray[np.uint8]
@@ -99,7 +99,7 @@ class DimSensor:
         """The points of patch (ix, iy): the skin, facades, blunders."""
         box = (ix * PATCH_M, iy * PATCH_M, (ix + 1) * PATCH_M, (iy + 1) * PATCH_M)
         rng = generator(site.seed, MATCHES, ix, iy)
-        skin = skin_of(site, box, SHADOW_REACH_M + 2.0, self.edge_m)
+        skin = render_surface(site, box, SHADOW_REACH_M + 2.0, self.edge_m)
         dark = shadows(skin)
         xyz, label = self._matches(skin, dark, site, box, rng)
         wall = self._facades(skin, box, rng)
@@ -115,7 +115,12 @@ class DimSensor:
         return Points(xyz, label, one, one.copy(), np.zeros(len(xyz)), rgb)
 
     def _matches(
-        self, skin: Skin, dark: npt.NDArray[np.bool_], site: Site, box: Box, rng: np.random.Generator
+        self,
+        skin: MatchedSurface,
+        dark: npt.NDArray[np.bool_],
+        site: Site,
+        box: Box,
+        rng: np.random.Generator,
     ) -> tuple[Floats, UInt8s]:
         """Points of the skin, fewer in shadow, in narrow yards and on water."""
         count = round(PATCH_M * self.density**0.5)
@@ -158,7 +163,7 @@ class DimSensor:
             own = rng.standard_t(self.tails, len(x)) * np.sqrt((self.tails - 2.0) / self.tails)
         return np.asarray(sigma * (self.correlated**0.5 * common + (1.0 - self.correlated) ** 0.5 * own))
 
-    def _facades(self, skin: Skin, box: Box, rng: np.random.Generator) -> Floats:
+    def _facades(self, skin: MatchedSurface, box: Box, rng: np.random.Generator) -> Floats:
         """Points on walls, where the skin falls from a building to its neighbour; walls differ in their share."""
         x, y = skin.positions()
         parts = [np.empty((0, 3))]
@@ -186,7 +191,9 @@ class DimSensor:
         inside = (points[:, :2] >= box[:2]) & (points[:, :2] < box[2:])
         return points[inside.all(axis=1)]
 
-    def _blunders(self, site: Site, skin: Skin, box: Box, rng: np.random.Generator) -> tuple[Floats, UInt8s]:
+    def _blunders(
+        self, site: Site, skin: MatchedSurface, box: Box, rng: np.random.Generator
+    ) -> tuple[Floats, UInt8s]:
         """Points in empty places: xyz (n, 3) and labels."""
         points = self.density * PATCH_M**2
         alone = rng.poisson(points * self.blunders / 2)

@@ -25,7 +25,7 @@ SMEARED_M = 0.2
 
 
 @dataclass(frozen=True)
-class Skin:
+class MatchedSurface:
     """Rasters of shape (rows, columns), rows from south to north; the node (0, 0) lies at (x0, y0), metres.
 
     Attributes
@@ -81,7 +81,7 @@ class Skin:
         return x, y
 
 
-def skin_of(site: Site, box: Box, margin_m: float, edge_m: float) -> Skin:
+def render_surface(site: Site, box: Box, margin_m: float, edge_m: float) -> MatchedSurface:
     """The skin of a box with a margin.
 
     Parameters
@@ -105,7 +105,7 @@ def skin_of(site: Site, box: Box, margin_m: float, edge_m: float) -> Skin:
     beside = _nearest_object(label)
     rasters = {"bare": bare, "sharp": sharp, "smooth": smooth, "rise": rise}
     x0, y0 = low[0] * PIXEL_M, low[1] * PIXEL_M
-    return Skin(x0, y0, label=label, beside=beside, thing=thing, **rasters)
+    return MatchedSurface(x0, y0, label=label, beside=beside, thing=thing, **rasters)
 
 
 def solid_number(solid: Solid) -> int:

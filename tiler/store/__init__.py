@@ -14,7 +14,7 @@ from tiler.store.lock import LEASE_SECONDS, Lease, locked_folder
 from tiler.store.meta import StoreMeta
 from tiler.store.opening import create_store, held_store, open_store, remove_store, store_exists
 from tiler.store.records import MAX_NAME_BYTES, KeptPiece, KeptRecords, RecordKeeper
-from tiler.store.storage import Usage
+from tiler.store.storage import StoreSize
 from tiler.store.store import TileStore
 
 __all__ = [
@@ -28,8 +28,8 @@ __all__ = [
     "Lease",
     "RecordKeeper",
     "StoreMeta",
+    "StoreSize",
     "TileStore",
-    "Usage",
     "chunk_numbers",
     "coarse_cells",
     "coarse_values",

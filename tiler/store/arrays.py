@@ -22,7 +22,7 @@ from zarr.codecs import BloscCodec, BytesCodec, Crc32cCodec
 from zarr.core.buffer import Buffer
 from zarr.storage import MemoryStore
 
-from tiler.errors import DamagedError, StoreError
+from tiler.errors import CorruptStoreError, StoreError
 from tiler.store import layout
 from tiler.store.layout import ALLOWED_CODECS, ArrayKind
 from tiler.store.storage import Storage, seal_holds, sealed
@@ -79,7 +79,7 @@ class StoredArray:
                 bad.append(key)
                 reason = reason or str(error)
         if bad:
-            raise DamagedError(
+            raise CorruptStoreError(
                 f"{self.storage.url}: {self.path} is damaged ({reason}); run again to rebuild it",
                 tuple(bad),
             )
@@ -161,7 +161,9 @@ def open_array(storage: Storage, path: str, kind: ArrayKind) -> StoredArray:
     """
     array = find_array(storage, path, kind)
     if array is None:
-        raise DamagedError(f"{storage.url}: there is no {path}; run the stage that writes it first", (path,))
+        raise CorruptStoreError(
+            f"{storage.url}: there is no {path}; run the stage that writes it first", (path,)
+        )
     return array
 
 
@@ -228,7 +230,9 @@ def _checked(data: bytes, where: str, path: str, kind: ArrayKind) -> dict[str, A
         codecs = {codec["name"] for codec in metadata["codecs"]}
         transformers = metadata.get("storage_transformers")
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise DamagedError(f"{where}: its metadata are damaged; run again to rebuild it", (path,)) from error
+        raise CorruptStoreError(
+            f"{where}: its metadata are damaged; run again to rebuild it", (path,)
+        ) from error
     wanted = {"zarr_format": 3, "node_type": "array", "data_type": kind.dtype, "chunks": kind.chunks}
     if found != wanted or transformers:
         raise StoreError(f"{where}: not an array that this version writes; run again with --overwrite")

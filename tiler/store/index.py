@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tiler.core.lattice import Bounds, Cell, Lattice
-from tiler.errors import DamagedError, StoreError
+from tiler.errors import CorruptStoreError, StoreError
 from tiler.store import layout
 from tiler.store.storage import Storage
 
@@ -153,14 +153,16 @@ def current_index(storage: Storage) -> BucketIndex:
         try:
             digest = storage.get_json(layout.INDEX_POINTER)
         except StoreError as error:
-            raise DamagedError(str(error), ("index",)) from error
+            raise CorruptStoreError(str(error), ("index",)) from error
         if digest is None:
             return BucketIndex.empty()
         index = _loaded(storage, digest)
         if index is not None:
             return index
         _loaded.cache_clear()  # The index was replaced between the two reads.
-    raise DamagedError(f"{storage.url}: its bucket index is missing; run again to rebuild it", ("index",))
+    raise CorruptStoreError(
+        f"{storage.url}: its bucket index is missing; run again to rebuild it", ("index",)
+    )
 
 
 def remove_older(storage: Storage) -> BucketIndex:
@@ -182,7 +184,9 @@ def _loaded(storage: Storage, digest: str) -> BucketIndex | None:
     if data is None:
         return None
     if _digest(data) != digest:
-        raise DamagedError(f"{storage.url}: its bucket index is damaged; run again to rebuild it", ("index",))
+        raise CorruptStoreError(
+            f"{storage.url}: its bucket index is damaged; run again to rebuild it", ("index",)
+        )
     return BucketIndex(np.load(io.BytesIO(data), allow_pickle=False))
 
 

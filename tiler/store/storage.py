@@ -29,7 +29,7 @@ from tiler.errors import (
     ProcessingError,
     StoreAccessError,
     StoreError,
-    refused_write,
+    write_error,
 )
 from tiler.io.locations import plain_scheme, validate_escaped
 from tiler.io.partial_files import replace_file
@@ -42,7 +42,7 @@ _NO_HARD_LINKS = (errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)
 
 
 @dataclass(frozen=True)
-class Usage:
+class StoreSize:
     """Number of objects in a store and their total size in bytes."""
 
     objects: int
@@ -123,7 +123,7 @@ class Storage:
             else:
                 sync(self.zarr_store.set(key, default_buffer_prototype().buffer.from_bytes(data)))
         except OSError as error:
-            raise failed_write(self.url, key, error) from error
+            raise store_write_error(self.url, key, error) from error
 
     def put_json_new(self, key: str, body: Any) -> bool:
         """Write a value as `put_json` does, unless an object exists. A later `get_json` shows whose object it is.
@@ -139,7 +139,7 @@ class Storage:
             sync(self.zarr_store.set_if_not_exists(key, default_buffer_prototype().buffer.from_bytes(data)))
         except OSError as error:
             if error.errno not in _NO_HARD_LINKS:
-                raise failed_write(self.url, key, error) from error
+                raise store_write_error(self.url, key, error) from error
             self.put(key, data)
             return False
         return self.root is not None
@@ -150,7 +150,7 @@ class Storage:
             if self.exists():
                 sync(self.zarr_store.delete(key))
         except OSError as error:
-            raise failed_write(self.url, key, error) from error
+            raise store_write_error(self.url, key, error) from error
 
     def delete_folder(self, prefix: str, keep: Collection[str] = ()) -> None:
         """Remove every object of the layout in ``prefix`` except the keys of ``keep``, then the empty folders.
@@ -161,7 +161,7 @@ class Storage:
             try:
                 self._delete_files(self.root / prefix, lambda key: layout.is_ours(key) and key not in keep)
             except OSError as error:
-                raise failed_write(self.url, prefix, error) from error
+                raise store_write_error(self.url, prefix, error) from error
             return
         from fsspec.core import url_to_fs
 
@@ -208,16 +208,16 @@ class Storage:
         """
         return self.root is None or self.root.is_dir()
 
-    def usage(self) -> Usage:
+    def usage(self) -> StoreSize:
         """Count the objects and their bytes. This lists the whole store."""
         from fsspec.core import url_to_fs
 
         if not self.exists():
-            return Usage(0, 0)
+            return StoreSize(0, 0)
         place = self.url if self.root is None else str(self.root.absolute())
         filesystem, path = url_to_fs(place)
         sizes = [entry["size"] for entry in filesystem.find(path, detail=True).values()]
-        return Usage(len(sizes), sum(sizes))
+        return StoreSize(len(sizes), sum(sizes))
 
     def put_json(self, key: str, body: Any) -> None:
         """Write a JSON-able value with a checksum, and without passwords and tokens in its URLs."""
@@ -260,9 +260,9 @@ def seal_holds(metadata: dict[str, Any]) -> bool:
     return SEAL not in metadata["attributes"] or sealed(metadata) == metadata
 
 
-def failed_write(url: str, key: str, error: OSError) -> ProcessingError:
+def store_write_error(url: str, key: str, error: OSError) -> ProcessingError:
     """Return the one-line error for a write or a removal that the file system refused."""
-    refused = refused_write(f"{url}: {key}", error, local_path(url))
+    refused = write_error(f"{url}: {key}", error, local_path(url))
     if isinstance(refused, DiskFullError):
         return refused
     return StoreAccessError(str(refused))

@@ -16,7 +16,7 @@ from tiler.store.rasters import RasterStore
 from tiler.store.records import RecordStore
 from tiler.store.spool import SpoolStore
 from tiler.store.states import StateStore
-from tiler.store.storage import Storage, Usage
+from tiler.store.storage import Storage, StoreSize
 
 
 class TileStore(LabelStore, RasterStore, SpoolStore, RecordStore, StateStore, CommitStore):
@@ -77,6 +77,6 @@ class TileStore(LabelStore, RasterStore, SpoolStore, RecordStore, StateStore, Co
             raise StoreError(f"{self.url}: {key} was written but cannot be read; check the storage")
         self._storage.delete(key)
 
-    def usage(self) -> Usage:
+    def usage(self) -> StoreSize:
         """Count the objects of the store and their bytes. This lists the whole store."""
         return self._storage.usage()

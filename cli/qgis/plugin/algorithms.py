@@ -21,10 +21,10 @@ from qgis.core import (
 
 from . import process, results
 from .process import PARTIAL, TABLE, CommandError, absolute
-from .shell import LOAD, Shell, find_command, write_page
+from .shell import LOAD, CommandAlgorithm, find_command, write_page
 
 
-class Run(Shell):
+class Run(CommandAlgorithm):
     """``tiler run``."""
 
     command = "run"
@@ -134,7 +134,7 @@ class ApplyEdits(Run):
         return absolute(path)
 
 
-class Preview(Shell):
+class Preview(CommandAlgorithm):
     """``tiler preview``."""
 
     command = "preview"
@@ -151,7 +151,7 @@ class Preview(Shell):
         return {"OUTPUT": self._place, "PAGE": self._page}
 
 
-class Classify(Shell):
+class Classify(CommandAlgorithm):
     """``tiler classify``."""
 
     command = "classify"
@@ -171,7 +171,7 @@ class Classify(Shell):
         return {}
 
 
-class Check(Shell):
+class Check(CommandAlgorithm):
     """``tiler check``."""
 
     command = "check"

@@ -40,7 +40,7 @@ class CommandError(Exception):
     """Error that ended the command, in one line."""
 
 
-class Ended(NamedTuple):
+class CommandResult(NamedTuple):
     """Result of a command.
 
     Attributes
@@ -144,7 +144,7 @@ def absolute(path: str) -> str:
 
 def run_command(
     arguments: list[str], tell: Callable[[dict[str, Any]], None], cancelled: Callable[[], bool]
-) -> Ended:
+) -> CommandResult:
     """Run a command to its end.
 
     Parameters
@@ -183,13 +183,13 @@ def run_command(
         text = output.read().decode("utf-8", "replace")
     code = process.returncode
     if asked and code not in (0, PARTIAL):
-        return Ended(INTERRUPTED, text, True)
+        return CommandResult(INTERRUPTED, text, True)
     if code not in (0, PARTIAL):
         raise CommandError(
             last.removeprefix("tiler: error: ")
             or f"{arguments[0]}: ended with code {code} and without a message; run it in a terminal to see why"
         )
-    return Ended(code, text)
+    return CommandResult(code, text)
 
 
 def _follow(

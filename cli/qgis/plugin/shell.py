@@ -25,7 +25,7 @@ from qgis.core import (
 
 from . import process
 from .fields import FOLDER, make_parameters, numbers_of_names, read_value
-from .process import PARTIAL, TABLE, CommandError, Ended, absolute
+from .process import PARTIAL, TABLE, CommandError, CommandResult, absolute
 
 LOAD = "LOAD"
 COMMAND = "TILER_COMMAND"
@@ -37,7 +37,7 @@ def find_command() -> str:
     return process.find_command(ProcessingConfig.getSetting(COMMAND) or TABLE["command"])
 
 
-class Shell(QgsProcessingAlgorithm):
+class CommandAlgorithm(QgsProcessingAlgorithm):
     """Algorithm that runs a command. Derived classes override the parts that differ."""
 
     command = ""
@@ -48,7 +48,7 @@ class Shell(QgsProcessingAlgorithm):
         self._arguments: list[str] = []
         self._place = self._page = ""
         self._load = False
-        self._ended = Ended(process.INTERRUPTED, "")
+        self._ended = CommandResult(process.INTERRUPTED, "")
 
     def createInstance(self) -> QgsProcessingAlgorithm:
         """Make a new instance, which QGIS needs for each use."""
@@ -164,7 +164,7 @@ class Shell(QgsProcessingAlgorithm):
     ) -> dict[str, Any]:
         """Run the command."""
         feedback.pushCommandInfo(shlex.join(self._arguments))
-        teller = Teller(feedback)
+        teller = FeedbackListener(feedback)
         try:
             self._ended = process.run_command(self._arguments, teller, feedback.isCanceled)
         except CommandError as error:
@@ -213,7 +213,7 @@ class Shell(QgsProcessingAlgorithm):
         return self._load and self._ended.code in (0, PARTIAL)
 
 
-class Teller:
+class FeedbackListener:
     """Listener that shows the progress, stages and log lines of a command."""
 
     def __init__(self, feedback: QgsProcessingFeedback) -> None:

@@ -14,7 +14,7 @@ from ptd.ground.noise_sums import Roughness
 from ptd.matched.evidence import DIM
 from ptd.matched.ground_model import GROUND_M
 from ptd.matched.place_figures import CELL_SIGMA, DENSITY, SIDE, known
-from ptd.matched.survey import Seen, surveyed
+from ptd.matched.survey import ReturnStatistics, surveyed
 from ptd.methods.auto.params import AutoParameters
 from ptd.passes import State
 from ptd.places import PLACES, Figures, field, span
@@ -66,7 +66,7 @@ def label_bands(params: AutoParameters, state: State, scale: Scale) -> Bands:
 def decided(
     params: AutoParameters,
     found: Roughness,
-    seen: Seen,
+    seen: ReturnStatistics,
     held: Sequence[Figures],
     run: Mapping[str, Any],
 ) -> tuple[dict[str, Any], list[str]]:
@@ -81,7 +81,7 @@ def decided(
     held : sequence of tuple
         Figures of the places that hold points.
     run : mapping
-        `ptd.passes.RunFacts`.
+        `ptd.passes.RunHints`.
 
     Returns
     -------

@@ -64,7 +64,7 @@ import numpy as np
 from ptd.cells import Xyz
 from ptd.frame import Cells, Scale, Window
 from ptd.ground.blocks import blocks
-from ptd.ground.certificates import Doubt
+from ptd.ground.certificates import UncertifiedRegion
 from ptd.ground.densify import REFUSED, VERTEX, WAITING, densify
 from ptd.ground.fine_surface import REACH_M, FineLabels, with_fine_surface
 from ptd.ground.labelling import GROUND, LOW_NOISE, UNCLASSIFIED, GroundRule, TinLabels
@@ -76,7 +76,7 @@ from ptd.ground.seeds import RING, box_with_ring, choose_seeds
 from ptd.matched import passes as matched
 from ptd.matched import survey
 from ptd.matched.step import is_matched
-from ptd.matched.survey import Seen
+from ptd.matched.survey import ReturnStatistics
 from ptd.methods.auto.cell_codes import CellCodes, lowest_points
 from ptd.methods.auto.label_thresholds import decided, label_bands
 from ptd.methods.auto.objects import Lowest
@@ -126,14 +126,14 @@ class SurveyPass(survey.SurveyPass):
     params: Auto = field(kw_only=True)
 
     def decided(
-        self, found: Roughness, seen: Seen, held: Sequence[Figures], run: Mapping[str, Any]
+        self, found: Roughness, seen: ReturnStatistics, held: Sequence[Figures], run: Mapping[str, Any]
     ) -> tuple[dict[str, Any], list[str]]:
         """See `label_thresholds.decided`."""
         return decided(self.params, found, seen, held, run)
 
 
 @dataclass(frozen=True)
-class LaserPass(Pass):
+class LidarPass(Pass):
     """A pass that only laser scans need."""
 
     kind = "lidar"
@@ -144,7 +144,7 @@ class LaserPass(Pass):
 
 
 @dataclass(frozen=True)
-class SeedPass(LaserPass):
+class SeedPass(LidarPass):
     """Cells are low outliers, objects or seeds."""
 
     params: Auto
@@ -169,7 +169,7 @@ class SeedPass(LaserPass):
 
 
 @dataclass(frozen=True)
-class DensifyPass(LaserPass):
+class DensifyPass(LidarPass):
     """The TIN of the seeds takes in cells of objects that fit."""
 
     params: Auto
@@ -195,7 +195,7 @@ class DensifyPass(LaserPass):
 
 
 @dataclass(frozen=True)
-class RefinePass(LaserPass):
+class RefinePass(LidarPass):
     """Ground cells that rise from the ground found are no ground."""
 
     params: Auto
@@ -227,7 +227,7 @@ def refined(low: Lowest, codes: UInt8, p: AutoParameters) -> Bool:
 
 
 @dataclass(frozen=True)
-class RoofPass(LaserPass):
+class RoofPass(LidarPass):
     """Surfaces of ground above all that is seen around them are roofs."""
 
     params: Auto
@@ -256,7 +256,7 @@ class RoofPass(LaserPass):
 
 
 @dataclass(frozen=True)
-class LabelPass(LaserPass):
+class LabelPass(LidarPass):
     """Every point against the TIN of the ground, and where points are dense against a fine surface."""
 
     params: Auto
@@ -287,13 +287,15 @@ class LabelPass(LaserPass):
         return found
 
 
-def first_tin(x: Int32, y: Int32, z: Int32, chosen: Bool, known: Window, scale: Scale) -> tuple[Tin, Doubt]:
+def first_tin(
+    x: Int32, y: Int32, z: Int32, chosen: Bool, known: Window, scale: Scale
+) -> tuple[Tin, UncertifiedRegion]:
     """TIN of the chosen points (at least one) and the ring of virtual ones, with room for all.
 
     What is chosen within the known window is certain.
     """
     cells = Cells.of(RING_M, scale)
-    doubt = Doubt(known, known.inside(cells, RING), box_with_ring(x, y, cells), scale)
+    doubt = UncertifiedRegion(known, known.inside(cells, RING), box_with_ring(x, y, cells), scale)
     ring = choose_seeds(x, y, z, chosen, cells, doubt).virtual
     corners = [np.concatenate([c[chosen], r]) for c, r in zip((x, y, z), ring.T, strict=True)]
     return Tin.build(*corners, max_vertices=x.size + len(ring)), doubt

@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from ptd.cells import Int32, lowest_per_cell
 from ptd.frame import Cells, Scale, Window
-from ptd.passes import Measured, Pass, Points, State, noted
+from ptd.passes import Pass, Points, State, StatisticsModel, noted
 
 BIN_M = 1.0
 Bool = npt.NDArray[np.bool_]
@@ -112,12 +112,16 @@ class ElevationsPass(Pass):
     title = "measure the range of heights"
     gives_labels: bool = False
 
-    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Measured:
+    def fit(
+        self, points: Points, window: Window, core: Window, scale: Scale, state: State
+    ) -> StatisticsModel:
         """Count the candidates of the core. Bins and counts are pairs, because names in JSON are texts."""
         x, y, z = points.columns()
         keep = lowest_per_cell(x, y, z, Cells.of(self.cell_m, scale))
         keep = keep[core.has(x[keep], y[keep])]
-        return Measured({"elevations": sorted(histogram(z[keep], scale).items())}, {"candidates": keep.size})
+        return StatisticsModel(
+            {"elevations": sorted(histogram(z[keep], scale).items())}, {"candidates": keep.size}
+        )
 
     def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
         """Merge the counts, find the tails, and report the cut."""

@@ -63,12 +63,12 @@ import numpy.typing as npt
 
 from ptd.cells import Xyz, lowest_per_cell, positions
 from ptd.frame import Cells, Scale, Window
-from ptd.ground.certificates import Doubt
+from ptd.ground.certificates import UncertifiedRegion
 from ptd.ground.densify import REFUSED, VERTEX, densify
 from ptd.ground.labelling import GROUND, LOW_NOISE, GroundRule, TinLabels
 from ptd.ground.outliers import LowNoise, isolated_in_height, low_outliers
 from ptd.ground.seeds import RING, box_with_ring, choose_seeds
-from ptd.matched.on_cells import either_way
+from ptd.matched.on_cells import for_both_kinds
 from ptd.methods.chen2023.elevation_histogram import ElevationsPass, outside
 from ptd.methods.chen2023.params import Chen2023Parameters
 from ptd.methods.chen2023.progressive_opening import potential_seeds
@@ -89,7 +89,7 @@ class Chen2023(Chen2023Parameters):
         tails = ElevationsPass(self.thin_cell_m, self.tail_gap_m, self.tail_share)
         own = (tails, ChenPass(self))
         if self.robust_cells:
-            return either_way(own)
+            return for_both_kinds(own)
         return own
 
 
@@ -146,7 +146,9 @@ class ChenModel(TinLabels):
         ring_cells = Cells.of(p.ring_cell_m, scale)
         # In a cell cut by the window another point may be the lowest. Outliers are certain one search radius inside.
         known = window.inside(self._cells, p.margin_cells)
-        doubt = Doubt(known, known.inside(ring_cells, RING), box_with_ring(x, y, ring_cells), scale)
+        doubt = UncertifiedRegion(
+            known, known.inside(ring_cells, RING), box_with_ring(x, y, ring_cells), scale
+        )
         seeds, unsure = potential_seeds(x, y, z, ~outlier, self._cells, p.opening(scale), known)
         doubt.add_points(x, y, unsure)
         ring = choose_seeds(x, y, z, seeds, ring_cells, doubt, unsure).virtual
@@ -165,7 +167,7 @@ class ChenModel(TinLabels):
         self.stats.update(rounds=rounds)
 
     def _noise(
-        self, tin: Tin, x: Int32, y: Int32, seeds: npt.NDArray[np.intp], ring: Int32, doubt: Doubt
+        self, tin: Tin, x: Int32, y: Int32, seeds: npt.NDArray[np.intp], ring: Int32, doubt: UncertifiedRegion
     ) -> npt.NDArray[np.intp]:
         """Step 4: the seeds that are noise. Places where that is uncertain are put in doubt."""
         vx, vy = (np.ascontiguousarray(tin.vertices[:, axis]) for axis in (0, 1))

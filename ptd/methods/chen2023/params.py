@@ -8,7 +8,7 @@ from fractions import Fraction
 
 from ptd.frame import Scale
 from ptd.ground.outliers import search_margin
-from ptd.matched.on_cells import OnCells
+from ptd.matched.on_cells import RobustCells
 from ptd.methods.chen2023.progressive_opening import Opening, height_thresholds, window_widths
 from ptd.methods.chen2023.seed_clusters import ClusterLimits
 from ptd.methods.classic import Classic
@@ -84,7 +84,7 @@ class Chen2023Parameters(Progressive):
         maximum=100.0, source="Chen 2023, 2.3 (2)",
     )  # fmt: skip
     label_pass: bool = like(Classic, "label_pass")
-    robust_cells: bool = like(OnCells, "robust_cells")
+    robust_cells: bool = like(RobustCells, "robust_cells")
 
     def __post_init__(self) -> None:
         super().__post_init__()

@@ -156,7 +156,7 @@ def noisy_seeds(tin: Tin, real: Bool, limits: ClusterLimits, in_doubt: UInt8) ->
         False for virtual seeds.
     limits : ClusterLimits
     in_doubt : uint8 [triangles]
-        See `ptd.ground.certificates.Doubt.triangles`.
+        See `ptd.ground.certificates.UncertifiedRegion.triangles`.
 
     Returns
     -------

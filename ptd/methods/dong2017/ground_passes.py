@@ -17,7 +17,7 @@ from ptd.methods.dong2017.distance_threshold import second_difference_jump
 from ptd.methods.dong2017.growth import Growth, Stage, picks
 from ptd.methods.dong2017.params import Dong2017Parameters
 from ptd.methods.dong2017.seed_passes import VEGETATION
-from ptd.passes import Measured, MethodRefusal, Pass, Points, State, UInt8, noted
+from ptd.passes import MethodRefusal, Pass, Points, State, StatisticsModel, UInt8, noted
 from ptd.tin.mesh import Tin
 
 PLANE = Bins(0.025, 120, 0.01, 60)
@@ -43,7 +43,9 @@ class FirstMeasurement(Pass):
     every_point: bool = True
     gives_labels: bool = False
 
-    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Measured:
+    def fit(
+        self, points: Points, window: Window, core: Window, scale: Scale, state: State
+    ) -> StatisticsModel:
         """Count the open points of the core in compact facets."""
         labels = points.known_labels()
         tin = Tin.build(*points.xyz[:, labels == GROUND])
@@ -95,7 +97,9 @@ class Measurement(Pass):
     every_point: bool = True
     gives_labels: bool = False
 
-    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Measured:
+    def fit(
+        self, points: Points, window: Window, core: Window, scale: Scale, state: State
+    ) -> StatisticsModel:
         """Count the ground points of the core that are not vertices."""
         ground = points.known_labels() == GROUND
         vertices = points.xyz[:, picks(points, ground, Cells.of(self.spacing_m, scale), 0)]
@@ -145,9 +149,9 @@ class FinalGrowth(Growth):
         return labels, marked
 
 
-def _measured(trial: Trial, points: Points, core: Window, which: Bool) -> Measured:
+def _measured(trial: Trial, points: Points, core: Window, which: Bool) -> StatisticsModel:
     counts = trial.count(*points.columns(), which & core.has(points.xyz[0], points.xyz[1]), PLANE)
-    return Measured({"plane": counts.tolist()}, {"measured": int(counts.sum())})
+    return StatisticsModel({"plane": counts.tolist()}, {"measured": int(counts.sum())})
 
 
 def _summed(partials: Iterable[dict[str, Any]]) -> Int64:

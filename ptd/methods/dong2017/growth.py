@@ -11,10 +11,10 @@ import numpy as np
 
 from ptd.cells import Int32
 from ptd.frame import Cells, Scale, Window
-from ptd.ground.certificates import Doubt, UInt8
+from ptd.ground.certificates import UInt8, UncertifiedRegion
 from ptd.ground.distance_angle import Bool, Int64, Threshold, Trial
 from ptd.ground.labelling import GROUND, UNCLASSIFIED
-from ptd.ground.random_choice import picked_per_cell
+from ptd.ground.random_choice import random_per_cell
 from ptd.ground.seeds import box_with_ring, cells_of
 from ptd.methods.dong2017.virtual_border import REACH, rim
 from ptd.passes import Model, Points
@@ -92,7 +92,7 @@ class Growth(Model):
         box = (0, 0, 1, 1)
         if x.size:
             box = box_with_ring(x, y, cells)
-        self._doubt = Doubt(known, known, box, scale)
+        self._doubt = UncertifiedRegion(known, known, box, scale)
         labels = points.known_labels()
         ground = labels == GROUND
         self._trials = [self._trial(points, ground, cells, 0)]
@@ -130,10 +130,12 @@ def picks(points: Points, ground: Bool, cells: Cells, salt: int) -> Int64:
     """Index of one random point of each cell that holds ground."""
     index = np.flatnonzero(ground)
     x, y, z = points.take(index).columns()
-    return index[picked_per_cell(x, y, z, cells, salt)]
+    return index[random_per_cell(x, y, z, cells, salt)]
 
 
-def _doubt_cells(doubt: Doubt, cells: Cells, x: Int32, y: Int32, ground: Bool, doubtful: Bool) -> None:
+def _doubt_cells(
+    doubt: UncertifiedRegion, cells: Cells, x: Int32, y: Int32, ground: Bool, doubtful: Bool
+) -> None:
     """Put the cells of doubtful points in doubt, and the empty cells around them."""
     if not doubt.active or not doubtful.any():
         return

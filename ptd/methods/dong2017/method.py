@@ -55,7 +55,7 @@ from dataclasses import dataclass
 
 from ptd.ground import roughness
 from ptd.matched.cells import CELL_M
-from ptd.matched.on_cells import MethodSurveyPass, NearGroundPass, OfCells, OfLaser
+from ptd.matched.on_cells import MethodSurveyPass, NearGroundPass, OnLidar, OnMatchedCells
 from ptd.methods.dong2017.ground_passes import (
     MEASURED_CELLS,
     Densification,
@@ -109,9 +109,9 @@ class Dong2017(Dong2017Parameters):
         return (
             MethodSurveyPass(notes=(ON_CELLS,)),
             *seeds,
-            *(OfLaser.of(step) for step in self._growing_on_points()),
+            *(OnLidar.of(step) for step in self._growing_on_points()),
             SeedCellPass(),
-            *(OfCells.of(step, f"{step.name}-of-cells") for step in self._growing_on_cells()),
+            *(OnMatchedCells.of(step, f"{step.name}-of-cells") for step in self._growing_on_cells()),
             NearGroundPass(),
         )
 

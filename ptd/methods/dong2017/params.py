@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ptd.matched.on_cells import OnCells
+from ptd.matched.on_cells import RobustCells
 from ptd.params import check, like, parameter
 
 
@@ -64,7 +64,7 @@ class Dong2017Parameters:
         0.01, "height of the contour that gives the thresholds, in parts of the histogram's peak", minimum=0.0001,
         maximum=0.9, source="Dong 2017, 3.3.4",
     )  # fmt: skip
-    robust_cells: bool = like(OnCells, "robust_cells")
+    robust_cells: bool = like(RobustCells, "robust_cells")
 
     def __post_init__(self) -> None:
         check(self)

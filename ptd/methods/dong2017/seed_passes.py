@@ -20,7 +20,7 @@ from ptd.methods.dong2017.facades import FacadeRule, Facades, density_of, facade
 from ptd.methods.dong2017.greenness import BINS, COLOURLESS, gli_bins, green_from, index_of_bin
 from ptd.methods.dong2017.params import Dong2017Parameters
 from ptd.methods.dong2017.podiums import on_podium
-from ptd.passes import Measured, MethodRefusal, Model, Pass, Points, State, UInt8, noted
+from ptd.passes import MethodRefusal, Model, Pass, Points, State, StatisticsModel, UInt8, noted
 
 VEGETATION = 5
 """Label of vegetation between passes. Seeds are `GROUND`, all other points `UNCLASSIFIED`."""
@@ -52,7 +52,7 @@ class ColourPass(Pass):
         }
         if state["run"]["sigma_m"] is None and "survey" not in state:
             found["patches"] = roughness.measure(points.xyz, window, core, scale)
-        return Measured(found, {"points": int(own.sum())})
+        return StatisticsModel(found, {"points": int(own.sum())})
 
     def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
         """Find the threshold of greenness, the density and the noise of the run."""

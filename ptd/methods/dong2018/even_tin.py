@@ -8,9 +8,9 @@ import numpy as np
 
 from ptd.cells import Int32
 from ptd.frame import Cells, Scale, Window
-from ptd.ground.certificates import Doubt
+from ptd.ground.certificates import UncertifiedRegion
 from ptd.ground.distance_angle import Bins, Bool, Int64, Threshold, Trial
-from ptd.ground.random_choice import picked_per_cell
+from ptd.ground.random_choice import random_per_cell
 from ptd.tin.mesh import Tin
 
 MAX_WIDTH_M = 20.0
@@ -47,7 +47,7 @@ class EvenTin:
     ) -> None:
         index = np.flatnonzero(ground)
         cells = Cells.of(scale_m, scale)
-        picked = index[picked_per_cell(x[index], y[index], z[index], cells, _SALT)]
+        picked = index[random_per_cell(x[index], y[index], z[index], cells, _SALT)]
         self.left_out = ground.copy()
         self.left_out[picked] = False
         tin = Tin.build(x[picked], y[picked], z[picked])
@@ -56,7 +56,7 @@ class EvenTin:
         if picked.size:
             px, py = x[picked], y[picked]
             box = int(px.min()), int(py.min()), int(px.max()) + 1, int(py.max()) + 1
-        self._doubt = Doubt(known, known, box, scale)
+        self._doubt = UncertifiedRegion(known, known, box, scale)
         self._trial = Trial(tin, scale, MAX_WIDTH_M, self._doubt, largest=True)
         self.vertices = int(picked.size)
 

@@ -63,7 +63,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ptd.ground import roughness
-from ptd.matched.on_cells import either_way
+from ptd.matched.on_cells import for_both_kinds
 from ptd.methods.dong2018 import pits
 from ptd.methods.dong2018.even_tin import reach_m
 from ptd.methods.dong2018.params import Dong2018Parameters
@@ -90,7 +90,7 @@ class Dong2018(Dong2018Parameters):
             last = m == self.scales_m[-1]
             own.append(JoinPass(m, last, f"join-{m:g}", f"densify a TIN of {m:g} m"))
         if self.robust_cells:
-            return either_way(own, self.classic().passes, STAGE_ONE_ALONE)
+            return for_both_kinds(own, self.classic().passes, STAGE_ONE_ALONE)
         return tuple(own)
 
     @property

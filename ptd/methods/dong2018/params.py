@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 
-from ptd.matched.on_cells import OnCells
+from ptd.matched.on_cells import RobustCells
 from ptd.methods.classic import Classic
 from ptd.methods.progressive import Progressive
 from ptd.params import like, parameter
@@ -45,7 +45,7 @@ class Dong2018Parameters(Progressive):
         minimum=1.0,
         maximum=1000.0,
     )  # fmt: skip
-    robust_cells: bool = like(OnCells, "robust_cells")
+    robust_cells: bool = like(RobustCells, "robust_cells")
 
     @property
     def scales_m(self) -> tuple[float, ...]:

@@ -19,7 +19,7 @@ from ptd.methods.classic import ClassicPass, thinned
 from ptd.methods.dong2018 import pits
 from ptd.methods.dong2018.params import Dong2018Parameters
 from ptd.params import DECIMALS
-from ptd.passes import Measured, MethodRefusal, Model, Pass, Points, State, UInt8, noted
+from ptd.passes import MethodRefusal, Model, Pass, Points, State, StatisticsModel, UInt8, noted
 
 SPARSE_M2 = 1.0
 """Points per square metre below which no plausible noise has an effect."""
@@ -37,9 +37,11 @@ class NoisePass(Pass):
     every_point: bool = True
     gives_labels: bool = False
 
-    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Measured:
+    def fit(
+        self, points: Points, window: Window, core: Window, scale: Scale, state: State
+    ) -> StatisticsModel:
         """Measure density and planar patches."""
-        return Measured(roughness.measure(points.xyz, window, core, scale))
+        return StatisticsModel(roughness.measure(points.xyz, window, core, scale))
 
     def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
         """Add the figures of the run to the state.

@@ -16,7 +16,7 @@ from ptd.ground.labelling import GROUND, UNCLASSIFIED
 from ptd.methods.dong2018.even_tin import ANGLE_BIN_DEG, BINS, DISTANCE_BIN_M, EvenTin
 from ptd.methods.dong2018.params import Dong2018Parameters
 from ptd.methods.dong2018.stage_one import with_notes
-from ptd.passes import Measured, Model, Pass, Points, State, UInt8
+from ptd.passes import Model, Pass, Points, State, StatisticsModel, UInt8
 
 JOINED = 4
 """Label of points that joined at the last scale; other labels between passes are ASPRS classes."""
@@ -34,10 +34,12 @@ class MeasurePass(Pass):
     every_point: bool = True
     gives_labels: bool = False
 
-    def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Measured:
+    def fit(
+        self, points: Points, window: Window, core: Window, scale: Scale, state: State
+    ) -> StatisticsModel:
         """Make the histogram of the core's ground points that are not in the even TIN."""
         if not _goes_on(state):
-            return Measured({})
+            return StatisticsModel({})
         x, y, z = points.columns()
         labels = points.known_labels()
         ground = _is_ground(labels)
@@ -50,7 +52,7 @@ class MeasurePass(Pass):
             "ground": int(np.count_nonzero(own & ground)),
             "bins": [[int(i), int(counts.flat[i])] for i in bins],
         }
-        return Measured(partial, {"vertices": even.vertices, "left_out": int(counts.sum())})
+        return StatisticsModel(partial, {"vertices": even.vertices, "left_out": int(counts.sum())})
 
     def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
         """Add the thresholds and figures of this scale to the state.

@@ -16,7 +16,7 @@ import math
 import numpy as np
 import numpy.typing as npt
 
-from ptd.ground.certificates import Doubt, UInt8
+from ptd.ground.certificates import UInt8, UncertifiedRegion
 from ptd.kernel import kernel
 from ptd.tin.layout import Int32Array, Mesh, next_edge
 from ptd.tin.mesh import Tin
@@ -154,8 +154,8 @@ def _statistics(
     return statistic, residual, observations, unsure
 
 
-def contradicted(
-    tin: Tin, data: Bool, length: float, confidence: float, least: float, doubt: Doubt
+def conicoid_outliers(
+    tin: Tin, data: Bool, length: float, confidence: float, least: float, doubt: UncertifiedRegion
 ) -> npt.NDArray[np.bool_]:
     """Mask of the seeds that do not fit the conicoid through their neighbours; all are judged in the same TIN.
 

@@ -50,7 +50,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ptd.matched.on_cells import either_way
+from ptd.matched.on_cells import for_both_kinds
 from ptd.methods.ridge2016.params import Ridge2016Parameters
 from ptd.methods.ridge2016.passes import GrowthPass, RidgePass, TerrainPass
 from ptd.passes import Method, Pass
@@ -70,7 +70,7 @@ class Ridge2016(Ridge2016Parameters):
         if self.growth:
             own = (GrowthPass(self), TerrainPass(self))
         if self.robust_cells:
-            return either_way(own)
+            return for_both_kinds(own)
         return own
 
     @property

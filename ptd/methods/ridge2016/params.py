@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ptd.matched.on_cells import OnCells
+from ptd.matched.on_cells import RobustCells
 from ptd.methods.progressive import Progressive
 from ptd.params import like, parameter
 
@@ -49,4 +49,4 @@ class Ridge2016Parameters(Progressive):
         minimum=0.0, maximum=1.0, source="Ridge 2016, equation 11",
     )  # fmt: skip
     rounds: int = parameter(12, "largest number of rounds of densification", 1, 100)
-    robust_cells: bool = like(OnCells, "robust_cells")
+    robust_cells: bool = like(RobustCells, "robust_cells")

@@ -13,7 +13,7 @@ import numpy as np
 
 from ptd.cells import lowest_per_cell
 from ptd.frame import Cells, Scale, Window
-from ptd.ground.certificates import Doubt
+from ptd.ground.certificates import UncertifiedRegion
 from ptd.ground.distance_angle import Bool
 from ptd.ground.labelling import GROUND, LOW_NOISE, UNCLASSIFIED, GroundRule, TinLabels
 from ptd.ground.seeds import RING, box_with_ring, choose_seeds
@@ -182,7 +182,7 @@ class TerrainModel(TinLabels):
             return
         thin, cells = (Cells.of(size, scale) for size in (params.thin_cell_m, params.max_building_size_m))
         known = window.inside(thin)
-        doubt = Doubt(known, known.inside(cells, RING), box_with_ring(x, y, cells), scale)
+        doubt = UncertifiedRegion(known, known.inside(cells, RING), box_with_ring(x, y, cells), scale)
         virtual = choose_seeds(x, y, z, np.ones(x.size, np.bool_), cells, doubt).virtual
         vertices = points.take((labels >= SEED) & (labels < SEED + rounds)).columns()
         if rounds > 1:  # all seeds are vertices, however close together

@@ -15,7 +15,7 @@ import numpy.typing as npt
 
 from ptd.cells import Int32, Xyz
 from ptd.frame import Scale
-from ptd.ground.certificates import Doubt, UInt8
+from ptd.ground.certificates import UInt8, UncertifiedRegion
 from ptd.kernel import kernel, wide
 from ptd.methods.ridge2016.sorted_cells import Raster, Stacks, lowest_within
 from ptd.tin.interpolation import canonical_facet
@@ -212,7 +212,7 @@ def _ridge_points(
     return points[:m].copy(), doubtful[:m].copy(), chosen[:m].copy()
 
 
-def ridge_points(tin: Tin, data: Bool, stacks: Stacks, rule: RidgeRule, doubt: Doubt) -> Int32:
+def ridge_points(tin: Tin, data: Bool, stacks: Stacks, rule: RidgeRule, doubt: UncertifiedRegion) -> Int32:
     """Indices of the lowest points near the centres of facets on ridges: int32, ascending, without repetition.
 
     Parameters

@@ -9,10 +9,10 @@ import numpy.typing as npt
 
 from ptd.cells import lowest_per_cell, positions
 from ptd.frame import Cells, Scale, Window
-from ptd.ground.certificates import Doubt
+from ptd.ground.certificates import UncertifiedRegion
 from ptd.ground.outliers import LowNoise, low_outliers
 from ptd.ground.seeds import RING, box_with_ring, choose_seeds
-from ptd.methods.ridge2016.conicoid import contradicted
+from ptd.methods.ridge2016.conicoid import conicoid_outliers
 from ptd.methods.ridge2016.params import Ridge2016Parameters
 from ptd.methods.ridge2016.ridges import RidgeRule, ridge_points
 from ptd.methods.ridge2016.sorted_cells import Stacks
@@ -58,7 +58,7 @@ class Prepared:
         self.stacks = Stacks(x, y, z, thin)
         cells = Cells.of(p.max_building_size_m, scale)
         known = window.inside(thin, p.margin_cells)
-        self.doubt = Doubt(known, known.inside(cells, RING), box_with_ring(x, y, cells), scale)
+        self.doubt = UncertifiedRegion(known, known.inside(cells, RING), box_with_ring(x, y, cells), scale)
         found = choose_seeds(
             self.stacks.x, self.stacks.y, self.stacks.z, np.ones(x.size, np.bool_), cells, self.doubt
         )
@@ -94,6 +94,6 @@ class Prepared:
         tin, data = self._tin(seeds)
         length = scale.counts(p.max_building_size_m)
         least = scale.counts_z(p.seed_residual_m)
-        wrong = contradicted(tin, data, length, p.seed_confidence, least, self.doubt)
+        wrong = conicoid_outliers(tin, data, length, p.seed_confidence, least, self.doubt)
         dropped = positions(*tin.vertices[wrong].T[:2])
         return seeds[np.isin(positions(self.stacks.x[seeds], self.stacks.y[seeds]), dropped, invert=True)]

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.cells import Int32, Int64, Xyz
-from ptd.ground.certificates import Doubt, UInt8
+from ptd.ground.certificates import UInt8, UncertifiedRegion
 from ptd.ground.criteria import Limits, accepts
 from ptd.ground.labelling import is_terrain
 from ptd.kernel import kernel, wide
@@ -180,7 +180,7 @@ class Round(NamedTuple):
     ----------
     tin : Tin
     in_doubt : uint8 [triangles]
-        See `ptd.ground.certificates.Doubt.triangles`.
+        See `ptd.ground.certificates.UncertifiedRegion.triangles`.
     vertex : bool [n]
         Whether a point of the stacks is a vertex of the TIN.
     """
@@ -191,7 +191,7 @@ class Round(NamedTuple):
 
 
 def densify_thinned(
-    stacks: Stacks, seeds: Int32, virtual: Int32, limits: Limits, doubt: Doubt
+    stacks: Stacks, seeds: Int32, virtual: Int32, limits: Limits, doubt: UncertifiedRegion
 ) -> Iterator[Round]:
     """The TINs of successive rounds: first that of the seeds, then of the lowest terrain points per cell.
 

@@ -7,7 +7,7 @@ from fractions import Fraction
 import numpy as np
 
 from ptd.gridding.idw import NEIGHBOURS, inverse_distance
-from ptd.gridding.wall_feet import beside_objects
+from ptd.gridding.wall_feet import near_objects
 from ptd.tin import Pixels
 
 PIXELS = Pixels(100, 1, -2, 20, 22, 18)
@@ -61,9 +61,9 @@ def test_ground_beside_objects_by_definition() -> None:
         rng.integers((-900, -900, 0), (900, 900, 400), (n, 3)).T.astype(np.int32) for n in (500, 40)
     )
     for reach in (Fraction(90), Fraction(1000, 7), Fraction("0.3333333333333333") * 1000):
-        found = beside_objects(ground, objects, reach, 150, (-77, 12_345))
+        found = near_objects(ground, objects, reach, 150, (-77, 12_345))
         d2 = ((ground[:2, :, None].astype(int) - objects[:2, None]) ** 2).sum(axis=0)
         truth = ((d2 <= reach**2) & (objects[2, None] - ground[2, :, None] >= 150)).any(axis=1)
         assert np.array_equal(found, truth)
         assert 0 < found.sum() < 500
-    assert not beside_objects(ground, objects[:, :0], Fraction(90), 1, (0, 0)).any()
+    assert not near_objects(ground, objects[:, :0], Fraction(90), 1, (0, 0)).any()

@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
 from ptd.frame import OPEN, Cells, Scale, Window
-from ptd.ground.certificates import Doubt
+from ptd.ground.certificates import UncertifiedRegion
 from ptd.ground.criteria import across
 from ptd.methods.classic import Classic
 from ptd.passes import Points
@@ -190,7 +190,7 @@ def triangle(*corners: tuple[int, int]) -> Tin:
     return Tin.build(x, y, np.zeros(x.size, np.int32))
 
 
-def doubt_of(tin: Tin, doubt: Doubt) -> list[bool]:
+def doubt_of(tin: Tin, doubt: UncertifiedRegion) -> list[bool]:
     """Of the real triangles."""
     found = doubt.triangles(tin)
     return [bool(found[t]) for t in range(tin.n_triangles) if not outside(tin, t)]
@@ -211,22 +211,22 @@ RIGHT = ((-5000, 0), (5000, 0), (0, 5000))
     ],
 )
 def test_a_circle_that_leaves_the_window_is_in_doubt(known: Window, in_doubt: bool) -> None:
-    doubt = Doubt(known, known, (-30000, -30000, 30000, 30000), Scale())
+    doubt = UncertifiedRegion(known, known, (-30000, -30000, 30000, 30000), Scale())
     assert doubt_of(triangle(*RIGHT), doubt) == [in_doubt]
 
 
 def test_a_circle_that_leaves_the_raster_is_in_doubt_where_seeds_may_appear() -> None:
     known = Window(-OPEN, -OPEN, 90000, OPEN)
     box = (-30000, -30000, 3000, 30000)
-    assert doubt_of(triangle(*RIGHT), Doubt(known, known, box, Scale())) == [False]
+    assert doubt_of(triangle(*RIGHT), UncertifiedRegion(known, known, box, Scale())) == [False]
     deep = Window(-OPEN, -OPEN, 4500, OPEN)
-    assert doubt_of(triangle(*RIGHT), Doubt(known, deep, box, Scale())) == [True]
+    assert doubt_of(triangle(*RIGHT), UncertifiedRegion(known, deep, box, Scale())) == [True]
 
 
 @pytest.mark.parametrize("place", [(0, 0), (4900, 0), (3530, -3530), (-4000, 2900)])
 def test_a_place_in_the_circle_puts_it_in_doubt(place: tuple[int, int]) -> None:
     known = Window(-OPEN, -OPEN, 90000, OPEN)
-    doubt = Doubt(known, known, (-30000, -30000, 30000, 30000), Scale())
+    doubt = UncertifiedRegion(known, known, (-30000, -30000, 30000, 30000), Scale())
     x, y = (np.array([v], np.int32) for v in place)
     assert not doubt.add_points(x, y, np.zeros(1, np.bool_))
     assert doubt.add_points(x, y, np.ones(1, np.bool_))
@@ -248,7 +248,7 @@ def test_a_place_in_doubt_is_never_overlooked(corners: list[tuple[int, int]], pl
     a2, b2, c2 = ax * ax + ay * ay, bx * bx + by * by, cx * cx + cy * cy
     inside = a2 * (bx * cy - by * cx) + b2 * (cx * ay - cy * ax) + c2 * (ax * by - ay * bx)
     known = Window(-OPEN, -OPEN, OPEN, OPEN - 1)
-    doubt = Doubt(known, known, (0, 0, 60_000, 60_000), Scale())
+    doubt = UncertifiedRegion(known, known, (0, 0, 60_000, 60_000), Scale())
     doubt.add_points(*(np.array([v], np.int32) for v in place), np.ones(1, np.bool_))
     found = doubt_of(triangle(*corners), doubt)
     if inside * area >= 0:
@@ -268,7 +268,7 @@ def test_across_gives_the_triangle_behind_an_edge() -> None:
 
 def test_boxes_in_doubt_cover_each_cell_that_they_touch() -> None:
     known = Window(-OPEN, -OPEN, 90000, OPEN)
-    doubt = Doubt(known, known, (0, 0, 20_000, 20_000), Scale())
+    doubt = UncertifiedRegion(known, known, (0, 0, 20_000, 20_000), Scale())
     assert doubt.cell == 2000
     doubt.add_box(3999, 4000, 4001, 6000)
     assert [tuple(cell) for cell in np.argwhere(doubt.mask)] == [(2, 1), (2, 2)]
@@ -292,7 +292,7 @@ def test_places_near_triangles_are_in_doubt(corners: list[tuple[int, int]], reac
     if (bx - ax) * (cy - ay) == (by - ay) * (cx - ax):
         return
     known = Window(-OPEN, -OPEN, OPEN, OPEN - 1)
-    doubt = Doubt(known, known, (0, 0, 60_000, 60_000), Scale())
+    doubt = UncertifiedRegion(known, known, (0, 0, 60_000, 60_000), Scale())
     tin = triangle(*corners)
     which = np.ones(tin.n_triangles, np.uint8)
     doubt.add_triangles(tin, which, reach)
@@ -309,8 +309,8 @@ def test_places_near_triangles_are_in_doubt(corners: list[tuple[int, int]], reac
 
 def test_places_beyond_the_known_window_are_in_doubt() -> None:
     known = Window(0, -OPEN, 9000, OPEN)
-    doubt = Doubt(known, known, (-5000, 0, 20_000, 20_000), Scale())
+    doubt = UncertifiedRegion(known, known, (-5000, 0, 20_000, 20_000), Scale())
     x, y = np.array([-1, 0, 8999, 9000], np.int32), np.full(4, 10_000, np.int32)
     assert doubt.covers(x, y).tolist() == [True, False, False, True]
     everything = Window.everything()
-    assert not Doubt(everything, everything, (0, 0, 9, 9), Scale()).covers(x, y).any()
+    assert not UncertifiedRegion(everything, everything, (0, 0, 9, 9), Scale()).covers(x, y).any()

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from ptd.cells import Xyz
 from ptd.frame import Scale
-from ptd.ground.certificates import Doubt
+from ptd.ground.certificates import UncertifiedRegion
 from ptd.ground.criteria import Limits
 from ptd.ground.densify import REFUSED, VERTEX, densify
 from ptd.tin.mesh import Tin
@@ -23,7 +23,7 @@ def run(
     tin = Tin.build(*seeds.T, max_vertices=len(seeds) + len(candidates))
     x, y, z = np.ascontiguousarray(candidates.T.astype(np.int32))
     state = np.zeros(x.size, np.uint8)
-    doubt = Doubt(EVERYTHING, EVERYTHING, (0, 0, 1, 1), Scale())
+    doubt = UncertifiedRegion(EVERYTHING, EVERYTHING, (0, 0, 1, 1), Scale())
     doubtful, done = densify(tin, Xyz(x, y, z), state, limits, rounds, doubt)
     assert not doubtful.any()
     return state == VERTEX, tin, done
@@ -84,13 +84,13 @@ def test_refused_candidates_stay_out() -> None:
     tin = Tin.build(*seeds.T, max_vertices=100)
     x, y, z = np.ascontiguousarray(candidates.T.astype(np.int32))
     state = np.full(x.size, REFUSED, np.uint8)
-    doubt = Doubt(EVERYTHING, EVERYTHING, (0, 0, 1, 1), Scale())
+    doubt = UncertifiedRegion(EVERYTHING, EVERYTHING, (0, 0, 1, 1), Scale())
     assert densify(tin, Xyz(x, y, z), state, LIMITS, 0, doubt)[1] == 1
     assert tin.n_vertices == len(seeds)
     assert (state == REFUSED).all()
 
 
-class Spreading(Doubt):
+class Spreading(UncertifiedRegion):
     """Says three times that doubt has spread."""
 
     left = 3

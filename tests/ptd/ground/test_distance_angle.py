@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 from ptd.frame import Scale, Window
-from ptd.ground.certificates import Doubt
+from ptd.ground.certificates import UncertifiedRegion
 from ptd.ground.distance_angle import Bins, Threshold, Trial
 from ptd.tin.mesh import Tin
 
 CM = 100
 SCALE = Scale(Fraction(1, CM), Fraction(1, CM))
-SURE = Doubt(Window.everything(), Window.everything(), (0, 0, 1000, 1000), SCALE)
+SURE = UncertifiedRegion(Window.everything(), Window.everything(), (0, 0, 1000, 1000), SCALE)
 
 
 def right_triangle() -> Tin:
@@ -113,7 +113,7 @@ def test_what_passes_without_doubt_passes_whatever_lies_beyond_the_window() -> N
         trial = Trial(Tin.build(*vertices), SCALE, widest)
         truth, _ = trial.test(*tests, np.ones(300, bool), threshold, SURE)
         inside = [window.has(c[0], c[1]) for c in (vertices, tests)]
-        doubt = Doubt(window, window, (0, 0, side, side), SCALE)
+        doubt = UncertifiedRegion(window, window, (0, 0, side, side), SCALE)
         trial = Trial(Tin.build(*vertices[:, inside[0]]), SCALE, widest, doubt)
         own = tests[:, inside[1]]
         found, doubtful = trial.test(*own, np.ones(own.shape[1], bool), threshold, doubt)

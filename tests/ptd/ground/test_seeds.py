@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ptd.frame import OPEN, Cells, Scale, Window
-from ptd.ground.certificates import Doubt
+from ptd.ground.certificates import UncertifiedRegion
 from ptd.ground.seeds import RING, Seeds, box_with_ring, choose_seeds
 
 SIDE = 20_000
@@ -19,12 +19,12 @@ def choose(
     eligible: list[bool] | None = None,
     scale: Scale | None = None,
     unsure: list[bool] | None = None,
-) -> tuple[Seeds, Doubt]:
+) -> tuple[Seeds, UncertifiedRegion]:
     scale = scale or Scale()
     x, y, z = np.ascontiguousarray(np.array(points, np.int32).T)
     cells = Cells.of(SIDE / 1000, scale)
     known = known or Window.everything()
-    doubt = Doubt(known, known.inside(cells, RING), box_with_ring(x, y, cells), scale)
+    doubt = UncertifiedRegion(known, known.inside(cells, RING), box_with_ring(x, y, cells), scale)
     mask = np.ones(x.size, np.bool_) if eligible is None else np.array(eligible)
     which = None if unsure is None else np.array(unsure)
     return choose_seeds(x, y, z, mask, cells, doubt, which), doubt
@@ -84,7 +84,7 @@ def test_nothing_is_in_doubt_where_everything_is_known() -> None:
     assert not doubt.mask.any()
 
 
-def in_doubt(doubt: Doubt, column: int, row: int) -> bool:
+def in_doubt(doubt: UncertifiedRegion, column: int, row: int) -> bool:
     """Whether the middle of a cell is in doubt; no cell is so by half."""
     x, y = column * SIDE - doubt.west, row * SIDE - doubt.south
     step = SIDE // doubt.cell

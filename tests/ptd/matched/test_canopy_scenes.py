@@ -17,7 +17,7 @@ from ptd.matched.last_look import CELL_REACH_M
 from ptd.matched.step import COVERED
 from ptd.matched.voting import REACH_M
 from ptd.methods.auto.method import Auto
-from ptd.passes import Model, Pass, RunFacts
+from ptd.passes import Model, Pass, RunHints
 from tests.benchmarks.measuring import dtm_rmse_m
 from tests.benchmarks.scan_scenes import scan_scenes
 from tests.benchmarks.scorecard_scenes import Cloud, read_clouds, simulated
@@ -58,7 +58,7 @@ def found(xyz: np.ndarray) -> Found:
 
     counts, scale = _counts(xyz)
     columns = {"rgb": None, "returns": None}
-    whole, facts = Window.everything(), RunFacts(kind="dim")
+    whole, facts = Window.everything(), RunHints(kind="dim")
     before, _, _ = do_passes(Without(), counts, columns, scale, whole, facts)
     after, state, _ = do_passes(With(), counts, columns, scale, whole, facts)
     ((model, points, _),) = models

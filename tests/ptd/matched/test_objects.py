@@ -8,7 +8,7 @@ import pytest
 from ptd.frame import Scale
 from ptd.ground.connected import connected_surfaces
 from ptd.matched.cells import EMPTY
-from ptd.matched.hull import ROOFS_TILT_BLOCKS, hull_below, tilts
+from ptd.matched.hull import ROOFS_TILT_BLOCKS, lower_envelope, tilts
 from ptd.matched.objects import DIAGONAL, MAX_WIDTH_M, judged
 from ptd.matched.surface import STIFF
 
@@ -20,7 +20,7 @@ def of(z: np.ndarray, removed: np.ndarray | None = None) -> tuple[np.ndarray, np
     """Objects and terrain among the cells with a height (metres; NaN: none) that are not removed."""
     removed = np.zeros(z.shape, bool) if removed is None else removed
     heights = np.where(np.isnan(z), EMPTY, np.rint(1000 * np.nan_to_num(z))).astype(np.int32)
-    hull = hull_below(heights, STIFF, MM, 0, 0)
+    hull = lower_envelope(heights, STIFF, MM, 0, 0)
     left = np.where(removed, EMPTY, heights).astype(np.int32)
     objects, terrain = judged(heights, hull, removed, SIGMA_M, MM)
     assert not (objects & (left == EMPTY)).any()
@@ -141,7 +141,7 @@ def test_noise_widens_the_step() -> None:
     rng = np.random.default_rng(2)
     z = 0.3 * rng.standard_normal((120, 120))
     heights = np.rint(1000 * z).astype(np.int32)
-    hull = hull_below(heights, STIFF, MM, 0, 0)
+    hull = lower_envelope(heights, STIFF, MM, 0, 0)
     nothing = np.zeros(z.shape, bool)
     _, terrain = judged(heights, hull, nothing, 0.3, MM)
     assert terrain.mean() > 0.99

@@ -15,7 +15,7 @@ from ptd.matched.ground_model import Ground, Place, _heights_above
 from ptd.matched.passes import PASSES, CellModel, ObjectPass
 from ptd.matched.step import OBJECT, Codes, noise_m
 from ptd.matched.surface import Surface
-from ptd.matched.survey import MAX_CELL_SIGMA_M, MIN_CELL_SIGMA_M, Seen, figures
+from ptd.matched.survey import MAX_CELL_SIGMA_M, MIN_CELL_SIGMA_M, ReturnStatistics, figures
 from ptd.methods.auto.label_thresholds import decided
 from ptd.methods.auto.method import Auto
 from ptd.passes import Points
@@ -33,7 +33,7 @@ def survey(
     density, sigma, cell_sigma = figures(found, run)
     table = alike(density, sigma, cell_sigma)
     return {
-        "survey": decided(Auto(), found, Seen(0, 0, 100, 0), list(table.values()), run)[0],
+        "survey": decided(Auto(), found, ReturnStatistics(0, 0, 100, 0), list(table.values()), run)[0],
         "places": table,
     }
 

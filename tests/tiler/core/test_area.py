@@ -9,7 +9,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tiler.core.area import MAX_EDGE, Area, Places, in_runs, shortened
+from tiler.core.area import MAX_EDGE, Area, Places, in_runs, segmentized
 from tiler.core.area_index import AreaIndex
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.raster import Block, RasterSpec
@@ -113,11 +113,11 @@ def test_a_window_inside_needs_no_cells() -> None:
 
 def test_long_edges_are_divided() -> None:
     ring = np.array([[0, 0], [5 * MAX_EDGE, 7], [0, 3 * MAX_EDGE]], np.int64)
-    parts = shortened(ring)
+    parts = segmentized(ring)
     steps = np.abs(np.roll(parts, -1, axis=0) - parts)
     assert steps.max() <= MAX_EDGE
     assert {tuple(p) for p in ring.tolist()} <= {tuple(p) for p in parts.tolist()}
-    assert shortened(STAR).tolist() == STAR.tolist()
+    assert segmentized(STAR).tolist() == STAR.tolist()
 
 
 def test_pixels_are_inside_by_their_centres() -> None:

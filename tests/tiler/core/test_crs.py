@@ -7,7 +7,7 @@ import math
 import pytest
 from pyproj import CRS
 
-from tiler.core.crs import length_scale
+from tiler.core.crs import point_scale_factor
 
 DEGREES = 111_319.49
 
@@ -26,5 +26,5 @@ DEGREES = 111_319.49
 def test_the_scale_is_the_length_in_the_plane_over_that_on_the_ground(
     crs: str, x: float, y: float, scale: float | None
 ) -> None:
-    found = length_scale(CRS(crs).to_wkt(), x, y)
+    found = point_scale_factor(CRS(crs).to_wkt(), x, y)
     assert found == (None if scale is None else pytest.approx(scale, rel=0.005 if scale > 1 else 1e-6))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from tiler.core.sheet_names import DEFAULT, beginning, check_template, sheet_name, validate_distinct_names
+from tiler.core.sheet_names import DEFAULT, check_template, name_prefix, sheet_name, validate_distinct_names
 from tiler.errors import ConfigError
 
 
@@ -18,7 +18,7 @@ from tiler.errors import ConfigError
 )
 def test_names_follow_the_template(template: str, name: str) -> None:
     assert sheet_name(check_template(template), "dtm", 292000.0, 6832000.5, 1000.0) == name
-    assert name.startswith(beginning(template, "dtm"))
+    assert name.startswith(name_prefix(template, "dtm"))
 
 
 @pytest.mark.parametrize(

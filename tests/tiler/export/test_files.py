@@ -14,7 +14,7 @@ from tiler.core.raster import BLOCK_PIXELS
 from tiler.export.tasks.files import Inputs, cog_tasks, inputs_of, mosaic_tasks, nodata_of
 from tiler.export.tasks.sheets import height_tasks, sheets
 from tiler.grid.tasks.gridding import Gridding
-from tiler.ingest.tasks.assembled import Assembled
+from tiler.ingest.tasks.assembled import IngestResult
 from tiler.ingest.tasks.points import Source
 from tiler.plan import Plan, make_plan
 
@@ -39,7 +39,7 @@ def gridding(plan: Plan, **bounds: tuple[int, int, int, int]) -> Gridding:
         west, south, east, north = boxes[name]
         box = Bounds(500_000 + west, 5_400_000 + south, 500_000 + east, 5_400_000 + north)
         records[cell] = {"bounds": [1000 * side for side in box.to_json()]}
-    found = Gridding(plan, Assembled(records, {WEST: "w", EAST: "e"}), {})
+    found = Gridding(plan, IngestResult(records, {WEST: "w", EAST: "e"}), {})
     blocks = list(found.spec.blocks(BLOCK_PIXELS))
     for raster in ("dtm", "dtm-outlined", "hillshade"):
         found.made[raster] = {

@@ -10,7 +10,7 @@ import pytest
 
 from tiler.errors import ConfigError
 from tiler.export.tasks import outdated
-from tiler.export.tasks.outdated import move_aside, put_aside
+from tiler.export.tasks.outdated import archive_outdated, move_aside
 
 
 def write(out: Path, *paths: str) -> None:
@@ -38,7 +38,7 @@ def test_what_holds_stays_and_what_does_not_is_moved(tmp_path: Path) -> None:
     write(tmp_path, "slope.tif", "dsm/dsm_0_0.tif", "dtm.tif", "mine.txt")
     earlier = {"slope.tif": "now", "dsm/dsm_0_0.tif": "before", "dtm.tif": "before", "gone.tif": "now"}
     job = job_in(tmp_path, earlier)
-    put_aside(job, ["dtm.tif", "mask.tif"], "now")
+    archive_outdated(job, ["dtm.tif", "mask.tif"], "now")
     assert files(tmp_path) == {"slope.tif", "outdated/dsm/dsm_0_0.tif", "dtm.tif", "mine.txt"}
     assert (tmp_path / "outdated/dsm/dsm_0_0.tif").read_text() == "content of dsm/dsm_0_0.tif"
     assert not (tmp_path / "dsm").exists()
@@ -57,9 +57,9 @@ def test_what_holds_stays_and_what_does_not_is_moved(tmp_path: Path) -> None:
 def test_a_wanted_file_that_no_run_made_is_refused(tmp_path: Path) -> None:
     write(tmp_path, "dtm.tif")
     with pytest.raises(ConfigError, match=r"dtm\.tif: already exists and was not written by a run"):
-        put_aside(job_in(tmp_path, {}), ["dtm.tif", "mask.tif"], "now")
-    put_aside(job_in(tmp_path, {}, force=True), ["dtm.tif"], "now")
-    put_aside(job_in(tmp_path, {"dtm.tif": "before"}), ["dtm.tif"], "now")
+        archive_outdated(job_in(tmp_path, {}), ["dtm.tif", "mask.tif"], "now")
+    archive_outdated(job_in(tmp_path, {}, force=True), ["dtm.tif"], "now")
+    archive_outdated(job_in(tmp_path, {"dtm.tif": "before"}), ["dtm.tif"], "now")
     assert files(tmp_path) == {"dtm.tif"}
 
 
@@ -69,7 +69,7 @@ def test_paths_that_lead_out_of_the_folder_move_nothing(tmp_path: Path) -> None:
     (out / "link").symlink_to(tmp_path / "elsewhere")
     before = files(tmp_path)
     paths = ["../secret.tif", str(tmp_path / "secret.tif"), "link/a.tif", "folder"]
-    put_aside(job_in(out, dict.fromkeys(paths, "before")), [], "now")
+    archive_outdated(job_in(out, dict.fromkeys(paths, "before")), [], "now")
     assert files(tmp_path) == before
 
 
@@ -85,7 +85,7 @@ def test_a_damaged_file_that_is_not_made_again_is_moved(
 
     monkeypatch.setattr(outdated, "contents", contents)
     job = job_in(tmp_path, {"slope.tif": "now", "dsm.tif": "now"}, verify=True)
-    put_aside(job, ["dtm.tif"], "now")
+    archive_outdated(job, ["dtm.tif"], "now")
     assert files(tmp_path) == {"slope.tif", "outdated/dsm.tif"}
     assert list(job.facts["made_of"]) == ["slope.tif"]
     assert job.notes[0].startswith("dsm.tif: changed since a run wrote it; moved to outdated/")

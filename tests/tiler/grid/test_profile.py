@@ -7,7 +7,7 @@ import shapely
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tiler.grid.course import course_of, mean_width
+from tiler.grid.course import centreline, mean_width
 from tiler.grid.profile import MIN_PIXELS, profile_along
 
 NONE = np.empty((3, 0), np.int64)
@@ -36,7 +36,7 @@ def level_at(flow: np.ndarray, x: np.ndarray) -> np.ndarray:
 
 def test_the_course_of_a_bend_stays_in_the_middle_third() -> None:
     shape = bend(300)
-    line = course_of(shape)
+    line = centreline(shape)
     assert line is not None
     assert np.abs(np.hypot(*line.T) - 3000).max() < 90
     assert shapely.LineString(line).length > 0.85 * 3000 * np.pi / 2

@@ -19,7 +19,13 @@ from tiler.grid.water_cells import (
     rim_of,
     water_areas,
 )
-from tiler.grid.water_extent import shore_area, smoothed, under_bridges, without_islands, without_narrows
+from tiler.grid.water_extent import (
+    close_bridge_gaps,
+    remove_narrow_parts,
+    shore_area,
+    smoothed,
+    without_islands,
+)
 from tiler.grid.water_planes import plane_cells
 
 SIDE = 120  # cells of 2 m
@@ -166,14 +172,14 @@ def test_small_islands_become_water_and_land_at_the_border_stays() -> None:
 def test_water_goes_on_under_a_bridge_and_not_through_a_dam() -> None:
     broken = RIVER & ~(np.abs(COL - 60) < 2)
     dam = np.where(np.abs(COL - 60) < 2, 13.0, VALLEY)
-    closed = [under_bridges(cells(ground, ~broken).ground, broken, 2.0, 128) for ground in (VALLEY, dam)]
+    closed = [close_bridge_gaps(cells(ground, ~broken).ground, broken, 2.0, 128) for ground in (VALLEY, dam)]
     assert (closed[0] & RIVER).sum() > 0.99 * RIVER.sum()
     assert (closed[1] == broken).all()
 
 
 def test_narrow_arms_are_left_out() -> None:
     arm = (np.abs(ROW - 50) < 2) & (COL > 60)
-    kept = without_narrows(LAKE | arm, 8.0)
+    kept = remove_narrow_parts(LAKE | arm, 8.0)
     assert (kept & LAKE).sum() > 0.97 * LAKE.sum()
     assert (kept & arm & ~LAKE).sum() < 0.25 * (arm & ~LAKE).sum()
 
@@ -181,7 +187,7 @@ def test_narrow_arms_are_left_out() -> None:
 def test_a_bar_in_the_river_is_no_bridge() -> None:
     bar = (np.abs(ROW - 60 - 6 * np.sin(COL / 20)) < 2.5) & (np.abs(COL - 60) < 20)
     ground = np.where(bar, VALLEY + 0.3, VALLEY)
-    closed = under_bridges(ground, RIVER & ~bar, 2.0, 128)
+    closed = close_bridge_gaps(ground, RIVER & ~bar, 2.0, 128)
     assert not (closed & bar).any()
 
 
@@ -191,7 +197,7 @@ def test_a_window_that_cuts_a_long_bar_says_the_same_as_one_that_holds_it() -> N
     bar = np.zeros(ground.shape, np.bool_)
     bar[29:32, 100:300] = True
     ground[bar] = 0.3
-    whole = under_bridges(ground, ~bar, 2.0, 128)
-    part = under_bridges(ground[:, :200], ~bar[:, :200], 2.0, 128)
+    whole = close_bridge_gaps(ground, ~bar, 2.0, 128)
+    part = close_bridge_gaps(ground[:, :200], ~bar[:, :200], 2.0, 128)
     inner = np.s_[:, 20:150]
     assert (whole[inner] == part[inner]).all()

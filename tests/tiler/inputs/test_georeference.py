@@ -12,12 +12,12 @@ from tiler.config import RunConfig
 from tiler.core.crs import same_horizontal
 from tiler.core.units import FOOT, METRE, US_SURVEY_FOOT, Units
 from tiler.errors import ConfigError, InputError
-from tiler.inputs.common_crs import agree
+from tiler.inputs.common_crs import resolve_common_crs
 from tiler.inputs.sources import SourceInfo, inspect
 
 
 def settle(*paths: Path, **config: Any) -> Any:
-    return agree([inspect(p) for p in paths], RunConfig(**config))
+    return resolve_common_crs([inspect(p) for p in paths], RunConfig(**config))
 
 
 UNITS = {

@@ -15,7 +15,7 @@ import pytest
 from tests.scenes.laz_chunks import variable_chunks
 from tests.tiler.inputs.mutants import Mutant, Reading, check, mutants, read_whole
 from tiler.errors import InputError
-from tiler.schedule import Died, Guard
+from tiler.schedule import ChildDiedError, ChildProcess
 
 SECONDS = 30.0
 LARGEST = 110_000
@@ -33,8 +33,8 @@ FIXTURES: dict[str, dict[str, Any]] = {
 
 
 @pytest.fixture(scope="module")
-def guard() -> Iterator[Guard]:
-    with Guard() as guard:
+def guard() -> Iterator[ChildProcess]:
+    with ChildProcess() as guard:
         yield guard
 
 
@@ -46,16 +46,16 @@ def fixture(name: str, make_cloud: Any) -> Path:
     return path
 
 
-def outcome(guard: Guard, path: Path, salvage: bool) -> Reading | InputError:
+def outcome(guard: ChildProcess, path: Path, salvage: bool) -> Reading | InputError:
     try:
         return guard.call(read_whole, path, salvage, seconds=SECONDS)
     except InputError as error:
         return error
-    except Died as died:  # what `inspect_guarded` makes of it
+    except ChildDiedError as died:  # what `inspect_in_child` makes of it
         return InputError(f"{path}: the process that reads it {died}; get the file again")
 
 
-def hunt(guard: Guard, original: bytes, path: Path, found: Iterator[Mutant]) -> Counter[str]:
+def hunt(guard: ChildProcess, original: bytes, path: Path, found: Iterator[Mutant]) -> Counter[str]:
     """Read mutants of a file; count how many were read, refused, or killed their reader."""
     path.write_bytes(original)
     truth = outcome(guard, path, False)
@@ -82,7 +82,7 @@ def hunt(guard: Guard, original: bytes, path: Path, found: Iterator[Mutant]) -> 
 
 
 @pytest.mark.parametrize("name", FIXTURES)
-def test_mutants_of_made_files(name: str, make_cloud: Any, tmp_path: Path, guard: Guard) -> None:
+def test_mutants_of_made_files(name: str, make_cloud: Any, tmp_path: Path, guard: ChildProcess) -> None:
     original = fixture(name, make_cloud).read_bytes()
     ends = hunt(guard, original, tmp_path / name, mutants(original, name, 40))
     assert ends["refused"] > 0
@@ -90,7 +90,7 @@ def test_mutants_of_made_files(name: str, make_cloud: Any, tmp_path: Path, guard
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", FIXTURES)
-def test_many_mutants_of_made_files(name: str, make_cloud: Any, tmp_path: Path, guard: Guard) -> None:
+def test_many_mutants_of_made_files(name: str, make_cloud: Any, tmp_path: Path, guard: ChildProcess) -> None:
     original = fixture(name, make_cloud).read_bytes()
     ends = hunt(guard, original, tmp_path / name, mutants(original, f"many {name}", 300))
     assert ends["read"] > 10
@@ -98,7 +98,7 @@ def test_many_mutants_of_made_files(name: str, make_cloud: Any, tmp_path: Path, 
 
 
 @pytest.mark.slow
-def test_many_mutants_of_odd_files(shared_data: Path, tmp_path: Path, guard: Guard) -> None:
+def test_many_mutants_of_odd_files(shared_data: Path, tmp_path: Path, guard: ChildProcess) -> None:
     paths = [p for p in sorted((shared_data / "odd").glob("*.la[sz]")) if p.stat().st_size <= LARGEST]
     if not paths:
         pytest.skip("no odd files: ../shared/data/odd is absent")

@@ -14,7 +14,7 @@ import pytest
 from tiler.config import RunConfig
 from tiler.errors import ConfigError, InputError
 from tiler.inputs import find_inputs, inspect
-from tiler.io.locations import cloud_path
+from tiler.io.locations import as_path
 from tiler.plan import make_plan, output_names
 
 
@@ -179,8 +179,8 @@ def test_results_at_a_url(pattern: str, make_cloud: Any) -> None:
     url = f"memory://{uuid.uuid4().hex}"
     data = make_cloud("a.laz", n=3).read_bytes()
     for name in ("a.laz", "out/classified/a.laz", "out/outdated/b.laz", "else/classified/c.laz"):
-        cloud_path(f"{url}/{name}").write_bytes(data)
-    cloud_path(f"{url}/out/run.json").write_bytes(json.dumps(RUN).encode())
+        as_path(f"{url}/{name}").write_bytes(data)
+    as_path(f"{url}/out/run.json").write_bytes(json.dumps(RUN).encode())
     names = {str(path).removeprefix(f"{url}/") for path in find_inputs([f"{url}{pattern}"])}
     assert names == {"a.laz", "else/classified/c.laz"}
     assert len(find_inputs([f"{url}/out/classified{pattern}"])) == 1

@@ -11,7 +11,7 @@ import pytest
 
 from tiler.config import RunConfig
 from tiler.errors import ConfigError, InputError
-from tiler.inputs.common_crs import agree
+from tiler.inputs.common_crs import resolve_common_crs
 from tiler.inputs.search import find_inputs
 from tiler.inputs.sources import inspect, pieces
 from tiler.io.las.headers import read_header
@@ -60,8 +60,8 @@ def test_odd_files_are_read_correctly(shared_data: Path, name: str) -> None:
     assert info.points == points
     if crs is not None:
         with pytest.raises(InputError, match="--crs"):
-            agree([info], RunConfig())
-    agree([info], RunConfig(crs=crs))
+            resolve_common_crs([info], RunConfig())
+    resolve_common_crs([info], RunConfig(crs=crs))
     header = read_header(info.path)
     with PointReader(header, EVERYTHING) as reader:
         raw = b"".join(reader.read(s, n).tobytes() for s, n in pieces(info, 700))
@@ -84,7 +84,7 @@ def test_odd_files_are_refused_cheaply(shared_data: Path, name: str) -> None:
 def test_degrees_are_refused_by_name(shared_data: Path, name: str) -> None:
     info = inspect(odd(shared_data, name))
     with pytest.raises(InputError, match="WGS 84 is geographic") as caught:
-        agree([info], RunConfig())
+        resolve_common_crs([info], RunConfig())
     assert name in str(caught.value)
 
 
@@ -124,7 +124,7 @@ def test_an_empty_file_is_noted_and_its_crs_is_ignored(make_cloud: Any) -> None:
     assert "has no points" in empty.notes
     assert pieces(empty) == []
     full = inspect(make_cloud("full.las"))
-    assert agree([empty, full], RunConfig()).wkt is not None
+    assert resolve_common_crs([empty, full], RunConfig()).wkt is not None
 
 
 @pytest.mark.parametrize("suffix", ["las", "laz"])

@@ -19,13 +19,13 @@ def folder() -> str:
     pytest.importorskip("upath", reason="no URLs: universal-pathlib is not installed")
     url = f"memory://{uuid.uuid4().hex}"
     for name in ("a.laz", "b/c.LAS", "b/readme.txt"):
-        locations.cloud_path(f"{url}/{name}").write_bytes(bytes(range(200)) * 3)
+        locations.as_path(f"{url}/{name}").write_bytes(bytes(range(200)) * 3)
     return url
 
 
 def test_clouds_are_listed(folder: str) -> None:
     def names(url: str) -> list[str]:
-        return [str(p).removeprefix(folder) for p in locations.list_clouds(url, (".las", ".laz"))]
+        return [str(p).removeprefix(folder) for p in locations.list_inputs(url, (".las", ".laz"))]
 
     assert names(folder) == names(f"{folder}/") == ["/a.laz", "/b/c.LAS"]
     assert names(f"{folder}/**/*.LAS") == ["/b/c.LAS"]
@@ -33,13 +33,13 @@ def test_clouds_are_listed(folder: str) -> None:
         "/b/readme.txt"
     ]  # a file that is named itself need not have a suffix of clouds
     with pytest.raises(ConfigError, match="nothing there; give LAS or LAZ objects"):
-        locations.list_clouds(f"{folder}/nowhere", (".las",))
+        locations.list_inputs(f"{folder}/nowhere", (".las",))
 
 
 def test_any_part_of_an_object_is_read(folder: str) -> None:
-    path = locations.cloud_path(f"{folder}/a.laz")
-    assert locations.stat_cloud(path).st_size == locations.sizes_at([str(path)])[0] == 600
-    with cloud_reading.open_cloud(path) as stream:
+    path = locations.as_path(f"{folder}/a.laz")
+    assert locations.stat_location(path).st_size == locations.sizes_at([str(path)])[0] == 600
+    with cloud_reading.open_location(path) as stream:
         assert stream.seek(250) == 250
         assert stream.read(3) == bytes((50, 51, 52))
         assert stream.tell() == 253
@@ -52,8 +52,8 @@ def test_any_part_of_an_object_is_read(folder: str) -> None:
 
 
 def test_two_views_of_an_object_have_their_own_positions(folder: str) -> None:
-    path = locations.cloud_path(f"{folder}/a.laz")
-    with cloud_reading.open_cloud(path, 100) as stream, cloud_reading.second_view(stream, path) as other:
+    path = locations.as_path(f"{folder}/a.laz")
+    with cloud_reading.open_location(path, 100) as stream, cloud_reading.reopen(stream, path) as other:
         assert stream.seek(210) == 210
         assert other.read(2) == bytes((0, 1))
         assert stream.read(2) == bytes((10, 11))
@@ -63,12 +63,12 @@ def test_two_views_of_an_object_have_their_own_positions(folder: str) -> None:
 
 
 def test_a_file_at_a_url_appears_when_it_is_whole(folder: str) -> None:
-    with locations.folder_for(f"{folder}/out") as scratch:
+    with locations.staging_folder(f"{folder}/out") as scratch:
         (scratch / "x.tif").write_bytes(b"whole")
         assert locations.state_at(f"{folder}/out/x.tif") is None
     assert locations.sizes_at([f"{folder}/out/x.tif"]) == [5]
     assert not scratch.exists()
-    with suppress(ZeroDivisionError), locations.folder_for(f"{folder}/out") as scratch:
+    with suppress(ZeroDivisionError), locations.staging_folder(f"{folder}/out") as scratch:
         (scratch / "y.tif").write_bytes(b"half")
         raise ZeroDivisionError
     assert locations.state_at(f"{folder}/out/y.tif") is None
@@ -76,8 +76,8 @@ def test_a_file_at_a_url_appears_when_it_is_whole(folder: str) -> None:
 
 
 def test_a_path_is_a_path(tmp_path: Path) -> None:
-    assert locations.cloud_path(str(tmp_path)) == tmp_path
-    with locations.folder_for(str(tmp_path)) as folder:
+    assert locations.as_path(str(tmp_path)) == tmp_path
+    with locations.staging_folder(str(tmp_path)) as folder:
         assert folder == tmp_path
     assert locations.state_at(str(tmp_path / "nowhere")) is None
     assert locations.joined("a/", "b", "c") == "a/b/c"
@@ -85,13 +85,13 @@ def test_a_path_is_a_path(tmp_path: Path) -> None:
 
 def test_a_url_that_no_library_knows_is_refused() -> None:
     with pytest.raises(ConfigError, match=r"nosuch://x/y: cannot be read .*tiler-dtm\[cloud\]"):
-        locations.cloud_path("nosuch://x/y").exists()
+        locations.as_path("nosuch://x/y").exists()
 
 
 def test_writing_to_an_unknown_url_is_an_error(tmp_path: Path) -> None:
     (tmp_path / "x").write_bytes(b"x")
     with pytest.raises(ProcessingError, match="cannot be written"):
-        locations.put_file(tmp_path / "x", "nosuch://x/y")
+        locations.upload_file(tmp_path / "x", "nosuch://x/y")
 
 
 def test_a_long_name_has_a_short_temporary_name(tmp_path: Path) -> None:

@@ -11,7 +11,7 @@ import pytest
 
 from cli.main import main
 from tiler.observe.json_lines import JsonLines
-from tiler.observe.whole_job import WholeJob
+from tiler.observe.whole_job import JobProgress
 
 STAGES = {"spool": 10.0, "filter0": 20.0, "filter1": 30.0, "export": 40.0}
 KEYS = {"stage", "title", "done", "total", "rate", "progress", "eta", "message", "level"}
@@ -22,7 +22,7 @@ class Run:
 
     def __init__(self, *listeners: Any) -> None:
         self.now = 0.0
-        self.job = WholeJob(lambda: self.now)
+        self.job = JobProgress(lambda: self.now)
         self.listeners = (self.job, *listeners)
         self.tell("job_started", stages=[{"stage": k, "title": k, "seconds": s} for k, s in STAGES.items()])
 

@@ -9,7 +9,7 @@ import pytest
 from tests.tiler.conftest import MakeCloud
 from tiler.config import RunConfig
 from tiler.errors import InputError
-from tiler.io.locations import cloud_path
+from tiler.io.locations import as_path
 from tiler.plan import make_plan, plan_json
 from tiler.plan.make import FAR_READERS, FILES_OF_A_READER, _readers
 
@@ -45,7 +45,7 @@ def test_a_reader_is_started_where_it_pays() -> None:
     pytest.importorskip("upath")
 
     def readers(near: int, far: int = 0) -> int:
-        return _readers([Path("x.las")] * near + [cloud_path("memory://x/y.las")] * far, config)
+        return _readers([Path("x.las")] * near + [as_path("memory://x/y.las")] * far, config)
 
     assert [readers(n) for n in (1, FILES_OF_A_READER, FILES_OF_A_READER + 1, 10_000)] == [1, 1, 2, 4]
     assert [readers(0, n) for n in (1, FILES_OF_A_READER + 1, 10_000)] == [1, 2, FAR_READERS]

@@ -43,7 +43,7 @@ def store(small_store: TileStore) -> TileStore:
 def undone(store: TileStore, *keys: str) -> dict[str, set[str]]:
     """Stage -> tasks that are no longer done after a repair."""
     notes: list[str] = []
-    job: Any = SimpleNamespace(store=store, note=notes.append, take_back=lambda s, k: store.uncommit(s, *k))
+    job: Any = SimpleNamespace(store=store, note=notes.append, invalidate=lambda s, k: store.uncommit(s, *k))
     job.facts = {"healed": ["earlier"]}
     heal(job, keys)
     assert len(notes) == len(keys)

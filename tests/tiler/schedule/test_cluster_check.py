@@ -16,7 +16,7 @@ from tiler.core.lattice import Lattice
 from tiler.errors import ConfigError
 from tiler.io.locations import state_of
 from tiler.schedule import Machine, cluster_check
-from tiler.schedule.cluster_check import Access
+from tiler.schedule.cluster_check import ClusterAccess
 from tiler.store import StoreMeta, create_store
 
 
@@ -26,20 +26,22 @@ def here(function: Callable[..., Any], *arguments: Any) -> Any:
 
 
 @pytest.fixture
-def asked(tmp_path: Path) -> Callable[..., Access]:
+def asked(tmp_path: Path) -> Callable[..., ClusterAccess]:
     cloud, store = tmp_path / "cloud.laz", tmp_path / "store.zarr"
     cloud.write_bytes(b"x" * 100)
     meta = StoreMeta(CoordFrame(origin=(0, 0)), Lattice(Fraction(10_000)), Lattice(Fraction(1000)), False)
     create_store(str(store), meta)
 
-    def make(path: Path = cloud, size: int = 100, url: str = str(store), there: bool = True) -> Access:
+    def make(path: Path = cloud, size: int = 100, url: str = str(store), there: bool = True) -> ClusterAccess:
         source = (str(path), replace(state_of(cloud), size=size))
-        return Access("tcp://s:1", [source], url, str(tmp_path), there)
+        return ClusterAccess("tcp://s:1", [source], url, str(tmp_path), there)
 
     return make
 
 
-def test_a_worker_with_access_to_everything_is_accepted(asked: Callable[..., Access], tmp_path: Path) -> None:
+def test_a_worker_with_access_to_everything_is_accepted(
+    asked: Callable[..., ClusterAccess], tmp_path: Path
+) -> None:
     look = asked()
     look(here, "tcp://w:2")
     assert look.out_seen
@@ -49,7 +51,7 @@ def test_a_worker_with_access_to_everything_is_accepted(asked: Callable[..., Acc
 def test_a_copy_with_another_time_of_change_is_refused(tmp_path: Path) -> None:
     cloud = tmp_path / "cloud.laz"
     cloud.write_bytes(b"x" * 100)
-    look = Access("tcp://s:1", [(str(cloud), state_of(cloud))], None, None)
+    look = ClusterAccess("tcp://s:1", [(str(cloud), state_of(cloud))], None, None)
     os.utime(cloud, ns=(0, 1_000_000_007))
     with pytest.raises(
         ConfigError, match=r"cloud\.laz \(the same size, but another modification time: .*cp -p"
@@ -58,7 +60,7 @@ def test_a_copy_with_another_time_of_change_is_refused(tmp_path: Path) -> None:
 
 
 def test_a_worker_that_does_not_see_out(
-    asked: Callable[..., Access], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    asked: Callable[..., ClusterAccess], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     look = asked()
     monkeypatch.setattr(cluster_check, "sees", lambda token: not Path(token).exists())
@@ -68,7 +70,7 @@ def test_a_worker_that_does_not_see_out(
     assert not look.out_seen
 
 
-def test_a_worker_with_other_versions_is_refused(asked: Callable[..., Access]) -> None:
+def test_a_worker_with_other_versions_is_refused(asked: Callable[..., ClusterAccess]) -> None:
     def old(function: Callable[..., Any], *arguments: Any) -> Any:
         return {**cluster_check.versions(), "numpy": "1.0", "Python": "3.9"}
 
@@ -77,7 +79,7 @@ def test_a_worker_with_other_versions_is_refused(asked: Callable[..., Access]) -
         asked()(old, "tcp://w:2")
 
 
-def test_a_worker_without_tiler_is_refused(asked: Callable[..., Access]) -> None:
+def test_a_worker_without_tiler_is_refused(asked: Callable[..., ClusterAccess]) -> None:
     def bare(function: Callable[..., Any], *arguments: Any) -> Any:
         raise ModuleNotFoundError("No module named 'tiler'")
 
@@ -96,14 +98,14 @@ def test_a_worker_without_tiler_is_refused(asked: Callable[..., Access]) -> None
     ],
 )
 def test_a_worker_without_access_is_refused(
-    asked: Callable[..., Access], changes: dict[str, Any], text: str
+    asked: Callable[..., ClusterAccess], changes: dict[str, Any], text: str
 ) -> None:
     with pytest.raises(ConfigError, match=text):
         asked(**changes)(here, "tcp://w:2")
 
 
 def test_the_future_place_of_a_store_is_checked(
-    asked: Callable[..., Access], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
+    asked: Callable[..., ClusterAccess], monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
     coming = asked(url=str(tmp_path / "later/store.zarr"), there=False)
     coming(here, "tcp://w:2")
@@ -118,11 +120,11 @@ def test_the_future_place_of_a_store_is_checked(
 def test_places_that_are_not_known_yet_are_not_checked(monkeypatch: pytest.MonkeyPatch) -> None:
     for name in ("sees", "unusable", "unwritable"):
         monkeypatch.setattr(cluster_check, name, lambda *_: pytest.fail("asked"))
-    Access("tcp://s:1", [], None, None)(here, "tcp://w:2")
+    ClusterAccess("tcp://s:1", [], None, None)(here, "tcp://w:2")
 
 
 def test_machines_with_too_little_memory_are_refused() -> None:
-    look = Access("tcp://s:1", [], None, None)
+    look = ClusterAccess("tcp://s:1", [], None, None)
     look.validate_memory([Machine("a", 4 << 30, 2, 4), Machine("b", 1 << 30, 1, 1)], 1 << 30)
     line = r"tcp://s:1: machine b has 4,096 MiB for 5 tasks at a time of up to 1,024 MiB; start fewer"
     with pytest.raises(ConfigError, match=line):

@@ -13,18 +13,24 @@ import pytest
 from tests.tiler.schedule import calls
 from tests.waiting import PATIENCE_SECONDS
 from tiler.errors import InputError, ProcessingError
-from tiler.inputs.sources import read_guarded
-from tiler.schedule import Died, Guard, NotStartedError, kept_forking, prepare_children
+from tiler.inputs.sources import read_in_child
+from tiler.schedule import (
+    ChildDiedError,
+    ChildProcess,
+    ChildStartError,
+    fork_server_running,
+    prepare_children,
+)
 from tiler.schedule.fork_server import FORKS
 
 
 @pytest.fixture(scope="module")
-def guard() -> Iterator[Guard]:
-    with Guard(memory_bytes=1 << 30) as guard:
+def guard() -> Iterator[ChildProcess]:
+    with ChildProcess(memory_bytes=1 << 30) as guard:
         yield guard
 
 
-def test_one_child_answers_all_calls(guard: Guard) -> None:
+def test_one_child_answers_all_calls(guard: ChildProcess) -> None:
     assert [guard.call(calls.double, i, seconds=PATIENCE_SECONDS) for i in range(50)] == list(
         range(0, 100, 2)
     )
@@ -32,7 +38,7 @@ def test_one_child_answers_all_calls(guard: Guard) -> None:
     assert first == guard.call(calls.pid, seconds=PATIENCE_SECONDS) != os.getpid()
 
 
-def test_an_error_of_the_call_is_raised(guard: Guard) -> None:
+def test_an_error_of_the_call_is_raised(guard: ChildProcess) -> None:
     child = guard.call(calls.pid, seconds=PATIENCE_SECONDS)
     with pytest.raises(InputError, match="cloud.las: no good"):
         guard.call(calls.fail, "cloud.las: no good", seconds=PATIENCE_SECONDS)
@@ -51,33 +57,33 @@ def test_an_error_of_the_call_is_raised(guard: Guard) -> None:
     ],
 )
 def test_a_child_that_dies_is_replaced(
-    guard: Guard, work: Callable[..., Any], arguments: tuple[Any, ...], seconds: float, fate: str
+    guard: ChildProcess, work: Callable[..., Any], arguments: tuple[Any, ...], seconds: float, fate: str
 ) -> None:
-    with pytest.raises(Died, match=f"^{fate}"):
+    with pytest.raises(ChildDiedError, match=f"^{fate}"):
         guard.call(work, *arguments, seconds=seconds)
     assert guard.call(calls.double, 21, seconds=PATIENCE_SECONDS) == 42
 
 
-def test_a_panic_comes_back_as_an_exception(guard: Guard) -> None:
+def test_a_panic_comes_back_as_an_exception(guard: ChildProcess) -> None:
     with pytest.raises(RuntimeError, match="Panic: cannot be unpickled"):
         guard.call(calls.panic, seconds=PATIENCE_SECONDS)
 
 
-def test_output_of_libraries_does_not_disturb_the_answers(guard: Guard) -> None:
+def test_output_of_libraries_does_not_disturb_the_answers(guard: ChildProcess) -> None:
     assert guard.call(calls.chatter, seconds=PATIENCE_SECONDS) == "answer"
     assert guard.call(calls.double, 1, seconds=PATIENCE_SECONDS) == 2
 
 
 def test_no_child_starts_without_a_call_and_none_is_left_behind() -> None:
     before = len(psutil.Process().children())
-    with Guard() as guard:
+    with ChildProcess() as guard:
         assert len(psutil.Process().children()) == before
         child = psutil.Process(guard.call(calls.pid, seconds=PATIENCE_SECONDS))
     assert not child.is_running()
 
 
 def test_a_function_that_the_child_cannot_import_is_an_error(
-    guard: Guard, monkeypatch: pytest.MonkeyPatch
+    guard: ChildProcess, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     child = guard.call(calls.pid, seconds=PATIENCE_SECONDS)
     monkeypatch.setattr(calls.double, "__qualname__", "triple")
@@ -88,7 +94,7 @@ def test_a_function_that_the_child_cannot_import_is_an_error(
 
 
 def test_children_have_the_environment_at_their_start(monkeypatch: pytest.MonkeyPatch) -> None:
-    with kept_forking(), Guard() as first, Guard() as second:
+    with fork_server_running(), ChildProcess() as first, ChildProcess() as second:
         assert first.call(os.getenv, "OF_NOW", seconds=PATIENCE_SECONDS) is None
         monkeypatch.setenv("OF_NOW", "set")
         assert second.call(os.getenv, "OF_NOW", seconds=PATIENCE_SECONDS) == "set"
@@ -96,29 +102,29 @@ def test_children_have_the_environment_at_their_start(monkeypatch: pytest.Monkey
 
 
 def test_the_preparation_is_there_in_each_child() -> None:
-    with kept_forking():
+    with fork_server_running():
         prepare_children(calls.prepare, calls.stumble)
         found: list[str] = []
         while not found or found[-1] == "":  # the first may have been forked before
-            with Guard() as guard:
+            with ChildProcess() as guard:
                 found.append(guard.call(calls.prepared, seconds=PATIENCE_SECONDS))
     assert found[-1] == "by the server"
 
 
 def test_the_server_of_forks_is_shared_and_replaced_when_it_dies() -> None:
-    with Guard() as first, Guard() as second:
+    with ChildProcess() as first, ChildProcess() as second:
         parents = {
             psutil.Process(g.call(calls.pid, seconds=PATIENCE_SECONDS)).ppid() for g in (first, second)
         }
         assert len(parents) == 1
         psutil.Process(parents.pop()).kill()
         for guard in (first, second):
-            with pytest.raises(Died, match="SIGKILL"):
+            with pytest.raises(ChildDiedError, match="SIGKILL"):
                 call_on(guard)
             assert guard.call(calls.double, 21, seconds=PATIENCE_SECONDS) == 42
 
 
-def call_on(guard: Guard) -> None:
+def call_on(guard: ChildProcess) -> None:
     """Call until it fails: a child may answer once more before it is gone."""
     while True:
         guard.call(calls.pid, seconds=PATIENCE_SECONDS)
@@ -127,11 +133,11 @@ def call_on(guard: Guard) -> None:
 @pytest.mark.skipif(not FORKS, reason="children are not forked here")
 def test_a_failed_fork_fails_only_its_own_call(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("A_SERVER", "of its own")
-    first, second = (Guard(prepare=calls.refuse_forks) for _ in range(2))
+    first, second = (ChildProcess(prepare=calls.refuse_forks) for _ in range(2))
     with first, second:
         child = first.call(calls.pid, seconds=PATIENCE_SECONDS)
-        with pytest.raises(NotStartedError, match="^could not start: the system has no memory left"):
+        with pytest.raises(ChildStartError, match="^could not start: the system has no memory left"):
             second.call(calls.pid, seconds=PATIENCE_SECONDS)
         with pytest.raises(ProcessingError, match="could not start: .* end other programs, then run again$"):
-            read_guarded(second, calls.fail, Path(__file__))  # the file is not to blame
+            read_in_child(second, calls.fail, Path(__file__))  # the file is not to blame
         assert first.call(calls.pid, seconds=PATIENCE_SECONDS) == child

@@ -10,11 +10,11 @@ import psutil
 from tests.tiler.schedule import calls
 from tests.waiting import PATIENCE_SECONDS, wait_until
 from tiler.errors import InputError
-from tiler.schedule import Died, Guard, Guards
+from tiler.schedule import ChildDiedError, ChildPool, ChildProcess
 from tiler.schedule.parallel_calls import AHEAD
 
 
-def work(guard: Guard, item: int) -> int:
+def work(guard: ChildProcess, item: int) -> int:
     if item == 3:
         return guard.call(calls.crash, seconds=PATIENCE_SECONDS) or 0
     if item == 5:
@@ -26,11 +26,11 @@ def work(guard: Guard, item: int) -> int:
 
 def test_results_and_errors_come_in_order() -> None:
     found: list[object] = []
-    with Guards(2) as guards:
+    with ChildPool(2) as guards:
         for result in guards.each(work, range(12)):
             try:
                 found.append(result())
-            except (Died, InputError) as error:
+            except (ChildDiedError, InputError) as error:
                 found.append(str(error))
     assert found == [0, 2, 4, "crashed (SIGSEGV)", 8, "five", 12, 14, 16, 18, 20, 22]
 
@@ -38,11 +38,11 @@ def test_results_and_errors_come_in_order() -> None:
 def test_few_calls_begin_before_the_first_result_is_taken() -> None:
     begun = []
 
-    def note(guard: Guard, item: int) -> int:
+    def note(guard: ChildProcess, item: int) -> int:
         begun.append(item)
         return item
 
-    with Guards(2) as guards:
+    with ChildPool(2) as guards:
         results = guards.each(note, range(1000))
         assert next(results)() == 0
         assert len(begun) <= 2 * AHEAD + 1
@@ -50,10 +50,10 @@ def test_few_calls_begin_before_the_first_result_is_taken() -> None:
 
 
 def test_no_child_outlives_an_early_end() -> None:
-    def hang(guard: Guard, item: int) -> None:
+    def hang(guard: ChildProcess, item: int) -> None:
         guard.call(calls.sleep, seconds=PATIENCE_SECONDS)
 
-    with Guards(2) as guards:
+    with ChildPool(2) as guards:
         next(guards.each(hang, range(100)))
         wait_until(lambda: len(_children()) == 2)
     assert not _children()

@@ -15,7 +15,7 @@ import pytest
 
 from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Lattice
-from tiler.schedule import Guard, Task, limits_memory
+from tiler.schedule import ChildProcess, Task, limits_memory
 from tiler.schedule.worker import peak_rss_bytes, perform, prepare
 from tiler.store import StoreMeta, create_store
 
@@ -51,7 +51,7 @@ def test_a_worker_keeps_freed_memory_up_to_a_twentieth_of_what_it_may_have(tmp_p
     create_store(url, StoreMeta(CoordFrame(), Lattice(Fraction(50_000)), Lattice(Fraction(500)), False))
     left = []
     for memory_bytes in (64 << 20, 8 << 30):
-        with Guard(None, partial(prepare, memory_bytes)) as guard:
+        with ChildProcess(None, partial(prepare, memory_bytes)) as guard:
             left.append(guard.call(resident_after, url, seconds=300.0))
     assert left[1] - left[0] > 200 << 20
 
@@ -69,7 +69,7 @@ def test_the_first_task_of_a_stage_begins_without_what_its_worker_kept(tmp_path:
     create_store(url, StoreMeta(CoordFrame(), Lattice(Fraction(50_000)), Lattice(Fraction(500)), False))
     peaks = []
     for stage in ("next", "s"):
-        with Guard(None, partial(prepare, 8 << 30)) as guard:
+        with ChildProcess(None, partial(prepare, 8 << 30)) as guard:
             peaks.append(guard.call(peak_of_small_task, url, stage, seconds=300.0))
     assert peaks[1] - peaks[0] > 200 << 20
 
@@ -85,6 +85,6 @@ def grown() -> int:
 @pytest.mark.skipif(not limits_memory(), reason="memory is not limited here")
 def test_a_reader_that_is_forked_beside_workers_has_all_of_its_memory() -> None:
     """Without `mremap`, the reader would need the old and the new buffer at the same time."""
-    with Guard(None, partial(prepare, 4 << 30)) as worker, Guard(1 << 30) as reader:
+    with ChildProcess(None, partial(prepare, 4 << 30)) as worker, ChildProcess(1 << 30) as reader:
         worker.call(peak_rss_bytes, seconds=300.0)
         assert reader.call(grown, seconds=300.0) == 700 << 20

@@ -11,7 +11,7 @@ from tiler.simulate import DimSensor, Site, Terrain, survey
 from tiler.simulate.colour import ROCK, SHADE, ground_materials, shadows
 from tiler.simulate.objects import Crown, Objects, Patch, Solid
 from tiler.simulate.points import Points
-from tiler.simulate.skin import PIXEL_M, skin_of
+from tiler.simulate.skin import PIXEL_M, render_surface
 
 SMOOTH = DimSensor(density=30.0, sigma_m=0.0, blunders=0.0, high_blunders=0.0)
 HOUSE = Solid(25, 25, 0.0, length=20, width=12, base=99, top=108)
@@ -164,7 +164,7 @@ def test_crowns_and_lawns_are_green_and_roofs_and_streets_are_not():
 
 def test_shadows_fall_to_the_north_east_and_are_dark():
     site = Site(Terrain(100.0), 50.0, 5, landmarks=Objects(solids=(HOUSE,)), green=0.0)
-    skin = skin_of(site, (0.0, 0.0, 50.0, 50.0), 4.0, 0.3)
+    skin = render_surface(site, (0.0, 0.0, 50.0, 50.0), 4.0, 0.3)
     dark = shadows(skin)
     x, y = skin.positions()
     # 8 m at 48 degrees give 7.2 m of shadow: 4 m to the north and 6 m to the east.
@@ -187,8 +187,8 @@ def test_the_skin_of_a_place_does_not_depend_on_the_box_around_it():
     site = Site(
         Terrain(100.0), 50.0, 5, landmarks=Objects(solids=(HOUSE,), crowns=(Crown(12, 12, 106, 4, 4),))
     )
-    small = skin_of(site, (10.0, 10.0, 20.0, 20.0), 3.0, 0.3)
-    large = skin_of(site, (0.0, 0.0, 50.0, 50.0), 3.0, 0.3)
+    small = render_surface(site, (10.0, 10.0, 20.0, 20.0), 3.0, 0.3)
+    large = render_surface(site, (0.0, 0.0, 50.0, 50.0), 3.0, 0.3)
     off = round((small.x0 - large.x0) / PIXEL_M)
     inner = np.s_[10:-10, 10:-10]
     for name in ("sharp", "smooth", "label"):

@@ -20,9 +20,9 @@ from tiler.apps.evaluate.heights import files_of_raster
 from tiler.apps.evaluate.rasters import open_raster, raster_named
 from tiler.errors import ConfigError
 from tiler.io.geotiff import raster_errors
-from tiler.io.locations import cloud_path
+from tiler.io.locations import as_path
 from tiler.io.overwrite_check import Target, check_targets
-from tiler.io.partial_files import appearing
+from tiler.io.partial_files import atomic_path
 from tiler.redaction import shown
 from tiler.report.pictures import small_hillshade
 
@@ -89,11 +89,11 @@ def write_figures(folder: Path | str, dtm: Path | str, accuracy: Mapping[str, An
         If the files cannot be written.
     """
     folder = Path(folder)
-    drawings = dict(zip(FILES, (histogram(accuracy), point_map(cloud_path(dtm), accuracy)), strict=True))
+    drawings = dict(zip(FILES, (histogram(accuracy), point_map(as_path(dtm), accuracy)), strict=True))
     with raster_errors(folder):
         folder.mkdir(parents=True, exist_ok=True)
         for name, text in drawings.items():
-            with appearing(folder / name) as partial:
+            with atomic_path(folder / name) as partial:
                 partial.write_text(text, encoding="utf-8")
     return [str(folder / name) for name in drawings]
 

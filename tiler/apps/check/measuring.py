@@ -14,7 +14,7 @@ from tiler.apps.check.requirements import Requirement, judge
 from tiler.apps.check.seams import seams_of
 from tiler.apps.check.strips import strip_differences
 from tiler.errors import ConfigError
-from tiler.schedule import half_of_memory, read_apart
+from tiler.schedule import call_isolated, half_of_memory
 
 
 def measure(
@@ -55,7 +55,7 @@ def measure(
         validate_figure_files(figures, dtm, points, strips)
     read = [path for path in (dtm, points) if path is not None]
     report: dict[str, Any] = {"dtm": str(dtm)}
-    report |= read_apart(
+    report |= call_isolated(
         _accuracy_and_seams, dtm, points, options, tile_m, paths=read, memory_bytes=half_of_memory()
     )
     if strips:
@@ -67,7 +67,7 @@ def measure(
     report |= {"requirements": judge(requirements, report), "figures": []}
     if figures is not None:
         drawn = (figures, dtm, report["accuracy"])
-        report["figures"] = read_apart(write_figures, *drawn, paths=(dtm,), memory_bytes=half_of_memory())
+        report["figures"] = call_isolated(write_figures, *drawn, paths=(dtm,), memory_bytes=half_of_memory())
     return report
 
 

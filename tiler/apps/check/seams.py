@@ -26,8 +26,8 @@ from tiler.apps.evaluate.rasters import open_raster
 from tiler.core.raster import BLOCK_PIXELS
 from tiler.core.units import unit_label, unit_named
 from tiler.errors import ConfigError, InputError
-from tiler.io.json_text import read_object
-from tiler.io.locations import cloud_path
+from tiler.io.json_text import parse_json_object
+from tiler.io.locations import as_path
 from tiler.io.result_folder import RUN
 
 BESIDE = (3, 20)
@@ -166,9 +166,9 @@ def seams_of(dtm: Path | str, tile_m: Fraction | None) -> dict[str, Any] | None:
     TilerError
         If `seam_steps` or `edges_of_run` raises it, or the DTM cannot be read.
     """
-    metres = horizontal_unit(cloud_path(dtm))
+    metres = horizontal_unit(as_path(dtm))
     if tile_m is None:
-        edges = edges_of_run(cloud_path(dtm))
+        edges = edges_of_run(as_path(dtm))
         if edges is None:
             return None
         return seam_steps(dtm, edges)
@@ -232,7 +232,7 @@ def edges_of_run(dtm: Path) -> TileEdges | None:
     if not path.is_file():
         return None
     try:
-        plan = read_object(path.read_text("utf-8"))["plan"]
+        plan = parse_json_object(path.read_text("utf-8"))["plan"]
         metres = float(unit_named(plan["units"]["horizontal"]))
         tile, bucket = plan["tile_m"] / metres, plan["bucket_m"] / metres
         if not (0 < bucket < math.inf and 0 < tile < math.inf):

@@ -18,7 +18,7 @@ from tiler.inputs import find_inputs, inspect
 from tiler.io.las.columns import class_and_flags, coordinate
 from tiler.io.las.headers import read_header
 from tiler.io.las.reader import EVERYTHING, PointReader
-from tiler.schedule import half_of_memory, read_apart
+from tiler.schedule import call_isolated, half_of_memory
 
 CELL_M = 2.0
 """Side of the compared cells: large enough for a few points of each strip, small enough to be nearly flat."""
@@ -54,7 +54,7 @@ def strip_differences(clouds: Sequence[str | Path]) -> dict[str, Any]:
         If a file cannot be read, or there is no ground.
     """
     paths = find_inputs(clouds, results=True)
-    return read_apart(_strips_of, paths, paths=paths, memory_bytes=half_of_memory())
+    return call_isolated(_strips_of, paths, paths=paths, memory_bytes=half_of_memory())
 
 
 def _strips_of(paths: Sequence[Path]) -> dict[str, Any]:

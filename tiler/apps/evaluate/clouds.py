@@ -37,7 +37,7 @@ class Points(NamedTuple):
         return Points(self.place[:, at], self.classes[at], self.withheld[at])
 
 
-class Findings:
+class LabelComparison:
     """Counts of the paired points of two files.
 
     Attributes
@@ -103,17 +103,17 @@ def evaluate_files(
 
 def compare_files(
     cloud: Path, reference: Path, grid: ErrorGrid | None = None
-) -> tuple[Findings, dict[str, Any]]:
+) -> tuple[LabelComparison, dict[str, Any]]:
     """Findings, and the way in which points were paired; see `evaluate_files`.
 
     An empty ``grid`` receives the errors by place. Raises InputError.
     """
-    findings = Findings(grid)
+    findings = LabelComparison(grid)
     if _in_order(cloud, reference, findings):
         return findings, {"matched_by": "order", "unmatched_reference": 0, "unmatched_cloud": 0}
     if grid is not None:
         grid.clear()
-    findings = Findings(grid)
+    findings = LabelComparison(grid)
     mine, true = _whole(cloud), _whole(reference)
     in_cloud, in_reference = _pairs(mine.place, true.place)
     if len(in_cloud) == 0:
@@ -137,7 +137,7 @@ def _read(path: Path) -> Iterator[Points]:
             yield Points(place, classes, (flags & WITHHELD_FLAG) > 0)
 
 
-def _in_order(cloud: Path, reference: Path, findings: Findings) -> bool:
+def _in_order(cloud: Path, reference: Path, findings: LabelComparison) -> bool:
     """Judge two files side by side; False, with useless findings, if their orders differ."""
     if read_header(cloud).point_count != read_header(reference).point_count:
         return False

@@ -23,9 +23,9 @@ from tiler.core.raster import NODATA
 from tiler.core.spread import SpreadTally
 from tiler.core.units import METRE, exact_unit, unit_label, unit_named
 from tiler.errors import ConfigError, InputError
-from tiler.io.geotiff import RasterLook, plain_geotiff, raster_errors
+from tiler.io.geotiff import RasterMetadata, plain_geotiff, raster_errors
 from tiler.io.overwrite_check import Target, check_targets
-from tiler.io.partial_files import appearing
+from tiler.io.partial_files import atomic_path
 
 BLOCK = 1024
 """Side in pixels of the blocks that are in memory at a time."""
@@ -193,11 +193,11 @@ def _difference_writer(path: Path | str | None, pair: Pair) -> Iterator[Any]:
         yield None
         return
     crs = pair.truth.crs.to_wkt() if pair.truth.crs else None
-    look = RasterLook(crs, unit_label(vertical_unit(pair.truth)), "DTM minus truth", {})
+    look = RasterMetadata(crs, unit_label(vertical_unit(pair.truth)), "DTM minus truth", {})
     transform = tuple(pair.truth.transform)[:6]
     with (
         raster_errors(Path(path)),
-        appearing(Path(path)) as partial,
+        atomic_path(Path(path)) as partial,
         plain_geotiff(partial, pair.truth.height, pair.truth.width, transform, look) as raster,
     ):
 

@@ -19,7 +19,7 @@ from tiler.core.classes import GROUND
 from tiler.core.raster import BLOCK_PIXELS
 from tiler.errors import ConfigError
 from tiler.io.geotiff import CACHE_MB, any_place, raster_errors, tiled_profile
-from tiler.io.partial_files import appearing
+from tiler.io.partial_files import atomic_path
 from tiler.io.picture import write_png
 
 RIGHT = 0  # codes of a cell: all points are right
@@ -193,7 +193,7 @@ def _write_geotiff(grid: ErrorGrid, path: Path, crs: str | None) -> None:
         any_place(),
         rasterio.Env(GDAL_CACHEMAX=CACHE_MB),
         raster_errors(path),
-        appearing(path) as partial,
+        atomic_path(path) as partial,
         rasterio.open(partial, "w", **tiled_profile(height, width, transform), **profile) as raster,
     ):
         for row in range(0, height, BLOCK_PIXELS):

@@ -10,7 +10,7 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 from tiler.apps.classify import classify_file
-from tiler.apps.evaluate.clouds import Findings, compare_files
+from tiler.apps.evaluate.clouds import LabelComparison, compare_files
 from tiler.apps.evaluate.labels import IGNORED, mean_scores
 from tiler.apps.evaluate.maps import ErrorGrid, write_error_map
 from tiler.config import RunConfig
@@ -18,7 +18,7 @@ from tiler.core.units import METRE
 from tiler.errors import ConfigError, ProcessingError
 from tiler.inputs import find_inputs, inspect
 from tiler.observe.events import Listener, silent
-from tiler.schedule import half_of_memory, read_apart
+from tiler.schedule import call_isolated, half_of_memory
 
 
 @dataclass(frozen=True)
@@ -143,10 +143,10 @@ def evaluate_scenes(
     ------
     TilerError
     """
-    total, results = Findings(), []
+    total, results = LabelComparison(), []
     for scene in scenes:
         listener("note", {"text": f"{scene.name}: {scene.cloud} against {scene.reference}"})
-        findings, how, written = read_apart(
+        findings, how, written = call_isolated(
             _compare, scene, ignore, maps, paths=(scene.cloud, scene.reference), memory_bytes=half_of_memory()
         )
         total.table += findings.table
@@ -171,7 +171,7 @@ def evaluate_scenes(
 
 def _compare(
     scene: Scene, ignore: Sequence[int], maps: MapRequest | None
-) -> tuple[Findings, dict[str, Any], list[str]]:
+) -> tuple[LabelComparison, dict[str, Any], list[str]]:
     """Findings of a scene, the way in which its points were paired, and the maps written."""
     if maps is None:
         return *compare_files(scene.cloud, scene.reference), []

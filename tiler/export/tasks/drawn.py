@@ -20,7 +20,7 @@ from tiler.export import (
     write_spots,
     write_water,
 )
-from tiler.export.work import DrawnFile
+from tiler.export.work import VectorFile
 from tiler.grid.tasks.gridding import Gridding
 from tiler.grid.tasks.raster_table import final
 from tiler.io.result_folder import BRIDGES, OUTLINE, WATER
@@ -33,7 +33,7 @@ SPOT_REACH_M, MAX_REACH = 50, 256
 """How far around a spot nothing is higher or lower; and the pixels that this is at most."""
 
 
-def drawn_tasks(g: Gridding, out: str, noise_m: float) -> Iterator[Task]:
+def vector_tasks(g: Gridding, out: str, noise_m: float) -> Iterator[Task]:
     """One task for each vector file; ``noise_m``: that of the heights of ground, 0 where it is not known."""
     plan, config = g.plan, g.plan.config
     terrain, interval = final("dtm", config), config.contour_interval
@@ -49,7 +49,7 @@ def drawn_tasks(g: Gridding, out: str, noise_m: float) -> Iterator[Task]:
     smooth = config.contour_smooth
     sigma = Fraction(SMOOTH_PIXELS) if smooth is None else smooth / plan.resolution
     reach = min(math.ceil(SPOT_REACH_M / plan.resolution), MAX_REACH)
-    works: dict[str, tuple[Work, DrawnFile]] = {
+    works: dict[str, tuple[Work, VectorFile]] = {
         CONTOURS: (write_contours, WriteContours(**common, sigma=float(sigma))),
         SPOTS: (write_spots, WriteSpots(**common, reach=reach)),
     }

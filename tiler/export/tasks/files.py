@@ -34,7 +34,7 @@ from tiler.filter import LABELS
 from tiler.grid.tasks.gridding import Gridding
 from tiler.grid.tasks.raster_table import MODELS, final, raster_table
 from tiler.ingest.tasks.points import Source, by_source
-from tiler.inputs import SourceInfo, claimed_bounds, window_pieces
+from tiler.inputs import SourceInfo, header_bounds, window_pieces
 from tiler.io.locations import is_url, joined, location
 from tiler.io.result_folder import CLASSIFIED, LEGEND, SHEETS, mosaic_file, raster_file
 from tiler.plan import PIECE_POINTS, Plan, chunks_of
@@ -210,7 +210,7 @@ def classified_tasks(
     for source in sources:
         touched = {Cell(ix, iy) for r in records[source.name] for ix, iy, _ in r["buckets"]}
         cells = sorted(touched & labels.keys())  # a bucket whose task failed is not there
-        extent = claimed_bounds(source.info)
+        extent = header_bounds(source.info)
         whole = plan.area is None or (extent is not None and plan.area.covers(extent))
         work = WriteClassified(
             path=location(source.info.path),

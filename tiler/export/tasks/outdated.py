@@ -16,10 +16,10 @@ from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 
-from tiler.errors import ConfigError, refused_write
+from tiler.errors import ConfigError, write_error
 from tiler.ingest.tasks.fingerprints import contents
 from tiler.io.locations import is_url, joined, move_file, sizes_at, states_at
-from tiler.io.result_folder import ASIDE, below
+from tiler.io.result_folder import OUTDATED, below
 from tiler.runs.job import Job
 
 STAGE = "verify"
@@ -27,7 +27,7 @@ NAMED = 5
 """Files that the note names; the others are counted."""
 
 
-def put_aside(job: Job, wanted: Collection[str], basis: str) -> None:
+def archive_outdated(job: Job, wanted: Collection[str], basis: str) -> None:
     """Move what no longer holds; what does is listed in ``outputs``, as are no files yet of this run.
 
     Parameters
@@ -101,10 +101,10 @@ def _inside(out: str, path: str) -> bool:
 
 def move_aside(out: str, paths: Sequence[str]) -> str:
     """Move files of OUT together into a folder in which none of their names is taken; its path in OUT."""
-    folder, number = ASIDE, 1
+    folder, number = OUTDATED, 1
     while _taken(out, [joined(out, folder, path) for path in paths]):
         number += 1
-        folder = f"{ASIDE}/{number}"
+        folder = f"{OUTDATED}/{number}"
     for path in paths:
         _move(out, path, joined(out, folder, path))
     return folder
@@ -127,13 +127,13 @@ def _move(out: str, path: str, target: str) -> None:
     try:
         move_file(source, target)
     except OSError as error:
-        raise refused_write(target, error, None if is_url(out) else Path(out)) from error
+        raise write_error(target, error, None if is_url(out) else Path(out)) from error
     if not is_url(out):
         with suppress(OSError):  # the folder of a product's sheets, unless it still holds any
             Path(source).parent.rmdir()
 
 
-def take_back_spoilt(job: Job, stage: str, files: Mapping[str, str]) -> None:
+def invalidate_changed_outputs(job: Job, stage: str, files: Mapping[str, str]) -> None:
     """Let the tasks of a stage be done again whose files are not what they wrote.
 
     Parameters
@@ -167,7 +167,7 @@ def take_back_spoilt(job: Job, stage: str, files: Mapping[str, str]) -> None:
             changed.append(key)
         else:  # the same bytes: this time is as good as the one before
             job.store.commit(stage, key, digest, {**record, "state": there[key].to_json()})
-    job.take_back(stage, [*gone, *changed])
+    job.invalidate(stage, [*gone, *changed])
     if changed:
         paths = sorted(below(job.products, files[key]) for key in changed)
         place = move_aside(job.products, paths)

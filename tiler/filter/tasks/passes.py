@@ -16,9 +16,9 @@ from ptd.frame import Scale
 from ptd.methods import METHODS
 from ptd.passes import Pass, later_passes, read_at_candidates
 from tiler.core.lattice import Cell
-from tiler.filter import LABELS, FilterTile, filter_tile, local_window, sight_m
+from tiler.filter import LABELS, FilterTile, filter_tile, influence_margin_m, local_window
 from tiler.filter.tasks.tiles import tiles_of
-from tiler.ingest.tasks.assembled import Assembled, skip_flags
+from tiler.ingest.tasks.assembled import IngestResult, skip_flags
 from tiler.plan import Plan
 from tiler.plan.memory import held_bytes
 from tiler.schedule import Task, digest_of
@@ -27,7 +27,7 @@ from tiler.version import __version__
 
 
 @dataclass(frozen=True)
-class Before:
+class PassInputs:
     """What the passes before left for the next one: names in the store, and by bucket digests of what they name.
 
     Attributes
@@ -51,8 +51,8 @@ class Before:
     n_elected: Mapping[Cell, int] = field(default_factory=dict)
 
     def after(
-        self, number: int, step: Pass, last: bool, few: bool, assembled: Assembled, done: Commits
-    ) -> Before:
+        self, number: int, step: Pass, last: bool, few: bool, assembled: IngestResult, done: Commits
+    ) -> PassInputs:
         """What there is after a pass that was done, and that elects or gives labels.
 
         ``last``: of all points; ``few``: of candidates alone.
@@ -102,7 +102,7 @@ def labels_given(plan: Plan, number: int, state: Mapping[str, Any]) -> tuple[boo
 
 
 def filter_tasks(
-    plan: Plan, assembled: Assembled, number: int, state: Mapping[str, Any], before: Before
+    plan: Plan, assembled: IngestResult, number: int, state: Mapping[str, Any], before: PassInputs
 ) -> Iterator[Task]:
     """One for each tile of a pass."""
     frame = plan.meta.frame
@@ -111,7 +111,7 @@ def filter_tasks(
     last, few = labels_given(plan, number, state)
     if step.elected and before.elected is None:
         raise ValueError(f"pass {step.name} works on elected points, and no pass before it elected any")
-    beyond = math.ceil(frame.counts(Fraction(sight_m(step, params))))
+    beyond = math.ceil(frame.counts(Fraction(influence_margin_m(step, params))))
     margin = math.ceil(frame.counts(Fraction(repr(float(step.label_margin_m)))))
     reads = "labels" in step.columns
     records: Mapping[Cell, Mapping[str, Any]] = assembled.records
@@ -149,7 +149,7 @@ def filter_tasks(
         yield Task(f"filter{number}", f"t{tile.name}", digest, filter_tile, work, points)
 
 
-def label_digests(assembled: Assembled, filtered: Commits, what: str = "labels") -> dict[Cell, str]:
+def label_digests(assembled: IngestResult, filtered: Commits, what: str = "labels") -> dict[Cell, str]:
     """Bucket -> digest of its contents and of the labels that a pass gave it; of a tile that failed it gave none.
 
     ``what``: the entry of the record, ``labels`` or ``elected``.

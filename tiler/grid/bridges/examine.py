@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from tiler.core.classes import MARK_BIT
+from tiler.core.classes import UNCERTIFIED_BIT
 from tiler.core.lattice import Bounds
 from tiler.core.points import PointBlock
 from tiler.core.raster import Block, RasterSpec
@@ -186,7 +186,7 @@ def _points(store: TileStore, rule: GroundRule, cell: Any, bounds: Bounds) -> tu
     chosen &= points.inside(bounds, store.meta.frame.origin)
     if rule.labels is None:
         return points, chosen, read_classes(store, rule, cell)[2]
-    labels = store.read_labels(rule.labels, cell) & ~np.uint8(MARK_BIT)
+    labels = store.read_labels(rule.labels, cell) & ~np.uint8(UNCERTIFIED_BIT)
     return points, chosen, rule.is_ground()[labels]
 
 

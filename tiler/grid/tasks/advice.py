@@ -7,7 +7,7 @@ from typing import Any
 from ptd.matched.canopy_pass import CanopyPass
 from ptd.matched.crowns import Crowns
 from tiler.core.raster import RasterSpec
-from tiler.errors import DamagedError, ProcessingError
+from tiler.errors import CorruptStoreError, ProcessingError
 from tiler.filter.tasks.labelled import Labelled
 from tiler.grid.crowns import FindCrowns, crowns_told, find_crowns
 from tiler.grid.roofs import Advice, FindRoofs, find_roofs
@@ -67,7 +67,9 @@ def _looked(job: Job, tasks: list[Task]) -> list[dict[str, Any]]:
             continue
         if outcome.damaged:
             places = ", ".join(outcome.damaged)
-            raise DamagedError(f"{job.store.url}: {places}: damaged or missing; run again", outcome.damaged)
+            raise CorruptStoreError(
+                f"{job.store.url}: {places}: damaged or missing; run again", outcome.damaged
+            )
         if outcome.record is None:
             raise ProcessingError(f"flaws in the terrain cannot be looked for: {outcome.error}")
         records[outcome.task.key] = outcome.record

@@ -24,7 +24,7 @@ from tiler.grid.bridges.deck_cells import DROP_M, REACH_M
 from tiler.grid.bridges.examine import PlaceCells
 from tiler.grid.pieces import components
 from tiler.grid.tasks.gridding import Gridding
-from tiler.ingest.tasks.assembled import Assembled
+from tiler.ingest.tasks.assembled import IngestResult
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage
 from tiler.schedule import Task, digest_of
@@ -47,7 +47,7 @@ ABOVE_M = 0.6
 
 
 def find_bridges(
-    job: Job, assembled: Assembled, labels: Mapping[Cell, str]
+    job: Job, assembled: IngestResult, labels: Mapping[Cell, str]
 ) -> tuple[tuple[Edit, ...], tuple[DrawnDeck, ...]]:
     """The decks in the terrain, as corrections of its points and as they are drawn; none where they are to be kept."""
     if job.plan.config.bridges != REMOVE:

@@ -21,7 +21,7 @@ from tiler.core.map_lines import rings_of
 from tiler.core.units_text import length_text
 from tiler.filter.tasks.labelled import Labelled
 from tiler.filter.tasks.passes import elected_name, label_digests, labels_name
-from tiler.ingest.tasks.assembled import Assembled
+from tiler.ingest.tasks.assembled import IngestResult
 from tiler.runs.job import Job
 from tiler.store import Commits
 
@@ -54,7 +54,7 @@ class CanopyCells:
     digests: Mapping[Cell, str]
 
 
-def canopy_cells(job: Job, assembled: Assembled, labelled: Labelled) -> CanopyCells | None:
+def canopy_cells(job: Job, assembled: IngestResult, labelled: Labelled) -> CanopyCells | None:
     """The cells among which the filter found a canopy; None where it found none, and where nobody looked for one.
 
     Tells of what was found, as ``canopy`` of run.json, and warns of it.

@@ -22,7 +22,7 @@ from tiler.filter.tasks.labelled import Labelled
 from tiler.grid import FillBlock, OutlineBlock, PointsBlock, SurveyEdits, full_halo, survey_edits
 from tiler.grid.tasks.bridges import find_bridges
 from tiler.grid.tasks.gridding import ground_rule
-from tiler.ingest.tasks.assembled import Assembled
+from tiler.ingest.tasks.assembled import IngestResult
 from tiler.plan import Plan
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage
@@ -91,7 +91,7 @@ def _with_edits(task: Task, key: str) -> Task:
     return task
 
 
-def correct(job: Job, assembled: Assembled, labelled: Labelled) -> tuple[Labelled, Corrections]:
+def correct(job: Job, assembled: IngestResult, labelled: Labelled) -> tuple[Labelled, Corrections]:
     """Apply the drawn features that the plan read; returns the corrected labels, and the `Corrections`."""
     plan, labels, found = job.plan, labelled.digests, Corrections()
     decks, shapes = find_bridges(job, assembled, labels)
@@ -119,7 +119,9 @@ def _labels(plan: Plan, edits: Edits, labels: Mapping[Cell, str]) -> dict[Cell, 
     return found
 
 
-def _surveyed(job: Job, assembled: Assembled, labels: Mapping[Cell, str], cell: Lattice) -> tuple[Edit, ...]:
+def _surveyed(
+    job: Job, assembled: IngestResult, labels: Mapping[Cell, str], cell: Lattice
+) -> tuple[Edit, ...]:
     """The edits that people drew, after their points were counted."""
     if not job.plan.edits:
         return ()
@@ -144,7 +146,7 @@ def _surveyed(job: Job, assembled: Assembled, labels: Mapping[Cell, str], cell: 
 
 
 def _survey_tasks(
-    plan: Plan, edits: Edits, assembled: Assembled, labels: Mapping[Cell, str]
+    plan: Plan, edits: Edits, assembled: IngestResult, labels: Mapping[Cell, str]
 ) -> Iterator[Task]:
     """One for each bucket that a correction of points touches."""
     rule = ground_rule(plan)

@@ -20,7 +20,7 @@ from tiler.grid.coarse import coarse_raster
 from tiler.grid.pieces import Joined, join_pieces
 from tiler.grid.tasks.canopy import CanopyCells
 from tiler.grid.work import BlockWork
-from tiler.ingest.tasks.assembled import Assembled, skip_flags
+from tiler.ingest.tasks.assembled import IngestResult, skip_flags
 from tiler.plan import KEEP, Plan
 from tiler.schedule import Task, Work, digest_of
 from tiler.store import Commits
@@ -38,7 +38,7 @@ Place = tuple[int, int]
 """First row and column of a block."""
 
 
-def raster_spec(plan: Plan, assembled: Assembled) -> RasterSpec:
+def raster_spec(plan: Plan, assembled: IngestResult) -> RasterSpec:
     """The one pixel grid of the run: all stored points within the area, pixels on multiples of the resolution.
 
     Points on the outer edge of the last pixels make no more of them.
@@ -132,7 +132,7 @@ class Gridding:
     """
 
     plan: Plan
-    assembled: Assembled
+    assembled: IngestResult
     labels: Mapping[Cell, str]
     holes: Sequence[Bounds] = ()
     made: dict[str, Commits] = field(default_factory=dict)

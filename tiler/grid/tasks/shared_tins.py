@@ -65,7 +65,7 @@ def joined_blocks(plan: Plan, records: Records, tasks: Sequence[Task], workers: 
     if len(tasks) < 2 or plan.config.interpolation != "linear":
         return list(tasks)
     survey = _Survey(plan, records, [task.arguments for task in tasks])
-    groups = _busy(survey, _fitting(survey, min(plan.block_points, TIN_BYTES // GROUND_BYTES)), workers)
+    groups = _balanced(survey, _fitting(survey, min(plan.block_points, TIN_BYTES // GROUND_BYTES)), workers)
     groups.sort(key=lambda group: -group.cost)
     return [_joined([tasks[i] for i in group.blocks]) for group in groups]
 
@@ -96,17 +96,17 @@ def _too_large(group: _Group, most: int) -> bool:
     return group.points > most or group.pixels > MAX_PIXELS
 
 
-def _busy(survey: _Survey, groups: list[_Group], workers: int) -> list[_Group]:
+def _balanced(survey: _Survey, groups: list[_Group], workers: int) -> list[_Group]:
     """Groups divided further where all workers are then done earlier, although points are triangulated twice."""
-    best, earliest = groups, _longest(groups, workers)
+    best, earliest = groups, _makespan(groups, workers)
     while len(groups) < TASKS_PER_WORKER * workers:
         *rest, largest = sorted(groups, key=lambda group: (len(group.blocks) > 1, group.cost))
         halves = survey.halves(largest)
         if not halves:
             break
         groups = [*rest, *halves]
-        if _longest(groups, workers) < WORTH_DIVIDING * earliest:
-            best, earliest = groups, _longest(groups, workers)
+        if _makespan(groups, workers) < WORTH_DIVIDING * earliest:
+            best, earliest = groups, _makespan(groups, workers)
     return best
 
 
@@ -114,7 +114,7 @@ def _total(groups: Iterable[_Group]) -> int:
     return sum(group.cost for group in groups)
 
 
-def _longest(groups: Sequence[_Group], workers: int) -> int:
+def _makespan(groups: Sequence[_Group], workers: int) -> int:
     """Cost of the groups of the worker that is done last, where each takes the largest group that is left."""
     ends = [0] * workers
     for cost in sorted((group.cost for group in groups), reverse=True):

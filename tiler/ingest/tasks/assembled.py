@@ -20,14 +20,14 @@ def skip_flags(plan: Plan) -> int:
 
 
 @dataclass(frozen=True)
-class Assembled:
+class IngestResult:
     """What the finished ingest holds: bucket -> record, and bucket -> digest of what its contents depend on."""
 
     records: dict[Cell, dict[str, Any]]
     digests: dict[Cell, str]
 
     @classmethod
-    def of(cls, commits: Commits) -> Assembled:
+    def of(cls, commits: Commits) -> IngestResult:
         """From the commits of the assembly tasks."""
         records: dict[Cell, dict[str, Any]] = {}
         digests: dict[Cell, str] = {}

@@ -18,7 +18,7 @@ from tiler.ingest import (
     spool_piece,
 )
 from tiler.ingest.tasks.assembled import skip_flags
-from tiler.inputs import SourceInfo, claimed_bounds, pieces, window_pieces
+from tiler.inputs import SourceInfo, header_bounds, pieces, window_pieces
 from tiler.io.locations import location
 from tiler.plan import PIECE_POINTS, Plan, buckets_of, chunks_of
 from tiler.schedule import Task, digest_of
@@ -52,7 +52,7 @@ def spool_tasks(plan: Plan, sources: Iterable[Source], keep: bool) -> Iterator[T
     selection = plan.config.selection
     for source in sources:
         wanted = buckets_of(plan, source.info)
-        claimed = claimed_bounds(source.info)
+        claimed = header_bounds(source.info)
         for start, count, ranges in _pieces(plan, source.info):
             key = f"{source.name}-{start:012d}"
             parts = [source.identity, source.number, start, count, claimed, plan.meta.to_json(), selection]
@@ -124,7 +124,7 @@ def strays_of(plan: Plan, sources: Iterable[Source], spooled: Commits) -> dict[i
     found = {}
     for source in sources:
         strays = find_strays(
-            held[source.name], plan.meta.bucket, claimed_bounds(source.info), outside[source.name]
+            held[source.name], plan.meta.bucket, header_bounds(source.info), outside[source.name]
         )
         if strays != Strays():
             found[source.number] = strays

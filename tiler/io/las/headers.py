@@ -14,9 +14,16 @@ from pathlib import Path
 from typing import Any, BinaryIO, NoReturn
 
 from tiler.errors import InputError
-from tiler.io.cloud_reading import open_cloud
-from tiler.io.las.laz import LazDamage, LazLayout, bytes_of_points, parse_laszip, read_table, walk_chunks
-from tiler.io.las.records import VariableRecord, walk_records
+from tiler.io.cloud_reading import open_location
+from tiler.io.las.laz import (
+    CorruptLazError,
+    LazLayout,
+    bytes_of_points,
+    parse_laszip,
+    read_table,
+    walk_chunks,
+)
+from tiler.io.las.records import Vlr, walk_records
 from tiler.io.locations import State, is_url, state_of
 
 _BLOCK_BYTES = 1 << 14
@@ -103,8 +110,8 @@ class LasHeader:
     maxs: tuple[float, float, float]
     waveform_start: int
     evlrs_start: int = 0
-    vlrs: tuple[VariableRecord, ...] = ()
-    evlrs: tuple[VariableRecord, ...] = ()
+    vlrs: tuple[Vlr, ...] = ()
+    evlrs: tuple[Vlr, ...] = ()
     laz: LazLayout | None = None
     digest: str = ""
     notes: tuple[str, ...] = ()
@@ -169,7 +176,7 @@ def read_header(path: Path, salvage: bool = False) -> LasHeader:
         # Opening a pipe would wait for its other end.
         if not is_url(path) and not path.is_file():
             refuse(path, "is not a regular file", "give LAS or LAZ files")
-        with open_cloud(path, _BLOCK_BYTES) as stream:
+        with open_location(path, _BLOCK_BYTES) as stream:
             header = _fixed_block(path, stream, state, salvage)
             header = _records(header, stream)
             if header.laz is None:
@@ -183,9 +190,9 @@ def read_header(path: Path, salvage: bool = False) -> LasHeader:
         refuse(path, f"cannot be read ({error.strerror or error})", "give a readable LAS or LAZ file")
 
 
-def read_payload(path: Path, record: VariableRecord, limit: int = 1 << 24) -> bytes:
+def read_payload(path: Path, record: Vlr, limit: int = 1 << 24) -> bytes:
     """Return the content of a record, at most ``limit`` bytes."""
-    with open_cloud(path, _BLOCK_BYTES) as stream:
+    with open_location(path, _BLOCK_BYTES) as stream:
         stream.seek(record.payload)
         return stream.read(min(record.length, limit))
 
@@ -306,7 +313,7 @@ def _records(header: LasHeader, stream: BinaryIO) -> LasHeader:
     stream.seek(laszip.payload)
     try:
         layout = parse_laszip(stream.read(laszip.length))
-    except LazDamage as damage:
+    except CorruptLazError as damage:
         refuse(header.path, str(damage))
     if layout.item_size != header.record_length:
         what = f"says records of {header.record_length} bytes, its laszip record {layout.item_size}"
@@ -339,10 +346,10 @@ def _compressed_points(header: LasHeader, layout: LazLayout, stream: BinaryIO, s
     try:
         if header.point_count == 0:
             header = replace(header, point_count=_UNKNOWN)
-            raise LazDamage(f"says 0 points, has {behind} bytes of them: it was never finished")
+            raise CorruptLazError(f"says 0 points, has {behind} bytes of them: it was never finished")
         counts, sizes = read_table(stream, layout, header.points_offset, header.size, header.point_count)
         return replace(header, laz=replace(layout, counts=counts, sizes=sizes))
-    except LazDamage as damage:
+    except CorruptLazError as damage:
         header = _salvaged(header, str(damage), salvage)
     if not layout.layers:
         # Chunks without layers do not contain their size, so the decoder finds their ends.
@@ -363,7 +370,7 @@ def _extended(header: LasHeader, stream: BinaryIO, salvage: bool) -> LasHeader:
     points_end = header.points_offset
     if header.laz is None:
         points_end += header.point_count * header.record_length
-    evlrs: tuple[VariableRecord, ...] = ()
+    evlrs: tuple[Vlr, ...] = ()
     whole = False
     if start >= points_end:
         evlrs, whole = walk_records(stream, start, count, header.size, extended=True)

@@ -26,7 +26,7 @@ MAX_CHUNKS = 1 << 21
 """Maximum number of chunks of a file. With 50,000 points each, no file has more. A longer table would fill memory."""
 
 
-class LazDamage(Exception):
+class CorruptLazError(Exception):
     """Fault of the compressed points, which callers convert to an InputError that names the file."""
 
 
@@ -77,18 +77,18 @@ class LazLayout:
 def parse_laszip(record_data: bytes) -> LazLayout:
     """Return the layout in a laszip record, without the chunk table. Raise LazDamage if the record is wrong."""
     if len(record_data) < _LASZIP.size:
-        raise LazDamage(f"its laszip record has {len(record_data)} bytes, {_LASZIP.size} are needed")
+        raise CorruptLazError(f"its laszip record has {len(record_data)} bytes, {_LASZIP.size} are needed")
     compressor, _, _, _, _, _, chunk_size, _, _, n_items = _LASZIP.unpack_from(record_data)
     if compressor not in (_POINTWISE_CHUNKED, _LAYERED):
-        raise LazDamage(f"compressor {compressor} of its laszip record is not known (2 and 3 are)")
+        raise CorruptLazError(f"compressor {compressor} of its laszip record is not known (2 and 3 are)")
     if len(record_data) < _LASZIP.size + n_items * _ITEM.size or n_items == 0:
-        raise LazDamage(f"its laszip record says {n_items} items and has {len(record_data)} bytes")
+        raise CorruptLazError(f"its laszip record says {n_items} items and has {len(record_data)} bytes")
     if chunk_size == 0:
-        raise LazDamage("its laszip record says chunks of 0 points")
+        raise CorruptLazError("its laszip record says chunks of 0 points")
     items = [_ITEM.unpack_from(record_data, _LASZIP.size + i * _ITEM.size) for i in range(n_items)]
     newer = [version for kind, _, version in items if kind in _LAYERS and version > _ITEM_VERSION]
     if newer:
-        raise LazDamage(
+        raise CorruptLazError(
             f"its points are compressed by items of version {newer[0]}, {_ITEM_VERSION} can be read"
         )
     layers = 0
@@ -114,32 +114,34 @@ def read_table(
     data = points_offset + 8
     table = _table_position(stream, data, file_size)
     if not data <= table <= file_size - 8:
-        raise LazDamage(
+        raise CorruptLazError(
             f"its chunk table should be at byte {table} of {file_size}: the file is cut short or unfinished"
         )
     stream.seek(table)
     _, chunks = struct.unpack("<II", stream.read(8))
     # There may be one chunk more than needed, since some writers end with an empty chunk.
     if (chunks - 1) * layout.item_size > table - data or chunks > point_count + 1:
-        raise LazDamage(
+        raise CorruptLazError(
             f"its chunk table says {chunks} chunks, {table - data} bytes hold {point_count} points"
         )
     if chunks > MAX_CHUNKS:
-        raise LazDamage(f"its chunk table says {chunks} chunks, {MAX_CHUNKS} can be read")
+        raise CorruptLazError(f"its chunk table says {chunks} chunks, {MAX_CHUNKS} can be read")
     stream.seek(points_offset)
     try:
         entries = np.asarray(lazrs.read_chunk_table(stream, lazrs.LazVlr(layout.record_data)), dtype=np.int64)
     except (lazrs.LazrsError, ValueError, OverflowError) as error:
-        raise LazDamage(f"its chunk table cannot be read ({error})") from error
+        raise CorruptLazError(f"its chunk table cannot be read ({error})") from error
     except BaseException as error:
         if not is_panic(error):
             raise
-        raise LazDamage(f"its chunk table makes the decoder fail ({error})") from error
+        raise CorruptLazError(f"its chunk table makes the decoder fail ({error})") from error
     counts, sizes = entries.reshape(-1, 2).T
     counts = _true_counts(layout, counts, sizes, point_count)
     sizes = sizes[: counts.size]
     if sizes.size and (int(sizes.min()) < 0 or int(sizes.sum()) > table - data):
-        raise LazDamage(f"its chunk table says {int(sizes.sum())} bytes of points, {table - data} are there")
+        raise CorruptLazError(
+            f"its chunk table says {int(sizes.sum())} bytes of points, {table - data} are there"
+        )
     return counts, np.ascontiguousarray(sizes)
 
 
@@ -152,12 +154,14 @@ def _true_counts(
     """
     if layout.chunk_size is None:
         if int(counts.sum()) != point_count:
-            raise LazDamage(f"its chunks have {int(counts.sum())} points, its header says {point_count}")
+            raise CorruptLazError(
+                f"its chunks have {int(counts.sum())} points, its header says {point_count}"
+            )
         return np.ascontiguousarray(counts)
     needed = -(-point_count // layout.chunk_size)
     behind = int(sizes[needed]) if counts.size == needed + 1 else 0
     if not needed <= counts.size <= needed + 1 or behind >= layout.min_chunk:
-        raise LazDamage(f"its chunk table has {counts.size} chunks, {point_count} points need {needed}")
+        raise CorruptLazError(f"its chunk table has {counts.size} chunks, {point_count} points need {needed}")
     full = np.full(needed, layout.chunk_size, dtype=np.int64)
     if needed:
         full[-1] = point_count - (needed - 1) * layout.chunk_size
@@ -213,12 +217,14 @@ def check_layers(stream: BinaryIO, layout: LazLayout, points_offset: int, first:
         if layout.counts[chunk]:
             claim = layered_chunk(stream, layout, start)
             if claim is None:
-                raise LazDamage(f"chunk {chunk} says more bytes, its table {size}: damaged")
+                raise CorruptLazError(f"chunk {chunk} says more bytes, its table {size}: damaged")
             points, claimed = claim
             if claimed > size:
-                raise LazDamage(f"chunk {chunk} says {claimed} bytes, its table {size}: damaged")
+                raise CorruptLazError(f"chunk {chunk} says {claimed} bytes, its table {size}: damaged")
             if points != layout.counts[chunk]:
-                raise LazDamage(f"chunk {chunk} has {points} points, by the header {layout.counts[chunk]}")
+                raise CorruptLazError(
+                    f"chunk {chunk} has {points} points, by the header {layout.counts[chunk]}"
+                )
         start += size
 
 

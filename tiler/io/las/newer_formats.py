@@ -35,7 +35,7 @@ def newer_bytes(point_format: int, record_length: int) -> int:
     return _bare_bytes(_NEWER[point_format]) + record_length - _bare_bytes(point_format)
 
 
-def newer_header(header: LasHeader) -> LasHeader:
+def upgraded_header(header: LasHeader) -> LasHeader:
     """Return the header for the converted points of a file, with the variable length records of the file."""
     return replace(
         header,
@@ -50,7 +50,7 @@ def _bare_bytes(point_format: int) -> int:
     return int(laspy.PointFormat(point_format).dtype().itemsize)
 
 
-def as_newer(records: Records, point_format: int) -> Records:
+def upgrade_records(records: Records, point_format: int) -> Records:
     """Convert records to format 6, 7 or 8. Records that have this format already are returned unchanged.
 
     Class 12 (overlap) of formats 0 to 5 is kept and sets the overlap flag as well. Angles are rounded to steps of

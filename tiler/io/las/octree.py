@@ -11,9 +11,9 @@ import numpy as np
 import numpy.typing as npt
 from laspy.copc import CopcInfoVlr, Entry, HierarchyPage, VoxelKey
 
-from tiler.io.cloud_reading import open_cloud
+from tiler.io.cloud_reading import open_location
 from tiler.io.las.headers import LasHeader
-from tiler.io.las.laz import LazDamage
+from tiler.io.las.laz import CorruptLazError
 
 _INFO_BYTES = 160
 _ENTRY_BYTES = 32
@@ -115,15 +115,15 @@ def read_octree(header: LasHeader) -> Octree:
     layout = header.laz
     info_record = next((v for v in header.vlrs if v.is_copc and v.record_id == _INFO), None)
     if info_record is None or info_record.length < _INFO_BYTES:
-        raise LazDamage("it has no COPC info record")
+        raise CorruptLazError("it has no COPC info record")
     if layout is None or layout.rebuilt or not layout.sizes.size:
-        raise LazDamage("it has no table of chunks")
-    with open_cloud(header.path, _BLOCK_BYTES) as stream:
+        raise CorruptLazError("it has no table of chunks")
+    with open_location(header.path, _BLOCK_BYTES) as stream:
         stream.seek(info_record.payload)
         info = CopcInfoVlr()
         info.parse_record_data(stream.read(_INFO_BYTES))
         if not (np.isfinite(info.center).all() and math.isfinite(info.halfsize) and info.halfsize > 0):
-            raise LazDamage(
+            raise CorruptLazError(
                 f"its octree has its centre at {info.center.tolist()} and half a side of {info.halfsize}"
             )
     entries = _entries(header.path, info, header.size, int(layout.counts.size))
@@ -133,15 +133,17 @@ def read_octree(header: LasHeader) -> Octree:
     for entry in entries:
         chunk = chunk_at.get(entry.offset)
         if chunk is None or chunk in found:
-            raise LazDamage(f"its octree names byte {entry.offset}, where no chunk begins, or one twice")
+            raise CorruptLazError(
+                f"its octree names byte {entry.offset}, where no chunk begins, or one twice"
+            )
         if (entry.point_count, entry.byte_size) != (layout.counts[chunk], layout.sizes[chunk]):
-            raise LazDamage(
+            raise CorruptLazError(
                 f"its octree says {entry.point_count} points in {entry.byte_size} bytes at byte {entry.offset}, "
                 f"its table of chunks {layout.counts[chunk]} in {layout.sizes[chunk]}"
             )
         found[chunk] = entry
     if len(found) != len(chunk_at):
-        raise LazDamage(f"its octree names {len(found)} of {len(chunk_at)} chunks")
+        raise CorruptLazError(f"its octree names {len(found)} of {len(chunk_at)} chunks")
     # Chunks without points are in no node and keep this key.
     keys = [(0, 0, 0)] * layout.counts.size
     for chunk, entry in found.items():
@@ -161,23 +163,23 @@ def _entries(path: Path, info: CopcInfoVlr, size: int, chunks: int) -> list[Entr
         offset, length = pages.pop()
         left -= length
         if length <= 0 or length % _ENTRY_BYTES or offset + length > size or offset in seen or left < 0:
-            raise LazDamage(f"its octree has a page of {length} bytes at byte {offset} of {size}")
+            raise CorruptLazError(f"its octree has a page of {length} bytes at byte {offset} of {size}")
         seen.add(offset)
-        with open_cloud(path, _BLOCK_BYTES, [(offset, offset + length)]) as stream:
+        with open_location(path, _BLOCK_BYTES, [(offset, offset + length)]) as stream:
             stream.seek(offset)
             raw = stream.read(length)
         if len(raw) < length:
-            raise LazDamage(f"its octree ends at byte {offset + len(raw)}")
+            raise CorruptLazError(f"its octree ends at byte {offset + len(raw)}")
         for entry in HierarchyPage.from_bytes(raw).entries.values():
             key = entry.key
             if not _can_be(key):
-                raise LazDamage(f"its octree has a node {key.level}-{key.x}-{key.y}-{key.z}")
+                raise CorruptLazError(f"its octree has a node {key.level}-{key.x}-{key.y}-{key.z}")
             if entry.point_count == -1:
                 pages.append((entry.offset, entry.byte_size))
             elif entry.point_count > 0:
                 found.append(entry)
             elif entry.point_count < -1:
-                raise LazDamage(f"its octree has a node of {entry.point_count} points")
+                raise CorruptLazError(f"its octree has a node of {entry.point_count} points")
     return found
 
 

@@ -14,9 +14,9 @@ import numpy as np
 import numpy.typing as npt
 
 from tiler.errors import InputError
-from tiler.io.cloud_reading import BLOCK_BYTES, open_cloud, second_view
+from tiler.io.cloud_reading import BLOCK_BYTES, open_location, reopen
 from tiler.io.las.headers import AGAIN, LasHeader, refuse
-from tiler.io.las.laz import LazDamage, LazLayout, check_layers, is_panic
+from tiler.io.las.laz import CorruptLazError, LazLayout, check_layers, is_panic
 
 Records = npt.NDArray[np.void]
 
@@ -63,7 +63,7 @@ def decoding(path: Path) -> Iterator[None]:
     """
     try:
         yield
-    except (LazDamage, lazrs.LazrsError, OSError, ValueError, RuntimeError, OverflowError) as error:
+    except (CorruptLazError, lazrs.LazrsError, OSError, ValueError, RuntimeError, OverflowError) as error:
         refuse(path, f"its points cannot be decoded ({_line(error)})", AGAIN)
     except BaseException as error:
         if not is_panic(error):
@@ -103,9 +103,9 @@ class PointReader:
         self.dtype = record_dtype(header.point_format, header.record_length)
         self._selection = selection
         with decoding(header.path):
-            self._file: BinaryIO = open_cloud(header.path, block_bytes, _parts(header, ranges or ()))
+            self._file: BinaryIO = open_location(header.path, block_bytes, _parts(header, ranges or ()))
             # The decoder needs the position of its file, so checks of the next chunks use a separate file.
-            self._probe: BinaryIO = second_view(self._file, header.path)
+            self._probe: BinaryIO = reopen(self._file, header.path)
         self._decoder: Any = None
         self._next = 0
 
@@ -148,7 +148,7 @@ class PointReader:
         raw = bytearray(count * length)
         got = self._file.readinto(raw)  # type: ignore[attr-defined]
         if got != len(raw):
-            raise LazDamage(f"{got} of {len(raw)} bytes from record {start} on")
+            raise CorruptLazError(f"{got} of {len(raw)} bytes from record {start} on")
         return raw
 
     def _read_compressed(self, layout: LazLayout, start: int, count: int) -> bytearray:

@@ -19,7 +19,7 @@ MAX_RECORDS = 10_000
 
 
 @dataclass(frozen=True)
-class VariableRecord:
+class Vlr:
     """Position of a VLR or EVLR in its file.
 
     Attributes
@@ -67,13 +67,13 @@ def packed_record(
 
 def walk_records(
     stream: BinaryIO, start: int, count: int, end: int, extended: bool
-) -> tuple[tuple[VariableRecord, ...], bool]:
+) -> tuple[tuple[Vlr, ...], bool]:
     """Return the records from ``start`` that fit before ``end``, and whether all ``count`` records fit.
 
     Only the headers of the records are read, and at most `MAX_RECORDS` of them.
     """
     form = _EVLR if extended else _VLR
-    found: list[VariableRecord] = []
+    found: list[Vlr] = []
     position = start
     for _ in range(min(count, MAX_RECORDS)):
         if position + form.size > end:
@@ -84,6 +84,6 @@ def walk_records(
         if payload + length > end:
             return tuple(found), False
         name = user.split(b"\0")[0].decode("ascii", "replace")
-        found.append(VariableRecord(name, record_id, position, payload, length))
+        found.append(Vlr(name, record_id, position, payload, length))
         position = payload + length
     return tuple(found), count <= MAX_RECORDS

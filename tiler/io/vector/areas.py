@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import shapely
 
-from tiler.core.area import Area, Counts, shortened
+from tiler.core.area import Area, Counts, segmentized
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.units import FARTHEST
 from tiler.errors import InputError
@@ -43,4 +43,4 @@ def area_in_counts(place: str, features: Sequence[Feature]) -> Area:
 
 def _in_counts(ring: shapely.LinearRing) -> Counts:
     corners = shapely.get_coordinates(ring)[:-1]
-    return shortened(np.rint(corners * COUNTS_PER_UNIT).astype(np.int64))
+    return segmentized(np.rint(corners * COUNTS_PER_UNIT).astype(np.int64))

@@ -13,7 +13,7 @@ from pyproj.exceptions import ProjError
 from shapely.errors import ShapelyError
 
 from tiler.errors import InputError
-from tiler.io.json_text import excerpt, member, read_object
+from tiler.io.json_text import excerpt, member, parse_json_object
 from tiler.redaction import printable
 
 SIGNATURES = {
@@ -64,7 +64,7 @@ def check_file(path: Path, wanted: str) -> list[bool] | None:
 def _check_geojson(path: Path, wanted: str) -> list[bool]:
     """Check a GeoJSON file, in which GDAL would silently misread an unknown CRS or a damaged geometry."""
     try:
-        content = read_object(path.read_text("utf-8"))
+        content = parse_json_object(path.read_text("utf-8"))
     except (OSError, ValueError) as error:
         raise InputError(
             f"{path}: not valid GeoJSON ({printable(str(error))}); write {wanted} as features"

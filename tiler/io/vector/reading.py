@@ -1,6 +1,6 @@
 """Features of vector files: geometry and attributes, in the CRS of the file or of the run.
 
-Callers use `tiler.schedule.read_apart`, which reads files in a child process, since files may be malicious.
+Callers use `tiler.schedule.call_isolated`, which reads files in a child process, since files may be malicious.
 """
 
 from __future__ import annotations

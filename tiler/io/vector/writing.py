@@ -14,8 +14,8 @@ import shapely
 from pyproj import CRS
 
 from tiler.core.crs import split
-from tiler.errors import refused_write
-from tiler.io.partial_files import appearing, cause_of
+from tiler.errors import write_error
+from tiler.io.partial_files import atomic_path, cause_of
 
 WHEN = "2000-01-01T00:00:00.000Z"
 """Fixed time in place of the time of writing, which would change the bytes of each layer."""
@@ -85,7 +85,7 @@ def geopackage(path: Path, crs: str | None) -> Iterator[GeoPackage]:
     Raises
     ------
     ProcessingError
-        The file system refuses a write (see `tiler.errors.refused_write`).
+        The file system refuses a write (see `tiler.errors.write_error`).
     """
     import pyogrio
     from pyogrio.errors import DataLayerError, DataSourceError, FeatureError
@@ -93,12 +93,12 @@ def geopackage(path: Path, crs: str | None) -> Iterator[GeoPackage]:
     keep = pyogrio.get_gdal_config_option("OGR_CURRENT_DATE")
     pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": WHEN})
     try:
-        with appearing(path) as partial:
+        with atomic_path(path) as partial:
             partial.unlink(missing_ok=True)  # GDAL would add layers to the file of a killed run.
             try:
                 yield GeoPackage(partial, _horizontal(crs))
             except (DataLayerError, DataSourceError, FeatureError) as error:
-                raise refused_write(str(path), cause_of(partial, error), path.parent) from error
+                raise write_error(str(path), cause_of(partial, error), path.parent) from error
     finally:
         pyogrio.set_gdal_config_options({"OGR_CURRENT_DATE": keep})
 

@@ -12,7 +12,7 @@ from ptd.frame import Window
 from ptd.ground import blocks
 from ptd.ground.labelling import GROUND
 from ptd.ground.noise_sums import Roughness
-from ptd.methods.auto.label_thresholds import Seen, decided, label_bands, label_thresholds
+from ptd.methods.auto.label_thresholds import ReturnStatistics, decided, label_bands, label_thresholds
 from ptd.methods.auto.method import OBJECT, ROOF, Auto
 from ptd.methods.auto.params import Reaches
 from ptd.passes import Points
@@ -100,7 +100,7 @@ def test_a_window_without_ground_knows_nothing() -> None:
 def test_image_matching_is_told_by_single_returns_and_what_is_not_seen_through() -> None:
     found = Roughness(8.0, 0.066, 50, 0.07)
     run = {"rgb": False, "sigma_m": None, "kind": None}
-    survey, notes = decided(Auto(), found, Seen(1000, 0, 500, 1), HELD, run)
+    survey, notes = decided(Auto(), found, ReturnStatistics(1000, 0, 500, 1), HELD, run)
     assert (survey["kind"], survey["cell_sigma_m"], survey["density_m2"]) == ("dim", 0.07, 8.0)
     assert notes == [
         "decided: image matching (88 % sure: nothing is seen through plants; "
@@ -108,36 +108,42 @@ def test_image_matching_is_told_by_single_returns_and_what_is_not_seen_through()
         "decided: ground is up to 0.15 m and twice the local noise from the surface, after a vote of neighbours; "
         "noise of the place 0.07 m, cells of 1 m",
     ]
-    assert decided(Auto(), found, Seen(0, 0, 500, 1), HELD, run)[0]["kind"] == "dim"  # returns are not known
+    assert (
+        decided(Auto(), found, ReturnStatistics(0, 0, 500, 1), HELD, run)[0]["kind"] == "dim"
+    )  # returns are not known
     for several, through, why in (
         (10, 0, "1 % of the points are one of several returns"),
         (1000, 0, "100 % of the points are one of several returns"),
         (0, 2, "pulses passed through plants in 0.4 % of the area"),
     ):
-        survey, notes = decided(Auto(), found, Seen(1000, several, 500, through), HELD, run)
+        survey, notes = decided(Auto(), found, ReturnStatistics(1000, several, 500, through), HELD, run)
         assert survey["kind"] == "lidar"
         assert notes[0].startswith("decided: laser scanning (")
         assert f"% sure: {why})" in notes[0]
     for density, seen, kind in (
-        (3.9, Seen(0, 0, 5000, 19, 2000, 99, 100), "dim"),  # nearly 5 % of wide cells: walls and chance
-        (3.9, Seen(0, 0, 5000, 19, 2000, 100, 100), "lidar"),
-        (3.9, Seen(0, 0, 5000, 20, 2000, 0, 100), "lidar"),
-        (3.9, Seen(0, 0, 5000, 0, 2000, 0, 99), "lidar"),  # next to nothing stands there
-        (0.9, Seen(0, 0, 5000, 0, 2000, 0, 100), "lidar"),
-        (4.0, Seen(0, 0, 5000, 0, 2000, 110, 0), "dim"),  # dense: wide cells have no say
+        (
+            3.9,
+            ReturnStatistics(0, 0, 5000, 19, 2000, 99, 100),
+            "dim",
+        ),  # nearly 5 % of wide cells: walls and chance
+        (3.9, ReturnStatistics(0, 0, 5000, 19, 2000, 100, 100), "lidar"),
+        (3.9, ReturnStatistics(0, 0, 5000, 20, 2000, 0, 100), "lidar"),
+        (3.9, ReturnStatistics(0, 0, 5000, 0, 2000, 0, 99), "lidar"),  # next to nothing stands there
+        (0.9, ReturnStatistics(0, 0, 5000, 0, 2000, 0, 100), "lidar"),
+        (4.0, ReturnStatistics(0, 0, 5000, 0, 2000, 110, 0), "dim"),  # dense: wide cells have no say
     ):
         for rgb in (False, True):  # colours have no part in it
             found, _ = decided(Auto(), Roughness(density, 0.066, 50, 0.07), seen, HELD, run | {"rgb": rgb})
             assert found["kind"] == kind
     for density, noise in ((2.9, 0.066), (3.0, 0.1)):  # below, few quarters of patches have enough points
         found = Roughness(density, 0.066, 50, 0.1)
-        survey, _ = decided(Auto(), found, Seen(0, 0, 0, 0), HELD, run | {"kind": "dim"})
+        survey, _ = decided(Auto(), found, ReturnStatistics(0, 0, 0, 0), HELD, run | {"kind": "dim"})
         assert survey["cell_sigma_m"] == noise
 
 
 @pytest.mark.parametrize("kind", ["dim", "lidar"])
 def test_what_the_user_says_of_the_source_is_obeyed(kind: str) -> None:
-    for seen in (Seen(1000, 500, 500, 100), Seen(1000, 0, 500, 0)):
+    for seen in (ReturnStatistics(1000, 500, 500, 100), ReturnStatistics(1000, 0, 500, 0)):
         run = {"rgb": True, "sigma_m": None, "kind": kind}
         survey, notes = decided(Auto(), Roughness(8.0, 0.066, 50, 0.07), seen, HELD, run)
         assert survey["kind"] == kind

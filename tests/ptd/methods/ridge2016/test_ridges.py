@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ptd.frame import OPEN, Cells, Scale, Window
-from ptd.ground.certificates import Doubt
+from ptd.ground.certificates import UncertifiedRegion
 from ptd.methods.ridge2016.ridges import AROUND, RidgeRule, ridge_facet, ridge_points
 from ptd.methods.ridge2016.sorted_cells import Stacks
 from ptd.tin.mesh import Tin
@@ -98,14 +98,16 @@ def candidates(centre: tuple[float, float]) -> np.ndarray:
     return np.array([(centre[0] + dx, centre[1] + dy, z) for dx, dy, z in offsets])
 
 
-def place(known: Window, data: np.ndarray | None = None) -> tuple[list[tuple[int, ...]], np.ndarray, Doubt]:
+def place(
+    known: Window, data: np.ndarray | None = None
+) -> tuple[list[tuple[int, ...]], np.ndarray, UncertifiedRegion]:
     """Ridge points of the roof among the points near the centre of the facet at (30, 3), that centre, and the doubt."""
     tin = Tin.build(*seeds(roof(1.0)))
     facet = tin.vertices[list(corners_of(tin, triangle_at(tin, 30 * M, 3 * M)))].astype(np.int64)
     centre = facet[:, :2].sum(axis=0) / 3 / M
     points = np.rint(candidates((centre[0], centre[1])) * M).astype(np.int32)
     stacks = Stacks(*np.ascontiguousarray(points.T), Cells.of(1.0, SCALE))
-    doubt = Doubt(known, known, (-80 * M, -100 * M, 140 * M, 120 * M), SCALE)
+    doubt = UncertifiedRegion(known, known, (-80 * M, -100 * M, 140 * M, 120 * M), SCALE)
     data = np.ones(tin.n_vertices, np.bool_) if data is None else data
     found = ridge_points(tin, data, stacks, RULE, doubt)
     picked = [(int(stacks.x[i]), int(stacks.y[i]), int(stacks.z[i])) for i in found]

@@ -11,7 +11,7 @@ from scipy.spatial import Delaunay
 
 from ptd.cells import Xyz
 from ptd.frame import Cells, Scale
-from ptd.ground.certificates import Doubt
+from ptd.ground.certificates import UncertifiedRegion
 from ptd.ground.criteria import Limits
 from ptd.ground.labelling import GroundRule, label_points
 from ptd.methods.ridge2016.sorted_cells import Stacks
@@ -31,7 +31,7 @@ def tins(
     stacks = Stacks(x, y, z, Cells.of(cell_m, Scale()))
     seeds = {tuple(p) for p in points[:n_seeds].tolist()}
     own = np.array([tuple(p) in seeds for p in np.column_stack([stacks.x, stacks.y, stacks.z]).tolist()])
-    doubt = Doubt(EVERYTHING, EVERYTHING, (0, 0, 1, 1), Scale())
+    doubt = UncertifiedRegion(EVERYTHING, EVERYTHING, (0, 0, 1, 1), Scale())
     chosen = np.flatnonzero(own).astype(np.int32)
     steps = densify_thinned(stacks, chosen, CORNERS.astype(np.int32), limits, doubt)
     return [step.tin for step in islice(steps, rounds)], stacks

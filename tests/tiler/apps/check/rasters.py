@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from tiler.io.geotiff import RasterLook, plain_geotiff
+from tiler.io.geotiff import RasterMetadata, plain_geotiff
 
 Surface = Callable[[np.ndarray, np.ndarray], np.ndarray]
 
@@ -48,7 +48,7 @@ def write_heights(
     unit: str = "metre",
 ) -> Path:
     """A raster of these heights; -9999 means no height."""
-    look, transform = RasterLook(crs, unit, "z", {}), (size, 0.0, west, 0.0, -size, north)
+    look, transform = RasterMetadata(crs, unit, "z", {}), (size, 0.0, west, 0.0, -size, north)
     with plain_geotiff(path, *heights.shape, transform, look) as raster:
         raster.write(heights.astype(np.float32), 0, 0)
     return path

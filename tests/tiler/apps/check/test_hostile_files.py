@@ -22,7 +22,7 @@ from tiler.config import RunConfig
 from tiler.errors import ConfigError, InputError
 from tiler.io.vector import POLYGONS, read_features
 from tiler.plan.area import area_of
-from tiler.schedule import Died, Guard
+from tiler.schedule import ChildDiedError, ChildProcess
 
 Read = Callable[[Path], Any]
 
@@ -144,14 +144,14 @@ def test_geopackage_with_damaged_geometries(read: Read, package: Path) -> None:
 def test_geopackage_with_damaged_pages(read: Read, package: Path) -> None:
     """A child reads the file, as in commands, because GDAL may crash or loop."""
     chance, whole = random.Random(2), package.read_bytes()
-    with Guard() as guard:
+    with ChildProcess() as guard:
         for _ in range(20):
             data = bytearray(whole)
             for _ in range(chance.randint(1, 6)):
                 data[chance.randrange(len(data))] = chance.randrange(256)
             package.write_bytes(data)
             said = ""
-            with contextlib.suppress(Died):
+            with contextlib.suppress(ChildDiedError):
                 said = guard.call(one_line_at_most, read, package, seconds=20)
             assert isinstance(said, str)
 
