@@ -25,7 +25,7 @@ from tiler.io.overwrite_check import check_names
 from tiler.io.result_folder import EVENTS, REPORT, RUN, STORE, earlier_facts, earlier_outputs, local_folder
 from tiler.observe.eventlog import EventLog
 from tiler.observe.events import Listener, combine, redacting, silent
-from tiler.plan import Plan, crs_name, make_plan, refuse, remember, stage_seconds
+from tiler.plan import Plan, crs_name, make_plan, remember, stage_seconds, validate
 from tiler.preparation import prepare_workers
 from tiler.redaction import without_secrets
 from tiler.report.html import write_report
@@ -304,5 +304,5 @@ def _frozen(plan: Plan, url: str) -> tuple[Plan, TileStore]:
             return dataclasses.replace(plan, memory=memory)
         return dataclasses.replace(plan, memory=memory, tile=tile_size, tile_memory=memory, tile_workers=0)
 
-    refuse(plan, None, changed)
+    validate(plan, None, changed)
     return plan, store

@@ -15,7 +15,7 @@ from typing import Any
 from cli.qgis.addresses import addresses, validate_addresses
 from cli.qgis.table import table
 from tiler.errors import ConfigError, write_error
-from tiler.io.partial_files import atomic_path
+from tiler.io.atomic_files import atomic_path
 from tiler.version import __version__
 
 FOLDER = "tiler_qgis"

@@ -29,7 +29,7 @@ place_figures
     what these start from at a place: density, noise, side of the cells.
 survey, penetration
     what made a cloud: a laser scanner, or matching.
-on_cells, facets
+robust_cells, facets
     the papers' methods on the same cells, and all points against the TIN of the cells that these take for ground.
 
 The noise of a place that they start from is that of what is smoothest around it (`ptd.ground.noise_by_place`).

@@ -15,8 +15,8 @@ from tests.invariants.runs import do, settings
 from tests.scenes.folders import content
 from tiler.errors import ConfigError, ProcessingError
 from tiler.export import stage as export
+from tiler.io.atomic_files import is_scratch, partial_path
 from tiler.io.locations import as_path
-from tiler.io.partial_files import is_scratch, partial_path
 from tiler.pipeline import run
 
 NAMES = ("dtm.tif", "run.json", "events.jsonl", "report.html", "classified/hill.laz")

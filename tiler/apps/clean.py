@@ -7,8 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from tiler.errors import ConfigError
+from tiler.io.atomic_files import is_scratch
 from tiler.io.locations import is_url, joined
-from tiler.io.partial_files import is_scratch
 from tiler.io.result_folder import STORE, earlier_outputs, read_run
 from tiler.store import locked_folder, open_store
 

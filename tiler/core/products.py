@@ -15,7 +15,7 @@ CONTOURS, SPOTS = "contours", "spots"
 VECTOR_PRODUCTS = (CONTOURS, SPOTS)
 """Vector products: GeoPackages of lines and of points."""
 
-# A coarse cell of the survey (`tiler.grid.survey`) has one of the next four values.
+# A coarse cell of the survey (`tiler.grid.coverage`) has one of the next four values.
 BEYOND = 0
 """Cell outside the survey."""
 BORDER = 1

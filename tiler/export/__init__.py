@@ -6,9 +6,9 @@ from tiler.export.cog import write_cog
 from tiler.export.contours import write_contours, write_spots
 from tiler.export.mosaic import write_legend, write_mosaic
 from tiler.export.outline import write_outline
+from tiler.export.output_files import write_text
 from tiler.export.sheets import find_sheets, write_sheet_index
 from tiler.export.water import write_water
-from tiler.export.whole_files import write_text
 from tiler.export.work import (
     FindSheets,
     WriteBridges,

@@ -8,7 +8,7 @@ import numpy as np
 import shapely
 
 from tiler.core.frame import COUNTS_PER_UNIT
-from tiler.export.whole_files import new_file
+from tiler.export.output_files import new_file
 from tiler.export.work import WriteBridges
 from tiler.io.vector import geopackage
 from tiler.store import open_store
@@ -22,7 +22,7 @@ def write_bridges(store_url: str, work: WriteBridges) -> dict[str, Any]:
     A polygon for the free part of each deck: ``length_m``, ``width_m``, ``clearance_m`` (height above what lies beside
     it), ``points_below`` (points seen beneath it; more than a few only where the scanner looked from the side).
 
-    The record is that of `tiler.export.whole_files.new_file`. Raises ProcessingError.
+    The record is that of `tiler.export.output_files.new_file`. Raises ProcessingError.
     """
     shapes = [shapely.Polygon(np.array(ring).reshape(-1, 2) / COUNTS_PER_UNIT) for ring, *_ in work.decks]
     sizes = np.array([deck[1:] for deck in work.decks], np.float64).reshape(-1, 4)

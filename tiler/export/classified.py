@@ -28,6 +28,7 @@ from tiler.export.cloud_crs import new_crs
 from tiler.export.cloud_frame import patch_window, write_back, write_copc_back, write_copc_front, write_front
 from tiler.export.cloud_statistics import CloudStatistics
 from tiler.export.work import WriteClassified
+from tiler.io.atomic_files import partial_path, replace_file, sync_folder
 from tiler.io.cloud_reading import BLOCK_BYTES, digest_of_file, fetched_bytes, open_location
 from tiler.io.las.columns import class_and_flags, write_classes
 from tiler.io.las.copc_writer import CopcWriter
@@ -37,7 +38,6 @@ from tiler.io.las.reader import EVERYTHING, PointReader, Records, count_decodabl
 from tiler.io.las.unchanged import unchanged, validate_unchanged
 from tiler.io.las.writer import PlainWriter, PointWriter
 from tiler.io.locations import as_path, staging_folder, state_of
-from tiler.io.partial_files import partial_path, replace_file, sync_folder
 from tiler.store import SPOOL_CHUNK, KeptRecords, TileStore, open_store
 
 ROWS_PER_BATCH = 1 << 27

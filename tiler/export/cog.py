@@ -25,10 +25,10 @@ from tiler.core.products import HEIGHT, PRODUCTS, Product
 from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec
 from tiler.core.units import unit_label
 from tiler.errors import ProcessingError
-from tiler.export.whole_files import new_file
+from tiler.export.output_files import new_file
 from tiler.export.work import ProductFile, WriteCog
+from tiler.io.atomic_files import partial_path, replace_file, sync_folder
 from tiler.io.geotiff import CACHE_MB, RasterMetadata, plain_geotiff, raster_errors
-from tiler.io.partial_files import partial_path, replace_file, sync_folder
 from tiler.store import TileStore, open_store
 
 

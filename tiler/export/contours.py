@@ -25,8 +25,8 @@ from tiler.export.contour_lines import (
     smoothing_reach,
     stays,
 )
+from tiler.export.output_files import new_file
 from tiler.export.spots import HIGH, LOW, spots_of_block
-from tiler.export.whole_files import new_file
 from tiler.export.work import VectorFile, WriteContours, WriteSpots
 from tiler.io.vector import GeoPackage, geopackage
 from tiler.store import TileStore, open_store

@@ -16,7 +16,7 @@ from tiler.core.products import PRODUCTS
 from tiler.core.raster import BLOCK_PIXELS, RasterSpec
 from tiler.errors import ProcessingError
 from tiler.export.cog import raster_metadata
-from tiler.export.whole_files import write_bytes
+from tiler.export.output_files import write_bytes
 from tiler.export.work import WriteLegend, WriteMosaic
 from tiler.io.geotiff import RasterMetadata
 from tiler.store import open_store
@@ -27,7 +27,7 @@ _TYPES = {"float32": "Float32", "uint8": "Byte"}
 def write_mosaic(store_url: str, work: WriteMosaic) -> dict[str, Any]:
     """Write ``<out>/<product>.vrt``; a `tiler.schedule.task.Work`.
 
-    The record is that of `tiler.export.whole_files.new_file`. Raises ProcessingError.
+    The record is that of `tiler.export.output_files.new_file`. Raises ProcessingError.
     """
     frame, product = open_store(store_url).meta.frame, PRODUCTS[work.product]
     whole = _hull([spec for _, spec in work.sheets])
@@ -115,7 +115,7 @@ def write_legend(store_url: str, work: WriteLegend) -> dict[str, Any]:
 
     A GeoTIFF itself holds the colours of its classes, but GDAL keeps their names beside it.
 
-    The record is that of `tiler.export.whole_files.new_file`. Raises ProcessingError.
+    The record is that of `tiler.export.output_files.new_file`. Raises ProcessingError.
     """
     root = ElementTree.Element("PAMDataset")
     band = ElementTree.SubElement(root, "PAMRasterBand", band="1")

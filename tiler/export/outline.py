@@ -16,7 +16,7 @@ from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.map_lines import rings_of
 from tiler.core.products import SURVEYED, VOID
 from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec
-from tiler.export.whole_files import new_file
+from tiler.export.output_files import new_file
 from tiler.export.work import WriteOutline
 from tiler.io.vector import geopackage
 from tiler.store import TileStore, coarse_values, open_store

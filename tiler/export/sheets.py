@@ -10,7 +10,7 @@ import shapely
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.nodata import NODATA
 from tiler.core.raster import RasterSpec
-from tiler.export.whole_files import new_file
+from tiler.export.output_files import new_file
 from tiler.export.work import FindSheets, WriteSheetIndex
 from tiler.io.vector import geopackage
 from tiler.store import open_store
@@ -44,7 +44,7 @@ def write_sheet_index(store_url: str, work: WriteSheetIndex) -> dict[str, Any]:
     Columns are ``location`` (path from the folder of the file, named as by gdaltindex), ``west``, ``south``, ``east``,
     ``north``, ``void_percent`` (pixels without a value), ``min`` and ``max``.
 
-    The record is that of `tiler.export.whole_files.new_file`. Raises ProcessingError.
+    The record is that of `tiler.export.output_files.new_file`. Raises ProcessingError.
     """
     crs = open_store(store_url).meta.frame.crs_wkt
     with new_file(work.out, work.name) as (target, record), geopackage(target, crs) as file:

@@ -12,7 +12,7 @@ import shapely
 
 from tiler.core.frame import COUNTS_PER_UNIT, CoordFrame
 from tiler.core.water import Counts, Water, lengths_along
-from tiler.export.whole_files import new_file
+from tiler.export.output_files import new_file
 from tiler.export.work import WriteWater
 from tiler.io.vector import GeoPackage, geopackage
 from tiler.store import open_store

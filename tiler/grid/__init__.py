@@ -11,6 +11,14 @@ from tiler.grid.bridges.examine import (
 )
 from tiler.grid.canopy import CANOPY_AROUND, CanopyBlock, canopy_block
 from tiler.grid.coarse import blocks_of
+from tiler.grid.coverage import (
+    NO_PIECE,
+    CloseBlock,
+    SurveyBlock,
+    close_block,
+    occupancy_block,
+    survey_block,
+)
 from tiler.grid.density import density_block
 from tiler.grid.derived import DeriveBlock, derive_block
 from tiler.grid.distance import DistanceBlock, distance_block
@@ -22,14 +30,6 @@ from tiler.grid.outline import OutlineBlock, outline_block
 from tiler.grid.sigma import SigmaBlock, sigma_block
 from tiler.grid.sigma_measures import reach_of
 from tiler.grid.surface import DEEP_M, SurfaceBlock, reach_pixels, surface_block
-from tiler.grid.survey import (
-    NO_PIECE,
-    CloseBlock,
-    SurveyBlock,
-    close_block,
-    occupancy_block,
-    survey_block,
-)
 from tiler.grid.thinning import max_points_in_bucket
 from tiler.grid.voids import FillBlock, FindVoids, Void, VoidRasters, fill_block, find_voids
 from tiler.grid.water_find import DescribeBody, describe_body

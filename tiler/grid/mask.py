@@ -64,7 +64,7 @@ def mask_block(store_url: str, work: MaskBlock) -> dict[str, Any]:
     """Write one block of the mask; a `tiler.schedule.task.Work`.
 
     A pixel with a height is measured if a ground point lies in it, else interpolated; one without is a hole inside
-    of the survey (see `tiler.grid.survey`), else outside. A hole that was filled is called so, and so are water and a
+    of the survey (see `tiler.grid.coverage`), else outside. A hole that was filled is called so, and so are water and a
     canopy that was bridged.
     Where a tile failed there is a hole, whatever heights its surroundings lend it.
 

@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ptd.ground.left_roofs import left_roofs, reach_m
 from ptd.ground.plateaus import ROOF_CELL_M
+from ptd.ground.remaining_roofs import reach_m, remaining_roofs
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec, north_west
 from tiler.core.units_text import length_text
@@ -89,7 +89,7 @@ def roofs_in_terrain(
         right = min(block.col + block.width + pad, spec.width)
         part = _part(store, name, Block(top, left, bottom - top, right - left), times)
         heights = np.where(part == np.float32(NODATA), np.nan, part) * float(frame.units.vertical)
-        for roof in left_roofs(heights, pixel * times, TOO_WIDE * building_m):
+        for roof in remaining_roofs(heights, pixel * times, TOO_WIDE * building_m):
             if roof.width_m > widest:
                 widest, where = roof.width_m, (top + int(roof.row * times), left + int(roof.column * times))
     if where is None:

@@ -19,7 +19,7 @@ from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds, Lattice
 from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec
 from tiler.core.water import RIVER, Counts, Water
-from tiler.grid.course import centreline, mean_width, polygon_of
+from tiler.grid.centreline import centreline, mean_width, polygon_of
 from tiler.grid.profile import MIN_PIXELS, SMOOTH_M, Profile, Scale, bank_level, profile_along, water_level
 from tiler.store import TileStore, open_store
 

@@ -19,7 +19,7 @@ from rasterio.windows import Window
 
 from tiler.core.raster import BLOCK_PIXELS, NODATA
 from tiler.errors import write_error
-from tiler.io.partial_files import cause_of
+from tiler.io.atomic_files import cause_of
 
 CACHE_MB = 64
 """Limit of GDAL's block cache in MB. GDAL's default is a share of the machine's memory."""

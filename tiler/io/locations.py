@@ -15,7 +15,7 @@ from typing import Any, cast
 from urllib.parse import unquote, urlsplit
 
 from tiler.errors import ConfigError, write_error
-from tiler.io.partial_files import SCRATCH_PREFIX, replace_file
+from tiler.io.atomic_files import SCRATCH_PREFIX, replace_file
 
 CONCURRENT_REQUESTS = 16
 """Number of objects whose state is requested at the same time."""

@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from tiler.errors import ConfigError
+from tiler.io.atomic_files import MAX_NAME_LENGTH, name_bytes
 from tiler.io.locations import is_url, plain_scheme
-from tiler.io.partial_files import MAX_NAME_LENGTH, name_bytes
 
 
 @dataclass(frozen=True)

@@ -9,8 +9,8 @@ import numpy as np
 import numpy.typing as npt
 from rasterio.io import MemoryFile
 
+from tiler.io.atomic_files import atomic_path
 from tiler.io.geotiff import any_place, raster_errors
-from tiler.io.partial_files import atomic_path
 
 DEFLATE_LEVEL = 4
 """Compression level of PNGs, with a third of the time of the usual level 6 and files a few percent larger."""

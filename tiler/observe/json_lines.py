@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from typing import IO, Any, TypedDict, cast
 
-from tiler.observe.whole_job import JobProgress
+from tiler.observe.job_progress import JobProgress
 from tiler.redaction import stored
 
 MIN_SECONDS = 0.2

@@ -8,8 +8,8 @@ from contextlib import contextmanager
 from typing import IO, Any
 
 from tiler.observe.events import Listener
+from tiler.observe.job_progress import JobProgress, StageProgress
 from tiler.observe.json_lines import JsonLines, message_of
-from tiler.observe.whole_job import JobProgress, StageProgress
 from tiler.redaction import shown
 
 _LINE_INTERVAL_SECONDS = 15.0

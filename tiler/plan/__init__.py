@@ -2,8 +2,8 @@
 
 `make` reads the headers and decides, `model` is the plan; `sizes` has the rules for buckets, tiles and pixels, `memory`
 what a worker needs and `projection` what a plan makes of it, `density_map` where the points are thickest,
-`distant_files` which files lie too far away, `disk` and `rates` what else it takes; `refuse` says no; `plan_text` tells
-people.
+`distant_files` which files lie too far away, `disk` and `rates` what else it takes, `validation` refuses, `plan_text`
+tells people.
 """
 
 from tiler.plan.area import buckets_of, chunks_of
@@ -14,8 +14,8 @@ from tiler.plan.model import KEEP, MIN_MATCHED_M2, PIECE_POINTS, Plan
 from tiler.plan.plan_text import crs_name, plan_json, plan_lines
 from tiler.plan.projection import projected_memory
 from tiler.plan.rates import remember, stage_seconds
-from tiler.plan.refuse import refuse
 from tiler.plan.sizes import bounds_of
+from tiler.plan.validation import validate
 
 __all__ = [
     "KEEP",
@@ -32,8 +32,8 @@ __all__ = [
     "plan_json",
     "plan_lines",
     "projected_memory",
-    "refuse",
     "remember",
     "sparse_raster_remedy",
     "stage_seconds",
+    "validate",
 ]

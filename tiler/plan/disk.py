@@ -146,7 +146,7 @@ def sparse_raster_remedy(plan: Plan, out: Path | None) -> str | None:
     empty = pixels.empty * EMPTY_PIXEL_BYTES * (len(plan.config.exported) + COPIES)
     free = None
     if out is not None:
-        with suppress(OSError):  # `refuse` says what is wrong with the folder
+        with suppress(OSError):  # `validate` says what is wrong with the folder
             free = free_bytes(out)
     full = free is not None and needed_bytes(plan) > free >= needed_bytes(plan) - empty
     if pixels.largest <= MAX_PIXELS and not full:

@@ -37,20 +37,20 @@ from tiler.plan.disk import sparse_raster_remedy, sparse_raster_warning
 from tiler.plan.distant_files import LeftOut, files_beyond_frame, outlying_files
 from tiler.plan.doubtful import warnings_of
 from tiler.plan.drawings import with_drawings
+from tiler.plan.ept_nodes import TilesOfRun, validate_distances
 from tiler.plan.equivalents import EQUIVALENTS
 from tiler.plan.feet import bare_lengths, in_feet_of
 from tiler.plan.halos import own_halo, planned_passes
 from tiler.plan.made_by import evidence_of, validate_single_kind
 from tiler.plan.memory import fine_cell_m
 from tiler.plan.model import KEEP, Plan, known_kind, likely_of, steps_of
-from tiler.plan.refuse import (
-    refuse,
+from tiler.plan.validation import (
+    validate,
     validate_output_paths,
     validate_pixel_count,
     validate_resolution,
     validate_targets,
 )
-from tiler.plan.tiles_of_points import TilesOfRun, validate_distances
 from tiler.schedule import FORKS, ChildPool
 from tiler.store import StoreMeta
 
@@ -118,7 +118,7 @@ def make_plan(
         other = _settled(found, config.updated(**values), parameters, defaults)
         return replace(other, edits=plan.edits, lines=plan.lines, waters=plan.waters)
 
-    refuse(plan, folder, changed)
+    validate(plan, folder, changed)
     if out is not None:
         validate_targets(plan, str(out), paths)
     return plan

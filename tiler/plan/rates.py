@@ -10,8 +10,8 @@ from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from tiler.io.atomic_files import replace_file
 from tiler.io.json_text import parse_json_object
-from tiler.io.partial_files import replace_file
 from tiler.plan.model import Plan
 from tiler.version import __version__
 

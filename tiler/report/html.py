@@ -10,9 +10,9 @@ from rasterio.errors import RasterioError
 
 from tiler.core.products import PRODUCTS
 from tiler.errors import InputError, ProcessingError, write_error
+from tiler.io.atomic_files import write_atomic
 from tiler.io.json_text import parse_json_object
 from tiler.io.locations import is_url, joined, state_at, upload_file
-from tiler.io.partial_files import write_atomic
 from tiler.io.result_folder import CHECK, EVALUATION, REPORT, RUN, local_folder, read_run
 from tiler.report import accuracy, document, sections, tables
 from tiler.report.document import el, section

@@ -10,7 +10,7 @@ from typing import Any
 
 from tiler.core.stage_names import stage_title
 from tiler.errors import write_error
-from tiler.io.partial_files import write_atomic
+from tiler.io.atomic_files import write_atomic
 from tiler.io.result_folder import RUN
 
 

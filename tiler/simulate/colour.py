@@ -6,10 +6,10 @@ import numpy as np
 import numpy.typing as npt
 
 from tiler.core.classes import GROUND, WATER
+from tiler.simulate.matched_surface import PIXEL_M, MatchedSurface
 from tiler.simulate.objects import BRIDGE, BUILDING, HIGH_VEGETATION, LOW_VEGETATION, MEDIUM_VEGETATION
 from tiler.simulate.randomness import COLOUR, node_normals, smooth_noise
 from tiler.simulate.site import Site
-from tiler.simulate.skin import PIXEL_M, MatchedSurface
 
 Floats = npt.NDArray[np.float64]
 
@@ -104,7 +104,7 @@ def colours(
     x, y : float64, shape (n,), metres
     label : uint8, shape (n,)
     thing : int64, shape (n,)
-        `tiler.simulate.skin.solid_number` of the solid below the point; -1 for none.
+        `tiler.simulate.matched_surface.solid_number` of the solid below the point; -1 for none.
     facade, dark : bool, shape (n,)
         Whether the point lies on a wall, and in the shadow.
     rng : numpy.random.Generator

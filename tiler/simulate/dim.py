@@ -12,11 +12,11 @@ from scipy.special import ndtri
 
 from tiler.core.classes import GROUND, HIGH_NOISE, LOW_NOISE, WATER
 from tiler.simulate.colour import SHADOW_REACH_M, colours, shadows
+from tiler.simulate.matched_surface import PIXEL_M, MatchedSurface, render_surface
 from tiler.simulate.objects import BUILDING, LOW_VEGETATION
 from tiler.simulate.points import Box, Points
 from tiler.simulate.randomness import BIAS, BLUNDERS, MATCHES, TEXTURE, generator, smooth_noise
 from tiler.simulate.site import Site
-from tiler.simulate.skin import PIXEL_M, MatchedSurface, render_surface
 
 Floats = npt.NDArray[np.float64]
 UInt8s = npt.NDArray[np.uint8]

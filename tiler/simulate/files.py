@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from tiler.errors import ConfigError, ProcessingError
-from tiler.io.partial_files import partial_path, replace_file
+from tiler.io.atomic_files import partial_path, replace_file
 from tiler.observe.events import Listener, silent
 from tiler.simulate.catalogue import SCENES, SENSORS, SceneSpec
 from tiler.simulate.cloud import CloudWriter, write_dtm

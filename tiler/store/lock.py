@@ -16,7 +16,7 @@ from typing import Any
 import psutil
 
 from tiler.errors import LockedError, StoreError, TilerError
-from tiler.io.partial_files import SCRATCH_PREFIX
+from tiler.io.atomic_files import SCRATCH_PREFIX
 from tiler.store.layout import LOCK_KEY
 from tiler.store.storage import Storage
 

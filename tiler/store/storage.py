@@ -31,8 +31,8 @@ from tiler.errors import (
     StoreError,
     write_error,
 )
+from tiler.io.atomic_files import replace_file
 from tiler.io.locations import plain_scheme, validate_escaped
-from tiler.io.partial_files import replace_file
 from tiler.redaction import stored
 from tiler.store import layout
 

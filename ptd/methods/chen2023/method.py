@@ -33,7 +33,7 @@ edge_length_reduce,  none                        5 m, 0,   as `classic`
 _stop; label_pass,                               on,
 label_floor                                      0.3 m
 robust_cells         none                        on        ours, for matched clouds, which the paper does not treat:
-                                                           `ptd.matched.on_cells`
+                                                           `ptd.matched.robust_cells`
 ===================  ==========================  ========  =============================================================
 
 The six steps, with the deviations:
@@ -68,7 +68,7 @@ from ptd.ground.densify import REFUSED, VERTEX, densify
 from ptd.ground.labelling import GROUND, LOW_NOISE, GroundRule, TinLabels
 from ptd.ground.outliers import LowNoise, isolated_in_height, low_outliers
 from ptd.ground.seeds import RING, box_with_ring, choose_seeds
-from ptd.matched.on_cells import for_both_kinds
+from ptd.matched.robust_cells import for_both_kinds
 from ptd.methods.chen2023.elevation_histogram import ElevationsPass, outside
 from ptd.methods.chen2023.params import Chen2023Parameters
 from ptd.methods.chen2023.progressive_opening import potential_seeds

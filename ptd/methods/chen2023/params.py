@@ -8,7 +8,7 @@ from fractions import Fraction
 
 from ptd.frame import Scale
 from ptd.ground.outliers import search_margin
-from ptd.matched.on_cells import RobustCells
+from ptd.matched.robust_cells import RobustCells
 from ptd.methods.chen2023.progressive_opening import Opening, height_thresholds, window_widths
 from ptd.methods.chen2023.seed_clusters import ClusterLimits
 from ptd.methods.classic import Classic

@@ -32,8 +32,8 @@ later thresholds come from the histogram of angles and distances (3.3.4). None o
 among the points, as above. Then ground grows on one robust height per cell of 1 m (`ptd.matched.cells`), starting from
 the cells that hold a seed. Thresholds, TINs and densities are the paper's, but all densities are used three times. The
 last pass judges every point, also green ones, on both sides of the TIN of these cells, by the noise around them
-(`ptd.matched.on_cells`). ``--set robust_cells=no`` gives the paper's steps on points, which are also those for laser
-scans.
+(`ptd.matched.robust_cells`). ``--set robust_cells=no`` gives the paper's steps on points, which are also those for
+laser scans.
 
 Deviations:
 
@@ -55,7 +55,7 @@ from dataclasses import dataclass
 
 from ptd.ground import roughness
 from ptd.matched.cells import CELL_M
-from ptd.matched.on_cells import MethodSurveyPass, NearGroundPass, OnLidar, OnMatchedCells
+from ptd.matched.robust_cells import MethodSurveyPass, NearGroundPass, OnLidar, OnMatchedCells
 from ptd.methods.dong2017.ground_passes import (
     MEASURED_CELLS,
     Densification,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ptd.matched.on_cells import RobustCells
+from ptd.matched.robust_cells import RobustCells
 from ptd.params import check, like, parameter
 
 

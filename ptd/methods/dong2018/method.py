@@ -35,11 +35,11 @@ label_floor
 robust_cells        none                      on       ours, for matched clouds: below; off: the paper's
 ==================  ========================  =======  ===========================================================
 
-**Matched clouds**, the paper's subject, are filtered differently by default (`ptd.matched.on_cells`): stage one gets
-one robust height per cell of 1 m, and the last pass judges points on both sides of its TIN by the noise around them.
-These heights are sparse means of many points, so by equation 3 noise does not end stage one. Stage two is omitted,
-because the last pass recovers the ground that noise would lose. ``--set robust_cells=no`` gives the steps above,
-which are also those for laser scans.
+**Matched clouds**, the paper's subject, are filtered differently by default (`ptd.matched.robust_cells`): stage one
+gets one robust height per cell of 1 m, and the last pass judges points on both sides of its TIN by the noise around
+them. These heights are sparse means of many points, so by equation 3 noise does not end stage one. Stage two is
+omitted, because the last pass recovers the ground that noise would lose. ``--set robust_cells=no`` gives the steps
+above, which are also those for laser scans.
 
 Figures are in ``docs/filters.md``. Deviations, and answers to questions that the paper leaves open:
 
@@ -63,7 +63,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ptd.ground import roughness
-from ptd.matched.on_cells import for_both_kinds
+from ptd.matched.robust_cells import for_both_kinds
 from ptd.methods.dong2018 import pits
 from ptd.methods.dong2018.even_tin import reach_m
 from ptd.methods.dong2018.params import Dong2018Parameters

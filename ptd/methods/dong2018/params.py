@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, fields
 
-from ptd.matched.on_cells import RobustCells
+from ptd.matched.robust_cells import RobustCells
 from ptd.methods.classic import Classic
 from ptd.methods.progressive import Progressive
 from ptd.params import like, parameter

@@ -22,7 +22,7 @@ growth                p_min: 0.001                   0.001     the paper's value
 rounds                none                           12        a bound for the halo: few runs need as many
 label_floor           none                           0.3 m     `classic`'s; 0 is the paper's rule
 robust_cells          none                           on        ours, for matched clouds like the paper's data:
-                                                               `ptd.matched.on_cells`; off: the paper's rule
+                                                               `ptd.matched.robust_cells`; off: the paper's rule
 ====================  =============================  ========  =======================================================
 
 Steps: seeds per cell (2.1); ridge points (2.1, equation 1, `ridges`); seed refinement (2.2, equations 2-10,
@@ -50,7 +50,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from ptd.matched.on_cells import for_both_kinds
+from ptd.matched.robust_cells import for_both_kinds
 from ptd.methods.ridge2016.params import Ridge2016Parameters
 from ptd.methods.ridge2016.passes import GrowthPass, RidgePass, TerrainPass
 from ptd.passes import Method, Pass

@@ -13,7 +13,7 @@ import pytest
 from pyproj import CRS
 
 from tests.tiler.export.test_classified import ALL_FORMATS, decoded, export, label
-from tiler.io.las import bricks, copc_writer
+from tiler.io.las import copc_writer, octree_batches
 from tiler.io.las.headers import read_header
 from tiler.io.las.octree import read_octree
 
@@ -67,9 +67,9 @@ def test_all_but_what_formats_6_to_8_cannot_hold_is_that_of_the_laz(
 @pytest.fixture
 def small_nodes(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(copc_writer, "BRICK_POINTS", 3000)
-    monkeypatch.setattr(bricks, "LEAF_POINTS", 300)
-    monkeypatch.setattr(bricks, "MIN_POINTS", 10)
-    monkeypatch.setattr(bricks, "CELLS_OF_NODE", 4)
+    monkeypatch.setattr(octree_batches, "LEAF_POINTS", 300)
+    monkeypatch.setattr(octree_batches, "MIN_POINTS", 10)
+    monkeypatch.setattr(octree_batches, "CELLS_OF_NODE", 4)
     monkeypatch.setattr(copc_writer, "CELLS_OF_NODE", 4)
 
 
@@ -124,8 +124,10 @@ def test_the_octree_is_true(make_cloud: Any, memory_store: Any, tmp_path: Path) 
             (level + 1, *(2 * c + (n >> b & 1) for b, c in enumerate(corner))) in keys for n in range(8)
         )
         cells = len(np.unique(np.floor(place * 16), axis=0))
-        most_few = count - cells < 8 * bricks.MIN_POINTS  # beside those of the cells
-        assert most_few or (not children and (count <= bricks.LEAF_POINTS or level == bricks.DEEPEST))
+        most_few = count - cells < 8 * octree_batches.MIN_POINTS  # beside those of the cells
+        assert most_few or (
+            not children and (count <= octree_batches.LEAF_POINTS or level == octree_batches.DEEPEST)
+        )
         done += count
 
 

@@ -7,7 +7,7 @@ import shapely
 from hypothesis import given
 from hypothesis import strategies as st
 
-from tiler.grid.course import centreline, mean_width
+from tiler.grid.centreline import centreline, mean_width
 from tiler.grid.profile import MIN_PIXELS, profile_along
 
 NONE = np.empty((3, 0), np.int64)

@@ -10,7 +10,7 @@ import pytest
 
 from tiler.errors import ConfigError, ProcessingError
 from tiler.io import cloud_reading, locations
-from tiler.io.partial_files import partial_path
+from tiler.io.atomic_files import partial_path
 
 
 @pytest.fixture

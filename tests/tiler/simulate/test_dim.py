@@ -9,9 +9,9 @@ import pytest
 
 from tiler.simulate import DimSensor, Site, Terrain, survey
 from tiler.simulate.colour import ROCK, SHADE, ground_materials, shadows
+from tiler.simulate.matched_surface import PIXEL_M, render_surface
 from tiler.simulate.objects import Crown, Objects, Patch, Solid
 from tiler.simulate.points import Points
-from tiler.simulate.skin import PIXEL_M, render_surface
 
 SMOOTH = DimSensor(density=30.0, sigma_m=0.0, blunders=0.0, high_blunders=0.0)
 HOUSE = Solid(25, 25, 0.0, length=20, width=12, base=99, top=108)

@@ -21,7 +21,7 @@ from tiler.apps.check.points import NVA, VVA, Checkpoints, PointOptions
 from tiler.apps.evaluate.heights import read_heights, vertical_unit
 from tiler.apps.evaluate.rasters import open_raster
 from tiler.core.crs import same_horizontal, split
-from tiler.core.spread import spread
+from tiler.core.difference_statistics import spread
 from tiler.core.units import unit_label
 from tiler.errors import ConfigError
 from tiler.io.json_text import excerpt
@@ -43,11 +43,11 @@ def check_dtm(dtm: Path | str, points: Checkpoints, options: PointOptions | None
     -------
     dict
         ``unit`` (of all heights), ``metres_per_unit``; ``points``, ``used``, ``no_height`` (a pixel around has no
-        data), ``outside`` (of the raster); ``all``, ``nva``, ``vva``: figures of `tiler.core.spread.spread`,
-        ``points``, ``rmse_v`` (RMSE with the checkpoints' own error), ``outliers``; ``land_cover``: the same by name;
-        ``asprs``: ``standard``, ``least_points``, ``enough_points``, ``statement`` (None with too few);
-        ``differences``: for each point ``name``, ``x``, ``y`` (CRS of the DTM), ``kind``, ``cover``, ``z``, ``dtm``,
-        ``difference`` (None without a height) and ``outlier``; ``notes``.
+        data), ``outside`` (of the raster); ``all``, ``nva``, ``vva``: figures of
+        `tiler.core.difference_statistics.spread`, ``points``, ``rmse_v`` (RMSE with the checkpoints' own error),
+        ``outliers``; ``land_cover``: the same by name; ``asprs``: ``standard``, ``least_points``, ``enough_points``,
+        ``statement`` (None with too few); ``differences``: for each point ``name``, ``x``, ``y`` (CRS of the DTM),
+        ``kind``, ``cover``, ``z``, ``dtm``, ``difference`` (None without a height) and ``outlier``; ``notes``.
 
     Raises
     ------

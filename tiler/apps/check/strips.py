@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from tiler.apps.cell_sums import summed
 from tiler.core.classes import GROUND, WITHHELD_FLAG
-from tiler.core.spread import spread
+from tiler.core.difference_statistics import spread
 from tiler.core.units import METRE, unit_label
 from tiler.errors import InputError
 from tiler.inputs import find_inputs, inspect
@@ -45,8 +45,8 @@ def strip_differences(clouds: Sequence[str | Path]) -> dict[str, Any]:
     -------
     dict
         ``unit`` (of heights), ``metres_per_unit``; ``cell_m``; ``strips`` (points of ground by source id); ``cells``
-        (compared), ``rough`` (left out); ``all``: `tiler.core.spread.spread` of the differences; ``pairs``: for each
-        two strips ``first``, ``second``, ``cells`` and the spread of second minus first.
+        (compared), ``rough`` (left out); ``all``: `tiler.core.difference_statistics.spread` of the differences;
+        ``pairs``: for each two strips ``first``, ``second``, ``cells`` and the spread of second minus first.
 
     Raises
     ------

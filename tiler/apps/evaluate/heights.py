@@ -19,13 +19,13 @@ from tiler.apps.evaluate.maps import validate_map_files
 from tiler.apps.evaluate.rasters import open_raster, raster_named
 from tiler.apps.evaluate.sigma import SigmaTally, slopes_of
 from tiler.core.crs import same_horizontal, split
+from tiler.core.difference_statistics import SpreadTally
 from tiler.core.raster import NODATA
-from tiler.core.spread import SpreadTally
 from tiler.core.units import METRE, exact_unit, unit_label, unit_named
 from tiler.errors import ConfigError, InputError
+from tiler.io.atomic_files import atomic_path
 from tiler.io.geotiff import RasterMetadata, plain_geotiff, raster_errors
 from tiler.io.overwrite_check import Target, check_targets
-from tiler.io.partial_files import atomic_path
 
 BLOCK = 1024
 """Side in pixels of the blocks that are in memory at a time."""
@@ -66,9 +66,9 @@ def evaluate_dtm(
     dict
         ``unit`` (of the heights); ``pixels``; ``only_dtm``, ``only_truth`` (valid pixels of the truth's extent that
         the other lacks); ``coverage`` (share of the truth's valid pixels that the DTM has); the figures of
-        `tiler.core.spread.spread` in units of the heights, None without a common pixel; ``quantile_step`` (accuracy of
-        medians and percentiles); with ``sigma``: ``sigma``, of `tiler.apps.evaluate.sigma.SigmaTally.summary`, and
-        ``sigma_file``.
+        `tiler.core.difference_statistics.spread` in units of the heights, None without a common pixel;
+        ``quantile_step`` (accuracy of medians and percentiles); with ``sigma``: ``sigma``, of
+        `tiler.apps.evaluate.sigma.SigmaTally.summary`, and ``sigma_file``.
 
     Raises
     ------

@@ -18,8 +18,8 @@ from tiler.apps.cell_sums import summed
 from tiler.core.classes import GROUND
 from tiler.core.raster import BLOCK_PIXELS
 from tiler.errors import ConfigError
+from tiler.io.atomic_files import atomic_path
 from tiler.io.geotiff import CACHE_MB, any_place, raster_errors, tiled_profile
-from tiler.io.partial_files import atomic_path
 from tiler.io.picture import write_png
 
 RIGHT = 0  # codes of a cell: all points are right

@@ -1,7 +1,7 @@
 """All rasters that a run can make, one row each; the order in which they are made follows from their inputs.
 
 Besides the products there are rasters that only the store holds. Of coarse cells: ``occupancy``; ``survey-open`` and
-``survey`` (see `tiler.grid.survey`), ``domain-open`` and ``domain``, the same with wider gaps; ``water-...``, the
+``survey`` (see `tiler.grid.coverage`), ``domain-open`` and ``domain``, the same with wider gaps; ``water-...``, the
 steps of the search for water (`tiler.grid.water_search`, `tiler.grid.water_finish`), of which ``water-rims`` and
 ``water-plane-rims`` hold records alone; ``<name>-voids`` for a model whose voids are filled. Of pixels:
 ``<name>-filled``, and ``<name>-outlined``, the model as far as the survey reaches, with level water; ``canopy``, where

@@ -13,8 +13,8 @@ import lazrs
 import numpy as np
 import numpy.typing as npt
 
-from tiler.io.las.bricks import CELLS_OF_NODE, DEPTH, Key, Levels, Places, bricks, curve, runs
 from tiler.io.las.headers import LasHeader
+from tiler.io.las.octree_batches import CELLS_OF_NODE, DEPTH, Key, Levels, Places, curve, octree_batches, runs
 from tiler.io.las.reader import Records, rows_at_once
 from tiler.io.las.records import COPC_USER, packed_record
 from tiler.io.las.writer import layout_of
@@ -180,7 +180,9 @@ class CopcWriter:
         above: dict[Key, list[Records]] = defaultdict(list)
         if not self._points:
             return
-        for brick, found in bricks(self._pieces(), self._points, self._step, cube.places, self._folder):
+        for brick, found in octree_batches(
+            self._pieces(), self._points, self._step, cube.places, self._folder
+        ):
             done = sorted((key for key in above if not _holds(key, brick)), reverse=True)
             for key in done:
                 yield key, _by_time(np.concatenate(above.pop(key)))

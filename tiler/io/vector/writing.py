@@ -15,7 +15,7 @@ from pyproj import CRS
 
 from tiler.core.crs import split
 from tiler.errors import write_error
-from tiler.io.partial_files import atomic_path, cause_of
+from tiler.io.atomic_files import atomic_path, cause_of
 
 WHEN = "2000-01-01T00:00:00.000Z"
 """Fixed time in place of the time of writing, which would change the bytes of each layer."""

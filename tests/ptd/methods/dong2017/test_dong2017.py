@@ -12,7 +12,7 @@ from scipy.spatial import Delaunay
 from ptd import classify
 from ptd.frame import Scale, Window
 from ptd.matched import facets, surface
-from ptd.matched.on_cells import NearGroundPass
+from ptd.matched.robust_cells import NearGroundPass
 from ptd.methods.classic import Classic
 from ptd.methods.dong2017.greenness import gli_bins
 from ptd.methods.dong2017.method import Dong2017

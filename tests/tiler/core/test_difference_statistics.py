@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from tiler.core import spread as module
-from tiler.core.spread import NAMES, SpreadTally, spread
+from tiler.core import difference_statistics as module
+from tiler.core.difference_statistics import NAMES, SpreadTally, spread
 
 
 def expected(d: np.ndarray) -> dict[str, float]:

@@ -14,7 +14,7 @@ from tiler.core.lattice import Bounds, Lattice
 from tiler.core.products import BEYOND, SURVEYED, VOID
 from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec
 from tiler.grid.coarse import coarse_raster
-from tiler.grid.survey import WINDOW, closed_cells, gap_of, gaps_of, survey_values
+from tiler.grid.coverage import WINDOW, closed_cells, gap_of, gaps_of, survey_values
 from tiler.store import coarse_cells
 
 SIDE = 160

@@ -10,7 +10,7 @@ import pytest
 import ptd
 from ptd.frame import Scale, Window
 from ptd.matched import facets, surface
-from ptd.matched.on_cells import NearGroundPass
+from ptd.matched.robust_cells import NearGroundPass
 from ptd.methods import METHODS, make_params
 from ptd.passes import Points
 from tests.benchmarks.scorecard_scenes import simulated

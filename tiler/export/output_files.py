@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from tiler.export.work import WriteText
+from tiler.io.atomic_files import write_atomic
 from tiler.io.cloud_reading import digest_of_file
 from tiler.io.geotiff import raster_errors
 from tiler.io.locations import as_path, joined, staging_folder, state_of
-from tiler.io.partial_files import write_atomic
 
 
 @contextmanager

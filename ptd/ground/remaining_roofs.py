@@ -36,7 +36,7 @@ class RemainingRoof(NamedTuple):
     column: float
 
 
-def left_roofs(
+def remaining_roofs(
     heights: Float64, cell_m: float = ROOF_CELL_M, min_width_m: float = 0.0
 ) -> list[RemainingRoof]:
     """Connected surfaces of a terrain model that lie above all that is seen around them.

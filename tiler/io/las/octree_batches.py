@@ -39,7 +39,7 @@ _SPREADING = (
 """Shifts and masks that put two zero bits between the bits of a number, for a Z-order curve."""
 
 
-def bricks(
+def octree_batches(
     pieces: Iterable[Records],
     count: int,
     most: int,
@@ -98,7 +98,7 @@ def bricks(
                     2 * y + (number >> 1 & 1),
                     2 * z + (number & 1),
                 )
-                yield from bricks(_read(spool, wanted, dtype), held, most, places, folder, below)
+                yield from octree_batches(_read(spool, wanted, dtype), held, most, places, folder, below)
 
 
 def _read(spool: BinaryIO, parts: Iterable[tuple[int, int]], dtype: np.dtype[np.void]) -> Iterator[Records]:

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from cli.main import main
+from tiler.observe.job_progress import JobProgress
 from tiler.observe.json_lines import JsonLines
-from tiler.observe.whole_job import JobProgress
 
 STAGES = {"spool": 10.0, "filter0": 20.0, "filter1": 30.0, "export": 40.0}
 KEYS = {"stage", "title", "done", "total", "rate", "progress", "eta", "message", "level"}

@@ -13,8 +13,8 @@ import pytest
 import cli
 import ptd
 import tiler
-from tiler.io import partial_files
-from tiler.io.partial_files import replace_file
+from tiler.io import atomic_files
+from tiler.io.atomic_files import replace_file
 
 
 class Refusing:
@@ -41,7 +41,7 @@ def files(tmp_path: Path) -> tuple[Path, Path]:
     return source, target
 
 
-@pytest.mark.parametrize("winerror", partial_files.IN_USE)
+@pytest.mark.parametrize("winerror", atomic_files.IN_USE)
 def test_a_file_that_windows_has_in_use_is_replaced_once_it_is_free(
     winerror: int, files: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -55,7 +55,7 @@ def test_a_file_that_windows_has_in_use_is_replaced_once_it_is_free(
 def test_a_file_that_stays_in_use_ends_in_the_error(
     files: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(partial_files, "IN_USE_SECONDS", 0.1)
+    monkeypatch.setattr(atomic_files, "IN_USE_SECONDS", 0.1)
     monkeypatch.setattr(os, "replace", Refusing(1000, 32))
     with pytest.raises(PermissionError):
         replace_file(*files)
@@ -78,4 +78,4 @@ def test_no_other_code_gives_a_file_another_name() -> None:
         for path in Path(str(package.__file__)).parent.rglob("*.py"):
             if re.search(r"os\.(replace|rename)\(", path.read_text("utf-8")):
                 found.append(path.name)
-    assert found == ["partial_files.py"]
+    assert found == ["atomic_files.py"]

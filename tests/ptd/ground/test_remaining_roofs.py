@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from ptd.frame import Cells, Scale
-from ptd.ground.left_roofs import left_roofs
 from ptd.ground.morphology import CellRaster
 from ptd.ground.plateaus import ROOF_STEPS_M, Plateaus, on_plateaus
+from ptd.ground.remaining_roofs import remaining_roofs
 from tests.scenes.halls import COLUMNS, PLAIN, ROWS, with_hall
 
 
@@ -58,10 +58,10 @@ def with_annexe() -> np.ndarray:
 def test_a_roof_is_found_with_its_place_and_width(
     heights: np.ndarray, width: float, middle: tuple[float, float]
 ) -> None:
-    roof = max(left_roofs(heights))  # an annexe is one of its own
+    roof = max(remaining_roofs(heights))  # an annexe is one of its own
     assert roof.width_m == pytest.approx(width, abs=4)
     assert (roof.row, roof.column) == (pytest.approx(middle[0], abs=2), pytest.approx(middle[1], abs=2))
-    assert left_roofs(heights, min_width_m=2 * width) == []
+    assert remaining_roofs(heights, min_width_m=2 * width) == []
 
 
 ridge = np.abs(COLUMNS - 75)
@@ -83,15 +83,15 @@ ridge = np.abs(COLUMNS - 75)
     ids=["plain", "podium", "pit", "terrace", "ridge", "cone", "embankment", "unknown", "nothing"],
 )
 def test_terrain_is_no_roof(heights: np.ndarray) -> None:
-    assert left_roofs(heights, min_width_m=10.0) == []
+    assert remaining_roofs(heights, min_width_m=10.0) == []
 
 
 def test_a_roof_among_unknown_heights_is_none() -> None:
     heights = with_hall()
     heights[:, 84:] = np.nan
-    assert len(left_roofs(heights)) == 1  # on three sides it is seen to fall
+    assert len(remaining_roofs(heights)) == 1  # on three sides it is seen to fall
     heights[:40], heights[70:] = np.nan, np.nan
-    assert left_roofs(heights) == []
+    assert remaining_roofs(heights) == []
 
 
 @pytest.mark.parametrize("heights", [with_hall(), with_hall(pitch=0.8), partly_removed(), with_annexe()])
@@ -104,5 +104,5 @@ def test_what_is_found_is_what_the_filter_removes(heights: np.ndarray) -> None:
         ground &= ~on_plateaus(z, ground, ~ground, raster, Plateaus.of(Scale(), 240.0, step_m))
     terrain = np.where(ground.reshape(heights.shape), heights, PLAIN)
     assert 0 < (~ground).sum() < 2000
-    assert left_roofs(heights)
-    assert left_roofs(terrain) == []
+    assert remaining_roofs(heights)
+    assert remaining_roofs(terrain) == []

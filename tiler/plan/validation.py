@@ -15,9 +15,9 @@ from tiler.core.products import PRODUCTS
 from tiler.core.sheet_names import name_prefix
 from tiler.core.units_text import in_unit_of_crs, length_option
 from tiler.errors import ConfigError
+from tiler.io.atomic_files import MAX_NAME_LENGTH, name_bytes
 from tiler.io.locations import joined
 from tiler.io.overwrite_check import Target, check_folder, check_targets
-from tiler.io.partial_files import MAX_NAME_LENGTH, name_bytes
 from tiler.io.result_folder import (
     BRIDGES,
     CLASSIFIED,
@@ -177,7 +177,7 @@ def _usual_pixel(plan: Plan) -> Plan | None:
     return replace(plan, resolution=usual)
 
 
-def refuse(plan: Plan, out: Path | None, changed: Changed) -> None:
+def validate(plan: Plan, out: Path | None, changed: Changed) -> None:
     """Raise ConfigError for settings that would fail during the run: memory, disk, resolution.
 
     Parameters
