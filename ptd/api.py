@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.cells import lowest_per_cell
-from ptd.frame import Cells, Scale, Window
+from ptd.frame import CellLattice, Scale, Window
 from ptd.matched.evidence import Evidence
 from ptd.matched.survey import run_facts
 from ptd.methods import METHODS
@@ -206,7 +206,7 @@ def do_passes(
     stats = {}
     cell = None
     if params.candidate_cell_m:
-        cell = Cells.of(params.candidate_cell_m, scale)
+        cell = CellLattice.of(params.candidate_cell_m, scale)
     cloud = _Cloud(Points(counts, np.zeros(counts.shape[1], np.uint8), **columns), cell)
     for number, step in enumerate(params.passes):
         if not step.applies(state):
@@ -241,7 +241,7 @@ class _Cloud:
     """The points that passes see, with labels: all points, candidates (if the method has cells), elected points."""
 
     everything: Points
-    cell: Cells | None
+    cell: CellLattice | None
     some: Points | None = None
     index: Any = None
     elected: Points | None = None

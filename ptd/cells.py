@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ptd.frame import Cells
+from ptd.frame import CellLattice
 from ptd.kernel import inlined, kernel, wide
 
 Int32 = npt.NDArray[np.int32]
@@ -53,7 +53,7 @@ def cell_keys(
     return out
 
 
-def keys_in(x: Int32, y: Int32, cells: Cells, col0: int, row0: int, width: int) -> Int64:
+def keys_in(x: Int32, y: Int32, cells: CellLattice, col0: int, row0: int, width: int) -> Int64:
     """`cell_keys` for cells of a lattice."""
     lattice = {"p": cells.p, "q": cells.q, "ox": cells.origin_x, "oy": cells.origin_y}
     return cell_keys(x, y, **lattice, col0=col0, row0=row0, width=width)
@@ -99,7 +99,7 @@ def _lowest_sorted(x: Int32, y: Int32, z: Int32, keys: Int64, order: Int64) -> I
     return out[:n].copy()
 
 
-def lowest_per_cell(x: Int32, y: Int32, z: Int32, cells: Cells) -> Int32:
+def lowest_per_cell(x: Int32, y: Int32, z: Int32, cells: CellLattice) -> Int32:
     """The lowest point of each occupied cell, in row-major order of the cells.
 
     Among equal heights the lexicographically smallest (x, y) is taken, so the order of the points has no effect.
@@ -205,7 +205,7 @@ class CellIndex:
     table : CellTable
     """
 
-    def __init__(self, x: Int32, y: Int32, cells: Cells) -> None:
+    def __init__(self, x: Int32, y: Int32, cells: CellLattice) -> None:
         self.cells = cells
         self.col0, self.row0 = cells.column(int(x.min())), cells.row(int(y.min()))
         width = cells.column(int(x.max())) - self.col0 + 1

@@ -43,7 +43,7 @@ class Scale:
 
 
 @dataclass(frozen=True)
-class Cells:
+class CellLattice:
     """A lattice of square cells of ``p / q`` counts anchored at absolute count 0, seen from local counts.
 
     Local count ``x`` lies in column ``((x + origin_x) * q) // p``.
@@ -55,7 +55,7 @@ class Cells:
     origin_y: int
 
     @classmethod
-    def of(cls, size_m: float, scale: Scale) -> Cells:
+    def of(cls, size_m: float, scale: Scale) -> CellLattice:
         """Cells of ``size_m`` metres; the exact size is the decimal number that ``repr`` gives."""
         size = Fraction(repr(float(size_m))) / scale.metres_xy
         return cls(size.numerator, size.denominator, scale.origin[0], scale.origin[1])
@@ -115,7 +115,7 @@ class Window:
         """Whether points may lie beyond at least one side."""
         return self != Window.everything()
 
-    def inside(self, cells: Cells, steps: int = 0) -> Window:
+    def inside(self, cells: CellLattice, steps: int = 0) -> Window:
         """The window shrunk to whole cells, and by `steps` further cells, at its closed sides."""
 
         def first(index: int, count: int, start: int) -> int:

@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ptd.frame import OPEN, Cells, Scale, Window
+from ptd.frame import OPEN, CellLattice, Scale, Window
 from ptd.kernel import kernel, wide
 
 PLACE_M = 256.0
@@ -43,7 +43,7 @@ def near(table: Table, window: Window, scale: Scale) -> dict[str, Figures]:
     """The places of a table that a figure anywhere in a window rests on; all of them for an open window."""
     if OPEN in (window.east, window.north, -window.west, -window.south):
         return dict(table)
-    cells = Cells.of(PLACE_M, scale)
+    cells = CellLattice.of(PLACE_M, scale)
     names = (
         name_of(column, row)
         for row in range(cells.row(window.south) - 1, cells.row(window.north) + 2)
@@ -62,7 +62,7 @@ class Field(NamedTuple):
     column, row : int
         The first place.
     p, q, origin_x, origin_y : int
-        The lattice, see `ptd.frame.Cells`.
+        The lattice, see `ptd.frame.CellLattice`.
     even : bool
         The figure is the same everywhere.
     low, high : float
@@ -113,7 +113,7 @@ def field(table: Table, figure: int, scale: Scale, otherwise: float) -> Field:
     even = len(set(found.values())) == 1
     if even:
         values[:] = next(iter(found.values()))
-    cells = Cells.of(PLACE_M, scale)
+    cells = CellLattice.of(PLACE_M, scale)
     lattice = cells.p, cells.q, cells.origin_x, cells.origin_y
     return Field(values, columns[0], rows[0], *lattice, even, float(values.min()), float(values.max()))
 
@@ -167,7 +167,7 @@ def of_places(table: Table, figure: int, x: Int32, y: Int32, scale: Scale) -> Fl
     found = field(table, figure, scale, 0.0)
     if found.even:
         return np.full(x.size, found.values[0, 0])
-    columns, rows = Cells.of(PLACE_M, scale).places(x, y)
+    columns, rows = CellLattice.of(PLACE_M, scale).places(x, y)
     height, width = found.values.shape
     values: Float64 = found.values[
         np.clip(rows - found.row, 0, height - 1), np.clip(columns - found.column, 0, width - 1)
@@ -184,7 +184,9 @@ def _raster_of(field: Field, x: Int64, y: Int64) -> Float64:
     return found
 
 
-def on_cells(figure: float | Field, cells: Cells, row: int, column: int, shape: tuple[int, ...]) -> Float64:
+def on_cells(
+    figure: float | Field, cells: CellLattice, row: int, column: int, shape: tuple[int, ...]
+) -> Float64:
     """The figure at the middles of cells of a raster that begins at a row and column: float64 [rows, columns]."""
     field = as_field(figure)
     if field.even:

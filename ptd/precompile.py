@@ -122,14 +122,14 @@ def why_not_compiled(name: str) -> str:
 def warm_gridding(interpolation: Literal["linear", "natural"], tell: Callable[[], None]) -> None:
     """Compile the kernels of gridding unless that was done; call ``tell`` before it takes long."""
     from ptd.gridding import ground_cells, highest_returns, nearest, wall_feet
+    from ptd.tin import KnownWindow
     from ptd.tin import Pixels, Tin, rasterise
-    from ptd.tin import Window as ReturnStatistics
 
     def work() -> None:
         pixels = Pixels(1000, 1, 0, 59, 60, 60)
         xyz = np.ascontiguousarray((1000 * _scene()[0]).T.astype(np.int32))
         tin = Tin.build(*xyz)
-        window = ReturnStatistics(-1000, -1000, 61_000, 61_000)
+        window = KnownWindow(-1000, -1000, 61_000, 61_000)
         rasterise(tin, pixels, interpolator=interpolation, max_edge=5e4, max_radius=5e4, window=window)
         nearest.nearest_points(xyz[0], xyz[1], xyz[2], pixels, 1, 5e3)
         highest_returns.HighestReturns(1, 1).add(np.zeros(xyz.shape[1], np.int64), xyz)

@@ -16,7 +16,7 @@ import scipy
 from ptd.cells import Xyz
 from ptd.kernel import kernel, wide
 from ptd.tin.gridding import Pixels
-from ptd.tin.pixels import Lattice
+from ptd.tin.pixels import PixelCentres
 
 Int32 = npt.NDArray[np.int32]
 Int64 = npt.NDArray[np.int64]
@@ -68,7 +68,7 @@ def _bin(
 ) -> tuple[Int64, Int32]:
     """Sort points by pixel: the arrays ``starts`` and ``order`` of `_Bins`.
 
-    `lattice` is that of `ptd.frame.Cells`; `block` is the western column, the northern row, rows and columns.
+    `lattice` is that of `ptd.frame.CellLattice`; `block` is the western column, the northern row, rows and columns.
     """
     (p, q, ox, oy), (west, north, rows, columns) = lattice, block
     cells = np.empty(x.size, np.int64)
@@ -140,7 +140,9 @@ def _look_in(
 
 
 @kernel
-def _search(points: Xyz, bins: _Bins, lattice: Lattice, reach: float, squared: Int64, index: Int32) -> None:
+def _search(
+    points: Xyz, bins: _Bins, lattice: PixelCentres, reach: float, squared: Int64, index: Int32
+) -> None:
     x, y, z = points
     starts, order, empty, pad = bins
     x0, y0, step, scale = lattice

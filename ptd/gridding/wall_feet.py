@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.cells import CellIndex, CellTable, Xyz, find_slot
-from ptd.frame import Cells
+from ptd.frame import CellLattice
 from ptd.kernel import kernel, wide
 
 Int32 = npt.NDArray[np.int32]
@@ -75,7 +75,7 @@ def near_objects(
     """
     if objects.shape[1] == 0 or ground.shape[1] == 0:
         return np.zeros(ground.shape[1], np.bool_)
-    cells = Cells(max(math.ceil(reach), 1), 1, *origin)
+    cells = CellLattice(max(math.ceil(reach), 1), 1, *origin)
     index = CellIndex(np.ascontiguousarray(objects[0]), np.ascontiguousarray(objects[1]), cells)
     above = Xyz(*(axis[index.table.order] for axis in objects))
     below = Xyz(*(np.ascontiguousarray(axis) for axis in ground))

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 
 from ptd.cells import Int32, Int64
-from ptd.frame import Cells
+from ptd.frame import CellLattice
 from ptd.ground.morphology import Bool
 
 SIDE_CELLS = 2048
@@ -15,7 +15,7 @@ SIDE_CELLS = 2048
 
 
 def blocks(
-    x: Int32, y: Int32, cells: Cells, reach: int, side: int | None = None
+    x: Int32, y: Int32, cells: CellLattice, reach: int, side: int | None = None
 ) -> Iterator[tuple[Int64, Bool]]:
     """Points in square blocks of cells, each with all points within ``reach`` cells of the block.
 

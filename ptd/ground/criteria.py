@@ -24,7 +24,7 @@ Measures = tuple[float, float, float, float]
 UInt8 = npt.NDArray[np.uint8]
 
 
-class Limits(NamedTuple):
+class FacetLimits(NamedTuple):
     """Thresholds of the facet test in horizontal counts and radians; 0 turns an edge rule off.
 
     Attributes
@@ -61,7 +61,7 @@ class Limits(NamedTuple):
         terrain_deg: float,
         reduce_m: float = 0.0,
         stop_m: float = 0.0,
-    ) -> Limits:
+    ) -> FacetLimits:
         """From metres and degrees."""
         return cls(
             scale.counts(distance_m),
@@ -111,7 +111,7 @@ def facet_measures(
 
 
 @kernel
-def within(distance: float, nearest: float, edge: float, limits: Limits) -> bool:
+def within(distance: float, nearest: float, edge: float, limits: FacetLimits) -> bool:
     """Whether distance and angle are within the limits."""
     if abs(distance) > limits.distance:
         return False
@@ -171,7 +171,7 @@ def accepts(
     x: int,
     y: int,
     z: int,
-    limits: Limits,
+    limits: FacetLimits,
     in_doubt: UInt8,
 ) -> tuple[bool, bool, bool]:
     """Axelsson's test of a point that lies in triangle t (a real one).
@@ -211,7 +211,7 @@ def judge(
     y: int,
     z: int,
     measures: Measures,
-    limits: Limits,
+    limits: FacetLimits,
     in_doubt: UInt8,
 ) -> tuple[bool, bool, bool]:
     """`accepts` for a point off the vertices whose `facet_measures` are known: what goes beyond them.

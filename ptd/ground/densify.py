@@ -11,9 +11,9 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.cells import Int32, Xyz
-from ptd.frame import Cells, Scale, Window
+from ptd.frame import CellLattice, Scale, Window
 from ptd.ground.certificates import UInt8, UncertifiedRegion
-from ptd.ground.criteria import Limits, accepts
+from ptd.ground.criteria import FacetLimits, accepts
 from ptd.ground.seeds import RING, box_with_ring, choose_seeds
 from ptd.kernel import kernel, wide
 from ptd.tin.insertion import insert
@@ -52,7 +52,7 @@ def _test_round(
     points: Xyz,
     candidates: _Candidates,
     in_doubt: UInt8,
-    limits: Limits,
+    limits: FacetLimits,
     stamp: int,
     chosen: Int32,
 ) -> int:
@@ -106,7 +106,7 @@ def _insert_points(
 
 
 def densify(
-    tin: Tin, points: Xyz, state: UInt8, limits: Limits, rounds: int, doubt: UncertifiedRegion
+    tin: Tin, points: Xyz, state: UInt8, limits: FacetLimits, rounds: int, doubt: UncertifiedRegion
 ) -> tuple[npt.NDArray[np.bool_], int]:
     """Batch rounds until nothing passes any more, or `rounds` of them.
 
@@ -153,8 +153,8 @@ def densify(
 def densify_seeds(
     points: Xyz,
     outlier: npt.NDArray[np.bool_],
-    seed_cells: Cells,
-    limits: Limits,
+    seed_cells: CellLattice,
+    limits: FacetLimits,
     rounds: int,
     known: Window,
     scale: Scale,

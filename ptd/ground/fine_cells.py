@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.cells import Int32, Int64, Xyz, occupied, quotient
-from ptd.frame import Cells, Scale
+from ptd.frame import CellLattice, Scale
 from ptd.ground.labelling import FAR, NEAR
 from ptd.kernel import kernel, wide
 
@@ -80,7 +80,7 @@ def placed(points: Xyz, close: UInt8, marked: Bool, scale: Scale) -> tuple[Place
         nothing = np.zeros(0, np.bool_)
         where = Placed(index, none.astype(np.int64), none.astype(np.uint8))
         return where, Blocks(np.zeros((0, 9), np.int32), none, none, nothing, nothing)
-    lattice = Cells.of(CELL_M, scale)
+    lattice = CellLattice.of(CELL_M, scale)
     keys, cell, width, height = _keys(points, index, lattice.p, lattice.q, lattice.origin_x, lattice.origin_y)
     blocks, block = occupied(keys, width * height)
     where = Placed(index, block, cell)

@@ -37,7 +37,7 @@ Float32 = npt.NDArray[np.float32]
 Float64 = npt.NDArray[np.float64]
 
 
-class Limits(NamedTuple):
+class PlaneLimits(NamedTuple):
     """`SPIKE_M` and `ROUGH_M` in vertical counts."""
 
     spike: float
@@ -203,7 +203,7 @@ def _plane(s: Float64, m: int, enough: int, x: int, y: int, z: int) -> tuple[flo
 
 
 @inlined
-def _fit_block(planes: Planes, first: int, sums: _Sums, origin: int, limits: Limits, kept: Bool) -> bool:
+def _fit_block(planes: Planes, first: int, sums: _Sums, origin: int, limits: PlaneLimits, kept: Bool) -> bool:
     """Planes of the cells of a block; spikes are kept no more. Whether there are any."""
     x, y, z, east, north, height = planes
     x0, y0, z0 = wide(x[origin]), wide(y[origin]), wide(z[origin])
@@ -245,7 +245,7 @@ def _apart(index: int, first: int) -> int:
 
 
 @kernel
-def fit(around: Int32, pages: Int32, wanted: Bool, planes: Planes, limits: Limits) -> None:
+def fit(around: Int32, pages: Int32, wanted: Bool, planes: Planes, limits: PlaneLimits) -> None:
     """Planes of the cells of wanted blocks, a second time where spikes were found: without them."""
     kept, changed, sums = planes.z != EMPTY, wanted.copy(), _no_sums()
     for _ in range(2):

@@ -18,7 +18,7 @@ import numpy.typing as npt
 from ptd.cells import Int32, Xyz
 from ptd.frame import Scale
 from ptd.ground.fine_cells import CELL_M, CELLS, SIDE, Blocks, Placed, pages_of_blocks, placed
-from ptd.ground.fine_planes import FILLED, ROUGH_M, SPIKE_M, Limits, Planes, elect, fit
+from ptd.ground.fine_planes import FILLED, ROUGH_M, SPIKE_M, PlaneLimits, Planes, elect, fit
 from ptd.ground.labelling import (
     FAR,
     GROUND,
@@ -26,7 +26,7 @@ from ptd.ground.labelling import (
     ON,
     UNCLASSIFIED,
     Closeness,
-    GroundRule,
+    LabelRule,
     TinLabels,
     label_by_height,
 )
@@ -145,7 +145,13 @@ def fine_ground(points: Xyz, close: UInt8, ground: Bool, marked: Bool, scale: Sc
     if n_pages:
         planes = Planes.none(n_pages)
         elect(points, where, close, pages, planes)
-        fit(blocks.around, pages, wanted, planes, Limits(scale.counts_z(SPIKE_M), scale.counts_z(ROUGH_M)))
+        fit(
+            blocks.around,
+            pages,
+            wanted,
+            planes,
+            PlaneLimits(scale.counts_z(SPIKE_M), scale.counts_z(ROUGH_M)),
+        )
         _judge(points, where, close, blocks, pages, planes, Heights.of(scale), ground)
     if blocks.doubtful.any():
         unsure = blocks.doubtful
@@ -155,7 +161,7 @@ def fine_ground(points: Xyz, close: UInt8, ground: Bool, marked: Bool, scale: Sc
     return ground, marked
 
 
-def with_fine_surface(rule: GroundRule, scale: Scale) -> GroundRule:
+def with_fine_surface(rule: LabelRule, scale: Scale) -> LabelRule:
     """A rule of ``heights_only`` that says, too, which points a fine surface may be made of."""
     lengths = (ABOVE_M, ABOVE_SLOPE_M, NEAR_M, NEAR_SLOPE_M, HIGHER_M)
     return rule._replace(close=Closeness(*(scale.counts(metres) for metres in lengths)))

@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from ptd.cells import Xyz
 from ptd.ground.certificates import UInt8
-from ptd.ground.criteria import Limits, across, facet_measures, judge
+from ptd.ground.criteria import FacetLimits, across, facet_measures, judge
 from ptd.ground.outliers import LowNoise
 from ptd.kernel import inlined, kernel, wide
 from ptd.passes import Model, Points
@@ -38,7 +38,7 @@ def is_terrain(
     y: int,
     z: int,
     in_doubt: UInt8,
-    limits: Limits,
+    limits: FacetLimits,
     floor: float,
 ) -> tuple[bool, bool, bool]:
     """The rule of `label_points` for a point that lies in triangle t, which may be a ghost.
@@ -86,7 +86,7 @@ class Closeness(NamedTuple):
     crop: float = 0.0
 
 
-class GroundRule(NamedTuple):
+class LabelRule(NamedTuple):
     """When a point is ground, against the finished TIN (`label_points`).
 
     Attributes
@@ -105,7 +105,7 @@ class GroundRule(NamedTuple):
         For `label_by_height`.
     """
 
-    limits: Limits
+    limits: FacetLimits
     floor: float
     vertices_only: bool = False
     heights_only: bool = False
@@ -114,7 +114,7 @@ class GroundRule(NamedTuple):
 
 
 class Bands(NamedTuple):
-    """``floor`` and ``per_slope`` of a `GroundRule` by place, horizontal counts."""
+    """``floor`` and ``per_slope`` of a `LabelRule` by place, horizontal counts."""
 
     floor: Field
     per_slope: Field
@@ -199,7 +199,7 @@ def _surely(f: _Facet, distance: float, limits: _Limits) -> tuple[bool, bool]:
 
 
 @kernel
-def _on_vertex(height: int, x: int, y: int, z: int, rule: GroundRule, bands: Bands) -> tuple[bool, int]:
+def _on_vertex(height: int, x: int, y: int, z: int, rule: LabelRule, bands: Bands) -> tuple[bool, int]:
     """Whether a point at the position of a vertex lies near it in height, and how close."""
     distance, close = abs(float(z - height)) * rule.limits.z_ratio, rule.close
     fits = distance <= value_at(bands.floor, x, y)
@@ -215,7 +215,7 @@ def _is_near(
     y: int,
     z: int,
     in_doubt: UInt8,
-    rule: GroundRule,
+    rule: LabelRule,
     bands: Bands,
 ) -> tuple[bool, int, bool]:
     """Whether a point in triangle t, which may be a ghost, lies near it in height, how close, and if it is doubtful."""
@@ -241,7 +241,7 @@ def _inside(f: _Facet, x: int, y: int) -> bool:
 
 @kernel
 def _label_by_height(
-    mesh: Mesh, locator: Locator, points: Xyz, in_doubt: UInt8, rule: GroundRule, bands: Bands
+    mesh: Mesh, locator: Locator, points: Xyz, in_doubt: UInt8, rule: LabelRule, bands: Bands
 ) -> tuple[UInt8, npt.NDArray[np.bool_], UInt8]:
     """Label points by height alone, and measure how close they are. Consecutive points often lie in one facet."""
     vertices, triangles = mesh
@@ -280,7 +280,7 @@ def _label_by_height(
 
 @kernel
 def _label(
-    mesh: Mesh, locator: Locator, points: Xyz, in_doubt: UInt8, rule: GroundRule
+    mesh: Mesh, locator: Locator, points: Xyz, in_doubt: UInt8, rule: LabelRule
 ) -> tuple[UInt8, npt.NDArray[np.bool_]]:
     vertices, triangles = mesh
     x, y, z = points
@@ -301,7 +301,7 @@ def _label(
 
 
 def label_points(
-    tin: Tin, locator: Locator, points: Xyz, in_doubt: UInt8, rule: GroundRule, bands: Bands | None = None
+    tin: Tin, locator: Locator, points: Xyz, in_doubt: UInt8, rule: LabelRule, bands: Bands | None = None
 ) -> tuple[UInt8, npt.NDArray[np.bool_]]:
     """Ground or not, against the finished TIN.
 
@@ -337,7 +337,7 @@ def label_points(
 
 
 def label_by_height(
-    tin: Tin, locator: Locator, points: Xyz, in_doubt: UInt8, rule: GroundRule, bands: Bands | None = None
+    tin: Tin, locator: Locator, points: Xyz, in_doubt: UInt8, rule: LabelRule, bands: Bands | None = None
 ) -> tuple[UInt8, npt.NDArray[np.bool_], UInt8]:
     """`label_points` for a rule of ``heights_only``, and how close to the TIN each point is: uint8 [n]."""
     if points.x.size and tin.n_triangles:
@@ -362,7 +362,7 @@ class TinLabels(Model):
         self.stats, self.low, self._closed = stats, low, closed
         self.tin: Tin | None = None
 
-    def finish(self, tin: Tin, in_doubt: UInt8, rule: GroundRule, bands: Bands | None = None) -> None:
+    def finish(self, tin: Tin, in_doubt: UInt8, rule: LabelRule, bands: Bands | None = None) -> None:
         """Take a TIN, as it stays, to label with; see `label_points`."""
         self.tin, self.in_doubt, self.rule, self.bands = tin, in_doubt, rule, bands
         self.locator = Locator.of(tin)

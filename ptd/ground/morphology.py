@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.cells import Int32, Int64, cell_keys
-from ptd.frame import Cells
+from ptd.frame import CellLattice
 from ptd.kernel import kernel
 
 EMPTY = 2**31 - 1
@@ -47,7 +47,7 @@ class CellRaster:
         The cell of each point in a raster taken row by row.
     """
 
-    def __init__(self, x: Int32, y: Int32, cells: Cells) -> None:
+    def __init__(self, x: Int32, y: Int32, cells: CellLattice) -> None:
         col0, row0 = cells.column(int(x.min())), cells.row(int(y.min()))
         width = cells.column(int(x.max())) - col0 + 1
         self.shape = (cells.row(int(y.max())) - row0 + 1, width)

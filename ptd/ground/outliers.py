@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.cells import CellIndex, CellTable, Int32, Int64, Xyz, find_slot
-from ptd.frame import Cells, Scale
+from ptd.frame import CellLattice, Scale
 from ptd.kernel import kernel
 
 MIN_NEIGHBOURS = 3
@@ -131,7 +131,7 @@ def isolated_in_height(
 def _search(
     x: Int32, y: Int32, z: Int32, scale: Scale, radius_m: float, depth_m: float, group: int, both: bool
 ) -> npt.NDArray[np.bool_]:
-    index = CellIndex(x, y, Cells.of(1.0, scale))
+    index = CellIndex(x, y, CellLattice.of(1.0, scale))
     search = _Search(scale.counts(radius_m), scale.counts_z(depth_m), group, both)
     return _outliers(Xyz(x, y, z), index.table, index.places(x, y), int(np.ceil(radius_m)) + 1, search)
 
@@ -152,7 +152,7 @@ class LowNoise:
         Of which the lowest points were looked at.
     """
 
-    def __init__(self, x: Int32, y: Int32, z: Int32, cells: Cells) -> None:
+    def __init__(self, x: Int32, y: Int32, z: Int32, cells: CellLattice) -> None:
         self._index = CellIndex(x, y, cells) if x.size else None
         if self._index is not None:
             self._heights = np.maximum.reduceat(z[self._index.table.order], self._index.table.starts[:-1])

@@ -6,7 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.cells import Int32, lowest_per_cell
-from ptd.frame import Cells
+from ptd.frame import CellLattice
 
 UInt32 = npt.NDArray[np.uint32]
 UInt64 = npt.NDArray[np.uint64]
@@ -29,7 +29,7 @@ def _mixed32(values: UInt32) -> UInt32:
     return mixed
 
 
-def point_hashes(x: Int32, y: Int32, z: Int32, cells: Cells, salt: int) -> Int32:
+def point_hashes(x: Int32, y: Int32, z: Int32, cells: CellLattice, salt: int) -> Int32:
     """A random number for each point from its absolute position and a salt: int32 [n].
 
     Points of one (x, y) and different heights have different numbers, so ties in `random_per_cell` are between
@@ -42,7 +42,7 @@ def point_hashes(x: Int32, y: Int32, z: Int32, cells: Cells, salt: int) -> Int32
         return _mixed32(place.astype(np.uint32) ^ z.view(np.uint32)).view(np.int32)
 
 
-def random_per_cell(x: Int32, y: Int32, z: Int32, cells: Cells, salt: int) -> Int32:
+def random_per_cell(x: Int32, y: Int32, z: Int32, cells: CellLattice, salt: int) -> Int32:
     """One random point of each cell that holds one, in row-major order of the cells.
 
     The pick depends on the cell's own points and the salt alone: not on their order, the tile or the frame's offset.

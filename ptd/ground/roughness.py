@@ -26,7 +26,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.cells import Int32, Int64, Xyz, cell_keys, occupied
-from ptd.frame import Cells, Scale, Window
+from ptd.frame import CellLattice, Scale, Window
 from ptd.ground.noise_sums import BIN_M, MAX_SIGMA_M, PATCH_M, histogram
 from ptd.ground.planes import MOMENTS, add_point, fit_plane
 from ptd.kernel import kernel
@@ -230,7 +230,7 @@ def patches(xyz: Int32, core: Window, scale: Scale) -> Patches:
     if x.size == 0:
         none, never = np.zeros(0, np.int64), np.zeros(0, np.bool_)
         return Patches(none, none, none, never, never, none, np.zeros((0, 4), np.int64))
-    cells = Cells.of(PATCH_M, scale)
+    cells = CellLattice.of(PATCH_M, scale)
     inside = core.has(x, y)
     # A margin of columns around the occupied ones, so that a key beside the raster is no cell of another row.
     col0, row0 = cells.column(int(x.min())) - REACH_CELLS, cells.row(int(y.min()))

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.cells import Int32, lowest_per_cell
-from ptd.frame import Cells
+from ptd.frame import CellLattice
 from ptd.ground.certificates import UncertifiedRegion
 
 RING = 2
@@ -38,7 +38,7 @@ def choose_seeds(
     y: Int32,
     z: Int32,
     eligible: npt.NDArray[np.bool_],
-    cells: Cells,
+    cells: CellLattice,
     doubt: UncertifiedRegion,
     unsure: npt.NDArray[np.bool_] | None = None,
 ) -> Seeds:
@@ -73,7 +73,7 @@ def choose_seeds(
     return Seeds(chosen, np.array(points, np.int32).reshape(-1, 3))
 
 
-def cells_of(x: Int32, y: Int32, cells: Cells) -> list[tuple[int, int]]:
+def cells_of(x: Int32, y: Int32, cells: CellLattice) -> list[tuple[int, int]]:
     """Column and row of each point."""
     columns, rows = cells.places(x, y)
     return list(zip(columns.tolist(), rows.tolist(), strict=True))
@@ -103,7 +103,7 @@ def _ring(heights: dict[tuple[int, int], int]) -> dict[tuple[int, int], int]:
 
 
 def _doubt_cells(
-    filled: set[tuple[int, int]], unsure: set[tuple[int, int]], cells: Cells, doubt: UncertifiedRegion
+    filled: set[tuple[int, int]], unsure: set[tuple[int, int]], cells: CellLattice, doubt: UncertifiedRegion
 ) -> None:
     """Put in doubt what may have another seed: cells not wholly known, and empty ones within the ring of such.
 
@@ -123,7 +123,7 @@ def _doubt_cells(
                 doubt.add_box(*box)
 
 
-def box_with_ring(x: Int32, y: Int32, cells: Cells) -> tuple[int, int, int, int]:
+def box_with_ring(x: Int32, y: Int32, cells: CellLattice) -> tuple[int, int, int, int]:
     """West, south, east, north (local counts) of all circles that hold data: see `RING`."""
     c0, c1 = cells.column(int(x.min())), cells.column(int(x.max()))
     r0, r1 = cells.row(int(y.min())), cells.row(int(y.max()))

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.cells import Int32
-from ptd.frame import Cells, Scale, Window
+from ptd.frame import CellLattice, Scale, Window
 from ptd.ground.morphology import Bool
 from ptd.matched.cells import SPARSE_CELL_M
 from ptd.matched.place_figures import BOTH, SIDE, SIDES_M, known, sides
@@ -30,7 +30,7 @@ def needed(xyz: Int32, side_m: float, state: State, scale: Scale) -> Bool:
 def side_of_cells(points: Points, scale: Scale) -> Float64:
     """Sides of the cells whose middles are given: those of 2 m lie at the corners of those of 1 m."""
     x, y = points.xyz[0], points.xyz[1]
-    cells = Cells.of(SPARSE_CELL_M, scale)
+    cells = CellLattice.of(SPARSE_CELL_M, scale)
     columns, rows = cells.places(x, y)
     west, south = cells.corners(columns, rows)
     east, north = cells.corners(columns + 1, rows + 1)

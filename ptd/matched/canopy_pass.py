@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from ptd.frame import Cells, Scale, Window
+from ptd.frame import CellLattice, Scale, Window
 from ptd.ground.morphology import Bool
 from ptd.matched import by_side, surface
 from ptd.matched.canopy import canopy, may_be
@@ -72,7 +72,7 @@ class CanopyPass(MatchedPass):
 
     def of_side(self, points: Points, scale: Scale, state: State, side: float, core: Window) -> Codes:
         """Make the surface of cells of one side as if there were no canopy, and look at it."""
-        cells, codes = Cells.of(side, scale), points.known_labels()
+        cells, codes = CellLattice.of(side, scale), points.known_labels()
         if not (codes != OBJECT).any():
             return Codes(None, codes, cells)
         raster = raster_of(points.xyz, cells)
@@ -144,7 +144,7 @@ class CanopyModel(Model):
 
 def _by_block(xyz: Int32, sides_m: Float64, scale: Scale) -> list[list[int]]:
     """Column and row of each block of `BLOCK_M` that holds cells, and their area in square metres."""
-    places = np.stack(Cells.of(BLOCK_M, scale).places(xyz[0], xyz[1]))
+    places = np.stack(CellLattice.of(BLOCK_M, scale).places(xyz[0], xyz[1]))
     blocks, which = np.unique(places, axis=1, return_inverse=True)
     areas = np.bincount(which.ravel(), sides_m**2, blocks.shape[1]).astype(np.int64)
     found: list[list[int]] = np.column_stack([blocks.T, areas]).tolist()

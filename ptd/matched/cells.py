@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.cells import Int32, Int64, cell_keys
-from ptd.frame import Cells, Scale, Window
+from ptd.frame import CellLattice, Scale, Window
 from ptd.kernel import kernel
 from ptd.places import Field, on_cells
 
@@ -187,7 +187,7 @@ def cell_heights(
     int32 [3, m]
         Local counts, by rows of cells.
     """
-    cells = Cells.of(cell_m, scale)
+    cells = CellLattice.of(cell_m, scale)
     x, y, z = (np.ascontiguousarray(c) for c in xyz)
     if x.size == 0:
         return np.zeros((3, 0), np.int32)
@@ -213,7 +213,7 @@ def cell_heights(
 
 
 @dataclass(frozen=True)
-class Raster:
+class CellHeights:
     """Cells of a window as a raster, with a margin of empty cells all around.
 
     Attributes
@@ -240,7 +240,7 @@ MARGIN = 4
 """Empty cells around a raster: what is there is the same whatever the raster holds."""
 
 
-def raster_of(xyz: Int32, cells: Cells) -> Raster:
+def raster_of(xyz: Int32, cells: CellLattice) -> CellHeights:
     """The raster of elected cells (at least one): int32 [3, n] local counts, one for each cell."""
     x, y, z = (np.ascontiguousarray(c) for c in xyz)
     column, row = (
@@ -253,4 +253,4 @@ def raster_of(xyz: Int32, cells: Cells) -> Raster:
     keys = cell_keys(x, y, cells.p, cells.q, cells.origin_x, cells.origin_y, column, row, width)
     heights = np.full(height * width, EMPTY, np.int32)
     heights[keys] = z
-    return Raster(heights.reshape(height, width), keys, column, row)
+    return CellHeights(heights.reshape(height, width), keys, column, row)

@@ -8,12 +8,12 @@ from typing import Any, NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ptd.frame import Cells, Scale
+from ptd.frame import CellLattice, Scale
 from ptd.ground.labelling import GROUND, LOW_NOISE, UNCLASSIFIED
 from ptd.ground.morphology import Bool
 from ptd.kernel import kernel, wide
 from ptd.matched import last_look, surface, voting
-from ptd.matched.cells import EMPTY, Raster
+from ptd.matched.cells import EMPTY, CellHeights
 from ptd.matched.place_figures import DENSITY, known
 from ptd.matched.step import noise_m
 from ptd.matched.trees import last_look_trees
@@ -92,14 +92,14 @@ class GroundModel(Model):
 
     @classmethod
     def of(
-        cls, found: surface.Surface, raster: Raster, cells: Cells, scale: Scale, state: State
+        cls, found: surface.Surface, raster: CellHeights, cells: CellLattice, scale: Scale, state: State
     ) -> GroundModel:
         """A surface of the cells of a raster."""
         place = Place(cells.origin_x, cells.origin_y, cells.p / cells.q, raster.column, raster.row)
         ground = Ground(found, place, scale, noise_m(state, scale), vote_radius_m(state, scale))
         return cls(ground, {"cells": int(raster.keys.size)})
 
-    def with_last_look(self, raster: Raster, cell_m: float) -> GroundModel:
+    def with_last_look(self, raster: CellHeights, cell_m: float) -> GroundModel:
         """The same ground, with a last look at each point."""
         if self._ground is None:
             return self

@@ -135,7 +135,7 @@ class _Blocks(NamedTuple):
     east: Int64
 
 
-class _Found(NamedTuple):
+class _EnvelopeSearch(NamedTuple):
     """Tops of the lowest paraboloids around a centre, and the cells that limit them; room for a number a block."""
 
     best: Int64
@@ -144,7 +144,9 @@ class _Found(NamedTuple):
 
 
 @kernel
-def _highest_fit(heights: Int32, blocks: _Blocks, falls: Int64, r: int, c: int, found: _Found) -> None:
+def _highest_fit(
+    heights: Int32, blocks: _Blocks, falls: Int64, r: int, c: int, found: _EnvelopeSearch
+) -> None:
     """Tops of the lowest paraboloids around a centre that each one cell limits, in rising order, into ``best``.
 
     ``held``: the cells that limit them; before, those of the last centre (-1: none). As none that is looked for is
@@ -211,7 +213,7 @@ def _union(
     radius, block = falls.size - 1, blocks.cells
     hull = np.full((rows, columns), LOWEST, np.int32)
     best, held = np.empty(cut + 1, np.int64), np.full(cut + 1, -1, np.int64)
-    found = _Found(best, held, np.empty(blocks.lowest.shape[1], np.int64))
+    found = _EnvelopeSearch(best, held, np.empty(blocks.lowest.shape[1], np.int64))
     profile = np.empty(2 * radius + 1, np.int32)
     for r in range(row0, rows, stride):
         for c in range(column0, columns, stride):

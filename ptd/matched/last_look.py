@@ -24,7 +24,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.cells import Int32, Int64, quotient
-from ptd.frame import Cells, Scale
+from ptd.frame import CellLattice, Scale
 from ptd.ground.labelling import GROUND, UNCLASSIFIED
 from ptd.ground.morphology import Bool
 from ptd.kernel import kernel, wide
@@ -268,7 +268,7 @@ def features_by_block(
     around : Around
     scale : Scale
     """
-    cells = Cells.of(CELL_M, scale)
+    cells = CellLattice.of(CELL_M, scale)
     x, y = heights.x, heights.y
     west, south = (
         (first // PART - 1) * PART for first in (cells.column(int(x.min())), cells.row(int(y.min())))

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from ptd.frame import Cells, Scale, Window
+from ptd.frame import CellLattice, Scale, Window
 from ptd.ground.morphology import Bool
 from ptd.matched import by_side, last_look, objects, surface, voting
 from ptd.matched.canopy_pass import CanopyPass, below_canopy
@@ -116,7 +116,7 @@ class ObjectPass(MatchedPass):
 
     def of_side(self, points: Points, scale: Scale, state: State, side: float) -> Codes:
         """Judge those of the cells of one side."""
-        cells = Cells.of(side, scale)
+        cells = CellLattice.of(side, scale)
         known = points.known_labels()
         codes = np.where(known == OBJECT, np.uint8(OBJECT), np.uint8(LEFT))
         if len(points) == 0:
@@ -158,7 +158,7 @@ class SurfacePass(MatchedPass):
 
     def of_side(self, points: Points, scale: Scale, state: State, side: float) -> GroundModel:
         """Make that of the cells of one side."""
-        cells, known = Cells.of(side, scale), points.known_labels()
+        cells, known = CellLattice.of(side, scale), points.known_labels()
         left = known & CODE != OBJECT
         if not left.any():
             return GroundModel(None, {"cells": 0})

@@ -28,7 +28,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.cells import Int32, Int64, cell_keys, lowest_by_key, occupied
-from ptd.frame import Cells, Scale, Window
+from ptd.frame import CellLattice, Scale, Window
 from ptd.kernel import kernel, wide
 from ptd.matched.cells import by_cell
 
@@ -213,7 +213,7 @@ class _Raster:
     @classmethod
     def of(cls, side_m: float, x: Int32, y: Int32, z: Int32, scale: Scale) -> Self:
         """The cells of that side, on a lattice anchored at CRS coordinate 0."""
-        cells = Cells.of(side_m, scale)
+        cells = CellLattice.of(side_m, scale)
         col0, row0 = cells.column(int(x.min())) - 1, cells.row(int(y.min()))
         width = cells.column(int(x.max())) + 2 - col0
         point_keys = cell_keys(x, y, cells.p, cells.q, cells.origin_x, cells.origin_y, col0, row0, width)

@@ -16,7 +16,7 @@ from typing import Any, Self
 import numpy as np
 
 from ptd import places
-from ptd.frame import Cells, Scale, Window
+from ptd.frame import CellLattice, Scale, Window
 from ptd.ground.labelling import GROUND
 from ptd.matched import facets, surface, voting
 from ptd.matched.cells import CELL_M, raster_of
@@ -163,7 +163,7 @@ class NearGroundPass(OneSidePass):
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> GroundModel:
         """Lay the TIN below the cells."""
         side = cell_m(state)
-        cells, ground = Cells.of(side, scale), points.known_labels() == GROUND
+        cells, ground = CellLattice.of(side, scale), points.known_labels() == GROUND
         if not ground.any():
             return GroundModel(None, {"cells": 0})
         heights = facets.ground_heights(*points.columns(), ground, scale)

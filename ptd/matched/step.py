@@ -7,9 +7,9 @@ from typing import Any
 
 import numpy as np
 
-from ptd.frame import Cells, Scale, Window
+from ptd.frame import CellLattice, Scale, Window
 from ptd.ground.morphology import Bool
-from ptd.matched.cells import Raster
+from ptd.matched.cells import CellHeights
 from ptd.matched.place_figures import CELL_SIGMA
 from ptd.matched.survey import MIN_CELL_SIGMA_M
 from ptd.passes import Model, Pass, Points, State, UInt8
@@ -60,7 +60,7 @@ class OneSidePass(MatchedPass):
 class Codes(Model):
     """What each cell is."""
 
-    def __init__(self, raster: Raster | None, codes: UInt8, cells: Cells) -> None:
+    def __init__(self, raster: CellHeights | None, codes: UInt8, cells: CellLattice) -> None:
         self._raster, self._cells = raster, cells
         self.stats = {"cells": int(codes.size), "objects": int((codes == OBJECT).sum())}
         if raster is not None:

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.cells import Int32, Int64, cell_keys
-from ptd.frame import Cells, Scale
+from ptd.frame import CellLattice, Scale
 from ptd.ground.morphology import Bool
 from ptd.kernel import kernel, wide
 from ptd.matched.cells import by_cell
@@ -190,7 +190,7 @@ def votes(
     px, py = x[asking], y[asking]
     radius, noise = (_figures(as_field(figure), px, py) for figure in (radius_m, sigma_m))
     side = _side_m(float(radius.min()), float(radius.max()))
-    cells, most = Cells.of(side, scale), math.ceil(radius.max() / side - ROUNDED)
+    cells, most = CellLattice.of(side, scale), math.ceil(radius.max() / side - ROUNDED)
     column, row = cells.column(int(px.min())) - most, cells.row(int(py.min())) - most
     width = cells.column(int(px.max())) - column + 1 + most
     height = cells.row(int(py.max())) - row + 1 + most

@@ -42,10 +42,10 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.cells import Xyz, keys_in, lowest_per_cell
-from ptd.frame import Cells, Scale, Window
-from ptd.ground.criteria import Limits
+from ptd.frame import CellLattice, Scale, Window
+from ptd.ground.criteria import FacetLimits
 from ptd.ground.densify import densify_seeds
-from ptd.ground.labelling import GroundRule, TinLabels
+from ptd.ground.labelling import LabelRule, TinLabels
 from ptd.ground.outliers import LowNoise, low_outliers
 from ptd.methods.progressive import Progressive
 from ptd.params import parameter
@@ -62,19 +62,19 @@ class Classic(Progressive):
     )
 
     heights_only: ClassVar[bool] = False
-    """See `ptd.ground.labelling.GroundRule`."""
+    """See `ptd.ground.labelling.LabelRule`."""
 
     @property
     def passes(self) -> tuple[Pass, ...]:
         """The single pass; all of it is local."""
         return (ClassicPass(self),)
 
-    def ground_rule(self, limits: Limits, scale: Scale) -> GroundRule:
+    def ground_rule(self, limits: FacetLimits, scale: Scale) -> LabelRule:
         """The rule by which the finished TIN labels points."""
         floor = 0.0
         if self.label_pass:
             floor = scale.counts(self.label_floor_m)
-        return GroundRule(limits, floor, not self.label_pass, self.heights_only)
+        return LabelRule(limits, floor, not self.label_pass, self.heights_only)
 
     @property
     def halo_m(self) -> float:
@@ -104,10 +104,10 @@ class ClassicPass(Pass):
         if not x.size:
             return found
         outlier = low_outliers(x, y, z, scale, p.low_radius_m, p.low_depth_m, p.low_group)
-        cells, limits = Cells.of(p.low_cell_m, scale), p.limits(scale)
+        cells, limits = CellLattice.of(p.low_cell_m, scale), p.limits(scale)
         # In a cell cut by the window another point may be the lowest. Outliers are certain one search radius inside.
         known = window.inside(cells, p.margin_cells)
-        seed_cells = Cells.of(p.max_building_size_m, scale)
+        seed_cells = CellLattice.of(p.max_building_size_m, scale)
         tin, in_doubt, rounds = densify_seeds(
             Xyz(x, y, z), outlier, seed_cells, limits, p.rounds, known, scale
         )
@@ -123,9 +123,9 @@ def thinned(columns: tuple[Int32, Int32, Int32], cell_m: float, scale: Scale) ->
     if x.size == 0:
         return x, y, z
     if cell_m:
-        keep: npt.NDArray[Any] = lowest_per_cell(x, y, z, Cells.of(cell_m, scale))
+        keep: npt.NDArray[Any] = lowest_per_cell(x, y, z, CellLattice.of(cell_m, scale))
     else:
-        cells = Cells.of(1.0, scale)
+        cells = CellLattice.of(1.0, scale)
         col0, row0 = cells.column(int(x.min())), cells.row(int(y.min()))
         keys = keys_in(x, y, cells, col0, row0, 1 << 31)
         keep = np.lexsort((z, y, x, keys))

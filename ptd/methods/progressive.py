@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ptd.frame import Scale
-from ptd.ground.criteria import Limits
+from ptd.ground.criteria import FacetLimits
 from ptd.ground.outliers import search_margin
 from ptd.params import check, parameter
 
@@ -68,9 +68,9 @@ class Progressive:
     def __post_init__(self) -> None:
         check(self)
 
-    def limits(self, scale: Scale) -> Limits:
+    def limits(self, scale: Scale) -> FacetLimits:
         """Thresholds of the facet test."""
-        return Limits.of(
+        return FacetLimits.of(
             scale, distance_m=self.iteration_distance_m, angle_deg=self.iteration_angle_deg,
             terrain_deg=self.terrain_angle_deg, reduce_m=self.edge_length_reduce_m, stop_m=self.edge_length_stop_m,
         )  # fmt: skip

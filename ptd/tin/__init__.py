@@ -1,14 +1,14 @@
 """Exact, unique, incremental Delaunay TIN and its interpolation; for kernels see `ptd.tin.layout` first."""
 
-from ptd.tin.gridding import Pixels, Raster, Window, pixel_owners, rasterise
+from ptd.tin.gridding import KnownWindow, Pixels, TinRaster, pixel_owners, rasterise
 from ptd.tin.mesh import MAX_EXTENT, Tin
 
 __all__ = [
     "MAX_EXTENT",
+    "KnownWindow",
     "Pixels",
-    "Raster",
     "Tin",
-    "Window",
+    "TinRaster",
     "pixel_owners",
     "rasterise",
 ]

@@ -28,7 +28,7 @@ class Rule(NamedTuple):
     max_radius: float
 
 
-class Sides(NamedTuple):
+class KnownBounds(NamedTuple):
     """Sides of the window in which all points are known: float64, local counts.
 
     Data are unknown at x < west, y < south, x > east, y > north. If no data exist beyond a side, it is at
@@ -42,7 +42,7 @@ class Sides(NamedTuple):
 
 
 @kernel
-def unbounded(sides: Sides) -> bool:
+def unbounded(sides: KnownBounds) -> bool:
     """Whether the window has no side beyond which points may lie."""
     return (
         sides.west == -math.inf
@@ -81,7 +81,7 @@ def facet_passes(vertices: Int32Array, triangles: Int32Array, triangle: int, rul
 
 
 @kernel
-def circle_inside(x: float, y: float, bx: float, by: float, cx: float, cy: float, sides: Sides) -> bool:
+def circle_inside(x: float, y: float, bx: float, by: float, cx: float, cy: float, sides: KnownBounds) -> bool:
     """Whether the circle through a = (x, y), a + b and a + c is certain to stay inside the window.
 
     The bound of the rounding error is added to the radius, so a wrong no is possible and a wrong yes is not.
@@ -106,7 +106,7 @@ def circle_inside(x: float, y: float, bx: float, by: float, cx: float, cy: float
 
 
 @kernel
-def facet_certified(vertices: Int32Array, triangles: Int32Array, triangle: int, sides: Sides) -> bool:
+def facet_certified(vertices: Int32Array, triangles: Int32Array, triangle: int, sides: KnownBounds) -> bool:
     """Whether no point outside the window can lie in the circumcircle of a triangle.
 
     Such a triangle belongs to the triangulation of any larger set of data that agrees inside the window.

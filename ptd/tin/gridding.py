@@ -8,10 +8,10 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.tin import natural, raster
-from ptd.tin.circles import Rule, Sides
+from ptd.tin.circles import KnownBounds, Rule
 from ptd.tin.layout import Int32Array
 from ptd.tin.mesh import MAX_EXTENT, Tin
-from ptd.tin.pixels import Lattice, UInt8Array
+from ptd.tin.pixels import PixelCentres, UInt8Array
 
 _MAX_Q = 2**9 - 1
 _ALL = 2**62  # exceeds the square of any edge
@@ -66,10 +66,10 @@ class Pixels:
             )
 
     @property
-    def lattice(self) -> Lattice:
+    def lattice(self) -> PixelCentres:
         """The pixel centres in local units of 1 / (2 q) count."""
         scale = 2 * self.q
-        return Lattice(
+        return PixelCentres(
             (2 * self.left + 1) * self.p - scale * self.origin_x,
             (2 * self.top + 1) * self.p - scale * self.origin_y,
             2 * self.p,
@@ -78,7 +78,7 @@ class Pixels:
 
 
 @dataclass(frozen=True)
-class Window:
+class KnownWindow:
     """The half-open box, in local counts, in which all data are known, and its open sides.
 
     Beyond an open side there are no data at all.
@@ -104,7 +104,7 @@ class Window:
                 f"window x {self.west} .. {self.east}, y {self.south} .. {self.north} is empty (half-open)"
             )
 
-    def sides(self) -> Sides:
+    def sides(self) -> KnownBounds:
         """Inclusive limits of the known data, infinite on open sides."""
         west, south, east, north = (
             float(self.west),
@@ -120,13 +120,13 @@ class Window:
             east = math.inf
         if self.open_north:
             north = math.inf
-        return Sides(west, south, east, north)
+        return KnownBounds(west, south, east, north)
 
 
-EVERYWHERE = Window(0, 0, 1, 1, open_west=True, open_south=True, open_east=True, open_north=True)
+EVERYWHERE = KnownWindow(0, 0, 1, 1, open_west=True, open_south=True, open_east=True, open_north=True)
 
 
-class Raster(NamedTuple):
+class TinRaster(NamedTuple):
     """Result of `rasterise`.
 
     Attributes
@@ -157,7 +157,7 @@ def pixel_owners(
     *,
     max_edge: float = math.inf,
     max_radius: float = math.inf,
-    window: Window = EVERYWHERE,
+    window: KnownWindow = EVERYWHERE,
 ) -> tuple[Int32Array, UInt8Array]:
     """Find the facet or vertex that owns each pixel centre.
 
@@ -187,9 +187,9 @@ def rasterise(
     *,
     max_edge: float = math.inf,
     max_radius: float = math.inf,
-    window: Window = EVERYWHERE,
+    window: KnownWindow = EVERYWHERE,
     interpolator: Literal["linear", "natural"] = "linear",
-) -> Raster:
+) -> TinRaster:
     """Interpolate heights at pixel centres over the facets that pass a rule.
 
     Parameters
@@ -228,4 +228,4 @@ def rasterise(
         heights = natural.natural_heights(
             tin.vertex_array, tin.triangle_array, tin.counters, owners, marks, pixels.lattice, window.sides()
         )
-    return Raster(heights, marks.view(np.bool_))
+    return TinRaster(heights, marks.view(np.bool_))

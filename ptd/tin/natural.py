@@ -14,10 +14,10 @@ import math
 import numpy as np
 
 from ptd.kernel import kernel, wide
-from ptd.tin.circles import Sides, circle_inside, facet_certified, unbounded
+from ptd.tin.circles import KnownBounds, circle_inside, facet_certified, unbounded
 from ptd.tin.interpolation import Float64Array, canonical_facet, facet_plane, height_on, plane_height
 from ptd.tin.layout import HEADER, N_TRIANGLES, Int32Array, is_ghost, next_edge, previous_edge
-from ptd.tin.pixels import Lattice, UInt8Array
+from ptd.tin.pixels import PixelCentres, UInt8Array
 from ptd.tin.predicates import lexicographic_less
 from ptd.tin.raster import NO_OWNER
 
@@ -212,7 +212,7 @@ def _rim_certified(
     x: int,
     y: int,
     scale: int,
-    sides: Sides,
+    sides: KnownBounds,
 ) -> bool:
     """Whether no point outside the window can change the natural neighbours."""
     px, py = float(x) / scale, float(y) / scale
@@ -234,8 +234,8 @@ def natural_heights(
     counters: Int32Array,
     owners: Int32Array,
     marks: UInt8Array,
-    lattice: Lattice,
-    sides: Sides,
+    lattice: PixelCentres,
+    sides: KnownBounds,
 ) -> Float64Array:
     """Natural neighbour heights of the owned pixels: float64 [rows, columns], counts, NaN without owner.
 

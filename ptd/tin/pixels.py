@@ -7,7 +7,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.kernel import kernel
-from ptd.tin.circles import Rule, Sides
+from ptd.tin.circles import KnownBounds, Rule
 
 UInt8Array = npt.NDArray[np.uint8]
 
@@ -18,7 +18,7 @@ _FAR = 2
 OWNED = 4
 
 
-class Lattice(NamedTuple):
+class PixelCentres(NamedTuple):
     """Pixel centres: int64, in local units of 1 / `scale` count.
 
     Attributes
@@ -38,7 +38,7 @@ class Lattice(NamedTuple):
 
 
 @kernel
-def _known_within(lattice: Lattice, sides: Sides, column: int, row: int, reach: float) -> bool:
+def _known_within(lattice: PixelCentres, sides: KnownBounds, column: int, row: int, reach: float) -> bool:
     """Whether the window extends `reach` counts to all four sides of a pixel's centre."""
     x = float(lattice.x0 + column * lattice.step) / lattice.scale
     y = float(lattice.y0 - row * lattice.step) / lattice.scale
@@ -47,7 +47,7 @@ def _known_within(lattice: Lattice, sides: Sides, column: int, row: int, reach: 
 
 
 @kernel
-def mark_near_sides(marks: UInt8Array, lattice: Lattice, rule: Rule, sides: Sides) -> None:
+def mark_near_sides(marks: UInt8Array, lattice: PixelCentres, rule: Rule, sides: KnownBounds) -> None:
     """Set `_NEAR` and `_FAR` where unknown data lie within the reach of a pixel without and with a facet."""
     slack = 1.0 + 2.0**-20
     far = 2.0 * rule.max_radius * slack + 2.0

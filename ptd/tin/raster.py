@@ -18,10 +18,10 @@ import math
 import numpy as np
 
 from ptd.kernel import kernel, wide
-from ptd.tin.circles import Rule, Sides, facet_certified, facet_passes
+from ptd.tin.circles import KnownBounds, Rule, facet_certified, facet_passes
 from ptd.tin.interpolation import Float64Array, Plane, facet_plane, height_on
 from ptd.tin.layout import N_TRIANGLES, N_VERTICES, Int32Array, next_edge
-from ptd.tin.pixels import OWNED, Lattice, UInt8Array, mark_near_sides, settle_marks
+from ptd.tin.pixels import OWNED, PixelCentres, UInt8Array, mark_near_sides, settle_marks
 from ptd.tin.predicates import lexicographic_less
 
 NO_OWNER = -1  # owner of a pixel without one; an owner -2 - v is vertex v
@@ -31,7 +31,7 @@ _WIDE = 6  # columns from which cutting each row to the triangle saves time
 
 @kernel
 def _own_vertex(
-    vertices: Int32Array, triangles: Int32Array, v: int, rule: Rule, sides: Sides
+    vertices: Int32Array, triangles: Int32Array, v: int, rule: Rule, sides: KnownBounds
 ) -> tuple[bool, bool]:
     """Whether any facet around a vertex passes, and whether that is certain."""
     edge = 8 * wide(vertices[4 * v + 3])
@@ -59,9 +59,9 @@ def _own_vertices(
     owners: Int32Array,
     heights: Float64Array,
     marks: UInt8Array,
-    lattice: Lattice,
+    lattice: PixelCentres,
     rule: Rule,
-    sides: Sides,
+    sides: KnownBounds,
 ) -> None:
     """Assign the pixels whose centre is a vertex."""
     x0, y0, step, scale = lattice
@@ -107,7 +107,7 @@ def _own_border(
     zeros: tuple[bool, bool, bool],
     within_reach: bool,
     rule: Rule,
-    sides: Sides,
+    sides: KnownBounds,
 ) -> tuple[bool, bool]:
     """Whether facet `t` owns a centre on its border, and whether the owner is certain.
 
@@ -159,8 +159,8 @@ def _own_facet(
     heights: Float64Array,
     marks: UInt8Array,
     box: tuple[int, int, int, int],
-    lattice: Lattice,
-    judged: tuple[Rule, Sides],
+    lattice: PixelCentres,
+    judged: tuple[Rule, KnownBounds],
 ) -> None:
     """Assign the pixels of a box (top, bottom, left, right, inclusive) whose centre lies in real triangle `t`."""
     x0, y0, step, scale = lattice
@@ -222,9 +222,9 @@ def scan(
     owners: Int32Array,
     heights: Float64Array,
     marks: UInt8Array,
-    lattice: Lattice,
+    lattice: PixelCentres,
     rule: Rule,
-    sides: Sides,
+    sides: KnownBounds,
 ) -> None:
     """Find the facet or vertex that owns each pixel centre, and the linear height there.
 

@@ -26,7 +26,7 @@ from tiler.core.classes import STRAY_FLAG, WITHHELD_FLAG
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.raster import BLOCK_PIXELS, NODATA, RasterSpec
 from tiler.filter.tile import LABELS
-from tiler.grid import GroundRule
+from tiler.grid import GroundSelection
 from tiler.grid.sigma_measures import measures_of
 from tiler.grid.stage import MATCHED_EROSION
 from tiler.pipeline import run
@@ -129,7 +129,7 @@ def pixels_of(known: Known, out: Path) -> Pixels:
     frame, name = store.meta.frame, "dtm-outlined"
     spec = RasterSpec.from_json(store.get_state(f"raster-{name}"))
     erode = frame.counts(MATCHED_EROSION) if known.kind == "dim" else Fraction(0)
-    rule = GroundRule(LABELS, skip_flags=WITHHELD_FLAG | STRAY_FLAG, erode=erode, erode_rise=1000)
+    rule = GroundSelection(LABELS, skip_flags=WITHHELD_FLAG | STRAY_FLAG, erode=erode, erode_rise=1000)
     truth = placed(known.scene).truth
     measured, masks, errors = [], [], []
     for block in spec.blocks(BLOCK_PIXELS):

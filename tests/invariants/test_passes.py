@@ -12,7 +12,7 @@ import laspy
 import numpy as np
 import pytest
 
-from ptd.frame import Cells, Scale, Window
+from ptd.frame import CellLattice, Scale, Window
 from ptd.methods import METHODS
 from ptd.passes import Method, MethodRefusal, Model, Pass, Points, State, StatisticsModel
 from tests.invariants import clouds
@@ -58,7 +58,7 @@ class Lonely(Model):
 
     def __init__(self, points: Points, scale: Scale) -> None:
         assert points.labels is not None
-        self.cells, self.stats = Cells.of(8.0, scale), {}
+        self.cells, self.stats = CellLattice.of(8.0, scale), {}
         high = points.labels == HIGH
         self.taken = set(self.places(points.xyz[:, high]))
 

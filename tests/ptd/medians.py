@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from ptd.frame import Cells, Scale, Window
+from ptd.frame import CellLattice, Scale, Window
 from ptd.params import parameter
 from ptd.passes import Method, Model, Pass, Points, State, StatisticsModel
 
@@ -85,7 +85,7 @@ class LidarPass(SplitPass):
 class Medians(Model):
     """The lower median height of each cell, at its middle, labelled by whether it is even."""
 
-    def __init__(self, xyz: np.ndarray, cells: Cells) -> None:
+    def __init__(self, xyz: np.ndarray, cells: CellLattice) -> None:
         columns, rows = cells.places(xyz[0], xyz[1])
         order = np.lexsort((xyz[2], columns, rows))
         columns, rows, z = columns[order], rows[order], xyz[2, order]
@@ -107,7 +107,7 @@ class MedianPass(OfImages):
     name, elects, every_point, reach_m = "medians", True, True, CELL_M
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Medians:
-        return Medians(points.xyz, Cells.of(CELL_M, scale))
+        return Medians(points.xyz, CellLattice.of(CELL_M, scale))
 
 
 def parity(points: Points) -> np.ndarray:

@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ptd.cells import CellIndex, lowest_per_cell, occupied, quotient, slot_of
-from ptd.frame import Cells, Scale
+from ptd.frame import CellLattice, Scale
 
 FEET = Fraction(3048, 10**7)
 Points = list[tuple[int, int, int]]
@@ -45,7 +45,7 @@ far = st.tuples(st.integers(-(2**25), 2**25), st.integers(-(2**25), 2**25), st.i
 def test_the_lowest_of_each_cell(
     points: Points, size: float, unit: Fraction, origin: tuple[int, int], shuffle: object
 ) -> None:
-    cells = Cells.of(size, Scale(unit, unit, origin))
+    cells = CellLattice.of(size, Scale(unit, unit, origin))
     want = expected(points, Fraction(repr(size)) / unit, origin)
     for _ in range(2):
         x, y, z = columns(points)
@@ -62,7 +62,7 @@ def test_dense_and_sparse_clouds_give_the_same(spread: int) -> None:
     x, y = (column * 200 * spread).astype(np.int32), (row * 200 * spread).astype(np.int32)
     dx, dy = rng.integers(0, 200, (2, 500)).astype(np.int32)
     x, y, z = (x + dx).astype(np.int32), (y + dy).astype(np.int32), (z % 5).astype(np.int32)
-    got = lowest_per_cell(x, y, z, Cells.of(0.2, Scale()))
+    got = lowest_per_cell(x, y, z, CellLattice.of(0.2, Scale()))
     best = np.lexsort((y, x, z, column, row))
     first = np.unique((row * 20 + column)[best], return_index=True)[1]
     assert np.array_equal(np.stack([x, y, z])[:, got], np.stack([x, y, z])[:, best[first]])
@@ -71,7 +71,7 @@ def test_dense_and_sparse_clouds_give_the_same(spread: int) -> None:
 @pytest.mark.parametrize("size", [1.0, 20.0, 0.3])
 def test_a_shift_by_whole_cells_changes_nothing(size: float) -> None:
     x, y, z = columns(np.random.default_rng(3).integers(-50_000, 50_000, (400, 3)).tolist())
-    cells = Cells.of(size, Scale(origin=(17, -333)))
+    cells = CellLattice.of(size, Scale(origin=(17, -333)))
     step = int(size * 1000)
     want = lowest_per_cell(x, y, z, cells)
     moved = (x + 7 * step).astype(np.int32), (y - 11 * step).astype(np.int32)
@@ -80,9 +80,9 @@ def test_a_shift_by_whole_cells_changes_nothing(size: float) -> None:
 
 def test_the_frame_has_no_effect() -> None:
     x, y, z = columns(np.random.default_rng(4).integers(-50_000, 50_000, (400, 3)).tolist())
-    want = lowest_per_cell(x, y, z, Cells.of(1.0, Scale(origin=(5, 12_345))))
+    want = lowest_per_cell(x, y, z, CellLattice.of(1.0, Scale(origin=(5, 12_345))))
     moved = (x + 5).astype(np.int32), (y + 12_345).astype(np.int32)
-    assert np.array_equal(lowest_per_cell(*moved, z, Cells.of(1.0, Scale())), want)
+    assert np.array_equal(lowest_per_cell(*moved, z, CellLattice.of(1.0, Scale())), want)
 
 
 @given(
@@ -92,7 +92,7 @@ def test_the_frame_has_no_effect() -> None:
     origin=st.integers(-(10**9), 10**9),
 )
 def test_west_is_the_first_count_of_a_column(column: int, size: float, unit: Fraction, origin: int) -> None:
-    cells = Cells.of(size, Scale(unit, unit, (origin, -origin)))
+    cells = CellLattice.of(size, Scale(unit, unit, (origin, -origin)))
     if Fraction(repr(size)) / unit < 1:
         return
     west, south = cells.west(column), cells.south(column)
@@ -101,8 +101,8 @@ def test_west_is_the_first_count_of_a_column(column: int, size: float, unit: Fra
 
 
 def test_sizes_are_the_decimal_numbers_of_their_text() -> None:
-    assert Cells.of(0.1, Scale()) == Cells(100, 1, 0, 0)
-    assert Cells.of(20, Scale(FEET, FEET)) == Cells(25_000_000, 381, 0, 0)
+    assert CellLattice.of(0.1, Scale()) == CellLattice(100, 1, 0, 0)
+    assert CellLattice.of(20, Scale(FEET, FEET)) == CellLattice(25_000_000, 381, 0, 0)
 
 
 def test_lengths_in_counts() -> None:
@@ -116,7 +116,7 @@ def test_lengths_in_counts() -> None:
 def test_an_index_lists_each_point_under_its_cell(spread: int) -> None:
     rng = np.random.default_rng(6)
     x, y = (rng.integers(-9000, 9000, (2, 300)) * spread).astype(np.int32)
-    cells = Cells.of(1.0, Scale(origin=(3, -77)))
+    cells = CellLattice.of(1.0, Scale(origin=(3, -77)))
     index = CellIndex(x, y, cells)
     table = index.table
     assert (table.slots.size > 0) == (spread == 1)
@@ -133,7 +133,7 @@ def test_an_index_lists_each_point_under_its_cell(spread: int) -> None:
 
 
 def test_no_points_no_cells() -> None:
-    assert lowest_per_cell(*columns([]), Cells.of(1.0, Scale())).size == 0
+    assert lowest_per_cell(*columns([]), CellLattice.of(1.0, Scale())).size == 0
 
 
 @pytest.mark.parametrize("n_cells", [50, 10**9])

@@ -7,7 +7,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from ptd.frame import Cells, Scale, Window
+from ptd.frame import CellLattice, Scale, Window
 from ptd.places import (
     PLACE_M,
     everywhere,
@@ -29,7 +29,7 @@ SCALES = [
 
 
 def table_around(scale: Scale, seed: int, side: int = 9) -> dict[str, list[float | None]]:
-    cells, random = Cells.of(PLACE_M, scale), np.random.default_rng(seed)
+    cells, random = CellLattice.of(PLACE_M, scale), np.random.default_rng(seed)
     column, row = cells.column(0) - 2, cells.row(0) - 2
     return {name_of(column + c, row + r): [float(random.random())] for r in range(side) for c in range(side)}
 
@@ -67,7 +67,7 @@ def test_a_window_knows_what_its_figures_rest_on(scale: Scale) -> None:
     )
     whole, cut = (values_at(field(t, 0, scale, 0.0), x, y) for t in (table, part))
     assert whole.tobytes() == cut.tobytes()
-    cells = Cells.of(2.0, scale)
+    cells = CellLattice.of(2.0, scale)
     row, column = cells.row(2 * side) + 1, cells.column(side) + 1
     rasters = [on_cells(field(t, 0, scale, 0.0), cells, row, column, (30, 40)) for t in (table, part)]
     assert rasters[0].tobytes() == rasters[1].tobytes()

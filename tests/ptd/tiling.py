@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from ptd.cells import lowest_per_cell
-from ptd.frame import OPEN, Cells, Scale, Window
+from ptd.frame import OPEN, CellLattice, Scale, Window
 from ptd.passes import Pass, Points, RunHints, later_passes
 
 MARK = np.uint8(128)
@@ -61,7 +61,7 @@ def classify_tiled(
             seen = np.flatnonzero(inside(sees if step.elected else points, window))
             if params.candidate_cell_m and not step.every_point and not step.elected:
                 x, y, z = (np.ascontiguousarray(c) for c in points.xyz[:, seen])
-                seen = seen[lowest_per_cell(x, y, z, Cells.of(params.candidate_cell_m, scale))]
+                seen = seen[lowest_per_cell(x, y, z, CellLattice.of(params.candidate_cell_m, scale))]
             local = step.local(state, window, scale)
             model = step.fit((sees if step.elected else given).take(seen), window, core, scale, local)
             partials.append(model.partial())
@@ -100,7 +100,7 @@ def _windows(
     everything = Window.everything()
     if tile_m is None:
         return [(everything, everything)]
-    tiles, align = Cells.of(tile_m, scale), Cells.of(params.align_m, scale)
+    tiles, align = CellLattice.of(tile_m, scale), CellLattice.of(params.align_m, scale)
     halo, margin = math.ceil(scale.counts(halo_m)), math.ceil(scale.counts(params.margin_m))
     (x0, y0), (x1, y1) = points.xyz[:2].min(axis=1), points.xyz[:2].max(axis=1)
     found = []

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from tiler.simulate import DimSensor, Points, Site, Terrain, survey
+from tiler.simulate import DimSensor, SimulatedPoints, Site, Terrain, survey
 from tiler.simulate.plot import Plot
 from tiler.simulate.terrain import Waves
 
@@ -52,7 +52,7 @@ class Canopy:
         terrain = Terrain(300.0, (0.1, 0.15) if self.hilly else (0.02, 0.01), shapes)
         return Site(terrain, self.side_m, self.seed, self._plant, BLOCK_M, green=0.9)
 
-    def points(self) -> Points:
+    def points(self) -> SimulatedPoints:
         """The cloud."""
         return survey(self.site(), DimSensor(**SENSOR))
 

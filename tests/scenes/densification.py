@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial import Delaunay
 
 from ptd.frame import Window
-from ptd.ground.criteria import Limits
+from ptd.ground.criteria import FacetLimits
 
 EVERYTHING = Window.everything()
 
@@ -26,7 +26,7 @@ def measures(corners: np.ndarray, p: np.ndarray) -> tuple[float, float, float, f
     return abs(normal @ (p - corners[0])), nearest, normal[2] ** 2, np.hypot(*edges.T).max()
 
 
-def passes(points: np.ndarray, mesh: Delaunay, p: np.ndarray, limits: Limits) -> bool:
+def passes(points: np.ndarray, mesh: Delaunay, p: np.ndarray, limits: FacetLimits) -> bool:
     """One test, without any care for speed."""
     corners = points[mesh.simplices[int(mesh.find_simplex(p[:2]))]]
     distance, nearest, cos2, edge = measures(corners, p)
@@ -43,7 +43,7 @@ def passes(points: np.ndarray, mesh: Delaunay, p: np.ndarray, limits: Limits) ->
     return bool(distance <= limits.distance and distance <= nearest * math.sin(angle))
 
 
-def naive(seeds: np.ndarray, candidates: np.ndarray, limits: Limits, rounds: int) -> np.ndarray:
+def naive(seeds: np.ndarray, candidates: np.ndarray, limits: FacetLimits, rounds: int) -> np.ndarray:
     """Which candidates become vertices."""
     chosen = np.zeros(len(candidates), bool)
     done = 0

@@ -48,7 +48,7 @@ Shade = npt.NDArray[np.uint8]
 
 
 @dataclass(frozen=True)
-class Window:
+class PreviewWindow:
     """A window of the picture.
 
     Attributes
@@ -74,7 +74,7 @@ def make_preview(
     *,
     number: int = 3,
     side_m: float | None = None,
-) -> list[Window]:
+) -> list[PreviewWindow]:
     """Shade surface and terrain of a few windows of the clouds, as a run with these settings gives them.
 
     Each window is processed alone. A run may differ at the borders of the windows, and because of its run-wide
@@ -117,7 +117,7 @@ def make_preview(
         files = _cut(guard, sources, windows, Path(scratch), config.salvage)
         settings = _settings(plan)
         columns: list[tuple[Shade, Shade]] = []
-        found: list[Window] = []
+        found: list[PreviewWindow] = []
         for bounds, paths in zip(windows, files, strict=True):
             if paths:
                 listener("note", {"text": f"draw window {len(found) + 1} of {len(windows)} at most"})
@@ -234,7 +234,7 @@ def _settings(plan: Plan) -> RunConfig:
 
 def _window(
     bounds: Box, paths: Mapping[str, str], config: RunConfig, listener: Listener
-) -> tuple[tuple[Shade, Shade], Window]:
+) -> tuple[tuple[Shade, Shade], PreviewWindow]:
     out = Path(next(iter(paths))).with_suffix("")
 
     def tell(kind: str, facts: dict[str, Any]) -> None:
@@ -254,7 +254,7 @@ def _window(
     failed = summary["failed_tasks"]
     for task in failed:
         listener("warning", {"text": f"{task['title']} {task['key']} failed: {task['error']}"})
-    window = Window(bounds, summary["counts"]["stored"], ground, len(failed))
+    window = PreviewWindow(bounds, summary["counts"]["stored"], ground, len(failed))
     return (_shade(store, "dsm"), _shade(store, "dtm")), window
 
 

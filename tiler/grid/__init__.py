@@ -23,7 +23,7 @@ from tiler.grid.density import density_block
 from tiler.grid.derived import DeriveBlock, derive_block
 from tiler.grid.distance import DistanceBlock, distance_block
 from tiler.grid.edits import SurveyEdits, survey_edits
-from tiler.grid.ground import GroundRule
+from tiler.grid.ground import GroundSelection
 from tiler.grid.holes import CELL_PIXELS
 from tiler.grid.mask import MaskBlock, mask_block
 from tiler.grid.outline import OutlineBlock, outline_block
@@ -76,7 +76,7 @@ __all__ = [
     "GridBlock",
     "GridBlocks",
     "GroundCells",
-    "GroundRule",
+    "GroundSelection",
     "KeepAreas",
     "KeepPlanes",
     "LevelWater",

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.gridding.idw import inverse_distance
-from ptd.tin import Pixels, Raster, Tin, Window, rasterise
+from ptd.tin import KnownWindow, Pixels, Tin, TinRaster, rasterise
 from ptd.tin.mesh import MAX_EXTENT
 from tiler.core.edits import OF_PIXELS
 from tiler.core.frame import COUNTS_PER_UNIT
@@ -198,7 +198,7 @@ def block_heights(store: TileStore, work: GridBlock) -> tuple[Heights, dict[str,
     return heights, record
 
 
-def _attempt(store: TileStore, work: GridBlock, window: Bounds) -> tuple[Raster, dict[str, int]]:
+def _attempt(store: TileStore, work: GridBlock, window: Bounds) -> tuple[TinRaster, dict[str, int]]:
     """Heights and marks of a block from what a window holds, and the ground points of that."""
     ground, xyz = surface_ground(store, work, window)
     if work.breaklines is not None:
@@ -222,7 +222,9 @@ def pixels_of(spec: RasterSpec, block: Block, origin: tuple[int, int]) -> Pixels
     )
 
 
-def rasterise_window(store: TileStore, work: TinBlock, window: Bounds, xyz: npt.NDArray[np.int32]) -> Raster:
+def rasterise_window(
+    store: TileStore, work: TinBlock, window: Bounds, xyz: npt.NDArray[np.int32]
+) -> TinRaster:
     """Heights in counts, NaN where there are none, and marks of the block's pixels."""
     east, north = store.meta.frame.origin
     spec, block, limit = work.spec, work.block, float(work.max_edge)
@@ -234,7 +236,7 @@ def rasterise_window(store: TileStore, work: TinBlock, window: Bounds, xyz: npt.
             interpolator="natural" if work.interpolation == "natural" else "linear",
             max_edge=limit,
             max_radius=limit,
-            window=Window(
+            window=KnownWindow(
                 window.x0 - east,
                 window.y0 - north,
                 window.x1 - east,
@@ -250,7 +252,7 @@ def rasterise_window(store: TileStore, work: TinBlock, window: Bounds, xyz: npt.
         heights, distance = inverse_distance(xyz[0], xyz[1], xyz[2], pixels, limit)
         known = spec.block_bounds(block).x0 - window.x0  # the halo: beyond it there may be nearer points
         filled = ~np.isnan(raster.heights)
-        return Raster(np.where(filled, heights, np.nan), raster.marks | (filled & (distance > known)))
+        return TinRaster(np.where(filled, heights, np.nan), raster.marks | (filled & (distance > known)))
     except ValueError as error:
         raise ProcessingError(
             f"block {block.name}: {error}; use a smaller max_edge or another resolution"

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from tiler.core.raster import Block, RasterSpec
 from tiler.grid.checksum import checksum
-from tiler.grid.ground import GroundRule, read_ground
+from tiler.grid.ground import GroundSelection, read_ground
 from tiler.grid.work import PointsBlock
 from tiler.store import TileStore, open_store
 
@@ -36,7 +36,7 @@ def density_block(store_url: str, work: PointsBlock) -> dict[str, Any]:
 
 
 def ground_counts(
-    store: TileStore, rule: GroundRule, spec: RasterSpec, block: Block
+    store: TileStore, rule: GroundSelection, spec: RasterSpec, block: Block
 ) -> npt.NDArray[np.int64]:
     """Ground points in each pixel of a block, int64 (height, width)."""
     bounds = spec.block_bounds(block)

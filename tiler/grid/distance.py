@@ -14,7 +14,7 @@ from ptd.gridding.nearest import nearest_points
 from tiler.core.raster import Block, RasterSpec
 from tiler.grid.block import pixels_of
 from tiler.grid.checksum import checksum
-from tiler.grid.ground import GroundRule, read_ground
+from tiler.grid.ground import GroundSelection, read_ground
 from tiler.grid.work import PointsBlock
 from tiler.store import TileStore, open_store
 
@@ -55,7 +55,7 @@ def distance_block(store_url: str, work: DistanceBlock) -> dict[str, Any]:
 
 
 def ground_distance(
-    store: TileStore, rule: GroundRule, spec: RasterSpec, block: Block, reach: Fraction
+    store: TileStore, rule: GroundSelection, spec: RasterSpec, block: Block, reach: Fraction
 ) -> npt.NDArray[np.float64]:
     """Distances in counts, float64 (height, width), infinite beyond ``reach`` counts."""
     xyz = read_ground(store, rule, spec.block_bounds(block).pad(math.ceil(reach) + 1)).xyz

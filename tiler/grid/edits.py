@@ -9,7 +9,7 @@ import numpy as np
 
 from tiler.core.edits import OF_POINTS, TO_GROUND, EditedPoints
 from tiler.core.lattice import Bounds, Cell, Lattice
-from tiler.grid.ground import GroundRule, read_classes
+from tiler.grid.ground import GroundSelection, read_classes
 from tiler.store import open_store
 
 
@@ -17,7 +17,7 @@ from tiler.store import open_store
 class SurveyEdits:
     """Work: count the points of one bucket that corrections touch; ``edits``: their key in the store."""
 
-    rule: GroundRule
+    rule: GroundSelection
     edits: str
     cell: Cell
 

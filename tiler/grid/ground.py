@@ -21,7 +21,7 @@ from tiler.store import TileStore
 
 
 @dataclass(frozen=True)
-class GroundRule:
+class GroundSelection:
     """Rule for the points that are ground.
 
     Attributes
@@ -76,7 +76,9 @@ class Ground:
     marked: int
 
 
-def read_ground(store: TileStore, rule: GroundRule, bounds: Bounds, choose: Choose | None = None) -> Ground:
+def read_ground(
+    store: TileStore, rule: GroundSelection, bounds: Bounds, choose: Choose | None = None
+) -> Ground:
     """Ground points in ``bounds`` (absolute counts), bucket by bucket in the lattice's order.
 
     Parameters
@@ -105,7 +107,7 @@ def read_ground(store: TileStore, rule: GroundRule, bounds: Bounds, choose: Choo
     return Ground(np.concatenate(parts, axis=1), read, int(np.concatenate(marks).sum()))
 
 
-def read_objects(store: TileStore, rule: GroundRule, bounds: Bounds) -> npt.NDArray[np.int32]:
+def read_objects(store: TileStore, rule: GroundSelection, bounds: Bounds) -> npt.NDArray[np.int32]:
     """Points in ``bounds`` (absolute counts) that are neither ground nor noise, int32 (3, n), bucket by bucket."""
     parts = [np.empty((3, 0), np.int32)]
     for cell in store.buckets_within(bounds):
@@ -117,7 +119,7 @@ def read_objects(store: TileStore, rule: GroundRule, bounds: Bounds) -> npt.NDAr
 
 
 def read_classes(
-    store: TileStore, rule: GroundRule, cell: Cell, needs_input: bool = False
+    store: TileStore, rule: GroundSelection, cell: Cell, needs_input: bool = False
 ) -> tuple[PointBlock, npt.NDArray[np.uint8], npt.NDArray[np.bool_]]:
     """The points of a bucket with their flags, the class of each as it was found, and which are ground.
 
@@ -138,7 +140,7 @@ def read_classes(
 
 
 def _objects_at_edges(
-    store: TileStore, rule: GroundRule, bounds: Bounds
+    store: TileStore, rule: GroundSelection, bounds: Bounds
 ) -> dict[Cell, npt.NDArray[np.int32]]:
     """Points of objects, by bucket, that lie near enough to the bucket's edge to erode ground beyond it."""
     reach, origin = math.ceil(rule.erode), store.meta.frame.origin
@@ -152,7 +154,7 @@ def _objects_at_edges(
 
 def _beside_objects(
     store: TileStore,
-    rule: GroundRule,
+    rule: GroundSelection,
     cell: Cell,
     ground: npt.NDArray[np.int32],
     own: npt.NDArray[np.int32],
@@ -169,7 +171,7 @@ def _is_object(
     block: PointBlock,
     classes: npt.NDArray[np.uint8],
     is_ground: npt.NDArray[np.bool_],
-    rule: GroundRule,
+    rule: GroundSelection,
     store: TileStore,
     cell: Cell,
 ) -> npt.NDArray[np.bool_]:
@@ -187,7 +189,7 @@ def _is_noise(
 
 
 def surface_points(
-    store: TileStore, rule: GroundRule, cell: Cell
+    store: TileStore, rule: GroundSelection, cell: Cell
 ) -> tuple[PointBlock, npt.NDArray[np.bool_]]:
     """All points of a bucket, and which of them are surface: no noise by the input or by the filter, not withheld."""
     block = store.read_bucket(cell, ("xyz", "flags", "classification"))
@@ -195,7 +197,7 @@ def surface_points(
     return block, _used(block, rule, store, cell) & ~_is_noise(block, labels, store, cell)
 
 
-def _used(block: PointBlock, rule: GroundRule, store: TileStore, cell: Cell) -> npt.NDArray[np.bool_]:
+def _used(block: PointBlock, rule: GroundSelection, store: TileStore, cell: Cell) -> npt.NDArray[np.bool_]:
     """Points that no flag keeps out."""
     flags = _there(block.flags, store, cell)
     mask: npt.NDArray[np.bool_] = (flags & (rule.skip_flags | WITHHELD_FLAG)) == 0

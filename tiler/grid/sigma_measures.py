@@ -14,7 +14,7 @@ from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Bounds, Lattice
 from tiler.core.raster import Block, RasterSpec
 from tiler.grid.distance import distance_to, ground_distance
-from tiler.grid.ground import GroundRule, read_ground, read_objects
+from tiler.grid.ground import GroundSelection, read_ground, read_objects
 from tiler.grid.sigma_land import Land
 from tiler.store import TileStore
 
@@ -60,7 +60,7 @@ class Measures(NamedTuple):
 
 
 def measures_of(
-    store: TileStore, rule: GroundRule, spec: RasterSpec, block: Block, terrain: str, cap: Fraction
+    store: TileStore, rule: GroundSelection, spec: RasterSpec, block: Block, terrain: str, cap: Fraction
 ) -> Measures:
     """The measures of a block's pixels; those of pixels without a height mean nothing.
 

@@ -25,7 +25,7 @@ from tiler.grid import DEEP_M, BlankBlocks, blank_blocks
 from tiler.grid.tasks.advice import advise
 from tiler.grid.tasks.canopy import canopy_cells
 from tiler.grid.tasks.corrections import Corrections, report_edited_pixels
-from tiler.grid.tasks.gridding import GAP_M, Gridding, Raster
+from tiler.grid.tasks.gridding import GAP_M, Gridding, RasterStep
 from tiler.grid.tasks.raster_table import wanted
 from tiler.grid.tasks.shared_tins import joined_blocks
 from tiler.grid.tasks.voids import report_voids
@@ -107,7 +107,7 @@ def _holes(job: Job) -> list[Bounds]:
     return [Bounds(*(round(edge * COUNTS_PER_UNIT) for edge in bounds)) for bounds in found]
 
 
-def _make(job: Job, raster: Raster, spec: RasterSpec, tasks: list[Task], join: Join | None) -> Commits:
+def _make(job: Job, raster: RasterStep, spec: RasterSpec, tasks: list[Task], join: Join | None) -> Commits:
     """Make one raster of the store."""
     name, stage = raster.name, raster.stage
     done, stale = job.split_commits(stage, tasks)

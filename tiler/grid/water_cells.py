@@ -53,7 +53,7 @@ GIVEN_SHARE = 0.03
 
 
 @dataclass(frozen=True, eq=False)
-class Cells:
+class WaterCells:
     """Returns, classes and ground heights of coarse cells, in arrays of one shape.
 
     Attributes
@@ -76,7 +76,7 @@ class Cells:
     domain: Bools
     size: float
 
-    def coarser(self) -> Cells:
+    def coarser(self) -> WaterCells:
         """Two by two cells as one; a row or column that is left over is joined by empty ones."""
         pads = [(0, side % 2) for side in self.returns.shape]
 
@@ -90,27 +90,27 @@ class Cells:
         total = np.where(known, ground, 0.0).sum(axis=2)
         number = known.sum(axis=2)
         mean = np.where(number > 0, total / np.maximum(number, 1), np.nan)
-        return Cells(
+        return WaterCells(
             fours(self.returns, 0.0).sum(axis=2), fours(self.given, False).max(axis=2), mean,
             fours(self.domain, False).max(axis=2), 2 * self.size,
         )  # fmt: skip
 
-    def finer(self, times: int) -> Cells:
+    def finer(self, times: int) -> WaterCells:
         """Each cell as ``times`` by ``times`` cells with its values."""
 
         def repeated(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
             return values.repeat(times, axis=0).repeat(times, axis=1)
 
-        return Cells(
+        return WaterCells(
             repeated(self.returns), repeated(self.given), repeated(self.ground), repeated(self.domain),
             self.size / times,
         )  # fmt: skip
 
-    def with_ground(self, ground: Floats) -> Cells:
+    def with_ground(self, ground: Floats) -> WaterCells:
         """The same cells with other heights."""
         return replace(self, ground=ground)
 
-    def cut(self, window: tuple[slice, slice]) -> Cells:
+    def cut(self, window: tuple[slice, slice]) -> WaterCells:
         """The cells of a window."""
         return replace(
             self, returns=self.returns[window], given=self.given[window], ground=self.ground[window],
@@ -176,7 +176,7 @@ class Size(NamedTuple):
         return 0 < self.given >= GIVEN_SHARE * self.cells
 
 
-def water_areas(cells: Cells, usual: float | None) -> Bools:
+def water_areas(cells: WaterCells, usual: float | None) -> Bools:
     """Cells that may be water; connected ones are one candidate.
 
     Parameters
@@ -195,12 +195,12 @@ def water_areas(cells: Cells, usual: float | None) -> Bools:
     return np.asarray(candidates)
 
 
-def flat_cells(cells: Cells) -> Bools:
+def flat_cells(cells: WaterCells) -> Bools:
     """Cells with as little relief as water has."""
     return _relief(cells.ground) < FLAT_M
 
 
-def sparse_cells(cells: Cells, flat: Bools, usual: float) -> Bools:
+def sparse_cells(cells: WaterCells, flat: Bools, usual: float) -> Bools:
     """Cells of the survey without a return, and flat ones with few returns around them."""
     some = cells.returns > 0
     total, held = (
@@ -218,7 +218,7 @@ def judged(size: Size, rim: Rim) -> float | None:
     return rim.sure
 
 
-def rim_of(cells: Cells, mine: Bools, others: Bools, counted: Bools) -> Rim:
+def rim_of(cells: WaterCells, mine: Bools, others: Bools, counted: Bools) -> Rim:
     """The land around an area.
 
     Parameters

@@ -11,7 +11,7 @@ import scipy
 
 from tiler.grid.coarse import Bools
 from tiler.grid.reach import Floats, box_around, within
-from tiler.grid.water_cells import Cells
+from tiler.grid.water_cells import WaterCells
 
 LEVEL_M = 0.15
 """Height of the ground above the water up to which the water goes on."""
@@ -43,7 +43,7 @@ def smoothed(ground: Floats) -> Floats:
     return found
 
 
-def water_heights(cells: Cells, wet: Bools) -> Floats | None:
+def water_heights(cells: WaterCells, wet: Bools) -> Floats | None:
     """How high water stands near each cell, metres, by the nearest cells of it with returns; None without such.
 
     Its outermost cells may be bank, so they count only where no inner one is near. Voids have heights of their banks.
@@ -61,7 +61,7 @@ def water_heights(cells: Cells, wet: Bools) -> Floats | None:
     return levels
 
 
-def shore_area(cells: Cells, water: Bools, reach: int) -> Bools:
+def shore_area(cells: WaterCells, water: Bools, reach: int) -> Bools:
     """Water with the cells beside it, up to ``reach`` away and connected, that are as low as it stands."""
     found, box = water.copy(), box_around(water, reach)
     near, wet = cells.cut(box), water[box]

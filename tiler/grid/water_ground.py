@@ -15,7 +15,7 @@ from tiler.core.raster import BLOCK_PIXELS, NODATA, RasterSpec
 from tiler.grid.checksum import checksum
 from tiler.grid.coarse import blocks_under, padded
 from tiler.grid.density import pixel_indices
-from tiler.grid.ground import GroundRule, surface_points
+from tiler.grid.ground import GroundSelection, surface_points
 from tiler.grid.work import BlockWork
 from tiler.store import TileStore, coarse_cells, open_store, read_cells
 
@@ -43,7 +43,7 @@ class GroundCells(BlockWork):
     heights: str
     pixels: RasterSpec
     occupancy: str | None
-    rule: GroundRule
+    rule: GroundSelection
 
 
 def ground_cells(store_url: str, work: GroundCells) -> dict[str, Any]:

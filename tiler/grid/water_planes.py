@@ -21,8 +21,8 @@ from tiler.grid.pieces import Piece, label_block
 from tiler.grid.reach import Floats, distances
 from tiler.grid.water_cells import (
     GIVEN_SHARE,
-    Cells,
     Rim,
+    WaterCells,
     flat_cells,
     rim_of,
     sparse_cells,
@@ -171,7 +171,7 @@ def count_plane_rims(store_url: str, work: CountPlaneRims) -> dict[str, Any]:
     return {"rims": found, "beside": beside}
 
 
-def _rim(cells: Cells, water: Bools, others: Bools, counted: Bools) -> Rim:
+def _rim(cells: WaterCells, water: Bools, others: Bools, counted: Bools) -> Rim:
     """The land around a plane and its shore, where other planes and their shores are no land."""
     wide = scipy.ndimage.binary_dilation(others, AROUND, iterations=SHORE_CELLS) & ~water
     return rim_of(cells, water, wide, counted)

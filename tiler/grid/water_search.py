@@ -24,7 +24,7 @@ from tiler.grid.pieces import Labels, Piece, areas_within, label_block
 from tiler.grid.reach import Floats, box_around
 from tiler.grid.water_cells import (
     RING_M,
-    Cells,
+    WaterCells,
     rim_of,
     water_areas,
 )
@@ -181,12 +181,14 @@ def ground_in(store: TileStore, name: str, spec: RasterSpec, window: Block) -> F
 
 def read_search_cells(
     store: TileStore, sources: Sources, spec: RasterSpec, window: Block, times: int
-) -> Cells:
+) -> WaterCells:
     """Returns, classes and ground in a window, ``times`` cells along a side as one."""
     points = read_cells(store, sources.occupancy, spec, window)
     domain: Bools = read_cells(store, sources.domain, spec, window, float(BEYOND)) != BEYOND
     size_m = float(spec.lattice.size * store.meta.frame.metres_xy)
-    cells = Cells(np.abs(points), points < 0, ground_in(store, sources.ground, spec, window), domain, size_m)
+    cells = WaterCells(
+        np.abs(points), points < 0, ground_in(store, sources.ground, spec, window), domain, size_m
+    )
     for _ in range(times.bit_length() - 1):
         cells = cells.coarser()
     return cells
@@ -210,7 +212,7 @@ class AreasAround:
         Cells beside an area that matter.
     """
 
-    cells: Cells
+    cells: WaterCells
     numbers: Labels
     names: list[Piece]
     window: Block

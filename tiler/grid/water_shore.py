@@ -10,7 +10,7 @@ import scipy
 from tiler.core.raster import Block, RasterSpec
 from tiler.grid.coarse import Bools
 from tiler.grid.reach import Floats
-from tiler.grid.water_cells import Cells
+from tiler.grid.water_cells import WaterCells
 from tiler.grid.water_extent import water_heights
 
 REACH_CELLS = 24
@@ -23,7 +23,7 @@ BANK_CELLS = 2
 AROUND = np.ones((3, 3), np.bool_)
 
 
-def depths(cells: Cells, wet: Bools) -> Floats:
+def depths(cells: WaterCells, wet: Bools) -> Floats:
     """Height of the bank above the water in cells beside it, and of the bank gone on below it in its outermost cells.
 
     Positive on land, negative in water; so the line at 0 is the shore. Where the ground was not seen it lies halfway

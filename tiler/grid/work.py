@@ -7,7 +7,7 @@ from fractions import Fraction
 
 from tiler.core.lattice import Bounds, Lattice
 from tiler.core.raster import Block, RasterSpec
-from tiler.grid.ground import GroundRule
+from tiler.grid.ground import GroundSelection
 from tiler.schedule import NOT_IN_DIGEST
 
 
@@ -38,7 +38,7 @@ class BlockWork:
 class PointsBlock(BlockWork):
     """A block made from points: their density, or which coarse cells they occupy."""
 
-    rule: GroundRule
+    rule: GroundSelection
 
 
 @dataclass(frozen=True, kw_only=True)

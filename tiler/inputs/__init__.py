@@ -8,7 +8,7 @@ from tiler.inputs.common_crs import CommonCrs, resolve_common_crs
 from tiler.inputs.extent import FAR
 from tiler.inputs.georeference import Georeference, describe
 from tiler.inputs.lists import read_list
-from tiler.inputs.patches import Patch
+from tiler.inputs.patches import DensityPatch
 from tiler.inputs.point_tiles import EptDataset, Touches, is_ept, key_of, read_point_tiles
 from tiler.inputs.requantise import bounds_in_counts
 from tiler.inputs.search import find_inputs, is_list
@@ -25,9 +25,9 @@ from tiler.inputs.sources import (
 __all__ = [
     "FAR",
     "CommonCrs",
+    "DensityPatch",
     "EptDataset",
     "Georeference",
-    "Patch",
     "SourceInfo",
     "Touches",
     "bounds_in_counts",

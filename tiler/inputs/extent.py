@@ -12,7 +12,7 @@ import numpy.typing as npt
 from ptd.matched.evidence import Evidence
 from tiler.core.units import FARTHEST
 from tiler.errors import InputError
-from tiler.inputs.patches import IN_CELL, Patch, find_patches
+from tiler.inputs.patches import IN_CELL, DensityPatch, find_patches
 from tiler.io.las.columns import evidence, returns
 from tiler.io.las.headers import LasHeader
 from tiler.io.las.octree import Octree
@@ -69,7 +69,7 @@ class Extent:
     bounds: tuple[float, ...] | None
     claimed: bool
     note: str | None = None
-    patches: tuple[Patch, ...] = ()
+    patches: tuple[DensityPatch, ...] = ()
     returns: int = 0
     evidence: Evidence = field(default_factory=Evidence)
 
@@ -135,13 +135,13 @@ def find_extent(header: LasHeader, octree: Octree | None = None) -> Extent:
 
 def _patches_of(
     octree: Octree, counts: list[int], sample: Array, bounds: Sequence[float]
-) -> tuple[Patch, ...]:
+) -> tuple[DensityPatch, ...]:
     """A patch for each square of an octree that holds points, clipped to the bounds."""
     found = []
     level = max(*(key[0] for key in octree.keys), math.isqrt(sample.shape[1] // IN_CELL).bit_length() - 1)
     for key, points in octree.spread(counts, sample, min(level, _LEVELS)).items():
         x0, y0, x1, y1 = octree.box(key)
-        patch = Patch(
+        patch = DensityPatch(
             x0=min(max(x0, bounds[0]), bounds[2]),
             y0=min(max(y0, bounds[1]), bounds[3]),
             x1=min(max(x1, bounds[0]), bounds[2]),

@@ -38,7 +38,7 @@ IN_CELL = 8
 
 
 @dataclass(frozen=True)
-class Patch:
+class DensityPatch:
     """The rectangle ``x0 <= x <= x1, y0 <= y <= y1`` in units of the CRS, and about how many points it holds."""
 
     x0: float
@@ -50,7 +50,7 @@ class Patch:
 
 def find_patches(
     runs: Sequence[npt.NDArray[np.float64]], points: int, bounds: Sequence[float]
-) -> tuple[Patch, ...]:
+) -> tuple[DensityPatch, ...]:
     """Patches that hold all points of a file: one for each run, or for each cell if the order of the file is random.
 
     The rectangle of a run is widened until, at the density of the run, it holds all points from this run to the next.
@@ -69,7 +69,7 @@ def find_patches(
     inside = [run[:, np.all((run >= low[:, None]) & (run <= high[:, None]), axis=0)] for run in runs]
     inside = [run for run in inside if run.shape[1]]
     if not inside:
-        return (Patch(bounds[0], bounds[1], bounds[2], bounds[3], points),) if points else ()
+        return (DensityPatch(bounds[0], bounds[1], bounds[2], bounds[3], points),) if points else ()
     if all(np.all(np.ptp(run, axis=1) >= _SPANS * (high - low)) for run in inside):
         return _cells(np.concatenate(inside, axis=1), points, low, high)
     share = points / len(inside)
@@ -91,7 +91,7 @@ def _cells(
     points: int,
     low: npt.NDArray[np.float64],
     high: npt.NDArray[np.float64],
-) -> tuple[Patch, ...]:
+) -> tuple[DensityPatch, ...]:
     """A patch for each cell of the bounds that holds points of the sample, which comes from the whole file."""
     total = sample.shape[1]
     across = min(max(math.isqrt(total // IN_CELL), 1), _CELLS)
@@ -100,7 +100,7 @@ def _cells(
     cells, held = np.unique(np.minimum(place, across - 1), axis=1, return_counts=True)
     corners = (low + cells.T * side).tolist()
     return tuple(
-        Patch(x, y, x + float(side[0]), y + float(side[1]), points * number / total)
+        DensityPatch(x, y, x + float(side[0]), y + float(side[1]), points * number / total)
         for (x, y), number in zip(corners, held.tolist(), strict=True)
     )
 
@@ -124,7 +124,7 @@ def _divide(run: npt.NDArray[np.float64], points: float) -> list[npt.NDArray[np.
 
 def _patch(
     run: npt.NDArray[np.float64], points: float, low: npt.NDArray[np.float64], high: npt.NDArray[np.float64]
-) -> Patch:
+) -> DensityPatch:
     first, last = run.min(axis=1), run.max(axis=1)
     wide, tall = (last - first).tolist()
     area = points / local_density(run)
@@ -135,7 +135,7 @@ def _patch(
     shift = np.maximum(low - first, 0) - np.maximum(last - high, 0)
     first, last = np.maximum(first + shift, low), np.minimum(last + shift, high)
     last = np.maximum(last, first)
-    return Patch(float(first[0]), float(first[1]), float(last[0]), float(last[1]), points)
+    return DensityPatch(float(first[0]), float(first[1]), float(last[0]), float(last[1]), points)
 
 
 def local_density(run: npt.NDArray[np.float64]) -> float:

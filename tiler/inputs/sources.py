@@ -15,7 +15,7 @@ from tiler.core.lattice import Bounds
 from tiler.errors import InputError, ProcessingError
 from tiler.inputs.extent import find_extent
 from tiler.inputs.georeference import Georeference, georeference
-from tiler.inputs.patches import Patch
+from tiler.inputs.patches import DensityPatch
 from tiler.io.cloud_reading import fetched_bytes
 from tiler.io.las.columns import RGB_FORMATS
 from tiler.io.las.headers import LasHeader, read_header
@@ -97,7 +97,7 @@ class SourceInfo:
     returns: int
     evidence: Evidence
     notes: tuple[str, ...]
-    patches: tuple[Patch, ...] = ()
+    patches: tuple[DensityPatch, ...] = ()
     chunks: int | tuple[int, ...] = 0
     created: tuple[int, int] = (0, 0)
     octree: Octree | None = None

@@ -8,7 +8,7 @@ from functools import cache
 import numpy as np
 import numpy.typing as npt
 
-from tiler.inputs import Patch
+from tiler.inputs import DensityPatch
 
 CELL_M = 64.0
 """Side of a cell of the map: about a bucket."""
@@ -36,7 +36,7 @@ class DensityMap:
         Approximate area of the patches. Every place counts once.
     """
 
-    def __init__(self, patches: Iterable[Patch], metres: float) -> None:
+    def __init__(self, patches: Iterable[DensityPatch], metres: float) -> None:
         found = [(p.x0 * metres, p.y0 * metres, p.x1 * metres, p.y1 * metres, p.points) for p in patches]
         boxes = np.array(found, np.float64).reshape(-1, 5)
         wide, tall = boxes[:, 2] - boxes[:, 0], boxes[:, 3] - boxes[:, 1]

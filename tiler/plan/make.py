@@ -102,7 +102,7 @@ def make_plan(
     if not _filled(sources):
         raise InputError(f"{_names(sources)}: no points to make a terrain from; give clouds with points")
     area = area_of(config, agreement.wkt, notes)
-    found = _Found(inputs, sources, unreadable, agreement, area, notes)
+    found = _InspectedInputs(inputs, sources, unreadable, agreement, area, notes)
     metres = float(agreement.units.horizontal)
     found = _without(found, files_beyond_frame(_filled(sources), area, agreement.wkt, metres), config)
     plan = _settled(found, config, parameters, defaults)
@@ -125,7 +125,7 @@ def make_plan(
 
 
 @dataclass(frozen=True)
-class _Found:
+class _InspectedInputs:
     """What the inputs are: those that can be read, those that are left out, and what they agree on."""
 
     inputs: Sequence[str]
@@ -159,7 +159,7 @@ def _filled(sources: Sequence[SourceInfo]) -> list[SourceInfo]:
     return [s for s in sources if s.points and s.bounds is not None]
 
 
-def _without(found: _Found, far: LeftOut, config: RunConfig) -> _Found:
+def _without(found: _InspectedInputs, far: LeftOut, config: RunConfig) -> _InspectedInputs:
     """The same without files that lie too far away; raises InputError where that is no way to go on."""
     if not far:
         return found
@@ -171,7 +171,7 @@ def _without(found: _Found, far: LeftOut, config: RunConfig) -> _Found:
     return replace(found, sources=left, unreadable=unreadable)
 
 
-def _settled(found: _Found, config: RunConfig, parameters: dict[str, Any], defaults: Any) -> Plan:
+def _settled(found: _InspectedInputs, config: RunConfig, parameters: dict[str, Any], defaults: Any) -> Plan:
     """The plan that follows from some files, whether or not it can work."""
     covered, decided = found.covered
     notes, agreement, filled = [*found.notes, *decided], found.agreement, found.filled

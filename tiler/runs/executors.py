@@ -9,7 +9,7 @@ from typing import Any
 
 from tiler.io.locations import location
 from tiler.plan import Plan, projected_memory
-from tiler.schedule import Executor, Limits, Machine, make_executor
+from tiler.schedule import Executor, Machine, TaskLimits, make_executor
 from tiler.schedule.cluster_check import ClusterAccess
 from tiler.schedule.worker import prepare
 from tiler.store import store_exists
@@ -93,7 +93,7 @@ def _look_at_workers(
 def _executor(plan: Plan, scheduler: str | None) -> Executor:
     config = plan.config
     memory = MEMORY_TIMES * plan.memory + MEMORY_MORE_BYTES
-    limits = Limits(memory, config.task_seconds, partial(prepare, plan.memory))
+    limits = TaskLimits(memory, config.task_seconds, partial(prepare, plan.memory))
     return make_executor(plan.workers, scheduler, config.in_process, limits)
 
 

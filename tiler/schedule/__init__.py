@@ -15,13 +15,13 @@ from tiler.schedule.task import (
     NOT_IN_DIGEST,
     TRIES,
     Executor,
-    Limits,
     Look,
     Machine,
     Outcome,
     Perform,
     Placed,
     Task,
+    TaskLimits,
     Work,
     digest_of,
 )
@@ -35,7 +35,6 @@ __all__ = [
     "ChildProcess",
     "ChildStartError",
     "Executor",
-    "Limits",
     "Look",
     "Machine",
     "Outcome",
@@ -43,6 +42,7 @@ __all__ = [
     "Placed",
     "SerialExecutor",
     "Task",
+    "TaskLimits",
     "Work",
     "call_isolated",
     "digest_of",
@@ -68,7 +68,7 @@ def import_dask() -> None:
 
 
 def make_executor(
-    workers: int, address: str | None = None, in_process: bool = False, limits: Limits | None = None
+    workers: int, address: str | None = None, in_process: bool = False, limits: TaskLimits | None = None
 ) -> Executor:
     """Make an executor in this process, or on Dask workers of this machine or of the cluster at an address.
 

@@ -17,14 +17,14 @@ import distributed
 from distributed.system import MEMORY_LIMIT
 
 from tiler.schedule.guard import ChildDiedError, ChildProcess, ChildStartError
-from tiler.schedule.task import Limits, Outcome, Perform, Task
+from tiler.schedule.task import Outcome, Perform, Task, TaskLimits
 
 WORKER_DIED = "WorkerDied"
 """Error kind of a task that killed its worker."""
 
 
 @dataclass(frozen=True)
-class Run:
+class ExecutorSettings:
     """Values that the tasks of one executor share.
 
     Attributes
@@ -35,7 +35,7 @@ class Run:
     """
 
     token: str
-    limits: Limits
+    limits: TaskLimits
 
 
 class Children:
@@ -47,7 +47,7 @@ class Children:
         self._busy: dict[ChildProcess, str] = {}
         self._ended: set[str] = set()
 
-    def perform(self, run: Run, perform: Perform, store_url: str, task: Task) -> Outcome:
+    def perform(self, run: ExecutorSettings, perform: Perform, store_url: str, task: Task) -> Outcome:
         """Run a task in a child, and return its outcome."""
         guard = self._take(run)
         try:
@@ -65,7 +65,7 @@ class Children:
             self._give_back(guard)
         return outcome
 
-    def call(self, run: Run, function: Callable[..., Any], *arguments: Any) -> Any:
+    def call(self, run: ExecutorSettings, function: Callable[..., Any], *arguments: Any) -> Any:
         """Return the result of ``function(*arguments)`` in a child.
 
         Raise the exception of the function, or `ChildDiedError`.
@@ -87,7 +87,7 @@ class Children:
         for guard in idle:
             guard.close()
 
-    def _take(self, run: Run) -> ChildProcess:
+    def _take(self, run: ExecutorSettings) -> ChildProcess:
         """Return an idle child with the same memory limit, or a new one."""
         with self._lock:
             others, self._idle = self._idle, []
@@ -112,13 +112,13 @@ class Children:
         guard.close()
 
 
-def perform_in_child(run: Run, perform: Perform, store_url: str, task: Task) -> Outcome:
+def perform_in_child(run: ExecutorSettings, perform: Perform, store_url: str, task: Task) -> Outcome:
     """Call `Children.perform` on a Dask worker."""
     return _children(distributed.get_worker()).perform(run, perform, store_url, task)
 
 
 async def call_in_child(
-    run: Run, function: Callable[..., Any], *arguments: Any, dask_worker: distributed.Worker
+    run: ExecutorSettings, function: Callable[..., Any], *arguments: Any, dask_worker: distributed.Worker
 ) -> Any:
     """Call `Children.call` on a Dask worker, in parallel with its tasks. Dask passes the worker."""
     return await asyncio.to_thread(_children(dask_worker).call, run, function, *arguments)

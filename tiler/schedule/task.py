@@ -126,7 +126,7 @@ class Outcome:
 
 
 @dataclass(frozen=True)
-class Limits:
+class TaskLimits:
     """Limits of memory and time for a worker, beyond which it is ended.
 
     Attributes

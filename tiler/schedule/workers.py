@@ -25,14 +25,14 @@ from distributed.comm.addressing import get_address_host_port
 from tiler.errors import ConfigError, ConnectionLostError, first_line
 from tiler.schedule.children import (
     WORKER_DIED,
-    Run,
+    ExecutorSettings,
     call_in_child,
     end_children,
     machine_of,
     perform_in_child,
 )
 from tiler.schedule.local_cluster import cluster_here
-from tiler.schedule.task import Limits, Look, Machine, Outcome, Perform, Task
+from tiler.schedule.task import Look, Machine, Outcome, Perform, Task, TaskLimits
 
 WAITING_PER_WORKER = 1
 """Number of tasks that wait at each worker of a cluster, so that it has work while a result is sent to the client."""
@@ -108,8 +108,8 @@ class DaskExecutor:
         There is no scheduler at the address, or it has no workers.
     """
 
-    def __init__(self, workers: int, address: str | None = None, limits: Limits | None = None) -> None:
-        self._run = Run(uuid.uuid4().hex, limits or Limits())
+    def __init__(self, workers: int, address: str | None = None, limits: TaskLimits | None = None) -> None:
+        self._run = ExecutorSettings(uuid.uuid4().hex, limits or TaskLimits())
         self._submissions = 0
         self._cluster: Any = None
         self._address = address

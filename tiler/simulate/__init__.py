@@ -12,12 +12,28 @@ from tiler.simulate.catalogue import SCENES, Scene, SceneSpec, make_scene
 from tiler.simulate.demo import DemoScene, demo_city, demo_files
 from tiler.simulate.dim import DimSensor
 from tiler.simulate.files import describe_scene, write_scene
-from tiler.simulate.points import Points, survey
+from tiler.simulate.points import SimulatedPoints, survey
 from tiler.simulate.site import Site
 from tiler.simulate.sites import SITES, make_site, scene_points
 from tiler.simulate.terrain import Terrain
 
 __all__ = [
-    "SCENES", "SITES", "AlsSensor", "DemoScene", "DimSensor", "Points", "Scene", "SceneSpec", "Site", "Terrain",
-    "demo_city", "demo_files", "describe_scene", "make_scene", "make_site", "scene_points", "survey", "write_scene",
+    "SCENES",
+    "SITES",
+    "AlsSensor",
+    "DemoScene",
+    "DimSensor",
+    "Scene",
+    "SceneSpec",
+    "SimulatedPoints",
+    "Site",
+    "Terrain",
+    "demo_city",
+    "demo_files",
+    "describe_scene",
+    "make_scene",
+    "make_site",
+    "scene_points",
+    "survey",
+    "write_scene",
 ]  # fmt: skip

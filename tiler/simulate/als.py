@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from tiler.core.classes import GROUND, HIGH_NOISE, LOW_NOISE, WATER
 from tiler.simulate.objects import LOW_VEGETATION, WIRE, Floats, Objects, Rays
-from tiler.simulate.points import Box, Points, UInt8s, vegetation_label
+from tiler.simulate.points import Box, SimulatedPoints, UInt8s, vegetation_label
 from tiler.simulate.randomness import BIAS, BLUNDERS, PULSES, generator, node_normals
 from tiler.simulate.site import Site
 from tiler.simulate.terrain import Terrain
@@ -79,7 +79,7 @@ class AlsSensor:
         lean = (self.strip_m + self.overlap_m) / 2 / self.flying_height_m + FORWARD_TILT
         return REACH_M * lean
 
-    def survey(self, site: Site, ix: int, iy: int) -> Points:
+    def survey(self, site: Site, ix: int, iy: int) -> SimulatedPoints:
         """The points of the pulses aimed at patch (ix, iy), pulse by pulse, with blunders last.
 
         A pulse belongs to the patch at which the pattern aims it, on the level `Terrain.base`. So neighbouring patches
@@ -103,7 +103,7 @@ class AlsSensor:
         z = z + bias + self.sigma_m * rng.standard_normal(len(z))
         noise, noise_label = _blunders(self, site.terrain, box, generator(site.seed, BLUNDERS, ix, iy))
         one = np.ones(len(noise), np.uint8)
-        return Points(
+        return SimulatedPoints(
             np.concatenate((np.column_stack((x, y, z)), noise)),
             np.r_[label, noise_label],
             np.r_[number, one],

@@ -71,7 +71,7 @@ class Scene:
     xyz : float64, shape (n, 3)
         Metres, whole millimetres, from the scene's south-west corner.
     classification : uint8, shape (n,)
-        True ASPRS classes, as `tiler.simulate.points.Points.label`.
+        True ASPRS classes, as `tiler.simulate.points.SimulatedPoints.label`.
     rgb : uint16, shape (n, 3), or None
     returns : uint8, shape (n, 2)
         Return number and number of returns.

@@ -12,7 +12,7 @@ import pyproj
 
 from tiler.core.raster import BLOCK_PIXELS
 from tiler.io.geotiff import RasterMetadata, plain_geotiff
-from tiler.simulate.points import Points, UInt8s
+from tiler.simulate.points import SimulatedPoints, UInt8s
 from tiler.simulate.site import Site
 
 CRS = "EPSG:32632"
@@ -53,7 +53,7 @@ class CloudWriter:
     def __exit__(self, *_: object) -> None:
         self._file.close()
 
-    def write(self, points: Points, classes: UInt8s | None = None) -> None:
+    def write(self, points: SimulatedPoints, classes: UInt8s | None = None) -> None:
         """Append points. ``classes`` (uint8, shape (n,)) replaces their own classes."""
         if not len(points):
             return

@@ -14,7 +14,7 @@ from tiler.core.classes import GROUND, HIGH_NOISE, LOW_NOISE, WATER
 from tiler.simulate.colour import SHADOW_REACH_M, colours, shadows
 from tiler.simulate.matched_surface import PIXEL_M, MatchedSurface, render_surface
 from tiler.simulate.objects import BUILDING, LOW_VEGETATION
-from tiler.simulate.points import Box, Points
+from tiler.simulate.points import Box, SimulatedPoints
 from tiler.simulate.randomness import BIAS, BLUNDERS, MATCHES, TEXTURE, generator, smooth_noise
 from tiler.simulate.site import Site
 
@@ -95,7 +95,7 @@ class DimSensor:
     plants_m: float = 0.0
     coloured: bool = True
 
-    def survey(self, site: Site, ix: int, iy: int) -> Points:
+    def survey(self, site: Site, ix: int, iy: int) -> SimulatedPoints:
         """The points of patch (ix, iy): the skin, facades, blunders."""
         box = (ix * PATCH_M, iy * PATCH_M, (ix + 1) * PATCH_M, (iy + 1) * PATCH_M)
         rng = generator(site.seed, MATCHES, ix, iy)
@@ -112,7 +112,7 @@ class DimSensor:
         if self.coloured:
             rgb = colours(site, xyz[:, 0], xyz[:, 1], label, skin.thing[node], facade, dark[node], rng)
         one = np.ones(len(xyz), np.uint8)
-        return Points(xyz, label, one, one.copy(), np.zeros(len(xyz)), rgb)
+        return SimulatedPoints(xyz, label, one, one.copy(), np.zeros(len(xyz)), rgb)
 
     def _matches(
         self,

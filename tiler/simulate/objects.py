@@ -173,7 +173,7 @@ class Crown:
 
 
 @dataclass(frozen=True)
-class Patch:
+class PlantPatch:
     """Low vegetation: an ellipse or, if ``square``, a rectangle in which plants stand on the ground; metres.
 
     ``cover`` is the share of pulses that end in them, at heights up to ``height``.
@@ -247,7 +247,7 @@ class Objects:
 
     solids: tuple[Solid, ...] = ()
     crowns: tuple[Crown, ...] = ()
-    patches: tuple[Patch, ...] = ()
+    patches: tuple[PlantPatch, ...] = ()
     wires: tuple[Wire, ...] = ()
 
     def __add__(self, other: Objects) -> Objects:
@@ -257,7 +257,7 @@ class Objects:
     def touching(self, x0: float, y0: float, x1: float, y1: float) -> Objects:
         """Objects that may reach into a box, in the same order; metres."""
 
-        def near(thing: Solid | Crown | Patch | Wire) -> bool:
+        def near(thing: Solid | Crown | PlantPatch | Wire) -> bool:
             far = thing.radius
             return x0 - far <= thing.x <= x1 + far and y0 - far <= thing.y <= y1 + far
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from tiler.core.classes import UNCLASSIFIED
-from tiler.simulate.objects import BUILDING, Crown, Objects, Patch, Solid
+from tiler.simulate.objects import BUILDING, Crown, Objects, PlantPatch, Solid
 from tiler.simulate.terrain import Line, Terrain
 
 STEEPEST_HOUSE = 0.3
@@ -43,7 +43,7 @@ class Plot:
         self._far = landmarks
         self._solids: list[Solid] = []
         self._crowns: list[Crown] = []
-        self._patches: list[Patch] = []
+        self._patches: list[PlantPatch] = []
 
     def objects(self) -> Objects:
         """All objects placed so far."""
@@ -221,7 +221,9 @@ class Plot:
 
     def undergrowth(self, cover: float, height: float) -> None:
         """Plants on the whole block: a field, a fallow, brambles."""
-        self._patches.append(Patch(self.x, self.y, 0.0, self.side, self.side, height, cover, square=True))
+        self._patches.append(
+            PlantPatch(self.x, self.y, 0.0, self.side, self.side, height, cover, square=True)
+        )
 
     def bushes(self, low: int, high: int, height: tuple[float, float] = (0.2, 1.0)) -> None:
         """Beds and bushes, up to 8 m long."""
@@ -232,12 +234,12 @@ class Plot:
             tall = self.rng.uniform(*height)
             cover = self.rng.uniform(0.3, 0.95)
             if self.free(x, y, 0.0):
-                self._patches.append(Patch(x, y, angle, length, width, tall, cover))
+                self._patches.append(PlantPatch(x, y, angle, length, width, tall, cover))
 
     def hedge(self, x: float, y: float, angle: float, length: float) -> None:
         """A trimmed, dense hedge."""
         tall = self.rng.uniform(0.8, 2.0)
-        self._patches.append(Patch(x, y, angle, length, 0.9, tall, 0.9, square=True))
+        self._patches.append(PlantPatch(x, y, angle, length, 0.9, tall, 0.9, square=True))
 
     def wall(self, x: float, y: float, angle: float, length: float) -> None:
         """A garden wall of 0.3 m, 0.6 to 2 m high, in pieces that follow the ground."""

@@ -45,7 +45,7 @@ CLASS_NAMES = {
 
 
 @dataclass(frozen=True)
-class Points:
+class SimulatedPoints:
     """Columns of ``n`` points.
 
     Attributes
@@ -70,13 +70,13 @@ class Points:
     def __len__(self) -> int:
         return len(self.label)
 
-    def take(self, keep: npt.NDArray[np.bool_]) -> Points:
+    def take(self, keep: npt.NDArray[np.bool_]) -> SimulatedPoints:
         """The points of a mask, in the same order."""
         columns: list[Any] = [None if column is None else column[keep] for column in self._columns]
-        return Points(*columns)
+        return SimulatedPoints(*columns)
 
     @classmethod
-    def joined(cls, parts: list[Points]) -> Points:
+    def joined(cls, parts: list[SimulatedPoints]) -> SimulatedPoints:
         """All parts (at least one), one after the other."""
         columns = zip(*(part._columns for part in parts), strict=True)
         whole: list[Any] = [None if column[0] is None else np.concatenate(column) for column in columns]
@@ -105,7 +105,7 @@ class Sensor(Protocol):
         """Whether the points have colours."""
         ...
 
-    def survey(self, site: Site, ix: int, iy: int) -> Points:
+    def survey(self, site: Site, ix: int, iy: int) -> SimulatedPoints:
         """The points of a patch, which depend only on the site, the sensor and (ix, iy)."""
         ...
 
@@ -132,7 +132,7 @@ def patches(sensor: Sensor, side_m: float, rim: bool = True) -> list[tuple[int, 
     return [(ix, iy) for iy, ix in itertools.product(along, along)]
 
 
-def survey_patch(site: Site, sensor: Sensor, ix: int, iy: int) -> Points:
+def survey_patch(site: Site, sensor: Sensor, ix: int, iy: int) -> SimulatedPoints:
     """The points of a patch that lie on the site, coordinates rounded to millimetres."""
     points = sensor.survey(site, ix, iy)
     xyz = np.round(points.xyz, 3)
@@ -140,6 +140,8 @@ def survey_patch(site: Site, sensor: Sensor, ix: int, iy: int) -> Points:
     return replace(points, xyz=xyz).take(inside)
 
 
-def survey(site: Site, sensor: Sensor) -> Points:
+def survey(site: Site, sensor: Sensor) -> SimulatedPoints:
     """All points of a site at once: for small ones."""
-    return Points.joined([survey_patch(site, sensor, *index) for index in patches(sensor, site.side_m)])
+    return SimulatedPoints.joined(
+        [survey_patch(site, sensor, *index) for index in patches(sensor, site.side_m)]
+    )

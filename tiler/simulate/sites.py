@@ -266,7 +266,7 @@ def scene_points(
     -------
     xyz : float64, shape (n, 3), metres
     labels : uint8, shape (n,)
-        Labels of `tiler.simulate.points.Points`.
+        Labels of `tiler.simulate.points.SimulatedPoints`.
     """
     points = survey(make_site(kind, seed, side_m), sensor or AlsSensor())
     return points.xyz, points.label

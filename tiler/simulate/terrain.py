@@ -12,7 +12,7 @@ Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
 
 
-class Feature(Protocol):
+class TerrainFeature(Protocol):
     """A part of a terrain; `Terrain` sums the parts."""
 
     def height_at(self, x: Floats, y: Floats) -> Floats:
@@ -258,7 +258,7 @@ class Terrain:
 
     base: float = 100.0
     slope: tuple[float, float] = (0.0, 0.0)
-    features: tuple[Feature, ...] = ()
+    features: tuple[TerrainFeature, ...] = ()
 
     def height_at(self, x: npt.ArrayLike, y: npt.ArrayLike) -> Floats:
         """True height of the ground, metres, float64 of the broadcast shape of ``x`` and ``y`` (metres)."""

@@ -24,7 +24,7 @@ from .process import PARTIAL, TABLE, CommandError, absolute
 from .shell import LOAD, CommandAlgorithm, find_command, write_page
 
 
-class Run(CommandAlgorithm):
+class RunAlgorithm(CommandAlgorithm):
     """``tiler run``."""
 
     command = "run"
@@ -51,7 +51,7 @@ class Run(CommandAlgorithm):
         return {}
 
 
-class ApplyEdits(Run):
+class ApplyEdits(RunAlgorithm):
     """``tiler run`` with the settings of an earlier run and polygons of edits."""
 
     def name(self) -> str:

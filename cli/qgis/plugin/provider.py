@@ -9,7 +9,7 @@ from processing.core.ProcessingConfig import ProcessingConfig, Setting
 from qgis.core import QgsApplication, QgsProcessingProvider
 from qgis.PyQt.QtGui import QIcon
 
-from .algorithms import ApplyEdits, Check, Classify, Preview, Run
+from .algorithms import ApplyEdits, Check, Classify, Preview, RunAlgorithm
 from .process import TABLE
 from .shell import COMMAND
 
@@ -99,5 +99,5 @@ class Provider(QgsProcessingProvider):
 
     def loadAlgorithms(self) -> None:
         """Make the algorithms."""
-        for made in (Run, Preview, Classify, Check, ApplyEdits):
+        for made in (RunAlgorithm, Preview, Classify, Check, ApplyEdits):
             self.addAlgorithm(made())

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.cells import CellIndex, Int32, lowest_per_cell
-from ptd.frame import Cells, Window
+from ptd.frame import CellLattice, Window
 from ptd.ground.labelling import UNCLASSIFIED
 from ptd.passes import Model, Points, UInt8
 
@@ -36,7 +36,7 @@ class CellCodes(Model):
         x: Int32,
         y: Int32,
         codes: UInt8,
-        cells: Cells,
+        cells: CellLattice,
         certain: Window,
         stats: dict[str, Any],
         doubtful: Bool | None = None,
@@ -69,7 +69,7 @@ class CellCodes(Model):
         return self._index.find(x, y)
 
 
-def lowest_points(points: Points, cells: Cells) -> tuple[Int32, Int32, Int32, UInt8]:
+def lowest_points(points: Points, cells: CellLattice) -> tuple[Int32, Int32, Int32, UInt8]:
     """x, y, z and label of the lowest point of each cell, by rows of cells; labels are 0 if there are none yet."""
     x, y, z = points.columns()
     index = lowest_per_cell(x, y, z, cells)

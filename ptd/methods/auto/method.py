@@ -62,12 +62,12 @@ from typing import Any
 import numpy as np
 
 from ptd.cells import Xyz
-from ptd.frame import Cells, Scale, Window
+from ptd.frame import CellLattice, Scale, Window
 from ptd.ground.blocks import blocks
 from ptd.ground.certificates import UncertifiedRegion
 from ptd.ground.densify import REFUSED, VERTEX, WAITING, densify
 from ptd.ground.fine_surface import REACH_M, FineLabels, with_fine_surface
-from ptd.ground.labelling import GROUND, LOW_NOISE, UNCLASSIFIED, GroundRule, TinLabels
+from ptd.ground.labelling import GROUND, LOW_NOISE, UNCLASSIFIED, LabelRule, TinLabels
 from ptd.ground.morphology import Bool, CellRaster
 from ptd.ground.noise_sums import Roughness
 from ptd.ground.outliers import LowNoise, low_outliers
@@ -155,7 +155,7 @@ class SeedPass(LidarPass):
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> CellCodes:
         """Open the minimum raster with growing disks."""
         p = self.params
-        cells = Cells.of(p.thin_cell_m, scale)
+        cells = CellLattice.of(p.thin_cell_m, scale)
         x, y, z, _ = lowest_points(points, cells)
         outlier = low_outliers(x, y, z, scale, p.low_radius_m, p.low_depth_m, p.low_group)
         codes = np.where(outlier, np.uint8(OUTLIER), np.uint8(SEED))
@@ -180,7 +180,7 @@ class DensifyPass(LidarPass):
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> CellCodes:
         """Densify the window's TIN."""
         p = self.params
-        cells = Cells.of(p.thin_cell_m, scale)
+        cells = CellLattice.of(p.thin_cell_m, scale)
         x, y, z, codes = lowest_points(points, cells)
         known, seed = window.inside(cells), codes == SEED
         doubtful, rounds = np.full(x.size, window.closed), 0
@@ -207,7 +207,7 @@ class RefinePass(LidarPass):
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> CellCodes:
         """Take the ground's mean off and look at what rises, twice."""
         p = self.params
-        cells = Cells.of(p.thin_cell_m, scale)
+        cells = CellLattice.of(p.thin_cell_m, scale)
         x, y, z, before = lowest_points(points, cells)
         codes = np.where(before == OUTLIER, np.uint8(OUTLIER), np.uint8(OBJECT))
         for index, inner in blocks(x, y, cells, p.refine_reach):
@@ -241,7 +241,7 @@ class RoofPass(LidarPass):
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> CellCodes:
         """Look around each connected surface."""
         p = self.params
-        cells, wide = Cells.of(p.thin_cell_m, scale), Cells.of(ROOF_CELL_M, scale)
+        cells, wide = CellLattice.of(p.thin_cell_m, scale), CellLattice.of(ROOF_CELL_M, scale)
         rule = Plateaus.of(scale, p.roof_size_m, self.step_m)
         x, y, z, codes = lowest_points(points, cells)
         ground, before = codes == GROUND, codes == ROOF
@@ -269,7 +269,7 @@ class LabelPass(LidarPass):
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> TinLabels:
         """Build the TIN, and let it take back edges that were cut with objects."""
         p = self.params
-        cells = Cells.of(p.thin_cell_m, scale)
+        cells = CellLattice.of(p.thin_cell_m, scale)
         x, y, z, codes = lowest_points(points, cells)
         low, ground = codes == OUTLIER, codes == GROUND
         noise = LowNoise(x[low], y[low], z[low], cells)
@@ -281,7 +281,7 @@ class LabelPass(LidarPass):
         tin, doubt = first_tin(x, y, z, ground, window.inside(cells), scale)
         todo = np.where(ground, VERTEX, np.where(low | (codes == ROOF), REFUSED, WAITING)).astype(np.uint8)
         densify(tin, Xyz(x, y, z), todo, p.limits(scale, REGROWTH), 1, doubt)
-        rule = GroundRule(p.limits(scale), scale.counts(p.label_floor_m), heights_only=True)
+        rule = LabelRule(p.limits(scale), scale.counts(p.label_floor_m), heights_only=True)
         rule = with_fine_surface(rule, scale) if p.fine_surface else rule
         found.finish(tin, doubt.triangles(tin), rule, label_bands(p, state, scale))
         return found
@@ -294,7 +294,7 @@ def first_tin(
 
     What is chosen within the known window is certain.
     """
-    cells = Cells.of(RING_M, scale)
+    cells = CellLattice.of(RING_M, scale)
     doubt = UncertifiedRegion(known, known.inside(cells, RING), box_with_ring(x, y, cells), scale)
     ring = choose_seeds(x, y, z, chosen, cells, doubt).virtual
     corners = [np.concatenate([c[chosen], r]) for c, r in zip((x, y, z), ring.T, strict=True)]

@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ptd.cells import Int32
-from ptd.frame import Cells, Scale
+from ptd.frame import CellLattice, Scale
 from ptd.ground.morphology import Bool, CellRaster, Float64, steepest_drops
 from ptd.ground.slopes import Boxes
 
@@ -93,7 +93,7 @@ class Lowest:
     scale : Scale
     """
 
-    def __init__(self, x: Int32, y: Int32, z: Int32, cells: Cells, cell_m: float, scale: Scale) -> None:
+    def __init__(self, x: Int32, y: Int32, z: Int32, cells: CellLattice, cell_m: float, scale: Scale) -> None:
         self.raster, self.z, self.scale = CellRaster(x, y, cells), z, scale
         self.unit = scale.counts_z(cell_m)
         """Counts a cell of a slope of 1."""

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from typing import ClassVar
 
 from ptd.frame import Scale
-from ptd.ground.criteria import Limits
+from ptd.ground.criteria import FacetLimits
 from ptd.ground.outliers import search_margin
 from ptd.ground.plateaus import ROOF_CELL_M, Plateaus
 from ptd.methods.auto.objects import Drop, Residuals, Shape
@@ -138,9 +138,9 @@ class AutoParameters:
     def __post_init__(self) -> None:
         check(self)
 
-    def limits(self, scale: Scale, share: float = 1.0) -> Limits:
+    def limits(self, scale: Scale, share: float = 1.0) -> FacetLimits:
         """The facet test's thresholds, or a share of its distance and angle."""
-        return Limits.of(
+        return FacetLimits.of(
             scale, distance_m=share * self.iteration_distance_m, angle_deg=share * self.iteration_angle_deg,
             terrain_deg=TERRAIN_ANGLE_DEG, reduce_m=self.edge_length_reduce_m, stop_m=0.0,
         )  # fmt: skip

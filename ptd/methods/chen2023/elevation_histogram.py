@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.cells import Int32, lowest_per_cell
-from ptd.frame import Cells, Scale, Window
+from ptd.frame import CellLattice, Scale, Window
 from ptd.passes import Pass, Points, State, StatisticsModel, noted
 
 BIN_M = 1.0
@@ -117,7 +117,7 @@ class ElevationsPass(Pass):
     ) -> StatisticsModel:
         """Count the candidates of the core. Bins and counts are pairs, because names in JSON are texts."""
         x, y, z = points.columns()
-        keep = lowest_per_cell(x, y, z, Cells.of(self.cell_m, scale))
+        keep = lowest_per_cell(x, y, z, CellLattice.of(self.cell_m, scale))
         keep = keep[core.has(x[keep], y[keep])]
         return StatisticsModel(
             {"elevations": sorted(histogram(z[keep], scale).items())}, {"candidates": keep.size}

@@ -62,10 +62,10 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.cells import Xyz, lowest_per_cell, positions
-from ptd.frame import Cells, Scale, Window
+from ptd.frame import CellLattice, Scale, Window
 from ptd.ground.certificates import UncertifiedRegion
 from ptd.ground.densify import REFUSED, VERTEX, densify
-from ptd.ground.labelling import GROUND, LOW_NOISE, GroundRule, TinLabels
+from ptd.ground.labelling import GROUND, LOW_NOISE, LabelRule, TinLabels
 from ptd.ground.outliers import LowNoise, isolated_in_height, low_outliers
 from ptd.ground.seeds import RING, box_with_ring, choose_seeds
 from ptd.matched.robust_cells import for_both_kinds
@@ -118,7 +118,7 @@ class ChenModel(TinLabels):
         tails: list[int] | None,
     ) -> None:
         self.params, self._scale, self._tails = params, scale, tails
-        self._cells = Cells.of(params.thin_cell_m, scale)
+        self._cells = CellLattice.of(params.thin_cell_m, scale)
         x, y, z = points.columns()
         keep = lowest_per_cell(x, y, z, self._cells)
         x, y, z = x[keep], y[keep], z[keep]
@@ -143,7 +143,7 @@ class ChenModel(TinLabels):
     def _densify(self, x: Int32, y: Int32, z: Int32, outlier: Bool, window: Window) -> None:
         p, scale = self.params, self._scale
         limits = p.limits(scale)
-        ring_cells = Cells.of(p.ring_cell_m, scale)
+        ring_cells = CellLattice.of(p.ring_cell_m, scale)
         # In a cell cut by the window another point may be the lowest. Outliers are certain one search radius inside.
         known = window.inside(self._cells, p.margin_cells)
         doubt = UncertifiedRegion(
@@ -163,7 +163,7 @@ class ChenModel(TinLabels):
         floor = 0.0
         if p.label_pass:
             floor = scale.counts(p.label_floor_m)
-        self.finish(tin, doubt.triangles(tin), GroundRule(limits, floor, vertices_only=not p.label_pass))
+        self.finish(tin, doubt.triangles(tin), LabelRule(limits, floor, vertices_only=not p.label_pass))
         self.stats.update(rounds=rounds)
 
     def _noise(

@@ -17,7 +17,7 @@ import numpy.typing as npt
 import scipy
 
 from ptd.cells import Int32
-from ptd.frame import Cells, Window
+from ptd.frame import CellLattice, Window
 from ptd.ground.blocks import blocks
 from ptd.ground.morphology import EMPTY
 from ptd.methods.chen2023.minimum_grid import fill_empty
@@ -166,7 +166,7 @@ def object_cells(heights: Int32, opening: Opening, known: Bool | None) -> tuple[
 
 
 def potential_seeds(
-    x: Int32, y: Int32, z: Int32, eligible: Bool, cells: Cells, opening: Opening, known: Window
+    x: Int32, y: Int32, z: Int32, eligible: Bool, cells: CellLattice, opening: Opening, known: Window
 ) -> tuple[Bool, Bool]:
     """Points whose cell does not rise above the ground.
 
@@ -212,7 +212,9 @@ def potential_seeds(
     return seeds, unsure
 
 
-def _known_cells(cells: Cells, known: Window, row: int, column: int, shape: tuple[int, int]) -> Bool | None:
+def _known_cells(
+    cells: CellLattice, known: Window, row: int, column: int, shape: tuple[int, int]
+) -> Bool | None:
     """Mask of the cells of a raster that lie in a window of whole cells; None if all do."""
     if not known.closed:
         return None

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.cells import CellIndex, CellTable, Int32, Int64, Xyz, slot_of
-from ptd.frame import Cells
+from ptd.frame import CellLattice
 from ptd.ground.planes import MOMENTS, add_point, fit_plane
 from ptd.kernel import kernel
 
@@ -199,7 +199,7 @@ class Facades:
         Threshold of `facade_threshold`.
     """
 
-    def __init__(self, x: Int32, y: Int32, z: Int32, cells: Cells, min_points: float) -> None:
+    def __init__(self, x: Int32, y: Int32, z: Int32, cells: CellLattice, min_points: float) -> None:
         self.x, self.y, self.z = x, y, z
         self.index = CellIndex(x, y, cells)
         self.holds = np.diff(self.index.table.starts) > min_points

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from ptd.frame import Cells, Scale, Window
+from ptd.frame import CellLattice, Scale, Window
 from ptd.ground.distance_angle import Bins, Bool, Int64, Threshold, Trial
 from ptd.ground.histogram_contour import contour_reach
 from ptd.ground.labelling import GROUND, UNCLASSIFIED
@@ -102,7 +102,7 @@ class Measurement(Pass):
     ) -> StatisticsModel:
         """Count the ground points of the core that are not vertices."""
         ground = points.known_labels() == GROUND
-        vertices = points.xyz[:, picks(points, ground, Cells.of(self.spacing_m, scale), 0)]
+        vertices = points.xyz[:, picks(points, ground, CellLattice.of(self.spacing_m, scale), 0)]
         trial = Trial(Tin.build(*vertices), scale, MEASURED_CELLS * self.spacing_m)
         return _measured(trial, points, core, ground)
 

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ptd.cells import Int32
-from ptd.frame import Cells, Scale, Window
+from ptd.frame import CellLattice, Scale, Window
 from ptd.ground.certificates import UInt8, UncertifiedRegion
 from ptd.ground.distance_angle import Bool, Int64, Threshold, Trial
 from ptd.ground.labelling import GROUND, UNCLASSIFIED
@@ -84,7 +84,7 @@ class Growth(Model):
         self, stage: Stage, threshold: Threshold, points: Points, window: Window, scale: Scale
     ) -> None:
         self.stage, self.threshold, self.scale = stage, threshold, scale
-        cells = Cells.of(stage.cell_m, scale)
+        cells = CellLattice.of(stage.cell_m, scale)
         known = window
         if stage.rim:
             known = window.inside(cells, REACH)
@@ -104,7 +104,7 @@ class Growth(Model):
             self._trials.append(self._trial(points, ground, cells, salt))
         self.stats = {"tins": stage.tins, "vertices": self._trials[-1].tin.n_vertices}
 
-    def _trial(self, points: Points, ground: Bool, cells: Cells, salt: int) -> Trial:
+    def _trial(self, points: Points, ground: Bool, cells: CellLattice, salt: int) -> Trial:
         vertices = points.xyz[:, picks(points, ground, cells, salt)]
         if self.stage.rim:
             x, y, z = vertices
@@ -126,7 +126,7 @@ class Growth(Model):
         return labels, marked
 
 
-def picks(points: Points, ground: Bool, cells: Cells, salt: int) -> Int64:
+def picks(points: Points, ground: Bool, cells: CellLattice, salt: int) -> Int64:
     """Index of one random point of each cell that holds ground."""
     index = np.flatnonzero(ground)
     x, y, z = points.take(index).columns()
@@ -134,7 +134,7 @@ def picks(points: Points, ground: Bool, cells: Cells, salt: int) -> Int64:
 
 
 def _doubt_cells(
-    doubt: UncertifiedRegion, cells: Cells, x: Int32, y: Int32, ground: Bool, doubtful: Bool
+    doubt: UncertifiedRegion, cells: CellLattice, x: Int32, y: Int32, ground: Bool, doubtful: Bool
 ) -> None:
     """Put the cells of doubtful points in doubt, and the empty cells around them."""
     if not doubt.active or not doubtful.any():

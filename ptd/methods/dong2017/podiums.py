@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.cells import CellIndex, CellTable, Int32, Int64, Xyz, slot_of
-from ptd.frame import Cells, Scale
+from ptd.frame import CellLattice, Scale
 from ptd.kernel import kernel
 
 Bool = npt.NDArray[np.bool_]
@@ -74,7 +74,7 @@ def on_podium(
     """
     if x.size == 0:
         return np.zeros(0, np.bool_)
-    index = CellIndex(x, y, Cells.of(radius_m, scale))
+    index = CellIndex(x, y, CellLattice.of(radius_m, scale))
     noise = NOISE_QUANTILE * math.sqrt(2.0) * scale.counts(sigma_m)
     places, radius = index.places(x, y), scale.counts(radius_m)
     return _overhung(Xyz(x, y, z), index.table, places, radius, slope, noise, scale.z_ratio)

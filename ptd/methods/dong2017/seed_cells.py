@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ptd.frame import Cells, Scale, Window
+from ptd.frame import CellLattice, Scale, Window
 from ptd.ground.distance_angle import Bool, Int64
 from ptd.ground.labelling import GROUND, UNCLASSIFIED
 from ptd.matched.passes import CellModel, CellPass
@@ -26,7 +26,7 @@ class SeedCellPass(CellPass):
         """Find all cells, and those with seeds."""
         heights = super().fit(points, window, core, scale, state)
         seeds = points.known_labels() == GROUND
-        return SeedCells(heights, points.xyz[:, seeds], Cells.of(cell_m(state), scale))
+        return SeedCells(heights, points.xyz[:, seeds], CellLattice.of(cell_m(state), scale))
 
 
 class SeedCells(CellModel):
@@ -40,7 +40,7 @@ class SeedCells(CellModel):
     cells : Cells
     """
 
-    def __init__(self, heights: CellModel, seeds: Int32, cells: Cells) -> None:
+    def __init__(self, heights: CellModel, seeds: Int32, cells: CellLattice) -> None:
         super().__init__(heights.elect(Window.everything()))
         self._seeds, self._cells = seeds, cells
 

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.cells import Int32, lowest_per_cell, positions
-from ptd.frame import Cells, Scale, Window
+from ptd.frame import CellLattice, Scale, Window
 from ptd.ground import noise_sums, roughness
 from ptd.ground.distance_angle import Bool
 from ptd.ground.labelling import GROUND, UNCLASSIFIED
@@ -44,7 +44,7 @@ class ColourPass(Pass):
         bins = gli_bins(_rgb(points))
         counts = np.bincount(bins[own & (bins != COLOURLESS)], minlength=BINS)
         x, y, _ = points.columns()
-        cells = Cells.of(self.params.facade_cell_m, scale)
+        cells = CellLattice.of(self.params.facade_cell_m, scale)
         found: dict[str, Any] = {
             "gli": counts.tolist(),
             "points": int(own.sum()),
@@ -136,7 +136,7 @@ class SeedModel(Model):
             least = facade_threshold(
                 state["density_m2"], params.facade_height_m, params.facade_cell_m, params.glass_factor
             )
-            facades = Facades(x, y, z, Cells.of(params.facade_cell_m, scale), least)
+            facades = Facades(x, y, z, CellLattice.of(params.facade_cell_m, scale), least)
             inside = facades.points()
             self._facade_points = int(core.has(x[inside], y[inside]).sum())
             chosen = _seeds(params, facades, scale, state["sigma_m"])
@@ -180,7 +180,7 @@ def _seeds(p: Dong2017Parameters, facades: Facades, scale: Scale, sigma_m: float
     found = found[
         ~on_podium(x[found], y[found], z[found], scale, p.podium_radius_m, p.terrain_slope, sigma_m)
     ]
-    return found[lowest_per_cell(x[found], y[found], z[found], Cells.of(p.seed_cell_m, scale))]
+    return found[lowest_per_cell(x[found], y[found], z[found], CellLattice.of(p.seed_cell_m, scale))]
 
 
 def _sigma(state: State, patches: list[dict[str, Any]]) -> tuple[float, str]:
@@ -198,7 +198,7 @@ def _sigma(state: State, patches: list[dict[str, Any]]) -> tuple[float, str]:
     return sigma, origin
 
 
-def _points_by_count(x: Int32, y: Int32, cells: Cells, own: Bool) -> list[list[int]]:
+def _points_by_count(x: Int32, y: Int32, cells: CellLattice, own: Bool) -> list[list[int]]:
     """Pairs of a number and the core's points in cells with that number of points, in ascending order."""
     if not x.size:
         return []

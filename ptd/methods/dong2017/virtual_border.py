@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from ptd.cells import CellTable, Int32, Int64, keys_in, slot_of
-from ptd.frame import Cells
+from ptd.frame import CellLattice
 from ptd.ground.planes import MOMENTS, add_point, fit_plane
 from ptd.ground.seeds import RING
 from ptd.kernel import kernel
@@ -50,7 +50,7 @@ def _heights(table: CellTable, x: Int64, y: Int64, z: Int64, empty: Int64, cx: I
     return out
 
 
-def rim(x: Int32, y: Int32, z: Int32, cells: Cells) -> Int32:
+def rim(x: Int32, y: Int32, z: Int32, cells: CellLattice) -> Int32:
     """Virtual points at the middle of each empty cell within `RING` cells of a filled one.
 
     Therefore an empty circle through a place in such a cell, or in a filled one, has at most a cell's diagonal as its

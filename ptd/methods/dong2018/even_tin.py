@@ -7,7 +7,7 @@ import math
 import numpy as np
 
 from ptd.cells import Int32
-from ptd.frame import Cells, Scale, Window
+from ptd.frame import CellLattice, Scale, Window
 from ptd.ground.certificates import UncertifiedRegion
 from ptd.ground.distance_angle import Bins, Bool, Int64, Threshold, Trial
 from ptd.ground.random_choice import random_per_cell
@@ -46,7 +46,7 @@ class EvenTin:
         self, x: Int32, y: Int32, z: Int32, ground: Bool, scale_m: float, window: Window, scale: Scale
     ) -> None:
         index = np.flatnonzero(ground)
-        cells = Cells.of(scale_m, scale)
+        cells = CellLattice.of(scale_m, scale)
         picked = index[random_per_cell(x[index], y[index], z[index], cells, _SALT)]
         self.left_out = ground.copy()
         self.left_out[picked] = False

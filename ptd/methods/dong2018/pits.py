@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ptd.cells import Int32, Int64, keys_in, lowest_per_cell
-from ptd.frame import Cells, Scale
+from ptd.frame import CellLattice, Scale
 from ptd.ground.outliers import LowNoise
 from ptd.kernel import kernel
 
@@ -52,7 +52,7 @@ def pits(x: Int32, y: Int32, z: Int32, depth_m: float, scale: Scale) -> LowNoise
     LowNoise
         Limits of all cells with points.
     """
-    cells = Cells.of(CELL_M, scale)
+    cells = CellLattice.of(CELL_M, scale)
     lowest = lowest_per_cell(x, y, z, cells)
     x, y, heights = x[lowest], y[lowest], z[lowest].astype(np.int64)
     keys = keys_in(x, y, cells, cells.column(0), cells.row(0), _ROW)

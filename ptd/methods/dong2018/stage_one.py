@@ -10,11 +10,11 @@ from typing import Any
 import numpy as np
 
 from ptd.cells import Xyz
-from ptd.frame import Cells, Scale, Window
+from ptd.frame import CellLattice, Scale, Window
 from ptd.ground import noise_sums, roughness
 from ptd.ground.densify import densify_seeds
 from ptd.ground.distance_angle import Bool
-from ptd.ground.labelling import GROUND, LOW_NOISE, GroundRule, TinLabels
+from ptd.ground.labelling import GROUND, LOW_NOISE, LabelRule, TinLabels
 from ptd.methods.classic import ClassicPass, thinned
 from ptd.methods.dong2018 import pits
 from ptd.methods.dong2018.params import Dong2018Parameters
@@ -146,19 +146,19 @@ class StageOneModel(TinLabels):
         x, y, z = thinned((x[~low], y[~low], z[~low]), cell, scale)
         edge = min(round(even_edge_m(state["threshold_m2"]), DECIMALS), MAX_STOP_M)
         limits = replace(params, edge_length_stop_m=max(params.edge_length_stop_m, edge)).limits(scale)
-        cells = Cells.of(cell, scale)
-        known = window.inside(Cells.of(pits.CELL_M, scale), pits.REACH_CELLS).inside(cells)
+        cells = CellLattice.of(cell, scale)
+        known = window.inside(CellLattice.of(pits.CELL_M, scale), pits.REACH_CELLS).inside(cells)
         tin, in_doubt, rounds = densify_seeds(
             Xyz(x, y, z),
             np.zeros(x.size, np.bool_),
-            Cells.of(params.max_building_size_m, scale),
+            CellLattice.of(params.max_building_size_m, scale),
             limits,
             params.rounds,
             known,
             scale,
         )
         self.stats.update(candidates=int(x.size), rounds=rounds, pit_points=int(low.sum()))
-        self.finish(tin, in_doubt, GroundRule(limits, 0.0, vertices_only=True))
+        self.finish(tin, in_doubt, LabelRule(limits, 0.0, vertices_only=True))
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
         """Label vertices as ground, and points in pits below the TIN as low noise."""

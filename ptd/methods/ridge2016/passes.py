@@ -12,15 +12,15 @@ from typing import Any
 import numpy as np
 
 from ptd.cells import lowest_per_cell
-from ptd.frame import Cells, Scale, Window
+from ptd.frame import CellLattice, Scale, Window
 from ptd.ground.certificates import UncertifiedRegion
 from ptd.ground.distance_angle import Bool
-from ptd.ground.labelling import GROUND, LOW_NOISE, UNCLASSIFIED, GroundRule, TinLabels
+from ptd.ground.labelling import GROUND, LOW_NOISE, UNCLASSIFIED, LabelRule, TinLabels
 from ptd.ground.seeds import RING, box_with_ring, choose_seeds
 from ptd.methods.ridge2016.params import Ridge2016Parameters
 from ptd.methods.ridge2016.seeds import Prepared
 from ptd.methods.ridge2016.sorted_cells import places_in_stacks
-from ptd.methods.ridge2016.thinned_densification import Tally
+from ptd.methods.ridge2016.thinned_densification import GrowthCounter
 from ptd.passes import Pass, Points, State, UInt8, noted
 from ptd.tin.mesh import Tin
 
@@ -118,7 +118,7 @@ class GrowthModel(TinLabels):
         own = core.has(s.x, s.y)
         seed = np.zeros(own.size, np.bool_)
         seed[prepared.seeds] = True
-        tally = Tally(s.x[own], s.y[own], s.z[own], prepared.limits, prepared.floor, seed[own])
+        tally = GrowthCounter(s.x[own], s.y[own], s.z[own], prepared.limits, prepared.floor, seed[own])
         done = 0
         for k, step in enumerate(islice(prepared.rounds(), self._gained.size)):
             self._codes[step.vertex & (self._codes == UNCLASSIFIED)] = SEED + k
@@ -180,7 +180,9 @@ class TerrainModel(TinLabels):
         x, y, z = points.take(labels != LOW_NOISE).columns()
         if not x.size:
             return
-        thin, cells = (Cells.of(size, scale) for size in (params.thin_cell_m, params.max_building_size_m))
+        thin, cells = (
+            CellLattice.of(size, scale) for size in (params.thin_cell_m, params.max_building_size_m)
+        )
         known = window.inside(thin)
         doubt = UncertifiedRegion(known, known.inside(cells, RING), box_with_ring(x, y, cells), scale)
         virtual = choose_seeds(x, y, z, np.ones(x.size, np.bool_), cells, doubt).virtual
@@ -189,7 +191,7 @@ class TerrainModel(TinLabels):
             lowest = lowest_per_cell(*vertices, thin)
             vertices = vertices[0][lowest], vertices[1][lowest], vertices[2][lowest]
         tin = Tin.build(*(np.concatenate([c, v]) for c, v in zip(vertices, virtual.T, strict=True)))
-        rule = GroundRule(params.limits(scale), scale.counts(params.label_floor_m))
+        rule = LabelRule(params.limits(scale), scale.counts(params.label_floor_m))
         self.finish(tin, doubt.triangles(tin), rule)
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
@@ -216,5 +218,5 @@ class RidgePass(Pass):
         done, last = deque(enumerate(islice(prepared.rounds(), self.params.rounds), 1), maxlen=1).pop()
         found.low = prepared.low
         found.stats.update(prepared.counts, rounds=done)
-        found.finish(last.tin, last.in_doubt, GroundRule(prepared.limits, prepared.floor))
+        found.finish(last.tin, last.in_doubt, LabelRule(prepared.limits, prepared.floor))
         return found

@@ -17,7 +17,7 @@ from ptd.cells import Int32, Xyz
 from ptd.frame import Scale
 from ptd.ground.certificates import UInt8, UncertifiedRegion
 from ptd.kernel import kernel, wide
-from ptd.methods.ridge2016.sorted_cells import Raster, Stacks, lowest_within
+from ptd.methods.ridge2016.sorted_cells import StackIndex, Stacks, lowest_within
 from ptd.tin.interpolation import canonical_facet
 from ptd.tin.layout import Int32Array, Mesh, is_ghost
 from ptd.tin.mesh import Tin
@@ -176,7 +176,7 @@ def _ridge_points(
     rule: RidgeRule,
     in_doubt: UInt8,
     stacks: Xyz,
-    raster: Raster,
+    raster: StackIndex,
     known: tuple[int, int, int, int],
 ) -> tuple[Int32, Bool, Bool]:
     """Ridge point of each facet that is or may be a ridge, whether it is uncertain, whether it is a ridge."""

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.cells import lowest_per_cell, positions
-from ptd.frame import Cells, Scale, Window
+from ptd.frame import CellLattice, Scale, Window
 from ptd.ground.certificates import UncertifiedRegion
 from ptd.ground.outliers import LowNoise, low_outliers
 from ptd.ground.seeds import RING, box_with_ring, choose_seeds
@@ -47,7 +47,7 @@ class Prepared:
         self.limits = p.limits(scale)
         self.floor = scale.counts(p.label_floor_m)
         x, y, z = columns
-        thin = Cells.of(p.thin_cell_m, scale)
+        thin = CellLattice.of(p.thin_cell_m, scale)
         lowest = lowest_per_cell(x, y, z, thin)
         lx, ly, lz = x[lowest], y[lowest], z[lowest]
         outlier = low_outliers(lx, ly, lz, scale, p.low_radius_m, p.low_depth_m, p.low_group)
@@ -56,7 +56,7 @@ class Prepared:
             kept = ~self.low.holds(x, y, z)
             x, y, z = x[kept], y[kept], z[kept]
         self.stacks = Stacks(x, y, z, thin)
-        cells = Cells.of(p.max_building_size_m, scale)
+        cells = CellLattice.of(p.max_building_size_m, scale)
         known = window.inside(thin, p.margin_cells)
         self.doubt = UncertifiedRegion(known, known.inside(cells, RING), box_with_ring(x, y, cells), scale)
         found = choose_seeds(

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ptd.cells import CellIndex, CellTable, Int32, Int64, is_lower, slot_of
-from ptd.frame import Cells
+from ptd.frame import CellLattice
 from ptd.kernel import kernel, wide
 
 SMALL_STACK = 24
@@ -30,8 +30,8 @@ def _sort_stacks(x: Int32, y: Int32, z: Int32, starts: Int64, order: Int64) -> N
             order[place] = moving
 
 
-class Raster(NamedTuple):
-    """Stacks of points by cell, for kernels; see `ptd.cells.CellIndex` and `ptd.frame.Cells`."""
+class StackIndex(NamedTuple):
+    """Stacks of points by cell, for kernels; see `ptd.cells.CellIndex` and `ptd.frame.CellLattice`."""
 
     table: CellTable
     col0: int
@@ -60,17 +60,19 @@ class Stacks:
     raster : Raster
     """
 
-    def __init__(self, x: Int32, y: Int32, z: Int32, cells: Cells) -> None:
+    def __init__(self, x: Int32, y: Int32, z: Int32, cells: CellLattice) -> None:
         index = CellIndex(x, y, cells)
         table = index.table
         _sort_stacks(x, y, z, table.starts, table.order)
         self.x, self.y, self.z = x[table.order], y[table.order], z[table.order]
         self.starts = table.starts
-        self.raster = Raster(table, index.col0, index.row0, cells.p, cells.q, cells.origin_x, cells.origin_y)
+        self.raster = StackIndex(
+            table, index.col0, index.row0, cells.p, cells.q, cells.origin_x, cells.origin_y
+        )
 
 
 @kernel
-def lowest_within(x: Int32, y: Int32, z: Int32, raster: Raster, x3: int, y3: int, radius: float) -> int:
+def lowest_within(x: Int32, y: Int32, z: Int32, raster: StackIndex, x3: int, y3: int, radius: float) -> int:
     """The lowest point within a radius of the position (x3 / 3, y3 / 3), or -1.
 
     Among equal heights the lexicographically smallest (x, y) is taken. Distances are compared exactly.
@@ -105,7 +107,7 @@ def lowest_within(x: Int32, y: Int32, z: Int32, raster: Raster, x3: int, y3: int
 
 @kernel
 def places_in_stacks(
-    of_x: Int32, of_y: Int32, of_z: Int32, x: Int32, y: Int32, z: Int32, raster: Raster
+    of_x: Int32, of_y: Int32, of_z: Int32, x: Int32, y: Int32, z: Int32, raster: StackIndex
 ) -> Int32:
     """Index of each point within `Stacks`, -1 for points that are not in it: int32 [n].
 

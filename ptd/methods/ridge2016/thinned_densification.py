@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from ptd.cells import Int32, Int64, Xyz
 from ptd.ground.certificates import UInt8, UncertifiedRegion
-from ptd.ground.criteria import Limits, accepts
+from ptd.ground.criteria import FacetLimits, accepts
 from ptd.ground.labelling import is_terrain
 from ptd.kernel import kernel, wide
 from ptd.methods.ridge2016.sorted_cells import Stacks
@@ -28,7 +28,7 @@ Bool = npt.NDArray[np.bool_]
 
 @kernel
 def _test_stacks(
-    mesh: Mesh, points: Xyz, starts: Int64, limits: Limits, in_doubt: UInt8, vertex: Bool, doubtful: Bool
+    mesh: Mesh, points: Xyz, starts: Int64, limits: FacetLimits, in_doubt: UInt8, vertex: Bool, doubtful: Bool
 ) -> Bool:
     """One round: mask of the lowest terrain points of their cells.
 
@@ -102,7 +102,7 @@ def _tally(
     mesh: Mesh,
     points: Xyz,
     in_doubt: UInt8,
-    limits: Limits,
+    limits: FacetLimits,
     floor: float,
     now: Int32,
     labelled: _Labelled,
@@ -145,7 +145,7 @@ def _tally(
     return n_gained, n_unsure
 
 
-class Tally:
+class GrowthCounter:
     """Counts the points that join the terrain class in successive TINs; only changed triangles are labelled again.
 
     Parameters
@@ -159,7 +159,9 @@ class Tally:
         The terrain class; at first the seeds. Updated in place.
     """
 
-    def __init__(self, x: Int32, y: Int32, z: Int32, limits: Limits, floor: float, terrain: Bool) -> None:
+    def __init__(
+        self, x: Int32, y: Int32, z: Int32, limits: FacetLimits, floor: float, terrain: Bool
+    ) -> None:
         self._points, self._limits, self._floor = Xyz(x, y, z), limits, floor
         self._labelled = _Labelled(np.full(x.size, -1, np.int32), np.zeros(x.size, np.bool_), terrain)
         self._tin: Tin | None = None
@@ -191,7 +193,7 @@ class Round(NamedTuple):
 
 
 def densify_thinned(
-    stacks: Stacks, seeds: Int32, virtual: Int32, limits: Limits, doubt: UncertifiedRegion
+    stacks: Stacks, seeds: Int32, virtual: Int32, limits: FacetLimits, doubt: UncertifiedRegion
 ) -> Iterator[Round]:
     """The TINs of successive rounds: first that of the seeds, then of the lowest terrain points per cell.
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from ptd.frame import Cells, Scale
+from ptd.frame import CellLattice, Scale
 from ptd.ground.blocks import blocks
 
-CELLS = Cells.of(1.0, Scale())
+CELLS = CellLattice.of(1.0, Scale())
 
 
 def test_blocks_hold_each_point_once_and_all_within_reach() -> None:

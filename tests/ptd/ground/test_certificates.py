@@ -10,7 +10,7 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from ptd.frame import OPEN, Cells, Scale, Window
+from ptd.frame import OPEN, CellLattice, Scale, Window
 from ptd.ground.certificates import UncertifiedRegion
 from ptd.ground.criteria import across
 from ptd.methods.classic import Classic
@@ -277,7 +277,7 @@ def test_boxes_in_doubt_cover_each_cell_that_they_touch() -> None:
 
 
 def test_window_inside_whole_cells() -> None:
-    cells = Cells.of(1.0, Scale(origin=(250, 0)))
+    cells = CellLattice.of(1.0, Scale(origin=(250, 0)))
     window = Window(0, 0, 5000, OPEN)
     assert window.inside(cells) == Window(750, 0, 4750, OPEN)
     assert window.inside(cells, 2) == Window(2750, 2000, 2750, OPEN)

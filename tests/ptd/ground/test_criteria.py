@@ -11,7 +11,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from ptd.frame import Scale
-from ptd.ground.criteria import Limits, accepts, facet_measures, mirror_facet, within
+from ptd.ground.criteria import FacetLimits, accepts, facet_measures, mirror_facet, within
 from ptd.tin.mesh import Tin
 from tests.ptd.tin.meshes import corners_of, outside, triangle_at
 
@@ -34,8 +34,8 @@ def measure(tin: Tin, x: int, y: int, z: int, ratio: float = 1.0) -> tuple[float
     )
 
 
-def limits(**values: float) -> Limits:
-    return Limits.of(Scale(), **{"distance_m": 1.4, "angle_deg": 25.0, "terrain_deg": 88.0, **values})
+def limits(**values: float) -> FacetLimits:
+    return FacetLimits.of(Scale(), **{"distance_m": 1.4, "angle_deg": 25.0, "terrain_deg": 88.0, **values})
 
 
 def judge(
@@ -113,7 +113,9 @@ def test_heights_may_have_another_unit() -> None:
 
 def test_limits_in_feet_are_those_in_metres() -> None:
     feet = Scale(Fraction(3048, 10**7), Fraction(3048, 10**7))
-    got = Limits.of(feet, distance_m=0.3048, angle_deg=30.0, terrain_deg=60.0, reduce_m=3.048, stop_m=1.524)
+    got = FacetLimits.of(
+        feet, distance_m=0.3048, angle_deg=30.0, terrain_deg=60.0, reduce_m=3.048, stop_m=1.524
+    )
     assert got.distance == pytest.approx(1000)
     assert got.reduce_edge == pytest.approx(10_000)
     assert got.stop_edge == pytest.approx(5_000)

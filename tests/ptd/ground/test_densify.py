@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from ptd.cells import Xyz
 from ptd.frame import Scale
 from ptd.ground.certificates import UncertifiedRegion
-from ptd.ground.criteria import Limits
+from ptd.ground.criteria import FacetLimits
 from ptd.ground.densify import REFUSED, VERTEX, densify
 from ptd.tin.mesh import Tin
 from tests.ptd.tin.meshes import real_triangles
@@ -18,7 +18,7 @@ from tests.scenes.densification import EVERYTHING, naive, scene
 
 
 def run(
-    seeds: np.ndarray, candidates: np.ndarray, limits: Limits, rounds: int
+    seeds: np.ndarray, candidates: np.ndarray, limits: FacetLimits, rounds: int
 ) -> tuple[np.ndarray, Tin, int]:
     tin = Tin.build(*seeds.T, max_vertices=len(seeds) + len(candidates))
     x, y, z = np.ascontiguousarray(candidates.T.astype(np.int32))
@@ -44,13 +44,13 @@ def test_the_vertices_are_those_of_the_naive_way(
 ) -> None:
     seeds, candidates = scene(seed, 80, rough)
     edges = {"reduce_m": reduce, "stop_m": stop}
-    limits = Limits.of(Scale(), distance_m=4.0, angle_deg=angle, terrain_deg=terrain, **edges)
+    limits = FacetLimits.of(Scale(), distance_m=4.0, angle_deg=angle, terrain_deg=terrain, **edges)
     got, tin, _ = run(seeds, candidates, limits, rounds)
     assert np.array_equal(got, naive(seeds, candidates, limits, rounds))
     assert tin.n_vertices == len(seeds) + got.sum()
 
 
-LIMITS = Limits.of(Scale(), distance_m=4.0, angle_deg=25.0, terrain_deg=20.0)
+LIMITS = FacetLimits.of(Scale(), distance_m=4.0, angle_deg=25.0, terrain_deg=20.0)
 
 
 def test_stamps_skip_no_test() -> None:

@@ -8,16 +8,16 @@ import numpy as np
 import pytest
 
 from ptd.cells import Xyz
-from ptd.frame import Cells, Scale
-from ptd.ground.criteria import Limits
-from ptd.ground.labelling import Bands, GroundRule, _is_near, label_points
+from ptd.frame import CellLattice, Scale
+from ptd.ground.criteria import FacetLimits
+from ptd.ground.labelling import Bands, LabelRule, _is_near, label_points
 from ptd.ground.outliers import LowNoise
 from ptd.places import Field, everywhere
 from ptd.tin.locator import Locator
 from ptd.tin.mesh import Tin
 from tests.ptd.tin.meshes import outside, triangle_at
 
-LIMITS = Limits.of(Scale(), distance_m=1.4, angle_deg=6.0, terrain_deg=88.0)
+LIMITS = FacetLimits.of(Scale(), distance_m=1.4, angle_deg=6.0, terrain_deg=88.0)
 FLOOR = 300.0
 
 
@@ -33,7 +33,7 @@ def label(
 ) -> tuple[list[int], list[bool]]:
     xyz = Xyz(*np.ascontiguousarray(np.array(points, np.int32).reshape(-1, 3).T))
     in_doubt = np.full(tin.n_triangles, doubt, np.uint8)
-    rule = GroundRule(LIMITS, 0.0 if options.get("vertices_only") else FLOOR, **options)
+    rule = LabelRule(LIMITS, 0.0 if options.get("vertices_only") else FLOOR, **options)
     labels, marked = label_points(tin, Locator.of(tin), xyz, in_doubt, rule)
     return labels.tolist(), marked.tolist()
 
@@ -78,7 +78,7 @@ def test_on_an_edge_the_triangle_behind_it_counts() -> None:
     beside = {triangle_at(tin, 15_000, 20_001), triangle_at(tin, 15_000, 19_999)} - {home}
     for t in range(tin.n_triangles):
         in_doubt = (np.arange(tin.n_triangles) == t).astype(np.uint8)
-        _, marked = label_points(tin, Locator.of(tin), xyz, in_doubt, GroundRule(LIMITS, FLOOR))
+        _, marked = label_points(tin, Locator.of(tin), xyz, in_doubt, LabelRule(LIMITS, FLOOR))
         assert marked[0] == (t == home or t in beside)
 
 
@@ -90,7 +90,7 @@ def test_low_noise_reaches_up_to_the_highest_outlier_of_its_cell() -> None:
     def columns(*points: tuple[int, int, int]) -> list[np.ndarray]:
         return list(np.array(points, np.int32).reshape(-1, 3).T)
 
-    cells = Cells.of(1.0, Scale(origin=(-250, 7000)))
+    cells = CellLattice.of(1.0, Scale(origin=(-250, 7000)))
     low = LowNoise(*columns((300, 0, -100), (-800, 5000, 7), (1249, 999, -80)), cells)
     within = columns((250, 0, -80), (700, 500, -900), (-1750, 5999, 7))
     above_or_beside = columns(
@@ -129,7 +129,7 @@ def test_heights_are_judged_as_point_by_point(seed: int) -> None:
     points = Xyz(*random.integers(-2, 14, (3, 2000)).astype(np.int32))
     in_doubt = (random.random(tin.n_triangles) < 0.3).astype(np.uint8)
     in_doubt[[outside(tin, t) for t in range(tin.n_triangles)]] = 1  # as it always is
-    rule = GroundRule(LIMITS, 1.0, heights_only=True)
+    rule = LabelRule(LIMITS, 1.0, heights_only=True)
     floors = Field(random.uniform(0.5, 2.0, (4, 4)), -1, -1, 7, 1, 0, 0, False, 0.5, 2.0)
     bands = Bands(floors, everywhere(0.5))
     labels, marked = label_points(tin, Locator.of(tin), points, in_doubt, rule, bands)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import ndimage
 
-from ptd.frame import Cells, Scale
+from ptd.frame import CellLattice, Scale
 from ptd.ground.morphology import EMPTY, OVERHANG, CellRaster, disk_minimum, steepest_drops
 
 RADII = (0, 1, 1.5, 2, 3, 5, 7, 9.4, 18)
@@ -132,7 +132,7 @@ def points(n: int = 2000) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
 def test_lowest_chosen_point_of_each_cell() -> None:
     x, y, z = points()
     which = z > 1000
-    heights = CellRaster(x, y, Cells.of(1.0, Scale())).lowest(z, which)
+    heights = CellRaster(x, y, CellLattice.of(1.0, Scale())).lowest(z, which)
     expected = np.full((40, 40), EMPTY, np.int32)
     np.minimum.at(expected, (y[which] // 1000, x[which] // 1000), z[which])
     np.testing.assert_array_equal(heights, expected)
@@ -142,12 +142,12 @@ def test_cells_are_those_of_the_lattice_wherever_local_coordinates_start() -> No
     x, y, z = points()
     shift_x, shift_y = 12_345, -6_789
     every = np.ones(z.size, bool)
-    here = CellRaster(x, y, Cells.of(1.0, Scale()))
-    there = CellRaster(x - shift_x, y - shift_y, Cells.of(1.0, Scale(origin=(shift_x, shift_y))))
+    here = CellRaster(x, y, CellLattice.of(1.0, Scale()))
+    there = CellRaster(x - shift_x, y - shift_y, CellLattice.of(1.0, Scale(origin=(shift_x, shift_y))))
     np.testing.assert_array_equal(here.lowest(z, every), there.lowest(z, every))
     np.testing.assert_array_equal(here.keys, there.keys)
     # A point far off moves the raster's corner: the others still drop as they did.
-    more = CellRaster(np.append(x, -31_000), np.append(y, -27_500), Cells.of(1.0, Scale()))
+    more = CellRaster(np.append(x, -31_000), np.append(y, -27_500), CellLattice.of(1.0, Scale()))
     heights = more.lowest(np.append(z, 0), np.ones(z.size + 1, bool))
     alone = steepest_drops(here.lowest(z, every), (1, 2, 3), 0.0)[0].ravel()[here.keys]
     joined = steepest_drops(heights, (1, 2, 3), 0.0)[0].ravel()[more.keys[:-1]]

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ptd.frame import Cells
+from ptd.frame import CellLattice
 from ptd.ground.morphology import EMPTY, CellRaster
 from ptd.ground.plateaus import Plateaus, on_plateaus, plateaus
 
@@ -37,7 +37,7 @@ def test_points_of_the_roof_in_cells_of_its_edge_are_on_it_too() -> None:
     z = np.where(roof, 5000, 0).astype(np.int32)
     ground = np.ones(z.size, bool)
     ground[::7] = False
-    raster = CellRaster(x, y, Cells(1000, 1, 0, 0))
+    raster = CellRaster(x, y, CellLattice(1000, 1, 0, 0))
     assert np.array_equal(on_plateaus(z, ground, ~ground, raster, RULE), roof & ground)
 
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from ptd.frame import Cells, Scale
+from ptd.frame import CellLattice, Scale
 from ptd.ground.random_choice import point_hashes, random_per_cell
 
 SCALE = Scale(origin=(-12_345_678, 98_765_432))
-CELLS = Cells.of(4.0, SCALE)
+CELLS = CellLattice.of(4.0, SCALE)
 
 
 def cloud(n: int = 20_000) -> np.ndarray:

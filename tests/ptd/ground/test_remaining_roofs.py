@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ptd.frame import Cells, Scale
+from ptd.frame import CellLattice, Scale
 from ptd.ground.morphology import CellRaster
 from ptd.ground.plateaus import ROOF_STEPS_M, Plateaus, on_plateaus
 from ptd.ground.remaining_roofs import remaining_roofs
@@ -99,7 +99,7 @@ def test_what_is_found_is_what_the_filter_removes(heights: np.ndarray) -> None:
     """One point a cell; the cells of the roofs that are found are those of the points that are taken out."""
     x, y = ((2000 * c + 1000).ravel().astype(np.int32) for c in (COLUMNS, ROWS))
     z = np.rint(1000 * heights).ravel().astype(np.int32)
-    raster, ground = CellRaster(x, y, Cells(2000, 1, 0, 0)), np.ones(z.size, bool)
+    raster, ground = CellRaster(x, y, CellLattice(2000, 1, 0, 0)), np.ones(z.size, bool)
     for step_m in ROOF_STEPS_M:
         ground &= ~on_plateaus(z, ground, ~ground, raster, Plateaus.of(Scale(), 240.0, step_m))
     terrain = np.where(ground.reshape(heights.shape), heights, PLAIN)

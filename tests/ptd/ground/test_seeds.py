@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ptd.frame import OPEN, Cells, Scale, Window
+from ptd.frame import OPEN, CellLattice, Scale, Window
 from ptd.ground.certificates import UncertifiedRegion
 from ptd.ground.seeds import RING, Seeds, box_with_ring, choose_seeds
 
@@ -22,7 +22,7 @@ def choose(
 ) -> tuple[Seeds, UncertifiedRegion]:
     scale = scale or Scale()
     x, y, z = np.ascontiguousarray(np.array(points, np.int32).T)
-    cells = Cells.of(SIDE / 1000, scale)
+    cells = CellLattice.of(SIDE / 1000, scale)
     known = known or Window.everything()
     doubt = UncertifiedRegion(known, known.inside(cells, RING), box_with_ring(x, y, cells), scale)
     mask = np.ones(x.size, np.bool_) if eligible is None else np.array(eligible)
@@ -131,4 +131,4 @@ def test_cells_that_may_lose_their_seed_are_in_doubt_and_so_are_empty_ones_aroun
 
 def test_the_box_holds_three_cells_around_the_data() -> None:
     x, y = np.array([0, 1], np.int32), np.array([SIDE, SIDE], np.int32)
-    assert box_with_ring(x, y, Cells.of(20.0, Scale())) == (-3 * SIDE, -2 * SIDE, 4 * SIDE, 5 * SIDE)
+    assert box_with_ring(x, y, CellLattice.of(20.0, Scale())) == (-3 * SIDE, -2 * SIDE, 4 * SIDE, 5 * SIDE)

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from ptd.frame import Cells, Scale, Window
+from ptd.frame import CellLattice, Scale, Window
 from ptd.matched.cells import ALIGN, EMPTY, MARGIN, STEEPEST_AT_GAPS, _lowest_mode, cell_heights, raster_of
 
 MM = Scale()
@@ -126,7 +126,7 @@ def test_bounds_see_two_cells_and_no_farther() -> None:
 
 def test_rasters_hold_their_cells_amid_a_margin_and_are_aligned() -> None:
     x, y = np.array([-2500, 500, 10_500], np.int32), np.array([500, 4500, -7500], np.int32)
-    raster = raster_of(np.stack([x, y, np.array([5, 6, 7], np.int32)]), Cells.of(1.0, MM))
+    raster = raster_of(np.stack([x, y, np.array([5, 6, 7], np.int32)]), CellLattice.of(1.0, MM))
     assert raster.column % ALIGN == raster.row % ALIGN == 0
     rows, columns = np.nonzero(raster.heights != EMPTY)
     found = {

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import ptd
-from ptd.frame import Cells, Scale
+from ptd.frame import CellLattice, Scale
 from ptd.matched import last_look
 from ptd.matched.last_look import CELL_FEATURES, POINT_FEATURES, REACH_M, WINDOW_FEATURES, Around, Heights
 from ptd.matched.trees import Trees
@@ -43,7 +43,7 @@ def slow_window(heights: Heights, near: np.ndarray) -> list[int]:
 
 
 def slow_features(heights: Heights, cell: np.ndarray, around: Around, scale: Scale) -> dict[int, list[int]]:
-    columns, rows = Cells.of(0.25, scale).places(heights.x, heights.y)
+    columns, rows = CellLattice.of(0.25, scale).places(heights.x, heights.y)
     found = {}
     for k in range(heights.x.size):
         ground, v = heights.labels[k] == GROUND, int(heights.voted[k])

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ptd.frame import Cells, Scale, Window
+from ptd.frame import CellLattice, Scale, Window
 from ptd.ground.labelling import GROUND, LOW_NOISE, UNCLASSIFIED
 from ptd.ground.noise_sums import Roughness
 from ptd.matched.cells import cell_heights, raster_of
@@ -72,7 +72,7 @@ def test_elected_cells_are_those_of_the_bounds_and_are_labelled_by_cell() -> Non
     half = elected.elect(Window(0, 0, 10_000, 20_000))
     assert half.shape[1] == 200
     assert half[0].max() == 9500
-    cells = Cells.of(1.0, MM)
+    cells = CellLattice.of(1.0, MM)
     raster = raster_of(half, cells)
     codes = rng.integers(1, 4, 200).astype(np.uint8)
     order = rng.permutation(200)
@@ -97,7 +97,7 @@ def test_points_are_ground_within_the_tolerance_about_the_surface_and_low_noise_
     """A flat surface at 10 m, noise 0.1 m: ground to 0.35 m, low noise from 0.9 m below on; half of it in plants."""
     z = np.array([10.0, 10.34, 10.36, 9.66, 9.64, 9.11, 9.09, 3.0, 12.5])
     x = np.round(3000 + 2000 * np.arange(z.size)).astype(np.int32)  # too far apart to vote
-    cells = Cells.of(1.0, MM)
+    cells = CellLattice.of(1.0, MM)
     at = np.arange(500, 24_000, 1000, dtype=np.int32)
     cx, cy = (a.ravel() for a in np.meshgrid(at, at))
     raster = raster_of(np.stack([cx, cy, np.full_like(cx, 10_000)]), cells)

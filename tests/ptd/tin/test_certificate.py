@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from ptd.tin import Pixels, Tin, Window, rasterise
+from ptd.tin import KnownWindow, Pixels, Tin, rasterise
 
 
-def random_window(rng: np.random.Generator, unit: int) -> Window:
+def random_window(rng: np.random.Generator, unit: int) -> KnownWindow:
     """A part of the square of 40 units; a side is open only at the end of the data."""
     closed = [*rng.integers(2, 12, 2), *rng.integers(25, 39, 2)]
     is_open = rng.random(4) < 0.3
@@ -18,7 +18,7 @@ def random_window(rng: np.random.Generator, unit: int) -> Window:
         int(end if free else side) * unit
         for side, free, end in zip(closed, is_open, (0, 0, 40, 40), strict=True)
     ]
-    return Window(*sides, *(bool(free) for free in is_open))
+    return KnownWindow(*sides, *(bool(free) for free in is_open))
 
 
 @pytest.mark.parametrize("interpolator", ["linear", "natural"])

@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.interpolate import LinearNDInterpolator
 
-from ptd.tin import Pixels, Tin, Window, pixel_owners, rasterise
+from ptd.tin import KnownWindow, Pixels, Tin, pixel_owners, rasterise
 from tests.ptd.tin import reference
 from tests.ptd.tin.meshes import corners_of, insert_point, outside, real_triangles
 from tests.ptd.tin.strategies import Points, columns
@@ -161,7 +161,7 @@ def test_bits_do_not_depend_on_order_frame_or_block(interpolator: str) -> None:
 def test_pixels_far_from_a_hole_in_the_window_are_certain_only_within_reach() -> None:
     tin = Tin.build([0, 10, 0], [0, 0, 10], [0, 0, 0])
     pixels = Pixels(10, 1, -10, 9, 20, 20)
-    window = Window(-100, -100, 100, 100)
+    window = KnownWindow(-100, -100, 100, 100)
     assert rasterise(tin, pixels, window=window).marks.sum() >= 399
     near = rasterise(tin, pixels, window=window, max_radius=20.0).marks
     assert near[0].all()
@@ -252,7 +252,7 @@ def test_rasterise_refuses(change: dict[str, object], message: str) -> None:
     with pytest.raises(ValueError, match=message):
         rasterise(random_tin(9, 99), Pixels(1, 1, 0, 0, 1, 1), **change)
     with pytest.raises(ValueError, match="is empty"):
-        Window(0, 0, 0, 5)
+        KnownWindow(0, 0, 0, 5)
 
 
 def test_heights_at_positions() -> None:

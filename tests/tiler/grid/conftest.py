@@ -16,11 +16,11 @@ from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Bounds, Lattice
 from tiler.core.points import PointBlock, pack_origin
 from tiler.core.raster import Block, RasterSpec
-from tiler.grid import GridBlock, GroundRule
+from tiler.grid import GridBlock, GroundSelection
 from tiler.grid.block import block_heights, grid_block
 from tiler.store import StoreMeta, TileStore, create_store
 
-FINAL = GroundRule("final")
+FINAL = GroundSelection("final")
 """Ground is what the scene's labels say."""
 
 

@@ -14,7 +14,7 @@ from tiler.core.lattice import Lattice
 from tiler.core.raster import NODATA, RasterSpec, north_west
 from tiler.core.units import FOOT, US_SURVEY_FOOT, Units
 from tiler.errors import ProcessingError
-from tiler.grid import GroundRule
+from tiler.grid import GroundSelection
 from tiler.grid.block import full_halo, heights_of_blocks
 
 METRE = Fraction(1000)
@@ -136,7 +136,7 @@ def test_only_ground_counts_and_marks_are_carried(make_scene):
 
 def test_the_classes_of_the_input_are_trusted_for_keep(make_scene):
     scene = make_scene(scattered(500, 30_000))
-    heights, (record,) = scene.grid(METRE, rule=GroundRule(None, (1,)))
+    heights, (record,) = scene.grid(METRE, rule=GroundSelection(None, (1,)))
     assert record["ground_read"] == 500
     assert heights.max() > 0
 
@@ -223,7 +223,7 @@ def test_stumps_beside_objects_are_not_gridded(make_scene):
     labels = np.where(house, 1, 2).astype(np.uint8)
     xyz, rule = (
         np.column_stack((xy, z)).astype(np.int64),
-        GroundRule("final", erode=Fraction(1500), erode_rise=1000),
+        GroundSelection("final", erode=Fraction(1500), erode_rise=1000),
     )
     scene = make_scene(xyz, labels)
     stumps, _ = scene.grid(METRE)

@@ -11,7 +11,7 @@ import pytest
 
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.raster import Block, RasterSpec
-from tiler.grid import GridBlock, GroundRule, grid_block
+from tiler.grid import GridBlock, GroundSelection, grid_block
 from tiler.grid.tasks.shared_tins import joined_blocks
 from tiler.runs.stage_runner import _outcomes
 from tiler.schedule import Outcome, SerialExecutor, Task
@@ -23,7 +23,7 @@ RECORDS = {Cell(ix, iy): {"n": 10_000} for ix in range(18) for iy in range(24)}
 
 
 def tasks(blocks: list[Block] | None = None, **options: Any) -> list[Task]:
-    data, rule = Bounds(0, 0, 1_100_000, 1_536_000), GroundRule("final")
+    data, rule = Bounds(0, 0, 1_100_000, 1_536_000), GroundSelection("final")
     given = {"name": "dtm", "spec": SPEC, "rule": rule, "data": data, "max_edge": Fraction(100_000)}
     works = [
         GridBlock(block=block, halo=101_000, **{**given, **options}) for block in blocks or SPEC.blocks(512)

@@ -12,9 +12,9 @@ from tiler.grid import reach, water_cells
 from tiler.grid.returns import histograms, usual_returns
 from tiler.grid.water_cells import (
     ENOUGH_RETURNS,
-    Cells,
     Rim,
     Size,
+    WaterCells,
     judged,
     rim_of,
     water_areas,
@@ -40,21 +40,21 @@ HILLS = 10 + 4 * np.sin(ROW / 15) + 3 * np.cos(COL / 11)
 SLOPE = 10 + 0.2 * ROW
 
 
-def cells(ground: np.ndarray, few: np.ndarray, left: float = 0.0, seed: int = 1) -> Cells:
+def cells(ground: np.ndarray, few: np.ndarray, left: float = 0.0, seed: int = 1) -> WaterCells:
     """Some 20 returns a cell, of which ``few`` cells keep a share; ground where there are returns, else as around."""
     rng = np.random.default_rng(seed)
     returns = rng.poisson(20 * np.where(few, left, 1.0)).astype(np.float64)
     uneven = ground + rng.normal(0, 0.04, ground.shape)
     every = np.ones(ground.shape, np.bool_)
-    return Cells(returns, ~every, uneven, every, 2.0)
+    return WaterCells(returns, ~every, uneven, every, 2.0)
 
 
-def usual(given: Cells) -> tuple[int, float] | None:
+def usual(given: WaterCells) -> tuple[int, float] | None:
     """How many cells are merged, and the median of their returns, in whole squares of 16."""
     return usual_returns([histograms(given.returns.astype(np.int64)[:112, :112])], ENOUGH_RETURNS)
 
 
-def bodies(given: Cells, trusted: bool = True, pieces: int = 1) -> list[tuple[np.ndarray, float]]:
+def bodies(given: WaterCells, trusted: bool = True, pieces: int = 1) -> list[tuple[np.ndarray, float]]:
     """Cells of each area of water, and how sure it is; the land around it is counted in strips."""
     times, median = usual(given) or (1, None)
     assert times == 1
@@ -73,7 +73,7 @@ def bodies(given: Cells, trusted: bool = True, pieces: int = 1) -> list[tuple[np
     return result
 
 
-def found(given: Cells, trusted: bool = True) -> np.ndarray:
+def found(given: WaterCells, trusted: bool = True) -> np.ndarray:
     water = np.zeros(given.returns.shape, np.bool_)
     for body, _ in bodies(given, trusted):
         water |= body

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from tiler.inputs import Patch
+from tiler.inputs import DensityPatch
 from tiler.inputs.patches import find_patches, local_density
 from tiler.plan.density_map import DensityMap
 from tiler.plan.sizes import covered_m2
@@ -22,7 +22,7 @@ def runs_of(cloud: Array, places: int = 16, length: int = 2048) -> list[Array]:
     return [cloud[:, s : s + length] for s in starts]
 
 
-def patches_of(cloud: Array) -> tuple[Patch, ...]:
+def patches_of(cloud: Array) -> tuple[DensityPatch, ...]:
     bounds = [*cloud.min(axis=1).tolist(), *cloud.max(axis=1).tolist()]
     return find_patches(runs_of(cloud), cloud.shape[1], bounds)
 
@@ -65,7 +65,7 @@ def test_a_diagonal_strip_is_not_thinned_out_over_its_bounds() -> None:
 
 
 def test_strips_that_cross_add_up() -> None:
-    patches = [Patch(0, 0, 1000, 1000, 1e6)] * 20 + [Patch(5000, 0, 6000, 1000, 1e6)]
+    patches = [DensityPatch(0, 0, 1000, 1000, 1e6)] * 20 + [DensityPatch(5000, 0, 6000, 1000, 1e6)]
     density_map = DensityMap(patches, 1.0)
     assert density_map.fullest(100) == pytest.approx(20 * 100**2, rel=0.05)
     assert density_map.fullest(10) == pytest.approx(20 * 10**2, rel=0.05)
@@ -74,7 +74,7 @@ def test_strips_that_cross_add_up() -> None:
 
 
 def test_a_map_of_a_country_stays_small() -> None:
-    patches = [Patch(x, y, x + 5e4, y + 5e4, 1e10) for x in (0, 5e4) for y in (0, 5e4, 1e5)]
+    patches = [DensityPatch(x, y, x + 5e4, y + 5e4, 1e10) for x in (0, 5e4) for y in (0, 5e4, 1e5)]
     density_map = DensityMap(patches, 1.0)
     assert density_map.fullest(512) == pytest.approx(4 * 512**2, rel=0.05)
 
@@ -94,12 +94,12 @@ def test_without_points_nothing_is_dense() -> None:
     assert find_patches([], 0, [0, 0, 0, 0]) == ()
     assert DensityMap([], 1.0).fullest(100) == 0
     outside = np.full((2, 5), 99.0)
-    assert find_patches([outside], 7, [0, 0, 10, 10]) == (Patch(0, 0, 10, 10, 7),)
+    assert find_patches([outside], 7, [0, 0, 10, 10]) == (DensityPatch(0, 0, 10, 10, 7),)
 
 
 def test_a_long_line_has_few_cells() -> None:
     """In kilometres: 16 million cells of 64 m along it, next to no area."""
-    density_map = DensityMap([Patch(0.0, 0.0, 1e6, 1.0, 1000.0)], 1000.0)
+    density_map = DensityMap([DensityPatch(0.0, 0.0, 1e6, 1.0, 1000.0)], 1000.0)
     assert 900 < density_map.fullest(1e9) < 1001
 
 

@@ -25,7 +25,7 @@ from tests.scenes.running import wait_until_gone
 from tests.tiler.schedule import calls
 from tests.waiting import PATIENCE_SECONDS, wait_until
 from tiler.errors import ConfigError, ConnectionLostError
-from tiler.schedule import TRIES, Executor, Limits, Outcome, SerialExecutor, Task
+from tiler.schedule import TRIES, Executor, Outcome, SerialExecutor, Task, TaskLimits
 from tiler.schedule.fork_server import FORKS, child_environment
 from tiler.schedule.workers import DaskExecutor
 
@@ -36,7 +36,7 @@ def task(value: int, **arguments: Any) -> Task:
 
 @pytest.fixture(scope="module")
 def two() -> Iterator[DaskExecutor]:
-    executor = DaskExecutor(2, limits=Limits(memory_bytes=1 << 30, seconds=PATIENCE_SECONDS))
+    executor = DaskExecutor(2, limits=TaskLimits(memory_bytes=1 << 30, seconds=PATIENCE_SECONDS))
     yield executor
     executor.close()
 
@@ -87,7 +87,7 @@ def test_a_task_that_kills_its_workers_is_given_up_and_the_others_are_done(
 
 
 def test_a_task_that_hangs_is_given_up(tmp_path: Path) -> None:
-    executor = DaskExecutor(2, limits=Limits(seconds=1.0))
+    executor = DaskExecutor(2, limits=TaskLimits(seconds=1.0))
     try:
         ends, again = run(executor, [task(1, does="hang")], tmp_path)
     finally:
@@ -226,7 +226,7 @@ def test_the_serial_executor_tries_as_often(
 
 
 def test_larger_tasks_may_take_longer() -> None:
-    limits = Limits(seconds=10)
+    limits = TaskLimits(seconds=10)
     assert limits.seconds_of(Task("s", "k", "d", calls.square, {}, points=5_000_000)) == 50
     assert limits.seconds_of(task(1)) == 10
 
@@ -341,7 +341,7 @@ def test_a_process_that_cannot_start_is_not_reported_as_killed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("A_SERVER", "that forks once")
-    limits = Limits(memory_bytes=1 << 30, seconds=PATIENCE_SECONDS, prepare=calls.refuse_forks)
+    limits = TaskLimits(memory_bytes=1 << 30, seconds=PATIENCE_SECONDS, prepare=calls.refuse_forks)
     executor = DaskExecutor(2, limits=limits)
     try:
         ends, _ = run(executor, [task(1, wait=3), task(2, wait=3)], tmp_path)

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 
 from tiler.simulate import AlsSensor, Site, Terrain, make_site, survey
-from tiler.simulate.objects import Crown, Objects, Patch, Solid, Wire
-from tiler.simulate.points import Points, survey_patch
+from tiler.simulate.objects import Crown, Objects, PlantPatch, Solid, Wire
+from tiler.simulate.points import SimulatedPoints, survey_patch
 from tiler.simulate.sites import SITES
 from tiler.simulate.terrain import Hill, Line, River
 
 CLEAN = AlsSensor(overlap_m=0.0, sigma_m=0.0, low_singles_km2=0, low_groups_km2=0, high_km2=0)
 
 
-def scan(objects: Objects, terrain: Terrain | None = None, sensor: AlsSensor = CLEAN) -> Points:
+def scan(objects: Objects, terrain: Terrain | None = None, sensor: AlsSensor = CLEAN) -> SimulatedPoints:
     """Points of 60 x 60 m, all in one patch."""
     return survey_patch(Site(terrain or Terrain(100.0), 60.0, 9, landmarks=objects), sensor, 0, 0)
 
@@ -98,7 +98,7 @@ def test_returns_of_a_pulse_follow_one_another_downward():
 
 
 def test_low_plants_hide_a_share_of_the_ground():
-    points = scan(Objects(patches=(Patch(30, 30, 0.0, 40, 20, height=0.6, cover=0.7, square=True),)))
+    points = scan(Objects(patches=(PlantPatch(30, 30, 0.0, 40, 20, height=0.6, cover=0.7, square=True),)))
     inside = (np.abs(points.xyz[:, 0] - 30) < 20) & (np.abs(points.xyz[:, 1] - 30) < 10)
     plants = points.label == 3
     assert np.mean(plants[inside]) == pytest.approx(0.7, abs=0.04)
@@ -107,7 +107,7 @@ def test_low_plants_hide_a_share_of_the_ground():
 
 
 def test_plants_are_labelled_by_their_height_above_ground():
-    points = scan(Objects(patches=(Patch(30, 30, 0.0, 50, 50, height=4.0, cover=0.9, square=True),)))
+    points = scan(Objects(patches=(PlantPatch(30, 30, 0.0, 50, 50, height=4.0, cover=0.9, square=True),)))
     above = points.xyz[:, 2] - 100.0
     for label, low, high in ((3, 0.0, 1.0), (4, 1.0, 3.0), (5, 3.0, 4.1)):
         chosen = above[points.label == label]

@@ -10,8 +10,8 @@ import pytest
 from tiler.simulate import DimSensor, Site, Terrain, survey
 from tiler.simulate.colour import ROCK, SHADE, ground_materials, shadows
 from tiler.simulate.matched_surface import PIXEL_M, render_surface
-from tiler.simulate.objects import Crown, Objects, Patch, Solid
-from tiler.simulate.points import Points
+from tiler.simulate.objects import Crown, Objects, PlantPatch, Solid
+from tiler.simulate.points import SimulatedPoints
 
 SMOOTH = DimSensor(density=30.0, sigma_m=0.0, blunders=0.0, high_blunders=0.0)
 HOUSE = Solid(25, 25, 0.0, length=20, width=12, base=99, top=108)
@@ -19,7 +19,7 @@ HOUSE = Solid(25, 25, 0.0, length=20, width=12, base=99, top=108)
 
 def match(
     objects: Objects, sensor: DimSensor = SMOOTH, terrain: Terrain | None = None, green: float = 0.6
-) -> Points:
+) -> SimulatedPoints:
     """Points of 50 x 50 m."""
     return survey(Site(terrain or Terrain(100.0), 50.0, 5, landmarks=objects, green=green), sensor)
 
@@ -70,7 +70,7 @@ def test_a_mesh_is_regular_and_may_have_no_colours():
 
 
 def test_plants_that_are_too_low_are_ground_but_not_what_a_crown_lifts():
-    low = Patch(15, 25, 0.0, 20, 40, height=0.3, cover=0.9, square=True)
+    low = PlantPatch(15, 25, 0.0, 20, 40, height=0.3, cover=0.9, square=True)
     crown = Crown(35, 25, 106, radius=6, half_height=5)
     points = match(Objects(patches=(low,), crowns=(crown,)), replace(SMOOTH, edge_m=0.6, plants_m=0.3))
     x, y, z = points.xyz.T
@@ -117,7 +117,7 @@ def test_facades_are_vertical_and_on_some_walls_only():
 
 
 def test_low_plants_are_a_surface_above_the_ground():
-    points = match(Objects(patches=(Patch(25, 25, 0.0, 30, 20, height=0.8, cover=0.9, square=True),)))
+    points = match(Objects(patches=(PlantPatch(25, 25, 0.0, 30, 20, height=0.8, cover=0.9, square=True),)))
     inside = (np.abs(points.xyz[:, 0] - 25) < 12) & (np.abs(points.xyz[:, 1] - 25) < 7)
     assert np.mean(points.label[inside] == 3) > 0.7
     above = points.xyz[points.label == 3, 2] - 100

@@ -68,7 +68,7 @@ class TileEdges:
 
 
 @dataclass
-class Tally:
+class StepStatistics:
     """Number, sum and largest of the known values."""
 
     n: int = 0
@@ -121,10 +121,12 @@ def seam_steps(dtm: Path | str, edges: TileEdges) -> dict[str, Any]:
         if edges.tile < 4 * max(abs(raster.transform.a), abs(raster.transform.e)):
             raise ConfigError(f"--tile-size {edges.tile:g}: must be four pixels at least")
         metres = vertical_unit(raster)
-        tallies = {name: (Tally(), Tally()) for name in ("interior", "tiles", "beside_tiles")}
+        tallies = {
+            name: (StepStatistics(), StepStatistics()) for name in ("interior", "tiles", "beside_tiles")
+        }
         for steps, jumps, marks in _pairs(raster, edges):
             for name, mark in marks.items():
-                of_steps, of_jumps = tallies.setdefault(name, (Tally(), Tally()))
+                of_steps, of_jumps = tallies.setdefault(name, (StepStatistics(), StepStatistics()))
                 of_steps.add(steps[mark])
                 of_jumps.add(jumps[mark])
     found = {}

@@ -25,16 +25,16 @@ UInt8s = npt.NDArray[np.uint8]
 Int64s = npt.NDArray[np.int64]
 
 
-class Points(NamedTuple):
+class ClassifiedPoints(NamedTuple):
     """Some points of a file: coordinates (int64 counts, shape (3, n)), classes, and a mask of withheld ones."""
 
     place: Int64s
     classes: UInt8s
     withheld: npt.NDArray[np.bool_]
 
-    def take(self, at: npt.NDArray[Any]) -> Points:
+    def take(self, at: npt.NDArray[Any]) -> ClassifiedPoints:
         """The points of an index array or mask."""
-        return Points(self.place[:, at], self.classes[at], self.withheld[at])
+        return ClassifiedPoints(self.place[:, at], self.classes[at], self.withheld[at])
 
 
 class LabelComparison:
@@ -54,7 +54,7 @@ class LabelComparison:
         self.withheld = 0
         self.grid = grid
 
-    def add(self, labels: UInt8s, reference: Points) -> None:
+    def add(self, labels: UInt8s, reference: ClassifiedPoints) -> None:
         """Judge the labels of the reference's points."""
         if reference.withheld.any():
             self.withheld += int(reference.withheld.sum())
@@ -126,7 +126,7 @@ def compare_files(
     }
 
 
-def _read(path: Path) -> Iterator[Points]:
+def _read(path: Path) -> Iterator[ClassifiedPoints]:
     header = read_header(path)
     with PointReader(header, NEEDED) as reader:
         for start in range(0, header.point_count, _STEP):
@@ -134,7 +134,7 @@ def _read(path: Path) -> Iterator[Points]:
             xyz = [coordinate(records, header, axis) for axis in range(3)]
             place = np.round(np.stack(xyz) * PER_UNIT).astype(np.int64)
             classes, flags = class_and_flags(records, header.point_format)
-            yield Points(place, classes, (flags & WITHHELD_FLAG) > 0)
+            yield ClassifiedPoints(place, classes, (flags & WITHHELD_FLAG) > 0)
 
 
 def _in_order(cloud: Path, reference: Path, findings: LabelComparison) -> bool:
@@ -148,11 +148,11 @@ def _in_order(cloud: Path, reference: Path, findings: LabelComparison) -> bool:
     return True
 
 
-def _whole(path: Path) -> Points:
+def _whole(path: Path) -> ClassifiedPoints:
     parts = list(_read(path))
     if not parts:
         raise InputError(f"{path}: no points; nothing to compare")
-    return Points(
+    return ClassifiedPoints(
         np.concatenate([p.place for p in parts], axis=1),
         np.concatenate([p.classes for p in parts]),
         np.concatenate([p.withheld for p in parts]),

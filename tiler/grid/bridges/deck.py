@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tiler.grid.bridges.deck_cells import DROP_M, MAX_WIDTH_M
-from tiler.grid.bridges.deck_sides import BESIDE_M, TOLERANCE_M, Bools, Floats, Sides, sides_of
+from tiler.grid.bridges.deck_sides import BESIDE_M, TOLERANCE_M, Bools, DeckEdges, Floats, sides_of
 
 Ints = npt.NDArray[np.intp]
 Surface = tuple[float, float, float, float]
@@ -102,7 +102,7 @@ class _View:
     surface: Surface
     starts: Floats
     width: float
-    sides: Sides
+    sides: DeckEdges
 
 
 def find_deck(

@@ -29,7 +29,7 @@ REACH_M = MAX_WIDTH_M + MAX_LENGTH_M + VOID_M
 
 
 @dataclass(frozen=True)
-class Cells:
+class DeckCells:
     """Heights of coarse cells, metres, NaN where there is no point.
 
     Attributes
@@ -64,7 +64,7 @@ class Cells:
         return found
 
 
-def deck_cells(cells: Cells) -> tuple[Ints, Ints, Ints]:
+def deck_cells(cells: DeckCells) -> tuple[Ints, Ints, Ints]:
     """Rows, columns and direction across (of `DIRECTIONS`) of the cells that may be decks."""
     spans = [_spans(cells, direction) for direction in range(DIRECTIONS)]
     marked = np.zeros(cells.top.shape, np.bool_)
@@ -88,7 +88,7 @@ def along(direction: int, steps: int) -> tuple[int, int]:
     return -round(steps * math.sin(angle)), round(steps * math.cos(angle))
 
 
-def _drops(cells: Cells, rows: Ints, cols: Ints, height: Floats, direction: int, sign: int) -> Bools:
+def _drops(cells: DeckCells, rows: Ints, cols: Ints, height: Floats, direction: int, sign: int) -> Bools:
     """Whether the ground right beside cells is lower by `CLEAR_M`; beside water, the first point beyond it."""
     found, waiting = np.zeros(len(rows), np.bool_), np.ones(len(rows), np.bool_)
     for step in range(1, cells.steps(VOID_M) + 1):
@@ -102,7 +102,7 @@ def _drops(cells: Cells, rows: Ints, cols: Ints, height: Floats, direction: int,
     return found
 
 
-def _spans(cells: Cells, direction: int) -> tuple[Ints, Ints, Ints]:
+def _spans(cells: DeckCells, direction: int) -> tuple[Ints, Ints, Ints]:
     """Rows and columns of cells between two drops, and the number of the span of each; its middle comes first."""
     rows, cols = (axis.astype(np.int64) for axis in np.nonzero(~np.isnan(cells.top)))
     edge = _drops(cells, rows, cols, cells.top[rows, cols], direction, 1)
@@ -135,7 +135,9 @@ def _spans(cells: Cells, direction: int) -> tuple[Ints, Ints, Ints]:
     return rows, cols, number
 
 
-def _road_goes_on(cells: Cells, marked: Bools, rows: Ints, cols: Ints, direction: int, sign: int) -> Bools:
+def _road_goes_on(
+    cells: DeckCells, marked: Bools, rows: Ints, cols: Ints, direction: int, sign: int
+) -> Bools:
     """Whether a way from cells along a deck leads without a step to ground that is no deck."""
     found = np.zeros(len(rows), np.bool_)
     which, before, gaps = np.arange(len(rows)), cells.at(cells.top, rows, cols), np.zeros(len(rows), np.int64)

@@ -23,7 +23,7 @@ BETWEEN = 0.34
 
 
 @dataclass(frozen=True)
-class Sides:
+class DeckEdges:
     """Edge, freedom and height beside the deck for each slice and side: arrays (slices, 2)."""
 
     edge: Floats
@@ -36,7 +36,7 @@ class Sides:
         return found
 
 
-def sides_of(s: Floats, t: Floats, off: Floats, bins: Floats, width: float, spacing: float) -> Sides:
+def sides_of(s: Floats, t: Floats, off: Floats, bins: Floats, width: float, spacing: float) -> DeckEdges:
     """The edges of a deck in slices of ``width`` with the numbers ``bins``, and what stands beside them.
 
     ``s, t`` along and across it, ``off`` above its surface, of all points; ``spacing`` of these.
@@ -56,7 +56,7 @@ def sides_of(s: Floats, t: Floats, off: Floats, bins: Floats, width: float, spac
         for k, sign in enumerate((-1, 1)):
             away = sign * (t[rows] - edge[i, k])
             free[i, k], level[i, k] = _beside(away, off[rows])
-    return Sides(edge, free, level)
+    return DeckEdges(edge, free, level)
 
 
 def _around_zero(t: Floats, gap: float) -> tuple[float, float] | None:

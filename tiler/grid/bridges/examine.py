@@ -15,8 +15,8 @@ from tiler.core.lattice import Bounds
 from tiler.core.points import PointBlock
 from tiler.core.raster import Block, RasterSpec
 from tiler.grid.bridges.deck import Deck, find_deck
-from tiler.grid.bridges.deck_cells import DIRECTIONS, REACH_M, Cells, deck_cells
-from tiler.grid.ground import GroundRule, read_classes, surface_points
+from tiler.grid.bridges.deck_cells import DIRECTIONS, REACH_M, DeckCells, deck_cells
+from tiler.grid.ground import GroundSelection, read_classes, surface_points
 from tiler.grid.work import BlockWork
 from tiler.store import TileStore, open_store
 
@@ -40,7 +40,7 @@ MAX_DIRECTIONS = 3
 class FindDeckCells(BlockWork):
     """Work: find the coarse cells of a block that may be decks of bridges; ``rule`` is without corrections."""
 
-    rule: GroundRule
+    rule: GroundSelection
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class ExamineDecks:
         The cells of each, see `tiler.grid.bridges.deck_cells.deck_cells`.
     """
 
-    rule: GroundRule
+    rule: GroundSelection
     spec: RasterSpec
     places: tuple[tuple[tuple[int, int, int], ...], ...]
 
@@ -86,7 +86,7 @@ def find_deck_cells(store_url: str, work: FindDeckCells) -> dict[str, Any]:
     ground, known = np.isfinite(top), np.isfinite(low)
     top = np.where(ground, top, np.where(known, low, np.float32(np.nan)))
     low = np.where(known, low, np.float32(np.nan))
-    rows, cols, directions = deck_cells(Cells(top, low, ground, size_m))
+    rows, cols, directions = deck_cells(DeckCells(top, low, ground, size_m))
     own = (rows >= pad) & (rows < pad + block.height) & (cols >= pad) & (cols < pad + block.width)
     found = np.stack((rows[own] + window.row, cols[own] + window.col, directions[own]), axis=1)
     return {"cells": found.tolist()}
@@ -159,7 +159,7 @@ def examined(spec: RasterSpec, cells: PlaceCells, metres: float) -> Bounds:
     return spec.block_bounds(block).pad(math.ceil(AROUND_M / metres))
 
 
-def _voxels(store: TileStore, rule: GroundRule, bounds: Bounds, metres: Any) -> tuple[Counts, Bools]:
+def _voxels(store: TileStore, rule: GroundSelection, bounds: Bounds, metres: Any) -> tuple[Counts, Bools]:
     """Centres of the voxels of some bounds that hold points, counts (n, 3), and whether one of these is ground."""
     steps = np.maximum(np.round(np.array(VOXEL_M) / metres), 1).astype(np.int64)
     first = np.array((bounds.x0 // steps[0], bounds.y0 // steps[1], LOWEST // steps[2]))
@@ -180,7 +180,9 @@ def _voxels(store: TileStore, rule: GroundRule, bounds: Bounds, metres: Any) -> 
     return centres, keys[rows] % 2 == 0
 
 
-def _points(store: TileStore, rule: GroundRule, cell: Any, bounds: Bounds) -> tuple[PointBlock, Bools, Bools]:
+def _points(
+    store: TileStore, rule: GroundSelection, cell: Any, bounds: Bounds
+) -> tuple[PointBlock, Bools, Bools]:
     """Points of a bucket, those that are surface and lie in some bounds, and those that are ground."""
     points, chosen = surface_points(store, rule, cell)
     chosen &= points.inside(bounds, store.meta.frame.origin)

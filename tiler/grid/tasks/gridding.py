@@ -15,7 +15,7 @@ from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec
 from tiler.core.water import Waters
 from tiler.filter import LABELS
-from tiler.grid import GroundRule
+from tiler.grid import GroundSelection
 from tiler.grid.coarse import coarse_raster
 from tiler.grid.pieces import Joined, join_pieces
 from tiler.grid.tasks.canopy import CanopyCells
@@ -49,10 +49,10 @@ def raster_spec(plan: Plan, assembled: IngestResult) -> RasterSpec:
     return RasterSpec.enclosing(Lattice(plan.meta.frame.counts(plan.resolution)), extent)
 
 
-def ground_rule(plan: Plan) -> GroundRule:
+def ground_rule(plan: Plan) -> GroundSelection:
     """Rule for the points that are ground."""
     keep = plan.config.method == KEEP
-    return GroundRule(
+    return GroundSelection(
         None if keep else LABELS,
         plan.config.ground_classes if keep else (GROUND,),
         skip_flags(plan),
@@ -69,7 +69,7 @@ class Grid(Enum):
 
 
 @dataclass(frozen=True)
-class Raster:
+class RasterStep:
     """One raster of the store.
 
     Attributes
@@ -91,7 +91,7 @@ class Raster:
     inputs: tuple[str, ...]
     work: Work
     grid: Grid
-    tasks: Callable[[Raster, Gridding], Iterator[Task]]
+    tasks: Callable[[RasterStep, Gridding], Iterator[Task]]
     fill: float = 0.0
 
     @property
@@ -145,7 +145,7 @@ class Gridding:
     _areas: dict[str, Joined] = field(default_factory=dict)
 
     @property
-    def rule(self) -> GroundRule:
+    def rule(self) -> GroundSelection:
         """Rule for the points that are ground."""
         return ground_rule(self.plan)
 
@@ -190,7 +190,7 @@ class Gridding:
         under = self.coarse.blocks_within(self.spec.block_bounds(block), BLOCK_PIXELS)
         return self.checksums(raster, [other.name for other in under])
 
-    def block_task(self, raster: Raster, work: BlockWork, seen: list[Any]) -> Task:
+    def block_task(self, raster: RasterStep, work: BlockWork, seen: list[Any]) -> Task:
         """The task of one block of a raster; ``seen``: what it depends on besides its arguments."""
         points = work.block.height * work.block.width
         return Task(
@@ -225,6 +225,6 @@ class Gridding:
         """Whether a pixel is larger than a coarse cell."""
         return self.plan.resolution > self.coarse_m
 
-    def spec_of(self, raster: Raster) -> RasterSpec:
+    def spec_of(self, raster: RasterStep) -> RasterSpec:
         """Pixels or cells of a raster."""
         return self.coarse if raster.grid is Grid.COARSE else self.spec

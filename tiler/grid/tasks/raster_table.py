@@ -38,7 +38,7 @@ from tiler.grid import (
     surface_block,
     survey_block,
 )
-from tiler.grid.tasks.gridding import Grid, Raster
+from tiler.grid.tasks.gridding import Grid, RasterStep
 from tiler.grid.tasks.rasters import (
     CANOPY,
     canopy_tasks,
@@ -86,29 +86,31 @@ def filled(product: str, config: RunConfig) -> str:
     return f"{product}-filled" if product in MODELS and config.voids != "leave" else product
 
 
-def raster_table(config: RunConfig) -> dict[str, Raster]:
+def raster_table(config: RunConfig) -> dict[str, RasterStep]:
     """All rasters that these settings allow, by name."""
     dtm, dsm = final("dtm", config), final("dsm", config)
     rows = [
-        Raster("dtm", (), grid_block, Grid.PIXELS, terrain_tasks, _fill("dtm")),
-        Raster("dsm", (dtm,), surface_block, Grid.PIXELS, surface_tasks, _fill("dsm")),
-        Raster("ndsm", (dsm, dtm), derive_block, Grid.PIXELS, derived_tasks, _fill("ndsm")),
-        Raster("hillshade", (dtm,), derive_block, Grid.PIXELS, derived_tasks, _fill("hillshade")),
-        Raster("slope", (dtm,), derive_block, Grid.PIXELS, derived_tasks, _fill("slope")),
-        Raster("density", (), density_block, Grid.PIXELS, point_tasks, _fill("density")),
-        Raster("distance", (), distance_block, Grid.PIXELS, distance_tasks, float(config.max_edge)),
-        Raster("occupancy", (), occupancy_block, Grid.COARSE, point_tasks),
-        Raster("survey-open", ("occupancy",), close_block, Grid.COARSE, survey_gaps, NO_PIECE),
-        Raster("survey", ("survey-open",), survey_block, Grid.COARSE, survey_tasks),
-        Raster(CANOPY, (), canopy_block, Grid.PIXELS, canopy_tasks),
-        Raster("mask", ("dtm", dtm, "survey", CANOPY), mask_block, Grid.PIXELS, mask_tasks, _fill("mask")),
-        Raster("sigma", (dtm, "mask"), sigma_block, Grid.PIXELS, sigma_tasks, _fill("sigma")),
+        RasterStep("dtm", (), grid_block, Grid.PIXELS, terrain_tasks, _fill("dtm")),
+        RasterStep("dsm", (dtm,), surface_block, Grid.PIXELS, surface_tasks, _fill("dsm")),
+        RasterStep("ndsm", (dsm, dtm), derive_block, Grid.PIXELS, derived_tasks, _fill("ndsm")),
+        RasterStep("hillshade", (dtm,), derive_block, Grid.PIXELS, derived_tasks, _fill("hillshade")),
+        RasterStep("slope", (dtm,), derive_block, Grid.PIXELS, derived_tasks, _fill("slope")),
+        RasterStep("density", (), density_block, Grid.PIXELS, point_tasks, _fill("density")),
+        RasterStep("distance", (), distance_block, Grid.PIXELS, distance_tasks, float(config.max_edge)),
+        RasterStep("occupancy", (), occupancy_block, Grid.COARSE, point_tasks),
+        RasterStep("survey-open", ("occupancy",), close_block, Grid.COARSE, survey_gaps, NO_PIECE),
+        RasterStep("survey", ("survey-open",), survey_block, Grid.COARSE, survey_tasks),
+        RasterStep(CANOPY, (), canopy_block, Grid.PIXELS, canopy_tasks),
+        RasterStep(
+            "mask", ("dtm", dtm, "survey", CANOPY), mask_block, Grid.PIXELS, mask_tasks, _fill("mask")
+        ),
+        RasterStep("sigma", (dtm, "mask"), sigma_block, Grid.PIXELS, sigma_tasks, _fill("sigma")),
     ]
     for model in MODELS if config.voids != "leave" else ():
         voids = f"{model}-voids"
         rows += [
-            Raster(voids, (model, "survey"), find_voids, Grid.COARSE, voids_tasks),
-            Raster(
+            RasterStep(voids, (model, "survey"), find_voids, Grid.COARSE, voids_tasks),
+            RasterStep(
                 filled(model, config),
                 (model, "survey", voids),
                 fill_block,
@@ -125,19 +127,19 @@ def raster_table(config: RunConfig) -> dict[str, Raster]:
         if model == "dtm":
             inputs += ["water-cells"] if sought else []
             inputs += [CANOPY] if config.canopy == VOID_CANOPY else []
-        rows.append(Raster(cut, tuple(inputs), outline_block, Grid.PIXELS, outline_tasks, _fill(model)))
+        rows.append(RasterStep(cut, tuple(inputs), outline_block, Grid.PIXELS, outline_tasks, _fill(model)))
     return {row.name: row for row in rows}
 
 
-def _water_rows() -> list[Raster]:
+def _water_rows() -> list[RasterStep]:
     """The steps of the search for water."""
     cells = ("occupancy", "water-ground", "domain")
     areas, planes = ("water-areas", *cells), ("water-planes", *cells)
     return [
-        Raster("domain-open", ("occupancy",), close_block, Grid.COARSE, domain_gaps, NO_PIECE),
-        Raster("domain", ("domain-open",), survey_block, Grid.COARSE, survey_tasks),
-        Raster("water-terrain", (), grid_block, Grid.COARSE, coarse_terrain_tasks, NODATA),
-        Raster(
+        RasterStep("domain-open", ("occupancy",), close_block, Grid.COARSE, domain_gaps, NO_PIECE),
+        RasterStep("domain", ("domain-open",), survey_block, Grid.COARSE, survey_tasks),
+        RasterStep("water-terrain", (), grid_block, Grid.COARSE, coarse_terrain_tasks, NODATA),
+        RasterStep(
             "water-ground",
             ("dtm", "water-terrain", "occupancy"),
             ground_cells,
@@ -145,13 +147,15 @@ def _water_rows() -> list[Raster]:
             ground_tasks,
             NODATA,
         ),
-        Raster("water-areas", cells, find_areas, Grid.COARSE, areas_tasks),
-        Raster("water-rims", areas, count_rims, Grid.COARSE, rims_tasks),
-        Raster("water-sure", ("water-rims", *areas), keep_areas, Grid.COARSE, sure_tasks),
-        Raster("water-planes", cells, find_planes, Grid.COARSE, areas_tasks),
-        Raster("water-plane-rims", planes, count_plane_rims, Grid.COARSE, plane_rims_tasks),
-        Raster("water-plane-sure", ("water-plane-rims", *planes), keep_planes, Grid.COARSE, plane_sure_tasks),
-        Raster(
+        RasterStep("water-areas", cells, find_areas, Grid.COARSE, areas_tasks),
+        RasterStep("water-rims", areas, count_rims, Grid.COARSE, rims_tasks),
+        RasterStep("water-sure", ("water-rims", *areas), keep_areas, Grid.COARSE, sure_tasks),
+        RasterStep("water-planes", cells, find_planes, Grid.COARSE, areas_tasks),
+        RasterStep("water-plane-rims", planes, count_plane_rims, Grid.COARSE, plane_rims_tasks),
+        RasterStep(
+            "water-plane-sure", ("water-plane-rims", *planes), keep_planes, Grid.COARSE, plane_sure_tasks
+        ),
+        RasterStep(
             "water-cells",
             ("water-sure", "water-plane-sure", *cells),
             finish_water,
@@ -167,9 +171,9 @@ def _fill(product: str) -> float:
     return 0.0 if nodata is None else nodata
 
 
-def wanted(config: RunConfig) -> list[Raster]:
+def wanted(config: RunConfig) -> list[RasterStep]:
     """The rasters to make, each after its inputs; the terrain is always made, and first."""
-    table, found = raster_table(config), dict[str, Raster]()
+    table, found = raster_table(config), dict[str, RasterStep]()
 
     def add(name: str) -> None:
         for source in table[name].inputs:

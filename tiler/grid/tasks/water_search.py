@@ -19,7 +19,7 @@ from tiler.grid import (
 )
 from tiler.grid.pieces import Joined, Piece, around
 from tiler.grid.returns import usual_returns
-from tiler.grid.tasks.gridding import Gridding, Place, Raster
+from tiler.grid.tasks.gridding import Gridding, Place, RasterStep
 from tiler.grid.tasks.survey import names_of, near_places
 from tiler.grid.water_cells import ENOUGH_RETURNS, Rim, Size, judged
 from tiler.grid.water_find import MIN_LENGTH
@@ -28,7 +28,7 @@ from tiler.grid.water_planes import DAM_M, SHORE_CELLS, Plane
 from tiler.schedule import Task
 
 
-def ground_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
+def ground_tasks(raster: RasterStep, g: Gridding) -> Iterator[Task]:
     """One for each block of coarse cells under the terrain."""
     if not g.water_is_sought:
         return
@@ -61,7 +61,7 @@ def ground_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
         yield g.block_task(raster, work, seen)
 
 
-def areas_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
+def areas_tasks(raster: RasterStep, g: Gridding) -> Iterator[Task]:
     """One for each block of the survey; how many returns are few is decided by the block and its neighbours."""
     occupancy, ground, domain = raster.inputs
     records = g.records(occupancy)
@@ -81,7 +81,7 @@ def areas_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
         yield g.block_task(raster, work, _seen(g, raster.inputs, place))
 
 
-def rims_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
+def rims_tasks(raster: RasterStep, g: Gridding) -> Iterator[Task]:
     """One for each block near a candidate."""
     areas = raster.inputs[0]
     for place in _near_labels(g, areas):
@@ -89,7 +89,7 @@ def rims_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
         yield g.block_task(raster, work, _seen(g, raster.inputs, place))
 
 
-def plane_rims_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
+def plane_rims_tasks(raster: RasterStep, g: Gridding) -> Iterator[Task]:
     """One for each block near a plane that may be water."""
     planes = raster.inputs[0]
     evident, others = _likely_planes(g, planes)
@@ -103,7 +103,7 @@ def plane_rims_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
         yield g.block_task(raster, work, _seen(g, raster.inputs, place))
 
 
-def plane_sure_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
+def plane_sure_tasks(raster: RasterStep, g: Gridding) -> Iterator[Task]:
     """One for each block near a plane that is water."""
     rims, *inputs = raster.inputs
     kept = _kept_planes(g, inputs[0], rims)
@@ -114,7 +114,7 @@ def plane_sure_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
         yield g.block_task(raster, work, _seen(g, inputs, place))
 
 
-def sure_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
+def sure_tasks(raster: RasterStep, g: Gridding) -> Iterator[Task]:
     """One for each block near a candidate that is water."""
     rims, *inputs = raster.inputs
     areas = inputs[0]
@@ -124,7 +124,7 @@ def sure_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
         yield g.block_task(raster, work, [g.checksums(areas, names_of([place]))])
 
 
-def cells_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
+def cells_tasks(raster: RasterStep, g: Gridding) -> Iterator[Task]:
     """One for each block near water."""
     sure, planes, *sources = raster.inputs
     config = g.plan.config
@@ -139,7 +139,7 @@ def cells_tasks(raster: Raster, g: Gridding) -> Iterator[Task]:
         yield g.block_task(raster, work, _seen(g, raster.inputs, place))
 
 
-def _on_areas(raster: Raster, g: Gridding, place: Place) -> dict[str, Any]:
+def _on_areas(raster: RasterStep, g: Gridding, place: Place) -> dict[str, Any]:
     """What tasks on candidates have in common."""
     name, occupancy, ground, domain = raster.inputs[-4:]
     of_block = g.records(name).get(place)

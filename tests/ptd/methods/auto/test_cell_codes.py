@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ptd.frame import Cells, Scale, Window
+from ptd.frame import CellLattice, Scale, Window
 from ptd.methods.auto.cell_codes import CellCodes, lowest_points
 from ptd.passes import Points
 
 SCALE = Scale(origin=(-300, 450))
-CELLS = Cells.of(1.0, SCALE)
+CELLS = CellLattice.of(1.0, SCALE)
 
 
 def points(*rows: tuple[int, int, int], labels: list[int] | None = None) -> Points:

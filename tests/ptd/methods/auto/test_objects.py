@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ptd.frame import Cells, Scale
+from ptd.frame import CellLattice, Scale
 from ptd.methods.auto.objects import Drop, Lowest, Residuals, Shape
 
-SCALE, CELLS = Scale(), Cells.of(1.0, Scale())
+SCALE, CELLS = Scale(), CellLattice.of(1.0, Scale())
 SEEDS = Drop(0.1, 0.06, 0.2)
 SHAPE = Shape(radius=9, slope=3)
 RESIDUALS = Residuals(Drop(0.3, 0.1, 0.2), trend=8, radius=4, slope=3, around=5, lack=2.0, enough=0.2)

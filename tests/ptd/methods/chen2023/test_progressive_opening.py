@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from ptd.frame import Cells, Scale, Window
+from ptd.frame import CellLattice, Scale, Window
 from ptd.methods.chen2023 import progressive_opening
 from ptd.methods.chen2023.progressive_opening import (
     Opening,
@@ -85,7 +85,7 @@ def field(heights: np.ndarray, keep: np.ndarray | None = None) -> tuple[np.ndarr
 def seeds_of(heights: np.ndarray, opening: Opening, keep: np.ndarray | None = None) -> np.ndarray:
     """A map of the potential seeds."""
     x, y, z = field(heights, keep)
-    args = Cells.of(1.0, Scale()), opening, EVERYTHING
+    args = CellLattice.of(1.0, Scale()), opening, EVERYTHING
     found, unsure = potential_seeds(x, y, z, np.ones(x.size, bool), *args)
     assert not unsure.any()
     seen = np.zeros(heights.shape, bool)
@@ -129,7 +129,7 @@ def test_points_that_are_not_eligible_leave_their_cells_empty() -> None:
     heights[10, 10] = -5.0
     x, y, z = field(heights)
     low = z < 0
-    args = Cells.of(1.0, Scale()), Opening([3, 5], [300, 300], 3), EVERYTHING
+    args = CellLattice.of(1.0, Scale()), Opening([3, 5], [300, 300], 3), EVERYTHING
     found, _ = potential_seeds(x, y, z, ~low, *args)
     assert np.array_equal(found, ~low)
     assert potential_seeds(x[:0], y[:0], z[:0], low[:0], *args)[0].size == 0
@@ -147,7 +147,7 @@ def test_blocks_change_nothing(seed: int, block: int) -> None:
     opening = Opening([3, 5], [300.0, 500.0], int(rng.integers(0, 4)))
     scale = Scale(origin=(int(rng.integers(-(10**5), 10**5)), 777))
     known = Window(20_000, 10_000, 70_000, 65_000)
-    args = x, y, z, eligible, Cells.of(1.0, scale), opening, known
+    args = x, y, z, eligible, CellLattice.of(1.0, scale), opening, known
     found = []
     for side in (10_000, block):
         with mock.patch.object(progressive_opening, "BLOCK_CELLS", side):
@@ -161,7 +161,7 @@ def test_certain_cells_lie_a_window_and_its_fill_inside() -> None:
     """In a full raster that is W - 1 = 4 cells, half a window twice; beside a hole it is farther."""
     x, y, z = field(np.zeros((40, 40)))
     known = Window(10_000, -(2**40), 2**40, 2**40)
-    args = Cells.of(1.0, Scale()), Opening([3, 5], [300, 300], 3)
+    args = CellLattice.of(1.0, Scale()), Opening([3, 5], [300, 300], 3)
     _, unsure = potential_seeds(x, y, z, np.ones(x.size, bool), *args, known)
     middle = abs(y - 20_000) < 12_000
     assert np.array_equal(unsure[middle], x[middle] < 14_000)

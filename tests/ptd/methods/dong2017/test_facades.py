@@ -7,12 +7,12 @@ from fractions import Fraction
 
 import numpy as np
 
-from ptd.frame import Cells, Scale
+from ptd.frame import CellLattice, Scale
 from ptd.methods.dong2017.facades import FacadeRule, Facades, density_of, facade_threshold
 
 CM = 100
 SCALE = Scale(Fraction(1, CM), Fraction(1, CM), (4_000_000, 8_000_000))
-CELLS = Cells.of(1.0, SCALE)
+CELLS = CellLattice.of(1.0, SCALE)
 RULE = FacadeRule(straight=4, diagonal=3, min_drop=250.0, variation=10.0, z_ratio=1.0)
 
 

@@ -6,11 +6,11 @@ from fractions import Fraction
 
 import numpy as np
 
-from ptd.frame import Cells, Scale
+from ptd.frame import CellLattice, Scale
 from ptd.methods.dong2017.virtual_border import rim
 
 SCALE = Scale(Fraction(1, 100), Fraction(1, 100), (1_234_567, -7_654_321))
-CELLS = Cells.of(4.0, SCALE)
+CELLS = CellLattice.of(4.0, SCALE)
 
 
 def block(rows: int, columns: int) -> np.ndarray:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from ptd.frame import OPEN, Cells, Scale, Window
+from ptd.frame import OPEN, CellLattice, Scale, Window
 from ptd.ground.certificates import UncertifiedRegion
 from ptd.methods.ridge2016.ridges import AROUND, RidgeRule, ridge_facet, ridge_points
 from ptd.methods.ridge2016.sorted_cells import Stacks
@@ -106,7 +106,7 @@ def place(
     facet = tin.vertices[list(corners_of(tin, triangle_at(tin, 30 * M, 3 * M)))].astype(np.int64)
     centre = facet[:, :2].sum(axis=0) / 3 / M
     points = np.rint(candidates((centre[0], centre[1])) * M).astype(np.int32)
-    stacks = Stacks(*np.ascontiguousarray(points.T), Cells.of(1.0, SCALE))
+    stacks = Stacks(*np.ascontiguousarray(points.T), CellLattice.of(1.0, SCALE))
     doubt = UncertifiedRegion(known, known, (-80 * M, -100 * M, 140 * M, 120 * M), SCALE)
     data = np.ones(tin.n_vertices, np.bool_) if data is None else data
     found = ridge_points(tin, data, stacks, RULE, doubt)

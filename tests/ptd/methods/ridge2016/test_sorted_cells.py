@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from ptd.frame import Cells, Scale
+from ptd.frame import CellLattice, Scale
 from ptd.methods.ridge2016.sorted_cells import Stacks, lowest_within, places_in_stacks
 
 SCALE = Scale(origin=(-12_345, 987))
@@ -24,7 +24,7 @@ def cloud(seed: int, n: int, spread: int, step: int) -> tuple[np.ndarray, np.nda
 def test_sorted_by_cell_then_height(n: int, spread: int, step: int) -> None:
     """Cells hold few and many points, with ties; one cloud is too sparse for a raster of cells."""
     x, y, z = cloud(1, n, spread, step)
-    cells = Cells.of(1.0, SCALE)
+    cells = CellLattice.of(1.0, SCALE)
     stacks = Stacks(x, y, z, cells)
     columns = np.array([cells.column(int(v)) for v in x])
     rows = np.array([cells.row(int(v)) for v in y])
@@ -50,7 +50,7 @@ def test_lowest_within_a_radius(
     seed: int, radius: float, cell: float, step: int, spread: int, x3: int, y3: int
 ) -> None:
     x, y, z = cloud(seed, 200, spread, step)
-    stacks = Stacks(x, y, z, Cells.of(cell, SCALE))
+    stacks = Stacks(x, y, z, CellLattice.of(cell, SCALE))
     got = lowest_within(stacks.x, stacks.y, stacks.z, stacks.raster, x3, y3, radius)
     near = (3 * x.astype(np.int64) - x3) ** 2 + (3 * y.astype(np.int64) - y3) ** 2 <= 9 * radius**2
     expected = min(zip(*(v[near].tolist() for v in (z, x, y)), strict=True), default=None)
@@ -60,7 +60,7 @@ def test_lowest_within_a_radius(
 
 def test_points_are_found_again_and_strangers_are_not() -> None:
     x, y, z = cloud(3, 400, 900, 100)  # many in one place
-    s = Stacks(x, y, z, Cells.of(0.5, SCALE))
+    s = Stacks(x, y, z, CellLattice.of(0.5, SCALE))
     place = places_in_stacks(x, y, z, s.x, s.y, s.z, s.raster)
     for own, sorted_ in ((x, s.x), (y, s.y), (z, s.z)):
         assert np.array_equal(sorted_[place], own)

@@ -10,12 +10,12 @@ from hypothesis import strategies as st
 from scipy.spatial import Delaunay
 
 from ptd.cells import Xyz
-from ptd.frame import Cells, Scale
+from ptd.frame import CellLattice, Scale
 from ptd.ground.certificates import UncertifiedRegion
-from ptd.ground.criteria import Limits
-from ptd.ground.labelling import GroundRule, label_points
+from ptd.ground.criteria import FacetLimits
+from ptd.ground.labelling import LabelRule, label_points
 from ptd.methods.ridge2016.sorted_cells import Stacks
-from ptd.methods.ridge2016.thinned_densification import Tally, densify_thinned
+from ptd.methods.ridge2016.thinned_densification import GrowthCounter, densify_thinned
 from ptd.tin.locator import Locator
 from ptd.tin.mesh import Tin
 from tests.scenes.densification import CORNERS, EVERYTHING, passes, scene
@@ -24,11 +24,11 @@ Points = list[tuple[int, ...]]
 
 
 def tins(
-    points: np.ndarray, n_seeds: int, limits: Limits, rounds: int, cell_m: float
+    points: np.ndarray, n_seeds: int, limits: FacetLimits, rounds: int, cell_m: float
 ) -> tuple[list[Tin], Stacks]:
     """The TINs of several rounds; the first points are the seeds, `CORNERS` the virtual ones."""
     x, y, z = np.ascontiguousarray(points.T.astype(np.int32))
-    stacks = Stacks(x, y, z, Cells.of(cell_m, Scale()))
+    stacks = Stacks(x, y, z, CellLattice.of(cell_m, Scale()))
     seeds = {tuple(p) for p in points[:n_seeds].tolist()}
     own = np.array([tuple(p) in seeds for p in np.column_stack([stacks.x, stacks.y, stacks.z]).tolist()])
     doubt = UncertifiedRegion(EVERYTHING, EVERYTHING, (0, 0, 1, 1), Scale())
@@ -42,7 +42,7 @@ def rows(tin: Tin) -> set[tuple[int, ...]]:
 
 
 def naive(
-    points: np.ndarray, n_seeds: int, limits: Limits, rounds: int, cell_m: float
+    points: np.ndarray, n_seeds: int, limits: FacetLimits, rounds: int, cell_m: float
 ) -> list[set[tuple[int, ...]]]:
     """Vertices of each round's TIN: steps 2 to 4 of section 2.3, point by point."""
     vertices = {tuple(p) for p in points[:n_seeds].tolist()}
@@ -76,7 +76,7 @@ def test_the_vertices_are_those_of_the_naive_way(
     seeds, others = scene(seed, 60, rough)
     points = np.unique(np.vstack([seeds[4:], others]), axis=0)
     np.random.default_rng(seed).shuffle(points)
-    limits = Limits.of(Scale(), distance_m=4.0, angle_deg=angle, terrain_deg=88.0, reduce_m=5.0)
+    limits = FacetLimits.of(Scale(), distance_m=4.0, angle_deg=angle, terrain_deg=88.0, reduce_m=5.0)
     got, _ = tins(points, 5, limits, rounds, cell)
     assert [rows(t) for t in got] == naive(points, 5, limits, rounds, cell)
 
@@ -88,7 +88,7 @@ def figure_5(cell_m: float) -> list[Points]:
     """
     ring: Points = [(x, y, 0) for x, y in ((2000, 2000), (98_000, 2000), (2000, 98_000), (98_000, 98_000))]
     a, b = (50_300, 50_300, -1000), (50_600, 50_400, -1800)
-    limits = Limits.of(Scale(), distance_m=1.4, angle_deg=80.0, terrain_deg=88.0)
+    limits = FacetLimits.of(Scale(), distance_m=1.4, angle_deg=80.0, terrain_deg=88.0)
     got, _ = tins(np.array([*ring, a, b]), 4, limits, 5, cell_m)
     return [sorted(rows(t) - set(ring)) for t in got]
 
@@ -107,7 +107,7 @@ def test_at_most_one_vertex_a_cell() -> None:
     """Equation 12."""
     seeds, others = scene(3, 4000, 300)
     points = np.unique(np.vstack([seeds[4:], others]), axis=0)
-    limits = Limits.of(Scale(), distance_m=4.0, angle_deg=60.0, terrain_deg=88.0)
+    limits = FacetLimits.of(Scale(), distance_m=4.0, angle_deg=60.0, terrain_deg=88.0)
     got, _ = tins(points, 5, limits, 6, 4.0)
     cells = [(x // 4000, y // 4000) for x, y, _ in rows(got[-1])]
     assert 400 < len(cells) == len(set(cells)) <= 25 * 25
@@ -118,15 +118,15 @@ def test_the_tally_counts_what_labelling_gives() -> None:
     for step, steep in ((1, 88.0), (1, 15.0), (2500, 88.0)):
         seeds, others = scene(11, 3000, 900)
         points = np.unique(np.vstack([seeds[4:], others]) // [step, step, 1] * [step, step, 1], axis=0)
-        limits = Limits.of(Scale(), distance_m=4.0, angle_deg=25.0, terrain_deg=steep, reduce_m=5.0)
+        limits = FacetLimits.of(Scale(), distance_m=4.0, angle_deg=25.0, terrain_deg=steep, reduce_m=5.0)
         got, stacks = tins(points, 40, limits, 7, 2.0)
         assert len(got) >= 5
         x, y, z = stacks.x, stacks.y, stacks.z
-        tally = Tally(x, y, z, limits, 200.0, np.zeros(x.size, np.bool_))
+        tally = GrowthCounter(x, y, z, limits, 200.0, np.zeros(x.size, np.bool_))
         before, counts = np.zeros(x.size, np.uint8), []
         for tin in got:
             clear = np.zeros(tin.n_triangles, np.uint8)
-            labels, _ = label_points(tin, Locator.of(tin), Xyz(x, y, z), clear, GroundRule(limits, 200.0))
+            labels, _ = label_points(tin, Locator.of(tin), Xyz(x, y, z), clear, LabelRule(limits, 200.0))
             counts.append(tally.count(tin, clear))
             assert counts[-1] == (((labels == 2) & (before != 2)).sum(), 0)
             before = labels
@@ -136,7 +136,7 @@ def test_the_tally_counts_what_labelling_gives() -> None:
 def test_the_tally_counts_what_is_in_doubt() -> None:
     seeds, others = scene(11, 500, 900)
     points = np.unique(np.vstack([seeds[4:], others]), axis=0)
-    limits = Limits.of(Scale(), distance_m=4.0, angle_deg=25.0, terrain_deg=88.0)
+    limits = FacetLimits.of(Scale(), distance_m=4.0, angle_deg=25.0, terrain_deg=88.0)
     (tin,), stacks = tins(points, 40, limits, 1, 2.0)
     in_doubt = (np.arange(tin.n_triangles) % 3 == 0).astype(np.uint8)
     # On a vertex, the search may end in any of its triangles.
@@ -144,6 +144,6 @@ def test_the_tally_counts_what_is_in_doubt() -> None:
         p not in rows(tin) for p in zip(stacks.x.tolist(), stacks.y.tolist(), stacks.z.tolist(), strict=True)
     ]
     x, y, z = stacks.x[off], stacks.y[off], stacks.z[off]
-    _, marked = label_points(tin, Locator.of(tin), Xyz(x, y, z), in_doubt, GroundRule(limits, 0.0))
-    tally = Tally(x, y, z, limits, 0.0, np.zeros(x.size, np.bool_))
+    _, marked = label_points(tin, Locator.of(tin), Xyz(x, y, z), in_doubt, LabelRule(limits, 0.0))
+    tally = GrowthCounter(x, y, z, limits, 0.0, np.zeros(x.size, np.bool_))
     assert tally.count(tin, in_doubt)[1] == tally.count(tin, in_doubt)[1] == marked.sum() > 0
