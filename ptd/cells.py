@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.frame import CellLattice
-from ptd.kernel import inlined, kernel, wide
+from ptd.kernel import as_int64, inlined, kernel
 
 Int32 = npt.NDArray[np.int32]
 Int64 = npt.NDArray[np.int64]
@@ -47,8 +47,8 @@ def cell_keys(
     """``row * width + column`` of each point, relative to (col0, row0): int64 [n]."""
     out, inverse = np.empty(x.size, np.int64), 1.0 / p
     for i in range(x.size):
-        column = quotient((wide(x[i]) + ox) * q, p, inverse) - col0
-        row = quotient((wide(y[i]) + oy) * q, p, inverse) - row0
+        column = quotient((as_int64(x[i]) + ox) * q, p, inverse) - col0
+        row = quotient((as_int64(y[i]) + oy) * q, p, inverse) - row0
         out[i] = row * width + column
     return out
 
@@ -260,8 +260,8 @@ def _find(
     slots, keys, _starts, _order, width, height = table
     out, inverse = np.empty(x.size, np.int32), 1.0 / p
     for i in range(x.size):
-        column = quotient((wide(x[i]) + ox) * q, p, inverse) - col0
-        row = quotient((wide(y[i]) + oy) * q, p, inverse) - row0
+        column = quotient((as_int64(x[i]) + ox) * q, p, inverse) - col0
+        row = quotient((as_int64(y[i]) + oy) * q, p, inverse) - row0
         out[i] = find_slot(slots, keys, width, height, column, row)
     return out
 

@@ -23,7 +23,7 @@ import numba
 import numpy as np
 from numba.core import config as numba_config
 
-__all__ = ["cache_folder", "compiled_count", "inlined", "kernel", "wide"]
+__all__ = ["as_int64", "cache_folder", "compiled_count", "inlined", "kernel"]
 
 config: Any = numba_config  # Any, as its variables are made at run time
 # numba would read a file of settings in the current folder. A file that came with the clouds must not change results.
@@ -139,6 +139,6 @@ def inlined(function: Callable[_Parameters, _Result]) -> Callable[_Parameters, _
 
 
 @kernel
-def wide(value: SupportsInt) -> int:
+def as_int64(value: SupportsInt) -> int:
     """A value as int64. Otherwise a kernel would be compiled a second time for int32."""
     return np.int64(value)  # type: ignore[return-value]

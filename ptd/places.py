@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.frame import OPEN, CellLattice, Scale, Window
-from ptd.kernel import kernel, wide
+from ptd.kernel import as_int64, kernel
 
 PLACE_M = 256.0
 """Side of a place in metres: some hundreds of planar patches, and no wider than a flight strip."""
@@ -143,8 +143,8 @@ def value_at(field: Field, x: int, y: int) -> float:
     if field.even:
         return float(values[0, 0])
     rows, columns = values.shape
-    i, v = _between(wide(y) + field.origin_y, field.p, field.q, field.row, rows)
-    j, u = _between(wide(x) + field.origin_x, field.p, field.q, field.column, columns)
+    i, v = _between(as_int64(y) + field.origin_y, field.p, field.q, field.row, rows)
+    j, u = _between(as_int64(x) + field.origin_x, field.p, field.q, field.column, columns)
     # In this form equal values give just that value.
     lower = values[i, j] + u * (values[i, j + 1] - values[i, j])
     upper = values[i + 1, j] + u * (values[i + 1, j + 1] - values[i + 1, j])
@@ -158,7 +158,7 @@ def values_at(field: Field, x: Int32, y: Int32) -> Float64:
         return np.full(x.size, field.values[0, 0])
     found = np.empty(x.size, np.float64)
     for k in range(x.size):
-        found[k] = value_at(field, wide(x[k]), wide(y[k]))
+        found[k] = value_at(field, as_int64(x[k]), as_int64(y[k]))
     return found
 
 

@@ -122,8 +122,7 @@ def why_not_compiled(name: str) -> str:
 def warm_gridding(interpolation: Literal["linear", "natural"], tell: Callable[[], None]) -> None:
     """Compile the kernels of gridding unless that was done; call ``tell`` before it takes long."""
     from ptd.gridding import ground_cells, highest_returns, nearest, wall_feet
-    from ptd.tin import KnownWindow
-    from ptd.tin import Pixels, Tin, rasterise
+    from ptd.tin import KnownWindow, Pixels, Tin, rasterise
 
     def work() -> None:
         pixels = Pixels(1000, 1, 0, 59, 60, 60)

@@ -24,14 +24,14 @@ from tiler.io.locations import is_url, joined, upload_file
 from tiler.io.overwrite_check import check_names
 from tiler.io.result_folder import EVENTS, REPORT, RUN, STORE, earlier_facts, earlier_outputs, local_folder
 from tiler.observe.eventlog import EventLog
-from tiler.observe.events import Listener, combine, redacting, silent
+from tiler.observe.events import Listener, combine, ignore_events, redacting
 from tiler.plan import Plan, crs_name, make_plan, remember, stage_seconds, validate
 from tiler.preparation import prepare_workers
 from tiler.redaction import without_secrets
 from tiler.report.html import write_report
 from tiler.report.runfile import record_end
 from tiler.runs.job import Job, LeaseWatch, RunResult
-from tiler.runs.repair import ROUNDS, heal
+from tiler.runs.repair import ROUNDS, repair
 from tiler.schedule import fork_server_running, import_dask, limits_memory
 from tiler.store import (
     Lease,
@@ -52,7 +52,7 @@ def run(
     inputs: Sequence[str],
     out: str | Path,
     config: RunConfig | None = None,
-    listener: Listener = silent,
+    listener: Listener = ignore_events,
     until: str = "export",
     known: Sequence[SourceInfo] = (),
 ) -> RunResult:
@@ -224,7 +224,7 @@ def _healing_stages(job: Job, until: str) -> None:
         except CorruptStoreError as damage:
             if number == ROUNDS or not damage.keys:
                 raise
-            heal(job, damage.keys)
+            repair(job, damage.keys)
 
 
 def _stages(job: Job, until: str) -> None:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ptd.kernel import kernel, wide
+from ptd.kernel import as_int64, kernel
 
 Int32 = npt.NDArray[np.int32]
 Int64 = npt.NDArray[np.int64]
@@ -55,11 +55,11 @@ def _sums(x: Int32, y: Int32, z: Int32, window: tuple[int, ...], start: tuple[in
     p, q, west, north, rows, columns, ox, oy = window
     sums = np.zeros((SUMS, rows, columns), np.int64)
     for i in range(x.size):
-        column = ((wide(x[i]) + ox) * q) // p - west
-        row = north - ((wide(y[i]) + oy) * q) // p
+        column = ((as_int64(x[i]) + ox) * q) // p - west
+        row = north - ((as_int64(y[i]) + oy) * q) // p
         if not (0 <= column < columns and 0 <= row < rows):
             continue
-        dx, dy, dz = wide(x[i]) + ox - start[0], wide(y[i]) + oy - start[1], wide(z[i]) - start[2]
+        dx, dy, dz = as_int64(x[i]) + ox - start[0], as_int64(y[i]) + oy - start[1], as_int64(z[i]) - start[2]
         sums[0, row, column] += 1
         sums[1, row, column] += dx
         sums[2, row, column] += dy
@@ -115,7 +115,7 @@ def _plane_variances(
         for column in range(margin, columns - margin):
             cx = ((2 * (west + column) + 1) * p) // (2 * q) - start[0]
             for half in halves:
-                found = _plane_variance(sums, row, column, wide(half), (cx, cy))
+                found = _plane_variance(sums, row, column, as_int64(half), (cx, cy))
                 if found >= 0.0:
                     out[row - margin, column - margin] = found
                     break
@@ -161,8 +161,8 @@ def _counts(x: Int32, y: Int32, window: tuple[int, ...]) -> Int64:
     p, q, west, north, rows, columns, ox, oy = window
     counts = np.zeros((rows, columns), np.int64)
     for i in range(x.size):
-        column = ((wide(x[i]) + ox) * q) // p - west
-        row = north - ((wide(y[i]) + oy) * q) // p
+        column = ((as_int64(x[i]) + ox) * q) // p - west
+        row = north - ((as_int64(y[i]) + oy) * q) // p
         if 0 <= column < columns and 0 <= row < rows:
             counts[row, column] += 1
     return counts

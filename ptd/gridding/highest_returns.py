@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from ptd.kernel import kernel, wide
+from ptd.kernel import as_int64, kernel
 
 Int32 = npt.NDArray[np.int32]
 Int64 = npt.NDArray[np.int64]
@@ -31,13 +31,13 @@ def _higher(ax: int, ay: int, az: int, bx: int, by: int, bz: int) -> bool:
 def _update(top: Int32, pixels: Int64, x: Int32, y: Int32, z: Int32) -> None:
     for i in range(pixels.size):
         first, second = top[pixels[i], 0], top[pixels[i], 1]
-        px, py, pz = wide(x[i]), wide(y[i]), wide(z[i])
+        px, py, pz = as_int64(x[i]), as_int64(y[i]), as_int64(z[i])
         if pz == first[2] and px == first[0] and py == first[1]:
             continue  # a repeated return does not count as the second
-        if _higher(px, py, pz, wide(first[0]), wide(first[1]), wide(first[2])):
+        if _higher(px, py, pz, as_int64(first[0]), as_int64(first[1]), as_int64(first[2])):
             second[0], second[1], second[2] = first[0], first[1], first[2]
             first[0], first[1], first[2] = px, py, pz
-        elif _higher(px, py, pz, wide(second[0]), wide(second[1]), wide(second[2])):
+        elif _higher(px, py, pz, as_int64(second[0]), as_int64(second[1]), as_int64(second[2])):
             second[0], second[1], second[2] = px, py, pz
 
 

@@ -14,7 +14,7 @@ import numpy.typing as npt
 import scipy
 
 from ptd.cells import Xyz
-from ptd.kernel import kernel, wide
+from ptd.kernel import as_int64, kernel
 from ptd.tin.gridding import Pixels
 from ptd.tin.pixels import PixelCentres
 
@@ -74,8 +74,8 @@ def _bin(
     cells = np.empty(x.size, np.int64)
     starts = np.zeros(rows * columns + 1, np.int64)
     for i in range(x.size):
-        column = ((wide(x[i]) + ox) * q) // p - west
-        row = north - ((wide(y[i]) + oy) * q) // p
+        column = ((as_int64(x[i]) + ox) * q) // p - west
+        row = north - ((as_int64(y[i]) + oy) * q) // p
         inside = 0 <= column < columns and 0 <= row < rows
         cells[i] = -1
         if inside:
@@ -121,16 +121,17 @@ def _look_in(
     k = index.size
     cx, cy, reach2 = disk
     for j in range(cell[0], cell[1]):
-        i = wide(order[j])
-        dx, dy = wide(x[i]) - cx, wide(y[i]) - cy
+        i = as_int64(order[j])
+        dx, dy = as_int64(x[i]) - cx, as_int64(y[i]) - cy
         d2 = dx * dx + dy * dy
         if d2 > reach2 or (found == k and d2 > squared[k - 1]):
             continue
         slot = found if found < k else k - 1
-        if found == k and d2 == squared[slot] and not _before(x, y, z, i, wide(index[slot])):
+        if found == k and d2 == squared[slot] and not _before(x, y, z, i, as_int64(index[slot])):
             continue
         while slot > 0 and (
-            squared[slot - 1] > d2 or (squared[slot - 1] == d2 and _before(x, y, z, i, wide(index[slot - 1])))
+            squared[slot - 1] > d2
+            or (squared[slot - 1] == d2 and _before(x, y, z, i, as_int64(index[slot - 1])))
         ):
             squared[slot], index[slot] = squared[slot - 1], index[slot - 1]
             slot -= 1
@@ -149,15 +150,15 @@ def _search(
     rows, columns, k = index.shape
     height, width = empty.shape
     size = float(step) / float(scale)
-    reach2 = wide(math.floor(reach * reach))
+    reach2 = as_int64(math.floor(reach * reach))
     for row in range(rows):
         cy = (y0 - row * step) // scale
         for column in range(columns):
             cx = (x0 + column * step) // scale
             at_row, at_column = row + pad, column + pad
-            found = wide(0)
+            found = as_int64(0)
             near, which = squared[row, column], index[row, column]
-            ring = wide(empty[at_row, at_column])
+            ring = as_int64(empty[at_row, at_column])
             while True:
                 # All points nearer than this have been seen; one count allows for the rounded centre.
                 seen = (float(ring) - 0.5) * size - 1.0

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from ptd.cells import CellIndex, CellTable, Xyz, find_slot
 from ptd.frame import CellLattice
-from ptd.kernel import kernel, wide
+from ptd.kernel import as_int64, kernel
 
 Int32 = npt.NDArray[np.int32]
 Int64 = npt.NDArray[np.int64]
@@ -41,11 +41,11 @@ def _beside(
     for i in range(x.size):
         for cell in range(9):
             slot = find_slot(slots, keys, width, height, columns[i] + cell % 3 - 1, rows[i] + cell // 3 - 1)
-            if slot < 0 or wide(tops[slot]) - z[i] < rise:
+            if slot < 0 or as_int64(tops[slot]) - z[i] < rise:
                 continue
             for k in range(starts[slot], starts[slot + 1]):
-                dx, dy = wide(ox[k]) - x[i], wide(oy[k]) - y[i]
-                if wide(oz[k]) - z[i] >= rise and dx * dx + dy * dy <= reach2:
+                dx, dy = as_int64(ox[k]) - x[i], as_int64(oy[k]) - y[i]
+                if as_int64(oz[k]) - z[i] >= rise and dx * dx + dy * dy <= reach2:
                     out[i] = True
                     break
             if out[i]:

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.frame import Scale
-from ptd.kernel import kernel, wide
+from ptd.kernel import as_int64, kernel
 from ptd.tin.interpolation import canonical_facet
 from ptd.tin.layout import Int32Array, is_ghost
 from ptd.tin.location import coincident_vertex, locate
@@ -134,7 +134,7 @@ def mirror_facet(vertices: Int32Array, triangles: Int32Array, t: int, x: int, y:
         higher = vertices[4 * v + 2] > vertices[4 * top + 2]
         tie = vertices[4 * v + 2] == vertices[4 * top + 2]
         x0, y0, x1, y1 = vertices[4 * v], vertices[4 * v + 1], vertices[4 * top], vertices[4 * top + 1]
-        if higher or (tie and lexicographic_less(wide(x0), wide(y0), wide(x1), wide(y1))):
+        if higher or (tie and lexicographic_less(as_int64(x0), as_int64(y0), as_int64(x1), as_int64(y1))):
             top = v
     mx, my = 2 * vertices[4 * top] - x, 2 * vertices[4 * top + 1] - y
     return locate(vertices, triangles, mx, my, t), mx, my

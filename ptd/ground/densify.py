@@ -15,7 +15,7 @@ from ptd.frame import CellLattice, Scale, Window
 from ptd.ground.certificates import UInt8, UncertifiedRegion
 from ptd.ground.criteria import FacetLimits, accepts
 from ptd.ground.seeds import RING, box_with_ring, choose_seeds
-from ptd.kernel import kernel, wide
+from ptd.kernel import as_int64, kernel
 from ptd.tin.insertion import insert
 from ptd.tin.layout import STAMP, Int32Array, Mesh, is_ghost
 from ptd.tin.location import locate
@@ -65,16 +65,16 @@ def _test_round(
     x, y, z = points
     state, home, again, doubtful = candidates
     n_chosen = 0
-    t = wide(0)
+    t = as_int64(0)
     for i in range(x.size):
         if state[i] != 0:
             continue
         if home[i] >= 0:
-            t = wide(home[i])
+            t = as_int64(home[i])
         if home[i] >= 0 and not again[i] and triangles[8 * t + STAMP] < stamp - 1:
             doubtful[i] = doubtful[i] or in_doubt[t] != 0
             continue
-        px, py, pz = wide(x[i]), wide(y[i]), wide(z[i])
+        px, py, pz = as_int64(x[i]), as_int64(y[i]), as_int64(z[i])
         t = locate(vertices, triangles, px, py, t)
         home[i] = t
         if is_ghost(triangles, t):
@@ -96,13 +96,13 @@ def _insert_points(
     """Insert the chosen points; `home` holds a triangle near each, or -1."""
     vertices, triangles = mesh
     x, y, z = points
-    hint = wide(0)
+    hint = as_int64(0)
     for k in range(chosen.size):
         i = chosen[k]
         if home[i] >= 0:
-            hint = wide(home[i])
-        v = insert(vertices, triangles, counters, wide(x[i]), wide(y[i]), wide(z[i]), hint, stamp)
-        hint = wide(max(vertices[4 * v + 3], 0))
+            hint = as_int64(home[i])
+        v = insert(vertices, triangles, counters, as_int64(x[i]), as_int64(y[i]), as_int64(z[i]), hint, stamp)
+        hint = as_int64(max(vertices[4 * v + 3], 0))
 
 
 def densify(

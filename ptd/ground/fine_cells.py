@@ -13,7 +13,7 @@ import numpy.typing as npt
 from ptd.cells import Int32, Int64, Xyz, occupied, quotient
 from ptd.frame import CellLattice, Scale
 from ptd.ground.labelling import FAR, NEAR
-from ptd.kernel import kernel, wide
+from ptd.kernel import as_int64, kernel
 
 CELL_M = 0.4
 """Side of the fine cells."""
@@ -101,11 +101,11 @@ def _chosen(close: UInt8, marked: Bool) -> Int32:
 def _keys(points: Xyz, index: Int32, p: int, q: int, ox: int, oy: int) -> tuple[Int64, UInt8, int, int]:
     """Key of each point's block in a raster with an empty column at both sides, its cell, and the raster's size."""
     x, y, _ = points
-    west = east = wide(x[index[0]])
-    south = north = wide(y[index[0]])
+    west = east = as_int64(x[index[0]])
+    south = north = as_int64(y[index[0]])
     for i in index:
-        west, east = min(west, wide(x[i])), max(east, wide(x[i]))
-        south, north = min(south, wide(y[i])), max(north, wide(y[i]))
+        west, east = min(west, as_int64(x[i])), max(east, as_int64(x[i]))
+        south, north = min(south, as_int64(y[i])), max(north, as_int64(y[i]))
     inverse = 1.0 / p
     column = quotient((west + ox) * q, p, inverse) // SIDE - 1
     row = quotient((south + oy) * q, p, inverse) // SIDE
@@ -114,8 +114,8 @@ def _keys(points: Xyz, index: Int32, p: int, q: int, ox: int, oy: int) -> tuple[
     keys, cell = np.empty(index.size, np.int64), np.empty(index.size, np.uint8)
     for k in range(index.size):
         i = index[k]
-        across = quotient((wide(x[i]) + ox) * q, p, inverse) - column * SIDE
-        up = quotient((wide(y[i]) + oy) * q, p, inverse) - row * SIDE
+        across = quotient((as_int64(x[i]) + ox) * q, p, inverse) - column * SIDE
+        up = quotient((as_int64(y[i]) + oy) * q, p, inverse) - row * SIDE
         keys[k] = up // SIDE * width + across // SIDE
         cell[k] = up % SIDE * SIDE + across % SIDE
     return keys, cell, width, height

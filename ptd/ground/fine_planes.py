@@ -16,7 +16,7 @@ from ptd.cells import Int32, Xyz
 from ptd.ground.fine_cells import CELLS, SIDE, Placed
 from ptd.ground.labelling import NEAR
 from ptd.ground.morphology import EMPTY
-from ptd.kernel import inlined, kernel, wide
+from ptd.kernel import as_int64, inlined, kernel
 
 FILLED = 9
 """Of the 25 cells of a block so many at least hold a point near the TIN where it is dense: about 3 points/m2."""
@@ -134,11 +134,11 @@ def _fill_patch(
 ) -> None:
     """Moments of the point of each cell of block k and around it, from that of the cell ``origin`` on."""
     x, y, z = planes.x, planes.y, planes.z
-    x0, y0, z0 = wide(x[origin]), wide(y[origin]), wide(z[origin])
+    x0, y0, z0 = as_int64(x[origin]), as_int64(y[origin]), as_int64(z[origin])
     for n in range(9):
         south, west = (n // 3 - 1) * SIDE + AROUND, (n % 3 - 1) * SIDE + AROUND
         first_column, end_column = max(-west, 0), min(PATCH - west, SIDE)
-        page = wide(pages[around[k, n]]) if around[k, n] >= 0 else -1
+        page = as_int64(pages[around[k, n]]) if around[k, n] >= 0 else -1
         for row in range(max(-south, 0), min(PATCH - south, SIDE)):
             m = (south + row) * PATCH_ROW + (west + first_column) * MOMENTS
             if page < 0:
@@ -206,7 +206,7 @@ def _plane(s: Float64, m: int, enough: int, x: int, y: int, z: int) -> tuple[flo
 def _fit_block(planes: Planes, first: int, sums: _Sums, origin: int, limits: PlaneLimits, kept: Bool) -> bool:
     """Planes of the cells of a block; spikes are kept no more. Whether there are any."""
     x, y, z, east, north, height = planes
-    x0, y0, z0 = wide(x[origin]), wide(y[origin]), wide(z[origin])
+    x0, y0, z0 = as_int64(x[origin]), as_int64(y[origin]), as_int64(z[origin])
     spikes = False
     for cell in range(CELLS):
         place, m = first + cell, cell * MOMENTS

@@ -12,7 +12,7 @@ from ptd.cells import Xyz
 from ptd.ground.certificates import UInt8
 from ptd.ground.criteria import FacetLimits, across, facet_measures, judge
 from ptd.ground.outliers import LowNoise
-from ptd.kernel import inlined, kernel, wide
+from ptd.kernel import as_int64, inlined, kernel
 from ptd.passes import Model, Points
 from ptd.places import Field, everywhere, value_at
 from ptd.tin.interpolation import canonical_facet
@@ -155,9 +155,9 @@ class _Facet(NamedTuple):
 @inlined
 def _facet(vertices: Int32Array, triangles: Int32Array, t: int, z_ratio: float) -> _Facet:
     i, j, k = canonical_facet(vertices, triangles, t)
-    a = wide(vertices[4 * i]), wide(vertices[4 * i + 1]), wide(vertices[4 * i + 2])
-    b = wide(vertices[4 * j]), wide(vertices[4 * j + 1])
-    c = wide(vertices[4 * k]), wide(vertices[4 * k + 1])
+    a = as_int64(vertices[4 * i]), as_int64(vertices[4 * i + 1]), as_int64(vertices[4 * i + 2])
+    b = as_int64(vertices[4 * j]), as_int64(vertices[4 * j + 1])
+    c = as_int64(vertices[4 * k]), as_int64(vertices[4 * k + 1])
     bx, by, bz = float(b[0] - a[0]), float(b[1] - a[1]), (vertices[4 * j + 2] - a[2]) * z_ratio
     cx, cy, cz = float(c[0] - a[0]), float(c[1] - a[1]), (vertices[4 * k + 2] - a[2]) * z_ratio
     nx, ny, nz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
@@ -224,7 +224,7 @@ def _is_near(
         return False, FAR, doubtful
     v = coincident_vertex(vertices, triangles, x, y, t)
     if v >= 0:
-        return *_on_vertex(wide(vertices[4 * v + 2]), x, y, z, rule, bands), doubtful
+        return *_on_vertex(as_int64(vertices[4 * v + 2]), x, y, z, rule, bands), doubtful
     doubtful = doubtful or in_doubt[across(vertices, triangles, t, x, y)] != 0
     f = _facet(vertices, triangles, t, rule.limits.z_ratio)
     distance = _distance(f, x, y, z, rule.limits.z_ratio)
@@ -248,14 +248,14 @@ def _label_by_height(
     x, y, z = points
     labels, marked, close = np.empty(x.size, np.uint8), np.empty(x.size, np.bool_), np.empty(x.size, np.uint8)
     limits, z_ratio = _limits(bands), rule.limits.z_ratio
-    facet = _facet(vertices, triangles, real_neighbour(triangles, wide(0)), z_ratio)
+    facet = _facet(vertices, triangles, real_neighbour(triangles, as_int64(0)), z_ratio)
     for i in range(x.size):
-        px, py, pz = wide(x[i]), wide(y[i]), wide(z[i])
+        px, py, pz = as_int64(x[i]), as_int64(y[i]), as_int64(z[i])
         if not _inside(facet, px, py):
-            t = walk(vertices, triangles, px, py, wide(start_near(locator, x[i], y[i])))
+            t = walk(vertices, triangles, px, py, as_int64(start_near(locator, x[i], y[i])))
             v = coincident_vertex(vertices, triangles, px, py, t)
             if v >= 0:  # as one point in ten does; `_is_near` would say the same, but locate it again
-                fits, close[i] = _on_vertex(wide(vertices[4 * v + 2]), px, py, pz, rule, bands)
+                fits, close[i] = _on_vertex(as_int64(vertices[4 * v + 2]), px, py, pz, rule, bands)
                 labels[i] = GROUND if fits else UNCLASSIFIED
                 marked[i] = in_doubt[t] != 0
                 continue
@@ -286,8 +286,8 @@ def _label(
     x, y, z = points
     labels, marked = np.empty(x.size, np.uint8), np.empty(x.size, np.bool_)
     for i in range(x.size):
-        px, py, pz = wide(x[i]), wide(y[i]), wide(z[i])
-        t = locate(vertices, triangles, px, py, wide(start_near(locator, x[i], y[i])))
+        px, py, pz = as_int64(x[i]), as_int64(y[i]), as_int64(z[i])
+        t = locate(vertices, triangles, px, py, as_int64(start_near(locator, x[i], y[i])))
         if rule.vertices_only and (
             is_ghost(triangles, t) or coincident_vertex(vertices, triangles, px, py, t) < 0
         ):

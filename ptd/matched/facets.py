@@ -9,7 +9,7 @@ from ptd.cells import Int32
 from ptd.frame import Scale
 from ptd.ground.criteria import across
 from ptd.ground.morphology import Bool
-from ptd.kernel import kernel, wide
+from ptd.kernel import as_int64, kernel
 from ptd.tin.circles import Rule, facet_passes
 from ptd.tin.interpolation import plane_height
 from ptd.tin.layout import Int32Array
@@ -58,10 +58,10 @@ def _between_vertices(
     vertices: Int32Array, triangles: Int32Array, x: Int32, y: Int32, rule: Rule, found: Float64
 ) -> None:
     """Heights off the vertices; on an edge the higher of its two facets' that count, as rounding tells them apart."""
-    t = wide(0)
+    t = as_int64(0)
     for i in range(x.size):
-        px, py = wide(x[i]), wide(y[i])
-        t = wide(locate(vertices, triangles, px, py, t))
+        px, py = as_int64(x[i]), as_int64(y[i])
+        t = as_int64(locate(vertices, triangles, px, py, t))
         beside = across(vertices, triangles, t, px, py)
         for facet in (t, beside):
             if facet_passes(vertices, triangles, facet, rule):

@@ -11,7 +11,7 @@ import numpy.typing as npt
 from ptd.frame import CellLattice, Scale
 from ptd.ground.labelling import GROUND, LOW_NOISE, UNCLASSIFIED
 from ptd.ground.morphology import Bool
-from ptd.kernel import kernel, wide
+from ptd.kernel import as_int64, kernel
 from ptd.matched import last_look, surface, voting
 from ptd.matched.cells import EMPTY, CellHeights
 from ptd.matched.place_figures import DENSITY, known
@@ -144,8 +144,8 @@ def _cell_of(x: Int32, y: Int32, place: Place, rows: int, columns: int) -> Int32
     """The place of each point in a raster taken row by row; that of the nearest cell beyond it."""
     found = np.empty(x.size, np.int32)
     for k in range(x.size):
-        column = int(np.floor((wide(x[k]) + place.origin_x) / place.side)) - place.column
-        row = int(np.floor((wide(y[k]) + place.origin_y) / place.side)) - place.row
+        column = int(np.floor((as_int64(x[k]) + place.origin_x) / place.side)) - place.column
+        row = int(np.floor((as_int64(y[k]) + place.origin_y) / place.side)) - place.row
         found[k] = min(max(row, 0), rows - 1) * columns + min(max(column, 0), columns - 1)
     return found
 
@@ -157,7 +157,7 @@ def _heights_above(
     """Height of each point above the surface in metres (NaN: there is none), and in whole units (0 far from it)."""
     above, residual = np.empty(x.size, np.float64), np.zeros(x.size, np.int32)
     for k in range(x.size):
-        above[k] = z[k] / metre - _between(surface, wide(x[k]), wide(y[k]), place)
+        above[k] = z[k] / metre - _between(surface, as_int64(x[k]), as_int64(y[k]), place)
         if abs(above[k]) < CLEAR_M:
             residual[k] = np.int32(np.rint(above[k] * unit))
     return above, residual
@@ -175,11 +175,13 @@ def _classes(
         height = voted[k] / unit if near else above[k]
         if not (near or height < 0.0):
             continue
-        noise = _between(sigma, wide(x[k]), wide(y[k]), place)
+        noise = _between(sigma, as_int64(x[k]), as_int64(y[k]), place)
         if height < -(LOW_M + LOW_SIGMAS * noise):
             classes[k] = LOW_NOISE
         elif near:
-            band = (ground_m + GROUND_SIGMAS * noise) * _between(narrowing, wide(x[k]), wide(y[k]), place)
+            band = (ground_m + GROUND_SIGMAS * noise) * _between(
+                narrowing, as_int64(x[k]), as_int64(y[k]), place
+            )
             if abs(height) < band:
                 classes[k] = GROUND
     return classes

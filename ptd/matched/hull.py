@@ -20,7 +20,7 @@ import scipy
 from ptd.cells import Int32, Int64
 from ptd.frame import Scale
 from ptd.ground.morphology import Float64
-from ptd.kernel import kernel, wide
+from ptd.kernel import as_int64, kernel
 from ptd.matched.cells import CELL_M, EMPTY
 from ptd.matched.separable import hull_around_every_cell
 
@@ -157,14 +157,14 @@ def _highest_fit(
     best, held, falls_east = found
     rows, columns = heights.shape
     radius, last = falls.size - 1, best.size - 1
-    limit = wide(LOWEST)
+    limit = as_int64(LOWEST)
     for k in range(last + 1):
         dr, dc = held[k] // columns - r, held[k] % columns - c
         if held[k] < 0 or abs(dr) > radius or abs(dc) > radius:
-            limit = wide(NONE)
+            limit = as_int64(NONE)
             break
         top = heights[r + dr, c + dc] + falls[abs(dr)] + falls[abs(dc)] - north * dr - east * dc
-        limit = max(limit, min(wide(top + 1), wide(NONE)))
+        limit = max(limit, min(as_int64(top + 1), as_int64(NONE)))
     best[:], held[:] = limit, -1
     west, east_end = max(c - radius, 0) // block, min(c + radius, columns - 1) // block + 1
     for bc in range(west, east_end):

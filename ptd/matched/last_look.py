@@ -27,7 +27,7 @@ from ptd.cells import Int32, Int64, quotient
 from ptd.frame import CellLattice, Scale
 from ptd.ground.labelling import GROUND, UNCLASSIFIED
 from ptd.ground.morphology import Bool
-from ptd.kernel import kernel, wide
+from ptd.kernel import as_int64, kernel
 from ptd.matched.cells import by_cell
 from ptd.matched.trees import UNIT, Trees, scores
 from ptd.passes import UInt8
@@ -316,8 +316,8 @@ def _places(
     """Column and row of each point among the cells that begin in the south-west."""
     column, row, inverse = np.empty(x.size, np.int32), np.empty(x.size, np.int32), 1.0 / p
     for k in range(x.size):
-        column[k] = quotient((wide(x[k]) + ox) * q, p, inverse) - west
-        row[k] = quotient((wide(y[k]) + oy) * q, p, inverse) - south
+        column[k] = quotient((as_int64(x[k]) + ox) * q, p, inverse) - west
+        row[k] = quotient((as_int64(y[k]) + oy) * q, p, inverse) - south
     return column, row
 
 

@@ -29,7 +29,7 @@ import numpy.typing as npt
 
 from ptd.cells import Int32, Int64, cell_keys, lowest_by_key, occupied
 from ptd.frame import CellLattice, Scale, Window
-from ptd.kernel import kernel, wide
+from ptd.kernel import as_int64, kernel
 from ptd.matched.cells import by_cell
 
 CELL_M, BIN_M = 2.0, 1.0
@@ -100,7 +100,7 @@ def _mixed(
         asked[k] = True
         px, py = x[rising].astype(np.int64), y[rising].astype(np.int64)
         for i in range(1, rising.size):
-            if wide(z[rising[i]]) - z[rising[i - 1]] >= gap_counts:
+            if as_int64(z[rising[i]]) - z[rising[i - 1]] >= gap_counts:
                 gap[k] = True
                 mixed[k] |= i >= BELOW and not _parted(px, py, i)
     return asked, gap, mixed
@@ -115,14 +115,14 @@ def _hanging(z: Int32, starts: Int64, order: Int32, gap_counts: float) -> tuple[
         if not HANGING_FEWEST <= starts[k + 1] - starts[k] <= HANGING_MOST:
             continue
         asked[k] = True
-        low = high = wide(z[order[starts[k]]])
+        low = high = as_int64(z[order[starts[k]]])
         for i in order[starts[k] : starts[k + 1]]:
-            low, high = min(low, wide(z[i])), max(high, wide(z[i]))
+            low, high = min(low, as_int64(z[i])), max(high, as_int64(z[i]))
         if high - low <= gap_counts:
             continue
         rising = np.sort(z[order[starts[k] : starts[k + 1]]])
         for i in range(2, rising.size - 1):
-            hanging[k] |= wide(rising[i]) - rising[i - 1] > gap_counts
+            hanging[k] |= as_int64(rising[i]) - rising[i - 1] > gap_counts
     return asked, hanging
 
 

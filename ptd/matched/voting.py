@@ -11,7 +11,7 @@ import numpy.typing as npt
 from ptd.cells import Int32, Int64, cell_keys
 from ptd.frame import CellLattice, Scale
 from ptd.ground.morphology import Bool
-from ptd.kernel import kernel, wide
+from ptd.kernel import as_int64, kernel
 from ptd.matched.cells import by_cell
 from ptd.places import Field, as_field, values_at
 
@@ -122,7 +122,7 @@ def _averaged(voters: _Voters, residual: Int32, width: int) -> Int32:
                 low += np.int32(one * np.int32(difference & 4095))
                 high += np.int32(one * np.int32(difference >> 12))
                 count += one
-            means[i] = own + np.int32(math.floor((wide(high) * 4096 + low) / count))
+            means[i] = own + np.int32(math.floor((as_int64(high) * 4096 + low) / count))
     return means
 
 

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from ptd.kernel import kernel, wide
+from ptd.kernel import as_int64, kernel
 from ptd.tin.cavity import link_vertex
 from ptd.tin.insertion import lower_vertex, start_triangulation
 from ptd.tin.layout import N_VERTICES, Int32Array
@@ -46,16 +46,16 @@ def _keep_distinct(vertices: Int32Array, n: int) -> int:
     """Sort rows of collinear points by (x, y), keep the lowest z of each position; return their number."""
     keys = np.empty(n, np.uint64)
     for i in range(n):
-        keys[i] = np.uint64((wide(vertices[4 * i + 1]) + (1 << 31)) << 32 | i)
+        keys[i] = np.uint64((as_int64(vertices[4 * i + 1]) + (1 << 31)) << 32 | i)
     keys = sorted_by_key(keys)
     for place in range(n):
-        i = wide(keys[place] & np.uint64(0xFFFFFFFF))
-        keys[place] = np.uint64((wide(vertices[4 * i]) + (1 << 31)) << 32 | i)
+        i = as_int64(keys[place] & np.uint64(0xFFFFFFFF))
+        keys[place] = np.uint64((as_int64(vertices[4 * i]) + (1 << 31)) << 32 | i)
     keys = sorted_by_key(keys)
     rows = vertices[: 4 * n].copy()
     kept = 0
     for place in range(n):
-        i = 4 * wide(keys[place] & np.uint64(0xFFFFFFFF))
+        i = 4 * as_int64(keys[place] & np.uint64(0xFFFFFFFF))
         last = 4 * kept - 4
         if kept > 0 and rows[i] == vertices[last] and rows[i + 1] == vertices[last + 1]:
             vertices[last + 2] = min(vertices[last + 2], rows[i + 2])
@@ -108,14 +108,14 @@ def build(
         counters[N_VERTICES] = _keep_distinct(vertices, n)
         return
     # Numbers as wide as those of the other callers: a kernel is compiled once for each kind of them.
-    _swap_rows(vertices, wide(1), j)
-    _swap_rows(vertices, wide(2), k)
-    start_triangulation(vertices, triangles, counters, wide(0), wide(1), wide(2), stamp)
+    _swap_rows(vertices, as_int64(1), j)
+    _swap_rows(vertices, as_int64(2), k)
+    start_triangulation(vertices, triangles, counters, as_int64(0), as_int64(1), as_int64(2), stamp)
     # Rows are read ahead of where they are kept, so repeated positions leave no holes.
-    kept = wide(3)
-    hint = wide(0)
+    kept = as_int64(3)
+    hint = as_int64(0)
     for i in range(3, n):
-        px, py, pz = wide(vertices[4 * i]), wide(vertices[4 * i + 1]), wide(vertices[4 * i + 2])
+        px, py, pz = as_int64(vertices[4 * i]), as_int64(vertices[4 * i + 1]), as_int64(vertices[4 * i + 2])
         first = walk(vertices, triangles, px, py, hint)
         v = coincident_vertex(vertices, triangles, px, py, first)
         if v >= 0:
@@ -126,6 +126,6 @@ def build(
         vertices[4 * kept + 1] = py
         vertices[4 * kept + 2] = pz
         link_vertex(vertices, triangles, counters, kept, first, stamp)
-        hint = wide(vertices[4 * kept + 3])
+        hint = as_int64(vertices[4 * kept + 3])
         kept += 1
     counters[N_VERTICES] = kept

@@ -3,7 +3,7 @@
 import math
 from typing import NamedTuple
 
-from ptd.kernel import kernel, wide
+from ptd.kernel import as_int64, kernel
 from ptd.tin.interpolation import canonical_facet
 from ptd.tin.layout import Int32Array, is_ghost
 
@@ -67,7 +67,7 @@ def facet_passes(vertices: Int32Array, triangles: Int32Array, triangle: int, rul
     a, b, c = triangles[row + 4], triangles[row + 5], triangles[row + 6]
     if (a | b | c) < 0:
         return False
-    ax, ay = wide(vertices[4 * a]), wide(vertices[4 * a + 1])
+    ax, ay = as_int64(vertices[4 * a]), as_int64(vertices[4 * a + 1])
     bx, by = vertices[4 * b] - ax, vertices[4 * b + 1] - ay
     cx, cy = vertices[4 * c] - ax, vertices[4 * c + 1] - ay
     ab, ac = bx * bx + by * by, cx * cx + cy * cy

@@ -1,6 +1,6 @@
 """Insert one point into the Delaunay TIN; at one position the lowest point stays."""
 
-from ptd.kernel import kernel, wide
+from ptd.kernel import as_int64, kernel
 from ptd.tin.cavity import link_vertex
 from ptd.tin.layout import (
     GHOST,
@@ -45,7 +45,7 @@ def start_triangulation(
     )
     if side < 0:
         i, j = j, i
-    corners = (wide(i), wide(j), wide(k))
+    corners = (as_int64(i), as_int64(j), as_int64(k))
     for n in range(3):
         a, b = corners[(n + 1) % 3], corners[(n + 2) % 3]
         ghost = 8 * (n + 1)
@@ -105,7 +105,7 @@ def insert(
     if v >= 0:
         lower_vertex(vertices, triangles, v, z, stamp)
         return v
-    v = wide(counters[N_VERTICES])
+    v = as_int64(counters[N_VERTICES])
     if 4 * v + 4 > vertices.size or 16 * v > triangles.size:
         return -1
     vertices[4 * v] = x

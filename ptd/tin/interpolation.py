@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ptd.kernel import kernel, wide
+from ptd.kernel import as_int64, kernel
 from ptd.tin.layout import N_TRIANGLES, Int32Array, is_ghost
 from ptd.tin.location import coincident_vertex, locate
 
@@ -28,13 +28,17 @@ def canonical_facet(vertices: Int32Array, triangles: Int32Array, triangle: int) 
     row = 8 * triangle + 4
     a, b, c = triangles[row], triangles[row + 1], triangles[row + 2]
     # One int64 orders (x, y) lexicographically. Comparing it needs no branches, which would be unpredictable here.
-    key_a = (wide(vertices[4 * a]) << 32) + vertices[4 * a + 1]
-    key_b = (wide(vertices[4 * b]) << 32) + vertices[4 * b + 1]
-    key_c = (wide(vertices[4 * c]) << 32) + vertices[4 * c + 1]
+    key_a = (as_int64(vertices[4 * a]) << 32) + vertices[4 * a + 1]
+    key_b = (as_int64(vertices[4 * b]) << 32) + vertices[4 * b + 1]
+    key_c = (as_int64(vertices[4 * c]) << 32) + vertices[4 * c + 1]
     first = 2 if key_c < min(key_a, key_b) else (1 if key_b < key_a else 0)
     second = 0 if first == 2 else first + 1
     third = 2 if first == 0 else first - 1
-    return wide(triangles[row + first]), wide(triangles[row + second]), wide(triangles[row + third])
+    return (
+        as_int64(triangles[row + first]),
+        as_int64(triangles[row + second]),
+        as_int64(triangles[row + third]),
+    )
 
 
 @kernel
@@ -72,7 +76,7 @@ class Plane(NamedTuple):
 def facet_plane(vertices: Int32Array, triangles: Int32Array, triangle: int) -> Plane:
     """Plane of a real triangle. All products are exact in int64; the slopes are rounded once."""
     a, b, c = canonical_facet(vertices, triangles, triangle)
-    ax, ay, az = wide(vertices[4 * a]), wide(vertices[4 * a + 1]), wide(vertices[4 * a + 2])
+    ax, ay, az = as_int64(vertices[4 * a]), as_int64(vertices[4 * a + 1]), as_int64(vertices[4 * a + 2])
     bx, by, bz = vertices[4 * b] - ax, vertices[4 * b + 1] - ay, vertices[4 * b + 2] - az
     cx, cy, cz = vertices[4 * c] - ax, vertices[4 * c + 1] - ay, vertices[4 * c + 2] - az
     slope_x, slope_y, area = bz * cy - cz * by, bx * cz - cx * bz, bx * cy - cx * by
@@ -128,10 +132,10 @@ def heights(vertices: Int32Array, triangles: Int32Array, x: Int32Array, y: Int32
         Counts; NaN outside the hull, exactly the vertex's z on a vertex.
     """
     out = np.empty(x.size, np.float64)
-    t = wide(0)
+    t = as_int64(0)
     for i in range(x.size):
-        px, py = wide(x[i]), wide(y[i])
-        t = wide(locate(vertices, triangles, px, py, t))
+        px, py = as_int64(x[i]), as_int64(y[i])
+        t = as_int64(locate(vertices, triangles, px, py, t))
         if is_ghost(triangles, t):
             out[i] = np.nan
             continue

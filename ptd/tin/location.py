@@ -1,6 +1,6 @@
 """Point location by walking through the triangles."""
 
-from ptd.kernel import kernel, wide
+from ptd.kernel import as_int64, kernel
 from ptd.tin.layout import Int32Array, next_edge, previous_edge, real_neighbour
 from ptd.tin.predicates import lexicographic_less
 
@@ -112,10 +112,10 @@ def locate(vertices: Int32Array, triangles: Int32Array, x: int, y: int, hint: in
     if other < 0:
         return t
     if lexicographic_less(
-        wide(vertices[4 * other]),
-        wide(vertices[4 * other + 1]),
-        wide(vertices[4 * own]),
-        wide(vertices[4 * own + 1]),
+        as_int64(vertices[4 * other]),
+        as_int64(vertices[4 * other + 1]),
+        as_int64(vertices[4 * own]),
+        as_int64(vertices[4 * own + 1]),
     ):
         return int(twin >> 3)
     return t

@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from ptd.cells import quotient
-from ptd.kernel import inlined, kernel, wide
+from ptd.kernel import as_int64, inlined, kernel
 from ptd.tin.layout import N_VERTICES, Int32Array
 from ptd.tin.mesh import Tin
 
@@ -76,9 +76,11 @@ class Locator(NamedTuple):
         n = int(tin.counters[N_VERTICES])
         xy = tin.vertex_array[: 4 * n].reshape(-1, 4)
         west, south = int(xy[:, 0].min()), int(xy[:, 1].min())
-        wide, high = int(xy[:, 0].max()) - west + 1, int(xy[:, 1].max()) - south + 1
-        cell = max(int(np.sqrt(wide * high / (GRID_CELLS_PER_VERTEX * n))), (wide + high) // (8 * n + 64) + 1)
-        width, height = wide // cell + 1, high // cell + 1
+        across, high = int(xy[:, 0].max()) - west + 1, int(xy[:, 1].max()) - south + 1
+        cell = max(
+            int(np.sqrt(across * high / (GRID_CELLS_PER_VERTEX * n))), (across + high) // (8 * n + 64) + 1
+        )
+        width, height = across // cell + 1, high // cell + 1
         grid = _start_grid(tin.vertex_array, n, west, south, cell, height, width)
         return cls(grid, west, south, cell, 1.0 / cell, width, height)
 
@@ -86,8 +88,8 @@ class Locator(NamedTuple):
 @inlined
 def start_near(locator: Locator, x: int, y: int) -> int:
     """A triangle near (x, y), from which `ptd.tin.location.locate` walks."""
-    column = quotient(wide(x) - locator.west, locator.cell, locator.inverse)
-    row = quotient(wide(y) - locator.south, locator.cell, locator.inverse)
+    column = quotient(as_int64(x) - locator.west, locator.cell, locator.inverse)
+    row = quotient(as_int64(y) - locator.south, locator.cell, locator.inverse)
     column = min(max(column, 0), locator.width - 1)
     row = min(max(row, 0), locator.height - 1)
-    return wide(locator.grid[row * locator.width + column])
+    return as_int64(locator.grid[row * locator.width + column])

@@ -13,7 +13,7 @@ import math
 
 import numpy as np
 
-from ptd.kernel import kernel, wide
+from ptd.kernel import as_int64, kernel
 from ptd.tin.circles import KnownBounds, circle_inside, facet_certified, unbounded
 from ptd.tin.interpolation import Float64Array, canonical_facet, facet_plane, height_on, plane_height
 from ptd.tin.layout import HEADER, N_TRIANGLES, Int32Array, is_ghost, next_edge, previous_edge
@@ -103,13 +103,13 @@ def _rim(
     top = bottom + 3
     while top > bottom:
         top -= 1
-        edge = wide(scratch[top])
-        outer = wide(triangles[edge])
+        edge = as_int64(scratch[top])
+        outer = as_int64(triangles[edge])
         t = outer >> 3
         if is_ghost(triangles, t):
-            a = wide(triangles[next_edge(edge) + 4])
-            b = wide(triangles[previous_edge(edge) + 4])
-            side = wide(vertices[4 * b] - vertices[4 * a]) * (y - scale * vertices[4 * a + 1]) - wide(
+            a = as_int64(triangles[next_edge(edge) + 4])
+            b = as_int64(triangles[previous_edge(edge) + 4])
+            side = as_int64(vertices[4 * b] - vertices[4 * a]) * (y - scale * vertices[4 * a + 1]) - as_int64(
                 vertices[4 * b + 1] - vertices[4 * a + 1]
             ) * (x - scale * vertices[4 * a])
             if side <= 0:
@@ -150,7 +150,7 @@ def _stolen_area(
     total = 0.0
     while True:
         triangle = edge >> 3
-        ax, ay = _offset(vertices, wide(firsts[triangle]), x, y, scale)
+        ax, ay = _offset(vertices, as_int64(firsts[triangle]), x, y, scale)
         cx = ax + centres[triangle, 0] - before_x
         cy = ay + centres[triangle, 1] - before_y
         total += ux * cy - uy * cx
@@ -158,7 +158,7 @@ def _stolen_area(
         if triangle == last_edge >> 3:
             return float(total)
         # The edge of this triangle that ends in the vertex has a twin that starts there.
-        edge = wide(triangles[previous_edge(edge)])
+        edge = as_int64(triangles[previous_edge(edge)])
 
 
 @kernel
@@ -178,23 +178,25 @@ def _position_height(
     base = height_on(plane, x, y, scale)
     start = 0
     for i in range(1, n):
-        v = 4 * wide(triangles[next_edge(wide(rim[HEADER + i])) + 4])
-        w = 4 * wide(triangles[next_edge(wide(rim[HEADER + start])) + 4])
+        v = 4 * as_int64(triangles[next_edge(as_int64(rim[HEADER + i])) + 4])
+        w = 4 * as_int64(triangles[next_edge(as_int64(rim[HEADER + start])) + 4])
         if lexicographic_less(vertices[v], vertices[v + 1], vertices[w], vertices[w + 1]):
             start = i
-    last = wide(rim[HEADER + (start + n - 1) % n])
-    ax, ay = _offset(vertices, wide(triangles[next_edge(last) + 4]), x, y, scale)
-    bx, by = _offset(vertices, wide(triangles[previous_edge(last) + 4]), x, y, scale)
+    last = as_int64(rim[HEADER + (start + n - 1) % n])
+    ax, ay = _offset(vertices, as_int64(triangles[next_edge(last) + 4]), x, y, scale)
+    bx, by = _offset(vertices, as_int64(triangles[previous_edge(last) + 4]), x, y, scale)
     before = _centre(ax, ay, bx, by)
     weights, rises = 0.0, 0.0
     for i in range(n):
-        edge = wide(rim[HEADER + (start + i) % n])
-        v = wide(triangles[next_edge(edge) + 4])
+        edge = as_int64(rim[HEADER + (start + i) % n])
+        v = as_int64(triangles[next_edge(edge) + 4])
         ax, ay = bx, by
-        bx, by = _offset(vertices, wide(triangles[previous_edge(edge) + 4]), x, y, scale)
+        bx, by = _offset(vertices, as_int64(triangles[previous_edge(edge) + 4]), x, y, scale)
         after = _centre(ax, ay, bx, by)
         weight = _stolen_area(vertices, triangles, centres, firsts, (edge, last), position, before, after)
-        below = height_on(plane, scale * wide(vertices[4 * v]), scale * wide(vertices[4 * v + 1]), scale)
+        below = height_on(
+            plane, scale * as_int64(vertices[4 * v]), scale * as_int64(vertices[4 * v + 1]), scale
+        )
         weights += weight
         rises += weight * (vertices[4 * v + 2] - below)
         last, before = edge, after
@@ -217,9 +219,9 @@ def _rim_certified(
     """Whether no point outside the window can change the natural neighbours."""
     px, py = float(x) / scale, float(y) / scale
     for i in range(n):
-        edge = wide(rim[HEADER + i])
-        ax, ay = _offset(vertices, wide(triangles[next_edge(edge) + 4]), x, y, scale)
-        bx, by = _offset(vertices, wide(triangles[previous_edge(edge) + 4]), x, y, scale)
+        edge = as_int64(rim[HEADER + i])
+        ax, ay = _offset(vertices, as_int64(triangles[next_edge(edge) + 4]), x, y, scale)
+        bx, by = _offset(vertices, as_int64(triangles[previous_edge(edge) + 4]), x, y, scale)
         if not circle_inside(px, py, ax, ay, bx, by, sides):
             return False
         if not facet_certified(vertices, triangles, edge >> 3, sides):
@@ -255,7 +257,7 @@ def natural_heights(
     for row in range(owners.shape[0]):
         y = y0 - row * step
         for column in range(owners.shape[1]):
-            owner = wide(owners[row, column])
+            owner = as_int64(owners[row, column])
             if owner == NO_OWNER:
                 out[row, column] = np.nan
                 continue

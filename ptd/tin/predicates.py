@@ -16,7 +16,7 @@ and fast robust geometric predicates, 1997); the perturbation is that of Deville
 largest point moves most".
 """
 
-from ptd.kernel import kernel, wide
+from ptd.kernel import as_int64, kernel
 
 _ERROR = 4.0 * 2.0**-53
 
@@ -72,11 +72,11 @@ def _in_circle_close(ax: int, ay: int, bx: int, by: int, cx: int, cy: int) -> bo
     # Of four distinct points on a circle no three are collinear, so none of the cross products is zero.
     if lexicographic_less(ax, ay, bx, by):
         if lexicographic_less(bx, by, cx, cy):
-            return lexicographic_less(wide(0), wide(0), cx, cy) and ax * by - ay * bx > 0
-        return lexicographic_less(wide(0), wide(0), bx, by) and cx * ay - cy * ax > 0
+            return lexicographic_less(as_int64(0), as_int64(0), cx, cy) and ax * by - ay * bx > 0
+        return lexicographic_less(as_int64(0), as_int64(0), bx, by) and cx * ay - cy * ax > 0
     if lexicographic_less(ax, ay, cx, cy):
-        return lexicographic_less(wide(0), wide(0), cx, cy) and ax * by - ay * bx > 0
-    return lexicographic_less(wide(0), wide(0), ax, ay) and bx * cy - by * cx > 0
+        return lexicographic_less(as_int64(0), as_int64(0), cx, cy) and ax * by - ay * bx > 0
+    return lexicographic_less(as_int64(0), as_int64(0), ax, ay) and bx * cy - by * cx > 0
 
 
 @kernel

@@ -17,7 +17,7 @@ import math
 
 import numpy as np
 
-from ptd.kernel import kernel, wide
+from ptd.kernel import as_int64, kernel
 from ptd.tin.circles import KnownBounds, Rule, facet_certified, facet_passes
 from ptd.tin.interpolation import Float64Array, Plane, facet_plane, height_on
 from ptd.tin.layout import N_TRIANGLES, N_VERTICES, Int32Array, next_edge
@@ -34,7 +34,7 @@ def _own_vertex(
     vertices: Int32Array, triangles: Int32Array, v: int, rule: Rule, sides: KnownBounds
 ) -> tuple[bool, bool]:
     """Whether any facet around a vertex passes, and whether that is certain."""
-    edge = 8 * wide(vertices[4 * v + 3])
+    edge = 8 * as_int64(vertices[4 * v + 3])
     while triangles[edge + 4] != v:
         edge += 1
     start = edge >> 3
@@ -46,7 +46,7 @@ def _own_vertex(
         if facet_passes(vertices, triangles, t, rule):
             owned = True
             final = final or certified
-        edge = wide(next_edge(wide(triangles[next_edge(edge)])))
+        edge = as_int64(next_edge(as_int64(triangles[next_edge(edge)])))
         if edge >> 3 == start:
             return owned, final or all_certified
 
@@ -68,15 +68,15 @@ def _own_vertices(
     inverse = 1.0 / float(step)
     rows, columns = marks.shape
     for v in range(counters[N_VERTICES]):
-        x = scale * wide(vertices[4 * v]) - x0
+        x = scale * as_int64(vertices[4 * v]) - x0
         column = math.floor(float(x) * inverse + 0.5)
         if column * step != x or column < 0 or column >= columns:
             continue
-        y = y0 - scale * wide(vertices[4 * v + 1])
+        y = y0 - scale * as_int64(vertices[4 * v + 1])
         row = math.floor(float(y) * inverse + 0.5)
         if row * step != y or row < 0 or row >= rows:
             continue
-        owned, final = _own_vertex(vertices, triangles, wide(v), rule, sides)
+        owned, final = _own_vertex(vertices, triangles, as_int64(v), rule, sides)
         if owned and owners.size > 0:
             owners[row, column] = -2 - v
         if owned and heights.size > 0:
@@ -92,10 +92,10 @@ def _apex_first(vertices: Int32Array, triangles: Int32Array, edge: int) -> bool:
     """Whether the vertex opposite `edge` is lexicographically smaller than the one opposite its twin."""
     own, other = triangles[edge + 4], triangles[triangles[edge] + 4]
     return lexicographic_less(
-        wide(vertices[4 * own]),
-        wide(vertices[4 * own + 1]),
-        wide(vertices[4 * other]),
-        wide(vertices[4 * other + 1]),
+        as_int64(vertices[4 * own]),
+        as_int64(vertices[4 * own + 1]),
+        as_int64(vertices[4 * other]),
+        as_int64(vertices[4 * other + 1]),
     )
 
 
@@ -122,7 +122,7 @@ def _own_border(
         edge = 8 * t
     elif zeros[1]:
         edge = 8 * t + 1
-    other = wide(triangles[edge]) >> 3
+    other = as_int64(triangles[edge]) >> 3
     passes = facet_passes(vertices, triangles, t, rule)
     other_passes = facet_passes(vertices, triangles, other, rule)
     owned = passes and (not other_passes or _apex_first(vertices, triangles, edge))
@@ -144,7 +144,7 @@ def _cut(value: int, slope: int, low: int, high: int) -> tuple[int, int]:
     if slope > 0:
         if at > float(high - low) + 1.0:
             return low, low - 1
-        return low + max(wide(0), wide(math.floor(at)) - 1), high
+        return low + max(as_int64(0), as_int64(math.floor(at)) - 1), high
     if at < -1.0:
         return low, low - 1
     return low, low + min(high - low, math.ceil(min(at, float(high - low))) + 1)
@@ -167,12 +167,12 @@ def _own_facet(
     rule, sides = judged
     top, bottom, left, right = box
     i, j, k = 4 * triangles[8 * t + 4], 4 * triangles[8 * t + 5], 4 * triangles[8 * t + 6]
-    ax, ay = wide(vertices[i]), wide(vertices[i + 1])
-    bx, by = wide(vertices[j]), wide(vertices[j + 1])
-    cx, cy = wide(vertices[k]), wide(vertices[k + 1])
+    ax, ay = as_int64(vertices[i]), as_int64(vertices[i + 1])
+    bx, by = as_int64(vertices[j]), as_int64(vertices[j + 1])
+    cx, cy = as_int64(vertices[k]), as_int64(vertices[k + 1])
     px = x0 + left * step
     known, passes, certified = False, False, False
-    plane = Plane(wide(0), wide(0), wide(0), 0.0, 0.0, 1.0)
+    plane = Plane(as_int64(0), as_int64(0), as_int64(0), 0.0, 0.0, 1.0)
     # The three edge functions change by this much from one column to the next.
     da, db, dc = (by - cy) * step, (cy - ay) * step, (ay - by) * step
     for row in range(top, bottom + 1):
@@ -185,8 +185,8 @@ def _own_facet(
             first_a, last_a = _cut(ea, da, left, right)
             first_b, last_b = _cut(eb, db, left, right)
             first_c, last_c = _cut(ec, dc, left, right)
-            first = wide(max(first_a, first_b, first_c))
-            last = wide(min(last_a, last_b, last_c))
+            first = as_int64(max(first_a, first_b, first_c))
+            last = as_int64(min(last_a, last_b, last_c))
             ea += (first - left) * da
             eb += (first - left) * db
             ec += (first - left) * dc
@@ -254,21 +254,21 @@ def scan(
         return
     x0, y0, step, scale = lattice
     inverse = 1.0 / float(step)
-    for t in range(wide(counters[N_TRIANGLES])):
+    for t in range(as_int64(counters[N_TRIANGLES])):
         i, j, k = triangles[8 * t + 4], triangles[8 * t + 5], triangles[8 * t + 6]
         if (i | j | k) < 0:
             continue
         i, j, k = 4 * i, 4 * j, 4 * k
-        low_x = scale * wide(min(vertices[i], vertices[j], vertices[k])) - x0
-        high_x = scale * wide(max(vertices[i], vertices[j], vertices[k])) - x0
+        low_x = scale * as_int64(min(vertices[i], vertices[j], vertices[k])) - x0
+        high_x = scale * as_int64(max(vertices[i], vertices[j], vertices[k])) - x0
         # The quotient is rounded, so widen the box by far less than a pixel. The exact test decides.
-        left = max(wide(0), math.ceil(float(low_x) * inverse - 1e-6))
+        left = max(as_int64(0), math.ceil(float(low_x) * inverse - 1e-6))
         right = min(columns - 1, math.floor(float(high_x) * inverse + 1e-6))
         if left > right:
             continue
-        low_y = y0 - scale * wide(max(vertices[i + 1], vertices[j + 1], vertices[k + 1]))
-        high_y = y0 - scale * wide(min(vertices[i + 1], vertices[j + 1], vertices[k + 1]))
-        top = max(wide(0), math.ceil(float(low_y) * inverse - 1e-6))
+        low_y = y0 - scale * as_int64(max(vertices[i + 1], vertices[j + 1], vertices[k + 1]))
+        high_y = y0 - scale * as_int64(min(vertices[i + 1], vertices[j + 1], vertices[k + 1]))
+        top = max(as_int64(0), math.ceil(float(low_y) * inverse - 1e-6))
         bottom = min(rows - 1, math.floor(float(high_y) * inverse + 1e-6))
         if top > bottom:
             continue

@@ -98,7 +98,7 @@ def simulate_buckets(number: int, memory: bool = False) -> dict[str, Any]:
     from tiler.export.tasks.files import cog_tasks, inputs_of, mosaic_tasks
     from tiler.export.tasks.sheets import sheets, with_points
     from tiler.filter.tasks.passes import filter_tasks, label_digests
-    from tiler.grid.tasks.gridding import Gridding
+    from tiler.grid.tasks.gridding import GridContext
     from tiler.grid.tasks.raster_table import wanted
     from tiler.ingest.tasks.assembled import IngestResult
     from tiler.ingest.tasks.points import Source
@@ -137,7 +137,7 @@ def simulate_buckets(number: int, memory: bool = False) -> dict[str, Any]:
         tasks = timed("filter_tasks", lambda: list(filter_tasks(plan, assembled, 0, {}, assembled.digests)))
         facts["tiles"] = len(tasks)
         labels = timed("label_digests", lambda: label_digests(assembled, {}))
-        g = Gridding(plan, assembled, labels)
+        g = GridContext(plan, assembled, labels)
         for raster in wanted(config):
             made = timed(f"tasks_{raster.name}", lambda raster=raster: list(raster.tasks(raster, g)))
             g.made[raster.name] = {t.key: (t.digest, {"checksum": t.digest, "filled": 1}) for t in made}

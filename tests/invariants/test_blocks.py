@@ -16,7 +16,7 @@ from tiler.core.lattice import Bounds, Lattice
 from tiler.core.raster import Block, RasterSpec
 from tiler.filter.tasks.passes import label_digests
 from tiler.grid.block import block_heights
-from tiler.grid.tasks.gridding import Gridding
+from tiler.grid.tasks.gridding import GridContext
 from tiler.grid.tasks.raster_table import raster_table
 from tiler.grid.tasks.rasters import terrain_tasks
 from tiler.ingest.tasks.assembled import IngestResult
@@ -52,7 +52,7 @@ def test_each_block_is_one_task_and_none_shows(quarter_files: list[Path], tmp_pa
     store = the_store(out)
     assembled = IngestResult.of(store.committed("assemble"))
     labels = label_digests(assembled, store.committed("filter0"))
-    gridding = Gridding(plan, assembled, labels)
+    gridding = GridContext(plan, assembled, labels)
     spec = gridding.spec
     tasks = list(terrain_tasks(raster_table(plan.config)["dtm"], gridding))
     blocks = [task.arguments.block for task in tasks]

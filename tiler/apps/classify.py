@@ -24,7 +24,7 @@ from tiler.inputs import find_inputs, inspect, inspect_in_child, read_in_child
 from tiler.io.locations import as_path, is_url, location, state_at
 from tiler.io.overwrite_check import Target, check_targets
 from tiler.io.result_folder import COPC_SUFFIX, STORE
-from tiler.observe.events import Listener, silent
+from tiler.observe.events import Listener, ignore_events
 from tiler.pipeline import run
 from tiler.plan import KEEP, Plan
 from tiler.redaction import without_secrets
@@ -49,7 +49,10 @@ def is_one_file(sources: Sequence[str], target: str) -> bool:
 
 
 def classify_file(
-    source: str | Path, target: str | Path, config: RunConfig | None = None, listener: Listener = silent
+    source: str | Path,
+    target: str | Path,
+    config: RunConfig | None = None,
+    listener: Listener = ignore_events,
 ) -> dict[str, Any]:
     """Classify one LAS or LAZ file: same points, same order, new classes.
 
@@ -88,7 +91,10 @@ def classify_file(
 
 
 def classify_files(
-    sources: Sequence[str], folder: str | Path, config: RunConfig | None = None, listener: Listener = silent
+    sources: Sequence[str],
+    folder: str | Path,
+    config: RunConfig | None = None,
+    listener: Listener = ignore_events,
 ) -> dict[str, Any]:
     """Classify many LAS or LAZ files into a folder; each file is seen with its neighbours, as in a run.
 

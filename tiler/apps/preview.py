@@ -22,7 +22,7 @@ from tiler.io.las.extract import Box, cut_windows, sample_places
 from tiler.io.overwrite_check import Target, check_targets
 from tiler.io.picture import write_png
 from tiler.io.result_folder import STORE
-from tiler.observe.events import Listener, silent
+from tiler.observe.events import Listener, ignore_events
 from tiler.pipeline import run
 from tiler.plan import Plan, make_plan
 from tiler.schedule import ChildProcess
@@ -70,7 +70,7 @@ def make_preview(
     inputs: Sequence[str],
     target: str | Path,
     config: RunConfig | None = None,
-    listener: Listener = silent,
+    listener: Listener = ignore_events,
     *,
     number: int = 3,
     side_m: float | None = None,

@@ -73,7 +73,7 @@ def write_classified(store_url: str, work: WriteClassified) -> dict[str, Any]:
         ``points``, ``changed`` (points with another class than before), ``classes`` (points by their new class),
         ``kept`` (points that took part and keep a class of the source that is not in `WITHOUT_OBJECT`, by class),
         ``statistics`` (see `CloudStatistics.to_json`), ``bytes``, ``digest`` (of all bytes), ``state`` (see
-        `tiler.io.locations.State`), ``notes`` (list of str).
+        `tiler.io.locations.FileState`), ``notes`` (list of str).
 
     Raises
     ------

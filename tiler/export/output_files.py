@@ -28,7 +28,7 @@ def new_file(out: str, name: str) -> Iterator[tuple[Path, dict[str, Any]]]:
     ------
     Path
     dict
-        ``path`` (the file's name), ``bytes``, ``digest`` (of all bytes), ``state`` (a `tiler.io.locations.State`).
+        ``path`` (the file's name), ``bytes``, ``digest`` (of all bytes), ``state`` (a `tiler.io.locations.FileState`).
     """
     record: dict[str, Any] = {}
     with staging_folder(out) as folder:

@@ -25,7 +25,7 @@ from tiler.export.tasks.outdated import archive_outdated, invalidate_changed_out
 from tiler.export.tasks.sheets import cut
 from tiler.filter.tasks.labelled import Labelled
 from tiler.grid.tasks.corrections import Corrections
-from tiler.grid.tasks.gridding import Gridding
+from tiler.grid.tasks.gridding import GridContext
 from tiler.ingest.tasks.points import Source
 from tiler.io.locations import is_url, joined, sizes_at
 from tiler.io.result_folder import LEGEND, OUTLINE, SHEETS, VIRTUAL, below
@@ -40,7 +40,7 @@ PRODUCTS = (".tif", ".vrt", ".gpkg", ".vpc", ".json", LEGEND)
 
 def export(
     job: Job,
-    gridding: Gridding,
+    gridding: GridContext,
     sources: list[Source],
     spooled: Commits,
     labelled: Labelled,
@@ -173,7 +173,7 @@ def _validate_outputs_exist(job: Job) -> None:
         )
 
 
-def _basis(gridding: Gridding) -> str:
+def _basis(gridding: GridContext) -> str:
     """What the products are made of: points, labels, and settings that more than their files' form depends on."""
     config = gridding.plan.config
     terrain = [[key, digest] for key, (digest, _) in sorted(gridding.made["dtm"].items())]

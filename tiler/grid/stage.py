@@ -25,7 +25,7 @@ from tiler.grid import DEEP_M, BlankBlocks, blank_blocks
 from tiler.grid.tasks.advice import advise
 from tiler.grid.tasks.canopy import canopy_cells
 from tiler.grid.tasks.corrections import Corrections, report_edited_pixels
-from tiler.grid.tasks.gridding import GAP_M, Gridding, RasterStep
+from tiler.grid.tasks.gridding import GAP_M, GridContext, RasterStep
 from tiler.grid.tasks.raster_table import wanted
 from tiler.grid.tasks.shared_tins import joined_blocks
 from tiler.grid.tasks.voids import report_voids
@@ -47,11 +47,11 @@ BLANK_BLOCKS = 256
 """Blocks of an earlier run that one task removes."""
 
 
-def grid(job: Job, assembled: IngestResult, labelled: Labelled, corrections: Corrections) -> Gridding:
+def grid(job: Job, assembled: IngestResult, labelled: Labelled, corrections: Corrections) -> GridContext:
     """All rasters that the products need, block by block."""
     if labelled.matched and job.plan.config.method != KEEP:
         _settle_surface(job)
-    gridding = Gridding(
+    gridding = GridContext(
         job.plan, assembled, labelled.digests, _holes(job), decks=corrections.decks,
         trusted=not labelled.matched, kind=labelled.kind,
         canopy=canopy_cells(job, assembled, labelled),
@@ -140,7 +140,7 @@ def _blank(job: Job, name: str, spec: RasterSpec, keys: Collection[str]) -> None
             raise ProcessingError(f"{name}: blocks of an earlier run cannot be removed: {outcome.error}")
 
 
-def _report_outline(job: Job, gridding: Gridding) -> None:
+def _report_outline(job: Job, gridding: GridContext) -> None:
     made = gridding.made.get("dtm-outlined")
     if not made:
         return
@@ -162,7 +162,7 @@ def _report_outline(job: Job, gridding: Gridding) -> None:
         )
 
 
-def _gaps(gridding: Gridding) -> tuple[float, float]:
+def _gaps(gridding: GridContext) -> tuple[float, float]:
     """Width in metres of the gaps that count as surveyed in most windows with points, and in any."""
     windows: Counter[float] = Counter()
     for record in gridding.records("survey-open").values():

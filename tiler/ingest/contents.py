@@ -9,14 +9,14 @@ from typing import Any
 from tiler.errors import InputError
 from tiler.io.cloud_reading import digest_of_file
 from tiler.io.las.unchanged import validate_unchanged
-from tiler.io.locations import State, as_path
+from tiler.io.locations import FileState, as_path
 
 
 @dataclass(frozen=True)
 class ReadFiles:
     """``files``: place of each file that is read, and the state in which it was found."""
 
-    files: tuple[tuple[str, State], ...]
+    files: tuple[tuple[str, FileState], ...]
 
 
 def read_files(store_url: str, work: ReadFiles) -> dict[str, Any]:
@@ -30,7 +30,7 @@ def read_files(store_url: str, work: ReadFiles) -> dict[str, Any]:
     return found
 
 
-def _content(path: Path, state: State) -> str:
+def _content(path: Path, state: FileState) -> str:
     """Digest of all bytes of a file that is in this state before and after they are read; raises InputError."""
     validate_unchanged(path, state)
     try:

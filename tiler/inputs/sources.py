@@ -22,7 +22,7 @@ from tiler.io.las.headers import LasHeader, read_header
 from tiler.io.las.laz import CorruptLazError, LazLayout
 from tiler.io.las.octree import Octree, read_octree
 from tiler.io.las.reader import count_decodable, rows_at_once
-from tiler.io.locations import State, stat_location
+from tiler.io.locations import FileState, stat_location
 from tiler.schedule.guard import ChildDiedError, ChildProcess, ChildStartError
 
 Read = TypeVar("Read")
@@ -80,7 +80,7 @@ class SourceInfo:
     """
 
     path: Path
-    state: State
+    state: FileState
     digest: str
     version: str
     point_format: int

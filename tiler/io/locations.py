@@ -143,7 +143,7 @@ TAGS = ("ETag", "etag", "Content-MD5", "md5Hash", "generation", "Last-Modified")
 
 
 @dataclass(frozen=True)
-class State:
+class FileState:
     """State of a file, which shows without reading it whether it is still the same.
 
     Attributes
@@ -165,11 +165,11 @@ class State:
         return [self.size, self.mtime_ns, self.tag]
 
 
-def state_of(path: Path) -> State:
+def state_of(path: Path) -> FileState:
     """Return the current state of a path or URL, not from a cache. Raise OSError if this fails."""
     if not is_url(path):
         stat = path.stat()
-        return State(stat.st_size, stat.st_mtime_ns)
+        return FileState(stat.st_size, stat.st_mtime_ns)
     with storage_errors():
         place = cast(Any, path)
         place.fs.invalidate_cache(place.fs._parent(place.path))
@@ -178,7 +178,7 @@ def state_of(path: Path) -> State:
         if info.get("size") is None:
             raise OSError("its server does not report its size; download it")
         tag = next((str(info[name]) for name in TAGS if info.get(name)), "").removeprefix("W/").strip('"')
-        return State(int(found.st_size), int(found.st_mtime_ns), tag)
+        return FileState(int(found.st_size), int(found.st_mtime_ns), tag)
 
 
 def list_inputs(url: str, suffixes: tuple[str, ...]) -> list[Path]:
@@ -248,7 +248,7 @@ def names_in(place: str) -> list[str]:
         return []
 
 
-def state_at(place: str) -> State | None:
+def state_at(place: str) -> FileState | None:
     """Return the state of a file at a path or URL, or None if it does not exist."""
     try:
         return state_of(as_path(place))
@@ -256,7 +256,7 @@ def state_at(place: str) -> State | None:
         return None
 
 
-def states_at(places: Sequence[str]) -> list[State | None]:
+def states_at(places: Sequence[str]) -> list[FileState | None]:
     """Return `state_at` of many files. Requests to servers overlap, since each takes long."""
     if not any(is_url(place) for place in places):
         return [state_at(place) for place in places]

@@ -29,7 +29,7 @@ Event                   Fields
 """
 
 
-def silent(event: str, fields: dict[str, Any]) -> None:
+def ignore_events(event: str, fields: dict[str, Any]) -> None:
     """Ignore an event."""
 
 

@@ -116,7 +116,7 @@ def _halo_m(run: Run) -> float:
     return float(plan.get("halo_by_kind_m", {}).get(survey.get("kind"), plan["halo_m"]))
 
 
-class Settled(NamedTuple):
+class ResolvedSetting(NamedTuple):
     """Setting that tiler can choose: its value, who chose it (``you`` or ``automatic``), and why."""
 
     setting: str
@@ -125,7 +125,7 @@ class Settled(NamedTuple):
     why: str
 
 
-def settled(run: Run) -> list[Settled]:
+def settled(run: Run) -> list[ResolvedSetting]:
     """Return the values of the settings that tiler can choose."""
     plan, config = run["plan"], run["configuration"]
     memory, declared = plan["memory_bytes"], "declared by the files"
@@ -143,7 +143,9 @@ def settled(run: Run) -> list[Settled]:
         "crs": (_crs_name(plan["crs"]), declared),
     }
     return [
-        Settled(name.replace("_", " "), value, *(("automatic", why) if config[name] is None else ("you", "")))
+        ResolvedSetting(
+            name.replace("_", " "), value, *(("automatic", why) if config[name] is None else ("you", ""))
+        )
         for name, (value, why) in found.items()
     ]
 

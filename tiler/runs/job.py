@@ -16,7 +16,7 @@ from tiler.observe.events import Listener
 from tiler.plan import Plan
 from tiler.report import write_run_file
 from tiler.report.notebook import run_markup
-from tiler.report.sections import Settled, noted, settled
+from tiler.report.sections import ResolvedSetting, noted, settled
 from tiler.runs.compiling import Compiler
 from tiler.runs.executors import Executors
 from tiler.runs.record import Facts, RunRecord
@@ -68,7 +68,7 @@ class RunResult:
         return found
 
     @property
-    def decisions(self) -> list[Settled]:
+    def decisions(self) -> list[ResolvedSetting]:
         """The settings that tiler can choose by itself, each with its value, who chose it, and why."""
         return settled(self.summary)
 

@@ -15,7 +15,7 @@ ROUNDS = 3
 """Rounds of repair: a disk that damages what it is given again and again is beyond it."""
 
 
-def heal(job: Job, keys: Iterable[str]) -> None:
+def repair(job: Job, keys: Iterable[str]) -> None:
     """Take back what wrote the objects of these keys, as `tiler.errors.CorruptStoreError` names them."""
     for key in sorted(set(keys)):
         job.note(f"store: {key} is damaged or missing; the task that wrote it is run again")

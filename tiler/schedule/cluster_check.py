@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from tiler.errors import ConfigError, ConnectionLostError, TilerError, write_error
-from tiler.io.locations import State, as_path, is_url, joined, state_of, try_write
+from tiler.io.locations import FileState, as_path, is_url, joined, state_of, try_write
 from tiler.schedule import Machine
 from tiler.store import open_store
 from tiler.version import __version__
@@ -66,7 +66,7 @@ class ClusterAccess:
     def __init__(
         self,
         scheduler: str,
-        sources: Sequence[tuple[str, State]],
+        sources: Sequence[tuple[str, FileState]],
         store_url: str | None,
         products: str | None,
         store_there: bool = True,
@@ -157,7 +157,7 @@ def _remedy(place: str, what: str) -> str:
     return f"give {what} by URL (s3://...), or on a disk that all machines share"
 
 
-def unreadable(sources: Sequence[tuple[str, State]]) -> list[tuple[str, str]]:
+def unreadable(sources: Sequence[tuple[str, FileState]]) -> list[tuple[str, str]]:
     """Return the first input that this worker cannot read, and the reason, or an empty list if it can read all."""
     for place, state in sources:
         try:

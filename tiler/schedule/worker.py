@@ -11,7 +11,7 @@ from typing import Any
 
 import psutil
 
-from ptd.kernel import wide
+from ptd.kernel import as_int64
 from tiler.errors import CorruptStoreError, DiskFullError, StoreAccessError, TilerError
 from tiler.schedule import Outcome, Task
 from tiler.store import open_store, packed_by_one_thread
@@ -98,7 +98,7 @@ def _c_library() -> Any:
 
 def load_kernels() -> None:
     """Call a kernel, since the first call loads most of numba."""
-    wide(0)
+    as_int64(0)
 
 
 def prepare(memory_bytes: int) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 
 from tiler.errors import ConfigError, ProcessingError
 from tiler.io.atomic_files import partial_path, replace_file
-from tiler.observe.events import Listener, silent
+from tiler.observe.events import Listener, ignore_events
 from tiler.simulate.catalogue import SCENES, SENSORS, SceneSpec
 from tiler.simulate.cloud import CloudWriter, write_dtm
 from tiler.simulate.points import CLASS_NAMES, patches, survey_patch
@@ -93,7 +93,7 @@ def describe_scene(
 
 
 def write_scene(
-    path: str | Path, spec: SceneSpec, pixel_m: float = 1.0, listener: Listener = silent
+    path: str | Path, spec: SceneSpec, pixel_m: float = 1.0, listener: Listener = ignore_events
 ) -> dict[str, Any]:
     """Simulate a scene into a cloud, and ``<name>_dtm.tif`` beside it. Memory is that of one patch.
 

@@ -16,7 +16,7 @@ import numpy.typing as npt
 from ptd.cells import Int32, Xyz
 from ptd.frame import Scale
 from ptd.ground.certificates import UInt8, UncertifiedRegion
-from ptd.kernel import kernel, wide
+from ptd.kernel import as_int64, kernel
 from ptd.methods.ridge2016.sorted_cells import StackIndex, Stacks, lowest_within
 from ptd.tin.interpolation import canonical_facet
 from ptd.tin.layout import Int32Array, Mesh, is_ghost
@@ -197,10 +197,10 @@ def _ridge_points(
         ridge = ridge_facet(vertices, triangles, t, data, rule, found)
         if not (ridge or unsure):
             continue
-        x3, y3 = wide(0), wide(0)
+        x3, y3 = as_int64(0), as_int64(0)
         for j in range(8 * t + 4, 8 * t + 7):
-            x3 += wide(vertices[4 * triangles[j]])
-            y3 += wide(vertices[4 * triangles[j] + 1])
+            x3 += as_int64(vertices[4 * triangles[j]])
+            y3 += as_int64(vertices[4 * triangles[j] + 1])
         i = lowest_within(x, y, z, raster, x3, y3, rule.radius)
         if i < 0:
             continue

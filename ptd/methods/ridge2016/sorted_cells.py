@@ -8,7 +8,7 @@ import numpy as np
 
 from ptd.cells import CellIndex, CellTable, Int32, Int64, is_lower, slot_of
 from ptd.frame import CellLattice
-from ptd.kernel import kernel, wide
+from ptd.kernel import as_int64, kernel
 
 SMALL_STACK = 24
 """Largest number of points that insertion alone sorts faster."""
@@ -121,8 +121,8 @@ def places_in_stacks(
     """
     found = np.full(of_x.size, -1, np.int32)
     for k in range(of_x.size):
-        column = (wide(of_x[k]) + raster.origin_x) * raster.q // raster.p - raster.col0
-        row = (wide(of_y[k]) + raster.origin_y) * raster.q // raster.p - raster.row0
+        column = (as_int64(of_x[k]) + raster.origin_x) * raster.q // raster.p - raster.col0
+        row = (as_int64(of_y[k]) + raster.origin_y) * raster.q // raster.p - raster.row0
         slot = slot_of(raster.table, column, row)
         if slot < 0:
             continue

@@ -16,7 +16,7 @@ from ptd.cells import Int32, Int64, Xyz
 from ptd.ground.certificates import UInt8, UncertifiedRegion
 from ptd.ground.criteria import FacetLimits, accepts
 from ptd.ground.labelling import is_terrain
-from ptd.kernel import kernel, wide
+from ptd.kernel import as_int64, kernel
 from ptd.methods.ridge2016.sorted_cells import Stacks
 from ptd.tin.interpolation import canonical_facet
 from ptd.tin.layout import Mesh, is_ghost
@@ -123,7 +123,7 @@ def _tally(
     home, again, terrain = labelled
     n_gained = n_unsure = t = 0
     for i in range(x.size):
-        h = wide(home[i])
+        h = as_int64(home[i])
         if h >= 0 and not again[i] and now[h] == -1:
             t = locate(vertices, triangles, x[i], y[i], t)
             same = _same_corners(last, h, mesh, t)
@@ -131,7 +131,7 @@ def _tally(
             if same:
                 now[h] = t
         if h >= 0 and not again[i] and now[h] >= 0:
-            t = wide(now[h])
+            t = as_int64(now[h])
             unsure = in_doubt[t] != 0
         else:
             t = locate(vertices, triangles, x[i], y[i], t)

@@ -13,7 +13,7 @@ from tiler.core.lattice import Bounds, Cell
 from tiler.core.raster import BLOCK_PIXELS
 from tiler.export.tasks.files import Inputs, cog_tasks, inputs_of, mosaic_tasks, nodata_of
 from tiler.export.tasks.sheets import height_tasks, sheets
-from tiler.grid.tasks.gridding import Gridding
+from tiler.grid.tasks.gridding import GridContext
 from tiler.ingest.tasks.assembled import IngestResult
 from tiler.ingest.tasks.points import Source
 from tiler.plan import Plan, make_plan
@@ -31,7 +31,7 @@ def plan(tmp_path_factory: pytest.TempPathFactory) -> Plan:
     return make_plan([str(cloud)], RunConfig.from_mapping(settings))
 
 
-def gridding(plan: Plan, **bounds: tuple[int, int, int, int]) -> Gridding:
+def gridding(plan: Plan, **bounds: tuple[int, int, int, int]) -> GridContext:
     """What the stage grid made of points in two buckets; bounds in metres from (500,000, 5,400,000)."""
     boxes = {"west": (-40, 10, -10, 40), "east": (10, 10, 40, 40), **bounds}
     records = {}
@@ -39,7 +39,7 @@ def gridding(plan: Plan, **bounds: tuple[int, int, int, int]) -> Gridding:
         west, south, east, north = boxes[name]
         box = Bounds(500_000 + west, 5_400_000 + south, 500_000 + east, 5_400_000 + north)
         records[cell] = {"bounds": [1000 * side for side in box.to_json()]}
-    found = Gridding(plan, IngestResult(records, {WEST: "w", EAST: "e"}), {})
+    found = GridContext(plan, IngestResult(records, {WEST: "w", EAST: "e"}), {})
     blocks = list(found.spec.blocks(BLOCK_PIXELS))
     for raster in ("dtm", "dtm-outlined", "hillshade"):
         found.made[raster] = {
@@ -84,7 +84,7 @@ def test_heights_are_looked_for_in_the_models_that_were_made(plan: Plan) -> None
     assert not list(height_tasks(g))
 
 
-def digests(g: Gridding, inputs: Inputs) -> dict[str, str]:
+def digests(g: GridContext, inputs: Inputs) -> dict[str, str]:
     return {task.key: task.digest for task in cog_tasks(g, inputs, "all", "OUT")}
 
 

@@ -16,7 +16,7 @@ from tiler.errors import InputError
 from tiler.ingest.tasks import fingerprints
 from tiler.ingest.tasks.points import Source
 from tiler.inputs import inspect
-from tiler.observe.events import silent
+from tiler.observe.events import ignore_events
 from tiler.runs.record import RunRecord
 from tiler.schedule import SerialExecutor
 from tiler.store import TileStore
@@ -35,7 +35,7 @@ def numbered(paths: list[Path], store: TileStore, **settings: Any) -> tuple[list
     )
     executors = SimpleNamespace(choose=lambda writes_out: SerialExecutor())
     job: Any = SimpleNamespace(
-        plan=plan, store=store, executors=executors, listener=silent, record=RunRecord()
+        plan=plan, store=store, executors=executors, listener=ignore_events, record=RunRecord()
     )
     return fingerprints.numbered(job), job
 

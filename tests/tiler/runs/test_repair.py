@@ -9,7 +9,7 @@ import pytest
 
 from tiler.core.lattice import Cell
 from tiler.core.raster import BLOCK_PIXELS, Block
-from tiler.runs.repair import heal
+from tiler.runs.repair import repair
 from tiler.store import BucketInfo, TileStore
 from tiler.store.layout import ROW_POINTS
 
@@ -45,7 +45,7 @@ def undone(store: TileStore, *keys: str) -> dict[str, set[str]]:
     notes: list[str] = []
     job: Any = SimpleNamespace(store=store, note=notes.append, invalidate=lambda s, k: store.uncommit(s, *k))
     job.facts = {"healed": ["earlier"]}
-    heal(job, keys)
+    repair(job, keys)
     assert len(notes) == len(keys)
     assert job.facts["healed"] == sorted({"earlier", *keys})
     left = {stage: set(tasks) - set(store.committed(stage)) for stage, tasks in STAGES.items()}

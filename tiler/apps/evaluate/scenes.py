@@ -17,7 +17,7 @@ from tiler.config import RunConfig
 from tiler.core.units import METRE
 from tiler.errors import ConfigError, ProcessingError
 from tiler.inputs import find_inputs, inspect
-from tiler.observe.events import Listener, silent
+from tiler.observe.events import Listener, ignore_events
 from tiler.schedule import call_isolated, half_of_memory
 
 
@@ -118,7 +118,7 @@ def evaluate_scenes(
     scenes: Sequence[Scene],
     ignore: Sequence[int] = IGNORED,
     maps: MapRequest | None = None,
-    listener: Listener = silent,
+    listener: Listener = ignore_events,
 ) -> dict[str, Any]:
     """Score each scene, and all points together.
 
@@ -187,7 +187,7 @@ def filter_and_evaluate(
     config: RunConfig,
     ignore: Sequence[int] = IGNORED,
     maps: MapRequest | None = None,
-    listener: Listener = silent,
+    listener: Listener = ignore_events,
 ) -> dict[str, Any]:
     """Filter labelled clouds with their classes hidden from the filter, and score the result.
 

@@ -23,7 +23,7 @@ from tiler.core.units import unit_label
 from tiler.export import WriteText, stac, write_text
 from tiler.export.tasks.files import nodata_of
 from tiler.export.tasks.sheets import name_of
-from tiler.grid.tasks.gridding import Gridding, Sheet
+from tiler.grid.tasks.gridding import GridContext, Sheet
 from tiler.ingest.tasks.points import Source
 from tiler.io.las.newer_formats import newer_format
 from tiler.io.locations import joined
@@ -79,7 +79,7 @@ class Cloud:
         )
 
 
-def planned(gridding: Gridding) -> dict[str, str]:
+def planned(gridding: GridContext) -> dict[str, str]:
     """Key of each task of this stage to the path below OUT of its file."""
     cut = [_item_path(gridding, sheet) for sheet in gridding.sheets]
     found = [STAC, VIRTUAL, *cut] if gridding.plan.writes_clouds else [STAC, *cut]
@@ -87,7 +87,7 @@ def planned(gridding: Gridding) -> dict[str, str]:
 
 
 def catalogue_tasks(
-    gridding: Gridding,
+    gridding: GridContext,
     sources: Sequence[Source],
     kind: str | None,
     written: Commits,
@@ -124,7 +124,7 @@ class _Catalogue:
 
     def __init__(
         self,
-        gridding: Gridding,
+        gridding: GridContext,
         sources: Sequence[Source],
         kind: str | None,
         written: Commits,
@@ -319,6 +319,6 @@ def _box(spec: RasterSpec) -> stac.Box:
     return (x, y + e * spec.height, x + a * spec.width, y)
 
 
-def _item_path(gridding: Gridding, sheet: Sheet) -> str:
+def _item_path(gridding: GridContext, sheet: Sheet) -> str:
     """The file below OUT of a sheet's item."""
     return f"{SHEET_ITEMS}/{name_of(gridding, SHEET_ITEMS, sheet)}.json"

@@ -21,7 +21,7 @@ from tiler.export import (
     write_water,
 )
 from tiler.export.work import VectorFile
-from tiler.grid.tasks.gridding import Gridding
+from tiler.grid.tasks.gridding import GridContext
 from tiler.grid.tasks.raster_table import final
 from tiler.io.result_folder import BRIDGES, OUTLINE, WATER
 from tiler.schedule import Task, Work, digest_of
@@ -33,7 +33,7 @@ SPOT_REACH_M, MAX_REACH = 50, 256
 """How far around a spot nothing is higher or lower; and the pixels that this is at most."""
 
 
-def vector_tasks(g: Gridding, out: str, noise_m: float) -> Iterator[Task]:
+def vector_tasks(g: GridContext, out: str, noise_m: float) -> Iterator[Task]:
     """One task for each vector file; ``noise_m``: that of the heights of ground, 0 where it is not known."""
     plan, config = g.plan, g.plan.config
     terrain, interval = final("dtm", config), config.contour_interval

@@ -31,7 +31,7 @@ from tiler.export import (
 from tiler.export.tasks.sheets import name_of
 from tiler.export.work import SheetFile
 from tiler.filter import LABELS
-from tiler.grid.tasks.gridding import Gridding
+from tiler.grid.tasks.gridding import GridContext
 from tiler.grid.tasks.raster_table import MODELS, final, raster_table
 from tiler.ingest.tasks.points import Source, by_source
 from tiler.inputs import SourceInfo, header_bounds, window_pieces
@@ -57,7 +57,7 @@ def inputs_of(sources: Iterable[Source], spooled: Commits) -> Inputs:
     return found
 
 
-def cog_tasks(g: Gridding, inputs: Inputs, whole_inputs: str, out: str) -> Iterator[Task]:
+def cog_tasks(g: GridContext, inputs: Inputs, whole_inputs: str, out: str) -> Iterator[Task]:
     """One task for each raster file.
 
     The tag of a sheet names the inputs that have points in it, and its digest the blocks that it is made of: another
@@ -107,7 +107,7 @@ def _cog_task(work: WriteCog, blocks: list[list[str]]) -> Task:
     return Task("export", f"{work.name}.tif", digest_of(work, blocks), write_cog, work, pixels)
 
 
-def mosaic_tasks(g: Gridding, whole_inputs: str, out: str) -> Iterator[Task]:
+def mosaic_tasks(g: GridContext, whole_inputs: str, out: str) -> Iterator[Task]:
     """One VRT for each product that is cut into sheets."""
     for name in g.plan.config.exported if g.sheets else ():
         files = [(name_of(g, name, sheet), sheet.spec) for sheet in g.sheets]
@@ -122,7 +122,7 @@ def mosaic_tasks(g: Gridding, whole_inputs: str, out: str) -> Iterator[Task]:
         yield Task("mosaic", mosaic_file(name), digest_of(work), write_mosaic, work)
 
 
-def legend_tasks(g: Gridding, out: str) -> Iterator[Task]:
+def legend_tasks(g: GridContext, out: str) -> Iterator[Task]:
     """One for each raster of classes that is one file; over sheets the VRT has the names of the classes."""
     for name in g.plan.config.exported if g.plan.config.sheets is None else ():
         if PRODUCTS[name].values:

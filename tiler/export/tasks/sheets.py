@@ -13,7 +13,7 @@ from tiler.core.sheet_names import sheet_name
 from tiler.core.words import counted
 from tiler.errors import ProcessingError
 from tiler.export import FindSheets, find_sheets
-from tiler.grid.tasks.gridding import Gridding, Sheet
+from tiler.grid.tasks.gridding import GridContext, Sheet
 from tiler.grid.tasks.raster_table import MODELS, final
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage
@@ -23,7 +23,7 @@ from tiler.version import __version__
 STAGE = "sheets"
 
 
-def cut(job: Job, g: Gridding) -> list[Sheet]:
+def cut(job: Job, g: GridContext) -> list[Sheet]:
     """The sheets of a run, none where its products are not cut."""
     if g.plan.config.sheets is None:
         return []
@@ -42,7 +42,7 @@ def cut(job: Job, g: Gridding) -> list[Sheet]:
     return sheets(g, every if g.plan.config.empty_sheets else high)
 
 
-def height_tasks(g: Gridding) -> Iterator[Task]:
+def height_tasks(g: GridContext) -> Iterator[Task]:
     """One for each block of the models that has a height."""
     rasters = tuple(name for name in (final(model, g.plan.config) for model in MODELS) if name in g.made)
     side, area = _pixels(g), g.plan.area_key
@@ -55,7 +55,7 @@ def height_tasks(g: Gridding) -> Iterator[Task]:
         yield Task(STAGE, key, digest_of(__version__, work, seen), find_sheets, work, pixels)
 
 
-def sheets(g: Gridding, cells: Iterable[Cell]) -> list[Sheet]:
+def sheets(g: GridContext, cells: Iterable[Cell]) -> list[Sheet]:
     """Some sheets, by their cells on the lattice of sheets, which is anchored at CRS 0."""
     lattice, side = _lattice(g), _pixels(g)
     buckets, found = with_points(g), []
@@ -69,13 +69,13 @@ def sheets(g: Gridding, cells: Iterable[Cell]) -> list[Sheet]:
     return found
 
 
-def name_of(g: Gridding, product: str, sheet: Sheet) -> str:
+def name_of(g: GridContext, product: str, sheet: Sheet) -> str:
     """The name of a product's file of a sheet, without its ending."""
     side = float(_lattice(g).size / COUNTS_PER_UNIT)
     return sheet_name(g.plan.config.sheet_name, product, *sheet.corner, side)
 
 
-def with_points(g: Gridding) -> dict[Cell, list[Cell]]:
+def with_points(g: GridContext) -> dict[Cell, list[Cell]]:
     """The sheets between the points of buckets, as far as the raster reaches, each with these buckets."""
     lattice, area = _lattice(g), g.plan.area
     whole = g.spec.block_bounds(g.spec.block_at(0, 0, max(g.spec.height, g.spec.width)))
@@ -89,11 +89,11 @@ def with_points(g: Gridding) -> dict[Cell, list[Cell]]:
     return {cell: found for cell, found in buckets.items() if area.touches(lattice.bounds(cell))}
 
 
-def _lattice(g: Gridding) -> Lattice:
+def _lattice(g: GridContext) -> Lattice:
     """Lattice of the sheets."""
     return Lattice(g.plan.meta.frame.counts(g.plan.config.sheets or Fraction(0)))
 
 
-def _pixels(g: Gridding) -> int:
+def _pixels(g: GridContext) -> int:
     """Side of a sheet in pixels."""
     return int(_lattice(g).size / g.spec.lattice.size)

@@ -23,7 +23,7 @@ from tiler.grid import ExamineDecks, FindDeckCells, examine_decks, examined, fin
 from tiler.grid.bridges.deck_cells import DROP_M, REACH_M
 from tiler.grid.bridges.examine import PlaceCells
 from tiler.grid.pieces import components
-from tiler.grid.tasks.gridding import Gridding
+from tiler.grid.tasks.gridding import GridContext
 from tiler.ingest.tasks.assembled import IngestResult
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage
@@ -52,7 +52,7 @@ def find_bridges(
     """The decks in the terrain, as corrections of its points and as they are drawn; none where they are to be kept."""
     if job.plan.config.bridges != REMOVE:
         return (), ()
-    g = Gridding(job.plan, assembled, labels)
+    g = GridContext(job.plan, assembled, labels)
     cells = run_stage(job, CELLS, _cell_tasks(g))
     made = run_stage(job, DECKS, _deck_tasks(g, cells))
     records = _apart([deck for _, (_, record) in sorted(made.items()) for deck in record["decks"]])
@@ -79,7 +79,7 @@ def _told(records: Sequence[Mapping[str, Any]], frame: CoordFrame) -> str:
     return f"left out of the terrain: {found} ({'; '.join(texts)}{more}; --bridges keep leaves bridges in)"
 
 
-def _cell_tasks(g: Gridding) -> Iterator[Task]:
+def _cell_tasks(g: GridContext) -> Iterator[Task]:
     """One for each block of coarse cells with points."""
     spec, rule, lattice = g.coarse, g.rule, g.plan.meta.bucket
     reach = math.ceil((REACH_M + float(g.coarse_m)) / float(g.plan.meta.frame.metres_xy))
@@ -90,7 +90,7 @@ def _cell_tasks(g: Gridding) -> Iterator[Task]:
         yield Task(CELLS, block.name, digest, find_deck_cells, work, g.points(own))
 
 
-def _deck_tasks(g: Gridding, found: Commits) -> Iterator[Task]:
+def _deck_tasks(g: GridContext, found: Commits) -> Iterator[Task]:
     """One for the places of each bucket where cells that may be decks touch one another."""
     spec, rule, lattice = g.coarse, g.rule, g.plan.meta.bucket
     metres = float(g.plan.meta.frame.metres_xy)

@@ -91,7 +91,7 @@ class RasterStep:
     inputs: tuple[str, ...]
     work: Work
     grid: Grid
-    tasks: Callable[[RasterStep, Gridding], Iterator[Task]]
+    tasks: Callable[[RasterStep, GridContext], Iterator[Task]]
     fill: float = 0.0
 
     @property
@@ -110,7 +110,7 @@ class Sheet:
 
 
 @dataclass
-class Gridding:
+class GridContext:
     """What the stage grid works on, and what it has made: name of a raster -> commits of its blocks.
 
     Attributes

@@ -26,7 +26,7 @@ from tiler.grid import (
     reach_of,
     reach_pixels,
 )
-from tiler.grid.tasks.gridding import Gridding, RasterStep
+from tiler.grid.tasks.gridding import GridContext, RasterStep
 from tiler.grid.tasks.survey import surveyed_blocks
 from tiler.schedule import Task, digest_of
 from tiler.version import __version__
@@ -35,7 +35,7 @@ CANOPY = "canopy"
 """The raster of the pixels in which a canopy hides the ground."""
 
 
-def terrain_tasks(raster: RasterStep, g: Gridding) -> Iterator[Task]:
+def terrain_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
     """One for each block that a facet of the terrain could reach."""
     plan, frame, share = g.plan, g.plan.meta.frame, g.plan.surface_share
     widest = full_halo(frame.counts(plan.config.max_edge))
@@ -51,23 +51,23 @@ def terrain_tasks(raster: RasterStep, g: Gridding) -> Iterator[Task]:
     return _block_tasks(raster, g, make, widest)
 
 
-def coarse_terrain_tasks(raster: RasterStep, g: Gridding) -> Iterator[Task]:
+def coarse_terrain_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
     """One for each block of the terrain in coarse cells, where pixels are larger than these."""
     return terrain_tasks(raster, g) if g.water_is_sought and g.has_large_pixels else iter(())
 
 
-def point_tasks(raster: RasterStep, g: Gridding) -> Iterator[Task]:
+def point_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
     """One for each block with points, of which a pixel sees those within itself."""
     return _block_tasks(raster, g, PointsBlock, 0)
 
 
-def distance_tasks(raster: RasterStep, g: Gridding) -> Iterator[Task]:
+def distance_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
     """One for each block within reach of points; distances are capped."""
     cap = g.plan.meta.frame.counts(g.plan.config.max_edge)
     return _block_tasks(raster, g, partial(DistanceBlock, cap=cap), math.ceil(cap) + 1)
 
 
-def surface_tasks(raster: RasterStep, g: Gridding) -> Iterator[Task]:
+def surface_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
     """One for each block that a facet of the surface could reach; nowhere is it below the terrain."""
     plan, frame, pixels = g.plan, g.plan.meta.frame, reach_pixels(g.plan.resolution)
     (terrain,) = raster.inputs
@@ -77,7 +77,7 @@ def surface_tasks(raster: RasterStep, g: Gridding) -> Iterator[Task]:
     return _block_tasks(raster, g, make, widest + math.ceil((pixels + 1) * frame.counts(plan.resolution)))
 
 
-def _tin(g: Gridding) -> dict[str, Any]:
+def _tin(g: GridContext) -> dict[str, Any]:
     """What all blocks on a TIN have in common."""
     counts, plan = g.plan.meta.frame.counts, g.plan
     halo = math.ceil(counts(plan.grid_halo))
@@ -85,7 +85,7 @@ def _tin(g: Gridding) -> dict[str, Any]:
 
 
 def _block_tasks(
-    raster: RasterStep, g: Gridding, make: Callable[..., PointsBlock], reach: int
+    raster: RasterStep, g: GridContext, make: Callable[..., PointsBlock], reach: int
 ) -> Iterator[Task]:
     """One for each block within ``reach`` counts of points; it sees the same block of the raster's inputs.
 
@@ -99,13 +99,13 @@ def _block_tasks(
         yield Task(raster.stage, block.name, digest, raster.work, work, g.points(near))
 
 
-def _near(g: Gridding, spec: RasterSpec, reach: int = 0) -> dict[Block, list[Cell]]:
+def _near(g: GridContext, spec: RasterSpec, reach: int = 0) -> dict[Block, list[Cell]]:
     """Blocks within ``reach`` counts of buckets, and as far as objects erode the ground, each with these buckets."""
     reach += math.ceil(g.plan.meta.frame.counts(g.plan.config.erosion))
     return spec.blocks_near(g.plan.meta.bucket, g.labels, BLOCK_PIXELS, reach)
 
 
-def canopy_tasks(raster: RasterStep, g: Gridding) -> Iterator[Task]:
+def canopy_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
     """One for each block with points, where the filter found a canopy."""
     if g.canopy is None:
         return
@@ -120,7 +120,7 @@ def canopy_tasks(raster: RasterStep, g: Gridding) -> Iterator[Task]:
         yield Task(raster.stage, block.name, digest, raster.work, work, g.points(near))
 
 
-def outline_tasks(raster: RasterStep, g: Gridding) -> Iterator[Task]:
+def outline_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
     """One for each block of a model, and for the terrain those of the survey, which may hold water or be void."""
     model, survey, *others = raster.inputs
     canopy = CANOPY if CANOPY in others and g.made[CANOPY] else None
@@ -152,7 +152,7 @@ def outline_tasks(raster: RasterStep, g: Gridding) -> Iterator[Task]:
         yield Task(raster.stage, key, digest, raster.work, work, block.height * block.width)
 
 
-def mask_tasks(raster: RasterStep, g: Gridding) -> Iterator[Task]:
+def mask_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
     """One for each block that has a height, or could have one: within the survey, or where a tile failed."""
     spec, coarse, rule = g.spec, g.coarse, g.rule
     dtm, heights, survey, canopy = raster.inputs
@@ -186,7 +186,7 @@ def mask_tasks(raster: RasterStep, g: Gridding) -> Iterator[Task]:
         yield Task(raster.stage, block.name, digest, raster.work, work, block.height * block.width)
 
 
-def derived_tasks(raster: RasterStep, g: Gridding) -> Iterator[Task]:
+def derived_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
     """One for each block that all inputs have; its pixels see one pixel of the blocks around."""
     spec = g.spec
     keys = set.intersection(*(set(g.made[source]) for source in raster.inputs))
@@ -198,7 +198,7 @@ def derived_tasks(raster: RasterStep, g: Gridding) -> Iterator[Task]:
         yield Task(raster.stage, block.name, digest, raster.work, work, block.height * block.width)
 
 
-def sigma_tasks(raster: RasterStep, g: Gridding) -> Iterator[Task]:
+def sigma_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
     """One for each block of the terrain; it sees points around it, and pixels of the blocks around."""
     spec, frame = g.spec, g.plan.meta.frame
     terrain, mask = raster.inputs

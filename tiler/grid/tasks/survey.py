@@ -11,7 +11,7 @@ from typing import Any
 from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec, north_west
 from tiler.grid import CloseBlock, FillBlock, FindVoids, SurveyBlock, Void, VoidRasters, blocks_of
 from tiler.grid.pieces import Piece, Side, components, touching
-from tiler.grid.tasks.gridding import GAP_M, Gridding, Place, RasterStep
+from tiler.grid.tasks.gridding import GAP_M, GridContext, Place, RasterStep
 from tiler.schedule import Task, digest_of
 from tiler.version import __version__
 
@@ -22,19 +22,19 @@ SIDES = {"north": (-1, 0), "south": (1, 0), "west": (0, -1), "east": (0, 1)}
 """Rows and columns, in blocks, from a block to its neighbour at each side."""
 
 
-def survey_gaps(raster: RasterStep, g: Gridding) -> Iterator[Task]:
+def survey_gaps(raster: RasterStep, g: GridContext) -> Iterator[Task]:
     """One for each block that a gap of the survey could reach."""
     return _close_tasks(raster, g, float(GAP_M / g.coarse_m))
 
 
-def domain_gaps(raster: RasterStep, g: Gridding) -> Iterator[Task]:
+def domain_gaps(raster: RasterStep, g: GridContext) -> Iterator[Task]:
     """The same for gaps that could be water: all up to `--max-edge`."""
     return (
         _close_tasks(raster, g, float(g.plan.config.max_edge / g.coarse_m)) if g.water_is_sought else iter(())
     )
 
 
-def _close_tasks(raster: RasterStep, g: Gridding, gap: float) -> Iterator[Task]:
+def _close_tasks(raster: RasterStep, g: GridContext, gap: float) -> Iterator[Task]:
     coarse = g.coarse
     (occupancy,) = raster.inputs
     most = float(g.plan.config.max_edge / g.coarse_m)
@@ -61,7 +61,7 @@ def names_of(places: Iterable[Place]) -> list[str]:
     return [Block(*place, 0, 0).name for place in places]
 
 
-def survey_tasks(raster: RasterStep, g: Gridding) -> Iterator[Task]:
+def survey_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
     """One for each block that was closed, and for those that hold nothing and are enclosed."""
     coarse, (opened,) = g.coarse, raster.inputs
     records = g.records(opened)
@@ -143,7 +143,7 @@ def _facing(gap: Gap, row: int, gaps: Mapping[int, list[Gap]], columns: Mapping[
     return found
 
 
-def voids_tasks(raster: RasterStep, g: Gridding) -> Iterator[Task]:
+def voids_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
     """One for each block of coarse cells that holds some of the survey's inside."""
     spec, coarse = g.spec, g.coarse
     model, survey = raster.inputs
@@ -157,7 +157,7 @@ def voids_tasks(raster: RasterStep, g: Gridding) -> Iterator[Task]:
         yield g.block_task(raster, work, [g.checksums(model, under), g.checksums(survey, [block.name])])
 
 
-def fill_tasks(raster: RasterStep, g: Gridding) -> Iterator[Task]:
+def fill_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
     """One for each block of a model; it depends on all blocks in which the rim of one of its voids can lie."""
     spec = g.spec
     model, survey, voids = raster.inputs
@@ -179,7 +179,7 @@ def fill_tasks(raster: RasterStep, g: Gridding) -> Iterator[Task]:
         yield Task(raster.stage, key, digest, raster.work, work, block.height * block.width)
 
 
-def surveyed_blocks(g: Gridding, survey: str) -> list[Block]:
+def surveyed_blocks(g: GridContext, survey: str) -> list[Block]:
     """The products' blocks that hold some of the survey's inside, from the north-west."""
     runs = (run for record in g.records(survey).values() for run in record["blocks"])
     return sorted(set(blocks_of(list(runs), g.spec, BLOCK_PIXELS)), key=north_west)

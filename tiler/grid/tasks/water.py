@@ -13,7 +13,7 @@ from tiler.core.raster import BLOCK_PIXELS
 from tiler.core.water import LAKE, Water, Waters, lengths_along
 from tiler.core.words import counted
 from tiler.grid import DescribeBody, LevelWater, Sources, describe_body, level_water
-from tiler.grid.tasks.gridding import Gridding
+from tiler.grid.tasks.gridding import GridContext
 from tiler.grid.tasks.survey import names_of, near_places
 from tiler.grid.tasks.water_facts import report_levels
 from tiler.grid.tasks.water_search import area_sums
@@ -35,7 +35,7 @@ SHORE_REACH = 4
 """Pixels around a body of water that its level may depend on."""
 
 
-def find_waters(job: Job, g: Gridding) -> Waters:
+def find_waters(job: Job, g: GridContext) -> Waters:
     """The bodies of water with their levels, kept in the store for the tasks."""
     auto = g.plan.config.water == AUTO_WATER
     bodies = _found(job, g) if auto else g.plan.waters
@@ -71,7 +71,7 @@ def find_waters(job: Job, g: Gridding) -> Waters:
     return waters
 
 
-def _found(job: Job, g: Gridding) -> tuple[Water, ...]:
+def _found(job: Job, g: GridContext) -> tuple[Water, ...]:
     """The bodies that the data show, without levels, from the north-west."""
     tasks = list(_body_tasks(g))
     made = run_stage(job, FINDING, tasks) if tasks else {}
@@ -80,7 +80,7 @@ def _found(job: Job, g: Gridding) -> tuple[Water, ...]:
     return tuple(replace(body, number=number) for number, body in enumerate(found, start=1))
 
 
-def _body_tasks(g: Gridding) -> Iterator[Task]:
+def _body_tasks(g: GridContext) -> Iterator[Task]:
     """One for each connected area of water that is large enough."""
     config, coarse = g.plan.config, g.coarse
     min_m2 = min(config.water_min_lake, MIN_LENGTH * config.water_min_river_width**2)
@@ -101,7 +101,7 @@ def _body_tasks(g: Gridding) -> Iterator[Task]:
         yield Task(FINDING, key, digest, describe_body, work, cells)
 
 
-def _gentle(g: Gridding, body: Water) -> bool:
+def _gentle(g: GridContext, body: Water) -> bool:
     """Whether a river falls no more than rivers of that width do: a ravine without returns is none."""
     high, low = body.range
     if body.flow is None or high == low:
@@ -111,7 +111,7 @@ def _gentle(g: Gridding, body: Water) -> bool:
     return bool((high - low) * float(units.vertical) <= STEEPEST * length)
 
 
-def level_tasks(g: Gridding, bodies: tuple[Water, ...]) -> Iterator[Task]:
+def level_tasks(g: GridContext, bodies: tuple[Water, ...]) -> Iterator[Task]:
     """One for each body whose height is not known."""
     spec = g.spec
     pad = int(SHORE_REACH * spec.lattice.size) + 1

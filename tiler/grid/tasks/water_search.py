@@ -19,7 +19,7 @@ from tiler.grid import (
 )
 from tiler.grid.pieces import Joined, Piece, around
 from tiler.grid.returns import usual_returns
-from tiler.grid.tasks.gridding import Gridding, Place, RasterStep
+from tiler.grid.tasks.gridding import GridContext, Place, RasterStep
 from tiler.grid.tasks.survey import names_of, near_places
 from tiler.grid.water_cells import ENOUGH_RETURNS, Rim, Size, judged
 from tiler.grid.water_find import MIN_LENGTH
@@ -28,7 +28,7 @@ from tiler.grid.water_planes import DAM_M, SHORE_CELLS, Plane
 from tiler.schedule import Task
 
 
-def ground_tasks(raster: RasterStep, g: Gridding) -> Iterator[Task]:
+def ground_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
     """One for each block of coarse cells under the terrain."""
     if not g.water_is_sought:
         return
@@ -61,7 +61,7 @@ def ground_tasks(raster: RasterStep, g: Gridding) -> Iterator[Task]:
         yield g.block_task(raster, work, seen)
 
 
-def areas_tasks(raster: RasterStep, g: Gridding) -> Iterator[Task]:
+def areas_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
     """One for each block of the survey; how many returns are few is decided by the block and its neighbours."""
     occupancy, ground, domain = raster.inputs
     records = g.records(occupancy)
@@ -81,7 +81,7 @@ def areas_tasks(raster: RasterStep, g: Gridding) -> Iterator[Task]:
         yield g.block_task(raster, work, _seen(g, raster.inputs, place))
 
 
-def rims_tasks(raster: RasterStep, g: Gridding) -> Iterator[Task]:
+def rims_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
     """One for each block near a candidate."""
     areas = raster.inputs[0]
     for place in _near_labels(g, areas):
@@ -89,7 +89,7 @@ def rims_tasks(raster: RasterStep, g: Gridding) -> Iterator[Task]:
         yield g.block_task(raster, work, _seen(g, raster.inputs, place))
 
 
-def plane_rims_tasks(raster: RasterStep, g: Gridding) -> Iterator[Task]:
+def plane_rims_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
     """One for each block near a plane that may be water."""
     planes = raster.inputs[0]
     evident, others = _likely_planes(g, planes)
@@ -103,7 +103,7 @@ def plane_rims_tasks(raster: RasterStep, g: Gridding) -> Iterator[Task]:
         yield g.block_task(raster, work, _seen(g, raster.inputs, place))
 
 
-def plane_sure_tasks(raster: RasterStep, g: Gridding) -> Iterator[Task]:
+def plane_sure_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
     """One for each block near a plane that is water."""
     rims, *inputs = raster.inputs
     kept = _kept_planes(g, inputs[0], rims)
@@ -114,7 +114,7 @@ def plane_sure_tasks(raster: RasterStep, g: Gridding) -> Iterator[Task]:
         yield g.block_task(raster, work, _seen(g, inputs, place))
 
 
-def sure_tasks(raster: RasterStep, g: Gridding) -> Iterator[Task]:
+def sure_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
     """One for each block near a candidate that is water."""
     rims, *inputs = raster.inputs
     areas = inputs[0]
@@ -124,7 +124,7 @@ def sure_tasks(raster: RasterStep, g: Gridding) -> Iterator[Task]:
         yield g.block_task(raster, work, [g.checksums(areas, names_of([place]))])
 
 
-def cells_tasks(raster: RasterStep, g: Gridding) -> Iterator[Task]:
+def cells_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
     """One for each block near water."""
     sure, planes, *sources = raster.inputs
     config = g.plan.config
@@ -139,7 +139,7 @@ def cells_tasks(raster: RasterStep, g: Gridding) -> Iterator[Task]:
         yield g.block_task(raster, work, _seen(g, raster.inputs, place))
 
 
-def _on_areas(raster: RasterStep, g: Gridding, place: Place) -> dict[str, Any]:
+def _on_areas(raster: RasterStep, g: GridContext, place: Place) -> dict[str, Any]:
     """What tasks on candidates have in common."""
     name, occupancy, ground, domain = raster.inputs[-4:]
     of_block = g.records(name).get(place)
@@ -154,13 +154,13 @@ def _on_areas(raster: RasterStep, g: Gridding, place: Place) -> dict[str, Any]:
     }
 
 
-def _seen(g: Gridding, rasters: Sequence[str], place: Place) -> list[Any]:
+def _seen(g: GridContext, rasters: Sequence[str], place: Place) -> list[Any]:
     """Checksums of a block of some rasters and of its neighbours."""
     near = names_of(near_places(g.coarse, [place]))
     return [g.checksums(name, near) for name in rasters]
 
 
-def _near_labels(g: Gridding, areas: str) -> list[Place]:
+def _near_labels(g: GridContext, areas: str) -> list[Place]:
     labelled = [place for place, record in g.records(areas).items() if record["labels"]]
     return near_places(g.coarse, labelled)
 
@@ -174,7 +174,7 @@ def _by_place(joined: Joined, names: Iterable[Piece]) -> dict[Place, list[Piece]
     return found
 
 
-def _sizes(g: Gridding, areas: str) -> dict[Piece, tuple[int, ...]]:
+def _sizes(g: GridContext, areas: str) -> dict[Piece, tuple[int, ...]]:
     """Sums of the ``sizes`` of the pieces of each area."""
     return area_sums(g.areas(areas), g.records(areas))
 
@@ -188,7 +188,7 @@ def area_sums(joined: Joined, records: Mapping[Place, Mapping[str, Any]]) -> dic
     return found
 
 
-def _kept(g: Gridding, areas: str, rims: str) -> dict[Piece, float]:
+def _kept(g: GridContext, areas: str, rims: str) -> dict[Piece, float]:
     """The candidates that are water, and how sure they are."""
     around_area = _rims(g, rims)
     verdicts = {
@@ -197,7 +197,7 @@ def _kept(g: Gridding, areas: str, rims: str) -> dict[Piece, float]:
     return {name: sure for name, sure in verdicts.items() if sure is not None}
 
 
-def _rims(g: Gridding, rims: str, which: int = 0) -> dict[Piece, Rim]:
+def _rims(g: GridContext, rims: str, which: int = 0) -> dict[Piece, Rim]:
     """The land around each area, added up over blocks; ``which``: of those that each record has."""
     found: dict[Piece, Rim] = {}
     for record in g.records(rims).values():
@@ -207,7 +207,7 @@ def _rims(g: Gridding, rims: str, which: int = 0) -> dict[Piece, Rim]:
     return found
 
 
-def _likely_planes(g: Gridding, planes: str) -> tuple[list[Piece], list[Piece]]:
+def _likely_planes(g: GridContext, planes: str) -> tuple[list[Piece], list[Piece]]:
     """Planes that may be water by themselves, and others that may lie beside them."""
     config, joined, records = g.plan.config, g.areas(planes), g.records(planes)
     min_m2 = float(min(config.water_min_lake, MIN_LENGTH * config.water_min_river_width**2))
@@ -235,7 +235,7 @@ def _are_near(one: Sequence[int], other: Sequence[int], reach: float) -> bool:
     return all(gap <= reach for gap in apart)
 
 
-def _kept_planes(g: Gridding, planes: str, rims: str) -> dict[Piece, float]:
+def _kept_planes(g: GridContext, planes: str, rims: str) -> dict[Piece, float]:
     """The planes that are water, and how sure they are: evident ones, and those beside them."""
     evident, others = _likely_planes(g, planes)
     alone, without_others = ({n: judged(Size(), rim) for n, rim in _rims(g, rims, i).items()} for i in (0, 1))

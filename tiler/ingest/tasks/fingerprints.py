@@ -14,7 +14,7 @@ from tiler.errors import InputError
 from tiler.ingest.contents import ReadFiles, read_files
 from tiler.ingest.tasks.points import Source
 from tiler.inputs import SourceInfo
-from tiler.io.locations import State, is_url, location
+from tiler.io.locations import FileState, is_url, location
 from tiler.plan import chunks_of
 from tiler.redaction import without_secrets
 from tiler.runs.job import Job
@@ -27,7 +27,7 @@ GROUP_BYTES, GROUP_FILES = 32 << 20, 64
 SAVED_SECONDS = 10.0
 """After which what is known is kept in the store, for a run that is killed on the way."""
 
-File = tuple[str, State, int]
+File = tuple[str, FileState, int]
 """Place, state as it was found, points."""
 
 

@@ -24,7 +24,7 @@ from tiler.io.las.laz import (
     walk_chunks,
 )
 from tiler.io.las.records import Vlr, walk_records
-from tiler.io.locations import State, is_url, state_of
+from tiler.io.locations import FileState, is_url, state_of
 
 _BLOCK_BYTES = 1 << 14
 """Bytes per request to a URL. The bytes before the points, the chunk table or a record are seldom more."""
@@ -96,7 +96,7 @@ class LasHeader:
     """
 
     path: Path
-    state: State
+    state: FileState
     version: tuple[int, int]
     global_encoding: int
     header_size: int
@@ -197,7 +197,7 @@ def read_payload(path: Path, record: Vlr, limit: int = 1 << 24) -> bytes:
         return stream.read(min(record.length, limit))
 
 
-def _fixed_block(path: Path, stream: BinaryIO, state: State, salvage: bool) -> LasHeader:
+def _fixed_block(path: Path, stream: BinaryIO, state: FileState, salvage: bool) -> LasHeader:
     """Return the header with only the fields of the public header block."""
     size = state.size
     raw = stream.read(HEADER_SIZES[5])

@@ -9,7 +9,7 @@ from typing import Any
 
 from tiler.errors import DiskFullError, InputError, TilerError
 from tiler.io.las.headers import LasHeader, read_header
-from tiler.io.locations import State, state_of
+from tiler.io.locations import FileState, state_of
 
 AGAIN = "run again once the file is complete"
 
@@ -34,19 +34,19 @@ def unchanged(path: Path, stamp: list[Any] | None, salvage: bool) -> Iterator[La
     try:
         header = read_header(path, salvage)
         if stamp is not None and header.stamp != list(stamp):
-            raise _changed(path, State(*stamp[:3]), header.state)
+            raise _changed(path, FileState(*stamp[:3]), header.state)
         yield header
     except DiskFullError:
         raise
     except TilerError:
         # A partly written file cannot be decoded, and its change is the true cause.
         if stamp is not None:
-            validate_unchanged(path, State(*stamp[:3]))
+            validate_unchanged(path, FileState(*stamp[:3]))
         raise
     validate_unchanged(path, header.state)
 
 
-def validate_unchanged(path: Path, state: State) -> None:
+def validate_unchanged(path: Path, state: FileState) -> None:
     """Raise InputError if a file is no longer in this state."""
     try:
         now = state_of(path)
@@ -58,7 +58,7 @@ def validate_unchanged(path: Path, state: State) -> None:
         raise _changed(path, state, now)
 
 
-def _changed(path: Path, before: State, now: State) -> InputError:
+def _changed(path: Path, before: FileState, now: FileState) -> InputError:
     how = "as large as before, with another time, tag or header"
     if before.size != now.size:
         how = f"{before.size:,} bytes before, {now.size:,} now"
