@@ -108,7 +108,7 @@ def lowest_per_cell(x: Int32, y: Int32, z: Int32, cells: CellLattice) -> Int32:
     ----------
     x, y, z : int32 [n]
         Local counts.
-    cells : Cells
+    cells : CellLattice
 
     Returns
     -------
@@ -199,7 +199,7 @@ class CellIndex:
 
     Attributes
     ----------
-    cells : Cells
+    cells : CellLattice
     col0, row0 : int
         First column and row of the table within the lattice.
     table : CellTable

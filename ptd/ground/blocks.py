@@ -26,7 +26,7 @@ def blocks(
     ----------
     x, y : int32 [n]
         Local counts, by rows of cells (as `ptd.cells.lowest_per_cell` gives them).
-    cells : Cells
+    cells : CellLattice
     reach : int
     side : int, optional
         Cells along a side of a block; `SIDE_CELLS` if left out.

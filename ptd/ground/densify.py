@@ -120,10 +120,10 @@ def densify(
         Candidates; neighbours in the arrays near each other.
     state : uint8 [n]
         `WAITING`, `VERTEX` or `REFUSED`; updated.
-    limits : Limits
+    limits : FacetLimits
     rounds : int
         0: until nothing passes.
-    doubt : Doubt
+    doubt : UncertifiedRegion
         Grows by the candidates whose decision could change with points outside the window.
 
     Returns
@@ -167,8 +167,8 @@ def densify_seeds(
         Candidates; neighbours in the arrays near each other; at least one is no outlier.
     outlier : bool [n]
         Neither seeds nor vertices.
-    seed_cells : Cells
-    limits : Limits
+    seed_cells : CellLattice
+    limits : FacetLimits
     rounds : int
         See `densify`.
     known : Window

@@ -173,7 +173,7 @@ class Trial:
     scale : Scale
     widest_m : float
         Largest circumradius.
-    doubt : Doubt, optional
+    doubt : UncertifiedRegion, optional
         As it is now.
     largest : bool
         A point's angle is the largest of the three (Axelsson; Dong 2018), not the smallest (Dong 2017).
@@ -205,7 +205,7 @@ class Trial:
         which : bool [n]
         threshold : Threshold
             Both hold. On a vertex, where any of its facets may be found, the height above the vertex counts alone.
-        doubt : Doubt
+        doubt : UncertifiedRegion
             That of the TIN, or as it grew later.
         """
         near = np.zeros(x.size, np.bool_)

@@ -91,7 +91,7 @@ class LabelRule(NamedTuple):
 
     Attributes
     ----------
-    limits : Limits
+    limits : FacetLimits
     floor : float
         Horizontal counts.
     vertices_only : bool
@@ -318,7 +318,7 @@ def label_points(
         In any order (fast where neighbours follow each other).
     in_doubt : uint8 [triangles]
         See `ptd.ground.certificates.UncertifiedRegion.triangles`.
-    rule : GroundRule
+    rule : LabelRule
     bands : Bands, optional
         For `heights_only`, where ``floor`` and ``per_slope`` of the rule differ by place.
 

@@ -37,7 +37,7 @@ class CellRaster:
     ----------
     x, y : int32 [n]
         Local counts; at least one point.
-    cells : Cells
+    cells : CellLattice
 
     Attributes
     ----------

@@ -148,7 +148,7 @@ class LowNoise:
     ----------
     x, y, z : int32 [n]
         The outliers, local counts.
-    cells : Cells
+    cells : CellLattice
         Of which the lowest points were looked at.
     """
 

@@ -51,7 +51,7 @@ def random_per_cell(x: Int32, y: Int32, z: Int32, cells: CellLattice, salt: int)
     ----------
     x, y, z : int32 [n]
         Local counts.
-    cells : Cells
+    cells : CellLattice
     salt : int
         Other salts give other picks; at least 0.
 

@@ -49,7 +49,7 @@ def remaining_roofs(
         Metres, NaN where unknown.
     cell_m : float
         Side of a cell.
-    least_m : float
+    min_width_m : float
         Narrower ones are left out.
     """
     known = ~np.isnan(heights)

@@ -50,9 +50,9 @@ def choose_seeds(
         Local counts; at least one point is eligible.
     eligible : bool [n]
         No outlier.
-    cells : Cells
+    cells : CellLattice
         Side: the largest building.
-    doubt : Doubt
+    doubt : UncertifiedRegion
         Cells whose seed is not certain are added.
     unsure : bool [n], optional
         Whether it is not certain that a point is (or is not) eligible; else all are certain.

@@ -245,7 +245,7 @@ def lower_envelope(
     ----------
     heights : int32 [rows, columns]
         Vertical counts; `EMPTY` where there is no cell.
-    rule : Hull
+    rule : Envelope
     scale : Scale
     row, column : int
         Place of the first cell on its lattice, multiples of a block's cells: centres are anchored there.

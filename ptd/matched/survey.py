@@ -78,7 +78,7 @@ def surveyed(found: Roughness, seen: ReturnStatistics, run: Mapping[str, Any]) -
     ----------
     found : Roughness
         Density and noise.
-    seen : Seen
+    seen : ReturnStatistics
     run : mapping
         `ptd.passes.RunHints`.
 

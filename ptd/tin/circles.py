@@ -116,7 +116,7 @@ def facet_certified(vertices: Int32Array, triangles: Int32Array, triangle: int, 
     vertices, triangles : int32 arrays, see `ptd.tin.layout`
     triangle : int
         The circle of a ghost is a half-plane: only a window without sides contains it.
-    sides : Sides
+    sides : KnownBounds
     """
     if unbounded(sides):
         return True

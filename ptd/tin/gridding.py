@@ -200,14 +200,14 @@ def rasterise(
         Longest edge of a facet that is filled, counts.
     max_radius : float
         Largest circumradius of a facet that is filled, counts.
-    window : Window
+    window : KnownWindow
         The box in which all data are known; everywhere by default.
     interpolator : {"linear", "natural"}
         The plane of the facet, or Sibson's natural neighbours. Both fill the same pixels.
 
     Returns
     -------
-    Raster
+    TinRaster
 
     Raises
     ------

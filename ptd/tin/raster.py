@@ -240,10 +240,10 @@ def scan(
         Output: counts, NaN without owner.
     marks : uint8 [rows, columns]
         Output: 1 where data outside the window could change the pixel, else 0.
-    lattice : Lattice
+    lattice : PixelCentres
         Centres of the ``(rows, columns)`` pixels.
     rule : Rule
-    sides : Sides
+    sides : KnownBounds
     """
     rows, columns = marks.shape
     owners[:, :] = NO_OWNER

@@ -104,7 +104,7 @@ def in_this_process(monkeypatch: pytest.MonkeyPatch) -> None:
 
     monkeypatch.setattr("tiler.schedule.isolated_reading.ChildProcess", Here)
     for module in ("tiler.apps.preview", "tiler.apps.classify"):
-        monkeypatch.setattr(f"{module}.read_guarded", here)
+        monkeypatch.setattr(f"{module}.read_in_child", here)
     for module in ("classify", "preview", "evaluate"):
         command = f"cli.commands.{module}.read_config"
         read = __import__(f"cli.commands.{module}", fromlist=["read_config"]).read_config

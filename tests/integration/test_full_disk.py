@@ -51,12 +51,12 @@ import resource, signal, sys
 from pathlib import Path
 import numpy as np
 from tiler.errors import TilerError
-from tiler.io.geotiff import RasterLook, plain_geotiff
+from tiler.io.geotiff import RasterMetadata, plain_geotiff
 
 signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
 resource.setrlimit(resource.RLIMIT_FSIZE, (1 << 20, resource.RLIM_INFINITY))
 try:
-    look = RasterLook("EPSG:25832", "m", "heights", {})
+    look = RasterMetadata("EPSG:25832", "m", "heights", {})
     with plain_geotiff(Path(sys.argv[1]), 2048, 2048, (1, 0, 0, 0, -1, 0), look) as raster:
         raster.write(np.random.default_rng(0).random((2048, 2048), dtype=np.float32), 0, 0)
 except TilerError as error:

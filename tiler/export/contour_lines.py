@@ -173,7 +173,7 @@ class Joiner:
 
     Attributes
     ----------
-    most_held : int
+    max_held : int
         Vertices of unfinished lines; beyond it the longest are given back as they are, and go on as new lines.
     cut : int
         How often that happened.

@@ -84,7 +84,7 @@ def read_ground(
     Parameters
     ----------
     store : TileStore
-    rule : GroundRule
+    rule : GroundSelection
     bounds : Bounds
     choose : callable, optional
         Given a bucket and its ground points, which of them are kept, so that the others need no memory.

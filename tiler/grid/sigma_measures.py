@@ -67,7 +67,7 @@ def measures_of(
     Parameters
     ----------
     store : TileStore
-    rule : GroundRule
+    rule : GroundSelection
     spec : RasterSpec
     block : Block
     terrain : str

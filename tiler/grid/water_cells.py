@@ -181,7 +181,7 @@ def water_areas(cells: WaterCells, usual: float | None) -> Bools:
 
     Parameters
     ----------
-    cells : Cells
+    cells : WaterCells
         Of a size at which one without a return is significant.
     usual : float or None
         Median of the returns of the cells around here with any; None where few returns are no sign of water, as in
@@ -223,7 +223,7 @@ def rim_of(cells: WaterCells, mine: Bools, others: Bools, counted: Bools) -> Rim
 
     Parameters
     ----------
-    cells : Cells
+    cells : WaterCells
     mine, others : bool, shape of the cells
         The area, and other candidates, which are no land.
     counted : bool

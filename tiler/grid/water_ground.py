@@ -37,7 +37,7 @@ class GroundCells(BlockWork):
         Of the terrain.
     occupancy : str or None
         Raster of the points in each cell; None where the input has no water near.
-    rule : GroundRule
+    rule : GroundSelection
     """
 
     heights: str

@@ -200,7 +200,7 @@ class AreasAround:
 
     Attributes
     ----------
-    cells : Cells
+    cells : WaterCells
     numbers : int32, shape of the cells
         Of the area in each cell, 0 where there is none.
     names : list of Piece

@@ -31,7 +31,7 @@ def depths(cells: WaterCells, wet: Bools) -> Floats:
 
     Parameters
     ----------
-    cells : Cells
+    cells : WaterCells
         With smoothed heights, of a window with at least `REACH_CELLS` around the cells that are looked at.
     wet : bool, shape of the cells
     """

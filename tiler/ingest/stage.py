@@ -36,7 +36,7 @@ from tiler.store import BucketInfo, Commits
 OWN_FAULTS = (
     "ProcessingError",
     "StoreError",
-    "DamagedError",
+    "CorruptStoreError",
     "OSError",
     "PermissionError",
     "FileNotFoundError",

@@ -58,7 +58,7 @@ class Extent:
         Whether these are the bounds of the header, and hold a sample of the points. Points outside are then strays.
     note : str or None
         A note for the user.
-    patches : tuple of Patch
+    patches : tuple of DensityPatch
         Estimate of how the points are spread over the bounds.
     returns : int
         Largest number of returns of a pulse in the sample; 0 or 1 for clouds without pulses.

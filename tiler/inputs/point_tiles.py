@@ -145,7 +145,7 @@ def node_files(tiles: EptDataset, touches: Touches | None = None) -> dict[str, i
 
     Parameters
     ----------
-    tiles : PointTiles
+    tiles : EptDataset
     touches : callable, optional
         Whether the square of a node is wanted; nodes below a node that is not wanted are left out, too.
 

@@ -43,7 +43,7 @@ class SourceInfo:
     Attributes
     ----------
     path : Path
-    state : State
+    state : FileState
         Size and time of change, from which later changes are recognised.
     digest : str
         Digest of the bytes before the points, and of the table of chunks.
@@ -63,7 +63,7 @@ class SourceInfo:
         Evidence, in the fields of a sample of points, of what made the cloud.
     notes : tuple of str
         Notes for the user.
-    patches : tuple of Patch
+    patches : tuple of DensityPatch
         Estimate of how the points are spread.
     chunks : int, or tuple of int
         Number of points in each chunk of a LAZ file; one number if all chunks but the last are equal, 0 without chunks.

@@ -102,7 +102,7 @@ def plain_geotiff(
         Size in pixels.
     transform : tuple of float
         a, b, c, d, e, f of rasterio's ``Affine``, for pixels that are areas.
-    look : RasterLook
+    look : RasterMetadata
         Metadata of the file.
 
     Raises

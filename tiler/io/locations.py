@@ -297,7 +297,7 @@ def upload_file(path: Path, url: str) -> None:
     try:
         with storage_errors():
             system, place = _system(url)
-            system.upload_file(str(path), place)
+            system.put_file(str(path), place)
     except OSError as error:
         raise write_error(url, error) from error
 

@@ -119,7 +119,7 @@ class JobProgress:
 
     Attributes
     ----------
-    stage : StageState or None
+    stage : StageProgress or None
         Running stage.
     """
 

@@ -40,7 +40,7 @@ def progress_record(
     message : str, optional
         Message for the user, or None if only numbers have changed.
     level : {"info", "warning", "error"}
-    job : WholeJob, optional
+    job : JobProgress, optional
         Progress of the job. Without it, the record has only a message.
     now : float
         Current time by the clock of the job.

@@ -25,7 +25,7 @@ class DensityMap:
 
     Parameters
     ----------
-    patches : iterable of Patch
+    patches : iterable of DensityPatch
         Rectangles, in units of the CRS. Each holds some points, evenly spread.
     metres : float
         Metres in a unit of the CRS.

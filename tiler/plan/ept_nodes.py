@@ -114,7 +114,7 @@ def contradictions(
 
     Parameters
     ----------
-    tiles : PointTiles
+    tiles : EptDataset
     counts : mapping of Path to int
         Points of each file that was looked for, by the hierarchy.
     sources : sequence of SourceInfo

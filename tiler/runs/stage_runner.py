@@ -53,7 +53,7 @@ def run_stage(
 
     Raises
     ------
-    DamagedError
+    CorruptStoreError
         Objects of the store could not be read; all other tasks are done.
     ProcessingError
         A task failed and ``--on-error`` is ``stop``, or store or OUT are gone.

@@ -31,7 +31,7 @@ class ExecutorSettings:
     ----------
     token : str
         Unique name of the executor.
-    limits : Limits
+    limits : TaskLimits
     """
 
     token: str

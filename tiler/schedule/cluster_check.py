@@ -48,7 +48,7 @@ class ClusterAccess:
     ----------
     scheduler : str
         Address of the scheduler, for messages.
-    sources : sequence of (str, State)
+    sources : sequence of (str, FileState)
         Path or URL of each input, and its state in the plan.
     store_url : str or None
         URL of the store, or None if it is not known yet.

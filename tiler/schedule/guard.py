@@ -89,7 +89,7 @@ class ChildProcess:
 
         Raises
         ------
-        Died
+        ChildDiedError
             The child crashed, hung, ran out of memory, or was ended by `kill`. The next call gets a new child.
         Exception
             Exception that the function raised.

@@ -100,7 +100,7 @@ class DaskExecutor:
         Number of workers to start on this machine, if there is no ``address``.
     address : str, optional
         Address of the scheduler of a running cluster.
-    limits : Limits
+    limits : TaskLimits
 
     Raises
     ------

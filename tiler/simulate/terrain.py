@@ -253,7 +253,7 @@ class Terrain:
         Height of the plane at (0, 0), metres.
     slope : (float, float)
         Rise of the plane per metre to the east and to the north.
-    features : tuple of Feature
+    features : tuple of TerrainFeature
     """
 
     base: float = 100.0

@@ -67,7 +67,7 @@ class StoredArray:
         return self.read([self._row(number) for number in numbers])
 
     def read(self, chunks: Sequence[Chunk]) -> list[npt.NDArray[Any]]:
-        """Return whole chunks, read-only. Raise DamagedError with the keys of damaged and missing chunks."""
+        """Return whole chunks, read-only. Raise CorruptStoreError with the keys of damaged and missing chunks."""
         keys = [layout.chunk_key(self.path, chunk) for chunk in chunks]
         found = []
         bad = []
@@ -138,7 +138,7 @@ def _encoded(values: npt.NDArray[Any], kind: ArrayKind) -> bytes:
 def find_array(storage: Storage, path: str, kind: ArrayKind) -> StoredArray | None:
     """Return the array at ``path``, or None if there is none.
 
-    Raise DamagedError if its metadata are damaged, and StoreError if tiler does not write such an array.
+    Raise CorruptStoreError if its metadata are damaged, and StoreError if tiler does not write such an array.
     """
     data = storage.get(f"{path}/zarr.json")
     if data is None:
@@ -154,7 +154,7 @@ def open_array(storage: Storage, path: str, kind: ArrayKind) -> StoredArray:
 
     Raises
     ------
-    DamagedError
+    CorruptStoreError
         There is no array at ``path``, or its metadata are damaged.
     StoreError
         Tiler does not write such an array.
@@ -216,7 +216,7 @@ def write_metadata(
 
 
 def _checked(data: bytes, where: str, path: str, kind: ArrayKind) -> dict[str, Any]:
-    """Return the metadata of an array. Raise DamagedError or StoreError if tiler cannot have written them."""
+    """Return the metadata of an array. Raise CorruptStoreError or StoreError if tiler cannot have written them."""
     try:
         metadata: dict[str, Any] = json.loads(data)
         if not seal_holds(metadata):

@@ -24,7 +24,7 @@ class StorePart:
         self._open: dict[str, StoredArray] = {}
 
     def _opened(self, path: str, kind: ArrayKind) -> StoredArray:
-        """Return the array at a path, which the first call opens. Raise DamagedError if there is no array."""
+        """Return the array at a path, which the first call opens. Raise CorruptStoreError if there is no array."""
         if path not in self._open:
             self._open[path] = open_array(self._storage, path, kind)
         return self._open[path]

@@ -76,7 +76,7 @@ class KeptRecords:
     def read(self, start: int, count: int) -> npt.NDArray[np.void]:
         """Return records ``start`` to ``start + count - 1``, structured, shape (count,).
 
-        Raise DamagedError if a chunk is damaged or missing.
+        Raise CorruptStoreError if a chunk is damaged or missing.
         """
         found: npt.NDArray[np.void] = np.empty(count, self._dtype)
         raw = found.view(np.uint8).reshape(count, self._dtype.itemsize)

@@ -23,7 +23,7 @@ class CellCodes(Model):
     x, y : int32 [m]
         A point of each cell, local counts, by rows of cells.
     codes : uint8 [m]
-    cells : Cells
+    cells : CellLattice
     certain : Window
         All cells outside of it are doubtful.
     stats : dict

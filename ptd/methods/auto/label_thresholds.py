@@ -77,7 +77,7 @@ def decided(
     params : AutoParameters
     found : Roughness
         Density and noise.
-    seen : Seen
+    seen : ReturnStatistics
     held : sequence of tuple
         Figures of the places that hold points.
     run : mapping

@@ -87,7 +87,7 @@ class Lowest:
     ----------
     x, y, z : int32 [n]
         Local counts, one point a cell; at least one.
-    cells : Cells
+    cells : CellLattice
     cell_m : float
         Their side in metres.
     scale : Scale

@@ -176,7 +176,7 @@ def potential_seeds(
         Local counts, at most one point a cell.
     eligible : bool [n]
         False for outliers, which leave their cells empty.
-    cells : Cells
+    cells : CellLattice
         Lattice of the minimum raster.
     opening : Opening
     known : Window

@@ -194,7 +194,7 @@ class Facades:
     ----------
     x, y, z : int32 [n]
         Local counts of all points except vegetation; at least one.
-    cells : Cells
+    cells : CellLattice
     min_points : float
         Threshold of `facade_threshold`.
     """

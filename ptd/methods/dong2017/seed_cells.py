@@ -37,7 +37,7 @@ class SeedCells(CellModel):
     heights : CellModel
     seeds : int32 [3, m]
         Local counts.
-    cells : Cells
+    cells : CellLattice
     """
 
     def __init__(self, heights: CellModel, seeds: Int32, cells: CellLattice) -> None:

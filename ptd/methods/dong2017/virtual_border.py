@@ -61,7 +61,7 @@ def rim(x: Int32, y: Int32, z: Int32, cells: CellLattice) -> Int32:
     ----------
     x, y, z : int32 [n]
         Local counts, at most one point in each cell.
-    cells : Cells
+    cells : CellLattice
 
     Returns
     -------

@@ -177,7 +177,7 @@ def conicoid_outliers(
         1 - alpha, two-sided, of t with n - u - 1 degrees of freedom; with 1 no seed is contradicted.
     least : float
         Smallest residual that contradicts a seed, vertical counts.
-    doubt : Doubt
+    doubt : UncertifiedRegion
         Receives the places of seeds whose fate points outside the window could change.
 
     Returns

@@ -224,7 +224,7 @@ def ridge_points(tin: Tin, data: Bool, stacks: Stacks, rule: RidgeRule, doubt: U
     stacks : Stacks
         Points that may become seeds.
     rule : RidgeRule
-    doubt : Doubt
+    doubt : UncertifiedRegion
         Receives the places where points outside the window could make or move a ridge point. They lie within the radius
         of facets in doubt, or are ridge points of facets near those.
     """

@@ -31,7 +31,7 @@ class Prepared:
     seeds : int32 [m]
         Indices into the stacks.
     virtual : int32 [k, 3]
-    doubt : Doubt
+    doubt : UncertifiedRegion
     low : LowNoise
     limits : Limits
     floor : float

@@ -49,7 +49,7 @@ class Stacks:
     ----------
     x, y, z : int32 [n]
         Local counts, at least one point.
-    cells : Cells
+    cells : CellLattice
 
     Attributes
     ----------
@@ -57,7 +57,7 @@ class Stacks:
         Sorted coordinates.
     starts : int64 [m + 1]
         Stack k holds the points ``starts[k]`` to ``starts[k + 1] - 1``; no stack is empty.
-    raster : Raster
+    raster : StackIndex
     """
 
     def __init__(self, x: Int32, y: Int32, z: Int32, cells: CellLattice) -> None:
@@ -81,7 +81,7 @@ def lowest_within(x: Int32, y: Int32, z: Int32, raster: StackIndex, x3: int, y3:
     ----------
     x, y, z : int32 [n]
         Arrays of `Stacks`.
-    raster : Raster
+    raster : StackIndex
     x3, y3 : int64
         Three times the position in local counts, such as the sum of a facet's corners.
     radius : float
@@ -117,7 +117,7 @@ def places_in_stacks(
         Local counts, in any order. For points at one place any of their indices may result.
     x, y, z : int32
         Arrays of `Stacks`.
-    raster : Raster
+    raster : StackIndex
     """
     found = np.full(of_x.size, -1, np.int32)
     for k in range(of_x.size):

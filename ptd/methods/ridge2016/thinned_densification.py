@@ -152,7 +152,7 @@ class GrowthCounter:
     ----------
     x, y, z : int32 [n]
         Coordinates; neighbours in the array should be near each other.
-    limits : Limits
+    limits : FacetLimits
     floor : float
         Floor of `ptd.ground.labelling.label_points`, whose labels are counted.
     terrain : bool [n]
@@ -208,9 +208,9 @@ def densify_thinned(
         Indices into the stacks.
     virtual : int32 [k, 3]
         x, y, z of vertices that always stay.
-    limits : Limits
+    limits : FacetLimits
         Thresholds with which a point is terrain.
-    doubt : Doubt
+    doubt : UncertifiedRegion
         Receives the points that could become or not become vertices because of points outside the window.
 
     Yields

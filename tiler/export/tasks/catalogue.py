@@ -98,7 +98,7 @@ def catalogue_tasks(
 
     Parameters
     ----------
-    gridding : Gridding
+    gridding : GridContext
     sources : sequence of Source
     kind : str or None
         What made the clouds, as the run found it.

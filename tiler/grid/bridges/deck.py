@@ -93,7 +93,7 @@ class _View:
         Where each slice begins along s.
     width : float
         Of a slice.
-    sides : Sides
+    sides : DeckEdges
     """
 
     s: Floats

@@ -49,7 +49,7 @@ class ExamineDecks:
 
     Attributes
     ----------
-    rule : GroundRule
+    rule : GroundSelection
     spec : RasterSpec
         Of the cells.
     places : tuple of tuples of (row, column, direction)

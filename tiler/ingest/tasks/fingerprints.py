@@ -93,7 +93,7 @@ def contents(
     job : Job
     stage : str
         As people are told of it.
-    files : iterable of (place, State, points)
+    files : iterable of (place, FileState, points)
         Points, or whatever else stands for the work of reading a file.
     writes_out : bool
         The files are those of OUT, which not all workers may see.

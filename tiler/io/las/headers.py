@@ -62,7 +62,7 @@ class LasHeader:
     Attributes
     ----------
     path : Path
-    state : State
+    state : FileState
         State of the file when the header was read.
     version : tuple of int
     global_encoding, header_size, points_offset, record_length : int
@@ -78,7 +78,7 @@ class LasHeader:
         First byte of the waveform packets (LAS 1.3 and later), or 0.
     evlrs_start : int
         First byte of the EVLRs according to the header (LAS 1.4), or 0.
-    vlrs, evlrs : tuple of VariableRecord
+    vlrs, evlrs : tuple of Vlr
         Records that were found.
     laz : LazLayout or None
         Layout of the compressed points, or None if the points are not compressed.

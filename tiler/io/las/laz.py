@@ -75,7 +75,7 @@ class LazLayout:
 
 
 def parse_laszip(record_data: bytes) -> LazLayout:
-    """Return the layout in a laszip record, without the chunk table. Raise LazDamage if the record is wrong."""
+    """Return the layout in a laszip record, without the chunk table. Raise CorruptLazError if the record is wrong."""
     if len(record_data) < _LASZIP.size:
         raise CorruptLazError(f"its laszip record has {len(record_data)} bytes, {_LASZIP.size} are needed")
     compressor, _, _, _, _, _, chunk_size, _, _, n_items = _LASZIP.unpack_from(record_data)
@@ -107,7 +107,7 @@ def parse_laszip(record_data: bytes) -> LazLayout:
 def read_table(
     stream: BinaryIO, layout: LazLayout, points_offset: int, file_size: int, point_count: int
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Return the number of points and bytes of every chunk, int64 each. Raise LazDamage if the table is wrong.
+    """Return the number of points and bytes of every chunk, int64 each. Raise CorruptLazError if the table is wrong.
 
     The number of chunks is compared with the size of the file before lazrs reads the table.
     """
@@ -150,7 +150,7 @@ def _true_counts(
 ) -> npt.NDArray[np.int64]:
     """Return the number of points in each chunk. The last chunk may not be full.
 
-    Raise LazDamage if the numbers do not fit ``point_count``.
+    Raise CorruptLazError if the numbers do not fit ``point_count``.
     """
     if layout.chunk_size is None:
         if int(counts.sum()) != point_count:
@@ -207,7 +207,7 @@ def layered_chunk(stream: BinaryIO, layout: LazLayout, start: int) -> tuple[int,
 
 
 def check_layers(stream: BinaryIO, layout: LazLayout, points_offset: int, first: int, stop: int) -> None:
-    """Compare the layers of chunks ``first`` to ``stop - 1`` with the table. Raise LazDamage if they differ.
+    """Compare the layers of chunks ``first`` to ``stop - 1`` with the table. Raise CorruptLazError if they differ.
 
     Without this check, lazrs would allocate the size that a damaged layer states, up to 4 GiB.
     """

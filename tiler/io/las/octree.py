@@ -109,7 +109,7 @@ def read_octree(header: LasHeader) -> Octree:
 
     Raises
     ------
-    LazDamage
+    CorruptLazError
         There is no octree, it is damaged, or it does not contain each chunk once.
     """
     layout = header.laz

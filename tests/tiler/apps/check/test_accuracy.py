@@ -14,7 +14,7 @@ from pyproj import Transformer
 from tests.scenes.checkpoints import checkpoints, scattered
 from tests.tiler.apps.check.rasters import tilted, write_surface
 from tiler.apps.check import Checkpoints, PointOptions, check_dtm
-from tiler.apps.check.accuracy import bilinear, least_points, pixel_places
+from tiler.apps.check.accuracy import bilinear, min_points, pixel_places
 from tiler.errors import ConfigError, InputError
 
 
@@ -81,7 +81,7 @@ def test_too_few_points_make_no_statement(tmp_path: Path) -> None:
     ("area", "points"), [(0.1, 30), (1000, 30), (1001, 40), (2000, 40), (9500, 120), (1e6, 120)]
 )
 def test_larger_areas_need_more_points(area: float, points: int) -> None:
-    assert least_points(area) == points
+    assert min_points(area) == points
 
 
 def test_land_covers_have_figures_of_their_own(tmp_path: Path) -> None:
