@@ -2,9 +2,9 @@
 
 Vocabulary: a *count* is the integer unit of coordinates (`ptd.frame.Scale` gives its metres). A *candidate* is a
 point that may become a vertex. *Seeds* are the vertices of the first TIN. A *round* tests all candidates against
-one TIN and inserts those that pass. A *window* is a rectangle in which all points are known. A *mark* says that
-points beyond the window could change a decision. A *pass* is a step that a method does on every tile before it
-needs run-wide figures.
+one TIN and inserts those that pass. A *window* is a rectangle in which all points are known. A decision is
+*uncertified* (*marked*) if points beyond the window could change it. A *pass* is a step of a method that is done on
+every tile before figures of the whole run are needed.
 """
 
 from __future__ import annotations

@@ -42,7 +42,7 @@ CLASS_NAMES = {1: "unclassified", 2: "ground", 7: "low noise"}
 
 @dataclass(frozen=True)
 class Result:
-    """Labels and decisions of a filter; a notebook shows them as tables.
+    """Labels and decisions of a filter, which a notebook displays as tables.
 
     Attributes
     ----------
@@ -78,7 +78,7 @@ class Result:
 
 
 def _flat(values: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
-    """Nested values as pairs of name and text; a long list, and what is known by place, is shown by its length."""
+    """Return nested values as pairs of name and text, with long lists and tables by place as their length."""
     found = []
     for name, value in values.items():
         if name == PLACES:
@@ -100,7 +100,7 @@ def _text(value: Any) -> str:
 
 
 def _table(headings: tuple[str, str], rows: list[tuple[str, str]]) -> str:
-    """HTML of a table; empty without rows."""
+    """Return the HTML of a table, or an empty text without rows."""
     if not rows:
         return ""
     head = "".join(f"<th>{escape(heading)}</th>" for heading in headings)
@@ -121,7 +121,7 @@ def classify(
 ) -> Result:
     """Classify a cloud that fits into memory.
 
-    Coordinates are rounded to millimetres; lattices are anchored at coordinate 0, as in a tiled run.
+    Coordinates are rounded to millimetres. Lattices are anchored at coordinate 0, as in a tiled run.
 
     Parameters
     ----------
@@ -149,10 +149,11 @@ def classify(
         If `xyz` is an object of laspy; pass its ``xyz``.
     ValueError
         If `xyz` is not an [n, 3] array, has values that are not finite, extends over more than 60 km (134 km2 for a
-        matched cloud), has x or y beyond 9e12 m or heights beyond 2000 km; if the method or the kind is unknown, or
-        the parameters belong to another method; if `sigma` is not from 1e-6 to 1000 m; if a column has another length
-        or values that its type cannot hold, or is missing although the method needs it; or if the method cannot work
-        on the cloud (`ptd.passes.MethodRefusal`).
+        photogrammetric cloud), or has x or y beyond 9e12 m or heights beyond 2000 km.
+        If the method or the kind is unknown, or the parameters belong to another method.
+        If `sigma` is not from 1e-6 to 1000 m.
+        If a column has another length or values that its type cannot hold, or is missing although the method needs it.
+        If the method cannot work on the cloud (`ptd.passes.MethodRefusal`).
 
     Examples
     --------
@@ -201,7 +202,7 @@ def classify(
 def do_passes(
     params: Any, counts: Int32, columns: dict[str, Any], scale: Scale, window: Window, facts: RunHints
 ) -> tuple[UInt8, dict[str, Any], dict[str, Any]]:
-    """Run all passes that apply on one window; return labels, state, and the statistics of each pass."""
+    """Run all passes that apply on one window, and return labels, state, and the statistics of each pass."""
     state: dict[str, Any] = {"run": asdict(facts)}
     stats = {}
     cell = None
@@ -238,7 +239,7 @@ def _validate_raster_size(counts: Int32, cell_m: float, scale: Scale) -> None:
 
 @dataclass
 class _Cloud:
-    """The points that passes see, with labels: all points, candidates (if the method has cells), elected points."""
+    """Points with labels for passes: all points, candidates (if the method has cells), and elected points."""
 
     everything: Points
     cell: CellLattice | None
@@ -247,7 +248,7 @@ class _Cloud:
     elected: Points | None = None
 
     def seen(self, step: Pass) -> Points:
-        """The points that a pass sees."""
+        """Return the points that a pass gets."""
         if step.elected:
             if self.elected is None:
                 raise ValueError(
@@ -269,7 +270,7 @@ class _Cloud:
         self.elected = Points(xyz, labels)
 
     def label(self, step: Pass, model: Model, later: list[Pass]) -> None:
-        """Label the points that the pass works on; `later` lists the following passes that apply."""
+        """Label the points of the pass. `later` lists the following passes that apply."""
         if step.elected and later:
             seen = self.seen(step)
             self.elected = replace(seen, labels=model.label(_given(seen, step))[0])
@@ -287,7 +288,7 @@ def _given(points: Points, step: Pass) -> Points:
 
 
 def _column(name: str, values: npt.ArrayLike | None, n: int, width: int, dtype: type) -> Any:
-    """A column [width, n] from values [n, width]; None stays None."""
+    """Return a column [width, n] from values [n, width], or None without values."""
     if values is None:
         return None
     found = np.asarray(values)

@@ -61,7 +61,7 @@ def keys_in(x: Int32, y: Int32, cells: CellLattice, col0: int, row0: int, width:
 
 @kernel
 def is_lower(x: Int32, y: Int32, z: Int32, i: int, j: int) -> bool:
-    """Whether point i is lower than j; among equally high points the smaller x counts, then the smaller y."""
+    """Return whether point i is lower than j. Of equally high points, that with the smaller x, then y, is lower."""
     if z[i] != z[j]:
         return bool(z[i] < z[j])
     if x[i] != x[j]:
@@ -249,7 +249,7 @@ def find_slot(slots: Int32, keys: Int64, width: int, height: int, column: int, r
 
 @inlined
 def slot_of(table: CellTable, column: int, row: int) -> int:
-    """Index of a cell among the table's occupied ones; -1 if it is empty or outside."""
+    """Return the index of a cell among the table's occupied ones, or -1 if it is empty or outside."""
     return find_slot(table.slots, table.keys, table.width, table.height, column, row)
 
 
@@ -267,5 +267,5 @@ def _find(
 
 
 def positions(x: Int32, y: Int32) -> Int64:
-    """One number for each position: int64 [n]; different positions have different numbers."""
+    """Return a number for each position, which differs for different positions: int64 [n]."""
     return (x.astype(np.int64) << 32) + y

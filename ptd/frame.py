@@ -44,7 +44,7 @@ class Scale:
 
 @dataclass(frozen=True)
 class CellLattice:
-    """A lattice of square cells of ``p / q`` counts anchored at absolute count 0, seen from local counts.
+    """A lattice of square cells of ``p / q`` counts anchored at absolute count 0, for positions in local counts.
 
     Local count ``x`` lies in column ``((x + origin_x) * q) // p``.
     """
@@ -56,7 +56,7 @@ class CellLattice:
 
     @classmethod
     def of(cls, size_m: float, scale: Scale) -> CellLattice:
-        """Cells of ``size_m`` metres; the exact size is the decimal number that ``repr`` gives."""
+        """Return cells of ``size_m`` metres. The exact size is the decimal number that ``repr`` gives."""
         size = Fraction(repr(float(size_m))) / scale.metres_xy
         return cls(size.numerator, size.denominator, scale.origin[0], scale.origin[1])
 
@@ -65,7 +65,7 @@ class CellLattice:
         return ((x + self.origin_x) * self.q) // self.p
 
     def row(self, y: int) -> int:
-        """Row of local count ``y``; rows grow to the north."""
+        """Return the row of local count ``y``. Rows increase to the north."""
         return ((y + self.origin_y) * self.q) // self.p
 
     def places(

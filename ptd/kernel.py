@@ -36,7 +36,7 @@ _Result = TypeVar("_Result")
 
 @functools.cache
 def cache_folder() -> Path | None:
-    """The folder of this version's machine code, made if necessary; None if there is no place for it."""
+    """Return the folder of this version's machine code, made if necessary, or None if no folder can be written."""
     package = Path(__file__).resolve().parent
     # numba separates installations by location. Without the location, a second installation would expect this one's
     # code.

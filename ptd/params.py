@@ -75,7 +75,7 @@ def _kind(default: Any) -> str:
 
 
 def parse(cls: type[T], texts: dict[str, str]) -> T:
-    """Parameters from ``name=value`` texts; a name may omit its unit suffix (``_m``, ``_deg``).
+    """Make parameters from ``name=value`` texts, in which names may omit the unit suffix (``_m``, ``_deg``).
 
     Raises
     ------

@@ -41,12 +41,12 @@ def noted(state: State, *lines: str) -> list[str]:
 
 
 class MethodRefusal(ValueError):
-    """The statistics show that the method cannot work on this run; one line for the user."""
+    """Error with one line for the user: the statistics show that the method cannot work on this run."""
 
 
 @dataclass(frozen=True)
 class RunHints:
-    """Facts about a run before its first pass; none of them changes with each added file.
+    """Facts about a run before its first pass that do not change with each added file.
 
     Attributes
     ----------
@@ -100,7 +100,7 @@ class Points:
         return x, y, z
 
     def known_labels(self) -> UInt8:
-        """The labels; the pass must have named them in its columns."""
+        """Return the labels, which the pass must have named in its columns."""
         if self.labels is None:
             raise ValueError("the pass was given no labels")
         return self.labels
@@ -141,7 +141,7 @@ class Model(ABC):
 
     @abstractmethod
     def label(self, points: Points) -> tuple[UInt8, npt.NDArray[np.bool_]]:
-        """Labels (uint8 [n], below 128) and marks (bool [n], true if not certified) of points of the window.
+        """Return labels (uint8 [n], below 128) and a mask of uncertified labels (bool [n]) of points of the window.
 
         Labels of the last pass are ASPRS classes; the method defines those of earlier passes. Not called if the pass
         gives no labels. With `Pass.label_margin_m` other points follow those to be labelled; their labels are
@@ -151,8 +151,8 @@ class Model(ABC):
     def elect(self, bounds: Window) -> Int32:
         """The elected points whose x and y lie within half-open bounds: int32 [3, m], local counts.
 
-        Called for parts of the core, only if the pass elects. Points and their order must follow from their
-        surroundings alone, not from the window or the bounds. In a tiled run the bounds are those of a bucket, which
+        Called for parts of the core, only if the pass elects. Points and their order must follow only from their
+        surroundings, not from the window or the bounds. In a tiled run the bounds are those of a bucket, which
         keeps at most as many elected points as its rows hold points. Cells with one elected point each nest in
         buckets if 8 m are a whole number of cells.
         """
@@ -165,7 +165,7 @@ class Model(ABC):
     def uncertain(self) -> int:
         """Number of points of the core that `partial` may count wrongly, because points beyond the window are unknown.
 
-        A core with such points is done again with a wider halo, like one with a mark.
+        A core with such points is repeated with a wider halo, like one with uncertified labels.
         """
         return 0
 
@@ -184,7 +184,7 @@ class StatisticsModel(Model):
         self._partial, self.stats = partial, stats or {}
 
     def label(self, points: Points) -> tuple[UInt8, npt.NDArray[np.bool_]]:
-        """Not called."""
+        """Raise NotImplementedError, as the pass gives no labels."""
         raise NotImplementedError("the pass gives no labels")
 
     def partial(self) -> dict[str, Any]:
@@ -213,7 +213,7 @@ class Pass(ABC):
         Distance beyond which nothing can change the result at a place. A window with exactly this margin around its
         core gives the untiled answer, without wider halos or open sides. 0: the core suffices. None: no such bound.
     elects : bool
-        Whether the pass makes points of its own (`Model.elect`), for example one per cell, for later `elected` passes.
+        Whether the pass makes new points (`Model.elect`), for example one per cell, for later `elected` passes.
         If it gives labels, `Model.label` gets these points, with xyz only, and labels them. The next such pass replaces
         them.
     elected : bool
@@ -260,7 +260,7 @@ class Pass(ABC):
         """Work on the points of a window, in any order. Only the core counts for `Model.partial`."""
 
     def local(self, state: State, window: Window, scale: Scale) -> dict[str, Any]:
-        """What `fit` needs of a state for a window: so far away, another file changes nothing of it."""
+        """Return the part of a state that `fit` needs for a window, so that distant files do not change it."""
         found = {name: value for name, value in state.items() if name not in ("notes", places.PLACES)}
         for name, looked_at in LOOKED_AT.items():
             if name in found:
@@ -270,7 +270,10 @@ class Pass(ABC):
         return found
 
     def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
-        """The state after the pass; it must not depend on the order of the partials. `MethodRefusal` ends the run."""
+        """Return the state after the pass, which must not depend on the order of the partials.
+
+        `MethodRefusal` ends the run.
+        """
         return dict(state)
 
 

@@ -1,8 +1,9 @@
 """Figures that differ from place to place: places are squares of 256 m on a lattice anchored at CRS coordinate 0.
 
-The state of a run holds a table of them under `PLACES`: a place as "column,row" to its figures, which are those of its
-middle. Between middles a figure is bilinear (`Field`). The table of a country has a million entries, so a task is given
-those around its window alone (`near`); what a point gets rests on the four middles around it, so it is the same.
+The state of a run contains a table of them under `PLACES`: keys are places as "column,row", values are the figures at
+their middles. Between middles a figure is bilinear (`Field`). The table of a country has a million entries, so a task
+gets only those around its window (`near`). The figure at a point depends on the four middles around it, so it is the
+same.
 """
 
 from __future__ import annotations
@@ -17,7 +18,7 @@ from ptd.frame import OPEN, CellLattice, Scale, Window
 from ptd.kernel import as_int64, kernel
 
 PLACE_M = 256.0
-"""Side of a place in metres: some hundreds of planar patches, and no wider than a flight strip."""
+"""Side of a place in metres. A place has some hundreds of planar patches, and is not wider than a flight strip."""
 PLACES = "places"
 """Name of the table in the state of a run."""
 
@@ -40,7 +41,7 @@ def place_of(name: str) -> tuple[int, int]:
 
 
 def near(table: Table, window: Window, scale: Scale) -> dict[str, Figures]:
-    """The places of a table that a figure anywhere in a window rests on; all of them for an open window."""
+    """Return the places of a table on which figures in a window depend, or all of them for an open window."""
     if OPEN in (window.east, window.north, -window.west, -window.south):
         return dict(table)
     cells = CellLattice.of(PLACE_M, scale)
@@ -53,20 +54,20 @@ def near(table: Table, window: Window, scale: Scale) -> dict[str, Figures]:
 
 
 class Field(NamedTuple):
-    """A figure by place, bilinear between the middles of places; kernels take it.
+    """A figure by place, bilinear between the middles of places, as an argument of kernels.
 
     Attributes
     ----------
     values : float64 [rows, columns]
-        At the middles of places, the southern row first; at least two rows and columns.
+        Values at the middles of places, southern row first, at least two rows and columns.
     column, row : int
-        The first place.
+        Column and row of the first place.
     p, q, origin_x, origin_y : int
-        The lattice, see `ptd.frame.CellLattice`.
+        Fields of the lattice (`ptd.frame.CellLattice`).
     even : bool
-        The figure is the same everywhere.
+        Whether the figure is the same everywhere.
     low, high : float
-        It is never less or more.
+        Smallest and largest value.
     """
 
     values: Float64
@@ -81,26 +82,26 @@ class Field(NamedTuple):
     high: float
 
     def times(self, factor: float) -> Field:
-        """The figure in another unit; the factor is positive."""
+        """Return the figure in another unit, by a positive factor."""
         return self._replace(values=factor * self.values, low=factor * self.low, high=factor * self.high)
 
 
 def everywhere(value: float) -> Field:
-    """A figure that is the same everywhere."""
+    """Return a figure that is the same everywhere."""
     return Field(np.full((2, 2), float(value)), 0, 0, 1, 1, 0, 0, True, float(value), float(value))
 
 
 def field(table: Table, figure: int, scale: Scale, otherwise: float) -> Field:
-    """The figure of a number in a table.
+    """Return one figure of all places in a table.
 
     Parameters
     ----------
     table : mapping
     figure : int
-        Which of a place's figures.
+        Index of the figure among those of a place.
     scale : Scale
     otherwise : float
-        Where the table holds no place: no point rests on that.
+        Value at places that the table does not contain. No figure at a point depends on them.
     """
     known = {place_of(name): figures[figure] for name, figures in table.items()}
     found = {place: float(value) for place, value in known.items() if value is not None}
@@ -119,7 +120,7 @@ def field(table: Table, figure: int, scale: Scale, otherwise: float) -> Field:
 
 
 def as_field(figure: float | Field) -> Field:
-    """A figure by place; a number is the same everywhere."""
+    """Return a figure by place. A number becomes a figure that is the same everywhere."""
     return figure if isinstance(figure, Field) else everywhere(figure)
 
 
@@ -138,7 +139,7 @@ def _between(position: int, p: int, q: int, first: int, n: int) -> tuple[int, fl
 
 @kernel
 def value_at(field: Field, x: int, y: int) -> float:
-    """The figure at a position, local counts."""
+    """Return the figure at a position in local counts."""
     values = field.values
     if field.even:
         return float(values[0, 0])
@@ -153,7 +154,7 @@ def value_at(field: Field, x: int, y: int) -> float:
 
 @kernel
 def values_at(field: Field, x: Int32, y: Int32) -> Float64:
-    """The figure at each of some positions, local counts: float64 [n]."""
+    """Return the figure at each of some positions in local counts: float64 [n]."""
     if field.even:
         return np.full(x.size, field.values[0, 0])
     found = np.empty(x.size, np.float64)
@@ -163,7 +164,7 @@ def values_at(field: Field, x: Int32, y: Int32) -> Float64:
 
 
 def of_places(table: Table, figure: int, x: Int32, y: Int32, scale: Scale) -> Float64:
-    """The figure of the place that each position (local counts) lies in, not one between middles: float64 [n]."""
+    """Return the figure of the place of each position (local counts), without interpolation: float64 [n]."""
     found = field(table, figure, scale, 0.0)
     if found.even:
         return np.full(x.size, found.values[0, 0])
@@ -187,7 +188,7 @@ def _raster_of(field: Field, x: Int64, y: Int64) -> Float64:
 def on_cells(
     figure: float | Field, cells: CellLattice, row: int, column: int, shape: tuple[int, ...]
 ) -> Float64:
-    """The figure at the middles of cells of a raster that begins at a row and column: float64 [rows, columns]."""
+    """Return the figure at the middles of a raster's cells from a row and column on: float64 [rows, columns]."""
     field = as_field(figure)
     if field.even:
         return np.full(shape, field.values[0, 0])
@@ -198,6 +199,6 @@ def on_cells(
 
 
 def span(values: Sequence[float], digits: int, unit: str = "") -> str:
-    """Smallest and largest of some values, in words: one number where both look the same."""
+    """Return the smallest and largest of some values in words, or one number if both look the same."""
     low, high = (f"{value:.{digits}g}" for value in (min(values), max(values)))
     return f"{low}{unit}" if low == high else f"{low} to {high}{unit}"

@@ -1,6 +1,7 @@
-"""Compile the kernels once per machine, before workers start, which would each compile them.
+"""Compilation of the kernels once per machine, before workers start, as each worker would compile them otherwise.
 
-`ptd.kernel` says where the machine code is kept. A file beside the code marks each method whose kernels are compiled.
+`ptd.kernel` describes where the machine code is kept. A file next to the code marks each method whose kernels are
+compiled.
 """
 
 from __future__ import annotations
@@ -49,7 +50,7 @@ def _scene() -> tuple[Float64, npt.NDArray[np.uint16]]:
 def has_kinds(method: str) -> bool:
     """Whether a method has passes that do not always apply.
 
-    Passes for one kind of clouds have kernels of their own.
+    Passes for one kind of clouds have separate kernels.
     """
     from ptd.methods import METHODS
     from ptd.passes import Pass
@@ -58,7 +59,7 @@ def has_kinds(method: str) -> bool:
 
 
 def warm_filters(method: str, tell: Callable[[], None], kind: str | None = None) -> None:
-    """Compile the kernels of a method unless that was done; call ``tell`` before it takes long.
+    """Compile the kernels of a method if necessary, and call ``tell`` before it takes long.
 
     Parameters
     ----------
@@ -74,12 +75,12 @@ def warm_filters(method: str, tell: Callable[[], None], kind: str | None = None)
     def work(which: str | None) -> None:
         xyz, rgb = _scene()
         counts = np.ascontiguousarray((1000 * xyz).T.astype(np.int32))
-        # Several returns show a laser scan. The kind is not given, so that the passes that decide it compile as well.
+        # Several returns show a LiDAR cloud. The kind is not given, so that the passes that decide it compile as well.
         returns = np.ones((2, len(xyz)), np.uint8)
         if which == KINDS[0]:
             returns += 1
         columns = {"rgb": np.ascontiguousarray(rgb.T), "returns": returns}
-        tile = Window(0, 0, 60_000, 60_000)  # points beyond it are in doubt, which needs further kernels
+        tile = Window(0, 0, 60_000, 60_000)  # Uncertified points beyond it need further kernels.
         do_passes(METHODS[method].params(), counts, columns, Scale(), tile, RunHints())
 
     kinds: tuple[str | None, ...] = (None,)
@@ -90,7 +91,7 @@ def warm_filters(method: str, tell: Callable[[], None], kind: str | None = None)
 
 
 def filters_name(method: str, kind: str | None) -> str:
-    """Name of the mark for a method's kernels; ``kind`` counts if the method has passes for it."""
+    """Return the name of the mark for a method's kernels, with ``kind`` if the method has passes for it."""
     if kind and has_kinds(method):
         return f"{method}-{kind}"
     return method
@@ -108,19 +109,19 @@ def is_compiled(name: str) -> bool:
 
 
 def why_not_compiled(name: str) -> str:
-    """Why kernels of that name are yet to be compiled, in words."""
+    """Return, in words, why the kernels of a name are yet to be compiled."""
     folder = cache_folder()
     if folder is None:
         return "no folder for machine code can be written, so each process compiles for itself"
     if any(folder.glob("*.compiled")):
-        return f"the first run here that needs those of {name}; each kind of cloud and method has some of its own"
+        return f"the first run here that needs those of {name}; each kind of cloud and method needs different ones"
     if any(other != folder for other in folder.parent.iterdir()):
         return f"those in {folder.parent} are of another version or installation of tiler or numba"
     return f"the first run that keeps its machine code in {folder.parent}"
 
 
 def warm_gridding(interpolation: Literal["linear", "natural"], tell: Callable[[], None]) -> None:
-    """Compile the kernels of gridding unless that was done; call ``tell`` before it takes long."""
+    """Compile the kernels of gridding if necessary, and call ``tell`` before it takes long."""
     from ptd.gridding import ground_cells, highest_returns, nearest, wall_feet
     from ptd.tin import KnownWindow, Pixels, Tin, rasterise
 
@@ -141,10 +142,10 @@ def warm_gridding(interpolation: Literal["linear", "natural"], tell: Callable[[]
 
 
 def _once(name: str, tell: Callable[[], None], work: Callable[[], None]) -> None:
-    """Compile by running `work`, unless the mark beside the machine code exists."""
+    """Compile by running `work`, unless the mark next to the machine code exists."""
     folder = cache_folder()
     if folder is None:
-        tell()  # every process compiles for itself
+        tell()  # Every process compiles for itself.
         return
     done = folder / f"{name}.compiled"
     if done.exists():

@@ -1,1 +1,1 @@
-"""Surfaces beside those of the TIN: nearest points, inverse distances, highest returns, feet of walls, shading."""
+"""Surfaces other than the TIN: nearest points, inverse distances, highest returns, feet of walls, shading."""

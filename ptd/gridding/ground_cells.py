@@ -1,6 +1,6 @@
-"""Sums of points by cells, and how far points lie from the plane through them in windows of such cells.
+"""Sums of points by cells, and residuals of points from the planes through them in windows of cells.
 
-Sums are whole numbers, so they depend neither on the order of points nor on what else lies in the raster of cells.
+Sums are whole numbers, so they depend neither on the order of points nor on other points in the raster of cells.
 """
 
 from __future__ import annotations
@@ -18,15 +18,16 @@ Int64 = npt.NDArray[np.int64]
 Float64 = npt.NDArray[np.float64]
 
 PLANE_POINTS = 6
-"""Points in a window, at least, for a plane and how far they lie from it: three more than a plane needs."""
+"""Least number of points in a window for a plane and their residuals: three more than a plane needs."""
 FLATTEST = 0.01
-"""A window's points are on a line where the determinant of their spread is below this share of that of a disk."""
+"""Share of the determinant of a disk up to which the points of a window lie on a line, by the determinant of their
+spread."""
 SUMS = 10
-"""Number, x, y, z, xx, xy, xz, yy, yz, zz."""
+"""Number of sums: number, x, y, z, xx, xy, xz, yy, yz, zz."""
 
 
 class CellWindow(NamedTuple):
-    """A raster of cells of the lattice anchored at absolute count 0; row 0 is the northern one.
+    """A raster of cells of the lattice anchored at absolute count 0, with the northern row first.
 
     Attributes
     ----------
@@ -75,10 +76,10 @@ def _sums(x: Int32, y: Int32, z: Int32, window: tuple[int, ...], start: tuple[in
 
 @kernel
 def _plane_variance(sums: Int64, row: int, column: int, half: int, middle: tuple[int, int]) -> float:
-    """Variance of heights about their plane in a window of cells; -1 where too few points span none.
+    """Return the variance of heights about their plane in a window of cells, or -1 if too few points give no plane.
 
-    ``middle`` is that of the window, from the start of the sums. On the way to it int64 may wrap; what is left is small
-    and exact.
+    ``middle`` is that of the window, relative to the start of the sums. Intermediate int64 sums may wrap, but their
+    differences are small and exact.
     """
     top, bottom, left, right = row - half, row + half + 1, column - half, column + half + 1
     s = np.empty(SUMS, np.int64)
@@ -123,14 +124,14 @@ def _plane_variances(
 
 
 def plane_variance(xyz: Int32, window: CellWindow, half_widths: Sequence[int]) -> Float64:
-    """Variance of the heights about the plane through them, around each cell in the smallest window with enough points.
+    """Return the variance of heights about their plane, around each cell in the smallest window with enough points.
 
     Parameters
     ----------
     xyz : int32 [3, n]
         Local counts; points outside of the window are ignored.
     window : CellWindow
-        With as many cells on each side, beyond those that are asked for, as the widest of the ``half_widths``.
+        Raster of the requested cells with a margin on each side as wide as the largest of the ``half_widths``.
     half_widths : sequence of int
         Cells on each side of the middle one, ascending.
 
@@ -150,7 +151,7 @@ def plane_variance(xyz: Int32, window: CellWindow, half_widths: Sequence[int]) -
 
 
 def cell_counts(xyz: Int32, window: CellWindow) -> Int64:
-    """Number of points in each cell, int64 [rows, columns], of points int32 [3, n]; those outside are ignored."""
+    """Count the points (int32 [3, n]) in each cell: int64 [rows, columns]. Points outside are ignored."""
     x, y = (np.ascontiguousarray(axis) for axis in xyz[:2])
     found: Int64 = _counts(x, y, tuple(window))
     return found

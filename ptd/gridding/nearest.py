@@ -114,7 +114,7 @@ def _look_in(
     index: Int32,
     found: int,
 ) -> int:
-    """Merge the points of a cell (first, last) into the ``found`` nearest of a pixel; return their new number.
+    """Merge the points of a cell (first, last) into the ``found`` nearest of a pixel, and return their new number.
 
     Only points within the disk (x, y, squared radius) count.
     """

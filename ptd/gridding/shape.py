@@ -1,10 +1,10 @@
 """Slope and shading from heights: pixels with their eight neighbours.
 
 Gradients are Horn's (1981, Hill shading and the reflectance map, Proc. IEEE 69(1), p. 18): a third-order finite
-difference, east and north, over the 3 x 3 pixels. Where neighbours have no height (the border of the survey, of the
-raster, of a hole) the missing one is mirrored through the centre from its opposite, and a missing corner
-completes the parallelogram of its two sides: planes stay exact to their last pixel. A direction in which neither
-neighbour is known counts as level.
+difference, east and north, over the 3 x 3 pixels. Neighbours may have no height at the border of the survey, of the
+raster or of a hole. A missing side is mirrored through the centre from the opposite one, and a missing corner completes
+the parallelogram of its two sides, so planes stay exact to their last pixel. A direction in which neither neighbour is
+known counts as level.
 """
 
 from __future__ import annotations
@@ -66,13 +66,15 @@ def slope_deg(east: Float64, north: Float64) -> Float64:
 
 
 def multidirectional_hillshade(east: Float64, north: Float64) -> Float64:
-    """Shading from four suns, 1 (dark) to 255 as whole numbers; NaN where the gradients are.
+    """Return the shading from four suns as whole numbers from 1 (dark) to 255, NaN where the gradients are NaN.
 
-    Suns in the west half of the sky, 45 degrees high, at `AZIMUTHS_DEG`; each counts by the squared cosine of the angle
-    between its azimuth and the aspect, so that slopes of every direction are lit; the weights sum to 2. After Mark
-    (1992, Multidirectional, oblique-weighted, shaded-relief image of the Island of Hawaii, USGS OFR 92-422) as `gdaldem
-    hillshade -multidirectional` computes it: there the squared sine of Mark's text is taken of an aspect a quarter turn
-    away. Shades are scaled to 1 + 254 times the cosine of incidence, as there: level ground is 181.
+    The suns are in the west half of the sky, 45 degrees high, at `AZIMUTHS_DEG`. Each counts by the squared cosine of
+    the angle between its azimuth and the aspect, so that slopes of every direction are lit. The weights sum to 2.
+
+    The source is Mark (1992, Multidirectional, oblique-weighted, shaded-relief image of the Island of Hawaii, USGS OFR
+    92-422), as `gdaldem hillshade -multidirectional` computes it: there the squared sine of Mark's text is taken of an
+    aspect a quarter turn away. Shades are scaled to 1 + 254 times the cosine of incidence, as there, so level ground is
+    181.
     """
     squared = east * east + north * north
     sin_h, cos_h = math.sin(math.radians(ALTITUDE_DEG)), math.cos(math.radians(ALTITUDE_DEG))

@@ -1,6 +1,6 @@
-"""Ground points at the foot of objects.
+"""Ground points at the foot of objects: remnants of walls and buildings in photogrammetric clouds.
 
-Image matching leaves such points on walls; they would be the stumps of removed buildings.
+Image matching leaves such points on walls. Without the buildings, they would stay in the terrain as stumps.
 """
 
 from __future__ import annotations
@@ -29,9 +29,9 @@ def _beside(
     reach2: int,
     rise: int,
 ) -> npt.NDArray[np.bool_]:
-    """Whether a point of an object lies near each ground point and is higher by ``rise``.
+    """Return whether a point of an object lies near each ground point and is higher by at least ``rise``.
 
-    Objects are sorted by cell; ``tops`` is the greatest height in each cell.
+    Objects are sorted by cell. ``tops`` has the greatest height in each cell.
     """
     x, y, z = ground
     columns, rows = places
@@ -56,16 +56,16 @@ def _beside(
 def near_objects(
     ground: Int32, objects: Int32, reach: Fraction, rise: int, origin: tuple[int, int]
 ) -> npt.NDArray[np.bool_]:
-    """Ground points that have a point of an object within ``reach`` in plan and at least ``rise`` higher.
+    """Return a mask of the ground points with a point of an object within ``reach`` that is ``rise`` or more higher.
 
     Parameters
     ----------
     ground, objects : int32 [3, n], [3, m]
         Local counts.
     reach : Fraction
-        Horizontal counts.
+        Largest distance in plan, in horizontal counts.
     rise : int
-        Vertical counts.
+        Least height difference in vertical counts.
     origin : tuple of int
         Absolute counts of the local 0.
 

@@ -1,1 +1,1 @@
-"""What several methods share: seeds, densification, labelling, outliers, noise, and what a window is certain of."""
+"""Shared parts of several methods: seeds, densification, labelling, outliers, noise, and certificates."""

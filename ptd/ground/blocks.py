@@ -1,4 +1,4 @@
-"""Work on a window in blocks, so that rasters do not grow with its extent."""
+"""Division of a window into blocks, so that rasters do not grow with its extent."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from ptd.frame import CellLattice
 from ptd.ground.morphology import Bool
 
 SIDE_CELLS = 2048
-"""Side of a block, without what lies around it within reach."""
+"""Side of a block in cells, without the margin around it."""
 
 
 def blocks(
     x: Int32, y: Int32, cells: CellLattice, reach: int, side: int | None = None
 ) -> Iterator[tuple[Int64, Bool]]:
-    """Points in square blocks of cells, each with all points within ``reach`` cells of the block.
+    """Divide points into square blocks of cells, each with all points within ``reach`` cells of the block.
 
-    So no raster is larger than a block, however far apart the points are; what depends on nothing beyond the reach is
-    the same in any blocks.
+    No raster is larger than a block with its margin, however far apart the points are. A result that depends only on
+    points within the margin is the same for any blocks.
 
     Parameters
     ----------
@@ -28,14 +28,16 @@ def blocks(
         Local counts, by rows of cells (as `ptd.cells.lowest_per_cell` gives them).
     cells : CellLattice
     reach : int
+        Margin around a block in cells.
     side : int, optional
-        Cells along a side of a block; `SIDE_CELLS` if left out.
+        Number of cells along a side of a block; `SIDE_CELLS` by default.
 
     Yields
     ------
     index : int64 [m]
+        Indices of the points of a block and its margin.
     inner : bool [m]
-        Which of them belong to the block; each point to one.
+        Mask of the points that belong to the block. Each point belongs to one block.
     """
     if x.size == 0:
         return

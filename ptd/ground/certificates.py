@@ -1,9 +1,10 @@
-"""Finds the triangles of a window's TIN that points outside the window could change.
+"""Certificates: the triangles of a window's TIN that points outside the window cannot change.
 
-A triangle is the same for any larger cloud if its circumcircle holds no place in doubt. A decision that used a triangle
-in doubt puts its point's place in doubt too, since the point may or may not become a vertex. So doubt grows round by
-round from the closed sides of the window, and what it has not reached is proven equal to the untiled run.
-The proof is in ``docs/filters.md``.
+Positions are uncertified if points outside the window could change the vertices there. A triangle is the same for any
+larger cloud if its circumcircle contains no uncertified position. A decision that used another triangle makes the
+position of its point uncertified too, since the point may or may not become a vertex. So the uncertified region grows
+round by round from the closed sides of the window. Everything that it has not reached is proven equal to the untiled
+run. The proof is in ``docs/filters.md``.
 """
 
 from __future__ import annotations
@@ -20,8 +21,9 @@ from ptd.tin.layout import Int32Array, Mesh, is_ghost
 from ptd.tin.mesh import Tin
 
 DOUBT_CELL_M = 2.0
+"""Smallest side of the cells of the raster of uncertified positions."""
 MAX_RASTER = 1024
-"""Cells of the raster of doubt along its longer side, at most."""
+"""Largest number of cells of that raster along its longer side."""
 
 Float32 = npt.NDArray[np.float32]
 UInt8 = npt.NDArray[np.uint8]
@@ -32,7 +34,7 @@ Bool = npt.NDArray[np.bool_]
 def _mark_places(
     mask: UInt8, west: int, south: int, cell: int, x: Int32Array, y: Int32Array, which: npt.NDArray[np.bool_]
 ) -> bool:
-    """Put the places of the chosen points in doubt; whether that was new for any of them."""
+    """Make the positions of the chosen points uncertified, and return whether any of them was certified before."""
     changed = False
     for i in range(x.size):
         if which[i]:
@@ -46,7 +48,7 @@ def _mark_places(
 
 @kernel
 def _distance_to_side(ax: float, ay: float, bx: float, by: float) -> float:
-    """From the origin to the segment a b."""
+    """Return the distance from the origin to the segment a b."""
     dx, dy = bx - ax, by - ay
     length2 = dx * dx + dy * dy
     share = min(max(-(ax * dx + ay * dy) / length2, 0.0), 1.0) if length2 > 0.0 else 0.0
@@ -57,7 +59,7 @@ def _distance_to_side(ax: float, ay: float, bx: float, by: float) -> float:
 def _mark_triangles(
     mask: UInt8, west: int, south: int, cell: int, mesh: Mesh, which: UInt8, reach: float
 ) -> None:
-    """Put cells with a place within `reach` of a chosen real triangle in doubt, and a few more."""
+    """Make all cells within `reach` of the chosen real triangles uncertified, and a few more."""
     vertices, triangles = mesh
     near = reach + math.sqrt(0.5) * cell + 1.0
     corners = np.empty((3, 2), np.float64)
@@ -105,7 +107,10 @@ def _circle_in_doubt(
     cell: float,
     free: Float32,
 ) -> bool:
-    """Whether the circle through a, a + b, a + c may hold a place in doubt (rarely a wrong yes, never a wrong no)."""
+    """Return whether the circle through a, a + b, a + c may contain an uncertified position.
+
+    The answer may rarely be yes although there is none, but is never wrongly no.
+    """
     area = 2.0 * (bx * cy - by * cx)
     b2, c2 = bx * bx + by * by, cx * cx + cy * cy
     if abs(area) <= 1e-9 * (abs(bx * cy) + abs(by * cx)):
@@ -117,7 +122,7 @@ def _circle_in_doubt(
 
 @inlined
 def _disk_in_doubt(x: float, y: float, radius: float, sides: _Sides, cell: float, free: Float32) -> bool:
-    """Whether a disk may hold a place in doubt."""
+    """Return whether a disk may contain an uncertified position."""
     if not _within(x, y, radius, sides.known):
         return True
     if not _within(x, y, radius, sides.raster) and not _within(x, y, radius, sides.deep):
@@ -125,7 +130,8 @@ def _disk_in_doubt(x: float, y: float, radius: float, sides: _Sides, cell: float
     column, row = (x - sides.raster[0]) / cell, (y - sides.raster[1]) / cell
     near_x = min(max(column, 0.0), float(free.shape[1]))
     near_y = min(max(row, 0.0), float(free.shape[0]))
-    # The nearest point of the raster is nearer to all of it than the centre is, by at least the rest of a right angle.
+    # The way from a centre beyond the raster to a position in it turns by at least a right angle at the raster's
+    # nearest point. So the squared distance is at least the sum of the squares of both parts.
     beyond2 = (column - near_x) ** 2 + (row - near_y) ** 2
     clear = float(free[min(int(near_y), free.shape[0] - 1), min(int(near_x), free.shape[1] - 1)])
     return radius >= (math.sqrt(beyond2 + clear * clear) if beyond2 > 0.0 else clear) * cell
@@ -133,7 +139,7 @@ def _disk_in_doubt(x: float, y: float, radius: float, sides: _Sides, cell: float
 
 @kernel
 def _within(x: float, y: float, radius: float, sides: tuple[float, float, float, float]) -> bool:
-    """Whether a disk lies within west, south, east, north."""
+    """Return whether a disk lies within west, south, east, north."""
     return bool(
         x - radius >= sides[0] and y - radius >= sides[1] and x + radius < sides[2] and y + radius < sides[3]
     )
@@ -170,16 +176,16 @@ def _disks_in_doubt(
 
 
 class UncertifiedRegion:
-    """Places in doubt: all outside the known window, and a raster of those inside it.
+    """Region of uncertified positions: everything outside the known window, and a raster of cells inside it.
 
     Parameters
     ----------
     known : Window
-        Where all candidates, and what they are, are known.
+        Window in which all candidates, and what they are, are known.
     deep : Window
-        Where besides no seed, virtual ones included, can appear or vanish beyond the raster.
+        Window in which, in addition, no seed (real or virtual) can appear or vanish beyond the raster.
     box : (int, int, int, int)
-        West, south, east, north of the raster, local counts.
+        West, south, east, north of the raster in local counts.
     scale : Scale
     """
 
@@ -198,7 +204,7 @@ class UncertifiedRegion:
         self._stale = True
 
     def add_box(self, west: int, south: int, east: int, north: int) -> None:
-        """Put a half-open rectangle of local counts in doubt."""
+        """Make a half-open rectangle of local counts uncertified."""
         c0, r0 = max((west - self.west) // self.cell, 0), max((south - self.south) // self.cell, 0)
         c1, r1 = (
             max((east - 1 - self.west) // self.cell + 1, 0),
@@ -208,19 +214,19 @@ class UncertifiedRegion:
         self._stale = True
 
     def add_points(self, x: Int32Array, y: Int32Array, which: npt.NDArray[np.bool_]) -> bool:
-        """Put the places of the points chosen by the mask in doubt; whether that was new for any of them."""
+        """Make the positions of points in a mask uncertified, and return whether any of them was certified before."""
         new = self.active and _mark_places(self.mask, self.west, self.south, self.cell, x, y, which)
         self._stale = self._stale or new
         return new
 
     def add_triangles(self, tin: Tin, which: UInt8, reach: float) -> None:
-        """Put all places within `reach` counts of the chosen real triangles in doubt."""
+        """Make all positions within `reach` counts of the chosen real triangles uncertified."""
         if self.active:
             _mark_triangles(self.mask, self.west, self.south, self.cell, tin.mesh, which, reach)
             self._stale = True
 
     def covers(self, x: Int32Array, y: Int32Array) -> npt.NDArray[np.bool_]:
-        """Whether places are in doubt: bool [n]."""
+        """Return whether positions in local counts are uncertified: bool [n]."""
         if not self.active:
             return np.zeros(x.size, np.bool_)
         k = self.known
@@ -231,21 +237,27 @@ class UncertifiedRegion:
         return found
 
     def triangles(self, tin: Tin) -> UInt8:
-        """1 for each triangle whose circumcircle may hold a place in doubt, or that has no circle, as uint8."""
+        """Return 1 for each uncertified triangle, else 0: uint8 [triangles].
+
+        The circumcircle of an uncertified triangle may contain an uncertified position, or the triangle has no circle.
+        """
         out = np.zeros(tin.n_triangles, np.uint8)
         if self.active:
             _doubtful_triangles(tin.mesh, self._sides, self.cell, self._fresh(), out)
         return out
 
     def near(self, x: Int32Array, y: Int32Array, radius: float) -> Bool:
-        """Whether a place in doubt may lie within a radius (counts) of positions (local counts): bool [n]."""
+        """Return whether an uncertified position may lie within a radius of positions: bool [n].
+
+        The radius is in counts, positions are local counts.
+        """
         out = np.zeros(x.size, np.bool_)
         if self.active:
             _disks_in_doubt(x, y, float(radius), self._sides, float(self.cell), self._fresh(), out)
         return out
 
     def _fresh(self) -> Float32:
-        """Free cells around each, as the raster is now."""
+        """Return the certified distance around each cell (`_free_cells`) for the current raster."""
         if self._stale:
             self._free = _free_cells(self.mask)
             self._stale = False
@@ -253,16 +265,15 @@ class UncertifiedRegion:
 
 
 def _floats(window: Window) -> tuple[float, float, float, float]:
-    """West, south, east, north."""
     return float(window.west), float(window.south), float(window.east), float(window.north)
 
 
 def _free_cells(mask: UInt8) -> Float32:
-    """Cells that any place in a cell keeps at least from any place in doubt: float32, shape of `mask`."""
+    """Return the least distance in cells of positions in each cell from uncertified cells: float32 [rows, columns]."""
     if not mask.any():
         return np.full(mask.shape, np.inf, np.float32)
     from scipy.ndimage import distance_transform_edt
 
     cells = distance_transform_edt(mask == 0)
-    # From a place in one cell to a place in another: the centres' distance less a diagonal, in cells.
+    # Positions in two cells are at most a diagonal nearer to each other than the centres are.
     return np.maximum(cells - math.sqrt(2.0), 0.0).astype(np.float32)

@@ -29,24 +29,24 @@ def connected_surfaces(
     Parameters
     ----------
     heights : int32 [rows, columns]
-        Counts; `EMPTY` where there is none.
+        Heights in counts; `EMPTY` where there is none.
     straight, diagonal : float or float64 [rows, columns of blocks]
-        Neighbours along a row or column, and across corners, are of one surface if their heights differ by less: by
-        the larger limit of two blocks.
+        Height difference below which neighbours along a row or column, and across corners, belong to one surface. The
+        larger limit of the neighbours' blocks counts.
     gap : int
-        Neighbours may be so many cells apart, with empty cells between them.
+        Largest distance of neighbours in cells, with empty cells between them.
     tilts : (int64, int64), optional
-        Slope of the terrain at large to the north and to the east, counts a cell, one for each block of cells: it is
-        enough if heights differ by less without that slope.
+        Slopes of the terrain at large to the north and to the east in counts per cell, for each block of cells.
+        Neighbours also belong to one surface if their heights without this slope differ by less.
     block : int
         Side of those blocks in cells.
 
     Returns
     -------
     surface : int32 [rows, columns]
-        The surface of each cell by number, in the order of their first cells; -1 where it is empty.
+        Number of each cell's surface, in the order of their first cells; -1 for empty cells.
     n : int
-        How many there are.
+        Number of surfaces.
     """
     if tilts is None:
         block = max(*heights.shape, 1)

@@ -1,4 +1,4 @@
-"""Axelsson's test of whether a point may join the facet that it lies in.
+"""Axelsson's test of whether a point may join the facet in which it lies.
 
 Source: Axelsson (2000), DEM generation from laser scanner data using adaptive TIN models; the edge rules are those
 of Dong (2018), section 2.1.
@@ -20,26 +20,26 @@ from ptd.tin.location import coincident_vertex, locate
 from ptd.tin.predicates import lexicographic_less
 
 Measures = tuple[float, float, float, float]
-"""What `facet_measures` gives."""
+"""Result of `facet_measures`."""
 UInt8 = npt.NDArray[np.uint8]
 
 
 class FacetLimits(NamedTuple):
-    """Thresholds of the facet test in horizontal counts and radians; 0 turns an edge rule off.
+    """Thresholds of the facet test in horizontal counts and radians.
 
     Attributes
     ----------
     distance : float
-        Iteration distance: from the point to the facet's plane.
+        Iteration distance: largest distance from the point to the facet's plane.
     angle : float
-        Iteration angle: the largest of the angles between the facet's plane and the lines from the point to its
+        Iteration angle: limit of the largest angle between the facet's plane and the lines from the point to the
         corners.
     steep_cos2 : float
-        Squared cosine of the terrain angle: a facet whose normal is more inclined mirrors its points.
+        Squared cosine of the terrain angle. A facet whose normal is more inclined mirrors its points.
     reduce_edge : float
-        Below this length of the facet's longest edge the angle shrinks in proportion.
+        Length of the facet's longest edge below which the angle shrinks in proportion; 0: never.
     stop_edge : float
-        A facet whose longest edge is shorter takes no more vertices.
+        Length of the longest edge below which a facet takes no more vertices; 0: never.
     z_ratio : float
         Horizontal counts in one vertical count.
     """
@@ -62,7 +62,7 @@ class FacetLimits(NamedTuple):
         reduce_m: float = 0.0,
         stop_m: float = 0.0,
     ) -> FacetLimits:
-        """From metres and degrees."""
+        """Convert metres and degrees."""
         return cls(
             scale.counts(distance_m),
             math.radians(angle_deg),
@@ -77,21 +77,21 @@ class FacetLimits(NamedTuple):
 def facet_measures(
     vertices: Int32Array, triangles: Int32Array, t: int, x: int, y: int, z: int, z_ratio: float
 ) -> Measures:
-    """How a point lies to a real facet.
+    """Measure the position of a point relative to a real facet.
 
-    Everything is computed relative to the facet's lexicographically smallest corner and in one order of the
-    corners, so the same facet and point give the same bits in any tile.
+    Everything is computed relative to the facet's lexicographically smallest corner and in one order of the corners.
+    So the same facet and point give the same bits in any tile.
 
     Returns
     -------
     distance : float
-        From the point to the facet's plane, horizontal counts, positive above.
+        Distance from the facet's plane to the point in horizontal counts, positive above it.
     nearest : float
-        From the point to the nearest corner in space, horizontal counts.
+        Distance in space from the point to the nearest corner, in horizontal counts.
     cos2 : float
         Squared cosine of the facet's slope.
     edge : float
-        Longest edge in plan, horizontal counts.
+        Length of the longest edge in plan, in horizontal counts.
     """
     a, b, c = canonical_facet(vertices, triangles, t)
     ax, ay, az = vertices[4 * a], vertices[4 * a + 1], vertices[4 * a + 2]
@@ -112,7 +112,7 @@ def facet_measures(
 
 @kernel
 def within(distance: float, nearest: float, edge: float, limits: FacetLimits) -> bool:
-    """Whether distance and angle are within the limits."""
+    """Return whether distance and angle are within the limits."""
     if abs(distance) > limits.distance:
         return False
     angle = limits.angle
@@ -123,10 +123,17 @@ def within(distance: float, nearest: float, edge: float, limits: FacetLimits) ->
 
 @kernel
 def mirror_facet(vertices: Int32Array, triangles: Int32Array, t: int, x: int, y: int) -> tuple[int, int, int]:
-    """The point mirrored in plan through the facet's highest corner, and the triangle that it falls in.
+    """Mirror a point in plan through the facet's highest corner.
 
-    Of equally high corners the lexicographically smallest. The height stays: mirrored in z as well, a point beyond
-    the edge of a terrace would be tested below the terrace.
+    Of equally high corners the lexicographically smallest counts. The height of the point stays. If it were mirrored as
+    well, a point beyond the edge of a terrace would be tested below the terrace.
+
+    Returns
+    -------
+    t : int
+        Triangle at the mirrored position.
+    x, y : int
+        Mirrored position.
     """
     corners = canonical_facet(vertices, triangles, t)
     top = corners[0]
@@ -142,9 +149,9 @@ def mirror_facet(vertices: Int32Array, triangles: Int32Array, t: int, x: int, y:
 
 @kernel
 def across(vertices: Int32Array, triangles: Int32Array, t: int, x: int, y: int) -> int:
-    """The triangle behind the edge of t that (x, y) lies on; t itself if it lies on none, or on a corner.
+    """Return the triangle across the edge of t on which (x, y) lies, or t if it lies on no edge or on a corner.
 
-    Which of the two owns the position depends on both, so an answer about it does too.
+    Both triangles decide which of them owns the position, so a result at this position depends on both.
     """
     row = 8 * t
     if is_ghost(triangles, t):
@@ -174,23 +181,23 @@ def accepts(
     limits: FacetLimits,
     in_doubt: UInt8,
 ) -> tuple[bool, bool, bool]:
-    """Axelsson's test of a point that lies in triangle t (a real one).
+    """Test a point in the real triangle t by Axelsson's criteria.
 
-    On a vertex, where any of its triangles may be t, only the vertex itself belongs to the terrain.
+    At the position of a vertex, t may be any of its triangles, and only a point at the vertex's height passes.
 
     Parameters
     ----------
     in_doubt : uint8 [triangles]
-        See `ptd.ground.certificates.UncertifiedRegion.triangles`.
+        Mask of uncertified triangles (`ptd.ground.certificates.UncertifiedRegion.triangles`).
 
     Returns
     -------
     passed : bool
-        The point belongs to the terrain.
+        Whether the point belongs to the terrain.
     elsewhere : bool
-        The answer rests on other triangles than t.
+        Whether the result depends on other triangles than t.
     doubtful : bool
-        The answer rests on a triangle in doubt.
+        Whether the result depends on an uncertified triangle.
     """
     v = coincident_vertex(vertices, triangles, x, y, t)
     if v >= 0:
@@ -214,15 +221,16 @@ def judge(
     limits: FacetLimits,
     in_doubt: UInt8,
 ) -> tuple[bool, bool, bool]:
-    """`accepts` for a point off the vertices whose `facet_measures` are known: what goes beyond them.
+    """Test a point that is not at a vertex, like `accepts`, from its `facet_measures`.
 
     Returns
     -------
     passed : bool
+        Whether the point belongs to the terrain.
     mirrored : bool
-        The point was tested elsewhere.
+        Whether the point was tested at its mirrored position.
     doubtful : bool
-        What is there is in doubt.
+        Whether a triangle at the mirrored position is uncertified.
     """
     distance, nearest, cos2, edge = measures
     if edge < limits.stop_edge:

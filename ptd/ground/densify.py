@@ -1,6 +1,6 @@
 """Progressive densification in batches: every round tests the candidates against one TIN, then inserts all that pass.
 
-The result of a round depends on the set of candidates alone, not on their order (Chen 2023, 2.5).
+The result of a round depends only on the set of candidates, not on their order (Chen 2023, 2.5).
 """
 
 from __future__ import annotations
@@ -26,18 +26,18 @@ WAITING, VERTEX, REFUSED = 0, 1, 2
 
 
 class _Candidates(NamedTuple):
-    """What is known of each candidate between rounds.
+    """State of each candidate between rounds.
 
     Attributes
     ----------
     state : uint8 [n]
         `WAITING`, `VERTEX` or `REFUSED`.
     home : int32 [n]
-        The triangle of its last test, -1 before.
+        Triangle of the last test; -1 before the first one.
     again : bool [n]
-        The answer rested on other triangles as well.
+        Whether the last result depended on other triangles as well.
     doubtful : bool [n]
-        Points outside the window could change a decision.
+        Whether points outside the window could change a decision.
     """
 
     state: UInt8
@@ -56,10 +56,11 @@ def _test_round(
     stamp: int,
     chosen: Int32,
 ) -> int:
-    """Test the candidates whose triangle changed since their last test; `chosen` receives those that pass.
+    """Test the candidates whose triangle changed since their last test, and return the number of those that pass.
 
-    A triangle changed by the insertions of the last round carries its stamp, ``stamp - 1``. A candidate whose answer
-    rests on other triangles as well (mirrored, or on an edge) is tested each time (`again`).
+    `chosen` gets the indices of those that pass. A triangle that the insertions of the last round changed has its
+    stamp, ``stamp - 1``. A candidate whose result depends on other triangles as well (mirrored, or on an edge) is
+    tested in every round (`again`).
     """
     vertices, triangles = mesh
     x, y, z = points
@@ -93,7 +94,7 @@ def _test_round(
 def _insert_points(
     mesh: Mesh, counters: Int32Array, points: Xyz, home: Int32, chosen: Int32, stamp: int
 ) -> None:
-    """Insert the chosen points; `home` holds a triangle near each, or -1."""
+    """Insert the chosen points. `home` contains a triangle near each of them, or -1."""
     vertices, triangles = mesh
     x, y, z = points
     hint = as_int64(0)
@@ -108,29 +109,31 @@ def _insert_points(
 def densify(
     tin: Tin, points: Xyz, state: UInt8, limits: FacetLimits, rounds: int, doubt: UncertifiedRegion
 ) -> tuple[npt.NDArray[np.bool_], int]:
-    """Batch rounds until nothing passes any more, or `rounds` of them.
+    """Densify a TIN in rounds until no candidate passes any more, or for `rounds` rounds.
 
-    While doubt still spreads there are rounds even if nothing passes: beyond the window the rounds may go on.
+    The rounds continue while the uncertified region grows, even if no candidate passes, because the rounds beyond the
+    window may continue.
 
     Parameters
     ----------
     tin : Tin
-        Holds the seeds, each triangle stamped 0, with room for all candidates; densified in place.
+        TIN of the seeds with stamp 0 in each triangle and space for all candidates; densified in place.
     points : Xyz
-        Candidates; neighbours in the arrays near each other.
+        Candidates, in an order in which neighbours are near each other.
     state : uint8 [n]
-        `WAITING`, `VERTEX` or `REFUSED`; updated.
+        State of each candidate: `WAITING`, `VERTEX` or `REFUSED`; updated.
     limits : FacetLimits
     rounds : int
-        0: until nothing passes.
+        Largest number of rounds; 0: until no candidate passes.
     doubt : UncertifiedRegion
-        Grows by the candidates whose decision could change with points outside the window.
+        Uncertified region, which grows by the candidates whose decision points outside the window could change.
 
     Returns
     -------
     doubtful : bool [n]
+        Mask of these candidates.
     rounds : int
-        How many were run.
+        Number of rounds that were run.
     """
     n_points = points.x.size
     home, room = np.full(n_points, -1, np.int32), np.empty(n_points, np.int32)
@@ -159,29 +162,29 @@ def densify_seeds(
     known: Window,
     scale: Scale,
 ) -> tuple[Tin, UInt8, int]:
-    """The TIN of the lowest points per seed cell and their ring (`ptd.ground.seeds`), densified.
+    """Densify the TIN of the lowest points per seed cell and their ring (`ptd.ground.seeds`).
 
     Parameters
     ----------
     points : Xyz
-        Candidates; neighbours in the arrays near each other; at least one is no outlier.
+        Candidates, in an order in which neighbours are near each other. At least one is not an outlier.
     outlier : bool [n]
-        Neither seeds nor vertices.
+        Mask of outliers, which become neither seeds nor vertices.
     seed_cells : CellLattice
     limits : FacetLimits
     rounds : int
-        See `densify`.
+        Largest number of rounds (`densify`).
     known : Window
-        Where all candidates, and which are outliers, are known.
+        Window in which all candidates, and which of them are outliers, are known.
     scale : Scale
 
     Returns
     -------
     tin : Tin
     in_doubt : uint8 [triangles]
-        See `ptd.ground.certificates.UncertifiedRegion.triangles`.
+        Mask of uncertified triangles (`ptd.ground.certificates.UncertifiedRegion.triangles`).
     rounds : int
-        How many were run.
+        Number of rounds that were run.
     """
     x, y, z = points
     doubt = UncertifiedRegion(known, known.inside(seed_cells, RING), box_with_ring(x, y, seed_cells), scale)

@@ -1,4 +1,4 @@
-"""Distance and smallest angle of points to a fixed TIN: as a test, or as a histogram of both.
+"""Distance and angle of points to a fixed TIN, as a test or as a histogram of both.
 
 Source: Dong 2017 (004), sections 3.2 and 3.3.4.
 """
@@ -27,18 +27,21 @@ Bool = npt.NDArray[np.bool_]
 Int64 = npt.NDArray[np.int64]
 
 ANY_EDGE = 2**62
-"""Square of an edge that none reaches."""
+"""Square of a length that no edge reaches."""
 
 
 class Threshold(NamedTuple):
-    """Largest distance of a point to its facet's plane, metres, and smallest of its angles there, radians."""
+    """Largest distance in metres of a point to its facet's plane, and largest angle in radians (`Trial`)."""
 
     distance_m: float
     angle_rad: float
 
 
 class Bins(NamedTuple):
-    """Bins of a histogram of distances (metres) and angles (radians); what is beyond is not counted."""
+    """Width and number of the bins of a histogram of distances (metres) and angles (radians).
+
+    Points beyond the bins are not counted.
+    """
 
     distance_m: float
     distances: int
@@ -47,20 +50,20 @@ class Bins(NamedTuple):
 
 
 class Tested(NamedTuple):
-    """What points are tested against.
+    """Arrays and settings with which kernels test points.
 
     Attributes
     ----------
     mesh : Mesh
     usable : bool [triangles]
-        Facets whose circumcircles are not too wide.
+        Mask of the facets whose circumcircles are not too wide.
     in_doubt : uint8 [triangles]
-        See `ptd.ground.certificates.UncertifiedRegion.triangles`.
+        Mask of uncertified triangles (`ptd.ground.certificates.UncertifiedRegion.triangles`).
     locator : Locator
     z_ratio : float
         Horizontal counts in one vertical count.
     largest : bool
-        See `Trial`.
+        Whether the largest angle counts (`Trial`).
     """
 
     mesh: Mesh
@@ -75,10 +78,10 @@ class Tested(NamedTuple):
 def _gauge(
     vertices: Int32Array, triangles: Int32Array, t: int, x: int, y: int, z: int, z_ratio: float, largest: bool
 ) -> tuple[float, float]:
-    """Distance to the plane of a real facet, without sign, and to its nearest or farthest corner: horizontal counts.
+    """Return the unsigned distance to a real facet's plane, and the distance to its nearest or farthest corner.
 
-    The largest of the angles between the plane and the lines to the corners is that to the nearest corner, the
-    smallest that to the farthest.
+    Both are horizontal counts. The largest angle between the plane and the lines to the corners is that to the nearest
+    corner, and the smallest that to the farthest.
     """
     distance, nearest, _cos2, _edge = facet_measures(vertices, triangles, t, x, y, z, z_ratio)
     if largest:
@@ -105,10 +108,10 @@ def _usable(mesh: Mesh, n: int, rule: Rule) -> Bool:
 def _owner(
     vertices: Int32Array, triangles: Int32Array, usable: Bool, in_doubt: UInt8, t: int, x: int, y: int
 ) -> tuple[int, bool]:
-    """The usable facet at a position off the vertices, -1 if there is none; whether that is sure.
+    """Return the usable facet at a position that is not a vertex, or -1, and whether it is certified.
 
-    Of the two at an edge the one that `locate` gives, unless the other alone is usable: which of them owns the edge
-    depends on both, and what lies behind an unusable one is not needed.
+    At an edge it is the facet that `locate` gives, or the other one if only that is usable. Both decide which of them
+    owns the edge. The facet across an unusable one is not needed.
     """
     beside = across(vertices, triangles, t, x, y)
     owner = t if usable[t] else (beside if usable[beside] else -1)
@@ -159,24 +162,27 @@ def _count(tested: Tested, points: Xyz, which: Bool, distance: float, angle: flo
 
 
 class Trial:
-    """A TIN against which points are tested all at once.
+    """A fixed TIN against which points are tested.
 
-    A facet whose circumcircle is wider than `widest` says nothing about the ground within: its points are not
-    tested. So what a window has to hold for a certain answer is bounded. A facet that is not wide is certain if its
-    circle holds no place in doubt. If W's facet at a place is wide, one of U that is not would lie within 2 `widest`
-    of the place, and where no place in doubt is that near, it would be in W as well (`docs/filters.md`, Certificates);
-    a place on an edge between the two belongs to the facet that is not wide.
+    A facet with a circumradius above `widest_m` does not describe the ground within it, so its points are not tested.
+    This limits the data that a window needs for certified results. A facet that is not wide is certified if its circle
+    contains no uncertified position.
+
+    Where the facet of the window's TIN is wide, the TIN of the untiled run could have one that is not. The vertices of
+    such a facet lie within 2 `widest_m` of the position. If no uncertified position is that near, the window's TIN
+    would have this facet as well (`docs/filters.md`, Certificates). A position on an edge between a wide facet and
+    another one belongs to the other one.
 
     Parameters
     ----------
     tin : Tin
     scale : Scale
     widest_m : float
-        Largest circumradius.
+        Largest circumradius in metres.
     doubt : UncertifiedRegion, optional
-        As it is now.
+        Current uncertified region of the TIN.
     largest : bool
-        A point's angle is the largest of the three (Axelsson; Dong 2018), not the smallest (Dong 2017).
+        Whether a point's angle is the largest of the three (Axelsson; Dong 2018), not the smallest (Dong 2017).
     """
 
     def __init__(
@@ -196,17 +202,25 @@ class Trial:
     def test(
         self, x: Int32, y: Int32, z: Int32, which: Bool, threshold: Threshold, doubt: UncertifiedRegion
     ) -> tuple[Bool, Bool]:
-        """Test the chosen points: which pass, and which results points outside the window could change; bool [n] each.
+        """Test the chosen points.
 
         Parameters
         ----------
         x, y, z : int32 [n]
             Local counts.
         which : bool [n]
+            Mask of the points to test.
         threshold : Threshold
-            Both hold. On a vertex, where any of its facets may be found, the height above the vertex counts alone.
+            Limits of distance and angle, which must both hold. At a vertex, where any of its facets may be found, only
+            the height above the vertex counts.
         doubt : UncertifiedRegion
-            That of the TIN, or as it grew later.
+            Uncertified region of the TIN, which may have grown since.
+
+        Returns
+        -------
+        passed : bool [n]
+        doubtful : bool [n]
+            Mask of the results that points outside the window could change.
         """
         near = np.zeros(x.size, np.bool_)
         near[which] = doubt.near(x[which], y[which], 2.0 * self.radius)
@@ -216,7 +230,10 @@ class Trial:
         return _test(self._tested, Xyz(x, y, z), which, near, distance, sine)
 
     def count(self, x: Int32, y: Int32, z: Int32, which: Bool, bins: Bins) -> Int64:
-        """Distances and angles (by ``largest``) of the chosen points off the vertices: int64 [distances, angles]."""
+        """Return the histogram of distances and angles of the chosen points that are not at vertices.
+
+        It is int64 [distances, angles]. ``largest`` of the class selects the angle.
+        """
         counts = np.zeros((bins.distances, bins.angles), np.int64)
         if self.usable.size:
             distance = self.scale.counts(bins.distance_m)

@@ -1,6 +1,7 @@
-"""Points near a TIN by cells of 0.4 m and blocks of 5 x 5 of them, for `ptd.ground.fine_surface`.
+"""Points near a TIN, sorted into cells of 0.4 m and blocks of 5 x 5 cells, for `ptd.ground.fine_surface`.
 
-A point is kept as its index, the number of its block and that of its cell in the block: nine bytes, not its position.
+A point is stored as its index, the number of its block and the number of its cell in the block (13 bytes), not as its
+position.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from ptd.kernel import as_int64, kernel
 CELL_M = 0.4
 """Side of the fine cells."""
 SIDE = 5
-"""Cells along a side of a block."""
+"""Number of cells along a side of a block."""
 CELLS = SIDE * SIDE
 
 Bool = npt.NDArray[np.bool_]
@@ -26,16 +27,16 @@ UInt8 = npt.NDArray[np.uint8]
 
 
 class Placed(NamedTuple):
-    """Points that are near a TIN or in doubt, and where they lie.
+    """Points that are near a TIN or uncertified, with their blocks and cells.
 
     Attributes
     ----------
     point : int32 [m]
-        Among all points.
+        Index among all points.
     block : int64 [m]
-        Number of the block among the occupied ones.
+        Number of the point's block among the occupied ones.
     cell : uint8 [m]
-        Number of the cell in its block, row by row.
+        Number of the point's cell in its block, row by row.
     """
 
     point: Int32
@@ -44,16 +45,16 @@ class Placed(NamedTuple):
 
 
 class Blocks(NamedTuple):
-    """Blocks that hold placed points, by rows.
+    """Blocks with placed points, by rows.
 
     Attributes
     ----------
     around : int32 [n, 9]
-        Number of the block itself and of those around it, row by row, -1 where they are not occupied.
+        Numbers of the 3 x 3 blocks around each block, with the block itself, row by row; -1 for those not occupied.
     points, near : int32 [n]
-        How many points it holds, and how many of them are `NEAR` or `ON`.
+        Number of points in the block, and number of those that are `NEAR` or `ON`.
     settled, doubtful : bool [n]
-        No point is just `NEAR`, so there is nothing to decide; some point is in doubt.
+        Whether no point is just `NEAR`, so that there is nothing to decide, and whether any point is uncertified.
     """
 
     around: Int32
@@ -64,14 +65,15 @@ class Blocks(NamedTuple):
 
 
 def placed(points: Xyz, close: UInt8, marked: Bool, scale: Scale) -> tuple[Placed, Blocks]:
-    """Find the blocks and cells of the points that are not `FAR`, or marked; none of them may be there.
+    """Find the blocks and cells of the points that are not `FAR` or are uncertified, if any.
 
     Parameters
     ----------
     points : Xyz
     close : uint8 [n]
-        See `ptd.ground.labelling.Closeness`.
+        Closeness of each point to the TIN (`ptd.ground.labelling.Closeness`).
     marked : bool [n]
+        Mask of the uncertified points.
     scale : Scale
     """
     index = _chosen(close, marked)
@@ -99,7 +101,10 @@ def _chosen(close: UInt8, marked: Bool) -> Int32:
 
 @kernel
 def _keys(points: Xyz, index: Int32, p: int, q: int, ox: int, oy: int) -> tuple[Int64, UInt8, int, int]:
-    """Key of each point's block in a raster with an empty column at both sides, its cell, and the raster's size."""
+    """Return the key of each point's block, its cell, and the width and height of the raster of blocks.
+
+    The raster has an empty column on both sides.
+    """
     x, y, _ = points
     west = east = as_int64(x[index[0]])
     south = north = as_int64(y[index[0]])
@@ -123,9 +128,10 @@ def _keys(points: Xyz, index: Int32, p: int, q: int, ox: int, oy: int) -> tuple[
 
 @kernel
 def neighbours_of_blocks(keys: Int64, width: int) -> Int32:
-    """Index of the block itself and of those around it, row by row, -1 where they are not occupied: int32 [m, 9].
+    """Return the indices of the 3 x 3 blocks around each block, row by row: int32 [m, 9].
 
-    ``keys`` are sorted; rasters have an empty column at both sides, so no key has a neighbour in another row.
+    The index is -1 for blocks that are not occupied. ``keys`` are sorted. Rasters have an empty column on both sides,
+    so keys of successive rows are never neighbours.
     """
     found = np.full((keys.size, 9), -1, np.int32)
     for row in range(3):
@@ -143,7 +149,7 @@ def neighbours_of_blocks(keys: Int64, width: int) -> Int32:
 
 @kernel
 def _counted(where: Placed, close: UInt8, marked: Bool, n_blocks: int) -> tuple[Int32, Int32, Bool, Bool]:
-    """What `Blocks` holds of each block besides those around it."""
+    """Return the fields ``points``, ``near``, ``settled`` and ``doubtful`` of `Blocks`."""
     index, block, _ = where
     points, near = np.zeros(n_blocks, np.int32), np.zeros(n_blocks, np.int32)
     settled, doubtful = np.ones(n_blocks, np.bool_), np.zeros(n_blocks, np.bool_)
@@ -158,7 +164,7 @@ def _counted(where: Placed, close: UInt8, marked: Bool, n_blocks: int) -> tuple[
 
 @kernel
 def pages_of_blocks(wanted: Bool, neighbours: Int32) -> tuple[Int32, int]:
-    """Page of each block that is wanted or beside one that is, else -1: int32 [m]; and how many there are."""
+    """Return a page for each chosen block and its neighbours, -1 for others (int32 [m]), and the number of pages."""
     pages, n = np.full(wanted.size, -1, np.int32), 0
     for k in range(wanted.size):
         for i in neighbours[k]:

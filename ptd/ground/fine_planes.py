@@ -1,7 +1,7 @@
 """Planes through the lowest points of cells of 0.4 m: the surface of `ptd.ground.fine_surface`.
 
-Cells are kept by blocks of 5 x 5 of them, for blocks with something to decide and those beside them alone, so memory
-follows from the points.
+Cells are stored by blocks of 5 x 5 cells, only for blocks with points to decide and their neighbours. So memory grows
+with the points, not with the area.
 """
 
 from __future__ import annotations
@@ -19,17 +19,17 @@ from ptd.ground.morphology import EMPTY
 from ptd.kernel import as_int64, inlined, kernel
 
 FILLED = 9
-"""Of the 25 cells of a block so many at least hold a point near the TIN where it is dense: about 3 points/m2."""
+"""Least number of the 25 cells of a dense block with a point near the TIN: about 3 points/m2."""
 ENOUGH, ENOUGH_WIDE = 6, 9
-"""Cells that a plane needs of 3 x 3, else of 5 x 5."""
+"""Least number of cells for a plane of 3 x 3 cells, and otherwise for one of 5 x 5 cells."""
 AROUND = 2
-"""Cells that the wider planes reach to each side: at most `SIDE`, so what they need is in the blocks around."""
+"""Number of cells that the wider planes extend to each side. It is at most `SIDE`, so the blocks around suffice."""
 SPIKE_M = 0.07
-"""A cell that rises from its plane by more than this is no ground, and has no part in the planes about it."""
+"""Height above its plane from which on a cell is not ground and is left out of the planes around it."""
 ROUGH_M = 0.1
-"""Where cells scatter about their plane by more than this (a step, a wall) the TIN decides."""
+"""Scatter of cells about their plane above which the TIN decides, as at a step or a wall."""
 THIN = 0.05
-"""Cells lie on a line, which gives no plane, where their matrix has less than this part of the largest determinant."""
+"""Part of the largest possible determinant up to which cells lie on a line, so that there is no plane."""
 
 Bool = npt.NDArray[np.bool_]
 UInt8 = npt.NDArray[np.uint8]
@@ -45,15 +45,15 @@ class PlaneLimits(NamedTuple):
 
 
 class Planes(NamedTuple):
-    """The fine surface, by cells: those of a page (a block that is kept) follow each other, row by row.
+    """The fine surface by cells. The cells of a page (a stored block) follow each other, row by row.
 
     Attributes
     ----------
     x, y, z : int32 [pages * 25]
-        The point that stands for a cell, local counts; z is `EMPTY` where there is none.
+        Local counts of the point that represents each cell; z is `EMPTY` if there is none.
     east, north, height : float32 [pages * 25]
-        The plane's rise to the east and north, vertical counts per horizontal one, and its height above that point,
-        vertical counts; NaN where there is no plane.
+        Rise of the plane to the east and to the north in vertical counts per horizontal count, and its height above the
+        point in vertical counts; NaN if there is no plane.
     """
 
     x: Int32
@@ -65,7 +65,7 @@ class Planes(NamedTuple):
 
     @classmethod
     def none(cls, n_pages: int) -> Planes:
-        """No points yet, and no planes."""
+        """Return cells without points and planes."""
         n = n_pages * CELLS
         east, north, height = (np.full(n, np.nan, np.float32) for _ in range(3))
         x, y = np.zeros((2, n), np.int32)
@@ -74,7 +74,10 @@ class Planes(NamedTuple):
 
 @kernel
 def elect(points: Xyz, where: Placed, close: UInt8, pages: Int32, planes: Planes) -> None:
-    """The lowest point that is near the TIN stands for each cell of a block that has a page."""
+    """Choose the lowest point near the TIN to represent each cell of a block with a page.
+
+    Of equally low points the first in (x, y) is chosen.
+    """
     x, y, z = points
     cell_x, cell_y, cell_z = planes.x, planes.y, planes.z
     index, block, cell = where
@@ -91,26 +94,26 @@ def elect(points: Xyz, where: Placed, close: UInt8, pages: Int32, planes: Planes
 
 
 PATCH = SIDE + 2 * AROUND
-"""Cells along a side of a block and the cells around it that its planes reach."""
+"""Number of cells along a side of a patch: a block and the cells around it that its planes read."""
 MOMENTS = 10
-"""n, x, y, z, xx, xy, yy, xz, yz, zz."""
+"""Number of moments of a cell: n, x, y, z, xx, xy, yy, xz, yz, zz."""
 PATCH_ROW, BLOCK_ROW = PATCH * MOMENTS, SIDE * MOMENTS
-"""Numbers in a row of cells."""
+"""Number of moments in a row of cells of a patch and of a block."""
 
 
 class _Sums(NamedTuple):
-    """Moments, row by row, those of a cell one after the other: flat, so that sums of rows are loops over one array.
+    """Moments of cells in flat arrays, row by row, so that sums of rows are loops over one array.
 
-    All are whole numbers, and so are their sums, so exact: neither order nor the frame changes them.
+    All moments and their sums are whole numbers, so they are exact, and neither order nor frame changes them.
 
     Attributes
     ----------
     patch : float64 [PATCH * PATCH * MOMENTS]
-        Of each cell of a block and around it.
+        Moments of each cell of a block and around it.
     three_rows, five_rows : float64 [PATCH * MOMENTS]
-        Of 3 and of 5 cells above each other.
+        Sums of the moments of 3 and of 5 cells above each other.
     three, five : float64 [SIDE * SIDE * MOMENTS]
-        Of the 3 x 3 and of the 5 x 5 cells around each cell of the block.
+        Sums of the moments of the 3 x 3 and of the 5 x 5 cells around each cell of the block.
     """
 
     patch: Float64
@@ -132,7 +135,7 @@ def _no_sums() -> _Sums:
 def _fill_patch(
     planes: Planes, around: Int32, k: int, pages: Int32, kept: Bool, origin: int, patch: Float64
 ) -> None:
-    """Moments of the point of each cell of block k and around it, from that of the cell ``origin`` on."""
+    """Compute the moments of the points of the cells of block k and around it, relative to the point of ``origin``."""
     x, y, z = planes.x, planes.y, planes.z
     x0, y0, z0 = as_int64(x[origin]), as_int64(y[origin]), as_int64(z[origin])
     for n in range(9):
@@ -146,9 +149,8 @@ def _fill_patch(
                 continue
             first = page * CELLS + row * SIDE
             for place in range(first + first_column, first + end_column):
-                n_points = float(
-                    np.int64(kept[place])
-                )  # a product has no branch that could be foreseen wrongly
+                # A product instead of a branch, which the processor could predict wrongly.
+                n_points = float(np.int64(kept[place]))
                 dx, dy = n_points * float(x[place] - x0), n_points * float(y[place] - y0)
                 dz = n_points * float(z[place] - z0)
                 patch[m], patch[m + 1], patch[m + 2], patch[m + 3] = n_points, dx, dy, dz
@@ -159,7 +161,7 @@ def _fill_patch(
 
 @inlined
 def _add_up(sums: _Sums) -> None:
-    """Sums around each cell of the block: first of cells above each other, then of these beside each other."""
+    """Compute the sums around each cell of the block, first of cells above each other, then of adjacent sums."""
     patch, three_rows, five_rows, three, five = sums
     for row in range(SIDE):
         south = row * PATCH_ROW
@@ -182,10 +184,10 @@ def _add_up(sums: _Sums) -> None:
 
 @inlined
 def _plane(s: Float64, m: int, enough: int, x: int, y: int, z: int) -> tuple[float, float, float, float]:
-    """The plane of the cells whose sums begin at m, from (x, y, z).
+    """Fit the plane of the cells whose sums begin at m.
 
-    Its rise to the east and north, its height above (x, y, z), and the scatter of the cells about it: -1 where they are
-    too few or lie on a line.
+    Returns its rise to the east and to the north, its height above (x, y, z), and the scatter of the cells about it.
+    The scatter is -1 if the cells are too few or lie on a line.
     """
     n = s[m]
     if n < enough:
@@ -204,7 +206,7 @@ def _plane(s: Float64, m: int, enough: int, x: int, y: int, z: int) -> tuple[flo
 
 @inlined
 def _fit_block(planes: Planes, first: int, sums: _Sums, origin: int, limits: PlaneLimits, kept: Bool) -> bool:
-    """Planes of the cells of a block; spikes are kept no more. Whether there are any."""
+    """Fit the planes of the cells of a block, remove spikes from ``kept``, and return whether there are any."""
     x, y, z, east, north, height = planes
     x0, y0, z0 = as_int64(x[origin]), as_int64(y[origin]), as_int64(z[origin])
     spikes = False
@@ -226,7 +228,7 @@ def _fit_block(planes: Planes, first: int, sums: _Sums, origin: int, limits: Pla
 
 @kernel
 def _touched(around: Int32, k: int, first: int, kept: Bool, planes: Planes, touched: Bool) -> None:
-    """Mark the blocks whose planes the spikes of block k touch."""
+    """Add the blocks whose planes read the spikes of block k to ``touched``."""
     for cell in range(CELLS):
         if kept[first + cell] or planes.z[first + cell] == EMPTY:
             continue
@@ -240,13 +242,13 @@ def _touched(around: Int32, k: int, first: int, kept: Bool, planes: Planes, touc
 
 @kernel
 def _apart(index: int, first: int) -> int:
-    """Rows or columns from one of them to the nearest of a block that begins with ``first``."""
+    """Return the distance, in rows or columns, from one of them to the block that begins with ``first``."""
     return max(first - index, index - first - SIDE + 1, 0)
 
 
 @kernel
 def fit(around: Int32, pages: Int32, wanted: Bool, planes: Planes, limits: PlaneLimits) -> None:
-    """Planes of the cells of wanted blocks, a second time where spikes were found: without them."""
+    """Fit the planes of the cells of chosen blocks, and again without spikes where there are any."""
     kept, changed, sums = planes.z != EMPTY, wanted.copy(), _no_sums()
     for _ in range(2):
         left, touched = kept.copy(), np.zeros(pages.size, np.bool_)

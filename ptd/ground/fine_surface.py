@@ -1,10 +1,8 @@
-"""Ground of dense laser scans against a fine surface, of local planes through the lowest points of cells of 0.4 m.
+"""Ground of dense LiDAR clouds by a fine surface of local planes through the lowest points of cells of 0.4 m.
 
-A TIN of the lowest point of each metre lies below the fine relief, so a band about it loses ground and keeps low plants
-at once. Where points are dense enough, they are judged against planes through the lowest of the points near that TIN
-instead. The rules, and what each was chosen by: ``docs/filters.md``.
-
-The planes: `ptd.ground.fine_planes`.
+A TIN of the lowest point of each cell of 1 m lies below the fine relief, so a band about it both loses ground and keeps
+low plants. Where points are dense enough, they are compared with planes through the lowest of the points near this TIN
+instead (`ptd.ground.fine_planes`). ``docs/filters.md`` describes the rules and the reasons for each of them.
 """
 
 from __future__ import annotations
@@ -35,23 +33,27 @@ from ptd.kernel import kernel
 from ptd.tin.mesh import Tin
 
 REACH_M = 3 * SIDE * CELL_M
-"""A point's label depends on planes in its block and the eight around it, those on points one block farther."""
+"""Distance beyond which points do not change a point's label. The label depends on planes in the point's block and the
+eight around it, and these depend on points one block farther."""
 NEAR_M, NEAR_SLOPE_M = 0.2, 0.5
-"""Points nearer to the TIN than this, and so much more per unit of slope, may be ground."""
+"""Largest distance from the TIN of points that may be ground: metres, plus metres per unit of slope."""
 HIGHER_M = 0.2
-"""So much higher points still tell a crop."""
+"""Additional distance of points that still indicate a crop."""
 BELOW_M, ABOVE_M, ABOVE_SLOPE_M = 0.25, 0.1, 0.1
-"""Ground lies so far below the plane at most, so far above it, and so much farther above it per unit of slope."""
+"""Largest distances of ground below the plane, above it, and additionally above it per unit of slope."""
 CROP_BELOW_M, CROP_ABOVE_M, CROP_ON_M, CROP_SHARE = 0.1, 0.4, 0.05, 0.5
-"""Where of the points in this range about the fine surface, in a block and those around it, a smaller share lies on it
-(within ``CROP_ON_M``), something grows: there nothing becomes ground that was none."""
+"""Limits of a crop.
+
+The points in this range about the fine surface, in a block and those around it, are counted. If less than this share
+lies on the surface (within `CROP_ON_M`), there is a crop, and no further points become ground.
+"""
 
 Bool = npt.NDArray[np.bool_]
 UInt8 = npt.NDArray[np.uint8]
 
 
 class Heights(NamedTuple):
-    """The rules' heights in vertical counts, and horizontal counts in one of these."""
+    """Heights of the rules in vertical counts, and the number of horizontal counts in a vertical count."""
 
     below: float
     above: float
@@ -63,7 +65,7 @@ class Heights(NamedTuple):
 
     @classmethod
     def of(cls, scale: Scale) -> Heights:
-        """Make the thresholds in counts of a scale."""
+        """Convert the heights to counts of a scale."""
         z = scale.counts_z
         return cls(
             z(BELOW_M), z(ABOVE_M), z(ABOVE_SLOPE_M), z(CROP_BELOW_M), z(CROP_ABOVE_M),
@@ -76,7 +78,7 @@ def _judge(
     points: Xyz, where: Placed, close: UInt8, blocks: Blocks, pages: Int32, planes: Planes, heights: Heights,
     ground: Bool,
 ) -> None:  # fmt: skip
-    """Change which points are ground by their heights above the plane of their cell, where there is one."""
+    """Update the mask of ground points by their heights above the plane of their cell, if there is one."""
     x, y, z = points
     index, block, cell = where
     settled, east, north, height = blocks.settled, planes.east, planes.north, planes.height
@@ -110,7 +112,7 @@ def _judge(
 
 @kernel
 def _is_open(around: Int32, b: int, seen: Int32, on: Int32) -> bool:
-    """Whether enough of the points in a block and around it lie on the surface."""
+    """Return whether enough of the points in a block and around it lie on the surface."""
     n_on = n_seen = 0
     for n in range(9):
         if around[b, n] >= 0:
@@ -120,25 +122,26 @@ def _is_open(around: Int32, b: int, seen: Int32, on: Int32) -> bool:
 
 
 def fine_ground(points: Xyz, close: UInt8, ground: Bool, marked: Bool, scale: Scale) -> tuple[Bool, Bool]:
-    """Find the points of ground; a fine surface decides where points are dense.
+    """Find the ground points, by a fine surface where points are dense.
 
     Parameters
     ----------
     points : Xyz
-        With all within `REACH_M` of those that count.
+        Points to classify, and all points within `REACH_M` of them.
     close : uint8 [n]
-        See `Closeness`.
+        Closeness of each point to the TIN (`Closeness`).
     ground, marked : bool [n]
-        By the TIN, and whether that and ``close`` are not certain.
+        Masks of the points that are ground by the TIN, and of those for which this or ``close`` is uncertified.
     scale : Scale
 
     Returns
     -------
     ground, marked : bool [n]
+        Masks of the ground points and of the uncertified points.
     """
     where, blocks = placed(points, close, marked, scale)
     if where.point.size == 0 or blocks.points.max() < FILLED:
-        return ground, marked  # nothing is dense, whatever is in doubt
+        return ground, marked  # No block is dense, whether or not points are uncertified.
     wanted = ~blocks.settled & (blocks.near >= FILLED)
     pages, n_pages = pages_of_blocks(wanted, blocks.around)
     ground, marked = ground.copy(), marked.copy()
@@ -162,18 +165,18 @@ def fine_ground(points: Xyz, close: UInt8, ground: Bool, marked: Bool, scale: Sc
 
 
 def with_fine_surface(rule: LabelRule, scale: Scale) -> LabelRule:
-    """A rule of ``heights_only`` that says, too, which points a fine surface may be made of."""
+    """Add to a rule of ``heights_only`` the closeness of the points from which a fine surface may be made."""
     lengths = (ABOVE_M, ABOVE_SLOPE_M, NEAR_M, NEAR_SLOPE_M, HIGHER_M)
     return rule._replace(close=Closeness(*(scale.counts(metres) for metres in lengths)))
 
 
 class FineLabels(TinLabels):
-    """A window whose points are labelled against a TIN, and where they are dense against a fine surface above it.
+    """Model that labels points by a TIN, and by a fine surface above it where points are dense.
 
     Parameters
     ----------
     closed, stats, low
-        See `TinLabels`.
+        Parameters of `TinLabels`.
     scale : Scale
     """
 
@@ -182,7 +185,7 @@ class FineLabels(TinLabels):
         self._scale = scale
 
     def judged(self, tin: Tin, points: Xyz) -> tuple[UInt8, Bool]:
-        """Labels and marks; the rule is one of `with_fine_surface`."""
+        """Return labels and a mask of uncertified labels. The rule must come from `with_fine_surface`."""
         labels, marked, close = label_by_height(
             tin, self.locator, points, self.in_doubt, self.rule, self.bands
         )

@@ -1,4 +1,4 @@
-"""How far the outer contour of a 2-D histogram reaches (Dong 2018, 2.5.3 and figure 5)."""
+"""Extent of the outer contour of a 2-D histogram (Dong 2018, 2.5.3 and figure 5)."""
 
 from __future__ import annotations
 
@@ -11,22 +11,22 @@ _STEPS = [(1, 0), (-1, 0), (0, 1), (0, -1), (1, 1), (-1, -1)]
 
 
 def contour_reach(counts: npt.NDArray[np.int64], level: float) -> tuple[float, float] | None:
-    """The largest first and second coordinate of the contour around the fullest bin.
+    """Return the largest first and second coordinate of the contour around the fullest bin.
 
-    Counts stand at the middles of their bins and are interpolated over triangles, two to a square, as the paper does
-    with scattered points; beyond the histogram they are 0. Of several contours at the level the one around the fullest
-    bin (of equals the first) counts: islands farther out are other populations.
+    Counts are values at the middles of their bins and are interpolated over triangles, two per square, as the paper
+    does with scattered points. Beyond the histogram they are 0. If there are several contours at the level, the one
+    around the fullest bin counts (the first of equal bins), because islands farther out are other populations.
 
     Parameters
     ----------
     counts : int64 [a, b]
     level : float
-        Above 0.
+        Level of the contour, above 0.
 
     Returns
     -------
     (float, float) or None
-        In bins from the origin; None if no bin reaches the level.
+        Coordinates in bins from the origin; None if no bin reaches the level.
     """
     from scipy.ndimage import label
 
@@ -43,7 +43,7 @@ def contour_reach(counts: npt.NDArray[np.int64], level: float) -> tuple[float, f
         out = np.flatnonzero(beyond < level)
         if out.size:
             share = (within[out] - level) / (within[out] - beyond[out])
-            # A pad of one cell, and the middle of a bin: half a bin back.
+            # The pad adds one bin, and the value is at the middle of its bin.
             reach[0] = max(reach[0], float((rows[out] + down * share).max()) - 0.5)
             reach[1] = max(reach[1], float((columns[out] + right * share).max()) - 0.5)
     return reach[0], reach[1]

@@ -24,9 +24,9 @@ from ptd.tin.mesh import Tin
 UNCLASSIFIED, GROUND, LOW_NOISE = 1, 2, 7
 """ASPRS classes that a filter gives."""
 CLEAR = 1.0 - 1e-9
-"""Factor that widens the range of limits by place by more than rounding can change them."""
+"""Factor that widens the range of the limits of places by more than rounding errors."""
 FAR, CROP, NEAR, ON = 0, 1, 2, 3
-"""Steps of closeness of a point to a TIN, see `Closeness`."""
+"""Degrees of closeness of a point to a TIN (`Closeness`)."""
 
 
 @kernel
@@ -41,15 +41,15 @@ def is_terrain(
     limits: FacetLimits,
     floor: float,
 ) -> tuple[bool, bool, bool]:
-    """The rule of `label_points` for a point that lies in triangle t, which may be a ghost.
+    """Apply the rule of `label_points` to a point in triangle t, which may be a ghost.
 
     Returns
     -------
     terrain : bool
     elsewhere : bool
-        The answer rests on other triangles than t.
+        Whether the result depends on other triangles than t.
     doubtful : bool
-        The answer rests on a triangle in doubt.
+        Whether the result depends on an uncertified triangle.
     """
     doubtful = in_doubt[t] != 0
     if is_ghost(triangles, t):
@@ -67,16 +67,18 @@ def is_terrain(
 
 
 class Closeness(NamedTuple):
-    """How close to the TIN points are called `ON`, `NEAR` and `CROP`; all others are `FAR`. Horizontal counts.
+    """Limits, in horizontal counts, of the distance to the TIN of points that are `ON`, `NEAR` or `CROP`.
+
+    All other points are `FAR`.
 
     Attributes
     ----------
     on, near : float
-        Heights above or below it.
+        Largest heights above or below the TIN.
     on_slope, near_slope : float
-        So much more per unit of slope.
+        Additions to these heights per unit of slope.
     crop : float
-        So much more than near.
+        Addition to the limit of `NEAR` that gives the limit of `CROP`.
     """
 
     on: float = 0.0
@@ -87,22 +89,22 @@ class Closeness(NamedTuple):
 
 
 class LabelRule(NamedTuple):
-    """When a point is ground, against the finished TIN (`label_points`).
+    """Rule by which points are ground relative to the finished TIN (`label_points`).
 
     Attributes
     ----------
     limits : FacetLimits
     floor : float
-        Horizontal counts.
+        Distance to its facet within which a point is ground, in horizontal counts.
     vertices_only : bool
-        Without a last pass: only what lies on a vertex, at its height, is ground.
+        Whether only points at the position and height of a vertex are ground, without a last pass.
     heights_only : bool
-        Ground is what lies no more than ``floor + per_slope * slope`` (slope of the facet; on a vertex the floor) above
-        or below the TIN, measured upright, whatever its angle.
+        Whether only the vertical distance to the TIN counts, at any angle. A point is ground up to
+        ``floor + per_slope * slope`` above or below its facet, and up to ``floor`` at a vertex.
     per_slope : float
-        Horizontal counts.
+        Addition to `floor` per unit of the facet's slope, in horizontal counts.
     close : Closeness
-        For `label_by_height`.
+        Limits for `label_by_height`.
     """
 
     limits: FacetLimits
@@ -114,14 +116,14 @@ class LabelRule(NamedTuple):
 
 
 class Bands(NamedTuple):
-    """``floor`` and ``per_slope`` of a `LabelRule` by place, horizontal counts."""
+    """Fields ``floor`` and ``per_slope`` of a `LabelRule` by place, in horizontal counts."""
 
     floor: Field
     per_slope: Field
 
 
 class _Limits(NamedTuple):
-    """Least and largest figures of `Bands`: without the tables, which cost more to hand on than to use."""
+    """Smallest and largest figures of `Bands`, without its tables, which are expensive to pass to functions."""
 
     floor: float
     per_slope: float
@@ -136,10 +138,10 @@ def _limits(bands: Bands) -> _Limits:
 
 
 class _Facet(NamedTuple):
-    """A real triangle; corners in local counts, the smallest in (x, y) first.
+    """A real triangle with corners in local counts, the smallest in (x, y) first.
 
-    What is the same for all facets is not kept: fewer numbers that live on from point to point are worth more than a
-    few products.
+    It has no figures that are the same for all facets: a few more products per point are cheaper than more numbers that
+    are kept from point to point.
     """
 
     t: int
@@ -168,9 +170,9 @@ def _facet(vertices: Int32Array, triangles: Int32Array, t: int, z_ratio: float) 
 
 @inlined
 def _closeness(distance: float, cos: float, sin: float, close: Closeness) -> int:
-    """How close a point at some distance from a facet is, given the cosine and sine of the facet's slope.
+    """Return the closeness of a point from its distance to a facet, and the cosine and sine of the facet's slope.
 
-    The distance to a facet is the height above it times the cosine of its slope; so is what is allowed.
+    The distance to a facet is the height above it times the cosine of its slope, so the limits are multiplied too.
     """
     near = close.near * cos + close.near_slope * sin
     on = distance <= close.on * cos + close.on_slope * sin
@@ -179,20 +181,20 @@ def _closeness(distance: float, cos: float, sin: float, close: Closeness) -> int
 
 @inlined
 def _distance(f: _Facet, x: int, y: int, z: int, z_ratio: float) -> float:
-    """From a facet, horizontal counts."""
+    """Return the distance of a point from a facet in horizontal counts."""
     dx, dy, dz = float(x - f.a[0]), float(y - f.a[1]), (z - f.a[2]) * z_ratio
     return abs((f.normal[0] * dx + f.normal[1] * dy + f.normal[2] * dz) / f.length)
 
 
 @kernel
 def _fits(f: _Facet, distance: float, x: int, y: int, bands: Bands) -> bool:
-    """Whether a point at some distance from a facet is ground by the limits of its place."""
+    """Return whether a point at a distance from a facet is ground by the limits of its place."""
     return distance <= value_at(bands.floor, x, y) * f.cos + value_at(bands.per_slope, x, y) * f.sin
 
 
 @inlined
 def _surely(f: _Facet, distance: float, limits: _Limits) -> tuple[bool, bool]:
-    """Whether a point at some distance from a facet is ground at any place, and whether it is at none."""
+    """Return whether a point at a distance from a facet is ground by the limits of all places, and whether by none."""
     least = CLEAR * (limits.floor * f.cos + limits.per_slope * f.sin)
     most = (limits.max_floor * f.cos + limits.max_per_slope * f.sin) * (1.0 / CLEAR)
     return distance <= least, distance > most
@@ -200,7 +202,7 @@ def _surely(f: _Facet, distance: float, limits: _Limits) -> tuple[bool, bool]:
 
 @kernel
 def _on_vertex(height: int, x: int, y: int, z: int, rule: LabelRule, bands: Bands) -> tuple[bool, int]:
-    """Whether a point at the position of a vertex lies near it in height, and how close."""
+    """Return whether a point at the position of a vertex is ground by its height, and its closeness."""
     distance, close = abs(float(z - height)) * rule.limits.z_ratio, rule.close
     fits = distance <= value_at(bands.floor, x, y)
     return fits, _closeness(distance, 1.0, 0.0, close)
@@ -218,7 +220,10 @@ def _is_near(
     rule: LabelRule,
     bands: Bands,
 ) -> tuple[bool, int, bool]:
-    """Whether a point in triangle t, which may be a ghost, lies near it in height, how close, and if it is doubtful."""
+    """Return whether a point in triangle t is ground by its height, its closeness, and whether it is uncertified.
+
+    Triangle t may be a ghost.
+    """
     doubtful = in_doubt[t] != 0
     if is_ghost(triangles, t):
         return False, FAR, doubtful
@@ -234,7 +239,7 @@ def _is_near(
 
 @inlined
 def _inside(f: _Facet, x: int, y: int) -> bool:
-    """Whether a position lies in a triangle, and not on its border."""
+    """Return whether a position lies in a triangle, and not on its border."""
     ax, ay, bx, by, cx, cy = f.a[0] - x, f.a[1] - y, f.b[0] - x, f.b[1] - y, f.c[0] - x, f.c[1] - y
     return bool(ax * by - ay * bx > 0 and bx * cy - by * cx > 0 and cx * ay - cy * ax > 0)
 
@@ -243,7 +248,7 @@ def _inside(f: _Facet, x: int, y: int) -> bool:
 def _label_by_height(
     mesh: Mesh, locator: Locator, points: Xyz, in_doubt: UInt8, rule: LabelRule, bands: Bands
 ) -> tuple[UInt8, npt.NDArray[np.bool_], UInt8]:
-    """Label points by height alone, and measure how close they are. Consecutive points often lie in one facet."""
+    """Label points by height only, and measure their closeness. Consecutive points often lie in one facet."""
     vertices, triangles = mesh
     x, y, z = points
     labels, marked, close = np.empty(x.size, np.uint8), np.empty(x.size, np.bool_), np.empty(x.size, np.uint8)
@@ -254,7 +259,7 @@ def _label_by_height(
         if not _inside(facet, px, py):
             t = walk(vertices, triangles, px, py, as_int64(start_near(locator, x[i], y[i])))
             v = coincident_vertex(vertices, triangles, px, py, t)
-            if v >= 0:  # as one point in ten does; `_is_near` would say the same, but locate it again
+            if v >= 0:  # One point in ten is at a vertex. `_is_near` would locate it again.
                 fits, close[i] = _on_vertex(as_int64(vertices[4 * v + 2]), px, py, pz, rule, bands)
                 labels[i] = GROUND if fits else UNCLASSIFIED
                 marked[i] = in_doubt[t] != 0
@@ -303,31 +308,31 @@ def _label(
 def label_points(
     tin: Tin, locator: Locator, points: Xyz, in_doubt: UInt8, rule: LabelRule, bands: Bands | None = None
 ) -> tuple[UInt8, npt.NDArray[np.bool_]]:
-    """Ground or not, against the finished TIN.
+    """Label points as ground or not by the finished TIN.
 
-    Ours, not the papers': there, what lies in facets that take no more vertices is lost as type I. The rule is
-    the one of densification; besides, a point within ``floor`` of its facet is ground whatever its angle, since
-    close to a vertex noise alone makes any angle.
+    This step is not in the papers, which lose points in facets that take no more vertices (type I errors). The rule is
+    that of densification. In addition, a point within ``floor`` of its facet is ground at any angle, since close to a
+    vertex noise alone causes any angle.
 
     Parameters
     ----------
     tin : Tin
     locator : Locator
-        Of this TIN as it is now.
+        Locator of the TIN in its current state.
     points : Xyz
-        In any order (fast where neighbours follow each other).
+        Points in any order. Labelling is fast if successive points are neighbours.
     in_doubt : uint8 [triangles]
-        See `ptd.ground.certificates.UncertifiedRegion.triangles`.
+        Mask of uncertified triangles (`ptd.ground.certificates.UncertifiedRegion.triangles`).
     rule : LabelRule
     bands : Bands, optional
-        For `heights_only`, where ``floor`` and ``per_slope`` of the rule differ by place.
+        Fields ``floor`` and ``per_slope`` of a rule of `heights_only`, if they differ by place.
 
     Returns
     -------
     labels : uint8 [n]
-        1 unclassified, 2 ground.
+        ASPRS classes: 1 unclassified, 2 ground.
     marked : bool [n]
-        Points outside the window could change the label.
+        Mask of the labels that points outside the window could change.
     """
     if rule.heights_only and not rule.vertices_only:
         return label_by_height(tin, locator, points, in_doubt, rule, bands)[:2]
@@ -339,7 +344,10 @@ def label_points(
 def label_by_height(
     tin: Tin, locator: Locator, points: Xyz, in_doubt: UInt8, rule: LabelRule, bands: Bands | None = None
 ) -> tuple[UInt8, npt.NDArray[np.bool_], UInt8]:
-    """`label_points` for a rule of ``heights_only``, and how close to the TIN each point is: uint8 [n]."""
+    """Label points like `label_points` by a rule of ``heights_only``.
+
+    The third result is the closeness of each point to the TIN: uint8 [n].
+    """
     if points.x.size and tin.n_triangles:
         bands = bands or Bands(everywhere(rule.floor), everywhere(rule.per_slope))
         return _label_by_height(tin.mesh, locator, points, in_doubt, rule, bands)
@@ -348,12 +356,12 @@ def label_by_height(
 
 
 class TinLabels(Model):
-    """A window whose points are labelled against a TIN; as long as there is none, nothing but low noise is known.
+    """Model that labels the points of a window by a TIN. Without a TIN it labels only low noise.
 
     Parameters
     ----------
     closed : bool
-        Points may lie beyond the window: without a TIN no label is certain.
+        Whether points may lie beyond the window, so that no label is certified without a TIN.
     stats : dict
     low : LowNoise, optional
     """
@@ -363,17 +371,17 @@ class TinLabels(Model):
         self.tin: Tin | None = None
 
     def finish(self, tin: Tin, in_doubt: UInt8, rule: LabelRule, bands: Bands | None = None) -> None:
-        """Take a TIN, as it stays, to label with; see `label_points`."""
+        """Set the finished TIN and the rule of labelling. `label_points` describes the parameters."""
         self.tin, self.in_doubt, self.rule, self.bands = tin, in_doubt, rule, bands
         self.locator = Locator.of(tin)
         self.stats.update(vertices=tin.n_vertices)
 
     def judged(self, tin: Tin, points: Xyz) -> tuple[UInt8, npt.NDArray[np.bool_]]:
-        """Labels and marks of `label_points`, against the TIN that was taken."""
+        """Return labels and a mask of uncertified labels by the finished TIN (`label_points`)."""
         return label_points(tin, self.locator, points, self.in_doubt, self.rule, self.bands)
 
     def label(self, points: Points) -> tuple[UInt8, npt.NDArray[np.bool_]]:
-        """ASPRS classes (uint8 [n]) and marks (bool [n]) of points, in any order."""
+        """Return ASPRS classes (uint8 [n]) and a mask of uncertified labels (bool [n]) of points in any order."""
         xyz = Xyz(*points.columns())
         if self.tin is None:
             labels, marked = np.full(len(points), UNCLASSIFIED, np.uint8), np.full(len(points), self._closed)

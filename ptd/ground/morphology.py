@@ -1,8 +1,8 @@
 """Grey-scale openings with disks on minimum rasters, in which any cell may be empty.
 
-An empty cell has no height: it neither lowers nor raises its neighbours. All results are integers, or come from
-integers by the same few operations in each cell, and a cell's result depends on its surroundings alone, not on where
-the raster starts or ends: rasters of one lattice agree wherever both hold all data within reach.
+An empty cell has no height, so it neither lowers nor raises its neighbours. All results are integers, or follow from
+integers by the same few operations in each cell. The result of a cell depends only on its surroundings, not on where
+the raster starts or ends. So rasters of one lattice agree wherever both contain all data within the search distance.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ EMPTY = 2**31 - 1
 """Height of a cell without points."""
 
 OVERHANG = 1
-"""Disks are centred on filled cells and so many cells around them. Without holes between sparse points the disks would
-be fewer (fine ridges would be cut); anywhere outside the data they would reach in just far enough to spare a
-roof at the border."""
+"""Distance in cells of the centres of disks from filled cells. If disks were centred only on filled cells, there would
+be fewer between sparse points, and fine ridges would be cut. If they were centred anywhere outside the data, they would
+extend into the data just far enough to spare a roof at the border."""
 
 Bool = npt.NDArray[np.bool_]
 Float32 = npt.NDArray[np.float32]
@@ -36,15 +36,15 @@ class CellRaster:
     Parameters
     ----------
     x, y : int32 [n]
-        Local counts; at least one point.
+        Local counts of at least one point.
     cells : CellLattice
 
     Attributes
     ----------
     shape : (int, int)
-        Rows, the southern one first, and columns.
+        Number of rows, the southern one first, and of columns.
     keys : int64 [n]
-        The cell of each point in a raster taken row by row.
+        Index of each point's cell in the flattened raster.
     """
 
     def __init__(self, x: Int32, y: Int32, cells: CellLattice) -> None:
@@ -54,7 +54,7 @@ class CellRaster:
         self.keys = cell_keys(x, y, cells.p, cells.q, cells.origin_x, cells.origin_y, col0, row0, width)
 
     def lowest(self, z: Int32, which: Bool) -> Int32:
-        """Height of the lowest of the chosen points in each cell, `EMPTY` where there is none: int32, of `shape`."""
+        """Return the height of the lowest chosen point in each cell, or `EMPTY` if there is none: int32, of `shape`."""
         heights = np.full(self.shape[0] * self.shape[1], EMPTY, np.int32)
         _lower_cells(heights, self.keys, z, which)
         return heights.reshape(self.shape)
@@ -69,9 +69,10 @@ def _lower_cells(heights: Int32, keys: Int64, z: Int32, which: Bool) -> None:
 
 @kernel
 def _fill_runs(runs: Int32, row: Int32, radius: int) -> tuple[int, int]:
-    """``runs[k, i]``: the minimum of the 2**k cells from i on of a row with `radius` empty cells at both ends.
+    """Compute the minima of runs of cells in a row with `radius` empty cells at both ends.
 
-    Returns the first filled column and the one behind the last; (width, 0) for an empty row.
+    ``runs[k, i]`` gets the minimum of the 2**k cells from i on. Returns the first filled column and the one after the
+    last, or (width, 0) for an empty row.
     """
     width = row.size
     start, end = 0, width
@@ -95,10 +96,11 @@ def _fill_runs(runs: Int32, row: Int32, radius: int) -> tuple[int, int]:
 
 @kernel
 def _disk_minimum(heights: Int32, half_widths: Int64, levels: Int64, out: Int32) -> None:
-    """Each chord of the disk is covered by two runs of 2**level cells (Urbach and Wilkinson 2008).
+    """Compute the minimum over a disk around each cell from runs of 2**level cells (Urbach and Wilkinson 2008).
 
-    The first chord is the widest. Runs of the rows that the disk touches go round in a buffer that stays in the cache.
-    Sparse points leave most rows empty, and the others filled over a few columns: the rest is not looked at.
+    Two runs cover each chord of the disk. The first chord is the widest. The runs of the rows that the disk touches are
+    kept in a ring buffer that stays in the cache. With sparse points most rows are empty, and others are filled over a
+    few columns, so all other cells are skipped.
     """
     height, width = heights.shape
     radius = half_widths.size - 1
@@ -131,19 +133,19 @@ def _disk_minimum(heights: Int32, half_widths: Int64, levels: Int64, out: Int32)
 
 
 def disk_minimum(heights: Int32, radius: float) -> Int32:
-    """The lowest of the filled cells whose centres lie within `radius` cells, everywhere.
+    """Return the lowest height of the filled cells whose centres lie within `radius` cells of each cell.
 
     Parameters
     ----------
     heights : int32 [rows, columns]
-        Counts, above -2**31; `EMPTY` where there is none.
+        Heights in counts, above -2**31; `EMPTY` where there is none.
     radius : float
-        Cells, not negative.
+        Radius of the disk in cells, not negative.
 
     Returns
     -------
     int32 [rows, columns]
-        `EMPTY` where no cell of the disk is filled.
+        Lowest heights in counts; `EMPTY` where no cell of the disk is filled.
     """
     limit = math.floor(radius * radius)
     half_widths = [math.isqrt(limit - dy * dy) for dy in range(math.isqrt(limit) + 1)]
@@ -157,7 +159,7 @@ def disk_minimum(heights: Int32, radius: float) -> Int32:
 
 @kernel
 def _flip(heights: Int32, keep: Bool) -> None:
-    """Negate in place, so that minima become maxima; cells not to keep become empty."""
+    """Negate heights in place, so that minima become maxima, and empty the cells that are not in ``keep``."""
     flat, kept = heights.reshape(-1), keep.reshape(-1)
     for i in range(flat.size):
         flat[i] = -flat[i] if kept[i] else EMPTY
@@ -167,15 +169,15 @@ _INNER = np.s_[OVERHANG:-OVERHANG, OVERHANG:-OVERHANG]
 
 
 def _framed(heights: Int32) -> tuple[Int32, Bool, Bool]:
-    """The raster with room for disks centred outside it; which of its cells are filled; where disks are centred."""
+    """Return the raster with a frame for disks centred outside it, its filled cells, and the centres of disks."""
     framed = np.ascontiguousarray(np.pad(heights, OVERHANG, constant_values=EMPTY))
     return framed, framed != EMPTY, disk_minimum(framed, OVERHANG) != EMPTY
 
 
 def _open(heights: Int32, radius: float, filled: Bool, centres: Bool) -> Int32:
-    """Opening: each filled cell takes the highest of the minima of the disks that hold it.
+    """Open a raster: each filled cell gets the highest of the minima of the disks that contain it.
 
-    So whatever is higher than its surroundings and narrower than a disk is cut.
+    So every feature that is higher than its surroundings and narrower than a disk is cut.
     """
     lowest = disk_minimum(heights, radius)
     _flip(lowest, centres)
@@ -192,28 +194,29 @@ def _keep_steepest(before: Int32, after: Int32, allowance: float, radius: float,
 
 
 def steepest_drops(heights: Int32, radii: Sequence[float], allowance: float) -> tuple[Float32, Int32]:
-    """Open with ever larger disks and watch how far each cell drops from one opening to the next.
+    """Open a raster with larger and larger disks and find the steepest drop of each cell from one opening to the next.
 
-    Each opens the raster as it is, not what the last one left: so a cell's result depends on nothing farther than twice
-    the last radius, and discrete disks, which are no unions of smaller ones, cannot creep up a slope. A cell drops by
-    more than ``allowance + s * radius`` with some disk if its steepest drop is above s: thresholds that grow with the
-    disk can be chosen, and differ from cell to cell, after the openings.
+    Each disk opens the original raster, not the last opening. So heights farther than twice the last radius do not
+    change a cell's result, and discrete disks, which are not unions of smaller ones, cannot creep up a slope.
+
+    A cell drops by more than ``allowance + s * radius`` with some disk if its steepest drop is above s. So thresholds
+    that grow with the disk can be chosen after the openings, and can differ from cell to cell.
 
     Parameters
     ----------
     heights : int32 [rows, columns]
-        Counts, above -2**31; `EMPTY` where there is none.
+        Heights in counts, above -2**31; `EMPTY` where there is none.
     radii : sequence of float
-        Cells, above 0, growing.
+        Radii of the disks in cells, above 0 and growing.
     allowance : float
-        Counts by which a cell may drop with any disk.
+        Drop in counts that is allowed with any disk.
 
     Returns
     -------
     steepest : float32 [rows, columns]
-        The largest of (drop - allowance) / radius, counts per cell; meaningless in empty cells.
+        Largest (drop - allowance) / radius in counts per cell; meaningless in empty cells.
     opened : int32 [rows, columns]
-        After the last opening.
+        Heights after the last opening.
     """
     framed, filled, centres = _framed(heights)
     steepest, opened = np.full(framed.shape, -np.inf, np.float32), framed

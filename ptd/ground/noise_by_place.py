@@ -1,9 +1,10 @@
-"""Density and noise of each place (`ptd.places`), from what windows counted there and around it.
+"""Density and noise of each place (`ptd.places`), from counts of windows in it and around it.
 
-A place alone may be a corner of the survey or all wood, so it is measured with those up to two places around it, and
-nothing beyond `REACH_M` counts. Counts of noise are added up, near ones with more weight: what is smooth in a
-neighbourhood tells the noise of all of it, as it would in a small survey. The density of any piece of a survey is known
-well: it is the place's own, and that of its neighbours (by logarithms) only as far as it holds next to nothing.
+A single place may be a corner of the survey or may contain only wood. So it is measured together with the places up to
+two places away, and points beyond `REACH_M` do not count. Counts of noise are added up with larger weights for nearer
+places: the smooth patches of a neighbourhood give the noise of all of it, as they would in a small survey. The density
+of any part of a survey is known well. So it is the place's own density, and the (logarithmic) mean with its neighbours
+matters only if the place contains hardly any points.
 """
 
 from __future__ import annotations
@@ -24,22 +25,23 @@ Place = tuple[int, int]
 Partial = Mapping[str, Any]
 
 WEIGHTS = (1, 4, 6, 4, 1)
-"""Of counts of noise, by places along a row or column: near a Gaussian of 256 m."""
+"""Weights of counts of noise, by places along a row or column: nearly a Gaussian of 256 m."""
 OF_DENSITY = (1, 32, 1024, 32, 1)
-"""Of densities, for as many occupied cells."""
+"""Weights of the densities of places with equal numbers of occupied cells."""
 AROUND = len(WEIGHTS) // 2
+"""Largest distance, in places, of the places that are measured together."""
 REACH_M = (AROUND + 1.5) * PLACE_M
-"""What is farther from a point than this has no part in its figures: the four middles around it are up to a place away,
-and rest on what is up to two places and a half from them."""
+"""Distance beyond which points do not change the figures at a position. The four middles around it are up to a place
+away, and depend on points up to two and a half places from them."""
 PATCHES_ACROSS = round(PLACE_M / PATCH_M)
 DIGITS = 4
 """Significant digits of a density."""
 
 
 def measure_places(xyz: Int32, core: Window, scale: Scale) -> list[dict[str, Any]]:
-    """What the core of a window adds to each place that it touches.
+    """Return the counts that the core of a window adds to each place that it touches.
 
-    Parameters and dicts are those of `ptd.ground.roughness.measure`, with ``place``, column and row, besides.
+    Parameters and dicts are those of `ptd.ground.roughness.measure`. The dicts contain ``place`` (column and row) too.
     """
     found = patches(xyz, core, scale)
     columns, rows = found.columns // PATCHES_ACROSS, found.rows // PATCHES_ACROSS
@@ -50,12 +52,12 @@ def measure_places(xyz: Int32, core: Window, scale: Scale) -> list[dict[str, Any
 
 
 def by_place(partials: Iterable[Partial]) -> dict[Place, Roughness]:
-    """Figures of all places within `AROUND` places of one that holds points, by rows.
+    """Return the figures of all places within `AROUND` places of one with points, by rows.
 
     Parameters
     ----------
     partials : iterable of mapping
-        Those of `measure_places`, of all cores, in any order; a place may have several.
+        Results of `measure_places` for all cores, in any order. A place may have several.
     """
     held: dict[Place, list[Partial]] = defaultdict(list)
     for partial in partials:
@@ -67,13 +69,13 @@ def by_place(partials: Iterable[Partial]) -> dict[Place, Roughness]:
 
 
 def _packed(partial: Partial) -> Partial:
-    """A partial whose histograms take a tenth of the memory: a country has a million places."""
+    """Return a partial with histograms as arrays, which need a tenth of the memory: a country has a million places."""
     arrays = {name: np.array(partial[name], np.int32) for name in ("patches", "quarters")}
     return {**partial, **arrays}
 
 
 def _around(place: Place, held: Mapping[Place, list[Partial]]) -> Roughness:
-    """Figures of a place, the surroundings taken row by row: sums of logarithms depend on their order."""
+    """Return the figures of a place. Surroundings are added row by row, as sums of logarithms depend on the order."""
     sums, weights, logarithms = Sums(), 0, 0.0
     for row in range(2 * AROUND + 1):
         for column in range(2 * AROUND + 1):

@@ -1,4 +1,4 @@
-"""Density and noise from what windows counted (`ptd.ground.roughness`): sums of whole numbers, in any order."""
+"""Density and noise from the counts of windows (`ptd.ground.roughness`): sums of whole numbers, in any order."""
 
 from __future__ import annotations
 
@@ -12,32 +12,34 @@ import numpy.typing as npt
 PATCH_M = 4.0
 """Side of the cells that are counted."""
 MAX_SIGMA_M = 0.3
-"""What is rougher is not counted."""
+"""Largest noise of patches that are counted."""
 BIN_M = 0.001
 BINS = round(MAX_SIGMA_M / BIN_M) + 2
 MIN_SHARE = 0.005
-"""Least share of planar patches among cells with enough points: in a wood the few that look planar tell nothing."""
+"""Least share of planar patches among cells with enough points. In a wood the few planar patches do not show the
+noise."""
 SMOOTHEST_SHARE, SMOOTHEST_FACTOR = 0.05, 1.25
-"""Noise from what is smoothest, whatever stands on the ground: this quantile of all quarters of patches, times this."""
+"""Quantile of all quarters of patches and its factor, which give the noise of the smoothest patches, whatever stands on
+the ground."""
 
 Int64 = npt.NDArray[np.int64]
 
 
 @dataclass(frozen=True)
 class Roughness:
-    """Figures of a run.
+    """Density and noise of a run or a place.
 
     Attributes
     ----------
     density_m2 : float
-        Points per square metre of the cells of `PATCH_M` that hold any; 0 without points.
+        Points per square metre of the cells of `PATCH_M` that contain points; 0 without points.
     sigma_m : float or None
-        Noise of heights, metres; None if there is no planar patch, or next to none.
+        Noise of heights in metres; None if there are no or too few planar patches.
     patches : int
-        How many planar patches there are, on which it rests.
+        Number of planar patches from which the noise is computed.
     smoothest_m : float or None
-        Noise of the smoothest places, metres, with no test of what they are: there are some in any dense cloud. None if
-        no quarter of a patch has enough points.
+        Noise of the smoothest patches in metres, whether or not they are planar ground: any dense cloud has some. None
+        if no quarter of a patch has enough points.
     """
 
     density_m2: float
@@ -47,7 +49,10 @@ class Roughness:
 
 
 def histogram(bins: Int64) -> list[int]:
-    """How many are in each bin from the first one on that holds any: [first, count, count, ...]; -1 are not counted."""
+    """Count the values of each bin, from the first bin that has any: [first, count, count, ...].
+
+    Bins of -1 are not counted.
+    """
     known = bins[bins >= 0]
     if known.size == 0:
         return []
@@ -57,7 +62,7 @@ def histogram(bins: Int64) -> list[int]:
 
 
 def merge(partials: Iterable[Mapping[str, Any]]) -> Roughness:
-    """The run's figures from those of all cores, in any order."""
+    """Return the figures of a run from the partials of all cores, in any order."""
     sums = Sums()
     for partial in partials:
         sums.add(partial)
@@ -72,7 +77,7 @@ class Sums:
         self.patches, self.quarters = np.zeros((2, BINS), np.int64)
 
     def add(self, partial: Mapping[str, Any], weight: int = 1) -> None:
-        """Add a partial so many times."""
+        """Add a partial ``weight`` times."""
         self.points += weight * partial["points"]
         self.cells += weight * partial["cells"]
         self.full += weight * partial["full"]
@@ -80,7 +85,7 @@ class Sums:
         _add(self.quarters, partial["quarters"], weight)
 
     def roughness(self) -> Roughness:
-        """The figures."""
+        """Return the figures."""
         density = self.points / (self.cells * PATCH_M**2) if self.cells else 0.0
         smoothest = _quantile(self.quarters, SMOOTHEST_SHARE)
         smoothest = None if smoothest is None else round(SMOOTHEST_FACTOR * smoothest, 6)
@@ -96,7 +101,7 @@ def _add(histogram: Int64, counts: Sequence[int] | Int64, weight: int) -> None:
 
 
 def _quantile(histogram: Int64, share: float) -> float | None:
-    """The value below which so much of a histogram with bins of `BIN_M` lies; None of an empty one."""
+    """Return the value below which a share of a histogram with bins of `BIN_M` lies, or None if it is empty."""
     below = np.cumsum(histogram)
     if below[-1] == 0:
         return None

@@ -14,18 +14,20 @@ from ptd.frame import CellLattice, Scale
 from ptd.kernel import kernel
 
 MIN_NEIGHBOURS = 3
-"""Points far away in height that it takes to call a point an outlier: two prove nothing."""
+"""Least number of points far away in height around an outlier: two are not enough evidence."""
 
 
 class _Search(NamedTuple):
-    """What is looked for, in counts; see `low_outliers`.
+    """Parameters of a search in counts (`low_outliers`).
 
     Attributes
     ----------
     radius, depth : float
+        Radius in horizontal counts, and height difference in vertical counts from which on a point is far away.
     group : int
+        Largest number of points near an outlier, itself included.
     both : bool
-        What lies far below a point is as far from it as what lies far above; else it counts as near.
+        Whether points far below count as far away, like points far above. Otherwise they count as near.
     """
 
     radius: float
@@ -38,7 +40,7 @@ class _Search(NamedTuple):
 def _outliers(
     points: Xyz, table: CellTable, places: tuple[Int64, Int64], reach: int, search: _Search
 ) -> npt.NDArray[np.bool_]:
-    """Kernel of the two searches: cells are searched ring by ring, so ordinary ground is done after a few points."""
+    """Search cells ring by ring for the neighbours of each point, so that ordinary ground needs only a few points."""
     x, y, z = points
     point_columns, point_rows = places
     radius, depth, group, both = search
@@ -77,12 +79,12 @@ def _outliers(
 def low_outliers(
     x: Int32, y: Int32, z: Int32, scale: Scale, radius_m: float, depth_m: float, group: int
 ) -> npt.NDArray[np.bool_]:
-    """Points that, with at most ``group - 1`` others, lie alone at the bottom of a hole.
+    """Find points that, with at most ``group - 1`` others, lie alone at the bottom of a hole.
 
-    A point is a low outlier if at most ``group`` points within ``radius_m`` (itself included) are less than ``depth_m``
-    above it or below it, and at least three are higher than that. This is TerraScan's "low points" idea for
-    groups; it looks at each point's own neighbourhood alone, so neither order nor tile matter, and what lies
-    ``radius_m`` inside a window is certain.
+    A point is a low outlier if at most ``group`` points within ``radius_m``, itself included, are not more than
+    ``depth_m`` above it, and at least three are higher than that. This is TerraScan's idea of "low points" for groups.
+    It reads only the neighbourhood of each point, so neither order nor tiles matter, and points at least ``radius_m``
+    inside a window are certified.
 
     Parameters
     ----------
@@ -90,9 +92,9 @@ def low_outliers(
         Local counts, best in row-major order of cells.
     scale : Scale
     radius_m, depth_m : float
-        Metres.
+        Radius and height difference in metres.
     group : int
-        Points; 0 finds nothing.
+        Largest number of points in a group; 0 finds no outliers.
 
     Returns
     -------
@@ -106,10 +108,10 @@ def low_outliers(
 def isolated_in_height(
     x: Int32, y: Int32, z: Int32, scale: Scale, radius_m: float, depth_m: float
 ) -> npt.NDArray[np.bool_]:
-    """Points whose smallest height difference to their neighbours is too large (Chen 2023, 2.1 b).
+    """Find points whose smallest height difference to their neighbours is too large (Chen 2023, 2.1 b).
 
-    A point is isolated if within ``radius_m`` no other point is within ``depth_m`` of its height and at least three are
-    not.
+    A point is isolated if at least three other points lie within ``radius_m``, and none of those there is within
+    ``depth_m`` of its height.
 
     Parameters
     ----------
@@ -117,7 +119,7 @@ def isolated_in_height(
         Local counts, best in row-major order of cells.
     scale : Scale
     radius_m, depth_m : float
-        Metres.
+        Radius and height difference in metres.
 
     Returns
     -------
@@ -137,19 +139,19 @@ def _search(
 
 
 def search_margin(radius_m: float, group: int, cell_m: float) -> int:
-    """Cells of the lattice whose lowest points are looked at that hold the radius of the search; 0 without one."""
+    """Return the radius of the search in cells of the lattice of lowest points, rounded up, or 0 without a search."""
     return math.ceil(Fraction(repr(float(radius_m))) / Fraction(repr(float(cell_m)))) if group else 0
 
 
 class LowNoise:
-    """Where low outliers were found: points of the same cell that are not higher are low noise as well.
+    """Cells with low outliers: points of these cells that are not higher are low noise as well.
 
     Parameters
     ----------
     x, y, z : int32 [n]
-        The outliers, local counts.
+        Local counts of the outliers.
     cells : CellLattice
-        Of which the lowest points were looked at.
+        Lattice whose lowest points were searched for outliers.
     """
 
     def __init__(self, x: Int32, y: Int32, z: Int32, cells: CellLattice) -> None:
@@ -160,10 +162,10 @@ class LowNoise:
     def holds(
         self, x: Int32, y: Int32, z: Int32, among: npt.NDArray[np.bool_] | None = None
     ) -> npt.NDArray[np.bool_]:
-        """Whether points are low noise, and among those of a mask if there is one: bool [n]."""
+        """Return a mask of the points that are low noise and, if given, in another mask: bool [n]."""
         if self._index is None:
             return np.zeros(z.size, np.bool_)
-        found: npt.NDArray[np.bool_] = z <= self._heights.max()  # most lie above all of them
+        found: npt.NDArray[np.bool_] = z <= self._heights.max()  # Most points are higher than all outliers.
         if among is not None:
             found &= among
         low = np.flatnonzero(found)

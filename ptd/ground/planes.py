@@ -1,4 +1,4 @@
-"""Planes of least squares from sums of whole numbers, which no order of the points changes."""
+"""Least-squares planes from sums of whole numbers, which do not depend on the order of the points."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ from ptd.cells import Int64
 from ptd.kernel import kernel
 
 MOMENTS = 10
-"""n, x, y, z, xx, xy, yy, xz, yz, zz."""
+"""Number of moments: n, x, y, z, xx, xy, yy, xz, yz, zz."""
 
 
 @kernel
 def add_point(sums: Int64, x: int, y: int, z: int) -> None:
-    """Add a point, counts from some origin, to the moments of others."""
+    """Add a point, in counts from some origin, to moments."""
     moments = (1, x, y, z, x * x, x * y, y * y, x * z, y * z, z * z)
     for m in range(MOMENTS):
         sums[m] += moments[m]
@@ -19,9 +19,9 @@ def add_point(sums: Int64, x: int, y: int, z: int) -> None:
 
 @kernel
 def fit_plane(s: Int64, z_ratio: float) -> tuple[float, float, float, float]:
-    """Least squares ``z = c + a x + b y`` in horizontal counts from moments: a, b, c, sum of squared residuals.
+    """Fit the plane ``z = c + a x + b y`` in horizontal counts to moments by least squares.
 
-    The last is -1 where the points lie on a line.
+    Returns a, b, c and the sum of squared residuals, which is -1 if the points lie on a line.
     """
     n = float(s[0])
     mx, my, mz = s[1] / n, s[2] / n, s[3] / n

@@ -1,14 +1,14 @@
-"""Find wide roofs: connected surfaces whose edges fall on all sides.
+"""Wide roofs: connected surfaces whose edges fall on all sides.
 
-A roof of any shape ends on all sides in a fall, where terrain goes on somewhere: a hill by its foot, a terrace by its
-ends, a ramp. So a roof is a whole connected surface, or nothing of it is: no opening cuts it in two. A surface wider
-than a limit is terrain, whatever lies beyond; so nothing farther than a fixed reach has a part in the answer.
+A roof of any shape ends on all sides in a fall. Terrain continues somewhere: a hill at its foot, a terrace at its ends
+or over a ramp. A connected surface is classified as a whole, so no opening cuts a roof in two. A surface wider than a
+limit is terrain, whatever lies beyond, so heights beyond a fixed distance do not change the result.
 
-Lower roofs lean on higher ones: beside a hall they see what does not fall. So it is done again without the roofs found
-before, over which rays go on.
+Lower roofs lean on higher ones, so the ground does not fall next to a hall. Therefore the search is repeated without
+the roofs found before, and rays continue over them.
 
-Where the border of the data cuts a surface, it may go on: a narrower limit holds, and what reaches opposite borders is
-terrain, as an embankment across a corridor is.
+A surface that the border of the data cuts may continue there. A narrower limit applies to it, and a surface that
+extends to opposite borders is terrain, for example an embankment across a corridor.
 """
 
 from __future__ import annotations
@@ -28,60 +28,65 @@ from ptd.ground.morphology import EMPTY, Bool, CellRaster
 from ptd.kernel import kernel
 
 _AREA, _FALLS, _OTHERS, _PAST, _UNSEEN, _BORDER = range(6)
-"""What is counted of each surface; from the last on, looks along each of the eight ways that leave the data."""
+"""Columns of the counts of each surface: its cells, then its rays by result. From the last on there is one column per
+direction, for rays that leave the data."""
 
 ROOF_CELL_M = 2.0
-"""Side of the cells of ground that surfaces are made of: they bridge the gaps of sparse clouds."""
+"""Side of the cells of ground from which surfaces are made. They bridge the gaps of sparse clouds."""
 ROOF_FALL_M = 1.5
-"""What lies lower by more is below a roof."""
+"""Height difference above which ground is below a roof."""
 ROOF_STEPS_M = (ROOF_FALL_M, ROOF_FALL_M, ROOF_FALL_M, 1.0)
-"""Neighbours on a surface differ by no more, each time that roofs are looked for: a hall, what leans on it, and what
-leans on that. With a step below the fall alone, two flat roofs whose heights differ by something in between would keep
-each other as ground; the last and smaller one parts roofs from the terrain beside them, to which larger ones join."""
+"""Largest height difference of neighbours on a surface, for each search.
+
+The first searches find a hall, roofs that lean on it, and roofs that lean on those. If all steps were below the fall,
+two flat roofs whose heights differ by a value in between would keep each other as ground. The last and smaller step
+separates roofs from terrain next to them, to which larger steps join them.
+"""
 ROOF_GAP_M = 8.0
-"""Neighbours are no farther apart: parts of a roof lie among higher ones."""
+"""Largest distance of neighbours on a surface, as parts of a roof lie among higher ones."""
 ROOF_VIEW_M = 24.0
-"""Distance within which other ground is looked for: past what stands around a roof."""
+"""Length of the rays that search for other ground, beyond objects around a roof."""
 ROOF_SLOPE = 0.2
-"""What is seen far away lies lower on any hill: a fall has to be steeper than this."""
+"""Slope that a fall must exceed, as distant ground is lower on any hill."""
 ROOF_BELOW_SHARE = 0.9
 """Least share of the ground seen around a roof that lies below it."""
 ROOF_UNSEEN_SHARE = 0.6
-"""Largest share of all looks around a roof that meet no ground (trees, walls of courtyards, the border of the data)."""
+"""Largest share of the rays around a roof that meet no ground (trees, walls of courtyards, the border of the data)."""
 CUT_SIZE = 0.6
-"""Share of the widest roof's width for roofs that the border of the data cuts: a terrace may go on there."""
+"""Part of the largest width for roofs that the border of the data cuts, as a terrace may continue there."""
 
 BESIDE = 2
-"""A ray that starts within so many cells of a roof found before, and meets nothing, is left out: what hides the ground
-there is known."""
+"""Distance in cells from a roof found before within which a ray that meets no ground is left out, because this roof
+hides the ground."""
 CUT = 0.02
-"""Share of the looks around that leave the data from which on a surface is cut by their border."""
+"""Share of rays that leave the data above which the border of the data cuts a surface."""
 THROUGH = 3
-"""Looks that leave the data on one side, and as many on the opposite one: terrain that goes through a narrow survey."""
+"""Number of rays that leave the data on each of two opposite sides from which on a surface is terrain: it continues
+through a narrow survey."""
 
 
 @dataclass(frozen=True)
 class Plateaus:
-    """When a surface is a roof; lengths and areas in cells, heights in counts.
+    """Rule by which a surface is a roof. Lengths are in cells, heights in counts.
 
     Attributes
     ----------
     step : float
-        Cells are of one surface where their heights differ by no more.
+        Largest height difference of neighbouring cells on a surface.
     gap : int
-        Also if so many steps lie between them, along one of the eight directions, over empty cells.
+        Largest distance of neighbours along one of the eight directions, over empty cells.
     view : int
-        As far is looked from each cell, along the eight directions, for what is no part of the surface.
+        Length of the rays from each cell, along the eight directions, that search for ground outside the surface.
     fall, slope : float
-        What lies lower by more than `fall` and `slope` for each cell of distance lies below: terrain slopes. What lies
-        between the first and both could be either; such a look says nothing.
+        Ground is below the surface if it is lower by more than `fall` plus `slope` per cell of distance, as terrain
+        slopes. It is not below if it is lower by at most `fall`. Between these limits the ray counts as unseen.
     share : float
-        Of what is seen around, so much at least lies below.
+        Least share of the ground seen around a roof that lies below it.
     unseen : float
-        Of the looks around, so many at most meet or say nothing: walls of courtyards, trees, the border of the data;
-        those that begin beside a roof found before are not among them.
+        Largest share of the rays that meet no ground (walls of courtyards, trees, the border of the data) or ground
+        between the limits. Rays that begin next to a roof found before are not among them.
     widest, widest_cut : int
-        At most so many columns and rows; and of what the border of the data cuts.
+        Largest number of rows and columns of a roof, and of a roof that the border of the data cuts.
     """
 
     step: float
@@ -98,7 +103,7 @@ class Plateaus:
     def of(
         cls, scale: Scale, widest_m: float, step_m: float = ROOF_FALL_M, cell_m: float = ROOF_CELL_M
     ) -> Self:
-        """The rule for roofs whose neighbouring cells differ by no more than a step."""
+        """Convert lengths in metres to the rule for roofs up to a width, whose neighbours differ by at most a step."""
 
         def cells(metres: float) -> int:
             return max(round(metres / cell_m), 1)
@@ -117,28 +122,28 @@ class Plateaus:
 
     @property
     def reach(self) -> int:
-        """Cells beyond which nothing has a part in the answer.
+        """Distance in cells beyond which heights do not change the result.
 
-        A surface that goes on beyond is wider than `widest` already by what is seen of it: the last cell that is seen
-        is no more than `gap` from the border. One cell more is for the edges (`on_plateaus`).
+        The part within this distance of a surface that continues beyond it is already wider than `widest`, as its last
+        cell is at most `gap` from the limit. One further cell is for the edges (`on_plateaus`).
         """
         return self.widest + max(self.gap, self.view) + 1
 
 
 def on_plateaus(z: Int32, ground: Bool, before: Bool, raster: CellRaster, rule: Plateaus) -> Bool:
-    """Find the points of ground on surfaces above their surroundings: bool [n].
+    """Find the ground points on surfaces above their surroundings: bool [n].
 
-    That is all in cells of such surfaces; and in the cells at their edges, whose lowest point lies beside the roof,
-    what is higher than that by more than `Plateaus.fall`.
+    These are all ground points in cells of such surfaces. The lowest point of a cell at their edges lies next to the
+    roof. There, points that are higher than it by more than `Plateaus.fall` are on the roof.
 
     Parameters
     ----------
     z : int32 [n]
-        Counts.
+        Heights of the points in counts.
     ground, before : bool [n]
-        Which are ground; which were found on roofs before, and are no ground any more.
+        Masks of the ground points, and of the points found on roofs before, which are not ground any more.
     raster : CellRaster
-        Of the points.
+        Raster of the points.
     rule : Plateaus
     """
     heights = raster.lowest(z, ground)
@@ -154,17 +159,17 @@ def on_plateaus(z: Int32, ground: Bool, before: Bool, raster: CellRaster, rule: 
 
 
 def plateaus(heights: Int32, rule: Plateaus, removed: Bool | None = None, data: Bool | None = None) -> Bool:
-    """Find the cells of a raster on surfaces above their surroundings: bool, of its shape.
+    """Find the cells of a raster on surfaces above their surroundings: bool [rows, columns].
 
     Parameters
     ----------
     heights : int32 [rows, columns]
-        Of ground, counts; `EMPTY` where there is none.
+        Heights of ground in counts; `EMPTY` where there is none.
     rule : Plateaus
     removed : bool [rows, columns], optional
-        Cells of roofs found before; none if left out.
+        Cells of roofs found before; none by default.
     data : bool [rows, columns], optional
-        Cells with any point; those of ground if left out.
+        Cells with any point; the cells of ground by default.
     """
     removed = np.zeros(heights.shape, np.bool_) if removed is None else removed
     data = heights != EMPTY if data is None else data
@@ -188,7 +193,7 @@ def plateaus(heights: Int32, rule: Plateaus, removed: Bool | None = None, data: 
 def _looks(
     heights: Int32, surface: Int32, removed: Bool, data: Bool, n: int, view: int, fall: float, slope: float
 ) -> tuple[Int64, npt.NDArray[np.int64]]:
-    """Counts for each surface, `_AREA` (cells) to `_BORDER` (rays that leave the data), and its box."""
+    """Count, for each surface, its cells (`_AREA`) to its rays that leave the data (`_BORDER`), and find its box."""
     rows, columns = heights.shape
     looks, box = np.zeros((n, _BORDER + 8), np.int64), np.zeros((n, 4), np.int64)
     for row in range(rows):
@@ -221,6 +226,6 @@ def _looks(
                             met = _OTHERS
                         break
                 if met != _AREA:
-                    # What hides the ground here is known: a roof.
+                    # A roof found before hides the ground here.
                     looks[own, _PAST if joined and met >= _UNSEEN else met] += 1
     return looks, box

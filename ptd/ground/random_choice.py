@@ -1,4 +1,4 @@
-"""Random choices that are the same for any tile or order of points: hashes of coordinates."""
+"""Random choices by hashes of coordinates, which are the same for any tile or order of points."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ UInt64 = npt.NDArray[np.uint64]
 
 
 def _mixed64(values: UInt64) -> UInt64:
-    """SplitMix64 (Steele, Lea and Flood 2014): each bit of the input changes half of the bits."""
+    """Mix bits by SplitMix64 (Steele, Lea and Flood 2014): each bit of the input changes half of the bits."""
     values = values + np.uint64(0x9E3779B97F4A7C15)
     values = (values ^ (values >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     values = (values ^ (values >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
@@ -22,7 +22,7 @@ def _mixed64(values: UInt64) -> UInt64:
 
 
 def _mixed32(values: UInt32) -> UInt32:
-    """The finaliser of MurmurHash3, one to one."""
+    """Mix bits by the finaliser of MurmurHash3, which is one-to-one."""
     values = (values ^ (values >> np.uint32(16))) * np.uint32(0x85EBCA6B)
     values = (values ^ (values >> np.uint32(13))) * np.uint32(0xC2B2AE35)
     mixed: UInt32 = values ^ (values >> np.uint32(16))
@@ -30,10 +30,10 @@ def _mixed32(values: UInt32) -> UInt32:
 
 
 def point_hashes(x: Int32, y: Int32, z: Int32, cells: CellLattice, salt: int) -> Int32:
-    """A random number for each point from its absolute position and a salt: int32 [n].
+    """Return a random number for each point from its absolute position and a salt: int32 [n].
 
-    Points of one (x, y) and different heights have different numbers, so ties in `random_per_cell` are between
-    different places, or between equal points.
+    Points at one (x, y) with different heights have different numbers. So ties in `random_per_cell` are only between
+    different positions in plan, or between equal points.
     """
     with np.errstate(over="ignore"):
         east = (x.astype(np.int64) + cells.origin_x).view(np.uint64)
@@ -43,9 +43,9 @@ def point_hashes(x: Int32, y: Int32, z: Int32, cells: CellLattice, salt: int) ->
 
 
 def random_per_cell(x: Int32, y: Int32, z: Int32, cells: CellLattice, salt: int) -> Int32:
-    """One random point of each cell that holds one, in row-major order of the cells.
+    """Pick one random point of each occupied cell, in row-major order of the cells.
 
-    The pick depends on the cell's own points and the salt alone: not on their order, the tile or the frame's offset.
+    The pick depends only on the cell's own points and the salt, not on their order, the tile or the frame's offset.
 
     Parameters
     ----------
@@ -53,12 +53,12 @@ def random_per_cell(x: Int32, y: Int32, z: Int32, cells: CellLattice, salt: int)
         Local counts.
     cells : CellLattice
     salt : int
-        Other salts give other picks; at least 0.
+        Seed of the picks, at least 0.
 
     Returns
     -------
     int32 [m]
-        Indices into the arrays.
+        Indices of the picked points.
     """
     if x.size == 0:
         return np.zeros(0, np.int32)

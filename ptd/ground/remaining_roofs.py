@@ -1,7 +1,7 @@
-"""Find roofs that are left in a terrain model, by the rule that takes roofs out of a cloud (`ptd.ground.plateaus`).
+"""Roofs that remain in a terrain model, found by the rule that removes roofs from a cloud (`ptd.ground.plateaus`).
 
-Between a roof and the ground beside it the model is interpolated: a ramp, which would join both. So where it is steep
-nothing counts as ground, as there is none in the cloud.
+Between a roof and the ground next to it the model is an interpolated ramp, which would join both. So steep cells do not
+count as ground, as the cloud has no ground there.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from ptd.ground.morphology import EMPTY, Bool, Float64
 from ptd.ground.plateaus import ROOF_CELL_M, ROOF_STEPS_M, Plateaus, plateaus
 
 MAX_WIDTH_M = 240.0
-"""The widest roof that is looked for."""
+"""Width of the widest roof that is found."""
 MILLIMETRES = Scale()
 
 
@@ -26,9 +26,9 @@ class RemainingRoof(NamedTuple):
     Attributes
     ----------
     width_m : float
-        Diameter of the largest circle inside, with its edge.
+        Diameter of the largest circle inside, including the edge, in metres.
     row, column : float
-        Its middle, cells.
+        Middle of the surface in cells.
     """
 
     width_m: float
@@ -39,18 +39,18 @@ class RemainingRoof(NamedTuple):
 def remaining_roofs(
     heights: Float64, cell_m: float = ROOF_CELL_M, min_width_m: float = 0.0
 ) -> list[RemainingRoof]:
-    """Connected surfaces of a terrain model that lie above all that is seen around them.
+    """Find the connected surfaces of a terrain model that lie above their surroundings.
 
-    Nothing farther than `reach_m` has a part in whether a surface is found.
+    Heights farther than `reach_m` from a cell do not change whether it is on such a surface.
 
     Parameters
     ----------
     heights : float64, shape (rows, columns)
-        Metres, NaN where unknown.
+        Heights in metres, NaN where unknown.
     cell_m : float
-        Side of a cell.
+        Side of a cell in metres.
     min_width_m : float
-        Narrower ones are left out.
+        Width in metres below which surfaces are left out.
     """
     known = ~np.isnan(heights)
     if not known.any():
@@ -69,7 +69,7 @@ def remaining_roofs(
 
 
 def _rises(heights: Float64, known: Bool) -> Float64:
-    """The largest difference of each known height to those beside it."""
+    """Return the largest difference of each known height to those of its neighbours."""
     highest = scipy.ndimage.maximum_filter(np.where(known, heights, -np.inf), 3)
     lowest = scipy.ndimage.minimum_filter(np.where(known, heights, np.inf), 3)
     rises: Float64 = np.maximum(highest - heights, heights - lowest)
@@ -77,12 +77,12 @@ def _rises(heights: Float64, known: Bool) -> Float64:
 
 
 def _measured(piece: Bool, box: tuple[slice, ...], cell_m: float) -> RemainingRoof:
-    """A roof from its cells, around which a row of its edge was too steep to be found."""
+    """Return the roof with the given cells. A row of cells at its edge was too steep to be found."""
     depth = scipy.ndimage.distance_transform_edt(np.pad(piece, 1))
     row, column = ((side.start + side.stop) / 2 for side in box)
     return RemainingRoof(2 * (float(depth.max()) + 1) * cell_m, row, column)
 
 
 def reach_m(cell_m: float = ROOF_CELL_M) -> float:
-    """Metres beyond which nothing has a part in whether a cell is on a roof."""
+    """Return the distance in metres beyond which heights do not change whether a cell is on a roof."""
     return (Plateaus.of(MILLIMETRES, MAX_WIDTH_M, cell_m=cell_m).reach + 1) * cell_m

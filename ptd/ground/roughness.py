@@ -1,17 +1,18 @@
 """Noise of a cloud's heights: root mean square of the residuals of planes (Dong 2018, eq. 1), and its density.
 
 The paper averages nine patches picked by hand. Here patches are the cells of a lattice of `PATCH_M` anchored at CRS
-coordinate 0, and those count that are
+coordinate 0. A patch counts if it passes three tests:
 
-- *many*: at least `MIN_POINTS` points, `MIN_QUARTER` in each quarter of the cell, and of such cells a share of at least
-  `MIN_SHARE` passes;
-- *planar*: residuals of at most `MAX_SIGMA_M`, none beyond `MAX_RESIDUAL` of their root mean square, and planes
-  of the quarters leave at least `MIN_QUARTERS` of their variance, so a bend or a step is less than the noise;
-- *ground*: no steeper than 45 degrees, and no patch within `REACH_CELLS` cells lies more than `DROP_M` below the plane.
+- *Many* points: at least `MIN_POINTS`, and `MIN_QUARTER` in each quarter of the cell. At least a share of `MIN_SHARE`
+  of such cells has to pass the other tests.
+- *Planar*: residuals are at most `MAX_SIGMA_M`, and none is beyond `MAX_RESIDUAL` times their root mean square.
+  Planes of the quarters leave at least `MIN_QUARTERS` of the variance, so a bend or a step is less than the noise.
+- *Ground*: the plane is no steeper than 45 degrees, and no patch within `REACH_CELLS` cells lies more than `DROP_M`
+  below it.
 
-The noise is the lower quartile of the patches' values (`ptd.ground.noise_sums`): lawns, fields and low plants pass all
-the tests of a plane and may be most of them, while what is smoother than a hard surface is not found. Sums are of
-integers and each patch belongs to the core that holds its first point, so neither tiles nor the order of points show.
+The noise is the lower quartile of the patches' values (`ptd.ground.noise_sums`). Lawns, fields and low plants pass all
+tests and may be most of the patches, while no patch is smoother than a hard surface. Sums are of integers, and each
+patch belongs to the core with its first point, so neither tiles nor the order of points change the result.
 
 Deviations from eq. 1: the sum of squares is divided by N - 3, not N (a fitted plane follows its points), and the
 average is a quartile.
@@ -39,11 +40,11 @@ STEEPEST = 1.0
 DROP_M = 2.0
 REACH_CELLS = 5
 REACH_M = PATCH_M * (REACH_CELLS + 1)
-"""What a window must hold around its core for `measure` to give the same with any tiles."""
+"""Margin around the core that a window needs so that `measure` gives the same result with any tiles."""
 CELL_POINTS = 12
-"""Least points of a quarter of a patch whose plane says how rough it is."""
+"""Least number of points in a quarter of a patch for measuring its roughness by a plane."""
 TALLEST_M = 8.0
-"""Patches whose points span more height are no planes; keeps the sums small."""
+"""Largest height range of the points of a planar patch, which keeps the sums small."""
 
 Bool = npt.NDArray[np.bool_]
 Float64 = npt.NDArray[np.float64]
@@ -52,8 +53,8 @@ Float64 = npt.NDArray[np.float64]
 class _Moments(NamedTuple):
     """Sums over the points of each cell.
 
-    Moments of each quarter, int64 [cells, 4, MOMENTS], are taken from its south-western corner (x, y) and its lowest
-    point. Its first point is the southernmost one, of those the westernmost.
+    The moments of each quarter, int64 [cells, 4, MOMENTS], are relative to the cell's south-western corner (x, y) and
+    its lowest point. The first point of a cell is the southernmost one, or the westernmost of several.
     """
 
     x: Int64
@@ -68,7 +69,7 @@ class _Moments(NamedTuple):
 def _sums(
     points: Xyz, slot: Int64, corners: tuple[Int64, Int64], side: tuple[int, int], tallest: float
 ) -> _Moments:
-    """Moments of cells of side p / q counts; of those taller than a limit n and z alone."""
+    """Compute the moments of cells of side p / q counts, only n and z for cells taller than a limit."""
     x, y, z = points
     corner_x, corner_y = corners
     p, q = side
@@ -95,7 +96,10 @@ def _sums(
 
 @kernel
 def _patches(moments: _Moments, whole: Int64, tallest: float, largest: float, z_ratio: float) -> Float64:
-    """Planes a, b, c of the cells that are many and planar, and their noise (-1 for all others), horizontal counts."""
+    """Return the planes a, b, c of cells with many points that are planar, and their noise, in horizontal counts.
+
+    The noise of all other cells is -1.
+    """
     low, high, sums = moments.low, moments.high, moments.sums
     planes = np.zeros((low.size, 4))
     planes[:, 3] = -1.0
@@ -123,7 +127,7 @@ def _patches(moments: _Moments, whole: Int64, tallest: float, largest: float, z_
 
 @kernel
 def _quarters(sums: Int64, z_ratio: float) -> Float64:
-    """Root mean square of the vertical residuals of the quarters from their planes (-1: too few points)."""
+    """Return the root mean square of the vertical residuals of quarters from their planes, or -1 for too few points."""
     noise = np.full((sums.shape[0], 4), -1.0)
     for k in range(sums.shape[0]):
         for quarter in range(4):
@@ -138,7 +142,7 @@ def _quarters(sums: Int64, z_ratio: float) -> Float64:
 
 @kernel
 def _drop_bent(points: Xyz, slot: Int64, moments: _Moments, planes: Float64, z_ratio: float) -> None:
-    """Refuse the patches one of whose points lies beyond `MAX_RESIDUAL` times the noise."""
+    """Remove the patches with a point beyond `MAX_RESIDUAL` times the noise."""
     x, y, z = points
     worst = np.zeros(planes.shape[0])
     for i in range(x.size):
@@ -165,7 +169,7 @@ def _drop_raised(
     drop: float,
     z_ratio: float,
 ) -> Bool:
-    """Keep the patches of ground: no well-filled cell around them has its mean far below their plane."""
+    """Return a mask of the patches of ground: no cell with many points around them has a mean far below their plane."""
     low = moments.low
     ground = planes[:, 3] >= 0.0
     for k in range(keys.size):
@@ -185,22 +189,22 @@ def _drop_raised(
 
 
 class Patches(NamedTuple):
-    """The cells of `PATCH_M` that a window's core holds a point of.
+    """Cells of `PATCH_M` with points in the core of a window.
 
     Attributes
     ----------
     columns, rows : int64 [m]
-        Places on their lattice.
+        Column and row of each cell on the lattice.
     points : int64 [m]
-        Points in the core.
+        Number of the cell's points in the core.
     own : bool [m]
-        The core holds the first point, so the figures of the cell are counted here.
+        Whether the core contains the cell's first point, so that the figures of the cell are counted here.
     full : bool [m]
-        It has at least `MIN_POINTS`.
+        Whether the cell has at least `MIN_POINTS` points.
     noise : int64 [m]
-        Bin of `BIN_M` of the residuals of its plane; -1: no planar patch of ground.
+        Bin of `BIN_M` of the residuals from the cell's plane; -1 if it is not a planar patch of ground.
     quarters : int64 [m, 4]
-        The same of the planes of its quarters; -1: too few points, or too rough.
+        Bins of the residuals from the planes of the quarters; -1 for too few points or too rough quarters.
     """
 
     columns: Int64
@@ -212,7 +216,7 @@ class Patches(NamedTuple):
     quarters: Int64
 
     def counts(self, which: Any = slice(None)) -> dict[str, Any]:
-        """What some cells add to the run's figures, see `measure`."""
+        """Return the counts that some cells add to the run's figures (`measure`)."""
         own = self.own[which]
         return {
             "points": int(self.points[which].sum()),
@@ -224,7 +228,7 @@ class Patches(NamedTuple):
 
 
 def patches(xyz: Int32, core: Window, scale: Scale) -> Patches:
-    """The cells of a core by rows; see `measure` for the parameters."""
+    """Measure the cells of a core, by rows. `measure` describes the parameters."""
     points = Xyz(*(np.ascontiguousarray(c) for c in xyz))
     x, y = points.x, points.y
     if x.size == 0:
@@ -232,7 +236,7 @@ def patches(xyz: Int32, core: Window, scale: Scale) -> Patches:
         return Patches(none, none, none, never, never, none, np.zeros((0, 4), np.int64))
     cells = CellLattice.of(PATCH_M, scale)
     inside = core.has(x, y)
-    # A margin of columns around the occupied ones, so that a key beside the raster is no cell of another row.
+    # With a margin of columns around the occupied ones, a key beyond the raster is never a cell of another row.
     col0, row0 = cells.column(int(x.min())) - REACH_CELLS, cells.row(int(y.min()))
     width = cells.column(int(x.max())) + REACH_CELLS + 1 - col0
     point_keys = cell_keys(x, y, cells.p, cells.q, cells.origin_x, cells.origin_y, col0, row0, width)
@@ -263,25 +267,26 @@ def patches(xyz: Int32, core: Window, scale: Scale) -> Patches:
 
 
 def measure(xyz: Int32, window: Window, core: Window, scale: Scale) -> dict[str, Any]:
-    """What the core of a window adds to the run's figures.
+    """Return the counts that the core of a window adds to the run's figures.
 
     Parameters
     ----------
     xyz : int32 [3, n]
-        All points of the window, local counts, in any order.
+        Local counts of all points of the window, in any order.
     window, core : Window
-        The window holds at least `REACH_M` around the core.
+        The window extends at least `REACH_M` beyond the core.
     scale : Scale
 
     Returns
     -------
     dict
-        ``points``, ``cells`` (of `PATCH_M`, with any point), ``full`` (with at least `MIN_POINTS`), ``patches`` and
-        ``quarters``: how many have a noise of each bin of `BIN_M`, as [first bin, count, count, ...].
+        ``points``: number of points. ``cells``: number of cells of `PATCH_M` with points. ``full``: number of cells
+        with at least `MIN_POINTS`. ``patches`` and ``quarters``: number of patches and of quarters by bins of
+        `BIN_M` of their noise, as [first bin, count, count, ...].
     """
     return patches(xyz, core, scale).counts()
 
 
 def _bins(noise: Float64, scale: Scale) -> Int64:
-    """Bins of values in horizontal counts; -1 of negative ones."""
+    """Return the bins of noise values in horizontal counts, or -1 for negative values."""
     return np.where(noise < 0.0, -1, noise / scale.counts(BIN_M)).astype(np.int64)

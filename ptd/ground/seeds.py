@@ -1,4 +1,4 @@
-"""Seeds: the lowest point per cell, and a ring of virtual points that holds the TIN beyond the data."""
+"""Seeds: the lowest point per cell, and a ring of virtual points that continues the TIN beyond the data."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ from ptd.frame import CellLattice
 from ptd.ground.certificates import UncertifiedRegion
 
 RING = 2
-"""Cells of virtual seeds around occupied ones. Any circle of a radius above sqrt(2) cells around or through a point
-of the data would hold a whole cell within two cells of it, and with it a seed: so the circles that matter are
-bounded, and reach less than three cells from the data."""
+"""Width in cells of the ring of virtual seeds around occupied cells. A circle around or through a point of the data
+with a radius above sqrt(2) cells would contain a whole cell within two cells of the point, and so a seed. Therefore the
+circles that matter are bounded, and extend less than three cells from the data."""
 
 
 @dataclass(frozen=True)
@@ -26,7 +26,7 @@ class Seeds:
     chosen : int32 [m]
         Indices of the points that are seeds.
     virtual : int32 [k, 3]
-        x, y, z in local counts; never output.
+        x, y, z of the virtual seeds in local counts; they are never output.
     """
 
     chosen: Int32
@@ -42,20 +42,20 @@ def choose_seeds(
     doubt: UncertifiedRegion,
     unsure: npt.NDArray[np.bool_] | None = None,
 ) -> Seeds:
-    """Lowest eligible point per cell of a lattice anchored at CRS coordinate 0, and the ring around them.
+    """Choose the lowest eligible point per cell of a lattice anchored at CRS coordinate 0, and the ring around them.
 
     Parameters
     ----------
     x, y, z : int32 [n]
-        Local counts; at least one point is eligible.
+        Local counts. At least one point is eligible.
     eligible : bool [n]
-        No outlier.
+        Mask of the points that are not outliers.
     cells : CellLattice
-        Side: the largest building.
+        Lattice of cells as wide as the largest building.
     doubt : UncertifiedRegion
-        Cells whose seed is not certain are added.
+        Uncertified region, to which cells with an uncertified seed are added.
     unsure : bool [n], optional
-        Whether it is not certain that a point is (or is not) eligible; else all are certain.
+        Mask of the points for which ``eligible`` is uncertified; none by default.
     """
     index = np.flatnonzero(eligible).astype(np.int32)
     chosen = index[lowest_per_cell(x[index], y[index], z[index], cells)]
@@ -74,7 +74,7 @@ def choose_seeds(
 
 
 def cells_of(x: Int32, y: Int32, cells: CellLattice) -> list[tuple[int, int]]:
-    """Column and row of each point."""
+    """Return column and row of each point."""
     columns, rows = cells.places(x, y)
     return list(zip(columns.tolist(), rows.tolist(), strict=True))
 
@@ -86,7 +86,10 @@ def _neighbours(cell: tuple[int, int], reach: int = 1) -> list[tuple[int, int]]:
 
 
 def _ring(heights: dict[tuple[int, int], int]) -> dict[tuple[int, int], int]:
-    """Heights of empty cells around filled ones: mean of the filled 8-neighbours, growing outward (Chen 2023, 2.2)."""
+    """Return heights of the empty cells around filled ones, layer by layer outward (Chen 2023, 2.2).
+
+    The height of a cell is the mean of its filled 8-neighbours.
+    """
     filled = dict(heights)
     added: dict[tuple[int, int], int] = {}
     rim = set(heights)
@@ -105,11 +108,12 @@ def _ring(heights: dict[tuple[int, int], int]) -> dict[tuple[int, int], int]:
 def _doubt_cells(
     filled: set[tuple[int, int]], unsure: set[tuple[int, int]], cells: CellLattice, doubt: UncertifiedRegion
 ) -> None:
-    """Put in doubt what may have another seed: cells not wholly known, and empty ones within the ring of such.
+    """Make the cells uncertified that may have another seed in the untiled run.
 
-    An empty cell near the border has a virtual seed, or none, or one of another height if there is a point beyond; and
-    so has one near a cell of whose points it is not certain that they are eligible (`unsure`). Cells of `filled` hold
-    one that certainly is.
+    These are cells that are not wholly known, and empty cells within the ring around them. If there is a point beyond
+    the border, an empty cell near it has a virtual seed, or none, or one of another height. The same applies to cells
+    near cells with points of uncertified eligibility (`unsure`). Cells of `filled` contain a point that is certainly
+    eligible.
     """
     known, deep = doubt.known.inside(cells), doubt.known.inside(cells, RING)
     reached = unsure.union(*(_neighbours(cell, RING) for cell in unsure))
@@ -124,7 +128,7 @@ def _doubt_cells(
 
 
 def box_with_ring(x: Int32, y: Int32, cells: CellLattice) -> tuple[int, int, int, int]:
-    """West, south, east, north (local counts) of all circles that hold data: see `RING`."""
+    """Return west, south, east and north, in local counts, of all circles that can contain data (`RING`)."""
     c0, c1 = cells.column(int(x.min())), cells.column(int(x.max()))
     r0, r1 = cells.row(int(y.min())), cells.row(int(y.max()))
     reach = RING + 1

@@ -16,7 +16,7 @@ Float64 = npt.NDArray[np.float64]
 
 @kernel
 def _sums(values: Int32) -> Int64:
-    """Sums and numbers of all filled cells before row and column: int64 [rows + 1, columns + 1, 2]."""
+    """Return sums and numbers of all filled cells before row and column: int64 [rows + 1, columns + 1, 2]."""
     height, width = values.shape
     sums = np.zeros((height + 1, width + 1, 2), np.int64)
     for row in range(height):
@@ -32,7 +32,10 @@ def _sums(values: Int32) -> Int64:
 
 @kernel
 def _mean(sums: Int64, row: int, column: int, reach: int) -> float:
-    """Mean of the filled cells up to `reach` from a cell, which may lie beyond the raster; NaN where there are none."""
+    """Return the mean of the filled cells up to `reach` from a cell, or NaN if there are none.
+
+    The cell may lie beyond the raster.
+    """
     height, width = sums.shape[0] - 1, sums.shape[1] - 1
     south, north = min(max(row - reach, 0), height), max(min(row + reach + 1, height), 0)
     west, east = min(max(column - reach, 0), width), max(min(column + reach + 1, width), 0)
@@ -50,7 +53,7 @@ def _means(sums: Int64, reach: int, cells: Int64, out: Float64) -> None:
 
 @kernel
 def _rise(before: float, own: float, after: float) -> float:
-    """The steeper of the rises from one neighbour and to the other; one that is missing (NaN) has none."""
+    """Return the larger of the rises from one neighbour and to the other. A missing neighbour (NaN) has no rise."""
     first = 0.0 if math.isnan(before) else abs(own - before)
     last = 0.0 if math.isnan(after) else abs(after - own)
     return max(first, last)
@@ -71,47 +74,47 @@ def _slopes(sums: Int64, reach: int, cells: Int64, out: Float64) -> None:
 
 
 class Boxes:
-    """Square boxes of a raster; their sums are whole numbers, so they are exact.
+    """Sums over square boxes of a raster. They are whole numbers, so they are exact.
 
     Parameters
     ----------
     values : int32 [rows, columns]
-        `EMPTY` where there is none.
+        Values of cells; `EMPTY` where there is none.
     """
 
     def __init__(self, values: Int32) -> None:
         self._sums = _sums(np.ascontiguousarray(values))
 
     def means(self, reach: int, cells: Int64) -> Float64:
-        """Means of the filled cells up to `reach` from some cells, in both directions.
+        """Return the means of the filled cells up to `reach` from some cells, in both directions.
 
         Parameters
         ----------
         reach : int
-            Cells, at least 1.
+            Distance in cells, at least 1.
         cells : int64 [n]
-            Row times columns plus column.
+            Indices of the cells: row times columns plus column.
 
         Returns
         -------
         float64 [n]
-            NaN where no cell of the box is filled.
+            Means; NaN where no cell of the box is filled.
         """
         out = np.empty(cells.size, np.float64)
         _means(self._sums, reach, cells, out)
         return out
 
     def slopes(self, reach: int, cells: Int64) -> Float64:
-        """Slope of a surface with empty cells in some cells, from the means of boxes.
+        """Return the slope at some cells of a surface that may have empty cells, from the means of boxes.
 
-        The means are of the filled cells up to `reach` cells (in both directions) from the cell and from those `reach`
-        to the east, west, north and south. Along each axis the steeper of the two sides counts: at the edge of a
-        terrace or the foot of a slope a mean of both would hide it.
+        The boxes contain the filled cells up to `reach` cells (in both directions) from the cell and from those `reach`
+        to the east, west, north and south. Along each axis the steeper of the two sides counts. At the edge of a
+        terrace or the foot of a slope, a mean of both would hide the slope.
 
         Parameters
         ----------
         reach, cells
-            As of `means`.
+            Parameters of `means`.
 
         Returns
         -------

@@ -1,36 +1,38 @@
-"""Ground of matched clouds (photogrammetry): one robust height per cell, and a surface that may bend only so much.
+"""Ground of photogrammetric clouds: one robust height per cell, and a surface of limited curvature.
 
-Image matching gives dense clouds whose heights scatter to both sides and hold blunders, alone and in clumps, so the
-lowest point of a cell says little. Every module here works on rasters of cells of 1 m, 2 m in sparse clouds:
+Dense image matching gives many points. Their heights scatter to both sides and contain blunders, single ones and
+clumps, so the lowest point of a cell is a poor estimate of the ground. The modules work on rasters of cells of 1 m, or
+2 m in sparse clouds:
 
 cells
-    one robust height per cell.
+    One robust height per cell.
 hull
-    the highest surface below the cells that bends down no more than a given curvature.
+    Highest surface below the cells that bends down no more than a given curvature.
 separable
-    the same for paraboloids around every cell, row by row.
+    The same hull from paraboloids around every cell, computed row by row.
 objects
-    connected surfaces with walls around them are objects, as a whole.
+    Large objects: connected surfaces that are surrounded by walls, each classified as a whole.
 surface
-    hulls of several curvatures, and the mean of the cells that lie about them.
+    Ground surface: hulls of several curvatures, then the mean of the cells near them.
 surroundings
-    what lies around each cell: sums, shares and slopes.
+    Sums, shares and slopes of the surroundings of each cell.
 canopy
-    where crowns hide the ground, and where they were taken for it.
+    Areas in which crowns hide the ground, and crowns that were classified as ground.
 growth
-    ground up to the edges of terraces and banks.
+    Growth of the ground up to the edges of terraces and banks.
 voting
-    points against the surface; neighbours vote.
+    Comparison of points with the surface, after a vote of their neighbours.
 last_look, trees
-    what lies around a point decides whether its label stays, by trees that were fitted to known labels.
+    Correction of labels from the surroundings of each point, by trees that were fitted to known labels.
 passes, by_side
-    all of it as passes of `ptd.methods.auto.method`; where cells of two sides meet.
+    These steps as passes of `ptd.methods.auto.method`, also where cells of two sides meet.
 place_figures
-    what these start from at a place: density, noise, side of the cells.
+    Density, noise and side of the cells of each place.
 survey, penetration
-    what made a cloud: a laser scanner, or matching.
-robust_cells, facets
-    the papers' methods on the same cells, and all points against the TIN of the cells that these take for ground.
+    Source of a cloud: laser scanning or dense image matching.
+on_cells, facets
+    The papers' methods on the same cells, and the comparison of all points with the TIN of the ground cells they find.
 
-The noise of a place that they start from is that of what is smoothest around it (`ptd.ground.noise_by_place`).
+The passes start from the noise of each place, which is measured on the smoothest patches around it
+(`ptd.ground.noise_by_place`).
 """

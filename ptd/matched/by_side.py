@@ -1,4 +1,7 @@
-"""Passes of matched clouds where cells of two sides meet: each side by itself, each point by the side of its place."""
+"""Passes of photogrammetric clouds where cells of 1 m and 2 m meet.
+
+Each pass works on the cells of each side separately. A point is labelled with the cells of the side of its place.
+"""
 
 from __future__ import annotations
 
@@ -17,18 +20,21 @@ from ptd.places import PLACES, near, of_places
 
 Float64 = npt.NDArray[np.float64]
 OfSide = Callable[[Points, Scale, State, float], Model]
-"""What a pass does with the cells of one side: elected points, scale, state, side in metres."""
+"""Function of a pass that fits the cells of one side, from elected points, scale, state and side in metres."""
 
 
 def needed(xyz: Int32, side_m: float, state: State, scale: Scale) -> Bool:
-    """Mask of the cells of a side in places that need them: bool [n]."""
+    """Return a mask of the cells of a side that lie in places that need this side: bool [n]."""
     own, both = (of_places(state[PLACES], figure, xyz[0], xyz[1], scale) for figure in (SIDE, BOTH))
     found: Bool = (own == side_m) | (both > 0)
     return found
 
 
 def side_of_cells(points: Points, scale: Scale) -> Float64:
-    """Sides of the cells whose middles are given: those of 2 m lie at the corners of those of 1 m."""
+    """Return the sides in metres of the cells with the given middles: float64 [n].
+
+    The middles tell the sides apart, as middles of cells of 2 m are corners of cells of 1 m.
+    """
     x, y = points.xyz[0], points.xyz[1]
     cells = CellLattice.of(SPARSE_CELL_M, scale)
     columns, rows = cells.places(x, y)
@@ -41,7 +47,10 @@ def side_of_cells(points: Points, scale: Scale) -> Float64:
 def of_each_side(
     of_side: OfSide, points: Points, core: Window, scale: Scale, state: State, cells: bool
 ) -> Model:
-    """The model of a window, of whose core it is asked: of ``cells``, or else of points by their place."""
+    """Fit the cells of each side in a window and return one model of them.
+
+    The model labels cells of the core if ``cells`` is true, else points by the side of their place.
+    """
     present = sides(state[PLACES]) or SIDES_M[:1]
     if len(present) == 1:
         return of_side(points, scale, state, present[0])
@@ -53,7 +62,7 @@ def of_each_side(
 
 
 class ModelOfCells(Model):
-    """Models of cells of each side, asked of cells."""
+    """Model that labels each cell with the model of its side."""
 
     def __init__(self, models: Mapping[float, Model], scale: Scale) -> None:
         self._models, self._scale = models, scale
@@ -61,7 +70,7 @@ class ModelOfCells(Model):
         self.stats = {name: sum(model.stats[name] for model in models.values()) for name in names}
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
-        """Each cell by the model of its side."""
+        """Label each cell with the model of its side."""
         labels, marks = np.zeros(len(points), np.uint8), np.zeros(len(points), np.bool_)
         own = side_of_cells(points, self._scale)
         for side, model in self._models.items():
@@ -71,14 +80,14 @@ class ModelOfCells(Model):
 
 
 class ModelOfPoints(ModelOfCells):
-    """Models of cells of each side, asked of points."""
+    """Model that labels each point with the model of the side of its place."""
 
     def __init__(self, models: Mapping[float, Model], scale: Scale, state: State) -> None:
         super().__init__(models, scale)
         self._state = state
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
-        """Each point by the model of its place, with the points of other places around it."""
+        """Label each point with the model of its place, which also reads the points of other places around it."""
         labels, marks = np.zeros(len(points), np.uint8), np.zeros(len(points), np.bool_)
         own = of_places(self._state[PLACES], SIDE, points.xyz[0], points.xyz[1], self._scale)
         for side, model in self._models.items():

@@ -1,22 +1,23 @@
-"""Closed canopy on matched clouds: where crowns hide the ground, and where they were taken for it.
+"""Closed canopy of photogrammetric clouds: areas where crowns hide the ground or were classified as ground.
 
-Image matching sees no ground below closed crowns. What it does see tells them from other things:
+Images show no ground below closed crowns. Two properties of the points distinguish crowns from other surfaces:
 
-- A *wavy* surface of the ground climbed onto crowns: residuals of planes over 9 m are some decimetres nearly
-  everywhere around, and its slopes scatter in every direction. A fold, a dam or a cliff bends one way, steep terrain
-  falls one way, lava and grass are lower. Crowns are bounded: over 25 m the surface is not much rougher. And they are
-  what is seen: little stands above them. Beside trees on a steep slope the surface bends, too, but they stand above it.
-- *Tall* cells stand above the ground found, and are rough over 5 m, as halls are not. Roofs side by side are, but many
-  of their cells lie in one plane with their neighbours.
+- The ground surface is *wavy* where it climbed onto crowns. Nearly everywhere around, residuals of planes over 9 m are
+  some decimetres, and its slopes scatter in every direction. A fold, a dam or a cliff bends one way only, steep terrain
+  falls one way only, and lava and grass are lower. Crowns are bounded: over 25 m the surface is not much rougher. The
+  surface consists of the crowns, so little stands above it. The surface next to trees on a steep slope bends as well,
+  but these trees stand above it.
+- Cells are *tall* if they stand above the ground found and are rough over 5 m. Halls are not rough. Adjacent roofs are
+  rough, but many of their cells lie in one plane with their neighbours.
 
-The canopy is what these cover together, less small openings, if a square fits into it: a smaller one where half of it
-is wavy, a larger one where all of it is tall, as gardens and gables are rough, too. In it, crowns that were taken for
-ground are no ground; ground that was seen beside and between them stays, as far as it goes on without a step, but for
-pits in crowns, far less deep than the trees are tall where their foot is seen. Every sum ends at a fixed distance, so
-nothing beyond `reach_cells` has a part in the answer.
+The canopy is the area that wavy and tall cells cover together, with small openings filled. A square must fit into it: a
+smaller one if half of it is wavy, a larger one if all of it is tall, as gardens and gables are rough, too. In the
+canopy, crowns that were classified as ground are not ground. Ground seen next to and between them stays as far as it
+continues without a step. Pits in crowns do not stay: they are far less deep than the height of the trees where their
+foot is seen. Every sum ends at a fixed distance, so cells farther than `reach_cells` do not change the result.
 
-Colours are not asked: a store holds them for the few methods that need them alone. What they would add, and what is
-found and lost, is in ``docs/filters.md``.
+Colours are not used, because a store contains them only for the few methods that need them. ``docs/filters.md`` reports
+what colours would add, and which canopies are found and missed.
 """
 
 from __future__ import annotations
@@ -35,50 +36,64 @@ from ptd.matched.surface import Surface
 Float64 = npt.NDArray[np.float64]
 
 AROUND_M = 25.0
-"""Side of the squares in which shares and the scatter of slopes are reckoned: several crowns."""
+"""Side of the squares in which shares and the scatter of slopes are computed: they contain several crowns."""
 WAVES_M, WAVE_M = 9.0, 0.3
-"""Side of the windows of planes over several crowns, and the residual from which on a surface is rough over them: noise
-and grass leave less, rocks, too, mostly."""
+"""Side of the windows of planes over several crowns, and the residual above which a surface is rough over them. Noise
+and grass leave smaller residuals, and mostly rocks do, too."""
 TEXTURE_M, TEXTURE = 5.0, 0.3
-"""Side of the windows of planes over a crown, and the residual from which on what is tall is no roof."""
+"""Side of the windows of planes over a crown, and the residual above which a tall cell is not a roof."""
 TALL_M = 1.0
-"""What rises less above the ground is no crown that hides it."""
+"""Smallest height above the ground of a crown that hides it."""
 SLOPE_M = 2.0
-"""Slopes are between cells so far away to both sides."""
+"""Distance, to both sides, of the cells between which slopes are computed."""
 ROUGH_SHARE, SCATTER, ONE_WAY = 0.6, 0.17, 0.8
-"""A surface is wavy where more than this share of the cells around is rough, where its slopes scatter by this standard
-deviation in the direction in which they do least, and where their mean is shorter than this part of their lengths'."""
+"""Limits of a wavy surface: share of rough cells around, scatter of slopes, and evenness of their direction.
+
+The share is larger than the first. The standard deviation of the slopes, in the direction in which they scatter least,
+is larger than the second. The length of the mean slope is less than the third part of the mean length of slopes.
+"""
 BOUNDED = 0.3
-"""Crowns are bounded: residuals of planes over several of them are more than this part of those over `AROUND_M`. On
-bare slopes, ridges and rocks they go on to grow."""
+"""Part of the residuals of planes over `AROUND_M` that residuals over `WAVES_M` exceed, as crowns are bounded. On bare
+slopes, ridges and rocks the residuals continue to grow with the window."""
 OVER, TILT = 2.0, 1.1
-"""Where the surface goes over crowns, they are what is seen: all heights are less than so many times as rough as it is.
-Where plants stand above a surface that they drag up, heights are rougher. Asked where slopes scatter by less than so
-many times their mean: steep ground bends in many ways beside what stands on it."""
+"""Ratio of the residuals of all cells to those of the surface, and ratio of the scatter of slopes to their mean.
+
+A surface that runs over crowns consists of them, so all cells are less than `OVER` times as rough as the surface. Cells
+are rougher where plants stand above a surface that they drag up. The condition applies only where slopes scatter by at
+most `TILT` times their mean: steep ground bends in many ways next to what stands on it.
+"""
 CLOSED_M = 7.0
 """Side of openings that are part of a canopy."""
 WAVY_M, WAVY_SHARE, TALL_SIDE_M = 24.0, 0.5, 40.0
-"""Sides of the squares that fit into a canopy: of this share of wavy cells, and of any."""
+"""Side of the squares that fit into a canopy of wavy cells, the share of wavy cells that they need, and side of the
+squares that fit into any other canopy."""
 PLANE_CELLS, PLANE_M, PLANE_SHARE = 3, 0.15, 0.25
-"""Cells on a side of windows of planes within a roof, the residual up to which one is a plane, and the share of the
-tall cells in a square of `TALL_SIDE_M` from which on they are roofs: crowns have next to no planes."""
+"""Limits of roofs: cells on a side of the windows of planes, largest residual of a plane, and share of planes.
+
+Tall cells are roofs if more than this share of those in a square of `TALL_SIDE_M` is planes. Crowns have hardly any.
+"""
 GROWN_M, STEEPEST = 8.0, 0.3
-"""Seen ground goes on so far into what is wavy, where it rises no more than this from cell to cell."""
+"""Distance in metres to which seen ground continues into wavy cells, and its largest slope from cell to cell."""
 
 
 PIT_M, WIDE_M, TREES_M, PIT_SHARE = 15.0, 6.0, 160.0, 0.5
-"""Sides of the squares that hold the top from which the depth of ground is reckoned, that fit into a wide opening, and
-in which the mean depth of the ground in wide openings tells how tall the trees are; what is less deep than this part of
-it is no ground, but a pit. The deepest ground would be that at the foot of a cliff."""
+"""Sides of three squares, and part of the height of trees below which an opening is a pit and not ground.
+
+The depth of ground is measured from the highest crown in the first square. A wide opening is one into which the second
+square fits. The mean depth of the ground in wide openings of the third square is the height of the trees. The largest
+depth would not do: it may be that of ground at the foot of a cliff.
+"""
 
 
 class Canopy(NamedTuple):
-    """What crowns cover; bool [rows, columns] each.
+    """Masks of the cells that crowns cover.
 
     Attributes
     ----------
-    covered : cells of a closed canopy and of small openings in it
-    crowns : those of them that were taken for ground, and are none
+    covered : bool [rows, columns]
+        Cells of a closed canopy and of small openings in it.
+    crowns : bool [rows, columns]
+        Cells of crowns that were classified as ground and are not ground.
     """
 
     covered: Bool
@@ -86,7 +101,7 @@ class Canopy(NamedTuple):
 
 
 def reach_cells(cell_m: float) -> int:
-    """Cells beyond which nothing has a part in `canopy`, the surface apart."""
+    """Return the distance in cells beyond which heights do not change `canopy`, for a given surface."""
     wavy = 2 * (_side(AROUND_M, cell_m) // 2)
     shape = 2 * (_side(CLOSED_M, cell_m) // 2 + _side(TALL_SIDE_M, cell_m) // 2)
     pits = 2 * (_side(WIDE_M, cell_m) // 2) + _side(PIT_M, cell_m) // 2 + _side(TREES_M, cell_m) // 2
@@ -94,23 +109,23 @@ def reach_cells(cell_m: float) -> int:
 
 
 def canopy(heights: Float64, surface: Surface, ground: Bool, cell_m: float) -> Canopy:
-    """Where a closed canopy hides the ground.
+    """Find the cells in which a closed canopy hides the ground.
 
     Parameters
     ----------
     heights : float64 [rows, columns]
-        Metres, of all cells; NaN elsewhere.
+        Heights of all cells in metres; NaN elsewhere.
     surface : Surface
-        The ground's surface, as if there were no canopy.
+        Ground surface, computed as if there were no canopy.
     ground : bool [rows, columns]
-        Cells that lie about it.
+        Cells near the surface.
     cell_m : float
-        Side of the cells.
+        Side of the cells in metres.
     """
     there, around = np.isfinite(heights), _Squares(cell_m)
     found = np.where(there & np.isfinite(surface.narrowing), surface.height, np.nan)
     wavy = _wavy(heights, found, around)
-    tall = there & ~ground & ~(heights - surface.height < TALL_M)  # where there is no surface, too
+    tall = there & ~ground & ~(heights - surface.height < TALL_M)  # true where the surface is NaN, too
     closed = around.closed(wavy | tall & _rough(heights, cell_m), CLOSED_M)
     half = around.mean(wavy.astype(np.float64), there, WAVY_M) > WAVY_SHARE
     climbed = there & around.opened(closed, WAVY_M) & half
@@ -123,7 +138,7 @@ def canopy(heights: Float64, surface: Surface, ground: Bool, cell_m: float) -> C
 
 
 def may_be(heights: Float64, cell_m: float) -> Bool:
-    """Cells that a canopy may cover, whatever the surface is: squares of rough ones fit in."""
+    """Return the cells that a canopy may cover, whatever the surface is: those that squares of rough cells cover."""
     around = _Squares(cell_m)
     waves = _rough_around(residuals(heights, _side(WAVES_M, cell_m)), around)
     closed = around.closed(waves | _rough(heights, cell_m), CLOSED_M)
@@ -133,23 +148,23 @@ def may_be(heights: Float64, cell_m: float) -> Bool:
 
 
 def _rough(heights: Float64, cell_m: float) -> Bool:
-    """Cells beside which heights differ as those of a crown do."""
+    """Return the cells around which heights differ as much as in a crown."""
     found: Bool = residuals(heights, _side(TEXTURE_M, cell_m)) > TEXTURE
     return found
 
 
 def _rough_around(waves: Float64, around: _Squares) -> Bool:
-    """Cells of a surface that is rough over several crowns nearly everywhere around, from its residuals."""
+    """Return the cells with rough ones nearly everywhere around them, from residuals over several crowns."""
     known = np.isfinite(waves)
     found: Bool = known & (around.mean((waves > WAVE_M).astype(np.float64), known, AROUND_M) > ROUGH_SHARE)
     return found
 
 
 def _wavy(heights: Float64, found: Float64, around: _Squares) -> Bool:
-    """Cells around which the surface of the ground goes over crowns."""
+    """Return the cells around which the ground surface (`found`) runs over crowns."""
     waves, all_waves = (residuals(v, _side(WAVES_M, around.cell_m)) for v in (found, heights))
     wavy = _rough_around(waves, around) & _rough_around(all_waves, around)
-    if not wavy.any():  # as nearly everywhere: what follows is most of the work
+    if not wavy.any():  # Nearly all rasters end here; the rest is most of the work.
         return wavy
     scatter, one_way, tilt = _slopes(found, around)
     wavy &= (scatter > SCATTER) & (one_way < ONE_WAY)
@@ -165,14 +180,18 @@ def _mean_around(left: Float64, around: _Squares) -> Float64:
 
 
 def _roofs(heights: Float64, tall: Bool, around: _Squares) -> Bool:
-    """Places where many of the tall cells lie in one plane with their neighbours."""
+    """Return the cells around which many of the tall cells lie in one plane with their neighbours."""
     plane = tall & (residuals(heights, PLANE_CELLS) < PLANE_M)
     found: Bool = around.mean(plane.astype(np.float64), tall, TALL_SIDE_M) > PLANE_SHARE
     return found
 
 
 def _slopes(found: Float64, around: _Squares) -> tuple[Float64, Float64, Float64]:
-    """Least scatter of the slopes around each cell, how far they fall one way, and the slope of their mean."""
+    """Describe the slopes around each cell.
+
+    Returns the standard deviation of the slopes in the direction in which they scatter least, the length of the mean
+    slope in parts of the mean length, and the length of the mean slope.
+    """
     far = _far(around.cell_m)
     north, east = np.full(found.shape, np.nan), np.full(found.shape, np.nan)
     run = 2 * far * around.cell_m
@@ -193,7 +212,7 @@ def _slopes(found: Float64, around: _Squares) -> tuple[Float64, Float64, Float64
 
 
 def _grown(heights: Float64, seen: Bool, may_join: Bool, cell_m: float) -> Bool:
-    """Seen ground, and what it goes on to without a step."""
+    """Return the seen ground and the cells of `may_join` to which it continues without a step."""
     step = STEEPEST * cell_m
     found = seen.copy()
     for _ in range(_steps(cell_m)):
@@ -208,7 +227,7 @@ def _grown(heights: Float64, seen: Bool, may_join: Bool, cell_m: float) -> Bool:
 
 
 def _pits(heights: Float64, ground: Bool, covered: Bool, around: _Squares) -> Bool:
-    """Cells far less deep below the tops of the crowns beside them than ground in wide openings is."""
+    """Return the ground cells that are far less deep below the crowns next to them than ground in wide openings."""
     crowns = np.where(covered & ~ground, heights, -np.inf)
     tops = around.highest(crowns, PIT_M)
     beside = ground & np.isfinite(tops)
@@ -220,17 +239,16 @@ def _pits(heights: Float64, ground: Bool, covered: Bool, around: _Squares) -> Bo
 
 @dataclass(frozen=True)
 class _Squares:
-    """Squares around cells of a raster; nothing is beyond the raster."""
+    """Filters over squares around the cells of a raster, with no cells beyond the raster."""
 
     cell_m: float
 
     def mean(self, values: Float64, known: Bool, side_m: float) -> Float64:
-        """Mean of the known values around each cell; 0 where none is known."""
+        """Return the mean of the known values around each cell, or 0 where none is known."""
         weights = np.ones(_side(side_m, self.cell_m))
 
-        def total(
-            of: Float64,
-        ) -> Float64:  # each square by itself: running sums depend on where the raster begins
+        # Each square is summed separately, because running sums depend on where the raster begins.
+        def total(of: Float64) -> Float64:
             along: Float64 = scipy.ndimage.correlate1d(of, weights, axis=1, mode="constant")
             found: Float64 = scipy.ndimage.correlate1d(along, weights, axis=0, mode="constant")
             return found
@@ -238,20 +256,20 @@ class _Squares:
         return total(np.where(known, values, 0.0)) / np.maximum(total(known.astype(np.float64)), 1.0)
 
     def highest(self, values: Float64, side_m: float) -> Float64:
-        """Highest value around each cell, minus infinity beyond the raster."""
+        """Return the highest value around each cell, with minus infinity beyond the raster."""
         side = _side(side_m, self.cell_m)
         found: Float64 = scipy.ndimage.maximum_filter(values, side, mode="constant", cval=-np.inf)
         return found
 
     def closed(self, cells: Bool, side_m: float) -> Bool:
-        """Cells, and openings among them that no square of this side fits into."""
+        """Return the cells and the openings among them into which no square of this side fits (closing)."""
         side = _side(side_m, self.cell_m)
         wide: Bool = scipy.ndimage.maximum_filter(cells, side, mode="constant")
         found: Bool = scipy.ndimage.minimum_filter(wide, side, mode="constant")
         return found
 
     def opened(self, cells: Bool, side_m: float) -> Bool:
-        """Cells that a square of this side covers that holds nothing else."""
+        """Return the cells that are covered by squares of this side that contain no other cells (opening)."""
         side = _side(side_m, self.cell_m)
         inner: Bool = scipy.ndimage.minimum_filter(cells, side, mode="constant")
         found: Bool = scipy.ndimage.maximum_filter(inner, side, mode="constant")
@@ -259,15 +277,15 @@ class _Squares:
 
 
 def _side(metres: float, cell_m: float) -> int:
-    """Cells, an odd number, on the side of a square."""
+    """Return the number of cells on the side of a square, an odd number."""
     return 2 * round(metres / cell_m / 2 - 0.25) + 1
 
 
 def _far(cell_m: float) -> int:
-    """Cells between which there are slopes, to either side."""
+    """Return the distance, to either side and in cells, of the cells between which slopes are computed."""
     return round(SLOPE_M / cell_m)
 
 
 def _steps(cell_m: float) -> int:
-    """Cells that seen ground grows."""
+    """Return the distance in cells to which seen ground grows."""
     return round(GROWN_M / cell_m)

@@ -1,4 +1,4 @@
-"""The pass that finds closed canopy among the cells of matched clouds."""
+"""The pass that finds closed canopy among the cells of photogrammetric clouds."""
 
 from __future__ import annotations
 
@@ -26,32 +26,32 @@ from ptd.passes import Int32, Model, Points, State, UInt8, noted
 from ptd.places import PLACES, of_places, on_cells
 
 BORDER_M = 8.0
-"""How far beyond a canopy the surface may differ from that with its crowns."""
+"""Distance from a canopy, in metres, within which the surface may differ from the surface with crowns."""
 
 Float64 = npt.NDArray[np.float64]
 
 BLOCK_M = 64.0
-"""Side of the blocks, of a lattice at CRS coordinate 0, by which covered cells are counted."""
+"""Side of the blocks by which covered cells are counted; their lattice is anchored at CRS coordinate 0."""
 
 
 def below_canopy(
     with_crowns: surface.Surface, without: surface.Surface, covered: Bool, cell_m: float
 ) -> surface.Surface:
-    """Surface that goes below crowns where a canopy is, and within `BORDER_M` of it, and is as it was elsewhere."""
+    """Return the surface without crowns in a canopy and within `BORDER_M` of it, and the one with crowns elsewhere."""
     near = scipy.ndimage.maximum_filter(covered, 2 * round(BORDER_M / cell_m) + 1, mode="constant")
     both = zip(without, with_crowns, strict=True)
     return surface.Surface(*(np.where(near, new, old) for new, old in both))
 
 
 def _widened(core: Window, more: float) -> Window:
-    """The core, and as many counts around it."""
+    """Return the core extended by a number of counts to all sides."""
     counts = math.ceil(more)
     return Window(core.west - counts, core.south - counts, core.east + counts, core.north + counts)
 
 
 @dataclass(frozen=True)
 class CanopyPass(MatchedPass):
-    """Closed canopy: crowns that the surface took for ground, and where others hide it."""
+    """Pass that finds crowns classified as ground, and cells where crowns hide the ground."""
 
     name: str = "canopy"
     title = "find closed canopy"
@@ -64,14 +64,14 @@ class CanopyPass(MatchedPass):
     )
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> CanopyModel:
-        """Look at the cells of each side, and count those of the core."""
+        """Find the canopy among the cells of each side, and count its cells in the core."""
         of_side = partial(self.of_side, core=core)
         found = by_side.of_each_side(of_side, points, core, scale, state, cells=True)
         own = core.has(points.xyz[0], points.xyz[1])
         return CanopyModel(found, points.take(own), scale, state)
 
     def of_side(self, points: Points, scale: Scale, state: State, side: float, core: Window) -> Codes:
-        """Make the surface of cells of one side as if there were no canopy, and look at it."""
+        """Compute the surface of the cells of one side as if there were no canopy, and test it."""
         cells, codes = CellLattice.of(side, scale), points.known_labels()
         if not (codes != OBJECT).any():
             return Codes(None, codes, cells)
@@ -81,9 +81,8 @@ class CanopyPass(MatchedPass):
         coded = flat.reshape(raster.heights.shape)
         metres = np.where(raster.heights == EMPTY, np.nan, raster.heights / scale.counts_z(1.0))
         own = _widened(core, scale.counts(side)).has(*points.xyz[:2])
-        if (
-            not may_be(metres, side).reshape(-1)[raster.keys[own]].any()
-        ):  # the surface is nearly all of the work
+        # Without cells that a canopy may cover, no surface is needed. The surface is nearly all of the work.
+        if not may_be(metres, side).reshape(-1)[raster.keys[own]].any():
             return Codes(raster, codes, cells)
         left = np.where(coded == OBJECT, EMPTY, raster.heights).astype(np.int32)
         noise = on_cells(noise_m(state, scale), cells, raster.row, raster.column, raster.heights.shape)
@@ -95,23 +94,24 @@ class CanopyPass(MatchedPass):
         return Codes(raster, coded.reshape(-1)[raster.keys], cells)
 
     def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
-        """``canopy``: the share of the area with points that it covers, None where there is none."""
+        """Add ``canopy`` to the state: its share of the area with points, None if there are no points."""
         parts = list(partials)
         area, covered = (sum(part[name] for part in parts) for name in ("area_m2", "covered_m2"))
         after = {**state, "canopy": {"share": covered / area if area else None}}
         if not covered:
             return after
         line = (
-            f"decided: a closed canopy hides the ground in {percent(covered / area)} % of the area; its crowns are no "
-            "ground, what is seen in its openings is"
+            f"decided: a closed canopy hides the ground in {percent(covered / area)} % of the area; only "
+            "openings in it contain ground points"
         )
         return {**after, "notes": noted(state, line)}
 
 
 class CanopyModel(Model):
-    """What each cell is, and how much of the core a canopy covers.
+    """Codes of the cells, and the area of the core that a canopy covers.
 
-    Where cells of two sides meet, only those of the side of their place are called covered: others are but seen.
+    Where cells of two sides meet, only cells of the side of their place get the code of covered cells. Other cells are
+    only read by the passes.
     """
 
     def __init__(self, found: Model, own: Points, scale: Scale, state: State) -> None:
@@ -127,23 +127,23 @@ class CanopyModel(Model):
         self.stats = {**found.stats, "covered": int(covered.sum())}
 
     def _of_place(self, points: Points) -> Bool:
-        """Cells of the side of their place."""
+        """Return a mask of the cells whose side is that of their place."""
         own = of_places(self._state[PLACES], SIDE, points.xyz[0], points.xyz[1], self._scale)
         same: Bool = own == by_side.side_of_cells(points, self._scale)
         return same
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
-        """Codes of cells."""
+        """Return the codes of cells."""
         labels, marks = self._found.label(points)
         return np.where(self._of_place(points), labels, labels & ~np.uint8(COVERED)).astype(np.uint8), marks
 
     def partial(self) -> dict[str, Any]:
-        """Areas in square metres, and the covered ones by blocks."""
+        """Return the areas of all cells and of covered cells in square metres, and the covered area by blocks."""
         return self._partial
 
 
 def _by_block(xyz: Int32, sides_m: Float64, scale: Scale) -> list[list[int]]:
-    """Column and row of each block of `BLOCK_M` that holds cells, and their area in square metres."""
+    """Return column and row of each block of `BLOCK_M` that contains cells, and their area in square metres."""
     places = np.stack(CellLattice.of(BLOCK_M, scale).places(xyz[0], xyz[1]))
     blocks, which = np.unique(places, axis=1, return_inverse=True)
     areas = np.bincount(which.ravel(), sides_m**2, blocks.shape[1]).astype(np.int64)

@@ -1,4 +1,7 @@
-"""One robust height per cell of a matched cloud, where the lowest point would be a blunder or the tail of the noise."""
+"""Robust heights of the cells of photogrammetric clouds.
+
+The lowest point of a cell would be a blunder or lie in the tail of the noise.
+"""
 
 from __future__ import annotations
 
@@ -15,30 +18,36 @@ from ptd.kernel import kernel
 from ptd.places import Field, on_cells
 
 CELL_M = 1.0
-"""Side of a cell: the detail of the surface. Tens of points average out in it; a car fills several."""
+"""Side of a cell, which limits the detail of the surface. The noise of tens of points averages out in a cell, and a car
+fills several cells."""
 SPARSE_M2 = 3.0
-"""Points per square metre below which cells are wider: in most cells of 1 m no two points would agree."""
+"""Density in points per square metre below which cells are wider: in most cells of 1 m no two points would agree."""
 SPARSE_CELL_M = 2.0
-"""Side of the cells of such sparse clouds."""
+"""Side of the cells of clouds below that density."""
 MODE_SIGMAS = 4.0
-"""Height of the window that is moved up from a cell's lowest point, in standard deviations of the noise."""
+"""Height of the window that moves up from a cell's lowest point, in standard deviations of the noise."""
 STEEPEST = 2.0
-"""Slopes between neighbouring cells up to which they are taken off before heights are compared."""
+"""Steepest slope between neighbouring cells that is subtracted before heights are compared."""
 STEEPEST_AT_GAPS = 0.7
-"""The same where one neighbour has no height, as at the edge of a wood: that of the other side may be a wall's."""
+"""Steepest slope that is subtracted if one neighbour has no height, as at the edge of a wood: the slope to the other
+neighbour may be that of a wall."""
 UNKNOWN = 2**40
-"""No rise is so high."""
+"""Rise that stands for an unknown one; no real rise is as large."""
 MODE_SHARE, MODE_POINTS = 0.1, 2
-"""The lowest window with this share of the cell's points, and this many, is its surface: single blunders are fewer."""
+"""Share and number of a cell's points that a window needs. The lowest such window is the surface of the cell, as single
+blunders are fewer."""
 FEW = 128
-"""Up to so many points of a cell are sorted by counting."""
+"""Largest number of points in a cell that are sorted by counting."""
 
 Float64 = npt.NDArray[np.float64]
 
 
 @kernel
 def by_cell(keys: Int64, n_cells: int) -> tuple[Int64, Int32]:
-    """Counting sort: the points of cell ``k`` are ``order[starts[k]:starts[k + 1]]``."""
+    """Sort points by cell (counting sort).
+
+    Returns ``starts`` and ``order``: the points of cell ``k`` are ``order[starts[k]:starts[k + 1]]``.
+    """
     starts = np.zeros(n_cells + 1, np.int64)
     for key in keys:
         starts[key + 1] += 1
@@ -54,7 +63,10 @@ def by_cell(keys: Int64, n_cells: int) -> tuple[Int64, Int32]:
 
 @kernel
 def _lowest_mode(values: Int32, width: int, share: float, least: int) -> tuple[int, int]:
-    """Median of the lowest window of sorted values that holds enough of them, and how many it holds (0: none does)."""
+    """Return the median and the number of values of the lowest window with enough of the sorted values.
+
+    The number is 0 if there is no such window.
+    """
     n = values.size
     need, last = max(math.ceil(share * n), least), 0
     for first in range(n - need + 1):
@@ -67,7 +79,10 @@ def _lowest_mode(values: Int32, width: int, share: float, least: int) -> tuple[i
 
 @kernel
 def _sort(values: Int32, room: Int32) -> None:
-    """Sort a few values by how many are smaller: without branches, faster than comparing pair by pair."""
+    """Sort a few values in place, each by the number of smaller values.
+
+    This needs no branches, so it is faster than a sort that swaps pairs. More than `FEW` values are sorted by numpy.
+    """
     n = values.size
     if n > FEW:
         values.sort()
@@ -85,7 +100,7 @@ def _sort(values: Int32, room: Int32) -> None:
 
 @kernel
 def _level_heights(z: Int32, starts: Int64, order: Int32, window: Int64) -> tuple[Int64, Int64]:
-    """Height of each cell, and on how many points it rests (0: it has none)."""
+    """Return the height of each cell and the number of points in its window, which is 0 if the cell has no height."""
     heights, counts = np.zeros(starts.size - 1, np.int64), np.zeros(starts.size - 1, np.int64)
     buffer, room = np.empty(np.diff(starts).max(), np.int32), np.empty(FEW, np.int32)
     for k in range(starts.size - 1):
@@ -100,7 +115,7 @@ def _level_heights(z: Int32, starts: Int64, order: Int32, window: Int64) -> tupl
 
 
 class _ByCell(NamedTuple):
-    """Points, and which of them are in each cell of a raster taken row by row (`by_cell`)."""
+    """Points sorted by the cells of a raster, which are numbered row by row (`by_cell`)."""
 
     x: Int32
     y: Int32
@@ -111,7 +126,10 @@ class _ByCell(NamedTuple):
 
 @kernel
 def _rise(level: Int64, counts: Int64, k: int, step: int, cell_counts: float) -> int:
-    """Rise over two cells along an axis, from the one neighbour where the other has no height; `UNKNOWN` if steep."""
+    """Return the rise over two cells along an axis, or `UNKNOWN` if it is too steep or no neighbour has a height.
+
+    If only one neighbour has a height, the rise to it counts twice.
+    """
     before, after = counts[k - step] > 0, counts[k + step] > 0
     if before and after:
         rise, steepest = level[k + step] - level[k - step], STEEPEST
@@ -134,7 +152,7 @@ def _tilted_heights(
     level: Int64,
     counts: Int64,
 ) -> Int64:
-    """Heights of cells whose neighbours tell a slope, with that slope taken off, if more points agree on them then."""
+    """Return the heights of cells, with the slope of their neighbours subtracted if more points agree then."""
     x, y, z, starts, order = points
     heights, columns = level.copy(), centre_x.size
     buffer, room = np.empty(np.diff(starts).max(), np.int32), np.empty(FEW, np.int32)
@@ -150,7 +168,7 @@ def _tilted_heights(
         span_x = float(centre_x[k % columns + 1] - centre_x[k % columns - 1])
         span_y = float(centre_y[k // columns + 1] - centre_y[k // columns - 1])
         values = buffer[:n]
-        for i in range(n):  # whole numbers, but divided as floats: that is faster, and exact below 2**52
+        for i in range(n):  # Whole numbers are divided as floats, which is faster, and exact below 2**52.
             j = order[begin + i]
             rise = math.floor(eastward * (x[j] - cx) / span_x) + math.floor(northward * (y[j] - cy) / span_y)
             values[i] = z[j] - rise
@@ -162,30 +180,30 @@ def _tilted_heights(
 
 
 def cell_side_m(density_m2: float) -> float:
-    """Side of the cells of a cloud of so many points per square metre."""
+    """Return the side of the cells in metres for a density in points per square metre."""
     return SPARSE_CELL_M if density_m2 < SPARSE_M2 else CELL_M
 
 
 def cell_heights(
     xyz: Int32, bounds: Window, scale: Scale, sigma_m: float | Field, cell_m: float = CELL_M
 ) -> Int32:
-    """The surface of each cell whose centre lies within bounds, as a point at its centre.
+    """Return the surface of each cell whose centre lies within bounds, as a point at its centre.
 
     Parameters
     ----------
     xyz : int32 [3, n]
-        All points within two cells of the bounds, local counts, in any order.
+        Local counts of all points within two cells of the bounds, in any order.
     bounds : Window
     scale : Scale
     sigma_m : float or Field
         Noise of the place in metres.
     cell_m : float
-        Side of the cells.
+        Side of the cells in metres.
 
     Returns
     -------
     int32 [3, m]
-        Local counts, by rows of cells.
+        Local counts of the points, by rows of cells.
     """
     cells = CellLattice.of(cell_m, scale)
     x, y, z = (np.ascontiguousarray(c) for c in xyz)
@@ -214,16 +232,16 @@ def cell_heights(
 
 @dataclass(frozen=True)
 class CellHeights:
-    """Cells of a window as a raster, with a margin of empty cells all around.
+    """The cells of a window as a raster, with a margin of empty cells on all sides.
 
     Attributes
     ----------
     heights : int32 [rows, columns]
-        Vertical counts, the southern row first; `EMPTY` where there is no cell.
+        Heights in vertical counts, southern row first; `EMPTY` where there is no cell.
     keys : int64 [n]
-        The place of each cell in the raster taken row by row.
+        Index of each cell in the flattened raster.
     column, row : int
-        Of the lattice, of the first cell.
+        Column and row of the first cell of the raster on the lattice.
     """
 
     heights: Int32
@@ -235,13 +253,13 @@ class CellHeights:
 EMPTY = 2**31 - 1
 """Height of a cell without a surface."""
 ALIGN = 8
-"""Rasters begin at multiples of this many cells of the lattice, so that blocks of cells are the same in each."""
+"""Multiple of cells of the lattice at which rasters begin, so that all rasters have the same blocks of cells."""
 MARGIN = 4
-"""Empty cells around a raster: what is there is the same whatever the raster holds."""
+"""Number of empty cells around a raster, so that its edge is the same for any content."""
 
 
 def raster_of(xyz: Int32, cells: CellLattice) -> CellHeights:
-    """The raster of elected cells (at least one): int32 [3, n] local counts, one for each cell."""
+    """Return the raster of elected cells, given as int32 [3, n] local counts of at least one cell."""
     x, y, z = (np.ascontiguousarray(c) for c in xyz)
     column, row = (
         (first - MARGIN) // ALIGN * ALIGN for first in (cells.column(int(x.min())), cells.row(int(y.min())))

@@ -1,9 +1,10 @@
-"""What the fields of a cloud's points say about what made it: a laser scanner, or the matching of images.
+"""Evidence in the fields of a cloud's points on its source: laser scanning or dense image matching.
 
-Three pieces of evidence are weighed, each once, and skipped where a format has no such field: the trace of a sensor,
-the intensities, the colours. A weight is the natural logarithm of the odds that the cloud is matched: weights add up,
-and their sum says how sure the answer is. They were fitted to the fields of 114 real clouds of known origin
-(`tests/benchmarks/kind_weights.py`), of which 111 come out right when their own producer is left out of the fit.
+There are three pieces of evidence: traces of a sensor, intensities and colours. Each counts once, and is skipped if a
+format has no such field. A weight is the natural logarithm of the odds that the cloud is photogrammetric. Weights add
+up, and their sum gives the confidence of the answer. They were fitted to the fields of 114 real clouds of known origin
+(`tests/benchmarks/kind_weights.py`). 111 of these clouds are decided correctly if their own producer is left out of the
+fit.
 """
 
 from __future__ import annotations
@@ -19,21 +20,24 @@ import numpy.typing as npt
 LIDAR, DIM = "lidar", "dim"
 
 SEVERAL, TRACE, NO_TRACE = -5.0, -2.3, 0.1
-"""Several returns: 0 of 32 matched clouds and 74 of 94 laser scans have them. Other traces of a sensor; none at all."""
+"""Weights of several returns, of other traces of a sensor, and of no trace. 0 of 32 photogrammetric clouds and 74 of 94
+LiDAR clouds have several returns."""
 OWN_INTENSITY, NO_INTENSITY, GREY_INTENSITY = -3.5, -0.2, 1.4
 COLOUR, NO_COLOUR = 2.4, -1.5
-"""Missing colours fit -2.2. They weigh less here, as only coloured matched clouds are published."""
+"""Weights of colours and of missing colours. The fit gives -2.2 for missing colours. They weigh less here, because only
+coloured photogrammetric clouds are published."""
 
 SEVERAL_SHARE = 0.001
-"""Share of points that are one of several returns from which on the cloud is a laser scan."""
+"""Share of points that are one of several returns from which on the cloud is a LiDAR cloud."""
 TRACED_SHARE = 0.2
 """Share of the area from which on a sensor's trace counts in full."""
 SAME = 0.95
-"""Correlation from which on intensities are the grey of the colours; 0.71 in a laser scan at most."""
+"""Correlation with the grey of the colours from which on intensities are this grey; at most 0.71 in LiDAR clouds."""
 TIMES_PER_POINT = 0.01
-"""GPS times for each point, at least, where a sensor measured: blocks of matched clouds have one each."""
+"""Number of different GPS times per point above which a sensor measured them: each block of a photogrammetric cloud has
+one."""
 SURE = 0.9
-"""Confidence from which on an answer needs no second look."""
+"""Confidence from which on the fields of the points decide alone."""
 MAX_CONFIDENCE = 0.99
 """Largest confidence that the weights allow."""
 
@@ -41,20 +45,20 @@ Column = npt.NDArray[np.generic]
 
 
 class Piece(NamedTuple):
-    """A piece of evidence: its weight (above 0: for image matching), and what was seen."""
+    """A piece of evidence: its weight, which is above 0 if it speaks for image matching, and its description."""
 
     weight: float
     text: str
 
 
 class Finding(NamedTuple):
-    """What made a cloud.
+    """Source of a cloud: laser scanning or dense image matching.
 
     Attributes
     ----------
     kind : {"lidar", "dim"}
     sure : float or None
-        Probability that it is so, 0.5 to `MAX_CONFIDENCE`; None where the user says it.
+        Probability that the kind is right, 0.5 to `MAX_CONFIDENCE`; None if the user gives it.
     why : str
         The two strongest pieces of evidence.
     """
@@ -66,19 +70,19 @@ class Finding(NamedTuple):
 
 @dataclass(frozen=True)
 class Evidence:
-    """What the fields of a cloud's points say: shares from 0 to 1, None where nothing is known.
+    """Evidence in the fields of a cloud's points: shares from 0 to 1, or None if unknown.
 
     Attributes
     ----------
     several : float or None
-        Points that are one of several returns of a pulse.
+        Share of the points that are one of several returns of a pulse.
     trace : float or None
-        The area in which GPS times, scan angles, scan directions, edges of flight lines or source ids differ from
-        point to point.
+        Share of the area in which GPS times, scan angles, scan directions, edges of flight lines or source ids differ
+        from point to point.
     own_intensity, grey_intensity : float or None
-        The area whose intensities differ and are not, or are, the grey of the colours.
+        Share of the area in which intensities differ and are not, or are, the grey of the colours.
     colour : float or None
-        The area whose points are coloured.
+        Share of the area in which points are coloured.
     """
 
     several: float | None = None
@@ -99,7 +103,7 @@ class Evidence:
         intensity: npt.ArrayLike | None = None,
         rgb: npt.ArrayLike | None = None,
     ) -> Self:
-        """The evidence in the fields of some points of a cloud, or of all of them.
+        """Collect the evidence in the fields of all or some points of a cloud.
 
         Parameters
         ----------
@@ -107,7 +111,7 @@ class Evidence:
             Return number and number of returns; 0 where unknown.
         gps_time, scan_angle, source_id, intensity : array [n], optional
         flags : sequence of array [n]
-            Scan direction, edge of flight line.
+            Scan direction and edge of flight line.
         rgb : array [n, 3], optional
         """
         several = None
@@ -123,7 +127,7 @@ class Evidence:
 
     @classmethod
     def merged(cls, parts: Iterable[tuple[Self, float]]) -> Self:
-        """The evidence of a survey of several clouds, each with the area (or another weight) that it counts for."""
+        """Merge the evidence of several clouds of a survey, each weighted by its area or another weight."""
         found = list(parts)
         means = []
         for field in fields(cls):
@@ -134,7 +138,7 @@ class Evidence:
         return cls(*means)
 
     def pieces(self) -> list[Piece]:
-        """The pieces of evidence, those that are known."""
+        """Return the known pieces of evidence."""
         found = [self._sensor(), self._intensity(), self._colour()]
         return [piece for piece in found if piece is not None]
 
@@ -170,7 +174,10 @@ class Evidence:
 
 
 def concluded(pieces: Iterable[Piece]) -> Finding:
-    """What made a cloud, by all pieces of evidence together; a matched cloud where the odds are even."""
+    """Decide the source of a cloud by the sum of all pieces of evidence.
+
+    A cloud with even odds is photogrammetric.
+    """
     found = list(pieces)
     score = sum(piece.weight for piece in found)
     side = 1.0 if score >= 0 else -1.0
@@ -180,14 +187,17 @@ def concluded(pieces: Iterable[Piece]) -> Finding:
 
 
 def decided_by(evidence: Evidence) -> Finding | None:
-    """What made a cloud, where the fields of its points say it with a probability of `SURE`; else None."""
+    """Decide the source of a cloud, or return None if the fields of its points give less confidence than `SURE`.
+
+    At least two pieces of evidence must be known.
+    """
     pieces = evidence.pieces()
     made = concluded(pieces)
     return made if len(pieces) > 1 and (made.sure or 0.0) >= SURE else None
 
 
 def percent(share: float) -> str:
-    """A share in percent, in two digits, without an exponent."""
+    """Format a share in percent with two digits and without an exponent."""
     return f"{float(f'{100 * share:.2g}'):g}"
 
 
@@ -196,13 +206,13 @@ def _differs(values: Column) -> bool:
 
 
 def _measured(times: Column) -> bool:
-    """Whether GPS times are those of a sensor."""
+    """Return whether a sensor measured the GPS times."""
     finite = times[np.isfinite(times)]
     return bool(np.unique(finite).size > max(TIMES_PER_POINT * times.size, 2))
 
 
 def _coloured(colours: npt.NDArray[np.float64] | None) -> float | None:
-    """1 where points have colours, 0 where they have none, None where grey values alone fill the fields of colours."""
+    """Return 1 if points have colours, 0 if they have none, and None if their colours are only grey values."""
     if colours is None or not colours.size:
         return None
     if colours.min() == colours.max():
@@ -217,7 +227,10 @@ def _is_grey(colours: npt.NDArray[np.float64]) -> bool:
 def _intensities(
     intensity: npt.ArrayLike | None, colours: npt.NDArray[np.float64] | None
 ) -> tuple[float | None, float | None]:
-    """Whether intensities are a sensor's own, and whether they are the grey of the colours."""
+    """Return whether a sensor measured the intensities, and whether they are the grey of the colours.
+
+    Each is 1 or 0, or None if unknown.
+    """
     if intensity is None:
         return None, None
     values = np.asarray(intensity, np.float64)
@@ -227,5 +240,5 @@ def _intensities(
         return 1.0, 0.0
     if np.corrcoef(values, grey)[0, 1] < SAME:
         return 1.0, 0.0
-    # Grey colours may be painted with the intensity of a laser: then the two say nothing.
+    # Grey colours may be painted with the intensity of a laser, so neither is evidence.
     return (None, None) if _is_grey(colours) else (0.0, 1.0)

@@ -1,4 +1,7 @@
-"""Heights of cells on a TIN of ground cells, in facets that are not too wide, so that they have a fixed reach."""
+"""Heights of cells on a TIN of ground cells.
+
+Facets that are too wide are ignored, so vertices beyond a fixed distance do not change a height.
+"""
 
 from __future__ import annotations
 
@@ -17,31 +20,33 @@ from ptd.tin.location import locate
 from ptd.tin.mesh import Tin
 
 MAX_WIDTH_M = 30.0
-"""Largest circumradius of a facet that says where the ground is: a void of twice that is passed over."""
+"""Largest circumradius of a facet that gives the height of the ground. Voids of twice this width are spanned."""
 ANY_EDGE = 2**62
-"""Square of an edge that none reaches."""
+"""Square of a length that no edge reaches."""
 
 Float64 = npt.NDArray[np.float64]
 
 
 def reach_m() -> float:
-    """Metres beyond which nothing decides on a height.
+    """Return the distance in metres beyond which vertices do not change a height.
 
-    A facet is the untiled one if no vertex lies in its circle (`docs/filters.md`, Certificates); that ends within two
-    of its radii from any place in it.
+    A facet is that of the untiled run if no vertex lies in its circumcircle (`docs/filters.md`, Certificates). The
+    circle ends within two of its radii from any position in it.
     """
     return 2.0 * MAX_WIDTH_M + 1.0
 
 
 def ground_heights(x: Int32, y: Int32, z: Int32, ground: Bool, scale: Scale) -> Float64:
-    """Height of the TIN of the ground cells at each cell: vertical counts, NaN where the facet is too wide.
+    """Return the height of the TIN of the ground cells at each cell, in vertical counts: float64 [n].
+
+    It is NaN where the facet is too wide.
 
     Parameters
     ----------
     x, y, z : int32 [n]
-        Cells, local counts.
+        Local counts of the cells.
     ground : bool [n]
-        Those that are vertices; their heights are their own.
+        Mask of the ground cells, which are the vertices and keep their own heights.
     scale : Scale
     """
     tin = Tin.build(x[ground], y[ground], z[ground])
@@ -57,7 +62,10 @@ def ground_heights(x: Int32, y: Int32, z: Int32, ground: Bool, scale: Scale) -> 
 def _between_vertices(
     vertices: Int32Array, triangles: Int32Array, x: Int32, y: Int32, rule: Rule, found: Float64
 ) -> None:
-    """Heights off the vertices; on an edge the higher of its two facets' that count, as rounding tells them apart."""
+    """Interpolate the heights of cells into `found`.
+
+    On an edge the heights on its two facets may differ by rounding. The higher one of facets that pass the rule counts.
+    """
     t = as_int64(0)
     for i in range(x.size):
         px, py = as_int64(x[i]), as_int64(y[i])

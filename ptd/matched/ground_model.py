@@ -1,4 +1,4 @@
-"""Points of matched clouds against the ground's surface."""
+"""Classification of the points of photogrammetric clouds by their height above the ground surface."""
 
 from __future__ import annotations
 
@@ -21,23 +21,23 @@ from ptd.passes import Int32, Model, Points, State, UInt8
 from ptd.places import PLACES, Field, field
 
 GROUND_M, GROUND_SIGMAS = 0.15, 2.0
-"""After the vote, ground lies nearer to the surface than this and so many times the local noise."""
+"""Largest distance of ground from the surface after the vote: metres, plus this multiple of the local noise."""
 LOW_M, LOW_SIGMAS = 0.5, 4.0
-"""What lies lower is low noise."""
+"""Depth below the surface from which on a point is low noise: metres, plus this multiple of the local noise."""
 CLEAR_M = 2.0
-"""What lies higher or lower by more has no part in the vote."""
+"""Height above or below the surface from which on a point does not vote."""
 
 Float64 = npt.NDArray[np.float64]
 
 
 def vote_radius_m(state: State, scale: Scale) -> Field:
-    """Radius of the neighbourhood whose points vote, by the density of the place."""
+    """Return the radius in metres of the neighbourhood that votes, which follows from the density of the place."""
     radii = {name: [voting.radius_m(known(figures, DENSITY))] for name, figures in state[PLACES].items()}
     return field(radii, 0, scale, voting.RADIUS_M[1])
 
 
 class Place(NamedTuple):
-    """Where a raster lies: origin of the local counts, counts on a cell's side, and its first column and row."""
+    """Position of a raster: origin of the local counts, counts on a cell's side, and first column and row."""
 
     origin_x: int
     origin_y: int
@@ -48,17 +48,18 @@ class Place(NamedTuple):
 
 @dataclass(frozen=True)
 class Ground:
-    """The surface of a window, and what points are compared with it by.
+    """The ground surface of a window, and the settings of the comparison with points.
 
     Attributes
     ----------
     surface : Surface
     place : Place
+        Position of the surface's raster.
     scale : Scale
     sigma_m, radius_m : Field
-        Noise, and radius of the vote, of the place.
+        Noise and radius of the vote in metres, by place.
     around : Around or None
-        What a last look at each point knows of the cells around it; None: no last look.
+        Features of the cells around each point for the last look; None: there is no last look.
     """
 
     surface: surface.Surface
@@ -69,12 +70,12 @@ class Ground:
     around: last_look.Around | None = None
 
     def classes(self, x: Int32, y: Int32, z: Int32) -> UInt8:
-        """ASPRS classes: ground where a point and its neighbours lie about the surface."""
+        """Classify points: ground if a point and its neighbours lie near the surface. Returns ASPRS classes."""
         metre = self.scale.counts_z(1.0)
         unit = voting.PARTS * metre
         height, sigma, narrowing = self.surface
         above, residual = _heights_above(x, y, z, height, self.place, metre, unit)
-        asked = np.abs(above) < CLEAR_M  # False where there is no surface
+        asked = np.abs(above) < CLEAR_M  # NaN, where there is no surface, gives False.
         voted = voting.votes(x, y, residual, asked, self.radius_m, self.sigma_m, self.scale)
         labels = _classes(x, y, above, voted, sigma, narrowing, self.place, unit, GROUND_M)
         if self.around is None:
@@ -85,7 +86,7 @@ class Ground:
 
 
 class GroundModel(Model):
-    """Points against the surface, if there is one."""
+    """Model that compares points with the ground surface, if there is one."""
 
     def __init__(self, ground: Ground | None, stats: dict[str, Any]) -> None:
         self._ground, self.stats = ground, stats
@@ -94,13 +95,13 @@ class GroundModel(Model):
     def of(
         cls, found: surface.Surface, raster: CellHeights, cells: CellLattice, scale: Scale, state: State
     ) -> GroundModel:
-        """A surface of the cells of a raster."""
+        """Return the model of a surface on the cells of a raster."""
         place = Place(cells.origin_x, cells.origin_y, cells.p / cells.q, raster.column, raster.row)
         ground = Ground(found, place, scale, noise_m(state, scale), vote_radius_m(state, scale))
         return cls(ground, {"cells": int(raster.keys.size)})
 
     def with_last_look(self, raster: CellHeights, cell_m: float) -> GroundModel:
-        """The same ground, with a last look at each point."""
+        """Return the same model with a last look at each point."""
         if self._ground is None:
             return self
         ground, found = self._ground, self._ground.surface
@@ -112,7 +113,7 @@ class GroundModel(Model):
         return GroundModel(replace(ground, around=around), self.stats)
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
-        """ASPRS classes; nothing is ever in doubt, as the pass has a reach."""
+        """Return ASPRS classes. All are certified, because the pass has a fixed radius."""
         certain = np.zeros(len(points), np.bool_)
         if self._ground is None or len(points) == 0:
             return np.full(len(points), UNCLASSIFIED, np.uint8), certain
@@ -121,7 +122,10 @@ class GroundModel(Model):
 
 @kernel
 def _between(values: Float64, x: int, y: int, place: Place) -> float:
-    """A value of a raster at a point, bilinear; NaN outside of it, and beside cells without a value."""
+    """Interpolate a raster bilinearly at a point.
+
+    The result is NaN outside the raster and next to cells without a value.
+    """
     column = (x + place.origin_x) / place.side - place.column - 0.5
     row = (y + place.origin_y) / place.side - place.row - 0.5
     i, j = int(np.floor(row)), int(np.floor(column))
@@ -134,14 +138,14 @@ def _between(values: Float64, x: int, y: int, place: Place) -> float:
 
 
 def band(sigma: Float64, narrowing: Float64) -> Float64:
-    """How far ground lies from the surface, in metres."""
+    """Return the largest distance of ground from the surface in metres."""
     found: Float64 = (GROUND_M + GROUND_SIGMAS * sigma) * narrowing
     return found
 
 
 @kernel
 def _cell_of(x: Int32, y: Int32, place: Place, rows: int, columns: int) -> Int32:
-    """The place of each point in a raster taken row by row; that of the nearest cell beyond it."""
+    """Return the index of each point's cell in the flattened raster, or of the nearest cell for points outside."""
     found = np.empty(x.size, np.int32)
     for k in range(x.size):
         column = int(np.floor((as_int64(x[k]) + place.origin_x) / place.side)) - place.column
@@ -154,7 +158,10 @@ def _cell_of(x: Int32, y: Int32, place: Place, rows: int, columns: int) -> Int32
 def _heights_above(
     x: Int32, y: Int32, z: Int32, surface: Float64, place: Place, metre: float, unit: float
 ) -> tuple[Float64, Int32]:
-    """Height of each point above the surface in metres (NaN: there is none), and in whole units (0 far from it)."""
+    """Return the height of each point above the surface in metres and in whole units.
+
+    The first is NaN where there is no surface, the second 0 at `CLEAR_M` or more from it.
+    """
     above, residual = np.empty(x.size, np.float64), np.zeros(x.size, np.int32)
     for k in range(x.size):
         above[k] = z[k] / metre - _between(surface, as_int64(x[k]), as_int64(y[k]), place)
@@ -168,7 +175,7 @@ def _classes(
     x: Int32, y: Int32, above: Float64, voted: Int32, sigma: Float64, narrowing: Float64, place: Place, unit: float,
     ground_m: float,
 ) -> UInt8:  # fmt: skip
-    """ASPRS classes of points from their heights above the surface, and from what their neighbours voted near it."""
+    """Return ASPRS classes of points from their heights above the surface, or from the vote for points near it."""
     classes = np.full(x.size, UNCLASSIFIED, np.uint8)
     for k in range(x.size):
         near = abs(above[k]) < CLEAR_M

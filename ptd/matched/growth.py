@@ -1,11 +1,14 @@
-"""Ground up to the edges of terraces and banks, where a hull that bends only so much passes below.
+"""Growth of the ground up to the edges of terraces and banks, below which a hull of limited curvature passes.
 
-A hull reaches the top of a step some metres behind its edge. So ground grows there, cell by cell: a cell above the
-surface joins if it lies on the plane through the ground cells beside it, or level with those that touch it: at the top
-of a bank the plane of the bank leads above what is level behind it, and few cells make no plane. What stands on the
-ground rises from it at a wall, and is on no plane of what is beside it. The faces of banks are on no plane either: on
-terrain as a whole (`ptd.matched.objects`) a cell joins as well if it lies between ground cells on opposite sides and
-below the upper one.
+A hull reaches the top of a step some metres behind its edge. So ground grows there cell by cell. A cell above the
+surface joins in one of three cases:
+
+- It lies on the plane through the ground cells next to it. Objects on the ground rise from it at a wall, so they do not
+  lie on the plane of the cells next to them.
+- It is level with the ground cells that touch it. At the top of a bank the plane of the bank leads above the level
+  cells behind it, and few cells do not define a plane.
+- It is terrain as a whole (`ptd.matched.objects`) and lies between ground cells on opposite sides and below the upper
+  one. The faces of banks do not lie on a plane either.
 """
 
 from __future__ import annotations
@@ -21,41 +24,43 @@ from ptd.matched.cells import CELL_M
 GROWS_M = 8.0
 """Largest distance to which ground grows."""
 MAX_HEIGHT_M = 3.0
-"""What lies higher above the surface does not join: roofs of houses on slopes may go on as the terrain above."""
+"""Largest height above the surface of a cell that joins: roofs of houses on slopes may continue the terrain above."""
 PLANE_CELLS = 2
-"""Reach of the ground cells that make a plane, in cells along rows and columns."""
+"""Largest distance of the ground cells of a plane, in cells along rows and along columns."""
 PLANE_SQUARE = 5
-"""Square of the distance within which ground cells make a plane, in cells."""
+"""Square of the largest distance of the ground cells of a plane, in cells."""
 LEAST = 6
-"""Least number of ground cells that make a plane."""
+"""Least number of ground cells that define a plane."""
 BESIDE = 2
-"""Least number of these cells that touch the cell in question."""
+"""Least number of ground cells that touch a cell that joins on a plane or level."""
 BETWEEN_CELLS, BETWEEN_SHARE = 3, 0.7
-"""So near are ground cells on opposite sides; a cell joins up to this share of the way from the lower to the upper."""
+"""Largest distance in cells of ground cells on opposite sides, and the share of the way from the lower to the upper one
+up to which a cell between them joins."""
 LEVEL = 3.0
-"""Weight of no slope at all, in square cells: few cells in a row say nothing of the slope across it."""
+"""Weight of a slope of 0 in square cells: a few cells in a row do not determine the slope across it."""
 NEAR_M, NEAR_SIGMAS = 0.12, 1.5
-"""A cell is on the plane if it is so near, in metres and times the local noise: less where plants stand about it."""
+"""Largest distance of a cell on the plane: metres, plus this multiple of the local noise. Among plants it is less."""
 
 LEVEL_SHARE = 0.7
-"""A cell is level with those that touch it if it is nearer by so much: in plants something is level everywhere."""
+"""Part of that distance within which a cell is level with those that touch it: in plants some cell is level
+everywhere."""
 
 Float64 = npt.NDArray[np.float64]
 
 
 def _steps(cell_m: float) -> int:
-    """Cells that ground grows, at most."""
+    """Return the largest number of cells that ground grows."""
     return round(GROWS_M / cell_m)
 
 
 def reach_cells(cell_m: float) -> int:
-    """Cells beyond which nothing has a part in whether a cell joins."""
+    """Return the distance in cells beyond which heights do not change whether a cell joins."""
     return _steps(cell_m) * max(PLANE_CELLS, BETWEEN_CELLS)
 
 
 @kernel
 def _above_level(height: Float64, ground: Bool, row: int, column: int) -> float:
-    """Mean height above a cell of the ground cells that touch it; NaN where there are too few."""
+    """Return the mean height above a cell of the ground cells that touch it, or NaN if there are too few."""
     n, total = 0, 0.0
     for r in range(row - 1, row + 2):
         for c in range(column - 1, column + 2):
@@ -67,7 +72,7 @@ def _above_level(height: Float64, ground: Bool, row: int, column: int) -> float:
 
 @kernel
 def _above_plane(height: Float64, ground: Bool, row: int, column: int) -> float:
-    """Height above a cell of the plane through the ground cells around it; NaN where there are too few."""
+    """Return the height above a cell of the plane through the ground cells around it, or NaN if there are too few."""
     n, s, sx, sy, sz = 0, 0.0, 0.0, 0.0, 0.0
     sxx, sxy, syy, sxz, syz = 0.0, 0.0, 0.0, 0.0, 0.0
     for dy in range(-PLANE_CELLS, PLANE_CELLS + 1):
@@ -91,7 +96,7 @@ def _above_plane(height: Float64, ground: Bool, row: int, column: int) -> float:
 
 @kernel
 def _is_between(height: Float64, ground: Bool, row: int, column: int) -> bool:
-    """Whether a cell lies on a face between ground cells on opposite sides."""
+    """Return whether a cell lies on a face between ground cells on opposite sides."""
     for dr, dc in ((0, 1), (1, 0), (1, 1), (1, -1)):
         ahead, behind = np.nan, np.nan
         for k in range(BETWEEN_CELLS, 0, -1):
@@ -100,7 +105,7 @@ def _is_between(height: Float64, ground: Bool, row: int, column: int) -> bool:
             if ground[row - k * dr, column - k * dc]:
                 behind = height[row - k * dr, column - k * dc]
         middle, half = 0.5 * (ahead + behind), 0.5 * abs(ahead - behind)
-        # NaN, and so never, with ground on one side alone.
+        # The sum is NaN, and so the test fails, if there is ground on one side only.
         if height[row, column] < middle + (2 * BETWEEN_SHARE - 1) * half:
             return True
     return False
@@ -116,7 +121,10 @@ def _grow(
     columns: Int64,
     steps: int,
 ) -> Float64:
-    """Heights where cells joined, NaN elsewhere; ``ground`` is changed. All that join in a step do so together."""
+    """Return the heights of cells that joined the ground, NaN elsewhere, and add these cells to ``ground``.
+
+    All cells that join in a step do so together.
+    """
     found = np.full(height.shape, np.nan)
     waiting = np.ones(rows.size, np.bool_)
     joins = np.empty(rows.size, np.int64)
@@ -152,20 +160,22 @@ def grown(
     narrowing: Float64,
     cell_m: float = CELL_M,
 ) -> Float64:
-    """Heights of cells that join the ground: halfway between the cell and the plane beside it, NaN elsewhere.
+    """Return the heights of cells that join the ground: float64 [rows, columns].
+
+    The height is halfway between the cell and the plane, or NaN where no cell joins.
 
     Parameters
     ----------
     height : float64 [rows, columns]
-        Of cells, metres.
+        Heights of cells in metres.
     ground, may_join : bool [rows, columns]
-        Cells that are ground, and that may be; none within `BETWEEN_CELLS` of the raster's edges.
+        Cells that are ground, and cells that may join it; none lie within `BETWEEN_CELLS` of the raster's edges.
     terrain : bool [rows, columns]
-        Cells of surfaces that are terrain as wholes.
+        Cells of surfaces that are terrain as a whole.
     sigma, narrowing : float64 [rows, columns]
-        Noise in metres, and how much nearer to the plane cells lie among plants (`ptd.matched.surface.Surface`).
+        Noise in metres, and factor of the largest distance to the plane (`ptd.matched.surface.Surface`).
     cell_m : float
-        Side of the cells.
+        Side of the cells in metres.
     """
     rows, columns = np.nonzero(may_join)
     near = (NEAR_M + NEAR_SIGMAS * sigma) * narrowing

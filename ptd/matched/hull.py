@@ -1,11 +1,11 @@
-"""The highest surface below cells that bends down no more than a given curvature, as a stiff cloth from below.
+"""The highest surface below cells that bends down no more than a given curvature, like a stiff cloth from below.
 
-It is the union of all paraboloids of that curvature that fit below the cells: an object narrower than
-``2 * sqrt(2 * height / curvature)`` is passed below, terrain that bends less is followed. A paraboloid may cut through
-a few cells, so that a clump of blunders does not hold it down. Paraboloids are looked at around their centres alone; on
-slopes they are tilted as the terrain is at large, so that their centres lie below what they touch. One tilt serves a
-block of cells: in hollows the hull lies a little lower for that. Heights are whole numbers, and nothing beyond a fixed
-reach has a part in a cell's answer.
+The hull is the union of all paraboloids of this curvature that fit below the cells. It passes below objects narrower
+than ``2 * sqrt(2 * height / curvature)`` and follows terrain that bends less. A paraboloid may cut through a few cells,
+so that a clump of blunders does not hold it down. Paraboloids are computed up to a limited distance from their centres.
+On slopes they are tilted like the terrain at large, so that their centres lie below the cells that they touch. All
+paraboloids with centres in a block of cells have one tilt, so the hull lies a little lower in hollows. Heights are
+whole numbers, and cells beyond a fixed distance do not change the hull at a cell.
 """
 
 from __future__ import annotations
@@ -25,32 +25,33 @@ from ptd.matched.cells import CELL_M, EMPTY
 from ptd.matched.separable import hull_around_every_cell
 
 CUT_M2 = 3.0
-"""What a paraboloid may cut through, one cell at least: a clump of blunders fills no more."""
+"""Area that a paraboloid may cut through, at least one cell: a clump of blunders fills no more."""
 BLOCK_M = 8.0
-"""Side of the blocks of cells that are passed over where their lowest cell is too high to matter, and whose lowest
-cells say how the terrain slopes."""
+"""Side of the blocks of cells. A block whose lowest cell is too high to matter is skipped. The lowest cells of blocks
+give the slope of the terrain."""
 TILT_BLOCKS, ROOFS_TILT_BLOCKS = 1.0, 2.0
-"""Standard deviation of the surroundings from which a slope is taken, in blocks; and where there are large roofs yet,
-which must not tilt what is looked for below them."""
+"""Standard deviation, in blocks, of the surroundings from which a slope is computed. The second is for cells that still
+contain large roofs, which must not tilt the hull below them."""
 TILT_RADIUS, MIN_WEIGHT = 5, 1e-3
-"""Blocks at which those surroundings end, and the weight of their cells from which on there is a slope."""
+"""Distance in blocks at which those surroundings end, and weight of their cells above which there is a slope."""
 LOWEST = -(2**31) + 1
+"""Height of the hull where there is no paraboloid."""
 NONE = 2**30
 """Number above the top of any paraboloid and below that of an empty cell: heights are less than 1,000 km."""
 
 
 @dataclass(frozen=True)
 class Envelope:
-    """How a hull is made.
+    """Settings of a hull.
 
     Attributes
     ----------
     curvature : float
-        Per metre: 0.04 bends over a circle of 25 m.
+        Curvature of the paraboloids per metre: 0.04 bends over a circle of 25 m.
     fall_m : float
-        Paraboloids are looked at until they have fallen so far.
+        Fall in metres, from the top, at which paraboloids end.
     cell_m : float
-        Side of the cells.
+        Side of the cells in metres.
     """
 
     curvature: float
@@ -59,38 +60,38 @@ class Envelope:
 
     @property
     def cut_cells(self) -> int:
-        """Cells that a paraboloid may cut through."""
+        """Number of cells that a paraboloid may cut through."""
         return max(1, round(CUT_M2 / self.cell_m**2))
 
     @property
     def block(self) -> int:
-        """Cells on a side of a block."""
+        """Number of cells on a side of a block."""
         return block_cells(self.cell_m)
 
     @property
     def radius(self) -> int:
-        """Cells that a paraboloid extends from its centre, along rows and columns."""
+        """Number of cells that a paraboloid extends from its centre, along rows and columns."""
         return math.ceil(math.sqrt(2 * self.fall_m / self.curvature) / self.cell_m)
 
     @property
     def stride(self) -> int:
-        """Cells between the centres of paraboloids: what is missed between them is less than 4 cm."""
+        """Number of cells between the centres of paraboloids, which changes the hull by less than 4 cm."""
         return max(1, min(4, int(math.sqrt(0.16 / self.curvature) / self.cell_m)))
 
     @property
     def reach(self) -> int:
-        """Cells beyond which nothing has a part in a cell's answer."""
+        """Distance in cells beyond which heights do not change the hull at a cell."""
         return self.radius + max(self.radius, self.block * (TILT_RADIUS + 3)) + self.stride
 
     def falls(self, scale: Scale) -> Int64:
-        """Fall of a paraboloid so many cells from its centre along a row: vertical counts, int64 [radius + 1]."""
+        """Return the fall of a paraboloid by cells from its centre along a row: vertical counts, int64 [radius + 1]."""
         steps = self.cell_m * np.arange(self.radius + 1)
         falls: Int64 = np.rint(self.curvature / 2 * steps**2 * scale.counts_z(1.0)).astype(np.int64)
         return falls
 
 
 def block_cells(cell_m: float) -> int:
-    """Cells on a side of a block."""
+    """Return the number of cells on a side of a block."""
     return round(BLOCK_M / cell_m)
 
 
@@ -106,7 +107,10 @@ def _block_minima(heights: Int32, block: int) -> Int32:
 
 
 def tilts(heights: Int32, std_blocks: float, block: int) -> tuple[Int64, Int64]:
-    """Slope of the lowest cells of blocks to the north and to the east: vertical counts a cell, int64 by block."""
+    """Return the slopes to the north and to the east of the lowest cells of blocks.
+
+    Slopes are vertical counts per cell: int64 by block.
+    """
     lowest, margin = _block_minima(heights, block), TILT_RADIUS + 1
     there = np.pad((lowest != EMPTY).astype(np.float64), margin)
     values = np.pad(np.where(lowest != EMPTY, lowest, 0).astype(np.float64), margin)
@@ -127,7 +131,7 @@ def _smooth(values: Float64, std: float) -> Float64:
 
 
 class _Blocks(NamedTuple):
-    """Blocks of so many cells a side: their lowest cells, and how these rise to the north and to the east (`tilts`)."""
+    """Blocks of cells: cells on a side, lowest cell of each block, and slopes to the north and east (`tilts`)."""
 
     cells: int
     lowest: Int32
@@ -136,7 +140,7 @@ class _Blocks(NamedTuple):
 
 
 class _EnvelopeSearch(NamedTuple):
-    """Tops of the lowest paraboloids around a centre, and the cells that limit them; room for a number a block."""
+    """Buffers: tops of the lowest paraboloids around a centre, cells that limit them, a number per column of blocks."""
 
     best: Int64
     held: Int64
@@ -147,10 +151,10 @@ class _EnvelopeSearch(NamedTuple):
 def _highest_fit(
     heights: Int32, blocks: _Blocks, falls: Int64, r: int, c: int, found: _EnvelopeSearch
 ) -> None:
-    """Tops of the lowest paraboloids around a centre that each one cell limits, in rising order, into ``best``.
+    """Find the lowest paraboloids around a centre, each limited by one cell, in rising order.
 
-    ``held``: the cells that limit them; before, those of the last centre (-1: none). As none that is looked for is
-    higher than with these, most blocks are passed over.
+    ``best`` gets their tops and ``held`` the cells that limit them (-1: none). On entry ``held`` has the cells of the
+    last centre. The tops are not above those that these cells allow, so most blocks are skipped.
     """
     block, lowest = blocks.cells, blocks.lowest
     north, east = blocks.north[r // block, c // block], blocks.east[r // block, c // block]
@@ -180,7 +184,7 @@ def _highest_fit(
                 fall = falls[abs(rr - r)] - north * (rr - r)
                 for cc in range(c0, c1):
                     value = heights[rr, cc] + fall + falls[abs(cc - c)] - east * (cc - c)
-                    if value < limit:  # never in an empty cell
+                    if value < limit:  # An empty cell is higher than any limit.
                         k = last
                         while k > 0 and best[k - 1] > value:
                             best[k], held[k] = best[k - 1], held[k - 1]
@@ -191,7 +195,10 @@ def _highest_fit(
 
 @kernel
 def _least_fall(falls: Int64, first: int, tilt: int, block: int) -> int:
-    """The least that a paraboloid has fallen in a block that begins so many cells from its centre, along one axis."""
+    """Return the least fall of a paraboloid in a block, along one axis.
+
+    ``first`` is the position of the block's first cell, counted from the centre of the paraboloid.
+    """
     end = first + block - 1
     near = min(max(first, -end, 0), falls.size - 1)
     return int(falls[near]) - max(tilt * first, tilt * end)
@@ -199,7 +206,7 @@ def _least_fall(falls: Int64, first: int, tilt: int, block: int) -> int:
 
 @kernel
 def _raise(hull: Int32, top: int, profile: Int32) -> None:
-    """Heights of a row of the hull, not below those of a paraboloid."""
+    """Raise a row of the hull to a paraboloid."""
     for k in range(profile.size):
         hull[k] = max(hull[k], np.int32(np.int32(top) + profile[k]))
 
@@ -208,7 +215,7 @@ def _raise(hull: Int32, top: int, profile: Int32) -> None:
 def _union(
     heights: Int32, blocks: _Blocks, falls: Int64, stride: int, row0: int, column0: int, cut: int
 ) -> Int32:
-    """Height of the highest paraboloid over each cell, LOWEST where there is none."""
+    """Return the height of the highest paraboloid over each cell, or LOWEST where there is none."""
     rows, columns = heights.shape
     radius, block = falls.size - 1, blocks.cells
     hull = np.full((rows, columns), LOWEST, np.int32)
@@ -239,23 +246,23 @@ def _union(
 def lower_envelope(
     heights: Int32, rule: Envelope, scale: Scale, row: int, column: int, tilt_blocks: float = TILT_BLOCKS
 ) -> Int32:
-    """The hull of a raster of cells.
+    """Compute the hull below a raster of cells.
 
     Parameters
     ----------
     heights : int32 [rows, columns]
-        Vertical counts; `EMPTY` where there is no cell.
+        Heights in vertical counts; `EMPTY` where there is no cell.
     rule : Envelope
     scale : Scale
     row, column : int
-        Place of the first cell on its lattice, multiples of a block's cells: centres are anchored there.
+        Row and column of the first cell on its lattice, multiples of a block's cells. Centres are anchored at 0 there.
     tilt_blocks : float
-        Standard deviation of the surroundings that say how the terrain slopes, in blocks.
+        Standard deviation, in blocks, of the surroundings from which the slope of the terrain is computed.
 
     Returns
     -------
     int32 [rows, columns]
-        Vertical counts; `LOWEST` beyond reach of the cells.
+        Heights of the hull in vertical counts; `LOWEST` where there is no paraboloid.
     """
     falls, stride, lowest = rule.falls(scale), rule.stride, _block_minima(heights, rule.block)
     north, east = tilts(heights, tilt_blocks, rule.block)

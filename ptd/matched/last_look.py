@@ -1,17 +1,17 @@
-"""A last look at each point of a matched cloud: trees decide by what lies around it whether its label stays.
+"""The last look at each point of a photogrammetric cloud: trees decide from its surroundings whether its label stays.
 
-The surface's label compares one height with one threshold. Here a point's height above the surface is seen together
-with those of its neighbours: how many of them are ground, how they scatter, how many stand just above; and with the
-cells of the surface up to 10 m away. Trees that a script fitted to scenes with known labels
-(``tests/benchmarks/last_look_weights.py``) turn these features into the log-odds of ground. Their say is limited:
+The label by the surface compares one height with one threshold. The last look also reads the heights of the neighbours:
+how many of them are ground, how they scatter, and how many stand just above. It reads the cells of the surface up to
+10 m away as well. Trees turn these features into the log-odds of ground. A script fitted them to scenes with known
+labels (``tests/benchmarks/last_look_weights.py``). Rules limit the changes:
 
-- low noise stays, and so does what lies farther than `MAX_DISTANCE_M` from the surface and was no ground;
-- a label changes only where the trees are sure enough (`CHANGE_ODDS`);
-- where all points around are ground, or none is, nothing changes.
+- Low noise stays. A point that is not ground stays so if it lies farther than `MAX_DISTANCE_M` from the surface.
+- A label changes only if the odds against it are large enough (`CHANGE_ODDS`).
+- No label changes if all points around are ground, or none is.
 
-Features are whole numbers: millimetres, or thousandths. The sums behind them are of whole numbers, too, over windows
-of fixed reach on a lattice that is anchored at 0: neither tiles nor the order of points change a bit. A window is as
-wide as it must be to hold `MIN_POINTS`, so it follows the density of the place.
+Features are whole numbers in millimetres or thousandths. They follow from sums of whole numbers over windows of limited
+size on a lattice that is anchored at 0, so neither tiles nor the order of points change a bit. A window is the smallest
+one with `MIN_POINTS` points, so it follows the density of the place.
 """
 
 from __future__ import annotations
@@ -35,22 +35,24 @@ from ptd.passes import UInt8
 CELL_M = 0.25
 """Side of the cells in which points are counted."""
 MIN_POINTS, WIDEST = 20, 5
-"""A window is a square of 2 r + 1 cells with the smallest r that holds so many points, and r is at most this."""
+"""Least number of points in a window, and largest r. A window is a square with 2 r + 1 cells on a side, where r is the
+smallest number that gives enough points."""
 REACH_M = (2 * WIDEST + 1) * CELL_M
-"""The wider window, of 4 r + 1 cells, ends within this distance of a point."""
+"""Distance from a point within which the wider window, with 4 r + 1 cells on a side, ends."""
 MAX_DISTANCE_M = 0.5
-"""What was no ground becomes ground only as near to the surface as this."""
+"""Distance from the surface within which a point that is not ground can become ground."""
 CHANGE_ODDS = 1.5
-"""A label changes where the odds against it are at least this."""
+"""Odds against a label from which on it changes."""
 CLEAR_MM = 2000
-"""Heights above the surface are cut off at this: trees and roofs are alike."""
+"""Limit at which heights above and below the surface are cut off, as trees and roofs need not be distinguished."""
 LOW_MM, HIGH_MM = 200, 1000
-"""Low plants stand higher than the first; what is higher than the second is no plant of a kind that is mistaken."""
+"""Heights between which low plants stand above the surface; higher plants are not confused with ground."""
 
 PART, BLOCK = 16, 8
-"""Cells on a side of a part (at least as wide as the reach), and parts on a side of a block: one block is in memory."""
+"""Cells on a side of a part, which is at least as wide as `REACH_M`, and parts on a side of a block. Only one block is
+in memory."""
 COUNT, ON_GROUND, SUM, SQUARES, LOW, HIGH = range(6)
-"""What is summed."""
+"""Indices of the sums per cell: points, ground points, heights, squared heights, low plants, higher points."""
 POINT_FEATURES = ("height", "deviation", "in_bands")
 WINDOW_FEATURES = (
     "ground", "mean", "spread", "low", "high", "wide_ground", "wide_mean", "wide_spread", "wide_low", "wide_high",
@@ -61,14 +63,15 @@ Float64 = npt.NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Heights:
-    """Points against the surface.
+    """Points and their heights above the surface.
 
     Attributes
     ----------
     x, y : int32 [n]
         Local counts.
     own, voted : int32 [n]
-        Millimetres above the surface, as measured and after the neighbours' vote; `CLEAR_MM` where there is no surface.
+        Height above the surface in millimetres, as measured and after the neighbours' vote; `CLEAR_MM` where there is
+        no surface.
     labels : uint8 [n]
         ASPRS classes from the surface alone.
     """
@@ -81,13 +84,13 @@ class Heights:
 
     @classmethod
     def of(cls, x: Int32, y: Int32, above_m: Float64, voted_m: Float64, labels: UInt8) -> Heights:
-        """From heights in metres, NaN where there is no surface."""
+        """Convert heights in metres, which are NaN where there is no surface."""
         return cls(x, y, _millimetres(above_m), _millimetres(voted_m), labels)
 
 
 @kernel
 def _millimetres(metres: Float64) -> Int32:
-    """Whole millimetres, cut off; the largest for NaN."""
+    """Return heights in whole millimetres, cut off at `CLEAR_MM`, which also stands for NaN."""
     found = np.empty(metres.size, np.int32)
     for k in range(metres.size):
         cut = min(max(1000.0 * metres[k], -CLEAR_MM), CLEAR_MM) if metres[k] == metres[k] else CLEAR_MM
@@ -99,7 +102,7 @@ def _millimetres(metres: Float64) -> Int32:
 def _summed(
     index: Int32, column: Int32, row: Int32, voted: Int32, labels: UInt8, west: int, south: int, side: int
 ) -> Int64:
-    """Sums of the points of a block over all cells to the south-west: int64 [6, side + 1, side + 1]."""
+    """Return the sums of a block's points over all cells to the south-west: int64 [6, side + 1, side + 1]."""
     sums = np.zeros((6, side + 1, side + 1), np.int64)
     for k in index:
         i, j, v = row[k] - south + 1, column[k] - west + 1, np.int64(voted[k])
@@ -120,7 +123,7 @@ def _summed(
 
 @kernel
 def _within(sums: Int64, q: int, i: int, j: int, r: int) -> int:
-    """Sum over the square of 2 r + 1 cells around the cell in row i, column j."""
+    """Return a sum over the square with 2 r + 1 cells on a side around the cell in row i, column j."""
     return int(
         sums[q, i + r + 1, j + r + 1]
         - sums[q, i - r, j + r + 1]
@@ -131,7 +134,7 @@ def _within(sums: Int64, q: int, i: int, j: int, r: int) -> int:
 
 @kernel
 def _describe(sums: Int64, i: int, j: int, r: int, found: Int32) -> None:
-    """Features of a window with at least one point."""
+    """Write the features of a window with at least one point into `found`."""
     n = _within(sums, COUNT, i, j, r)
     mean = _within(sums, SUM, i, j, r) / n
     found[0] = 1000 * _within(sums, ON_GROUND, i, j, r) // n
@@ -146,9 +149,9 @@ def _features(
     index: Int32, column: Int32, row: Int32, own: Int32, voted: Int32, labels: UInt8, sums: Int64, west: int,
     south: int, cell: Int32, around: Int32,
 ) -> tuple[Int32, Int32]:  # fmt: skip
-    """Index of the points that may change, and their features: int32 [m], int32 [m, features].
+    """Return the indices of the points that may change, and their features: int32 [m], int32 [m, features].
 
-    ``cell`` is the place of each point among the cells of the surface, ``around`` what lies around these.
+    ``cell`` is the index of each point's cell of the surface, ``around`` the features of these cells.
     """
     chosen, n = np.empty(index.size, np.int32), 0
     found = np.empty((index.size, 13 + around.shape[1] - 1), np.int32)
@@ -175,14 +178,14 @@ def _features(
 
 @dataclass(frozen=True)
 class Around:
-    """What lies around the cells of a surface.
+    """Features of the cells of a surface and their surroundings.
 
     Attributes
     ----------
     features : int32 [cells, 1 + len(CELL_FEATURES)]
-        By rows of cells; first how far ground lies from the surface, in millimetres.
+        Features by rows of cells. The first is the largest distance of ground from the surface, in millimetres.
     columns : int
-        Cells in a row.
+        Number of cells in a row.
     """
 
     features: Int32
@@ -190,34 +193,36 @@ class Around:
 
 
 CELL_FEATURES = ("noise", "slope", "bend_2", "bend_5", "low_5", "low_10", "ground_5")
-"""Noise of the surface, its slope, its height above the mean of 2 and 5 m, shares of cells of low plants and of ground
-within 5 and 10 m."""
+"""Features of a cell. The first four are noise and slope of the surface, and its height above its mean within 2 and
+5 m. The others are the shares of low plants among the cells within 5 and 10 m, and of ground within 5 m."""
 CELL_REACH_M = 10.0
-"""Cells beyond this have no part in these, but for the slope's next one."""
+"""Distance beyond which cells do not change these features, except that the slope reads one more cell."""
 STEEPEST = 5.0
-"""Slopes are cut off at this."""
+"""Limit at which slopes are cut off."""
 
 
 def reach_cells(cell_m: float) -> int:
-    """Cells beyond which nothing of the surface has a part in a point's label, its own among them."""
+    """Return the distance in cells beyond which the surface does not change a point's label, with the point's cell."""
     return math.ceil(CELL_REACH_M / cell_m) + 1
 
 
 def around_cells(
     heights_m: Float64, there: Bool, ground_m: Float64, sigma_m: Float64, band_m: Float64, cell_m: float
 ) -> Around:
-    """What lies around each cell.
+    """Compute the features of each cell.
 
     Parameters
     ----------
     heights_m : float64 [rows, columns]
-        Of the cells that are there.
+        Heights of the cells in metres.
     there : bool [rows, columns]
+        Mask of the cells that have a height.
     ground_m : float64 [rows, columns]
-        The surface, NaN where it is not known.
+        Height of the surface in metres, NaN where unknown.
     sigma_m, band_m : float64 [rows, columns]
-        Noise, and how far ground lies from the surface.
+        Noise, and largest distance of ground from the surface, in metres.
     cell_m : float
+        Side of the cells in metres.
     """
     known = there & ~np.isnan(ground_m)
     surface = np.where(np.isnan(ground_m), 0, np.rint(1000 * np.nan_to_num(ground_m))).astype(np.int64)
@@ -246,7 +251,7 @@ def around_cells(
 
 
 def _boxes(values: npt.NDArray[np.generic], r: int) -> Int64:
-    """Sums over squares of 2 r + 1 cells, of values that are 0 beyond the raster."""
+    """Return sums over the squares with 2 r + 1 cells on a side, with values of 0 beyond the raster."""
     padded = np.pad(values.astype(np.int64), ((r + 1, r), (r + 1, r)))
     sums = padded.cumsum(axis=0).cumsum(axis=1)
     k = 2 * r + 1
@@ -257,14 +262,14 @@ def _boxes(values: npt.NDArray[np.generic], r: int) -> Int64:
 def features_by_block(
     heights: Heights, cell: Int32, around: Around, scale: Scale
 ) -> Iterator[tuple[Int32, Int32]]:
-    """Points that may change (indices, int32 [m]) and their features (int32 [m, features]), block by block.
+    """Yield the indices of points that may change (int32 [m]) and their features (int32 [m, features]) per block.
 
     Parameters
     ----------
     heights : Heights
-        At least one point.
+        Heights of at least one point.
     cell : int32 [n]
-        The place of each point in `Around.features`; anything where there is no surface.
+        Row of each point in `Around.features`; any number where there is no surface.
     around : Around
     scale : Scale
     """
@@ -313,7 +318,7 @@ def features_by_block(
 def _places(
     x: Int32, y: Int32, p: int, q: int, ox: int, oy: int, west: int, south: int
 ) -> tuple[Int32, Int32]:
-    """Column and row of each point among the cells that begin in the south-west."""
+    """Return column and row of each point, counted from the cell in the south-west."""
     column, row, inverse = np.empty(x.size, np.int32), np.empty(x.size, np.int32), 1.0 / p
     for k in range(x.size):
         column[k] = quotient((as_int64(x[k]) + ox) * q, p, inverse) - west
@@ -324,13 +329,13 @@ def _places(
 def _of_parts(
     starts: Int64, order: Int32, columns: int, rows: tuple[int, int], across: tuple[int, int]
 ) -> Int32:
-    """The points of the parts in half-open ranges of rows and columns."""
+    """Return the indices of the points of the parts in half-open ranges of rows and columns."""
     lines = [order[starts[i * columns + across[0]] : starts[i * columns + across[1]]] for i in range(*rows)]
     return np.concatenate(lines)
 
 
 def looked_at(heights: Heights, cell: Int32, around: Around, scale: Scale, trees: Trees) -> UInt8:
-    """Labels after the last look; see `features_by_block` for the parameters."""
+    """Return the labels after the last look. `features_by_block` describes the parameters."""
     labels = heights.labels.copy()
     if labels.size == 0:
         return labels
@@ -340,7 +345,7 @@ def looked_at(heights: Heights, cell: Int32, around: Around, scale: Scale, trees
 
 
 def decided(labels: UInt8, score: Int32) -> UInt8:
-    """Labels of points that may change, from those of the surface and the sums of the trees: uint8 [n]."""
+    """Decide the labels of points that may change, from the labels by the surface and the trees' scores: uint8 [n]."""
     enough = round(UNIT * math.log(CHANGE_ODDS))
     wanted = np.where(labels == GROUND, -enough, enough)
     return np.where(score >= wanted, GROUND, UNCLASSIFIED).astype(np.uint8)

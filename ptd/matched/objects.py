@@ -1,9 +1,9 @@
-"""Large objects of matched clouds as wholes: connected surfaces that end in walls which fall.
+"""Large objects of photogrammetric clouds: connected surfaces whose edges fall, each classified as a whole.
 
-Cells are of one surface where their heights differ little from one to the next. A roof or a crown is surrounded by
-falls, ground by rises (walls, trunks) and by what goes on. So a surface is judged by its rim, and by how much of it
-lies on a stiff hull (`ptd.matched.hull`): a hall's roof does not, a terrace does. A surface wider than a limit is
-terrain, so nothing farther than a fixed reach has a part in the answer.
+A surface consists of connected cells whose heights differ little from one to the next. At the rim of a roof or a crown
+the height falls. At the rim of ground it rises (walls, trunks), or ground continues. So a surface is classified by its
+rim and by the share of it that lies on a stiff hull (`ptd.matched.hull`): a hall's roof does not, a terrace does. A
+surface wider than a limit is terrain, so cells beyond a fixed distance do not change the result.
 """
 
 from __future__ import annotations
@@ -22,43 +22,56 @@ from ptd.matched.hull import ROOFS_TILT_BLOCKS, block_cells, tilts
 Float64 = npt.NDArray[np.float64]
 
 STEP_M, STEP_SIGMAS = 0.5, 3.0
-"""Neighbours on a surface differ by less than the larger of both (by half as much again across corners)."""
+"""Limits of the height difference of neighbours on a surface, in metres and in multiples of the noise. The larger limit
+counts."""
 DIAGONAL = 1.4
+"""Factor of that limit for neighbours across corners."""
 NEAR_M, NEAR_SHARE = 1.0, 0.2
-"""Least share of a surface that lies so near the stiff hull if the surface is terrain."""
+"""Height above the stiff hull below which a cell is near it, and least share of such cells in a terrain surface."""
 FALL_M, FALL_CELLS, FALL_SHARE = 1.2, 2, 0.6
-"""At an object's rim more than this share of the cells has another surface so far below within so many cells."""
+"""Limits of an object's rim: more than this share of its cells has another surface this much lower within this many
+cells."""
 ALL_FALLS, FALL_LEAST = 0.9, 0.4
-"""At a rim that falls nearly everywhere it does not matter how near the hull is: halls may be too wide for that. Where
-objects found before are not counted, it still falls at this share of the whole rim."""
+"""Shares of the rim above which it falls nearly everywhere: of the rim without objects found before, and of the whole
+rim. Then the distance of the hull does not matter, as halls may be too wide for it."""
 CUT_NEAR = 0.5
-"""Unless the border of the data cuts the surface: then the fall may be a quay or a bank, and no more than this share
-may lie near the hull."""
+"""Share of an object's cells that may be near the hull if the border of the data cuts a surface whose rim falls nearly
+everywhere: the fall may be a quay or a bank."""
 AREA_M2 = 40.0
-"""The smallest object that is judged as a whole; smaller ones are passed below by less stiff hulls."""
+"""Area of the smallest object that is classified as a whole; less stiff hulls pass below smaller ones."""
 MAX_WIDTH_M = 200.0
-"""What is wider than this is terrain."""
+"""Width above which a surface is terrain."""
 TERRAIN_M, TERRAIN_FALLS, TERRAIN_RIM = 100.0, 0.35, 0.2
-"""So is what is wider than this and falls at no more than this share of its rim, however little of it the hull touches:
-ridges and crests. But no more than this share of its cells may be rim: the top of a wood is full of gaps."""
+"""Limits of wide terrain, for example ridges and crests, even if the hull touches little of it. It is wider than the
+first, and at most the second share of its rim falls. At most the third share of its cells may be rim, as the top of a
+wood is full of gaps."""
 ON_HULL_M, ON_HULL_SHARE = 70.0, 0.5
-"""And what is wider than this both ways, falls as little, and lies near the hull by this share: the ground of a small
-survey. In a strip or a garden plants that lean on it would have too large a part."""
+"""Limits of the ground of a small survey: it is wider than this in both directions, this share of it is near the hull,
+and its rim falls as little. In a strip or a garden, plants that lean on the hull would contribute too much."""
 INSIDE_SHARE, INSIDE_M2, YARD_M2 = 0.5, 1000.0, 10.0
-"""A surface, however small, is judged if so much of its rim is that of objects found before: equipment on a roof. Not a
-larger one than the second: it may be a terrace among houses. From the third on, objects that rise from it do not count:
-it may be a courtyard, or a glimpse of the ground between crowns; smaller ones are parts of walls."""
+"""Limits of enclosed surfaces, for example equipment on a roof, which are classified even if they are small.
+
+More than this share of the rim lies next to objects found before. Surfaces of the second area or more are not enclosed:
+they may be terraces among houses. From the third area on, objects that rise from the surface do not count: it may be a
+courtyard, or ground that is visible between crowns. Smaller ones are parts of walls.
+"""
 
 
 @kernel
 def _rims(
     heights: Int32, surface: Int32, n: int, hull: Int32, removed: Bool, near: int, fall: int
 ) -> tuple[Int64, Int64]:
-    """Counts of each surface, and its box (first and last row, column).
+    """Return counts of cells and the box (first and last row, first and last column) of each surface.
 
-    Counted are its cells (area), those near the hull, those at its rim, those of the rim with another surface far below
-    and those beside objects found before (inside), cells beside empty ones or the border (cut), and those at the rim
-    beside objects found before that do not rise far from it (level).
+    The counts, int64 [n, 7], are in this order:
+
+    0. area: all cells;
+    1. near: cells near the hull;
+    2. rim: cells at the rim;
+    3. falls: rim cells with another surface far below;
+    4. inside: rim cells close to objects found before;
+    5. cut: cells next to empty ones or the border;
+    6. level: rim cells close to objects found before that do not rise far above them.
     """
     rows, columns = heights.shape
     counts, box = np.zeros((n, 7), np.int64), np.zeros((n, 4), np.int64)
@@ -99,32 +112,33 @@ def _rims(
 
 
 def reach_cells(cell_m: float) -> int:
-    """Cells beyond which nothing has a part in what `judged` says, its hull apart."""
+    """Return the distance in cells beyond which heights do not change the result of `judged`, for a given hull."""
     return round(MAX_WIDTH_M / cell_m) + FALL_CELLS + 1
 
 
 def judged(
     heights: Int32, hull: Int32, removed: Bool, sigma_m: float | Float64, scale: Scale, cell_m: float = CELL_M
 ) -> tuple[Bool, Bool]:
-    """Cells of large objects, and cells of surfaces that are terrain.
+    """Find the cells of large objects and the cells of surfaces that are terrain.
 
     Parameters
     ----------
     heights : int32 [rows, columns]
-        Vertical counts of all cells; `EMPTY` elsewhere.
+        Heights of all cells in vertical counts; `EMPTY` elsewhere.
     hull : int32 [rows, columns]
-        The stiff hull of all cells.
+        Stiff hull of all cells in vertical counts.
     removed : bool [rows, columns]
         Cells of objects found before.
     sigma_m : float or float64 [rows, columns]
         Noise of the place in metres.
     scale : Scale
     cell_m : float
-        Side of the cells.
+        Side of the cells in metres.
 
     Returns
     -------
     objects, terrain : bool [rows, columns]
+        Masks of the cells of large objects and of terrain.
     """
     block = block_cells(cell_m)
     noise = np.broadcast_to(sigma_m, heights.shape)[::block, ::block]

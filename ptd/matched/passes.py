@@ -1,4 +1,4 @@
-"""The passes of matched clouds: a height per cell, large objects, canopy, points against the ground's surface."""
+"""Passes of photogrammetric clouds: heights of cells, large objects, canopy, and labels by the ground surface."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ from ptd.places import PLACES, on_cells
 
 @dataclass(frozen=True)
 class CellPass(OneSidePass):
-    """A robust height for each cell: the points on which the next passes work."""
+    """Pass that elects a point with a robust height per cell, for the next passes."""
 
     name: str = "cells"
     title = "one height for each cell"
@@ -44,14 +44,17 @@ class CellPass(OneSidePass):
     reach_m: float | None = 2 * SPARSE_CELL_M
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> CellModel:
-        """Find them all."""
+        """Compute the heights of all cells of the core."""
         around = _widened(core, scale)
         return CellModel(cell_heights(points.xyz, around, scale, noise_m(state, scale), cell_m(state)))
 
 
 @dataclass(frozen=True)
 class PlaceCellPass(MatchedPass):
-    """The same with cells whose side follows from the density of the place; where two sides meet, cells of both."""
+    """`CellPass` with cells whose side follows from the density of the place.
+
+    Where two sides meet, cells of both are elected.
+    """
 
     name: str = CellPass.name
     title = CellPass.title
@@ -62,7 +65,7 @@ class PlaceCellPass(MatchedPass):
     reach_m: float | None = CellPass.reach_m
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> CellModel:
-        """Find them all, the smaller ones first."""
+        """Compute the heights of all cells of the core, the smaller cells first."""
         around, noise = _widened(core, scale), noise_m(state, scale)
         found = [np.zeros((3, 0), np.int32)]
         for side in sides(state[PLACES]):
@@ -72,29 +75,29 @@ class PlaceCellPass(MatchedPass):
 
 
 def _widened(core: Window, scale: Scale) -> Window:
-    """The core and a little more: bounds of buckets may be asked for that are rounded otherwise."""
+    """Return the core extended by half a metre, as bounds of buckets may be rounded differently."""
     more = round(scale.counts(0.5))
     return Window(core.west - more, core.south - more, core.east + more, core.north + more)
 
 
 class CellModel(Model):
-    """Cells by rows."""
+    """Model with the elected points of cells, by rows."""
 
     def __init__(self, xyz: Int32) -> None:
         self._xyz, self.stats = xyz, {"cells": int(xyz.shape[1])}
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
-        """Not called."""
+        """Raise NotImplementedError, as the pass gives no labels."""
         raise NotImplementedError("the pass gives no labels")
 
     def elect(self, bounds: Window) -> Int32:
-        """The cells whose centres lie within bounds."""
+        """Return the points of the cells whose centres lie within bounds."""
         return np.ascontiguousarray(self._xyz[:, bounds.has(self._xyz[0], self._xyz[1])])
 
 
 @dataclass(frozen=True)
 class ObjectPass(MatchedPass):
-    """Large objects as wholes; again for what stands within those that were found before."""
+    """Pass that finds large objects, or objects within those found before."""
 
     name: str = "objects"
     columns: tuple[str, ...] = ("labels",)
@@ -107,15 +110,15 @@ class ObjectPass(MatchedPass):
 
     @property
     def title(self) -> str:  # type: ignore[override]
-        """Once for those that stand alone, once for those within them."""
+        """Title of the pass, by whether it finds large objects or objects within them."""
         return "find large objects" if self.name == "objects" else "find objects within others"
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Model:
-        """Judge the surfaces of the cells that are left."""
+        """Classify the surfaces of the cells that do not belong to objects yet."""
         return by_side.of_each_side(self.of_side, points, core, scale, state, cells=True)
 
     def of_side(self, points: Points, scale: Scale, state: State, side: float) -> Codes:
-        """Judge those of the cells of one side."""
+        """Classify the surfaces of the cells of one side."""
         cells = CellLattice.of(side, scale)
         known = points.known_labels()
         codes = np.where(known == OBJECT, np.uint8(OBJECT), np.uint8(LEFT))
@@ -123,7 +126,7 @@ class ObjectPass(MatchedPass):
             return Codes(None, codes, cells)
         raster = raster_of(points.xyz, cells)
         if (known > 0).all() and not (known == OBJECT).any():
-            return Codes(raster, known, cells)  # nothing was found before, so nothing has changed
+            return Codes(raster, known, cells)  # Without objects found before, the result stays.
         before = np.zeros(raster.heights.size, np.bool_)
         before[raster.keys[codes == OBJECT]] = True
         removed = before.reshape(raster.heights.shape)
@@ -138,7 +141,7 @@ class ObjectPass(MatchedPass):
 
 @dataclass(frozen=True)
 class SurfacePass(MatchedPass):
-    """The ground's surface, and every point against it."""
+    """Pass that fits the ground surface and classifies all points by their height above it."""
 
     name: str = "surface"
     title = "fit the surface, label all points"
@@ -153,11 +156,11 @@ class SurfacePass(MatchedPass):
     refine: bool = True
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Model:
-        """Make the surface of the cells that are neither a large object's nor crowns."""
+        """Fit the surface to the cells that belong neither to large objects nor to crowns."""
         return by_side.of_each_side(self.of_side, points, core, scale, state, cells=False)
 
     def of_side(self, points: Points, scale: Scale, state: State, side: float) -> GroundModel:
-        """Make that of the cells of one side."""
+        """Fit the surface to the cells of one side."""
         cells, known = CellLattice.of(side, scale), points.known_labels()
         left = known & CODE != OBJECT
         if not left.any():

@@ -1,22 +1,23 @@
-"""Where a sensor saw through: points far below other points over an area, as a laser has them under plants.
+"""Counts of cells that a sensor penetrates: points lie far below other points, as under plants in a LiDAR cloud.
 
-Image matching gives one surface: its points lie above each other beside walls alone, which are lines. Cells are
-those of a lattice of `CELL_M` anchored at CRS coordinate 0. A cell has a *gap* if no point lies in `GAP_BINS` or more
-successive bins of height, each `BIN_M` high from the cell's lowest point on, between two of its points. It is *seen
-through* if so have `MIN_OF_9` of the 3 x 3 cells around it, itself among them. Each cell belongs to the core that
-holds its lowest point: counts add up for any tiles. Where nothing stands, nothing is seen through: then it tells
-nothing.
+Image matching gives one surface. Its points lie above each other only next to walls, which are lines in the plan. In an
+area where nothing stands, no sensor penetrates a cell, so the counts show nothing there. Each cell belongs to the core
+with its lowest point, so the counts of tiles add up. There are three kinds of cells:
 
-Where points are sparse such cells hold too few. So *wide* cells of `WIDE_M` are counted as well, and told apart from
-walls and slopes by where the points lie: below plants points lie among those above, below a wall or a cliff beside
-them. A wide cell is *mixed* if between some `GAP_M` of height without a point, no line in the plan parts the points
-below, `BELOW` at least (blunders are fewer), from those above; it is seen through if so are `MIN_MIXED` of the 3 x 3
-around it. Its points are `MIN_POINTS` to `MAX_POINTS`: in fewer nothing shows, and where there are more the other
-cells tell.
-
-*Overhangs* are counted in an eighth of the area, in cells about eight points wide, of all `OVERHANG_CELLS_M` those with
-`HANGING_FEWEST` to `HANGING_MOST` points: a cell has one if two points at least lie below and two above `HANGING_GAP_M`
-of height without a point. Lasers see below crowns and eaves; a matched cloud has next to none.
+- *Cells* have a side of `CELL_M`, on a lattice anchored at CRS coordinate 0. A cell has a *gap* if at least `GAP_BINS`
+  successive bins of height between two of its points are empty. Bins are `BIN_M` high and begin at the cell's lowest
+  point. A cell is *seen through* if it and at least `MIN_OF_9` of the 3 x 3 cells around it have a gap, itself
+  counted.
+- *Wide cells* have a side of `WIDE_M`, because the cells above contain too few points in sparse clouds. Points below
+  plants lie among those above in the plan, and points below a wall or a cliff lie next to them. A wide cell is *mixed*
+  if it has a gap of `GAP_M` in height, and no line in the plan separates the points below the gap from those above it.
+  At least `BELOW` points must lie below, as blunders are fewer. A wide cell is seen through if it and at least
+  `MIN_MIXED` of the 3 x 3 cells around it are mixed. It has `MIN_POINTS` to `MAX_POINTS` points: fewer show nothing,
+  and where there are more the cells above suffice.
+- Cells with *overhangs* are counted in an eighth of the area. They are about eight points wide: of all sides in
+  `OVERHANG_CELLS_M`, cells with `HANGING_FEWEST` to `HANGING_MOST` points count. A cell has an overhang if at least two
+  points lie below and two above a gap of `HANGING_GAP_M` in height. Lasers see below crowns and eaves, and
+  photogrammetric clouds have hardly any overhangs.
 """
 
 from __future__ import annotations
@@ -39,7 +40,7 @@ MIN_MIXED, MIN_POINTS, MAX_POINTS = 3, 6, 96
 OVERHANG_CELLS_M = (0.5, 1.0, 2.0, 4.0)
 HANGING_FEWEST, HANGING_MOST, HANGING_GAP_M = 24, 192, 1.0
 REACH_M = 3 * WIDE_M
-"""Around the core, all points must be there for `seen_through` to give the same with any tiles."""
+"""Margin around the core within which `seen_through` needs all points to give the same counts with any tiles."""
 
 COUNTS = (
     "looks",
@@ -56,7 +57,7 @@ Bool = npt.NDArray[np.bool_]
 
 @kernel
 def _gaps(z: Int32, slot: Int64, low: Int32, bin_counts: float) -> Bool:
-    """Mask of the cells with a gap: bool [cells]. All bins from the 64th on count as one."""
+    """Return a mask of the cells with a gap: bool [cells]. All bins from the 64th on count as one."""
     filled = np.zeros(low.size, np.uint64)
     for i in range(z.size):
         k = slot[i]
@@ -76,7 +77,7 @@ def _gaps(z: Int32, slot: Int64, low: Int32, bin_counts: float) -> Bool:
 
 @kernel
 def _parted(x: Int64, y: Int64, below: int) -> bool:
-    """Whether a line in one of eight directions has so many first points on one side and the others on the other."""
+    """Return whether a line in one of eight directions separates the first ``below`` points from the others."""
     for east, north in ((1, 0), (2, 1), (1, 1), (1, 2), (0, 1), (-1, 2), (-1, 1), (-2, 1)):
         lower = east * x[:below] + north * y[:below]
         upper = east * x[below:] + north * y[below:]
@@ -89,7 +90,7 @@ def _parted(x: Int64, y: Int64, below: int) -> bool:
 def _mixed(
     x: Int32, y: Int32, z: Int32, starts: Int64, order: Int32, gap_counts: float
 ) -> tuple[Bool, Bool, Bool]:
-    """Masks of the cells: with enough points, with a gap, and with points below the gap among those above."""
+    """Return masks of the wide cells with the right number of points, of those with a gap, and of mixed cells."""
     n = starts.size - 1
     asked, gap, mixed = np.zeros(n, np.bool_), np.zeros(n, np.bool_), np.zeros(n, np.bool_)
     for k in range(n):
@@ -108,7 +109,7 @@ def _mixed(
 
 @kernel
 def _hanging(z: Int32, starts: Int64, order: Int32, gap_counts: float) -> tuple[Bool, Bool]:
-    """Mark the cells with as many points as it takes, and those of them with an overhang."""
+    """Return masks of the cells with the right number of points, and of those with an overhang."""
     n = starts.size - 1
     asked, hanging = np.zeros(n, np.bool_), np.zeros(n, np.bool_)
     for k in range(n):
@@ -128,7 +129,10 @@ def _hanging(z: Int32, starts: Int64, order: Int32, gap_counts: float) -> tuple[
 
 @kernel
 def _seen_through(keys: Int64, gap: Bool, own: Bool, width: int, least: int) -> int:
-    """How many of a core's cells are seen through; the keys are sorted, with a margin of a column at each end."""
+    """Count the cells of a core that are seen through.
+
+    The keys are sorted. They belong to a raster with an empty column at each end of its rows.
+    """
     n = 0
     for k in range(keys.size):
         if not (own[k] and gap[k]):
@@ -144,23 +148,24 @@ def _seen_through(keys: Int64, gap: Bool, own: Bool, width: int, least: int) -> 
 
 
 def seen_through(xyz: Int32, core: Window, scale: Scale, wide_cells: bool = True) -> dict[str, int]:
-    """Cells of a core, and how many of them are seen through.
+    """Count the cells of a core, and those that are seen through.
 
     Parameters
     ----------
     xyz : int32 [3, n]
-        All points within `REACH_M` of the core, local counts, in any order; more may be there.
+        Local counts of all points within `REACH_M` of the core, in any order. Further points do not matter.
     core : Window
     scale : Scale
     wide_cells : bool
-        Count in wide cells, too; else there are none, and nothing is seen through in them.
+        Whether wide cells are counted; otherwise their counts are 0.
 
     Returns
     -------
     dict
-        ``looks`` (cells of `CELL_M` with any point) and ``through``; of wide cells with as many points as it takes
-        ``wide_looks`` and ``wide_through``, and how many have a gap (``wide_gaps``); ``overhang_looks`` and
-        ``overhangs``.
+        Number of cells by name. ``looks``: cells of `CELL_M` with points; ``through``: those that are seen through.
+        ``wide_looks``: wide cells with the right number of points; ``wide_through``: those that are seen through;
+        ``wide_gaps``: those with a gap. ``overhang_looks``: cells that may have an overhang; ``overhangs``: those that
+        have one.
     """
     x, y, z = (np.ascontiguousarray(c) for c in xyz)
     if x.size == 0:
@@ -176,7 +181,7 @@ def seen_through(xyz: Int32, core: Window, scale: Scale, wide_cells: bool = True
 
 
 def _of_overhangs(x: Int32, y: Int32, z: Int32, core: Window, scale: Scale) -> dict[str, int]:
-    """Cells of a core of all sizes, and overhangs in them."""
+    """Count the cells of all sizes in a core, and those with an overhang."""
     looks = overhangs = 0
     for side_m in OVERHANG_CELLS_M if x.size else ():
         raster = _Raster.of(side_m, x, y, z, scale)
@@ -194,13 +199,13 @@ class _Raster:
     Attributes
     ----------
     keys : int64 [cells]
-        Ascending, with a margin of a column at each end of a row.
+        Indices of the cells in a raster, ascending. Its rows have an empty column at each end.
     slot : int64 [n]
         Number of each point's cell.
     lowest : int32 [cells]
-        Its index
+        Index of each cell's lowest point.
     col0, row0, width : int
-        First column and row, and columns.
+        First column and row of the raster, and its number of columns.
     """
 
     keys: Int64
@@ -212,7 +217,7 @@ class _Raster:
 
     @classmethod
     def of(cls, side_m: float, x: Int32, y: Int32, z: Int32, scale: Scale) -> Self:
-        """The cells of that side, on a lattice anchored at CRS coordinate 0."""
+        """Find the occupied cells of a side in metres, on a lattice anchored at CRS coordinate 0."""
         cells = CellLattice.of(side_m, scale)
         col0, row0 = cells.column(int(x.min())) - 1, cells.row(int(y.min()))
         width = cells.column(int(x.max())) + 2 - col0
@@ -221,14 +226,14 @@ class _Raster:
         return cls(keys, slot, lowest_by_key(x, y, z, slot, keys.size), col0, row0, width)
 
     def some(self) -> Bool:
-        """Cells of every eighth block of two by two, evenly spread: enough to count what is common."""
+        """Return a mask of every eighth block of 2 x 2 cells, evenly spread: enough to count frequent features."""
         rows, columns = np.divmod(self.keys, self.width)
         chosen: Bool = ((columns + self.col0) // 2 + (rows + self.row0) // 2 * 3) % 8 == 0
         return chosen
 
 
 def _of_wide_cells(x: Int32, y: Int32, z: Int32, core: Window, scale: Scale) -> dict[str, int]:
-    """Wide cells of a core."""
+    """Count the wide cells of a core, those that are seen through, and those with a gap."""
     raster = _Raster.of(WIDE_M, x, y, z, scale)
     starts, order = by_cell(raster.slot, raster.keys.size)
     asked, gap, mixed = _mixed(x, y, z, starts, order, scale.counts_z(GAP_M))

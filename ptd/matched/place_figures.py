@@ -1,7 +1,8 @@
-"""Figures of a place that the rules of matched clouds and of laser scans start from, in ``places`` of the state.
+"""Figures of each place from which the rules for photogrammetric and LiDAR clouds start: ``places`` of the state.
 
-Cells of matched clouds are of 1 m, or of 2 m where points are sparse. What a point gets is what it would get if the
-whole survey had the cells of its place: so where places of both kinds are near each other, cells of both are made.
+Cells of photogrammetric clouds have a side of 1 m, or of 2 m where points are sparse. A point gets the same label as if
+the whole survey had cells of the side of its place. So cells of both sides are made where places of both kinds are near
+each other.
 """
 
 from __future__ import annotations
@@ -12,28 +13,34 @@ from ptd.matched.cells import CELL_M, SPARSE_CELL_M, cell_side_m
 from ptd.places import Figures, Table, place_of
 
 DENSITY, SIGMA, CELL_SIGMA, SIDE, BOTH = range(5)
-"""Points per square metre; noise of planar patches in metres (None: not known); noise that the rules of matched clouds
-start from; side of the cells in metres; 1 where cells of the other side are needed, too, else 0."""
+"""Indices of the figures of a place.
+
+- `DENSITY`: points per square metre.
+- `SIGMA`: noise of planar patches in metres, or None if unknown.
+- `CELL_SIGMA`: noise in metres from which the rules for photogrammetric clouds start.
+- `SIDE`: side of the cells in metres.
+- `BOTH`: 1 if cells of the other side are needed, too, else 0.
+"""
 SIDES_M = (CELL_M, SPARSE_CELL_M)
-"""Sides that cells have."""
+"""Possible sides of cells."""
 SIDES_AROUND = 7
-"""Places within which cells of a place's side are needed: what the passes after the cells see together."""
+"""Distance in places within which cells of a place's side are needed: the radius of all passes on cells together."""
 
 
 def known(figures: Figures, figure: int) -> float:
-    """A figure of a place that always is a number."""
+    """Return a figure of a place that is always a number."""
     return float(figures[figure] or 0.0)
 
 
 def sides(table: Table) -> tuple[float, ...]:
-    """Sides of cells that some places need."""
+    """Return the sides of cells that the places of a table need."""
     own = {known(figures, SIDE) for figures in table.values()}
     both = any(figures[BOTH] for figures in table.values())
     return SIDES_M if both else tuple(sorted(own))
 
 
 def with_sides(table: Mapping[str, list[float | None]]) -> dict[str, list[float | None]]:
-    """A table with `SIDE` and `BOTH` after the figures that they follow from."""
+    """Return a table with `SIDE` and `BOTH` appended to the figures from which they follow."""
     own = {name: cell_side_m(known(figures, DENSITY)) for name, figures in table.items()}
     sparse = {place_of(name) for name, side in own.items() if side == SPARSE_CELL_M}
     fine = {place_of(name) for name, side in own.items() if side == CELL_M}
@@ -42,7 +49,7 @@ def with_sides(table: Mapping[str, list[float | None]]) -> dict[str, list[float 
 
 
 def _around(places: set[tuple[int, int]], others: int) -> set[tuple[int, int]]:
-    """All places near some; none of them if there are no others."""
+    """Return all places within `SIDES_AROUND` of given places, or none if the number of other places is 0."""
     steps = range(-SIDES_AROUND, SIDES_AROUND + 1)
     if others == 0:
         return set()

@@ -1,10 +1,11 @@
-"""Methods made for laser scans, or for the lowest points, on an unbiased surface of matched clouds.
+"""Methods for LiDAR clouds, or for lowest points, adapted to photogrammetric clouds.
 
-The papers' seeds and vertices are the lowest points of cells. In a matched cloud these are blunders, or the lower end
-of the noise. So there a method is given one robust height per cell (`ptd.matched.cells`) instead of the points, and
-what it finds to be ground among those is the surface against which all points are judged, to both sides, with the noise
-around them and the vote of their neighbours, as in `auto` (`ptd.matched.passes`). `for_both_kinds` makes the passes of
-a method do so where the survey finds a matched cloud; laser scans are filtered as ever.
+The papers' seeds and vertices are the lowest points of cells. In a photogrammetric cloud these are blunders or the
+lower end of the noise. So a method gets one robust height per cell (`ptd.matched.cells`) instead of the points. The
+cells that it classifies as ground are the surface, and all points are compared with it to both sides, with the local
+noise and a vote of their neighbours, as in `auto` (`ptd.matched.passes`). `for_both_kinds` builds the passes of a
+method so that they do this if the survey finds a photogrammetric cloud. LiDAR clouds are filtered with the method's
+own passes.
 """
 
 from __future__ import annotations
@@ -32,7 +33,7 @@ from ptd.passes import Model, Pass, Points, State, noted
 
 @dataclass(frozen=True)
 class RobustCells:
-    """The parameter of methods that `for_both_kinds` applies to, for `ptd.params.like`."""
+    """The parameter of methods with passes from `for_both_kinds`, for `ptd.params.like`."""
 
     robust_cells: bool = parameter(
         True, "photogrammetric clouds: start from one robust height per cell of 1 m (2 m if sparse), and judge points "
@@ -43,16 +44,16 @@ class RobustCells:
 def for_both_kinds(
     own: Sequence[Pass], on_cells: Sequence[Pass] | None = None, *notes: str
 ) -> tuple[Pass, ...]:
-    """Passes of a method that starts from robust cells where a cloud is matched.
+    """Return the passes of a method, on robust cell heights if the cloud is photogrammetric.
 
     Parameters
     ----------
     own : sequence of Pass
-        Those of laser scans.
+        Passes for LiDAR clouds.
     on_cells : sequence of Pass, optional
-        Those that work on the cells and label them; the same if left out.
+        Passes that label the cells of a photogrammetric cloud; `own` by default.
     *notes : str
-        Further facts of a matched cloud.
+        Further notes on a photogrammetric cloud.
     """
     cells = own if on_cells is None else on_cells
     return (
@@ -66,31 +67,31 @@ def for_both_kinds(
 
 @dataclass(frozen=True)
 class MethodSurveyPass(SurveyPass):
-    """What made the cloud; not asked of one that is said to be a laser scan."""
+    """Survey that decides the source of the cloud, unless the user gives laser scanning."""
 
     notes: tuple[str, ...] = ()
 
     def applies(self, state: State) -> bool:
-        """Unless the user says that it is a laser scan."""
+        """Return whether the source has to be decided: not if the user gives laser scanning."""
         said = state["run"].get("sure") is None
         return not (said and state["run"].get("kind") == LIDAR)
 
     def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
-        """And what follows from it."""
+        """Add the survey to the state, with notes on its consequences for a photogrammetric cloud."""
         after = super().reduce(partials, state)
         if after["survey"]["kind"] != DIM:
             return after
         line = (
-            f"decided: starts from one robust height per cell of {cell_m(after):g} m, not the lowest point; "
-            f"ground is up to {GROUND_M:g} m and twice the local noise from the surface, after a vote of neighbours "
-            "(as the paper has it: --set robust_cells=no)"
+            f"decided: starts from one robust height per cell of {cell_m(after):g} m, not the lowest point. After a "
+            f"vote of neighbours, ground is up to {GROUND_M:g} m and twice the local noise from the surface "
+            "(--set robust_cells=no: as in the paper)"
         )
         return {**after, "notes": noted(after, line, *self.notes)}
 
 
 @dataclass(frozen=True)
 class _Wrapped(Pass):
-    """A pass with another condition."""
+    """A pass with another condition under which it applies."""
 
     step: Pass
     name: str
@@ -102,7 +103,7 @@ class _Wrapped(Pass):
 
     @property
     def title(self) -> str:  # type: ignore[override]
-        """Title of the pass."""
+        """Title of the wrapped pass."""
         return self.step.title
 
     @classmethod
@@ -114,40 +115,40 @@ class _Wrapped(Pass):
         return cls(step=step, name=name or step.name, **told)
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Model:
-        """What the pass does."""
+        """Fit the wrapped pass."""
         return self.step.fit(points, window, core, scale, state)
 
     def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
-        """What the pass does."""
+        """Reduce the partials of the wrapped pass."""
         return self.step.reduce(partials, state)
 
 
 @dataclass(frozen=True)
 class OnLidar(_Wrapped):
-    """A pass on points, where the cloud is no matched one."""
+    """A pass on points that applies to LiDAR clouds."""
 
     kind = LIDAR
 
     def applies(self, state: State) -> bool:
-        """Not where the survey found image matching."""
+        """Return whether the wrapped pass applies and the survey did not find image matching."""
         return not ("survey" in state and is_matched(state)) and self.step.applies(state)
 
 
 @dataclass(frozen=True)
 class OnMatchedCells(_Wrapped):
-    """A pass on the cells of a matched cloud."""
+    """A pass that labels the cells of a photogrammetric cloud."""
 
     kind = DIM
     elected: bool = True
 
     def applies(self, state: State) -> bool:
-        """Only where the survey found image matching."""
+        """Return whether the wrapped pass applies and the survey found image matching."""
         return "survey" in state and is_matched(state) and self.step.applies(state)
 
 
 @dataclass(frozen=True)
 class NearGroundPass(OneSidePass):
-    """Every point against the TIN of the cells that are ground."""
+    """Pass that classifies all points by their height above the TIN of the ground cells."""
 
     name: str = "near-ground"
     title = "label points near the ground"
@@ -161,7 +162,7 @@ class NearGroundPass(OneSidePass):
     by_place: bool = True
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> GroundModel:
-        """Lay the TIN below the cells."""
+        """Compute the heights of the TIN at the cells, and the noise about it."""
         side = cell_m(state)
         cells, ground = CellLattice.of(side, scale), points.known_labels() == GROUND
         if not ground.any():

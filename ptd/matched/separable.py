@@ -1,8 +1,9 @@
-"""The hull of paraboloids around every cell, row by row of blocks: sums of a fall along rows and one along columns.
+"""Hull of paraboloids around every cell, computed by rows of blocks.
 
-What limits a paraboloid is found along the rows first and then across them, and where it raises the hull across them
-first and then along: for ``w`` cells across, some ``2 * w`` steps instead of ``w * w``, each for a whole row of centres
-at a time. It pays where every cell is a centre; with few centres far apart `ptd.matched.hull` looks at each alone.
+The fall of a paraboloid is the sum of a fall along the row and one along the column. So the cells that limit
+paraboloids are found along rows first and then across them, and the hull is raised across rows first and then along
+them. For ``w`` cells across this takes about ``2 * w`` steps instead of ``w * w``, each for a whole row of centres. It
+is faster if every cell is a centre. With few centres far apart `ptd.matched.hull` computes each separately.
 """
 
 from __future__ import annotations
@@ -13,14 +14,17 @@ from ptd.cells import Int32, Int64
 from ptd.kernel import kernel
 
 HIGH, LOW = 2**30 + 2**29, -(2**30) - 2**29
-"""For no cell and no paraboloid: beyond all heights (less than 1,000 km) whatever is added to it."""
+"""Heights that stand for no cell and no paraboloid: beyond all heights (less than 1,000 km), whatever is added."""
 LIMIT = 2**30
-"""What is higher, or lower, is none."""
+"""Limit of real heights: values from `LIMIT` on, or down from `-LIMIT`, stand for none."""
 
 
 @kernel
 def _keep_lowest(lowest: Int32, values: Int32, first: int) -> None:
-    """Take values into the lowest of each column, in rising order; the first rows are known to be no higher."""
+    """Insert values into the lowest of each column, which are in rising order from the first row on.
+
+    The rows before ``first`` must not be higher than the values. ``values`` is changed.
+    """
     for k in range(first, lowest.shape[0]):
         row = lowest[k]
         for c in range(values.size):
@@ -31,7 +35,7 @@ def _keep_lowest(lowest: Int32, values: Int32, first: int) -> None:
 
 @kernel
 def _tilted(out: Int32, values: Int32, fall: int, tilt: Int32, step: int) -> None:
-    """Values with what a paraboloid has fallen so many steps from its centre, given the tilt of its block."""
+    """Add to values the fall of a paraboloid ``step`` cells from its centre, with its block's tilt, into ``out``."""
     more, steps = np.int32(fall), np.int32(step)
     for c in range(out.size):
         out[c] = np.int32(values[c] + more) - np.int32(tilt[c] * steps)
@@ -45,7 +49,10 @@ def _raise(highest: Int32, values: Int32) -> None:
 
 @kernel
 def _tops(padded: Int32, falls: Int64, cut: int, n_rows: int, north: Int32, east: Int32) -> Int32:
-    """Height of the paraboloid around each cell of some rows that cuts through so many cells; more than LIMIT: none."""
+    """Return the top of the paraboloid around each cell of some rows that cuts through ``cut`` cells.
+
+    Tops from LIMIT on stand for no paraboloid.
+    """
     radius, columns = falls.size - 1, north.size
     along = np.full((n_rows + 2 * radius, cut + 1, columns), HIGH, np.int32)
     values = np.empty(columns, np.int32)
@@ -86,26 +93,27 @@ def _spread(hull: Int32, tops: Int32, falls: Int64, north: Int32, east: Int32) -
 def hull_around_every_cell(
     heights: Int32, empty: int, none: int, falls: Int64, cut: int, block: int, north: Int64, east: Int64
 ) -> Int32:
-    """Height of the highest paraboloid over each cell.
+    """Return the height of the highest paraboloid over each cell.
 
     Parameters
     ----------
     heights : int32 [rows, columns]
-        Vertical counts; ``empty`` where there is no cell.
+        Heights in vertical counts; ``empty`` where there is no cell.
     empty, none : int
-        The second is what the hull is where there is no paraboloid.
+        Height of an empty cell, and height of the hull where there is no paraboloid.
     falls : int64 [radius + 1]
-        Fall of a paraboloid so many cells from its centre along a row.
+        Fall of a paraboloid in vertical counts, by cells from its centre along a row.
     cut : int
-        Cells that a paraboloid may cut through.
+        Number of cells that a paraboloid may cut through.
     block : int
-        Side of the blocks that have one tilt.
+        Side in cells of the blocks, each of which has one tilt.
     north, east : int64 [blocks of rows, blocks of columns]
-        Tilts: vertical counts a cell.
+        Tilts of the blocks in vertical counts per cell.
 
     Returns
     -------
     int32 [rows, columns]
+        Heights of the hull in vertical counts.
     """
     (rows, columns), radius = heights.shape, falls.size - 1
     padded = np.full((rows + 2 * radius, columns + 2 * radius), HIGH, np.int32)

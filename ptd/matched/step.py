@@ -1,4 +1,4 @@
-"""What the passes of matched clouds share: when they apply, figures of the run, codes of cells between passes."""
+"""Shared parts of the passes of photogrammetric clouds: their condition, figures of the run, codes of cells."""
 
 from __future__ import annotations
 
@@ -16,34 +16,35 @@ from ptd.passes import Model, Pass, Points, State, UInt8
 from ptd.places import PLACES, Field, field
 
 LEFT, TERRAIN, OBJECT = 1, 2, 3
-"""Codes of cells between passes: of a surface that may be either, of terrain, of a large object."""
+"""Codes of cells between passes: undecided, terrain, and large object."""
 CODE, CROWN, COVERED = 3, 4, 8
-"""The bits of these codes; the bit of crowns that were taken for ground, and that of places where a canopy hides it."""
+"""Mask of these codes, bit of crowns that were classified as ground, and bit of cells where a canopy hides the
+ground."""
 
 
 def is_matched(state: State) -> bool:
-    """Whether the survey took the run for image matching."""
+    """Return whether the survey classified the run as image matching."""
     return bool(state["survey"]["kind"] == "dim")
 
 
 def noise_m(state: State, scale: Scale) -> Field:
-    """The noise of each place that the cells' rules start from."""
+    """Return the noise in metres, by place, from which the rules for cells start."""
     return field(state[PLACES], CELL_SIGMA, scale, MIN_CELL_SIGMA_M)
 
 
 def cell_m(state: State) -> float:
-    """Side of the cells of the run, of methods that have one."""
+    """Return the side in metres of the cells of a run, for methods whose cells have one side."""
     return float(state["survey"]["cell_m"])
 
 
 @dataclass(frozen=True)
 class MatchedPass(Pass):
-    """A pass that only matched clouds need."""
+    """A pass that only photogrammetric clouds need."""
 
     kind = "dim"
 
     def applies(self, state: State) -> bool:
-        """Only where the survey says so; before it, nothing is known."""
+        """Return whether the survey is done and found image matching."""
         return "survey" in state and is_matched(state)
 
 
@@ -52,13 +53,13 @@ class OneSidePass(MatchedPass):
     """A pass of a method whose cells have one side in a run."""
 
     def local(self, state: State, window: Window, scale: Scale) -> dict[str, Any]:
-        """With that side."""
+        """Return the state that `fit` needs, with the side of the cells."""
         found = super().local(state, window, scale)
         return {**found, "survey": {**found["survey"], "cell_m": cell_m(state)}}
 
 
 class Codes(Model):
-    """What each cell is."""
+    """Model with the code of each cell."""
 
     def __init__(self, raster: CellHeights | None, codes: UInt8, cells: CellLattice) -> None:
         self._raster, self._cells = raster, cells
@@ -68,7 +69,7 @@ class Codes(Model):
             self._codes[raster.keys] = codes
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
-        """Codes of cells; nothing is ever in doubt, as the pass has a reach."""
+        """Return the codes of cells. All are certified, because the pass has a fixed radius."""
         certain = np.zeros(len(points), np.bool_)
         if self._raster is None or len(points) == 0:
             return np.zeros(len(points), np.uint8), certain

@@ -1,19 +1,19 @@
-"""The ground's surface from cells: hulls that bend more where that is seen, then the mean of what lies about them.
+"""Ground surface from cells: hulls that bend more where the cells show it, then the mean of the cells near them.
 
-1. Two hulls. The stiffer is right below trees, where ground is seen through gaps alone; the other follows terrain.
-   Between them decides the *contrast*: above ground there is a gap up to what stands on it, above a hull that climbed
-   into plants there are as many cells as on it. Cells of what is terrain as a whole are no plants: a hull lies below
-   crests.
-2. Still less stiff hulls follow banks, ridges and crests, where what lies above the surface is terrain's as a whole
-   (`ptd.matched.objects`), or nearly all around is ground. The least stiff one would follow cars too: where it is
-   level, it holds on what is wider.
-3. `ROUNDS` times, the mean residual of the cells that lie about the surface is added, at two scales; in the last of
-   them what rises beside objects counts less. Noise is the root mean square of the residuals below the surface: what
-   lies above may be plants.
-4. Ground grows to the edges of terraces and banks (`ptd.matched.growth`), and the mean residual is added at a still
-   smaller scale: the surface comes nearer to each cell's own height.
+1. There are two hulls. The stiff one is right below trees, where ground is visible only through gaps; the pliable one
+   follows terrain. The *contrast* decides between them: above ground there is a gap up to the objects on it, and a hull
+   that climbed into plants has as many cells above it as on it. Cells that are terrain as a whole
+   (`ptd.matched.objects`) do not count as plants, because a hull lies below crests.
+2. Less stiff hulls follow banks, ridges and crests. They are used where the cells above the surface are terrain as a
+   whole, or where nearly everything around is ground. The least stiff hull would follow cars too. So on level ground it
+   is used only for features that are wider than cars.
+3. The mean residual of the cells near the surface is added `ROUNDS` times, at two scales. In the last rounds cells that
+   rise next to objects count less. The noise is the root mean square of the residuals below the surface, because cells
+   above it may be plants.
+4. Ground grows to the edges of terraces and banks (`ptd.matched.growth`). Then the mean residual is added at a still
+   smaller scale, so that the surface comes nearer to each cell's own height.
 
-Gaussian sums over cells are cut off at a fixed radius, so nothing beyond `reach_cells` has a part in the surface.
+Gaussian sums over cells are cut off at a fixed radius, so cells beyond `reach_cells` do not change the surface.
 """
 
 from collections.abc import Callable
@@ -37,64 +37,86 @@ Float64 = npt.NDArray[np.float64]
 STIFF, PLIABLE = Envelope(0.01, 11.5), Envelope(0.04, 11.5)
 RIDGES = (Envelope(0.08, 6.0), Envelope(0.2, 6.0), Envelope(0.5, 6.0))
 OPEN_GROUND = 0.3
-"""Curvature up to which open ground all around is reason enough; beyond, only terrain as a whole is: cars are small."""
+"""Curvature up to which a hull is used on open ground as well. Hulls of more curvature need terrain as a whole, because
+they would follow cars."""
 CREST_SLOPE, CREST_M = (0.1, 0.2), 7.0
-"""Mean slope of the surroundings (`TERRAIN_M`) from which on, and at which, hulls of more than that curvature hold.
-Where it is level they hold on what is so wide at least, a dam: cars, too, are linked to the ground by some cell."""
+"""Mean slopes of the surroundings (`TERRAIN_M`) from which on, and at which fully, hulls of more than that curvature
+are used. On level ground they are used only for features that are at least `CREST_M` wide, for example dams: some cell
+links cars to the ground, too."""
 STEEP = (0.3, 0.6)
-"""Mean slope from which on, and at which, terrain just above a ridge's hull is no sign of plants: hulls cut crests."""
+"""Mean slopes from which on, and at which fully, terrain just above a ridge's hull does not count as plants, because
+hulls cut crests."""
 BAND_M, BAND_SIGMAS, BAND_SLOPE = 0.15, 2.5, 0.15
-"""What lies on a hull lies so near it: metres, times the noise, and metres per unit of slope."""
+"""Largest distance of cells on a hull: the sum of metres, a multiple of the noise, and metres per unit of slope."""
 CONTRAST_M, CONTRAST = 12.0, (0.5, 1.0)
-"""Standard deviation of the surroundings in which cells are counted; contrast up to which the pliable hull holds, and
-from which on the stiff one does: half as many above a hull as on it, as many."""
+"""Standard deviation of the surroundings in which cells are counted, and limits of the contrast. Up to the first limit,
+half as many cells above a hull as on it, only the pliable hull is used. From the second on, as many, only the stiff one
+is used."""
 RIDGE_M, RIDGE_SHARE, RIDGE_CONTRAST, CREST_CONTRAST = 6.0, (0.6, 0.85), (0.02, 0.06), (0.05, 0.15)
-"""The same for ridges, and the share of open ground or of terrain from which on, and at which, their hulls hold. The
-last is for hulls that hold where it is steep."""
+"""Settings of the hulls of ridges.
+
+- `RIDGE_M`: standard deviation of the surroundings in which cells are counted.
+- `RIDGE_SHARE`: shares of open ground or terrain from which on, and at which fully, the hulls are used.
+- `RIDGE_CONTRAST`: contrasts up to which they are used fully, and from which on not at all.
+- `CREST_CONTRAST`: the same contrasts for hulls of more curvature than `OPEN_GROUND`.
+"""
 MIN_SHARE_LEFT = 0.3
-"""Open ground is a share of the cells that are left, beside a roof or a pond as in the open, but not of fewer than
-this share of all places."""
+"""Least share of all cells to which open ground is related. Otherwise it is a share of the cells that are left, so that
+it is the same next to a roof or a pond as in the open."""
 TERRAIN_M = 8.0
-"""Standard deviation of the surroundings in which cells above the surface are counted."""
+"""Standard deviation of the surroundings in which cells above the surface are counted and slopes are averaged."""
 
 ROUNDS = 6
 SCALES_M, SCALES_CELLS = (3.0, 1.5), (2.0, 1.0)
-"""Standard deviations of the surroundings whose mean residual is added, and in cells at least: of few cells the mean
-is uncertain."""
+"""Standard deviations, in metres and in cells at least, of the surroundings whose mean residual is added. The mean of
+few cells is uncertain."""
 FEW = 0.05
-"""Weight of no residual at all, so that few cells move the surface little."""
+"""Weight of a residual of 0, so that few cells move the surface little."""
 PLAIN_ROUNDS, BESIDE = 3, 0.2
-"""After so many rounds, cells above the surface that touch one too high to be ground weigh no more than this: they are
-the rounded edges of cars, walls and plants. Not before, as until then the surface still climbs onto banks."""
+"""Number of rounds with equal weights, and later weight of cells above the surface that touch one too high to be
+ground. They are the rounded edges of cars, walls and plants. In the first rounds the surface still climbs onto
+banks."""
 FINE_ROUNDS, FINE_M, FINE_CELLS, FINE_BESIDE = 2, 1.0, 1.0, 0.1
-"""Then so often the mean residual is added over this standard deviation (cells at least): a cell's own height, the
-median of many points, is better known than a wide mean is right where the ground bends, at the foot of a bank. What
-rises beside objects weighs still less, as fewer cells are averaged."""
+"""Settings of the last rounds.
+
+They are the number of rounds, the standard deviation (in metres, and in cells at least) of the surroundings whose mean
+residual is added, and the weight of cells that rise next to objects. Where the ground bends, at the foot of a bank, a
+cell's own height is more accurate than a wide mean, as it is the median of many points. The weight is less than
+`BESIDE`, as fewer cells are averaged.
+"""
 EDGE_ROUNDS = 2
-"""Times that the mean residual is added, at the smaller scale, where ground grew to an edge."""
+"""Number of times that the mean residual is added, at the smaller scale, where ground grew to an edge."""
 ABOVE_M, ABOVE_SIGMAS, BELOW_M, BELOW_SIGMAS = 0.1, 2.5, 0.3, 3.0
-"""What lies about the surface: metres and times the local noise, above and below."""
+"""Largest distances of cells near the surface, above and below it: metres, plus a multiple of the local noise."""
 ABOUT_SLOPE = 0.15
-"""And metres per unit of slope; twice as much below, where slopes are lost."""
+"""Addition to these distances in metres per unit of slope. It counts twice below, where slopes are lost."""
 GAP, NARROWEST, GAP_TERRAIN = (0.1, 0.55), 0.25, 0.5
-"""Contrast up to which the band above the surface is whole, and from which on it is so narrow: among low plants.
-Cells of what is terrain as a whole count less: they may be banks."""
+"""Settings of the band of ground among low plants.
+
+- `GAP`: contrasts up to which the band above the surface is whole, and from which on it is narrowest.
+- `NARROWEST`: narrowest part of the band.
+- `GAP_TERRAIN`: weight of cells that are terrain as a whole, which is less because they may be banks.
+"""
 NOISE_M, NOISE_MOST, NOISE_FEW = 4.0, 2.5, 0.02
-"""Standard deviation of the surroundings from which noise is taken, its limit in times the place's, and the weight of
-that."""
+"""Standard deviation of the surroundings from which noise is computed, its limit as a multiple of the place's noise,
+and the weight of the place's noise."""
 EXTENDED_M = (1.0, 6.0)
-"""Beyond its cells the surface goes on as the mean of what is near: standard deviations of the surroundings. Ground is
-within the first alone: farther away a single cell would say where it is below a whole roof."""
+"""Standard deviations of the surroundings whose mean continues the surface beyond its cells. Ground exists only within
+the first: farther away a single cell would give the ground below a whole roof."""
 
 
 class Surface(NamedTuple):
-    """The ground of a raster of cells; float64 [rows, columns] each, metres.
+    """The ground surface of a raster of cells.
 
     Attributes
     ----------
-    height : NaN where no cell is near
-    sigma : the noise of cells about the surface
-    narrowing : 1 where there is a gap above the ground; the less, the more cells lie just above it; NaN: no ground
+    height : float64 [rows, columns]
+        Height of the surface in metres, NaN where no cell is near.
+    sigma : float64 [rows, columns]
+        Noise of the cells about the surface in metres.
+    narrowing : float64 [rows, columns]
+        Factor of the band of ground: 1 where there is a gap above the ground, and less the more cells lie just above
+        it; NaN where there is no ground.
     """
 
     height: Float64
@@ -103,22 +125,22 @@ class Surface(NamedTuple):
 
 
 def _crest_cells(cell_m: float) -> int:
-    """Cells, an odd number, that a crest is wide where it is level."""
+    """Return the least width in cells, an odd number, of a crest on level ground."""
     return 2 * int(CREST_M / cell_m / 2) + 1
 
 
 def _scales(cell_m: float) -> list[float]:
-    """Standard deviations, in cells, of the surroundings whose mean residual is added."""
+    """Return the standard deviations, in cells, of the surroundings whose mean residual is added."""
     return [max(m / cell_m, least) for m, least in zip(SCALES_M, SCALES_CELLS, strict=True)]
 
 
 def _fine_scale(cell_m: float) -> float:
-    """Scale of the last rounds."""
+    """Return the standard deviation, in cells, of the surroundings in the last rounds."""
     return max(FINE_M / cell_m, FINE_CELLS)
 
 
 def reach_cells(cell_m: float) -> int:
-    """Cells beyond which nothing has a part in the surface."""
+    """Return the distance in cells beyond which heights do not change the surface."""
     hulls = [replace(h, cell_m=cell_m) for h in (STIFF, PLIABLE, *RIDGES)]
     slope, contrast = slope_radius(cell_m), share_radius(CONTRAST_M, cell_m)
     bent = max(h.reach for h in hulls) + slope + contrast
@@ -141,21 +163,22 @@ def ground_surface(
     column: int,
     cell_m: float = CELL_M,
 ) -> Surface:
-    """The ground's surface.
+    """Fit the ground surface to the heights of cells.
 
     Parameters
     ----------
     heights : int32 [rows, columns]
-        Vertical counts of the cells that are no large object's; `EMPTY` elsewhere, at least at the raster's edges.
+        Heights, in vertical counts, of the cells that do not belong to large objects; `EMPTY` elsewhere, at least at
+        the raster's edges.
     terrain : bool [rows, columns]
-        Cells of surfaces that are terrain as wholes (`ptd.matched.objects`).
+        Cells of surfaces that are terrain as a whole (`ptd.matched.objects`).
     sigma_m : float or float64 [rows, columns]
         Noise of the place in metres.
     scale : Scale
     row, column : int
-        Place of the first cell on its lattice.
+        Row and column of the first cell on its lattice.
     cell_m : float
-        Side of the cells.
+        Side of the cells in metres.
     """
     heights = _without_pockets(heights, replace(STIFF, cell_m=cell_m).cut_cells)
     there = heights != EMPTY
@@ -173,7 +196,7 @@ def ground_surface(
 
 
 def noise_reach_cells(cell_m: float) -> int:
-    """Cells beyond which nothing has a part in the noise about a surface, and in how it goes on beyond its cells."""
+    """Return the distance in cells beyond which cells do not change the result of `with_noise`."""
     about = max(slope_radius(cell_m), gaussian_radius(NOISE_M / cell_m))
     return about + share_radius(CONTRAST_M, cell_m) + gaussian_radius(max(EXTENDED_M) / cell_m)
 
@@ -181,19 +204,19 @@ def noise_reach_cells(cell_m: float) -> int:
 def with_noise(
     heights: Int32, ground: Float64, sigma_m: float | Float64, scale: Scale, cell_m: float = CELL_M
 ) -> Surface:
-    """A surface that another method found, with the noise of the cells about it.
+    """Add the noise of the cells to a surface of another method, and continue it beyond its cells.
 
     Parameters
     ----------
     heights : int32 [rows, columns]
-        Vertical counts of the cells; `EMPTY` elsewhere, at least at the raster's edges.
+        Heights of the cells in vertical counts; `EMPTY` elsewhere, at least at the raster's edges.
     ground : float64 [rows, columns]
-        Vertical counts of the ground at the cells, NaN where it is not known.
+        Height of the ground at the cells in vertical counts, NaN where unknown.
     sigma_m : float or float64 [rows, columns]
         Noise of the place in metres.
     scale : Scale
     cell_m : float
-        Side of the cells.
+        Side of the cells in metres.
     """
     there = (heights != EMPTY) & ~np.isnan(ground)
     metres = 1.0 / scale.counts_z(1.0)
@@ -204,7 +227,7 @@ def with_noise(
 
 
 def _ramp(values: Float64, limits: tuple[float, float]) -> Float64:
-    """0 up to the first limit, 1 from the second on."""
+    """Return 0 up to the first limit, 1 from the second on, and linear values between them."""
     found: Float64 = np.clip((values - limits[0]) / (limits[1] - limits[0]), 0.0, 1.0)
     return found
 
@@ -212,7 +235,10 @@ def _ramp(values: Float64, limits: tuple[float, float]) -> Float64:
 def _contrast(
     cells: CellsLeft, counted: Bool | Float64, surface: Float64, sigma_m: float | Float64, std_m: float
 ) -> tuple[Float64, Float64]:
-    """Cells just above a surface, as far as counted, in parts of those on it, around each cell; share of the latter."""
+    """Return the contrast around each cell, and the share of cells on the surface.
+
+    The contrast is the number of cells just above the surface, weighted by ``counted``, in parts of those on it.
+    """
     band = BAND_M + BAND_SIGMAS * sigma_m + BAND_SLOPE * cells.slope(surface)
     residual = cells.height - surface
     on = cells.around(cells.there & (np.abs(residual) < band), std_m)
@@ -223,7 +249,7 @@ def _contrast(
 def _bent(
     cells: CellsLeft, terrain: Bool, hull: Callable[[Envelope], Float64], sigma_m: float | Float64
 ) -> Float64:
-    """The hull that bends as much as the cells show."""
+    """Combine hulls so that the surface bends as much as the cells show."""
     stiff = hull(STIFF)
     pliable = np.maximum(hull(PLIABLE), stiff)
     contrast, _ = _contrast(cells, ~terrain, pliable, sigma_m, CONTRAST_M)
@@ -252,14 +278,14 @@ def _bent(
 
 
 def _slope_around(cells: CellsLeft, surface: Float64) -> Float64:
-    """Mean slope of the cells around each one."""
+    """Return the mean slope of the cells around each one."""
     return cells.around(cells.slope(surface), TERRAIN_M) / np.maximum(
         cells.around(cells.there, TERRAIN_M), 1e-3
     )
 
 
 def _of_terrain(cells: CellsLeft, terrain: Bool, surface: Float64, sigma_m: float | Float64) -> Float64:
-    """Share of terrain among the cells above a surface, around each cell."""
+    """Return the share of terrain among the cells above a surface, around each cell."""
     above = cells.there & (cells.height - surface > BAND_M + BAND_SIGMAS * sigma_m)
     return cells.around(above & terrain, TERRAIN_M) / np.maximum(cells.around(above, TERRAIN_M), 1e-3)
 
@@ -267,7 +293,10 @@ def _of_terrain(cells: CellsLeft, terrain: Bool, surface: Float64, sigma_m: floa
 def _refined(
     cells: CellsLeft, terrain: Bool, surface: Float64, sigma_m: float | Float64
 ) -> tuple[Float64, Float64, Float64]:
-    """The surface amid the cells that lie about it, their noise, and how much narrower the band is in plants."""
+    """Move a surface to the mean of the cells near it.
+
+    Returns the surface, the noise of the cells, and the narrowing of the band in plants (`Surface`).
+    """
     _, _, above, below = _about(cells, terrain, surface, sigma_m)
     for k in range(ROUNDS):
         weight = _weights(cells, surface, above, below, 1.0 if k < PLAIN_ROUNDS else BESIDE)
@@ -285,7 +314,10 @@ def _refined(
 
 
 def _weights(cells: CellsLeft, surface: Float64, above: Float64, below: Float64, beside: float) -> Float64:
-    """1 for cells about the surface, less for those above it that touch one too high to be ground, 0 for all others."""
+    """Return the weights of cells: 1 for those near the surface, 0 for all others.
+
+    Cells near and above the surface that touch one too high to be ground have the weight ``beside``.
+    """
     residual = cells.height - surface
     weight = np.where(cells.there & (residual < above) & (residual > -below), 1.0, 0.0)
     if beside < 1.0:
@@ -303,7 +335,7 @@ def _to_edges(
     above: Float64,
     below: Float64,
 ) -> Float64:
-    """The surface after ground grew to the edges of terraces and banks; changed only near cells that joined."""
+    """Return the surface after growth to the edges of terraces and banks, changed only near cells that joined."""
     residual = cells.height - surface
     ground = cells.there & (residual < above) & (residual > -below)
     may_join = cells.there & (residual >= above) & (residual < growth.MAX_HEIGHT_M)
@@ -324,7 +356,7 @@ def _to_edges(
 def _about(
     cells: CellsLeft, terrain: Bool, surface: Float64, sigma_m: float | Float64
 ) -> tuple[Float64, Float64, Float64, Float64]:
-    """Noise and narrowing of the band of cells that lie about a surface, and how far it extends above and below."""
+    """Return noise and narrowing of the band of cells near a surface, and its extent above and below the surface."""
     slope, residual = cells.slope(surface), cells.height - surface
     sigma = _noise(cells, residual, sigma_m)
     above = ABOVE_M + ABOVE_SIGMAS * sigma + ABOUT_SLOPE * slope
@@ -337,7 +369,10 @@ def _about(
 
 
 def _noise(cells: CellsLeft, residual: Float64, sigma_m: float | Float64) -> Float64:
-    """Root mean square of the residuals below the surface around each cell, and the place's where there are few."""
+    """Return the noise around each cell: the root mean square of the residuals below the surface.
+
+    The place's noise counts as a further residual, so it prevails where there are few. The result is limited.
+    """
     below = cells.there & (residual < 0.0) & (residual > -6.0 * sigma_m)
     weight = cells.smoothed(below.astype(np.float64), NOISE_M)
     squares = cells.smoothed(np.where(below, residual * residual, 0.0), NOISE_M)
@@ -346,7 +381,7 @@ def _noise(cells: CellsLeft, residual: Float64, sigma_m: float | Float64) -> Flo
 
 
 def _extended(cells: CellsLeft, surface: Float64, sigma: Float64, narrowing: Float64) -> Surface:
-    """The surface where there are cells, around them the mean of what is near, NaN beyond."""
+    """Return the surface at cells, the mean of near cells around them, and NaN beyond."""
     there = cells.there
     found = np.where(there, surface, np.nan)
     for std_m in EXTENDED_M:
@@ -359,6 +394,6 @@ def _extended(cells: CellsLeft, surface: Float64, sigma: Float64, narrowing: Flo
 
 
 def _without_pockets(heights: Int32, most: int) -> Int32:
-    """Heights without groups of cells, apart from all others, that are no more than a hull may cut through."""
+    """Return heights without isolated groups of at most ``most`` cells, which a hull may cut through."""
     number, _ = scipy.ndimage.label(heights != EMPTY, np.ones((3, 3)))
     return np.where(np.bincount(number.ravel())[number] > most, heights, EMPTY).astype(np.int32)

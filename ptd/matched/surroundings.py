@@ -1,4 +1,4 @@
-"""What lies around each cell of a raster: Gaussian sums that end at a fixed radius, shares by blocks, slopes."""
+"""Surroundings of each cell of a raster: Gaussian sums that end at a fixed radius, shares by blocks, slopes."""
 
 from __future__ import annotations
 
@@ -15,16 +15,16 @@ from ptd.ground.morphology import Bool
 Float64 = npt.NDArray[np.float64]
 
 SLOPE_SMOOTHED_M, STEEPEST = 2.0, 2.0
-"""Standard deviation of the surroundings from which slopes are taken, and the steepest one."""
+"""Standard deviation of the surroundings from which slopes are computed, and the limit at which slopes are cut off."""
 TRUNCATE = 2.0
-"""Standard deviations at which Gaussian sums end."""
+"""Number of standard deviations at which Gaussian sums end."""
 SHARE_BLOCK_M = 4.0
-"""Side of the blocks for which shares of the surroundings are reckoned: they are far smaller than those."""
+"""Side of the blocks for which shares of the surroundings are computed. The surroundings are much larger."""
 
 
 @dataclass(frozen=True)
 class CellsLeft:
-    """Heights in metres, which cells are there, and their side."""
+    """Heights of cells in metres, a mask of the cells that have a height, and the side of cells in metres."""
 
     height: Float64
     there: Bool
@@ -32,19 +32,19 @@ class CellsLeft:
 
     @cached_property
     def near(self) -> Float64:
-        """How much of the surroundings from which slopes are taken holds cells."""
+        """Weighted share of cells in the surroundings from which slopes are computed."""
         return self.smoothed(self.there.astype(np.float64), SLOPE_SMOOTHED_M)
 
     def mean(self, values: Float64) -> Float64:
-        """Gaussian mean of the values of the cells that are there, as slopes need it; 0 where none is near."""
+        """Return the Gaussian mean of the values of cells for slopes, or 0 where no cell is near."""
         return self.smoothed(np.where(self.there, values, 0.0), SLOPE_SMOOTHED_M) / np.maximum(
             self.near, 1e-9
         )
 
     def around(self, which: Bool | Float64, std_m: float) -> Float64:
-        """Share of all places around each cell that hold a chosen one, by blocks of `SHARE_BLOCK_M`.
+        """Return the share of chosen cells in the surroundings of each cell, by blocks of `SHARE_BLOCK_M`.
 
-        Values instead of choices are summed over these places, with weights that add up to 1.
+        Values instead of a mask are summed with weights that add up to 1.
         """
         rows, columns = which.shape
         block = share_block(self.cell_m)
@@ -56,18 +56,21 @@ class CellsLeft:
         return np.ascontiguousarray(whole[:rows, :columns])
 
     def smoothed(self, values: Float64, std_m: float) -> Float64:
-        """Gaussian sums over the cells around each one."""
+        """Return Gaussian sums over the cells around each one."""
         return smoothed(values, std_m / self.cell_m)
 
     def slope(self, surface: Float64) -> Float64:
-        """Slope of a surface, 0 where few cells are near."""
+        """Return the slope of a surface, or 0 where few cells are near."""
         north, east = np.gradient(self.mean(surface), self.cell_m)
         found: Float64 = np.where(self.there & (self.near > 0.2), np.hypot(north, east), 0.0)
         return np.minimum(found, STEEPEST)
 
 
 def smoothed(values: Float64, std: float) -> Float64:
-    """Gaussian sums with weights that add up to 1, of values that are 0 beyond the raster; ``std`` in its cells."""
+    """Return Gaussian sums with weights that add up to 1.
+
+    ``std`` is the standard deviation in cells. Values beyond the raster are 0.
+    """
     radius = gaussian_radius(std)
     weights = np.exp(-0.5 * (np.arange(-radius, radius + 1) / std) ** 2)
     weights /= weights.sum()
@@ -77,20 +80,20 @@ def smoothed(values: Float64, std: float) -> Float64:
 
 
 def gaussian_radius(std: float) -> int:
-    """Cells at which Gaussian sums end."""
+    """Return the distance in cells at which Gaussian sums end."""
     return math.ceil(TRUNCATE * std)
 
 
 def slope_radius(cell_m: float) -> int:
-    """Cells beyond which nothing has a part in a slope."""
+    """Return the distance in cells beyond which heights do not change a slope."""
     return gaussian_radius(SLOPE_SMOOTHED_M / cell_m) + 1
 
 
 def share_block(cell_m: float) -> int:
-    """Cells on a side of the blocks by which shares are reckoned."""
+    """Return the number of cells on a side of the blocks by which shares are computed."""
     return round(SHARE_BLOCK_M / cell_m)
 
 
 def share_radius(std_m: float, cell_m: float) -> int:
-    """Cells at which shares by blocks end."""
+    """Return the distance in cells at which shares by blocks end."""
     return share_block(cell_m) * (gaussian_radius(std_m / SHARE_BLOCK_M) + 1)

@@ -1,4 +1,4 @@
-"""What made a cloud, a laser scanner or the matching of images, and its density and noise."""
+"""Source of a cloud, laser scanning or dense image matching, and its density and noise."""
 
 from __future__ import annotations
 
@@ -20,44 +20,56 @@ from ptd.passes import Pass, Points, RunHints, State, StatisticsModel, noted
 from ptd.places import PLACES, Figures, name_of
 
 SEEN_THROUGH_SHARE = 0.004
-"""Share of cells that are seen through from which on the cloud is a laser scan, whatever its returns are said to be:
-0.006 to 0.28 in real laser scans of 4 points/m2 or more (0.0002 in a simulated one without trees), 0 to 0.003 in
-matched clouds, of which those of wooded cliffs have most."""
+"""Share of cells that are seen through from which on the cloud is a LiDAR cloud, whatever its returns are.
+
+The share is 0.006 to 0.28 in real LiDAR clouds of 4 points/m2 or more (0.0002 in a simulated one without trees). It is
+0 to 0.003 in photogrammetric clouds, and largest at wooded cliffs.
+"""
 WIDE_M2, MIN_DENSITY_M2 = 4.0, 1.0
-"""Points per square metre below which wide cells say what is seen through, too, and from which on they can."""
+"""Densities in points per square metre: wide cells are used below the first and are reliable from the second on."""
 WIDE_SHARE, STANDING = 0.05, 100
-"""The same for wide cells: 0.054 to 0.33 in laser scans with plants, thinned to 1 to 3 points/m2, 0 to 0.047 in matched
-clouds but for wooded cliffs (0.06 to 0.12). So many wide cells must have a gap at all, as beside walls: sparse scans of
-single returns are common, and where nothing stands nothing tells."""
+"""Share of wide cells that are seen through from which on the cloud is a LiDAR cloud, and least number with a gap.
+
+The share is 0.054 to 0.33 in LiDAR clouds with plants, thinned to 1 to 3 points/m2, and 0 to 0.047 in photogrammetric
+clouds except wooded cliffs (0.06 to 0.12). With fewer gaps, for example next to walls, nothing stands there that a
+laser would penetrate. Sparse LiDAR clouds of single returns are common, so the cloud is classified as LiDAR then.
+"""
 SPARSE_LASER_SIGMA_M, FLAT = 0.04, 10
-"""Noise of flat places up to which a sparse cloud is a laser's, and how many it must rest on. Thinned to 1 to 3
-points/m2, laser scans with nothing to see through have 0.016 to 0.036 m, matched clouds 0.044 to 0.17 but for two from
-near by (0.016 and 0.027), which lose no more in the way of laser scans than in their own."""
+"""Noise of flat patches up to which a sparse cloud is a LiDAR cloud, and least number of patches for it.
+
+Thinned to 1 to 3 points/m2, LiDAR clouds without penetrated plants have 0.016 to 0.036 m, photogrammetric clouds 0.044
+to 0.17 m. Two clouds matched from close range have 0.016 and 0.027 m. The passes for LiDAR clouds classify them as well
+as those for photogrammetric clouds.
+"""
 MATCHED_LOOK, SPARSE_LOOK = 1.9, -1.5
-"""Weights (`ptd.matched.evidence`) of nothing that a laser would have seen, and of sparse clouds of little relief."""
+"""Weights (`ptd.matched.evidence`) of a cloud without penetrated plants, and of a cloud that is too sparse, too bare or
+too smooth to count as such."""
 MIN_THROUGH, PER_DECADE = -1.0, -0.7
-"""Weight of as little that is seen through as decides, and more for each ten times as much."""
+"""Weight of the smallest share of penetrated cells that decides, and additional weight per factor of ten."""
 NO_OVERHANGS, OVERHANG_WEIGHT, MAX_OVERHANG = 0.0966, 0.9, 0.95
-"""Overhangs (and 0.01) at which the odds are even, weight of e times as many, and the largest weight, which is less
-than those above: 0 to 0.19 of the cells in matched clouds, 0.3 or more in two laser scans of three."""
+"""Weights of overhangs.
+
+Share of cells with overhangs, plus 0.01, at which the odds are even; weight per factor of e; largest weight, which is
+less than those above. The share is 0 to 0.19 in photogrammetric clouds, and 0.3 or more in two of three LiDAR clouds.
+"""
 MIN_CELL_SIGMA_M, MAX_CELL_SIGMA_M = 0.03, 0.25
-"""Noise that the rules of matched clouds start from: errors of neighbours are alike, which planes do not see; and among
-trees nothing is smooth."""
+"""Limits of the noise from which the rules for photogrammetric clouds start. Errors of neighbours are alike, which
+residuals of planes do not show, and among trees no patch is smooth."""
 
 
 class ReturnStatistics(NamedTuple):
-    """Counts of a run.
+    """Counts of the points and cells of a run.
 
     Attributes
     ----------
     told, several : int
-        Points whose number of returns is known, and those of them that are one of several.
+        Number of points whose number of returns is known, and number of these that are one of several returns.
     looks, through : int
-        Cells with points; those that are seen through (`ptd.matched.penetration`).
+        Number of cells with points, and of those that are seen through (`ptd.matched.penetration`).
     wide_looks, wide_through, wide_gaps : int
-        Of wide cells; and those with a gap.
+        Number of wide cells, of those that are seen through, and of those with a gap.
     overhang_looks, overhangs : int
-        Cells of the points' own size; those with an overhang.
+        Number of cells about eight points wide, and of those with an overhang.
     """
 
     told: int
@@ -72,22 +84,23 @@ class ReturnStatistics(NamedTuple):
 
 
 def surveyed(found: Roughness, seen: ReturnStatistics, run: Mapping[str, Any]) -> tuple[dict[str, Any], str]:
-    """What a run is, and a line that says so.
+    """Return the survey of a run, and a note on it.
 
     Parameters
     ----------
     found : Roughness
-        Density and noise.
+        Density and noise of the run.
     seen : ReturnStatistics
     run : mapping
-        `ptd.passes.RunHints`.
+        Fields of `ptd.passes.RunHints`.
 
     Returns
     -------
     survey : dict
-        ``kind`` (`LIDAR`, `DIM`: image matching), ``sure`` (probability; None where the user says it), ``density_m2``,
-        ``sigma_m`` (None: not known), ``cell_sigma_m`` (noise that the rules of matched clouds start from), ``cell_m``
-        (side of the cells of matched clouds), ``several`` (share of points): of the whole run.
+        Figures of the whole run: ``kind`` (`LIDAR`, or `DIM` for image matching), ``sure`` (probability that the kind
+        is right; None if the user gives it), ``density_m2``, ``sigma_m`` (None: unknown), ``cell_sigma_m`` (noise from
+        which the rules for photogrammetric clouds start), ``cell_m`` (side of the cells of photogrammetric clouds) and
+        ``several`` (share of the points that are one of several returns).
     note : str
     """
     made = made_by(found, seen, run)
@@ -103,18 +116,26 @@ def surveyed(found: Roughness, seen: ReturnStatistics, run: Mapping[str, Any]) -
 
 
 def figures(found: Roughness, run: Mapping[str, Any]) -> tuple[float, float | None, float]:
-    """Density, noise and noise of cells of a run or a place; noise as the user says it, else as it was measured."""
+    """Return density, noise and noise of cells of a run or a place.
+
+    Both noises are that given by the user, or else the measured one.
+    """
     if run["sigma_m"] is not None:
         sigma = cell_sigma = run["sigma_m"]
     else:
-        few = found.density_m2 < SPARSE_M2 and found.sigma_m is not None  # for planes of quarters of patches
+        few = (
+            found.density_m2 < SPARSE_M2 and found.sigma_m is not None
+        )  # too few for planes of quarters of patches
         sigma, cell_sigma = found.sigma_m, found.sigma_m if few else found.smoothest_m
     cell_sigma = MIN_CELL_SIGMA_M if cell_sigma is None else cell_sigma
     return found.density_m2, sigma, min(max(cell_sigma, MIN_CELL_SIGMA_M), MAX_CELL_SIGMA_M)
 
 
 def run_facts(sigma_m: float | None, kind: str | None, evidence: Evidence | None) -> RunHints:
-    """What is known before the first pass: ``kind`` as the user says it, else as the evidence shows it, if it does."""
+    """Return the facts known before the first pass.
+
+    The kind is that given by the user, or else that decided by the evidence if it is sufficient.
+    """
     if kind is not None or evidence is None:
         return RunHints(sigma_m, kind)
     made = decided_by(evidence)
@@ -124,19 +145,19 @@ def run_facts(sigma_m: float | None, kind: str | None, evidence: Evidence | None
 
 
 def in_words(made: Finding) -> str:
-    """What made a cloud, how sure that is, and why."""
+    """Describe the source of a cloud, its confidence and the evidence in words."""
     named = "image matching" if made.kind == DIM else "laser scanning"
     sure = "" if made.sure is None else f"{100 * made.sure:.0f} % sure: "
     return f"{named} ({sure}{made.why})"
 
 
 def made_by(found: Roughness, seen: ReturnStatistics, run: Mapping[str, Any]) -> Finding:
-    """What made a run's clouds: as the user or the files say, else by all evidence together.
+    """Return the source of a run's clouds, given by the user or the files, or else decided by all evidence.
 
-    See `surveyed` for the parameters.
+    `surveyed` describes the parameters.
     """
     if run.get("kind") is not None:
-        return Finding(run["kind"], run.get("sure"), run.get("why") or "as --kind or the preset says")
+        return Finding(run["kind"], run.get("sure"), run.get("why") or "given by --kind or the preset")
     told = Evidence(**(run.get("evidence") or {}))
     if seen.told:
         told = replace(told, several=seen.several / seen.told)
@@ -144,7 +165,7 @@ def made_by(found: Roughness, seen: ReturnStatistics, run: Mapping[str, Any]) ->
 
 
 def geometry(found: Roughness, seen: ReturnStatistics) -> list[Piece]:
-    """What the places of the points say about what made them: the look of the surface, and what hangs over it."""
+    """Return the evidence in the positions of the points: penetration of plants, noise and overhangs."""
     sparse = found.density_m2 < WIDE_M2
     through = seen.through / seen.looks if seen.looks else 0.0
     wide_through = seen.wide_through / seen.wide_looks if sparse and seen.wide_looks else 0.0
@@ -156,13 +177,11 @@ def geometry(found: Roughness, seen: ReturnStatistics) -> list[Piece]:
     elif found.density_m2 < MIN_DENSITY_M2:
         pieces.append(Piece(SPARSE_LOOK, f"fewer than {MIN_DENSITY_M2:g} points/m2"))
     elif sparse and seen.wide_gaps < STANDING:
-        pieces.append(
-            Piece(SPARSE_LOOK, "sparse, and next to nothing stands there that a laser would see through")
-        )
+        pieces.append(Piece(SPARSE_LOOK, "sparse, and there are too few plants or walls to show penetration"))
     elif sparse and found.patches >= FLAT and (found.sigma_m or 1.0) <= SPARSE_LASER_SIGMA_M:
-        pieces.append(Piece(SPARSE_LOOK, f"sparse, and flat places scatter by {found.sigma_m:.2g} m alone"))
+        pieces.append(Piece(SPARSE_LOOK, f"sparse, and flat patches scatter by only {found.sigma_m:.2g} m"))
     else:
-        pieces.append(Piece(MATCHED_LOOK, "nothing is seen through plants"))
+        pieces.append(Piece(MATCHED_LOOK, "no pulses passed through plants"))
     if seen.overhang_looks:
         pieces.append(_overhangs(seen.overhangs / seen.overhang_looks))
     return pieces
@@ -176,7 +195,7 @@ def _overhangs(share: float) -> Piece:
 
 @dataclass(frozen=True)
 class SurveyPass(Pass):
-    """Density, noise and returns, and what made the cloud."""
+    """Pass that measures density, noise and returns, and decides the source of the cloud."""
 
     name: str = "survey"
     title = "measure density and noise"
@@ -188,7 +207,7 @@ class SurveyPass(Pass):
     def fit(
         self, points: Points, window: Window, core: Window, scale: Scale, state: State
     ) -> StatisticsModel:
-        """Count."""
+        """Measure the places of the core, and count its returns and penetrated cells."""
         counts = dict.fromkeys(ReturnStatistics._fields, 0)
         if points.returns is not None:
             of = points.returns[1, core.has(*points.xyz[:2])] if core.closed else points.returns[1]
@@ -203,7 +222,7 @@ class SurveyPass(Pass):
         )
 
     def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
-        """``survey``, see `surveyed`; and ``places``, the figures of each place (`ptd.places`)."""
+        """Add to the state ``survey`` (see `surveyed`) and ``places``, the figures of each place (`ptd.places`)."""
         parts = list(partials)
         seen = ReturnStatistics(*(sum(p[name] for p in parts) for name in ReturnStatistics._fields))
         counted = [place for p in parts for place in p["places"]]
@@ -216,6 +235,6 @@ class SurveyPass(Pass):
     def decided(
         self, found: Roughness, seen: ReturnStatistics, held: Sequence[Figures], run: Mapping[str, Any]
     ) -> tuple[dict[str, Any], list[str]]:
-        """What the run is, and lines that say so; ``held``: figures of the places that hold points."""
+        """Return the survey of the run and notes on it. ``held`` are the figures of the places that contain points."""
         survey, note = surveyed(found, seen, run)
         return survey, [note]

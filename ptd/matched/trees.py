@@ -1,4 +1,4 @@
-"""Boosted trees on whole numbers: the same decision on each machine, in any order of the points."""
+"""Boosted trees on whole numbers, which decide the same on each machine and in any order of the points."""
 
 from __future__ import annotations
 
@@ -12,21 +12,22 @@ from ptd.cells import Int32
 from ptd.kernel import kernel
 
 UNIT = 2**16
-"""Leaves are log-odds in whole parts of this."""
+"""Number of parts of 1 in which leaves give log-odds."""
 DEPTH = 3
-"""Questions between the root of a tree and each leaf."""
+"""Number of questions between the root of a tree and each leaf."""
 NODES, LEAVES = 2**DEPTH - 1, 2**DEPTH
 
 
 class Trees(NamedTuple):
-    """Trees that add up to log-odds, in parts of `UNIT`.
+    """Trees whose sum is the log-odds in parts of `UNIT`.
 
     Attributes
     ----------
     feature, threshold : int32 [trees * NODES]
-        Node n of a tree sends a point on to node 2 n + 1 if the feature is at most the threshold, else to 2 n + 2.
+        Feature and threshold of each node. After node n of a tree comes node 2 n + 1 if the feature is at most the
+        threshold, else node 2 n + 2.
     leaf : int32 [trees * LEAVES]
-        Nodes `NODES` and higher are leaves.
+        Log-odds of the leaves, which are the nodes from `NODES` on.
     """
 
     feature: Int32
@@ -36,16 +37,17 @@ class Trees(NamedTuple):
 
 @cache
 def last_look_trees() -> Trees:
-    """Trees of `ptd.matched.last_look`, from the file beside this module."""
+    """Read the trees of `ptd.matched.last_look` from the file next to this module."""
     with files(__package__).joinpath("last_look.npz").open("rb") as file, np.load(file) as kept:
         return Trees(*(kept[name].astype(np.int32) for name in Trees._fields))
 
 
 @kernel
 def scores(features: Int32, trees: Trees) -> Int32:
-    """Sum of the leaves of each point, from its row of features: int32 [n].
+    """Return the sum of the leaves of each point, from its row of features: int32 [n].
 
-    All questions of a tree are asked, of several points at a time: without branches that is faster than to ask three.
+    All seven questions of a tree are evaluated, for several points at a time. Without branches this is faster than
+    evaluating the three that matter.
     """
     feature, threshold, leaf = trees
     columns = features.T.copy()

@@ -1,4 +1,4 @@
-"""Points against the ground's surface: noise moves a point, not its neighbourhood, so neighbours vote."""
+"""Vote of neighbours on the height of points above the ground surface: noise moves a point, not its neighbourhood."""
 
 from __future__ import annotations
 
@@ -18,49 +18,50 @@ from ptd.places import Field, as_field, values_at
 Float64 = npt.NDArray[np.float64]
 
 PARTS = 16
-"""Residuals are whole parts of a vertical count, so that their sums do not depend on an order."""
+"""Number of parts of a vertical count in which residuals are whole numbers, so that sums do not depend on an order."""
 
 NEIGHBOURS = 10.0
-"""Points within the radius of the neighbourhood, on average."""
+"""Average number of points within the radius of the neighbourhood."""
 RADIUS_M = (0.25, 1.0)
-"""Its limits."""
+"""Limits of the radius of the neighbourhood."""
 ROUNDS = 2
 ALIKE_M, ALIKE_SIGMAS = 0.05, 4.0
-"""Residuals of neighbours that are averaged differ by less than this."""
+"""Difference below which residuals of neighbours are averaged: metres, plus this multiple of the noise."""
 REACH_M = ROUNDS * RADIUS_M[1]
-"""Nothing farther away has a part in a point's label."""
+"""Distance beyond which points do not change a point's label."""
 
 STEP = 32
-"""Neighbours that are read before the loop tests whether the vote is decided."""
+"""Multiple to which the neighbours of a cell are filled up, so that the loop processes several at a time."""
 ROUNDED = 1e-9
 """Largest difference of two lengths that count as equal."""
 FAR = 2**30
-"""No residual is alike."""
+"""Residual that is not alike any other."""
 FINEST = 2**13
-"""Positions are told apart by so small a part of the largest radius, or by the cloud's own counts where these are
-coarser."""
+"""Resolution of positions: this part of the largest radius, or the cloud's own counts if these are coarser."""
 
 
 def radius_m(density_m2: float) -> float:
-    """Radius of the neighbourhood, in whole centimetres: cells of that side have few digits."""
+    """Return the radius of the neighbourhood in whole centimetres, so that cells of this side have few digits."""
     return round(
         min(max(math.sqrt(NEIGHBOURS / (math.pi * max(density_m2, 1e-9))), RADIUS_M[0]), RADIUS_M[1]), 2
     )
 
 
 class _Voters(NamedTuple):
-    """Points by cells of a raster (`ptd.matched.cells.by_cell`), and what each of them asks of its neighbours.
+    """Points sorted by the cells of a raster (`ptd.matched.cells.by_cell`), and the limits of their neighbours.
 
     Attributes
     ----------
     x, y : int32 [n]
+        Positions of the points.
     starts : int64 [cells + 1]
+        Index of each cell's first point.
     square : int32 [n]
-        Neighbours are nearer than the root of this.
+        Square of the distance below which a point is a neighbour.
     alike : int32 [n]
-        Their residuals differ by less than this.
+        Difference of residuals below which a neighbour is averaged.
     reach : int64 [cells]
-        Cells to all sides in which there may be a neighbour of a point of a cell; 0 without points.
+        Distance in cells within which points of a cell may have neighbours; 0 for an empty cell.
     """
 
     x: Int32
@@ -73,10 +74,11 @@ class _Voters(NamedTuple):
 
 @kernel
 def _averaged(voters: _Voters, residual: Int32, width: int) -> Int32:
-    """Mean residual of the neighbours of each point that are alike, itself among them, rounded down.
+    """Return the mean residual, rounded down, of each point and its neighbours with similar residuals.
 
-    What may be near the points of a cell is copied side by side, with points far away up to whole `STEP`: several at a
-    time. The raster has a margin of as many cells all around as any cell reaches.
+    The possible neighbours of the points of a cell are copied to successive memory and filled up with dummies to a
+    multiple of `STEP`, so that several are processed at a time. The raster has a margin as wide as the largest
+    ``reach``.
     """
     x, y, starts, square, alike, reach = voters
     means = np.empty_like(residual)
@@ -114,7 +116,7 @@ def _averaged(voters: _Voters, residual: Int32, width: int) -> Int32:
             own_x, own_y, own = x[i], y[i], residual[i]
             limit, most = square[i], alike[i]
             low, high, count = np.int32(0), np.int32(0), np.int32(0)
-            for j in range(filled):  # without branches, in 32 bits: the sum is in two parts
+            for j in range(filled):  # Without branches and in 32 bits, so the sum has two parts.
                 dx, dy = np.int32(near_x[j] - own_x), np.int32(near_y[j] - own_y)
                 difference = np.int32(near_residual[j] - own)
                 near = np.int32(np.int32(dx * dx) + np.int32(dy * dy)) < limit
@@ -127,12 +129,12 @@ def _averaged(voters: _Voters, residual: Int32, width: int) -> Int32:
 
 
 def _side_m(least: float, most: float) -> float:
-    """Side of the cells for radii between two: whole centimetres, which have few digits."""
+    """Return the side of the cells for radii between two limits, in whole centimetres, which have few digits."""
     return math.ceil(100.0 * most / round(most / least) - ROUNDED) / 100.0
 
 
 def _figures(field: Field, x: Int32, y: Int32) -> Float64:
-    """The figure of each point; a single one where it is the same everywhere."""
+    """Return the figure at each point, or a single one if it is the same everywhere."""
     return field.values[0, :1].copy() if field.even else values_at(field, x, y)
 
 
@@ -140,7 +142,11 @@ def _figures(field: Field, x: Int32, y: Int32) -> Float64:
 def _limits(
     radius: Float64, noise: Float64, starts: Int64, order: Int32, counts: tuple[float, float, float]
 ) -> tuple[Int32, Int32, Int64]:
-    """``square``, ``alike`` and ``reach`` of `_Voters`; counts in a radius of 1 m and on it, and the side in metres."""
+    """Return ``square``, ``alike`` and ``reach`` of `_Voters`.
+
+    ``counts`` are the horizontal counts in a radius of 1 m, the vertical counts in 1 m of residual, and the side of the
+    cells in metres.
+    """
     per_radius, per_metre, side = counts
     square, alike = np.empty(order.size, np.int32), np.empty(order.size, np.int32)
     reach = np.zeros(starts.size - 1, np.int64)
@@ -149,7 +155,7 @@ def _limits(
         for i in range(starts[key], starts[key + 1]):
             own_radius = radius[order[i] if radius.size > 1 else 0]
             own_noise = noise[order[i] if noise.size > 1 else 0]
-            if own_radius != last_radius:  # seldom: it is the same nearly everywhere
+            if own_radius != last_radius:  # The radius is the same nearly everywhere.
                 last_radius = own_radius
                 near = np.int32(np.rint((per_radius * last_radius) ** 2))
                 far = np.int64(math.ceil(last_radius / side - ROUNDED))
@@ -170,18 +176,18 @@ def votes(
     sigma_m: float | Field,
     scale: Scale,
 ) -> Int32:
-    """Residuals after the neighbours' vote.
+    """Return the residuals after the neighbours' vote: int32 [n].
 
     Parameters
     ----------
     x, y : int32 [n]
         Local counts.
     residual : int32 [n]
-        Height above the surface in `PARTS` of a vertical count.
+        Heights above the surface in `PARTS` of a vertical count.
     asked : bool [n]
-        Points that have a residual and a vote; all others keep theirs.
+        Points that take part in the vote; all others keep their residuals.
     radius_m, sigma_m : float or Field
-        Radius of the neighbourhood (`radius_m`) and noise, of the place.
+        Radius of the neighbourhood (`radius_m`) and noise of the place, in metres.
     scale : Scale
     """
     asking = np.flatnonzero(asked)
@@ -196,7 +202,7 @@ def votes(
     height = cells.row(int(py.max())) - row + 1 + most
     keys = cell_keys(px, py, cells.p, cells.q, cells.origin_x, cells.origin_y, column, row, width)
     starts, order = by_cell(keys, width * height)
-    finer = max(math.ceil(math.log2(scale.counts(RADIUS_M[1]) / FINEST)), 0)  # larger squares would overflow
+    finer = max(math.ceil(math.log2(scale.counts(RADIUS_M[1]) / FINEST)), 0)  # Larger squares would overflow.
     per_radius, per_metre = scale.counts(1.0) / 2**finer, PARTS * scale.counts_z(1.0)
     square, alike, reach = _limits(radius, noise, starts, order, (per_radius, per_metre, side))
     voters = _Voters(px[order] >> finer, py[order] >> finer, starts, square, alike, reach)

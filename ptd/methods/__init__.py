@@ -33,7 +33,7 @@ METHODS: MutableMapping[str, Method] = _Methods(
 
 
 def make_params(name: str, texts: dict[str, str] | None = None) -> Any:
-    """Parameters of a method from ``name=value`` texts; raises ValueError with one line."""
+    """Make the parameters of a method from ``name=value`` texts, or raise ValueError with one line."""
     if name not in METHODS:
         raise ValueError(f"no method {name!r}; there are {', '.join(METHODS)}")
     return parse(METHODS[name].params, texts or {})

@@ -17,8 +17,8 @@ iteration_distance  iteration distance: 1.4    1.4 m    the papers' value for sl
 edge_length_reduce  L1: 5, an illustration     5 m      keeps the wide angle from climbing onto low objects where
                                                         the TIN is dense
 edge_length_stop    L2: 2, an illustration     0 (off)  the TIN would lose points without a gain
-rounds              none: until no point       8        later rounds are chains that climb roofs, and carry the
-                    passes                              doubt of a tile's edge farther
+rounds              none: until no point       8        later rounds are chains that climb roofs, and need wider
+                    passes                              halos
 thin_cell           m: about the DTM's         1 m      half the time and memory, 0.03 points of error
                     resolution (003)
 low_radius, _depth, TerraScan's low points,    5 m, 4 m, a depth of 1.5 m deletes courtyards
@@ -54,7 +54,7 @@ from ptd.passes import Int32, Method, Pass, Points, State
 
 @dataclass(frozen=True)
 class Classic(Progressive):
-    """Parameters of `classic`; see the module's table."""
+    """Parameters of `classic` (see the module's table), and the pass that follows from them."""
 
     rounds: int = parameter(8, "rounds of densification; 0: until no point passes", 0, 1000)
     label_pass: bool = parameter(
@@ -62,15 +62,15 @@ class Classic(Progressive):
     )
 
     heights_only: ClassVar[bool] = False
-    """See `ptd.ground.labelling.LabelRule`."""
+    """Field of `ptd.ground.labelling.LabelRule`."""
 
     @property
     def passes(self) -> tuple[Pass, ...]:
-        """The single pass; all of it is local."""
+        """The single pass, which needs no figures of the run."""
         return (ClassicPass(self),)
 
     def ground_rule(self, limits: FacetLimits, scale: Scale) -> LabelRule:
-        """The rule by which the finished TIN labels points."""
+        """Return the rule by which the finished TIN labels points."""
         floor = 0.0
         if self.label_pass:
             floor = scale.counts(self.label_floor_m)
@@ -78,7 +78,10 @@ class Classic(Progressive):
 
     @property
     def halo_m(self) -> float:
-        """Two seed cells for the circles of the first TIN, and 8 m per round; certified most tiles of a city."""
+        """Halo in metres: two seed cells for the circles of the first TIN, and 8 m per round.
+
+        It certified most tiles of a city.
+        """
         return 2.0 * self.max_building_size_m + 8.0 * min(self.rounds or 30, 30)
 
     @property
@@ -105,7 +108,7 @@ class ClassicPass(Pass):
             return found
         outlier = low_outliers(x, y, z, scale, p.low_radius_m, p.low_depth_m, p.low_group)
         cells, limits = CellLattice.of(p.low_cell_m, scale), p.limits(scale)
-        # In a cell cut by the window another point may be the lowest. Outliers are certain one search radius inside.
+        # In a cell cut by the window another point may be the lowest. Outliers are certified one search radius inside.
         known = window.inside(cells, p.margin_cells)
         seed_cells = CellLattice.of(p.max_building_size_m, scale)
         tin, in_doubt, rounds = densify_seeds(

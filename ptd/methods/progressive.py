@@ -1,4 +1,4 @@
-"""Parameters that all methods of progressive densification share; each method's table lists differences."""
+"""Parameters that all methods of progressive densification share. Each method's table lists differences."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ class Progressive:
 
     @property
     def align_m(self) -> float:
-        """Side of the seed cells; windows consist of whole ones."""
+        """Side of the seed cells. Windows consist of whole seed cells."""
         return self.max_building_size_m
 
     @property

@@ -1,14 +1,14 @@
 """``rarefy``: thin the cloud, densify progressively, and label points near the DTM as ground.
 
-This is the practice that Dong et al. (2018) argue against (paper 000, section 1), kept for comparison: others "rarefied
-the point clouds", "used the PTD algorithm to obtain the ground points and construct the digital terrain model", and
-labelled points below a height threshold as ground. Dong et al. say that thinning loses terrain features, and that the
-threshold is hard to choose. The method is composed of the parts of `classic`.
+This is the practice that Dong et al. (2018) argue against (paper 000, section 1). It is kept for comparison. Others
+"rarefied the point clouds", "used the PTD algorithm to obtain the ground points and construct the digital terrain
+model", and labelled points below a height threshold as ground. Dong et al. say that thinning loses terrain features,
+and that the threshold is hard to choose. The method is composed of the parts of `classic`.
 
 ===================  ==============================  =======  ====================================================
 parameter            paper's name and value          default  reason
 ===================  ==============================  =======  ====================================================
-thin_cell            rarefied to the density of      1 m      a point a square metre, as in sparse laser scanning
+thin_cell            rarefied to the density of      1 m      one point per m2, as in sparse laser scanning
                      its laser scan; no value
 label_floor          a given threshold, no value     0.5 m    above the noise of image matching (three to five times
                                                               0.1 m), below most objects
@@ -32,7 +32,7 @@ from ptd.passes import Method, Pass
 
 @dataclass(frozen=True)
 class Rarefy(Classic):
-    """Parameters of `rarefy`; see the module's table."""
+    """Parameters of `rarefy` (see the module's table), and the pass that follows from them."""
 
     label_floor_m: float = parameter(
         0.5,

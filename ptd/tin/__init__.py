@@ -1,4 +1,4 @@
-"""Exact, unique, incremental Delaunay TIN and its interpolation; for kernels see `ptd.tin.layout` first."""
+"""Exact, unique, incremental Delaunay TIN and its interpolation. Kernels start from `ptd.tin.layout`."""
 
 from ptd.tin.gridding import KnownWindow, Pixels, TinRaster, pixel_owners, rasterise
 from ptd.tin.mesh import MAX_EXTENT, Tin

@@ -43,7 +43,7 @@ def _swap_rows(vertices: Int32Array, i: int, j: int) -> None:
 
 @kernel
 def _keep_distinct(vertices: Int32Array, n: int) -> int:
-    """Sort rows of collinear points by (x, y), keep the lowest z of each position; return their number."""
+    """Sort rows of collinear points by (x, y), keep the lowest z of each position, and return their number."""
     keys = np.empty(n, np.uint64)
     for i in range(n):
         keys[i] = np.uint64((as_int64(vertices[4 * i + 1]) + (1 << 31)) << 32 | i)

@@ -1,4 +1,4 @@
-"""Find and refill the triangles that a new vertex replaces (Bowyer, 1981; Watson, 1981).
+"""Search and replacement of the triangles in conflict with a new vertex (Bowyer, 1981, and Watson, 1981).
 
 The triangles in conflict with a new point form a disk without inner vertices, so the graph of their
 adjacencies is a tree. It is therefore enough to follow the contour of the disk: no triangle needs a mark,
@@ -28,7 +28,7 @@ def _conflict(a: int, ax: int, ay: int, b: int, bx: int, by: int, d: int, dx: in
 def _collect(
     vertices: Int32Array, triangles: Int32Array, scratch: Int32Array, x: int, y: int, first: int
 ) -> int:
-    """Write the triangles in conflict with (x, y) and their rim to `scratch`; nothing else is changed.
+    """Write the triangles in conflict with (x, y) and their rim to `scratch`, and change no other array.
 
     With c = (scratch.size - HEADER) // 4, `scratch` receives from HEADER on the triangles, from HEADER + 2
     c on a pair for each edge of the rim, counter-clockwise: the half-edge outside and the vertex where it

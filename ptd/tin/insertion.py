@@ -1,4 +1,4 @@
-"""Insert one point into the Delaunay TIN; at one position the lowest point stays."""
+"""Insertion of one point into the Delaunay TIN. Of several points at one position the lowest stays."""
 
 from ptd.kernel import as_int64, kernel
 from ptd.tin.cavity import link_vertex
@@ -15,7 +15,7 @@ from ptd.tin.predicates import cross_at
 
 @kernel
 def lower_vertex(vertices: Int32Array, triangles: Int32Array, vertex: int, z: int, stamp: int) -> None:
-    """Lower `vertex` to `z` unless it is as low; stamp its triangles if it moved."""
+    """Lower `vertex` to `z` unless it is as low, and stamp its triangles if it moved."""
     if z >= vertices[4 * vertex + 2]:
         return
     vertices[4 * vertex + 2] = z

@@ -2,9 +2,9 @@
 
 Positions are integers in units of 1 / `scale` count (1 for vertices' positions, 2 for half counts, 2 q for
 the centres of pixels of p / q counts). A plane is evaluated relative to the lexicographically smallest
-vertex of its facet, and the height above that vertex is rounded to 2**-20 count, so that adding the
-vertex's z is exact: a shift of x and y changes no bit, a shift of z by whole counts shifts the result by
-exactly that.
+vertex of its facet. The height above that vertex is rounded to 2**-20 count, so that adding the vertex's
+z is exact. So a shift of x and y changes no bit, and a shift of z by whole counts shifts the result by
+exactly as much.
 """
 
 import math
@@ -74,7 +74,7 @@ class Plane(NamedTuple):
 
 @kernel
 def facet_plane(vertices: Int32Array, triangles: Int32Array, triangle: int) -> Plane:
-    """Plane of a real triangle. All products are exact in int64; the slopes are rounded once."""
+    """Return the plane of a real triangle. All products are exact in int64, and the slopes are rounded once."""
     a, b, c = canonical_facet(vertices, triangles, triangle)
     ax, ay, az = as_int64(vertices[4 * a]), as_int64(vertices[4 * a + 1]), as_int64(vertices[4 * a + 2])
     bx, by, bz = vertices[4 * b] - ax, vertices[4 * b + 1] - ay, vertices[4 * b + 2] - az

@@ -16,7 +16,7 @@ GRID_CELLS_PER_VERTEX = 2
 
 @kernel
 def _fill(row: Int32Array) -> bool:
-    """Give empty cells (-1) of a row the value of the nearest filled one; False if none is filled."""
+    """Give empty cells (-1) of a row the value of the nearest filled one, and return False if none is filled."""
     before, start = -1, 0
     for k in range(row.size + 1):
         if k < row.size and row[k] < 0:

@@ -84,7 +84,7 @@ class Tin:
 
     @property
     def mesh(self) -> Mesh:
-        """The arrays of the TIN, for kernels that only read them; valid until the next insertion."""
+        """Arrays of the TIN for kernels that only read them, valid until the next insertion."""
         return Mesh(self.vertex_array, self.triangle_array)
 
     @property

@@ -28,7 +28,7 @@ _ERROR = 16.0 * 2.0**-53
 
 @kernel
 def _centre(bx: float, by: float, cx: float, cy: float) -> tuple[float, float]:
-    """Centre of the circle through the origin, b and c; infinite if they are collinear in float64."""
+    """Return the centre of the circle through the origin, b and c, infinite if they are collinear in float64."""
     b2, c2 = bx * bx + by * by, cx * cx + cy * cy
     area = 2.0 * (bx * cy - by * cx)
     if area == 0.0:
@@ -172,7 +172,7 @@ def _position_height(
     owner: int,
     position: tuple[int, int, int],
 ) -> float:
-    """Sibson's interpolant at a position (x, y, scale) strictly inside the hull; `rim` is what `_rim` found."""
+    """Return Sibson's interpolant at a position (x, y, scale) strictly inside the hull, with the `rim` of `_rim`."""
     x, y, scale = position
     plane = facet_plane(vertices, triangles, owner)
     base = height_on(plane, x, y, scale)
@@ -248,7 +248,7 @@ def natural_heights(
     vertices, triangles, counters, owners, lattice, sides
         Arguments and results of `ptd.tin.raster.scan`.
     marks : uint8 [rows, columns]
-        Marks of that scan; set to 1 where data outside the window could change the neighbours.
+        Marks of that scan, set to 1 where data outside the window could change the neighbours.
     """
     x0, y0, step, scale = lattice
     out = np.empty(owners.shape, np.float64)
@@ -271,7 +271,7 @@ def natural_heights(
                 n = _rim(vertices, triangles, scratch, owner, x, y, scale)
             if n == 0:
                 out[row, column] = plane_height(vertices, triangles, owner, x, y, scale)
-                if not unbounded(sides):  # unknown data beyond the hull would be neighbours
+                if not unbounded(sides):  # Unknown data beyond the hull would be neighbours.
                     marks[row, column] = 1
                 continue
             out[row, column] = _position_height(

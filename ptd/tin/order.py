@@ -68,7 +68,7 @@ def _curve_keys(x: Int32Array, y: Int32Array) -> UInt64Array:
 
 @kernel
 def sorted_by_key(keys: UInt64Array) -> UInt64Array:
-    """Stable radix sort of `keys` (overwritten) by their upper 32 bits; returns the sorted array."""
+    """Sort `keys` (overwritten) by their upper 32 bits with a stable radix sort, and return the sorted array."""
     other = np.empty_like(keys)
     count = np.empty(1 << _DIGIT_BITS, np.int64)
     mask = np.uint64((1 << _DIGIT_BITS) - 1)
@@ -114,7 +114,7 @@ def curve_order(x: Int32Array, y: Int32Array) -> Int32Array:
 
 @kernel
 def round_order(order: Int32Array) -> Int32Array:
-    """Coarse-to-fine rearrangement of an order along a curve; inside a round it follows the curve.
+    """Rearrange an order along a curve from coarse to fine, where each round follows the curve.
 
     Parameters
     ----------

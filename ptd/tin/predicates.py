@@ -10,8 +10,8 @@ The arguments are the positions of the other points *relative to the query point
   exceed that bound, the true value stays below 8 u S < 2**58, hence *the same expression in int64, which
   wraps modulo 2**64, is the exact value*. No wide integers are needed.
 
-Source: the idea of a filter with an error bound is Shewchuk's (Adaptive precision floating-point arithmetic
-and fast robust geometric predicates, 1997); the perturbation is that of Devillers and Teillaud
+Sources: the idea of a filter with an error bound is Shewchuk's (Adaptive precision floating-point arithmetic
+and fast robust geometric predicates, 1997). The perturbation is that of Devillers and Teillaud
 (Perturbations and vertex removal in a 3D Delaunay triangulation, SODA 2003), as "the lexicographically
 largest point moves most".
 """
@@ -69,7 +69,7 @@ def _in_circle_close(ax: int, ay: int, bx: int, by: int, cx: int, cy: int) -> bo
     )
     if exact != 0:
         return exact > 0
-    # Of four distinct points on a circle no three are collinear, so none of the cross products is zero.
+    # No three of four distinct points on a circle are collinear, so none of the cross products is zero.
     if lexicographic_less(ax, ay, bx, by):
         if lexicographic_less(bx, by, cx, cy):
             return lexicographic_less(as_int64(0), as_int64(0), cx, cy) and ax * by - ay * bx > 0

@@ -62,4 +62,4 @@ def test_what_the_user_says_of_the_surface_is_obeyed(cloud: Path, tmp_path: Path
     assert not any("the surface is" in note for note in found["notes"])
     said = ran(cloud, tmp_path / "laser", "--kind", "als")
     assert said["configuration"]["surface"] is None
-    assert any("laser scanning (as --kind or the preset says)" in note for note in said["notes"])
+    assert any("laser scanning (given by --kind or the preset)" in note for note in said["notes"])

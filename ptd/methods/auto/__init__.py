@@ -1,1 +1,1 @@
-"""`auto`, the default: decides what made the cloud, then filters laser scans and matched clouds in two ways."""
+"""`auto`, the default: decides the source of the cloud and filters LiDAR and photogrammetric clouds differently."""

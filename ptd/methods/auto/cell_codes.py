@@ -1,4 +1,4 @@
-"""What a pass of `auto` leaves for the next one: a code for each cell, given to all points in it."""
+"""Results of the passes of `auto` for the next pass: a code per cell, which all points in the cell get."""
 
 from __future__ import annotations
 
@@ -16,19 +16,20 @@ Bool = npt.NDArray[np.bool_]
 
 
 class CellCodes(Model):
-    """What a pass says of each cell; cells without a point are unclassified.
+    """Model with a code per cell. Cells without a point are unclassified.
 
     Parameters
     ----------
     x, y : int32 [m]
-        A point of each cell, local counts, by rows of cells.
+        Local counts of a point of each cell, by rows of cells.
     codes : uint8 [m]
+        Codes of the cells.
     cells : CellLattice
     certain : Window
-        All cells outside of it are doubtful.
+        Window outside which all cells are uncertified.
     stats : dict
     doubtful : bool [m], optional
-        Points outside the window could change the code; none within `certain` if left out.
+        Mask of the codes that points outside the window could change; by default none within `certain`.
     """
 
     def __init__(
@@ -48,9 +49,11 @@ class CellCodes(Model):
         self._index: CellIndex | None = None
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
-        """Codes (uint8 [n]) and marks (bool [n]) of the cells of points."""
+        """Return the codes of the cells of points (uint8 [n]), and a mask of uncertified codes (bool [n])."""
         x, y, _ = points.columns()
-        if np.array_equal(x, self._x) and np.array_equal(y, self._y):  # as in an untiled run
+        if np.array_equal(x, self._x) and np.array_equal(
+            y, self._y
+        ):  # The points of an untiled run are the same.
             codes, marked = self._codes[:-1].copy(), self._doubtful[:-1].copy()
         else:
             slots = self._slots(x, y)
@@ -61,7 +64,7 @@ class CellCodes(Model):
         return codes, marked
 
     def _slots(self, x: Int32, y: Int32) -> Int32:
-        """Index of the model's cell in which each point lies, -1: in none; int32 [n]."""
+        """Return the index of the model's cell in which each point lies, or -1 if there is none: int32 [n]."""
         if self._x.size == 0:
             return np.full(x.size, -1, np.int32)
         if self._index is None:
@@ -70,7 +73,10 @@ class CellCodes(Model):
 
 
 def lowest_points(points: Points, cells: CellLattice) -> tuple[Int32, Int32, Int32, UInt8]:
-    """x, y, z and label of the lowest point of each cell, by rows of cells; labels are 0 if there are none yet."""
+    """Return x, y, z and label of the lowest point of each cell, by rows of cells.
+
+    Labels are 0 before the first pass that gives labels.
+    """
     x, y, z = points.columns()
     index = lowest_per_cell(x, y, z, cells)
     labels = np.zeros(index.size, np.uint8) if points.labels is None else points.labels[index]

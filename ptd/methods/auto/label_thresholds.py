@@ -1,6 +1,6 @@
-"""How far from the surface the last pass of `auto` takes points for ground, by the density of the place.
+"""Thresholds of the last pass of `auto`: distances from the surface up to which points are ground.
 
-Also whether the cloud is of a laser or matched; what was decided is told in notes.
+They follow from the density of the place. The module also decides the source of the cloud. Notes report the decisions.
 """
 
 from __future__ import annotations
@@ -20,29 +20,29 @@ from ptd.passes import State
 from ptd.places import PLACES, Figures, field, span
 
 SPARSE_M2 = 1.0
-"""Points per square metre up to which the last pass is as the parameters say."""
+"""Density in points per square metre up to which the last pass uses the parameters unchanged."""
 DENSE_M2 = 2.0
-"""Points per square metre from which on the last pass is as narrow as noise allows."""
+"""Density in points per square metre from which on the last pass is as narrow as noise allows."""
 DENSE_FLOOR_M = 0.12
-"""Floor of the last pass for dense clouds: four times the noise of airborne lasers. A wider one, from what is measured,
-takes low plants for noise: meadows and fields look planar too."""
+"""Floor of the last pass for dense clouds: four times the noise of airborne lasers. A wider floor from the measured
+noise would classify low plants as ground, because meadows and fields look planar too."""
 SAID_BASE_M = 0.05
-"""Floor of the last pass without noise, where the user says the noise; never below the floor of other clouds."""
+"""Floor of the last pass for a noise of 0, if the user gives the noise. The result is at least `DENSE_FLOOR_M`."""
 SAID_SIGMAS = 3.0
-"""Standard deviations of that noise that the floor has above its base."""
+"""Multiple of the noise given by the user that is added to this floor."""
 DENSE_SLOPE = 0.5
 """Share of ``label_slope_m`` for dense clouds."""
 
 
 class LabelThresholds(NamedTuple):
-    """What the parameters come to at a place: metres, and metres per unit of slope."""
+    """Thresholds at a place: floor in metres, and addition in metres per unit of slope."""
 
     floor_m: float
     slope_m: float
 
 
 def label_thresholds(params: AutoParameters, density_m2: float, said_m: float | None) -> LabelThresholds:
-    """Thresholds for a density, and for the noise that the user says."""
+    """Return the thresholds for a density and the noise given by the user, if any."""
     dense = min(max((density_m2 - SPARSE_M2) / (DENSE_M2 - SPARSE_M2), 0.0), 1.0)
     floor = DENSE_FLOOR_M if said_m is None else max(DENSE_FLOOR_M, SAID_BASE_M + SAID_SIGMAS * said_m)
     floor = min(floor, params.label_floor_m)
@@ -53,7 +53,7 @@ def label_thresholds(params: AutoParameters, density_m2: float, said_m: float | 
 
 
 def label_bands(params: AutoParameters, state: State, scale: Scale) -> Bands:
-    """How far from the TIN ground lies, by place."""
+    """Return the largest distances of ground from the TIN by place."""
     table: dict[str, LabelThresholds] = {
         name: label_thresholds(params, known(figures, DENSITY), state["run"]["sigma_m"])
         for name, figures in state[PLACES].items()
@@ -70,23 +70,23 @@ def decided(
     held: Sequence[Figures],
     run: Mapping[str, Any],
 ) -> tuple[dict[str, Any], list[str]]:
-    """What the run is, and lines that say so.
+    """Return the survey of the run and notes on it.
 
     Parameters
     ----------
     params : AutoParameters
     found : Roughness
-        Density and noise.
+        Density and noise of the run.
     seen : ReturnStatistics
     held : sequence of tuple
-        Figures of the places that hold points.
+        Figures of the places that contain points.
     run : mapping
-        `ptd.passes.RunHints`.
+        Fields of `ptd.passes.RunHints`.
 
     Returns
     -------
     survey : dict
-        See `ptd.matched.survey.surveyed`.
+        Result of `ptd.matched.survey.surveyed`.
     notes : list of str
     """
     survey, note = surveyed(found, seen, run)

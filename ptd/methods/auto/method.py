@@ -1,27 +1,30 @@
-"""``auto``: decides from the cloud what made it, and finds the ground of laser scans and of matched clouds in two ways.
+"""``auto``: decides the source of the cloud, and finds the ground of LiDAR and photogrammetric clouds differently.
 
-A method of our own, the default: one setting for all clouds, what has to differ is decided from the cloud. In matched
-clouds (photogrammetry) heights scatter to both sides and blunders lie below, so a robust height per cell, large objects
-as wholes and a surface of limited curvature find the ground: `ptd.matched`. What follows here is for laser scans, and
-works on the lowest point of each cell of 1 m: morphological seeds, a few rounds of densification, removal of what still
-rises like an object. Figures, why there are passes and how far each sees: ``docs/filters.md``.
+This is our own method and the default. It has one setting for all clouds and decides differences from the cloud. In
+photogrammetric clouds heights scatter to both sides and blunders lie below. So a robust height per cell, large objects
+classified as a whole, and a surface of limited curvature find the ground (`ptd.matched`).
+
+The passes below are for LiDAR clouds and work on the lowest point of each cell of 1 m. They find morphological seeds,
+densify in a few rounds, and remove what still rises like an object. ``docs/filters.md`` has figures, the reasons for
+the passes, and their radii.
 
 survey
-    returns, and what is seen through (`ptd.matched.survey`): laser scanning or image matching; density and noise of
-    each place (`ptd.ground.noise_by_place`), and what follows from them (`label_thresholds`).
+    Decide between laser scanning and image matching by returns and penetration (`ptd.matched.survey`). Measure density
+    and noise of each place (`ptd.ground.noise_by_place`), which give the thresholds (`label_thresholds`).
 seeds
-    low outliers out; what drops steeply in openings of growing radius (`objects`) is an object; all else is a seed.
+    Remove low outliers. Cells that drop steeply in openings of growing radius (`objects`) are objects, and all other
+    cells are seeds.
 densify
-    the TIN of the seeds takes in objects' cells that fit (`ptd.ground.densify`): edges and tops that the openings cut.
+    Add cells of objects that fit to the TIN of the seeds (`ptd.ground.densify`): edges and tops that the openings cut.
 refine
-    what rises from ground whose mean was taken off is no ground (walls, cars, shrubs on slopes, roofs that were
-    climbed), and once more what still does among the ground that is left.
+    Subtract the mean of the ground and remove cells that rise from it: walls, cars, shrubs on slopes, and roofs that
+    were climbed. Do this again among the remaining ground.
 roofs
-    ground that is connected, at most 200 m wide, and above nearly all ground that is seen around it is a roof
-    (`ptd.ground.plateaus`); four times, as lower roofs lean on higher ones.
+    Remove roofs: connected ground of at most 200 m width that lies above nearly all ground around it
+    (`ptd.ground.plateaus`). Do this four times, as lower roofs lean on higher ones.
 label
-    the TIN of the ground that is left takes in once what fits within half the distance and half the angle of `densify`;
-    then each point is judged against it by its height, where they are dense against a finer surface.
+    Add cells within half the distance and half the angle of `densify` to the TIN of the remaining ground, once. Then
+    classify each point by its height above the TIN, or above a finer surface where points are dense.
 
 ====================  ==========================  ========  ============================================================
 parameter             origin                      default   reason
@@ -29,28 +32,28 @@ parameter             origin                      default   reason
 max_building_size     Chen 2023; Zhang 2003       36 m      wide enough for halls of towns; wider openings cut hill tops
 thin_cell             as `classic`                1 m       the terrain's detail; noise of dense clouds averages to its
                                                             lower side
-low_radius, _depth,   as `classic`                5 m, 4 m, groups of more are no noise of a laser
+low_radius, _depth,   as `classic`                5 m, 4 m, larger groups are not noise of a laser
 low_group                                         5
 seed_rise, _slope     Pingel 2013 (slope, scale)  0.06, 0.2 ground that rises by 0.06 beside flat ground is kept; a
                                                             fifth of the slope more on slopes
-rounds                ours                        4         more change little and carry doubt farther
+rounds                ours                        4         more rounds change little and need wider halos
 iteration_distance,   as `classic`                1.4 m,    the seeds are dense already: L1 keeps the angle small there
 _angle, edge_length_                              28 deg,
 reduce                                            5 m
-object_size, _rise    ours                        12 m, 0.1 what is wider has been found before; what rises less is
-                                                            within the last pass's height
-roof_size             ours                        200 m     the largest halls but for those of industry
+object_size, _rise    ours                        12 m, 0.1 wider objects were found before; lower ones are within the
+                                                            height of the last pass
+roof_size             ours                        200 m     the largest halls, except those of industry
 label_floor           as `classic`                0.24 m    below 1 point/m2: rough ground between sparse points against
                                                             low plants; from 2 on 0.12 m, or 0.05 m and three times
-                                                            the noise that the user says, up to this
+                                                            the noise given by the user, up to this
 label_slope           ours                        1 m       the spacing of the points on a slope; half of it from 2
                                                             points/m2 on
-refine                ours                        yes       matched clouds: see `ptd.matched.last_look`
+refine                ours                        yes       photogrammetric clouds: `ptd.matched.last_look`
 fine_surface          ours                        yes       the TIN of each metre's lowest point runs below the fine
                                                             relief (`ptd.ground.fine_surface`)
 ====================  ==========================  ========  ============================================================
 
-What cannot be set, and why: `params`. The ring of virtual seeds has cells of 20 m (`ptd.ground.seeds`).
+`params` lists what cannot be set, with reasons. The ring of virtual seeds has cells of 20 m (`ptd.ground.seeds`).
 """
 
 from __future__ import annotations
@@ -88,16 +91,16 @@ from ptd.tin.mesh import Tin
 ROOF_PASSES = ("roofs", *(f"roofs{n}" for n in range(2, len(ROOF_STEPS_M) + 1)))
 
 OBJECT, OUTLIER, SEED, DENSIFIED, ROOF = UNCLASSIFIED, LOW_NOISE, 3, 4, 6
-"""Codes of cells between passes; `GROUND` is what `refine` leaves."""
+"""Codes of cells between passes. Cells that stay ground after `refine` have the code `GROUND`."""
 
 
 @dataclass(frozen=True)
 class Auto(AutoParameters):
-    """Parameters of `auto`; see the module's table."""
+    """Parameters of `auto` (see the module's table), and the passes that follow from them."""
 
     @property
     def passes(self) -> tuple[Pass, ...]:
-        """Rasters with a fixed reach and TINs with doubt in turn: doubt does not add up."""
+        """Passes on rasters (with a fixed radius) and on TINs in turn, so that uncertified regions do not add up."""
         cell = self.thin_cell_m
         return (
             SurveyPass(params=self),
@@ -121,31 +124,31 @@ class Auto(AutoParameters):
 
 @dataclass(frozen=True)
 class SurveyPass(survey.SurveyPass):
-    """Density, noise and returns, and what follows from them."""
+    """Survey of density, noise and returns, and the thresholds that follow from them."""
 
     params: Auto = field(kw_only=True)
 
     def decided(
         self, found: Roughness, seen: ReturnStatistics, held: Sequence[Figures], run: Mapping[str, Any]
     ) -> tuple[dict[str, Any], list[str]]:
-        """See `label_thresholds.decided`."""
+        """Return the survey and its notes (`label_thresholds.decided`)."""
         return decided(self.params, found, seen, held, run)
 
 
 @dataclass(frozen=True)
 class LidarPass(Pass):
-    """A pass that only laser scans need."""
+    """A pass that only LiDAR clouds need."""
 
     kind = "lidar"
 
     def applies(self, state: State) -> bool:
-        """Not where the survey took the run for image matching."""
+        """Return whether the survey did not classify the run as image matching."""
         return "survey" not in state or not is_matched(state)
 
 
 @dataclass(frozen=True)
 class SeedPass(LidarPass):
-    """Cells are low outliers, objects or seeds."""
+    """Pass that classifies cells as low outliers, objects or seeds."""
 
     params: Auto
     name: str = "seeds"
@@ -170,7 +173,7 @@ class SeedPass(LidarPass):
 
 @dataclass(frozen=True)
 class DensifyPass(LidarPass):
-    """The TIN of the seeds takes in cells of objects that fit."""
+    """Pass that adds cells of objects that fit to the TIN of the seeds."""
 
     params: Auto
     name: str = "densify"
@@ -196,7 +199,7 @@ class DensifyPass(LidarPass):
 
 @dataclass(frozen=True)
 class RefinePass(LidarPass):
-    """Ground cells that rise from the ground found are no ground."""
+    """Pass that removes ground cells that rise from the ground found."""
 
     params: Auto
     name: str = "refine"
@@ -205,7 +208,7 @@ class RefinePass(LidarPass):
     reach_m: float | None = None
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> CellCodes:
-        """Take the ground's mean off and look at what rises, twice."""
+        """Subtract the ground's mean and find the cells that rise from it, twice."""
         p = self.params
         cells = CellLattice.of(p.thin_cell_m, scale)
         x, y, z, before = lowest_points(points, cells)
@@ -219,7 +222,7 @@ class RefinePass(LidarPass):
 
 
 def refined(low: Lowest, codes: UInt8, p: AutoParameters) -> Bool:
-    """Mask of the cells that stay ground: bool [n]."""
+    """Return a mask of the cells that stay ground: bool [n]."""
     ground = (codes == SEED) | (codes == DENSIFIED)
     ground &= ~low.residual_objects(ground, codes != OUTLIER, p.objects)
     stays: Bool = ground & ~low.residual_objects(ground, ground, p.bumps)
@@ -228,7 +231,7 @@ def refined(low: Lowest, codes: UInt8, p: AutoParameters) -> Bool:
 
 @dataclass(frozen=True)
 class RoofPass(LidarPass):
-    """Surfaces of ground above all that is seen around them are roofs."""
+    """Pass that classifies surfaces of ground above their surroundings as roofs."""
 
     params: Auto
     again: bool
@@ -239,7 +242,7 @@ class RoofPass(LidarPass):
     columns: tuple[str, ...] = ("labels",)
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> CellCodes:
-        """Look around each connected surface."""
+        """Compare each connected surface with the ground around it."""
         p = self.params
         cells, wide = CellLattice.of(p.thin_cell_m, scale), CellLattice.of(ROOF_CELL_M, scale)
         rule = Plateaus.of(scale, p.roof_size_m, self.step_m)
@@ -247,7 +250,7 @@ class RoofPass(LidarPass):
         ground, before = codes == GROUND, codes == ROOF
         for index, inner in blocks(x, y, cells, p.roof_reach):
             if self.again and not before[index].any():
-                continue  # nothing has changed since
+                continue  # Without roofs found before, the result stays.
             raster = CellRaster(x[index], y[index], wide)
             roofs = on_plateaus(z[index], ground[index], before[index], raster, rule)
             codes[index[roofs & inner]] = ROOF
@@ -257,7 +260,7 @@ class RoofPass(LidarPass):
 
 @dataclass(frozen=True)
 class LabelPass(LidarPass):
-    """Every point against the TIN of the ground, and where points are dense against a fine surface."""
+    """Pass that labels all points by the TIN of the ground, or by a fine surface where points are dense."""
 
     params: Auto
     name: str = "label"
@@ -267,7 +270,7 @@ class LabelPass(LidarPass):
     by_place: bool = True
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> TinLabels:
-        """Build the TIN, and let it take back edges that were cut with objects."""
+        """Build the TIN, and add edges that were cut with objects again."""
         p = self.params
         cells = CellLattice.of(p.thin_cell_m, scale)
         x, y, z, codes = lowest_points(points, cells)
@@ -290,9 +293,9 @@ class LabelPass(LidarPass):
 def first_tin(
     x: Int32, y: Int32, z: Int32, chosen: Bool, known: Window, scale: Scale
 ) -> tuple[Tin, UncertifiedRegion]:
-    """TIN of the chosen points (at least one) and the ring of virtual ones, with room for all.
+    """Build the TIN of the chosen points (at least one) and a ring of virtual ones, with space for all points.
 
-    What is chosen within the known window is certain.
+    The choice is certified within the known window.
     """
     cells = CellLattice.of(RING_M, scale)
     doubt = UncertifiedRegion(known, known.inside(cells, RING), box_with_ring(x, y, cells), scale)

@@ -1,12 +1,12 @@
-"""Tell objects from terrain by how steeply the lowest points of cells drop around them.
+"""Objects, distinguished from terrain by the steep drop of the lowest points of cells in morphological openings.
 
-An object drops steeply: an opening with a disk a little wider than it takes away its height, where terrain loses no
-more than its slope gives. So a cell is an object's if for some radius r (in cells)::
+An object drops steeply: an opening with a disk a little wider than the object removes its height, while terrain loses
+no more than its slope gives. So a cell belongs to an object if for some radius r (in cells)::
 
     drop(r) - allowance > (per_metre + per_slope * slope) * r
 
-with drop(r) the fall from the opening with r - 1 to that with r, both of the raster as it is, and the slope that of
-the surface after the last opening. Nothing farther than a fixed reach has a part in any of these answers.
+Here drop(r) is the fall from the opening with r - 1 to that with r, both of the original raster, and slope is that of
+the surface after the last opening. Heights beyond a fixed distance do not change any of these results.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from ptd.ground.slopes import Boxes
 
 @dataclass(frozen=True)
 class Drop:
-    """When a cell is an object's: see the module. Metres and metres per metre."""
+    """Rule by which a cell belongs to an object (see the module), in metres and metres per metre."""
 
     allowance_m: float
     per_metre: float
@@ -32,14 +32,14 @@ class Drop:
 
 @dataclass(frozen=True)
 class Shape:
-    """Lengths in cells that the rules share.
+    """Lengths in cells of the rule for seeds.
 
     Attributes
     ----------
     radius : int
-        Of the largest opening.
+        Radius of the largest opening.
     slope : int
-        Of the boxes of `ptd.ground.slopes.slopes`.
+        Half width of the boxes for slopes (`ptd.ground.slopes.Boxes.slopes`).
     """
 
     radius: int
@@ -47,23 +47,24 @@ class Shape:
 
     @property
     def reach(self) -> int:
-        """Cells beyond which nothing has a part in `steep_objects`: an opening's, and that of slopes of openings."""
+        """Distance in cells beyond which heights do not change `steep_objects`, by openings and their slopes."""
         return 2 * self.radius + 2 * self.slope
 
 
 @dataclass(frozen=True)
 class Residuals:
-    """Rule of `residual_objects`; lengths in cells.
+    """Rule of `residual_objects`, with lengths in cells.
 
     Attributes
     ----------
     drop : Drop
     trend, radius, slope, around : int
-        Reach of the mean that is taken off; of the largest opening; of the boxes of slopes; of the share of objects.
+        Half width of the boxes for the mean that is subtracted, radius of the largest opening, half width of the boxes
+        for slopes, and half width of the boxes for the share of objects.
     lack : float
-        By how much the threshold grows where there are no objects around.
+        Addition to the threshold where there are no objects around, in metres per metre.
     enough : float
-        Share of objects from which on it does not grow.
+        Share of objects from which on the threshold does not grow.
     """
 
     drop: Drop
@@ -76,7 +77,7 @@ class Residuals:
 
     @property
     def reach(self) -> int:
-        """Cells beyond which nothing has a part in the answer."""
+        """Distance in cells beyond which heights do not change `residual_objects`."""
         return max(self.trend + 2 * self.radius, 2 * self.slope, self.around)
 
 
@@ -86,24 +87,24 @@ class Lowest:
     Parameters
     ----------
     x, y, z : int32 [n]
-        Local counts, one point a cell; at least one.
+        Local counts of one point per cell, at least one.
     cells : CellLattice
     cell_m : float
-        Their side in metres.
+        Side of the cells in metres.
     scale : Scale
     """
 
     def __init__(self, x: Int32, y: Int32, z: Int32, cells: CellLattice, cell_m: float, scale: Scale) -> None:
         self.raster, self.z, self.scale = CellRaster(x, y, cells), z, scale
         self.unit = scale.counts_z(cell_m)
-        """Counts a cell of a slope of 1."""
+        """Vertical counts per cell of a slope of 1."""
 
     def heights(self, which: Bool) -> Int32:
-        """Raster of the heights of some points: int32."""
+        """Return the raster of the heights of chosen points: int32 [rows, columns]."""
         return self.raster.lowest(self.z, which)
 
     def steep_objects(self, which: Bool, drop: Drop, shape: Shape) -> Bool:
-        """Mask of the points in cells where the surface of the chosen points drops like an object: bool [n]."""
+        """Return a mask of the points where the surface of the chosen points drops like an object: bool [n]."""
         steepest, opened = steepest_drops(
             self.heights(which), range(1, shape.radius + 1), self.scale.counts_z(drop.allowance_m)
         )
@@ -113,14 +114,14 @@ class Lowest:
         return found
 
     def residual_objects(self, ground: Bool, present: Bool, rule: Residuals) -> Bool:
-        """Mask of the points that rise like objects once the mean of the ground is taken off.
+        """Return a mask of the points that rise like objects after subtracting the mean of the ground: bool [n].
 
-        Without the trend slopes do not hide what is low, so small radii and thresholds suffice. Where there are no
-        objects around, a bump of the terrain is the likelier reason, so the threshold grows (`lack`).
+        Without this trend slopes do not hide low objects, so small radii and thresholds suffice. Where there are no
+        objects around, a rise is more likely a bump of the terrain, so the threshold grows (`lack`).
         """
         boxes, drop, keys = Boxes(self.heights(ground)), rule.drop, self.raster.keys
         means = boxes.means(rule.trend, keys)
-        trend = np.where(np.isnan(means), self.z, np.rint(means))  # where there is none a point is its own
+        trend = np.where(np.isnan(means), self.z, np.rint(means))  # Without ground, a point is its own trend.
         residuals = self.raster.lowest((self.z - trend).astype(np.int32), present)
         steepest, _ = steepest_drops(
             residuals, range(1, rule.radius + 1), self.scale.counts_z(drop.allowance_m)
@@ -131,7 +132,9 @@ class Lowest:
         return found
 
     def lack_of_objects(self, ground: Bool, rule: Residuals) -> Float64:
-        """1 where all cells around are ground, 0 where a share `enough` of them is not: float64 [n]."""
+        """Return 1 where all cells around are ground, down to 0 where a share `enough` is not: float64 [n]."""
         objects = self.raster.lowest((~ground).astype(np.int32), np.ones(ground.size, np.bool_))
-        share = Boxes(objects).means(rule.around, self.raster.keys)  # never NaN: its own cell is filled
+        share = Boxes(objects).means(
+            rule.around, self.raster.keys
+        )  # A mean is never NaN: the cell is filled.
         return 1.0 - np.minimum(share / rule.enough, 1.0)

@@ -1,7 +1,7 @@
-"""Parameters of `auto`: what can be set, and the constants that need no setting.
+"""Parameters of `auto`, and constants that need no setting.
 
-Eighteen can be set. The rest was measured (table in ``docs/filters.md``): nothing that people see in a cloud says how
-to change it, so it stands here as a constant with its reason.
+Eighteen parameters can be set. The constants were measured (table in ``docs/filters.md``). No visible property of a
+cloud shows how to change them, so they are listed here with their reasons.
 """
 
 from __future__ import annotations
@@ -21,29 +21,29 @@ from ptd.params import check, like, parameter
 RING_M = 20.0
 """Side of the cells of virtual seeds around the ground."""
 ROUND_HALO_M = 8.0
-"""Distance by which doubt advances in a round, seldom more."""
+"""Distance by which the uncertified region grows in a round; it seldom grows farther."""
 TERRAIN_ANGLE_DEG = 88.0
 """Steepest terrain of the facet test, as in all methods; 60 or 90 degrees change the mean by 0.01 points."""
 REGROWTH = 0.5
-"""Share of the iteration's distance and angle within which the last TIN takes back edges of banks that went with
-objects. At 0.3 and 0.7 it gains less: what comes back at 0.7 are low roofs and shrubs, too."""
+"""Share of the iteration distance and angle within which the last TIN adds edges of banks that were removed with
+objects. Shares of 0.3 and 0.7 gain less; with 0.7, low roofs and shrubs return as well."""
 SEED_DROP_M = 0.05
-"""Drop that needs no object when seeds are chosen: noise."""
+"""Drop by noise that is allowed when seeds are chosen."""
 
 
 @dataclass(frozen=True)
 class Reaches:
-    """How far the rules for objects look, metres.
+    """Search distances of the rules for objects, in metres.
 
     Attributes
     ----------
     slope_m, residual_slope_m : float
-        Slopes are between means of boxes that reach so far: past a house's wall for seeds, nearby for objects on ground
-        whose trend is taken off.
+        Half width of the boxes whose means give slopes. It extends past a house's wall for seeds, and is small for
+        objects on ground whose trend is subtracted.
     around_m : float
-        Objects are counted within so far: where there are few a bump is terrain.
+        Distance within which objects are counted. If there are few, a bump is terrain.
     object_trend_m, bump_trend_m : float
-        The mean that is taken off reaches so far: it follows hills and not what stands on them.
+        Half width of the boxes of the mean that is subtracted. The mean follows hills but not the objects on them.
     """
 
     slope_m: float = 9.0
@@ -55,12 +55,12 @@ class Reaches:
 
 @dataclass(frozen=True)
 class Rise:
-    """What rises from the ground's mean like an object, beside `AutoParameters.object_rise`.
+    """Limits of the rise from the ground's mean, in addition to `AutoParameters.object_rise`.
 
     Attributes
     ----------
     drop_m : float
-        Drop that needs no object.
+        Drop in metres that is always allowed.
     per_slope : float
         Extra drop allowed per unit of slope.
     enough : float
@@ -73,17 +73,17 @@ class Rise:
 
 
 LACK = 2.0
-"""Extra rise allowed where no objects are around: a bump is likelier terrain there."""
+"""Extra rise allowed where no objects are around, as a bump is more likely terrain there."""
 OBJECTS = Rise(drop_m=0.2, per_slope=0.2, enough=0.3)
-"""Among all cells: less than 0.2 m is within the last pass's height."""
+"""Limits among all cells. A drop below 0.2 m is within the height of the last pass."""
 BUMPS = Rise(drop_m=0.1, per_slope=0.4, enough=0.1)
-"""Among the cells of ground that are left: their mean no longer holds what was taken out, so lower, and more wary of
-slopes."""
+"""Limits among the remaining cells of ground. Their mean no longer contains removed objects, so a smaller drop is
+allowed, but more per unit of slope."""
 
 
 @dataclass(frozen=True)
 class AutoParameters:
-    """What can be set; `ptd.methods.auto.method.Auto` adds the passes."""
+    """Settings of `auto`, to which `ptd.methods.auto.method.Auto` adds the passes."""
 
     max_building_size_m: float = parameter(
         36.0, "widest object that the seeds are cleared of; wider buildings are looked for as roofs. Raise it if halls "
@@ -139,7 +139,7 @@ class AutoParameters:
         check(self)
 
     def limits(self, scale: Scale, share: float = 1.0) -> FacetLimits:
-        """The facet test's thresholds, or a share of its distance and angle."""
+        """Return the thresholds of the facet test, with a share of its distance and angle."""
         return FacetLimits.of(
             scale, distance_m=share * self.iteration_distance_m, angle_deg=share * self.iteration_angle_deg,
             terrain_deg=TERRAIN_ANGLE_DEG, reduce_m=self.edge_length_reduce_m, stop_m=0.0,
@@ -150,7 +150,7 @@ class AutoParameters:
 
     @property
     def seed_drop(self) -> Drop:
-        """When a cell is no seed."""
+        """Rule by which a cell is not a seed."""
         return Drop(SEED_DROP_M, self.seed_rise, self.seed_slope)
 
     @property
@@ -160,12 +160,12 @@ class AutoParameters:
 
     @property
     def objects(self) -> Residuals:
-        """When a cell rises from the ground's mean among all cells."""
+        """Rule by which a cell rises from the ground's mean, among all cells."""
         return self._residuals(OBJECTS, self.reaches.object_trend_m)
 
     @property
     def bumps(self) -> Residuals:
-        """When a cell rises from the ground's mean among the cells of ground."""
+        """Rule by which a cell rises from the ground's mean, among the cells of ground."""
         return self._residuals(BUMPS, self.reaches.bump_trend_m)
 
     def _residuals(self, rise: Rise, trend_m: float) -> Residuals:
@@ -177,32 +177,32 @@ class AutoParameters:
 
     @property
     def seed_reach(self) -> int:
-        """Cells beyond which nothing has a part in what a cell is after the pass `seeds`."""
+        """Distance in cells beyond which points do not change the code of a cell in the pass `seeds`."""
         return self.shape.reach + search_margin(self.low_radius_m, 1, self.thin_cell_m)
 
     @property
     def refine_reach(self) -> int:
-        """Cells beyond which nothing has a part in what a cell is after the pass `refine`."""
+        """Distance in cells beyond which points do not change the code of a cell in the pass `refine`."""
         return self.objects.reach + self.bumps.reach
 
     @property
     def roof_reach(self) -> int:
-        """Cells (of thinning) beyond which nothing has a part in what a cell is after the pass `roofs`."""
+        """Distance in thinning cells beyond which points do not change the code of a cell in a pass `roofs`."""
         return math.ceil((Plateaus.of(Scale(), self.roof_size_m).reach + 1) * ROOF_CELL_M / self.thin_cell_m)
 
     @property
     def halo_m(self) -> float:
-        """Two cells of the ring for the first TIN's circles, and what the rounds need."""
+        """Halo in metres: two cells of the ring for the circles of the first TIN, and 8 m per round."""
         return 2.0 * RING_M + ROUND_HALO_M * min(self.rounds, 30)
 
     @property
     def align_m(self) -> float:
-        """Windows of TINs hold whole cells of the ring."""
+        """Side of the cells of the ring. Windows of TINs contain whole cells of it."""
         return RING_M
 
     @property
     def margin_m(self) -> float:
-        """And whole thinning cells, where those do not divide the ring's."""
+        """Margin of a thinning cell, so that windows contain whole ones even if they do not divide the ring's cells."""
         return self.thin_cell_m
 
     @property

@@ -33,7 +33,7 @@ class Tails(NamedTuple):
 
 
 def _bins(z: Int32, scale: Scale) -> npt.NDArray[np.int64]:
-    """Bin of each height; bin 0 starts at height 0 of the CRS."""
+    """Return the bin of each height. Bin 0 starts at height 0 of the CRS."""
     found: npt.NDArray[np.int64] = np.floor(z / scale.counts_z(BIN_M)).astype(np.int64)
     return found
 
@@ -56,7 +56,7 @@ def find_tails(counts: Histogram, gap_bins: int, share: float) -> Tails | None:
     """Cut both tails of a histogram at gaps.
 
     The paper chooses from a plot of the histogram. Here a tail is the part beyond at least ``gap_bins`` empty bins, if
-    it holds at most ``share`` of all points. Terrain fills its elevations without gaps, so a lonely peak stays, however
+    it has at most ``share`` of all points. Terrain fills its elevations without gaps, so a lonely peak stays, however
     few points it has. A second survey area far above the first stays because of its share.
 
     Returns
@@ -86,7 +86,7 @@ def _inner_end(bins: list[int], counts: Histogram, gap: int, room: float) -> tup
 
 
 def outside(z: Int32, scale: Scale, kept: list[int] | None) -> tuple[Bool, Bool]:
-    """Masks of the heights below and above the kept range; both empty without a range."""
+    """Return masks of the heights below and above the kept range, without any height if there is no range."""
     if kept is None:
         return np.zeros(z.size, np.bool_), np.zeros(z.size, np.bool_)
     bins = _bins(z, scale)

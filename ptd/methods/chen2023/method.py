@@ -10,7 +10,7 @@ max_building_size    max building size           30 m      000's value (003: 20,
 initial_window       initial window size, W_0    1         the finest steps separate small drops from large ones
 terrain_angle        max terrain angle           88 deg    as `classic`
 rounds               number of iterations        4         the seeds are dense: more rounds change 0.05 points of
-                                                           error and carry the doubt of a tile's edge farther
+                                                           error and need wider halos
 iteration_angle      iterator angle              25 deg    as `classic`
 iteration_distance   iterator distance           1.4 m     as `classic`
 exponential_windows  equation 2 for 1            off       fewer windows, more error: with wide steps the thresholds
@@ -32,8 +32,8 @@ prominence           "locally prominent"         1 m       densification would b
 edge_length_reduce,  none                        5 m, 0,   as `classic`
 _stop; label_pass,                               on,
 label_floor                                      0.3 m
-robust_cells         none                        on        ours, for matched clouds, which the paper does not treat:
-                                                           `ptd.matched.robust_cells`
+robust_cells         none                        on        ours, for photogrammetric clouds, which the paper does not
+                                                           treat: `ptd.matched.robust_cells`
 ===================  ==========================  ========  =============================================================
 
 The six steps, with the deviations:
@@ -48,7 +48,7 @@ The six steps, with the deviations:
    the first one wider than the largest building.
 4. Seeds are cleaned in their TIN (`seed_clusters`), which already holds the ring of step 5. Without the ring, the
    slivers along the hull would be the over-long and narrow facets.
-5. The ring is that of `classic`, on a lattice of half the largest building: each empty cell up to two cells from seeds,
+5. The ring is that of `classic`, on a lattice of half the largest building. Each empty cell up to two cells from seeds,
    in large voids as well, gets a virtual seed at the interpolated height. These seeds are never output.
 6. Densification in batches, and our last pass, which labels all points.
 """
@@ -81,11 +81,11 @@ Bool = npt.NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Chen2023(Chen2023Parameters):
-    """Parameters of `chen2023`; see the module's table."""
+    """Parameters of `chen2023` (see the module's table), and the passes that follow from them."""
 
     @property
     def passes(self) -> tuple[Pass, ...]:
-        """The histogram of heights, then the filter; in matched clouds both on robust cells."""
+        """The histogram of heights, then the filter, both on robust cells if the cloud is photogrammetric."""
         tails = ElevationsPass(self.thin_cell_m, self.tail_gap_m, self.tail_share)
         own = (tails, ChenPass(self))
         if self.robust_cells:
@@ -169,7 +169,7 @@ class ChenModel(TinLabels):
     def _noise(
         self, tin: Tin, x: Int32, y: Int32, seeds: npt.NDArray[np.intp], ring: Int32, doubt: UncertifiedRegion
     ) -> npt.NDArray[np.intp]:
-        """Step 4: the seeds that are noise. Places where that is uncertain are put in doubt."""
+        """Step 4: return the seeds that are noise. Positions where that is uncertain become uncertified."""
         vx, vy = (np.ascontiguousarray(tin.vertices[:, axis]) for axis in (0, 1))
         # Seeds share no position with one another, nor with the ring, which lies in cells without seeds.
         real = np.isin(positions(vx, vy), positions(ring[:, 0], ring[:, 1]), invert=True)
@@ -178,7 +178,7 @@ class ChenModel(TinLabels):
         return seeds[np.isin(positions(x[seeds], y[seeds]), positions(vx[noise], vy[noise]))]
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
-        """Label the points of the window and mark those in doubt."""
+        """Label the points of the window, and return a mask of the uncertified labels too."""
         labels, marked = super().label(points)
         if self.tin is not None:
             below, _ = outside(points.xyz[2], self._scale, self._tails)

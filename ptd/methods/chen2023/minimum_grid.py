@@ -29,7 +29,7 @@ def _neighbours_of(heights: Int32, row: int, column: int, layers: Int32, k: int)
 
 @kernel
 def _queue_around(layers: Int32, row: int, column: int, k: int, queue: Int64, n: int) -> int:
-    """Put empty 8-neighbours that are not queued yet into layer k; return the new length of the queue."""
+    """Put empty 8-neighbours that are not queued yet into layer k, and return the new length of the queue."""
     for r in range(max(row - 1, 0), min(row + 2, layers.shape[0])):
         for c in range(max(column - 1, 0), min(column + 2, layers.shape[1])):
             if layers[r, c] < 0:

@@ -1,4 +1,4 @@
-"""Parameters of `chen2023`; its table in `method.py` gives the reasons for their defaults."""
+"""Parameters of `chen2023`. Its table in `method.py` gives the reasons for their defaults."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def _cells_of(metres: float, cell_m: float) -> Fraction:
 
 @dataclass(frozen=True)
 class Chen2023Parameters(Progressive):
-    """Settings of `chen2023`; `ptd.methods.chen2023.method.Chen2023` adds the passes."""
+    """Settings of `chen2023`, to which `ptd.methods.chen2023.method.Chen2023` adds the passes."""
 
     max_building_size_m: float = parameter(
         30.0, "largest building that the windows remove; the cells of the ring are half as wide", unit="m",
@@ -104,7 +104,10 @@ class Chen2023Parameters(Progressive):
 
     @property
     def halo_m(self) -> float:
-        """The widest window, four cells of the ring, and 8 m per round; certified most tiles of a city."""
+        """Halo in metres: the widest window, four cells of the ring, and 8 m per round.
+
+        It certified most tiles of a city.
+        """
         window = max(self.widths) * self.thin_cell_m
         return window + 4.0 * self.ring_cell_m + 8.0 * min(self.rounds or 30, 30)
 

@@ -79,7 +79,7 @@ def height_thresholds(
 
 
 def _runs(values: Any, n: int, pick: np.ufunc) -> Any:
-    """Smallest or largest value of each square of n x n cells; the result has n - 1 rows and columns fewer."""
+    """Return the smallest or largest value of each square of n x n cells, with n - 1 rows and columns fewer."""
     for axis in (0, 1):
         covered = 1
         while covered < n:
@@ -168,12 +168,12 @@ def object_cells(heights: Int32, opening: Opening, known: Bool | None) -> tuple[
 def potential_seeds(
     x: Int32, y: Int32, z: Int32, eligible: Bool, cells: CellLattice, opening: Opening, known: Window
 ) -> tuple[Bool, Bool]:
-    """Points whose cell does not rise above the ground.
+    """Find the points whose cell does not rise above the ground.
 
     Parameters
     ----------
     x, y, z : int32 [n]
-        Local counts, at most one point a cell.
+        Local counts, at most one point per cell.
     eligible : bool [n]
         False for outliers, which leave their cells empty.
     cells : CellLattice
@@ -186,7 +186,7 @@ def potential_seeds(
     -------
     seeds : bool [n]
     unsure : bool [n]
-        Points outside the window could change it.
+        Mask of the points for which points outside the window could change the result.
     """
     seeds, unsure = np.zeros(x.size, np.bool_), np.zeros(x.size, np.bool_)
     if not x.size:
@@ -215,7 +215,7 @@ def potential_seeds(
 def _known_cells(
     cells: CellLattice, known: Window, row: int, column: int, shape: tuple[int, int]
 ) -> Bool | None:
-    """Mask of the cells of a raster that lie in a window of whole cells; None if all do."""
+    """Return a mask of the cells of a raster that lie in a window of whole cells, or None if all do."""
     if not known.closed:
         return None
     souths = np.array([cells.south(row + i) for i in range(shape[0] + 1)])

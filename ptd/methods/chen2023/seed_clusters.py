@@ -44,7 +44,7 @@ class ClusterLimits(NamedTuple):
 
 @kernel
 def _sides(vertices: Int32Array, facet: Int32Array, z_ratio: float) -> tuple[float, float, float]:
-    """Squared sides of a facet in space, growing; the bits do not depend on the order of the corners."""
+    """Return the squared sides of a facet in space, growing, with bits that do not depend on the order of corners."""
     short, middle, longest = np.inf, np.inf, -np.inf
     for k in range(3):
         a, b = facet[k], facet[(k + 1) % 3]
@@ -58,7 +58,7 @@ def _sides(vertices: Int32Array, facet: Int32Array, z_ratio: float) -> tuple[flo
 
 @kernel
 def _highest(vertices: Int32Array, facet: Int32Array) -> int:
-    """The highest corner; among equally high ones the lexicographically smallest in (x, y)."""
+    """Return the highest corner, among equally high ones the lexicographically smallest in (x, y)."""
     top = facet[0]
     for k in range(1, 3):
         v = facet[k]
@@ -102,7 +102,7 @@ def _root(parents: Int32Array, v: int) -> int:
 
 @kernel
 def _flood(facets: Int32Array, joins: Bool, n: int) -> Int32Array:
-    """Cluster of each vertex, named by the number of one of its vertices; chosen facets join their corners."""
+    """Join the corners of chosen facets, and return the cluster of each vertex: the number of one of its vertices."""
     parents = np.arange(n).astype(np.int32)
     for i in range(facets.shape[0]):
         if joins[i]:
@@ -120,7 +120,10 @@ def _flood(facets: Int32Array, joins: Bool, n: int) -> Int32Array:
 def _sums(
     vertices: Int32Array, facets: Int32Array, clusters: Int32Array, counted: Bool
 ) -> tuple[Int64, Int64, Int64, Int64]:
-    """Seeds and sum of their heights by cluster; neighbours across its border, per facet, and sum of their heights."""
+    """Return, by cluster, the number and the sum of heights of its seeds and of neighbours across its border.
+
+    A neighbour counts once per facet.
+    """
     n = clusters.size
     size, total = np.zeros(n, np.int64), np.zeros(n, np.int64)
     around, total_around = np.zeros(n, np.int64), np.zeros(n, np.int64)
@@ -156,7 +159,7 @@ def noisy_seeds(tin: Tin, real: Bool, limits: ClusterLimits, in_doubt: UInt8) ->
         False for virtual seeds.
     limits : ClusterLimits
     in_doubt : uint8 [triangles]
-        See `ptd.ground.certificates.UncertifiedRegion.triangles`.
+        Mask of uncertified triangles (`ptd.ground.certificates.UncertifiedRegion.triangles`).
 
     Returns
     -------
@@ -189,7 +192,7 @@ def noisy_seeds(tin: Tin, real: Bool, limits: ClusterLimits, in_doubt: UInt8) ->
 
 
 def _unsure_clusters(facets: Int32Array, joins: Bool, shaky: Bool, clusters: Int32Array, small: int) -> Bool:
-    """Vertices of clusters that touch a facet in doubt, unless certain facets alone make the cluster large."""
+    """Return the vertices of clusters that touch an uncertified facet, unless certified facets make them large."""
     touched = np.zeros(clusters.size, np.bool_)
     touched[clusters[facets[shaky]]] = True
     certain = _flood(facets, joins & ~shaky, clusters.size)

@@ -85,7 +85,7 @@ def facade_threshold(density_m2: float, height_m: float, cell_m: float, glass_fa
 
 @kernel
 def _median_point(x: Int32, y: Int32, z: Int32, order: Int64, first: int, last: int) -> int:
-    """The point of the (lower) median height of a cell; points of equal height are ordered by (x, y)."""
+    """Return the point of the (lower) median height of a cell, with points of equal height ordered by (x, y)."""
     heights = np.empty(last - first, np.int32)
     for k in range(first, last):
         heights[k - first] = z[order[k]]
@@ -155,7 +155,7 @@ def _road_points(x: Int32, y: Int32, z: Int32, table: CellTable, facade: Bool, r
 def _variation(
     x: Int32, y: Int32, z: Int32, table: CellTable, column: int, row: int, origin: int, z_ratio: float
 ) -> float:
-    """Root mean square of the residuals of a plane through the points of a block of cells; inf without a plane.
+    """Return the root mean square of the residuals of a plane through a block of cells, or inf without a plane.
 
     Sums are of integers, relative to a point of the block, so the order of the points changes no bit.
     """
@@ -211,7 +211,7 @@ class Facades:
         return np.concatenate([np.zeros(0, np.int64), *parts])
 
     def seeds(self, rule: FacadeRule) -> Int32:
-        """Points on roads beside facades (004, 3.1, step 3); int32 [m], indices by cell of facade.
+        """Find the points on roads next to facades (004, 3.1, step 3): int32 [m], indices by cell of facade.
 
         Four lines cross a facade cell, along the axes and diagonals of the lattice, with a cell at the same distance
         on both sides. The lower of these two cells is the road. The line whose road is farthest from all facade cells

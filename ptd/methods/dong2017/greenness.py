@@ -145,7 +145,7 @@ def otsu(counts: Sequence[int]) -> int:
 
 
 def green_from(counts: Sequence[int]) -> int | None:
-    """The first bin that is vegetation, at least `GREY`; None if the histogram has no green mode of its own.
+    """Return the first bin that is vegetation, at least `GREY`, or None if the histogram has no separate green mode.
 
     It is Otsu's threshold of the part between the grey and the green mode, so a third mode (red roofs) has no effect.
     """

@@ -143,7 +143,7 @@ class FinalGrowth(Growth):
     """Growth with the final labels."""
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
-        """Label the points; vegetation becomes unclassified."""
+        """Label the points, with vegetation as unclassified."""
         labels, marked = super().label(points)
         labels[labels == VEGETATION] = UNCLASSIFIED
         return labels, marked
@@ -162,7 +162,7 @@ def _summed(partials: Iterable[dict[str, Any]]) -> Int64:
 
 
 def _contour(plane: Int64, level: float) -> Threshold | None:
-    """Largest distance and angle of the outer contour around the peak of the histogram; None without counts."""
+    """Return the largest distance and angle of the outer contour around the peak, or None without counts."""
     if not plane.size:
         return None
     found = contour_reach(plane, max(level * plane.max(), 1.0))

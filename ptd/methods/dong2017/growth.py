@@ -52,7 +52,7 @@ class Stage(NamedTuple):
 
     @property
     def reach_m(self) -> float:
-        """Metres around a window's core with which its ground is seldom in doubt; never, for one TIN without a rim.
+        """Margin in metres with which a core's ground is seldom uncertified, or never for one TIN without a rim.
 
         It is the sum of a facet's circle, the cells cut by the edge and those of the rim, and 3.5 cells for each
         further TIN, as measured.
@@ -67,8 +67,8 @@ class Growth(Model):
     """Ground of a window, and the TINs that extend it.
 
     Each TIN holds a random point of every cell with ground, a new choice each time. A point that passes is ground for
-    the next TIN. Effects of points outside the window are tracked as in `ptd.ground.densify`: a cell with a doubtful
-    point may get another vertex or none, and the empty cells around it another rim.
+    the next TIN. Effects of points outside the window are tracked as in `ptd.ground.densify`: a cell with an
+    uncertified point may get another vertex or none, and the empty cells around it another rim.
 
     Parameters
     ----------
@@ -112,7 +112,7 @@ class Growth(Model):
         return Trial(Tin.build(*vertices), self.scale, self.stage.widest_m, self._doubt)
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
-        """Label points that pass in one of the TINs as ground; keep all other labels."""
+        """Label points that pass in one of the TINs as ground, and keep all other labels."""
         x, y, z = points.columns()
         labels = points.known_labels().copy()
         todo, marked = labels == UNCLASSIFIED, np.zeros(x.size, np.bool_)
@@ -136,7 +136,7 @@ def picks(points: Points, ground: Bool, cells: CellLattice, salt: int) -> Int64:
 def _doubt_cells(
     doubt: UncertifiedRegion, cells: CellLattice, x: Int32, y: Int32, ground: Bool, doubtful: Bool
 ) -> None:
-    """Put the cells of doubtful points in doubt, and the empty cells around them."""
+    """Make the cells of uncertified points uncertified, and the empty cells around them."""
     if not doubt.active or not doubtful.any():
         return
     sure = ground & ~doubtful

@@ -1,4 +1,4 @@
-"""``dong2017``: coloured image matching of towns, after Dong et al. (ISPRS Archives XLII-2/W7:703, 2017; paper 004).
+"""``dong2017``: coloured image matching of towns, after Dong et al. (ISPRS Archives XLII-2/W7:703, 2017, paper 004).
 
 Vegetation is recognised by colour, seeds lie on the roads beside facades, and ground grows by tests against TINs of
 growing density. Their thresholds are estimated from the run.
@@ -21,19 +21,20 @@ last_spacing           2 m, the last one mentioned     1 m       "until all are 
                                                                  ``docs/filters.md``
 tins                   "several"                       8         ground grows by two cells with each; figures there
 contour_level          none, read off a plot           0.01      gives the published thresholds for similar noise
-robust_cells           none                            on        ours, for matched clouds: below; off: the paper's
+robust_cells           none                            on        ours, for photogrammetric clouds, see below; off:
+                                                                 the paper's rule
 =====================  ==============================  ========  =================================================
 
 The paper gets sigma from planes picked by hand; here ``--sigma`` gives it, or `ptd.ground.roughness` finds it. The
 threshold of greenness (GLI) is Otsu's (3.3.1), the first distance is the jump of the second difference (3.3.3), and the
 later thresholds come from the histogram of angles and distances (3.3.4). None of them is a parameter.
 
-**Matched clouds**, the paper's subject, are filtered differently by default. Vegetation, facades and seeds are found
-among the points, as above. Then ground grows on one robust height per cell of 1 m (`ptd.matched.cells`), starting from
-the cells that hold a seed. Thresholds, TINs and densities are the paper's, but all densities are used three times. The
-last pass judges every point, also green ones, on both sides of the TIN of these cells, by the noise around them
+**Photogrammetric clouds**, the paper's subject, are filtered differently by default. Vegetation, facades and seeds are
+found among the points, as above. Then ground grows on one robust height per cell of 1 m (`ptd.matched.cells`), starting
+from the cells with a seed. Thresholds, TINs and densities are the paper's, but all densities are used three times. The
+last pass classifies every point, also green ones, on both sides of the TIN of these cells, by the noise around them
 (`ptd.matched.robust_cells`). ``--set robust_cells=no`` gives the paper's steps on points, which are also those for
-laser scans.
+LiDAR clouds.
 
 Deviations:
 
@@ -78,10 +79,10 @@ MEASURED_SEEDS = 1.5
 ON_CELLS = (
     "decided: facades and seeds are found among points; ground grows on the cells, green points may be ground"
 )
-"""Note for runs on a matched cloud."""
+"""Note for runs on a photogrammetric cloud."""
 
 SLACK_M = 1.0
-"""More than roundings can add to a reach."""
+"""Addition to a radius that is larger than all rounding errors."""
 
 TIMES_ON_CELLS = 3
 """Number of passes through all densities on cells.
@@ -99,7 +100,7 @@ class Dong2017(Dong2017Parameters):
 
     @property
     def passes(self) -> tuple[Pass, ...]:
-        """Colours and seeds on points, then ground that grows from the seeds; in matched clouds on cells."""
+        """Colours and seeds on points, then growth of ground from the seeds, on cells if photogrammetric."""
         seeds = (
             ColourPass(self, max(roughness.REACH_M, self.facade_cell_m)),
             SeedPass(self, self.seed_reach_m),
@@ -163,7 +164,7 @@ class Dong2017(Dong2017Parameters):
 
     @property
     def align_m(self) -> float:
-        """Side of the cells of the first densification; windows consist of whole ones."""
+        """Side of the cells of the first densification. Windows consist of whole cells of it."""
         return self.first_spacing_m
 
     @property

@@ -1,4 +1,4 @@
-"""Parameters of `dong2017`; its table in `method.py` gives the reasons for their defaults."""
+"""Parameters of `dong2017`. Its table in `method.py` gives the reasons for their defaults."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ptd.params import check, like, parameter
 
 @dataclass(frozen=True)
 class Dong2017Parameters:
-    """Settings of `dong2017`; `ptd.methods.dong2017.method.Dong2017` adds the passes."""
+    """Settings of `dong2017`, to which `ptd.methods.dong2017.method.Dong2017` adds the passes."""
 
     facade_cell_m: float = parameter(
         1.0, "side of the cells in which projected points are counted", unit="m", minimum=0.25, maximum=10.0,

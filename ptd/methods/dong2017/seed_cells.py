@@ -1,4 +1,4 @@
-"""Cells of robust heights in a matched cloud, with the seeds that were found among its points."""
+"""Cells of robust heights in a photogrammetric cloud, with the seeds that were found among its points."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class SeedCellPass(CellPass):
 
 
 class SeedCells(CellModel):
-    """Cells of robust heights; those that hold a seed are known.
+    """Cells of robust heights, with a mask of those that contain a seed.
 
     Parameters
     ----------

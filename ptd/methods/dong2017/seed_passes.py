@@ -39,7 +39,7 @@ class ColourPass(Pass):
     gives_labels: bool = False
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Model:
-        """Count greenness and points per cell; measure planar patches."""
+        """Count greenness and points per cell, and measure planar patches."""
         own = core.has(points.xyz[0], points.xyz[1])
         bins = gli_bins(_rgb(points))
         counts = np.bincount(bins[own & (bins != COLOURLESS)], minlength=BINS)
@@ -170,7 +170,7 @@ def _seeds(p: Dong2017Parameters, facades: Facades, scale: Scale, sigma_m: float
     rule = FacadeRule(
         max(1, round(p.seed_distance_m / cell)),
         max(1, round(p.seed_distance_m / (math.sqrt(2) * cell))),
-        # A facade counts from the height at which it fills its cell with so many points.
+        # The height at which a facade fills its cell with enough points.
         scale.counts_z(p.glass_factor * p.facade_height_m),
         scale.counts(p.seed_variation * sigma_m),
         scale.z_ratio,

@@ -53,9 +53,9 @@ def _heights(table: CellTable, x: Int64, y: Int64, z: Int64, empty: Int64, cx: I
 def rim(x: Int32, y: Int32, z: Int32, cells: CellLattice) -> Int32:
     """Virtual points at the middle of each empty cell within `RING` cells of a filled one.
 
-    Therefore an empty circle through a place in such a cell, or in a filled one, has at most a cell's diagonal as its
-    radius (``docs/filters.md``: the ring bounds circles). A height is that of the plane through the points of the cells
-    up to `REACH` away, in whole counts. Cells farther away have no effect.
+    Therefore an empty circle through a position in such a cell, or in a filled one, has at most a cell's diagonal as
+    its radius (``docs/filters.md``: the ring bounds circles). A height is that of the plane through the points of the
+    cells up to `REACH` away, in whole counts. Cells farther away have no effect.
 
     Parameters
     ----------

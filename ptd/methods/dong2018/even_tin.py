@@ -16,7 +16,7 @@ from ptd.tin.mesh import Tin
 MAX_WIDTH_M = 20.0
 """Largest circumradius of a facet that tests points; larger ones lie under objects or across voids."""
 
-DISTANCE_BIN_M = 0.02  # fine compared with the noise of matched clouds, about 0.1 m
+DISTANCE_BIN_M = 0.02  # A fine bin compared with the noise of photogrammetric clouds, about 0.1 m.
 ANGLE_BIN_DEG = 1.0
 BINS = Bins(DISTANCE_BIN_M, 150, math.radians(ANGLE_BIN_DEG), 90)
 
@@ -67,6 +67,6 @@ class EvenTin:
     def near(
         self, x: Int32, y: Int32, z: Int32, which: Bool, distance_m: float, angle_deg: float
     ) -> tuple[Bool, Bool]:
-        """Masks of the chosen points within distance and angle of their facet, and of those in doubt."""
+        """Return masks of the chosen points within distance and angle of their facet, and of uncertified results."""
         threshold = Threshold(distance_m, math.radians(angle_deg))
         return self._trial.test(x, y, z, which, threshold, self._doubt)

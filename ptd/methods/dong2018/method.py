@@ -32,19 +32,20 @@ pit_sigmas          none (seeds by hand)      6        beyond any noise
 thin_cell           none                      0        as fine as DEN_thr requires; 1 m in sparse clouds
 rounds, low_*,      as `classic`
 label_floor
-robust_cells        none                      on       ours, for matched clouds: below; off: the paper's
+robust_cells        none                      on       ours, for photogrammetric clouds, see below; off: the
+                                                       paper's rule
 ==================  ========================  =======  ===========================================================
 
-**Matched clouds**, the paper's subject, are filtered differently by default (`ptd.matched.robust_cells`): stage one
-gets one robust height per cell of 1 m, and the last pass judges points on both sides of its TIN by the noise around
-them. These heights are sparse means of many points, so by equation 3 noise does not end stage one. Stage two is
+**Photogrammetric clouds**, the paper's subject, are filtered differently by default (`ptd.matched.robust_cells`).
+Stage one gets one robust height per cell of 1 m. The last pass classifies points on both sides of its TIN by the noise
+around them. These heights are sparse means of many points, so by equation 3 noise does not end stage one. Stage two is
 omitted, because the last pass recovers the ground that noise would lose. ``--set robust_cells=no`` gives the steps
-above, which are also those for laser scans.
+above, which are also those for LiDAR clouds.
 
 Figures are in ``docs/filters.md``. Deviations, and answers to questions that the paper leaves open:
 
-- The paper's seeds were picked by hand. Ours are the lowest points per cell that lie in no pit (`pits`), because
-  matched clouds have a blunder below the ground under nearly every cell.
+- The paper's seeds were picked by hand. Ours are the lowest points per cell that do not lie in a pit (`pits`), because
+  photogrammetric clouds have a blunder below the ground under nearly every cell.
 - "Until the TIN's density passes DEN_thr" is decided facet by facet. In batches, the mean density of a run would pass
   it in the first round, before slopes and corners are reached.
 - If no point passes before the TIN is so dense, stage two follows too, because noise ended stage one.
@@ -74,7 +75,7 @@ from ptd.passes import Method, Pass
 STAGE_ONE_ALONE = (
     "dong2018: such heights are too sparse and too good for noise to matter, so there is no stage two"
 )
-"""Note for runs on a matched cloud."""
+"""Note for runs on a photogrammetric cloud."""
 
 
 @dataclass(frozen=True)
@@ -100,13 +101,13 @@ class Dong2018(Dong2018Parameters):
 
     @property
     def margin_m(self) -> float:
-        """Margin of the measuring passes and the scales, with which no point of a core is in doubt."""
+        """Margin of the measuring passes and the scales, with which all points of a core are certified."""
         pit = pits.CELL_M * (pits.REACH_CELLS + 1)
         return max(super().margin_m, pit, roughness.REACH_M, reach_m(self.first_scale_m))
 
     @property
     def candidate_cell_m(self) -> float:
-        """0: all passes see all points."""
+        """0: all passes read all points."""
         return 0.0
 
 

@@ -1,4 +1,4 @@
-"""Parameters of `dong2018`; its table in `method.py` gives the reasons for their defaults."""
+"""Parameters of `dong2018`. Its table in `method.py` gives the reasons for their defaults."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ptd.params import like, parameter
 
 @dataclass(frozen=True)
 class Dong2018Parameters(Progressive):
-    """Settings of `dong2018`; `ptd.methods.dong2018.method.Dong2018` adds the passes."""
+    """Settings of `dong2018`, to which `ptd.methods.dong2018.method.Dong2018` adds the passes."""
 
     edge_length_reduce_m: float = parameter(
         0.0, "L1: the iteration angle shrinks on facets with shorter edges; 0: never", unit="m", minimum=0.0,

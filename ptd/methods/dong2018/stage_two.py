@@ -134,7 +134,7 @@ class JoinPass(Pass):
 
 
 class JoinModel(Model):
-    """Test of points against a window's even TIN; without a TIN labels stay unchanged."""
+    """Model that tests points against a window's even TIN. Without a TIN labels stay unchanged."""
 
     def __init__(self, even: EvenTin | None, distance_m: float, angle_deg: float, last: bool) -> None:
         self._even, self._distance_m, self._angle_deg = even, distance_m, angle_deg

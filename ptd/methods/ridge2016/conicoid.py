@@ -42,7 +42,7 @@ def _gather(
 ) -> tuple[int, bool]:
     """Append the new data vertices around v to the n found before, relative to the centre.
 
-    Returns the new number, and whether a triangle around v is in doubt.
+    Returns the new number, and whether a triangle around v is uncertified.
     """
     vertices, triangles = mesh
     unsure = False
@@ -114,7 +114,10 @@ def _fit(rows: Float64, n: int) -> tuple[float, float, float]:
 def _statistics(
     mesh: Mesh, n_vertices: int, data: Bool, in_doubt: UInt8, length: float
 ) -> tuple[Float64, Float64, Int32Array, Bool]:
-    """Normalised residual (0: not judged), residual in vertical counts, n and doubt of each data vertex."""
+    """Return the normalised residual (0: not judged), the residual in vertical counts, and n of each data vertex.
+
+    The last result is a mask of the vertices with an uncertified triangle.
+    """
     vertices = mesh[0]
     statistic, residual = np.zeros(n_vertices), np.zeros(n_vertices)
     observations, unsure = np.zeros(n_vertices, np.int32), np.zeros(n_vertices, np.bool_)
@@ -157,7 +160,7 @@ def _statistics(
 def conicoid_outliers(
     tin: Tin, data: Bool, length: float, confidence: float, least: float, doubt: UncertifiedRegion
 ) -> npt.NDArray[np.bool_]:
-    """Mask of the seeds that do not fit the conicoid through their neighbours; all are judged in the same TIN.
+    """Return a mask of the seeds that do not fit the conicoid through their neighbours, all in the same TIN.
 
     The observations are the seed itself and the data vertices up to two edges away, over data vertices only. The paper
     judges one seed after the other, in the TIN that earlier decisions left, which depends on their order.
@@ -178,7 +181,7 @@ def conicoid_outliers(
     least : float
         Smallest residual that contradicts a seed, vertical counts.
     doubt : UncertifiedRegion
-        Receives the places of seeds whose fate points outside the window could change.
+        Uncertified region, to which the positions of seeds are added whose fate points outside the window could change.
 
     Returns
     -------

@@ -21,7 +21,7 @@ thin_cell             m: "the resolution of the      1 m       the DTM's default
 growth                p_min: 0.001                   0.001     the paper's value
 rounds                none                           12        a bound for the halo: few runs need as many
 label_floor           none                           0.3 m     `classic`'s; 0 is the paper's rule
-robust_cells          none                           on        ours, for matched clouds like the paper's data:
+robust_cells          none                           on        ours, for photogrammetric clouds like the paper's data:
                                                                `ptd.matched.robust_cells`; off: the paper's rule
 ====================  =============================  ========  =======================================================
 
@@ -31,18 +31,18 @@ Steps: seeds per cell (2.1); ridge points (2.1, equation 1, `ridges`); seed refi
 Equation 11 ends the rounds when the terrain class grows by at most p_min of all points. Both numbers belong to the
 run, and no tile knows them. So a first pass runs all rounds and counts, in each, the points of its tile's core that
 join the class. The sums over all tiles determine the last round. The labels of the first pass say in which round a
-point became a vertex. A vertex gives way only to a lower one of its cell, and never returns, so these labels give the
-second pass the TIN of the last round. No tile ends earlier than its neighbour. A tile with an uncertain count is done
-again with a wider halo. The remaining uncertain points are summed as well; if they could move the last round, a note
-says so.
+point became a vertex. A vertex is replaced only by a lower one of its cell, and never returns, so these labels give the
+second pass the TIN of the last round. No tile ends earlier than its neighbour. A tile with an uncertain count is
+repeated with a wider halo. The remaining uncertain points are summed as well. If they could change the last round, a
+note reports it.
 
 Deviations:
 
 - Seeds are judged against one TIN and dropped together, because judging one after the other depends on their order.
 - Virtual seeds around the data (`ptd.ground.seeds`) neither make ridges nor take part in fits.
-- Growth is the number of points that join the class; points that leave it are not subtracted. (Beside new vertices the
-  facet test gets stricter: in the second round the class often shrinks while the TIN grows.) The class is that of the
-  last pass, with its floor.
+- Growth is the number of points that join the class. Points that leave it are not subtracted, because the facet test
+  gets stricter next to new vertices: in the second round the class often shrinks while the TIN grows. The class is that
+  of the last pass, with its floor.
 - Low outliers are removed first; the paper does not mention them.
 """
 
@@ -75,7 +75,10 @@ class Ridge2016(Ridge2016Parameters):
 
     @property
     def halo_m(self) -> float:
-        """Seven seed cells for ridges and seeds, and 30 m for the rounds; measured on the edge of a city."""
+        """Halo in metres: seven seed cells for ridges and seeds, and 30 m for the rounds.
+
+        It was measured on the edge of a city.
+        """
         return 7.0 * self.max_building_size_m + 30.0
 
     @property

@@ -1,4 +1,4 @@
-"""Parameters of `ridge2016`; its table in `method.py` gives the reasons for their defaults."""
+"""Parameters of `ridge2016`. Its table in `method.py` gives the reasons for their defaults."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ptd.params import like, parameter
 
 @dataclass(frozen=True)
 class Ridge2016Parameters(Progressive):
-    """Settings of `ridge2016`; `ptd.methods.ridge2016.method.Ridge2016` adds the passes."""
+    """Settings of `ridge2016`, to which `ptd.methods.ridge2016.method.Ridge2016` adds the passes."""
 
     max_building_size_m: float = parameter(
         20.0, "w: side of the cells whose lowest point is a seed", unit="m", minimum=5.0, maximum=1000.0,

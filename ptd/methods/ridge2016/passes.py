@@ -129,9 +129,9 @@ class GrowthModel(TinLabels):
         return done
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
-        """Label the points and mark those in doubt; earlier low noise stays unless it is ground.
+        """Label the points, and return a mask of the uncertified labels too.
 
-        All points in doubt are marked.
+        Earlier low noise stays unless it is ground.
         """
         if self._prepared is None:
             return super().label(points)
@@ -195,7 +195,10 @@ class TerrainModel(TinLabels):
         self.finish(tin, doubt.triangles(tin), rule)
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
-        """Label the points and mark those in doubt; earlier low noise stays unless it is ground."""
+        """Label the points, and return a mask of the uncertified labels too.
+
+        Earlier low noise stays unless it is ground.
+        """
         labels, marked = super().label(points)
         labels[(labels != GROUND) & (points.known_labels() == LOW_NOISE)] = LOW_NOISE
         return labels, marked

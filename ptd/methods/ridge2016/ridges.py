@@ -58,7 +58,7 @@ class RidgeRule(NamedTuple):
 def _normal(
     vertices: Int32Array, triangles: Int32Array, t: int, z_ratio: float
 ) -> tuple[float, float, float]:
-    """Upward normal of a real facet, of any length; its bits do not depend on the facet's number or rotation."""
+    """Return an upward normal of a real facet, with bits that do not depend on the facet's number or rotation."""
     a, b, c = canonical_facet(vertices, triangles, t)
     ax, ay, az = vertices[4 * a], vertices[4 * a + 1], vertices[4 * a + 2]
     bx, by = float(vertices[4 * b] - ax), float(vertices[4 * b + 1] - ay)
@@ -121,7 +121,7 @@ def _share_a_vertex(triangles: Int32Array, s: int, t: int) -> bool:
 
 @kernel
 def _around(triangles: Int32Array, t: int, found: Int32Array) -> int:
-    """Write the real facets beside t, and beside those, to `found`; some may occur twice."""
+    """Write the real facets next to t, and those next to them, to `found`. Some may occur twice."""
     n = 0
     for j in range(3):
         s = triangles[8 * t + j] >> 3
@@ -190,7 +190,7 @@ def _ridge_points(
         if is_ghost(triangles, t):
             continue
         if not _long_facet(vertices, triangles, t, data, rule.side):
-            continue  # if t itself is in doubt, the places near it are too
+            continue  # If t itself is uncertified, the positions near it are too.
         unsure = False
         for k in range(_around(triangles, t, found)):
             unsure = unsure or in_doubt[found[k]] != 0
@@ -225,8 +225,8 @@ def ridge_points(tin: Tin, data: Bool, stacks: Stacks, rule: RidgeRule, doubt: U
         Points that may become seeds.
     rule : RidgeRule
     doubt : UncertifiedRegion
-        Receives the places where points outside the window could make or move a ridge point. They lie within the radius
-        of facets in doubt, or are ridge points of facets near those.
+        Uncertified region, to which the positions are added where points outside the window could make or move a ridge
+        point. They lie within the radius of uncertified facets, or are ridge points of facets near those.
     """
     n = tin.n_triangles
     in_doubt = doubt.triangles(tin)

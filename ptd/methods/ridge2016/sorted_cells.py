@@ -31,7 +31,7 @@ def _sort_stacks(x: Int32, y: Int32, z: Int32, starts: Int64, order: Int64) -> N
 
 
 class StackIndex(NamedTuple):
-    """Stacks of points by cell, for kernels; see `ptd.cells.CellIndex` and `ptd.frame.CellLattice`."""
+    """Stacks of points by cell, for kernels (`ptd.cells.CellIndex`, `ptd.frame.CellLattice`)."""
 
     table: CellTable
     col0: int
@@ -114,7 +114,7 @@ def places_in_stacks(
     Parameters
     ----------
     of_x, of_y, of_z : int32 [n]
-        Local counts, in any order. For points at one place any of their indices may result.
+        Local counts, in any order. For points at one position any of their indices may result.
     x, y, z : int32
         Arrays of `Stacks`.
     raster : StackIndex

@@ -146,7 +146,7 @@ def _tally(
 
 
 class GrowthCounter:
-    """Counts the points that join the terrain class in successive TINs; only changed triangles are labelled again.
+    """Counter of the points that join the terrain class in successive TINs, which labels only changed triangles again.
 
     Parameters
     ----------
@@ -182,7 +182,7 @@ class Round(NamedTuple):
     ----------
     tin : Tin
     in_doubt : uint8 [triangles]
-        See `ptd.ground.certificates.UncertifiedRegion.triangles`.
+        Mask of uncertified triangles (`ptd.ground.certificates.UncertifiedRegion.triangles`).
     vertex : bool [n]
         Whether a point of the stacks is a vertex of the TIN.
     """
@@ -211,7 +211,7 @@ def densify_thinned(
     limits : FacetLimits
         Thresholds with which a point is terrain.
     doubt : UncertifiedRegion
-        Receives the points that could become or not become vertices because of points outside the window.
+        Uncertified region, to which the points are added that points outside the window could make vertices or not.
 
     Yields
     ------

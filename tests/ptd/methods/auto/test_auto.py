@@ -103,7 +103,7 @@ def test_image_matching_is_told_by_single_returns_and_what_is_not_seen_through()
     survey, notes = decided(Auto(), found, ReturnStatistics(1000, 0, 500, 1), HELD, run)
     assert (survey["kind"], survey["cell_sigma_m"], survey["density_m2"]) == ("dim", 0.07, 8.0)
     assert notes == [
-        "decided: image matching (88 % sure: nothing is seen through plants; "
+        "decided: image matching (88 % sure: no pulses passed through plants; "
         "returns, GPS times, angles and flight lines show no sensor); 8 points/m2, noise 0.07 m",
         "decided: ground is up to 0.15 m and twice the local noise from the surface, after a vote of neighbours; "
         "noise of the place 0.07 m, cells of 1 m",
@@ -147,7 +147,7 @@ def test_what_the_user_says_of_the_source_is_obeyed(kind: str) -> None:
         run = {"rgb": True, "sigma_m": None, "kind": kind}
         survey, notes = decided(Auto(), Roughness(8.0, 0.066, 50, 0.07), seen, HELD, run)
         assert survey["kind"] == kind
-        assert "as --kind or the preset says" in notes[0]
+        assert "given by --kind or the preset" in notes[0]
 
 
 @pytest.mark.parametrize(
