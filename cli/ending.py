@@ -65,9 +65,8 @@ def ended_in_time(own_process: bool) -> Iterator[InterruptState]:
     threading.Thread(target=_watch, args=(reading, done), name="tiler-ending", daemon=True).start()
     ending, before = InterruptState(own_process), {number: signal.getsignal(number) for number in SIGNALS}
     signal.signal(signal.SIGTERM, ending.interrupt)
-    if (
-        before[signal.SIGINT] is signal.default_int_handler
-    ):  # scripts start background commands with SIGINT ignored, which stays so
+    # A script starts its background commands with SIGINT ignored, which stays so.
+    if before[signal.SIGINT] is signal.default_int_handler:
         signal.signal(signal.SIGINT, ending.interrupt)
     woken_before = signal.set_wakeup_fd(writing.fileno(), warn_on_full_buffer=False)
     try:

@@ -40,7 +40,7 @@ def local(cloud: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def bucket(bucket: Any, cloud: Path) -> Any:
     """One that holds the cloud."""
-    bucket.upload_file(str(cloud), f"{BUCKET}/clouds/city.laz")
+    bucket.put_file(str(cloud), f"{BUCKET}/clouds/city.laz")
     return bucket
 
 

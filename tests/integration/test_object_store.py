@@ -50,7 +50,7 @@ def test_results_and_store_by_url(bucket: Any, tmp_path: Path, monkeypatch: pyte
     assert json.loads(bucket.cat(f"{BUCKET}/town/run.json"))["state"] == "done"
     with pytest.raises(ConfigError, match=f"--store s3://{BUCKET}/: contains {out}"):
         do(store=f"s3://{BUCKET}/")
-    bucket.upload_file(str(cloud), f"{BUCKET}/hill.laz")
+    bucket.put_file(str(cloud), f"{BUCKET}/hill.laz")
     summary = run([f"s3://{BUCKET}"], "other", settings()).summary
     assert [entry["path"] for entry in summary["inputs"]] == [f"s3://{BUCKET}/hill.laz"]
 
@@ -85,7 +85,7 @@ def test_every_command_takes_urls(bucket: Any, tmp_path: Path, monkeypatch: pyte
     """The same as of files; what is not there is one line."""
     monkeypatch.chdir(tmp_path)
     cloud = clouds.write(tmp_path / "hill.laz", clouds.city(60.0, 1.0))
-    bucket.upload_file(str(cloud), f"{BUCKET}/clouds/hill.laz")
+    bucket.put_file(str(cloud), f"{BUCKET}/clouds/hill.laz")
     url, out = f"s3://{BUCKET}/clouds/hill.laz", f"s3://{BUCKET}/hill"
     run([url], out, settings())
     run([str(cloud)], tmp_path / "here", settings())

@@ -101,7 +101,7 @@ def test_everything_is_drawn(opened: Any, scheme: str) -> None:
     )
     assert painted(page) > 0.2
     assert page.locator("#state").inner_text() == "Finished, but incomplete"
-    for what in ("file left out", "task that failed"):
+    for what in ("file left out", "failed task"):
         assert page.get_by_role("cell", name=what).first.is_visible()
     assert page.locator("#legend").inner_text().split("\n")[-1].strip() == "1 tile failed"
     assert page.evaluate("[...document.images].every((i) => i.complete && i.naturalWidth > 0)")
@@ -120,7 +120,7 @@ def test_a_problem_is_shown_on_the_map(opened: Any) -> None:
     page = opened(run_of_many_tiles())
     west, south, east, north = run_of_many_tiles()["failed_tasks"][0]["bounds"]
     page.locator("#problems a[data-place]").click()
-    assert page.locator("#told").inner_text().startswith("task that failed")
+    assert page.locator("#told").inner_text().startswith("failed task")
     box = page.locator("#canvas").bounding_box()
     page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
     assert pointed_at(page) == pytest.approx(((west + east) / 2, (south + north) / 2), abs=1)
