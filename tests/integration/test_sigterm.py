@@ -5,7 +5,7 @@ from __future__ import annotations
 import random
 import signal
 import subprocess
-import time
+from collections.abc import Callable
 from pathlib import Path
 
 import psutil
@@ -15,14 +15,20 @@ from cli.main import COMMANDS
 from tests.integration.command import command, environment, started, tiler
 from tests.invariants import clouds
 from tests.invariants.runs import output_digests
-from tests.scenes.running import wait_until_gone
+from tests.scenes.running import has_event, wait_until_gone
 from tests.waiting import PATIENCE_SECONDS, wait_until
 
 pytestmark = [pytest.mark.slow, pytest.mark.processes]
 
-INSTANTS, INSTANTS_OF_A_RUN = 1, 3
 OPTIONS = ("--method", "classic", "--workers", "2", "--resolution", "1", "--tile-size", "64", "--halo", "80")
 JOBS = ("run", "ingest", "filter", "grid", "export")
+LAST_STAGE = {
+    "ingest": "assemble",
+    "filter": "filter0",
+    "grid": "grid-dtm",
+    "export": "export",
+    "demo": "export",
+}
 ENDED_ITSELF = (0, 2, 3, 5)
 
 
@@ -68,12 +74,10 @@ def arguments(name: str, folder: Path, out: Path) -> list[str]:
     }[name]
 
 
-def interrupted(call: list[str], after: float, begun: Path | None = None, **variables: str) -> int:
-    """Start a command, send SIGTERM some seconds after a file is there, and see what becomes of it; its exit code."""
+def interrupted(call: list[str], is_time: Callable[[subprocess.Popen[str]], bool], **variables: str) -> int:
+    """Start a command, send SIGTERM once it is time, and return its exit code."""
     process = started(command(*call), stdout=subprocess.DEVNULL, env={**environment(), **variables})
-    if begun is not None:
-        wait_until(begun.exists, process)
-    time.sleep(after)
+    wait_until(lambda: process.poll() is not None or is_time(process))
     children = psutil.Process(process.pid).children(recursive=True) if process.poll() is None else []
     process.send_signal(signal.SIGTERM)
     _, error = process.communicate(timeout=PATIENCE_SECONDS)
@@ -86,30 +90,47 @@ def interrupted(call: list[str], after: float, begun: Path | None = None, **vari
     return process.returncode
 
 
-@pytest.mark.parametrize("name", COMMANDS)
-def test_in_every_command(name: str, folder: Path, tmp_path: Path) -> None:
-    (tmp_path / "whole").mkdir()
-    began = time.monotonic()
-    call = arguments(name, folder, tmp_path / "whole")
-    whole = tiler(*call)
-    assert whole.returncode == 0, whole.stderr
-    length, rng = time.monotonic() - began, random.Random(name)
-    instants = INSTANTS_OF_A_RUN if name == "run" else INSTANTS
-    for number in range(instants):
+def after_cpu_seconds(seconds: float) -> Callable[[subprocess.Popen[str]], bool]:
+    """Return a condition that does not depend on how busy the machine is: the process has used so much CPU time."""
+
+    def is_time(process: subprocess.Popen[str]) -> bool:
+        try:
+            used = psutil.Process(process.pid).cpu_times()
+        except psutil.NoSuchProcess:
+            return True
+        return used.user + used.system >= seconds
+
+    return is_time
+
+
+@pytest.mark.parametrize("name", [name for name in COMMANDS if name not in LAST_STAGE])
+def test_at_its_start_and_at_work(name: str, folder: Path, tmp_path: Path) -> None:
+    rng = random.Random(name)
+    for number, seconds in enumerate((rng.uniform(0.0, 0.5), rng.uniform(0.7, 1.7))):
         out = tmp_path / str(number)
         out.mkdir()
-        interrupted(arguments(name, folder, out), length * (number + rng.random()) / instants)
-        if name == "run":
-            assert tiler(*arguments(name, folder, out)).returncode == 0
-            assert output_digests(out) == output_digests(folder / "done")
+        interrupted(arguments(name, folder, out), after_cpu_seconds(seconds))
 
 
-def test_while_kernels_compile(folder: Path, tmp_path: Path) -> None:
-    """Which takes a minute, most of it in a library."""
-    for number, after in enumerate((1.0, 9.0)):
-        out = tmp_path / str(number)
-        call = [*arguments("run", folder, out), "--method", "auto"]
-        # From the usual place, kernels that were compiled before would be taken over.
-        cache = str(tmp_path / f"cache{number}")
-        variables = {"NUMBA_CACHE_DIR": cache, "XDG_CACHE_HOME": cache}
-        assert interrupted(call, after, out / "events.jsonl", **variables) in (130, 0)
+@pytest.mark.parametrize("name", LAST_STAGE)
+def test_in_its_last_stage(name: str, folder: Path, tmp_path: Path) -> None:
+    call = arguments(name, folder, tmp_path)
+    assert interrupted(call, lambda _: has_event(tmp_path, "stage_started", LAST_STAGE[name])) in (130, 0)
+
+
+@pytest.mark.parametrize("stage", ["spool", "filter0", "export"])
+def test_a_run_goes_on_from_any_stage(stage: str, folder: Path, tmp_path: Path) -> None:
+    call = arguments("run", folder, tmp_path)
+    assert interrupted(call, lambda _: has_event(tmp_path, "stage_started", stage)) in (130, 0)
+    assert tiler(*call).returncode == 0
+    assert output_digests(tmp_path) == output_digests(folder / "done")
+
+
+@pytest.mark.parametrize("n_kernels", [1, 20])
+def test_while_kernels_compile(n_kernels: int, folder: Path, tmp_path: Path) -> None:
+    # From the usual place, kernels that were compiled before would be taken over.
+    cache = tmp_path / "cache"
+    variables = {"NUMBA_CACHE_DIR": str(cache), "XDG_CACHE_HOME": str(cache)}
+    call = [*arguments("run", folder, tmp_path / "out"), "--method", "auto"]
+    code = interrupted(call, lambda _: len(list(cache.rglob("*.nbc"))) >= n_kernels, **variables)
+    assert code in (130, 0)

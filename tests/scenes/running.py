@@ -14,15 +14,16 @@ from tests.waiting import wait_until
 
 def wait_for(out: Path, event: str, stage: str, process: subprocess.Popen[str]) -> None:
     """Wait until an event of a stage is in the log."""
+    wait_until(lambda: has_event(out, event, stage), process)
 
-    def told() -> bool:
-        log = out / "events.jsonl"
-        # Who reads while a line is written may see its beginning alone.
-        lines = log.read_text().splitlines(keepends=True) if log.exists() else []
-        events = [json.loads(line) for line in lines if line.endswith("}\n")]
-        return any(e["event"] == event and e.get("stage") == stage for e in events)
 
-    wait_until(told, process)
+def has_event(out: Path, event: str, stage: str) -> bool:
+    """Whether an event of a stage is in the log of a run."""
+    log = out / "events.jsonl"
+    # A line that is being written is read in part.
+    lines = log.read_text().splitlines(keepends=True) if log.exists() else []
+    events = [json.loads(line) for line in lines if line.endswith("}\n")]
+    return any(e["event"] == event and e.get("stage") == stage for e in events)
 
 
 def wait_until_gone(processes: Iterable[psutil.Process]) -> None:
