@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+import dataclasses
+import functools
 import json
+from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pyogrio
@@ -21,6 +25,29 @@ HIDDEN_SEED = 23
 """None of those on which the search was made."""
 
 
+@dataclasses.dataclass(frozen=True)
+class Finished:
+    """A finished run of a scene: folder of the cloud and of OUT, and the figures of its water."""
+
+    folder: Path
+    figures: dict[str, Any]
+
+
+Run = Callable[..., Finished]
+
+
+@pytest.fixture(scope="module")
+def finished(tmp_path_factory: pytest.TempPathFactory) -> Run:
+    """Runs of scenes, each made once. Not to be changed."""
+
+    @functools.cache
+    def make(name: str, classes: bool) -> Finished:
+        folder = tmp_path_factory.mktemp(name)
+        return Finished(folder, scored(name, HIDDEN_SEED, folder, classes))
+
+    return make
+
+
 SHORE_M = {"als_weir": 1.5, "als_meander": 1.5, "als_lakes": 3.5}
 """Distance of the found shore from the true one, RMS: the bank of reed, 6 m wide, is found to be land."""
 FLOATING = {"als_weir": 0.015, "als_meander": 0.005, "als_lakes": 0.005}
@@ -32,8 +59,8 @@ FLOATING = {"als_weir": 0.015, "als_meander": 0.005, "als_lakes": 0.005}
     ("name", "classes"),
     [("als_weir", False), ("als_weir", True), ("als_meander", False), ("als_lakes", True)],
 )
-def test_extent_levels_and_shores(name: str, classes: bool, tmp_path: Path) -> None:
-    figures = scored(name, HIDDEN_SEED, tmp_path, classes)
+def test_extent_levels_and_shores(name: str, classes: bool, finished: Run) -> None:
+    figures = finished(name, classes).figures
     assert figures["recall"] > 0.94
     assert figures["precision"] > 0.98
     assert figures["level_rmse"] < 0.05
@@ -43,14 +70,14 @@ def test_extent_levels_and_shores(name: str, classes: bool, tmp_path: Path) -> N
 
 
 @pytest.mark.slow
-def test_a_flat_meadow_that_returns_little_is_no_water(tmp_path: Path) -> None:
-    assert scored("als_wet_meadow", HIDDEN_SEED, tmp_path)["bodies"] == 0
+def test_a_flat_meadow_that_returns_little_is_no_water(finished: Run) -> None:
+    assert finished("als_wet_meadow", False).figures["bodies"] == 0
 
 
 @pytest.mark.slow
-def test_the_levels_of_reaches_win_when_the_file_is_given_back(tmp_path: Path) -> None:
-    scored("als_meander", HIDDEN_SEED, tmp_path)
-    cloud, out, given = tmp_path / "cloud.laz", tmp_path / "out", tmp_path / "given.gpkg"
+def test_the_levels_of_reaches_win_when_the_file_is_given_back(finished: Run, tmp_path: Path) -> None:
+    folder = finished("als_meander", False).folder
+    cloud, out, given = folder / "cloud.laz", folder / "out", tmp_path / "given.gpkg"
     settings = {"method": "auto", "products": "dtm", "tile_size": None, "halo": None, "memory": "2GiB"}
     do(cloud, tmp_path / "same", water=str(out / "water.gpkg"), **settings)
     assert digests(tmp_path / "same")["dtm.tif"] == digests(out)["dtm.tif"]
@@ -62,15 +89,14 @@ def test_the_levels_of_reaches_win_when_the_file_is_given_back(tmp_path: Path) -
         crs=meta["crs"], append=False,
     )  # fmt: skip
     do(cloud, tmp_path / "lower", water=str(given), **settings)
-    levels = [json.loads((tmp_path / o / "run.json").read_text())["water"][0] for o in ("out", "lower")]
+    levels = [json.loads((o / "run.json").read_text())["water"][0] for o in (out, tmp_path / "lower")]
     assert abs(levels[0]["level"] - levels[1]["level"] - 0.3) < 0.002
     assert abs(levels[0]["level_end"] - levels[1]["level_end"] - 0.3) < 0.002
 
 
 @pytest.mark.slow
-def test_the_file_for_hydrographers_has_shores_and_stations_at_the_level(tmp_path: Path) -> None:
-    scored("als_weir", HIDDEN_SEED, tmp_path)
-    path = tmp_path / "out" / "water.gpkg"
+def test_the_file_for_hydrographers_has_shores_and_stations_at_the_level(finished: Run) -> None:
+    path = finished("als_weir", False).folder / "out" / "water.gpkg"
     lines = shapely.from_wkb(pyogrio.raw.read(path, layer="breaklines")[2])
     heights = shapely.get_coordinates(lines, include_z=True)[:, 2]
     assert heights.min() > 140

@@ -140,10 +140,10 @@ def test_an_eventful_history(
     ("other", "step"),
     [
         ("other pixels", 17),
-        pytest.param("as many other pixels", 7, marks=pytest.mark.slow),
-        pytest.param("fewer files", 23, marks=pytest.mark.slow),
-        pytest.param("other tiles", 29, marks=pytest.mark.slow),
-        pytest.param("two passes", 41, marks=pytest.mark.slow),
+        pytest.param("as many other pixels", 37, marks=pytest.mark.slow),
+        pytest.param("fewer files", 53, marks=pytest.mark.slow),
+        pytest.param("other tiles", 67, marks=pytest.mark.slow),
+        pytest.param("two passes", 71, marks=pytest.mark.slow),
         pytest.param("water", 13, marks=pytest.mark.slow),
     ],
 )
