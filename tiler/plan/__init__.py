@@ -1,9 +1,8 @@
-"""The plan: everything that can be decided or refused before the first point is read.
+"""The plan of a run: all decisions and checks before the first point is read.
 
-`make` reads the headers and decides, `model` is the plan; `sizes` has the rules for buckets, tiles and pixels, `memory`
-what a worker needs and `projection` what a plan makes of it, `density_map` where the points are thickest,
-`distant_files` which files lie too far away, `disk` and `rates` what else it takes, `validation` refuses, `plan_text`
-tells people.
+`make` reads the headers and makes the `Plan` of `model`. `sizes` chooses buckets, tiles and pixels, `density_map`
+finds the densest place, and `distant_files` finds files that lie too far away. `memory`, `projection`, `disk` and
+`rates` estimate the memory, disk space and time of a run. `validation` checks the plan, and `plan_text` prints it.
 """
 
 from tiler.plan.area import buckets_of, chunks_of

@@ -1,4 +1,4 @@
-"""Warnings, each with its remedy, about settings that do not suit the data."""
+"""Warnings with remedies about settings that do not suit the data."""
 
 from __future__ import annotations
 
@@ -23,19 +23,19 @@ FOR_SCANNERS = ("classic", "chen2023", "ridge2016")
 def before(
     config: RunConfig, made: Finding | None, density: float, halo_m: float | None, unit: Fraction = METRE
 ) -> Iterator[str]:
-    """Warnings that follow from headers and a sample of points.
+    """Yield the warnings that follow from the headers and a sample of the points.
 
     Parameters
     ----------
     config : RunConfig
     made : Finding or None
-        What made the clouds; None if the fields of their points do not say it.
+        Source of the clouds; None if the fields of their points do not decide it.
     density : float
         Points per m2.
     halo_m : float or None
-        Halo of the method that usually suffices; None: every pass has a fixed reach.
+        Halo of the method that usually suffices; None if every pass has a fixed radius.
     unit : Fraction
-        Metres of a horizontal unit of the CRS.
+        Metres per horizontal unit of the CRS.
     """
     if config.method in FOR_SCANNERS and made is not None and made.kind == DIM:
         yield (

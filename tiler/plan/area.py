@@ -1,4 +1,4 @@
-"""The area of interest of a run, from ``--bounds`` or ``--aoi``, and the parts of its inputs that are read for it."""
+"""Area of interest of a run (``--bounds`` or ``--aoi``), and the parts of the inputs read for it."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tiler.schedule import call_isolated
 
 
 def area_of(config: RunConfig, wkt: str | None, notes: list[str]) -> Area | None:
-    """The area of interest in absolute counts of the CRS of the run; None: there is none, and all is processed.
+    """Return the area of interest in absolute counts, or None if the whole survey is processed.
 
     Parameters
     ----------
@@ -29,14 +29,14 @@ def area_of(config: RunConfig, wkt: str | None, notes: list[str]) -> Area | None
     wkt : str or None
         CRS of the run; None if it is unknown.
     notes : list of str
-        Gets what was decided.
+        List to which notes on decisions are appended.
 
     Raises
     ------
     ConfigError
-        Both settings are given, or the bounds hold no place.
+        Both settings are given, or the bounds are empty.
     InputError
-        The file cannot be used: format, no polygon, CRS.
+        The file cannot be used because of its format, its CRS, or missing polygons.
     """
     if config.bounds is not None and config.aoi is not None:
         raise ConfigError("--bounds and --aoi: both select a part of the survey; give only one of them")
@@ -59,12 +59,14 @@ def area_of(config: RunConfig, wkt: str | None, notes: list[str]) -> Area | None
 
 
 def part_of(plan: Plan) -> Plan:
-    """The plan for its area: the files near the area, and an estimate of their points there.
+    """Return the plan reduced to the files near its area, with an estimate of their points there.
 
     Raises
     ------
     ConfigError
         No file lies near the area.
+    InputError
+        The octree of a file near the area is damaged, and the run stops on errors or no other file is left.
     """
     if plan.area is None:
         return plan
@@ -103,24 +105,26 @@ def part_of(plan: Plan) -> Plan:
 
 
 def buckets_of(plan: Plan, source: SourceInfo) -> Runs | None:
-    """The buckets for which points of a source are read; None: all of them."""
+    """Return the buckets for which points of a source are read, or None for all buckets."""
     if plan.area is None:
         return None
     extent = header_bounds(source)
-    if extent is None:  # its points may be anywhere
+    if extent is None:  # The header gives no valid bounds, so the points may be anywhere.
         extent = plan.area.bounds.pad(plan.margin)
     return plan.area.cells(plan.meta.bucket, extent, plan.margin)
 
 
 def chunks_of(plan: Plan, source: SourceInfo, margin: int | None = None) -> list[int] | None:
-    """The chunks of a COPC file that may hold points near the area; None: all chunks, or another format.
+    """Return the chunks of a COPC file that may hold points near the area.
+
+    None means that all chunks may, or that the file has another format.
 
     Parameters
     ----------
     plan : Plan
     source : SourceInfo
     margin : int, optional
-        Distance around the area within which points matter, in counts; the plan's by default.
+        Distance around the area within which points are needed, in counts; the plan's by default.
     """
     if plan.area is None or source.octree is None or buckets_of(plan, source) is None:
         return None
@@ -134,7 +138,7 @@ def chunks_of(plan: Plan, source: SourceInfo, margin: int | None = None) -> list
 
 
 def _around(box: Sequence[float]) -> Bounds:
-    """A box in counts, widened by a unit of the CRS, as some writers round carelessly."""
+    """Return a box in counts, widened by a unit of the CRS because some writers round inaccurately."""
     x0, y0 = (math.floor((v - 1) * COUNTS_PER_UNIT) for v in box[:2])
     x1, y1 = (math.ceil((v + 1) * COUNTS_PER_UNIT) for v in box[2:])
     return Bounds(x0, y0, x1, y1)
@@ -143,7 +147,7 @@ def _around(box: Sequence[float]) -> Bounds:
 def _with_octree(
     plan: Plan, sources: list[SourceInfo], option: str
 ) -> tuple[list[SourceInfo], list[tuple[str, str]]]:
-    """Files without those whose octree is damaged; and path and reason of each of these."""
+    """Split off the files whose octree is damaged, and return them as path and reason."""
     remedy = f"get the file again, or run without {option.split()[0]}"
     damaged = [(str(s.path), f"{s.path}: {s.octree_damage}; {remedy}") for s in sources if s.octree_damage]
     if damaged and (plan.config.on_error == "stop" or len(damaged) == len(sources)):
@@ -152,7 +156,7 @@ def _with_octree(
 
 
 def _nearer(plan: Plan) -> str:
-    """Text that names the narrower margin of a kind of clouds; empty if the kind is known or all need the same."""
+    """Describe narrower margins of single kinds of clouds, or return "" if there are none."""
     if not plan.kinds:
         return ""
     texts = []
@@ -169,7 +173,7 @@ def _length(plan: Plan, counts: int) -> str:
 
 
 def _share(plan: Plan, source: SourceInfo) -> float:
-    """Approximate share of a source's points that is read."""
+    """Return the approximate share of a source's points that is read."""
     runs = buckets_of(plan, source)
     if runs is None:
         return 1.0

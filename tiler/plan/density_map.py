@@ -1,4 +1,4 @@
-"""Map of the point density, estimated from a few points of each file. It finds the densest place."""
+"""Map of the point density, estimated from a few points per file, to find the densest place."""
 
 from __future__ import annotations
 
@@ -11,29 +11,29 @@ import numpy.typing as npt
 from tiler.inputs import DensityPatch
 
 CELL_M = 64.0
-"""Side of a cell of the map: about a bucket."""
+"""Side of a cell of the map in metres, about that of a bucket."""
 MAX_CELLS = 1_000_000
-"""Most cells of the map. For larger surveys the cells are larger."""
+"""Approximate maximum number of cells of the map. Larger surveys get larger cells."""
 PARTS = 8
-"""Parts of a cell along its side. A bit for each part says whether points cover it; a cell has 64 of them."""
+"""Number of parts of a cell along its side. Each of the 64 parts has a bit that is set if points cover it."""
 _BATCH = 4096
-"""Rectangles that are looked at together, which bounds the memory."""
+"""Number of rectangles processed together, which limits the memory."""
 
 
 class DensityMap:
-    """Points by cell of a coarse lattice.
+    """Approximate numbers of points in the cells of a coarse lattice.
 
     Parameters
     ----------
     patches : iterable of DensityPatch
-        Rectangles, in units of the CRS. Each holds some points, evenly spread.
+        Rectangles in units of the CRS. The points of each count as evenly distributed.
     metres : float
-        Metres in a unit of the CRS.
+        Metres per unit of the CRS.
 
     Attributes
     ----------
     covered_m2 : float
-        Approximate area of the patches. Every place counts once.
+        Approximate area of the patches in m2. Overlaps count once.
     """
 
     def __init__(self, patches: Iterable[DensityPatch], metres: float) -> None:
@@ -50,19 +50,22 @@ class DensityMap:
         cells, weights, bits = (np.concatenate(columns) for columns in zip(*parts, strict=True))
         self._cells, self._held = _gathered(cells, weights)
         self.covered_m2 = _covered(cells, bits) * (self._cell / PARTS) ** 2
-        # A plan asks for few sides, each many times. A run asks for the same squares whenever it writes run.json.
+        # A plan uses few sides, each many times. A run uses the same squares whenever it writes run.json.
         self.fullest = cache(self._fullest)
         self.squares = cache(self._squares)
 
     def _squares(self, side_m: float, low: tuple[float, float], high: tuple[float, float]) -> float:
-        """Approximate number of squares, on a lattice anchored at 0, that hold points between two corners (metres)."""
+        """Estimate the number of squares with points between two corners, in metres.
+
+        The lattice of the squares starts at 0.
+        """
         inside = np.all((self._cells + 1) * self._cell > low, axis=1) & np.all(
             self._cells * self._cell < high, axis=1
         )
         cells, held = self._cells[inside], self._held[inside]
         if side_m <= self._cell:
             return float(np.minimum(held, (self._cell / side_m) ** 2).sum())
-        # Each corner of a cell lies in a square. Few points in many squares: each point has a square of its own.
+        # Each corner of a cell lies in a square. A few points in many squares occupy one square each.
         corners = [
             (cells + corner) * self._cell // side_m for corner in ((0, 0), (0, 0.99), (0.99, 0), (0.99, 0.99))
         ]
@@ -70,10 +73,10 @@ class DensityMap:
         return float(np.minimum(found, 1.0).sum())
 
     def _fullest(self, side_m: float) -> float:
-        """Approximate number of points in the fullest square of that side."""
+        """Estimate the number of points in the fullest square of a side in metres."""
         if side_m <= self._cell:
             return float(self._held.max(initial=0.0)) * (side_m / self._cell) ** 2
-        # Squares are whole cells, on four lattices that are half a square apart. The rest goes by area.
+        # Squares consist of whole cells, on four lattices half a square apart. The result is scaled by area.
         count = int(side_m // self._cell)
         best = 0.0
         for east in {0, count // 2}:
@@ -86,19 +89,19 @@ class DensityMap:
 def _gathered(
     cells: npt.NDArray[np.int64], weights: npt.NDArray[np.float64]
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
-    """Distinct cells, int64 (n, 2), and the sum of the weights of each."""
+    """Return the distinct cells, int64 (n, 2), and the sum of the weights of each."""
     if len(cells) == 0:
         return cells, weights
     low = cells.min(axis=0)
     height = int(cells[:, 1].max() - low[1]) + 1
-    # A cell becomes a single number, as sorting pairs takes ten times as long.
+    # A cell becomes a single number, because sorting pairs takes ten times as long.
     numbers, place = np.unique((cells[:, 0] - low[0]) * height + cells[:, 1] - low[1], return_inverse=True)
     once = np.stack(np.divmod(numbers, height), axis=1) + low
     return once, np.bincount(place, weights).astype(np.float64)
 
 
 def _covered(cells: npt.NDArray[np.int64], bits: npt.NDArray[np.uint64]) -> int:
-    """Number of covered parts of cells. A cell may occur several times."""
+    """Count the covered parts of cells. A cell may occur several times."""
     if len(cells) == 0:
         return 0
     order = np.lexsort(cells.T)
@@ -110,10 +113,20 @@ def _covered(cells: npt.NDArray[np.int64], bits: npt.NDArray[np.uint64]) -> int:
 def _shares(
     boxes: npt.NDArray[np.float64], cell: float
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64], npt.NDArray[np.uint64]]:
-    """Cells that rectangles touch, int64 (n, 2), each with its points, by area, and the bits of its covered parts."""
+    """Distribute the points of rectangles to cells, in proportion to area.
+
+    Returns
+    -------
+    cells : int64 (n, 2)
+        Column and row of a cell, for each rectangle that intersects it.
+    points : float64 (n,)
+        Points of the rectangle in the cell.
+    bits : uint64 (n,)
+        Bits of the parts of the cell that the rectangle covers.
+    """
     first = np.floor(boxes[:, :2] / cell).astype(np.int64)
     counts = np.floor(boxes[:, 2:4] / cell).astype(np.int64) - first + 1
-    # A row for each pair of a rectangle and a cell that it touches.
+    # Each pair of a rectangle and a cell that it intersects is a row.
     box, place = _enumerated(counts.prod(axis=1))
     columns = counts[box, 0]
     cells = first[box] + np.stack([place % columns, place // columns], axis=1)
@@ -126,7 +139,7 @@ def _shares(
 
 
 def _enumerated(counts: npt.NDArray[np.int64]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """For ``counts`` (2, 3): 0 0 1 1 1, and 0 1 0 1 2."""
+    """Return owners and positions of counted items: 0 0 1 1 1 and 0 1 0 1 2 for ``counts`` (2, 3)."""
     ends = np.cumsum(counts)
     owner = np.repeat(np.arange(len(counts)), counts)
     return owner, np.arange(len(owner)) - (ends - counts)[owner]
@@ -135,14 +148,17 @@ def _enumerated(counts: npt.NDArray[np.int64]) -> tuple[npt.NDArray[np.int64], n
 def _parts(
     low: npt.NDArray[np.float64], high: npt.NDArray[np.float64], cell: float
 ) -> npt.NDArray[np.uint64]:
-    """Bits of the parts of a cell between two distances from its edge, along an axis; touched parts count."""
+    """Return the bits of the parts of a cell between two distances from its edge along an axis.
+
+    Partly covered parts count.
+    """
     first, last = (np.floor(v / cell * PARTS).clip(0, PARTS - 1).astype(np.uint64) for v in (low, high))
     one = np.uint64(1)
     return np.asarray((one << (last + one)) - (one << first), np.uint64)
 
 
 def _spread(bits: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
-    """Move each bit to the lowest place of a row of `PARTS` bits."""
+    """Move each bit to the lowest position of a row of `PARTS` bits."""
     rows = np.arange(PARTS, dtype=np.uint64)
     one = (bits[:, None] >> rows) & np.uint64(1)
     return np.asarray((one << (rows * np.uint64(PARTS))).sum(axis=1), np.uint64)

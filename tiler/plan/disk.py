@@ -1,4 +1,4 @@
-"""Disk space that a run needs: for its results, for the store, and for scratch files on the way."""
+"""Disk space that a run needs for its results, its store and its temporary files."""
 
 from __future__ import annotations
 
@@ -16,35 +16,35 @@ from tiler.io.las.newer_formats import newer_bytes
 from tiler.plan.model import Plan
 
 SPOOL_BYTES = 13
-"""Bytes for each point in the spool (measured on a city)."""
+"""Bytes per point in the spool (measured on a city)."""
 COLUMN_BYTES = 14
-"""Bytes for each point in its bucket, with its label (measured on a city)."""
+"""Bytes per point in its bucket, including its label (measured on a city)."""
 LABEL_BYTES = 0.3
-"""Bytes for each point and each further pass that keeps labels."""
+"""Bytes per point for each further pass that keeps labels."""
 RECORD_BYTES = 12
-"""Bytes for each point of the records that are kept until the classified clouds are written (9.5 on Autzen)."""
+"""Bytes per point for the records kept until the classified clouds are written (9.5 on Autzen)."""
 STORED_PIXEL_BYTES = 2.2
-"""Bytes for each pixel of the store's rasters, compressed (measured on a terrain model)."""
+"""Bytes per pixel of the store's rasters, compressed (measured on a terrain model)."""
 EMPTY_PIXEL_BYTES = 0.03
-"""Bytes for each pixel of a file in an empty block, compressed (measured on 1.6e9 such pixels)."""
+"""Bytes per pixel of a file in an empty block, compressed (measured on 1.6e9 such pixels)."""
 DRAWN_PIXEL_BYTES = 5
-"""Bytes of contours for each pixel of terrain (measured with 90 levels and heights that were not smoothed)."""
+"""Bytes of contours per pixel of terrain (measured with 90 levels and unsmoothed heights)."""
 COPIES = 2
-"""Copies of a raster while its COG is made: the plain file, and the one that GDAL writes. Records that become COPC
-have as many."""
+"""Number of copies of a raster while its COG is made: the plain file and the one that GDAL writes. Records that become
+COPC have as many."""
 CLASSIFIED_SHARE = 1.2
-"""Size of a classified file over that of its LAZ input. LAS inputs shrink."""
+"""Ratio of the size of a classified file to that of its LAZ input. LAS inputs shrink."""
 MAX_PIXELS = 2e10
-"""Most pixels of a file that is mostly empty. GDAL writes some 5e7 empty pixels a second."""
+"""Maximum number of pixels of a mostly empty file. GDAL writes some 5e7 empty pixels per second."""
 MANY_PIXELS = 1e9
-"""Smaller files are written without a warning, however empty they are."""
+"""Number of pixels below which files are written without a warning, however empty they are."""
 MOSTLY_EMPTY = 0.99
-"""Share of empty pixels above which a warning names `--sheets`."""
+"""Share of empty pixels above which a warning recommends `--sheets`."""
 
 
 @dataclass(frozen=True)
 class Pixels:
-    """Pixels of one product: in blocks near points, in empty blocks of its files, and in its largest file."""
+    """Numbers of pixels of a product: in blocks near points, in empty blocks, in the largest file."""
 
     filled: float
     empty: float
@@ -52,7 +52,7 @@ class Pixels:
 
 
 def pixels_of(plan: Plan) -> Pixels:
-    """Pixels of a product, estimated from a sample of the points."""
+    """Estimate the numbers of pixels of a product from a sample of the points."""
     resolution, metres = float(plan.resolution), float(plan.meta.frame.metres_xy)
     whole = plan.extent.area() * metres**2 / resolution**2
     corners = [v * metres for v in plan.extent.to_json()]
@@ -70,9 +70,10 @@ def pixels_of(plan: Plan) -> Pixels:
 
 
 def projected_disk(plan: Plan) -> dict[str, int]:
-    """Bytes of ``store``, ``rasters``, ``drawn`` products, ``classified`` clouds, and ``scratch``.
+    """Estimate the bytes of the store, of the products and of temporary files.
 
-    Every pixel of a block near points counts as filled.
+    The keys are ``store``, ``rasters``, ``drawn`` (vector products), ``classified`` (clouds) and ``scratch``. Every
+    pixel of a block near points counts as filled.
     """
     pixels = pixels_of(plan)
     names = {"dtm", *plan.config.exported}
@@ -87,7 +88,7 @@ def projected_disk(plan: Plan) -> dict[str, int]:
 
 
 def _stored_bytes(plan: Plan) -> float:
-    """Bytes of a point in the store."""
+    """Return the bytes per point in the store."""
     labels = max(sum(not step.work.elected for step in plan.steps) - 1, 0)
     size = SPOOL_BYTES + COLUMN_BYTES + LABEL_BYTES * labels
     if plan.writes_clouds:
@@ -104,7 +105,10 @@ def _classified_bytes(plan: Plan) -> int:
 
 
 def _raster_scratch(plan: Plan, pixels: Pixels, sizes: list[int]) -> float:
-    """Bytes of one copy of the largest rasters that are written at the same time; sizes are bytes of their pixels."""
+    """Return the bytes of one copy of the largest rasters that are written at the same time.
+
+    ``sizes`` are the bytes per pixel of the rasters.
+    """
     if plan.config.sheets is None:
         workers = min(plan.workers, len(sizes))
         largest = sum(sorted(sizes)[-workers:])
@@ -116,7 +120,7 @@ def _raster_scratch(plan: Plan, pixels: Pixels, sizes: list[int]) -> float:
 
 
 def _copc_scratch(plan: Plan) -> int:
-    """Bytes of the records of the largest clouds that become COPC at the same time."""
+    """Return the bytes of the records of the largest clouds that become COPC at the same time."""
     if not plan.writes_clouds or plan.config.classified != "copc":
         return 0
     sizes = sorted(s.points * newer_bytes(s.point_format, s.record_length) for s in plan.sources)
@@ -124,7 +128,7 @@ def _copc_scratch(plan: Plan) -> int:
 
 
 def needed_bytes(plan: Plan) -> int:
-    """Bytes that a run needs where OUT lies."""
+    """Return the bytes that a run needs on the disk of OUT."""
     disk = projected_disk(plan)
     if plan.config.store is not None:
         del disk["store"]
@@ -132,21 +136,21 @@ def needed_bytes(plan: Plan) -> int:
 
 
 def free_bytes(out: Path) -> int:
-    """Free bytes on the disk of OUT, which need not exist yet."""
+    """Return the free bytes on the disk of OUT, which need not exist yet."""
     folders = (out, *Path(os.path.realpath(out)).parents)
     existing = next(folder for folder in folders if folder.exists())
     return shutil.disk_usage(existing).free
 
 
 def sparse_raster_remedy(plan: Plan, out: Path | None) -> str | None:
-    """Remedy if one raster would be too large because of the emptiness between the points; else None."""
+    """Return a remedy if empty space makes a single raster too large, or None."""
     pixels = pixels_of(plan)
     if plan.config.sheets is not None or pixels.empty <= pixels.filled:
         return None
     empty = pixels.empty * EMPTY_PIXEL_BYTES * (len(plan.config.exported) + COPIES)
     free = None
     if out is not None:
-        with suppress(OSError):  # `validate` says what is wrong with the folder
+        with suppress(OSError):  # `validate` reports the error of the folder.
             free = free_bytes(out)
     full = free is not None and needed_bytes(plan) > free >= needed_bytes(plan) - empty
     if pixels.largest <= MAX_PIXELS and not full:
@@ -158,7 +162,7 @@ def sparse_raster_remedy(plan: Plan, out: Path | None) -> str | None:
 
 
 def sparse_raster_warning(plan: Plan) -> str | None:
-    """Warning about a file that is mostly empty and takes long to write; None if there is none."""
+    """Return a warning about a large and mostly empty raster, or None."""
     pixels = pixels_of(plan)
     whole = pixels.filled + pixels.empty
     if plan.config.sheets is not None or whole < MANY_PIXELS or pixels.empty < MOSTLY_EMPTY * whole:

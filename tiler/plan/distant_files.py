@@ -1,8 +1,8 @@
-"""Finds files so far from all others that one run, or one raster, cannot hold them together.
+"""Search for files so far from the others that one run, or one raster, cannot contain them.
 
-Numbers alone do not tell absurd coordinates from a second site. So all files are kept as long as one run can hold them.
-If it cannot, the run is about the part with most files. Other files are left out if they are few or lie outside the
-area of use of their CRS; otherwise the run is refused, with a remedy for both parts.
+Coordinates alone cannot distinguish wrong coordinates from a second site. So all files are kept as long as one run can
+contain them. If it cannot, the run keeps the part with most files. Other files are left out if they are few, or if only
+the kept part lies in the area of use of its CRS. Otherwise the run is refused, with a remedy.
 """
 
 from __future__ import annotations
@@ -24,15 +24,15 @@ from tiler.inputs import SourceInfo
 from tiler.plan.sizes import bounds_of, hull_of
 
 FRAME = 2 * (INT32_LIMIT - 10_000 * COUNTS_PER_UNIT)
-"""Widest extent, in counts, that fits the frame with room for a halo. The frame's origin is near its middle."""
+"""Widest extent in counts that fits the frame with room for a halo. The frame's origin is near its middle."""
 PARTS = 16
-"""Groups of files are separated on a lattice with so many cells along the longer side of the whole extent."""
+"""Number of cells along the longer side of the whole extent, on which groups of files are separated."""
 FEW = 4
-"""At most one file in so many is left out."""
+"""Outlying files count as few if they are at most one in this many files."""
 MAX_DISTANCE_M = 5e7
-"""No CRS has larger coordinates: this is more than once around the Earth."""
+"""Largest coordinate of any CRS in metres, more than the circumference of the Earth."""
 BESIDE_DEG = 5.0
-"""A CRS may well be used so many degrees beyond its area of use."""
+"""Tolerance in degrees around the area of use of a CRS, since CRSs are used somewhat beyond it."""
 
 LeftOut = list[tuple[SourceInfo, str]]
 
@@ -40,23 +40,23 @@ LeftOut = list[tuple[SourceInfo, str]]
 def files_beyond_frame(
     sources: Sequence[SourceInfo], area: Area | None, wkt: str | None, metres: float
 ) -> LeftOut:
-    """Files that cannot be in one run with the others, each with the reason.
+    """Return the files that cannot be in one run with the others, each with the reason.
 
     Parameters
     ----------
     sources : sequence of SourceInfo
         Files with points.
     area : Area or None
-        Area of interest: the run is about the files near it.
+        Area of interest. Files near it are kept.
     wkt : str or None
         CRS of the files.
     metres : float
-        Metres in a unit of the CRS.
+        Metres per unit of the CRS.
 
     Raises
     ------
     ConfigError
-        Nothing tells which files the run is about.
+        It cannot be decided which files to keep.
     """
     absurd = [(s, _absurd(s, metres)) for s in sources]
     found = [(s, reason) for s, reason in absurd if reason]
@@ -79,12 +79,12 @@ def files_beyond_frame(
 
 
 def outlying_files(sources: Sequence[SourceInfo], wkt: str | None, metres: float, remedy: str) -> LeftOut:
-    """The files that lie apart from most others, each with the reason, which ends with ``remedy``.
+    """Return the files that lie apart from most others, each with a reason that ends with ``remedy``.
 
     Raises
     ------
     ConfigError
-        Too many files lie apart, or the files do not fall into parts.
+        Too many files lie apart, or the files do not form separate parts.
     """
     ranked = [(len(part), _in_use(part[0], wkt), _points(part), part) for part in _parts(sources)]
     (_, used, _, main), *rest = sorted(ranked, key=lambda entry: entry[:3], reverse=True)
@@ -108,7 +108,7 @@ def _points(sources: Iterable[SourceInfo]) -> int:
 
 
 def _absurd(source: SourceInfo, metres: float) -> str | None:
-    """Reason why no run can hold a file; None: a run can."""
+    """Return the reason why no run can contain a file, or None if a run can."""
     bounds = bounds_of(source)
     x, y = bounds.x0 / COUNTS_PER_UNIT, bounds.y0 / COUNTS_PER_UNIT
     if not _fits(bounds):
@@ -149,7 +149,10 @@ def _reason(source: SourceInfo, others: Sequence[SourceInfo], metres: float, rem
 
 
 def _parts(sources: Sequence[SourceInfo]) -> list[list[SourceInfo]]:
-    """Files in parts with an empty cell between them; the longer side of the extent has `PARTS` cells."""
+    """Divide files into parts that are separated by empty cells.
+
+    The longer side of the extent has `PARTS` cells.
+    """
     hull = hull_of(sources)
     side = _span(hull) // PARTS + 1
     held = np.zeros((PARTS, PARTS), np.bool_)
@@ -167,7 +170,7 @@ def _parts(sources: Sequence[SourceInfo]) -> list[list[SourceInfo]]:
 
 
 def _in_use(source: SourceInfo, wkt: str | None) -> int:
-    """1 if a file lies in the area of use of its CRS, -1 if it lies elsewhere, 0 if that is unknown."""
+    """Return 1 if a file lies in the area of use of its CRS, -1 if it lies elsewhere, 0 if unknown."""
     if wkt is None:
         return 0
     try:

@@ -1,4 +1,4 @@
-"""Warnings about inputs that are probably wrong, and about settings that cost more than they need."""
+"""Warnings about inputs that are probably wrong, and about settings that cost too much."""
 
 from __future__ import annotations
 
@@ -9,27 +9,27 @@ from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.plan.model import Plan, steps_of
 
 MAX_RELIEF_M = 9000
-"""Largest difference of heights that terrain can have."""
+"""Largest height difference that terrain can have."""
 MIN_SIDE_M = 100
-"""Smaller clouds may be higher than wide: single buildings, trees."""
+"""Side in metres below which clouds may be higher than wide, such as single buildings or trees."""
 WIDE_TILE = 2 + 2 * math.sqrt(2)
-"""With tiles of so many halos a side, halos double the work."""
+"""Ratio of the side of a tile to its halo at which halos double the work."""
 
 MUCH_OVERLAP = 3.0
-"""A warning names the halos if the mean padded area of the passes exceeds the core area by this factor."""
+"""Mean ratio of padded area to core area of the passes above which a warning recommends larger tiles."""
 
 STRETCHED = 1.05
-"""A warning names the CRS if lengths in its plane differ from those on the ground by this factor. Projections for
-surveys stay within 1.03."""
+"""Ratio of lengths in the plane of the CRS to lengths on the ground, or its inverse, from which on a warning recommends
+reprojection. Projections for surveys stay within 1.03."""
 
 
 def warnings_of(plan: Plan) -> list[str]:
-    """Lines about inputs that are probably wrong, and about settings that cost more than they need."""
+    """Return the warnings about inputs that are probably wrong and about costly settings."""
     return [*_too_high(plan), *_stretched(plan), *_much_overlap(plan)]
 
 
 def _too_high(plan: Plan) -> list[str]:
-    """Warnings about heights that no terrain has."""
+    """Warn about heights that terrain cannot have."""
     units = plan.meta.frame.units
     boxes = [(s.path, s.bounds) for s in plan.sources if s.points and s.bounds is not None]
     found = []
@@ -51,7 +51,7 @@ def _too_high(plan: Plan) -> list[str]:
 
 
 def _much_overlap(plan: Plan) -> list[str]:
-    """A warning about halos that multiply the work; a cloud of unknown kind counts as a laser scan."""
+    """Warn about halos that multiply the work. A cloud of unknown kind counts as a LiDAR cloud."""
     steps = steps_of(plan.passes, plan.kind or "lidar")
     halos = [step.halo_m for step in steps if not plan.joins(step)]
     tile = float(plan.tile)
@@ -68,7 +68,7 @@ def _much_overlap(plan: Plan) -> list[str]:
 
 
 def _stretched(plan: Plan) -> list[str]:
-    """A warning about a CRS whose lengths are not those on the ground, such as Web Mercator."""
+    """Warn about a CRS whose lengths are not those on the ground, such as Web Mercator."""
     wkt, extent = plan.meta.frame.crs_wkt, plan.extent
     if wkt is None:
         return []

@@ -1,4 +1,4 @@
-"""Reads drawings that a run follows (breaklines, corrections, water) and judges them before the first point is read."""
+"""Breaklines, edits and water drawn by the user, read and checked before the first point is read."""
 
 from __future__ import annotations
 
@@ -24,14 +24,14 @@ Counts = npt.NDArray[np.int64]
 
 
 def with_drawings(plan: Plan) -> Plan:
-    """The plan with the drawings that its configuration names, and with notes and warnings about them.
+    """Return the plan with the user's features, and with notes and warnings about them.
 
     Raises
     ------
     ConfigError
-        Breaklines have no effect with the interpolation chosen.
+        Breaklines are given with an interpolation that ignores them.
     InputError
-        A file cannot be used; the line names the file, the feature, and a remedy.
+        A file cannot be used. The message contains the file, the feature and a remedy.
     """
     config = plan.config
     notes, warnings = list(plan.notes), list(plan.warnings)
@@ -58,7 +58,7 @@ def with_drawings(plan: Plan) -> Plan:
 
 
 def _warn_two_heights(lines: list[Counts]) -> list[str]:
-    """A warning if breaklines give a place two heights."""
+    """Warn if breaklines have two heights at a position."""
     places = two_heights(lines)
     if not len(places):
         return []
@@ -70,7 +70,7 @@ def _warn_two_heights(lines: list[Counts]) -> list[str]:
 
 
 def _warn_upright(lines: list[Counts]) -> list[str]:
-    """A warning if two vertices of a line differ only in height: the terrain has one height at each place."""
+    """Warn if a line has vertical segments, since the terrain has one height per position."""
     upright = []
     for line in lines:
         step = np.diff(line, axis=0)
@@ -94,7 +94,7 @@ def _read(
     warnings: list[str],
     every: bool = False,
 ) -> Features:
-    """Features of a file in the CRS of the run, read by a process of its own. ``every``: read all layers."""
+    """Read the features of a file in the CRS of the run. With ``every``, read all its layers."""
     every |= needs_z
     wkt = plan.meta.frame.crs_wkt
     if plan.config.in_process:
@@ -108,7 +108,7 @@ def _read(
 
 
 def _lines(feature: Feature) -> list[npt.NDArray[np.float64]]:
-    """Vertices x, y, z of the lines of a feature, and of the rings of its polygons."""
+    """Return the vertices x, y, z of the lines of a feature and of the rings of its polygons."""
     import shapely
 
     lines = []
@@ -137,7 +137,10 @@ def _counts(feature: Feature, line: npt.NDArray[np.float64]) -> Counts:
 
 
 def _edit(number: int, feature: Feature) -> Edit:
-    """The edit of a feature. Raises InputError if its action is unknown or its height is missing."""
+    """Return the edit of a feature.
+
+    Raise InputError if its action is unknown or its height is missing.
+    """
     action: Any = feature.attributes.get("action")
     if not isinstance(action, str) or action.strip().lower() not in ACTIONS:
         what = "has no `action`" if action is None else f"its action is {action!r}"

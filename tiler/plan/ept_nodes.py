@@ -1,6 +1,6 @@
-"""Inputs that are Entwine point tiles (EPT): the nodes that a run may need, and the CRS for files that have none.
+"""Inputs that are Entwine Point Tiles (EPT): nodes that a run may need, and their CRS.
 
-Where ``ept.json`` and the files of its nodes contradict each other, the files count, and notes say so.
+If ``ept.json`` and the files of its nodes contradict each other, the files count, and notes report it.
 """
 
 from __future__ import annotations
@@ -31,38 +31,38 @@ from tiler.plan.area import area_of
 from tiler.plan.model import Plan
 
 _CARELESS = 1.0
-"""Points may lie so many units of the CRS outside their node, as some writers round carelessly."""
+"""Tolerance, in units of the CRS, by which points may lie outside their node: some writers round inaccurately."""
 
 Told = str | None
 
 NEAR_M = 1000
-"""Nodes within this distance of the area are considered, in addition to the distances that settings name.
+"""Distance around the area within which nodes are considered, in addition to the distances in the settings.
 
-The plan narrows the choice when it knows how far the method looks.
+The plan reduces the selection once the margin of the method is known.
 """
 
 
 @dataclass(frozen=True)
 class Near:
-    """Tells whether a box lies within ``reach`` counts of an area."""
+    """Predicate for boxes within ``reach`` counts of an area."""
 
     area: Area
     reach: int
 
     def __call__(self, box: tuple[float, float, float, float]) -> bool:
-        """Whether a box, in units of the CRS, lies near the area."""
+        """Return whether a box in units of the CRS lies near the area."""
         return self.area.touches(bounds_in_counts(box).pad(self.reach))
 
 
 class TilesOfRun:
-    """The point tiles among the inputs of a run: the nodes that are read, and their hierarchy."""
+    """EPT data sets among the inputs of a run, with the nodes that are read."""
 
     def __init__(self, config: RunConfig) -> None:
         self._config = config
         self._found: list[tuple[EptDataset, dict[Path, int]]] = []
 
     def wanted(self, tiles: EptDataset) -> Near | None:
-        """Test whether the square of a node lies near the area of the run; None: there is no area."""
+        """Return a predicate for nodes near the area of the run, or None if there is no area."""
         area = area_of(self._config, tiles.wkt, [])
         if area is None:
             return None
@@ -72,11 +72,14 @@ class TilesOfRun:
         return Near(area, math.ceil(_reach_m(self._config) / (unit or 1) * COUNTS_PER_UNIT))
 
     def listed(self, tiles: EptDataset, counts: dict[Path, int]) -> None:
-        """Record the files of the nodes that are read, with their number of points by the hierarchy."""
+        """Record the files of the nodes that are read, with their numbers of points in the hierarchy."""
         self._found.append((tiles, counts))
 
     def with_crs(self, sources: Sequence[SourceInfo], notes: list[str]) -> list[SourceInfo]:
-        """Sources, in which nodes without a CRS get that of ``ept.json``. Contradictions become notes."""
+        """Return the sources, with the CRS of ``ept.json`` for nodes without one.
+
+        Contradictions are appended to the notes.
+        """
         whole = self._config.bounds is None and self._config.aoi is None
         known: dict[Path, Georeference] = {}
         for tiles, counts in self._found:
@@ -92,7 +95,7 @@ class TilesOfRun:
 
 
 def validate_distances(plan: Plan, inputs: Sequence[str]) -> None:
-    """Raise ConfigError if a run needs points farther from its area than nodes of point tiles were considered."""
+    """Raise ConfigError if a run needs points farther away than EPT nodes were considered."""
     reach = _reach_m(plan.config)
     if plan.area is None or not any(map(is_ept, inputs)):
         return
@@ -110,17 +113,17 @@ def _reach_m(config: RunConfig) -> Fraction:
 def contradictions(
     tiles: EptDataset, counts: Mapping[Path, int], sources: Sequence[SourceInfo], whole: bool
 ) -> Iterator[str]:
-    """Yield a line for each kind of contradiction, with the first file that shows it.
+    """Yield a line per kind of contradiction, with the first file that shows it.
 
     Parameters
     ----------
     tiles : EptDataset
     counts : mapping of Path to int
-        Points of each file that was looked for, by the hierarchy.
+        Number of points of each requested file, from the hierarchy.
     sources : sequence of SourceInfo
-        The files that could be read.
+        Files that could be read.
     whole : bool
-        Whether these are all nodes.
+        Whether all nodes were requested.
     """
     if whole:
         yield from tiles.other_total(sum(counts.values()))

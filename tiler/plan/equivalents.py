@@ -1,4 +1,4 @@
-"""Filters of other programs that people ask for, and what comes nearest to them."""
+"""Filters of other programs, and the methods that resemble them most."""
 
 from __future__ import annotations
 
@@ -9,4 +9,4 @@ EQUIVALENTS = {
     "ptd": "progressive TIN densification is --method classic; ",
     "mcc": "curvature filtering is not among the methods, but ridge2016 tests seeds against curved surfaces; ",
 }
-"""Name of a method of other programs in small letters, and the beginning of the message about it."""
+"""Beginning of the message about a method of other programs, by its name in small letters."""

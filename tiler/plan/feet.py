@@ -1,4 +1,4 @@
-"""Settings of a run on clouds in feet: which foot is meant, and lengths that were written without a unit."""
+"""Settings of a run on clouds in feet: the choice of the foot, and lengths without a unit."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from tiler.core.units import FOOT, METRE, US_SURVEY_FOOT, BareLength, FeetLength
 from tiler.core.units_text import short_unit
 
 OF_HEIGHTS = ("contour_interval", "sigma", "spike")
-"""Settings that are lengths in the direction of the heights."""
+"""Settings that are vertical lengths."""
 
 
 def in_feet_of(config: RunConfig, units: Units) -> RunConfig:
-    """The settings, with lengths that were written in feet in the foot of the CRS.
+    """Return the settings with lengths in feet converted to the foot of the CRS.
 
-    The US survey foot is 2 millionths longer than the international one: pixels of 3 ft would have no whole number
-    in a sheet of 500 of the other.
+    The US survey foot is 2 millionths longer than the international foot. A sheet of 1500 US survey feet would not be
+    a whole number of pixels of 3 international feet.
     """
     found = {}
     for name, value, unit in _lengths(config, units):
@@ -28,7 +28,7 @@ def in_feet_of(config: RunConfig, units: Units) -> RunConfig:
 
 
 def bare_lengths(config: RunConfig, units: Units) -> list[str]:
-    """A line for each length without a unit that was given for clouds that are not in metres."""
+    """Return a line for each length given without a unit if the CRS is not in metres."""
     found = []
     for name, value, unit in _lengths(config, units):
         if isinstance(value, BareLength) and unit != METRE and value:
@@ -40,7 +40,7 @@ def bare_lengths(config: RunConfig, units: Units) -> list[str]:
 
 
 def _lengths(config: RunConfig, units: Units) -> Iterator[tuple[str, Fraction, Fraction]]:
-    """Name, value and unit of the CRS of each setting that is a length."""
+    """Yield the name, the value and the unit in the CRS of each setting that is a length."""
     for spec in fields(config):
         value = getattr(config, spec.name)
         if spec.metadata["kind"] == "length" and value is not None:

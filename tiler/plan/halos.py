@@ -1,4 +1,4 @@
-"""Width of the halo: how far each pass of a method looks beyond its tile."""
+"""Width of the halo of each pass of a method."""
 
 from __future__ import annotations
 
@@ -10,13 +10,16 @@ from tiler.config import RunConfig
 from tiler.plan.memory import PlannedPass
 
 MAX_HALO_FACTOR = 4
-"""A tile with marks gets at most so many times the halo that it began with."""
+"""Largest ratio of the final to the first halo of a tile with uncertified labels."""
 
 Length = TypeVar("Length", int, float)
 
 
 def widened(step: PlannedPass, halo: Length, fits: Callable[[Length], bool]) -> Length:
-    """The halo that a tile of a pass may end with: doubled while that fits, unless it is a proven reach."""
+    """Return the widest halo that a tile of a pass may get.
+
+    It is doubled while it fits, up to `MAX_HALO_FACTOR` times. A pass with a fixed radius keeps its halo.
+    """
     widest = halo
     while step.work.reach_m is None and 0 < widest < MAX_HALO_FACTOR * halo and fits(2 * widest):
         widest *= 2
@@ -24,7 +27,7 @@ def widened(step: PlannedPass, halo: Length, fits: Callable[[Length], bool]) -> 
 
 
 def own_halo(params: Any) -> float | None:
-    """The widest halo that a method asks for by itself, in metres; None if the reaches of all its passes are proven."""
+    """Return the widest default halo of a method in metres, or None if no pass has a variable halo."""
     if params is None:
         return None
     return max((_asked_m(params, step) for step in params.passes if step.reach_m is None), default=None)
@@ -39,9 +42,9 @@ def _asked_m(params: Any, step: Pass) -> float:
 def planned_passes(
     params: Any, config: RunConfig, kind: str | None, notes: list[str]
 ) -> tuple[PlannedPass, ...]:
-    """The passes of a method, each with the halo that its tiles begin with.
+    """Return the passes of a method with the first halos of their tiles.
 
-    A note names the passes that ``--halo`` cannot change. ``kind`` is what made the cloud; None: not known yet.
+    A note lists the passes that ``--halo`` cannot change. ``kind`` is the source of the cloud, None if still unknown.
     """
 
     def halo(step: Pass) -> float:

@@ -11,20 +11,20 @@ from pathlib import Path, PurePosixPath
 import psutil
 
 MIN_BYTES = 512 << 20
-"""Default memory of a worker at least: with less, hardly anything fits."""
+"""Smallest default memory of a worker. Hardly any window fits into less."""
 MAX_BYTES = 4 << 30
-"""Default memory of a worker at most: more makes no run faster."""
+"""Largest default memory of a worker. More does not make runs faster."""
 SHARE = 2
-"""Part of the memory that the workers together take by default: one in this many. The rest is for the
-system and its cache."""
+"""Ratio of the memory of the machine to the default memory of all workers together. The rest is for the system and its
+cache."""
 CGROUPS = Path("/sys/fs/cgroup")
 """Folder with the limits of control groups."""
 GROUPS = Path("/proc/self/cgroup")
-"""File that names the control groups of this process."""
+"""File that lists the control groups of this process."""
 
 
 def cores() -> int:
-    """Number of logical cores that machine, affinity and container allow this process."""
+    """Return the number of logical cores that machine, affinity and container allow this process."""
     if hasattr(os, "sched_getaffinity"):
         known = len(os.sched_getaffinity(0))
     else:
@@ -33,17 +33,20 @@ def cores() -> int:
 
 
 def default_workers() -> int:
-    """Default number of workers: one for each core, fewer if memory is below `MIN_BYTES` for each."""
+    """Return the default number of workers: one per core, or as many as have `MIN_BYTES` each."""
     return max(min(cores(), memory_bytes() // MIN_BYTES), 1)
 
 
 def memory_bytes() -> int:
-    """Memory of the machine, or of the container if it has less, in bytes."""
+    """Return the memory of the machine, or of the container if it has less, in bytes."""
     return min((psutil.virtual_memory().total, *_container_limits()))
 
 
 def fair_share(workers: int) -> int:
-    """Default memory of each worker, in bytes. Fewer workers than cores get no more."""
+    """Return the default memory per worker in bytes.
+
+    Fewer workers than cores do not get more memory each.
+    """
     return min(max(memory_bytes() // (SHARE * max(workers, cores())), MIN_BYTES), MAX_BYTES)
 
 
@@ -51,7 +54,7 @@ def _container_limits() -> Iterator[int]:
     """Yield the memory limits of the control groups of this process, in bytes."""
     for group, newer in _control_groups("memory"):
         name = "memory.max" if newer else "memory.limit_in_bytes"
-        # The text is "max" without a limit. A container may not see its group.
+        # The text is "max" if there is no limit. The folder of the group may not exist in a container.
         with suppress(OSError, ValueError):
             yield int((group / name).read_text("ascii"))
 
@@ -67,7 +70,7 @@ def _container_cores() -> Iterator[int]:
 
 
 def _control_groups(controller: str) -> Iterator[tuple[Path, bool]]:
-    """Yield the folders of this process's control groups and of their parents, with True for version 2."""
+    """Yield the folders of this process's control groups and their parents, True for version 2."""
     try:
         lines = GROUPS.read_text(encoding="ascii").splitlines()
     except OSError:

@@ -1,4 +1,4 @@
-"""Evidence in the fields of the points about what made the clouds of a run."""
+"""Evidence in the fields of the points on the source of the clouds of a run."""
 
 from __future__ import annotations
 
@@ -11,19 +11,22 @@ from tiler.errors import ConfigError
 from tiler.inputs import SourceInfo
 
 NOTICEABLE = 0.01
-"""A run holds both kinds if laser scans and matched clouds each cover at least this share of the area."""
+"""Smallest share of the area that clouds of one writer must cover for their kind to count."""
 NAMES = {LIDAR: "a LiDAR cloud", DIM: "a photogrammetric cloud"}
 
 
 def evidence_of(sources: Sequence[SourceInfo]) -> Evidence:
-    """Evidence of all files, weighted by area, so that it does not matter how a survey is cut into files."""
+    """Merge the evidence of all files, weighted by area.
+
+    The result does not depend on how a survey is cut into files.
+    """
     return Evidence.merged((source.evidence, _area(source)) for source in sources)
 
 
 def validate_single_kind(sources: Sequence[SourceInfo], config: RunConfig) -> None:
-    """Raise ConfigError if some files are surely laser scans, others surely matched clouds, and `--kind` is not given.
+    """Raise ConfigError if a run without `--kind` mixes LiDAR and photogrammetric clouds.
 
-    Files of one writer are judged together, as a small piece of a survey may lack the evidence.
+    Files of one writer are judged together, because a small piece of a survey may lack the evidence.
     """
     if config.source_kind is not None:
         return
@@ -51,5 +54,5 @@ def _told(found: Iterable[tuple[Finding, SourceInfo]]) -> str:
 
 
 def _area(source: SourceInfo) -> float:
-    """Area that the points of a source cover, in square units of the CRS."""
+    """Return the area of a source's patches in square units of the CRS, or 1 if it is empty."""
     return sum((p.x1 - p.x0) * (p.y1 - p.y0) for p in source.patches) or 1.0

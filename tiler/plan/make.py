@@ -1,4 +1,4 @@
-"""Makes the plan: reads the headers and settles all that can be settled from them."""
+"""Making of the plan from the headers of the inputs and the settings."""
 
 from __future__ import annotations
 
@@ -55,9 +55,10 @@ from tiler.schedule import FORKS, ChildPool
 from tiler.store import StoreMeta
 
 FILES_OF_A_READER = 2 if FORKS else 16
-"""Inputs for which one more process is started: it takes as long to start as to look into so many."""
+"""Number of inputs per reading process. Starting a process takes as long as inspecting this many inputs."""
 FAR_READERS = 8
-"""Processes that look into objects at URLs: they wait for answers most of the time, whatever the number of cores."""
+"""Maximum number of processes that inspect objects at URLs. It ignores the number of cores, because they mostly wait
+for responses."""
 
 
 def make_plan(
@@ -66,7 +67,7 @@ def make_plan(
     out: str | Path | None = None,
     known: Sequence[SourceInfo] = (),
 ) -> Plan:
-    """Read the headers, settle CRS, units, method, sizes, and refuse what cannot work.
+    """Read the headers, and decide CRS, units, method and sizes of a run.
 
     Parameters
     ----------
@@ -74,16 +75,17 @@ def make_plan(
         Files, folders, globs.
     config : RunConfig
     out : path or URL, optional
-        Of the run's results: what is there of other makers is not replaced, and the disk of a folder is checked.
+        Folder or URL of the run's results. Files that no run wrote are not replaced unless the run is forced, and the
+        free space of a folder is checked.
     known : sequence of SourceInfo
-        What was found a moment ago in all the inputs: nothing is started to look into them again.
+        Headers of the inputs that were read shortly before. If they include all inputs, none is read again.
 
     Raises
     ------
     ConfigError
-        Settings that cannot work: method, parameters, memory, disk.
+        Settings cannot work: method, parameters, memory, disk.
     InputError
-        No readable input, or a CRS that cannot be used.
+        No input can be read, or a CRS cannot be used.
     """
     parameters, defaults = _method(config)
     notes: list[str] = []
@@ -106,7 +108,7 @@ def make_plan(
     metres = float(agreement.units.horizontal)
     found = _without(found, files_beyond_frame(_filled(sources), area, agreement.wkt, metres), config)
     plan = _settled(found, config, parameters, defaults)
-    validate_resolution(plan)  # else the raster would be called too large
+    validate_resolution(plan)  # This comes first, so that bad pixels are not reported as a large raster.
     validate_pixel_count(plan, folder)
     while remedy := sparse_raster_remedy(plan, folder):
         found = _without(found, outlying_files(plan.filled, agreement.wkt, metres, remedy), config)
@@ -126,7 +128,7 @@ def make_plan(
 
 @dataclass(frozen=True)
 class _InspectedInputs:
-    """What the inputs are: those that can be read, those that are left out, and what they agree on."""
+    """Inputs that can be read, inputs that are left out, and the common CRS."""
 
     inputs: Sequence[str]
     sources: Sequence[SourceInfo]
@@ -142,13 +144,13 @@ class _InspectedInputs:
 
     @cached_property
     def density_map(self) -> DensityMap:
-        """Where their points are."""
+        """Density map of their points."""
         metres = float(self.agreement.units.horizontal)
         return DensityMap((patch for s in self.filled for patch in s.patches), metres)
 
     @cached_property
     def covered(self) -> tuple[float, tuple[str, ...]]:
-        """The area on which their points lie, m2, and what was decided about it."""
+        """Area in m2 that their points cover, and the notes on how it was determined."""
         notes: list[str] = []
         bounds = [s.bounds for s in self.filled if s.bounds is not None]
         points, metres = sum(s.points for s in self.filled), float(self.agreement.units.horizontal)
@@ -160,7 +162,10 @@ def _filled(sources: Sequence[SourceInfo]) -> list[SourceInfo]:
 
 
 def _without(found: _InspectedInputs, far: LeftOut, config: RunConfig) -> _InspectedInputs:
-    """The same without files that lie too far away; raises InputError where that is no way to go on."""
+    """Remove the files that lie too far away.
+
+    Raise InputError if the run stops on errors or no points would be left.
+    """
     if not far:
         return found
     gone = {source.path: f"{source.path}: {reason}" for source, reason in far}
@@ -172,7 +177,7 @@ def _without(found: _InspectedInputs, far: LeftOut, config: RunConfig) -> _Inspe
 
 
 def _settled(found: _InspectedInputs, config: RunConfig, parameters: dict[str, Any], defaults: Any) -> Plan:
-    """The plan that follows from some files, whether or not it can work."""
+    """Return the plan for some files, whether or not it can work."""
     covered, decided = found.covered
     notes, agreement, filled = [*found.notes, *decided], found.agreement, found.filled
     extent = sizes.hull_of(filled)
@@ -234,8 +239,11 @@ def _settled(found: _InspectedInputs, config: RunConfig, parameters: dict[str, A
 def output_names(
     inputs: Sequence[str], sources: Iterable[SourceInfo], suffix: str = ".laz"
 ) -> dict[Path, Path]:
-    """Path of each classified file below OUT/classified; ConfigError where two would be one."""
-    # A URL names what is below it, or one object: then nothing is left of the name below it.
+    """Return the path of each classified file relative to OUT/classified.
+
+    Raise ConfigError if two files would have the same path.
+    """
+    # A URL is a folder or a single object. The relative path of a single object would be empty.
     named = [(as_path(i), is_list(i) and not Path(i).is_dir()) for i in inputs]
     folders = [p.parent if virtual else p for p, virtual in named if virtual or is_url(p) or p.is_dir()]
     names: dict[Path, Path] = {}
@@ -258,7 +266,7 @@ def output_names(
 
 
 def _method(config: RunConfig) -> tuple[dict[str, Any], Any]:
-    """Parameters as plain values, and their dataclass; ({}, None) for `keep`."""
+    """Return the parameters as plain values and as dataclass, or ({}, None) for `keep`."""
     if config.method == KEEP:
         if config.parameters:
             raise ConfigError(f"--set {config.parameters[0][0]}: method keep has no parameters; leave it out")
@@ -308,7 +316,10 @@ def _inspect_all(
 
 
 def _readers(paths: Sequence[Path], config: RunConfig) -> int:
-    """How many processes look into the inputs: one more pays for its start where there are some files for it."""
+    """Return the number of processes that inspect the inputs.
+
+    Each has at least `FILES_OF_A_READER` files, except the last, because its start takes time.
+    """
     far = sum(is_url(path) for path in paths)
     workers = config.workers or machine.default_workers()
     near = min(workers, math.ceil((len(paths) - far) / FILES_OF_A_READER))

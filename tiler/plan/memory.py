@@ -1,7 +1,7 @@
-"""Memory that a worker needs, in bytes, by stage and by window; all of it follows from numbers of points.
+"""Memory that a worker needs, in bytes by stage and window, as a function of numbers of points.
 
-The factors were measured: peak resident memory of workers over the points of their windows (docs/decisions.md,
-"The plan").
+The factors are measured ratios of the peak resident memory of workers to the points of their windows
+(docs/decisions.md, "The plan").
 """
 
 from __future__ import annotations
@@ -17,50 +17,50 @@ import numpy.typing as npt
 from ptd.passes import Pass
 
 FINE_CELL_M = Fraction(1, 2)
-"""Side of the store's cells, each with one candidate, if the method has no cells of its own (`fine_cell_m`)."""
+"""Side of the store's cells, each with one candidate, if the cells of the method do not fit (`fine_cell_m`)."""
 BASE_BYTES = 260 << 20
 """Bytes of a worker before the first point: the interpreter and the libraries."""
 READ_BYTES = 60
-"""Bytes for each candidate that a window reads: columns and sorting."""
+"""Bytes per candidate that a window reads: columns and sorting."""
 VERTEX_BYTES = 200
-"""Bytes for each candidate that may become a vertex: its columns while it is tested, and its share of the TIN.
+"""Bytes per candidate that may become a vertex: its columns while it is tested, and its share of the TIN.
 
-The same figure serves for a cell of a raster, where 35 bytes were measured while large objects are found, and 180 while
+The same figure is used per cell of a raster. 35 bytes were measured there while large objects are found, and 180 while
 the surface is made.
 """
 BUCKET_POINT_BYTES = 200
-"""Bytes for each point while its bucket is labelled."""
+"""Bytes per point while its bucket is labelled."""
 HELD_BYTES = 64 << 20
-"""Most bytes of decoded buckets that a worker keeps to label their neighbours."""
+"""Maximum bytes of decoded buckets that a worker keeps to label their neighbours."""
 HELD_SHARE = 16
-"""Such buckets take at most one part in this many of the memory above `BASE_BYTES`."""
+"""Smallest ratio of the memory above `BASE_BYTES` to the bytes of such buckets."""
 ASSEMBLY_POINT_BYTES = 800
-"""Bytes for each point while its bucket is assembled: fragments, keys and their order."""
+"""Bytes per point while its bucket is assembled: fragments, keys and their order."""
 SPOOL_POINT_BYTES = 160
-"""Bytes for each point while its piece is decoded and sorted."""
+"""Bytes per point while its piece is decoded and sorted."""
 GROUND_BYTES = 200
-"""Bytes for each ground point in a block's window: coordinates and the TIN (123 measured on a city)."""
+"""Bytes per ground point in a block's window: coordinates and the TIN (123 measured on a city)."""
 PIECE_BYTES = 160
-"""Bytes for each piece of a breakline in the run."""
+"""Bytes per piece of a breakline in the run."""
 NEAR_PIECE_BYTES = 650
-"""Further bytes for each piece of a breakline in a block's window, which is a vertex of the TIN (460 measured)."""
+"""Further bytes per piece of a breakline in a block's window, which is a vertex of the TIN (460 measured)."""
 JOINED_BYTES = 1 << 30
-"""Most memory of a worker with a tile of a pass on candidates: 1.4 km of dense laser scans and 229 m around them.
+"""Maximum memory of a worker with a tile of a pass on candidates: 1.4 km of dense LiDAR and 229 m around it.
 
-Larger tiles save nothing (213 M points: 413 CPU s in 18 tiles a pass, 415 in 12), and more tiles are shared out more
-equally.
+Larger tiles do not save time (213 M points: 413 CPU s in 18 tiles per pass, 415 in 12), and more tiles are distributed
+more evenly.
 """
 TIN_BYTES = 3 << 29
-"""Most bytes of a TIN that blocks of the terrain share."""
+"""Maximum bytes of a TIN that blocks of the terrain share."""
 EXPORT_BYTES = 128 << 20
-"""Bytes of a worker that writes a file: GDAL's blocks, or the records of a classified cloud in hand."""
+"""Bytes of a worker that writes a file: GDAL's blocks, or the current records of a classified cloud."""
 EXPORT_POINTS = 1 << 27
-"""Most points of a classified cloud. Its labels are held at once, a byte for each point."""
+"""Maximum number of points of a classified cloud whose labels are in memory, one byte per point."""
 
 
 @dataclass(frozen=True)
 class PlannedPass:
-    """A pass of the method, and the halo that its tiles begin with."""
+    """Pass of the method, with the first halo of its tiles."""
 
     work: Pass
     halo_m: float
@@ -72,27 +72,29 @@ class PlannedPass:
 
     @property
     def title(self) -> str:
-        """Title of the pass, in a few words."""
+        """Short description of the pass, or else its name."""
         return self.work.title or self.work.name
 
     @property
     def kind(self) -> str | None:
-        """Kind of the clouds that the pass is for; None: all kinds."""
+        """Kind of the clouds that the pass is for, or None for all kinds."""
         return self.work.kind
 
     @property
     def sometimes(self) -> bool:
-        """Whether the pass is left out for some clouds."""
+        """Whether the pass may be skipped for some clouds."""
         return type(self.work).applies is not Pass.applies
 
     @property
     def on_candidates(self) -> bool:
-        """Whether the pass looks at one candidate for each cell and makes no raster of its window."""
+        """Whether the pass uses only one candidate per cell and makes no raster of its window."""
         return not (self.work.every_point or self.work.elected or self.work.raster_cell_m)
 
 
 def breakline_bytes(lines: Sequence[npt.NDArray[np.int64]], pixel: float, window: float) -> int:
-    """Bytes of breaklines, divided into pieces of half a pixel or more, for the block with most of them.
+    """Return the bytes for breaklines in the block with most of them.
+
+    The breaklines are divided into pieces of half a pixel or more.
 
     Parameters
     ----------
@@ -111,7 +113,7 @@ def breakline_bytes(lines: Sequence[npt.NDArray[np.int64]], pixel: float, window
 
 
 def _most_in_a_window(squares: npt.NDArray[np.float64], pieces: npt.NDArray[np.float64]) -> float:
-    """Most pieces in a window, which touches no more than two by two squares of its own side."""
+    """Return a bound of the pieces in a window, which intersects at most 2 x 2 of the squares."""
     occupied, which = np.unique(squares, axis=0, return_inverse=True)
     held = np.bincount(which.ravel(), pieces)
     windows: dict[tuple[int, int], float] = defaultdict(float)
@@ -122,9 +124,10 @@ def _most_in_a_window(squares: npt.NDArray[np.float64], pieces: npt.NDArray[np.f
 
 
 def fine_cell_m(cell_m: float, bucket_m: Fraction) -> Fraction:
-    """Side of the cells with one candidate each, in metres.
+    """Return the side of the cells with one candidate each, in metres.
 
-    The cells of the method (``cell_m``; 0: it has none) are taken if a bucket is a whole number of them.
+    It is the cell of the method (``cell_m``, 0 if it has none) if the side of a bucket is a whole number of cells, or
+    else `FINE_CELL_M`.
     """
     own = Fraction(repr(float(cell_m)))
     if own > 0 and (bucket_m / own).denominator == 1:
@@ -133,27 +136,27 @@ def fine_cell_m(cell_m: float, bucket_m: Fraction) -> Fraction:
 
 
 def nested(cell_m: float, fine_m: Fraction) -> bool:
-    """Whether a method's cell is a whole number of fine cells, so that the method needs candidates alone."""
+    """Return whether a method needs only candidates: its cell is a whole number of fine cells."""
     return cell_m > 0 and (Fraction(repr(float(cell_m))) / fine_m).denominator == 1
 
 
 def filter_bytes(points: float, area_m2: float, cell_m: float, step: PlannedPass, fine_m: Fraction) -> float:
-    """Bytes that a window of a pass needs above `BASE_BYTES`.
+    """Return the bytes that a window of a pass needs above `BASE_BYTES`.
 
-    The number of elected points is not known yet: one in each thinning cell is the most. A raster has all cells of the
-    window, also those without points.
+    The number of elected points is not known yet. At most one per thinning cell is elected. A raster has all cells of
+    the window, including cells without points.
 
     Parameters
     ----------
     points : float
-        Points of the window, candidates and others.
+        Number of points of the window, candidates and others.
     area_m2 : float
-        Area of the window.
+        Area of the window in m2.
     cell_m : float
-        Side of the method's thinning cell (`candidate_cell_m`); 0: it has none.
+        Side of the method's thinning cell (`candidate_cell_m`) in metres, 0 if it has none.
     step : PlannedPass
     fine_m : Fraction
-        Side of the store's cells.
+        Side of the store's cells in metres.
     """
     vertices = read = points
     if cell_m > 0:
@@ -168,15 +171,18 @@ def filter_bytes(points: float, area_m2: float, cell_m: float, step: PlannedPass
 
 
 def held_bytes(memory: int) -> int:
-    """Bytes of decoded buckets that a worker with that much memory keeps to label their neighbours."""
+    """Return the bytes of decoded buckets that a worker keeps to label their neighbours.
+
+    ``memory`` is the memory of the worker in bytes.
+    """
     return min(HELD_BYTES, max(memory - BASE_BYTES, 0) // HELD_SHARE)
 
 
 def bucket_bytes(points: float) -> int:
-    """Bytes that labelling a bucket of so many points needs above those of its window."""
+    """Return the bytes that labelling a bucket of ``points`` points needs in addition to its window."""
     return int(points * BUCKET_POINT_BYTES)
 
 
 def ingest_bytes(piece_points: int, bucket_points: float) -> int:
-    """Peak bytes of a worker that decodes pieces and assembles buckets."""
+    """Return the peak bytes of a worker that decodes pieces and assembles buckets."""
     return int(BASE_BYTES + max(piece_points * SPOOL_POINT_BYTES, bucket_points * ASSEMBLY_POINT_BYTES))

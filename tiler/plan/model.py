@@ -1,4 +1,4 @@
-"""The plan of a run: everything that is settled before the first point is read, and what follows from it."""
+"""The plan of a run: all decisions before the first point is read, and values derived from them."""
 
 from __future__ import annotations
 
@@ -33,35 +33,39 @@ from tiler.plan.memory import (
 from tiler.store import StoreMeta
 
 BRIDGE_REACH_M = 300
-"""Points are read within this distance of an area, for bridges across its border: the length of the longest bridge."""
+"""Distance around an area within which points are read for bridges across its border, the length of the longest
+bridge."""
 KEEP = "keep"
-"""The method that trusts the classes of the input."""
+"""Name of the method that keeps the classes of the input."""
 
 PIECE_POINTS = 1_000_000
-"""Points that a worker decodes at a time."""
+"""Number of points that a worker decodes at a time."""
 MAX_GROUND = 4_000_000
-"""Most points in the window of a part of a block. Denser clouds give the surface a point for each quarter pixel."""
+"""Maximum number of points in the window of a part of a block. The surface of denser clouds is thinned to one point per
+cell of a quarter pixel."""
 SURFACE_SHARE = 2
-"""Cells along a pixel's side, each with one point of the surface, if a percentile of the heights makes it."""
+"""Number of cells along a pixel's side, each with one point of the surface, if the surface is a percentile of the
+heights."""
 THIN_SHARE = 4
 """The same number if ground points are thinned to save memory."""
 PART = 128
 """Side, in pixels, of the parts into which a block with many points is divided."""
 
 MIN_CANDIDATES = 500_000
-"""Do not split a tile merely to occupy workers if a half would hold fewer candidates."""
+"""Minimum number of candidates in a half of a tile that is split only to occupy workers."""
 
 MIN_MATCHED_M2 = 0.5
-"""Below this density, in points per square metre, the plan assumes a laser scan unless `--kind` says otherwise. `auto`
-asks for twice the density before it takes a cloud for a matched one."""
+"""Density in points per square metre below which the plan reserves no memory for photogrammetric clouds if the kind is
+not known. `auto` needs twice the density to decide that a cloud is photogrammetric for lack of penetrated plants."""
 
 
 def known_kind(
     config: RunConfig, statistics: Mapping[str, Any] | None, evidence: Evidence | None
 ) -> str | None:
-    """What made the cloud: as the user says, or the run whose statistics are used, or the fields of the points.
+    """Return the kind of the clouds, or None if it is not known yet.
 
-    None: not known yet.
+    It is that of the run whose statistics are used. Without statistics it is the kind that the user gives, or else the
+    kind that the fields of the points decide.
     """
     if statistics is None:
         return run_facts(None, config.source_kind, evidence).kind
@@ -73,55 +77,56 @@ def known_kind(
 
 
 def likely_of(steps: Iterable[PlannedPass], kind: str | None, density: float) -> tuple[PlannedPass, ...]:
-    """The passes for which the plan reserves memory: all that a run may do and that suit the density."""
+    """Return the passes for which the plan reserves memory: those of a run that suit the density."""
     if kind is None and density < MIN_MATCHED_M2:
         return tuple(step for step in steps if step.kind != "dim")
     return tuple(steps)
 
 
 def steps_of(passes: Iterable[PlannedPass], kind: str | None) -> tuple[PlannedPass, ...]:
-    """The passes that a cloud of a kind (None: not known) may need."""
+    """Return the passes that a cloud of a kind may need. The kind is None if it is not known."""
     return tuple(step for step in passes if step.kind is None or kind in (None, step.kind))
 
 
 @dataclass(frozen=True)
 class Plan:
-    """The plan of a run; lengths in metres, sizes in bytes.
+    """Plan of a run, with lengths in metres and sizes in bytes.
 
     Attributes
     ----------
     sources : tuple of SourceInfo
-        Files that can be read and lie near the area, in the order of their names.
+        Files that can be read and lie near the area, sorted by path.
     unreadable : tuple of (str, str)
         Path and reason of each file that is left out.
     area : Area or None
-        Area for which products and labels are made; None: everywhere.
+        Area for which products and labels are made; None for the whole survey.
     memory : int
-        Memory that a worker may use.
+        Memory that a worker may use, in bytes.
     tile_memory : int
-        Memory for which the tiles are cut: `memory` of the first run on the store, also in later runs.
+        Memory for which the tiles are cut, in bytes: `memory` of the first run on the store, also in later runs.
     area_m2 : float
-        Area that the points cover. Every place counts once, also where files overlap.
+        Area in m2 that the points cover. Overlaps of files count once.
     thin : bool or None
-        Decision of the first run on the store about `thin_ground`; None: there was none.
+        Decision of the first run on the store on `thin_ground`; None if there was no earlier run.
     density_map : DensityMap
-        Finds the densest place.
+        Map that finds the densest place.
     names : dict of Path to Path
-        Classified file of each source, below OUT/classified.
+        Path of the classified file of each source, relative to OUT/classified.
     passes : tuple of PlannedPass
         All passes of the method, by number; `steps` are those that the run may do.
     statistics : dict or None
-        State after each pass, by its name, of the earlier run that ``--statistics`` names.
+        State after each pass, by its name, of the earlier run given by ``--statistics``.
     edits : tuple of Edit
-        Corrections, in the order of their file.
+        Edits, in the order of their file.
     lines : tuple of int64 (n, 3)
         Vertices of breaklines, in absolute counts.
     waters : tuple of Water
-        Bodies of water of the file of ``--water``, in its order; with heights if it has them.
+        Bodies of water in the file given by ``--water``, with heights if it has them.
     tile_workers : int
-        `workers` of the first run on the store, the number of tiles if points suffice. 0: the user chose a tile size.
+        `workers` of the first run on the store, from which the number of tiles follows; 0 if the user chose a tile
+        size.
     evidence : Evidence or None
-        Evidence in the fields of the points about what made the clouds; None: the method does not ask.
+        Evidence in the fields of the points on the source of the clouds; None for the method `keep`.
     """
 
     config: RunConfig
@@ -154,12 +159,12 @@ class Plan:
 
     @property
     def writes_clouds(self) -> bool:
-        """Whether the run writes classified clouds. It does not with `--method keep` or `--classified none`."""
+        """Whether the run writes classified clouds, not with `--method keep` or `--classified none`."""
         return self.config.method != KEEP and self.config.classified != "none"
 
     @property
     def area_key(self) -> str | None:
-        """Name of the area in the store; None: no area was asked for."""
+        """Name of the area in the store, or None if the run has no area."""
         return None if self.area is None else self.area.key
 
     @property
@@ -169,12 +174,16 @@ class Plan:
 
     @property
     def kind(self) -> str | None:
-        """What made the cloud, laser scanning (lidar) or image matching (dim); None: not known yet."""
+        """Source of the cloud: laser scanning (lidar), image matching (dim), or None if not known yet."""
         return known_kind(self.config, self.statistics, self.evidence)
 
     @property
     def made(self) -> Finding | None:
-        """What made the clouds, with confidence and reasons; None if the fields of the points do not decide it."""
+        """Source of the clouds with confidence and reasons, if the fields of the points decide it.
+
+        None if they do not decide it, if the method treats all kinds alike, or if the user or an earlier run gives the
+        kind.
+        """
         if self.evidence is None or not self.asks_kind or self.kind is None:
             return None
         if self.statistics is not None or self.config.source_kind is not None:
@@ -183,16 +192,16 @@ class Plan:
 
     @property
     def steps(self) -> tuple[PlannedPass, ...]:
-        """The passes that the run may do."""
+        """Passes that the run may do."""
         return steps_of(self.passes, self.kind)
 
     def title_of(self, stage: str) -> str:
-        """Title of a stage, for people."""
+        """Return the title of a stage."""
         return stage_title(stage, [step.title for step in self.passes])
 
     @property
     def likely(self) -> tuple[PlannedPass, ...]:
-        """The passes for which the plan reserves memory."""
+        """Passes for which the plan reserves memory."""
         return likely_of(self.steps, self.kind, self.density)
 
     @property
@@ -202,13 +211,16 @@ class Plan:
 
     @property
     def kinds(self) -> tuple[str, ...]:
-        """Kinds that the cloud may be, if it is not known and the method treats kinds differently; else empty."""
+        """Possible kinds of a cloud of unknown kind.
+
+        Empty if the kind is known or if the method treats all kinds alike.
+        """
         if self.kind is not None:
             return ()
         return tuple(dict.fromkeys(step.kind for step in self.steps if step.kind))
 
     def halo_of(self, kind: str) -> float:
-        """The widest halo, in metres, with which a pass starts on a cloud of that kind."""
+        """Return the widest halo in metres with which a pass starts on a cloud of a kind."""
         return max(step.halo_m for step in steps_of(self.passes, kind))
 
     @property
@@ -218,25 +230,31 @@ class Plan:
         return (bounds.x1 - bounds.x0) * metres, (bounds.y1 - bounds.y0) * metres
 
     def wanted_tiles(self, candidates: int) -> int:
-        """Number of joined tiles of a pass on so many candidates: a power of two, about one for each worker."""
+        """Return the number of joined tiles of a pass.
+
+        It is one per worker, rounded up to a power of two, or fewer if tiles would have less than `MIN_CANDIDATES`.
+        """
         return min(1 << (self.tile_workers - 1).bit_length(), max(candidates // MIN_CANDIDATES, 1))
 
     @property
     def fine_m(self) -> Fraction:
-        """Side of the store's cells with one candidate each."""
+        """Side in metres of the store's cells with one candidate each."""
         return self.meta.fine.size * self.meta.frame.metres_xy
 
     @property
     def on_candidates(self) -> bool:
-        """Whether the method's cells are whole numbers of the store's, so that its passes need candidates alone."""
+        """Whether the method's cells are whole numbers of the store's, so that candidates suffice."""
         return nested(self.candidate_cell_m, self.fine_m)
 
     def joins(self, step: PlannedPass) -> bool:
-        """Whether a pass has tiles as large as memory allows: it needs candidates alone and the user chose no size."""
+        """Return whether the tiles of a pass are joined into the largest that fit into memory.
+
+        They are if candidates suffice for the pass and the user did not choose a tile size.
+        """
         return self.tile_workers > 0 and step.on_candidates and self.on_candidates
 
     def tile_memory_of(self, step: PlannedPass) -> int:
-        """Memory of a worker for which the tiles of a pass are cut, in bytes."""
+        """Return the memory of a worker for which the tiles of a pass are cut, in bytes."""
         if self.joins(step):
             return min(self.tile_memory, JOINED_BYTES)
         return self.tile_memory
@@ -245,8 +263,8 @@ class Plan:
     def margin(self) -> int:
         """Distance around the area within which points are read, in counts.
 
-        It is the widest halo with which a pass starts, or the distance over which labels and bridges are decided, or
-        the reach of a facet at the edge, whichever is largest.
+        It is the largest of the halos with which passes start, the distance over which labels and bridges are decided,
+        and the halo of a block.
         """
         labels = max((Fraction(step.work.label_margin_m) for step in self.steps), default=Fraction(0))
         if self.config.bridges == "remove":
@@ -255,24 +273,24 @@ class Plan:
 
     @property
     def density(self) -> float:
-        """Points per square metre of the area that they cover. Every place counts once."""
+        """Points per square metre of the area that they cover. Overlaps count once."""
         return self.points / self.area_m2 if self.area_m2 else 0.0
 
     @property
     def bucket_m(self) -> float:
-        """Side of a bucket."""
+        """Side of a bucket in metres."""
         return float(self.meta.bucket.size * self.meta.frame.metres_xy)
 
     @property
     def grid_halo(self) -> Fraction:
-        """Distance around a block, in metres, that usually suffices: a little more than the longest edge of a facet."""
+        """Distance in metres around a block that usually suffices, a little more than `max_edge`."""
         return self.config.max_edge * Fraction(101, 100)
 
     @property
     def thin_ground(self) -> bool:
-        """Whether the surface is made of one ground point for each cell of a quarter of a pixel's side.
+        """Whether the surface is made of one ground point per cell of a quarter of a pixel's side.
 
-        It is if a part of the mean density, or the smallest part in the fullest place, would hold too many points.
+        It is if a part of the mean density, or the smallest part in the fullest place, would have too many points.
         """
         if self.thin is not None:
             return self.thin
@@ -281,7 +299,10 @@ class Plan:
 
     @property
     def surface_share(self) -> int | None:
-        """Cells along a pixel's side, each with one point of the surface; None: all ground points make the surface."""
+        """Number of cells along a pixel's side, each with one point of the surface.
+
+        None if all ground points make the surface.
+        """
         if self.config.surface_percent is not None:
             return SURFACE_SHARE
         if self.thin_ground:
@@ -289,7 +310,7 @@ class Plan:
         return None
 
     def _part_side_m(self, pixels: int) -> float:
-        """Side of the window of a part of a block, in metres."""
+        """Return the side of the window of a part of a block, in metres."""
         return pixels * float(self.resolution) + 2 * float(self.grid_halo)
 
     @property
@@ -303,17 +324,17 @@ class Plan:
 
     @property
     def block_points(self) -> int:
-        """A block with more points in its window is done in parts."""
+        """Maximum number of points in the window of a block that is not divided into parts."""
         return max((self.memory - BASE_BYTES - self.line_bytes) // GROUND_BYTES, MAX_GROUND // 8)
 
     @property
     def halo_m(self) -> float:
-        """The widest halo with which a pass starts, in metres."""
+        """Widest halo with which a pass starts, in metres."""
         return max((step.halo_m for step in self.steps), default=0.0)
 
     @property
     def tiles(self) -> int:
-        """Approximate number of filter tiles: the area that the points cover over that of a tile."""
+        """Approximate number of filter tiles: the area that the points cover divided by that of a tile."""
         return max(math.ceil(self.area_m2 / float(self.tile) ** 2), 1)
 
     @property
@@ -322,7 +343,7 @@ class Plan:
         return max(self.density * self.bucket_m**2, self.density_map.fullest(self.bucket_m))
 
     def max_window_points(self) -> int:
-        """Approximate number of points in the fullest window of a filter tile, halo included."""
+        """Estimate the number of points in the fullest window of a filter tile with its halo."""
         side = float(self.tile) + 2 * self.halo_m
         mean = min(self.density * side**2, self.points)
         return int(max(mean, self.density_map.fullest(side)))

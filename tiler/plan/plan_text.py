@@ -1,4 +1,4 @@
-"""The plan as text for people, and as JSON."""
+"""The plan as text and as JSON."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tiler.plan.projection import overlap_of, projected_memory
 from tiler.plan.rates import projected_seconds
 
 WIDTH = 120
-"""Longest line of the plan, in characters."""
+"""Maximum length of a line of the plan, in characters."""
 INDENT = " " * 12
 """Beginning of a line that continues the line above."""
 
@@ -27,7 +27,7 @@ KIND_WORDS = {"lidar": "a LiDAR cloud", "dim": "a photogrammetric cloud"}
 
 
 def plan_json(plan: Plan) -> dict[str, Any]:
-    """The plan as JSON-able values."""
+    """Return the plan as JSON-able values."""
     frame, disk = plan.meta.frame, projected_disk(plan)
     seconds, measured = projected_seconds(plan)
     return {
@@ -50,7 +50,7 @@ def plan_json(plan: Plan) -> dict[str, Any]:
 
 
 def plan_lines(plan: Plan) -> list[str]:
-    """The plan line by line."""
+    """Return the plan as lines of text."""
     frame, memory, disk = plan.meta.frame, projected_memory(plan), projected_disk(plan)
     worst = max(memory, key=lambda k: memory[k])
     west, south = plan.extent.x0 / COUNTS_PER_UNIT, plan.extent.y0 / COUNTS_PER_UNIT
@@ -83,13 +83,13 @@ def plan_lines(plan: Plan) -> list[str]:
     ]
     lines += [f"note        {text}" for text in plan.notes]
     lines += [f"warning     {text}" for text in plan.warnings]
-    # A path keeps its line, so that it can be copied.
+    # These lines are not wrapped, so that the paths can be copied.
     left_out = [f"left out    {path}: {reason}" for path, reason in plan.unreadable]
     return [*itertools.chain.from_iterable(map(wrapped, lines)), *left_out]
 
 
 def wrapped(line: str) -> list[str]:
-    """A line of the plan as lines that fit on a screen; those after the first are indented."""
+    """Wrap a line of the plan to `WIDTH`, with indented continuation lines."""
     return textwrap.wrap(
         line,
         WIDTH,
@@ -101,14 +101,14 @@ def wrapped(line: str) -> list[str]:
 
 
 def _drawn_in_words(plan: Plan) -> list[str]:
-    """What people drew for the run, if anything."""
+    """Return the line on edits, breaklines and water drawn by the user, if there are any."""
     counts = {"edit": len(plan.edits), "breakline": len(plan.lines), "water polygon": len(plan.waters)}
     parts = [f"{n:,} {name}{'' if n == 1 else 's'}" for name, n in counts.items() if n]
     return [f"drawn       {', '.join(parts)}"] if parts else []
 
 
 def _area_facts(plan: Plan) -> dict[str, Any] | None:
-    """What part of the survey is wanted; None: all of it."""
+    """Return the area of interest as JSON-able values, or None if the whole survey is processed."""
     if plan.area is None:
         return None
     return {
@@ -120,7 +120,7 @@ def _area_facts(plan: Plan) -> dict[str, Any] | None:
 
 
 def _halo_in_words(plan: Plan) -> str:
-    """The widest halo and what it costs: for each kind of cloud, where the points are yet to show which it is."""
+    """Describe the widest halo and its work, for each possible kind if the kind is not known."""
     unit = plan.meta.frame.units.horizontal
 
     def words(halo_m: float, steps: Iterable[PlannedPass]) -> str:
@@ -136,7 +136,7 @@ def _halo_in_words(plan: Plan) -> str:
 
 
 def _passes_in_words(plan: Plan) -> str:
-    """Number of passes, and what each sees around a tile where there are several."""
+    """Describe the number of passes and, if there are several, the halo of each."""
     steps = plan.steps
     if len(steps) < 2:
         return ", 1 pass" if steps else ""
@@ -147,7 +147,7 @@ def _passes_in_words(plan: Plan) -> str:
 
 
 def crs_name(wkt: str | None) -> str:
-    """The name of a CRS for people."""
+    """Return the name of a CRS in WKT, or "unknown" if it is None."""
     if wkt is None:
         return "unknown"
     return wkt.split('"', 2)[1] if '"' in wkt else wkt

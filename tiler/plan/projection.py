@@ -1,4 +1,4 @@
-"""Memory that a plan projects for a worker, and the work that halos add, before any point is read."""
+"""Estimates, before any point is read, of the memory of a worker and of the work that halos add."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from tiler.plan.model import PIECE_POINTS, Plan
 
 
 def projected_memory(plan: Plan) -> dict[str, int]:
-    """Peak bytes of a worker by stage."""
+    """Estimate the peak bytes of a worker by stage."""
     ground = int(min(plan.points, max(plan.block_points, plan.fullest_part))) * GROUND_BYTES
     largest = min(max(source.points for source in plan.sources), EXPORT_POINTS)
     return {
@@ -33,7 +33,7 @@ def projected_memory(plan: Plan) -> dict[str, int]:
 
 
 def _pass_bytes(plan: Plan, step: PlannedPass) -> int:
-    """Peak bytes of a pass.
+    """Estimate the peak bytes of a worker in a pass.
 
     A tile of mean density may get the widest halo. The fullest tile is divided until it fits or is one bucket.
     """
@@ -48,7 +48,10 @@ def _pass_bytes(plan: Plan, step: PlannedPass) -> int:
 
 
 def filter_peak(plan: Plan, step: PlannedPass, side_m: float, halo_m: float, crowded: bool = False) -> int:
-    """Peak bytes of a worker with a tile of that side and halo: of the mean density, or in the fullest place."""
+    """Estimate the peak bytes of a worker with a tile of a side and halo, in metres.
+
+    The tile has the mean density, or with ``crowded`` it lies in the fullest place.
+    """
     side = side_m + 2 * halo_m
     bucket_m = plan.bucket_m + 2 * step.work.label_margin_m
     area = min(side**2, plan.area_m2)
@@ -67,13 +70,16 @@ def filter_peak(plan: Plan, step: PlannedPass, side_m: float, halo_m: float, cro
 
 
 def widest_halo_m(plan: Plan, step: PlannedPass) -> float:
-    """Widest halo, in metres, that a tile of the mean density with marks may take."""
+    """Return the widest halo, in metres, of a tile with mean density and uncertified labels."""
     side, memory = float(plan.tile), plan.tile_memory
     return widened(step, step.halo_m, lambda halo: filter_peak(plan, step, side, halo) <= memory)
 
 
 def overlap_of(plan: Plan, steps: Iterable[PlannedPass]) -> float:
-    """Padded area over core area of a filter tile, in the pass with the widest view; joined tiles end at the survey."""
+    """Return the largest ratio over the passes of a filter tile's padded area to its core area.
+
+    Joined tiles do not extend beyond the survey.
+    """
     return max((_overlap(plan, step) for step in steps), default=1.0)
 
 
@@ -88,7 +94,7 @@ def _overlap(plan: Plan, step: PlannedPass) -> float:
 
 
 def _tile_sides_m(plan: Plan, step: PlannedPass) -> tuple[float, float]:
-    """Approximate sides of the tiles of a pass; `tiler.filter.tasks.tiles` cuts them."""
+    """Estimate the sides in metres of the tiles of a pass, which `tiler.filter.tasks.tiles` cuts."""
     if not plan.joins(step):
         return float(plan.tile), float(plan.tile)
     sides = list(plan.sides_m)

@@ -1,4 +1,4 @@
-"""Estimates how long a run takes from earlier runs on this machine, kept in the user's cache folder."""
+"""Estimates of the time of a run, from earlier runs recorded in the user's cache folder."""
 
 from __future__ import annotations
 
@@ -24,25 +24,26 @@ TYPICAL = {
     "grid": 0.1,
     "export": 1.2,
 }
-"""Worker seconds a million points where nothing is known of a stage; measured on a city, other machines differ."""
+"""Worker seconds per million points of stages without an earlier run, measured on a city. Other machines differ."""
 
 MIN_POINTS = 1_000_000
-"""Points of the smallest run that is remembered: the time of smaller ones is mostly start-up."""
+"""Minimum number of points of a run that is recorded, since the time of smaller runs is mostly start-up."""
 
 _NEWEST = 0.5
-"""Weight of the newest run in what is remembered."""
+"""Weight of the newest run in the recorded rates."""
 
 
 def remember(plan: Plan, stages: Mapping[str, Mapping[str, Any]]) -> None:
-    """Keep the rates of the stages that a run did from beginning to end.
+    """Record the rates of the stages that a run did completely.
 
-    A cache that cannot be written is none: the plan then says that its time is another machine's.
+    Errors of writing the cache are ignored. The plan then uses the rates of another machine.
 
     Parameters
     ----------
     plan : Plan
     stages : mapping
-        Name -> ``tasks``, ``computed`` (of these, in this run) and ``seconds``, as in ``run.json``.
+        ``tasks``, ``computed`` (the number of these done in this run) and ``seconds`` of each stage by name, as in
+        ``run.json``.
     """
     if plan.points < MIN_POINTS or plan.config.scheduler is not None:
         return
@@ -62,29 +63,29 @@ def remember(plan: Plan, stages: Mapping[str, Mapping[str, Any]]) -> None:
 
 
 def projected_seconds(plan: Plan) -> tuple[float, bool]:
-    """Seconds of the whole job, and whether all of it rests on earlier runs of this machine."""
+    """Estimate the seconds of the whole job, and return whether all rates are from earlier runs here."""
     products = dict.fromkeys(("dtm", *plan.config.exported))
     stages, known = stage_seconds(plan, [f"grid-{name}" for name in products]), _read()
     return sum(stages.values()), all(_name(plan, stage) in known for stage in stages)
 
 
 def stage_seconds(plan: Plan, rasters: Iterable[str], until: str = "export") -> dict[str, float]:
-    """Seconds of each stage of a job that may take its time, in their order.
+    """Estimate the seconds of the stages of a job, in their order.
 
     Parameters
     ----------
     plan : Plan
     rasters : iterable of str
-        Stages of the rasters that are made.
+        Names of the stages of the rasters that are made.
     until : str
         Last part of the job: ``ingest``, ``filter``, ``grid`` or ``export``.
     """
     known = _read()
     filters = {f"filter{number}": step for number, step in enumerate(plan.passes) if step in plan.steps}
-    # Of passes that do not always apply those count that earlier runs did, if they did any.
+    # If earlier runs did some of the passes that do not always apply, only these passes count.
     did = [stage for stage, step in filters.items() if step.sometimes and _name(plan, stage) in known]
     filters = {s: step for s, step in filters.items() if s in did or not (did and step.sometimes)}
-    if plan.kinds:  # the points will show which passes apply: those that take longest
+    if plan.kinds:  # The kind is not known yet, so the passes of the slowest kind count.
         costs = {
             k: sum(_rate(plan, known, s) for s, step in filters.items() if step.kind == k) for k in plan.kinds
         }
@@ -97,13 +98,13 @@ def stage_seconds(plan: Plan, rasters: Iterable[str], until: str = "export") -> 
 
 
 def _rate(plan: Plan, known: Mapping[str, float], stage: str) -> float:
-    """Worker seconds a million points."""
+    """Return the worker seconds per million points of a stage."""
     typical = TYPICAL.get(stage, TYPICAL[re.split(r"[-\d]", stage)[0]])
     return known.get(_name(plan, stage), typical)
 
 
 def _name(plan: Plan, stage: str) -> str:
-    """Under which a rate is kept: filters differ by method."""
+    """Return the key of a recorded rate. The rates of filter stages differ by method."""
     return f"{plan.config.method}:{stage}" if stage.startswith("filter") else stage
 
 
@@ -113,7 +114,7 @@ def _path() -> Path:
 
 
 def _read() -> dict[str, float]:
-    """What is remembered of this version; a file of another one, or a damaged one, is as none."""
+    """Return the rates recorded by this version, or {} if there is no valid file."""
     try:
         content = parse_json_object(_path().read_text())
         if content["version"] != __version__:

@@ -1,4 +1,4 @@
-"""Sizes that follow from the points: buckets, tiles, pixels, and where the counts of a run begin."""
+"""Sizes of buckets, tiles and pixels that follow from the points, and the origin of the counts."""
 
 from __future__ import annotations
 
@@ -22,23 +22,25 @@ from tiler.store import StoreMeta
 BUCKET_POINTS = 100_000
 BUCKETS_M = (8, 16, 32, 64, 128, 256, 512, 1024)
 FETCHED_BUCKET_M = 32
-"""At most, where only a part of a file at a URL is fetched: buckets are whole, also at the edge of that part."""
+"""Largest bucket in metres if only a part of a file at a URL is fetched. Buckets at the edge are fetched completely."""
 TILE_M = 512
 TILE_POINTS = 500_000
-"""Points of a tile of a sparse cloud, whose side is `SPARSE_TILE_M` at most: a task costs more than a few points do."""
+"""Approximate number of points in a tile of a sparse cloud, since a task costs more than a few points. The side of the
+tile is at most `SPARSE_TILE_M`."""
 SPARSE_TILE_M = 4096
 
 FINE_PIXELS_M = (Fraction(1, 10), Fraction(1, 4), Fraction(1, 2))
-"""Pixels of dense matched clouds, in metres."""
+"""Default pixels of dense photogrammetric clouds, in metres."""
 PIXELS_FT = (Fraction(1, 10), Fraction(1, 5), Fraction(1, 2), *map(Fraction, (1, 2, 5, 10)))
-"""Pixels that are chosen in a CRS with another unit than the metre, in that unit."""
+"""Default pixels in a CRS with another unit than the metre, in that unit."""
 USUAL_FT = Fraction(2)
-"""Pixel, in the unit of the CRS, that replaces the pixel of 1 m where that unit is not the metre."""
+"""Pixel, in the unit of the CRS, that replaces the pixel of 1 m if that unit is not the metre."""
 MATCHED_POINTS = 9.0
-"""Points that a pixel of a matched cloud holds at least: their mean is better than one, and relief is not finer."""
+"""Minimum mean number of points per pixel of a photogrammetric cloud. Their mean is better than a single point, and
+relief is not finer."""
 MOSTLY_VOID = 0.5
-"""Part of the files' bounds that a sample of the points has to cover for the bounds to count as the area; else the area
-that the sample covers counts, rough as it is."""
+"""Share of the files' bounds that a sample of the points must cover for the bounds to count as the area. Otherwise the
+area that the sample covers counts, although it is rough."""
 
 
 def covered_m2(
@@ -48,21 +50,21 @@ def covered_m2(
     metres: float,
     notes: list[str],
 ) -> float:
-    """Area on which the points lie, m2: what the bounds of the files cover, or where those are mostly void a sample.
+    """Return the area in m2 that the points cover.
 
-    Every place counts once, however many files lie on it.
+    It is the area of the bounds of the files or, if these are mostly void, of a sample. Overlaps count once.
 
     Parameters
     ----------
     bounds : iterable of 6 float
-        Of each file with points: lowest x, y, z, highest x, y, z in units of the CRS.
+        Lowest x, y, z and highest x, y, z of each file with points, in units of the CRS.
     points : int
-        Of all files.
+        Number of points of all files.
     density_map : DensityMap
     metres : float
-        Of a unit of the CRS.
+        Metres per unit of the CRS.
     notes : list of str
-        Gets what was decided.
+        List to which a note on the decision is appended.
     """
     whole = _area_of_union([(b[0], b[1], max(b[3], b[0] + 1), max(b[4], b[1] + 1)) for b in bounds])
     whole *= metres**2
@@ -77,8 +79,8 @@ def covered_m2(
 
 
 def _area_of_union(boxes: Sequence[Sequence[float]]) -> float:
-    """Area that rectangles (x0, y0, x1, y1) cover together."""
-    if len(boxes) == 1:  # spares the import, which takes longer than the rest of a plan
+    """Return the area that rectangles (x0, y0, x1, y1) cover together."""
+    if len(boxes) == 1:  # This avoids the import, which takes longer than the rest of a plan.
         ((x0, y0, x1, y1),) = boxes
         return (x1 - x0) * (y1 - y0)
     import shapely
@@ -87,13 +89,13 @@ def _area_of_union(boxes: Sequence[Sequence[float]]) -> float:
 
 
 def hull_of(sources: Iterable[SourceInfo]) -> Bounds:
-    """The smallest bounds that hold some sources; each source has points."""
+    """Return the smallest bounds that contain some sources. Each source must have points."""
     return reduce(Bounds.union, map(bounds_of, sources))
 
 
 def bounds_of(source: SourceInfo) -> Bounds:
-    """The bounds of a source that has points, in absolute counts."""
-    assert source.bounds is not None  # the caller's choice
+    """Return the bounds of a source in absolute counts. The source must have points."""
+    assert source.bounds is not None  # The caller selects sources with points.
     x0, y0, _, x1, y1, _ = source.bounds
     low = (math.floor(v * COUNTS_PER_UNIT) for v in (x0, y0))
     high = (math.ceil(v * COUNTS_PER_UNIT) + 1 for v in (x1, y1))
@@ -101,13 +103,16 @@ def bounds_of(source: SourceInfo) -> Bounds:
 
 
 def origin_of(extent: Bounds) -> tuple[int, int]:
-    """The middle of the extent, on a round number: int32 counts then reach equally far to all sides."""
+    """Return the middle of the extent, rounded, so that int32 counts extend equally far to all sides."""
     step = 1000 * COUNTS_PER_UNIT
     return (extent.x0 + extent.x1) // 2 // step * step, (extent.y0 + extent.y1) // 2 // step * step
 
 
 def bucket_m(density: float, density_map: DensityMap, memory: int) -> int:
-    """Side of a bucket in metres: about `BUCKET_POINTS` on the mean, and in the fullest place no more than fit."""
+    """Return the side of a bucket in metres.
+
+    A bucket has about `BUCKET_POINTS` points on average, and in the fullest place no more than fit into memory.
+    """
     side = math.sqrt(BUCKET_POINTS / density)
     wanted = min(BUCKETS_M, key=lambda b: abs(math.log(b / side)))
     most = (memory - BASE_BYTES) / ASSEMBLY_POINT_BYTES
@@ -118,11 +123,11 @@ def bucket_m(density: float, density_map: DensityMap, memory: int) -> int:
 def tile_m(
     memory: int, density: float, cell_m: float, passes: Iterable[PlannedPass], meta: StoreMeta
 ) -> Fraction:
-    """Largest tile whose windows use three quarters of the memory left after start-up.
+    """Return the side in metres of the largest tile that fits into three quarters of the memory.
 
-    At most `TILE_M`, where the points are sparse the side of `TILE_POINTS`: a window of little work is worth no task.
-    Passes that look at every point have no influence where there are others: they need little around a tile, and their
-    tiles are divided where they do not fit, but small tiles cost the others with their halos of hundreds of metres.
+    It is at most `TILE_M`, or in sparse clouds the side of `TILE_POINTS`, since a task is not worth little work. If
+    there are other passes, passes on every point do not influence it: their halos are small, and their tiles are
+    divided if they do not fit. Small tiles would cost the other passes much, whose halos are hundreds of metres wide.
     """
     passes = tuple(passes)
     passes = tuple(step for step in passes if not step.work.every_point) or passes
@@ -141,11 +146,12 @@ def tile_m(
 def resolution_of(
     config: RunConfig, density: float, kind: str | None, unit: Fraction, notes: list[str]
 ) -> Fraction:
-    """Side of a pixel in metres, where the user says none.
+    """Return the side of a pixel in metres: that given by the user, or else a default.
 
-    1 m, or the mean spacing of the points where that is coarser, up to ``--max-edge``. For matched clouds one of
-    `FINE_PIXELS_M`, the finest that holds about `MATCHED_POINTS`. Where the unit is not the metre one of `PIXELS_FT`
-    of it instead, 2 ft for 1 m: sheets of round numbers of feet then have whole numbers of pixels.
+    The default is 1 m, or about the mean spacing of the points if that is coarser, up to ``--max-edge``. For
+    photogrammetric clouds it is the finest of `FINE_PIXELS_M` with at least `MATCHED_POINTS` points. If the unit is
+    not the metre, it is one of `PIXELS_FT` in that unit, 2 ft instead of 1 m. Sheets of round numbers of feet then
+    have whole numbers of pixels.
 
     Parameters
     ----------
@@ -153,11 +159,11 @@ def resolution_of(
     density : float
         Points per m2.
     kind : {"lidar", "dim"} or None
-        What made the clouds, as the user says it or their points show it.
+        Source of the clouds, given by the user or decided from their points; None if unknown.
     unit : Fraction
-        Metres of a unit of the CRS.
+        Metres per unit of the CRS.
     notes : list of str
-        Gets what was decided.
+        List to which a note on the decision is appended.
     """
     if config.resolution is not None:
         return config.resolution
@@ -190,6 +196,9 @@ def resolution_of(
 
 
 def _finest_pixel(density: float, unit: Fraction) -> Fraction | None:
-    """The finest pixel of a matched cloud in metres, round in units of the CRS; None where 1 m is fine enough."""
+    """Return the finest pixel of a photogrammetric cloud in metres, round in units of the CRS.
+
+    None if the points are too few for a fine pixel.
+    """
     sides = FINE_PIXELS_M if unit == 1 else tuple(side * unit for side in PIXELS_FT if side <= USUAL_FT)
     return next((side for side in sides if density * float(side) ** 2 >= MATCHED_POINTS), None)

@@ -1,4 +1,4 @@
-"""Refuses settings and inputs that cannot work, with a remedy."""
+"""Validation of settings and inputs, with a remedy in each error."""
 
 from __future__ import annotations
 
@@ -46,29 +46,29 @@ from tiler.plan.projection import projected_memory
 from tiler.plan.sizes import resolution_of
 
 Changed = Callable[..., Plan]
-"""Makes a plan with other values of settings, given by name."""
+"""Function that makes a plan with other values of settings, given by name."""
 
 MAX_DENOMINATOR = 511
 """Largest denominator of a pixel's side in counts with which gridding is exact in int64."""
 MAX_PIXEL = 1 << 26
-"""Gridding is exact in int64 for pixels with a side below so many counts."""
+"""Side of a pixel in counts below which gridding is exact in int64."""
 
 NAMED = 5
-"""Number of files that a refusal names; it counts the others."""
+"""Maximum number of files listed in an error. The others are counted."""
 
 
 def read_besides(config: RunConfig) -> list[str]:
-    """Files that a run reads in addition to its clouds."""
+    """Return the files that a run reads in addition to its clouds."""
     names = (config.aoi, config.edits, config.water_file)
     return [*(name for name in names if name is not None), *config.breaklines]
 
 
 FILES = (".tif", ".tiff", ".vrt", ".las", ".laz", ".gpkg", ".asc", ".img", ".png", ".html", ".json")
-"""Endings of names that are those of files: who gives one as OUT takes it for the terrain model."""
+"""Endings of file names. An OUT with such an ending was probably meant as the terrain model."""
 
 
 def validate_output_paths(config: RunConfig, products: str, paths: Sequence[Path]) -> None:
-    """Raise ConfigError if OUT has a file's name, a folder lies among the inputs, or the store among the results."""
+    """Raise ConfigError if OUT, store and inputs conflict, or if OUT has a file's name."""
     name, folder = os.path.splitext(products)[1].lower(), os.path.isdir(products)
     if name in FILES and not folder:
         raise ConfigError(
@@ -84,7 +84,7 @@ def validate_output_paths(config: RunConfig, products: str, paths: Sequence[Path
 
 
 def validate_targets(plan: Plan, products: str, paths: Sequence[Path]) -> None:
-    """Raise ConfigError if a run would write over its inputs, or over files that no run of its OUT made."""
+    """Raise ConfigError if a run would overwrite its inputs, or files that no run in OUT wrote."""
     out = local_folder(products)
     wanted = _targets(plan)
     places = [joined(products, name) for name in wanted]
@@ -107,7 +107,7 @@ def validate_targets(plan: Plan, products: str, paths: Sequence[Path]) -> None:
 
 
 def _targets(plan: Plan) -> list[str]:
-    """Names in OUT of the files that a run writes, except run.json, the log, the report and sheets."""
+    """Return the names in OUT of the files of a run, except run.json, log, report and sheets."""
     exported = plan.config.exported
     if plan.config.sheets is not None:
         wanted = [mosaic_file(name) for name in exported]
@@ -130,7 +130,7 @@ def _targets(plan: Plan) -> list[str]:
 
 
 def _error(plan: Plan, text: str) -> ConfigError:
-    """A refusal whose lengths have feet, if the CRS has."""
+    """Return an error whose text has lengths in the unit of the CRS."""
     return ConfigError(in_unit_of_crs(text, plan.meta.frame.units))
 
 
@@ -139,7 +139,7 @@ def _option(plan: Plan, metres: Fraction) -> str:
 
 
 def validate_resolution(plan: Plan) -> None:
-    """Raise ConfigError for pixels with which gridding would not be exact."""
+    """Raise ConfigError if gridding would not be exact with the pixels of a plan."""
     pixel = plan.meta.frame.counts(plan.resolution)
     if pixel.denominator > MAX_DENOMINATOR:
         raise _error(
@@ -156,7 +156,7 @@ def validate_resolution(plan: Plan) -> None:
 
 
 def validate_pixel_count(plan: Plan, out: Path | None) -> None:
-    """Raise ConfigError if a raster is too large because of its fine pixels, not because the files lie far apart."""
+    """Raise ConfigError if a raster is too large only because of its fine pixels."""
     usual = _usual_pixel(plan)
     if usual is None or not sparse_raster_remedy(plan, out) or sparse_raster_remedy(usual, out):
         return
@@ -169,7 +169,7 @@ def validate_pixel_count(plan: Plan, out: Path | None) -> None:
 
 
 def _usual_pixel(plan: Plan) -> Plan | None:
-    """The plan with the default pixel; None if the pixel that was asked for is not finer."""
+    """Return the plan with the default pixel, or None if the requested pixel is not finer."""
     config, unit = plan.config.updated(resolution=None), plan.meta.frame.units.horizontal
     usual = resolution_of(config, plan.density, plan.kind, unit, [])
     if usual <= plan.resolution:
@@ -178,7 +178,7 @@ def _usual_pixel(plan: Plan) -> Plan | None:
 
 
 def validate(plan: Plan, out: Path | None, changed: Changed) -> None:
-    """Raise ConfigError for settings that would fail during the run: memory, disk, resolution.
+    """Raise ConfigError if a run would fail because of memory, disk, resolution, sheets or names.
 
     Parameters
     ----------
@@ -186,7 +186,7 @@ def validate(plan: Plan, out: Path | None, changed: Changed) -> None:
     out : Path or None
         Folder whose disk is checked.
     changed : callable
-        Makes the plan for other values of settings, given by name. A refusal names values that suffice.
+        Function that makes the plan for other values of settings, given by name, to find values that suffice.
     """
     _validate_memory(plan, changed)
     validate_resolution(plan)
@@ -208,7 +208,7 @@ def validate(plan: Plan, out: Path | None, changed: Changed) -> None:
 
 
 def _validate_name_lengths(plan: Plan) -> None:
-    """Raise ConfigError if a classified cloud would have a longer name than a file system takes."""
+    """Raise ConfigError if the name of a classified cloud would be too long for a file system."""
     if not plan.writes_clouds:
         return
     for source, name in plan.names.items():
@@ -240,9 +240,9 @@ def _validate_memory(plan: Plan, changed: Changed) -> None:
 
 
 def enough_memory(plan: Plan, changed: Changed) -> int:
-    """Memory in bytes, a whole number of MiB, that suffices for a worker.
+    """Return memory that suffices for a worker, a whole number of MiB in bytes.
 
-    More memory makes tiles larger, which then need more: hence the loop.
+    More memory makes tiles larger, which then need more. So the search is repeated until the memory suffices.
     """
     wanted = max(projected_memory(plan).values())
     while True:
@@ -254,7 +254,7 @@ def enough_memory(plan: Plan, changed: Changed) -> int:
 
 
 def _instead(plan: Plan, stage: str, changed: Changed) -> str:
-    """Text that names another setting than more memory with which the stage fits; empty if there is none."""
+    """Recommend a setting other than more memory with which a stage fits, or return ""."""
     if stage == "grid" and plan.grid_halo > plan.resolution:
         return " or a smaller --max-edge"
     if stage != "filter":
@@ -280,7 +280,7 @@ def _instead(plan: Plan, stage: str, changed: Changed) -> str:
 def _validate_disk(plan: Plan, out: Path) -> None:
     try:
         str(out).encode()
-    except UnicodeEncodeError as error:  # as GDAL, which writes the rasters, takes no other names
+    except UnicodeEncodeError as error:  # GDAL, which writes the rasters, needs names in UTF-8.
         raise ConfigError(
             f"-o {out}: its name is not UTF-8; give another folder, or use a UTF-8 locale (LC_ALL=C.UTF-8)"
         ) from error

@@ -1,4 +1,4 @@
-"""Water that people drew: polygons, and lines along which rivers flow, judged before the first point is read."""
+"""Water drawn by the user: polygons and flow lines, checked before the first point is read."""
 
 from __future__ import annotations
 
@@ -19,24 +19,33 @@ from tiler.io.vector.areas import area_in_counts
 DRAWN_WATER = replace(
     LINES_AND_POLYGONS, point_layers=frozenset({"reaches"}), left_out=frozenset({"breaklines"})
 )
-"""What a file of water holds: stations of reaches, too; what a run wrote for others is not read."""
+"""Kind of a file of water: polygons, lines, and the points of the layer ``reaches``, without the layer ``breaklines``
+that a run writes for other programs."""
 LEVEL = "level"
-"""Column of the height of the water, in the unit of the heights; columns that name a height do as well."""
+"""Name of the column of the height of the water, in the unit of the heights. The other height columns are used if it is
+missing or empty."""
 SAME_COUNTS = 2
-"""A station and a line with heights that differ by no more say the same."""
+"""Maximum height difference in counts with which a station and a line agree."""
 
 
 def waters_of(features: Sequence[Feature], extent: Bounds) -> list[Water]:
-    """The bodies of water of a file, heights where it has them; raises InputError.
+    """Return the bodies of water of a file, with heights if it has them.
 
-    Polygons that touch and have no level are one body: files are cut at the borders of sheets, lakes are not.
+    Adjacent polygons of one kind without a level form one body, because files are cut at the borders of sheets, and
+    lakes are not.
 
     Parameters
     ----------
     features : sequence of Feature
-        Polygons, lines, and stations of reaches, in the CRS of the run; levels of stations win over those of lines.
+        Polygons, lines, and stations of reaches, in the CRS of the run. Levels of stations take precedence over those
+        of lines.
     extent : Bounds
-        Of the points; water that lies elsewhere is left out.
+        Extent of the points. Water outside it is left out.
+
+    Raises
+    ------
+    InputError
+        There are no polygons, or a kind, a level or the heights of a line cannot be used.
     """
     polygons = [f for f in features if f.geometry.geom_type in POLYGONS.types]
     if not polygons:
@@ -63,7 +72,7 @@ def waters_of(features: Sequence[Feature], extent: Bounds) -> list[Water]:
 
 
 def _without_level(features: dict[str, list[Feature]]) -> list[tuple[Any, ...]]:
-    """Kind and area of each body that polygons without a level make together."""
+    """Return the kind and the area of each body formed by polygons without a level."""
     import shapely
 
     found = []
@@ -76,7 +85,10 @@ def _without_level(features: dict[str, list[Feature]]) -> list[tuple[Any, ...]]:
 
 
 def _kind(feature: Feature, lines: Sequence[Any]) -> str:
-    """Kind by the column, or a river if a line flows through it, or a lake; raises InputError."""
+    """Return the kind in the column, or else river if a line flows through the polygon, or else lake.
+
+    Raise InputError if the kind is unknown.
+    """
     import shapely
 
     said = feature.attributes.get("kind")
@@ -91,7 +103,7 @@ def _kind(feature: Feature, lines: Sequence[Any]) -> str:
 
 
 def _level(feature: Feature) -> int | None:
-    """Counts of the height that a feature names; raises InputError where it is none."""
+    """Return the level of a feature in counts, or None. Raise InputError if it is not a height."""
     value: Any = feature.attributes.get(LEVEL)
     value = feature.height() if value is None else value
     if value is None:
@@ -107,7 +119,10 @@ def _level(feature: Feature) -> int | None:
 
 
 def _merged(features: Sequence[Feature]) -> list[Any]:
-    """Lines of flow, joined where they go on; those with heights keep them, and raise InputError if they rise."""
+    """Return the flow lines: lines with heights run downhill, and the others are merged.
+
+    Raise InputError if the heights of a line rise and fall, or are too large.
+    """
     import shapely
 
     flat: list[Any] = []
@@ -115,7 +130,7 @@ def _merged(features: Sequence[Feature]) -> list[Any]:
     for feature in features:
         for line in shapely.get_parts(feature.geometry):
             z = shapely.get_coordinates(line, include_z=True)[:, 2] if line.has_z else np.array([np.nan])
-            if not np.isfinite(z).all() or not z.any():  # a format that knows 3D alone has 0
+            if not np.isfinite(z).all() or not z.any():  # Formats without 2D lines write heights of 0.
                 flat.append(shapely.force_2d(line))
                 continue
             if ((np.diff(z) < 0).any() and (np.diff(z) > 0).any()) or np.abs(z).max() > 1e6:
@@ -128,7 +143,7 @@ def _merged(features: Sequence[Feature]) -> list[Any]:
 
 
 def _with_line(body: Water, lines: Sequence[Any]) -> Water:
-    """A river with the line that flows through most of it; lines with heights come before others."""
+    """Return a river with the line that is longest within it. Lines with heights take precedence."""
     import shapely
 
     if body.kind != RIVER or not lines:
@@ -150,7 +165,10 @@ def _polygon(rings: Sequence[npt.NDArray[np.int64]]) -> Any:
 
 
 def _with_stations(bodies: list[Water], stations: Sequence[Feature]) -> list[Water]:
-    """Rivers whose lines have the levels of the stations nearest to them; raises InputError where these rise."""
+    """Return the bodies, with the lines of rivers at the levels of the stations nearest to them.
+
+    Raise InputError if levels along a line rise and fall.
+    """
     import shapely
 
     rivers = [i for i, body in enumerate(bodies) if body.flow is not None]
@@ -168,7 +186,7 @@ def _with_stations(bodies: list[Water], stations: Sequence[Feature]) -> list[Wat
 
 
 def _at_stations(body: Water, line: Any, stations: Sequence[Feature]) -> Water:
-    """A river at the levels of its stations; between them it keeps the steps of its line."""
+    """Return a river at the levels of its stations. Between them it keeps the steps of its line."""
     import shapely
 
     levels = [_level(station) for station in stations]
@@ -200,7 +218,7 @@ def _at_stations(body: Water, line: Any, stations: Sequence[Feature]) -> Water:
 def _sums(
     lengths: npt.NDArray[Any], z: npt.NDArray[Any], along: npt.NDArray[Any], change: npt.NDArray[Any]
 ) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
-    """Places along a line, and its heights there with the change that stations have made."""
+    """Return positions along a line in counts, and its heights there with the interpolated changes."""
     places = np.unique(np.concatenate((lengths, along)))
     return places, np.interp(places, lengths, z) + np.interp(places, along, change)
 
