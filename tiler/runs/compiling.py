@@ -1,4 +1,4 @@
-"""Compiles the kernels of a run in processes of their own, while the run does work without kernels."""
+"""Compilation of a run's kernels in child processes, parallel to work without kernels."""
 
 from __future__ import annotations
 
@@ -26,17 +26,20 @@ from tiler.schedule import ChildDiedError, ChildProcess
 Tell = Callable[[], None]
 
 STAGE = "compile"
-"""Key of the stage that progress shows while the run waits for kernels."""
+"""Key of the stage in the progress while the run waits for kernels."""
 KERNELS = {"filters": 100, "gridding": 70}
-"""Approximate number of kernels, for progress only."""
+"""Approximate numbers of kernels, for progress only."""
 SECONDS = 1800
-"""A process that compiles for longer counts as hung."""
+"""Time in seconds after which a process that compiles counts as hung."""
 LOOK_SECONDS = 0.25
 
 
 @dataclass(frozen=True)
 class Kernels:
-    """Kernels that are compiled together; the cache notes ``name`` once they are compiled (`ptd.precompile`)."""
+    """Kernels that are compiled together.
+
+    ``name`` is written to the cache once they are compiled (`ptd.precompile`).
+    """
 
     name: str
     compile: Callable[[Tell], None]
@@ -44,19 +47,22 @@ class Kernels:
 
 
 def filter_kernels(method: str, kind: str | None) -> Kernels:
-    """The kernels of a method for a kind of clouds."""
+    """Return the kernels of a method for a kind of clouds."""
     compile_them = functools.partial(warm_filters, method, kind=kind)
     return Kernels(filters_name(method, kind), compile_them, KERNELS["filters"])
 
 
 def grid_kernels(interpolation: str) -> Kernels:
-    """The kernels of rasters; natural neighbours has kernels of its own, and all other interpolations share some."""
+    """Return the kernels of rasters.
+
+    Natural neighbour interpolation has its own kernels. All other interpolations share theirs.
+    """
     how = "natural" if interpolation == "natural" else "linear"
     return Kernels(gridding_name(how), functools.partial(warm_gridding, how), KERNELS["gridding"])  # type: ignore[arg-type]
 
 
 def likely_kind(plan: Plan) -> str:
-    """The probable kind of the clouds, for compiling kernels before the points are known."""
+    """Return the probable kind of the clouds, to compile kernels before the points are read."""
     if plan.kind is not None:
         return plan.kind
     several = any(source.returns > 1 for source in plan.sources)
@@ -64,16 +70,16 @@ def likely_kind(plan: Plan) -> str:
 
 
 class Compiler:
-    """The processes that compile for a run.
+    """Processes that compile the kernels of a run.
 
     Parameters
     ----------
     listener : callable
-        Receives the progress while the run waits.
+        Function that receives the progress while the run waits.
     note : callable
-        Receives the reason why kernels are compiled.
+        Function that receives the reason why kernels are compiled.
     apart : bool
-        Compile in processes of their own; otherwise in this process, when kernels are needed.
+        Compile in child processes, instead of in this process when kernels are needed.
     """
 
     def __init__(self, listener: Listener, apart: bool, note: Callable[[str], None]) -> None:
@@ -84,7 +90,7 @@ class Compiler:
         self._told: set[str] = set()
 
     def begin(self, plan: Plan, until: str) -> None:
-        """Start to compile the kernels that a run will probably need, unless they are compiled in this process."""
+        """Start to compile the kernels that a run will probably need, if child processes compile."""
         if not self._apart:
             return
         wanted = []
@@ -136,23 +142,24 @@ class Compiler:
             self._note(f"kernels are compiled, which takes half a minute or more: {why}")
 
     def close(self) -> None:
-        """End the processes, even at work."""
+        """Kill the processes, also while they compile."""
         for ended, guard in self._begun.values():
             guard.kill()
             ended.wait()
 
     def _start(self, kernels: Kernels) -> None:
-        # The run waits for an event and not for the thread, which in Python 3.11 seems ended after Ctrl-C in `join`.
+        # The run waits for an event, because in Python 3.11 a thread seems ended after Ctrl-C in `join`.
         guard = ChildProcess(None)
         ended = threading.Event()
-        self._why[kernels.name] = why_not_compiled(kernels.name)  # before this run compiles any
+        # The reason is read now, because it changes once this run has compiled something.
+        self._why[kernels.name] = why_not_compiled(kernels.name)
 
         def work() -> None:
             try:
                 guard.call(kernels.compile, silent, seconds=SECONDS)
             except ChildDiedError as died:
                 self._errors[kernels.name] = f"the process {died}"
-            except Exception as error:  # noqa: BLE001 - an error of a thread is lost; `finish` reports it
+            except Exception as error:  # noqa: BLE001 - an error in a thread would be lost, so `finish` reports it
                 self._errors[kernels.name] = f"{type(error).__name__}: {first_line(error)}"
             finally:
                 guard.close()
@@ -163,9 +170,9 @@ class Compiler:
 
 
 def silent() -> None:
-    """Report nothing."""
+    """Ignore the progress of the compilation."""
 
 
 def kinds_of(method: str) -> tuple[str | None, ...]:
-    """The kinds of clouds for which a method has kernels of their own; (None,) if all kinds share them."""
+    """Return the kinds of clouds with different kernels of a method, or (None,) if all share them."""
     return ("lidar", "dim") if has_kinds(method) else (None,)

@@ -1,4 +1,4 @@
-"""Chooses the executor for tasks: the requested workers, or local ones for files that these cannot write."""
+"""Executors of a run: the requested workers, or local ones for files that these cannot write."""
 
 from __future__ import annotations
 
@@ -14,27 +14,27 @@ from tiler.schedule.cluster_check import ClusterAccess
 from tiler.schedule.worker import prepare
 from tiler.store import store_exists
 
-# The system refuses memory to a faulty worker: beyond MEMORY_TIMES times what the plan allows, and MEMORY_MORE_BYTES.
+# The limit of the system for a faulty worker is MEMORY_TIMES times the memory of the plan plus MEMORY_MORE_BYTES.
 MEMORY_TIMES = 2
 MEMORY_MORE_BYTES = 512 << 20
 
 
 @dataclass(frozen=True)
 class Cluster:
-    """A cluster, as the plan shows it.
+    """Description of a cluster for the plan.
 
     Attributes
     ----------
     machines : list of Machine
     out_seen : bool
-        Whether the workers can write into OUT; if not, this machine writes the files.
+        Whether the workers can write into OUT. If not, this machine writes the files.
     """
 
     machines: list[Machine]
     out_seen: bool
 
     def lines(self, need_bytes: int) -> list[str]:
-        """The cluster in lines of text."""
+        """Return the cluster as lines of text."""
         workers = sum(m.workers for m in self.machines)
         threads = sum(m.threads for m in self.machines)
         least = min(m.memory_bytes // m.threads for m in self.machines)
@@ -50,18 +50,19 @@ class Cluster:
         return found
 
     def to_json(self) -> dict[str, Any]:
-        """The cluster as JSON-able values."""
+        """Return the cluster as JSON-able values."""
         return {"machines": [asdict(machine) for machine in self.machines], "out_seen": self.out_seen}
 
 
 def look_at_cluster(plan: Plan, store_url: str | None, products: str | None) -> tuple[Plan, Cluster]:
-    """The plan with the workers of the cluster that it names, and the cluster itself.
+    """Return the plan with the workers of its cluster, and the cluster.
 
     Parameters
     ----------
     plan : Plan
     store_url, products : str or None
-        See `Executors`; None if unknown. Each worker writes an empty file there and removes it.
+        Locations of the store and the results (see `Executors`); None if unknown. Each worker writes an empty file
+        there and removes it.
 
     Raises
     ------
@@ -98,7 +99,7 @@ def _executor(plan: Plan, scheduler: str | None) -> Executor:
 
 
 class Executors:
-    """The executors of a run, each made when it is first needed.
+    """Executors of a run, each made when it is first needed.
 
     Parameters
     ----------
@@ -107,7 +108,7 @@ class Executors:
     products : str
         Folder or URL of the files that the run writes.
     note : callable
-        Receives notes for the user.
+        Function that receives notes for the user.
     """
 
     def __init__(self, plan: Plan, store_url: str, products: str, note: Callable[[str], None]) -> None:
@@ -120,7 +121,7 @@ class Executors:
         self._access: ClusterAccess | None = None
 
     def choose(self, writes_out: bool = False) -> Executor:
-        """The executor for some tasks.
+        """Return the executor for some tasks.
 
         Parameters
         ----------
@@ -130,7 +131,7 @@ class Executors:
         Raises
         ------
         ConfigError
-            The named cluster does not exist, or a worker cannot take part.
+            The cluster does not exist, or a worker cannot take part.
         """
         scheduler = self._plan.config.scheduler
         if self._main is None:

@@ -1,4 +1,4 @@
-"""A run at work, and its result."""
+"""State of a running run, and its result."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ from tiler.store import LEASE_SECONDS, Commits, Lease, TileStore
 if TYPE_CHECKING:
     import xarray
 
-# run.json is written again once both times have passed: stages may be short, and thousands of corrections make it long.
+# run.json is written again after both times, since stages may be short and thousands of edits make the file long.
 SAVED_SECONDS = 2.0
 SHARE = 20
-"""Multiple of the time that the last write took."""
+"""Ratio of the second time to the time that the last write took."""
 
 
 @dataclass(frozen=True)
 class RunResult:
-    """Result of a run; a notebook shows it with a picture of the DTM.
+    """Result of a run, which a notebook shows with a picture of the DTM.
 
     Attributes
     ----------
@@ -43,11 +43,11 @@ class RunResult:
     summary : dict
         Content of ``run.json``.
     did_nothing : bool
-        Whether an earlier run had done everything.
+        Whether earlier runs had done everything.
     out : str
         Path or URL of the results.
     plan : Plan
-        The plan that the run followed.
+        Plan of the run.
     """
 
     exit_code: int
@@ -58,7 +58,7 @@ class RunResult:
 
     @property
     def files(self) -> dict[str, str]:
-        """Path or URL of each file that the run wrote, or found as it would write it, by its name in OUT."""
+        """Path or URL of each file that the run wrote or found up to date, by its name in OUT."""
         found = {}
         report = self.summary.get("report")
         if report:
@@ -69,27 +69,27 @@ class RunResult:
 
     @property
     def decisions(self) -> list[ResolvedSetting]:
-        """The settings that tiler can choose by itself, each with its value, who chose it, and why."""
+        """Settings that tiler can choose, each with its value, its origin and the reason."""
         return settled(self.summary)
 
     @property
     def notes(self) -> list[str]:
-        """Decisions and findings of the run, a line each."""
+        """Lines with the decisions and findings of the run."""
         return noted(self.summary)
 
     @property
     def warnings(self) -> list[str]:
-        """Warnings, a line each, about what looks wrong and what was left out."""
+        """Lines with warnings about probable errors and about omitted files and tasks."""
         return list(self.summary["warnings"])
 
     def dtm(self) -> xarray.DataArray:
-        """Read the terrain as an array of xarray, through the package rioxarray.
+        """Open the terrain as an array of xarray with the package rioxarray.
 
         Returns
         -------
         xarray.DataArray
-            float32, dimensions (y, x), y falling; heights in the unit of the raster, NaN where there is none; with the
-            CRS. Heights are read when they are used.
+            float32 heights in the unit of the raster, NaN where there is no height, with the CRS. The dimensions are
+            (y, x) with falling y. Heights are read when they are used.
 
         Raises
         ------
@@ -112,14 +112,18 @@ class RunResult:
 
 
 class LeaseWatch:
-    """The locks of store and OUT, which are checked from time to time."""
+    """Regular check of the locks of store and OUT."""
 
     def __init__(self, leases: tuple[Lease, ...]) -> None:
         self._leases = leases
         self._checked = time.monotonic()
 
     def check(self) -> None:
-        """Raise LockedError if another run took store or OUT over, which can happen while this machine sleeps."""
+        """Raise LockedError if another run took over store or OUT.
+
+        This can happen while this machine sleeps. The locks are only read if half of `LEASE_SECONDS` has passed since
+        the last time.
+        """
         if time.monotonic() - self._checked > LEASE_SECONDS / 2:
             for lease in self._leases:
                 lease.check()
@@ -128,10 +132,10 @@ class LeaseWatch:
 
 @dataclass
 class Job:
-    """A run at work, which the stages share.
+    """State of a running run, which its stages share.
 
-    ``out`` is the folder of run.json, log and report; ``products`` is the place of all other files, the same folder or
-    a URL. ``earlier_settings`` are the settings of the last run of OUT by name, empty without an earlier run.
+    ``out`` is the folder of run.json, log and report. ``products`` is the location of all other files, the same folder
+    or a URL. ``earlier_settings`` are the settings of the last run in OUT by name, empty without an earlier run.
     """
 
     plan: Plan
@@ -159,14 +163,14 @@ class Job:
         return self.record.facts
 
     def note(self, text: str) -> None:
-        """Show a note to the user, now and in run.json; its lengths are in the unit of the CRS."""
+        """Show a note to the user and add it to run.json, with lengths in the unit of the CRS."""
         text = in_unit_of_crs(text, self.plan.meta.frame.units)
-        if text not in self.record.notes:  # a stage that is done again repeats its notes
+        if text not in self.record.notes:  # A stage that is run twice repeats its notes.
             self.record.notes.append(text)
         self.listener("note", {"text": text})
 
     def split_commits(self, stage: str, tasks: Iterable[Task]) -> tuple[Commits, Commits]:
-        """Commits of a stage that fit these tasks, and those of other settings or inputs, which do not."""
+        """Return the commits of a stage that fit these tasks, and those of other settings or inputs."""
         digests = {task.key: task.digest for task in tasks}
         done: Commits = {}
         stale: Commits = {}
@@ -177,14 +181,14 @@ class Job:
         return done, stale
 
     def invalidate(self, stage: str, keys: Iterable[str]) -> None:
-        """Mark tasks as not done. Call it before the data of the tasks are overwritten or removed.
+        """Remove the commits of tasks whose data will be overwritten or removed.
 
-        Otherwise a killed run could leave commits without their data.
+        Call it first. Otherwise a killed run could leave commits without their data.
         """
         self.store.uncommit(stage, *keys)
 
     def save_if_due(self) -> None:
-        """Write run.json, unless that was done a moment ago."""
+        """Write run.json, unless it was written a moment ago."""
         if time.monotonic() - self._saved > max(SAVED_SECONDS, SHARE * self._took):
             self.save("running")
 
@@ -193,7 +197,7 @@ class Job:
         began = time.monotonic()
         content = self.record.content(self.plan, state)
         write_run_file(self.out, content)
-        if is_url(self.products):  # a run from another machine learns from it which files tiler wrote
+        if is_url(self.products):  # Runs on other machines read in it which files tiler wrote.
             upload_file(self.out / RUN, joined(self.products, RUN))
         self._saved = time.monotonic()
         self._took = self._saved - began

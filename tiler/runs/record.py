@@ -1,4 +1,7 @@
-"""The content of run.json. This module alone lists its entries; docs/run-json.md promises some of them."""
+"""Content of run.json.
+
+Only this module lists its entries. docs/run-json.md guarantees some of them.
+"""
 
 from __future__ import annotations
 
@@ -24,54 +27,55 @@ PLACED = ("filter", "grid-")
 """Stages whose tasks are tiles of the map in the report."""
 
 LISTED_TILES = 20_000
-"""Most tiles of a stage that run.json lists; of more it lists none, as it is written again after each stage."""
+"""Maximum number of tiles of a stage for which run.json lists them. It is written after each stage, so it must not
+become too long."""
 
 
 class Facts(TypedDict, total=False):
     """Entries that the stages add to run.json, each once its stage is done.
 
-    Heights and distances in rasters are in units of the CRS; names that end in ``_m`` are metres.
+    Heights and distances in rasters are in units of the CRS, values with names ending in ``_m`` in metres.
     """
 
     products_at: str | None
     """URL of OUT, if it is at a URL."""
     given: list[str]
-    """INPUT, as the user gave it."""
+    """INPUT as given by the user."""
     seconds: float
     report: str | None
-    """Name of the report; None if it could not be drawn."""
+    """Name of the report; None if it could not be made."""
     inputs: list[dict[str, Any]]
     """Sources, with the digest of the bytes and the number of stored points."""
     fetched: dict[str, int]
     """Bytes of inputs at URLs that were read for the plan, for points, and for classified clouds."""
     counts: dict[str, Any]
-    """Points read, stored and dropped by reason; duplicates, strays, buckets."""
+    """Numbers of points read and stored, of points dropped by reason, and of duplicates, strays and buckets."""
     classes: dict[str, Any]
-    """Points by class in the input, without part in filtering, and kept and written in clouds."""
+    """Points by class: in the input, excluded from filtering, and kept and written in clouds."""
     strays: list[dict[str, Any]]
     """Points far from all others of their file."""
     statistics: dict[str, Any]
     """State after each pass of the method."""
     filter: dict[str, Any]
-    """Points by class, tiles, marks, overlap work."""
+    """Points by class, tiles, uncertified labels, overlap work."""
     canopy: dict[str, Any]
     """Share of the area that a closed canopy covers, the setting, and where most of it is."""
     breaklines: dict[str, Any]
     bridges: list[dict[str, Any]]
-    """Size and outline of each bridge that was left out."""
+    """Size and outline of each bridge that was removed."""
     edits: list[dict[str, Any]]
-    """Changes by each correction."""
+    """Changes by each edit."""
     water: list[Any]
     """Bodies of water, with level and number of pixels."""
     dtm: dict[str, Any]
-    """Size of the raster, pixels with a height, marks, blocks."""
+    """Size of the raster, pixels with a height, uncertified pixels, blocks."""
     dsm: dict[str, Any]
     mask: dict[str, Any]
     """Pixels by value."""
     sigma: dict[str, Any]
     """Expected RMSE and a histogram of the standard error, of open and covered ground and of water."""
     voids: dict[str, Any]
-    """Number of pixels inside the survey without a height, and the largest places."""
+    """Number of pixels inside the survey without a height, and the largest voids."""
     contours: dict[str, Any]
     spots: dict[str, int]
     """Number of tops and of bottoms."""
@@ -88,42 +92,42 @@ class Facts(TypedDict, total=False):
     advice: list[str]
     """Settings that the data show to be wrong."""
     advice_at: list[list[float]]
-    """Place x, y of each advice."""
+    """Position x, y of each advice."""
     outputs: dict[str, int]
-    """Files of OUT that this run wrote, or found as it would write them, and their sizes in bytes."""
+    """Files in OUT that this run wrote or found up to date, and their sizes in bytes."""
     digests: dict[str, str]
     """Digests of these files."""
     made_of: dict[str, str]
-    """For each raster, the digest of its inputs."""
+    """Digest of the inputs of each raster."""
     earlier_outputs: dict[str, str | None]
     """Files of earlier runs, until the export has removed or kept them."""
     healed: list[str]
-    """Damaged objects of the store that are made again."""
+    """Damaged objects of the store that the run repaired."""
 
 
 @dataclass
 class RunRecord:
-    """What a run did, and with what result.
+    """Record of a run's work and results.
 
     Attributes
     ----------
     computed : int
         Number of tasks that this run did.
     stages : dict
-        For each key of a stage: ``title``, ``tasks``, ``done`` before, ``points``, ``computed``, ``seconds``,
-        ``peak_rss_bytes``.
+        ``title``, ``tasks``, ``done`` (before this run), ``points``, ``pixels``, ``computed``, ``seconds`` and
+        ``peak_rss_bytes`` of each stage by its key.
     quarantined : list
         ``path`` and ``error`` of each input that is left out.
     failed : list
-        ``stage``, ``title``, ``key``, ``error``, ``kind`` and ``bounds`` of each task that was given up.
+        ``stage``, ``title``, ``key``, ``error``, ``kind`` and ``bounds`` of each task that failed for good.
     notes : list of str
         Notes for the user.
     warnings : list of str
         Warnings for the user, which `keep_warning` collects.
     exit_code : int or None
-        Exit code of the run; None while it is at work.
+        Exit code of the run; None while it is running.
     tiles : dict
-        For each stage and key, the state of the tile, for the map in the report.
+        State of each tile by stage and key, for the map in the report.
     facts : Facts
     """
 
@@ -138,7 +142,7 @@ class RunRecord:
     facts: Facts = field(default_factory=Facts)
 
     def first_error(self, stage: str) -> str:
-        """The error of the first failed task of a stage."""
+        """Return the error of the first failed task of a stage."""
         return next(str(failure["error"]) for failure in self.failed if failure["stage"] == stage)
 
     def list_tiles(self, stage: str, tasks: Iterable[tuple[Task, list[float] | None]], done: Commits) -> None:
@@ -146,7 +150,7 @@ class RunRecord:
         self.tiles[stage] = {task.key: _tile(task, bounds, done) for task, bounds in tasks}
 
     def update_tile(self, outcome: Outcome) -> None:
-        """Set the state of a tile after a try; it stays ``waiting`` if another try follows."""
+        """Set the state of a tile after a try. It stays ``waiting`` if another try follows."""
         tile = self.tiles.get(outcome.task.stage, {}).get(outcome.task.key)
         if tile is None:
             return
@@ -164,7 +168,7 @@ class RunRecord:
             self.warnings.append(text)
 
     def content(self, plan: Plan, state: str) -> dict[str, Any]:
-        """The content of run.json, without the passwords and tokens of URLs.
+        """Return the content of run.json, without the passwords and tokens of URLs.
 
         Parameters
         ----------
@@ -200,12 +204,15 @@ class RunRecord:
 
 @cache
 def _libraries() -> dict[str, str]:
-    # Cached, since each version is read from a file.
+    # The result is cached, since each version is read from a file.
     return {name: version(name) for name in LIBRARIES}
 
 
 def _tile(task: Task, bounds: list[float] | None, done: Commits) -> dict[str, Any]:
-    """A tile before its stage begins. If an earlier run did it, only the events of that run hold its time."""
+    """Return the state of a tile before its stage begins.
+
+    If an earlier run did the tile, its time is only in the events of that run.
+    """
     made = {"state": "waiting", "tries": 0, "marked": 0}
     if task.key in done:
         _, record = done[task.key]

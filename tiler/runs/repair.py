@@ -1,6 +1,6 @@
-"""Repairs the store: the task that wrote a damaged or missing object is taken back and done again.
+"""Repair of the store: tasks that wrote damaged or missing objects are run again.
 
-What is done again writes the same bytes, so everything else that was done stays done.
+A repeated task writes the same bytes, so all other tasks stay done.
 """
 
 from __future__ import annotations
@@ -12,19 +12,26 @@ from tiler.runs.job import Job
 from tiler.store import chunk_numbers
 
 ROUNDS = 3
-"""Rounds of repair: a disk that damages what it is given again and again is beyond it."""
+"""Maximum number of repairs in a run. A disk that keeps damaging data cannot be repaired by them."""
 
 
 def repair(job: Job, keys: Iterable[str]) -> None:
-    """Take back what wrote the objects of these keys, as `tiler.errors.CorruptStoreError` names them."""
+    """Invalidate the tasks that wrote damaged objects.
+
+    Parameters
+    ----------
+    job : Job
+    keys : iterable of str
+        Keys of the objects in the store, as in `tiler.errors.CorruptStoreError`.
+    """
     for key in sorted(set(keys)):
         job.note(f"store: {key} is damaged or missing; the task that wrote it is run again")
         kind, name, chunk = [*key.split("/"), "", ""][:3]
-        numbers = chunk_numbers(chunk)  # None: the whole array
+        numbers = chunk_numbers(chunk)  # None for the whole array
         if kind == "spool":
             job.store.uncommit("spool", name)
         elif kind == "records":
-            job.store.forget(f"records/{name}")  # the source is decoded once more
+            job.store.forget(f"records/{name}")  # The export decodes the source instead.
         elif kind == "rasters" and numbers is None:
             job.store.clear(f"grid-{name}")
             job.store.forget(f"rasters/{name}")
@@ -35,7 +42,7 @@ def repair(job: Job, keys: Iterable[str]) -> None:
             job.store.forget(f"{kind}/{name}")
         elif kind in ("labels", "elected", "points") and numbers:
             _take_back_bucket(job, kind, numbers[0])
-        else:  # the columns as a whole, or the index that knows which rows are whose
+        else:  # The key is that of whole columns, or of the index, which assigns their rows to buckets.
             _clear_filters(job)
             job.store.clear("assemble")
             job.store.forget("index")
@@ -55,7 +62,7 @@ def _clear_filters(job: Job) -> None:
 
 
 def _take_back_bucket(job: Job, kind: str, row: int) -> None:
-    """The tasks that wrote the points, labels or elected points of the bucket that owns a row of the columns."""
+    """Invalidate the tasks that wrote the points, labels or elected points of a row's bucket."""
     cell = job.store.owner_of(row)
     if cell is None:
         return
@@ -72,6 +79,6 @@ def _take_back_bucket(job: Job, kind: str, row: int) -> None:
 
 
 def _take_back_block(job: Job, name: str, row: int, col: int) -> None:
-    """The task that wrote a chunk of a raster."""
+    """Invalidate the task that wrote a chunk of a raster."""
     block = Block(row * BLOCK_PIXELS, col * BLOCK_PIXELS, BLOCK_PIXELS, BLOCK_PIXELS)
     job.invalidate(f"grid-{name}", [block.name])

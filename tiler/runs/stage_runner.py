@@ -1,4 +1,4 @@
-"""Runs the tasks of a stage that are not done yet, and reports the outcome of each."""
+"""Execution of the tasks of a stage that are not done yet, with a report on each outcome."""
 
 from __future__ import annotations
 
@@ -18,10 +18,10 @@ from tiler.schedule.worker import perform
 from tiler.store import Commits, store_exists
 
 PACKED_COMMITS = 256
-"""A stage that ends with so many commits packs them into one object, since reading each costs a request."""
+"""Number of commits from which on a finished stage packs them into one object, since reading each costs a request."""
 
 Join = Callable[[list[Task], int], list[Task]]
-"""``join(tasks, workers)`` makes tasks of which some are parts of others."""
+"""Function ``join(tasks, workers)`` that joins tasks into larger ones with parts."""
 
 
 def run_stage(
@@ -40,11 +40,11 @@ def run_stage(
     stage : str
     tasks : iterable of Task
     kernels : Kernels, optional
-        Kernels that the stage uses. They are compiled first, as each local worker would do otherwise.
+        Kernels that the stage uses. They are compiled first, because otherwise each local worker would compile them.
     writes_out : bool
         Whether the tasks write files into OUT.
     join : callable, optional
-        Joins tasks that are cheaper together.
+        Function that joins tasks that are cheaper together.
 
     Returns
     -------
@@ -54,9 +54,9 @@ def run_stage(
     Raises
     ------
     CorruptStoreError
-        Objects of the store could not be read; all other tasks are done.
+        Objects of the store could not be read. All other tasks are done.
     ProcessingError
-        A task failed and ``--on-error`` is ``stop``, or store or OUT are gone.
+        A task failed and ``--on-error`` is ``stop``, or the store or OUT was removed.
     """
     wanted = {task.key: task for task in tasks}
     done, stale = job.split_commits(stage, wanted.values())
@@ -74,7 +74,7 @@ def run_stage(
         job.record.list_tiles(stage, ((task, _place(job, task)) for task in wanted.values()), done)
     if todo and kernels is not None and job.plan.config.scheduler is None:
         job.compiler.finish(kernels)
-    job.listener("stage_started", info)  # after the kernels, so that the stage's time is that of its work
+    job.listener("stage_started", info)  # The kernels come first, so that the stage's time excludes them.
     start = time.monotonic()
     peak_rss = 0
     damaged = set[str]()
@@ -99,7 +99,7 @@ def run_stage(
 
 
 def _outcomes(job: Job, tasks: list[Task], writes_out: bool, join: Join | None) -> Iterator[Outcome]:
-    """Outcomes of single tasks; if joined tasks fail together, they are done one by one."""
+    """Yield the outcomes of single tasks. Joined tasks that fail together are run one by one."""
     if not tasks:
         return
     executor = job.executors.choose(writes_out)
@@ -118,7 +118,7 @@ def _outcomes(job: Job, tasks: list[Task], writes_out: bool, join: Join | None) 
 
 
 def _pixels(task: Task) -> int:
-    """Number of pixels that a task makes; 0 if it makes none."""
+    """Return the number of pixels that a task makes, or 0 if it does not make a raster."""
     block = getattr(task.arguments, "block", None)
     if isinstance(block, Block):
         return block.height * block.width
@@ -126,7 +126,7 @@ def _pixels(task: Task) -> int:
 
 
 def _report(job: Job, outcome: Outcome) -> None:
-    """Report a task that is done, is tried again, or failed; raises an error that ends the run."""
+    """Report a task that is done, retried or failed. Raise an error if the failure ends the run."""
     task = outcome.task
     if outcome.record is not None:
         job.listener(
@@ -165,7 +165,7 @@ def _report(job: Job, outcome: Outcome) -> None:
 
 
 def _validate_folders_exist(job: Job) -> None:
-    """Raise ProcessingError if OUT or the store was removed, so that the task is not to blame."""
+    """Raise ProcessingError if OUT or the store was removed, which is not an error of the task."""
     if not job.out.is_dir():
         gone = str(job.out)
     elif not store_exists(job.store.url):
@@ -176,7 +176,10 @@ def _validate_folders_exist(job: Job) -> None:
 
 
 def _place(job: Job, task: Task) -> list[float] | None:
-    """Bounds of a task: lowest x, y, highest x, y in units of the CRS; None if it has no place."""
+    """Return the bounds of a task in units of the CRS, or None if it has no extent.
+
+    They are lowest x, y and highest x, y.
+    """
     if not isinstance(task.arguments, Placed):
         return None
     bounds = task.arguments.place(job.plan.meta.bucket)
