@@ -1,4 +1,4 @@
-"""Find the CRS and the units of a run from its sources and its settings."""
+"""CRS and units of a run, from its sources and settings."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from tiler.inputs.sources import SourceInfo
 
 
 class CommonCrs(NamedTuple):
-    """The CRS of a run (None if it is unknown), its units, and notes for the user."""
+    """CRS of a run (None if it is unknown), its units, and notes for the user."""
 
     wkt: str | None
     units: Units
@@ -27,14 +27,15 @@ class CommonCrs(NamedTuple):
 
 
 def resolve_common_crs(infos: Sequence[SourceInfo], config: RunConfig) -> CommonCrs:
-    """Find the CRS and the units that all sources share. Files without points are not asked.
+    """Find the CRS and the units that all sources share. Files without points are ignored.
 
     Raises
     ------
     InputError
-        The CRS of a file is missing (and there is no ``--crs``), geographic, geocentric, or not that of the others.
+        The CRS of a file is missing (and there is no ``--crs``), geographic, geocentric, or not that of the others, or
+        heights have different units.
     ConfigError
-        ``--crs`` or ``--units`` cannot be understood.
+        ``--crs`` or ``--units`` cannot be used.
     """
     notes: list[str] = []
     given = _given(config.crs)
@@ -43,13 +44,16 @@ def resolve_common_crs(infos: Sequence[SourceInfo], config: RunConfig) -> Common
     _note_ignored_crs(members, config.crs, given, notes)
     units = _units(members, config.units, notes)
     texts = {g.wkt for _, g in members if g.wkt is not None}
-    # Equal definitions may have different texts: choose one that does not depend on the order of the files.
+    # Equal definitions may have different texts. The choice does not depend on the order of the files.
     wkt = min(texts, key=lambda text: (-text.count("ID["), text), default=None)
     return CommonCrs(wkt, units, notes)
 
 
 def _given(text: str | None) -> Georeference | None:
-    """The CRS of ``--crs``; raises ConfigError if it is unknown or not projected."""
+    """Return the CRS of ``--crs``.
+
+    Raise ConfigError if it is unknown, or neither projected nor local.
+    """
     if text is None or text.strip().lower() == "none":
         return None
     try:
@@ -70,7 +74,7 @@ def _note_ignored_crs(
     given: Georeference | None,
     notes: list[str],
 ) -> None:
-    """Add a note if files have their own CRS and it differs from ``--crs``, which is then not used for them."""
+    """Add a note if files have a CRS other than ``--crs``, which is then not used for them."""
     own = [(g.wkt, g.name) for _, g in members if g.wkt is not None and g is not given]
     if text is None or not own:
         return
@@ -87,7 +91,10 @@ def _note_ignored_crs(
 
 
 def _settled(path: Path, own: Georeference, given: Georeference | None, text: str | None) -> Georeference:
-    """The CRS of a file, or that of ``--crs`` if the file has none; raises InputError."""
+    """Return the CRS of a file, or that of ``--crs`` if the file does not have one.
+
+    Raise InputError if the CRS is missing or has angles instead of lengths.
+    """
     if own.kind in ("geographic", "geocentric"):
         raise InputError(
             f"{path}: CRS {own.name} is {own.kind}, not projected; reproject the file to a projected CRS"
@@ -107,7 +114,7 @@ def _settled(path: Path, own: Georeference, given: Georeference | None, text: st
 
 @lru_cache(maxsize=64)
 def _with_heights(own: Georeference, given: Georeference | None) -> Georeference:
-    """A file's CRS, or that of ``--crs`` if it adds a vertical CRS to the same horizontal one."""
+    """Return a file's CRS, or that of ``--crs`` if it adds a vertical CRS to the same horizontal one."""
     if given is None or given.wkt is None or own.wkt is None:
         return own
     mine, vertical = split(CRS.from_wkt(own.wkt))
@@ -120,7 +127,7 @@ def _with_heights(own: Georeference, given: Georeference | None) -> Georeference
 
 
 def _check_horizontal(members: Sequence[tuple[Path, Georeference]]) -> None:
-    """Raise InputError, which names two files, if their horizontal CRS differ."""
+    """Raise InputError if the horizontal CRSs of two files differ."""
     if not members:
         return
     first_path, first = members[0]
@@ -141,7 +148,10 @@ def _check_horizontal(members: Sequence[tuple[Path, Georeference]]) -> None:
 
 
 def _units(members: Sequence[tuple[Path, Georeference]], text: str | None, notes: list[str]) -> Units:
-    """Metres per unit, horizontally and vertically; raises InputError, ConfigError."""
+    """Return the horizontal and the vertical unit.
+
+    Raise InputError if heights of files have different units, or ConfigError if ``--units`` cannot be used.
+    """
     horizontal = next((g.horizontal for _, g in members if g.horizontal is not None), None)
     if horizontal is None:
         horizontal = METRE

@@ -1,4 +1,4 @@
-"""Bounds of a file's points: those of the header, checked against a sample of the points."""
+"""Bounds of a file's points, from the header and checked against a sample of the points."""
 
 from __future__ import annotations
 
@@ -19,29 +19,29 @@ from tiler.io.las.octree import Octree
 from tiler.io.las.reader import EVERYTHING, PointReader, Records, rows_at_once
 
 _PLACES = 32
-"""Places in the file at which a sample is read; a small file with one chunk has one place."""
+"""Maximum number of positions in the file at which a sample is read. A small file with one chunk has one position."""
 _SAMPLE = 1024
-"""Points that are read at each place."""
+"""Number of points read at each position."""
 _LEAST = 8192
-"""Fewest points in the whole sample."""
+"""Minimum number of points in the whole sample, if the file has as many."""
 _SCAN = 1 << 19
-"""Points that are read at a time, if all are read."""
+"""Number of points read at a time if all are read."""
 _BLOCK_BYTES = 1 << 19
-"""Bytes of an object that are read at a time: about the size of a chunk's coordinates."""
+"""Bytes of an object that are read at a time, about the size of a chunk's coordinates."""
 _WIDEST = 1e6
-"""Longest credible extent, in units: int32 counts reach across it from any place in it."""
+"""Longest credible extent in units of the CRS, across which int32 counts reach from any position in it."""
 
 FEW = 10
-"""A file has at most so many strays."""
+"""Maximum number of strays of a file."""
 SHARE = 1000
-"""At most one point in so many of a file is a stray."""
+"""Minimum ratio of the points of a file to its strays."""
 
 FAR = 1000.0
 """Distance between two points that are far apart, in units of the CRS."""
 _TIMES = 4
-"""The bounds may reach beyond the sample by `FAR` and so many times its width."""
+"""The bounds may extend beyond the sample by `FAR` plus this multiple of its width."""
 _LEVELS = 4
-"""Deepest level of an octree whose squares become patches; it has 256 squares at most."""
+"""Deepest level of an octree whose squares become patches. It has at most 256 squares."""
 
 Array = npt.NDArray[np.float64]
 
@@ -55,15 +55,16 @@ class Extent:
     bounds : tuple of 6 float or None
         Lowest x, y, z, highest x, y, z in units of the CRS; None without points.
     claimed : bool
-        Whether these are the bounds of the header, and hold a sample of the points. Points outside are then strays.
+        Whether these are the bounds of the header and contain a sample of the points, apart from a few strays. Points
+        outside are strays if they are few.
     note : str or None
-        A note for the user.
+        Note for the user.
     patches : tuple of DensityPatch
-        Estimate of how the points are spread over the bounds.
+        Estimate of the distribution of the points over the bounds.
     returns : int
         Largest number of returns of a pulse in the sample; 0 or 1 for clouds without pulses.
     evidence : Evidence
-        Evidence, in the fields of the sample, of what made the cloud.
+        Evidence in the fields of the sample on the source of the cloud.
     """
 
     bounds: tuple[float, ...] | None
@@ -75,16 +76,17 @@ class Extent:
 
 
 def can_be_strays(number: int, total: int) -> bool:
-    """Whether ``number`` points of a file with ``total`` points are few enough to be strays."""
+    """Return whether ``number`` of the ``total`` points of a file are few enough to be strays."""
     return number <= FEW and number * SHARE <= total
 
 
 def find_extent(header: LasHeader, octree: Octree | None = None) -> Extent:
     """Find the bounds of a file from its header and a sample of its points.
 
-    The bounds of the header are used if the sample fills them, except for a few strays; otherwise all points are read.
-    Bounds that reach very far beyond the sample end where the sample ends, since they hold strays or an empty area that
-    the plan must not count. The sample of an octree is its root, whose points span the whole file.
+    The bounds of the header are used if they are credible and contain the sample, or all but a few strays of a sample
+    that fills them. Otherwise all points are read. Bounds that extend very far beyond the sample are cut to it, since
+    they contain strays or an empty area that the plan must not count. The sample of an octree is its root, whose points
+    span the whole file.
 
     Raises
     ------
@@ -136,7 +138,7 @@ def find_extent(header: LasHeader, octree: Octree | None = None) -> Extent:
 def _patches_of(
     octree: Octree, counts: list[int], sample: Array, bounds: Sequence[float]
 ) -> tuple[DensityPatch, ...]:
-    """A patch for each square of an octree that holds points, clipped to the bounds."""
+    """Return a patch for each square of an octree with points, clipped to the bounds."""
     found = []
     level = max(*(key[0] for key in octree.keys), math.isqrt(sample.shape[1] // IN_CELL).bit_length() - 1)
     for key, points in octree.spread(counts, sample, min(level, _LEVELS)).items():
@@ -153,7 +155,10 @@ def _patches_of(
 
 
 def _few_outside(header: LasHeader, sample: Iterable[Records], claim: _BoundingBox) -> bool:
-    """Whether, in x and y, the points of a sample outside ``claim`` can be strays and the others fill ``claim``."""
+    """Return whether the points of a sample fill ``claim`` in x and y, except for a few strays.
+
+    Points fill ``claim`` if they extend over at least half of its width and height.
+    """
     places = np.concatenate([_plan_view(header, records) for records in sample], axis=1)
     tolerance = np.asarray(header.scales[:2])
     low = claim.low[:2] - tolerance
@@ -165,7 +170,7 @@ def _few_outside(header: LasHeader, sample: Iterable[Records], claim: _BoundingB
 
 
 def _plan_view(header: LasHeader, records: Records) -> Array:
-    """Places of records in units of the CRS, shape (2, n)."""
+    """Return x and y of records in units of the CRS, float64, shape (2, n)."""
     with np.errstate(over="ignore", invalid="ignore"):
         axes = [records[n] * header.scales[i] + header.offsets[i] for i, n in enumerate("XY")]
     return np.stack(axes).astype(np.float64)
@@ -173,14 +178,17 @@ def _plan_view(header: LasHeader, records: Records) -> Array:
 
 @dataclass(frozen=True)
 class _BoundingBox:
-    """Lowest and highest x, y, z, float64, shape (3,) each; infinite without points."""
+    """Lowest and highest x, y, z, float64, shape (3,) each, infinite without points."""
 
     low: Array
     high: Array
 
     @classmethod
     def around(cls, header: LasHeader, blocks: Iterable[Records]) -> _BoundingBox:
-        """The hull of some records; coordinates that are not finite are left out."""
+        """Return the box around some records.
+
+        Coordinates that are not finite, or not below `FARTHEST`, are ignored.
+        """
         low = np.full(3, np.inf)
         high = np.full(3, -np.inf)
         for block in blocks:
@@ -200,12 +208,15 @@ class _BoundingBox:
         return cls(low, high)
 
     def holds(self, other: _BoundingBox, tolerance: Sequence[float]) -> bool:
-        """Whether another hull lies inside, apart from rounding."""
+        """Return whether this box contains another one, apart from rounding."""
         inside = np.all(other.low >= self.low - tolerance) and np.all(other.high <= self.high + tolerance)
         return bool(inside)
 
     def trimmed(self, near: _BoundingBox) -> _BoundingBox | None:
-        """The hull, cut to ``near`` on each side in x and y on which it reaches far beyond; None if it does not."""
+        """Return the box, cut to ``near`` on each side in x and y on which it extends far beyond.
+
+        None if it extends far beyond ``near`` on no side, or if ``near`` is empty.
+        """
         if not np.all(np.isfinite(near.low)):
             return None
         allowed = FAR + _TIMES * float(max(near.high[:2] - near.low[:2]))
@@ -217,7 +228,7 @@ class _BoundingBox:
 
 
 def _chunk_start(header: LasHeader, point: int) -> int:
-    """The first point of the chunk that holds ``point``; decoding has to begin there."""
+    """Return the first point of the chunk of ``point``, where decoding must start."""
     layout = header.laz
     if layout is None:
         return point

@@ -1,4 +1,4 @@
-"""Reads CRS and units of a source from its WKT or its GeoTIFF keys, as far as they are EPSG codes (OGC 19-008r4)."""
+"""CRS and units of a source, from its WKT or the EPSG codes in its GeoTIFF keys (OGC 19-008r4)."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from tiler.io.las.records import PROJECTION_USER
 _WKT_RECORD = 2112
 DIRECTORY = 34735
 
-# Numbers of the keys.
+# Numbers of the keys
 _GEODETIC = 2048
 _PROJECTED = 3072
 _LINEAR_UNIT = 3076
@@ -34,7 +34,7 @@ _UNITS = {9001: METRE, 9002: FOOT, 9003: US_SURVEY_FOOT}
 
 @dataclass(frozen=True)
 class KeyedCrs:
-    """What the keys define: a horizontal CRS, a vertical CRS, the unit of heights; and notes for the user."""
+    """CRS defined by the keys, horizontal and vertical, with metres per unit of heights and notes."""
 
     horizontal: CRS | None
     vertical: CRS | None
@@ -43,7 +43,7 @@ class KeyedCrs:
 
 
 def parse_keys(directory: bytes) -> dict[int, int]:
-    """The keys whose value is a number in the directory itself; empty if the bytes are not a directory."""
+    """Return the keys with numbers in the directory itself, or {} if the bytes are not a directory."""
     usable = len(directory) // 8 * 8
     entries = np.frombuffer(directory[:usable], dtype="<u2").reshape(-1, 4)
     if len(entries) == 0:
@@ -53,7 +53,7 @@ def parse_keys(directory: bytes) -> dict[int, int]:
 
 
 def crs_of_keys(directory: bytes) -> KeyedCrs:
-    """The CRS that a directory of GeoTIFF keys defines by EPSG codes."""
+    """Return the CRS that a directory of GeoTIFF keys defines by EPSG codes."""
     keys = parse_keys(directory)
     notes: list[str] = []
     horizontal = _of_code(keys.get(_PROJECTED), notes)
@@ -87,18 +87,19 @@ def _of_code(code: int | None, notes: list[str]) -> CRS | None:
 
 @dataclass(frozen=True)
 class Georeference:
-    """The CRS of a file, with its units.
+    """CRS of a file with its units.
 
     Attributes
     ----------
     kind : str
-        ``projected``, ``local`` (linear units, but no place on earth), ``geographic``, ``geocentric``, ``missing``.
+        ``projected``, ``local`` (with lengths, but without a position on earth), ``geographic``, ``geocentric``, or
+        ``missing``.
     name : str
         Name of the CRS.
     wkt : str or None
         WKT2:2019 of the horizontal CRS, or of both if the vertical CRS is known.
     horizontal, vertical : Fraction or None
-        Metres per unit; None if the file does not define it.
+        Metres per unit; None if the file does not define the unit.
     notes : tuple of str
         Notes for the user.
     """
@@ -112,10 +113,10 @@ class Georeference:
 
 
 def georeference(header: LasHeader) -> Georeference:
-    """CRS and units of one file.
+    """Return the CRS and the units of a file.
 
-    The global encoding of the header tells whether the WKT record or the GeoTIFF keys come first. The other one is
-    used if the first is missing or cannot be read.
+    The global encoding of the header decides whether the WKT record or the GeoTIFF keys are read first. The other
+    source is used if the first is missing or cannot be read.
     """
     notes: list[str] = []
     readers = [_from_wkt, _from_keys] if header.prefers_wkt else [_from_keys, _from_wkt]
@@ -127,7 +128,10 @@ def georeference(header: LasHeader) -> Georeference:
 
 
 def describe(crs: CRS, notes: Sequence[str] = (), vertical_unit: Fraction | None = None) -> Georeference:
-    """Kind and units of a CRS; ``vertical_unit`` is used if the CRS does not define the unit of heights."""
+    """Return the kind and the units of a CRS.
+
+    ``vertical_unit`` is used if the CRS does not define the unit of heights.
+    """
     horizontal, vertical = split(crs)
     if horizontal is None:
         return Georeference("missing", crs.name, notes=(*notes, f"its CRS {crs.name} is vertical only"))
@@ -170,7 +174,7 @@ def _from_wkt(header: LasHeader, notes: list[str]) -> Georeference | None:
 
 @lru_cache(maxsize=64)
 def _described(wkt: str) -> Georeference:
-    # The files of a delivery share a text, and parsing it takes as long as reading a sample of a file.
+    # The files of a delivery share one text, and parsing it takes as long as reading a sample of a file.
     return describe(CRS.from_wkt(wkt))
 
 
@@ -189,7 +193,7 @@ def _from_keys(header: LasHeader, notes: list[str]) -> Georeference | None:
         )
         found = describe(both, notes)
         if keyed.vertical_unit not in (None, found.vertical):
-            # The key wins over the EPSG entry: the file may have feet above a datum that is defined in metres.
+            # The key takes precedence over the EPSG entry: heights may be in feet, their datum in metres.
             return describe(keyed.horizontal, notes, keyed.vertical_unit)
         return found
     return None

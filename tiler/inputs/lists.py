@@ -1,4 +1,4 @@
-"""Reads files that name clouds (``.vpc``, EPT) in a child process with limits, as they may come from anywhere."""
+"""Reading of lists of clouds (``.vpc``, EPT) in a child process with limits, as for untrusted data."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from tiler.schedule.guard import MEMORY_BYTES
 Read = TypeVar("Read")
 
 LIST_BYTES = 1 << 28
-"""Largest size of such a file; pdal_wrench writes some kilobytes for each cloud."""
+"""Maximum size of a list in bytes. pdal_wrench writes some kilobytes per cloud."""
 MAX_CLOUDS = 1 << 18
-"""Most clouds that a list may name; a URL takes 1.4 kB of memory before any cloud is read."""
+"""Maximum number of clouds in a list. A URL takes 1.4 kB of memory before any cloud is read."""
 LIST_SECONDS = 300.0
-"""Longest time for reading a whole ``.vpc`` or hierarchy, however slow its server is."""
+"""Maximum time in seconds for reading a whole ``.vpc`` or hierarchy, however slow its server is."""
 
 
 def read_list(text: str, function: Callable[..., Read], *arguments: Any, in_process: bool = False) -> Read:
-    """The result of ``function(*arguments)`` in a child process.
+    """Call ``function(*arguments)`` in a child process and return its result.
 
     Parameters
     ----------
     text : str
         Path or URL of the list.
     function : callable
-        A function of a module, since function, arguments and result are pickled.
+        Function of a module, since function, arguments and result are pickled.
     in_process : bool
         Call the function in this process, without limits.
 

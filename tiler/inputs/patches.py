@@ -1,7 +1,7 @@
-"""Estimates where a file's points lie and how dense they are, from a few runs of successive points.
+"""Estimates of the distribution and density of a file's points, from runs of successive points.
 
 The mean density over a file's bounds is wrong if flight strips run diagonally, or cross. A run of successive points
-shows the density at its place or, if the order of the file is random, the density of the whole file.
+gives the density at its position or, if the order of the file is random, the density of the whole file.
 """
 
 from __future__ import annotations
@@ -14,32 +14,32 @@ import numpy as np
 import numpy.typing as npt
 
 _PER_CELL = 4.0
-"""Points in an occupied cell for which `local_density` chooses the size of its cells."""
+"""Mean number of points per occupied cell for which `local_density` chooses the size of its cells."""
 _ROUNDS = 6
 
 # A long run is divided if its rectangle is mostly empty.
 _FAR = 10_000.0
-"""Length of a long run, in units of the CRS."""
+"""Minimum length of a long run in units of the CRS."""
 _FAR_VOID = 1000.0
-"""Area of its rectangle over the area that its own points fill."""
+"""Ratio of the area of its rectangle to the area that its points fill, above which it is divided."""
 
 # A run of many points is divided if its rectangle is partly empty.
 _MANY = 512
 _VOID = 2.0
-"""Area of its rectangle over the area of all points for which the run stands."""
+"""Ratio of the area of its rectangle to the area of all points that the run represents, above which it is divided."""
 
 # If the order of the file is random, patches are cells of the bounds.
 _SPANS = 0.7
-"""The order is random if each run reaches across so much of both sides of the bounds."""
+"""Share of both sides of the bounds that each run must span for the order to count as random."""
 _CELLS = 16
-"""Most cells along a side."""
+"""Maximum number of cells along a side."""
 IN_CELL = 8
-"""Points of the sample in a cell."""
+"""Mean number of points of the sample per cell."""
 
 
 @dataclass(frozen=True)
 class DensityPatch:
-    """The rectangle ``x0 <= x <= x1, y0 <= y <= y1`` in units of the CRS, and about how many points it holds."""
+    """Rectangle from x0, y0 to x1, y1 in units of the CRS, with its estimated number of points."""
 
     x0: float
     y0: float
@@ -51,9 +51,10 @@ class DensityPatch:
 def find_patches(
     runs: Sequence[npt.NDArray[np.float64]], points: int, bounds: Sequence[float]
 ) -> tuple[DensityPatch, ...]:
-    """Patches that hold all points of a file: one for each run, or for each cell if the order of the file is random.
+    """Estimate the patches of a file: one or more per run, or one per cell if its order is random.
 
-    The rectangle of a run is widened until, at the density of the run, it holds all points from this run to the next.
+    Together they contain all points. The rectangle of a run is widened until, at the density of the run, it contains
+    all points up to the next run.
 
     Parameters
     ----------
@@ -62,7 +63,7 @@ def find_patches(
     points : int
         Number of points in the file.
     bounds : sequence of 4 float
-        Lowest x, y, highest x, y. No patch reaches beyond.
+        Lowest x, y and highest x, y, within which all patches lie.
     """
     low = np.array(bounds[:2])
     high = np.array(bounds[2:])
@@ -75,7 +76,7 @@ def find_patches(
     share = points / len(inside)
     divided = [_divide(run, share) for run in inside]
     if any(len(parts) > 1 for parts in divided):
-        # The runs of a small file overlap: use only as many as hold each point once.
+        # The runs of a small file overlap. Only as many are used as contain each point once.
         step = max(round(sum(run.shape[1] for run in inside) / points), 1)
         divided = divided[::step]
         share = points / len(divided)
@@ -92,7 +93,7 @@ def _cells(
     low: npt.NDArray[np.float64],
     high: npt.NDArray[np.float64],
 ) -> tuple[DensityPatch, ...]:
-    """A patch for each cell of the bounds that holds points of the sample, which comes from the whole file."""
+    """Return a patch per cell of the bounds with points of a sample of the whole file."""
     total = sample.shape[1]
     across = min(max(math.isqrt(total // IN_CELL), 1), _CELLS)
     side = (high - low) / across
@@ -106,7 +107,7 @@ def _cells(
 
 
 def _divide(run: npt.NDArray[np.float64], points: float) -> list[npt.NDArray[np.float64]]:
-    """Divide a run, which stands for ``points`` points, until no part is diagonal or jumps across an empty area."""
+    """Divide a run that represents ``points`` points, until no part is diagonal or has a large gap."""
     sides = np.ptp(run, axis=1)
     density = local_density(run)
     total = run.shape[1]
@@ -131,7 +132,7 @@ def _patch(
     # The margin m solves (wide + 2 m) (tall + 2 m) = area.
     margin = (math.sqrt((wide - tall) ** 2 + 4 * area) - wide - tall) / 4
     first, last = first - max(margin, 0.0), last + max(margin, 0.0)
-    # A patch that reaches beyond the bounds is moved inside and not cut off, so that it keeps its area.
+    # A patch that extends beyond the bounds is moved inside instead of clipped, so that it keeps its area.
     shift = np.maximum(low - first, 0) - np.maximum(last - high, 0)
     first, last = np.maximum(first + shift, low), np.minimum(last + shift, high)
     last = np.maximum(last, first)
@@ -139,10 +140,10 @@ def _patch(
 
 
 def local_density(run: npt.NDArray[np.float64]) -> float:
-    """Points per square unit of the cells that hold points; the cells hold about `_PER_CELL` points each.
+    """Return the points per square unit of the occupied cells, with about `_PER_CELL` points per cell.
 
-    The error is at most a factor of two for points spread over a plane. It is a factor of two to four, towards a low
-    density, if the points are a single scan line.
+    The error is at most a factor of two for points distributed over a plane. For a single scan line the density is too
+    low by a factor of two to four.
     """
     n = run.shape[1]
     first, sides = run.min(axis=1), np.ptp(run, axis=1)

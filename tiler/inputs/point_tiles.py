@@ -1,4 +1,4 @@
-"""Reads Entwine point tiles (EPT, ``ept.json``): an octree whose nodes are LAZ files in one folder."""
+"""Reading of Entwine Point Tiles (EPT, ``ept.json``): octrees with nodes in LAZ files of a folder."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ DATA_FOLDER = "ept-data"
 _MAX_WKT_BYTES = 1 << 20
 _DEEPEST = 30
 _FARTHEST = 1e12
-"""Largest coordinate, in units. No CRS reaches so far; with larger numbers a float could not hold the side of a box."""
+"""Largest coordinate in units, beyond those of any CRS. Larger numbers would make the side of a box inexact."""
 _NOT_LOADED = -1
-"""Stands for a number of points that another page of the hierarchy holds."""
+"""Number in a page of the hierarchy if another page contains the number of points."""
 
 Box = tuple[float, float, float, float]
 """Lowest x, y, highest x, y in units of the CRS."""
@@ -33,7 +33,7 @@ Touches = Callable[[Box], bool]
 
 @dataclass(frozen=True)
 class EptDataset:
-    """The content of ``ept.json``.
+    """Content of ``ept.json``.
 
     Attributes
     ----------
@@ -42,13 +42,13 @@ class EptDataset:
     west, south, side : float
         Lower left corner and side of the root's square, in units of the CRS.
     wkt : str or None
-        The CRS.
+        CRS in WKT; None if it is unknown.
     points : int or None
-        Number of points in all nodes.
+        Number of points in all nodes; None if it is unknown.
     scales : tuple of 3 float, or None
         Scales of x, y and z.
     has_rgb : bool or None
-        Whether the points have colours.
+        Whether the points have colours; None if unknown.
     """
 
     text: str
@@ -61,7 +61,7 @@ class EptDataset:
     has_rgb: bool | None = None
 
     def other_total(self, total: int) -> list[str]:
-        """A note for the user if the hierarchy has another number of points in all; else an empty list."""
+        """Return a note in a list if the hierarchy has another number of points, else an empty list."""
         if self.points in (None, total):
             return []
         return [
@@ -69,27 +69,30 @@ class EptDataset:
         ]
 
     def place(self, folder: str, name: str) -> str:
-        """Path or URL of a file in one of the folders beside ``ept.json``."""
+        """Return the path or URL of a file in one of the folders next to ``ept.json``."""
         base, mark, query = self.text, "", ""
         if is_url(self.text):
             base, mark, query = self.text.partition("?")
         return f"{base[: -len(NAME)]}{folder}/{name}{mark}{query}"
 
     def box(self, key: Sequence[int]) -> Box:
-        """The square of a node; its key is level, column, row (and layer)."""
+        """Return the square of a node with the key level, column, row (and layer)."""
         side = self.side / 2 ** key[0]
         x, y = self.west + key[1] * side, self.south + key[2] * side
         return x, y, x + side, y + side
 
 
 def is_ept(text: str | Path) -> bool:
-    """Whether an input has the name of an ``ept.json``."""
+    """Return whether an input has the file name ``ept.json``."""
     place = str(text).partition("?")[0] if is_url(text) else str(text)
     return place.lower().replace("\\", "/").rpartition("/")[2] == NAME
 
 
 def read_point_tiles(text: str) -> EptDataset:
-    """Read ``ept.json``; raises InputError if it cannot be read, or its points are not in LAZ files."""
+    """Read ``ept.json``.
+
+    Raise InputError if it cannot be read, or if its points are not in LAZ files.
+    """
     found = _read(text, text)
     kind = found.get("dataType")
     bounds = found.get("bounds")
@@ -128,7 +131,10 @@ def _is_coordinate(value: Any) -> TypeGuard[float]:
 
 
 def _schema(found: Mapping[str, Any]) -> tuple[tuple[float, ...] | None, bool | None]:
-    """Scales of x, y and z, and whether there are colours; None for each that the schema does not define."""
+    """Return the scales of x, y and z, and whether there are colours.
+
+    Each is None if the schema does not define it.
+    """
     schema = found.get("schema")
     if not isinstance(schema, list):
         return None, None
@@ -141,30 +147,35 @@ def _schema(found: Mapping[str, Any]) -> tuple[tuple[float, ...] | None, bool | 
 
 
 def node_files(tiles: EptDataset, touches: Touches | None = None) -> dict[str, int]:
-    """Path or URL of the file of each node with points, root first, and the number of points in the hierarchy.
+    """Return the path or URL of each node with points, root first, with its number of points.
+
+    The numbers are those of the hierarchy.
 
     Parameters
     ----------
     tiles : EptDataset
     touches : callable, optional
-        Whether the square of a node is wanted; nodes below a node that is not wanted are left out, too.
+        Predicate for the square of a node. Nodes for which it is false are left out with all nodes below them.
 
     Raises
     ------
     InputError
-        A page of the hierarchy is damaged or missing.
+        A page of the hierarchy is damaged or missing, or without a predicate no node has points.
     """
     counts = sorted(node_counts(tiles, touches).items())
     return {tiles.place(DATA_FOLDER, f"{'-'.join(map(str, key))}.laz"): count for key, count in counts}
 
 
 def key_of(path: Path) -> tuple[int, ...] | None:
-    """The key of the node whose file has this name; None if it is not the name of a node."""
+    """Return the key of a node from the name of its file, or None if it is not the name of a node."""
     return _key(path.name.rpartition(".")[0])
 
 
 def node_counts(tiles: EptDataset, touches: Touches | None = None) -> dict[tuple[int, ...], int]:
-    """Like `node_files`, but by the key of the node: level, column, row and layer."""
+    """Return the number of points of each node by its key: level, column, row and layer.
+
+    `node_files` describes the parameters and errors.
+    """
     counts: dict[tuple[int, ...], int] = {}
     for key, count in _nodes(tiles, touches):
         if counts.setdefault(key, count) != count or len(counts) > MAX_CLOUDS:
@@ -176,7 +187,7 @@ def node_counts(tiles: EptDataset, touches: Touches | None = None) -> dict[tuple
 
 
 def _nodes(tiles: EptDataset, touches: Touches | None) -> Iterator[tuple[tuple[int, ...], int]]:
-    """Keys and numbers of points of the wanted nodes, page by page."""
+    """Yield the keys and numbers of points of the selected nodes, page by page."""
     pages = [(0, 0, 0, 0)]
     seen = set[tuple[int, ...]]()
     while pages:
@@ -211,7 +222,7 @@ def _key(text: str) -> tuple[int, int, int, int] | None:
 
 
 def _wkt(text: str, found: Mapping[str, Any]) -> str | None:
-    """The CRS from its WKT, or from its codes if the WKT is missing or cannot be read."""
+    """Return the CRS from its WKT, or from its codes if the WKT is missing or cannot be read."""
     srs = found.get("srs")
     if not isinstance(srs, dict):
         return None
@@ -227,7 +238,7 @@ def _wkt(text: str, found: Mapping[str, Any]) -> str | None:
             continue
         try:
             return str(CRS.from_user_input(definition).to_wkt())
-        except (CRSError, UnicodeEncodeError):  # the latter for half of a character, which JSON can write
+        except (CRSError, UnicodeEncodeError):  # JSON may contain a lone surrogate, which cannot be encoded.
             continue
     return None
 
@@ -242,7 +253,7 @@ def _read(text: str, place: str) -> dict[str, Any]:
         _refuse(text, f"{place} has more than {LIST_BYTES >> 20} MiB")
     try:
         return parse_json_object(content)
-    except ValueError as error:  # also raised if the bytes are not UTF-8
+    except ValueError as error:  # This includes errors of UTF-8.
         _refuse(text, f"{place}: {' '.join(str(error).split())}")
 
 

@@ -1,4 +1,7 @@
-"""Converts the integers of a source to absolute counts of 1/1000 unit, exactly for decimal scales and offsets."""
+"""Conversion of a source's integers to absolute counts of 1/1000 unit.
+
+It is exact for decimal scales and offsets.
+"""
 
 from __future__ import annotations
 
@@ -14,12 +17,12 @@ from tiler.core.lattice import Bounds
 
 _SAFE = 2**62
 BEYOND = 2**53
-"""Absolute counts of this size or more, 9 million million units, are not taken for coordinates."""
+"""Absolute counts from which on a coordinate is not usable: 9e12 units."""
 
 
 @dataclass(frozen=True)
 class AxisCounts:
-    """One axis in absolute counts.
+    """Coordinates of one axis in absolute counts.
 
     Attributes
     ----------
@@ -28,7 +31,7 @@ class AxisCounts:
     usable : bool, shape (n,)
         Whether the coordinate is finite and smaller than `BEYOND`.
     largest_rounding : float
-        Largest distance from the source's coordinate, in units of the CRS.
+        Largest distance of a count from the source's coordinate, in units of the CRS.
     """
 
     counts: npt.NDArray[np.int64]
@@ -37,10 +40,10 @@ class AxisCounts:
 
 
 def decimal_terms(scale: float, offset: float) -> tuple[int, int, int] | None:
-    """Integers ``(a, c, d)`` such that the integer X of a record lies at exactly ``(X*a + c) / d`` counts.
+    """Return integers ``(a, c, d)`` such that a record's integer X is ``(X*a + c) / d`` counts.
 
     The doubles of the header stand for the decimal numbers that they print as: 0.01 is 1/100. The result is None if
-    some int32 X would leave int64, as it does with scales of seventeen digits.
+    some int32 X would overflow int64, for example with scales of seventeen digits.
     """
     a = Fraction(repr(float(scale))) * COUNTS_PER_UNIT
     c = Fraction(repr(float(offset))) * COUNTS_PER_UNIT
@@ -52,19 +55,19 @@ def decimal_terms(scale: float, offset: float) -> tuple[int, int, int] | None:
 
 
 def to_counts(values: npt.NDArray[np.integer], scale: float, offset: float) -> AxisCounts:
-    """Absolute counts of one axis.
+    """Convert the coordinates of one axis to absolute counts.
 
     Parameters
     ----------
     values : int32, shape (n,)
-        The integers of the records.
+        Integers of the records.
     scale, offset : float
-        Values of the source's header.
+        Scale and offset in the source's header.
 
     Notes
     -----
-    The result is ``floor((2(Xa + c) + d) / 2d)`` in int64 (halves are rounded up) if `decimal_terms` finds a, c, d,
-    and ``rint`` in float64 if not. Both are monotonic in X and do not depend on the origin of the frame.
+    The counts are ``floor((2(Xa + c) + d) / 2d)`` in int64 (halves are rounded up) if `decimal_terms` finds a, c, d,
+    else ``rint`` in float64. Both are monotonic in X and do not depend on the origin of the frame.
     """
     terms = decimal_terms(scale, offset)
     if terms is None:
@@ -90,7 +93,7 @@ def _in_floats(values: npt.NDArray[np.integer], scale: float, offset: float) -> 
 
 
 def fits_int32(local: npt.NDArray[np.int64]) -> npt.NDArray[np.bool_]:
-    """Mask of the local counts that an int32 holds (the lowest one is left out)."""
+    """Return a mask of the local counts that fit into int32, without the lowest int32."""
     return np.abs(local) <= INT32_LIMIT
 
 

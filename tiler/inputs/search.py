@@ -1,4 +1,7 @@
-"""Finds input clouds in files, folders, globs, virtual point clouds and EPT, and leaves out the results of runs."""
+"""Search for input clouds in files, folders, globs, virtual point clouds and EPT.
+
+Clouds that runs wrote are left out.
+"""
 
 from __future__ import annotations
 
@@ -37,36 +40,36 @@ def find_inputs(
 ) -> list[Path]:
     """Find LAS and LAZ files in files, folders (recursively), globs, virtual point clouds and EPT.
 
-    Clouds that a run of tiler wrote are found only if their own folder, or a file in it, is named; a folder or a glob
-    above does not find them.
+    Clouds that a run of tiler wrote are found only if their own folder or a file in it is given. They are not found
+    through a folder or a glob above it.
 
     Parameters
     ----------
     paths : sequence of str
     out : Path, optional
-        Folder of the run's own results. If a folder in it is a link to another place, that place holds results, too.
+        Folder of the run's own results. If a folder of clouds in it is a link, its target counts as results, too.
     note : callable
-        Receives a text about each folder that is left out, and about each file that is named twice.
+        Function that receives a text about each folder that is left out, and about each file that is given twice.
     results : bool
-        A folder of results that is named itself stands for its classified clouds, if it holds no clouds beside them.
+        Read a given folder of results as its classified clouds if it does not directly contain clouds.
     wanted : callable
-        Makes the function that chooses the nodes of point tiles (see `node_files`).
+        Function that makes the predicate for the nodes of point tiles (see `node_files`).
     listed : callable
-        Receives point tiles and the files of their wanted nodes, with the number of points in each.
+        Function that receives point tiles and the files of their selected nodes, with the number of points in each.
     in_process : bool
         Read virtual point clouds and EPT in this process, without limits of time and memory.
 
     Returns
     -------
     list of Path
-        The files, sorted, each once.
+        Files, sorted, each once, then URLs.
 
     Raises
     ------
     ConfigError
-        There is no path at all, a path does not exist, or no node of point tiles is wanted.
+        There are no paths, a path does not exist, or no node of point tiles is selected.
     InputError
-        No LAS or LAZ file was found.
+        No LAS or LAZ file was found, or a list of clouds cannot be read.
     """
     if not paths:
         raise ConfigError("no input; give LAS or LAZ files, folders, globs or .vpc files")
@@ -99,12 +102,12 @@ def find_inputs(
 
 
 def is_list(text: str | Path) -> bool:
-    """Whether an input has the name of a file that lists clouds: .vpc, or ept.json."""
+    """Return whether an input has the name of a file that lists clouds: ``.vpc`` or ``ept.json``."""
     return is_virtual(text) or is_ept(text)
 
 
 def _globbed_lists(text: str) -> list[str]:
-    """The files that a glob for lists finds; any other input as it is."""
+    """Return the files that a glob for lists matches, or else the input itself."""
     globbed = not is_url(text) and glob.has_magic(text) and not os.path.lexists(text)
     if globbed and is_list(text):
         return sorted(glob.glob(text, recursive=True))
@@ -116,7 +119,7 @@ def _is_there_as_list(text: str) -> bool:
 
 
 def _listed(text: str, wanted: Wanted, listed: Listed, in_process: bool) -> list[Path]:
-    """The clouds that a virtual point cloud names, or the files of the wanted nodes of point tiles."""
+    """Return the clouds in a virtual point cloud, or the files of the selected nodes of point tiles."""
     if is_virtual(text):
         places = read_list(text, members, text, SUFFIXES, in_process=in_process)
         return [as_path(place) for place in places]
@@ -130,13 +133,13 @@ def _listed(text: str, wanted: Wanted, listed: Listed, in_process: bool) -> list
 
 
 def _real(path: Path) -> Path:
-    """The place of a file, with all links resolved."""
-    # `Path.resolve` fails for links in a circle; here they must pass, as reading reports them.
+    """Return the path of a file with all links resolved."""
+    # `Path.resolve` fails for circular links. They must not fail here, because reading reports them.
     return path if is_url(path) else Path(os.path.realpath(path))
 
 
 def _expanded(text: str, note: Tell) -> tuple[Path, list[Path]]:
-    """The root folder (or file) of an input, and the clouds there."""
+    """Return the root folder (or file) of an input, and the clouds there."""
     if is_url(text):
         fixed = text[: _glob_base(text)].rpartition("/")[0] if glob.has_magic(text) else text
         return as_path(fixed if is_url(fixed) else text), list_inputs(text, SUFFIXES)
@@ -168,12 +171,15 @@ def _expanded(text: str, note: Tell) -> tuple[Path, list[Path]]:
 
 
 def _glob_base(pattern: str) -> int:
-    """Number of characters before the first wildcard of a glob."""
+    """Return the number of characters before the first wildcard of a glob."""
     return min(pattern.index(sign) for sign in "*?[" if sign in pattern)
 
 
 def _walk(folder: Path, note: Tell) -> Iterator[Path]:
-    """The clouds below a folder. Links to folders are not followed, as they may lead in circles or anywhere."""
+    """Yield the clouds in a folder, recursively.
+
+    Links to folders are not followed, because they may be circular or lead anywhere.
+    """
 
     def unreadable(error: OSError) -> None:
         note(f"{error.filename}: cannot be listed ({error.strerror}); skipped")
@@ -190,14 +196,14 @@ def _walk(folder: Path, note: Tell) -> Iterator[Path]:
 
 
 class _Made:
-    """Recognises clouds that runs of tiler wrote, which are not inputs.
+    """Filter that removes clouds that runs of tiler wrote, because they are not inputs.
 
     Parameters
     ----------
     root : Path
-        Root of the search. If it is in a folder of results itself, the clouds of that folder are inputs.
+        Root of the search. If it lies in a folder of results, the clouds of that folder are inputs.
     wanted : Path or None
-        A folder of results whose clouds are inputs nevertheless.
+        Folder of results whose clouds are inputs nevertheless.
     out : Path or None
     note : callable
     """
@@ -214,7 +220,7 @@ class _Made:
                 self._linked.add(Path(os.path.realpath(out / name)))
 
     def without(self, paths: Sequence[Path]) -> Iterator[Path]:
-        """The ``paths`` that no run wrote; the folders of the others are noted once."""
+        """Yield the paths that no run wrote. Pass the folders of the others to `note` once."""
         for path in paths:
             folder = self._folder_of(path)
             if folder is None:
@@ -224,7 +230,7 @@ class _Made:
                 self._note(f"{folder}: is the result of a run, left out; give it as an input to read it")
 
     def _folder_of(self, path: Path) -> Path | None:
-        """The folder of results, below the root, that holds a path; None if there is none."""
+        """Return the folder of results below the root that contains a path, or None."""
         for folder in path.parents:
             if not self._is_below_root(folder):
                 break

@@ -1,4 +1,4 @@
-"""Inspects inputs, and divides them into pieces."""
+"""Inspection of inputs, and their division into pieces."""
 
 from __future__ import annotations
 
@@ -28,23 +28,23 @@ from tiler.schedule.guard import ChildDiedError, ChildProcess, ChildStartError
 Read = TypeVar("Read")
 
 INSPECTION_SECONDS = 60.0
-"""An inspection may take so long, and longer for large files."""
+"""Maximum time of an inspection in seconds. Large files may take longer."""
 BYTES_PER_SECOND = 1e6
-"""Lowest speed of an inspection that reads all points of a file; every disk and decoder is faster."""
+"""Lowest speed of an inspection that reads all points of a file. Every disk and decoder is faster."""
 
 _MAX_CHUNK = 4_000_000
-"""Larger chunks, in points, are divided, since a damaged file may claim chunks that memory cannot hold."""
+"""Maximum number of points of an undivided chunk. Damaged files may claim chunks that do not fit into memory."""
 
 
 @dataclass(frozen=True)
 class SourceInfo:
-    """A file that can be read.
+    """Description of a file that can be read.
 
     Attributes
     ----------
     path : Path
     state : FileState
-        Size and time of change, from which later changes are recognised.
+        Size and time of change, by which later changes are detected.
     digest : str
         Digest of the bytes before the points, and of the table of chunks.
     version : str
@@ -56,27 +56,28 @@ class SourceInfo:
     bounds : tuple of 6 float or None
         Lowest x, y, z, highest x, y, z in units of the CRS, see `tiler.inputs.extent`; None without points.
     claimed : bool
-        Whether the bounds are those of the header, and hold a sample of the points.
+        Whether the bounds are those of the header and contain a sample of the points.
     returns : int
         Largest number of returns of a pulse in a sample of points; 0 or 1 for clouds without pulses.
     evidence : Evidence
-        Evidence, in the fields of a sample of points, of what made the cloud.
+        Evidence in the fields of a sample of points on the source of the cloud.
     notes : tuple of str
         Notes for the user.
     patches : tuple of DensityPatch
-        Estimate of how the points are spread.
+        Estimate of the distribution of the points.
     chunks : int, or tuple of int
-        Number of points in each chunk of a LAZ file; one number if all chunks but the last are equal, 0 without chunks.
+        Number of points in each chunk of a LAZ file. It is one number if all chunks but the last are equal, and 0
+        without chunks.
     octree : Octree or None
         Octree of a COPC file.
     octree_damage : str
-        The reason why the octree of a COPC file cannot be used.
+        Reason why the octree of a COPC file cannot be used, or an empty text.
     has_crs : bool
         Whether the file itself defines its CRS.
     fetched : int
         Bytes that the inspection read, if the file is at a URL.
     created : tuple of int
-        Year and day of the year in the header on which the file was made; 0 if unknown.
+        Year and day of the year of the file's creation, from the header; 0 if unknown.
     """
 
     path: Path
@@ -112,11 +113,11 @@ class SourceInfo:
 
     @property
     def stamp(self) -> list[Any]:
-        """The same as `LasHeader.stamp`; a task compares it with the file that it reads."""
+        """The value of `LasHeader.stamp`, which a task compares with that of the file that it reads."""
         return [*self.state.to_json(), self.digest]
 
     def to_json(self) -> dict[str, Any]:
-        """A JSON-able description."""
+        """Return a JSON-able description."""
         return {
             "path": str(self.path),
             "size": self.size,
@@ -135,7 +136,10 @@ class SourceInfo:
 
 
 def inspect(path: Path, salvage: bool = False) -> SourceInfo:
-    """Read the header of a file, and check it against the bytes and a sample of the points; raises InputError."""
+    """Read the header of a file, and check it against the bytes and a sample of the points.
+
+    Raise InputError if the file cannot be read.
+    """
     before = fetched_bytes()
     header = read_header(path, salvage)
     header = replace(header, point_count=count_decodable(header))
@@ -180,7 +184,7 @@ def inspect(path: Path, salvage: bool = False) -> SourceInfo:
 
 
 def _octree(header: LasHeader) -> tuple[Octree | None, str]:
-    """The octree of a COPC file, or the reason why it cannot be used."""
+    """Return the octree of a COPC file, or the reason why it cannot be used."""
     if not header.point_count or not any(v.is_copc for v in header.vlrs):
         return None, ""
     try:
@@ -190,12 +194,15 @@ def _octree(header: LasHeader) -> tuple[Octree | None, str]:
 
 
 def inspect_in_child(guard: ChildProcess, path: Path, salvage: bool = False) -> SourceInfo:
-    """`inspect` in a child process."""
+    """Call `inspect` in a child process."""
     return read_in_child(guard, inspect, path, salvage)
 
 
 def read_in_child(guard: ChildProcess, function: Callable[..., Read], path: Path, *arguments: Any) -> Read:
-    """The result of ``function(path, ...)`` in a child process; a crash, a hang or too much memory is an InputError."""
+    """Call ``function(path, ...)`` in a child process and return its result.
+
+    Raise InputError if the child crashes, hangs or needs too much memory, or ProcessingError if it cannot start.
+    """
     try:
         seconds = INSPECTION_SECONDS + stat_location(path).st_size / BYTES_PER_SECOND
         return guard.call(function, path, *arguments, seconds=seconds)
@@ -212,9 +219,9 @@ def read_in_child(guard: ChildProcess, function: Callable[..., Read], path: Path
 
 
 def header_bounds(info: SourceInfo) -> Bounds | None:
-    """Bounds in the header of a source, in absolute counts; None if they are known to be wrong.
+    """Return the bounds in the header of a source in absolute counts, or None if they are wrong.
 
-    They are wider by one unit, since some writers round carelessly.
+    They are widened by one unit, since some writers round inaccurately.
     """
     if info.bounds is None or not info.claimed:
         return None
@@ -228,9 +235,9 @@ def header_bounds(info: SourceInfo) -> Bounds | None:
 
 
 def pieces(info: SourceInfo, size: int = 1_000_000) -> list[tuple[int, int]]:
-    """Ranges (start, count) of about ``size`` points that hold each point of a source once.
+    """Return ranges (start, count) of about ``size`` points that together form a source.
 
-    They consist of whole chunks of a LAZ file, so that no chunk is decoded twice; only absurdly large chunks are
+    They consist of whole chunks of a LAZ file, so that no chunk is decoded twice. Only extremely large chunks are
     divided.
     """
     if info.points == 0:
@@ -256,6 +263,7 @@ def window_pieces(
     chunks : sequence of int
         Numbers of chunks, ascending.
     size : int
+        Number of points.
 
     Returns
     -------
@@ -283,7 +291,7 @@ def window_pieces(
 
 
 def _chunks(layout: LazLayout | None) -> int | tuple[int, ...]:
-    """The value of `SourceInfo.chunks`."""
+    """Return the value of `SourceInfo.chunks`."""
     if layout is None:
         return 0
     if layout.chunk_size is None or (layout.rebuilt and layout.counts.size):
@@ -292,7 +300,10 @@ def _chunks(layout: LazLayout | None) -> int | tuple[int, ...]:
 
 
 def _whole_chunks(counts: Sequence[int], size: int, largest: int) -> list[tuple[int, int]]:
-    """Join neighbouring chunks into ranges of at most ``size``; a larger chunk stays alone, or is divided."""
+    """Join neighbouring chunks into ranges of at most ``size`` points.
+
+    A larger chunk is a range, and is divided only if it has more than ``largest`` points.
+    """
     ranges: list[tuple[int, int]] = []
     start = held = 0
     for count in counts:

@@ -1,4 +1,4 @@
-"""Reads virtual point clouds: JSON files (``.vpc``) that name clouds, as QGIS and pdal_wrench write them."""
+"""Reading of virtual point clouds: JSON files (``.vpc``) by QGIS or pdal_wrench that list clouds."""
 
 from __future__ import annotations
 
@@ -15,29 +15,29 @@ from tiler.io.locations import as_path, is_url
 
 SUFFIX = ".vpc"
 REMOTE = ("http", "https", "s3", "gs", "gcs", "abfs", "abfss", "az")
-"""Schemes of the URLs that such a file may name."""
+"""Schemes of the URLs that such a file may contain."""
 
 
 def is_virtual(text: str | Path) -> bool:
-    """Whether an input has the name of a virtual point cloud."""
+    """Return whether an input has the name of a virtual point cloud."""
     place = str(text).partition("?")[0] if is_url(text) else str(text)
     return place.lower().endswith(SUFFIX)
 
 
 def members(text: str, suffixes: tuple[str, ...]) -> list[str]:
-    """Paths and URLs of the clouds that a virtual point cloud names, in its order, each once.
+    """Return the paths and URLs of the clouds in a virtual point cloud, in its order, each once.
 
     Parameters
     ----------
     text : str
-        Path or URL of the virtual point cloud. Relative names in it are relative to this place.
+        Path or URL of the virtual point cloud. Relative names in it are relative to its folder.
     suffixes : tuple of str
         Suffixes of the clouds that can be read.
 
     Raises
     ------
     InputError
-        The file cannot be read, is not a virtual point cloud, or names something that cannot be an input.
+        The file cannot be read, is not a virtual point cloud, or lists something that cannot be an input.
     """
     found: dict[str, None] = {}
     for number, feature in enumerate(_features(text), start=1):
@@ -58,7 +58,7 @@ def members(text: str, suffixes: tuple[str, ...]) -> list[str]:
 
 
 def _href(assets: dict[str, Any]) -> Any:
-    """The place of a feature's cloud: the asset called ``data``, or the first one that has a place."""
+    """Return the location of a feature's cloud, from the asset ``data`` or else the first with one."""
     href = member(assets, "data").get("href")
     if href:
         return href
@@ -69,7 +69,7 @@ def _href(assets: dict[str, Any]) -> Any:
 
 
 def _is_name(place: str) -> bool:
-    """Whether the text can name a file: JSON can write half of a character (a lone surrogate)."""
+    """Return whether a text can name a file. JSON may contain lone surrogates, which cannot."""
     try:
         return bool(place.encode() if is_url(place) else os.fsencode(place))
     except UnicodeEncodeError:
@@ -88,7 +88,7 @@ def _features(text: str) -> list[Any]:
         _refuse(text, f"has more than {LIST_BYTES >> 20} MiB")
     try:
         found = parse_json_object(content)
-    except ValueError as error:  # also raised if the bytes are not UTF-8
+    except ValueError as error:  # This includes errors of UTF-8.
         _refuse(text, " ".join(str(error).split()))
     features = found.get("features")
     if found.get("type") != "FeatureCollection" or not isinstance(features, list):
@@ -97,9 +97,9 @@ def _features(text: str) -> list[Any]:
 
 
 def _resolved(text: str, href: str) -> str:
-    """The path or URL of a cloud that a virtual point cloud names.
+    """Return the path or URL of a cloud in a virtual point cloud.
 
-    A virtual point cloud from elsewhere must not make this machine read its own files or open chained file systems.
+    A virtual point cloud at a URL must not make this machine read its own files or open chained file systems.
     """
     scheme = urlsplit(href).scheme.lower() if is_url(href) else ""
     if scheme:
@@ -111,7 +111,7 @@ def _resolved(text: str, href: str) -> str:
     base, _, chained = text.partition("?")[0].partition("::")
     if Path(href).is_absolute() or chained or ".." in Path(unquote(href)).parts:
         _refuse(text, f"names {excerpt(href)}, which is not below the folder that it lies in")
-    # urljoin joins only paths of known schemes, such as http.
+    # `urljoin` joins only paths of known schemes, such as http.
     system, _, place = base.partition("://")
     return f"{system}://{urljoin('http://' + place, href).removeprefix('http://')}"
 
