@@ -1,7 +1,7 @@
-"""Ingest: bring the points of source files into the store, in two steps that any number of workers share.
+"""Ingest of the points of source files into the store, in two steps shared by all workers.
 
-`spool_piece` decodes a piece of a file, converts it to the frame, sorts it by bucket and spools it;
-`assemble_buckets` gathers the points of a bucket, finds duplicates and puts the candidates first.
+`spool_piece` decodes a piece of a file, converts it to the frame, sorts it by bucket and spools it. `assemble_buckets`
+collects the points of a bucket, finds duplicates and puts the candidates first.
 """
 
 from tiler.ingest.assemble import AssembleBuckets, BucketParts, assemble_buckets

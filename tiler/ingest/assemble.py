@@ -1,4 +1,4 @@
-"""Ingest, second step: gather the points of a bucket, find duplicates, and put the candidates first."""
+"""Second step of ingest: assemble buckets from their points, with the candidates first."""
 
 from __future__ import annotations
 
@@ -21,15 +21,15 @@ from tiler.store import open_store
 
 @dataclass(frozen=True)
 class BucketOrder:
-    """The stored order of a bucket's points, and the duplicates among them.
+    """Stored order of a bucket's points, and the number of duplicates among them.
 
     Attributes
     ----------
     order : intp, shape (n,)
-        Candidates first, in the order of their fine cells; then the others by fine cell, z, x, y.
+        Indices of the points: candidates in the order of their fine cells, then the others by fine cell, z, x, y.
     n_candidates : int
     duplicates_within, duplicates_between : int
-        Points at the place of another point of the same source, and of another source.
+        Number of points at the position of another point of the same source, and of another source.
     """
 
     order: npt.NDArray[np.intp]
@@ -40,7 +40,7 @@ class BucketOrder:
 
 @dataclass(frozen=True)
 class BucketParts:
-    """The places of a bucket's points in the spool.
+    """Locations of a bucket's points in the spool.
 
     Attributes
     ----------
@@ -48,7 +48,8 @@ class BucketParts:
     fragments : tuple of (str, int, int)
         Piece, first row and end row of each run of points.
     rules : tuple of (int, Bounds)
-        Number of each source that has strays, and the bounds outside which they lie (see `tiler.ingest.strays`).
+        Number of each source with strays, and the bounds outside which its points are strays (see
+        `tiler.ingest.strays`).
     """
 
     cell: Cell
@@ -58,15 +59,15 @@ class BucketParts:
 
 @dataclass(frozen=True)
 class AssembleBuckets:
-    """Buckets to gather: the arguments of `assemble_buckets`.
+    """Arguments of `assemble_buckets`: the buckets to assemble.
 
     Attributes
     ----------
     buckets : tuple of BucketParts
     keep_classes : tuple of int or None
-        Classes that take no part in filtering; None for the default of `tiler.core.classes.participates`.
+        Classes that are excluded from filtering; None for the default of `tiler.core.classes.participates`.
     skip_flags : int
-        Bits of flags that keep a point out.
+        Bits of flags that exclude a point from filtering.
     """
 
     buckets: tuple[BucketParts, ...]
@@ -74,12 +75,12 @@ class AssembleBuckets:
     skip_flags: int = WITHHELD_FLAG
 
     def place(self, buckets: Lattice) -> Bounds | None:
-        """Bounds of all buckets."""
+        """Return the bounds of all buckets."""
         return reduce(Bounds.union, (buckets.bounds(bucket.cell) for bucket in self.buckets))
 
 
 def assemble_buckets(store_url: str, work: AssembleBuckets) -> dict[str, Any]:
-    """Write buckets from their fragments in the spool.
+    """Assemble buckets from their fragments in the spool, and write them.
 
     Parameters
     ----------
@@ -89,7 +90,7 @@ def assemble_buckets(store_url: str, work: AssembleBuckets) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``buckets`` holds a dict for each bucket: ``cell`` [ix, iy], ``n``, ``n_candidates``, ``n_participating``,
+        ``buckets`` is a list with a dict per bucket: ``cell`` [ix, iy], ``n``, ``n_candidates``, ``n_participating``,
         ``duplicates`` {within, between}, ``z`` and ``bounds`` (without strays, see `spool.extent`), ``strays``
         ([source, row, x, y, z] each), ``z_participating`` ([lowest, highest] in counts, or None), ``classes``
         {class: points}.
@@ -129,12 +130,12 @@ def bucket_order(
 ) -> BucketOrder:
     """Find the order in which a bucket stores its points.
 
-    The candidate of a fine cell is the lowest point that takes part; of equally low points it is the one with the
-    smallest x, then y. The result depends on the points alone, not on the order in which they come.
+    The candidate of a fine cell is the lowest participating point, or the one with the smallest x, then y, of equally
+    low points. The result depends only on the points and not on their order.
     """
     origin = block.origin if block.origin is not None else np.arange(len(block), dtype=np.int64)
     keys, fine_of = _sort_keys(block.xyz, frame, bucket, fine, cell)
-    # A stable sort would take three times as long. `_by_origin` puts equal points in order.
+    # A stable sort would take three times as long. So `_by_origin` sorts equal points.
     order = np.lexsort(keys[::-1]) if len(keys) > 1 else np.argsort(keys[0])
     again = np.ones(len(order), dtype=np.bool_)
     again[:1] = False
@@ -155,10 +156,10 @@ def bucket_order(
 def _sort_keys(
     xyz: npt.NDArray[np.int32], frame: CoordFrame, bucket: Lattice, fine: Lattice, cell: Cell
 ) -> tuple[list[npt.NDArray[np.uint64] | npt.NDArray[np.int64]], npt.NDArray[np.int64]]:
-    """Keys that sort by fine cell, z, x, y, the most significant first; and the fine cell of each point.
+    """Return keys that sort by fine cell, z, x, y, major key first, and the points' fine cells.
 
-    If 64 bits suffice, the keys are packed into one, which sorts faster. They nearly always do: a place in a bucket of
-    100 m takes 34 bits.
+    If 64 bits suffice, the keys are packed into one, which sorts faster. They nearly always do, because a position in a
+    bucket of 100 m takes 34 bits.
     """
     bounds = bucket.bounds(cell)
     x = xyz[0].astype(np.int64) + (frame.origin[0] - bounds.x0)
@@ -171,7 +172,7 @@ def _sort_keys(
     fine_x = fine.index(x + bounds.x0)
     fine_y = fine.index(y + bounds.y0)
     fine_of = (fine_y - south) * across + (fine_x - west)
-    # A coordinate within its fine cell needs few bits; the first count of the cell is -((-i * p) // q).
+    # A coordinate relative to its fine cell needs few bits. The first count of cell i is -((-i * p) // q).
     parts = [
         fine_of,
         z,
@@ -190,7 +191,10 @@ def _sort_keys(
 def _by_origin(
     order: npt.NDArray[np.intp], again: npt.NDArray[np.bool_], origin: npt.NDArray[np.int64]
 ) -> npt.NDArray[np.intp]:
-    """The order with equal points by source and row; ``again`` marks each point that equals the one before."""
+    """Return the order with equal points sorted by source and row.
+
+    ``again`` is a mask, in the order, of the points that equal the point before them.
+    """
     if not again.any():
         return order
     runs = np.cumsum(~again)
@@ -206,7 +210,7 @@ def _by_origin(
 def _duplicates(
     order: npt.NDArray[np.intp], again: npt.NDArray[np.bool_], origin: npt.NDArray[np.int64]
 ) -> tuple[int, int]:
-    """Number of points that repeat a point of the same source, and of those that repeat a point of another source."""
+    """Count the points that repeat a point of the same source, and of another source."""
     sources = (origin >> SOURCE_SHIFT)[order]
     other = np.zeros(len(order), dtype=np.bool_)
     other[1:] = sources[1:] != sources[:-1]

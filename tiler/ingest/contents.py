@@ -14,13 +14,16 @@ from tiler.io.locations import FileState, as_path
 
 @dataclass(frozen=True)
 class ReadFiles:
-    """``files``: place of each file that is read, and the state in which it was found."""
+    """Arguments of `read_files`: location and state of each file, as found by the plan."""
 
     files: tuple[tuple[str, FileState], ...]
 
 
 def read_files(store_url: str, work: ReadFiles) -> dict[str, Any]:
-    """On a worker: place -> ``content``, or ``error``, of some files."""
+    """Return the ``content`` (digest) or the ``error`` of some files by their location.
+
+    This is the function of a task.
+    """
     found = {}
     for place, state in work.files:
         try:
@@ -31,7 +34,10 @@ def read_files(store_url: str, work: ReadFiles) -> dict[str, Any]:
 
 
 def _content(path: Path, state: FileState) -> str:
-    """Digest of all bytes of a file that is in this state before and after they are read; raises InputError."""
+    """Return the digest of all bytes of a file.
+
+    Raise InputError if the file cannot be read, or is not in the state before or after that.
+    """
     validate_unchanged(path, state)
     try:
         digest = digest_of_file(path)

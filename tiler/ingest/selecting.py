@@ -1,4 +1,4 @@
-"""Finds the points that settings leave out of the filter and of the rasters, see `tiler.core.selection`."""
+"""Selection of the points for the filter and the rasters, see `tiler.core.selection`."""
 
 from __future__ import annotations
 
@@ -24,22 +24,22 @@ def unselected(
     source_ids: npt.NDArray[np.uint16],
     classes: npt.NDArray[np.uint8],
 ) -> dict[str, Bools]:
-    """Masks of the points that each option of a selection leaves out.
+    """Return masks of the points that each option of a selection leaves out.
 
     Parameters
     ----------
     selection : Selection
     returns : uint8 (2, n)
-        Return number, and number of returns of the pulse; a number of 0 counts as 1.
+        Return number, and number of returns of the pulse. A number of 0 counts as 1.
     angles_deg : float32 (n,)
-        Scan angles.
+        Scan angles in degrees.
     source_ids : uint16 (n,)
     classes : uint8 (n,)
 
     Returns
     -------
     dict of str to bool (n,)
-        By the keys of `Selection.options`.
+        Mask by the key of `Selection.options`.
     """
     found: dict[str, Bools] = {}
     if selection.returns is not None:

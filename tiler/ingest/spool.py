@@ -1,4 +1,4 @@
-"""Ingest, first step: decode a piece of a source, convert it to the frame, sort it by bucket, and spool it."""
+"""First step of ingest: decode pieces of sources, convert them, and spool them by bucket."""
 
 from __future__ import annotations
 
@@ -32,15 +32,15 @@ BEYOND_FRAME = "beyond the frame"
 OUTSIDE_AREA = "outside the area"
 
 STEP = SPOOL_CHUNK
-"""Records that are decoded, converted and kept at a time."""
+"""Number of records that are decoded, converted and kept at a time."""
 
 _RADIX_KEYS = 1 << 16
-"""Number of 16-bit keys; numpy sorts them by radix, which is several times faster."""
+"""Number of 16-bit keys, which numpy sorts by radix, several times faster than larger keys."""
 
 
 @dataclass(frozen=True)
 class SpoolPiece:
-    """A piece to decode: the arguments of `spool_piece`.
+    """Arguments of `spool_piece`: the piece to decode.
 
     Attributes
     ----------
@@ -55,19 +55,20 @@ class SpoolPiece:
     wanted : Runs or None
         Buckets whose points are stored, see `Area.cells`; None for all.
     salvage : bool
-        Read what can be read of a damaged file.
+        Read the readable part of a damaged file.
     extent : Bounds or None
         Bounds in the header of the source, in absolute counts.
     identity : str or None
-        Identity of the piece's content; it does not depend on ``wanted``.
+        Identity of the piece's content, which does not depend on ``wanted``.
     stamp : list or None
         Stamp of the source when the plan read it.
     ranges : tuple of (int, int)
-        First record and number of records of each part, if the piece has several; ``count`` is then their sum.
+        First record and number of records of each part, if only some chunks of the source are read. ``count`` is then
+        their sum.
     keep : bool
-        Keep the records for the classified cloud if decoding them again would be work.
+        Keep the records for the classified cloud if they are compressed, so that they are not decoded twice.
     selection : Selection
-        The points that the filter and the rasters see; the others are stored with a flag.
+        Points that the filter and the rasters use. The others are stored with a flag.
     """
 
     path: str
@@ -86,7 +87,7 @@ class SpoolPiece:
 
 
 def spool_piece(store_url: str, work: SpoolPiece) -> dict[str, Any]:
-    """Decode one piece into the spool.
+    """Decode a piece into the spool.
 
     Parameters
     ----------
@@ -98,9 +99,9 @@ def spool_piece(store_url: str, work: SpoolPiece) -> dict[str, Any]:
     dict
         ``read``, ``stored``, ``outside`` (usable points outside ``extent``), ``dropped`` (reason to number),
         ``largest_rounding`` (units of the CRS), ``buckets`` ([[ix, iy, number], ...] in the order of the piece),
-        ``left`` (the same for buckets that are not wanted), ``bounds`` (half-open absolute counts, or None), ``z``
+        ``left`` (the same for buckets that are not stored), ``bounds`` (half-open absolute counts, or None), ``z``
         ([lowest, highest] in counts, or None), ``identity``, ``fetched`` (bytes read of a source at a URL),
-        ``unselected`` (key of `Selection.options` to number of points that the option alone leaves out).
+        ``unselected`` (key of `Selection.options` to number of usable points that the option leaves out).
 
     Raises
     ------
@@ -150,7 +151,7 @@ def spool_piece(store_url: str, work: SpoolPiece) -> dict[str, Any]:
 
 @dataclass(frozen=True)
 class _Step:
-    """Result for some records of a piece: the usable points, and figures that `spool_piece` reports."""
+    """Usable points of some records of a piece, and numbers that `spool_piece` returns."""
 
     block: PointBlock
     outside: int
@@ -160,7 +161,10 @@ class _Step:
 
 
 def _keeper(store: TileStore, work: SpoolPiece, header: LasHeader) -> RecordKeeper | None:
-    """A keeper for the records of a piece; None if they are not wanted, not compressed, or too long."""
+    """Return a keeper for the records of a piece, or None if they are not kept.
+
+    The records of ranges, of uncompressed sources, and of more than `MAX_NAME_BYTES` are not kept.
+    """
     if not work.keep or work.ranges or header.laz is None or header.record_length > MAX_NAME_BYTES:
         return None
     return store.keep_records(work.piece, work.identity, header.record_length)
@@ -174,7 +178,7 @@ def _read_step(
     start: int,
     count: int,
 ) -> _Step:
-    """Decode ``count`` records from ``start`` on; their arrays fit into the processor's cache."""
+    """Decode ``count`` records from ``start`` on, whose arrays fit into the processor's cache."""
     records = reader.read(start, count)
     if keeper is not None:
         keeper.add(records)
@@ -194,7 +198,7 @@ def _read_step(
 def _selected(
     block: PointBlock, records: Records, header: LasHeader, selection: Selection
 ) -> tuple[PointBlock, dict[str, npt.NDArray[np.bool_]]]:
-    """The points with the flags of a selection, and a mask of those that each of its options leaves out."""
+    """Return the points with the flags of a selection, and masks of omitted points by option."""
     if block.flags is None or block.returns is None or block.classification is None:
         raise ValueError("points were read without their flags, returns and classes")
     withheld = (block.flags & WITHHELD_FLAG) > 0
@@ -214,7 +218,19 @@ def _selected(
 def place(
     records: Records, header: LasHeader, frame: CoordFrame
 ) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.bool_], dict[str, int], float]:
-    """Local counts (int32, shape (3, n)), mask of the usable points, dropped points by reason, largest rounding."""
+    """Convert the coordinates of records to local counts.
+
+    Returns
+    -------
+    local : int32 (3, n)
+        Local counts; 0 for coordinates that do not fit.
+    usable : bool (n,)
+        Mask of the usable points.
+    dropped : dict of str to int
+        Number of the other points by reason.
+    rounding : float
+        Largest rounding of a coordinate, in units of the CRS.
+    """
     local = np.zeros((3, len(records)), dtype=np.int32)
     finite = np.ones(len(records), dtype=np.bool_)
     framed = np.ones(len(records), dtype=np.bool_)
@@ -244,7 +260,7 @@ def columns(
     rows: npt.NDArray[np.int64],
     has_rgb: bool,
 ) -> PointBlock:
-    """All columns of the records; colours are 0 if the source has none but the store has."""
+    """Return all columns of the records. Colours are 0 if only the store has them."""
     classification, flags = class_and_flags(records, header.point_format)
     rgb = None
     if has_rgb:
@@ -264,7 +280,10 @@ def columns(
 def sort_by_bucket(
     local: npt.NDArray[np.int32], frame: CoordFrame, lattice: Lattice
 ) -> tuple[npt.NDArray[np.intp], list[tuple[int, int, int]]]:
-    """A stable order of the points by bucket, row by row from the south-west, and (ix, iy, points) of each bucket."""
+    """Return a stable order of the points by bucket, and ix, iy and size of each bucket.
+
+    The buckets come row by row from the south-west.
+    """
     if local.shape[1] == 0:
         return np.empty(0, dtype=np.intp), []
     ix = lattice.index(local[0].astype(np.int64) + frame.origin[0])
@@ -293,7 +312,7 @@ Index = list[tuple[int, int, int]]
 def _of_buckets(
     order: npt.NDArray[np.intp], index: Index, wanted: Runs | None
 ) -> tuple[npt.NDArray[np.intp], Index, Index]:
-    """Reduce the result of `sort_by_bucket` to the wanted buckets; the last value is the index of the others."""
+    """Reduce the result of `sort_by_bucket` to the wanted buckets, and split off the other index."""
     if wanted is None or not index:
         return order, index, []
     ix, iy, numbers = np.array(index, np.int64).T
@@ -302,7 +321,10 @@ def _of_buckets(
 
 
 def extent(block: PointBlock, frame: CoordFrame) -> dict[str, Any]:
-    """The ``bounds`` (half-open, absolute counts) and ``z`` (lowest, highest) of points; None without points."""
+    """Return the bounds (half-open, absolute counts) and z (lowest, highest) of points.
+
+    Both are None without points.
+    """
     if len(block) == 0:
         return {"bounds": None, "z": None}
     low = block.xyz.min(axis=1).tolist()

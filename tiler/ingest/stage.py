@@ -1,4 +1,4 @@
-"""The stage ingest of a run: sources are decoded into pieces, and their points put into buckets."""
+"""Stage ingest of a run, which decodes the sources and assembles their points into buckets."""
 
 from __future__ import annotations
 
@@ -41,14 +41,25 @@ OWN_FAULTS = (
     "PermissionError",
     "FileNotFoundError",
 )
-"""Kinds of errors that reading an input does not raise: what it finds wrong is an InputError, or ends its process."""
+"""Kinds of errors that are not caused by an input. A faulty input raises InputError, or ends its process."""
 
 MANY = 0.05
-"""Share of the points above which it is told that a class takes no part: producers use numbers in their own ways."""
+"""Share of the points above which a note reports that a class is excluded from filtering, since producers may use the
+number of the class differently."""
 
 
 def spool(job: Job, sources: list[Source]) -> tuple[Commits, list[Source]]:
-    """Decode; a source with a piece that failed, or whose points cannot be where they are, is left out whole."""
+    """Decode the sources into the spool. Return the commits of their pieces, and the good sources.
+
+    A source is left out completely if one of its pieces failed or its points are misplaced.
+
+    Raises
+    ------
+    InputError
+        No source is left, all points were dropped, or a source is misplaced and the run stops on errors.
+    ProcessingError
+        A task failed because of the store or the system.
+    """
     spooled = run_stage(job, "spool", spool_tasks(job.plan, sources, _keeps_records(job)))
     failed = [f for f in job.record.failed if f["stage"] == "spool"]
     _validate_inputs_read(failed)
@@ -58,7 +69,7 @@ def spool(job: Job, sources: list[Source]) -> tuple[Commits, list[Source]]:
     good = [s for s in sources if s.name not in bad]
     left_out = [(str(s.info.path), bad[s.name]) for s in sources if s.name in bad]
     job.record.quarantined += [{"path": path, "error": error} for path, error in left_out]
-    # What an error says may not name the file: a worker died.
+    # The error of a worker that died does not contain the path of the file.
     lines = [f"{path}: left out: {error.removeprefix(f'{path}: ')}" for path, error in left_out]
     if not good:
         raise InputError(f"no input could be read; the first: {lines[0]}")
@@ -108,21 +119,28 @@ def spool(job: Job, sources: list[Source]) -> tuple[Commits, list[Source]]:
 
 
 def _validate_inputs_read(failed: Sequence[Mapping[str, Any]]) -> None:
-    """Raise ProcessingError where a task failed by the store or the system, which is no fault of the input."""
+    """Raise ProcessingError if a task failed because of the store or the system."""
     for failure in failed:
         if failure["kind"] in OWN_FAULTS:
             raise ProcessingError(f"{failure['title']} {failure['key']}: {failure['error']}")
 
 
 def _keeps_records(job: Job) -> bool:
-    """Whether records are kept for the classified clouds: in a store of this machine, which gives them for nothing."""
+    """Return whether records are kept for the classified clouds.
+
+    They are kept only in a store on this machine, where reading them costs nothing.
+    """
     return job.plan.writes_clouds and not job.plan.config.salvage and not is_url(job.store.url)
 
 
 def _misplaced(job: Job, sources: list[Source], spooled: Commits) -> dict[str, str]:
-    """Name -> reason of sources whose points lie where neither header nor sample said, and where no raster reaches."""
+    """Return the reason for each misplaced source by its name.
+
+    The points of such a source lie beyond the frame, or so far outside its expected bounds that the raster would be
+    too large. Raise InputError if the run stops on errors, or no source is left.
+    """
     records = by_source(spooled)
-    sources = [s for s in sources if s.name in records]  # of others no part can lie near the area
+    sources = [s for s in sources if s.name in records]  # Sources without pieces have no part near the area.
     held = {
         s.name: sum(r["stored"] + r["dropped"].get(OUTSIDE_AREA, 0) for r in records[s.name]) for s in sources
     }
@@ -142,7 +160,10 @@ def _misplaced(job: Job, sources: list[Source], spooled: Commits) -> dict[str, s
 
 
 def _far_away(plan: Plan, out: Path | None, sources: list[Source], spooled: Commits) -> dict[str, str]:
-    """Name -> reason of sources that make the raster too wide, against the bounds that the plan was made with."""
+    """Return the sources, as reasons by name, that extend the raster beyond that of the plan.
+
+    The result is empty if the raster is not too large.
+    """
     records, lattice = by_source(spooled), plan.meta.bucket
     told = {s.name: bounds_of(s.info).pad(lattice.p + int(FAR) * COUNTS_PER_UNIT) for s in sources}
     doubtful = [
@@ -172,7 +193,7 @@ def _far_away(plan: Plan, out: Path | None, sources: list[Source], spooled: Comm
 
 
 def assemble(job: Job, sources: list[Source], spooled: Commits) -> IngestResult:
-    """Points into buckets; tell of duplicates and of what takes no part."""
+    """Assemble the points into buckets, and report duplicates, strays and excluded classes."""
     fragments = fragments_of(spooled)
     tasks = list(assemble_tasks(job.plan, spooled, fragments, strays_of(job.plan, sources, spooled)))
     done, stale = job.split_commits("assemble", tasks)
@@ -208,7 +229,7 @@ def assemble(job: Job, sources: list[Source], spooled: Commits) -> IngestResult:
 
 
 def _report_unfiltered(job: Job, assembled: IngestResult) -> None:
-    """Count the points of each class of the input, and tell of classes that keep many points out of the filter."""
+    """Count the input points per class, and report excluded classes with many points."""
     config = job.plan.config
     found = sum_by_class(record["classes"] for record in assembled.records.values())
     kept_out = () if config.method == KEEP else config.keep_classes
@@ -237,7 +258,7 @@ def _bring_back(job: Job, sources: list[Source], todo: list[Task]) -> None:
 
 
 def _report_strays(job: Job, sources: list[Source], assembled: IngestResult) -> None:
-    """List the points that belong to nothing."""
+    """List the stray points in run.json, and report their number."""
     paths = {source.number: str(source.info.path) for source in sources}
     found: list[dict[str, Any]] = []
     for record in assembled.records.values():
@@ -253,7 +274,7 @@ def _report_strays(job: Job, sources: list[Source], assembled: IngestResult) -> 
 
 
 def _forget_labels(job: Job, stale: Commits) -> None:
-    """Take back the tiles whose buckets are written anew: a bucket that moves to other rows loses its labels."""
+    """Invalidate the tiles of rewritten buckets, since a bucket that moves loses its labels."""
     cells = {tuple(bucket["cell"]) for _, record in stale.values() for bucket in record["buckets"]}
     for number in range(job.store.get_state("passes") or 0):
         stage = f"filter{number}"

@@ -1,7 +1,8 @@
-"""Stray points: few points far from the rest of their file, or outside the bounds of its header.
+"""Stray points: a few points far from the others of their file, or outside its header's bounds.
 
-A stray is not filtered, makes no raster wider, keeps its class and is written back. Each file is judged as a whole and
-by itself, so tiles do not matter. Another file, or a group of more than a few points, is data wherever it lies.
+A stray is not filtered, does not extend rasters, keeps its class and is written back. Each file is judged as a whole
+and separately, so the result does not depend on tiles. Another file, or a group of more than a few points, is data
+wherever it lies.
 """
 
 from __future__ import annotations
@@ -23,21 +24,24 @@ from tiler.inputs.extent import FAR, can_be_strays
 
 @dataclass(frozen=True)
 class Strays:
-    """The stray points of one source.
+    """Stray points of a source.
 
     Attributes
     ----------
     alone : frozenset of Cell
         Buckets in which every point of the source is a stray.
     extent : Bounds or None
-        Every point of the source outside these bounds is a stray.
+        Bounds outside which every point of the source is a stray.
     """
 
     alone: frozenset[Cell] = frozenset()
     extent: Bounds | None = None
 
     def rule(self, lattice: Lattice, cell: Cell) -> Bounds | None:
-        """Bounds outside which the source's points in a bucket are strays; None if the bucket has no strays."""
+        """Return the bounds outside which the source's points in a bucket are strays.
+
+        None if the bucket cannot have strays.
+        """
         if cell in self.alone:
             return Bounds(0, 0, 0, 0)
         if self.extent is None:
@@ -47,7 +51,7 @@ class Strays:
 
 
 def find_strays(buckets: Mapping[Cell, int], lattice: Lattice, extent: Bounds | None, outside: int) -> Strays:
-    """Find the stray points of one source.
+    """Find the stray points of a source.
 
     Parameters
     ----------
@@ -58,7 +62,7 @@ def find_strays(buckets: Mapping[Cell, int], lattice: Lattice, extent: Bounds | 
     extent : Bounds, optional
         Bounds in the header of the source, in absolute counts.
     outside : int
-        Number of points outside that extent. If they are many, the header is wrong and not the points.
+        Number of points outside that extent. If there are many, they are not strays, because the header is wrong.
     """
     total = sum(buckets.values())
     alone: set[Cell] = set()
@@ -71,9 +75,9 @@ def find_strays(buckets: Mapping[Cell, int], lattice: Lattice, extent: Bounds | 
 
 
 def _parts(buckets: Mapping[Cell, int], lattice: Lattice) -> list[list[Cell]]:
-    """Group buckets into parts at least `FAR` apart: at least one empty cell of that size lies between two parts.
+    """Group buckets into parts that are separated by empty cells of the size `FAR`.
 
-    If points are so sparse that a bucket is wider than `FAR`, the cells are buckets.
+    If points are so sparse that a bucket is wider than `FAR`, the cells are as wide as a bucket.
     """
     far = Lattice(max(Fraction(int(FAR * COUNTS_PER_UNIT)), lattice.size))
     wide: dict[tuple[int, int], list[Cell]] = {}
@@ -101,7 +105,10 @@ def _parts(buckets: Mapping[Cell, int], lattice: Lattice) -> list[list[Cell]]:
 def stray_mask(
     block: PointBlock, rules: Mapping[int, Bounds], origin: tuple[int, int]
 ) -> npt.NDArray[np.bool_]:
-    """Mask of the strays in a bucket; ``rules`` holds the bounds of each source that has strays (see `Strays.rule`)."""
+    """Return a mask of the strays in a bucket.
+
+    ``rules`` contains the bounds of each source with strays (see `Strays.rule`).
+    """
     mask = np.zeros(len(block), dtype=np.bool_)
     if not rules or block.origin is None:
         return mask
@@ -112,7 +119,7 @@ def stray_mask(
 
 
 def places(block: PointBlock, strays: npt.NDArray[np.bool_], origin: tuple[int, int]) -> list[list[Any]]:
-    """Source, row, x, y, z of each stray; the coordinates are in units of the CRS."""
+    """Return source, row, x, y, z of each stray, with coordinates in units of the CRS."""
     if block.origin is None or not strays.any():
         return []
     sources, rows = unpack_origin(block.origin[strays])

@@ -1,1 +1,1 @@
-"""Tasks of the stage ingest, and what is known of them."""
+"""Tasks of the stage ingest, and their results."""

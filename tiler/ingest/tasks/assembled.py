@@ -1,4 +1,4 @@
-"""What the finished ingest holds, as the stages after it take it, and which points it keeps out of the filter."""
+"""Result of the ingest for later stages, and flags that exclude points from the filter."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tiler.store import Commits
 
 
 def skip_flags(plan: Plan) -> int:
-    """Bits of flags that keep a point out of filtering."""
+    """Return the bits of flags that exclude a point from filtering."""
     synthetic = SYNTHETIC_FLAG if plan.config.skip_synthetic else 0
     overlap = OVERLAP_FLAG if plan.config.skip_overlap else 0
     return WITHHELD_FLAG | STRAY_FLAG | UNSELECTED_FLAG | synthetic | overlap
@@ -21,14 +21,14 @@ def skip_flags(plan: Plan) -> int:
 
 @dataclass(frozen=True)
 class IngestResult:
-    """What the finished ingest holds: bucket -> record, and bucket -> digest of what its contents depend on."""
+    """Result of the ingest: record of each bucket, and digest of the inputs of its contents."""
 
     records: dict[Cell, dict[str, Any]]
     digests: dict[Cell, str]
 
     @classmethod
     def of(cls, commits: Commits) -> IngestResult:
-        """From the commits of the assembly tasks."""
+        """Make the result from the commits of the assembly tasks."""
         records: dict[Cell, dict[str, Any]] = {}
         digests: dict[Cell, str] = {}
         for digest, record in commits.values():
@@ -39,6 +39,6 @@ class IngestResult:
 
     @cached_property
     def bounds(self) -> Bounds:
-        """Bounds of all stored points, absolute counts."""
+        """Bounds of all stored points except strays, in absolute counts."""
         found = [Bounds.from_json(r["bounds"]) for r in self.records.values() if r["bounds"]]
         return reduce(Bounds.union, found)

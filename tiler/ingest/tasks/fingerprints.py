@@ -1,7 +1,7 @@
-"""Gives each input a number that it keeps in the store, and takes the digest of its bytes.
+"""Numbers of the inputs in the store, and digests of their bytes.
 
-All bytes of a file are read once for its digest, by the workers, where the data are near; again only where its size,
-its time or the bytes before its points are others than before. So a file that was touched or copied is known again.
+The workers read all bytes of a file once for its digest. They read them again only if its size, its time or the bytes
+before its points have changed. So a file that was only touched or copied is recognized by its digest.
 """
 
 from __future__ import annotations
@@ -25,29 +25,31 @@ STAGE = "identify"
 GROUP_BYTES, GROUP_FILES = 32 << 20, 64
 """Bytes and number of small files that one task reads together."""
 SAVED_SECONDS = 10.0
-"""After which what is known is kept in the store, for a run that is killed on the way."""
+"""Interval in seconds at which the digests are saved in the store, so that a killed run does not lose them."""
 
 File = tuple[str, FileState, int]
-"""Place, state as it was found, points."""
+"""Location, state and number of points of a file."""
 
 
 def numbered(job: Job) -> list[Source]:
-    """The sources that hold points and can be read to their end; others are listed in ``job.record.quarantined``.
+    """Return the sources with points that can be read completely.
+
+    Sources that cannot be read are listed in ``job.record.quarantined``.
 
     Raises
     ------
     InputError
-        One cannot be read, and there is no other or ``--on-error stop`` was said.
+        A source cannot be read, and it is the only one or ``--on-error`` is ``stop``, or no source can be read.
     """
     known: dict[str, dict[str, Any]] = job.store.get_state("sources") or {}
-    # Without passwords and tokens: a link that is signed anew each day leads to the same file.
+    # Passwords and tokens are removed, because a link that is signed daily leads to the same file.
     places = {without_secrets(location(info.path)): info for info in job.plan.sources}
     todo = []
     for place, info in places.items():
         entry = known.setdefault(place, {"number": len(known)})
         if not job.plan.config.verify and entry.get("stamp") == info.stamp:
             continue
-        if is_url(info.path) and chunks_of(job.plan, info) is not None:  # a window: most of it is not fetched
+        if is_url(info.path) and chunks_of(job.plan, info) is not None:  # Most of the file is not fetched.
             content = digest_of("octree", info.state, info.digest, info.octree)
             known[place] = {**entry, "stamp": info.stamp, "content": content}
         else:
@@ -60,7 +62,7 @@ def numbered(job: Job) -> list[Source]:
         for place, info in places.items()
         if info.points and place not in unreadable
     ]
-    if not sources:  # the plan refuses what has no points at all: one that had some cannot be read now
+    if not sources:  # The plan contains a source with points, so the sources with points cannot be read.
         raise InputError(f"no input could be read; the first: {min(unreadable.values())}")
     return sources
 
@@ -68,7 +70,7 @@ def numbered(job: Job) -> list[Source]:
 def _identify(
     job: Job, known: dict[str, dict[str, Any]], todo: list[tuple[str, SourceInfo]]
 ) -> dict[str, str]:
-    """Have the workers read files, and keep what they find; path -> reason of those that cannot be read."""
+    """Let the workers read files and save the digests. Return the errors by location."""
     stamps, unreadable, saved = {place: info.stamp for place, info in todo}, {}, time.monotonic()
     files = [(location(info.path), info.state, info.points) for _, info in todo]
     for url, result in contents(job, STAGE, files):
@@ -86,17 +88,19 @@ def _identify(
 def contents(
     job: Job, stage: str, files: Iterable[File], writes_out: bool = False
 ) -> Iterator[tuple[str, dict[str, str]]]:
-    """The place of each file, and its ``content`` (digest of all bytes) or an ``error``, as the workers find it.
+    """Yield the location of each file and its ``content`` (digest of all bytes) or an ``error``.
+
+    The workers read the files.
 
     Parameters
     ----------
     job : Job
     stage : str
-        As people are told of it.
-    files : iterable of (place, FileState, points)
-        Points, or whatever else stands for the work of reading a file.
+        Key of the stage in the progress.
+    files : iterable of File
+        Location, state and number of points of each file, or another number that represents the work of reading it.
     writes_out : bool
-        The files are those of OUT, which not all workers may see.
+        Whether the files are in OUT, which not all workers may be able to access.
     """
     tasks = list(_tasks(stage, files))
     if not tasks:
@@ -141,7 +145,7 @@ def _leave_out(job: Job, unreadable: dict[str, str]) -> None:
 
 
 def _tasks(stage: str, files: Iterable[File]) -> Iterator[Task]:
-    """Tasks that read files: large ones alone, small ones together."""
+    """Yield tasks that each read a large file or several small files."""
     group: list[File] = []
     for file in files:
         full = sum(state.size for _, state, _ in group) + file[1].size > GROUP_BYTES

@@ -1,4 +1,4 @@
-"""The tasks of the stage ingest: pieces of files are decoded, then groups of buckets put together from them."""
+"""Tasks of the stage ingest, which decode pieces of files and assemble groups of buckets."""
 
 from __future__ import annotations
 
@@ -25,12 +25,12 @@ from tiler.schedule import Task, digest_of
 from tiler.store import Commits
 
 GROUP = 4
-"""Buckets a side that one assembly task writes."""
+"""Number of buckets along a side of the group that an assembly task writes."""
 
 
 @dataclass(frozen=True)
 class Source:
-    """A readable file and its number in the store."""
+    """Readable file, its number in the store, and the digest of its bytes."""
 
     info: SourceInfo
     number: int
@@ -38,17 +38,17 @@ class Source:
 
     @property
     def name(self) -> str:
-        """What the keys of its pieces begin with: ``s000012``."""
+        """Beginning of the keys of its pieces, such as ``s000012``."""
         return f"s{self.number:06d}"
 
     @property
     def identity(self) -> list[Any]:
-        """What a piece of it depends on."""
+        """Properties of the file on which its pieces depend."""
         return [self.info.size, self.info.digest, self.content, self.info.salvaged]
 
 
 def spool_tasks(plan: Plan, sources: Iterable[Source], keep: bool) -> Iterator[Task]:
-    """One for each piece of a source; ``keep`` its records."""
+    """Yield a task per piece of each source. With ``keep``, the tasks keep the records."""
     selection = plan.config.selection
     for source in sources:
         wanted = buckets_of(plan, source.info)
@@ -76,7 +76,10 @@ def spool_tasks(plan: Plan, sources: Iterable[Source], keep: bool) -> Iterator[T
 
 
 def _pieces(plan: Plan, info: SourceInfo) -> Iterator[tuple[int, int, tuple[tuple[int, int], ...]]]:
-    """First record, number of records, and their ranges if they are not all that lie between, of each piece."""
+    """Yield first record, number of records and ranges of each piece.
+
+    Pieces of files that are read completely have no ranges.
+    """
     chunks = chunks_of(plan, info)
     if chunks is None:
         yield from ((start, count, ()) for start, count in pieces(info, PIECE_POINTS))
@@ -86,7 +89,7 @@ def _pieces(plan: Plan, info: SourceInfo) -> Iterator[tuple[int, int, tuple[tupl
 
 
 def by_source(spooled: Commits) -> dict[str, list[dict[str, Any]]]:
-    """Name of a source -> the records of its pieces."""
+    """Return the records of the pieces of each source by its name."""
     found: dict[str, list[dict[str, Any]]] = defaultdict(list)
     for key, (_, record) in spooled.items():
         found[source_of(key)].append(record)
@@ -94,16 +97,16 @@ def by_source(spooled: Commits) -> dict[str, list[dict[str, Any]]]:
 
 
 def source_of(piece: str) -> str:
-    """Name of the source that a piece is of."""
+    """Return the name of the source of a piece."""
     return piece.partition("-")[0]
 
 
 Fragments = dict[Cell, list[tuple[str, int, int]]]
-"""Piece, first and end row of each run of points that belongs to a bucket."""
+"""Piece, first row and end row of each run of points that belongs to a bucket."""
 
 
 def fragments_of(spooled: Commits) -> Fragments:
-    """Where the points of each bucket lie in the spool, from the commits of the pieces."""
+    """Return the locations in the spool of each bucket's points, from the commits of the pieces."""
     found: Fragments = defaultdict(list)
     for piece in sorted(spooled):
         start = 0
@@ -114,12 +117,12 @@ def fragments_of(spooled: Commits) -> Fragments:
 
 
 def strays_of(plan: Plan, sources: Iterable[Source], spooled: Commits) -> dict[int, Strays]:
-    """Number of a source -> its strays, for those that have some."""
+    """Return the strays of each source that may have some, by its number."""
     held: dict[str, dict[Cell, int]] = defaultdict(lambda: defaultdict(int))
     outside: dict[str, int] = defaultdict(int)
     for key, (_, record) in spooled.items():
         outside[source_of(key)] += record["outside"]
-        for ix, iy, count in record["buckets"] + record["left"]:  # a file is judged whole
+        for ix, iy, count in record["buckets"] + record["left"]:  # A file is judged as a whole.
             held[source_of(key)][Cell(ix, iy)] += count
     found = {}
     for source in sources:
@@ -137,7 +140,7 @@ def assemble_tasks(
     fragments: Fragments,
     strays: Mapping[int, Strays],
 ) -> Iterator[Task]:
-    """One for each group of neighbouring buckets."""
+    """Yield a task per group of neighbouring buckets."""
 
     def bucket(cell: Cell) -> BucketParts:
         sources = {int(source_of(piece)[1:]) for piece, _, _ in fragments[cell]} & strays.keys()
@@ -157,7 +160,7 @@ def assemble_tasks(
             for piece in sorted({f[0] for c in groups[group] for f in fragments[c]})
         ]
         points = sum(stop - start for c in groups[group] for _, start, stop in fragments[c])
-        # In which rows of a piece the points lie depends on what else is wanted of it; which points they are does not.
+        # The rows in a piece are not in the digest: they depend on its other stored buckets, but the points do not.
         content = [
             [b.cell, [[piece, stop - start] for piece, start, stop in b.fragments], b.rules] for b in buckets
         ]
