@@ -1,4 +1,4 @@
-"""Write ``docs/parameters.md`` from the dataclasses: ``python docs/reference.py``; a test holds the file to it."""
+"""Write ``docs/parameters.md`` from the dataclasses: ``python docs/reference.py``. A test compares them."""
 
 from __future__ import annotations
 
@@ -28,28 +28,28 @@ dashes. Lengths are in metres unless written with a unit (`3ft`, `50cm`). `tiler
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A Markdown table."""
+    """Return a Markdown table."""
     lines = [head, ["---"] * len(head), *rows]
     return "\n".join("| " + " | ".join(_cell(cell) for cell in line) + " |" for line in lines) + "\n"
 
 
 def _cell(text: str) -> str:
-    """Text that Markdown shows as it is."""
+    """Escape text for a cell of a Markdown table."""
     return text.replace("|", "\\|").replace("<", "&lt;")
 
 
 def settings() -> str:
-    """The settings of a run."""
+    """Return the table of the settings of a run."""
     rows = []
     for spec in SETTINGS.values():
         name = "set" if spec.metadata["kind"] == "pairs" else spec.name.replace("_", "-")
-        default = default_text(spec).replace("_", "\\_")  # not italics
+        default = default_text(spec).replace("_", "\\_")  # Underscores would start italics.
         rows.append((f"`--{name}`", default, spec.metadata["unit"], spec.metadata["help"]))
     return table(("option", "default", "unit", "meaning"), rows)
 
 
 def presets() -> str:
-    """The files of the presets, as they are."""
+    """Return the content of the files of the presets."""
     parts = []
     for name in preset_names():
         text = preset_text(name)
@@ -59,7 +59,7 @@ def presets() -> str:
 
 
 def methods() -> str:
-    """The parameters of each method."""
+    """Return the tables of the parameters of each method."""
     parts = []
     for name, method in METHODS.items():
         rows = []
@@ -76,7 +76,7 @@ def methods() -> str:
 
 
 def page() -> str:
-    """The whole document."""
+    """Return the whole document."""
     return "\n".join(
         (
             HEAD,
