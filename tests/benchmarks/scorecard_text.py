@@ -15,21 +15,22 @@ if TYPE_CHECKING:
 
 HEAD = """# Scorecard
 
-Every filter with its defaults, one setting for all scenes, against labels of which it saw none. Class 2 is ground,
-all others are objects, but for those left out of the count: noise (7, 18), water (9), bridges (17, 26), a producer's
-virtual points and artefacts (64 to 67). Type I: ground that was lost. Type II: objects taken for ground. Total: both,
-of all points. Kappa: Cohen's. All in percent.
+Every filter has its defaults, one setting for all scenes, and is compared with reference classes that it does not
+read. Class 2 is ground. All other classes are objects, except those that do not count: noise (7, 18), water (9),
+bridges (17, 26), a producer's virtual points and artefacts (64 to 67). Type I: ground that was lost. Type II: objects
+classified as ground. Total: both, of all points. Kappa: Cohen's. All values are in percent.
 
-Made by `python tests/benchmarks/scorecard.py docs/scorecard.md`: one pinned core, kernels compiled, CPU time of the
-fastest of {repeats} runs from points in memory to labels in memory; memory is what a run took above its input at its
-peak. DTMs are the linear TIN of what was labelled ground, with no smoothing: what `tiler run` grids of matched clouds
-is better ([benchmarks](benchmarks.md#image-matching-beside-other-programs)).
+`python tests/benchmarks/scorecard.py docs/scorecard.md` makes this page, with compiled kernels on one pinned core.
+Times are CPU times of the fastest of {repeats} runs, from points in memory to labels in memory. Memory is the peak of
+a run above its input. DTMs are the linear TIN of the points classified as ground, without smoothing. In
+photogrammetric clouds, the DTM of `tiler run` is better
+([benchmarks](benchmarks.md#image-matching-beside-other-programs)).
 
-Other people's filters (`peer`) take part on matched clouds, where they are installed; for laser scans see the published
-figures. They are not timed. `floor` is no filter but a limit, from the truth: the errors that are left where ground is
-all that lies nearer to the true terrain than one height, the best one for the scene; and the DTM of the true ground
-points. In simulated matched scenes most of it are plants of 0.15 to 0.4 m that cover whole patches: the matched surface
-shows their tops, and the simulator calls them objects.
+Other filters (`peer`) are run on photogrammetric clouds if they are installed. For laser scans see the published
+figures. They are not timed. `floor` is not a filter but a limit. It has the errors if exactly the points nearer to
+the reference terrain than one height are ground, with the best height for the scene, and the DTM of the reference
+ground points. Most of these errors in simulated photogrammetric scenes are plants of 0.15 to 0.4 m that cover whole
+patches. Their tops are the surface of the cloud, and the simulator calls them objects.
 """
 
 
@@ -167,12 +168,12 @@ def _cell(cell: Cell | None) -> str:
 
 
 def _speed(cells: Sequence[Cell], reference: str) -> str:
-    """Points a second, time beside the reference's on the same scenes, bytes a point: medians over the scenes."""
+    """Return medians of points per second, time over that of the reference, and bytes per point."""
     own_time = {c.scene: c.seconds for c in cells if c.method == reference}
     kinds: tuple[tuple[str, Callable[[Cell], float | None]], ...] = (
         ("M points/s", lambda c: c.points / c.seconds / 1e6 if c.seconds else None),
         (f"x time of {reference}", lambda c: _over(c.seconds, own_time.get(c.scene))),
-        ("bytes a point", lambda c: _over(c.peak_bytes, c.points)),
+        ("bytes per point", lambda c: _over(c.peak_bytes, c.points)),
     )
     rows = []
     for family in dict.fromkeys(cell.family for cell in cells):
