@@ -139,7 +139,7 @@ class _InspectedInputs:
 
     @cached_property
     def filled(self) -> list[SourceInfo]:
-        """Sources that hold points."""
+        """Sources with points."""
         return _filled(self.sources)
 
     @cached_property

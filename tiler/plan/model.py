@@ -169,7 +169,7 @@ class Plan:
 
     @property
     def filled(self) -> list[SourceInfo]:
-        """Sources that hold points."""
+        """Sources with points."""
         return [s for s in self.sources if s.points and s.bounds is not None]
 
     @property
