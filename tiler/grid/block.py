@@ -83,7 +83,7 @@ Index = npt.NDArray[np.intp]
 def edit_heights(
     store: TileStore, key: str | None, spec: RasterSpec, block: Block, heights: Heights
 ) -> list[tuple[int, int]]:
-    """Set the heights of edits, and return the number and changed pixels of each edit that touches the block."""
+    """Set the heights of edits. Return the number and changed pixels of each edit in the block."""
     edits = None if key is None else store.edits(key, spec.block_bounds(block), OF_PIXELS)
     return [] if edits is None else edits.set_heights(spec, block, heights)
 
@@ -97,7 +97,7 @@ def _counted(heights: Heights) -> dict[str, int]:
 def heights_of_blocks(
     store: TileStore, works: Sequence[GridBlock]
 ) -> Iterator[tuple[GridBlock, Heights, dict[str, Any]]]:
-    """Compute the heights of blocks that differ only in their positions, and their records without checksums.
+    """Compute heights and records of blocks that differ only in their positions, without checksums.
 
     The blocks share a TIN if it is not too wide or too full. Otherwise each block has its own TIN, and a block that is
     still too full is divided into quarters. A block with uncertified pixels is repeated by itself with twice the halo.
@@ -199,7 +199,7 @@ def block_heights(store: TileStore, work: GridBlock) -> tuple[Heights, dict[str,
 
 
 def _attempt(store: TileStore, work: GridBlock, window: Bounds) -> tuple[TinRaster, dict[str, int]]:
-    """Return heights and uncertified pixels of a block from the points in a window, and counts of ground points."""
+    """Return heights and uncertified pixels of a block, and the counts of its ground points."""
     ground, xyz = surface_ground(store, work, window)
     if work.breaklines is not None:
         lines = store.breaklines(work.breaklines)

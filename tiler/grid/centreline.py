@@ -81,7 +81,7 @@ def centreline(shape: Any) -> Floats | None:
 
 
 def _graph(wet: npt.NDArray[np.bool_], middle: Floats) -> tuple[Any, Any, Any]:
-    """Return the cells' rows and columns, and two graphs of neighbours: by length, and much longer near the shore."""
+    """Return rows and columns of cells, and graphs of neighbours: plain, and longer near the shore."""
     cells = np.nonzero(wet)
     number = np.full(wet.shape, -1, np.int32)  # scipy before 1.15 needs int32 indices in graphs
     number[cells] = np.arange(len(cells[0]), dtype=np.int32)

@@ -84,7 +84,7 @@ def blocks_of(runs: Runs, spec: RasterSpec, size: int) -> Iterator[Block]:
 
 
 def covered(coarse: RasterSpec, spec: RasterSpec, cells: Block, pad: int = 0) -> Block:
-    """Return the pixels of a raster that coarse cells touch, with ``pad`` pixels around them, cut at its border."""
+    """Return the pixels of a raster that coarse cells touch, padded by ``pad`` within the raster."""
     bounds: Bounds = coarse.block_bounds(cells)
     index = spec.lattice.index_of
     left, right = index(bounds.x0) - spec.west, index(bounds.x1 - 1) + 1 - spec.west

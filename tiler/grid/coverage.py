@@ -40,7 +40,7 @@ NO_PIECE = -1.0
 
 @dataclass(frozen=True, kw_only=True)
 class CloseBlock(BlockWork):
-    """Arguments of `close_block`: one block of the raster of open areas, which lie outside the gaps of the survey.
+    """Arguments of `close_block`: one block of the raster of areas outside the survey and its gaps.
 
     Attributes
     ----------

@@ -16,7 +16,7 @@ from tiler.grid.roofs import Advice
 from tiler.store import TileStore, open_store
 
 CELL_M, COARSEST_M = 1.0, 1.25
-"""Side of the cells for the search: finer pixels are thinned, and pixels coarser than the second do not show crowns."""
+"""Side of the cells for the search, and of the coarsest pixels that show crowns. Finer pixels are thinned."""
 TOLD, FEWEST = 0.1, 10
 """Least share of the terrain and least number of blocks (0.06 ha each) that look like crowns for a warning."""
 

@@ -160,7 +160,7 @@ def _beside_objects(
     own: npt.NDArray[np.int32],
     edges: Mapping[Cell, npt.NDArray[np.int32]],
 ) -> npt.NDArray[np.bool_]:
-    """Return a mask of the ground points next to an object: in the bucket (``own``) or at the edge of a neighbour."""
+    """Return a mask of the ground points near objects of the bucket (``own``) or of a neighbour."""
     around = store.meta.bucket.bounds(cell).pad(math.ceil(rule.erode))
     others = [edges[other] for other in store.meta.bucket.among(around, edges) if other != cell]
     objects = np.concatenate([own, *others], axis=1)

@@ -27,7 +27,7 @@ Side = list[list[int]]
 """Runs of labels along a side of a block from the north or west, as [label (0: none), number of cells]."""
 
 AROUND = np.ones((3, 3), np.bool_)
-"""Cells that touch a cell at sides and corners."""
+"""Neighbourhood in which cells touch at sides and corners."""
 
 
 class Piece(NamedTuple):

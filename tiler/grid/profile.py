@@ -181,7 +181,7 @@ def _weighted_median(values: Floats, weights: Floats) -> float:
 def _with_steps(
     along: Floats, levels: Floats, line: Floats, within: Counts, scale: Scale
 ) -> tuple[Floats, Floats]:
-    """Return distances along the line and levels, with two of each at a step, where the water's own heights jump."""
+    """Return distances along the line and levels, with two of each where the water has a step."""
     import shapely
 
     places, heights = [along[:1]], [levels[:1]]

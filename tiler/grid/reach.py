@@ -1,4 +1,4 @@
-"""Distances of cells from set cells, in strips, as a distance transform of a raster takes 50 bytes per cell."""
+"""Distances from set cells, in strips, as a distance transform takes 50 bytes per cell."""
 
 from __future__ import annotations
 

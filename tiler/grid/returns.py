@@ -1,4 +1,4 @@
-"""Usual number of returns in a coarse cell: histograms of blocks, from which the coordinator takes local medians."""
+"""Usual number of returns in a coarse cell, from histograms of blocks."""
 
 from __future__ import annotations
 

@@ -60,7 +60,7 @@ def roofs_in_terrain(
     building_m: float,
     roof_m: float | None = None,
 ) -> Advice | None:
-    """Return a warning if the terrain has a roof too wide for ``max_building_size`` or ``roof_size``, else None.
+    """Return a warning if the terrain has a roof that is too wide for the settings, else None.
 
     Parameters
     ----------

@@ -86,7 +86,7 @@ def grid(job: Job, assembled: IngestResult, labelled: Labelled, corrections: Cor
 
 
 def _settle_surface(job: Job) -> None:
-    """Set the user's missing choices for the surface of a photogrammetric cloud: it is noisy, its walls have skirts."""
+    """Set defaults for the surface of a photogrammetric cloud: it is noisy, its walls have skirts."""
     plan, config = job.plan, job.plan.config
     surface = config.surface or MATCHED_SURFACE
     erode = MATCHED_EROSION if config.erode is None else config.erode
@@ -131,7 +131,7 @@ def _make(job: Job, raster: RasterStep, spec: RasterSpec, tasks: list[Task], joi
 
 
 def _blank(job: Job, name: str, spec: RasterSpec, keys: Collection[str]) -> None:
-    """Remove blocks of an earlier run on the workers, as this run may not overwrite them."""
+    """Remove, on the workers, blocks of an earlier run that this run does not write."""
     blocks, tasks = [spec.block_named(key, BLOCK_PIXELS) for key in sorted(keys)], []
     for start in range(0, len(blocks), BLANK_BLOCKS):
         work = BlankBlocks(name, tuple(blocks[start : start + BLANK_BLOCKS]))

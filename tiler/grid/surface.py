@@ -1,4 +1,4 @@
-"""Surface model: the highest return of each pixel without spikes, and their TIN for pixels without a return.
+"""Surface model: the highest return of each pixel without spikes, else the TIN of these.
 
 The surface is never below the terrain. Returns below the terrain come from the slope within their pixel, from low noise
 that the filter missed, or from steep ground that the filter classified as noise.

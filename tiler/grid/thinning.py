@@ -83,10 +83,10 @@ def central_points(xyz: Counts, origin: tuple[int, int], lattice: Lattice) -> In
 
 
 def ranked_points(xyz: Counts, origin: tuple[int, int], lattice: Lattice, percent: int) -> Index:
-    """Return the indices of the points at a percentile of the heights of each cell, ties in the order of (z, x, y).
+    """Return the indices of the points at a percentile of the heights of each cell.
 
     Percentile 50 is the (lower) median, 0 the lowest point. A measured point, unlike a mean, lies on the surface
-    wherever it is in its cell.
+    wherever it is in its cell. Ties are in the order of (z, x, y).
 
     Parameters
     ----------

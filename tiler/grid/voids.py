@@ -223,7 +223,7 @@ def _rim(store: TileStore, rasters: VoidRasters, void: Void) -> tuple[Int32, Int
 
 
 def _rim_of_piece(store: TileStore, rasters: VoidRasters, void: Void, core: Block) -> npt.NDArray[np.int64]:
-    """Return the absolute counts (3, n) of the rim's pixels in ``core``, including those next to a neighbour's hole."""
+    """Return the absolute counts (3, n) of the rim's pixels in ``core``, also at its border."""
     spec = rasters.spec
     top, left = max(core.row - 1, 0), max(core.col - 1, 0)
     bottom, right = min(core.row + core.height + 1, spec.height), min(core.col + core.width + 1, spec.width)

@@ -1,4 +1,4 @@
-"""Candidates for water among coarse cells: by the input's class, or flat low land with few returns and rising banks.
+"""Candidates for water: by the input's class, or flat, low, with few returns and rising banks.
 
 Laser scanners get few returns from water, often none, and its returns are flat. The same is true of shadows of
 buildings, gaps between strips, wet asphalt and dark lawns, but only water is lower than everything around it. So a
@@ -37,7 +37,7 @@ SHORE_M, RING_M = 3.0, (7.0, 13.0)
 NEAREST = 20
 """Number of cells of the shore with which a cell of the ring is compared."""
 LOW_PERCENT = 20
-"""Percentile of their heights."""
+"""Percentile of the heights of these cells of the shore."""
 PLACES_PER_BATCH = 1 << 14
 """Number of cells of the ring that are compared in one batch, with about 600 bytes each."""
 RISE_M, FALL_M = 0.3, 0.2
@@ -49,7 +49,7 @@ MIN_KNOWN = 0.4
 MIN_CELLS = 20
 """Least number of cells of shore and of ring from which an area can be classified."""
 GIVEN_SHARE = 0.03
-"""Least share of cells that the input classifies as water for which a candidate is water, unless its ring is lower."""
+"""Least share of cells of class water that makes a candidate water, unless its ring is lower."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -247,7 +247,7 @@ def rim_of(cells: WaterCells, mine: Bools, others: Bools, counted: Bools) -> Rim
 def _near_ground(
     ground: Floats, known: Bools, places: npt.NDArray[np.int64], level: Callable[[Floats], Floats]
 ) -> Floats:
-    """Return ``level`` of the ground [n, k] of the known cells that are nearest to each of n places (row, column)."""
+    """Return ``level`` of the ground [n, k] of the k nearest known cells of n places (row, column)."""
     heights, tree = ground[known], scipy.spatial.cKDTree(np.argwhere(known))
     found = np.empty(len(places))
     for first in range(0, len(places), PLACES_PER_BATCH):

@@ -44,10 +44,11 @@ def smoothed(ground: Floats) -> Floats:
 
 
 def water_heights(cells: WaterCells, wet: Bools) -> Floats | None:
-    """Return the water level near each cell in metres, from the nearest water with returns, or None if there is none.
+    """Return the water level near each cell in metres, or None if the water has no returns.
 
-    The outermost cells of the water may be bank, so they count only if there are no inner cells near. Cells without
-    returns do not count, as their heights come from the banks.
+    The level comes from the nearest cells of water with returns. The outermost cells of the water may be bank, so they
+    count only if there are no inner cells near. Cells without returns do not count, as their heights come from the
+    banks.
     """
     ground = np.rint(cells.ground / LEVEL_STEP_M)  # sums of whole numbers are exact
     known = wet & (cells.returns > 0) & ~np.isnan(ground)

@@ -31,9 +31,9 @@ MAX_ISLAND_CELLS = 128
 """Upper limit in coarse cells of the margin in which an island has to lie whole to become water."""
 
 SEEN_SHARE = 0.25
-"""Share of the least area of an island that has to be clearly above the water, as its flat parts become water.
+"""Share of the least area of an island that has to be clearly above the water.
 
-The whole area of an island is known when its shore is drawn (`tiler.grid.water_find`).
+Flat parts become water here. The whole area of an island is known when its shore is drawn (`tiler.grid.water_find`).
 """
 
 

@@ -1,4 +1,4 @@
-"""Heights of coarse cells for the search for water: of the terrain, and of points that are water by the input."""
+"""Heights of coarse cells for the search for water: of the terrain, or of the input's water."""
 
 from __future__ import annotations
 

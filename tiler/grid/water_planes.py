@@ -2,8 +2,8 @@
 
 Water with waves, below weirs and at fords, has as many returns as land, and crowns over its banks hide its shore. But
 it is level over tens of metres, which land is not. A connected area of level ground is water if the land around it
-rises, as around areas of few returns (`tiler.grid.water_cells`), and if one of these conditions is true. Much of it has
-few returns, some of it is water by the input, or water of such evidence lies next to it, perhaps beyond a dam.
+rises, as around areas of few returns (`tiler.grid.water_cells`), and if there is further evidence. This is few returns
+in much of it, water by the input in some of it, or water with such evidence next to it, perhaps beyond a dam.
 """
 
 from __future__ import annotations

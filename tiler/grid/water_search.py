@@ -32,7 +32,7 @@ from tiler.grid.work import BlockWork
 from tiler.store import TileStore, open_store, read_cells
 
 MARGIN, ALIGNED = 64, 16
-"""Margin around a block in coarse cells; largest number of cells merged along a side, to which windows are aligned."""
+"""Margin around a block in coarse cells, and largest number of cells that are merged along a side."""
 BESIDE_M = RING_M[1] + 2
 """Distance in metres from an area within which land is compared with it."""
 SEEN_CELLS = 8

@@ -26,7 +26,7 @@ AROUND = np.ones((3, 3), np.bool_)
 
 
 def depths(cells: WaterCells, wet: Bools) -> Floats:
-    """Return heights of the bank above the water in cells next to it, and extrapolated below it in its outermost cells.
+    """Return heights of the bank above the water, extrapolated below it into its outermost cells.
 
     Heights are positive on land and negative in water, so the line at 0 is the shore. Without ground heights the shore
     lies halfway between cells.
@@ -63,7 +63,7 @@ def _banks(above: Floats, wet: Bools, seen: Bools) -> Bools:
 
 
 def _gone_on(above: Floats, wet: Bools) -> Floats:
-    """Return the height above the water of the bank extrapolated into its outermost cells, NaN in all other cells."""
+    """Extrapolate the bank into the outermost cells of the water: height above it, NaN elsewhere."""
     bank = np.where(wet, np.nan, above)
     total, number = np.zeros(wet.shape), np.zeros(wet.shape, np.int64)
     for axis, step in ((0, 1), (0, -1), (1, 1), (1, -1)):

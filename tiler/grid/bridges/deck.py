@@ -1,4 +1,4 @@
-"""Decision whether points are the deck of a bridge: it stands free, and a road goes on at both of its ends.
+"""Detection of the deck of a bridge: it stands free, and a road goes on at both ends.
 
 Precision is more important than recall, so each of these conditions has to be true:
 
@@ -213,7 +213,7 @@ def _beneath(view: _View, free: Ints, edges: Floats) -> int:
 
 
 def _ring(view: _View, free: Ints) -> Floats:
-    """Return the outline of the free part as (s, t), wider than its points, which do not lie exactly on its edge."""
+    """Return the outline (s, t) of the free part, wider than its points, which lie inside it."""
     middles = view.starts[free] + view.width / 2
     middles[0], middles[-1] = view.starts[free[0]], view.starts[free[-1]] + view.width
     right = np.column_stack((middles, view.sides.edge[free, 0] - WIDER_M))

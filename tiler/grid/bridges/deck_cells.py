@@ -1,4 +1,4 @@
-"""Cells of a coarse raster that may be the deck of a bridge: narrow, a drop on both sides, a road at both ends.
+"""Coarse cells that may be a bridge deck: narrow, drops on both sides, roads at both ends.
 
 The result depends only on cells within `REACH_M` of a cell.
 """

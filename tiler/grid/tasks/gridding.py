@@ -39,7 +39,7 @@ Place = tuple[int, int]
 
 
 def raster_spec(plan: Plan, assembled: IngestResult) -> RasterSpec:
-    """Return the pixel grid of the run: all stored points within the area, edges at multiples of the resolution.
+    """Return the pixel grid of the stored points within the area, at multiples of the resolution.
 
     Points on the outer edge of the last pixels do not add pixels.
     """

@@ -121,7 +121,7 @@ def canopy_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
 
 
 def outline_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
-    """Yield a task for each block of a model, and of the terrain's survey, which may have water or voids."""
+    """Yield a task for each block of a model, and for the terrain also each block of the survey."""
     model, survey, *others = raster.inputs
     canopy = CANOPY if CANOPY in others and g.made[CANOPY] else None
     waters = g.waters if raster.name.startswith("dtm") else Waters(())

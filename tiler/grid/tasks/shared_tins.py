@@ -24,7 +24,7 @@ from tiler.schedule import Task
 MAX_PIXELS = 16 * BLOCK_PIXELS**2
 """Largest number of pixels of a task. They take 13 bytes each, which is little compared to the base of a worker."""
 TASKS_PER_WORKER = 4
-"""Largest number of tasks per worker up to which tasks are divided, so that workers need not wait for others."""
+"""Tasks per worker up to which tasks are divided, so that workers do not wait for others."""
 WORTH_DIVIDING = 0.95
 """Share to which dividing must shorten the time of the worker that finishes last."""
 

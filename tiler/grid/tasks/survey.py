@@ -134,7 +134,7 @@ def _gap_at(gaps: Mapping[int, list[Gap]], row: int, col: int) -> Gap:
 
 
 def _facing(gap: Gap, row: int, gaps: Mapping[int, list[Gap]], columns: Mapping[int, list[int]]) -> list[Gap]:
-    """Return the gaps in the row above or below that a gap touches, and `BEYOND_ALL` if it touches the outside."""
+    """Return the gaps that a gap touches in the row above or below, and `BEYOND_ALL` if outside."""
     found = [other for other in gaps.get(row, ()) if other[2] <= gap[3] and gap[2] <= other[3]]
     cols = columns.get(row)
     if cols is None or gap[2] < cols[0] or gap[3] > cols[-1]:
