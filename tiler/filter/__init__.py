@@ -1,4 +1,4 @@
-"""Filter: one pass of a method on one tile, core and halo, until its core carries no mark."""
+"""Filter of tiles: one pass of a method on a core and a halo, which grows while labels are uncertified."""
 
 from tiler.filter.tile import LABELS, filter_tile, influence_margin_m, local_window
 from tiler.filter.work import FilterTile

@@ -1,4 +1,4 @@
-"""What a tile's task reads of the store: the points of a window, and bucket by bucket those that are labelled."""
+"""Points of a tile from the store: the points of a window, and the points to label, bucket by bucket."""
 
 from __future__ import annotations
 
@@ -20,7 +20,10 @@ from tiler.store import BucketInfo, TileStore
 
 @dataclasses.dataclass(frozen=True)
 class Bucket:
-    """The points of a bucket that may be labelled, and which of all its points they are (bool [n])."""
+    """Points of a bucket that may be labelled, a mask of them among all its points, and an uncertified flag.
+
+    The mask ``which`` is bool [n]. The flag ``marked`` is set if a label of the points is uncertified.
+    """
 
     points: Points
     which: npt.NDArray[np.bool_]
@@ -28,20 +31,20 @@ class Bucket:
 
     @property
     def size_bytes(self) -> int:
-        """Bytes that the columns of the bucket take."""
+        """Bytes of the columns of the bucket."""
         columns = (getattr(self.points, f.name) for f in dataclasses.fields(Points))
         return int(self.which.nbytes) + sum(int(c.nbytes) for c in columns if c is not None)
 
 
 class TileReader:
-    """Reads the points of a tile, and keeps buckets that are asked for again.
+    """Reader of the points of a tile, which keeps buckets for later requests.
 
     Parameters
     ----------
     store : TileStore
     step : Pass
     work : FilterTile
-        What the task is to do.
+        Arguments of the task.
     """
 
     def __init__(self, store: TileStore, step: Pass, work: FilterTile) -> None:
@@ -56,12 +59,13 @@ class TileReader:
         self._window: tuple[Points, dict[Cell, slice]] | None = None
 
     def window(self, bounds: Bounds, cell_m: float) -> tuple[Points, bool]:
-        """What a pass looks at, and whether a label among it is marked.
+        """Read the points of a window for a pass, and return them and whether one has an uncertified label.
 
-        Points that can become vertices: the store's candidates where the method's cells are made of whole fine cells.
+        A pass on elected points reads these. Another pass reads the store's candidates if the method's cells consist of
+        whole fine cells and the pass does not need every point, else all points that take part.
         """
         places: dict[Cell, slice] = {}
-        self._window = None  # its memory is needed
+        self._window = None  # frees memory for the new window
         if self._step.elected:
             block = self._elected(bounds)
         else:
@@ -74,21 +78,22 @@ class TileReader:
                 block = self._store.window(bounds, columns, labels=self._labels)
                 block = block.take(self._taking_part(block))
         points = self._as_points(block)
-        # A pass that labels candidates alone finds those of its core in the window: they are read once.
+        # A pass that labels only candidates finds those of its core in the window, so that they are read once.
         self._window = (points, places) if places and self._work.of_candidates else None
         return points, _any_marked(block)
 
     def own(self, cell: Cell) -> Bucket:
-        """The points of a bucket of the core that the pass labels."""
+        """Return the points of a bucket, in the core or next to it, that the pass labels or reads."""
         if self._window is not None:
             points, places = self._window
             points = points.take(places.get(cell, slice(0, 0)))
-            return Bucket(points, np.ones(len(points), np.bool_), False)  # marks of the window count for all
+            # `window` has already returned whether a label is uncertified.
+            return Bucket(points, np.ones(len(points), np.bool_), False)
         if cell in self._held:
             self._held.move_to_end(cell)
             return self._held[cell]
         found = self._read(cell)
-        if self._margin:  # its neighbours will ask for it again
+        if self._margin:  # the bucket's neighbours read it later
             self._held[cell] = found
             self._held_bytes += found.size_bytes
             while self._held_bytes > self._work.held_bytes and len(self._held) > 1:
@@ -96,11 +101,11 @@ class TileReader:
         return found
 
     def around(self, cell: Cell) -> tuple[list[Points], bool]:
-        """Points within the pass's `label_margin_m` around a bucket, and whether the label of one is marked."""
+        """Return the points within `label_margin_m` around a bucket, and whether a label is uncertified."""
         if not self._margin:
             return [], False
         lattice, (ox, oy) = self._store.meta.bucket, self._store.meta.frame.origin
-        if self._near is None:  # asked once: each time costs a look at the index
+        if self._near is None:  # one read of the index serves all buckets
             self._near = self._store.buckets_within(lattice.hull(self._work.cells).pad(self._margin))
         seen = lattice.bounds(cell).pad(self._margin)
         found, marked = [], False
@@ -119,7 +124,7 @@ class TileReader:
         if self._work.of_elected:
             block = self._elected(self._store.meta.bucket.bounds(cell))
             return Bucket(self._as_points(block), np.ones(len(block), np.bool_), _any_marked(block))
-        few = self._work.of_candidates  # which all take part
+        few = self._work.of_candidates  # candidates all take part
         columns = self._columns if few else (*self._columns, "classification", "flags")
         block = self._store.read_bucket(cell, columns, few)
         if self._labels is not None and (few or not self._work.in_of_candidates):
@@ -137,7 +142,7 @@ class TileReader:
     def _as_points(self, block: PointBlock) -> Points:
         labels = None if block.labels is None else block.labels & ~np.uint8(UNCERTIFIED_BIT)
         if labels is None and "labels" in self._step.columns:
-            labels = np.zeros(len(block), np.uint8)  # none yet
+            labels = np.zeros(len(block), np.uint8)  # there are no labels yet
         return Points(block.xyz, labels, block.rgb, block.returns)
 
     def _taking_part(self, block: PointBlock) -> npt.NDArray[np.bool_]:

@@ -1,4 +1,4 @@
-"""The stage filter of a run: the passes of the method, one after the other, and what they say together."""
+"""Stage filter of a run: the passes of the method one after the other, and their common results."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ from tiler.schedule import Task
 
 
 def filter_points(job: Job, assembled: IngestResult) -> Labelled:
-    """Run the passes of the method."""
+    """Run the passes of the method. Return the labels and the results of the passes."""
     if job.plan.config.method == KEEP:
         return Labelled.of(job.plan.config, assembled.digests, {})
     passes = METHODS[job.plan.config.method].params(**job.plan.parameters).passes
     ever = max(job.store.get_state("passes") or 0, len(passes))
     job.store.put_state("passes", ever)
     for number in range(len(passes), ever):
-        job.store.clear(f"filter{number}")  # its labels are about to be overwritten
+        job.store.clear(f"filter{number}")  # labels of this pass could be overwritten
     config, known = job.plan.config, job.plan.statistics
     sigma = None if config.sigma is None else float(config.sigma)
     facts = run_facts(sigma, config.source_kind, job.plan.evidence)
@@ -82,19 +82,19 @@ def filter_points(job: Job, assembled: IngestResult) -> Labelled:
 
 
 def _clear_passed_over(job: Job, passes: Sequence[Pass], state: State) -> None:
-    """Take back what an earlier run did of passes that do not apply now: what they wrote may be overwritten."""
+    """Clear the commits of passes that do not apply in this run, as their results may be overwritten."""
     for number, step in enumerate(passes):
         if not step.applies(state):
             job.store.clear(f"filter{number}")
 
 
 def _without_known_places(after: Mapping[str, Any], before: State) -> dict[str, Any]:
-    """A state without the figures of places that the state before held: a country has a million of them."""
+    """Drop figures of positions that the state before already had, as a country has a million of them."""
     return {name: value for name, value in after.items() if name != PLACES or name not in before}
 
 
 def _known(job: Job, step: Pass, before: State) -> dict[str, Any]:
-    """The state after a pass of the run that ``--statistics`` names."""
+    """Return the state after a pass from the run of ``--statistics``."""
     found: dict[str, Any] | None = (job.plan.statistics or {}).get(step.name)
     if found is None:
         raise ConfigError(
@@ -115,7 +115,7 @@ def _known(job: Job, step: Pass, before: State) -> dict[str, Any]:
 
 
 def _reduced(job: Job, step: Pass, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
-    """The state after a pass; what it decided is told."""
+    """Return the state after a pass, and add its new notes to those of the run."""
     try:
         found = step.reduce(partials, state)
     except MethodRefusal as error:
@@ -127,7 +127,7 @@ def _reduced(job: Job, step: Pass, partials: Iterable[dict[str, Any]], state: St
 
 
 def _warn_of_uncertain_kind(job: Job, survey: Mapping[str, Any]) -> None:
-    """Warn where it is not sure what made the clouds: all passes after the one that decides it depend on that."""
+    """Warn if the source of the clouds is uncertain, as all passes after the survey depend on it."""
     sure = survey.get("sure")
     if sure is None or sure >= SURE:
         return
@@ -139,7 +139,7 @@ def _warn_of_uncertain_kind(job: Job, survey: Mapping[str, Any]) -> None:
 
 
 def _leave_out(job: Job, task: Task, step: Pass, before: PassInputs) -> None:
-    """The points of a tile that failed have no label, and elect none: nothing of an earlier run, either."""
+    """Write empty results for the core of a tile that failed, which replace those of an earlier run."""
     work: FilterTile = task.arguments
     buckets = job.store.buckets_within(job.plan.meta.bucket.hull(work.cells))
     for cell in work.cells:

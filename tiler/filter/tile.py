@@ -1,4 +1,4 @@
-"""A tile of a pass: read core and halo, fit the model, label the core or elect points in it."""
+"""Filtering of a tile of a pass: read core and halo, fit the model, label the core or elect points in it."""
 
 from __future__ import annotations
 
@@ -25,32 +25,35 @@ LABELS = "labels"
 """Name of the final labels in the store."""
 
 KEEP = 0
-"""Label of a point that has no part in filtering: it keeps the class of its source."""
+"""Label of a point that does not take part in filtering and keeps the class of its source."""
 
 REACH_CELLS = 4
-"""Cells of a method's lattice beyond a window within which an occupied bucket shows that the data go on there."""
+"""Cells of a method's lattice beyond a window within which an occupied bucket shows that the data continue there."""
 
 
 def influence_margin_m(step: Pass, params: Any) -> float:
-    """Metres beyond core and halo from which buckets can change a tile, for a pass and its method's parameters."""
+    """Return the distance in metres beyond the halo within which buckets can affect a tile.
+
+    The parameters are a pass and the parameters of its method.
+    """
     return float((REACH_CELLS + 1) * params.align_m + params.margin_m) if step.reach_m is None else 0.0
 
 
 def filter_tile(store_url: str, work: FilterTile) -> dict[str, Any]:
     """Filter one tile.
 
-    A core that carries a mark, or of whose statistics the pass is not certain, is done again with twice the halo, up
-    to ``max_halo``; what stays marked keeps its mark (bit 7 of the label) and is counted. The window of a pass with a
-    fixed reach is core and halo as they are; that of any other is widened to the method's lattice, and knows where the
-    data end.
+    A core with uncertified labels or statistics is repeated with twice the halo, up to ``max_halo``. Labels that stay
+    uncertified keep bit 7 and are counted. The window of a pass with a fixed reach is exactly core and halo. The window
+    of any other pass is extended to the method's lattice, and includes the sides at which the data end.
 
     Returns
     -------
     dict
-        ``cells``; ``points``, ``ground``, ``low_noise``, ``unclassified``, ``kept`` (of the core), ``marked``,
-        ``tries``, ``halo`` (counts), ``window_points`` (candidates of the last window), ``core_area``,
+        ``cells``; ``points``, ``ground``, ``low_noise``, ``unclassified``, ``kept`` (of the core), ``marked``
+        (uncertified), ``tries``, ``halo`` (counts), ``window_points`` (candidates of the last window), ``core_area``,
         ``window_area`` (square counts, all tries), ``labels`` (digest), ``partial`` (for the pass's reduction),
-        ``stats`` of the model; of a pass that elects also ``elected`` (digest) and ``elected_points`` (of each cell).
+        ``stats`` of the model. A pass that elects also has ``elected`` (digest) and ``elected_points`` (number for each
+        cell).
     """
     store = open_store(store_url)
     params = METHODS[work.method].params(**work.parameters)
@@ -76,8 +79,8 @@ def filter_tile(store_url: str, work: FilterTile) -> dict[str, Any]:
         if (marked == 0 and model.uncertain() == 0) or halo >= work.max_halo:
             break
         halo = min(2 * halo, work.max_halo)
-        del points, model  # before the wider window is read, which is what the memory was reckoned for
-    if inherited:  # what a doubtful label of the pass before may have changed
+        del points, model  # frees the memory for the wider window
+    if inherited:  # an uncertified label of the earlier pass may have changed the labels
         labels = {cell: found | (found > 0) * np.uint8(UNCERTIFIED_BIT) for cell, found in labels.items()}
         marked = sum(int(np.count_nonzero(found)) for found in labels.values())
     elected = {} if work.elected_out is None else _elect(store, work.cells, model, work.elected_out)
@@ -110,9 +113,9 @@ def filter_tile(store_url: str, work: FilterTile) -> dict[str, Any]:
 
 
 def _label(reader: TileReader, cell: Cell, model: Model) -> tuple[npt.NDArray[np.uint8], bool]:
-    """Labels with marks of the points of a bucket, in its order, and whether a label around it was marked.
+    """Return the labels of the points of a bucket, and whether a label around the bucket was uncertified.
 
-    Points that have no part in filtering are not shown to the model.
+    Uncertified labels have bit 7. Points that do not take part in filtering are not passed to the model.
     """
     own = reader.own(cell)
     others, near = reader.around(cell)
@@ -125,13 +128,13 @@ def _label(reader: TileReader, cell: Cell, model: Model) -> tuple[npt.NDArray[np
 
 
 def _label_elected(store: TileStore, cell: Cell, model: Model) -> npt.NDArray[np.uint8]:
-    """Labels with marks of the points that a pass elects in a bucket."""
+    """Return the labels of the points that a pass elects in a bucket, with bit 7 for uncertified ones."""
     labels, marks = model.label(Points(model.elect(_local(store.meta.bucket.bounds(cell), store))))
     return labels | (marks.astype(np.uint8) * np.uint8(UNCERTIFIED_BIT))
 
 
 def _elect(store: TileStore, cells: Sequence[Cell], model: Model, name: str) -> dict[str, Any]:
-    """Write what a pass elects of the buckets; a digest of it, and how many points there are in each bucket."""
+    """Write the points that a pass elects in the buckets. Return their digest, and their number per bucket."""
     found = {}
     for cell in cells:
         found[cell] = model.elect(_local(store.meta.bucket.bounds(cell), store))
@@ -143,7 +146,7 @@ def _elect(store: TileStore, cells: Sequence[Cell], model: Model, name: str) -> 
 
 
 def _window(store: TileStore, padded: Bounds, step: Pass, params: Any) -> tuple[Bounds, Known]:
-    """Points that a pass reads for a core and its halo, and the facts about them."""
+    """Return the bounds of the points that a pass reads for a core and its halo, and the known window."""
     if step.reach_m is not None:
         return padded, _local(padded, store)
     align = Lattice(store.meta.frame.counts(Fraction(repr(float(params.align_m)))))
@@ -153,7 +156,7 @@ def _window(store: TileStore, padded: Bounds, step: Pass, params: Any) -> tuple[
 
 
 def _known(store: TileStore, window: Bounds, reach: int) -> Known:
-    """The window in local counts; a side is open where no bucket within ``reach`` of it holds a point beyond it.
+    """Return the window in local counts. A side without points within ``reach`` beyond it is open.
 
     The virtual ring of a method keeps every circle that matters within that reach of the data.
     """
@@ -180,13 +183,13 @@ def _local(bounds: Bounds, store: TileStore) -> Known:
 
 
 def local_window(bounds: Bounds, origin: tuple[int, int]) -> Known:
-    """Bounds in the local counts of a frame with that origin."""
+    """Convert bounds to the local counts of a frame with that origin."""
     ox, oy = origin
     return Known(bounds.x0 - ox, bounds.y0 - oy, bounds.x1 - ox, bounds.y1 - oy)
 
 
 def digest_of_arrays(columns: Iterable[npt.NDArray[Any]]) -> str:
-    """A digest of their values, one after the other."""
+    """Return the digest of the values of arrays, in order."""
     digest = hashlib.blake2b(digest_size=16)
     for column in columns:
         digest.update(column.tobytes())

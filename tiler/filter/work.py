@@ -1,4 +1,4 @@
-"""Arguments of the task of a tile: the pass, the buckets that it labels, and what it reads and writes."""
+"""Arguments of the task of a tile: the pass, the buckets that it labels, and names of inputs and outputs."""
 
 from __future__ import annotations
 
@@ -12,34 +12,34 @@ from tiler.schedule import NOT_IN_DIGEST
 
 @dataclass(frozen=True)
 class FilterTile:
-    """One tile of a pass: the arguments of `tiler.filter.filter_tile`.
+    """Arguments of `tiler.filter.filter_tile`: one tile of a pass.
 
     Attributes
     ----------
     method : str
     parameters : mapping
-        Of the method, as JSON.
+        Parameters of the method, as JSON.
     number : int
-        Of the pass, from 0.
+        Number of the pass, from 0.
     state : mapping
-        Of the passes before.
+        State after the earlier passes.
     cells : tuple of Cell
-        The buckets of the core.
+        Buckets of the core.
     halo, max_halo : int
-        Counts, to begin with and at most.
+        First and largest halo in counts.
     keep_classes, skip_flags
-        What takes no part, see `tiler.core.classes.participates`.
+        Classes and flags of points that are excluded, see `tiler.core.classes.participates`.
     labels_in, labels_out : str or None
-        Names in the store of the labels of the pass before and of this one.
+        Names in the store of the labels of the earlier pass and of this one.
     elected_in, elected_labels_in, elected_out : str or None
-        Of the points elected before, of their labels, and of those that this pass elects.
+        Names in the store of the points elected before, of their labels, and of the points that this pass elects.
     of_elected : bool
-        The labels of this pass are those of elected points.
+        Whether the labels of this pass are those of elected points.
     of_candidates, in_of_candidates : bool
-        Whether the labels of this pass, and those of the pass before, are those of candidates alone, as no later pass
-        reads others.
+        Whether the labels of this pass, and of the earlier pass, are only those of candidates. Later passes do not read
+        other labels.
     held_bytes : int
-        Of buckets kept for their neighbours.
+        Largest size of the buckets that are kept for their neighbours, in bytes.
     """
 
     method: str
@@ -62,5 +62,5 @@ class FilterTile:
     held_bytes: int = field(metadata=NOT_IN_DIGEST)
 
     def place(self, buckets: Lattice) -> Bounds | None:
-        """Bounds of the core."""
+        """Return the bounds of the core."""
         return buckets.hull(self.cells)

@@ -1,4 +1,4 @@
-"""Grid: heights at pixel centres on the TIN of the merged ground points, and what follows, block by block."""
+"""Stage grid: heights on the TIN of the ground points, and other rasters, block by block."""
 
 from tiler.grid.blank import BlankBlocks, blank_blocks
 from tiler.grid.block import full_halo, grid_block, grid_blocks

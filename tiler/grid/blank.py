@@ -1,4 +1,4 @@
-"""Deletes the stored pixels of blocks of a raster, which then read as its fill value."""
+"""Deletion of the stored pixels of blocks of a raster."""
 
 from __future__ import annotations
 
@@ -11,19 +11,21 @@ from tiler.store import open_store
 
 @dataclass(frozen=True)
 class BlankBlocks:
-    """Work: delete the stored pixels of some blocks of a raster."""
+    """Arguments of `blank_blocks`: a raster in the store and the blocks to delete."""
 
     name: str
     blocks: tuple[Block, ...]
 
 
 def blank_blocks(store_url: str, work: BlankBlocks) -> dict[str, Any]:
-    """Delete the stored pixels of some blocks, which then read as the fill value; a `tiler.schedule.task.Work`.
+    """Delete the stored pixels of blocks, which then read as the fill value.
+
+    This is a `tiler.schedule.task.Work`.
 
     Returns
     -------
     dict
-        ``blocks``: their number.
+        ``blocks``: number of blocks.
     """
     open_store(store_url).erase_blocks(work.name, work.blocks)
     return {"blocks": len(work.blocks)}

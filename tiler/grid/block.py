@@ -1,8 +1,8 @@
 """Blocks of a raster: heights at pixel centres on the TIN of the ground points around them.
 
-The pixels depend on the data alone, not on the block or its halo: a facet fills a pixel only if its longest edge
-and its circumradius stay within a limit, so data farther than twice that limit have no influence, and every pixel
-that closer data beyond the window could change is marked. A block with marks is done again with more halo.
+The pixels depend only on the data, not on the block or its halo. A facet fills a pixel only if its longest edge and its
+circumradius stay within a limit, so data farther away than twice that limit have no influence. Every pixel that nearer
+data beyond the window could change is uncertified. A block with uncertified pixels is repeated with a larger halo.
 """
 
 from __future__ import annotations
@@ -30,40 +30,40 @@ from tiler.grid.work import GridBlock, GridBlocks, TinBlock
 from tiler.store import TileStore, open_store
 
 MAX_WINDOW = MAX_EXTENT // 2
-"""A block whose window has a side of this many counts, or more, is divided: the TIN would not be exact."""
+"""Side of a window in counts from which a block is divided, as its TIN would not be exact."""
 
 
 def full_halo(max_edge: Fraction) -> int:
-    """Counts of halo with which no pixel of a block is ever marked, for a limit in counts.
+    """Return the halo in counts with which all pixels of a block are certified, for a limit in counts.
 
-    A facet's circle reaches at most two radii from a pixel inside of it; the rest covers rounding.
+    A facet's circle reaches at most two radii from a pixel inside it. The rest covers rounding.
     """
     return math.ceil(2 * max_edge * (1 + Fraction(1, 1 << 19))) + 4
 
 
 def grid_block(store_url: str, work: GridBlock) -> dict[str, Any]:
-    """Write one block of a raster; a `tiler.schedule.task.Work`.
+    """Write one block of a raster. This is a `tiler.schedule.task.Work`.
 
     Returns
     -------
     dict
-        ``pixels``, ``filled``, ``nodata``; ``marked`` (pixels that more data could change); ``tries``, ``halo``
-        (counts) of the last one, and its ``ground_read``, ``ground_used``, ``ground_marked`` points; ``checksum``.
+        ``pixels``, ``filled``, ``nodata``; ``marked`` (pixels that more data could change); ``tries``; ``halo``
+        (counts) of the last try, and its ``ground_read``, ``ground_used``, ``ground_marked``; ``checksum``.
 
     Raises
     ------
     ProcessingError
-        The window is too wide for the TIN, or the resolution too odd a fraction of the CRS's unit.
+        The window is too wide for the TIN, or the denominator of the resolution in units of the CRS is too large.
     """
     (record,) = grid_blocks(store_url, GridBlocks((work,)))["parts"]
     return dict(record)
 
 
 def grid_blocks(store_url: str, work: GridBlocks) -> dict[str, Any]:
-    """Write blocks of a raster that share a TIN; a `tiler.schedule.task.Work`.
+    """Write blocks of a raster that share a TIN. This is a `tiler.schedule.task.Work`.
 
-    The pixels are those of `grid_block`; so is the record of each block, in ``parts``, but for the ground points, which
-    are those of the window that it was made with.
+    The pixels are those of `grid_block`. The record of each block, in ``parts``, is also the same except for the ground
+    points, which are counted in the shared window.
     """
     store, parts = open_store(store_url), []
     for block, heights, record in heights_of_blocks(store, work.blocks):
@@ -83,13 +83,13 @@ Index = npt.NDArray[np.intp]
 def edit_heights(
     store: TileStore, key: str | None, spec: RasterSpec, block: Block, heights: Heights
 ) -> list[tuple[int, int]]:
-    """Set the heights of corrections; returns for each that touches the block its number and the pixels it changed."""
+    """Set the heights of edits. Return the number and changed pixels of each edit in the block."""
     edits = None if key is None else store.edits(key, spec.block_bounds(block), OF_PIXELS)
     return [] if edits is None else edits.set_heights(spec, block, heights)
 
 
 def _counted(heights: Heights) -> dict[str, int]:
-    """How many pixels have a height, and how many none."""
+    """Count the pixels with and without a height."""
     filled = int(np.count_nonzero(heights != np.float32(NODATA)))
     return {"filled": filled, "nodata": heights.size - filled}
 
@@ -97,16 +97,16 @@ def _counted(heights: Heights) -> dict[str, int]:
 def heights_of_blocks(
     store: TileStore, works: Sequence[GridBlock]
 ) -> Iterator[tuple[GridBlock, Heights, dict[str, Any]]]:
-    """Heights of blocks that differ in their places alone, and the record of each, but for the checksum.
+    """Compute heights and records of blocks that differ only in their positions, without checksums.
 
-    They share a TIN if that is not too wide or too full; else each has its own, and where that is too full its quarters
-    do. A block with marks is done again alone, with twice the halo.
+    The blocks share a TIN if it is not too wide or too full. Otherwise each block has its own TIN, and a block that is
+    still too full is divided into quarters. A block with uncertified pixels is repeated by itself with twice the halo.
 
     Yields
     ------
     work : GridBlock
     heights : float32, shape (height, width)
-        Vertical units of the CRS, `NODATA` where there is none.
+        Heights in vertical units of the CRS, `NODATA` for pixels without a height.
     record : dict
     """
     first = works[0]
@@ -121,7 +121,7 @@ def _most_halo(work: GridBlock) -> int:
 def _heights(
     store: TileStore, works: Sequence[GridBlock], halo: int, tries: int
 ) -> Iterator[tuple[GridBlock, Heights, dict[str, Any]]]:
-    """Heights of blocks in attempt number ``tries``, which uses this halo."""
+    """Yield the heights of blocks in attempt number ``tries``, which uses this halo."""
     whole = replace(works[0], block=hull_of(work.block for work in works))
     if len(works) > 1 and _too_full(store, whole, halo):
         for work in works:
@@ -147,7 +147,7 @@ def _heights(
 
 
 def _nothing(block: Block, halo: int) -> tuple[Heights, dict[str, Any]]:
-    """Heights and record of a block that is far from all points: without heights."""
+    """Return heights and record of a block far from all points: it has no heights."""
     heights = np.full((block.height, block.width), NODATA, np.float32)
     none = dict.fromkeys(("marked", "ground_read", "ground_used", "ground_marked"), 0)
     return heights, {"pixels": heights.size, **_counted(heights), **none, "tries": 1, "halo": halo}
@@ -158,13 +158,13 @@ def _window(work: GridBlock, halo: int) -> Bounds:
 
 
 def _too_wide(work: GridBlock, halo: int) -> bool:
-    """Whether a block's window is too wide for a TIN."""
+    """Return whether a block's window is too wide for a TIN."""
     window = _window(work, halo)
     return max(window.x1 - window.x0, window.y1 - window.y0) >= MAX_WINDOW
 
 
 def _too_full(store: TileStore, work: GridBlock, halo: int) -> bool:
-    """Whether a block's window is too wide or holds more than ``max_points``, which the smallest parts may exceed."""
+    """Return whether a window is too wide or has more than ``max_points``, which the smallest parts may exceed."""
     side = max(work.block.height, work.block.width)
     if side > 1 and _too_wide(work, halo):
         return True
@@ -175,7 +175,7 @@ def _too_full(store: TileStore, work: GridBlock, halo: int) -> bool:
 
 
 def _in_quarters(store: TileStore, work: GridBlock, tries: int) -> tuple[Heights, dict[str, Any]]:
-    """A block, quarter by quarter."""
+    """Compute a block quarter by quarter."""
     row, col, height, width = astuple(work.block)
     heights = np.empty((height, width), np.float32)
     total: dict[str, Any] = {}
@@ -193,13 +193,13 @@ def _in_quarters(store: TileStore, work: GridBlock, tries: int) -> tuple[Heights
 
 
 def block_heights(store: TileStore, work: GridBlock) -> tuple[Heights, dict[str, Any]]:
-    """Heights of any block, and the record, but for the checksum; see `heights_of_blocks`."""
+    """Return heights and record of any block, without the checksum (see `heights_of_blocks`)."""
     ((_, heights, record),) = heights_of_blocks(store, (work,))
     return heights, record
 
 
 def _attempt(store: TileStore, work: GridBlock, window: Bounds) -> tuple[TinRaster, dict[str, int]]:
-    """Heights and marks of a block from what a window holds, and the ground points of that."""
+    """Return heights and uncertified pixels of a block, and the counts of its ground points."""
     ground, xyz = surface_ground(store, work, window)
     if work.breaklines is not None:
         lines = store.breaklines(work.breaklines)
@@ -209,7 +209,7 @@ def _attempt(store: TileStore, work: GridBlock, window: Bounds) -> tuple[TinRast
 
 
 def pixels_of(spec: RasterSpec, block: Block, origin: tuple[int, int]) -> Pixels:
-    """The pixels of a block, as kernels want them."""
+    """Return the pixels of a block in the form that kernels need."""
     return Pixels(
         spec.lattice.p,
         spec.lattice.q,
@@ -225,7 +225,7 @@ def pixels_of(spec: RasterSpec, block: Block, origin: tuple[int, int]) -> Pixels
 def rasterise_window(
     store: TileStore, work: TinBlock, window: Bounds, xyz: npt.NDArray[np.int32]
 ) -> TinRaster:
-    """Heights in counts, NaN where there are none, and marks of the block's pixels."""
+    """Return the heights of a block in counts, NaN for none, and a mask of its uncertified pixels."""
     east, north = store.meta.frame.origin
     spec, block, limit = work.spec, work.block, float(work.max_edge)
     try:
@@ -250,7 +250,7 @@ def rasterise_window(
         if work.interpolation != "idw":
             return raster
         heights, distance = inverse_distance(xyz[0], xyz[1], xyz[2], pixels, limit)
-        known = spec.block_bounds(block).x0 - window.x0  # the halo: beyond it there may be nearer points
+        known = spec.block_bounds(block).x0 - window.x0  # the halo, beyond which there may be nearer points
         filled = ~np.isnan(raster.heights)
         return TinRaster(np.where(filled, heights, np.nan), raster.marks | (filled & (distance > known)))
     except ValueError as error:
@@ -260,7 +260,7 @@ def rasterise_window(
 
 
 def heights_in_units(counts: npt.NDArray[np.float64]) -> Heights:
-    """Heights in vertical units of the CRS, `NODATA` where there are none, of such in counts with NaN there."""
+    """Convert heights in counts (NaN for none) to vertical units of the CRS (`NODATA` for none)."""
     heights = (counts / COUNTS_PER_UNIT).astype(np.float32)
     heights[np.isnan(counts)] = NODATA
     return heights

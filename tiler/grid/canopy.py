@@ -1,4 +1,4 @@
-"""Where a closed canopy hides the ground, pixel by pixel."""
+"""Raster of the pixels in which a closed canopy hides the ground."""
 
 from __future__ import annotations
 
@@ -24,21 +24,21 @@ from tiler.grid.work import PointsBlock
 from tiler.store import TileStore, open_store
 
 GAP = 2
-"""Cells: gaps up to twice as wide, without points, have what lies around them."""
+"""Half the width in cells of gaps without points that are filled like the cells around them."""
 CANOPY_AROUND = 2 * GAP + 2
-"""Cells around a block that have a part in it."""
+"""Margin around a block in cells that influences its pixels."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CanopyBlock(PointsBlock):
-    """Work: one block of the raster of the canopy.
+    """Arguments of `canopy_block`.
 
     Attributes
     ----------
     elected, labels : str
-        Names in the store of the cells that the filter worked on, and of their codes.
+        Names in the store of the cells on which the filter worked, and of their codes.
     side : Fraction
-        Of the smaller cells, counts; larger ones are as wide as two of them.
+        Side of the smaller cells in counts. Larger cells are twice as wide.
     """
 
     elected: str
@@ -47,9 +47,9 @@ class CanopyBlock(PointsBlock):
 
 
 def canopy_block(store_url: str, work: CanopyBlock) -> dict[str, Any]:
-    """Write one block of the canopy; a `tiler.schedule.task.Work`.
+    """Write one block of the canopy. This is a `tiler.schedule.task.Work`.
 
-    1 where the pixel's centre lies in a cell that a canopy covers, and no ground is seen in the pixel; else 0.
+    A pixel is 1 if its centre lies in a cell under a canopy and no ground point lies in the pixel, else 0.
 
     Returns
     -------
@@ -66,7 +66,7 @@ def canopy_block(store_url: str, work: CanopyBlock) -> dict[str, Any]:
 
 
 def _covered(store: TileStore, work: CanopyBlock, spec: RasterSpec, block: Block) -> npt.NDArray[np.bool_]:
-    """Pixels whose centres lie in covered cells."""
+    """Return a mask of the pixels whose centres lie in cells under a canopy."""
     lattice = Lattice(work.side)
     bounds = spec.block_bounds(block).pad(math.ceil(CANOPY_AROUND * work.side))
     west, south = lattice.index_of(bounds.x0) - 1, lattice.index_of(bounds.y0) - 1
@@ -79,7 +79,7 @@ def _covered(store: TileStore, work: CanopyBlock, spec: RasterSpec, block: Block
     rows, columns = lattice.index(y) - south, lattice.index(x) - west
     hidden = (labels & COVERED) > 0
     there, covered = np.zeros(shape, np.bool_), np.zeros(shape, np.bool_)
-    # The middle of a wide cell is the corner of four small ones; it may be rounded into either.
+    # The middle of a wide cell is the corner of four small ones. Rounding may put it into any of the four.
     wide_rows, wide_columns = (
         Lattice(2 * work.side).index(v) * 2 - first for v, first in ((y, south), (x, west))
     )
@@ -95,7 +95,7 @@ def _covered(store: TileStore, work: CanopyBlock, spec: RasterSpec, block: Block
 
 
 def _centres(spec: RasterSpec, block: Block) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Absolute counts, rounded down, of the centres of a block's rows and columns of pixels."""
+    """Return the centres of a block's rows and columns in absolute counts, rounded down."""
     p, q = spec.lattice.p, 2 * spec.lattice.q
     rows = spec.north - 1 - block.row - np.arange(block.height, dtype=np.int64)
     columns = spec.west + block.col + np.arange(block.width, dtype=np.int64)

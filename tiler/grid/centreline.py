@@ -1,4 +1,4 @@
-"""Finds the line along which a river flows: through the middle of its polygon, from end to end."""
+"""Line along which a river flows: through the middle of its polygon, from end to end."""
 
 from __future__ import annotations
 
@@ -14,13 +14,13 @@ from tiler.core.area import Area
 Floats = npt.NDArray[np.float64]
 
 MAX_CELLS = 1_000_000
-"""Largest number of cells of the raster on which the line is searched."""
+"""Largest number of cells of the raster for the search of the line."""
 CELLS_ACROSS = 8
-"""Cells of that raster across the mean width of the river, unless this makes too many of them."""
+"""Cells of that raster across the mean width of the river, unless these are too many cells."""
 
 
 def polygon_of(area: Area) -> Any:
-    """The polygons of an area as one shape, in absolute counts; a place is inside by an odd number of crossings."""
+    """Return the polygons of an area as one shape in absolute counts, by the even-odd rule."""
     import shapely
 
     shapes = []
@@ -33,7 +33,7 @@ def polygon_of(area: Area) -> Any:
 
 
 def mean_width(shape: Any) -> float:
-    """Width of a ribbon of the same area and perimeter (of the outer ring); of a disk its radius."""
+    """Return the width of a ribbon with the same area and (outer) perimeter, or of a disk the radius."""
     import shapely
 
     outer = sum(shapely.length(shapely.get_exterior_ring(p)) for p in shapely.get_parts(shape))
@@ -41,7 +41,7 @@ def mean_width(shape: Any) -> float:
 
 
 def centreline(shape: Any) -> Floats | None:
-    """Line through the middle of a polygon, float64 (n, 2); None where it is too small for one."""
+    """Return the line through the middle of a polygon, float64 (n, 2), or None if the polygon is too small."""
     import shapely
     from affine import Affine
     from rasterio.features import rasterize
@@ -81,9 +81,9 @@ def centreline(shape: Any) -> Floats | None:
 
 
 def _graph(wet: npt.NDArray[np.bool_], middle: Floats) -> tuple[Any, Any, Any]:
-    """Rows and columns of the cells, and their ways to neighbours: by length, and much longer near the shore."""
+    """Return rows and columns of cells, and graphs of neighbours: plain, and longer near the shore."""
     cells = np.nonzero(wet)
-    number = np.full(wet.shape, -1, np.int32)  # what scipy before 1.15 takes graphs of
+    number = np.full(wet.shape, -1, np.int32)  # scipy before 1.15 needs int32 indices in graphs
     number[cells] = np.arange(len(cells[0]), dtype=np.int32)
     one, other, lengths = [], [], []
     for down, right in ((0, 1), (1, 0), (1, 1), (1, -1)):

@@ -1,4 +1,4 @@
-"""Checksum of the pixels of a block, part of the digests of all that is made from it."""
+"""Checksum of the pixels of a block, which is part of the digests of everything made from it."""
 
 from __future__ import annotations
 
@@ -9,5 +9,5 @@ import numpy.typing as npt
 
 
 def checksum(values: npt.NDArray[np.float32]) -> str:
-    """BLAKE2b of the pixels, row by row: a task that reads the block depends on it."""
+    """Return the BLAKE2b of the pixels, row by row. A task that reads the block depends on it."""
     return hashlib.blake2b(values.tobytes(), digest_size=16).hexdigest()

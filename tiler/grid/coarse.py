@@ -1,7 +1,7 @@
-"""The coarse lattice: cells of fixed size, in blocks that are anchored at CRS coordinate 0.
+"""Coarse lattice: cells of fixed size, in blocks that are anchored at CRS coordinate 0.
 
-Whatever is decided on coarse cells is decided block by block, each with a margin of its neighbours, so that a place
-gets the same whatever else is in the run.
+Decisions on coarse cells are made block by block, each with a margin of its neighbours. So the decision at a position
+does not depend on what else is in the run.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ Runs = list[list[int]]
 
 
 def coarse_raster(lattice: Lattice, extent: Bounds) -> RasterSpec:
-    """The smallest raster of whole blocks that holds an extent, its blocks anchored at CRS coordinate 0."""
+    """Return the smallest raster of whole blocks that contains an extent. Blocks are anchored at CRS coordinate 0."""
     size, tight = BLOCK_PIXELS, RasterSpec.covering(lattice, extent)
     west, south = tight.west // size * size, (tight.north - tight.height) // size * size
     east, north = -(-(tight.west + tight.width) // size) * size, -(-tight.north // size) * size
@@ -29,28 +29,28 @@ def coarse_raster(lattice: Lattice, extent: Bounds) -> RasterSpec:
 
 
 def padded(block: Block, pad: int) -> Block:
-    """A block and the cells around it, which may reach beyond the raster."""
+    """Return a block and ``pad`` cells around it, which may extend beyond the raster."""
     return Block(block.row - pad, block.col - pad, block.height + 2 * pad, block.width + 2 * pad)
 
 
 def block_runs(cells: Bools, coarse: RasterSpec, spec: RasterSpec, size: int, pad: int = 0) -> Runs:
-    """The blocks of a raster that some coarse cells touch, or come within ``pad`` pixels of.
+    """Find the blocks of a raster within ``pad`` pixels of a set coarse cell.
 
-    Follows the cells: a raster that is mostly empty has far more blocks than these.
+    Only the cells are visited, since a raster that is mostly empty has far more blocks.
 
     Parameters
     ----------
     cells : bool, shape (height, width) of ``coarse``
     coarse, spec : RasterSpec
-        Of the cells, and of the raster.
+        Rasters of the cells and of the blocks.
     size : int
-        Of a block in pixels.
+        Side of a block in pixels.
     pad : int
 
     Returns
     -------
     list of [int, int, int]
-        First row of pixels of some blocks, first and last column of those that are neighbours in this row.
+        First row of pixels, and first and last column of each run of neighbouring blocks.
     """
     rows: dict[int, list[tuple[int, int]]] = {}
     for row in np.flatnonzero(cells.any(axis=1)).tolist():
@@ -66,7 +66,7 @@ def block_runs(cells: Bools, coarse: RasterSpec, spec: RasterSpec, size: int, pa
 
 
 def _merged(runs: list[tuple[int, int]], size: int) -> list[tuple[int, int]]:
-    """Runs of a row from west to east, merged where they overlap or touch."""
+    """Merge the runs of a row that overlap or touch, and return them from west to east."""
     found: list[tuple[int, int]] = []
     for first, last in sorted(set(runs)):
         if found and first <= found[-1][1] + size:
@@ -77,14 +77,14 @@ def _merged(runs: list[tuple[int, int]], size: int) -> list[tuple[int, int]]:
 
 
 def blocks_of(runs: Runs, spec: RasterSpec, size: int) -> Iterator[Block]:
-    """The blocks that `block_runs` found, row by row from the north-west."""
+    """Yield the blocks that `block_runs` found, row by row from the north-west."""
     for row, first, last in runs:
         for col in range(first, last + 1, size):
             yield spec.block_at(row, col, size)
 
 
 def covered(coarse: RasterSpec, spec: RasterSpec, cells: Block, pad: int = 0) -> Block:
-    """The pixels of a raster that some coarse cells touch, and ``pad`` more around them, as far as it reaches."""
+    """Return the pixels of a raster that coarse cells touch, padded by ``pad`` within the raster."""
     bounds: Bounds = coarse.block_bounds(cells)
     index = spec.lattice.index_of
     left, right = index(bounds.x0) - spec.west, index(bounds.x1 - 1) + 1 - spec.west
@@ -94,5 +94,5 @@ def covered(coarse: RasterSpec, spec: RasterSpec, cells: Block, pad: int = 0) ->
 
 
 def blocks_under(coarse: RasterSpec, spec: RasterSpec, cells: Block, size: int) -> Iterator[Block]:
-    """The blocks of ``size`` pixels of a raster that hold the pixels in some coarse cells."""
+    """Yield the blocks of ``size`` pixels of a raster that overlap coarse cells."""
     yield from spec.blocks_within(coarse.block_bounds(cells), size)

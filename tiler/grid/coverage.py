@@ -1,9 +1,9 @@
 """Coarse raster of the extent of the survey, which distinguishes voids inside it from the area outside.
 
-A coarse cell is occupied if it holds a point that counts as surface. Gaps up to a width, 20 m or more where points are
-sparse (`gaps_of`), belong to the survey (a closing by a disk of half that width); so does whatever is enclosed, however
-wide. What remains is outside. Each block is closed on its own, with a margin; its open areas are joined with those of
-its neighbours, which says what is enclosed (`tiler.grid.tasks.survey`).
+A coarse cell is occupied if it contains a surface point. Gaps up to a certain width, 20 m or more if points are sparse
+(`gaps_of`), belong to the survey (a closing by a disk of half that width). So does everything that is enclosed, however
+wide it is. The remaining cells are outside. Each block is closed separately, with a margin. Its open areas are joined
+with those of its neighbours to find the enclosed ones (`tiler.grid.tasks.survey`).
 """
 
 from __future__ import annotations
@@ -29,25 +29,25 @@ from tiler.grid.work import BlockWork, PointsBlock
 from tiler.store import open_store, read_cells
 
 WINDOW = 128
-"""Side of the windows in coarse cells, anchored at CRS coordinate 0; each window has its own widest gap."""
+"""Side of the windows in coarse cells, anchored at CRS coordinate 0. Each window has its own widest gap."""
 MIN_GAP = 6
-"""Cells: a disk of a smaller diameter is not round."""
+"""Least diameter of the disk in cells, as a smaller disk is not round."""
 ENOUGH_CELLS = 4
-"""Mean occupied cells of the squares, half a gap wide, that hold any: where there are so many, gaps are real."""
+"""Mean number of occupied cells in occupied squares of half a gap's width from which gaps are real."""
 NO_PIECE = -1.0
-"""What a raster of open areas holds where no block was written: all is open there."""
+"""Value of a raster of open areas for a block that was not written: it is open everywhere."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CloseBlock(BlockWork):
-    """Work: one block of the raster of the open areas, which lie in no gap of the survey.
+    """Arguments of `close_block`: one block of the raster of areas outside the survey and its gaps.
 
     Attributes
     ----------
     occupancy : str
         Name of the raster of occupied cells.
     gap, most_gap : float
-        Cells: a gap that belongs to every survey, and the widest that belongs to one of sparse points.
+        Widest gap in cells that belongs to any survey, and the widest that belongs to a survey of sparse points.
     """
 
     occupancy: str
@@ -57,7 +57,7 @@ class CloseBlock(BlockWork):
 
 @dataclass(frozen=True, kw_only=True)
 class SurveyBlock(BlockWork):
-    """Work: one block of the extent of the survey.
+    """Arguments of `survey_block`.
 
     Attributes
     ----------
@@ -66,9 +66,9 @@ class SurveyBlock(BlockWork):
     outside : tuple of Piece
         Open areas of this block and of its neighbours that are not enclosed by the survey.
     empty : tuple of (row, column)
-        Those of these blocks that hold nothing and are enclosed.
+        First row and column of those of these blocks that are empty and enclosed.
     pixels : RasterSpec
-        Of the products.
+        Raster of the products.
     """
 
     opened: str
@@ -78,15 +78,15 @@ class SurveyBlock(BlockWork):
 
 
 def occupancy_block(store_url: str, work: PointsBlock) -> dict[str, Any]:
-    """Write one block of the raster of occupied cells; a `tiler.schedule.task.Work`.
+    """Write one block of the raster of occupied cells. This is a `tiler.schedule.task.Work`.
 
-    A cell has the number of its points; below 0 where more than half of them are water by the input.
+    The value of a cell is the number of its points, negated if the input classifies more than half of them as water.
 
     Returns
     -------
     dict
-        ``filled`` (occupied cells), ``water`` (cells that are water by the input); ``returns``: histograms of the
-        points in a cell, see `tiler.grid.returns`; ``checksum``.
+        ``filled`` (occupied cells); ``water`` (cells that are water by the input); ``returns``: histograms of points
+        per cell, see `tiler.grid.returns`; ``checksum``.
     """
     store, spec, block = open_store(store_url), work.spec, work.block
     rule, bounds = work.rule, spec.block_bounds(block)
@@ -110,13 +110,13 @@ def occupancy_block(store_url: str, work: PointsBlock) -> dict[str, Any]:
 
 
 def close_block(store_url: str, work: CloseBlock) -> dict[str, Any]:
-    """Label the open areas of one block; a `tiler.schedule.task.Work`. Writes their labels, 0 where none is.
+    """Label the open areas of one block, 0 elsewhere. This is a `tiler.schedule.task.Work`.
 
     Returns
     -------
     dict
-        ``sides`` and ``labels`` (their number), see `tiler.grid.pieces`; ``gaps``: width of each gap in cells that
-        windows with points have, and the number of these windows; ``filled``; ``checksum``.
+        ``sides`` and ``labels`` (number of labels), see `tiler.grid.pieces`; ``gaps``: each width of gaps in cells, and
+        the number of windows with points that have it; ``filled``; ``checksum``.
     """
     store, block = open_store(store_url), work.block
     pad = max(WINDOW, 2 * int(np.ceil(work.most_gap / 2)) + 2)
@@ -140,16 +140,16 @@ def close_block(store_url: str, work: CloseBlock) -> dict[str, Any]:
 
 
 def gaps_of(occupied: Bools, gap: float, most: float) -> npt.NDArray[np.float64]:
-    """Widest gap that belongs to the survey in each window: the usual one, doubled until points are not sparse in it.
+    """Return the widest gap that belongs to the survey in each window, in cells (see `gap_of`).
 
-    A window is judged with the eight windows around it.
+    Each window is examined together with the eight windows around it.
 
     Parameters
     ----------
     occupied : bool, shape (height, width)
-        Cells of whole windows; the outermost windows serve as neighbours.
+        Cells of whole windows. The outermost windows are only neighbours.
     gap, most : float
-        Cells: the usual gap, and the widest.
+        The usual gap and the widest gap, in cells.
 
     Returns
     -------
@@ -164,13 +164,13 @@ def gaps_of(occupied: Bools, gap: float, most: float) -> npt.NDArray[np.float64]
 
 
 def gap_of(occupied: Bools, gap: float, most: float) -> float:
-    """Cells of the widest gap that belongs to a survey: the usual one, doubled until points are not sparse in it.
+    """Return the widest gap of a survey in cells: the usual one, doubled until points are not sparse in it.
 
     Parameters
     ----------
     occupied : bool, shape (height, width)
     gap, most : float
-        Cells: the usual one, and the widest.
+        The usual gap and the widest gap, in cells.
     """
     gap = max(gap, MIN_GAP)
     rows, cols = np.nonzero(occupied)
@@ -184,7 +184,7 @@ def gap_of(occupied: Bools, gap: float, most: float) -> float:
 
 
 def closed_cells(occupied: Bools, gaps: npt.NDArray[np.float64], pad: int) -> Bools:
-    """Cells of a block that hold points or lie in a gap that belongs to the survey.
+    """Return a mask of the cells of a block that have points or lie in a gap that belongs to the survey.
 
     Parameters
     ----------
@@ -192,7 +192,7 @@ def closed_cells(occupied: Bools, gaps: npt.NDArray[np.float64], pad: int) -> Bo
     gaps : float64, shape (height / 128, width / 128)
         See `gaps_of`.
     pad : int
-        Cells around the block.
+        Margin around the block in cells.
     """
     closed = occupied[pad : len(occupied) - pad, pad : occupied.shape[1] - pad].copy()
     if not occupied.any():
@@ -201,20 +201,20 @@ def closed_cells(occupied: Bools, gaps: npt.NDArray[np.float64], pad: int) -> Bo
     for gap in np.unique(gaps):
         radius = gap / 2
         filled = within(occupied, radius)
-        part = box_around(filled, 1)  # beyond it nothing is filled
+        part = box_around(filled, 1)  # no cell beyond it is filled
         filled[part] = ~within(~filled[part], radius)
         closed |= filled[pad : len(occupied) - pad, pad : occupied.shape[1] - pad] & (wide == gap)
     return closed
 
 
 def survey_block(store_url: str, work: SurveyBlock) -> dict[str, Any]:
-    """Write one block of the survey, see `tiler.core.products.BEYOND`; a `tiler.schedule.task.Work`.
+    """Write one block of the survey (see `tiler.core.products.BEYOND`). This is a `tiler.schedule.task.Work`.
 
     Returns
     -------
     dict
-        ``inside`` and ``cells``; ``blocks``: `block_runs` of the products' blocks that hold some of its inside;
-        ``filled``; ``checksum``.
+        ``inside`` and ``cells``; ``blocks``: `block_runs` of the products' blocks that overlap its inside; ``filled``;
+        ``checksum``.
     """
     store, spec, block = open_store(store_url), work.spec, work.block
     window = padded(block, 1)
@@ -235,12 +235,12 @@ def survey_block(store_url: str, work: SurveyBlock) -> dict[str, Any]:
 
 
 def survey_values(closed: Bools, enclosed: Bools) -> npt.NDArray[np.uint8]:
-    """Values of the cells of a survey, see `tiler.core.products.BEYOND`.
+    """Return the values of the cells of a survey, see `tiler.core.products.BEYOND`.
 
     Parameters
     ----------
     closed, enclosed : bool, shape (height, width)
-        Cells with points and of narrow gaps, and those that are enclosed by such.
+        Cells with points or in narrow gaps, and cells that are enclosed by them.
     """
     whole = closed | enclosed
     inner = scipy.ndimage.binary_erosion(whole, np.ones((3, 3), np.bool_))

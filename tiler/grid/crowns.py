@@ -1,4 +1,4 @@
-"""A warning where the terrain of a matched cloud looks like the crowns of a closed canopy."""
+"""Warning about terrain of a photogrammetric cloud that looks like the crowns of a closed canopy."""
 
 from __future__ import annotations
 
@@ -16,21 +16,21 @@ from tiler.grid.roofs import Advice
 from tiler.store import TileStore, open_store
 
 CELL_M, COARSEST_M = 1.0, 1.25
-"""Crowns are looked for in cells of about a metre: finer pixels are thinned, and coarser ones do not show crowns."""
+"""Side of the cells for the search, and of the coarsest pixels that show crowns. Finer pixels are thinned."""
 TOLD, FEWEST = 0.1, 10
-"""Share of the terrain that looks like crowns from which on a warning says so, and blocks (0.06 ha each) at least."""
+"""Least share of the terrain and least number of blocks (0.06 ha each) that look like crowns for a warning."""
 
 
 @dataclass(frozen=True)
 class FindCrowns:
-    """Where crowns are looked for in the terrain: in the blocks with some names."""
+    """Arguments of `find_crowns`: the raster of the terrain, and the names of the blocks to search."""
 
     spec: RasterSpec
     names: tuple[str, ...]
 
 
 def find_crowns(store_url: str, work: FindCrowns) -> dict[str, Any]:
-    """Look for crowns in some blocks: ``looked_at`` and ``found``, see `ptd.matched.crowns.Crowns`."""
+    """Search blocks for crowns. Return ``looked_at`` and ``found``, see `ptd.matched.crowns.Crowns`."""
     store, spec = open_store(store_url), work.spec
     blocks = [spec.block_named(name, BLOCK_PIXELS) for name in work.names]
     parts = [look_for_crowns(store, "dtm", spec, block) for block in blocks]
@@ -41,13 +41,13 @@ def find_crowns(store_url: str, work: FindCrowns) -> dict[str, Any]:
 
 
 def look_for_crowns(store: TileStore, name: str, spec: RasterSpec, block: Block) -> Crowns:
-    """The places in a block of the terrain that look like crowns, as pixels of the raster.
+    """Find the positions in a block of the terrain that look like crowns, as pixels of the raster.
 
     Parameters
     ----------
     store : TileStore
     name : str
-        Raster of the terrain.
+        Name of the raster of the terrain.
     spec : RasterSpec
     block : Block
     """
@@ -65,7 +65,7 @@ def look_for_crowns(store: TileStore, name: str, spec: RasterSpec, block: Block)
 
 
 def crowns_told(looked: Iterable[Crowns], spec: RasterSpec) -> Advice | None:
-    """A warning if a tenth of the terrain or more looks like crowns."""
+    """Return a warning if a tenth of the terrain or more looks like crowns, else None."""
     parts = list(looked)
     looked_at = sum(part.looked_at for part in parts)
     found = [place for part in parts for place in part.found]
@@ -83,7 +83,7 @@ def crowns_told(looked: Iterable[Crowns], spec: RasterSpec) -> Advice | None:
 
 
 def _thinning(store: TileStore, spec: RasterSpec) -> int | None:
-    """How many pixels make a cell of about a metre; None where pixels are too coarse."""
+    """Return the number of pixels along a cell of about a metre, or None if pixels are too coarse."""
     pixel = float(spec.lattice.size * store.meta.frame.metres_xy)
     times = max(round(CELL_M / pixel), 1)
     return times if pixel * times <= COARSEST_M else None

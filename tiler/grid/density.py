@@ -1,4 +1,4 @@
-"""Ground points per square metre, pixel by pixel."""
+"""Raster of ground points per square metre."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from tiler.store import TileStore, open_store
 
 
 def density_block(store_url: str, work: PointsBlock) -> dict[str, Any]:
-    """Write one block of the density of ground points; a `tiler.schedule.task.Work`.
+    """Write one block of the density of ground points. This is a `tiler.schedule.task.Work`.
 
     Returns
     -------
@@ -38,7 +38,7 @@ def density_block(store_url: str, work: PointsBlock) -> dict[str, Any]:
 def ground_counts(
     store: TileStore, rule: GroundSelection, spec: RasterSpec, block: Block
 ) -> npt.NDArray[np.int64]:
-    """Ground points in each pixel of a block, int64 (height, width)."""
+    """Count the ground points in each pixel of a block, int64 (height, width)."""
     bounds = spec.block_bounds(block)
     xyz = read_ground(store, rule, bounds).xyz
     pixels = pixel_indices(xyz, store.meta.frame.origin, spec, block)
@@ -48,7 +48,7 @@ def ground_counts(
 def pixel_indices(
     xyz: npt.NDArray[np.int32], origin: tuple[int, int], spec: RasterSpec, block: Block
 ) -> npt.NDArray[np.int64]:
-    """``row * width + col`` of each point within the block; all points have to lie in it."""
+    """Return ``row * width + col`` within the block for each point. All points have to lie in the block."""
     x, y = (xyz[axis].astype(np.int64) + origin[axis] for axis in (0, 1))
     col = spec.lattice.index(x) - (spec.west + block.col)
     row = (spec.north - 1 - block.row) - spec.lattice.index(y)

@@ -1,4 +1,4 @@
-"""Hillshade, slope and height above ground, block by block from other rasters and their pixels around the block."""
+"""Hillshade, slope and height above ground, computed block by block from other rasters with a margin."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ Float64 = npt.NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class DeriveBlock(BlockWork):
-    """Work: one block of a raster that is computed from other rasters.
+    """Arguments of `derive_block`.
 
     Attributes
     ----------
     sources : tuple of str
-        The terrain's raster; for ``ndsm`` the surface's and the terrain's.
+        Raster of the terrain; for ``ndsm`` the rasters of the surface and the terrain.
     fill : float
-        Value of pixels that have none.
+        Value of pixels without a value.
     """
 
     sources: tuple[str, ...]
@@ -35,7 +35,7 @@ class DeriveBlock(BlockWork):
 
 
 def derive_block(store_url: str, work: DeriveBlock) -> dict[str, Any]:
-    """Write one block of a raster that is computed from other rasters; a `tiler.schedule.task.Work`.
+    """Write one block of a raster that is computed from other rasters. This is a `tiler.schedule.task.Work`.
 
     Returns
     -------
@@ -60,7 +60,7 @@ def _read(store: TileStore, name: str, block: Block) -> Float64:
 
 
 def _with_rim(store: TileStore, name: str, spec: RasterSpec, block: Block) -> Float64:
-    """A block and one pixel on each side, NaN beyond the raster."""
+    """Return the heights of a block and of one pixel on each side, NaN beyond the raster."""
     top, left = min(block.row, 1), min(block.col, 1)
     bottom = min(spec.height - block.row - block.height, 1)
     right = min(spec.width - block.col - block.width, 1)
@@ -72,7 +72,7 @@ def _with_rim(store: TileStore, name: str, spec: RasterSpec, block: Block) -> Fl
 def _terrain_gradients(
     store: TileStore, spec: RasterSpec, block: Block, sources: Sequence[str]
 ) -> tuple[Float64, Float64]:
-    # Counts of a pixel as vertical units: feet below heights in metres, or the other way round.
+    # The size of a pixel is converted to vertical units, as plan and heights may have different units (feet, metres).
     frame = store.meta.frame
     step = spec.lattice.size * frame.metres_xy / frame.units.vertical
     return gradients(_with_rim(store, sources[0], spec, block), float(step))
@@ -87,7 +87,7 @@ def _slope(store: TileStore, spec: RasterSpec, block: Block, sources: Sequence[s
 
 
 def _ndsm(store: TileStore, spec: RasterSpec, block: Block, sources: Sequence[str]) -> Float64:
-    """Surface minus terrain: the surface is nowhere below the terrain, except in voids that were filled."""
+    """Return surface minus terrain. The surface is not below the terrain, except in voids that were filled."""
     surface, terrain = sources
     return _read(store, surface, block) - _read(store, terrain, block)
 

@@ -1,4 +1,4 @@
-"""The distance from each pixel's centre to the nearest ground point."""
+"""Raster of the distance from each pixel's centre to the nearest ground point."""
 
 from __future__ import annotations
 
@@ -19,20 +19,20 @@ from tiler.grid.work import PointsBlock
 from tiler.store import TileStore, open_store
 
 FIRST_SHARE = 4
-"""Points are first searched within the cap divided by this; few blocks need the whole cap."""
+"""Divisor of the cap for the first search of points, as few blocks need the whole cap."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class DistanceBlock(PointsBlock):
-    """Work: one block of the distance to the nearest ground point, ``cap`` counts at most."""
+    """Arguments of `distance_block`. Distances are at most ``cap`` counts."""
 
     cap: Fraction
 
 
 def distance_block(store_url: str, work: DistanceBlock) -> dict[str, Any]:
-    """Write one block of the distance to the nearest ground point in plan; a `tiler.schedule.task.Work`.
+    """Write one block of the plan distance to the nearest ground point. This is a `tiler.schedule.task.Work`.
 
-    In metres, from the pixel's centre (rounded down to a whole count); where it is farther than ``cap``, the cap.
+    The distance is in metres from the pixel's centre (rounded down to a whole count), and at most ``cap``.
 
     Returns
     -------
@@ -57,7 +57,7 @@ def distance_block(store_url: str, work: DistanceBlock) -> dict[str, Any]:
 def ground_distance(
     store: TileStore, rule: GroundSelection, spec: RasterSpec, block: Block, reach: Fraction
 ) -> npt.NDArray[np.float64]:
-    """Distances in counts, float64 (height, width), infinite beyond ``reach`` counts."""
+    """Return plan distances to ground in counts, float64 (height, width), infinite beyond ``reach`` counts."""
     xyz = read_ground(store, rule, spec.block_bounds(block).pad(math.ceil(reach) + 1)).xyz
     return distance_to(xyz, store.meta.frame.origin, spec, block, reach)
 
@@ -65,7 +65,10 @@ def ground_distance(
 def distance_to(
     xyz: npt.NDArray[np.int32], origin: tuple[int, int], spec: RasterSpec, block: Block, reach: Fraction
 ) -> npt.NDArray[np.float64]:
-    """The same to points that were read, int32 (3, n) in local counts, all that lie within ``reach`` of the block."""
+    """Return the distances as `ground_distance` does, to given points.
+
+    The points are int32 (3, n) in local counts, with all points within ``reach`` of the block.
+    """
     pixels = pixels_of(spec, block, origin)
     nearest = nearest_points(xyz[0], xyz[1], xyz[2], pixels, 1, float(reach))
     squared = nearest.squared[..., 0].astype(np.float64)

@@ -1,4 +1,4 @@
-"""Counts the ground points inside corrections before and after them, bucket by bucket."""
+"""Counts of the ground points inside edits before and after them, bucket by bucket."""
 
 from __future__ import annotations
 
@@ -15,25 +15,28 @@ from tiler.store import open_store
 
 @dataclass(frozen=True)
 class SurveyEdits:
-    """Work: count the points of one bucket that corrections touch; ``edits``: their key in the store."""
+    """Arguments of `survey_edits`: a bucket, and the key in the store of the edits."""
 
     rule: GroundSelection
     edits: str
     cell: Cell
 
     def place(self, buckets: Lattice) -> Bounds | None:
-        """Bounds of the bucket."""
+        """Return the bounds of the bucket."""
         return buckets.bounds(self.cell)
 
 
 def survey_edits(store_url: str, work: SurveyEdits) -> dict[str, Any]:
-    """Count the points of a bucket inside each correction as if there were no other; a `tiler.schedule.task.Work`.
+    """Count the points of a bucket inside each edit. This is a `tiler.schedule.task.Work`.
+
+    Each edit is counted as if there were no other edits.
 
     Returns
     -------
     dict
-        ``edits``: number of each that touches the bucket; points inside; those that are ground; those that are after it
-        with the input's ground; those that are after it with the lowest points; how many the input calls ground.
+        ``edits``: for each edit that touches the bucket its number, the points inside, and the ground points. Then the
+        ground points after the edit if it uses the input's ground, and if it uses the lowest points. Last the points
+        that the input classifies as ground.
     """
     store = open_store(store_url)
     found = store.edits(work.edits, store.meta.bucket.bounds(work.cell), OF_POINTS)

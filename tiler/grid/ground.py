@@ -1,4 +1,4 @@
-"""The ground points of a window, from the merged labels of all buckets that it touches."""
+"""Ground points of a window, from the merged labels of all buckets that it touches."""
 
 from __future__ import annotations
 
@@ -27,15 +27,15 @@ class GroundSelection:
     Attributes
     ----------
     labels : str or None
-        Pass whose labels are the classes; None: the classes of the input.
+        Pass whose labels are the classes; None for the classes of the input.
     classes : tuple of int
     skip_flags : int
-        Bits of `PointBlock.flags` that keep a point out; withheld points always stay out.
+        Bits of `PointBlock.flags` that exclude a point. Withheld points are always excluded.
     erode : Fraction
-        Counts in plan. Ground points so near to an object's point that is higher by ``erode_rise`` vertical counts are
-        left out: image matching smears walls onto the ground beside them. 0: none are.
+        Plan distance in counts. A ground point this near to a point of an object that is at least ``erode_rise``
+        vertical counts higher is left out, as image matching smears walls onto the ground next to them. 0: none is.
     edits : str or None
-        Key in the store of the corrections that have the last word on what is ground.
+        Key in the store of the edits, which override the classification of ground.
     """
 
     labels: str | None
@@ -46,7 +46,7 @@ class GroundSelection:
     edits: str | None = field(default=None, metadata=NOT_IN_DIGEST)
 
     def is_ground(self) -> npt.NDArray[np.bool_]:
-        """Whether a class or label is ground: bool (256,)."""
+        """Return whether each class or label is ground: bool (256,)."""
         table = np.zeros(256, np.bool_)
         for value in self.classes:
             table[[value, value | UNCERTIFIED_BIT] if self.labels is not None else [value]] = True
@@ -54,7 +54,7 @@ class GroundSelection:
 
 
 Choose = Callable[[Cell, npt.NDArray[np.int32]], npt.NDArray[np.intp]]
-"""A bucket and points of it, int32 (3, n), to indices of some of them."""
+"""Function from a bucket and some of its points, int32 (3, n), to indices of the chosen points."""
 
 
 @dataclass(frozen=True)
@@ -64,11 +64,11 @@ class Ground:
     Attributes
     ----------
     xyz : int32 (3, n)
-        Local counts.
+        Local counts of the points.
     read : int
         Number of points that were read.
     marked : int
-        Number of ground points that have the `UNCERTIFIED_BIT`.
+        Number of uncertified ground points (`UNCERTIFIED_BIT`).
     """
 
     xyz: npt.NDArray[np.int32]
@@ -79,7 +79,7 @@ class Ground:
 def read_ground(
     store: TileStore, rule: GroundSelection, bounds: Bounds, choose: Choose | None = None
 ) -> Ground:
-    """Ground points in ``bounds`` (absolute counts), bucket by bucket in the lattice's order.
+    """Read the ground points in ``bounds`` (absolute counts), bucket by bucket in the lattice's order.
 
     Parameters
     ----------
@@ -87,7 +87,7 @@ def read_ground(
     rule : GroundSelection
     bounds : Bounds
     choose : callable, optional
-        Given a bucket and its ground points, which of them are kept, so that the others need no memory.
+        Function that chooses the ground points of a bucket to keep, so that the others need no memory.
     """
     edges = _objects_at_edges(store, rule, bounds) if rule.erode else {}
     parts, marks = [np.empty((3, 0), np.int32)], [np.empty(0, np.bool_)]
@@ -108,7 +108,7 @@ def read_ground(
 
 
 def read_objects(store: TileStore, rule: GroundSelection, bounds: Bounds) -> npt.NDArray[np.int32]:
-    """Points in ``bounds`` (absolute counts) that are neither ground nor noise, int32 (3, n), bucket by bucket."""
+    """Read the points in ``bounds`` (absolute counts) that are neither ground nor noise, int32 (3, n)."""
     parts = [np.empty((3, 0), np.int32)]
     for cell in store.buckets_within(bounds):
         block, classes, is_ground = read_classes(store, rule, cell, needs_input=True)
@@ -121,9 +121,9 @@ def read_objects(store: TileStore, rule: GroundSelection, bounds: Bounds) -> npt
 def read_classes(
     store: TileStore, rule: GroundSelection, cell: Cell, needs_input: bool = False
 ) -> tuple[PointBlock, npt.NDArray[np.uint8], npt.NDArray[np.bool_]]:
-    """The points of a bucket with their flags, the class of each as it was found, and which are ground.
+    """Read the points of a bucket with their flags. Return them with their classes and a mask of the ground points.
 
-    ``needs_input``: with the classes of the input in any case.
+    The points include the classes of the input if ``needs_input`` is set, or if the ground depends on them.
     """
     edits = None
     if rule.edits is not None:
@@ -142,7 +142,7 @@ def read_classes(
 def _objects_at_edges(
     store: TileStore, rule: GroundSelection, bounds: Bounds
 ) -> dict[Cell, npt.NDArray[np.int32]]:
-    """Points of objects, by bucket, that lie near enough to the bucket's edge to erode ground beyond it."""
+    """Return points of objects, by bucket, that are near enough to its edge to erode ground beyond it."""
     reach, origin = math.ceil(rule.erode), store.meta.frame.origin
     found = {}
     for cell in store.buckets_within(bounds.pad(reach)):
@@ -160,7 +160,7 @@ def _beside_objects(
     own: npt.NDArray[np.int32],
     edges: Mapping[Cell, npt.NDArray[np.int32]],
 ) -> npt.NDArray[np.bool_]:
-    """Mask of ground points of a bucket beside an object, its ``own`` or one at the edge of a bucket around it."""
+    """Return a mask of the ground points near objects of the bucket (``own``) or of a neighbour."""
     around = store.meta.bucket.bounds(cell).pad(math.ceil(rule.erode))
     others = [edges[other] for other in store.meta.bucket.among(around, edges) if other != cell]
     objects = np.concatenate([own, *others], axis=1)
@@ -175,7 +175,7 @@ def _is_object(
     store: TileStore,
     cell: Cell,
 ) -> npt.NDArray[np.bool_]:
-    """Points that are neither ground nor noise, of what `read_classes` gave."""
+    """Return a mask of the points that are neither ground nor noise, from results of `read_classes`."""
     labels = None if rule.labels is None else classes
     return ~is_ground & _used(block, rule, store, cell) & ~_is_noise(block, labels, store, cell)
 
@@ -183,7 +183,7 @@ def _is_object(
 def _is_noise(
     block: PointBlock, labels: npt.NDArray[np.uint8] | None, store: TileStore, cell: Cell
 ) -> npt.NDArray[np.bool_]:
-    """Points that the input calls noise, or the filter, if it gave labels."""
+    """Return a mask of the points that are noise by the input, or by the filter if there are labels."""
     noise = np.isin(_there(block.classification, store, cell), NOISE)
     return noise if labels is None else noise | np.isin(labels & ~np.uint8(UNCERTIFIED_BIT), NOISE)
 
@@ -191,14 +191,17 @@ def _is_noise(
 def surface_points(
     store: TileStore, rule: GroundSelection, cell: Cell
 ) -> tuple[PointBlock, npt.NDArray[np.bool_]]:
-    """All points of a bucket, and which of them are surface: no noise by the input or by the filter, not withheld."""
+    """Read all points of a bucket. Return them with a mask of the surface points.
+
+    Surface points are not withheld or skipped, and are not noise by the input or by the filter.
+    """
     block = store.read_bucket(cell, ("xyz", "flags", "classification"))
     labels = None if rule.labels is None else store.read_labels(rule.labels, cell)
     return block, _used(block, rule, store, cell) & ~_is_noise(block, labels, store, cell)
 
 
 def _used(block: PointBlock, rule: GroundSelection, store: TileStore, cell: Cell) -> npt.NDArray[np.bool_]:
-    """Points that no flag keeps out."""
+    """Return a mask of the points that are not excluded by a flag."""
     flags = _there(block.flags, store, cell)
     mask: npt.NDArray[np.bool_] = (flags & (rule.skip_flags | WITHHELD_FLAG)) == 0
     return mask

@@ -1,4 +1,4 @@
-"""Pixels inside of the survey that have no height: how many, and where."""
+"""Holes: pixels inside the survey that have no height."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from tiler.core.raster import NODATA, Block, RasterSpec, within
 from tiler.store import TileStore
 
 CELL_PIXELS = 32
-"""Side in pixels of the cells by which holes are told: a block's record stays small, whatever its holes look like."""
+"""Side in pixels of the cells that summarize holes. They keep a block's record small for holes of any shape."""
 
 LEAVE_HOLES = (NOT_GROUND, TO_GROUND, VOID)
-"""Corrections that can leave pixels without a height."""
+"""Actions of edits that can leave pixels without a height."""
 
 Mask = npt.NDArray[np.bool_]
 
@@ -30,7 +30,7 @@ def holes_of_block(
     edits: str | None,
     area: Area | None,
 ) -> dict[str, Any]:
-    """The holes of a block.
+    """Count and locate the holes of a block.
 
     Parameters
     ----------
@@ -38,19 +38,19 @@ def holes_of_block(
     spec : RasterSpec
     block : Block
     heights : float32, shape (height, width)
-        As they are delivered.
+        Heights as they are delivered.
     surveyed : bool, shape (height, width)
-        Pixels inside of the survey.
+        Mask of the pixels inside the survey.
     edits : str or None
-        Key in the store of the corrections.
+        Key in the store of the edits.
     area : Area or None
-        What lies outside of it does not count.
+        Area outside which holes do not count.
 
     Returns
     -------
     dict
-        ``surveyed``: pixels that have a height or should have one; ``voided``: holes that corrections ask for;
-        ``holes``: as of `hole_cells`, of all others; ``edit_holes``: number of each correction and the holes in it.
+        ``surveyed``: pixels that have a height or should have one; ``voided``: holes that edits request; ``holes``: all
+        other holes as `hole_cells` returns them; ``edit_holes``: number of each edit and of the holes in it.
     """
     empty, wanted = heights == np.float32(NODATA), spec.inside(block, area)
     holes = empty & surveyed & wanted
@@ -71,7 +71,7 @@ def holes_of_block(
 
 
 def hole_cells(holes: Mask, block: Block) -> list[list[int]]:
-    """Cells of a raster that have holes: pixels, first row and column, last row and column of the holes in each."""
+    """Return for each cell with holes their number, first row and column, and last row and column."""
     rows, cols = np.nonzero(holes)
     if not len(rows):
         return []

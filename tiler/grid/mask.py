@@ -1,4 +1,4 @@
-"""The mask: whether the height of a pixel is measured, interpolated, filled or missing."""
+"""Mask: whether the height of a pixel is measured, interpolated, filled or missing."""
 
 from __future__ import annotations
 
@@ -31,23 +31,24 @@ from tiler.store import coarse_values, open_store
 
 @dataclass(frozen=True, kw_only=True)
 class MaskBlock(PointsBlock):
-    """A block of the mask.
+    """Arguments of `mask_block`.
 
     Attributes
     ----------
     dtm, filled : str
-        Rasters of the heights within the limit, and of the delivered ones: with holes filled, cut at the outline.
+        Rasters of the heights within the limit, and of the delivered heights, filled and cut at the outline.
     survey : str
+        Raster of the survey.
     coarse : RasterSpec
-        Of the cells of the survey.
+        Raster of the survey's cells.
     canopy : str or None
         Raster of the pixels in which a canopy hides the ground.
     holes : tuple of Bounds
-        Of tiles that failed.
+        Bounds of tiles that failed.
     area : str or None
-        Key in the store of the area; every pixel outside of it is "outside" in the mask.
+        Key in the store of the area. Every pixel outside it is "outside" in the mask.
     waters : str or None
-        Key in the store of bodies of water; those that touch a block are in its digest.
+        Key in the store of bodies of water. The digest includes those that touch the block.
     """
 
     dtm: str
@@ -61,23 +62,22 @@ class MaskBlock(PointsBlock):
 
 
 def mask_block(store_url: str, work: MaskBlock) -> dict[str, Any]:
-    """Write one block of the mask; a `tiler.schedule.task.Work`.
+    """Write one block of the mask. This is a `tiler.schedule.task.Work`.
 
-    A pixel with a height is measured if a ground point lies in it, else interpolated; one without is a hole inside
-    of the survey (see `tiler.grid.coverage`), else outside. A hole that was filled is called so, and so are water and a
-    canopy that was bridged.
-    Where a tile failed there is a hole, whatever heights its surroundings lend it.
+    A pixel with a height is measured if a ground point lies in it, else interpolated. A pixel without a height is a
+    hole inside the survey (see `tiler.grid.coverage`), else outside. Filled holes, water and a canopy that was bridged
+    have separate values. A pixel where a tile failed is a hole, even if its surroundings give it a height.
 
     Returns
     -------
     dict
-        ``pixels``, ``filled`` (pixels with a height), ``values`` (pixels of each value of the mask); ``checksum``.
+        ``pixels``, ``filled`` (pixels with a height), ``values`` (number of pixels for each value); ``checksum``.
     """
     store, spec, block = open_store(store_url), work.spec, work.block
     nodata = np.float32(NODATA)
     heights = store.read_block(work.dtm, block) != nodata
     filled = store.read_block(work.filled, block) != nodata
-    heights &= filled  # what the outline leaves
+    heights &= filled  # the outline or edits may have removed a height
     inside = coarse_values(store, work.survey, work.coarse, spec, block) >= SURVEYED
     measured = ground_counts(store, work.rule, spec, block) > 0
     mask = np.select(
@@ -101,10 +101,10 @@ def mask_block(store_url: str, work: MaskBlock) -> dict[str, Any]:
 
 
 def _within(bounds: Bounds, spec: RasterSpec, block: Block) -> tuple[slice, slice]:
-    """Rows and columns of a block's pixels whose centres lie in bounds."""
+    """Return the rows and columns of a block's pixels whose centres lie within bounds."""
 
     def first(edge: int) -> int:
-        """Index of the first pixel whose centre is at an edge or beyond it."""
+        """Return the index of the first pixel whose centre is at an edge or beyond it."""
         return math.ceil(edge / spec.lattice.size - Fraction(1, 2))
 
     def clipped(start: int, stop: int, count: int) -> slice:

@@ -1,4 +1,4 @@
-"""Cuts a terrain or surface model at the outline of the survey, and levels its water."""
+"""Models that are cut at the outline of the survey, with level water."""
 
 from __future__ import annotations
 
@@ -19,24 +19,25 @@ from tiler.store import coarse_values, open_store
 
 @dataclass(frozen=True, kw_only=True)
 class OutlineBlock(BlockWork):
-    """Work: one block of a model, cut at the outline of the survey and with level water.
+    """Arguments of `outline_block`.
 
     Attributes
     ----------
     heights : str
-        The model.
+        Raster of the model.
     survey : str
+        Raster of the survey.
     coarse : RasterSpec
-        Of the cells of the survey.
+        Raster of the survey's cells.
     cut : bool
         Whether heights beyond the survey are removed.
     canopy : str or None
         Raster of the pixels in which a canopy hides the ground, and which get no height.
     waters, edits : str or None
-        Keys in the store of bodies of water and of corrections, which come after them; those that touch a block are
-        in its digest.
+        Keys in the store of bodies of water, and of edits, which are applied after water. The digest includes those
+        that touch the block.
     area : str or None
-        Key in the store of the area; holes outside of it do not count.
+        Key in the store of the area. Holes outside it do not count.
     """
 
     heights: str
@@ -50,17 +51,17 @@ class OutlineBlock(BlockWork):
 
 
 def outline_block(store_url: str, work: OutlineBlock) -> dict[str, Any]:
-    """Write one block of a model, cut at the survey's outline and with level water; a `tiler.schedule.task.Work`.
+    """Write one block of a model, cut at the survey's outline and with level water.
 
-    Facets span a concave border of the survey: land that was never surveyed would get a height from its rim. They also
-    span rivers that leave the survey: there water stays.
+    This is a `tiler.schedule.task.Work`. Facets span a concave border of the survey, so land that was never surveyed
+    would get a height from the border. Facets also span rivers that leave the survey. There the water stays.
 
     Returns
     -------
     dict
-        ``pixels``, ``filled`` (pixels with a height), ``hidden`` (those that lost it to a canopy), ``cut`` (those that
-        lost it otherwise), ``added`` (those that water gave one), ``water`` (key of the area and pixels of each body);
-        ``checksum``; and as of `holes_of_block`.
+        ``pixels``, ``filled`` (pixels with a height), ``hidden`` (pixels that lost it to a canopy), ``cut`` (pixels
+        that lost it otherwise), ``added`` (pixels that got one from water), ``water`` (key of the area and pixels of
+        each body), ``checksum``, and the entries of `holes_of_block`.
     """
     store, spec, block = open_store(store_url), work.spec, work.block
     nodata = np.float32(NODATA)

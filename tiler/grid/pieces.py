@@ -1,7 +1,7 @@
-"""Connected areas of a coarse raster whose blocks are labelled one by one, and joined where they touch.
+"""Connected areas of a coarse raster, which is labelled block by block.
 
-A task labels the areas of its block and tells in its record which of them lie along the block's sides. The coordinator
-joins these, so that no array of the whole raster is ever needed.
+A task labels the areas of its block and records the labels along the block's sides. The coordinator joins areas that
+touch, so that an array of the whole raster is never needed.
 """
 
 from __future__ import annotations
@@ -24,14 +24,14 @@ Node = TypeVar("Node")
 
 Labels = npt.NDArray[np.int32]
 Side = list[list[int]]
-"""Labels along a side of a block, from the north or west, 0 for none: [label, number of cells] of each run."""
+"""Runs of labels along a side of a block from the north or west, as [label (0: none), number of cells]."""
 
 AROUND = np.ones((3, 3), np.bool_)
-"""Cells touch at sides and corners."""
+"""Neighbourhood in which cells touch at sides and corners."""
 
 
 class Piece(NamedTuple):
-    """An area of one block: the block's first row and column, and the area's label in the block, from 1 on."""
+    """Area of one block: the block's first row and column, and the area's label in the block, from 1."""
 
     row: int
     col: int
@@ -50,7 +50,7 @@ def label_block(cells: Bools, corners: bool) -> tuple[Labels, dict[str, Side]]:
     Returns
     -------
     labels : int32, shape (height, width)
-        From 1 on; 0 where ``cells`` are not set.
+        Labels from 1; 0 for cells that are not set.
     sides : dict
         Labels along the ``north``, ``south``, ``west`` and ``east`` side, for `join_pieces`.
     """
@@ -66,14 +66,14 @@ def _runs(line: npt.NDArray[Any]) -> Side:
 
 
 def side_labels(side: Side) -> Labels:
-    """The label of each cell along a side of a block."""
+    """Return the label of each cell along a side of a block."""
     labels, lengths = np.array(side, np.int32).T
     found: Labels = np.repeat(labels, lengths)
     return found
 
 
 def touching(blocks: Mapping[tuple[int, int], Mapping[str, Side]], corners: bool) -> set[tuple[Piece, Piece]]:
-    """Pairs of areas of neighbouring blocks that touch.
+    """Return the pairs of areas of neighbouring blocks that touch.
 
     Parameters
     ----------
@@ -99,7 +99,7 @@ def touching(blocks: Mapping[tuple[int, int], Mapping[str, Side]], corners: bool
 
 
 def _facing(mine: Labels, theirs: Labels, corners: bool) -> Iterable[tuple[int, int]]:
-    """Pairs of labels that face one another across the border of two blocks."""
+    """Return the pairs of labels that face each other across the border of two blocks."""
     lines = [(mine, theirs)]
     if corners:
         lines += [(mine[1:], theirs[:-1]), (mine[:-1], theirs[1:])]
@@ -108,7 +108,7 @@ def _facing(mine: Labels, theirs: Labels, corners: bool) -> Iterable[tuple[int, 
 
 
 def components(nodes: Iterable[Node], pairs: Iterable[tuple[Node, Node]]) -> list[list[Node]]:
-    """Groups of nodes that the pairs connect; all are in the order of the nodes."""
+    """Return groups of connected nodes. Groups and their nodes are in the order of the nodes."""
     listed = list(nodes)
     place = {node: i for i, node in enumerate(listed)}
     ends = np.array([[place[a], place[b]] for a, b in pairs], np.int64).reshape(-1, 2)
@@ -123,12 +123,12 @@ def components(nodes: Iterable[Node], pairs: Iterable[tuple[Node, Node]]) -> lis
 
 @dataclass(frozen=True)
 class Joined:
-    """The connected areas of a raster.
+    """Connected areas of a raster.
 
     Attributes
     ----------
     areas : mapping of Piece to tuple of Piece
-        First piece of each area, which names the area, and all its pieces, in the order of rows and columns of blocks.
+        Pieces of each area by its first piece, which names the area, in the order of rows and columns of blocks.
     """
 
     areas: Mapping[Piece, tuple[Piece, ...]]
@@ -142,7 +142,7 @@ class Joined:
         return found
 
     def joins(self, places: Iterable[tuple[int, int]]) -> tuple[tuple[Piece, Piece], ...]:
-        """Pieces in some blocks of areas of several pieces, each with the name of its area."""
+        """Return the pieces of multi-piece areas in some blocks, each with the name of its area."""
         return tuple(join for place in places for join in self._joins.get(place, ()))
 
 
@@ -167,21 +167,21 @@ def join_pieces(
 def areas_within(
     store: TileStore, name: str, coarse: RasterSpec, window: Block, joins: Iterable[tuple[Piece, Piece]]
 ) -> tuple[Labels, list[Piece]]:
-    """The areas in a window of a raster of labels.
+    """Find the areas in a window of a raster of labels.
 
     Parameters
     ----------
     name : str
-        The raster.
+        Name of the raster.
     joins : iterable of (Piece, Piece)
-        See `Joined.joins`: for the blocks that the window touches.
+        Result of `Joined.joins` for the blocks that the window touches.
 
     Returns
     -------
     numbers : int32, shape (height, width)
-        0 where there is no area.
+        Number of the area in each cell, 0 for none.
     names : list of Piece
-        Of the areas with the numbers 1, 2, ...
+        Names of the areas with the numbers 1, 2, ...
     """
     labels = read_cells(store, name, coarse, window).astype(np.int32)
     numbers, names = np.zeros_like(labels), dict[Piece, int]()
@@ -189,7 +189,7 @@ def areas_within(
     for row in range(window.row // BLOCK_PIXELS * BLOCK_PIXELS, window.row + window.height, BLOCK_PIXELS):
         for col in range(window.col // BLOCK_PIXELS * BLOCK_PIXELS, window.col + window.width, BLOCK_PIXELS):
             part = part_of(window, row, col)
-            found = np.flatnonzero(np.bincount(labels[part].ravel()))  # as np.unique, which sorts
+            found = np.flatnonzero(np.bincount(labels[part].ravel()))  # like np.unique, but without sorting
             table = np.zeros(int(found.max(initial=0)) + 1, np.int32)
             for label in found[found > 0].tolist():
                 piece = Piece(row, col, label)
@@ -201,7 +201,7 @@ def areas_within(
 def cells_of(
     store: TileStore, name: str, coarse: RasterSpec, window: Block, pieces: Iterable[Piece]
 ) -> Bools:
-    """Cells of some pieces of areas in a window of a raster of labels; bool (height, width)."""
+    """Return a mask of the cells of some pieces in a window of a raster of labels."""
     labels = read_cells(store, name, coarse, window)
     found = np.zeros(labels.shape, np.bool_)
     of_block: dict[tuple[int, int], list[int]] = defaultdict(list)
@@ -214,7 +214,7 @@ def cells_of(
 
 
 def part_of(window: Block, row: int, col: int) -> tuple[slice, slice]:
-    """Rows and columns of a window that lie in a block."""
+    """Return the rows and columns of a window that lie in a block."""
     return (
         slice(max(row - window.row, 0), max(row + BLOCK_PIXELS - window.row, 0)),
         slice(max(col - window.col, 0), max(col + BLOCK_PIXELS - window.col, 0)),
@@ -222,6 +222,6 @@ def part_of(window: Block, row: int, col: int) -> tuple[slice, slice]:
 
 
 def around(row: int, col: int) -> list[tuple[int, int]]:
-    """First row and column of a block and of its eight neighbours, whether or not there are such."""
+    """Return first row and column of a block and of its eight neighbours, even if some do not exist."""
     steps = (-BLOCK_PIXELS, 0, BLOCK_PIXELS)
     return [(row + down, col + right) for down in steps for right in steps]

@@ -1,6 +1,6 @@
-"""Estimates the level of a river along its line: robust levels at stations, a falling profile, and steps at dams.
+"""Level of a river along its line: robust levels at stations, a falling profile, and steps at dams.
 
-A station uses pixels within half a spacing along the line: those of the water with returns, and those of both banks.
+A station uses pixels within half a spacing along the line: pixels of the water with returns, and of both banks.
 Returns of the water decide if they are smooth. Banks decide if no station with such returns is near. The profile is the
 isotonic regression of the levels, weighted by evidence, in the direction that fits better.
 """
@@ -19,25 +19,25 @@ from tiler.core.water import Counts, Station, lengths_along, lifted_line
 Floats = npt.NDArray[np.float64]
 
 BANK_PERCENT = 10
-"""Percentile of a bank's heights at which the water stands: at or just below the bank."""
+"""Percentile of a bank's heights that estimates the water level, at or just below the bank."""
 MIN_PIXELS = 5
 """Fewest heights of a bank, or of the water itself, from which a level is estimated."""
 SMOOTH_M = 0.3
-"""Heights of the water decide its level only if half of them lie within this range."""
+"""Largest interquartile range of the water's heights at which their median is the level."""
 BANK_WEIGHT = 0.05
-"""Weight of a pixel of a bank; one of the water itself has weight 1."""
+"""Weight of a pixel of a bank. A pixel of the water itself has weight 1."""
 NEAR_STATIONS = 3
-"""Banks are not used within so many stations of one at which the water itself is seen."""
+"""Distance, in stations, from a station with returns of the water within which banks are not used."""
 LEVEL_M = 0.05
-"""A river with a smaller total fall is level."""
+"""Total fall below which a river is level."""
 STEP_M = 0.4
-"""Water that falls by more than this between two stations, and more steeply than `STEEPEST`, falls at one place."""
+"""Least fall between two stations that is a step at one position, if it is also steeper than `STEEPEST`."""
 STEEPEST = 1 / 30
 """Steepest slope of water without a step."""
 
 
 class Scale(NamedTuple):
-    """Counts of a metre, in plan and of heights."""
+    """Number of counts per metre, in plan and of heights."""
 
     xy: float = float(COUNTS_PER_UNIT)
     z: float = float(COUNTS_PER_UNIT)
@@ -47,7 +47,7 @@ MILLIMETRES = Scale()
 
 
 class Profile(NamedTuple):
-    """Line of a river with the height of the water, int64 (n, 3), and its stations; both downstream."""
+    """Line of a river with the height of the water, int64 (n, 3), and its stations, both in downstream order."""
 
     flow: Counts
     stations: tuple[Station, ...]
@@ -56,16 +56,16 @@ class Profile(NamedTuple):
 def profile_along(
     line: Floats, shore: Counts, within: Counts, spacing: float, scale: Scale = MILLIMETRES
 ) -> Profile:
-    """Estimate the level of a river along its line; it never rises downstream.
+    """Estimate the level of a river along its line. The level never rises downstream.
 
     Parameters
     ----------
     line : float64 (n, 2)
-        Absolute counts.
+        Line of the river in absolute counts.
     shore, within : int64 (3, n)
-        Heights of the terrain beside the water, and of the water itself where returns came from it.
+        Positions and heights of the terrain next to the water, and of the water itself where it has returns.
     spacing : float
-        Counts between stations.
+        Distance of stations in counts.
     scale : Scale
     """
     along, stations, weights = _stations(line, shore, within, spacing, scale)
@@ -91,14 +91,14 @@ def profile_along(
 
 
 def bank_level(heights: npt.NDArray[np.int64]) -> float:
-    """Where water stands below a bank."""
+    """Return the water level below a bank."""
     return float(np.percentile(heights, BANK_PERCENT))
 
 
 def water_level(heights: npt.NDArray[np.int64], scale: Scale) -> float | None:
-    """Where water stands that was seen; None where that is too little, or not smooth.
+    """Return the level of water from its own heights, or None if they are too few or not smooth.
 
-    Where heights differ by more than waves do, as between strips flown at two levels, the lower level holds.
+    If heights differ by more than waves do, for example between strips flown at two levels, the lower level counts.
     """
     if len(heights) < MIN_PIXELS:
         return None
@@ -111,7 +111,7 @@ def water_level(heights: npt.NDArray[np.int64], scale: Scale) -> float | None:
 def _stations(
     line: Floats, shore: Counts, within: Counts, spacing: float, scale: Scale
 ) -> tuple[Floats, list[Station], Floats]:
-    """Places along a line where a level is known, counts from its start; the stations there; their weights."""
+    """Return the stations with a known level: distances along the line in counts, stations, and weights."""
     import shapely
 
     shape = shapely.LineString(line)
@@ -145,7 +145,7 @@ def _stations(
 def _station(
     x: int, y: int, own: npt.NDArray[np.int64], banks: list[npt.NDArray[np.int64]], scale: Scale
 ) -> tuple[Station | None, float]:
-    """A station and the weight of its level; None without evidence."""
+    """Return a station and the weight of its level, or None and 0 without evidence."""
     levels = [round(bank_level(bank)) if len(bank) >= MIN_PIXELS else None for bank in banks]
     seen = water_level(own, scale)
     known = [level for level in levels if level is not None]
@@ -157,7 +157,7 @@ def _station(
 
 
 def _decisive(found: list[Station | None]) -> npt.NDArray[np.bool_]:
-    """Stations that are used: those where the water was seen, and others that are far from such."""
+    """Return a mask of the stations to use: stations with returns of the water, and others far from them."""
     seen = np.array([station is not None and station.seen > 0 for station in found])
     near = scipy.ndimage.binary_dilation(seen, iterations=NEAR_STATIONS) if seen.any() else seen
     known = np.array([station is not None for station in found])
@@ -165,7 +165,7 @@ def _decisive(found: list[Station | None]) -> npt.NDArray[np.bool_]:
 
 
 def _left_of(line: Floats, xyz: Counts, along: Floats) -> npt.NDArray[np.bool_]:
-    """Mask of the places to the left of a line, at ``along`` of its length."""
+    """Return a mask of the points to the left of a line, at distances ``along`` it."""
     lengths = lengths_along(line)
     segment = np.clip(np.searchsorted(lengths, along, side="right") - 1, 0, len(line) - 2)
     start, step = line[segment], line[segment + 1] - line[segment]
@@ -181,7 +181,7 @@ def _weighted_median(values: Floats, weights: Floats) -> float:
 def _with_steps(
     along: Floats, levels: Floats, line: Floats, within: Counts, scale: Scale
 ) -> tuple[Floats, Floats]:
-    """Places and levels with two of each at a step, where what was seen of the water jumps."""
+    """Return distances along the line and levels, with two of each where the water has a step."""
     import shapely
 
     places, heights = [along[:1]], [levels[:1]]
@@ -200,7 +200,7 @@ def _with_steps(
 def _step_at(
     start: float, end: float, before: float, after: float, inside: Floats, z: npt.NDArray[np.int64]
 ) -> float:
-    """Where between two stations the heights of the water change from one level to the other."""
+    """Return the distance along the line at which the water's heights change from one level to the other."""
     here = np.flatnonzero((inside > start) & (inside < end))
     here = here[np.argsort(inside[here], kind="stable")]
     if not len(here):

@@ -1,4 +1,4 @@
-"""Distances of cells from others, in strips: a distance transform of a whole raster takes 50 bytes a cell."""
+"""Distances from set cells, in strips, as a distance transform takes 50 bytes per cell."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ Bools = npt.NDArray[np.bool_]
 Floats = npt.NDArray[np.float64]
 
 STRIP_ROWS = 256
-"""Rows at once, or twice the radius where that is more."""
+"""Rows per strip, or twice the radius if that is more."""
 
 
 def within(cells: Bools, radius: float) -> Bools:
-    """Cells whose centres lie within a radius, in cells, of the centre of one that is set; bool (height, width)."""
+    """Return a mask of the cells within a radius of a set cell, measured between centres in cells."""
     found = np.zeros(cells.shape, np.bool_)
     for part, distance in _strips(cells, radius):
         np.less_equal(distance, radius, out=found[part])
@@ -25,7 +25,7 @@ def within(cells: Bools, radius: float) -> Bools:
 
 
 def distances(cells: Bools, radius: float) -> Floats:
-    """Distance of each cell from the nearest that is set, in cells; infinite beyond a radius; (height, width)."""
+    """Return the distance of each cell from the nearest set cell, in cells, infinite beyond a radius."""
     found = np.full(cells.shape, np.inf)
     for part, distance in _strips(cells, radius):
         np.copyto(found[part], distance, where=distance <= radius)
@@ -33,7 +33,7 @@ def distances(cells: Bools, radius: float) -> Floats:
 
 
 def box_around(cells: Bools, pad: int) -> tuple[slice, slice]:
-    """Rows and columns of the cells that are set, and so many more to each side as far as there are any."""
+    """Return the rows and columns of the box around the set cells, padded by ``pad`` cells within the array."""
     found = []
     for axis in (1, 0):
         lines = np.flatnonzero(cells.any(axis=axis))
@@ -43,7 +43,7 @@ def box_around(cells: Bools, pad: int) -> tuple[slice, slice]:
 
 
 def _strips(cells: Bools, radius: float) -> Iterator[tuple[tuple[slice, slice], Floats]]:
-    """Parts with cells that are set near them, and their distances, which are right up to the radius."""
+    """Yield the parts with set cells near them, and their distances, which are correct up to the radius."""
     reach = max(math.floor(radius), 0)
     step = max(STRIP_ROWS, 2 * reach)
     rows, cols = box_around(cells, reach)

@@ -1,4 +1,4 @@
-"""How many returns a coarse cell usually has: histograms of blocks, from which the coordinator takes local medians."""
+"""Usual number of returns in a coarse cell, from histograms of blocks."""
 
 from __future__ import annotations
 
@@ -9,16 +9,16 @@ import numpy as np
 import numpy.typing as npt
 
 LEVELS = 5
-"""Cells are counted alone, and merged 2 x 2, 4 x 4, ... so often."""
+"""Number of levels: single cells, and cells merged 2 x 2, 4 x 4, ..."""
 BINS_PER_OCTAVE = 16
-"""Bins of the logarithm of a count: those of counts up to 20 hold one count each."""
+"""Bins of the logarithm of a count. Each bin of counts up to 20 contains a single count."""
 
 Histogram = list[list[int]]
-"""Bin and number of cells, of those cells that have any return."""
+"""Bin and number of cells, for the cells with returns."""
 
 
 def merged(values: npt.NDArray[Any], times: int) -> npt.NDArray[Any]:
-    """Cells in squares of ``times`` by ``times``, shape (height / times, width / times, times ** 2)."""
+    """Return the cells in squares of ``times`` by ``times``, shape (height / times, width / times, times ** 2)."""
     rows, cols = (side // times for side in values.shape)
     squares: npt.NDArray[Any] = (
         values.reshape(rows, times, cols, times).swapaxes(1, 2).reshape(rows, cols, -1)
@@ -27,7 +27,7 @@ def merged(values: npt.NDArray[Any], times: int) -> npt.NDArray[Any]:
 
 
 def histograms(counts: npt.NDArray[np.int64]) -> list[Histogram]:
-    """Histograms of the returns in the cells of a block, merged ever more.
+    """Return histograms of the returns per cell of a block, one for each level of merging.
 
     Parameters
     ----------
@@ -43,19 +43,20 @@ def histograms(counts: npt.NDArray[np.int64]) -> list[Histogram]:
 
 
 def usual_returns(found: Iterable[list[Histogram]], enough: float) -> tuple[int, float] | None:
-    """How many cells to merge along a side until one without a return is significant, and their usual returns.
+    """Merge cells 2 x 2 until a cell without returns is significant.
 
     Parameters
     ----------
     found : iterable of list of Histogram
         The `histograms` of some blocks.
     enough : float
-        Least median of the cells with any return.
+        Least median of the cells with returns.
 
     Returns
     -------
     (int, float) or None
-        The second is the median of those cells with any return. None where no merging gives so many.
+        Number of cells to merge along a side, and the median of the merged cells with returns; None if no level has a
+        large enough median.
     """
     blocks = list(found)
     for level in range(LEVELS):

@@ -1,4 +1,4 @@
-"""A warning where the terrain holds what looks like a roof."""
+"""Warning about terrain that looks like a roof."""
 
 from __future__ import annotations
 
@@ -20,15 +20,15 @@ from tiler.store import TileStore, open_store
 Float64 = npt.NDArray[np.float64]
 
 TOO_WIDE = 0.8
-"""A warning names a roof that is left in the terrain if it is wider than this share of ``max_building_size``."""
+"""Share of ``max_building_size`` from which the width of a roof in the terrain causes a warning."""
 PART_CELLS = 500
-"""Side, in cells, of the parts in which terrain is examined. One part is in memory at a time."""
+"""Side in cells of the parts in which terrain is examined. One part is in memory at a time."""
 STRIP_ROWS = 512
-"""Rows of pixels of a part that are read at once."""
+"""Rows of pixels of a part that are read in one batch."""
 
 
 class Advice(NamedTuple):
-    """A warning about a place of the terrain; x and y in units of the CRS."""
+    """Warning about a position in the terrain, with x and y in units of the CRS."""
 
     text: str
     x: float
@@ -37,7 +37,7 @@ class Advice(NamedTuple):
 
 @dataclass(frozen=True)
 class FindRoofs:
-    """Where roofs are looked for in the terrain, see `roofs_in_terrain`; ``filled``: names of blocks with heights."""
+    """Arguments of `find_roofs`: those of `roofs_in_terrain`, with ``filled`` as the names of blocks."""
 
     spec: RasterSpec
     filled: tuple[str, ...]
@@ -46,7 +46,7 @@ class FindRoofs:
 
 
 def find_roofs(store_url: str, work: FindRoofs) -> dict[str, Any]:
-    """Look for roofs on a worker, which has loaded the kernels that this needs: ``advice``, or None."""
+    """Search for roofs on a worker, which has loaded the kernels. Return ``advice``, or None."""
     blocks = (work.spec.block_named(key, BLOCK_PIXELS) for key in work.filled)
     store = open_store(store_url)
     return {"advice": roofs_in_terrain(store, "dtm", work.spec, blocks, work.building_m, work.roof_m)}
@@ -60,20 +60,20 @@ def roofs_in_terrain(
     building_m: float,
     roof_m: float | None = None,
 ) -> Advice | None:
-    """A warning if the terrain holds what looks like a roof too wide for ``max_building_size`` or ``roof_size``.
+    """Return a warning if the terrain has a roof that is too wide for the settings, else None.
 
     Parameters
     ----------
     store : TileStore
     name : str
-        Raster of the terrain.
+        Name of the raster of the terrain.
     spec : RasterSpec
     filled : iterable of Block
-        Blocks that hold heights. Others are not examined.
+        Blocks with heights. Other blocks are not examined.
     building_m : float
-        The method's largest building, metres.
+        Largest building of the method in metres.
     roof_m : float, optional
-        The widest roof that the method looks for itself, metres.
+        Widest roof for which the method itself searches, in metres.
     """
     frame = store.meta.frame
     pixel = float(spec.lattice.size * frame.metres_xy)
@@ -118,7 +118,7 @@ def _place(spec: RasterSpec, row: int, col: int) -> tuple[float, float]:
 
 
 def _part(store: TileStore, name: str, part: Block, times: int) -> Float64:
-    """Pooled heights of a part, read strip by strip."""
+    """Return the thinned heights of a part, read strip by strip."""
     step = max(STRIP_ROWS // times, 1) * times
     last = part.row + part.height
     strips = [Block(row, part.col, min(step, last - row), part.width) for row in range(part.row, last, step)]
@@ -126,5 +126,5 @@ def _part(store: TileStore, name: str, part: Block, times: int) -> Float64:
 
 
 def pooled(heights: npt.NDArray[np.float32], times: int) -> Float64:
-    """Heights of one pixel in ``times`` by ``times``. Thinning keeps steep edges, which means would blur."""
+    """Return the height of one pixel per ``times`` by ``times``. Thinning keeps steep edges, which means would blur."""
     return heights[times // 2 :: times, times // 2 :: times].astype(np.float64)

@@ -1,4 +1,4 @@
-"""The standard error of the terrain's heights, pixel by pixel."""
+"""Raster of the standard error of the terrain's heights."""
 
 from __future__ import annotations
 
@@ -24,16 +24,16 @@ Bools = npt.NDArray[np.bool_]
 
 @dataclass(frozen=True, kw_only=True)
 class SigmaBlock(PointsBlock):
-    """Work: one block of the standard error.
+    """Arguments of `sigma_block`.
 
     Attributes
     ----------
     terrain, mask : str
-        Rasters of the delivered heights, and of where they come from.
+        Rasters of the delivered heights, and of their origin (the mask).
     kind : str or None
-        What made the cloud, as methods name it (`ptd.passes.RunHints`); None: not known.
+        Source of the cloud as methods name it (`ptd.passes.RunHints`); None if it is not known.
     cap : Fraction
-        Counts: ground that is farther than this counts as this far.
+        Largest distance to ground in counts. Larger distances count as this one.
     """
 
     terrain: str
@@ -43,13 +43,13 @@ class SigmaBlock(PointsBlock):
 
 
 def sigma_block(store_url: str, work: SigmaBlock) -> dict[str, Any]:
-    """Write one block of the standard error in the unit of the heights; a `tiler.schedule.task.Work`.
+    """Write one block of the standard error in vertical units. This is a `tiler.schedule.task.Work`.
 
     Returns
     -------
     dict
-        ``pixels``, ``filled`` (pixels with a height); ``groups``: pixels and sum of squares (mm2) of each of
-        `tiler.core.sigma_groups.GROUPS`; ``histogram``: of each of these, pixels by the `EDGES_M`; ``checksum``.
+        ``pixels``, ``filled`` (pixels with a height); ``groups``: number and sum of squares (mm2) of the pixels of each
+        group (`tiler.core.sigma_groups.GROUPS`); ``histogram``: number of its pixels by `EDGES_M`; ``checksum``.
     """
     store, spec, block = open_store(store_url), work.spec, work.block
     there = store.read_block(work.terrain, block) != np.float32(NODATA)
@@ -70,7 +70,7 @@ def sigma_block(store_url: str, work: SigmaBlock) -> dict[str, Any]:
 
 
 def _groups(found: Measures, mask: npt.NDArray[np.float32], there: Bools) -> dict[str, Bools]:
-    """Pixels of water, of covered and of open ground."""
+    """Return masks of the pixels of open ground, covered ground and water, by group."""
     wet = there & (mask == WATER)
     covered = (found.near_objects >= COVERED_SHARE) | (mask == CANOPY) | (mask == FILLED)
     covered &= there & ~wet
@@ -78,12 +78,12 @@ def _groups(found: Measures, mask: npt.NDArray[np.float32], there: Bools) -> dic
 
 
 def _squares(sigma_m: Float64) -> list[int]:
-    """Number of pixels, and sum of squares in mm2."""
+    """Return the number of pixels, and the sum of squares in mm2."""
     return [sigma_m.size, int(np.rint((1000 * sigma_m) ** 2).astype(np.int64).sum())]
 
 
 def _histogram(sigma_m: Float64) -> list[int]:
-    """Pixels between one of `EDGES_M` and the next, those beyond the ends with the first and last."""
+    """Count the pixels between consecutive `EDGES_M`. The first and last bin include all values beyond the ends."""
     bins = np.searchsorted(EDGES_M[1:-1], sigma_m, side="right")
     counts: list[int] = np.bincount(bins, minlength=len(EDGES_M) - 1).tolist()
     return counts

@@ -1,4 +1,4 @@
-"""The terrain around a block's pixels: its slope, and how far a height is from the trend of what lies around it."""
+"""Terrain around a block's pixels: its slope, and the deviation of a height from the trend around it."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from tiler.core.raster import Block, RasterSpec
 from tiler.store import TileStore, read_cells
 
 CELL_M = 3.4
-"""Side of the cells whose means are the terrain at large: the median of 5 x 5 is that of 17 m."""
+"""Side of the cells whose means represent the terrain. A median of 5 x 5 of them covers 17 m."""
 HALF = 2
 """Cells on each side of the middle one in the median."""
 RIM = HALF + 1
-"""Cells around a block that are seen."""
+"""Margin around a block in cells."""
 
 Float64 = npt.NDArray[np.float64]
 Int64 = npt.NDArray[np.int64]
@@ -24,7 +24,7 @@ Index = npt.NDArray[np.intp]
 
 
 class Land:
-    """Heights of a block and around it, with their means by cells of whole pixels, anchored at pixel 0."""
+    """Heights of a block and its margin, and their means over cells of whole pixels, anchored at pixel 0."""
 
     def __init__(self, store: TileStore, name: str, spec: RasterSpec, block: Block) -> None:
         pixel_m = float(spec.lattice.size * store.meta.frame.metres_xy)
@@ -41,24 +41,30 @@ class Land:
         self._side = side
         self._rows = np.arange(block.height) + (block.row - top)
         self._columns = np.arange(block.width) + (block.col - left)
-        # Whole numbers: a sum of them is the same wherever the block begins.
+        # Sums of whole numbers are the same for any start of the block.
         counts = np.rint(np.where(known, self._heights, 0.0) * COUNTS_PER_UNIT).astype(np.int64)
         total, n = _by_cells(counts, side), _by_cells(known.astype(np.int64), side)
         self._means = np.where(n > 0, total / np.maximum(n, 1) / COUNTS_PER_UNIT, np.nan)
 
     def known(self) -> npt.NDArray[np.bool_]:
-        """Pixels of the block that have a height."""
+        """Return a mask of the block's pixels that have a height."""
         return ~np.isnan(self._heights[np.ix_(self._rows, self._columns)])
 
     def slope(self, pixel: float) -> Float64:
-        """Rise over run of the cells' means at the block's pixels; ``pixel``: its side in units of the heights."""
+        """Return the slope of the cells' means at the block's pixels (rise over run).
+
+        The side of a pixel, ``pixel``, is in units of the heights.
+        """
         east, north = gradients(self._means, pixel * self._side)
         steep = np.sqrt(east * east + north * north)
         found = steep[np.ix_(self._rows // self._side - 1, self._columns // self._side - 1)]
         return np.nan_to_num(found)
 
     def off_trend(self) -> Float64:
-        """Distance of the block's heights from the median of the cells around, linear between the cells' middles."""
+        """Return the absolute deviation of the block's heights from the median of the cells around.
+
+        Medians are interpolated linearly between the middles of cells.
+        """
         around = np.lib.stride_tricks.sliding_window_view(self._means, (2 * HALF + 1, 2 * HALF + 1))
         ordered = np.sort(around.reshape(*around.shape[:2], -1), axis=-1)  # NaN is last
         n = np.count_nonzero(~np.isnan(ordered), axis=-1)[..., np.newaxis]
@@ -70,21 +76,21 @@ class Land:
         return np.nan_to_num(np.abs(self._heights[np.ix_(self._rows, self._columns)] - trend.T))
 
     def _between(self, pixels: Index) -> tuple[Index, Float64]:
-        """The median before each row or column of pixels, and how far that is on the way to the next median."""
-        # In halves of a pixel, whole numbers: the share is the same wherever the block begins.
+        """Return the index of the median before each row or column of pixels, and the share of the way to the next."""
+        # Whole numbers of half pixels make the share the same for any start of the block.
         place = 2 * pixels + 1 - (2 * HALF + 1) * self._side
         first = place // (2 * self._side)
         return first, (place - 2 * self._side * first) / (2 * self._side)
 
 
 def _linear(values: Float64, first: Index, share: Float64) -> Float64:
-    """Between rows of values."""
+    """Interpolate linearly between rows of values."""
     found: Float64 = values[first] * (1 - share)[:, np.newaxis] + values[first + 1] * share[:, np.newaxis]
     return found
 
 
 def _by_cells(pixels: Int64, side: int) -> Int64:
-    """Sums over squares of pixels."""
+    """Return sums over squares of pixels."""
     rows, columns = pixels.shape
     found: Int64 = pixels.reshape(rows // side, side, columns // side, side).sum(axis=(1, 3))
     return found

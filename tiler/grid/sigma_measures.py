@@ -19,36 +19,36 @@ from tiler.grid.sigma_land import Land
 from tiler.store import TileStore
 
 CELL_M = Fraction(1)
-"""Side of the cells in which points are counted; half a pixel where that is wider."""
+"""Side of the cells in which points are counted, or half a pixel if that is wider."""
 PLANE_HALVES = (2, 5, 10, 20)
-"""Half widths, in cells, of the windows in which a plane is laid through the ground."""
+"""Half widths in cells of the windows in which a plane is fitted to the ground."""
 NEAR, AROUND = 3, 10
-"""Half widths, in cells, of the windows in which objects are counted."""
+"""Half widths in cells of the windows in which objects are counted."""
 MARGIN = max(PLANE_HALVES)
-"""Cells around a block that are seen."""
+"""Margin around a block in cells."""
 FIRST_REACH_M = Fraction(10)
-"""Ground is first searched this far from pixels: few are farther."""
+"""Radius of the first search for ground, as few pixels need a larger one."""
 
 Float64 = npt.NDArray[np.float64]
 Int32 = npt.NDArray[np.int32]
 
 
 class Measures(NamedTuple):
-    """What is known of the pixels of a block, float64 (height, width) each.
+    """Measures of the pixels of a block, each float64 (height, width).
 
     Attributes
     ----------
     roughness : metres
-        Standard deviation of the ground about a plane within 2.5 m, within up to 20 m where there are fewer than six
-        points; 0 where there are too few even then.
+        Standard deviation of the ground about a plane within 2.5 m, or within up to 20 m if there are fewer than six
+        points; 0 if there are too few even then.
     distance : metres
-        To the nearest ground point in plan, from the pixel's centre.
+        Plan distance from the pixel's centre to the nearest ground point.
     slope : rise over run
-        Of the terrain, over about 10 m.
+        Slope of the terrain over about 10 m.
     off_trend : metres
-        Height above or below the median of the terrain within 17 m.
+        Absolute deviation from the median of the terrain within 17 m.
     near_objects, around_objects : share
-        Of objects among the points within 3.5 and 10.5 m.
+        Share of objects among the points within 3.5 and 10.5 m.
     """
 
     roughness: Float64
@@ -62,7 +62,7 @@ class Measures(NamedTuple):
 def measures_of(
     store: TileStore, rule: GroundSelection, spec: RasterSpec, block: Block, terrain: str, cap: Fraction
 ) -> Measures:
-    """The measures of a block's pixels; those of pixels without a height mean nothing.
+    """Compute the measures of a block's pixels. Measures of pixels without a height are not meaningful.
 
     Parameters
     ----------
@@ -71,9 +71,9 @@ def measures_of(
     spec : RasterSpec
     block : Block
     terrain : str
-        Raster of the heights that are judged.
+        Raster of the heights.
     cap : Fraction
-        Counts: where no ground is nearer, this is the distance.
+        Largest distance to ground in counts. Larger distances count as this one.
     """
     frame = store.meta.frame
     unit_m, count_m = float(frame.units.vertical), float(frame.metres_z)
@@ -99,7 +99,10 @@ def measures_of(
 
 
 def reach_of(frame: CoordFrame, pixel: Fraction, cap: Fraction) -> int:
-    """Counts around a block within which points can change its measures; ``pixel`` and ``cap`` in counts."""
+    """Return the distance in counts around a block within which points can change its measures.
+
+    Parameters ``pixel`` and ``cap`` are in counts.
+    """
     return math.ceil(max(cap, (MARGIN + 1) * _lattice(frame, pixel).size)) + 1
 
 
@@ -108,7 +111,7 @@ def _lattice(frame: CoordFrame, pixel: Fraction) -> Lattice:
 
 
 def _share(ground: npt.NDArray[np.int64], objects: npt.NDArray[np.int64], half: int) -> Float64:
-    """Share of objects among the points in windows around cells; 0 where there are no points."""
+    """Return the share of objects among the points in windows around cells, 0 without points."""
     n_objects = box_sums(objects, half, MARGIN)
     n = n_objects + box_sums(ground, half, MARGIN)
     found: Float64 = n_objects / np.maximum(n, 1)
@@ -116,7 +119,7 @@ def _share(ground: npt.NDArray[np.int64], objects: npt.NDArray[np.int64], half: 
 
 
 class _Cells:
-    """The cells of a lattice in which a block's pixels have their centres, and `MARGIN` more on each side."""
+    """Cells of a lattice that contain the centres of a block's pixels, and `MARGIN` more cells on each side."""
 
     def __init__(self, lattice: Lattice, spec: RasterSpec, block: Block) -> None:
         x, _ = spec.centres(Block(block.row, block.col, 1, block.width))
@@ -130,17 +133,17 @@ class _Cells:
 
     @property
     def bounds(self) -> Bounds:
-        """Counts of all cells."""
+        """Bounds of all cells in counts."""
         first = self._lattice.first
         south, east = self._north - self._height + 1, self._west + self._width
         return Bounds(first(self._west), first(south), first(east), first(self._north + 1))
 
     def window(self, origin: tuple[int, int]) -> CellWindow:
-        """The cells, as kernels want them."""
+        """Return the cells in the form that kernels need."""
         lattice = self._lattice
         return CellWindow(lattice.p, lattice.q, self._west, self._north, self._height, self._width, *origin)
 
     def at_pixels(self, cells: Float64) -> Float64:
-        """Values at the block's pixels of cells without their margin."""
+        """Return the values of cells, without their margin, at the block's pixels."""
         found: Float64 = cells[self._pixels]
         return found

@@ -1,8 +1,8 @@
-"""The standard error of a height from what is known around it: a sum of variances, each with a constant.
+"""Standard error of a height from measures around it: a sum of variances, each with a constant.
 
-The constants are fitted by ``python -m tests.benchmarks.sigma_constants`` to scenes whose terrain is known; how well
-they do on scenes that were left out of the fit is in ``docs/trust.md``. Laser scans and matched clouds have constants
-of their own. Of a cloud whose origin is not known the larger variance counts.
+The constants are fitted by ``python -m tests.benchmarks.sigma_constants`` to scenes whose terrain is known. Their
+accuracy on scenes that were left out of the fit is in ``docs/trust.md``. LiDAR and photogrammetric clouds have
+different constants. For a cloud of unknown source the larger variance counts.
 """
 
 from __future__ import annotations
@@ -19,21 +19,21 @@ from tiler.grid.sigma_measures import Measures
 LASER, MATCHED = "lidar", "dim"
 """Kinds of clouds, as methods name them (`ptd.passes.RunHints`)."""
 GAP_M = 0.5
-"""Ground that is nearer than this is as good as ground in the pixel."""
+"""Distance to ground below which ground is as good as in the pixel."""
 
 MAX_TREND_M = 10.0
-"""Widest gap that counts with the deviation from the trend; the trend itself sees 8.5 m."""
+"""Widest gap in the term of the deviation from the trend, as the window of the trend reaches only 8.5 m."""
 FLOOR_M2 = 0.02**2
-"""The least variance: strips, grids and geoids differ by some centimetres, which no measure sees."""
+"""Least variance: strips, grids and geoids differ by some centimetres, which is not in any measure."""
 LINEAR = 0.5
-"""Noise of variance 1 in three points is 1/2 at a random place of their triangle, on average."""
+"""Mean variance at a random position in a triangle whose corners have noise of variance 1."""
 
 Float64 = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Weights:
-    """What each term of the variance is multiplied by; `terms` says what the terms are.
+    """Factors of the terms of the variance (see `terms`).
 
     Attributes
     ----------
@@ -62,9 +62,9 @@ WEIGHTS: Mapping[str, Weights] = {
 
 
 def terms(found: Measures, mask: npt.NDArray[np.float32]) -> dict[str, Float64]:
-    """The terms of the variance by the names of `Weights`, without their weights.
+    """Return the terms of the variance by the names of `Weights`, without their weights.
 
-    In water neither gaps nor objects count: its level is that of the shores.
+    In water, gaps and objects do not count, as its level comes from the shores.
     """
     wet = mask == WATER
     gap = np.where(wet, 0.0, np.maximum(found.distance - GAP_M, 0.0))
@@ -84,7 +84,7 @@ def terms(found: Measures, mask: npt.NDArray[np.float32]) -> dict[str, Float64]:
 
 
 def standard_error_m(found: Measures, mask: npt.NDArray[np.float32], kind: str | None) -> Float64:
-    """Standard error of heights in metres.
+    """Return the standard error of heights in metres.
 
     Parameters
     ----------
@@ -92,7 +92,7 @@ def standard_error_m(found: Measures, mask: npt.NDArray[np.float32], kind: str |
     mask : float32, the shape of the measures
         Values of the mask.
     kind : str or None
-        `LASER`, `MATCHED`, or not known.
+        Source of the cloud: `LASER`, `MATCHED`, or None if it is not known.
     """
     parts = terms(found, mask)
     variances = [weighed(parts, weights) for name, weights in WEIGHTS.items() if kind in (name, None)]
@@ -101,7 +101,7 @@ def standard_error_m(found: Measures, mask: npt.NDArray[np.float32], kind: str |
 
 
 def weighed(parts: Mapping[str, Float64], weights: Weights) -> Float64:
-    """The variance, square metres."""
+    """Return the variance in square metres."""
     total = np.zeros_like(parts["always"])
     for name, weight in asdict(weights).items():
         total += weight * parts[name]

@@ -1,4 +1,4 @@
-"""The stage grid of a run: the terrain's raster and those of the other products, block by block."""
+"""Stage grid of a run: the raster of the terrain and those of the other products, block by block."""
 
 from __future__ import annotations
 
@@ -41,14 +41,16 @@ from tiler.schedule.worker import compute
 from tiler.store import Commits
 
 MATCHED_SURFACE, MATCHED_EROSION = "median", Fraction(1, 2)
-"""Default of `surface` and of `erode` for matched clouds: noise is averaged, and the skirts of walls, which no
-filter tells from ground, are left out."""
+"""Defaults of `surface` and `erode` for photogrammetric clouds.
+
+The median averages noise. Erosion removes the skirts of walls, which filters cannot distinguish from ground.
+"""
 BLANK_BLOCKS = 256
-"""Blocks of an earlier run that one task removes."""
+"""Number of blocks of an earlier run that one task removes."""
 
 
 def grid(job: Job, assembled: IngestResult, labelled: Labelled, corrections: Corrections) -> GridContext:
-    """All rasters that the products need, block by block."""
+    """Make all rasters that the products need, block by block."""
     if labelled.matched and job.plan.config.method != KEEP:
         _settle_surface(job)
     gridding = GridContext(
@@ -84,7 +86,7 @@ def grid(job: Job, assembled: IngestResult, labelled: Labelled, corrections: Cor
 
 
 def _settle_surface(job: Job) -> None:
-    """Decide what makes the surface of a matched cloud unless the user does: it is noisy, its walls have skirts."""
+    """Set defaults for the surface of a photogrammetric cloud: it is noisy, its walls have skirts."""
     plan, config = job.plan, job.plan.config
     surface = config.surface or MATCHED_SURFACE
     erode = MATCHED_EROSION if config.erode is None else config.erode
@@ -98,7 +100,7 @@ def _settle_surface(job: Job) -> None:
 
 
 def _holes(job: Job) -> list[Bounds]:
-    """Where tiles or buckets failed, absolute counts."""
+    """Return the bounds in absolute counts where tiles or buckets failed."""
     found = [
         f["bounds"]
         for f in job.record.failed
@@ -129,7 +131,7 @@ def _make(job: Job, raster: RasterStep, spec: RasterSpec, tasks: list[Task], joi
 
 
 def _blank(job: Job, name: str, spec: RasterSpec, keys: Collection[str]) -> None:
-    """Have the workers remove blocks that an earlier run wrote: this one may not write them again."""
+    """Remove, on the workers, blocks of an earlier run that this run does not write."""
     blocks, tasks = [spec.block_named(key, BLOCK_PIXELS) for key in sorted(keys)], []
     for start in range(0, len(blocks), BLANK_BLOCKS):
         work = BlankBlocks(name, tuple(blocks[start : start + BLANK_BLOCKS]))
@@ -163,7 +165,7 @@ def _report_outline(job: Job, gridding: GridContext) -> None:
 
 
 def _gaps(gridding: GridContext) -> tuple[float, float]:
-    """Width in metres of the gaps that count as surveyed in most windows with points, and in any."""
+    """Return the width in metres of the gaps inside the survey: in most windows with points, and the widest."""
     windows: Counter[float] = Counter()
     for record in gridding.records("survey-open").values():
         windows.update(dict(map(tuple, record["gaps"])))
@@ -214,7 +216,7 @@ def _report_terrain(job: Job, spec: RasterSpec, tasks: list[Task], made: Mapping
 
 
 def _why_empty(job: Job) -> str:
-    """Why no pixel has a height, and what to do."""
+    """Return why the terrain is empty, and a remedy."""
     config, stored = job.plan.config, job.facts["counts"]["stored"]
     if config.method != KEEP and job.facts["counts"]["kept_out"] == stored:
         return (

@@ -1,7 +1,7 @@
-"""The surface model: the highest return of each pixel without spikes, and the TIN of these where a pixel has none.
+"""Surface model: the highest return of each pixel without spikes, else the TIN of these.
 
-It is never below the terrain. Returns that are below it come from the slope within their pixel, from low noise that the
-filter missed, or from steep ground that it took for noise.
+The surface is never below the terrain. Returns below the terrain come from the slope within their pixel, from low noise
+that the filter missed, or from steep ground that the filter classified as noise.
 """
 
 from __future__ import annotations
@@ -30,21 +30,21 @@ Int32 = npt.NDArray[np.int32]
 Heights = npt.NDArray[np.float32]
 
 DEEP_M = 1.0
-"""Returns that lie deeper below the terrain are counted."""
+"""Depth below the terrain from which returns are counted as deep."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class SurfaceBlock(TinBlock):
-    """Work: one block of the surface model.
+    """Arguments of `surface_block`.
 
     Attributes
     ----------
     spike : Fraction
-        Vertical counts by which a return may rise above all others within ``reach``.
+        Height in vertical counts by which a return may rise above all others within ``reach``.
     reach : int
-        Pixels.
+        Search radius in pixels.
     terrain : str
-        Raster of the same pixels, below which the surface never is.
+        Raster of the terrain in the same pixels, which limits the surface from below.
     """
 
     spike: Fraction
@@ -53,12 +53,12 @@ class SurfaceBlock(TinBlock):
 
 
 def surface_block(store_url: str, work: SurfaceBlock) -> dict[str, Any]:
-    """Write one block of the surface model; a `tiler.schedule.task.Work`.
+    """Write one block of the surface model. This is a `tiler.schedule.task.Work`.
 
-    All points but the withheld ones and noise (classes 7 and 18, by the input or by the filter) take part: water and
-    bridges are surface. Spikes are left out as `HighestReturns.supported` says, among the pixels within ``reach``. A
-    pixel with a return has its height; one without is interpolated on the TIN of the other pixels' returns
-    under the same limit as the terrain. No height is below the terrain's.
+    All points except withheld ones and noise (classes 7 and 18, by the input or by the filter) are used, since water
+    and bridges are surface. `HighestReturns.supported` removes spikes among the pixels within ``reach``. A pixel with a
+    return has its height. Other pixels are interpolated on the TIN of these returns under the same limit as the
+    terrain. All heights are at least those of the terrain.
 
     Returns
     -------
@@ -75,7 +75,7 @@ def surface_block(store_url: str, work: SurfaceBlock) -> dict[str, Any]:
 
 
 def above_terrain(heights: Heights, terrain: Heights, deep: float) -> tuple[Heights, npt.NDArray[np.bool_]]:
-    """Heights nowhere below the terrain where both are known, and where they were by more than ``deep``."""
+    """Raise heights to the terrain where both are known. Return also where they were more than ``deep`` below it."""
     both = (heights != np.float32(NODATA)) & (terrain != np.float32(NODATA))
     return np.where(both, np.maximum(heights, terrain), heights), both & (terrain - heights > deep)
 
@@ -83,12 +83,12 @@ def above_terrain(heights: Heights, terrain: Heights, deep: float) -> tuple[Heig
 def surface_heights(
     store: TileStore, work: SurfaceBlock
 ) -> tuple[Heights, npt.NDArray[np.bool_], dict[str, Any]]:
-    """Heights of any block whatever the terrain, where they are measured, and the record; see `surface_block`."""
+    """Return the heights of any block without the terrain's limit, where they are measured, and the record."""
     block, bounds, limit = work.block, work.spec.block_bounds(work.block), full_halo(work.max_edge)
     own = _returns(store, work, block)
     measured = own[..., 2] != NOTHING
     heights = np.where(measured, own[..., 2] / COUNTS_PER_UNIT, NODATA).astype(np.float32)
-    # Where every pixel has a return there is nothing to interpolate.
+    # A block with a return in every pixel needs no interpolation.
     halo, tries, marked = 0, 1, 0
     while not measured.all():
         halo = min(max(2 * halo, work.halo, math.ceil(work.spec.lattice.size)), limit)
@@ -116,7 +116,7 @@ def surface_heights(
 
 
 def _vertices(store: TileStore, work: SurfaceBlock, window: Bounds) -> Int32:
-    """Local counts (3, n) of the pixels' returns in a window; pixels that it cuts are judged whole."""
+    """Return the pixels' returns in a window, local counts (3, n). Pixels at its border are processed whole."""
     lattice, spec = work.spec.lattice, work.spec
     west, east = lattice.index_of(window.x0), lattice.index_of(window.x1 - 1) + 1
     south, north = lattice.index_of(window.y0), lattice.index_of(window.y1 - 1) + 1
@@ -128,7 +128,7 @@ def _vertices(store: TileStore, work: SurfaceBlock, window: Bounds) -> Int32:
 
 
 def _returns(store: TileStore, work: SurfaceBlock, block: Block) -> Int32:
-    """Highest supported return of each pixel, int32 (height, width, 3), bucket by bucket."""
+    """Return the highest supported return of each pixel, int32 (height, width, 3)."""
     reach, origin = work.reach, store.meta.frame.origin
     wider = Block(block.row - reach, block.col - reach, block.height + 2 * reach, block.width + 2 * reach)
     bounds = work.spec.block_bounds(wider)
@@ -143,5 +143,5 @@ def _returns(store: TileStore, work: SurfaceBlock, block: Block) -> Int32:
 
 
 def reach_pixels(pixel_m: Fraction) -> int:
-    """Pixels around in which a return looks for support: the next one, and all within a metre."""
+    """Return the radius in pixels in which a return searches for support: at least 1, and a metre."""
     return max(math.ceil(1 / pixel_m), 1)

@@ -1,4 +1,4 @@
-"""Chooses the ground points that make the surface: all, or one of each cell if points are many or noisy."""
+"""Choice of the ground points for the TIN: all, or one per cell if points are dense or noisy."""
 
 from __future__ import annotations
 
@@ -21,16 +21,16 @@ Int64 = npt.NDArray[np.int64]
 
 
 def max_points_in_bucket(points: int, buckets: Lattice, thin: Lattice | None) -> int:
-    """Most points of a bucket that may make the surface: one in each cell of ``thin``."""
+    """Return the largest number of points of a bucket that may be in the TIN: one per cell of ``thin``."""
     return points if thin is None else min(points, math.ceil(buckets.size / thin.size + 1) ** 2)
 
 
 def surface_ground(store: TileStore, work: GridBlock, window: Bounds) -> tuple[Ground, Counts]:
-    """Ground points read, and the coordinates of those in the window that make the TIN."""
+    """Read the ground points of a window. Return them, and the coordinates of the points for the TIN."""
     if work.thin is None:
         ground = read_ground(store, work.rule, window)
         return ground, ground.xyz
-    # Cells that the window cuts are read whole, so that all windows choose the same point in them.
+    # Cells that the window cuts are read whole, so that the same point is chosen in them for all windows.
     origin = store.meta.frame.origin
     choose = _choice(work.thin, work.percent, origin)
     by_bucket = partial(_whole_cells, choose, work.thin, store.meta.bucket, origin)
@@ -40,7 +40,7 @@ def surface_ground(store: TileStore, work: GridBlock, window: Bounds) -> tuple[G
 
 
 def _choice(cell: Lattice, percent: int | None, origin: tuple[int, int]) -> Callable[[Counts], Index]:
-    """The function that chooses the point of each cell that makes the surface."""
+    """Return the function that chooses the point of each cell for the TIN."""
     if percent is None:
         return partial(central_points, origin=origin, lattice=cell)
     return partial(ranked_points, origin=origin, lattice=cell, percent=percent)
@@ -54,21 +54,21 @@ def _whole_cells(
     cell: Cell,
     xyz: Counts,
 ) -> Index:
-    """The points of a bucket that may make the surface: one of each cell that it holds whole, all of the others."""
+    """Return the points of a bucket that may be in the TIN: one of each cell wholly inside it, and all others."""
     whole = PointBlock(xyz).inside(thin.within(buckets.bounds(cell)), origin)
     inner = np.flatnonzero(whole)
     return np.append(inner[choose(xyz[:, inner])], np.flatnonzero(~whole))
 
 
 def central_points(xyz: Counts, origin: tuple[int, int], lattice: Lattice) -> Index:
-    """Indices of the point nearest to the centre of each cell; of equal ones the first by (x, y, z).
+    """Return the indices of the points nearest to the centre of each cell, ties in the order of (x, y, z).
 
-    The nearest to the centre, not the lowest, so that the surface is not lowered on average.
+    The nearest point does not lower the surface on average, as the lowest point would.
 
     Parameters
     ----------
     xyz : int32, shape (3, n)
-        Local counts; whole cells only, as the choice needs all points of a cell.
+        Local counts of points of whole cells, as the choice needs all points of a cell.
     origin : tuple of int
         Absolute counts of the local 0.
     lattice : Lattice
@@ -83,16 +83,17 @@ def central_points(xyz: Counts, origin: tuple[int, int], lattice: Lattice) -> In
 
 
 def ranked_points(xyz: Counts, origin: tuple[int, int], lattice: Lattice, percent: int) -> Index:
-    """Indices of the point at a percentile of the heights of each cell: 50 is the (lower) median, 0 the lowest.
+    """Return the indices of the points at a percentile of the heights of each cell.
 
-    A measured point, not a mean: on a slope it lies on the surface wherever in its cell it is. Ties go by (z, x, y).
+    Percentile 50 is the (lower) median, 0 the lowest point. A measured point, unlike a mean, lies on the surface
+    wherever it is in its cell. Ties are in the order of (z, x, y).
 
     Parameters
     ----------
     xyz, origin, lattice
-        As those of `central_points`, cells of any size.
+        Parameters of `central_points`, with cells of any size.
     percent : int
-        Of n sorted points the one with index ``(n - 1) * percent // 100`` is taken.
+        Percentile. Of n sorted points, the one with index ``(n - 1) * percent // 100`` is chosen.
     """
     x, y, ix, iy = _in_cells(xyz, origin, lattice)
     order = _sorted_in_cells(x, y, xyz[2].astype(np.int64), ix, iy)
@@ -103,14 +104,14 @@ def ranked_points(xyz: Counts, origin: tuple[int, int], lattice: Lattice, percen
 
 
 def _sorted_in_cells(x: Int64, y: Int64, z: Int64, ix: Int64, iy: Int64) -> Index:
-    """Indices of points sorted by cell, height, x and y, which is their order by (iy, ix, z, x, y)."""
+    """Return the indices of points in the order of (iy, ix, z, x, y)."""
     if len(x) == 0:
         return np.zeros(0, np.int64)
     col, row, low = int(ix.min()), int(iy.min()), int(z.min())
     columns, heights = int(ix.max()) - col + 1, int(z.max()) - low + 1
     if (int(iy.max()) - row + 1) * columns * heights >= 1 << 63:
         return np.lexsort((y, x, z, ix, iy))
-    # One sort by one number, several times as fast as five; those alike in it are sorted once more.
+    # One sort by one number is several times as fast as five. Points with equal numbers are sorted once more.
     keys = ((iy - row) * columns + (ix - col)) * heights + (z - low)
     order: Index = np.argsort(keys)
     alike = np.diff(keys[order]) == 0
@@ -121,12 +122,12 @@ def _sorted_in_cells(x: Int64, y: Int64, z: Int64, ix: Int64, iy: Int64) -> Inde
 
 
 def _in_cells(xyz: Counts, origin: tuple[int, int], lattice: Lattice) -> tuple[Int64, Int64, Int64, Int64]:
-    """Absolute x and y of points, and column and row of the cell of each."""
+    """Return the absolute x and y of points, and the column and row of their cells."""
     x, y = (xyz[axis].astype(np.int64) + origin[axis] for axis in (0, 1))
     return x, y, lattice.index(x), lattice.index(y)
 
 
 def _starts(ix: Int64, iy: Int64) -> Index:
-    """Where each cell begins in points that are sorted by cells."""
+    """Return the first index of each cell in points that are sorted by cells."""
     differs = (np.diff(ix) != 0) | (np.diff(iy) != 0)
     return np.flatnonzero(np.append(True, differs)[: len(ix)])

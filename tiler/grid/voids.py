@@ -1,8 +1,8 @@
-"""Fills voids inside the survey from the TIN of each void's rim.
+"""Voids inside the survey, filled from the TIN of the pixels around each void.
 
-No halo bounds the facets over a hole, so holes are found by coarse cells, block by block, and joined; each is filled
-from all pixels with a height that touch it, whichever blocks they lie in. The triangulation is unique, so blocks do not
-show.
+A halo of any width may be too small for the facets over a hole. So holes are found by coarse cells, block by block, and
+joined. Each hole is filled from all pixels with a height that touch it, in whichever block they lie. The triangulation
+is unique, so borders of blocks are not visible.
 """
 
 from __future__ import annotations
@@ -33,24 +33,25 @@ PIECE = BLOCK_PIXELS
 """Side in pixels of the pieces that are processed one at a time."""
 
 NEAR = 2
-"""Pixels: heights farther from a hole have no influence on how it is filled."""
+"""Distance from a hole, in pixels, beyond which heights do not influence how it is filled."""
 
 
 @dataclass(frozen=True)
 class VoidRasters:
-    """The rasters that say where a model has voids.
+    """Rasters from which the voids of a model are found.
 
     Attributes
     ----------
     heights : str
-        The model.
+        Raster of the model.
     spec : RasterSpec
-        Of its pixels.
+        Raster of the model's pixels.
     survey : str
+        Raster of the survey.
     coarse : RasterSpec
-        Of the cells of the survey.
+        Raster of the survey's cells.
     numbers : str
-        The raster of the same cells with the label of the void in each, which differs from block to block.
+        Raster of the same cells with the label of the void in each. Labels differ from block to block.
     """
 
     heights: str
@@ -62,21 +63,21 @@ class VoidRasters:
 
 @dataclass(frozen=True, kw_only=True)
 class FindVoids(BlockWork):
-    """Work: label the voids of one block of coarse cells; ``rasters``: its place in the rasters."""
+    """Arguments of `find_voids`: a block of coarse cells of ``rasters``."""
 
     rasters: VoidRasters
 
 
 @dataclass(frozen=True)
 class Void:
-    """A void of a model: the areas that it has in each block of coarse cells."""
+    """Void of a model: its areas in each block of coarse cells."""
 
     pieces: tuple[Piece, ...]
 
 
 @dataclass(frozen=True)
 class FillBlock:
-    """A block of a model with its voids filled.
+    """Arguments of `fill_block`.
 
     Attributes
     ----------
@@ -84,9 +85,9 @@ class FillBlock:
     block : Block
     rasters : VoidRasters
     voids : tuple of Void
-        Those that may touch the block.
+        Voids that may touch the block.
     edits : str or None
-        Key in the store of corrections of heights; which of them touch a block is in its digest.
+        Key in the store of edits of heights. The digest includes those that touch the block.
     """
 
     name: str
@@ -101,16 +102,16 @@ class FillBlock:
 
 
 def find_voids(store_url: str, work: FindVoids) -> dict[str, Any]:
-    """Label the holes of a raster of heights in one block of coarse cells; a `tiler.schedule.task.Work`.
+    """Label the holes of a raster of heights in one block of coarse cells.
 
-    Coarse cells that hold, or lie within, a pixel without a height inside of the survey; those that touch belong to one
-    hole.
+    This is a `tiler.schedule.task.Work`. Cells of a hole contain, or lie within, a pixel without a height inside the
+    survey. Cells that touch belong to one hole.
 
     Returns
     -------
     dict
-        ``sides`` and ``labels`` (their number), see `tiler.grid.pieces`; ``blocks``: for each label the blocks of the
-        model that it comes within `NEAR` pixels of, as `block_runs` gives them; ``filled``; ``checksum``.
+        ``sides`` and ``labels`` (number of labels), see `tiler.grid.pieces`; ``blocks``: for each label, the blocks of
+        the model within `NEAR` pixels, as `block_runs` returns them; ``filled``; ``checksum``.
     """
     store, coarse, block = open_store(store_url), work.spec, work.block
     rasters, spec = work.rasters, work.rasters.spec
@@ -138,7 +139,7 @@ def find_voids(store_url: str, work: FindVoids) -> dict[str, Any]:
 
 
 def _around_small_pixels(store: TileStore, rasters: VoidRasters, block: Block) -> Bools:
-    """Cells of a block that hold the centre of an empty pixel."""
+    """Return a mask of the cells of a block that contain the centre of an empty pixel."""
     coarse, spec = rasters.coarse, rasters.spec
     empty = np.zeros((block.height, block.width), np.bool_)
     for piece in blocks_under(coarse, spec, block, PIECE):
@@ -152,7 +153,7 @@ def _around_small_pixels(store: TileStore, rasters: VoidRasters, block: Block) -
 
 
 def _within_large_pixels(store: TileStore, rasters: VoidRasters, block: Block) -> Bools:
-    """Cells of a block whose centre lies in an empty pixel."""
+    """Return a mask of the cells of a block whose centre lies in an empty pixel."""
     coarse, spec = rasters.coarse, rasters.spec
     empty = np.zeros((block.height, block.width), np.bool_)
     rows, cols = coarse_cells(spec, coarse, block)
@@ -165,10 +166,10 @@ def _within_large_pixels(store: TileStore, rasters: VoidRasters, block: Block) -
 
 
 def fill_block(store_url: str, work: FillBlock) -> dict[str, Any]:
-    """Write one block of the heights with holes filled; a `tiler.schedule.task.Work`.
+    """Write one block of the heights with holes filled. This is a `tiler.schedule.task.Work`.
 
-    Linear on the TIN of the centres of all pixels around a hole, their heights rounded to counts. What no facet covers,
-    where a hole is open to one side, stays without.
+    Heights are linear on the TIN of the centres of all pixels around a hole, with heights rounded to counts. Pixels
+    outside all facets, as in a hole that is open to one side, stay without a height.
 
     Returns
     -------
@@ -192,7 +193,7 @@ def fill_block(store_url: str, work: FillBlock) -> dict[str, Any]:
 
 
 def _void(store: TileStore, rasters: VoidRasters, block: Block) -> npt.NDArray[np.bool_]:
-    """Pixels without a height inside of the survey."""
+    """Return a mask of the pixels without a height inside the survey."""
     empty: npt.NDArray[np.bool_] = store.read_block(rasters.heights, block) == np.float32(NODATA)
     if empty.any():
         empty &= coarse_values(store, rasters.survey, rasters.coarse, rasters.spec, block) >= SURVEYED
@@ -200,7 +201,7 @@ def _void(store: TileStore, rasters: VoidRasters, block: Block) -> npt.NDArray[n
 
 
 def _holds(store: TileStore, rasters: VoidRasters, void: Void, block: Block) -> Bools:
-    """Pixels of a block in the coarse cells of a void."""
+    """Return a mask of the pixels of a block in the coarse cells of a void."""
     window = coarse_window(rasters.coarse, rasters.spec, block)
     cells = cells_of(store, rasters.numbers, rasters.coarse, window, void.pieces)
     rows, cols = coarse_cells(rasters.coarse, rasters.spec, block)
@@ -208,7 +209,7 @@ def _holds(store: TileStore, rasters: VoidRasters, void: Void, block: Block) -> 
 
 
 def _rim(store: TileStore, rasters: VoidRasters, void: Void) -> tuple[Int32, Int32, Int32]:
-    """Local counts x, y, z of the centres of the pixels with a height that touch a hole, piece by piece."""
+    """Return the local counts x, y, z of the centres of the pixels with a height that touch a hole."""
     spec, coarse = rasters.spec, rasters.coarse
     cores: set[Block] = set()
     for area in void.pieces:
@@ -222,7 +223,7 @@ def _rim(store: TileStore, rasters: VoidRasters, void: Void) -> tuple[Int32, Int
 
 
 def _rim_of_piece(store: TileStore, rasters: VoidRasters, void: Void, core: Block) -> npt.NDArray[np.int64]:
-    """Absolute counts (3, n) of the rim's pixels in ``core``; its neighbours' empty pixels count as well."""
+    """Return the absolute counts (3, n) of the rim's pixels in ``core``, also at its border."""
     spec = rasters.spec
     top, left = max(core.row - 1, 0), max(core.col - 1, 0)
     bottom, right = min(core.row + core.height + 1, spec.height), min(core.col + core.width + 1, spec.width)

@@ -1,10 +1,10 @@
-"""Where water is, from coarse cells: by the input's class, or as flat low land with few returns between rising banks.
+"""Candidates for water: by the input's class, or flat, low, with few returns and rising banks.
 
-Lasers get few returns from water, often none, and what returns is flat; but so are shadows of buildings, gaps between
-strips, wet asphalt, and dark lawns. Only water lies everywhere lower than what is around it. So a candidate is a
-connected area of void or sparse flat cells, and it is water if the ground some metres from its shore is higher than
-the shore almost all around, and lower nowhere. The land around an area is counted block by block and added up, so that
-no area needs to be seen at once.
+Laser scanners get few returns from water, often none, and its returns are flat. The same is true of shadows of
+buildings, gaps between strips, wet asphalt and dark lawns, but only water is lower than everything around it. So a
+candidate is a connected area of void or sparse flat cells. It is water if the ground some metres from its shore is
+higher than the shore almost all around, and lower nowhere. The land around an area is counted block by block and added
+up, so that large areas need not be in memory.
 """
 
 from __future__ import annotations
@@ -23,33 +23,33 @@ Bools = npt.NDArray[np.bool_]
 Floats = npt.NDArray[np.float64]
 
 ENOUGH_RETURNS = 8
-"""Least median of the returns in cells that have any; with fewer, an empty cell may be an accident."""
+"""Least median of the returns in cells with returns. With fewer returns, a cell may be empty by chance."""
 SPARSE = 0.6
-"""Share of the median number of returns below which the mean of the cells near a cell counts as few."""
+"""Share of the median number of returns below which the mean of the cells around a cell counts as few."""
 SPARSE_CELLS = 5
 FLAT_M = 0.35
-"""Difference of height between neighbouring cells of water, noise included."""
+"""Largest difference of height between neighbouring cells of water, noise included."""
 MIN_WIDTH_M = 6
-"""What is narrower is no candidate: shadows, hedges."""
+"""Least width of a candidate, which excludes shadows and hedges."""
 
 SHORE_M, RING_M = 3.0, (7.0, 13.0)
-"""Width of the shore, and distances from the water between which the land has risen."""
+"""Width of the shore, and limits of the distance of the ring from the water, in which the land has risen."""
 NEAREST = 20
-"""Cells of the shore with which a place of the ring is compared,"""
+"""Number of cells of the shore with which a cell of the ring is compared."""
 LOW_PERCENT = 20
-"""and the percentile of their heights."""
+"""Percentile of the heights of these cells of the shore."""
 PLACES_PER_BATCH = 1 << 14
-"""Each takes some 600 bytes while it is compared."""
+"""Number of cells of the ring that are compared in one batch, with about 600 bytes each."""
 RISE_M, FALL_M = 0.3, 0.2
-"""Least difference of height by which a place of the ring is above, or below, the shore."""
+"""Least difference of height by which a cell of the ring is above, or below, the shore."""
 MIN_RISING, MAX_FALLING = 0.6, 0.05
-"""Around water, at least this share of the ring is above the shore, and at most that share below it."""
+"""Least share of the ring above the shore, and largest share below it, for water."""
 MIN_KNOWN = 0.4
-"""Least share of the shore that has ground heights: with less nothing is decided."""
+"""Least share of the shore with ground heights from which an area can be classified."""
 MIN_CELLS = 20
-"""Fewest cells of shore and of ring with which anything is decided."""
+"""Least number of cells of shore and of ring from which an area can be classified."""
 GIVEN_SHARE = 0.03
-"""A candidate with this share of cells that the input calls water is water, unless its ring is lower."""
+"""Least share of cells of class water that makes a candidate water, unless its ring is lower."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -59,15 +59,15 @@ class WaterCells:
     Attributes
     ----------
     returns : float32
-        Points in each cell.
+        Number of points in each cell.
     given : bool
-        Most of them are water by the input.
+        Whether most of them are water by the input.
     ground : float64
-        Height of the terrain, metres; NaN where there is none.
+        Height of the terrain in metres; NaN for none.
     domain : bool
         Cells of the survey, and of gaps that could be water.
     size : float
-        Metres of a cell.
+        Side of a cell in metres.
     """
 
     returns: npt.NDArray[np.float32]
@@ -77,7 +77,7 @@ class WaterCells:
     size: float
 
     def coarser(self) -> WaterCells:
-        """Two by two cells as one; a row or column that is left over is joined by empty ones."""
+        """Merge cells two by two. A remaining row or column is merged with empty cells."""
         pads = [(0, side % 2) for side in self.returns.shape]
 
         def fours(values: npt.NDArray[Any], fill: Any) -> npt.NDArray[Any]:
@@ -96,7 +96,7 @@ class WaterCells:
         )  # fmt: skip
 
     def finer(self, times: int) -> WaterCells:
-        """Each cell as ``times`` by ``times`` cells with its values."""
+        """Divide each cell into ``times`` by ``times`` cells with its values."""
 
         def repeated(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
             return values.repeat(times, axis=0).repeat(times, axis=1)
@@ -107,11 +107,11 @@ class WaterCells:
         )  # fmt: skip
 
     def with_ground(self, ground: Floats) -> WaterCells:
-        """The same cells with other heights."""
+        """Return the same cells with other heights."""
         return replace(self, ground=ground)
 
     def cut(self, window: tuple[slice, slice]) -> WaterCells:
-        """The cells of a window."""
+        """Return the cells of a window."""
         return replace(
             self, returns=self.returns[window], given=self.given[window], ground=self.ground[window],
             domain=self.domain[window],
@@ -119,18 +119,18 @@ class WaterCells:
 
 
 class Rim(NamedTuple):
-    """Cells of the land around an area, added up over blocks.
+    """Numbers of cells of the land around an area, added up over blocks.
 
     Attributes
     ----------
     beside : int
-        Cells of the domain beside the area.
+        Cells of the domain next to the area.
     shore : int
-        Those of them with a height and returns.
+        Cells next to the area with a height and returns.
     ring : int
         Cells with a height and returns between the distances `RING_M`.
     rising, falling : int
-        Those of them that are above, and below, the shore.
+        Cells of the ring that are above, and below, the shore.
     """
 
     beside: int = 0
@@ -140,12 +140,12 @@ class Rim(NamedTuple):
     falling: int = 0
 
     def plus(self, other: Rim) -> Rim:
-        """The sum of two counts."""
+        """Return the sum of two counts."""
         return Rim(*(mine + theirs for mine, theirs in zip(self, other, strict=True)))
 
     @property
     def known(self) -> bool:
-        """Whether so much of the land is known that anything can be decided."""
+        """Whether enough of the land is known to classify the area."""
         return min(self.shore, self.ring) >= MIN_CELLS and self.shore >= MIN_KNOWN * self.beside
 
     @property
@@ -160,32 +160,32 @@ class Rim(NamedTuple):
 
     @property
     def sure(self) -> float:
-        """How sure it is that what lies within is water, where enough of the ring rises."""
+        """Confidence that the area is water, if enough of the ring rises."""
         return round(0.5 + 0.45 * (self.rises - MIN_RISING) / (1 - MIN_RISING) - 2 * self.falls, 2)
 
 
 class Size(NamedTuple):
-    """Cells of an area, added up over blocks: all, and those that the input calls water."""
+    """Number of cells of an area, added up over blocks: all, and cells that are water by the input."""
 
     cells: int = 0
     given: int = 0
 
     @property
     def is_given(self) -> bool:
-        """Whether the input calls enough of the area water."""
+        """Whether enough of the area is water by the input."""
         return 0 < self.given >= GIVEN_SHARE * self.cells
 
 
 def water_areas(cells: WaterCells, usual: float | None) -> Bools:
-    """Cells that may be water; connected ones are one candidate.
+    """Return a mask of the cells that may be water. Connected cells are one candidate.
 
     Parameters
     ----------
     cells : WaterCells
-        Of a size at which one without a return is significant.
+        Cells of a size at which a cell without returns is significant.
     usual : float or None
-        Median of the returns of the cells around here with any; None where few returns are no sign of water, as in
-        matched clouds, which have holes anywhere: there the input's class decides.
+        Median of the returns of the cells in this region with returns. None: few returns are not a sign of water, as in
+        photogrammetric clouds, which have holes anywhere, so the input's class decides.
     """
     candidates = cells.given
     if usual is not None:
@@ -196,12 +196,12 @@ def water_areas(cells: WaterCells, usual: float | None) -> Bools:
 
 
 def flat_cells(cells: WaterCells) -> Bools:
-    """Cells with as little relief as water has."""
+    """Return a mask of the cells with as little relief as water."""
     return _relief(cells.ground) < FLAT_M
 
 
 def sparse_cells(cells: WaterCells, flat: Bools, usual: float) -> Bools:
-    """Cells of the survey without a return, and flat ones with few returns around them."""
+    """Return a mask of the cells of the survey without returns, and of flat ones with few returns around them."""
     some = cells.returns > 0
     total, held = (
         scipy.ndimage.uniform_filter(v.astype(np.float64), SPARSE_CELLS) for v in (cells.returns, some)
@@ -210,7 +210,7 @@ def sparse_cells(cells: WaterCells, flat: Bools, usual: float) -> Bools:
 
 
 def judged(size: Size, rim: Rim) -> float | None:
-    """How sure it is that an area is water, by the land around it; None where it is none."""
+    """Return the confidence that an area is water, by the land around it, or None if it is not water."""
     if size.is_given:
         return None if rim.known and rim.falls >= 5 * MAX_FALLING else 0.95
     if not rim.known or rim.rises < MIN_RISING or rim.falls > MAX_FALLING:
@@ -219,15 +219,15 @@ def judged(size: Size, rim: Rim) -> float | None:
 
 
 def rim_of(cells: WaterCells, mine: Bools, others: Bools, counted: Bools) -> Rim:
-    """The land around an area.
+    """Count the land around an area.
 
     Parameters
     ----------
     cells : WaterCells
     mine, others : bool, shape of the cells
-        The area, and other candidates, which are no land.
+        Masks of the area, and of other candidates, which do not count as land.
     counted : bool
-        The cells that are counted; the others serve as neighbours.
+        Mask of the cells that are counted. Other cells are only neighbours.
     """
     distance = distances(mine, RING_M[1] / cells.size + 1)
     distance *= cells.size
@@ -247,7 +247,7 @@ def rim_of(cells: WaterCells, mine: Bools, others: Bools, counted: Bools) -> Rim
 def _near_ground(
     ground: Floats, known: Bools, places: npt.NDArray[np.int64], level: Callable[[Floats], Floats]
 ) -> Floats:
-    """What ``level`` makes of the ground [n, k] of the known cells that are nearest to each place (row, column)."""
+    """Return ``level`` of the ground [n, k] of the k nearest known cells of n places (row, column)."""
     heights, tree = ground[known], scipy.spatial.cKDTree(np.argwhere(known))
     found = np.empty(len(places))
     for first in range(0, len(places), PLACES_PER_BATCH):
@@ -258,14 +258,14 @@ def _near_ground(
 
 
 def disk(radius: float) -> Bools:
-    """Cells within a radius of the middle one."""
+    """Return a mask of the cells within a radius of the middle one."""
     reach = max(int(radius), 1)
     y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
     return np.asarray(x * x + y * y <= max(radius, 1.0) ** 2)
 
 
 def _relief(ground: Floats) -> Floats:
-    """Highest less lowest ground of a cell and its neighbours; infinite where a neighbour has none."""
+    """Return the height range of each cell and its neighbours, infinite if one of them has no ground."""
     high = scipy.ndimage.maximum_filter(np.where(np.isnan(ground), np.inf, ground), 3)
     low = scipy.ndimage.minimum_filter(np.where(np.isnan(ground), -np.inf, ground), 3)
     return np.asarray(high - low)

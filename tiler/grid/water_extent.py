@@ -1,4 +1,4 @@
-"""Extends water from cells that are water to its shore and beneath bridges, and removes narrow arms and islands."""
+"""Extension of water to its shore and beneath bridges, and removal of its narrow arms and islands."""
 
 from __future__ import annotations
 
@@ -14,23 +14,23 @@ from tiler.grid.reach import Floats, box_around, within
 from tiler.grid.water_cells import WaterCells
 
 LEVEL_M = 0.15
-"""Height of the ground above the water up to which the water goes on."""
+"""Height of the ground above the water up to which water extends."""
 BELOW_M = 0.4
-"""Depth of the ground below the water from which on the water ends: the foot of a dam, or other water."""
+"""Depth of the ground below the water at which water ends, as at the foot of a dam or at other water."""
 DEEP_CELLS = 5
-"""Side, in cells, of the squares that have to be so deep; smaller pits come from low returns."""
+"""Side in cells of the squares that have to be so deep. Smaller pits come from low returns."""
 LEVEL_CELLS, LEVEL_STEP_M = 5, 0.001
-"""Side of the square of cells whose mean height tells where water stands, and the step of these heights."""
+"""Side of the square of cells whose mean height is the water level, and the step of these heights."""
 OUTER_CELLS = 2
-"""Cells at the edge of the water that may be bank."""
+"""Width in cells of the edge of the water that may be bank."""
 NEAR_CELLS = 10
-"""Distance, in cells, within which heights of inner cells replace those of such outer cells."""
+"""Distance in cells within which heights of inner cells replace those of outer cells."""
 BRIDGE_M, UNDER_BRIDGE_M = 14.0, 0.5
-"""Widest bridge under which water goes on, and how much higher the terrain may be there."""
+"""Widest bridge under which water extends, and how much higher the terrain may be there."""
 
 
 def smoothed(ground: Floats) -> Floats:
-    """Heights without pits and peaks of a cell or two: the median of three along rows and columns, twice."""
+    """Remove pits and peaks of a cell or two: the median of three along rows and columns, twice."""
     known = ~np.isnan(ground)
     box = box_around(known, 0)
     part = ground[box]
@@ -44,11 +44,13 @@ def smoothed(ground: Floats) -> Floats:
 
 
 def water_heights(cells: WaterCells, wet: Bools) -> Floats | None:
-    """How high water stands near each cell, metres, by the nearest cells of it with returns; None without such.
+    """Return the water level near each cell in metres, or None if the water has no returns.
 
-    Its outermost cells may be bank, so they count only where no inner one is near. Voids have heights of their banks.
+    The level comes from the nearest cells of water with returns. The outermost cells of the water may be bank, so they
+    count only if there are no inner cells near. Cells without returns do not count, as their heights come from the
+    banks.
     """
-    ground = np.rint(cells.ground / LEVEL_STEP_M)  # whole: sums are exact
+    ground = np.rint(cells.ground / LEVEL_STEP_M)  # sums of whole numbers are exact
     known = wet & (cells.returns > 0) & ~np.isnan(ground)
     if not known.any():
         return None
@@ -62,7 +64,7 @@ def water_heights(cells: WaterCells, wet: Bools) -> Floats | None:
 
 
 def shore_area(cells: WaterCells, water: Bools, reach: int) -> Bools:
-    """Water with the cells beside it, up to ``reach`` away and connected, that are as low as it stands."""
+    """Extend water over connected cells up to ``reach`` away that are as low as its level."""
     found, box = water.copy(), box_around(water, reach)
     near, wet = cells.cut(box), water[box]
     level = water_heights(near, wet)
@@ -77,10 +79,10 @@ def shore_area(cells: WaterCells, water: Bools, reach: int) -> Bools:
 
 
 def close_bridge_gaps(ground: Floats, water: Bools, size_m: float, longest_island: int) -> Bools:
-    """Water with gaps closed that bridges leave, where the terrain between is about as low as the shores.
+    """Close gaps in water under bridges, where the terrain between is about as low as the shores.
 
-    A bridge comes from the bank, so enclosed land of up to ``longest_island`` rows and columns stays; `without_islands`
-    judges it. Longer land may be cut by the border of the array, where nothing tells whether water encloses it.
+    A bridge is connected with the bank, so enclosed land of up to ``longest_island`` rows and columns stays and is left
+    to `without_islands`. Longer land may be cut by the border of the array, which hides whether water encloses it.
     """
     pad = math.ceil(BRIDGE_M / size_m)
     padded = np.pad(water, pad)
@@ -101,20 +103,20 @@ def close_bridge_gaps(ground: Floats, water: Bools, size_m: float, longest_islan
 
 
 def remove_narrow_parts(water: Bools, width: float) -> Bools:
-    """Water without what is narrower than a width in cells; what is left keeps its shore."""
+    """Remove the parts of water narrower than a width in cells. The other parts keep their shore."""
     least = max(width / 2 - 0.5, 1.0)
     inner = ~within(~np.pad(water, 1), math.nextafter(least, 0.0))[1:-1, 1:-1]
     return water & within(inner, width / 2 + 1)
 
 
 def without_islands(water: Bools, least: float) -> Bools:
-    """Water with enclosed land of fewer cells filled; land that touches the border of the array stays."""
+    """Fill enclosed land of fewer than ``least`` cells. Land that touches the border of the array stays."""
     labels, sizes, enclosed = _land(water)
     return np.asarray(water | (enclosed & (sizes < least))[labels])
 
 
 def _land(water: Bools) -> tuple[npt.NDArray[Any], npt.NDArray[Any], Bools]:
-    """Number of the piece of land in each cell, and of each number its cells, and whether water encloses it."""
+    """Label the pieces of land. Return the label of each cell, and size and enclosure by water for each label."""
     labels, number = scipy.ndimage.label(~water)
     sizes = np.bincount(labels.ravel(), minlength=number + 1)
     enclosed: Bools = np.ones(number + 1, np.bool_)

@@ -1,4 +1,4 @@
-"""A body of water from the coarse cells that it lies in: its polygon, and whether it is a lake or a river."""
+"""Polygon and kind (lake or river) of a body of water, from its coarse cells."""
 
 from __future__ import annotations
 
@@ -23,32 +23,32 @@ from tiler.grid.water_shore import MAX_DEPTH_M, REACH_CELLS, depths, shore_polyg
 from tiler.store import TileStore, open_store, read_cells
 
 ROUND = 1 / 3
-"""4 pi area / length of the shore squared, 1 for a disk: what has less is long, and so a river."""
+"""Least roundness of a lake, 4 pi area / (length of the shore)^2, which is 1 for a disk. Others are rivers."""
 MIN_LENGTH = 3
-"""A river is at least so many times as long as it is wide."""
+"""Least ratio of length to width of a river."""
 SIMPLER = 0.15
-"""Cells by which a polygon may differ from its shore, so that it has fewer vertices."""
+"""Largest distance in cells of a simplified polygon from its shore."""
 ONE_EXIT = 5
-"""Cells that leave the survey belong to one exit if they are no farther apart."""
+"""Largest distance of cells at the survey's border that belong to one exit."""
 
 
 @dataclass(frozen=True)
 class DescribeBody:
-    """Work: describe a body of water.
+    """Arguments of `describe_body`.
 
     Attributes
     ----------
     pieces : tuple of Piece
-        Of its cells.
+        Pieces of the body of water.
     water : str
         Raster of the labels of water.
     sources : Sources
     coarse : RasterSpec
-        Of the cells.
+        Raster of the coarse cells.
     sure : float
-        How sure it is that this is water.
+        Confidence that this is water.
     lake_m2, river_width_m, island_m2 : float
-        The smallest that are kept.
+        Least area of a lake, width of a river and area of an island to keep.
     """
 
     pieces: tuple[Piece, ...]
@@ -62,12 +62,12 @@ class DescribeBody:
 
 
 def describe_body(store_url: str, work: DescribeBody) -> dict[str, Any]:
-    """Describe a body of water, piece by piece; a `tiler.schedule.task.Work`.
+    """Describe a body of water, block by block. This is a `tiler.schedule.task.Work`.
 
     Returns
     -------
     dict
-        ``body``: what `Water.to_json` gives, without a level, its number 0; None where it is too small.
+        ``body``: result of `Water.to_json` without a level, with number 0; None if the body is too small.
     """
     import shapely
 
@@ -94,14 +94,14 @@ def describe_body(store_url: str, work: DescribeBody) -> dict[str, Any]:
 
 
 def _blocks(store: TileStore, work: DescribeBody) -> Iterator[tuple[Block, Bools]]:
-    """Each block that holds some of a body, and its cells there; the cells around the block are not set."""
+    """Yield the blocks of a body, and masks of its cells with a margin of one cell that is not set."""
     for row, col in sorted({(piece.row, piece.col) for piece in work.pieces}):
         block = work.coarse.block_at(row, col, BLOCK_PIXELS)
         yield block, np.pad(cells_of(store, work.water, work.coarse, block, work.pieces), 1)
 
 
 def _leaving(mine: Bools, beyond: Bools) -> tuple[Bools, int]:
-    """Cells of a block at the border of the survey, and how many of their sides lie there."""
+    """Return a mask of the cells at the border of the survey, and the number of their sides there."""
     found, sides = np.zeros_like(mine), 0
     for axis, step in ((0, 1), (0, -1), (1, 1), (1, -1)):
         edge = mine & np.roll(beyond, step, axis)
@@ -111,7 +111,7 @@ def _leaving(mine: Bools, beyond: Bools) -> tuple[Bools, int]:
 
 
 def _exits(cells: Any) -> int:
-    """Places at which some cells leave the survey."""
+    """Count the positions at which cells leave the survey."""
     if not len(cells):
         return 0
     near = scipy.spatial.cKDTree(cells).query_pairs(ONE_EXIT, p=math.inf)
@@ -119,14 +119,17 @@ def _exits(cells: Any) -> int:
 
 
 def _kind(area_m2: float, shore_m: float, size_m: float, exits: int) -> tuple[str, float]:
-    """Lake or river, and the mean width in metres; a river is long, or leaves the survey at two places."""
+    """Return the kind, lake or river, and the mean width in metres.
+
+    A river is long, or leaves the survey at two or more positions.
+    """
     length = max(shore_m, size_m)
     river = exits > 1 or 4 * math.pi * area_m2 / length**2 < ROUND
     return (RIVER if river else LAKE), 2 * area_m2 / length
 
 
 def _polygons(store: TileStore, work: DescribeBody, block: Block) -> list[Any]:
-    """Polygons of the water of a block, in absolute counts; those of neighbours overlap."""
+    """Return polygons of the water of a block in absolute counts. They overlap those of neighbouring blocks."""
     window = padded(block, REACH_CELLS)
     wet = cells_of(store, work.water, work.coarse, window, work.pieces)
     box = box_around(wet, REACH_CELLS)
@@ -138,7 +141,7 @@ def _polygons(store: TileStore, work: DescribeBody, block: Block) -> list[Any]:
 
 
 def _without_islands(whole: Any, least: float) -> Any:
-    """A shape without its holes of a smaller area."""
+    """Return a shape without its holes of an area below ``least``."""
     import shapely
 
     found = []
@@ -149,7 +152,7 @@ def _without_islands(whole: Any, least: float) -> Any:
 
 
 def _area(whole: Any, side: float) -> Area:
-    """The area of a polygon of cells, its shore smooth."""
+    """Return the area of a polygon of cells with a smooth shore."""
     import shapely
 
     smooth = shapely.simplify(shapely.normalize(shapely.simplify(whole, 0.0)), SIMPLER * side)

@@ -1,4 +1,4 @@
-"""The final water of a run, block by block: to its shores, beneath bridges, without narrow arms and small islands."""
+"""Final water of a run: extended to its shores and beneath bridges, without narrow arms and small islands."""
 
 from __future__ import annotations
 
@@ -26,28 +26,28 @@ from tiler.grid.work import BlockWork
 from tiler.store import TileStore, open_store, read_cells
 
 SHORE_M = 20.0
-"""Water goes on so far where the ground beside it is as low."""
+"""Distance by which water extends over low ground next to it."""
 MAX_ISLAND_CELLS = 128
-"""Coarse cells around a block in which an island has to lie whole to become water."""
+"""Upper limit in coarse cells of the margin in which an island has to lie whole to become water."""
 
 SEEN_SHARE = 0.25
-"""Share of the least area of an island that has to lie clearly above the water; the flat rest is taken for water.
+"""Share of the least area of an island that has to be clearly above the water.
 
-Its whole area is known when its shore is drawn (`tiler.grid.water_find`).
+Flat parts become water here. The whole area of an island is known when its shore is drawn (`tiler.grid.water_find`).
 """
 
 
 @dataclass(frozen=True, kw_only=True)
 class FinishWater(BlockWork):
-    """Work: label the water of a block, with what lies beneath bridges, without narrow arms and the smallest islands.
+    """Arguments of `finish_water`.
 
     Attributes
     ----------
     sure : tuple of str
-        Rasters of how sure each cell is water.
+        Rasters of the confidence that each cell is water.
     sources : Sources
     river_width_m, island_m2 : float
-        The smallest that are kept.
+        Least width of a river and least area of an island to keep.
     """
 
     sure: tuple[str, ...]
@@ -57,24 +57,25 @@ class FinishWater(BlockWork):
 
 
 def finish_margin(work: FinishWater, size_m: float) -> int:
-    """Coarse cells around a block that its final water depends on."""
+    """Return the margin around a block, in coarse cells, on which its final water depends."""
     reach = math.ceil(SHORE_M / size_m) + math.ceil(2 * BRIDGE_M / size_m)
     return reach + math.ceil(2 * work.river_width_m / size_m) + 2 + _longest_island(work, size_m)
 
 
 def _longest_island(work: FinishWater, size_m: float) -> int:
-    """Rows or columns of the longest island that every window holds whole."""
+    """Return the length in cells of the longest island that lies whole in every window."""
     return min(math.ceil(work.island_m2 / size_m**2), MAX_ISLAND_CELLS)
 
 
 def finish_water(store_url: str, work: FinishWater) -> dict[str, Any]:
-    """Label the final water of a block; a `tiler.schedule.task.Work`.
+    """Label the final water of a block. This is a `tiler.schedule.task.Work`.
 
     Returns
     -------
     dict
-        ``sides`` and ``labels`` (their number), see `tiler.grid.pieces`; ``sizes``: of each the cells, those of them
-        that were found rather than added, and the sum of how sure these are, in hundredths; ``filled``; ``checksum``.
+        ``sides`` and ``labels`` (number of labels), see `tiler.grid.pieces`; ``sizes``: for each label the number of
+        cells, the number of cells that were found rather than added, and the sum of their confidences in hundredths;
+        ``filled``; ``checksum``.
     """
     store, block, spec = open_store(store_url), work.block, work.spec
     size_m = float(spec.lattice.size * store.meta.frame.metres_xy)
@@ -107,7 +108,7 @@ def finish_water(store_url: str, work: FinishWater) -> dict[str, Any]:
 
 
 def _finished(store: TileStore, work: FinishWater, water: Bools, window: Block, size_m: float) -> Bools:
-    """Water of a window up to its shores, with what lies beneath bridges, without narrow arms and small islands."""
+    """Extend the water of a window to its shores and beneath bridges, and remove narrow arms and small islands."""
     cells = read_search_cells(store, work.sources, work.spec, window, 1)
     water = shore_area(cells.with_ground(smoothed(cells.ground)), water, math.ceil(SHORE_M / size_m))
     water = close_bridge_gaps(cells.ground, water, size_m, _longest_island(work, size_m))

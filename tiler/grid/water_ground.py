@@ -1,4 +1,4 @@
-"""Heights of coarse cells in which water is looked for: of the terrain, and of points that the input calls water."""
+"""Heights of coarse cells for the search for water: of the terrain, or of the input's water."""
 
 from __future__ import annotations
 
@@ -22,21 +22,21 @@ from tiler.store import TileStore, coarse_cells, open_store, read_cells
 Floats = npt.NDArray[np.float64]
 
 NEAR_CELLS = 8
-"""A cell without a return is water of the input if the nearest cell with any is, and no farther."""
+"""Largest distance in cells at which a cell without returns is water like the nearest cell with returns."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class GroundCells(BlockWork):
-    """Work: the mean height of the terrain, or of the input's water, in the coarse cells of a block.
+    """Arguments of `ground_cells`: mean heights of the terrain, or of the input's water, in coarse cells.
 
     Attributes
     ----------
     heights : str
-        The terrain.
+        Raster of the terrain.
     pixels : RasterSpec
-        Of the terrain.
+        Raster of the terrain's pixels.
     occupancy : str or None
-        Raster of the points in each cell; None where the input has no water near.
+        Raster of the points in each cell; None if the input has no water near the block.
     rule : GroundSelection
     """
 
@@ -47,9 +47,9 @@ class GroundCells(BlockWork):
 
 
 def ground_cells(store_url: str, work: GroundCells) -> dict[str, Any]:
-    """Write the mean heights in a block, units of the CRS; a `tiler.schedule.task.Work`.
+    """Write the mean heights in a block in units of the CRS. This is a `tiler.schedule.task.Work`.
 
-    Heights are added up as whole counts: their sum does not depend on the order of pixels or points.
+    Heights are added up as whole counts, so that their sum does not depend on the order of pixels or points.
 
     Returns
     -------
@@ -78,14 +78,14 @@ def ground_cells(store_url: str, work: GroundCells) -> dict[str, Any]:
 
 
 def _means(total: Floats, number: npt.NDArray[np.int64]) -> Floats:
-    """Means of counts in units of the CRS; `NODATA` where there is nothing."""
+    """Convert sums and numbers of heights in counts to means in units of the CRS, `NODATA` for none."""
     found = np.full(total.shape, NODATA)
     np.divide(total, number * COUNTS_PER_UNIT, out=found, where=number > 0)
     return found
 
 
 def _given_heights(store: TileStore, work: GroundCells, occupancy: str) -> Floats:
-    """Heights of what the input calls water in the cells of a block, `NODATA` elsewhere."""
+    """Return heights of points that are water by the input in the cells of a block, `NODATA` elsewhere."""
     window = padded(work.block, NEAR_CELLS)
     returns = read_cells(store, occupancy, work.spec, window)
     total, number = np.zeros(returns.size), np.zeros(returns.size, np.int64)

@@ -1,7 +1,7 @@
-"""How high the water of a lake or river stands, from the terrain along its shore, and from that of the water itself.
+"""Level of a lake or river, from the terrain along its shore and from the heights of the water itself.
 
-Water stands where its own returns are, if these are smooth, else at a low percentile of its shore. A lake has one
-level, a river one at each place of its line (`tiler.grid.profile`).
+The level comes from the water's own returns if they are smooth, else it is a low percentile of the shore's heights. A
+lake has one level. A river has a level at each position of its line (`tiler.grid.profile`).
 """
 
 from __future__ import annotations
@@ -26,32 +26,33 @@ from tiler.store import TileStore, open_store
 Floats = npt.NDArray[np.float64]
 
 SHORE_PIXELS = 2
-"""Width of the strip along the water whose heights are used."""
+"""Width in pixels of the strip along the water whose heights are used."""
 STATION_PIXELS = 10
-"""Least distance between the places along a river where its level is estimated."""
+"""Least distance in pixels between the stations of a river."""
 NOISE_M = 0.1
-"""Ground of the shore may be measured so much too low."""
+"""Depth below the level up to which ground of the shore may be measured too low."""
 MAX_WITHIN = 50_000
-"""About how many pixels of the water itself are used at most."""
+"""Approximate largest number of pixels of the water itself that are used."""
 
 
 @dataclass(frozen=True)
 class LevelWater:
-    """Work: estimate the level of a body of water.
+    """Arguments of `level_water`.
 
     Attributes
     ----------
     body : Water
     others : tuple of Area
-        Water beside it, which is no shore.
+        Other water next to the body, which does not count as shore.
     heights : str
-        The terrain.
+        Raster of the terrain.
     spec : RasterSpec
+        Raster of its pixels.
     cells : (str, str) or None
-        Rasters of the points in coarse cells, and of their heights: where there are some, they tell how high the water
-        itself lies; else the pixels of the terrain do.
+        Rasters of the points in coarse cells and of their heights, which give the heights of the water itself. None:
+        the terrain gives them.
     coarse : RasterSpec
-        Of these cells.
+        Raster of these cells.
     """
 
     body: Water
@@ -62,20 +63,20 @@ class LevelWater:
     coarse: RasterSpec
 
     def place(self, buckets: Lattice) -> Bounds | None:
-        """Bounds of the water."""
+        """Return the bounds of the water."""
         return self.body.area.bounds
 
 
 def level_water(store_url: str, work: LevelWater) -> dict[str, Any]:
-    """Find the level of a body of water; a `tiler.schedule.task.Work`.
+    """Estimate the level of a body of water. This is a `tiler.schedule.task.Work`.
 
     Returns
     -------
     dict
         ``shore``: pixels with a height along the water; ``body``: the water with its level (see `Water.to_json`), None
-        where the shore has too few; ``floating``: share of the shore that lies more than `NOISE_M` below the level, and
-        its lowest place as counts x, y, None where there is none; ``uneven``: whether what was seen of a level body
-        differs by more than waves do.
+        if shore and water have too few pixels; ``floating``: share of the shore that lies more than `NOISE_M` below the
+        level, and its lowest position as counts x, y, None if the share is 0; ``uneven``: whether heights of a level
+        body differ by more than waves do.
     """
     store, body = open_store(store_url), work.body
     frame = store.meta.frame
@@ -104,7 +105,7 @@ def level_water(store_url: str, work: LevelWater) -> dict[str, Any]:
 
 
 def _floating(body: Water | None, shore: Counts, noise: float) -> tuple[float, list[int] | None]:
-    """Share of the shore that lies below the level by more than noise, and its lowest place."""
+    """Return the share of the shore below the level by more than noise, and its lowest position, if any."""
     if body is None or not shore.shape[1]:
         return 0.0, None
     deep = body.heights(shore[0], shore[1]) - shore[2]
@@ -113,7 +114,7 @@ def _floating(body: Water | None, shore: Counts, noise: float) -> tuple[float, l
 
 
 def heights_of(store: TileStore, work: LevelWater) -> tuple[Counts, Counts]:
-    """Absolute counts x, y, z of pixels with a height beside the water, and of some within it: int64 (3, n) each."""
+    """Return absolute counts x, y, z of the shore's pixels, and of some pixels of the water: int64 (3, n) each."""
     spec, area = work.spec, work.body.area
     pixels = polygon_of(area).area / float(spec.lattice.size) ** 2
     step = math.ceil(math.sqrt(max(pixels / MAX_WITHIN, 1.0)))
@@ -143,7 +144,7 @@ def heights_of(store: TileStore, work: LevelWater) -> tuple[Counts, Counts]:
 
 
 def _seen(store: TileStore, work: LevelWater, points: str, ground: str) -> Counts:
-    """Absolute counts x, y, z of the cells within a body that returns came from; int64 (3, n)."""
+    """Return absolute counts x, y, z of cells with returns within the body: int64 (3, n)."""
     coarse, area, found = work.coarse, work.body.area, [np.empty((3, 0), np.int64)]
     cells = polygon_of(area).area / float(coarse.lattice.size) ** 2
     step = math.ceil(math.sqrt(max(cells / MAX_WITHIN, 1.0)))
@@ -163,7 +164,7 @@ def _seen(store: TileStore, work: LevelWater, points: str, ground: str) -> Count
 
 
 def _padded(spec: RasterSpec, block: Block, reach: int) -> Block:
-    """A block and the pixels around it, as far as the raster reaches."""
+    """Return a block and the pixels around it within the raster."""
     top, left = max(block.row - reach, 0), max(block.col - reach, 0)
     bottom = min(block.row + block.height + reach, spec.height)
     right = min(block.col + block.width + reach, spec.width)
@@ -171,7 +172,7 @@ def _padded(spec: RasterSpec, block: Block, reach: int) -> Block:
 
 
 def _profile(body: Water, shore: Counts, within: Counts, least: float, scale: Scale) -> Profile | None:
-    """The profile of a river; None where it is too small for a line."""
+    """Return the profile of a river, or None if it is too small for a line."""
     shape = polygon_of(body.area)
     line = centreline(shape) if body.flow is None else body.flow[:, :2].astype(np.float64)
     if line is None or len(line) < 2:

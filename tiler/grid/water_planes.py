@@ -1,9 +1,9 @@
-"""Planes of water: areas as level as water alone is, with however many returns, held by land that rises around them.
+"""Planes of water: level areas with any number of returns, surrounded by rising land.
 
-Water with waves, below weirs and at fords, returns as much as land, and crowns over its banks hide its shore; but it
-stays as level as no land does over tens of metres. A connected area of level ground is water if the land around it
-rises, as around areas of few returns (`tiler.grid.water_cells`), and if much of it has few returns, or the input
-calls some of it water, or water of such evidence lies beside it: a dam may lie between.
+Water with waves, below weirs and at fords, has as many returns as land, and crowns over its banks hide its shore. But
+it is level over tens of metres, which land is not. A connected area of level ground is water if the land around it
+rises, as around areas of few returns (`tiler.grid.water_cells`), and if there is further evidence. This is few returns
+in much of it, water by the input in some of it, or water with such evidence next to it, perhaps beyond a dam.
 """
 
 from __future__ import annotations
@@ -41,22 +41,22 @@ from tiler.grid.water_search import (
 from tiler.store import open_store
 
 LEVEL_CELLS = 3
-"""Side of the square of cells, heights smoothed, within which"""
+"""Side in cells of the square in which smoothed heights are compared."""
 RELIEF_M = 0.08
-"""water has at most this difference of height: waves, and a fall of 1 %."""
+"""Largest difference of height of water in that square: waves, and a fall of 1 %."""
 SHORE_CELLS = 5
-"""A shore lies at most so far from a plane: smoothing and the relief of the bank take so many cells."""
+"""Largest distance in cells of a shore from its plane, by smoothing and by the relief of the bank."""
 SPARSE_SHARE = 0.5
-"""A plane with this share of cells with few returns may be water by itself."""
+"""Least share of cells with few returns for which a plane may be water by itself."""
 DAM_M = 40.0
-"""Water with as many returns as land has other water so near; a dam may lie between."""
+"""Largest distance to other water for a plane with as many returns as land. A dam may lie between."""
 BESIDE_M = DAM_M + 20
-"""Distance beside a plane and its shore that is looked at, in metres."""
+"""Distance in metres around a plane and its shore that is examined."""
 AROUND = np.ones((3, 3), np.bool_)
 
 
 class Plane(NamedTuple):
-    """A plane, added up over blocks: cells, those that the input calls water, and those with few returns."""
+    """Number of cells of a plane, added up over blocks: all, water by the input, and few returns."""
 
     cells: int = 0
     given: int = 0
@@ -64,20 +64,20 @@ class Plane(NamedTuple):
 
     @property
     def is_evident(self) -> bool:
-        """Whether it may be water by itself."""
+        """Whether the plane may be water by itself."""
         return self.sparse >= SPARSE_SHARE * self.cells or self.given >= GIVEN_SHARE * self.cells
 
 
 @dataclass(frozen=True, kw_only=True)
 class CountPlaneRims(AreasWork):
-    """Work: count the land around planes in a block, and find those beside one another.
+    """Arguments of `count_plane_rims`.
 
     Attributes
     ----------
     evident : tuple of Piece
-        Planes that may be water by themselves; no land to one another.
+        Planes that may be water by themselves. They do not count as land around each other.
     others : tuple of Piece
-        Those that may be water beside others; what lies lower beside them is land, water or not.
+        Planes that may be water next to others. All cells around them count as land, water or not.
     """
 
     evident: tuple[Piece, ...]
@@ -86,13 +86,13 @@ class CountPlaneRims(AreasWork):
 
 @dataclass(frozen=True, kw_only=True)
 class KeepPlanes(AreasWork):
-    """Work: write which cells of a block are planes of water; ``kept``: plane, and how sure it is water."""
+    """Arguments of `keep_planes`: the planes that are water as ``kept``, with confidences."""
 
     kept: tuple[tuple[Piece, float], ...]
 
 
 def plane_cells(ground: Floats, domain: Bools) -> Bools:
-    """Cells where smoothed heights are as level as water; without arms of one cell."""
+    """Return a mask of the cells whose smoothed heights are as level as water, without arms of one cell."""
     unknown = np.isnan(ground)
     high = scipy.ndimage.maximum_filter(np.where(unknown, np.inf, ground), LEVEL_CELLS)
     low = scipy.ndimage.minimum_filter(np.where(unknown, -np.inf, ground), LEVEL_CELLS)
@@ -101,13 +101,14 @@ def plane_cells(ground: Floats, domain: Bools) -> Bools:
 
 
 def find_planes(store_url: str, work: FindAreas) -> dict[str, Any]:
-    """Label the planes in a block; a `tiler.schedule.task.Work`.
+    """Label the planes in a block. This is a `tiler.schedule.task.Work`.
 
     Returns
     -------
     dict
-        ``sides`` and ``labels`` (their number), see `tiler.grid.pieces`; ``sizes``: of each a `Plane`; ``boxes``: of
-        each first row and column and the last of its cells; ``times``; ``filled``; ``checksum``.
+        ``sides`` and ``labels`` (number of labels), see `tiler.grid.pieces`; ``sizes``: `Plane` of each label;
+        ``boxes``: first row and column, and last row and column plus 1, of each label; ``times``; ``filled``;
+        ``checksum``.
     """
     store, block = open_store(store_url), work.block
     cells = read_search_cells(store, work.sources, work.spec, padded(block, MARGIN), 1)
@@ -141,13 +142,14 @@ def find_planes(store_url: str, work: FindAreas) -> dict[str, Any]:
 
 
 def count_plane_rims(store_url: str, work: CountPlaneRims) -> dict[str, Any]:
-    """Count the land around planes that lies in a block; a `tiler.schedule.task.Work`.
+    """Count the land around planes that lies in a block. This is a `tiler.schedule.task.Work`.
 
     Returns
     -------
     dict
-        ``rims``: name of each plane, and the `tiler.grid.water_cells.Rim` of it and its shore; of an evident plane also
-        that without the planes beside it that may be water; ``beside``: pairs of a plane and an evident one near it.
+        ``rims``: name of each plane, and the `tiler.grid.water_cells.Rim` of it and its shore. An evident plane has a
+        second rim, which leaves out all planes that may be water. ``beside``: pairs of a plane and an evident one near
+        it.
     """
     evident, among, found, beside = set(work.evident), {*work.evident, *work.others}, [], []
     near = _planes(store_url, work, among)
@@ -172,13 +174,15 @@ def count_plane_rims(store_url: str, work: CountPlaneRims) -> dict[str, Any]:
 
 
 def _rim(cells: WaterCells, water: Bools, others: Bools, counted: Bools) -> Rim:
-    """The land around a plane and its shore, where other planes and their shores are no land."""
+    """Count the land around a plane and its shore, without other planes and their shores."""
     wide = scipy.ndimage.binary_dilation(others, AROUND, iterations=SHORE_CELLS) & ~water
     return rim_of(cells, water, wide, counted)
 
 
 def keep_planes(store_url: str, work: KeepPlanes) -> dict[str, Any]:
-    """Write how sure each cell of a block is a plane of water or its shore, 0 elsewhere; a `tiler.schedule.task.Work`.
+    """Write the confidence that a cell is a plane of water or its shore, 0 elsewhere.
+
+    This is a `tiler.schedule.task.Work`.
 
     Returns
     -------
@@ -197,7 +201,7 @@ def keep_planes(store_url: str, work: KeepPlanes) -> dict[str, Any]:
 
 
 def _planes(store_url: str, work: AreasWork, among: Collection[Piece]) -> AreasAround:
-    """Planes in and around a block, and cells with smoothed heights beside some of them."""
+    """Return the planes in and around a block, with smoothed heights in cells next to the planes ``among``."""
     store = open_store(store_url)
     near = areas_around(store, work, among, BESIDE_M)
     ground = ground_in(store, work.sources.ground, work.spec, near.window)

@@ -1,7 +1,7 @@
-"""Where the water of a run is, block by block: candidates, the land around them, and what is kept.
+"""Search for the water of a run: candidates, the land around them, and the candidates that are water.
 
-Each step reads the rasters of the steps before it with a margin and writes one block; between the steps the coordinator
-joins the areas of all blocks (`tiler.grid.tasks.water_search`).
+Each step reads the rasters of earlier steps with a margin and writes one block. Between steps, the coordinator joins
+the areas of all blocks (`tiler.grid.tasks.water_search`).
 """
 
 from __future__ import annotations
@@ -32,17 +32,17 @@ from tiler.grid.work import BlockWork
 from tiler.store import TileStore, open_store, read_cells
 
 MARGIN, ALIGNED = 64, 16
-"""Coarse cells around a block that the search sees; the most cells that are merged along a side, which divide it."""
+"""Margin around a block in coarse cells, and largest number of cells that are merged along a side."""
 BESIDE_M = RING_M[1] + 2
-"""Around an area so much is compared with it."""
+"""Distance in metres from an area within which land is compared with it."""
 SEEN_CELLS = 8
-"""Around a cell its smoothed height depends on."""
+"""Margin in cells on which the smoothed height of a cell depends."""
 Window = tuple[slice, slice]
 
 
 @dataclass(frozen=True)
 class Sources:
-    """The rasters of coarse cells in which water is looked for.
+    """Rasters of coarse cells for the search for water.
 
     Attributes
     ----------
@@ -57,15 +57,15 @@ class Sources:
 
 @dataclass(frozen=True, kw_only=True)
 class FindAreas(BlockWork):
-    """Work: label the candidates for water in a block.
+    """Arguments of `find_areas` and `find_planes`.
 
     Attributes
     ----------
     sources : Sources
     times : int
-        Cells that are merged along a side, so that one without a return is significant.
+        Number of cells merged along a side, so that a merged cell without returns is significant.
     usual : float or None
-        See `tiler.grid.water_cells.water_areas`.
+        Usual number of returns, see `tiler.grid.water_cells.water_areas`.
     """
 
     sources: Sources
@@ -75,16 +75,16 @@ class FindAreas(BlockWork):
 
 @dataclass(frozen=True, kw_only=True)
 class AreasWork(BlockWork):
-    """Work on the candidates in and around a block.
+    """Arguments of tasks on the candidates in and around a block.
 
     Attributes
     ----------
     sources : Sources
     times : int
     areas : str
-        The raster of their labels.
+        Raster of the labels of candidates.
     joins : tuple of (Piece, Piece)
-        See `tiler.grid.pieces.Joined.joins`.
+        Result of `tiler.grid.pieces.Joined.joins`.
     """
 
     sources: Sources
@@ -95,24 +95,24 @@ class AreasWork(BlockWork):
 
 @dataclass(frozen=True, kw_only=True)
 class CountRims(AreasWork):
-    """Work: count the land around candidates in a block."""
+    """Arguments of `count_rims`."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class KeepAreas(AreasWork):
-    """Work: write which cells of a block are water; ``kept``: area, and how sure it is water."""
+    """Arguments of `keep_areas`: the areas that are water as ``kept``, with confidences."""
 
     kept: tuple[tuple[Piece, float], ...]
 
 
 def find_areas(store_url: str, work: FindAreas) -> dict[str, Any]:
-    """Label the candidates for water in a block; a `tiler.schedule.task.Work`.
+    """Label the candidates for water in a block. This is a `tiler.schedule.task.Work`.
 
     Returns
     -------
     dict
-        ``sides`` and ``labels`` (their number), see `tiler.grid.pieces`; ``sizes``: of each a
-        `tiler.grid.water_cells.Size`; ``times``; ``filled``; ``checksum``.
+        ``sides`` and ``labels`` (number of labels), see `tiler.grid.pieces`; ``sizes``:
+        `tiler.grid.water_cells.Size` of each label; ``times``; ``filled``; ``checksum``.
     """
     store, block = open_store(store_url), work.block
     cells = read_search_cells(store, work.sources, work.spec, padded(block, MARGIN), work.times)
@@ -134,7 +134,7 @@ def find_areas(store_url: str, work: FindAreas) -> dict[str, Any]:
 
 
 def count_rims(store_url: str, work: CountRims) -> dict[str, Any]:
-    """Count the land around the candidates that lies in a block; a `tiler.schedule.task.Work`.
+    """Count the land around the candidates that lies in a block. This is a `tiler.schedule.task.Work`.
 
     Returns
     -------
@@ -152,7 +152,7 @@ def count_rims(store_url: str, work: CountRims) -> dict[str, Any]:
 
 
 def keep_areas(store_url: str, work: KeepAreas) -> dict[str, Any]:
-    """Write how sure each cell of a block is water, 0 where it is none; a `tiler.schedule.task.Work`.
+    """Write the confidence that each cell of a block is water, 0 for land. This is a `tiler.schedule.task.Work`.
 
     Returns
     -------
@@ -167,12 +167,12 @@ def keep_areas(store_url: str, work: KeepAreas) -> dict[str, Any]:
 
 
 def inner_window(block: Block, margin: int) -> Window:
-    """What a window with a margin holds of its block."""
+    """Return the part of a window with a margin that is its block."""
     return slice(margin, margin + block.height), slice(margin, margin + block.width)
 
 
 def ground_in(store: TileStore, name: str, spec: RasterSpec, window: Block) -> Floats:
-    """Heights of the terrain in a window, metres, NaN where there is none."""
+    """Read the heights of the terrain in a window in metres, NaN for none."""
     heights = read_cells(store, name, spec, window, NODATA).astype(np.float64)
     heights[heights == NODATA] = np.nan
     heights *= float(store.meta.frame.units.vertical)
@@ -182,7 +182,7 @@ def ground_in(store: TileStore, name: str, spec: RasterSpec, window: Block) -> F
 def read_search_cells(
     store: TileStore, sources: Sources, spec: RasterSpec, window: Block, times: int
 ) -> WaterCells:
-    """Returns, classes and ground in a window, ``times`` cells along a side as one."""
+    """Read returns, classes and ground in a window, merged ``times`` by ``times``."""
     points = read_cells(store, sources.occupancy, spec, window)
     domain: Bools = read_cells(store, sources.domain, spec, window, float(BEYOND)) != BEYOND
     size_m = float(spec.lattice.size * store.meta.frame.metres_xy)
@@ -196,20 +196,20 @@ def read_search_cells(
 
 @dataclass(frozen=True)
 class AreasAround:
-    """The areas in and around a block, as far as they matter.
+    """Areas in and around a block, in a window of all cells that matter.
 
     Attributes
     ----------
     cells : WaterCells
     numbers : int32, shape of the cells
-        Of the area in each cell, 0 where there is none.
+        Number of the area in each cell, 0 for none.
     names : list of Piece
-        Of the areas with the numbers 1, 2, ...
+        Names of the areas with the numbers 1, 2, ...
     window : Block
-        The cells in the raster.
+        Position of the cells in the raster.
     block : Block
     pad : int
-        Cells beside an area that matter.
+        Number of cells next to an area that matter.
     """
 
     cells: WaterCells
@@ -221,14 +221,14 @@ class AreasAround:
 
     @cached_property
     def counted(self) -> Bools:
-        """Cells of the block itself."""
+        """Mask of the cells of the block itself."""
         found = np.zeros(self.numbers.shape, np.bool_)
         found[self._own[0]] = True
         return found
 
     @property
     def _own(self) -> tuple[Window, Window]:
-        """The part of the window that lies in the block, and its place in the block."""
+        """Part of the window that lies in the block, and its position in the block."""
         top, left = max(self.window.row, self.block.row), max(self.window.col, self.block.col)
         bottom = min(self.window.row + self.window.height, self.block.row + self.block.height)
         right = min(self.window.col + self.window.width, self.block.col + self.block.width)
@@ -240,14 +240,14 @@ class AreasAround:
         return first, second
 
     def of_block(self, values: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-        """Values of the window's cells for all cells of the block, 0 beyond the window."""
+        """Return the values of the window's cells for all cells of the block, 0 beyond the window."""
         found = np.zeros((self.block.height, self.block.width), np.float32)
         here, there = self._own
         found[there] = values[here]
         return found
 
     def windows(self, among: Collection[Piece] | None) -> Iterator[tuple[int, Window]]:
-        """Number of each area, or of some, and the window of it and what is beside it, where that meets the block."""
+        """Yield the numbers of all (or some) areas and their padded windows, if these overlap the block."""
         some = self.names if among is None else among
         for number, window in enumerate(scipy.ndimage.find_objects(self.numbers), start=1):
             if self.names[number - 1] not in some:
@@ -261,7 +261,7 @@ class AreasAround:
 def areas_around(
     store: TileStore, work: AreasWork, among: Collection[Piece] | None, beside_m: float
 ) -> AreasAround:
-    """The areas in and around a block, and the cells up to ``beside_m`` beside all, or beside some, of them."""
+    """Find the areas in and around a block, and read the cells within ``beside_m`` of all (or some) of them."""
     whole = padded(work.block, MARGIN)
     numbers, names = areas_within(store, work.areas, work.spec, whole, work.joins)
     some = names if among is None else among

@@ -1,4 +1,4 @@
-"""The shore of a body of water between its coarse cells: where its level meets the ground of the bank."""
+"""Shore of a body of water between its coarse cells, where its level meets the ground of the bank."""
 
 from __future__ import annotations
 
@@ -14,25 +14,27 @@ from tiler.grid.water_cells import WaterCells
 from tiler.grid.water_extent import water_heights
 
 REACH_CELLS = 24
-"""Cells around a block from which the level of its water is taken."""
+"""Margin around a block in cells from which the level of its water comes."""
 MAX_DEPTH_M, MIN_DEPTH_M = 2.0, 0.02
-"""Largest and smallest height above or below the level that counts, in metres; others are moved to these limits."""
+"""Largest and smallest height above or below the level in metres. Other heights are clipped to these limits."""
 BANK_CELLS = 2
-"""Outermost cells of the water that may be bank: gravel that rises by 4 % takes two of them below
-`tiler.grid.water_extent.LEVEL_M`."""
+"""Width in cells of the edge of the water that may be bank.
+
+Gravel that rises by 4 % has two cells below `tiler.grid.water_extent.LEVEL_M`.
+"""
 AROUND = np.ones((3, 3), np.bool_)
 
 
 def depths(cells: WaterCells, wet: Bools) -> Floats:
-    """Height of the bank above the water in cells beside it, and of the bank gone on below it in its outermost cells.
+    """Return heights of the bank above the water, extrapolated below it into its outermost cells.
 
-    Positive on land, negative in water; so the line at 0 is the shore. Where the ground was not seen it lies halfway
-    between cells.
+    Heights are positive on land and negative in water, so the line at 0 is the shore. Without ground heights the shore
+    lies halfway between cells.
 
     Parameters
     ----------
     cells : WaterCells
-        With smoothed heights, of a window with at least `REACH_CELLS` around the cells that are looked at.
+        Cells with smoothed heights, in a window with a margin of at least `REACH_CELLS`.
     wet : bool, shape of the cells
     """
     level = water_heights(cells, wet)
@@ -51,16 +53,17 @@ def depths(cells: WaterCells, wet: Bools) -> Floats:
 
 
 def _banks(above: Floats, wet: Bools, seen: Bools) -> Bools:
-    """Outermost cells of the water that are bank: both their own ground and the bank gone on lie above the water.
+    """Return a mask of the outermost cells of the water that are bank.
 
-    The mean height of a cell that the shore cuts is no lower than that of the bank at its middle, so both are asked.
+    Both their own ground and the extrapolated bank lie above the water. The mean height of a cell that the shore cuts
+    is not lower than that of the bank at its middle, so both are needed.
     """
     with np.errstate(invalid="ignore"):
         return wet & seen & (np.minimum(above, _gone_on(above, wet)) > MIN_DEPTH_M)
 
 
 def _gone_on(above: Floats, wet: Bools) -> Floats:
-    """Height above the water of the bank gone on into its outermost cells; NaN in all other cells."""
+    """Extrapolate the bank into the outermost cells of the water: height above it, NaN elsewhere."""
     bank = np.where(wet, np.nan, above)
     total, number = np.zeros(wet.shape), np.zeros(wet.shape, np.int64)
     for axis, step in ((0, 1), (0, -1), (1, 1), (1, -1)):
@@ -75,7 +78,7 @@ def _gone_on(above: Floats, wet: Bools) -> Floats:
 
 
 def shore_polygons(field: Floats, coarse: RasterSpec, window: Block) -> list[Any]:
-    """Polygons, in absolute counts, in which what `depths` gave for a window is below 0."""
+    """Return polygons in absolute counts in which the result of `depths` for a window is below 0."""
     import shapely
     from contourpy import FillType, contour_generator
 

@@ -1,4 +1,4 @@
-"""Arguments of the tasks that make rasters: one frozen dataclass for each kind of work."""
+"""Arguments of the tasks that make rasters: one frozen dataclass for each kind of task."""
 
 from __future__ import annotations
 
@@ -13,16 +13,16 @@ from tiler.schedule import NOT_IN_DIGEST
 
 @dataclass(frozen=True, kw_only=True)
 class BlockWork:
-    """Work that writes one block of a raster.
+    """Arguments of a task that writes one block of a raster.
 
     Attributes
     ----------
     name : str
-        Of the raster in the store.
+        Name of the raster in the store.
     spec : RasterSpec
-        Of the whole raster.
+        Size and position of the whole raster.
     block : Block
-        Aligned to the raster's chunks.
+        Block that is aligned to the raster's chunks.
     """
 
     name: str
@@ -30,31 +30,31 @@ class BlockWork:
     block: Block
 
     def place(self, buckets: Lattice) -> Bounds | None:
-        """Bounds of the block."""
+        """Return the bounds of the block."""
         return self.spec.block_bounds(self.block)
 
 
 @dataclass(frozen=True, kw_only=True)
 class PointsBlock(BlockWork):
-    """A block made from points: their density, or which coarse cells they occupy."""
+    """Block made from points: their density, or the occupied coarse cells."""
 
     rule: GroundSelection
 
 
 @dataclass(frozen=True, kw_only=True)
 class TinBlock(PointsBlock):
-    """A block whose pixels are interpolated on a TIN.
+    """Block whose pixels are interpolated on a TIN.
 
     Attributes
     ----------
     data : Bounds
-        Of all points of the run; there are none beyond.
+        Bounds of all points of the run.
     max_edge : Fraction
-        Counts: limit of a facet's longest edge and circumradius.
+        Limit in counts of a facet's longest edge and circumradius.
     halo : int
-        Counts around the block to begin with.
+        Halo of the first try, in counts.
     interpolation : str
-        ``linear``, ``natural`` or ``idw``; all fill the same pixels.
+        Interpolation method: ``linear``, ``natural`` or ``idw``. All fill the same pixels.
     """
 
     data: Bounds
@@ -65,20 +65,22 @@ class TinBlock(PointsBlock):
 
 @dataclass(frozen=True, kw_only=True)
 class GridBlock(TinBlock):
-    """A block of the terrain.
+    """Arguments of `tiler.grid.grid_block`: one block of the terrain.
 
     Attributes
     ----------
     max_halo : int or None
-        Counts at most; None: `tiler.grid.full_halo`.
+        Largest halo in counts; None for `tiler.grid.full_halo`.
     thin : Lattice or None
-        Of the ground points in a cell of it only one is used: that at ``percent`` of their heights, or the central one
-        where that is None. One value for the whole run, as another one is another surface.
+        Cells in which only one ground point is used: the point at ``percent`` of their heights, or the central point if
+        that is None. It is the same for the whole run, as other cells make another surface.
     percent : int or None
+        Percentile of heights.
     breaklines : str or None
-        Key in the store of lines that the surface follows; which of them touch a block is in its digest.
+        Key in the store of lines that the surface follows. The digest includes those that touch the block.
     max_points : int or None
-        A block whose window holds more is done in quarters, with the same pixels; None: never.
+        Number of points in a window above which a block is divided into quarters, with the same pixels; None for no
+        limit.
     """
 
     max_halo: int | None = None
@@ -90,6 +92,6 @@ class GridBlock(TinBlock):
 
 @dataclass(frozen=True)
 class GridBlocks:
-    """Blocks of the terrain, which differ in their places alone, that are made from one TIN."""
+    """Blocks of the terrain that differ only in their positions and are made from one TIN."""
 
     blocks: tuple[GridBlock, ...]

@@ -1,4 +1,4 @@
-"""What the finished filter found, as the stages after it take it."""
+"""Results of the finished filter for later stages."""
 
 from __future__ import annotations
 
@@ -11,23 +11,23 @@ from tiler.config import RunConfig
 from tiler.core.lattice import Cell
 
 MATCHED = "dim"
-"""Kind of matched clouds: they have holes anywhere, and noise, on water as well."""
+"""Kind of photogrammetric clouds, which have holes and noise anywhere, also on water."""
 
 
 @dataclass(frozen=True)
 class Labelled:
-    """The labels of a run, and what the passes found about its clouds.
+    """Labels of a run, and results of the passes on its clouds.
 
     Attributes
     ----------
     digests : mapping of Cell to str
-        Digest of the contents of each bucket and of the labels of its points.
+        Digest of each bucket's contents and of the labels of its points.
     statistics : mapping of str to dict
-        State after each pass that was done, by the name of the pass; empty for the method ``keep``.
+        State after each finished pass, by the name of the pass; empty for the method ``keep``.
     kind : str or None
-        What made the clouds, as the run found it or the user says; None if neither did.
+        Source of the clouds as the user set it or the run found it; None if it is not known.
     noise_m : float
-        Standard deviation of the heights in metres, as the user says it or the run measured it; 0 if it is not known.
+        Standard deviation of the heights in metres, as the user set it or the run measured it; 0 if it is not known.
     """
 
     digests: Mapping[Cell, str]
@@ -39,7 +39,7 @@ class Labelled:
     def of(
         cls, config: RunConfig, digests: Mapping[Cell, str], statistics: Mapping[str, Mapping[str, Any]]
     ) -> Labelled:
-        """From what the passes gave; what the user says of the noise counts before what the survey measured."""
+        """Make the result from the states of the passes. The user's noise overrides the measured one."""
         survey = statistics.get(SurveyPass.name, {}).get("survey", {})
         noise = config.sigma or survey.get("sigma_m") or 0.0
         return cls(digests, statistics, survey.get("kind", config.source_kind), float(noise))

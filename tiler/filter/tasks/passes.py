@@ -1,7 +1,7 @@
-"""The tasks of filter tiles, with the digest of everything that their results depend on.
+"""Tasks of filter tiles, with the digest of everything on which their results depend.
 
-A task is done if the store holds a commit with its digest. So a change of a parameter, an input or a neighbour makes
-exactly those tasks new that it can reach, and everything else is found done.
+A task is done if the store has a commit with its digest. So a change of a parameter, an input or a neighbour makes only
+those tasks new that it can affect, and all other tasks stay done.
 """
 
 from __future__ import annotations
@@ -28,18 +28,18 @@ from tiler.version import __version__
 
 @dataclass(frozen=True)
 class PassInputs:
-    """What the passes before left for the next one: names in the store, and by bucket digests of what they name.
+    """Results of earlier passes for the next pass: names in the store, and digests of their contents by bucket.
 
     Attributes
     ----------
     labels, elected, elected_labels : str or None
-        Of the last labels of points, of the points that were elected, and of these points' last labels.
+        Names in the store of the last labels of points, of the elected points, and of the last labels of these.
     of_candidates : bool
-        The last labels of points are those of candidates.
+        Whether the last labels of points are those of candidates.
     digests, elected_digests : mapping of Cell to str
-        Of the contents of a bucket with the labels of its points, and with what was elected there, labels and all.
+        Digests of a bucket's contents with the labels of its points, and of its elected points with their labels.
     n_elected : mapping of Cell to int
-        Elected points of a bucket; none where the tile failed.
+        Number of elected points of a bucket, 0 if its tile failed.
     """
 
     digests: Mapping[Cell, str]
@@ -53,9 +53,10 @@ class PassInputs:
     def after(
         self, number: int, step: Pass, last: bool, few: bool, assembled: IngestResult, done: Commits
     ) -> PassInputs:
-        """What there is after a pass that was done, and that elects or gives labels.
+        """Return the results after a finished pass that elects points or gives labels.
 
-        ``last``: of all points; ``few``: of candidates alone.
+        The flags are set if its labels are the last ones (``last``), and if they are only those of candidates
+        (``few``).
         """
         if step.elects:
             counts = dict.fromkeys(assembled.records, 0)
@@ -81,17 +82,17 @@ class PassInputs:
 
 
 def labels_name(number: int) -> str:
-    """Name in the store of the labels of a pass that is not the last one."""
+    """Return the name in the store of the labels of a pass that is not the last one."""
     return f"{LABELS}-{number}"
 
 
 def elected_name(number: int) -> str:
-    """Name in the store of the points that a pass elects."""
+    """Return the name in the store of the points that a pass elects."""
     return f"elected-{number}"
 
 
 def labels_given(plan: Plan, number: int, state: Mapping[str, Any]) -> tuple[bool, bool]:
-    """Whether the labels that a pass gives are the last ones, and whether they are those of candidates alone."""
+    """Return whether the labels of a pass are the last ones, and whether they are only those of candidates."""
     params = METHODS[plan.config.method].params(**plan.parameters)
     step = params.passes[number]
     if not step.gives_labels:
@@ -104,7 +105,7 @@ def labels_given(plan: Plan, number: int, state: Mapping[str, Any]) -> tuple[boo
 def filter_tasks(
     plan: Plan, assembled: IngestResult, number: int, state: Mapping[str, Any], before: PassInputs
 ) -> Iterator[Task]:
-    """One for each tile of a pass."""
+    """Yield a task for each tile of a pass."""
     frame = plan.meta.frame
     params = METHODS[plan.config.method].params(**plan.parameters)
     step = params.passes[number]
@@ -150,9 +151,9 @@ def filter_tasks(
 
 
 def label_digests(assembled: IngestResult, filtered: Commits, what: str = "labels") -> dict[Cell, str]:
-    """Bucket -> digest of its contents and of the labels that a pass gave it; of a tile that failed it gave none.
+    """Return the digest of each bucket's contents and of the labels that a pass gave it, if its tile succeeded.
 
-    ``what``: the entry of the record, ``labels`` or ``elected``.
+    The entry of the record is ``what``: ``labels`` or ``elected``.
     """
     labels = dict.fromkeys(assembled.records, "none")
     for _, record in filtered.values():

@@ -1,4 +1,4 @@
-"""Cuts the survey into filter tiles: sets of buckets, each with a window that fits the memory of a worker.
+"""Division of the survey into filter tiles: sets of buckets with a window that fits the memory of a worker.
 
 The tiles of a lattice, quartered where they do not fit, serve passes that read every point or elected points, and all
 passes if the user asked for a tile size. Passes on candidates (one in each fine cell) get larger tiles, as their halos
@@ -26,33 +26,33 @@ from tiler.plan.memory import BASE_BYTES, bucket_bytes, filter_bytes, held_bytes
 from tiler.plan.sizes import SPARSE_TILE_M
 
 MAX_WINDOW = MAX_EXTENT // 2
-"""Longest side of a window, in counts, with which a TIN is exact even if the method widens the window."""
+"""Longest side of a window in counts for which a TIN is exact even if the method widens the window."""
 
 NEAR_HALF = 0.1
-"""Share of the points by which the parts of a tile that is too large may differ from half."""
+"""Largest deviation from half of the points for the parts of a tile that is too large, as a share."""
 
 EQUAL_HALF = 0.05
-"""The same share where a tile is divided to give each worker one: the slowest tile decides how long all take."""
+"""Largest deviation for tiles that are divided among workers, as the slowest tile decides the total time."""
 
 ROUNDEST = 1 << 62
-"""Stands for the highest power of two that divides 0."""
+"""Roundness of the line 0, which every power of two divides."""
 
 Records = Mapping[Cell, Mapping[str, Any]]
-"""Bucket -> the record of its assembly: ``n`` points, ``n_candidates``, and ``n_elected`` once points are elected."""
+"""Record of the assembly of each bucket: ``n`` points, ``n_candidates``, and ``n_elected`` after an election."""
 
 
 @dataclass(frozen=True)
 class Tile:
-    """The buckets of a tile.
+    """Buckets of a tile.
 
     Attributes
     ----------
     name : str
-        Name of its cell of the tile lattice; a part of a divided tile adds its level and place.
+        Name of the tile's cell of the tile lattice. A part of a divided tile adds its level and place.
     cells : tuple of Cell
-        Sorted buckets. Their centres lie in the tile.
+        Sorted buckets whose centres lie in the tile.
     halo, max_halo : int
-        First and widest halo, in counts.
+        First and largest halo in counts.
     """
 
     name: str
@@ -76,7 +76,7 @@ def tiles_of(plan: Plan, records: Records, step: PlannedPass) -> Iterator[Tile]:
 def _halved(
     plan: Plan, records: Records, step: PlannedPass, cells: Sequence[Cell], wanted: int
 ) -> Iterator[Tile]:
-    """Yield a tile, halved while more tiles are wanted or its window is too wide or holds too many points."""
+    """Yield a tile, halved while more tiles are needed or its window is too wide or has too many points."""
     halo = _halo(plan, step)
     across = plan.meta.bucket.hull(cells)
     wide = max(across.x1 - across.x0, across.y1 - across.y0) > plan.meta.frame.counts(Fraction(SPARSE_TILE_M))
@@ -97,7 +97,7 @@ def _halved(
 
 
 def _halves(records: Records, cells: Sequence[Cell], near: float) -> list[list[Cell]]:
-    """Buckets on the two sides of a line across the longer side.
+    """Divide buckets by a line across the longer side.
 
     Candidate lines leave half of the points on each side, within ``near`` of all points. The line with the roundest
     number wins (the one divisible by the highest power of two), so that a survey that grows keeps most of its tiles. If
@@ -132,7 +132,7 @@ def _fitting(
     size: Fraction,
     level: int,
 ) -> Iterator[Tile]:
-    """Yield a tile, quartered while its window is too wide or holds too many points; a bucket stays whole."""
+    """Yield a tile, quartered while its window is too wide or has too many points. Buckets stay whole."""
     halo = _halo(plan, step)
     too_full = _bytes(plan, records, step, cells, halo) > plan.tile_memory
     if len(cells) > 1 and (too_full or _too_wide(plan, cells, halo)):
@@ -160,7 +160,7 @@ def _widest(plan: Plan, records: Records, step: PlannedPass, cells: Sequence[Cel
 
 
 def _by_centre(lattice: Lattice, cells: Iterable[Cell], size: Fraction) -> dict[Cell, list[Cell]]:
-    """Buckets by the cell of ``size`` counts that holds their centre."""
+    """Group buckets by the cell of ``size`` counts that contains their centre."""
     found: dict[Cell, list[Cell]] = defaultdict(list)
     half = Fraction(1, 2)
     for cell in cells:
@@ -171,7 +171,7 @@ def _by_centre(lattice: Lattice, cells: Iterable[Cell], size: Fraction) -> dict[
 
 
 def _bytes(plan: Plan, records: Records, step: PlannedPass, cells: Sequence[Cell], halo: int) -> int:
-    """Peak bytes of a worker that does a tile with that halo. The points of the window are known."""
+    """Estimate the peak bytes of a worker for a tile with a halo, from the known points of the window."""
     lattice = plan.meta.bucket
     if step.work.elected:
         column = "n_elected"
@@ -191,7 +191,7 @@ def _bytes(plan: Plan, records: Records, step: PlannedPass, cells: Sequence[Cell
     if step.work.raster_cell_m:
         across = lattice.hull(near).intersection(window).area() * float(plan.meta.frame.metres_xy) ** 2
         window_bytes = filter_bytes(sum(held), across, 0.0, step, plan.fine_m)
-    elif step.work.elected:  # their number is known
+    elif step.work.elected:  # the number of elected points is known
         window_bytes = filter_bytes(sum(held), area, 0.0, step, plan.fine_m)
     else:
         window_bytes = filter_bytes(sum(held), area, plan.candidate_cell_m, step, plan.fine_m)

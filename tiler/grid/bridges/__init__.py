@@ -1,1 +1,1 @@
-"""Finds decks of bridges that the filter left in the terrain."""
+"""Search for the decks of bridges that the filter left in the terrain."""

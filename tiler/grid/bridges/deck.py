@@ -1,12 +1,12 @@
-"""Decides whether points are the deck of a bridge: it stands free, and a road goes on at both of its ends.
+"""Detection of the deck of a bridge: it stands free, and a road goes on at both ends.
 
-Precision comes before recall: each of these must hold.
+Precision is more important than recall, so each of these conditions has to be true:
 
-- The deck is smooth, and its edges are sharp: beside them hardly any point lies between the deck and what is below it.
+- The deck is smooth, and its edges are sharp: next to them hardly any point lies between the deck and the ground below.
   An embankment, or the bank of a ditch, has points on its slopes.
-- What is below is as low on one side as on the other: a retaining wall, a dam and a quay differ.
-- The ground beside it comes up at both ends, steeper than a ramp rises: what is bridged ends there.
-- Ground goes on at both ends where the deck would.
+- The ground is about equally low on both sides. At a retaining wall, a dam or a quay the sides differ.
+- The ground next to the deck rises at both ends, more steeply than a ramp, since the gap under the bridge ends there.
+- Ground goes on at both ends as a continuation of the deck.
 """
 
 from __future__ import annotations
@@ -21,54 +21,54 @@ from tiler.grid.bridges.deck_sides import BESIDE_M, TOLERANCE_M, Bools, DeckEdge
 
 Ints = npt.NDArray[np.intp]
 Surface = tuple[float, float, float, float]
-"""Height = a + b s + c s^2 + d t: s along a deck, t across it."""
+"""Coefficients of height = a + b s + c s^2 + d t, with s along a deck and t across it."""
 
 END_M = 12.0
-"""Distance beyond the free part within which the ground beside comes up and the road goes on."""
+"""Distance beyond the free part within which the ground next to it rises and the road goes on."""
 MIN_LENGTH_M, MAX_LENGTH_M = 5.0, 300.0
 """Limits of the length of the free part."""
 MIN_WIDTH_M = 2.0
 """Least width of the free part."""
 SLIMNESS = 1.0
-"""Least length over width of the free part."""
+"""Least ratio of length to width of the free part."""
 MIN_SLICES = 4
 """Least number of slices of the free part."""
 CLEARANCE_M = 2.0
-"""Least height of a deck above what lies beside it: lower ones look like terraces, or banks with plants."""
+"""Least height of a deck above the ground next to it: lower ones look like terraces, or banks with plants."""
 MIN_SLICE_M = 1.5
 """Least length of a slice."""
 MAX_TURNS = 2
-"""Most corrections of a deck's direction."""
+"""Largest number of times that the direction of a deck is adjusted."""
 STRAIGHT = 0.02
-"""Slope of a deck's edges, against its direction, that needs no correction."""
+"""Slope of a deck's edges relative to its direction below which the direction is not adjusted."""
 ROAD_SLICES = 3
-"""Slices beyond an end in which the road has to go on."""
+"""Number of slices beyond an end in which the road has to go on."""
 MIN_ROAD_SLICES, MOSTLY_ROAD = 3, 0.5
 """Least number of ground points of the road there, and their least share of all points there."""
 INNER_M = 0.7
-"""Distance within a deck's edges from which on a point lies beneath the deck."""
+"""Distance within a deck's edges from which a point counts as beneath the deck."""
 WIDER_M = 0.3
-"""Distance by which a deck is drawn wider than its points, on each side."""
+"""Distance by which the outline of a deck is wider than its points, on each side."""
 ALIKE, ALIKE_M = 0.35, 0.7
-"""Share of the clearance, and metres, by which the two sides may differ in height; the larger one counts."""
+"""Largest height difference of the two sides: share of the clearance, and metres. The larger limit counts."""
 
 
 @dataclass(frozen=True)
 class Deck:
-    """The free part of a deck; metres, from the origin of its points.
+    """Free part of a deck, in metres from the origin of its points.
 
     Attributes
     ----------
     ring : float64 (n, 2)
-        Corners of its outline.
+        Corners of the outline.
     centre, along : (float, float)
-        Where s and t are 0, and the unit vector of s; t is to the left of it.
+        Position where s and t are 0, and the unit vector of s. The t axis points to the left of it.
     surface : (float, float, float, float)
-        Height = a + b s + c s^2 + d t.
+        Coefficients of height = a + b s + c s^2 + d t.
     length_m, width_m, clearance_m : float
-        Of the free part, mean, and median of its height above what is beside it.
+        Length and mean width of the free part, and median of its height above the ground next to it.
     below : int
-        Points seen beneath it.
+        Number of points beneath it.
     """
 
     ring: Floats
@@ -83,16 +83,16 @@ class Deck:
 
 @dataclass(frozen=True)
 class _View:
-    """Points seen along a deck: s along it and t across it, height above its surface, and the slices of it.
+    """Points in the coordinates of a deck: s along it, t across it, height above its surface, and its slices.
 
     Attributes
     ----------
     s, t, off : float64 (n,)
     surface : (float, float, float, float)
     starts : float64 (slices,)
-        Where each slice begins along s.
+        Start of each slice along s.
     width : float
-        Of a slice.
+        Width of a slice along s.
     sides : DeckEdges
     """
 
@@ -108,18 +108,18 @@ class _View:
 def find_deck(
     xyz: Floats, ground: Bools, seeds: Bools, across: tuple[float, float], spacing_m: float
 ) -> tuple[Deck | None, str]:
-    """The free part of a deck among the points around, or why there is none.
+    """Find the free part of a deck among points. Return it, or None and the reason why there is none.
 
     Parameters
     ----------
     xyz : float64 (n, 3)
-        Metres: all points but noise, of and around a candidate.
+        All points except noise, of a candidate and around it, in metres.
     ground, seeds : bool (n,)
-        Those that are ground; and those in the candidate's cells.
+        Masks of the ground points, and of the points in the candidate's cells.
     across : (float, float)
         Unit vector across the deck, roughly.
     spacing_m : float
-        Of the points.
+        Spacing of the points.
     """
     centre = np.median(xyz[seeds, :2], axis=0)
     along, turns = np.array((-across[1], across[0])), 0
@@ -150,7 +150,7 @@ def find_deck(
 
 
 def _seen(xyz: Floats, seeds: Bools, centre: Floats, along: Floats, spacing: float) -> _View | None:
-    """The points as seen along a deck; None where its seeds are no surface."""
+    """Return the points in the coordinates of a deck, or None if its seeds do not form a surface."""
     s, t = _rotated(xyz[:, :2] - centre, along)
     surface = _fitted(s, t, xyz[:, 2], seeds)
     if surface is None:
@@ -162,7 +162,7 @@ def _seen(xyz: Floats, seeds: Bools, centre: Floats, along: Floats, spacing: flo
 
 
 def _slope(view: _View, free: Ints) -> float:
-    """How far the edges of a free part are off its direction."""
+    """Return the slope of the edges of a free part relative to its direction."""
     if len(free) < 3:
         return 0.0
     return float(np.mean([np.polyfit(view.starts[free], view.sides.edge[free, k], 1)[0] for k in (0, 1)]))
@@ -183,12 +183,15 @@ def _wrong_levels(levels: Floats) -> str:
 
 
 def _wrong_end(view: _View, ground: Bools, edges: Floats, end: int, step: int, clearance: float) -> str:
-    """What is wrong beyond an end of the free part: the ground beside has to come up there, and the road to go on."""
+    """Check one end of the free part: the ground next to it has to rise there, and the road has to go on.
+
+    Return what is wrong, or an empty text.
+    """
     reach = int(np.ceil(END_M / view.width))
     near = np.array(
         [i for k in range(1, reach + 1) if 0 <= (i := end + step * k) < len(view.starts)], np.intp
     )
-    # Halfway up, or as high as the deck, and then beyond where its edge was.
+    # The ground is halfway up, or it is as high as the deck and extends beyond the edge.
     up = view.sides.level[near] > -0.5 * clearance
     up |= (view.sides.edge[near] - np.median(edges, axis=0)) * (-1, 1) > BESIDE_M / 2
     if not up.any(axis=0).all():
@@ -203,14 +206,14 @@ def _wrong_end(view: _View, ground: Bools, edges: Floats, end: int, step: int, c
 
 
 def _beneath(view: _View, free: Ints, edges: Floats) -> int:
-    """Points beneath the free part of a deck, well within its edges."""
+    """Count the points beneath the free part of a deck, well within its edges."""
     inner = (view.t > np.median(edges[:, 0]) + INNER_M) & (view.t < np.median(edges[:, 1]) - INNER_M)
     inner &= (view.s >= view.starts[free[0]]) & (view.s < view.starts[free[-1]] + view.width)
     return int((inner & (view.off < -DROP_M)).sum())
 
 
 def _ring(view: _View, free: Ints) -> Floats:
-    """Outline of the free part, (s, t): a little wider than its points, as no point lies on its very edge."""
+    """Return the outline (s, t) of the free part, wider than its points, which lie inside it."""
     middles = view.starts[free] + view.width / 2
     middles[0], middles[-1] = view.starts[free[0]], view.starts[free[-1]] + view.width
     right = np.column_stack((middles, view.sides.edge[free, 0] - WIDER_M))
@@ -229,7 +232,7 @@ def _height(surface: Surface, s: Floats, t: Floats) -> Floats:
 
 
 def _fitted(s: Floats, t: Floats, z: Floats, seeds: Bools) -> Surface | None:
-    """The surface of most seeds; None where they have none."""
+    """Fit the surface of most seeds. Return None if there is none."""
     rows = np.flatnonzero(seeds)
     median = np.median(z[rows])
     rows = rows[np.abs(z[rows] - median) < max(1.5, 2 * float(np.median(np.abs(z[rows] - median))))]
@@ -246,7 +249,7 @@ def _fitted(s: Floats, t: Floats, z: Floats, seeds: Bools) -> Surface | None:
 
 
 def _longest(free: Bools) -> Ints | None:
-    """Indices of the longest run of True; a single False between two of them does not end it."""
+    """Return the indices of the longest run of True, or None. A single False does not end a run."""
     closed = free.copy()
     closed[1:-1] |= free[:-2] & free[2:]
     steps = np.flatnonzero(np.diff(closed, prepend=False, append=False)).reshape(-1, 2)

@@ -1,6 +1,6 @@
-"""Cells of a coarse raster that may be the deck of a bridge: narrow, a drop on both sides, a road at both ends.
+"""Coarse cells that may be a bridge deck: narrow, drops on both sides, roads at both ends.
 
-What is found depends on `REACH_M` around a cell and on nothing farther.
+The result depends only on cells within `REACH_M` of a cell.
 """
 
 from __future__ import annotations
@@ -16,28 +16,28 @@ Bools = npt.NDArray[np.bool_]
 Ints = npt.NDArray[np.int64]
 
 DIRECTIONS = 8
-"""Directions across a deck that are tried, from east by north to west."""
+"""Number of directions across a deck that are tried, from east by north to west."""
 DROP_M = 1.0
-"""Least height of a deck above the ground beside it, where it stands free."""
+"""Least height of a deck above the ground next to it, for its free part."""
 CLEAR_M = 1.8
-"""Least height of the highest part of a deck above the ground beside it; such parts are searched first."""
+"""Least height of the highest part of a deck above the ground next to it. Such parts are searched first."""
 STEP_M = 0.5
-"""Largest difference of height between neighbouring cells of a deck."""
+"""Largest height difference between neighbouring cells of a deck."""
 MAX_WIDTH_M, MAX_LENGTH_M, VOID_M = 40.0, 60.0, 40.0
-"""Widest deck; distance along it, either way, to where the road reaches ground; distance to the far bank of water."""
+"""Largest width of a deck; distance along it in which the road reaches ground; distance to a far bank."""
 REACH_M = MAX_WIDTH_M + MAX_LENGTH_M + VOID_M
 
 
 @dataclass(frozen=True)
 class DeckCells:
-    """Heights of coarse cells, metres, NaN where there is no point.
+    """Heights of coarse cells in metres, NaN for cells without points.
 
     Attributes
     ----------
     top, low : float32 (h, w)
-        The highest ground point of a cell, or its lowest point where none is ground; and its lowest point.
+        Highest ground point of each cell (its lowest point if there is no ground point), and its lowest point.
     ground : bool (h, w)
-        Whether a ground point lies in it.
+        Whether a ground point lies in the cell.
     size_m : float
     """
 
@@ -47,17 +47,17 @@ class DeckCells:
     size_m: float
 
     def steps(self, length_m: float) -> int:
-        """How many cells a length is, at least 1."""
+        """Convert a length to a number of cells, at least 1."""
         return max(math.ceil(length_m / self.size_m), 1)
 
     def inside(self, rows: Ints, cols: Ints) -> Bools:
-        """Mask of the places in the raster."""
+        """Return a mask of the positions within the raster."""
         height, width = self.top.shape
         found: Bools = (rows >= 0) & (rows < height) & (cols >= 0) & (cols < width)
         return found
 
     def at(self, values: Floats, rows: Ints, cols: Ints) -> Floats:
-        """Values at places, NaN beyond the raster."""
+        """Return the values at positions, NaN beyond the raster."""
         inside = self.inside(rows, cols)
         found = np.full(len(rows), np.nan, np.float32)
         found[inside] = values[rows[inside], cols[inside]]
@@ -65,7 +65,7 @@ class DeckCells:
 
 
 def deck_cells(cells: DeckCells) -> tuple[Ints, Ints, Ints]:
-    """Rows, columns and direction across (of `DIRECTIONS`) of the cells that may be decks."""
+    """Return row, column and direction across (of `DIRECTIONS`) of the cells that may be decks."""
     spans = [_spans(cells, direction) for direction in range(DIRECTIONS)]
     marked = np.zeros(cells.top.shape, np.bool_)
     for rows, cols, _ in spans:
@@ -83,19 +83,19 @@ def deck_cells(cells: DeckCells) -> tuple[Ints, Ints, Ints]:
 
 
 def along(direction: int, steps: int) -> tuple[int, int]:
-    """Rows down and columns to the right of some steps in a direction."""
+    """Return the rows down and columns to the right for a number of steps in a direction."""
     angle = math.pi * direction / DIRECTIONS
     return -round(steps * math.sin(angle)), round(steps * math.cos(angle))
 
 
 def _drops(cells: DeckCells, rows: Ints, cols: Ints, height: Floats, direction: int, sign: int) -> Bools:
-    """Whether the ground right beside cells is lower by `CLEAR_M`; beside water, the first point beyond it."""
+    """Return whether the ground next to cells, or the first point beyond water, is lower by `CLEAR_M`."""
     found, waiting = np.zeros(len(rows), np.bool_), np.ones(len(rows), np.bool_)
     for step in range(1, cells.steps(VOID_M) + 1):
         down, right = along(direction, sign * step)
         low = cells.at(cells.low, rows + down, cols + right)
         found |= waiting & (low <= height - CLEAR_M)
-        # A cell at the edge has points of both: one more is looked at.
+        # A cell at the edge has points of the deck and of the ground, so one more cell is examined.
         waiting &= ~found & (np.isnan(low) | (step == 1))
         if not waiting.any():
             break
@@ -103,7 +103,7 @@ def _drops(cells: DeckCells, rows: Ints, cols: Ints, height: Floats, direction: 
 
 
 def _spans(cells: DeckCells, direction: int) -> tuple[Ints, Ints, Ints]:
-    """Rows and columns of cells between two drops, and the number of the span of each; its middle comes first."""
+    """Return row and column of cells between two drops, and the number of their span. The middle comes first."""
     rows, cols = (axis.astype(np.int64) for axis in np.nonzero(~np.isnan(cells.top)))
     edge = _drops(cells, rows, cols, cells.top[rows, cols], direction, 1)
     rows, cols = rows[edge], cols[edge]
@@ -138,7 +138,7 @@ def _spans(cells: DeckCells, direction: int) -> tuple[Ints, Ints, Ints]:
 def _road_goes_on(
     cells: DeckCells, marked: Bools, rows: Ints, cols: Ints, direction: int, sign: int
 ) -> Bools:
-    """Whether a way from cells along a deck leads without a step to ground that is no deck."""
+    """Return whether a way along a deck leads without a step to ground that is not a deck, for each cell."""
     found = np.zeros(len(rows), np.bool_)
     which, before, gaps = np.arange(len(rows)), cells.at(cells.top, rows, cols), np.zeros(len(rows), np.int64)
     arrived = np.zeros(len(rows), np.int64)

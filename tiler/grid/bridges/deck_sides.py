@@ -1,4 +1,4 @@
-"""The two edges of a bridge deck, and the height of what lies beside them, in slices along the deck."""
+"""Edges of a bridge deck, and the heights next to them, in slices along the deck."""
 
 from __future__ import annotations
 
@@ -13,33 +13,34 @@ Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
 
 TOLERANCE_M = 0.3
-"""Points nearer than this to the surface of a deck belong to it."""
+"""Largest distance of the points of a deck from its surface."""
 BESIDE_M = 4.0
 """Distance from an edge within which the ground has to be lower."""
 FARTHER_M = 40.0
-"""Largest distance from an edge to the next point beside it; water beside a deck may return nothing."""
+"""Largest distance from an edge to the next point beyond it, as water next to a deck may not return pulses."""
 BETWEEN = 0.34
-"""Largest share of the points beside an edge that may lie at heights between the deck and the ground below it."""
+"""Largest share of the points next to an edge that may lie between the deck and the ground below it."""
 
 
 @dataclass(frozen=True)
 class DeckEdges:
-    """Edge, freedom and height beside the deck for each slice and side: arrays (slices, 2)."""
+    """Edge, freedom and height next to the deck for each slice and side: arrays (slices, 2)."""
 
     edge: Floats
     free: Bools
     level: Floats
 
     def both_free(self) -> Bools:
-        """Slices that stand free on both sides."""
+        """Return a mask of the slices that stand free on both sides."""
         found: Bools = self.free[:, 0] & self.free[:, 1]
         return found
 
 
 def sides_of(s: Floats, t: Floats, off: Floats, bins: Floats, width: float, spacing: float) -> DeckEdges:
-    """The edges of a deck in slices of ``width`` with the numbers ``bins``, and what stands beside them.
+    """Find the edges of a deck in slices of ``width`` with the numbers ``bins``, and the heights next to them.
 
-    ``s, t`` along and across it, ``off`` above its surface, of all points; ``spacing`` of these.
+    All points have the coordinates ``s`` along the deck, ``t`` across it and ``off`` above its surface. Their
+    spacing is ``spacing``.
     """
     n = len(bins)
     edge, free, level = np.full((n, 2), np.nan), np.zeros((n, 2), np.bool_), np.full((n, 2), np.nan)
@@ -60,7 +61,7 @@ def sides_of(s: Floats, t: Floats, off: Floats, bins: Floats, width: float, spac
 
 
 def _around_zero(t: Floats, gap: float) -> tuple[float, float] | None:
-    """First and last of the values without a gap between them that lie around 0."""
+    """Return the first and last value of the group around 0 that has no gap, or None."""
     if len(t) < 2:
         return None
     groups = np.split(t, np.flatnonzero(np.diff(t) > gap) + 1)
@@ -69,7 +70,7 @@ def _around_zero(t: Floats, gap: float) -> tuple[float, float] | None:
 
 
 def _beside(away: Floats, off: Floats) -> tuple[bool, float]:
-    """Whether the ground beside an edge is lower without points between, and how low it is."""
+    """Return whether the ground next to an edge is lower without points between, and how low it is."""
     near = (away > 0.2) & (away < BESIDE_M) & (off < TOLERANCE_M)
     lower = off[near & (off < -DROP_M)]
     if not len(lower):

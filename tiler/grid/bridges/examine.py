@@ -1,4 +1,4 @@
-"""Decks of bridges among the points of a run: cells that may be one, block by block, then each such place."""
+"""Decks of bridges among the points of a run: first the candidate cells of each block, then each candidate."""
 
 from __future__ import annotations
 
@@ -25,35 +25,35 @@ Counts = npt.NDArray[np.int64]
 PlaceCells = tuple[tuple[int, int, int], ...]
 
 AROUND_M = 45.0
-"""Points within this distance of a possible deck are examined."""
+"""Distance from a candidate within which points are examined."""
 VOXEL_M = (0.25, 0.25, 0.1)
-"""Sides of the voxels that points are reduced to, so that neither their density nor their order matters."""
+"""Sides of the voxels that replace points, so that neither their density nor their order matters."""
 LOWEST = -(1 << 31)
-"""Counts below which no point lies."""
+"""Height in counts below which no point lies."""
 FEWEST = 12
-"""Points that a deck has at least."""
+"""Least number of points of a deck."""
 MAX_DIRECTIONS = 3
-"""Directions across a deck that are tried, those of the most cells first."""
+"""Largest number of directions across a deck that are tried. The directions of most cells come first."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FindDeckCells(BlockWork):
-    """Work: find the coarse cells of a block that may be decks of bridges; ``rule`` is without corrections."""
+    """Arguments of `find_deck_cells`: a block of coarse cells, and the ground without edits as ``rule``."""
 
     rule: GroundSelection
 
 
 @dataclass(frozen=True)
 class ExamineDecks:
-    """Work: decide which of some places are decks of bridges.
+    """Arguments of `examine_decks`.
 
     Attributes
     ----------
     rule : GroundSelection
     spec : RasterSpec
-        Of the cells.
+        Raster of the coarse cells.
     places : tuple of tuples of (row, column, direction)
-        The cells of each, see `tiler.grid.bridges.deck_cells.deck_cells`.
+        Cells of each candidate, see `tiler.grid.bridges.deck_cells.deck_cells`.
     """
 
     rule: GroundSelection
@@ -62,12 +62,12 @@ class ExamineDecks:
 
 
 def find_deck_cells(store_url: str, work: FindDeckCells) -> dict[str, Any]:
-    """Find the cells of a block that may be decks; a `tiler.schedule.task.Work`.
+    """Find the cells of a block that may be decks. This is a `tiler.schedule.task.Work`.
 
     Returns
     -------
     dict
-        ``cells``: row, column and direction across of each.
+        ``cells``: row, column and direction across for each cell.
     """
     store, spec, block = open_store(store_url), work.spec, work.block
     size_m = float(spec.lattice.size * store.meta.frame.metres_xy)
@@ -93,13 +93,13 @@ def find_deck_cells(store_url: str, work: FindDeckCells) -> dict[str, Any]:
 
 
 def examine_decks(store_url: str, work: ExamineDecks) -> dict[str, Any]:
-    """Decide which of some places are decks of bridges; a `tiler.schedule.task.Work`.
+    """Decide which candidates are decks of bridges. This is a `tiler.schedule.task.Work`.
 
     Returns
     -------
     dict
-        ``decks``: of each that is one ``ring``, ``surface`` (as of `tiler.core.edits.DeckSurface`, without its limits),
-        ``length_m``, ``width_m``, ``clearance_m``, ``below``; ``reasons``: why the others are none.
+        ``decks``: ``ring``, ``surface`` (as of `tiler.core.edits.DeckSurface`, without its limits), ``length_m``,
+        ``width_m``, ``clearance_m`` and ``below`` of each deck; ``reasons``: why each other candidate is not a deck.
     """
     store, spec = open_store(store_url), work.spec
     frame = store.meta.frame
@@ -119,7 +119,7 @@ def examine_decks(store_url: str, work: ExamineDecks) -> dict[str, Any]:
 def _examine(
     spec: RasterSpec, cells: PlaceCells, window: Bounds, counts: Counts, ground: Bools, metres: Any
 ) -> tuple[dict[str, Any] | None, str]:
-    """A deck among the points of a window, or why there is none."""
+    """Find a deck among the points of a window. Return it, or None and the reason why there is none."""
     if len(counts) < FEWEST:
         return None, "too few points"
     rows, cols = (
@@ -152,7 +152,7 @@ def _examine(
 
 
 def examined(spec: RasterSpec, cells: PlaceCells, metres: float) -> Bounds:
-    """Bounds of the points that are examined for some cells, counts."""
+    """Return the bounds in counts of the points that are examined for a candidate."""
     rows, cols, _ = np.array(cells).T
     top, left = int(rows.min()), int(cols.min())
     block = Block(top, left, int(rows.max()) - top + 1, int(cols.max()) - left + 1)
@@ -160,7 +160,7 @@ def examined(spec: RasterSpec, cells: PlaceCells, metres: float) -> Bounds:
 
 
 def _voxels(store: TileStore, rule: GroundSelection, bounds: Bounds, metres: Any) -> tuple[Counts, Bools]:
-    """Centres of the voxels of some bounds that hold points, counts (n, 3), and whether one of these is ground."""
+    """Return the centres of occupied voxels within bounds, counts (n, 3), and whether each has a ground point."""
     steps = np.maximum(np.round(np.array(VOXEL_M) / metres), 1).astype(np.int64)
     first = np.array((bounds.x0 // steps[0], bounds.y0 // steps[1], LOWEST // steps[2]))
     high = bounds.y1 // steps[1] - first[1] + 1
@@ -171,7 +171,7 @@ def _voxels(store: TileStore, rule: GroundSelection, bounds: Bounds, metres: Any
         ox, oy = store.meta.frame.origin
         x, y, z = points.xyz[:, chosen].astype(np.int64) + np.array(((ox,), (oy,), (0,)))
         column = (x // steps[0] - first[0]) * high + y // steps[1] - first[1]
-        # Of a voxel with ground and other points the ground comes first.
+        # Ground comes first in a voxel that has ground and other points.
         parts.append(np.unique((column * deep + z // steps[2] - first[2]) * 2 + ~is_ground[chosen]))
     keys = np.unique(np.concatenate(parts))
     voxels, rows = np.unique(keys // 2, return_index=True)
@@ -183,7 +183,7 @@ def _voxels(store: TileStore, rule: GroundSelection, bounds: Bounds, metres: Any
 def _points(
     store: TileStore, rule: GroundSelection, cell: Any, bounds: Bounds
 ) -> tuple[PointBlock, Bools, Bools]:
-    """Points of a bucket, those that are surface and lie in some bounds, and those that are ground."""
+    """Return the points of a bucket, and masks of its surface points in ``bounds`` and of its ground points."""
     points, chosen = surface_points(store, rule, cell)
     chosen &= points.inside(bounds, store.meta.frame.origin)
     if rule.labels is None:
@@ -195,14 +195,14 @@ def _points(
 def _cells(
     points: PointBlock, chosen: Bools, store: TileStore, spec: RasterSpec, window: Block
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Row and column within a window, which may reach beyond the raster, of the cells of some points."""
+    """Return rows and columns of the cells of points, relative to a window that may extend beyond the raster."""
     x, y = (points.xyz[axis][chosen].astype(np.int64) + store.meta.frame.origin[axis] for axis in (0, 1))
     rows = spec.north - 1 - spec.lattice.index(y) - window.row
     return rows, spec.lattice.index(x) - spec.west - window.col
 
 
 def _record(deck: Deck, metres: Any, corner: Any) -> dict[str, Any]:
-    """The record of a deck: outline and surface in counts, sizes in metres."""
+    """Return the record of a deck: outline and surface in counts, sizes in metres."""
     ring = np.rint(deck.ring / metres[:2] + corner[:2]).astype(np.int64)
     (x, y), (a, b, c, d) = deck.centre, deck.surface
     flat, high = float(metres[0]), float(metres[2])

@@ -1,1 +1,1 @@
-"""Tasks of the stage grid, and what is found from their records."""
+"""Tasks of the stage grid, and the facts from their records."""

@@ -1,4 +1,4 @@
-"""Warnings of what looks wrong in the finished terrain: roofs that stayed, crowns that were taken for ground."""
+"""Warnings about flaws of the finished terrain: remaining roofs, and crowns that were classified as ground."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from tiler.schedule.worker import compute
 from tiler.store import Commits
 
 CROWN_BLOCKS = 16
-"""Blocks in which one task looks for crowns, half a second each at most."""
+"""Number of blocks in which one task searches for crowns, at most half a second each."""
 
 
 def advise(job: Job, labelled: Labelled, spec: RasterSpec, made: Commits) -> None:
-    """Look for roofs in the terrain, and for crowns in that of matched clouds, and warn of what is found."""
+    """Search the terrain for roofs, and that of photogrammetric clouds for crowns, and warn about results."""
     building = job.plan.parameters.get("max_building_size_m")
-    # A method that looks for canopy itself has told of it.
+    # A method that searches for canopy itself has already warned about it.
     crowns = labelled.matched and CanopyPass.name not in labelled.statistics
     asked = [building, crowns]
     if not any(asked):
@@ -60,7 +60,7 @@ def _crowns(job: Job, spec: RasterSpec, filled: tuple[str, ...]) -> Advice | Non
 
 
 def _looked(job: Job, tasks: list[Task]) -> list[dict[str, Any]]:
-    """Have workers look at the terrain; their records in the order of the tasks."""
+    """Run tasks on workers, and return their records in the order of the tasks."""
     records: dict[str, dict[str, Any]] = {}
     for outcome in job.executors.choose().run(compute, job.store.url, tasks):
         if outcome.again:

@@ -1,4 +1,4 @@
-"""The bridges of a run: decks that the filter left in the terrain, found run-wide, and taken out as corrections are."""
+"""Bridges of a run: decks that the filter left in the terrain, which are removed by edits."""
 
 from __future__ import annotations
 
@@ -35,21 +35,24 @@ REMOVE = "remove"
 CELLS, DECKS = "deck-cells", "decks"
 """Names of the stages."""
 MAX_WIDTH_M = 600.0
-"""A place that is larger is no bridge, and its points are too many to look at once."""
+"""Largest extent of a candidate. A larger one is not a bridge, and has too many points for one task."""
 TOUCHING = 1.5
-"""Cells: distance of the centres of cells that touch at a side or corner, and no others."""
+"""Largest distance between the centres of touching cells: longer than a diagonal, shorter than two cells."""
 MAX_REPORTED = 5
-"""Bridges whose sizes and places are told in the log; all are in the report."""
+"""Number of bridges whose sizes and positions are in the log. The report lists all."""
 MIN_CELLS = 4
-"""A place of fewer is too small for a bridge."""
+"""Least number of cells of a candidate."""
 ABOVE_M = 0.6
-"""Largest height of a deck's points above its surface; points below it belong to the nearer of deck and ground."""
+"""Largest height of a deck's points above its surface. Points below it belong to the nearer of deck and ground."""
 
 
 def find_bridges(
     job: Job, assembled: IngestResult, labels: Mapping[Cell, str]
 ) -> tuple[tuple[Edit, ...], tuple[DrawnDeck, ...]]:
-    """The decks in the terrain, as corrections of its points and as they are drawn; none where they are to be kept."""
+    """Find the decks in the terrain. Return edits of their points, and their outlines for output.
+
+    Both are empty if bridges stay in the terrain.
+    """
     if job.plan.config.bridges != REMOVE:
         return (), ()
     g = GridContext(job.plan, assembled, labels)
@@ -64,7 +67,7 @@ def find_bridges(
 
 
 def _told(records: Sequence[Mapping[str, Any]], frame: CoordFrame) -> str:
-    """What was found, in a line."""
+    """Return a line about the bridges that were found."""
     if not records:
         return "no bridge was found above the ground, so none was removed from the terrain (--bridges remove)"
     texts = []
@@ -80,7 +83,7 @@ def _told(records: Sequence[Mapping[str, Any]], frame: CoordFrame) -> str:
 
 
 def _cell_tasks(g: GridContext) -> Iterator[Task]:
-    """One for each block of coarse cells with points."""
+    """Yield a task for each block of coarse cells with points."""
     spec, rule, lattice = g.coarse, g.rule, g.plan.meta.bucket
     reach = math.ceil((REACH_M + float(g.coarse_m)) / float(g.plan.meta.frame.metres_xy))
     for block, own in spec.blocks_near(lattice, g.labels, BLOCK_PIXELS).items():
@@ -91,7 +94,7 @@ def _cell_tasks(g: GridContext) -> Iterator[Task]:
 
 
 def _deck_tasks(g: GridContext, found: Commits) -> Iterator[Task]:
-    """One for the places of each bucket where cells that may be decks touch one another."""
+    """Yield a task for the candidates of each bucket: groups of touching cells that may be decks."""
     spec, rule, lattice = g.coarse, g.rule, g.plan.meta.bucket
     metres = float(g.plan.meta.frame.metres_xy)
     groups: dict[Cell, list[PlaceCells]] = defaultdict(list)
@@ -110,7 +113,7 @@ def _deck_tasks(g: GridContext, found: Commits) -> Iterator[Task]:
 
 
 def _places(found: Commits) -> Iterator[PlaceCells]:
-    """Cells that touch one another, in the order of rows and columns, whichever blocks they are of."""
+    """Yield groups of touching cells, across blocks, in the order of rows and columns."""
     cells = sorted({tuple(cell) for _, record in found.values() for cell in record["cells"]})
     if not cells:
         return
@@ -120,7 +123,7 @@ def _places(found: Commits) -> Iterator[PlaceCells]:
 
 
 def _apart(records: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Decks of which each lies mostly outside of longer ones: two places may be parts of the same bridge."""
+    """Drop decks that lie mostly within larger ones, as two candidates may be parts of the same bridge."""
     kept: list[tuple[Any, dict[str, Any]]] = []
     for record in sorted(records, key=lambda r: (-r["length_m"] * r["width_m"], r["ring"])):
         shape = shapely.make_valid(shapely.Polygon(record["ring"]))
@@ -141,7 +144,7 @@ def _drawn(record: Mapping[str, Any]) -> DrawnDeck:
 
 
 def _fact(record: Mapping[str, Any]) -> dict[str, Any]:
-    """What run.json says of a bridge."""
+    """Return the entry of run.json for a bridge."""
     ring = np.array([*record["ring"], record["ring"][0]]) / COUNTS_PER_UNIT
     sizes = {name: record[name] for name in ("length_m", "width_m", "clearance_m", "below")}
     return {**sizes, "rings": [ring.ravel().tolist()]}

@@ -1,4 +1,4 @@
-"""What a run does about closed canopy: where its cells are, and what is told of it."""
+"""Closed canopy in a run: its cells for the raster, its facts, and a warning."""
 
 from __future__ import annotations
 
@@ -26,26 +26,26 @@ from tiler.runs.job import Job
 from tiler.store import Commits
 
 TOLD = 0.1
-"""Share of the area from which on a warning tells of the canopy."""
+"""Share of the area from which canopy causes a warning."""
 PLACES = 3
-"""Places that the warning names, those with most canopy."""
+"""Number of positions in the warning. They have the most canopy."""
 HIDES = "a closed canopy (crowns, or tall rough roofs side by side) hides the ground"
 MOSTLY = 0.5
-"""Share of a block from which on the report's map shows it."""
+"""Share of a block from which canopy is on the report's map."""
 
 
 @dataclass(frozen=True)
 class CanopyCells:
-    """The cells that the filter worked on, with their codes.
+    """Cells of the filter, with their codes.
 
     Attributes
     ----------
     elected, labels : str
-        Names in the store.
+        Names in the store of the cells and of their codes.
     side : Fraction
-        Of the smaller cells, counts.
+        Side of the smaller cells in counts.
     digests : mapping of Cell to str
-        Of the cells of a bucket and their codes.
+        Digest of the cells and codes of each bucket.
     """
 
     elected: str
@@ -55,9 +55,9 @@ class CanopyCells:
 
 
 def canopy_cells(job: Job, assembled: IngestResult, labelled: Labelled) -> CanopyCells | None:
-    """The cells among which the filter found a canopy; None where it found none, and where nobody looked for one.
+    """Return the cells among which the filter found a canopy, or None if it found none or did not search.
 
-    Tells of what was found, as ``canopy`` of run.json, and warns of it.
+    Add the result to the facts as ``canopy`` and warn about it.
     """
     state = labelled.statistics.get(CanopyPass.name)
     if state is None:
@@ -76,7 +76,7 @@ def canopy_cells(job: Job, assembled: IngestResult, labelled: Labelled) -> Canop
 
 
 def _tell(job: Job, share: float, made: Commits) -> None:
-    """Add to the facts where the canopy is, and warn where it covers much."""
+    """Add the positions of the canopy to the facts, and warn if it covers much of the area."""
     blocks: Counter[tuple[int, int]] = Counter()
     for _, record in made.values():
         for column, row, area_m2 in record["partial"]["blocks"]:
@@ -101,7 +101,7 @@ def _tell(job: Job, share: float, made: Commits) -> None:
 
 
 def _doubt(block: tuple[int, int], part: float, unit: float) -> dict[str, Any]:
-    """Doubt about the terrain in a block: a text, and its west, south, east and north in units of the CRS."""
+    """Return a text about the terrain in a block, and its west, south, east and north in units of the CRS."""
     side = BLOCK_M / unit
     west, south = (index * side for index in block)
     text = f"{HIDES} in {percent(part)} % of a square of {length_text(BLOCK_M, unit)}"
@@ -109,7 +109,7 @@ def _doubt(block: tuple[int, int], part: float, unit: float) -> dict[str, Any]:
 
 
 def _rings(blocks: Mapping[tuple[int, int], int], unit: float) -> list[list[float]]:
-    """Rings around the blocks that a canopy covers mostly, for the map; all coordinates in units of the CRS."""
+    """Return rings in units of the CRS around the blocks that are mostly canopy, for the map."""
     least = min(MOSTLY * BLOCK_M**2, max(blocks.values()))
     held = np.array([place for place, area_m2 in blocks.items() if area_m2 >= least], np.float64)
     side = BLOCK_M / unit

@@ -1,6 +1,6 @@
-"""Applies to a run what people drew: corrections of points and heights, and breaklines.
+"""User features of a run: edits of points and heights, and breaklines.
 
-They change the digests of the buckets and blocks that they touch and of no others, so only these are made again.
+They change only the digests of the buckets and blocks that they touch, so that only these are processed again.
 """
 
 from __future__ import annotations
@@ -33,23 +33,23 @@ from tiler.version import __version__
 EDITED = ("dtm", "dtm-filled", "dtm-outlined", "water-terrain")
 """Rasters whose heights edits can set."""
 COUNTS_HOLES = "dtm-outlined"
-"""The raster that tells of the holes inside of each edit, of points as well."""
+"""Raster whose records count the holes inside each edit, including edits of points."""
 FOLLOWS_LINES = ("dtm", "water-terrain")
-"""Rasters that are made of breaklines as well."""
+"""Rasters whose TIN includes breaklines."""
 
 
 @dataclass(frozen=True)
 class Corrections:
-    """Corrections and breaklines of a run, applied on top of the labels.
+    """Edits and breaklines of a run, applied on top of the labels.
 
     Attributes
     ----------
     edits : Edits or None
     lines : Breaklines or None
     line_digests : mapping of Cell to str
-        Of the breaklines in each bucket of the lattice, whether or not it has points.
+        Digest of the breaklines in each bucket of the lattice, with or without points.
     decks : tuple of DrawnDeck
-        Of bridges that are left out; the edits say of what points they are.
+        Decks of bridges that are left out. Edits remove their points.
     """
 
     edits: Edits | None = None
@@ -58,7 +58,7 @@ class Corrections:
     decks: tuple[DrawnDeck, ...] = ()
 
     def of_raster(self, plan: Plan, name: str, task: Task) -> Task:
-        """A task of a raster, with corrections, and with digests of those that touch its block."""
+        """Add the edits to a task of a raster, and the digests of those that touch its block."""
         bounds = task.arguments.place(plan.meta.bucket) if isinstance(task.arguments, Placed) else None
         if bounds is None:
             return task
@@ -73,7 +73,7 @@ class Corrections:
         return replace(task, digest=digest_of(task.digest, seen)) if seen else task
 
     def _lines_near(self, plan: Plan, bounds: Bounds) -> list[Any]:
-        """Cells with breaklines that can reach a block, as far as any facet does."""
+        """Return the cells with breaklines that can change a block, within the reach of any facet."""
         found = self.line_digests or {}
         reach = full_halo(plan.meta.frame.counts(plan.config.max_edge))
         reach += math.ceil(3 * plan.meta.frame.counts(plan.resolution))
@@ -82,7 +82,7 @@ class Corrections:
 
 
 def _with_edits(task: Task, key: str) -> Task:
-    """A task that knows of the corrections; those that touch it are in its digest, the key of all is not."""
+    """Add the key of the edits to a task. Its digest includes only edits that touch it, not this key."""
     work = task.arguments
     if isinstance(work, PointsBlock):
         return replace(task, arguments=replace(work, rule=replace(work.rule, edits=key)))
@@ -92,7 +92,7 @@ def _with_edits(task: Task, key: str) -> Task:
 
 
 def correct(job: Job, assembled: IngestResult, labelled: Labelled) -> tuple[Labelled, Corrections]:
-    """Apply the drawn features that the plan read; returns the corrected labels, and the `Corrections`."""
+    """Apply the user features of the plan and the bridges. Return the edited labels, and the `Corrections`."""
     plan, labels, found = job.plan, labelled.digests, Corrections()
     decks, shapes = find_bridges(job, assembled, labels)
     if decks or plan.edits:
@@ -112,7 +112,7 @@ def correct(job: Job, assembled: IngestResult, labelled: Labelled) -> tuple[Labe
 
 
 def _labels(plan: Plan, edits: Edits, labels: Mapping[Cell, str]) -> dict[Cell, str]:
-    """Digests of labels, others where an edit touches a bucket."""
+    """Return the digests of labels, which are different for buckets that an edit touches."""
     found = dict(labels)
     for cell, near in edits.by_cell(plan.meta.bucket, labels).items():
         found[cell] = digest_of(found[cell], [edit.digest for edit in near], str(plan.resolution))
@@ -122,7 +122,7 @@ def _labels(plan: Plan, edits: Edits, labels: Mapping[Cell, str]) -> dict[Cell, 
 def _surveyed(
     job: Job, assembled: IngestResult, labels: Mapping[Cell, str], cell: Lattice
 ) -> tuple[Edit, ...]:
-    """The edits that people drew, after their points were counted."""
+    """Return the user's edits, after counting their points."""
     if not job.plan.edits:
         return ()
     drawn_ones = Edits(job.plan.edits, cell)
@@ -148,7 +148,7 @@ def _surveyed(
 def _survey_tasks(
     plan: Plan, edits: Edits, assembled: IngestResult, labels: Mapping[Cell, str]
 ) -> Iterator[Task]:
-    """One for each bucket that a correction of points touches."""
+    """Yield a task for each bucket that an edit of points touches."""
     rule = ground_rule(plan)
     for cell, near in edits.by_cell(plan.meta.bucket, labels).items():
         seen = [[edit.number, *edit.digest] for edit in near]
@@ -158,7 +158,7 @@ def _survey_tasks(
 
 
 def _fact(edit: Edit, counts: Sequence[int]) -> dict[str, Any]:
-    """What run.json says of an edit, from sums of what `survey_edits` counts; pixels follow with the terrain."""
+    """Return the entry of run.json for an edit, from sums of `survey_edits`. Pixels are added with the terrain."""
     bounds = [v / COUNTS_PER_UNIT for v in edit.area.bounds.to_json()]
     fact: dict[str, Any] = {"number": edit.number, "action": edit.action, "bounds": bounds}
     if edit.action in OF_POINTS:
@@ -170,7 +170,7 @@ def _fact(edit: Edit, counts: Sequence[int]) -> dict[str, Any]:
 
 
 def report_edited_pixels(job: Job, terrain: Commits) -> None:
-    """Add to run.json how many pixels of the terrain each edit set."""
+    """Add to run.json the number of pixels of the terrain that each edit set."""
     counts: dict[int, int] = {}
     for _, record in terrain.values():
         for number, pixels in record.get("edited", ()):

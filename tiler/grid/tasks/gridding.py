@@ -1,4 +1,4 @@
-"""What the stage grid works on, and a row of the table of rasters (`tiler.grid.tasks.raster_table`)."""
+"""Context of the stage grid, and rows of the table of rasters (`tiler.grid.tasks.raster_table`)."""
 
 from __future__ import annotations
 
@@ -27,21 +27,21 @@ from tiler.store import Commits
 from tiler.version import __version__
 
 COARSE_CELL_M = 2
-"""Side of a coarse cell, where `--max-edge` is not small. All usual pixels have it, so they find the same water."""
+"""Side of a coarse cell, unless `--max-edge` is small. It is the same for all usual pixels, as is the water found."""
 MAX_USUAL_PIXEL_M = 10
-"""Coarse cells of larger pixels are these pixels: such points are too sparse for water, and may lie very far apart."""
+"""Largest pixel for that side. Larger pixels are coarse cells themselves, as such points are too sparse for water."""
 GAP_M = 20
-"""Gaps up to this width belong to every survey: shadows of buildings, gaps between strips."""
+"""Largest width of gaps that belong to every survey: shadows of buildings, gaps between strips."""
 ERODE_RISE_M = 1
-"""Least height of an object above the ground point beside it, for `--erode`."""
+"""Least height of an object above a ground point near it, for `--erode`."""
 Place = tuple[int, int]
 """First row and column of a block."""
 
 
 def raster_spec(plan: Plan, assembled: IngestResult) -> RasterSpec:
-    """The one pixel grid of the run: all stored points within the area, pixels on multiples of the resolution.
+    """Return the pixel grid of the stored points within the area, at multiples of the resolution.
 
-    Points on the outer edge of the last pixels make no more of them.
+    Points on the outer edge of the last pixels do not add pixels.
     """
     extent = assembled.bounds
     if plan.area is not None:
@@ -50,7 +50,7 @@ def raster_spec(plan: Plan, assembled: IngestResult) -> RasterSpec:
 
 
 def ground_rule(plan: Plan) -> GroundSelection:
-    """Rule for the points that are ground."""
+    """Return the rule for the points that are ground."""
     keep = plan.config.method == KEEP
     return GroundSelection(
         None if keep else LABELS,
@@ -70,21 +70,21 @@ class Grid(Enum):
 
 @dataclass(frozen=True)
 class RasterStep:
-    """One raster of the store.
+    """Raster of the store.
 
     Attributes
     ----------
     name : str
-        In the store; the stage that makes it is ``grid-<name>``.
+        Name in the store. The stage that makes the raster is ``grid-<name>``.
     inputs : tuple of str
-        The rasters that it is made from, made before it, in the order in which ``tasks`` expects them.
+        Names of the rasters from which it is made, in the order that ``tasks`` expects.
     work : Work
-        What makes a block of it, or the whole.
+        Function that makes a block, or the whole raster.
     grid : Grid
     tasks : callable
-        ``tasks(raster, gridding)``: how its work is divided, and what the digest of each task depends on.
+        Function ``tasks(raster, gridding)`` that yields its tasks, with the digests of their inputs.
     fill : float
-        What it holds where no block was written.
+        Value of blocks that were not written.
     """
 
     name: str
@@ -102,7 +102,7 @@ class RasterStep:
 
 @dataclass(frozen=True)
 class Sheet:
-    """One of the squares into which the products are cut: its south-west corner, its pixels, its buckets."""
+    """Square of the products: its south-west corner, pixels and buckets."""
 
     corner: tuple[float, float]
     spec: RasterSpec
@@ -111,24 +111,24 @@ class Sheet:
 
 @dataclass
 class GridContext:
-    """What the stage grid works on, and what it has made: name of a raster -> commits of its blocks.
+    """Inputs and results of the stage grid. ``made`` maps names of rasters to the commits of their blocks.
 
     Attributes
     ----------
     holes : sequence of Bounds
-        Where tiles failed, so that heights there, if any, come from elsewhere.
+        Bounds of tiles that failed. Heights there, if any, come from elsewhere.
     decks : sequence of DrawnDeck
-        Of bridges that are left out of the terrain.
+        Decks of bridges that are left out of the terrain.
     waters : Waters
         Bodies of water, once the terrain around them is made.
     trusted : bool
-        Whether few returns are a sign of water: those of lasers are, gaps of matched clouds are not.
+        Whether few returns are a sign of water: true for LiDAR, false for photogrammetric clouds with their gaps.
     kind : str or None
-        What made the clouds, as methods name it; None: not known.
+        Source of the clouds as methods name it; None if it is not known.
     canopy : CanopyCells or None
-        Where the filter found a closed canopy.
+        Cells among which the filter found a closed canopy.
     sheets : sequence of Sheet
-        Into which the products are cut, once the models are made.
+        Squares of the products, once the models are made.
     """
 
     plan: Plan
@@ -151,25 +151,25 @@ class GridContext:
 
     @property
     def water_key(self) -> str | None:
-        """Name of the bodies of water in the store; None where there is none."""
+        """Name of the bodies of water in the store, or None if there are none."""
         return self.waters.key if self.waters.bodies else None
 
     def seen(self, cells: Iterable[Cell]) -> list[list[Any]]:
-        """What results depend on that see the points and labels of some buckets."""
+        """Return the label digests of buckets, for digests of tasks that read their points and labels."""
         return [[cell.ix, cell.iy, self.labels[cell]] for cell in cells]
 
     def points(self, cells: Iterable[Cell]) -> int:
-        """Points of some buckets."""
+        """Return the number of points of some buckets."""
         return sum(self.assembled.records[cell]["n"] for cell in cells)
 
     def checksums(self, raster: str, blocks: Iterable[str] | None = None) -> list[list[str]]:
-        """Name and checksum of each block of a raster, or of those of some blocks that were made."""
+        """Return name and checksum of each block of a raster, or of those of ``blocks`` that were made."""
         made = self.made[raster]
         wanted = sorted(made) if blocks is None else (name for name in blocks if name in made)
         return [[name, made[name][1]["checksum"]] for name in wanted]
 
     def records(self, raster: str) -> dict[Place, dict[str, Any]]:
-        """What is known of each block of a raster, by its place, from the north-west."""
+        """Return the record of each block of a raster of coarse cells by its place, from the north-west."""
         spec = self.coarse
         named = (
             (spec.block_named(name, BLOCK_PIXELS), record) for name, (_, record) in self.made[raster].items()
@@ -177,7 +177,7 @@ class GridContext:
         return {(block.row, block.col): record for block, record in named}
 
     def areas(self, raster: str, corners: bool = False) -> Joined:
-        """The connected areas of a raster of labels that was made."""
+        """Return the connected areas of a raster of labels."""
         if raster not in self._areas:
             records = self.records(raster)
             sides = {place: record["sides"] for place, record in records.items()}
@@ -186,12 +186,12 @@ class GridContext:
         return self._areas[raster]
 
     def beneath(self, raster: str, block: Block) -> list[list[str]]:
-        """Checksums of the blocks of a coarse raster that lie beneath a block of the products."""
+        """Return the checksums of the blocks of a coarse raster that overlap a block of the products."""
         under = self.coarse.blocks_within(self.spec.block_bounds(block), BLOCK_PIXELS)
         return self.checksums(raster, [other.name for other in under])
 
     def block_task(self, raster: RasterStep, work: BlockWork, seen: list[Any]) -> Task:
-        """The task of one block of a raster; ``seen``: what it depends on besides its arguments."""
+        """Return the task of one block of a raster. Its digest includes ``seen`` besides its arguments."""
         points = work.block.height * work.block.width
         return Task(
             raster.stage, work.block.name, digest_of(__version__, work, seen), raster.work, work, points
@@ -199,22 +199,22 @@ class GridContext:
 
     @property
     def water_is_sought(self) -> bool:
-        """Whether anything could tell water from land: few returns, or the input's class."""
+        """Whether water can be distinguished from land, by few returns or by the input's class."""
         return self.trusted or any(record["water"] for record in self.records("occupancy").values())
 
     @property
     def spec(self) -> RasterSpec:
-        """Pixels of the products."""
+        """Pixel grid of the products."""
         return raster_spec(self.plan, self.assembled)
 
     @property
     def coarse(self) -> RasterSpec:
-        """Coarse cells of the run, in blocks whose places do not depend on it."""
+        """Raster of the coarse cells, in blocks whose positions do not depend on the run."""
         return coarse_raster(Lattice(self.plan.meta.frame.counts(self.coarse_m)), self.assembled.bounds)
 
     @property
     def coarse_m(self) -> Fraction:
-        """Metres of a coarse cell."""
+        """Side of a coarse cell in metres."""
         usual = min(Fraction(COARSE_CELL_M), self.plan.config.max_edge / 4)
         if self.plan.resolution <= MAX_USUAL_PIXEL_M:
             return usual
@@ -226,5 +226,5 @@ class GridContext:
         return self.plan.resolution > self.coarse_m
 
     def spec_of(self, raster: RasterStep) -> RasterSpec:
-        """Pixels or cells of a raster."""
+        """Return the pixels or cells of a raster."""
         return self.coarse if raster.grid is Grid.COARSE else self.spec

@@ -1,11 +1,15 @@
-"""All rasters that a run can make, one row each; the order in which they are made follows from their inputs.
+"""All rasters that a run can make, one row each. Their order follows from their inputs.
 
-Besides the products there are rasters that only the store holds. Of coarse cells: ``occupancy``; ``survey-open`` and
-``survey`` (see `tiler.grid.coverage`), ``domain-open`` and ``domain``, the same with wider gaps; ``water-...``, the
-steps of the search for water (`tiler.grid.water_search`, `tiler.grid.water_finish`), of which ``water-rims`` and
-``water-plane-rims`` hold records alone; ``<name>-voids`` for a model whose voids are filled. Of pixels:
-``<name>-filled``, and ``<name>-outlined``, the model as far as the survey reaches, with level water; ``canopy``, where
-crowns hide the ground.
+Besides the products there are rasters that are only in the store. Rasters of coarse cells:
+
+- ``occupancy``;
+- ``survey-open`` and ``survey`` (see `tiler.grid.coverage`), and ``domain-open`` and ``domain`` with wider gaps;
+- ``water-...``, the steps of the search for water (`tiler.grid.water_search`, `tiler.grid.water_finish`), where
+  ``water-rims`` and ``water-plane-rims`` have only records;
+- ``<name>-voids`` for a model whose voids are filled.
+
+Rasters of pixels: ``<name>-filled``; ``<name>-outlined``, the model within the survey, with level water; ``canopy``,
+the pixels in which crowns hide the ground.
 """
 
 from __future__ import annotations
@@ -68,26 +72,26 @@ MODELS = ("dtm", "dsm")
 
 
 def final(product: str, config: RunConfig) -> str:
-    """The raster of the store that holds a product as people get it."""
+    """Return the name of the raster that holds a product as it is delivered."""
     if product in _outlined(config):
         return f"{product}-outlined"
     return filled(product, config)
 
 
 def _outlined(config: RunConfig) -> tuple[str, ...]:
-    """Models that end at the outline, hold water, or end at canopies: the last two are the terrain alone."""
+    """Return the models that end at the outline, or (only the terrain) that have water or end at canopies."""
     if config.outline == "survey":
         return MODELS
     return () if config.water == NO_WATER and config.canopy != VOID_CANOPY else ("dtm",)
 
 
 def filled(product: str, config: RunConfig) -> str:
-    """The raster of the store that holds a product with its voids filled, if they are."""
+    """Return the name of the raster that holds a product, with its voids filled if the settings say so."""
     return f"{product}-filled" if product in MODELS and config.voids != "leave" else product
 
 
 def raster_table(config: RunConfig) -> dict[str, RasterStep]:
-    """All rasters that these settings allow, by name."""
+    """Return all rasters that these settings allow, by name."""
     dtm, dsm = final("dtm", config), final("dsm", config)
     rows = [
         RasterStep("dtm", (), grid_block, Grid.PIXELS, terrain_tasks, _fill("dtm")),
@@ -132,7 +136,7 @@ def raster_table(config: RunConfig) -> dict[str, RasterStep]:
 
 
 def _water_rows() -> list[RasterStep]:
-    """The steps of the search for water."""
+    """Return the steps of the search for water."""
     cells = ("occupancy", "water-ground", "domain")
     areas, planes = ("water-areas", *cells), ("water-planes", *cells)
     return [
@@ -166,13 +170,13 @@ def _water_rows() -> list[RasterStep]:
 
 
 def _fill(product: str) -> float:
-    """The nodata value of a product; 0 where all its pixels have a value."""
+    """Return the nodata value of a product, or 0 if all its pixels have a value."""
     nodata = PRODUCTS[product].nodata
     return 0.0 if nodata is None else nodata
 
 
 def wanted(config: RunConfig) -> list[RasterStep]:
-    """The rasters to make, each after its inputs; the terrain is always made, and first."""
+    """Return the rasters to make, each after its inputs, the terrain first."""
     table, found = raster_table(config), dict[str, RasterStep]()
 
     def add(name: str) -> None:

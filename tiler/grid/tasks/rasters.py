@@ -1,4 +1,4 @@
-"""How the making of each raster is divided into tasks, and what their digests depend on; see `tiler.filter.tasks`."""
+"""Division of each raster into tasks, and the digests of their inputs (see `tiler.filter.tasks`)."""
 
 from __future__ import annotations
 
@@ -32,11 +32,11 @@ from tiler.schedule import Task, digest_of
 from tiler.version import __version__
 
 CANOPY = "canopy"
-"""The raster of the pixels in which a canopy hides the ground."""
+"""Raster of the pixels in which a canopy hides the ground."""
 
 
 def terrain_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
-    """One for each block that a facet of the terrain could reach."""
+    """Yield a task for each block that a facet of the terrain could reach."""
     plan, frame, share = g.plan, g.plan.meta.frame, g.plan.surface_share
     widest = full_halo(frame.counts(plan.config.max_edge))
     make = partial(
@@ -52,23 +52,23 @@ def terrain_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
 
 
 def coarse_terrain_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
-    """One for each block of the terrain in coarse cells, where pixels are larger than these."""
+    """Yield a task for each block of the terrain in coarse cells, if pixels are larger than these."""
     return terrain_tasks(raster, g) if g.water_is_sought and g.has_large_pixels else iter(())
 
 
 def point_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
-    """One for each block with points, of which a pixel sees those within itself."""
+    """Yield a task for each block with points. A pixel depends only on points inside it."""
     return _block_tasks(raster, g, PointsBlock, 0)
 
 
 def distance_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
-    """One for each block within reach of points; distances are capped."""
+    """Yield a task for each block within the cap of the distance to points."""
     cap = g.plan.meta.frame.counts(g.plan.config.max_edge)
     return _block_tasks(raster, g, partial(DistanceBlock, cap=cap), math.ceil(cap) + 1)
 
 
 def surface_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
-    """One for each block that a facet of the surface could reach; nowhere is it below the terrain."""
+    """Yield a task for each block that a facet of the surface could reach, with the terrain as lower limit."""
     plan, frame, pixels = g.plan, g.plan.meta.frame, reach_pixels(g.plan.resolution)
     (terrain,) = raster.inputs
     spike = plan.config.spike / frame.metres_z
@@ -78,7 +78,7 @@ def surface_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
 
 
 def _tin(g: GridContext) -> dict[str, Any]:
-    """What all blocks on a TIN have in common."""
+    """Return the common arguments of all blocks on a TIN."""
     counts, plan = g.plan.meta.frame.counts, g.plan
     halo = math.ceil(counts(plan.grid_halo))
     return {"data": g.assembled.bounds, "max_edge": counts(plan.config.max_edge), "halo": halo}
@@ -87,9 +87,9 @@ def _tin(g: GridContext) -> dict[str, Any]:
 def _block_tasks(
     raster: RasterStep, g: GridContext, make: Callable[..., PointsBlock], reach: int
 ) -> Iterator[Task]:
-    """One for each block within ``reach`` counts of points; it sees the same block of the raster's inputs.
+    """Yield a task for each block within ``reach`` counts of points, with the same block of the inputs.
 
-    ``make`` gets name, spec, block and rule.
+    The function ``make`` is passed name, spec, block and rule.
     """
     spec, rule = g.spec_of(raster), g.rule
     for block, near in _near(g, spec, reach).items():
@@ -100,13 +100,13 @@ def _block_tasks(
 
 
 def _near(g: GridContext, spec: RasterSpec, reach: int = 0) -> dict[Block, list[Cell]]:
-    """Blocks within ``reach`` counts of buckets, and as far as objects erode the ground, each with these buckets."""
+    """Return the blocks within ``reach`` counts plus the erosion of buckets, each with these buckets."""
     reach += math.ceil(g.plan.meta.frame.counts(g.plan.config.erosion))
     return spec.blocks_near(g.plan.meta.bucket, g.labels, BLOCK_PIXELS, reach)
 
 
 def canopy_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
-    """One for each block with points, where the filter found a canopy."""
+    """Yield a task for each block with points, if the filter found a canopy."""
     if g.canopy is None:
         return
     found = g.canopy
@@ -121,15 +121,13 @@ def canopy_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
 
 
 def outline_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
-    """One for each block of a model, and for the terrain those of the survey, which may hold water or be void."""
+    """Yield a task for each block of a model, and for the terrain also each block of the survey."""
     model, survey, *others = raster.inputs
     canopy = CANOPY if CANOPY in others and g.made[CANOPY] else None
     waters = g.waters if raster.name.startswith("dtm") else Waters(())
     keys = {*g.made[model]}
     if raster.name.startswith("dtm"):
-        keys |= {
-            block.name for block in surveyed_blocks(g, survey)
-        }  # where none has a height, there is a void
+        keys |= {block.name for block in surveyed_blocks(g, survey)}  # blocks without heights are voids
     for key in sorted(keys):
         block = g.spec.block_named(key, BLOCK_PIXELS)
         wet = waters.digest(g.spec.block_bounds(block))
@@ -153,7 +151,7 @@ def outline_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
 
 
 def mask_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
-    """One for each block that has a height, or could have one: within the survey, or where a tile failed."""
+    """Yield a task for each block with heights, within the survey, or with a tile that failed."""
     spec, coarse, rule = g.spec, g.coarse, g.rule
     dtm, heights, survey, canopy = raster.inputs
     near = _near(g, spec)
@@ -187,7 +185,7 @@ def mask_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
 
 
 def derived_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
-    """One for each block that all inputs have; its pixels see one pixel of the blocks around."""
+    """Yield a task for each block that all inputs have. It also reads one pixel of the blocks around."""
     spec = g.spec
     keys = set.intersection(*(set(g.made[source]) for source in raster.inputs))
     for block in sorted((spec.block_named(key, BLOCK_PIXELS) for key in keys), key=north_west):
@@ -199,7 +197,7 @@ def derived_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
 
 
 def sigma_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
-    """One for each block of the terrain; it sees points around it, and pixels of the blocks around."""
+    """Yield a task for each block of the terrain. It also reads points and pixels around the block."""
     spec, frame = g.spec, g.plan.meta.frame
     terrain, mask = raster.inputs
     cap = frame.counts(g.plan.config.max_edge)
@@ -215,6 +213,6 @@ def sigma_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
 
 
 def _around(block: Block) -> list[str]:
-    """Names of a block and of its eight neighbours, whether or not there are such."""
+    """Return the names of a block and of its eight neighbours, even if some do not exist."""
     steps = (-BLOCK_PIXELS, 0, BLOCK_PIXELS)
     return [Block(block.row + down, block.col + right, 0, 0).name for down in steps for right in steps]

@@ -1,7 +1,7 @@
-"""Joins blocks of the terrain to tasks with one TIN each.
+"""Joining of blocks of the terrain to tasks with one TIN each.
 
-A TIN sees the points around its blocks as well, so that few large ones triangulate fewer points than many small ones.
-Pixels, digests and commits are those of the blocks: what is done already stays done, whatever was joined then.
+A TIN also includes the points around its blocks, so a few large TINs triangulate fewer points than many small ones.
+Pixels, digests and commits are those of the blocks, so blocks stay done however they were joined.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from tiler.plan.memory import GROUND_BYTES, TIN_BYTES
 from tiler.schedule import Task
 
 MAX_PIXELS = 16 * BLOCK_PIXELS**2
-"""Most pixels of a task: they take 13 bytes each, which is little beside the base of a worker."""
+"""Largest number of pixels of a task. They take 13 bytes each, which is little compared to the base of a worker."""
 TASKS_PER_WORKER = 4
-"""Tasks are divided, so that no worker waits for the others, until there are this many for each worker."""
+"""Tasks per worker up to which tasks are divided, so that workers do not wait for others."""
 WORTH_DIVIDING = 0.95
-"""Dividing must shorten the time of the worker that is done last to this share."""
+"""Share to which dividing must shorten the time of the worker that finishes last."""
 
 Records = Mapping[Cell, Mapping[str, Any]]
 Ints = npt.NDArray[np.int64]
@@ -34,7 +34,7 @@ Ints = npt.NDArray[np.int64]
 
 @dataclass(frozen=True)
 class _Group:
-    """Blocks of a task and buckets of its window, as indices, and the numbers of their points and pixels."""
+    """Indices of the blocks of a task and of the buckets of its window, and the numbers of points and pixels."""
 
     blocks: Ints
     buckets: Ints
@@ -43,23 +43,24 @@ class _Group:
 
     @property
     def cost(self) -> int:
-        """Points and a quarter of the pixels: a pixel takes less time than a vertex."""
+        """Number of points and a quarter of the pixels, as a pixel takes less time than a vertex."""
         return self.points + self.pixels // 4
 
 
 def joined_blocks(plan: Plan, records: Records, tasks: Sequence[Task], workers: int) -> list[Task]:
     """Join tasks of single blocks of the terrain into few tasks with one TIN each, the largest first.
 
-    As many as the memory of a worker asks for, and as keep all workers at work to the end. Blocks of other
-    interpolations stay alone: natural neighbours at the hull depend on the window, and IDW takes much memory a pixel.
+    The number of tasks is as small as the memory of a worker and a balanced load of all workers allow. Blocks with
+    other interpolations are not joined: natural neighbours at the hull depend on the window, and IDW takes much memory
+    per pixel.
 
     Parameters
     ----------
     plan : Plan
     records : mapping of Cell to dict
-        What the assembly of each bucket recorded.
+        Record of the assembly of each bucket.
     tasks : sequence of Task
-        Of single blocks.
+        Tasks of single blocks.
     workers : int
     """
     if len(tasks) < 2 or plan.config.interpolation != "linear":
@@ -80,7 +81,10 @@ def _joined(parts: Sequence[Task]) -> Task:
 
 
 def _fitting(survey: _Survey, most: int) -> list[_Group]:
-    """Groups of at most so many points, or of one block; no group costs more than its two halves together."""
+    """Divide the blocks into groups of at most ``most`` points, or of one block.
+
+    Halves of a group together cost at least as much as the group.
+    """
     found, todo = [], [survey.whole()]
     while todo:
         group = todo.pop()
@@ -97,7 +101,7 @@ def _too_large(group: _Group, most: int) -> bool:
 
 
 def _balanced(survey: _Survey, groups: list[_Group], workers: int) -> list[_Group]:
-    """Groups divided further where all workers are then done earlier, although points are triangulated twice."""
+    """Divide groups further if all workers then finish earlier, although more points are triangulated twice."""
     best, earliest = groups, _makespan(groups, workers)
     while len(groups) < TASKS_PER_WORKER * workers:
         *rest, largest = sorted(groups, key=lambda group: (len(group.blocks) > 1, group.cost))
@@ -115,7 +119,7 @@ def _total(groups: Iterable[_Group]) -> int:
 
 
 def _makespan(groups: Sequence[_Group], workers: int) -> int:
-    """Cost of the groups of the worker that is done last, where each takes the largest group that is left."""
+    """Return the cost for the worker that finishes last, if workers take the largest remaining group in turn."""
     ends = [0] * workers
     for cost in sorted((group.cost for group in groups), reverse=True):
         heapq.heapreplace(ends, ends[0] + cost)
@@ -123,7 +127,7 @@ def _makespan(groups: Sequence[_Group], workers: int) -> int:
 
 
 class _Survey:
-    """The blocks to make, and the points of all buckets."""
+    """Blocks to make, and points of all buckets."""
 
     def __init__(self, plan: Plan, records: Records, works: Sequence[GridBlock]) -> None:
         self._spec, self._halo, self._buckets = works[0].spec, works[0].halo, plan.meta.bucket
@@ -136,11 +140,11 @@ class _Survey:
         )
 
     def whole(self) -> _Group:
-        """All blocks."""
+        """Return the group of all blocks."""
         return self._group(np.arange(len(self._start)), np.arange(len(self._cells)))
 
     def halves(self, group: _Group) -> list[_Group]:
-        """The group in two parts, by the line with the cheapest larger part; none of a single block."""
+        """Divide a group by the line with the cheapest larger part. Return an empty list for a single block."""
         found: list[tuple[int, int, int, list[_Group]]] = []
         for axis in (0, 1):
             starts = self._start[group.blocks, axis]
@@ -151,7 +155,7 @@ class _Survey:
         return min(found)[-1] if found else []
 
     def _group(self, blocks: Ints, buckets: Ints) -> _Group:
-        """The group of some blocks; only these buckets have points around them."""
+        """Return the group of some blocks. Only the given buckets can be in its window."""
         row, col = self._start[blocks].min(axis=0).tolist()
         height, width = (self._stop[blocks].max(axis=0) - (row, col)).tolist()
         window = self._spec.block_bounds(Block(row, col, height, width)).pad(self._halo)

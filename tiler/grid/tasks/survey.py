@@ -1,4 +1,4 @@
-"""The tasks that find the extent of the survey and the voids of models, block by block of coarse cells."""
+"""Tasks that find the extent of the survey and the voids of models, block by block of coarse cells."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from tiler.schedule import Task, digest_of
 from tiler.version import __version__
 
 Gap = tuple[str, int, int, int]
-"""Blocks of one row that hold nothing, between two that hold something: its first row, first and last column."""
+"""Run of missing blocks in a row between two blocks that exist: first row, first and last column."""
 BEYOND_ALL: Gap = ("outside", 0, 0, 0)
 SIDES = {"north": (-1, 0), "south": (1, 0), "west": (0, -1), "east": (0, 1)}
 """Rows and columns, in blocks, from a block to its neighbour at each side."""
 
 
 def survey_gaps(raster: RasterStep, g: GridContext) -> Iterator[Task]:
-    """One for each block that a gap of the survey could reach."""
+    """Yield a task for each block that a gap of the survey could reach."""
     return _close_tasks(raster, g, float(GAP_M / g.coarse_m))
 
 
 def domain_gaps(raster: RasterStep, g: GridContext) -> Iterator[Task]:
-    """The same for gaps that could be water: all up to `--max-edge`."""
+    """Yield the same tasks for gaps that could be water: all up to `--max-edge`."""
     return (
         _close_tasks(raster, g, float(g.plan.config.max_edge / g.coarse_m)) if g.water_is_sought else iter(())
     )
@@ -50,19 +50,19 @@ def _close_tasks(raster: RasterStep, g: GridContext, gap: float) -> Iterator[Tas
 
 
 def near_places(coarse: RasterSpec, places: Iterable[Place], reach: int = 1) -> list[Place]:
-    """Places of blocks, and of those around them as far as the raster reaches, from the north-west."""
+    """Return the places of blocks, and of those around them within the raster, from the north-west."""
     steps = [step * BLOCK_PIXELS for step in range(-reach, reach + 1)]
     found = {(row + down, col + right) for row, col in places for down in steps for right in steps}
     return sorted((r, c) for r, c in found if 0 <= r < coarse.height and 0 <= c < coarse.width)
 
 
 def names_of(places: Iterable[Place]) -> list[str]:
-    """Names of the blocks at some places."""
+    """Return the names of the blocks at some places."""
     return [Block(*place, 0, 0).name for place in places]
 
 
 def survey_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
-    """One for each block that was closed, and for those that hold nothing and are enclosed."""
+    """Yield a task for each block that was closed, and for each empty block that is enclosed."""
     coarse, (opened,) = g.coarse, raster.inputs
     records = g.records(opened)
     outside, empty = outside_of({place: record["sides"] for place, record in records.items()})
@@ -79,20 +79,19 @@ def survey_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
 def outside_of(
     blocks: Mapping[Place, Mapping[str, Side]],
 ) -> tuple[dict[Place, list[Piece]], set[Place]]:
-    """Open areas that reach the outside of a survey, and empty blocks that do not.
+    """Find the open areas that reach the outside of a survey, and the empty blocks that do not.
 
     Parameters
     ----------
     blocks : mapping
-        Place of each block that holds something, or lies near one that does -> the labels of open areas along its
-        sides.
+        Labels of open areas along the sides of each block at or near an occupied block, by its place.
 
     Returns
     -------
     outside : dict
-        Place -> its open areas that are connected with the outside.
+        Open areas of each place that are connected with the outside.
     empty : set
-        Places of other blocks that are enclosed: they lie between blocks that hold something.
+        Places of other blocks that are enclosed by the given blocks.
     """
     columns: dict[int, list[int]] = defaultdict(list)
     for row, col in sorted(blocks):
@@ -124,18 +123,18 @@ def _labels(side: Side) -> list[int]:
 
 
 def _gaps(row: int, cols: list[int]) -> list[Gap]:
-    """Gaps between the blocks of a row."""
+    """Return the gaps between the blocks of a row."""
     pairs = pairwise(cols)
     return [("gap", row, a + BLOCK_PIXELS, b - BLOCK_PIXELS) for a, b in pairs if b - a > BLOCK_PIXELS]
 
 
 def _gap_at(gaps: Mapping[int, list[Gap]], row: int, col: int) -> Gap:
-    """What a place without a block belongs to."""
+    """Return the gap at a place without a block, or `BEYOND_ALL`."""
     return next((gap for gap in gaps.get(row, ()) if gap[2] <= col <= gap[3]), BEYOND_ALL)
 
 
 def _facing(gap: Gap, row: int, gaps: Mapping[int, list[Gap]], columns: Mapping[int, list[int]]) -> list[Gap]:
-    """What a gap touches in the row above or below, other than blocks."""
+    """Return the gaps that a gap touches in the row above or below, and `BEYOND_ALL` if outside."""
     found = [other for other in gaps.get(row, ()) if other[2] <= gap[3] and gap[2] <= other[3]]
     cols = columns.get(row)
     if cols is None or gap[2] < cols[0] or gap[3] > cols[-1]:
@@ -144,7 +143,7 @@ def _facing(gap: Gap, row: int, gaps: Mapping[int, list[Gap]], columns: Mapping[
 
 
 def voids_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
-    """One for each block of coarse cells that holds some of the survey's inside."""
+    """Yield a task for each block of coarse cells that overlaps the inside of the survey."""
     spec, coarse = g.spec, g.coarse
     model, survey = raster.inputs
     rasters = VoidRasters(model, spec, survey, coarse, raster.name)
@@ -158,7 +157,7 @@ def voids_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
 
 
 def fill_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
-    """One for each block of a model; it depends on all blocks in which the rim of one of its voids can lie."""
+    """Yield a task for each block of a model. It depends on all blocks around the voids that it touches."""
     spec = g.spec
     model, survey, voids = raster.inputs
     rasters, records = VoidRasters(model, spec, survey, g.coarse, voids), g.records(voids)
@@ -180,6 +179,6 @@ def fill_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
 
 
 def surveyed_blocks(g: GridContext, survey: str) -> list[Block]:
-    """The products' blocks that hold some of the survey's inside, from the north-west."""
+    """Return the products' blocks that overlap the inside of the survey, from the north-west."""
     runs = (run for record in g.records(survey).values() for run in record["blocks"])
     return sorted(set(blocks_of(list(runs), g.spec, BLOCK_PIXELS)), key=north_west)

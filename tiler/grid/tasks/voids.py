@@ -1,4 +1,4 @@
-"""Says in run.json which pixels inside of the survey have no height."""
+"""Facts in run.json on the pixels inside the survey that have no height."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from tiler.runs.job import Job
 from tiler.store import Commits
 
 MAX_LISTED = 1000
-"""Voids in run.json, the largest."""
+"""Largest number of voids in run.json, which lists the largest voids."""
 TOUCHING = 1.5
-"""Cells: distance of the centres of cells that touch at a side or corner, and no others."""
+"""Largest distance between the centres of touching cells: longer than a diagonal, shorter than two cells."""
 
 
 def report_voids(job: Job, spec: RasterSpec, outlined: Commits) -> None:
-    """Add to run.json the voids of the delivered terrain, and the holes inside of each correction."""
+    """Add to run.json the voids of the delivered terrain, and the holes inside each edit."""
     records = [record for _, record in outlined.values()]
     inside: Counter[int] = Counter()
     for record in records:
@@ -42,7 +42,7 @@ def report_voids(job: Job, spec: RasterSpec, outlined: Commits) -> None:
 
 
 def voids_of(cells: Iterable[list[int]], spec: RasterSpec) -> list[dict[str, Any]]:
-    """Holes whose cells touch, as one void each, the largest first: ``pixels``, and ``bounds`` in units of the CRS."""
+    """Merge holes whose cells touch to voids with ``pixels`` and CRS ``bounds``, the largest first."""
     table = np.array(list(cells), np.int64).reshape(-1, 5)
     if not len(table):
         return []

@@ -1,4 +1,4 @@
-"""The water of a run: bodies from a file or from the data, their levels, and what the rasters take of them."""
+"""Water of a run: bodies from a file or from the data, and their levels."""
 
 from __future__ import annotations
 
@@ -28,15 +28,15 @@ FINDING, STAGE = "water-search", "water"
 CELLS = "water-cells"
 """Raster of the labels of water."""
 SOURCES = ("occupancy", "water-ground", "domain")
-"""Rasters in which water is looked for."""
+"""Rasters for the search for water."""
 STEEPEST = 1 / 30
-"""Fall of a river over its length, at most."""
+"""Largest fall of a river relative to its length."""
 SHORE_REACH = 4
-"""Pixels around a body of water that its level may depend on."""
+"""Margin around a body of water, in pixels, on which its level may depend."""
 
 
 def find_waters(job: Job, g: GridContext) -> Waters:
-    """The bodies of water with their levels, kept in the store for the tasks."""
+    """Find the bodies of water and their levels, and put them into the store for the tasks."""
     auto = g.plan.config.water == AUTO_WATER
     bodies = _found(job, g) if auto else g.plan.waters
     tasks = list(level_tasks(g, bodies))
@@ -72,7 +72,7 @@ def find_waters(job: Job, g: GridContext) -> Waters:
 
 
 def _found(job: Job, g: GridContext) -> tuple[Water, ...]:
-    """The bodies that the data show, without levels, from the north-west."""
+    """Return the bodies of water in the data, without levels, from the north-west."""
     tasks = list(_body_tasks(g))
     made = run_stage(job, FINDING, tasks) if tasks else {}
     found = [Water.from_json(record["body"]) for _, record in made.values() if record["body"]]
@@ -81,7 +81,7 @@ def _found(job: Job, g: GridContext) -> tuple[Water, ...]:
 
 
 def _body_tasks(g: GridContext) -> Iterator[Task]:
-    """One for each connected area of water that is large enough."""
+    """Yield a task for each connected area of water that is large enough."""
     config, coarse = g.plan.config, g.coarse
     min_m2 = min(config.water_min_lake, MIN_LENGTH * config.water_min_river_width**2)
     joined = g.areas(CELLS)
@@ -102,7 +102,7 @@ def _body_tasks(g: GridContext) -> Iterator[Task]:
 
 
 def _gentle(g: GridContext, body: Water) -> bool:
-    """Whether a river falls no more than rivers of that width do: a ravine without returns is none."""
+    """Return whether a body falls no more steeply than rivers do, which excludes ravines without returns."""
     high, low = body.range
     if body.flow is None or high == low:
         return True
@@ -112,7 +112,7 @@ def _gentle(g: GridContext, body: Water) -> bool:
 
 
 def level_tasks(g: GridContext, bodies: tuple[Water, ...]) -> Iterator[Task]:
-    """One for each body whose height is not known."""
+    """Yield a task for each body without a level."""
     spec = g.spec
     pad = int(SHORE_REACH * spec.lattice.size) + 1
     index = AreaIndex([body.area for body in bodies])

@@ -1,4 +1,4 @@
-"""Makes the facts on water for run.json, the log and the report."""
+"""Facts on water for run.json, the log and the report."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ from tiler.runs.job import Job
 from tiler.store import Commits
 
 SURE = 0.8
-"""A body with less certainty is a problem."""
+"""Confidence below which a body causes a warning."""
 MAX_FLOATING = 0.005
-"""A larger share of the shore below the level of the water is a problem."""
+"""Share of the shore below the level of the water from which a body causes a warning."""
 
 
 def report_levels(job: Job, waters: Waters, records: Mapping[int, Mapping[str, Any]]) -> None:
-    """Note which rivers are level for want of evidence, and warn about bodies that need a look.
+    """Note the rivers that are level for lack of evidence, and warn about bodies that need to be checked.
 
     Parameters
     ----------
@@ -45,7 +45,7 @@ def report_levels(job: Job, waters: Waters, records: Mapping[int, Mapping[str, A
 
 
 def _doubts(body: Water, record: Mapping[str, Any], unit: Fraction) -> list[dict[str, Any]]:
-    """Doubts about a body of water: a text and a place (x, y) for each."""
+    """Return warnings about a body of water, each with a text and a position (x, y)."""
     found: list[tuple[str, tuple[float, float]]] = []
     if body.sure is not None and body.sure < SURE:
         text = (
@@ -72,7 +72,7 @@ def _doubts(body: Water, record: Mapping[str, Any], unit: Fraction) -> list[dict
 
 
 def _place(body: Water) -> tuple[float, float]:
-    """First vertex of the outline of a body, in units of the CRS."""
+    """Return the first vertex of the outline of a body in units of the CRS."""
     x, y = body.area.polygons[0][0][0].tolist()
     return x / COUNTS_PER_UNIT, y / COUNTS_PER_UNIT
 
@@ -83,7 +83,7 @@ def _named(body: Water) -> str:
 
 
 def report_waters(job: Job, waters: Waters, terrain: Commits) -> None:
-    """Write the bodies of water, and how many pixels of the terrain each has, into run.json."""
+    """Write the bodies of water and their numbers of pixels of the terrain into run.json."""
     pixels: dict[str, int] = {}
     for _, record in terrain.values():
         for area, count in record.get("water", ()):
@@ -110,7 +110,7 @@ def _fact(body: Water, pixels: int, square: float) -> dict[str, Any]:
 
 
 def _stations(body: Water) -> list[dict[str, Any]]:
-    """Levels along a river in units of the CRS: ``along`` from the first, ``level``, ``seen`` pixels, banks."""
+    """Return the stations of a river in units of the CRS: ``along`` from the first, ``level``, ``seen``, banks."""
     import numpy as np
 
     if not body.stations:

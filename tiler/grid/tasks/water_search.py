@@ -1,4 +1,4 @@
-"""The tasks that find water block by block, and what is decided between them; see `tiler.grid.water_search`."""
+"""Tasks that search for water block by block, and decisions between them (see `tiler.grid.water_search`)."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from tiler.schedule import Task
 
 
 def ground_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
-    """One for each block of coarse cells under the terrain."""
+    """Yield a task for each block of coarse cells that overlaps the terrain."""
     if not g.water_is_sought:
         return
     pixels, cells, occupancy = raster.inputs
@@ -62,7 +62,7 @@ def ground_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
 
 
 def areas_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
-    """One for each block of the survey; how many returns are few is decided by the block and its neighbours."""
+    """Yield a task for each block of the survey. The usual number of returns comes from the blocks around."""
     occupancy, ground, domain = raster.inputs
     records = g.records(occupancy)
     for place, record in g.records(domain).items():
@@ -82,7 +82,7 @@ def areas_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
 
 
 def rims_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
-    """One for each block near a candidate."""
+    """Yield a task for each block near a candidate."""
     areas = raster.inputs[0]
     for place in _near_labels(g, areas):
         work = CountRims(**_on_areas(raster, g, place))
@@ -90,7 +90,7 @@ def rims_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
 
 
 def plane_rims_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
-    """One for each block near a plane that may be water."""
+    """Yield a task for each block near a plane that may be water."""
     planes = raster.inputs[0]
     evident, others = _likely_planes(g, planes)
     evident_at, others_at = (_by_place(g.areas(planes), names) for names in (evident, others))
@@ -104,7 +104,7 @@ def plane_rims_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
 
 
 def plane_sure_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
-    """One for each block near a plane that is water."""
+    """Yield a task for each block near a plane that is water."""
     rims, *inputs = raster.inputs
     kept = _kept_planes(g, inputs[0], rims)
     places = _by_place(g.areas(inputs[0]), kept)
@@ -115,7 +115,7 @@ def plane_sure_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
 
 
 def sure_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
-    """One for each block near a candidate that is water."""
+    """Yield a task for each block of a candidate that is water."""
     rims, *inputs = raster.inputs
     areas = inputs[0]
     kept = _kept(g, areas, rims)
@@ -125,7 +125,7 @@ def sure_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
 
 
 def cells_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
-    """One for each block near water."""
+    """Yield a task for each block near water."""
     sure, planes, *sources = raster.inputs
     config = g.plan.config
     records = [*g.records(sure).items(), *g.records(planes).items()]
@@ -140,7 +140,7 @@ def cells_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
 
 
 def _on_areas(raster: RasterStep, g: GridContext, place: Place) -> dict[str, Any]:
-    """What tasks on candidates have in common."""
+    """Return the common arguments of tasks on candidates."""
     name, occupancy, ground, domain = raster.inputs[-4:]
     of_block = g.records(name).get(place)
     return {
@@ -155,7 +155,7 @@ def _on_areas(raster: RasterStep, g: GridContext, place: Place) -> dict[str, Any
 
 
 def _seen(g: GridContext, rasters: Sequence[str], place: Place) -> list[Any]:
-    """Checksums of a block of some rasters and of its neighbours."""
+    """Return the checksums of a block and its neighbours for some rasters."""
     near = names_of(near_places(g.coarse, [place]))
     return [g.checksums(name, near) for name in rasters]
 
@@ -166,7 +166,7 @@ def _near_labels(g: GridContext, areas: str) -> list[Place]:
 
 
 def _by_place(joined: Joined, names: Iterable[Piece]) -> dict[Place, list[Piece]]:
-    """Blocks in which some areas lie, and the names of the areas there."""
+    """Return the names of areas by the blocks in which they lie."""
     found: dict[Place, list[Piece]] = defaultdict(list)
     for name in sorted(names):
         for place in sorted({(piece.row, piece.col) for piece in joined.areas[name]}):
@@ -175,12 +175,12 @@ def _by_place(joined: Joined, names: Iterable[Piece]) -> dict[Place, list[Piece]
 
 
 def _sizes(g: GridContext, areas: str) -> dict[Piece, tuple[int, ...]]:
-    """Sums of the ``sizes`` of the pieces of each area."""
+    """Return the sums of the ``sizes`` of the pieces of each area."""
     return area_sums(g.areas(areas), g.records(areas))
 
 
 def area_sums(joined: Joined, records: Mapping[Place, Mapping[str, Any]]) -> dict[Piece, tuple[int, ...]]:
-    """Sums of what the records of blocks say of the size of each piece, by the name of the area."""
+    """Return the sums of ``sizes`` over the pieces of each area, by the name of the area."""
     found = {}
     for name, pieces in joined.areas.items():
         parts = (records[p.row, p.col]["sizes"][p.label - 1] for p in pieces)
@@ -189,7 +189,7 @@ def area_sums(joined: Joined, records: Mapping[Place, Mapping[str, Any]]) -> dic
 
 
 def _kept(g: GridContext, areas: str, rims: str) -> dict[Piece, float]:
-    """The candidates that are water, and how sure they are."""
+    """Return the candidates that are water, with confidences."""
     around_area = _rims(g, rims)
     verdicts = {
         name: judged(Size(*size), around_area.get(name, Rim())) for name, size in _sizes(g, areas).items()
@@ -198,7 +198,7 @@ def _kept(g: GridContext, areas: str, rims: str) -> dict[Piece, float]:
 
 
 def _rims(g: GridContext, rims: str, which: int = 0) -> dict[Piece, Rim]:
-    """The land around each area, added up over blocks; ``which``: of those that each record has."""
+    """Return the land around each area, added up over blocks, from the rim number ``which`` in the records."""
     found: dict[Piece, Rim] = {}
     for record in g.records(rims).values():
         for name, *counts in record["rims"]:
@@ -208,10 +208,10 @@ def _rims(g: GridContext, rims: str, which: int = 0) -> dict[Piece, Rim]:
 
 
 def _likely_planes(g: GridContext, planes: str) -> tuple[list[Piece], list[Piece]]:
-    """Planes that may be water by themselves, and others that may lie beside them."""
+    """Return the planes that may be water by themselves, and others that may lie next to them."""
     config, joined, records = g.plan.config, g.areas(planes), g.records(planes)
     min_m2 = float(min(config.water_min_lake, MIN_LENGTH * config.water_min_river_width**2))
-    least = min_m2 / float(g.coarse_m) ** 2 / 2  # a plane without its shore
+    least = min_m2 / float(g.coarse_m) ** 2 / 2  # a plane lacks its shore, so half of the area is enough
     sizes = {name: Plane(*size) for name, size in area_sums(joined, records).items() if size[0] >= least}
     boxes = {name: _box(joined.areas[name], records) for name in sizes}
     evident = [name for name, plane in sizes.items() if plane.is_evident]
@@ -224,7 +224,7 @@ def _likely_planes(g: GridContext, planes: str) -> tuple[list[Piece], list[Piece
 
 
 def _box(pieces: Iterable[Piece], records: Mapping[Place, Mapping[str, Any]]) -> tuple[int, int, int, int]:
-    """First row and column, and the last, of an area."""
+    """Return the first row and column, and the last row and column plus 1, of an area."""
     boxes = [records[p.row, p.col]["boxes"][p.label - 1] for p in pieces]
     top, left, bottom, right = zip(*boxes, strict=True)
     return min(top), min(left), max(bottom), max(right)
@@ -236,7 +236,7 @@ def _are_near(one: Sequence[int], other: Sequence[int], reach: float) -> bool:
 
 
 def _kept_planes(g: GridContext, planes: str, rims: str) -> dict[Piece, float]:
-    """The planes that are water, and how sure they are: evident ones, and those beside them."""
+    """Return the planes that are water, with confidences: evident planes, and planes next to them."""
     evident, others = _likely_planes(g, planes)
     alone, without_others = ({n: judged(Size(), rim) for n, rim in _rims(g, rims, i).items()} for i in (0, 1))
     beside: dict[Piece, set[Piece]] = defaultdict(set)
@@ -245,7 +245,7 @@ def _kept_planes(g: GridContext, planes: str, rims: str) -> dict[Piece, float]:
             beside[Piece(*name)].add(Piece(*other))
     held = {name: sure for name in others if (sure := alone.get(name))}
     found = {name: sure for name in evident if (sure := alone.get(name))}
-    # Two that lie beside one another, one above a dam and one below, may each be water by the other alone.
+    # Two neighbouring planes, one above a dam and one below, may both be water if the other does not count as land.
     lower = {other for name in held for other in beside[name]}
     found |= {name: sure for name in evident if name in lower and (sure := without_others.get(name))}
     return found | {name: sure for name, sure in held.items() if beside[name] & found.keys()}
