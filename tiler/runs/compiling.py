@@ -9,6 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from ptd.kernel import compiled_count
+from ptd.matched.evidence import DIM, LIDAR, concluded
 from ptd.precompile import (
     filters_name,
     gridding_name,
@@ -66,7 +67,10 @@ def likely_kind(plan: Plan) -> str:
     if plan.kind is not None:
         return plan.kind
     several = any(source.returns > 1 for source in plan.sources)
-    return "lidar" if several or plan.density < MIN_MATCHED_M2 else "dim"
+    if several or plan.density < MIN_MATCHED_M2:
+        return LIDAR
+    pieces = plan.evidence.pieces() if plan.evidence else []
+    return concluded(pieces).kind if pieces else DIM
 
 
 class Compiler:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import errno
 import functools
 import os
@@ -12,6 +13,7 @@ from typing import Any
 
 import pytest
 
+from ptd.matched.evidence import Evidence
 from tests.tiler.conftest import MakeCloud
 from tiler.config import RunConfig
 from tiler.plan import make_plan
@@ -77,8 +79,13 @@ def test_a_failed_compilation_is_reported(
 
 
 def test_the_kind_of_a_cloud_is_guessed(make_cloud: MakeCloud) -> None:
-    """A cloud of single returns may be matched; a setting decides otherwise."""
+    """Single returns prove nothing, so the evidence decides, or a setting."""
     path = str(make_cloud())
     assert likely_kind(make_plan([path], RunConfig(kind="als", in_process=True))) == "lidar"
     assert likely_kind(make_plan([path], RunConfig(kind="dim", in_process=True))) == "dim"
-    assert likely_kind(make_plan([path], RunConfig(in_process=True))) in ("lidar", "dim")
+    plan = make_plan([path], RunConfig(in_process=True))
+    single = tuple(dataclasses.replace(source, returns=1) for source in plan.sources)
+    plan = dataclasses.replace(plan, sources=single, area_m2=1.0)
+    no_trace, measured = Evidence(trace=0.0), Evidence(own_intensity=1.0, grey_intensity=0.0, colour=1.0)
+    for evidence, kind in ((None, "dim"), (no_trace, "dim"), (measured, "lidar")):
+        assert likely_kind(dataclasses.replace(plan, evidence=evidence)) == kind
