@@ -179,10 +179,10 @@ FIGURES_IN_WORDS = {
     "survey / kind": "kind of cloud",
     "survey / sure": "confidence of the kind",
     "survey / density_m2": "points per m2, without empty cells",
-    "survey / sigma_m": "noise of heights, m",
-    "survey / cell_sigma_m": "noise of heights within cells, m",
+    "survey / sigma_m": "noise of heights",
+    "survey / cell_sigma_m": "noise of heights within cells",
     "canopy / share": "share of the area in which a canopy hides the ground",
-    "survey / cell_m": "side of cells, m",
+    "survey / cell_m": "side of cells",
     "places": "squares of 256 m with separate figures",
     "survey / several": "share of points from pulses with several returns",
 }
@@ -202,6 +202,8 @@ def _measured(run: Run) -> Iterator[tuple[str, str, str]]:
         known |= new
         for name, text in new.items():
             if text != "-" and not name.startswith("run / ") and not name.endswith("notes"):
+                if name in FIGURES_IN_WORDS and name.endswith("_m"):
+                    text = _length(run, float(text))
                 yield step, FIGURES_IN_WORDS.get(name, name), text
 
 

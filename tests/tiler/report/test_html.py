@@ -13,6 +13,7 @@ import pytest
 
 from tests.tiler.report import results
 from tiler.errors import InputError, ProcessingError
+from tiler.report import sections
 from tiler.report.html import write_report
 
 
@@ -63,6 +64,15 @@ def test_advice_is_told_and_what_passes_hand_on_is_told_once(tmp_path: Path) -> 
 def page_of(out: Path, content: dict[str, Any]) -> results.Reader:
     """The report of a run.json, read."""
     return results.read(write_report(results.write(out, content)))
+
+
+@pytest.mark.parametrize(("metre", "noise"), [(1.0, "0.0255 m"), (0.3048, "0.0837 ft (0.0255 m)")])
+def test_measured_lengths_are_in_the_unit_of_the_crs(metre: float, noise: str) -> None:
+    run = {
+        "plan": {"metres_per_unit": {"horizontal": metre}},
+        "statistics": {"survey": {"survey": {"sigma_m": 0.0255, "cell_m": None}}},
+    }
+    assert list(sections._measured(run)) == [("survey", "noise of heights", noise)]
 
 
 def test_it_loads_nothing_and_runs_its_own_script_alone(tmp_path: Path) -> None:
