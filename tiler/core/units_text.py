@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
 from fractions import Fraction
 
 from tiler.core.units import FOOT, METRE, US_SURVEY_FOOT, Units
@@ -35,6 +36,12 @@ def length_option(metres: Fraction, unit: Fraction) -> str:
     if short_unit(unit) != "ft":
         return f"{float(metres):g}"
     return f"{float(metres / unit):g}{written_unit(unit)}"
+
+
+def whole_length(metres: Fraction | float, unit: Fraction, rounding: Callable[[Fraction], int]) -> Fraction:
+    """Return a length in metres that is a whole number of metres, or of feet if the unit of the CRS is the foot."""
+    step = unit if short_unit(unit) == "ft" else METRE
+    return rounding(Fraction(metres) / step) * step
 
 
 def area_text(square_metres: float, unit: float | Fraction) -> str:
@@ -73,8 +80,12 @@ def length_text(metres: float | Fraction, unit: float | Fraction) -> str:
     nearest = round(number, 2 if number < 10 else 1)
     if nearest and abs(number / nearest - 1) < ROUND:
         return f"{nearest:,g} {name}"
-    text = f"{number:,.0f}" if number >= 100 else f"{number:.3g}"
-    return f"{text} {name} ({float(metres):.6g} m)"
+    return f"{number_text(number)} {name} ({float(metres):.6g} m)"
+
+
+def number_text(number: float) -> str:
+    """Return a positive number with three digits, or rounded to a whole number if it is large."""
+    return f"{number:,.0f}" if number >= 100 else f"{number:.3g}"
 
 
 def in_unit_of_crs(text: str, units: Units) -> str:

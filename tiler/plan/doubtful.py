@@ -6,6 +6,7 @@ import math
 
 from tiler.core.crs import crs_name, point_scale_factor
 from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.units_text import length_option, whole_length
 from tiler.plan.model import Plan, steps_of
 
 MAX_RELIEF_M = 9000
@@ -61,9 +62,11 @@ def _much_overlap(plan: Plan) -> list[str]:
         work.append(math.prod(padded))
     if sum(work) <= MUCH_OVERLAP * len(work):
         return []
+    unit = plan.meta.frame.units.horizontal
+    wider = length_option(whole_length(WIDE_TILE * max(halos), unit, math.ceil), unit)
     return [
         f"tiles of {tile:g} m with up to {max(halos):g} m of halo need {sum(work) / len(work):.1f} times "
-        f"the work; use --tile-size {math.ceil(WIDE_TILE * max(halos))} or more --memory"
+        f"the work; use --tile-size {wider} or more --memory"
     ]
 
 

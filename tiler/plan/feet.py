@@ -8,7 +8,7 @@ from fractions import Fraction
 
 from tiler.config import RunConfig
 from tiler.core.units import FOOT, METRE, US_SURVEY_FOOT, BareLength, FeetLength, Units
-from tiler.core.units_text import short_unit
+from tiler.core.units_text import number_text, short_unit
 
 OF_HEIGHTS = ("contour_interval", "sigma", "spike")
 """Settings that are vertical lengths."""
@@ -33,7 +33,7 @@ def bare_lengths(config: RunConfig, units: Units) -> list[str]:
     for name, value, unit in _lengths(config, units):
         if isinstance(value, BareLength) and unit != METRE and value:
             option, number = f"--{name.replace('_', '-')}", f"{float(value):g}"
-            feet = f"{float(value / unit):.3g} {short_unit(unit)}"
+            feet = f"{number_text(float(value / unit))} {short_unit(unit)}"
             wanted = f"; give {number}ft for feet" if unit in (FOOT, US_SURVEY_FOOT) else ""
             found.append(f"{option} {number} is {number} m = {feet}{wanted}")
     return found

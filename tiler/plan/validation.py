@@ -13,7 +13,7 @@ from tiler.config import RunConfig
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.products import PRODUCTS
 from tiler.core.sheet_names import name_prefix
-from tiler.core.units_text import in_unit_of_crs, length_option
+from tiler.core.units_text import in_unit_of_crs, length_option, whole_length
 from tiler.errors import ConfigError
 from tiler.io.atomic_files import MAX_NAME_LENGTH, name_bytes
 from tiler.io.locations import joined
@@ -264,16 +264,19 @@ def _instead(plan: Plan, stage: str, changed: Changed) -> str:
         other = changed(memory=plan.memory, **values)
         return max(projected_memory(other).values()) <= plan.memory
 
+    unit = plan.meta.frame.units.horizontal
     side, bucket = Fraction(plan.tile), Fraction(plan.bucket_m)
+    smallest = whole_length(bucket, unit, math.ceil)
     while side >= bucket:
-        if suffices(tile_size=side):
-            return f" or --tile-size {float(side):g}"
+        tile = whole_length(side, unit, math.ceil)
+        if suffices(tile_size=tile):
+            return f" or --tile-size {_option(plan, tile)}"
         side = side / 2 // bucket * bucket
-    halo = Fraction(int(plan.halo_m / 2))
+    halo = whole_length(plan.halo_m / 2, unit, math.floor)
     while halo >= 1:
-        if suffices(tile_size=bucket, halo=halo):
-            return f" or --halo {float(halo):g} --tile-size {float(bucket):g}"
-        halo = Fraction(int(halo / 2))
+        if suffices(tile_size=smallest, halo=halo):
+            return f" or --halo {_option(plan, halo)} --tile-size {_option(plan, smallest)}"
+        halo = whole_length(halo / 2, unit, math.floor)
     return " or another --method"
 
 

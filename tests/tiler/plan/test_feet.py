@@ -15,10 +15,10 @@ SURVEY_FEET = Units(US_SURVEY_FOOT, US_SURVEY_FOOT)
 
 def test_a_bare_length_gets_a_line_and_one_with_a_unit_none() -> None:
     config = RunConfig.from_mapping(
-        {"contour_interval": "5", "resolution": "3ft", "sheets": "1km", "max_edge": 30, "erode": 0}
+        {"contour_interval": "5", "resolution": "3ft", "sheets": "1km", "max_edge": 2000, "erode": 0}
     )
     assert bare_lengths(config, SURVEY_FEET) == [
-        "--max-edge 30 is 30 m = 98.4 ft; give 30ft for feet",
+        "--max-edge 2000 is 2000 m = 6,562 ft; give 2000ft for feet",
         "--contour-interval 5 is 5 m = 16.4 ft; give 5ft for feet",
     ]
     assert bare_lengths(config, Units()) == []

@@ -15,12 +15,15 @@ from tiler.errors import ConfigError
 from tiler.plan import Plan, make_plan
 
 
+def square(path: Path, unit: float) -> Path:
+    """Four points per m2 on 400 x 400 m, in units of so many metres."""
+    xyz = np.random.default_rng(1).uniform(0, 1, (640_000, 3)) * [400.0, 400.0, 1.0]
+    return clouds.write(path, clouds.Cloud(np.round(xyz / unit, 3), np.ones(len(xyz), np.uint8)))
+
+
 @pytest.fixture(scope="module")
 def wide(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Four points per m2 on 400 x 400 m."""
-    xyz = np.random.default_rng(1).uniform(0, 1, (640_000, 3)) * [400.0, 400.0, 1.0]
-    cloud = clouds.Cloud(np.round(xyz, 3), np.ones(len(xyz), np.uint8))
-    return clouds.write(tmp_path_factory.mktemp("wide") / "wide.las", cloud)
+    return square(tmp_path_factory.mktemp("wide") / "wide.las", 1.0)
 
 
 @pytest.fixture
@@ -52,12 +55,14 @@ def test_the_memory_that_is_named_suffices(wide: Path, method: str, memory: str)
 
 
 @pytest.mark.usefixtures("dear")
-def test_the_halo_that_is_named_suffices(wide: Path) -> None:
-    settings = {"method": "classic", "memory": "700MiB"}
+@pytest.mark.parametrize(("metres", "units", "unit"), [(1.0, "m", ""), (0.3048, "ft", "ft")])
+def test_the_halo_that_is_named_suffices(metres: float, units: str, unit: str, tmp_path: Path) -> None:
+    wide = square(tmp_path / "wide.las", metres)
+    settings = {"method": "classic", "memory": "700MiB", "units": units}
     text = refusal(wide, **settings, halo="200")
-    named = re.search(r" or --halo (\d+) --tile-size (\d+)$", text)
+    named = re.search(rf" or --halo (\d+{unit}) --tile-size (\d+{unit})$", text)
     assert named, text
-    assert planned(wide, **settings, halo=named[1], tile_size=named[2]).halo_m == int(named[1]) < 200
+    assert 1 < planned(wide, **settings, halo=named[1], tile_size=named[2]).halo_m < 200
 
 
 def test_pixels_far_too_fine_are_the_cause_not_the_coordinates(wide: Path, tmp_path: Path) -> None:
