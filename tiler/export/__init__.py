@@ -1,4 +1,4 @@
-"""Export: what people open, made from what the store holds."""
+"""Export: files for users, made from the contents of the store."""
 
 from tiler.export.bridges import write_bridges
 from tiler.export.classified import write_classified

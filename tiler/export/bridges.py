@@ -17,12 +17,13 @@ LAYER = "bridges"
 
 
 def write_bridges(store_url: str, work: WriteBridges) -> dict[str, Any]:
-    """Write ``<out>/bridges.gpkg``; a `tiler.schedule.task.Work`.
+    """Write ``<out>/bridges.gpkg`` (a `tiler.schedule.task.Work`).
 
-    A polygon for the free part of each deck: ``length_m``, ``width_m``, ``clearance_m`` (height above what lies beside
-    it), ``points_below`` (points seen beneath it; more than a few only where the scanner looked from the side).
+    The file has one polygon for the free part of each deck. Columns are ``length_m``, ``width_m``, ``clearance_m``
+    (height above the ground next to it) and ``points_below``. There are more than a few points below a deck only where
+    the scanner looked from the side.
 
-    The record is that of `tiler.export.output_files.new_file`. Raises ProcessingError.
+    Return the record of `tiler.export.output_files.new_file`. Raise ProcessingError if the file cannot be written.
     """
     shapes = [shapely.Polygon(np.array(ring).reshape(-1, 2) / COUNTS_PER_UNIT) for ring, *_ in work.decks]
     sizes = np.array([deck[1:] for deck in work.decks], np.float64).reshape(-1, 4)

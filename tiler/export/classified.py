@@ -1,4 +1,4 @@
-"""Writes classified clouds: a source file again as LAZ, LAS or COPC, with the classes that the run found."""
+"""Writing of classified clouds: copies of the sources as LAZ, LAS or COPC, with the classes of the run."""
 
 from __future__ import annotations
 
@@ -41,24 +41,24 @@ from tiler.io.locations import as_path, staging_folder, state_of
 from tiler.store import SPOOL_CHUNK, KeptRecords, TileStore, open_store
 
 ROWS_PER_BATCH = 1 << 27
-"""Most labels in memory at a time, one byte each."""
+"""Maximum number of labels in memory, of one byte each."""
 
 _STEP = SPOOL_CHUNK
-"""Number of records that are read, changed and written at a time, so that the processor's cache holds them."""
+"""Number of records that are read, changed and written together, so that they fit into the processor's cache."""
 _CHUNKS_A_THREAD = 2
-"""Chunks of 65,536 records that each thread compresses in a step. Threads wait for one another at its end."""
+"""Number of chunks of 65,536 records that each thread compresses per step. Threads wait for each other at its end."""
 WATER_RISE_M = 1.0
-"""An object this far above the level of the water, such as a tree over a bank, is no water."""
+"""Height above the water level from which an object, such as a tree over a bank, is not water."""
 WATER_LOW_M = 0.5
-"""Returns from more than this below the level of the water are noise: waves are lower."""
+"""Depth below the water level from which returns are noise, since waves are lower."""
 _FEW_BYTES = 1 << 14
-"""Bytes that are read ahead if only a part of the points is needed."""
+"""Size of the blocks that are read if only a part of the points is needed."""
 _WAVE_FORMATS = (9, 10)
 """Point formats with wave packets in layers."""
 
 
 def write_classified(store_url: str, work: WriteClassified) -> dict[str, Any]:
-    """Write one source with its new classes.
+    """Write a copy of a source with its new classes (a `tiler.schedule.task.Work`).
 
     Parameters
     ----------
@@ -70,15 +70,15 @@ def write_classified(store_url: str, work: WriteClassified) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``points``, ``changed`` (points with another class than before), ``classes`` (points by their new class),
-        ``kept`` (points that took part and keep a class of the source that is not in `WITHOUT_OBJECT`, by class),
-        ``statistics`` (see `CloudStatistics.to_json`), ``bytes``, ``digest`` (of all bytes), ``state`` (see
-        `tiler.io.locations.FileState`), ``notes`` (list of str).
+        ``points``, ``changed`` (number of points with a new class), ``classes`` (number of points by new class),
+        ``kept`` (number of points by class that took part and keep a class of the source outside `WITHOUT_OBJECT`),
+        ``statistics`` (see `CloudStatistics.to_json`), ``bytes``, ``digest`` (of all bytes), ``notes`` (list of str),
+        ``fetched`` (number of bytes read over the network), ``state`` (see `tiler.io.locations.FileState`).
 
     Raises
     ------
     InputError
-        The source cannot be decoded, or is no longer the one whose points have these classes.
+        The source cannot be decoded, or was changed since the run read it.
     ProcessingError
         The file cannot be written, or lazrs cannot compress it without loss.
     """
@@ -86,21 +86,22 @@ def write_classified(store_url: str, work: WriteClassified) -> dict[str, Any]:
     place, name = os.path.split(work.out)
     with unchanged(as_path(work.path), work.stamp, work.salvage) as header, staging_folder(place) as folder:
         before = fetched_bytes()
-        header = replace(header, point_count=count_decodable(header))  # as it was read, if salvaged
+        # A salvaged file has fewer points than its header states.
+        header = replace(header, point_count=count_decodable(header))
         record = _write(store, header, work, folder / name)
         record["fetched"] = fetched_bytes() - before
     return {**record, "state": state_of(as_path(work.out)).to_json()}
 
 
 def _write(store: TileStore, header: LasHeader, work: WriteClassified, out: Path) -> dict[str, Any]:
-    """Write a cloud on this machine; the record of `write_classified`."""
+    """Write a cloud on this machine and return the record of `write_classified` without ``fetched`` and ``state``."""
     partial, compressed = partial_path(out), out.suffix.lower() == ".laz"
     form = upgraded_header(header) if work.copc else header
     crs = new_crs(header, work, store.meta.frame.crs_wkt)
     try:
         out.parent.mkdir(parents=True, exist_ok=True)
         block_bytes = BLOCK_BYTES
-        if work.ranges:  # a part of the points: the rest of the file is not read
+        if work.ranges:  # Only a part of the file is read.
             block_bytes = _FEW_BYTES
         with open_location(header.path, block_bytes) as source, open(partial, "w+b") as target:
             if work.copc:
@@ -144,7 +145,7 @@ def _write_points(
     store: TileStore,
     work: WriteClassified,
 ) -> tuple[dict[str, Any], CloudStatistics]:
-    """Write all records, in their order, with their new classes and in the format of the header ``form``."""
+    """Write all records in their order, with new classes and in the format of the header ``form``."""
     table = written_classes(work.reclass)
     pairs = np.zeros(table.size, dtype=np.int64)  # number of points for each label and class of the source
     channels: set[int] = set()
@@ -189,7 +190,10 @@ def _steps(ranges: Iterable[tuple[int, int]], step: int) -> Iterator[tuple[int, 
 
 
 def _counts(pairs: npt.NDArray[np.int64], table: npt.NDArray[np.uint8]) -> dict[str, Any]:
-    """Counts of changed, new and kept classes, from the points by label (row) and class of the source (column)."""
+    """Return ``changed``, ``classes`` and ``kept`` of the record of `write_classified`.
+
+    ``pairs`` has the number of points, and ``table`` the new class, by label (row) and class of the source (column).
+    """
     before = np.arange(len(table))
     kept = pairs[[UNCLASSIFIED, UNCLASSIFIED | WATER_BIT]].sum(axis=0) * (table[UNCLASSIFIED] == before)
     kept[list(WITHOUT_OBJECT)] = 0
@@ -203,14 +207,14 @@ def _counts(pairs: npt.NDArray[np.int64], table: npt.NDArray[np.uint8]) -> dict[
 
 
 def _histogram(counts: npt.NDArray[np.int64]) -> dict[str, int]:
-    """Class to number of points, without empty classes."""
+    """Return the number of points by class, without empty classes."""
     return {str(c): n for c, n in enumerate(counts.tolist()) if n}
 
 
 def _reader(
     store: TileStore, header: LasHeader, work: WriteClassified
 ) -> AbstractContextManager[KeptRecords | PointReader]:
-    """Records that the store kept as they were decoded; if there are none, the source is decoded again."""
+    """Return the decoded records that the store kept, or a reader of the source if it kept none."""
     if work.pieces and not work.ranges:
         dtype = record_dtype(header.point_format, header.record_length)
         kept = store.records(work.pieces, header.point_count, dtype)
@@ -222,7 +226,7 @@ def _reader(
 def _spans(ranges: Iterable[tuple[int, int]]) -> Iterator[list[tuple[int, int]]]:
     """Group ranges of rows, (start, count), into lists of (first, end) that span at most `ROWS_PER_BATCH` rows.
 
-    The buckets are read once for each group, as an octree has many small nodes.
+    An octree has many small nodes, so the buckets are read once per group and not once per node.
     """
     together: list[tuple[int, int]] = []
     for start, count in ranges:
@@ -237,7 +241,7 @@ def _spans(ranges: Iterable[tuple[int, int]]) -> Iterator[list[tuple[int, int]]]
 
 
 def _channels(header: LasHeader, records: Records) -> set[int]:
-    """Scanner channels of records with layered wave packets; empty for other formats.
+    """Return the scanner channels of records with layered wave packets, or an empty set for other formats.
 
     lazrs 0.8 silently damages wave packets if the channel changes within a chunk, both when it writes and when it
     reads. All other fields are right.
@@ -248,9 +252,9 @@ def _channels(header: LasHeader, records: Records) -> set[int]:
 
 
 def collect_labels(store: TileStore, work: WriteClassified, first: int, last: int) -> npt.NDArray[np.uint8]:
-    """Final labels of the rows ``first`` to ``last`` of a source: uint8, with `WATER_BIT` for points in water.
+    """Return the final labels of the rows ``first`` to ``last`` of a source, uint8.
 
-    A label is 0 if the store holds no such point or the point lies outside the area.
+    Points in water have `WATER_BIT`. A label is 0 if the point is not in the store or lies outside the area.
     """
     found = np.zeros(last - first, dtype=np.uint8)
     for cell, rows, mine in _rows_inside(store, work, first, last):
@@ -265,7 +269,7 @@ def collect_labels(store: TileStore, work: WriteClassified, first: int, last: in
 
 
 def _inside_area(store: TileStore, work: WriteClassified, first: int, last: int) -> npt.NDArray[np.bool_]:
-    """Mask of the rows ``first`` to ``last`` of a source: True for points of the store inside the area."""
+    """Return a mask of the rows ``first`` to ``last`` of a source: True for points of the store inside the area."""
     found = np.zeros(last - first, dtype=np.bool_)
     for _, rows, mine in _rows_inside(store, work, first, last):
         found[rows[mine] - first] = True
@@ -275,7 +279,10 @@ def _inside_area(store: TileStore, work: WriteClassified, first: int, last: int)
 def _rows_inside(
     store: TileStore, work: WriteClassified, first: int, last: int
 ) -> Iterator[tuple[Cell, npt.NDArray[np.int64], npt.NDArray[np.bool_]]]:
-    """Yield buckets with such rows of a source inside the area: cell, rows of its points, mask of those rows."""
+    """Yield the buckets that contain any of these rows of a source inside the area.
+
+    Each comes with its cell, the rows of all of its points, and the mask of these rows.
+    """
     area = store.area(work.area)
     for cell in work.cells:
         whole = area is None or area.covers(store.meta.bucket.bounds(cell))
@@ -296,7 +303,7 @@ def _rows_inside(
 def _corrected(
     store: TileStore, edits: str, cell: Cell, labels: npt.NDArray[np.uint8]
 ) -> npt.NDArray[np.uint8]:
-    """Labels of a bucket after the corrections."""
+    """Return the labels of a bucket after the edits."""
     found = store.edits(edits, store.meta.bucket.bounds(cell), OF_POINTS)
     if found is None:
         return labels
@@ -307,9 +314,10 @@ def _corrected(
 def _with_water(
     store: TileStore, work: WriteClassified, cell: Cell, labels: npt.NDArray[np.uint8]
 ) -> npt.NDArray[np.uint8]:
-    """Labels of a bucket, with `WATER_BIT` for points in a body of water that are no tree or boat above it.
+    """Return the labels of a bucket, with `WATER_BIT` for points in a body of water.
 
-    Returns from far below the water are low noise, if ``work.low_is_noise``.
+    Objects above the water, such as trees and boats, do not get it. If ``work.low_is_noise``, returns from more than
+    `WATER_LOW_M` below the level become low noise.
     """
     found = store.waters(work.waters, store.meta.bucket.bounds(cell))
     if found is None:

@@ -1,4 +1,4 @@
-"""CRS records of a classified cloud, if those of the source do not suffice."""
+"""CRS records of a classified cloud, for sources whose CRS records do not suffice."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ _CODES = range(1024, 32767)
 
 @dataclass(frozen=True)
 class NewCrs:
-    """A CRS that is written in place of what the source has.
+    """CRS that replaces the CRS records of the source.
 
     Attributes
     ----------
     record : bytes
-        A whole VLR.
+        Whole VLR.
     is_wkt : bool
-        Else GeoTIFF keys.
+        True for WKT, False for GeoTIFF keys.
     note : str
-        What people should know; empty for nothing.
+        Note for the user, or empty.
     """
 
     record: bytes
@@ -46,17 +46,17 @@ class NewCrs:
 
 
 def new_crs(header: LasHeader, work: WriteClassified, run_wkt: str | None) -> NewCrs | None:
-    """The CRS to write into a classified cloud; None: the records of the source stay.
+    """Return the CRS to write into a classified cloud, or None if the records of the source stay.
 
-    LAS 1.4 has it as WKT, earlier versions as GeoTIFF keys where these can name it, COPC as WKT always.
+    LAS 1.4 and COPC get it as WKT. Earlier versions of LAS get GeoTIFF keys if its parts have EPSG codes, else WKT.
 
     Parameters
     ----------
     header : LasHeader
-        Of the source.
+        Header of the source.
     work : WriteClassified
     run_wkt : str or None
-        The CRS of the run.
+        CRS of the run.
     """
     records = (*header.vlrs, *header.evlrs)
     if work.copc and run_wkt is not None:
@@ -78,7 +78,7 @@ def new_crs(header: LasHeader, work: WriteClassified, run_wkt: str | None) -> Ne
 
 
 def without_crs(records: Sequence[Vlr]) -> list[Vlr]:
-    """All records except those of a CRS."""
+    """Return all records except those of a CRS."""
     return [record for record in records if not _is_crs(record)]
 
 
@@ -87,9 +87,9 @@ def _is_crs(record: Vlr) -> bool:
 
 
 def geotiff_keys(crs: CRS) -> bytes | None:
-    """GeoTIFF keys that name a projected CRS, and a vertical one, by EPSG codes; None: it has no such codes.
+    """Return GeoTIFF keys with the EPSG codes of a projected CRS, or None if it lacks such codes.
 
-    laspy writes such keys without units and heights; rasterio writes them into images alone.
+    A vertical CRS is included. laspy writes such keys without units and heights, and rasterio only into images.
     """
     horizontal, vertical = split(crs)
     if horizontal is None or not horizontal.is_projected:
@@ -106,13 +106,13 @@ def geotiff_keys(crs: CRS) -> bytes | None:
 
 
 def _named(crs: CRS, code_key: int, unit_key: int) -> list[tuple[int, int]]:
-    """Keys with the EPSG codes of a CRS and of its unit; 0: it has no code."""
+    """Return keys with the EPSG codes of a CRS and of its unit. A code is 0 if there is none."""
     unit = exact_unit(crs.axis_info[-1].unit_conversion_factor)
     return [(code_key, crs.to_epsg(min_confidence=100) or 0), (unit_key, _UNITS.get(unit, 0))]
 
 
 def _wkt_record(wkt: str) -> bytes:
-    """Record of a CRS in WKT 1, as LAS asks for; unchanged if WKT 1 cannot express the CRS."""
+    """Return the record of a CRS in WKT 1, as LAS requires, or in the given WKT if WKT 1 cannot express the CRS."""
     text = wkt
     with suppress(CRSError):
         text = CRS.from_wkt(wkt).to_wkt("WKT1_GDAL", output_axis_rule=False) or wkt

@@ -1,6 +1,6 @@
-"""Copies header and records of a source into its classified cloud, and corrects the positions in them.
+"""Copying of header and records of a source into its classified cloud, with correct file positions.
 
-laspy drops text behind a NUL, reserved bytes, counts, dates and bytes between records. Here all of that is copied as
+laspy drops text after a NUL, reserved bytes, counts, dates and bytes between records. Here all of them are copied as
 bytes, and only the points pass through lazrs.
 """
 
@@ -29,7 +29,7 @@ _WAVE_USER, _WAVE_RECORDS = "LASF_Spec", (*range(100, 355), 65535)
 
 
 def _kept(records: Sequence[Vlr], crs: NewCrs | None) -> list[Vlr]:
-    """Records of the source, without those of an octree and of a CRS that is written anew."""
+    """Return the records of the source without the octree and without a CRS that is replaced."""
     if crs is not None:
         records = without_crs(records)
     return [record for record in records if not record.is_copc]
@@ -38,7 +38,7 @@ def _kept(records: Sequence[Vlr], crs: NewCrs | None) -> list[Vlr]:
 def write_front(
     header: LasHeader, source: BinaryIO, target: BinaryIO, compressed: bool, crs: NewCrs | None
 ) -> list[str]:
-    """Write the header, the VLRs and all bytes before the points. Returns notes."""
+    """Write the header, the VLRs and all bytes before the points, and return notes for the user."""
     form = "LAZ" if compressed else "LAS"
     notes = []
     if any(vlr.is_copc for vlr in header.vlrs):
@@ -78,7 +78,7 @@ def write_front(
 
 
 def _end_of_records(header: LasHeader) -> int:
-    """Position behind the last VLR, or behind the header if there is none."""
+    """Return the position after the last VLR, or after the header if there is no VLR."""
     if header.vlrs:
         return header.vlrs[-1].end
     return header.header_size
@@ -90,7 +90,7 @@ def _patch(target: BinaryIO, position: int, form: str, *values: float) -> None:
 
 
 def _patch_counts(header: LasHeader, target: BinaryIO) -> None:
-    """Write the number of points if it differs from the header's, as in a salvaged file."""
+    """Write the number of points if the header states another number, as in a salvaged file."""
     target.seek(107)
     (legacy,) = struct.unpack("<I", target.read(4))
     if header.version[1] < 4:
@@ -105,7 +105,7 @@ def _patch_counts(header: LasHeader, target: BinaryIO) -> None:
 
 
 def patch_window(target: BinaryIO, statistics: CloudStatistics) -> None:
-    """Write counts and bounds of a cloud (LAS 1.4) that holds a part of its source."""
+    """Write counts and bounds of a cloud (LAS 1.4) that contains a part of its source."""
     fields = statistics.to_json()["fields"]
     ends = [0.0] * 6
     if fields:
@@ -140,7 +140,10 @@ def write_back(header: LasHeader, source: BinaryIO, target: BinaryIO, crs: NewCr
 
 
 def write_copc_front(header: LasHeader, source: BinaryIO, target: BinaryIO, crs: NewCrs | None) -> list[str]:
-    """Write header and VLRs of a COPC file, with room for what is known only at its end. Returns notes."""
+    """Write header and VLRs of a COPC file, and return notes for the user.
+
+    Counts, bounds and the position of the hierarchy are only known at the end, so their bytes are reserved.
+    """
     form, notes = upgraded_header(header), changes_of_format(header)
     source.seek(0)
     target.write(source.read(_OLDEST_HEADER_BYTES).ljust(HEADER_BYTES + INFO_BYTES, b"\0"))
@@ -176,7 +179,7 @@ def write_copc_back(
     copc: CopcWriter,
     statistics: CloudStatistics,
 ) -> None:
-    """Write the EVLRs of a COPC file behind its hierarchy, and the counts and bounds in its header."""
+    """Write the EVLRs of a COPC file after its hierarchy, and the counts and bounds in its header."""
     kept = _kept_by_copc(header.evlrs, crs)
     for record in kept:
         _copy(source, target, record.start, record.end)
@@ -186,7 +189,7 @@ def write_copc_back(
 
 
 def _kept_by_copc(records: Sequence[Vlr], crs: NewCrs | None) -> list[Vlr]:
-    """Records of the source, without those of an octree, of waveforms, and of a CRS that is written anew."""
+    """Return the records of the source without the octree, waveforms, and a CRS that is replaced."""
     return [record for record in _kept(records, crs) if not _is_waveform(record)]
 
 

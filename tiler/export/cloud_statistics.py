@@ -1,4 +1,4 @@
-"""Statistics of the points of a cloud. They are exact, and do not depend on the pieces in which the points come."""
+"""Exact statistics of the points of a cloud, which do not depend on the pieces in which the points come."""
 
 from __future__ import annotations
 
@@ -16,13 +16,15 @@ from tiler.io.las.reader import Records
 COORDINATES = ("X", "Y", "Z")
 
 _RETURNS = 15
-"""A header counts points by return number up to this one."""
+"""Largest return number for which a header counts points."""
 _NOTHING = [2**63, -(2**63), 0, 0]
-"""Lowest, highest, sum and sum of squares of no value."""
+"""Lowest, highest, sum and sum of squares of an empty set of values."""
 
 
 class CloudStatistics:
-    """Accumulates statistics of the fields of point records; with integer sums, as the order must not matter.
+    """Accumulator of statistics of the fields of point records.
+
+    The sums are integers, so that the result does not depend on the order.
 
     Parameters
     ----------
@@ -37,7 +39,7 @@ class CloudStatistics:
         self.by_return = [0] * _RETURNS
 
     def add(self, records: Records) -> None:
-        """Add some records."""
+        """Add records to the statistics."""
         self.points += len(records)
         number = returns(records, self._header.point_format)[0]
         counts = np.bincount(np.minimum(number, _RETURNS), minlength=_RETURNS + 1)[1:].tolist()
@@ -55,7 +57,7 @@ class CloudStatistics:
                 self._times = [min(known), max(known)]
 
     def to_json(self) -> dict[str, Any]:
-        """Statistics as plain values.
+        """Return the statistics as plain values.
 
         ``fields`` gives ``minimum``, ``maximum``, ``average``, ``variance`` and ``stddev`` by the name of the field:
         coordinates in units of the CRS, other fields as they are stored. ``gps`` has the first and the last adjusted
@@ -80,7 +82,7 @@ class CloudStatistics:
 
 
 def _fields(records: Records, point_format: int) -> Iterator[tuple[str, npt.NDArray[Any]]]:
-    """Yield names of fields, as PDAL and QGIS know them, and their values."""
+    """Yield the fields with the names that PDAL and QGIS use, and their values."""
     for name in COORDINATES:
         yield name, records[name]
     yield "Intensity", records["intensity"]
@@ -94,7 +96,7 @@ def _fields(records: Records, point_format: int) -> Iterator[tuple[str, npt.NDAr
 
 
 def sums_of(values: npt.NDArray[Any]) -> tuple[int, int, int, int]:
-    """Lowest, highest, sum and sum of squares, all exact, of integers of at most 32 bits."""
+    """Return the exact lowest, highest, sum and sum of squares of integers of at most 32 bits."""
     if values.dtype.itemsize <= 2:
         counts = np.bincount(values)
         found = np.flatnonzero(counts)
@@ -105,7 +107,7 @@ def sums_of(values: npt.NDArray[Any]) -> tuple[int, int, int, int]:
     total = int(raised.sum())
     if n * (high - low) ** 2 < 1 << 63:
         squares = int(np.dot(raised, raised))
-    else:  # int64 holds sums of products of 16-bit halves, for up to 2**31 values
+    else:  # Sums of products of 16-bit halves fit into int64 for up to 2**31 values.
         upper, lower = raised >> 16, raised & 0xFFFF
         parts = [int(np.dot(a, b)) for a, b in ((upper, upper), (upper, lower), (lower, lower))]
         squares = (parts[0] << 32) + (parts[1] << 17) + parts[2]

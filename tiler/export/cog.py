@@ -1,8 +1,8 @@
-"""Writes a raster of the store as a cloud-optimised GeoTIFF.
+"""Writing of a raster of the store as a cloud-optimised GeoTIFF (COG).
 
 A COG has its overviews before the full resolution, so blocks cannot be written in their order. They go to a plain tiled
-GeoTIFF, which GDAL's COG driver then copies with bounded memory. Both are scratch files beside the target until the COG
-is whole. The scratch takes up to 4 bytes a pixel; blocks without data take none.
+GeoTIFF, which GDAL's COG driver then copies with bounded memory. Both are scratch files next to the target until the
+COG is complete. The plain file needs up to 4 bytes per pixel, and nothing for blocks without data.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ class Statistics:
     squares: float = 0.0
 
     def merged(self, block: npt.NDArray[Any], nodata: float | None = NODATA) -> Statistics:
-        """Statistics with one more block (Chan, Golub and LeVeque 1979, eq. 2.1)."""
+        """Return the statistics with one more block (Chan, Golub and LeVeque 1979, eq. 2.1)."""
         valid = block.ravel()
         if nodata is not None:
             valid = valid[valid != np.float32(nodata)]
@@ -74,14 +74,15 @@ class Statistics:
 
 
 def write_cog(store_url: str, work: WriteCog) -> dict[str, Any]:
-    """Write a raster of the store as ``<out>/<name>.tif``; a `tiler.schedule.task.Work`.
+    """Write a raster of the store as ``<out>/<name>.tif`` (a `tiler.schedule.task.Work`).
 
-    The same content gives the same bytes: the file says nothing about time, path, workers or tiles.
+    The same content gives the same bytes, since the file does not contain time, path, workers or tiles.
 
     Returns
     -------
     dict
-        The record of `new_file`, and ``pixels``, ``valid``, ``min``, ``max``, ``mean`` (None without a valid pixel).
+        The record of `new_file`, and ``pixels``, ``valid`` (number of pixels with a value), ``min``, ``max`` and
+        ``mean``, which are None if no pixel is valid.
 
     Raises
     ------
@@ -113,7 +114,7 @@ def _write(store: TileStore, work: WriteCog, target: Path) -> Statistics:
 
 
 def _product(work: ProductFile) -> Product:
-    """The product, with the nodata value of its file."""
+    """Return the product with the nodata value of its file."""
     product = PRODUCTS[work.product]
     if work.nodata is None:
         return product
@@ -142,7 +143,7 @@ def _write_plain(store: TileStore, work: WriteCog, path: Path) -> Statistics:
 
 
 def _read(store: TileStore, work: WriteCog, block: Block) -> npt.NDArray[np.float32]:
-    """A block of the file. Pixels beyond the raster of the store hold ``fill``."""
+    """Return a block of the file. Pixels beyond the raster of the store have the value ``fill``."""
     spec, whole = work.spec, work.whole
     if whole is None:
         return store.read_block(work.raster, block)
@@ -157,7 +158,7 @@ def _read(store: TileStore, work: WriteCog, block: Block) -> npt.NDArray[np.floa
 
 
 def raster_metadata(frame: CoordFrame, work: ProductFile) -> RasterMetadata:
-    """The metadata of the file of a product."""
+    """Return the metadata of the file of a product."""
     product = _product(work)
     unit = product.unit
     if unit == HEIGHT:
@@ -176,7 +177,7 @@ def raster_metadata(frame: CoordFrame, work: ProductFile) -> RasterMetadata:
 
 
 def _copy_as_cog(plain: Path, partial: Path, compress: str, product: Product) -> None:
-    """Let GDAL order, compress and build overviews, in one thread and bounded memory."""
+    """Copy a GeoTIFF as COG: GDAL orders, compresses and builds overviews in one thread and bounded memory."""
     options = {
         "COMPRESS": compress.upper(),
         "PREDICTOR": product.predictor,
@@ -186,7 +187,7 @@ def _copy_as_cog(plain: Path, partial: Path, compress: str, product: Product) ->
         "OVERVIEWS": "AUTO",
         "BIGTIFF": "IF_SAFER",
         "NUM_THREADS": 1,
-        "STATISTICS": "AUTO",  # keep the statistics of the plain file
+        "STATISTICS": "AUTO",  # The statistics of the plain file are kept.
     }
     with rasterio.Env(GDAL_CACHEMAX=CACHE_MB, GDAL_NUM_THREADS=1), raster_errors(partial):
         partial.unlink(missing_ok=True)
@@ -194,7 +195,10 @@ def _copy_as_cog(plain: Path, partial: Path, compress: str, product: Product) ->
 
 
 def _check(partial: Path, spec: RasterSpec) -> None:
-    """Read the last block, as GDAL may notice a full disk only when it closes the file, and may not report it."""
+    """Read the last block and raise ProcessingError if it is damaged.
+
+    GDAL may notice a full disk only when it closes the file, and may not report it.
+    """
     row = (spec.height - 1) // BLOCK_PIXELS * BLOCK_PIXELS
     col = (spec.width - 1) // BLOCK_PIXELS * BLOCK_PIXELS
     last = spec.block_at(row, col, BLOCK_PIXELS)
@@ -205,9 +209,9 @@ def _check(partial: Path, spec: RasterSpec) -> None:
 
 
 def _publish(partial: Path, target: Path) -> None:
-    """Give a file that is whole its final name, and sync it to the disk."""
+    """Give a complete file its final name, and sync it to the disk."""
     with raster_errors(target):
-        with open(partial, "rb+") as stream:  # Windows syncs no file that is open for reading alone
+        with open(partial, "rb+") as stream:  # Windows cannot sync a file that is open only for reading.
             os.fsync(stream.fileno())
         replace_file(partial, target)
         sync_folder(target.parent)

@@ -1,9 +1,10 @@
-"""Contours of a raster that is seen one block at a time: lines of a block, and lines joined across blocks.
+"""Contours of a raster that is read block by block: lines of a block, and lines joined across blocks.
 
-A line runs from one edge between two neighbouring pixel centres to the next. A vertex is known by its edge and computed
-from the two heights at the edge's ends alone, so both blocks beside a border find the same one, and lines join exactly.
+A line runs from one edge between two neighbouring pixel centres to the next. A vertex is identified by its edge and
+computed only from the two heights at the ends of the edge. So the blocks on both sides of a border find the same
+vertex, and lines join exactly.
 
-Of lines that are short rings, those around small tops and pits are drawn; the noise of the heights is not.
+Short rings are drawn only around small tops and pits, since the others are noise of the heights.
 """
 
 from __future__ import annotations
@@ -22,40 +23,42 @@ Floats = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 
 OFF_LEVEL = 1e-6
-"""Part of the interval: heights that are nearer to a level are put this far above it. So lines never run through a
-pixel centre, where they would touch, and go around a lake that lies exactly on a level."""
+"""Distance from a level, as a share of the interval, below which a height is moved to this distance above the level.
+
+So lines never run through a pixel centre, where they would touch, and run around a lake that lies exactly on a level.
+"""
 
 SHORT = 10.0
-"""Pixels: shorter rings are drawn only around a top or a pit."""
+"""Length in pixels below which a ring is drawn only around a top or a pit."""
 MIN_RISE = 0.5
-"""Share of the interval by which the ground inside of a short ring differs from its level, if it is drawn."""
+"""Minimum difference between the level of a short ring and the ground inside it, as a share of the interval."""
 
 LINES_OF_RELIEF = 50
-"""Levels at most over the relief of a run where the user names no interval."""
+"""Maximum number of levels over the relief of a run if the user gives no interval."""
 TIMES_NOISE = 4
-"""Times the noise of the ground that lines lie apart at least, where the user names no interval."""
+"""Minimum interval as a multiple of the noise of the ground, if the user gives no interval."""
 STEPS = (1, 2, 5)
-"""Intervals are one of these times a power of ten."""
+"""Factors of the intervals, which are one of them times a power of ten."""
 
 REACH_SIGMAS = 3
-"""Standard deviations at which the weights of the smoothing end."""
+"""Radius of the smoothing in standard deviations."""
 
 MAX_HELD_VERTICES = 4_000_000
-"""Vertices of unfinished lines that are held at once; beyond it the longest are cut."""
+"""Maximum number of vertices of unfinished lines in memory. If there are more, the longest lines are cut."""
 
 Key = tuple[int, int, int, int]
-"""Name of a vertex: level, row and column of the first pixel (from the north-west) of the edge on which it lies, and 1
-if that edge runs south, 0 if it runs east."""
+"""Key of a vertex: level, row and column of the first pixel (from the north-west) of its edge, and the direction of the
+edge, 1 for south and 0 for east."""
 
 
 @dataclass(frozen=True)
 class Piece:
-    """A contour line within a block, higher ground to one side all along.
+    """Contour line within a block, with higher ground always on the same side.
 
     Attributes
     ----------
     start, end : Key
-        Equal where the line is closed.
+        Keys of its ends, which are equal if the line is closed.
     places : float64 (n, 2)
         Column and row of each vertex, in pixels from the centre of the raster's north-west pixel.
     """
@@ -66,16 +69,18 @@ class Piece:
 
 
 def default_interval(relief: float, floor: Fraction, noise: float = 0.0) -> Fraction:
-    """The smallest round interval of `LINES_OF_RELIEF` levels at most that is no finer than the heights are accurate.
+    """Return the smallest round interval that suits the relief and the accuracy of the heights.
+
+    It gives at most about `LINES_OF_RELIEF` levels. All values are in the unit of the heights.
 
     Parameters
     ----------
     relief : float
-        Between low and high ground, in the unit of the heights, as all that follows.
+        Difference between high and low ground.
     floor : Fraction
-        The smallest interval.
+        Minimum interval.
     noise : float
-        Standard deviation of the heights: an interval has `TIMES_NOISE` of it.
+        Standard deviation of the heights. The interval is at least `TIMES_NOISE` times as large.
     """
     least = max(relief / LINES_OF_RELIEF, TIMES_NOISE * noise)
     if least <= floor:
@@ -86,12 +91,15 @@ def default_interval(relief: float, floor: Fraction, noise: float = 0.0) -> Frac
 
 
 def smoothing_reach(sigma: float) -> int:
-    """Pixels around a block that `smoothed` needs, for a standard deviation in pixels."""
+    """Return the margin in pixels that `smoothed` needs, for a standard deviation in pixels."""
     return math.ceil(REACH_SIGMAS * sigma)
 
 
 def smoothed(heights: Floats, sigma: float) -> Floats:
-    """Heights averaged by a Gaussian of ``sigma`` pixels; what has no height (NaN) has no weight and gets none."""
+    """Return heights averaged by a Gaussian of ``sigma`` pixels.
+
+    Pixels without a height (NaN) have no weight and stay NaN.
+    """
     if sigma <= 0:
         return heights
     reach = smoothing_reach(sigma)
@@ -106,16 +114,19 @@ def smoothed(heights: Floats, sigma: float) -> Floats:
 
 
 def contour_block(heights: Floats, interval: Fraction, row: int, col: int) -> Iterator[Piece]:
-    """Lines between the pixel centres of a block, level by level from the lowest; none beside a pixel without height.
+    """Yield the lines between the pixel centres of a block, level by level from the lowest.
+
+    There are no lines next to a pixel without a height.
 
     Parameters
     ----------
     heights : float64 (h, w)
-        NaN where there is none. A block shares its last row and column with those to the south and east of it.
+        Heights of the block, NaN for pixels without one. It shares its last row and column with the blocks to the south
+        and east.
     interval : Fraction
-        Levels are its multiples, in the unit of the heights.
+        Interval of the levels, which are its multiples, in the unit of the heights.
     row, col : int
-        Of the block's first pixel in the raster.
+        Row and column of the block's first pixel in the raster.
     """
     from contourpy import LineType, contour_generator
 
@@ -138,9 +149,10 @@ def contour_block(heights: Floats, interval: Fraction, row: int, col: int) -> It
 
 
 def _edges(line: Floats) -> tuple[Ints, Ints, Ints]:
-    """Row and column of the first pixel of the edge on which each vertex (x, y) lies, and whether that runs south.
+    """Return row and column of the first pixel of the edge of each vertex (x, y), and 1 if the edge runs south.
 
-    One of the two is whole but for rounding, which is far smaller than what `OFF_LEVEL` leaves of the other.
+    One of x and y is a whole number except for rounding, which is far smaller than the distance of the other from a
+    whole number that `OFF_LEVEL` ensures.
     """
     nearest = np.rint(line)
     off = np.abs(line - nearest)
@@ -151,7 +163,10 @@ def _edges(line: Floats) -> tuple[Ints, Ints, Ints]:
 
 
 def _part(heights: Floats, level: float, rows: Ints, cols: Ints, down: Ints) -> Floats:
-    """How far along its edge each vertex lies, from the heights at both ends, in the order of the raster."""
+    """Return the position of each vertex along its edge (0 to 1), from the heights at both ends.
+
+    The ends are in the order of the raster, so that both blocks of an edge get the same position.
+    """
     first, second = heights[rows, cols], heights[rows + down, cols + 1 - down]
     part: Floats = (level - first) / (second - first)
     return part
@@ -159,7 +174,7 @@ def _part(heights: Floats, level: float, rows: Ints, cols: Ints, down: Ints) -> 
 
 @dataclass
 class _Line:
-    """A line that may go on at both ends."""
+    """Line that may continue at both ends."""
 
     start: Key
     end: Key
@@ -169,14 +184,15 @@ class _Line:
 
 @dataclass
 class Joiner:
-    """Joins the pieces of blocks that come row by row from the north-west, each row from the west.
+    """Joiner of the pieces of blocks that come row by row from the north-west, each row from the west.
 
     Attributes
     ----------
     max_held : int
-        Vertices of unfinished lines; beyond it the longest are given back as they are, and go on as new lines.
+        Maximum number of vertices of unfinished lines. If there are more, the longest lines are yielded unfinished, and
+        continue as new lines.
     cut : int
-        How often that happened.
+        Number of lines that were yielded unfinished.
     """
 
     max_held: int = MAX_HELD_VERTICES
@@ -186,7 +202,7 @@ class Joiner:
     _held: int = 0
 
     def add(self, piece: Piece) -> Iterator[tuple[int, Floats]]:
-        """Take a piece; the line, level and places, that it completes to a ring."""
+        """Add a piece, and yield the ring that it completes, if any, as level and vertices."""
         if piece.start == piece.end:
             yield piece.start[0], _from_least(piece.places)
             return
@@ -210,7 +226,10 @@ class Joiner:
         self._starts[line.start] = self._ends[line.end] = line
 
     def end_row(self, last_row: int) -> Iterator[tuple[int, Floats]]:
-        """Lines that no later block can go on with, after a row of blocks down to the pixel row ``last_row``."""
+        """Yield the lines that no later block can extend, once all blocks down to ``last_row`` were added.
+
+        If too many vertices are left, the longest unfinished lines are yielded as well.
+        """
 
         def waits(key: Key) -> bool:
             return key[1] == last_row and key[3] == 0
@@ -236,30 +255,32 @@ class Joiner:
 
 
 def _from_least(places: Floats) -> Floats:
-    """A ring that starts at its westernmost vertex, so that it does not depend on the order of the blocks."""
+    """Return a ring from its westernmost vertex on, so that it does not depend on the order of the blocks."""
     ring = places[:-1]
     first = int(np.lexsort((ring[:, 1], ring[:, 0]))[0])
     return np.concatenate((ring[first:], ring[: first + 1]))
 
 
 def is_short(places: Floats) -> bool:
-    """Whether a line, of places (column, row) in pixels, is closed and shorter than `SHORT`."""
+    """Return whether a line with vertices (column, row) in pixels is closed and shorter than `SHORT`."""
     if len(places) > 4 * SHORT or not (places[0] == places[-1]).all():
         return False
     return bool(np.hypot(*np.diff(places, axis=0).T).sum() < SHORT)
 
 
 def stays(places: Floats, heights: Floats, level: float, interval: float) -> bool:
-    """Whether a short ring is the only one of a top or pit that differs from its level by `MIN_RISE` intervals.
+    """Return whether a short ring is the only ring of a top or pit that is high or deep enough to be drawn.
+
+    Its ground differs from the level of the ring by at least `MIN_RISE` intervals, and by less than one interval.
 
     Parameters
     ----------
     places : float64 (n, 2)
-        Column and row of its vertices in `heights`.
+        Column and row of the vertices of the ring in `heights`.
     heights : float64 (h, w)
-        NaN where there is none.
+        Heights around the ring, NaN for pixels without one.
     level, interval : float
-        In the unit of the heights.
+        Level of the ring and interval of the levels, in the unit of the heights.
     """
     rows, cols = np.indices(heights.shape)
     inside = heights[shapely.contains_xy(shapely.Polygon(places), cols, rows)]

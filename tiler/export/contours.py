@@ -1,4 +1,4 @@
-"""Contours and spot heights of the terrain as GeoPackages, drawn block by block from the raster in the store."""
+"""Contours and spot heights of the terrain as GeoPackages, made block by block from the raster in the store."""
 
 from __future__ import annotations
 
@@ -34,24 +34,24 @@ from tiler.store import TileStore, open_store
 Floats = npt.NDArray[np.float64]
 
 BLOCK = 1024
-"""Side in pixels of the blocks that are read one at a time; the lines do not depend on it."""
+"""Side in pixels of the blocks that are read one at a time. The lines do not depend on it."""
 FLOOR_M, FLOOR_FEET = Fraction(1, 4), Fraction(1)
-"""The smallest interval that is chosen, in metres; in feet where heights are."""
+"""Minimum default interval, in metres and, for heights in feet, in feet."""
 USUAL = (0.02, 0.98)
-"""Quantiles of the heights between which the relief is taken: one tower does not change the interval."""
+"""Quantiles of the heights whose difference is the relief, so that one tower does not change the interval."""
 BINS = 10_000
-"""Steps of the relief by which these quantiles are found."""
+"""Number of bins of the histogram of the heights from which these quantiles are taken."""
 NO_SPOT = 2
-"""Pixels from water within which no spot is written."""
+"""Distance from water in pixels within which no spot is written."""
 INDEX_EVERY = 5
-"""Every fifth level is an index contour."""
+"""Number of levels from one index contour to the next."""
 BATCH = 500_000
-"""Vertices that are written at once."""
+"""Number of vertices that are collected before they are written."""
 
 
 @dataclass(frozen=True)
 class _Terrain:
-    """Heights of a raster of the store inside of the area."""
+    """Heights of a raster of the store inside the area."""
 
     store: TileStore
     raster: str
@@ -60,22 +60,26 @@ class _Terrain:
     waters: str | None = None
 
     def heights(self, block: Block) -> Floats:
-        """Units of the CRS; NaN where there is none, or outside of the area."""
+        """Return the heights of a block in units of the CRS, NaN outside the area and for pixels without one."""
         values = self.store.read_block(self.raster, block)
         wanted = (values != np.float32(NODATA)) & self.spec.inside(block, self.area)
         return np.where(wanted, values.astype(np.float64), np.nan)
 
     def around(self, block: Block, reach: int) -> tuple[Floats, int, int]:
-        """Heights of a block with up to ``reach`` pixels on each side, and where the block begins in them."""
+        """Return the heights of a block with a margin, and the row and column of the block in them.
+
+        The margin is ``reach`` pixels, and less at the edge of the raster.
+        """
         top, left = max(block.row - reach, 0), max(block.col - reach, 0)
         bottom = min(block.row + block.height + reach, self.spec.height)
         right = min(block.col + block.width + reach, self.spec.width)
         return self.heights(Block(top, left, bottom - top, right - left)), block.row - top, block.col - left
 
     def land_smoothed(self, block: Block, sigma: float) -> Floats:
-        """Heights of a block, those of land averaged among themselves; NaN in water but for its outermost pixels.
+        """Return the heights of a block, on land averaged without those of water.
 
-        So lines run around water, and end at the shore of a river that falls through their level.
+        Water keeps the heights of its outermost pixels and is NaN inside. So lines run around water, and end at the
+        shore of a river that falls through their level.
         """
         reach = max(smoothing_reach(sigma), 1)
         heights, top, left = self.around(block, reach)
@@ -90,7 +94,7 @@ class _Terrain:
         return found[top : top + block.height, left : left + block.width]
 
     def relief(self) -> tuple[float, float]:
-        """Heights between which nearly all of the terrain lies, see `USUAL`; NaN where it has none."""
+        """Return the two heights between which nearly all of the terrain lies (see `USUAL`), or NaN if it is empty."""
         low, high = np.inf, -np.inf
         for heights in self._known():
             low, high = min(low, heights.min()), max(high, heights.max())
@@ -104,7 +108,7 @@ class _Terrain:
         return first, last
 
     def _known(self) -> Iterator[Floats]:
-        """Heights of each block that has some."""
+        """Yield the heights of each block without NaN, if there are any."""
         for block in self.spec.blocks(BLOCK):
             heights = self.heights(block)
             heights = heights[~np.isnan(heights)]
@@ -112,7 +116,7 @@ class _Terrain:
                 yield heights
 
     def wet(self, block: Block, reach: int) -> npt.NDArray[np.bool_]:
-        """Mark the pixels of a block within some pixels of water."""
+        """Return a mask of the pixels of a block that are within ``reach`` pixels of water."""
         top, left = max(block.row - reach, 0), max(block.col - reach, 0)
         wide = Block(
             top, left, block.row + block.height + reach - top, block.col + block.width + reach - left
@@ -128,25 +132,26 @@ class _Terrain:
 
     @property
     def decimals(self) -> int:
-        """Decimals of heights that are written: centimetres, or tenths of a foot."""
+        """Number of decimals of the written heights, for centimetres or tenths of a foot."""
         return 2 if self.store.meta.frame.units.vertical == METRE else 1
 
     def places(self, pixels: Floats) -> Floats:
-        """Coordinates of places (column, row) in pixels from the centre of the first one."""
+        """Return the coordinates of positions (column, row), given in pixels from the centre of the first pixel."""
         size = float(self.spec.lattice.size / COUNTS_PER_UNIT)
         x, y = pixels.T + 0.5
         return np.stack(((self.spec.west + x) * size, (self.spec.north - y) * size), axis=1)
 
 
 def write_contours(store_url: str, work: WriteContours) -> dict[str, Any]:
-    """Write contour lines as ``<out>/contours.gpkg``; a `tiler.schedule.task.Work`.
+    """Write contour lines as ``<out>/contours.gpkg`` (a `tiler.schedule.task.Work`).
 
     Returns
     -------
     dict
-        As of `new_file`, and ``interval`` (units of the CRS), ``lines``, ``vertices``, ``cut``
-        (lines that were divided, as too many vertices were waiting), ``short`` (rings that were left out, see
-        `tiler.export.contour_lines`), ``low``, ``high`` (between which nearly all of the terrain lies, or None).
+        The record of `new_file`, and ``interval`` (vertical units of the CRS), ``lines``, ``vertices``, ``cut``
+        (number of lines that were divided because too many vertices were waiting), ``short`` (number of rings that
+        were left out, see `tiler.export.contour_lines`), ``low`` and ``high`` (heights between which nearly all of the
+        terrain lies, or None if it is empty).
     """
     terrain = _terrain(store_url, work)
     low, high = terrain.relief()
@@ -178,7 +183,7 @@ def write_contours(store_url: str, work: WriteContours) -> dict[str, Any]:
 
 
 def _interval(work: VectorFile, terrain: _Terrain, low: float, high: float) -> Fraction:
-    """The interval asked for, or that which relief and noise give; a terrain without any height has none."""
+    """Return the interval of the settings, or else the default for the relief and noise of the terrain."""
     if work.interval is not None:
         return work.interval
     floor = FLOOR_M if terrain.store.meta.frame.units.vertical == METRE else FLOOR_FEET
@@ -186,7 +191,7 @@ def _interval(work: VectorFile, terrain: _Terrain, low: float, high: float) -> F
 
 
 def _stays(terrain: _Terrain, sigma: float, interval: Fraction, level: int, places: Floats) -> bool:
-    """Whether a line is drawn: all but short rings around ground that hardly differs from their level."""
+    """Return whether a line is drawn. Only short rings are left out, unless `stays` keeps them."""
     if not is_short(places):
         return True
     first, last = np.floor(places.min(axis=0)).astype(int), np.ceil(places.max(axis=0)).astype(int)
@@ -198,11 +203,11 @@ def _stays(terrain: _Terrain, sigma: float, interval: Fraction, level: int, plac
 def _lines(
     terrain: _Terrain, interval: Fraction, sigma: float, joiner: Joiner
 ) -> Iterator[tuple[int, Floats]]:
-    """Lines joined across blocks: number of the level, and vertices in pixels."""
+    """Yield the lines joined across blocks: number of the level, and vertices in pixels."""
     spec = terrain.spec
     for row in range(0, spec.height, BLOCK):
         for col in range(0, spec.width, BLOCK):
-            # With the first row and column of the blocks beside it, as lines run between pixel centres.
+            # The block includes the first row and column of the next blocks, since lines run between pixel centres.
             block = Block(row, col, min(BLOCK + 1, spec.height - row), min(BLOCK + 1, spec.width - col))
             core = terrain.land_smoothed(block, sigma)
             for piece in contour_block(core, interval, row, col):
@@ -224,17 +229,18 @@ def _add_lines(
 
 
 def _decimals(interval: Fraction) -> int:
-    """The fewest decimals with which every level is written exactly, three at most."""
+    """Return the smallest number of decimals that writes every level exactly, at most three."""
     return next((n for n in range(3) if (interval * 10**n).denominator == 1), 3)
 
 
 def write_spots(store_url: str, work: WriteSpots) -> dict[str, Any]:
-    """Write the tops and bottoms of the terrain as points, ``<out>/spots.gpkg``; a `tiler.schedule.task.Work`.
+    """Write the tops and bottoms of the terrain as points to ``<out>/spots.gpkg`` (a `tiler.schedule.task.Work`).
 
     Returns
     -------
     dict
-        As of `new_file`, and ``interval``, ``highs``, ``lows``.
+        The record of `new_file`, and ``interval`` (vertical units of the CRS), ``highs`` and ``lows`` (numbers of tops
+        and bottoms).
     """
     terrain, reach = _terrain(store_url, work), work.reach
     low, high = terrain.relief()
@@ -261,7 +267,7 @@ def write_spots(store_url: str, work: WriteSpots) -> dict[str, Any]:
 
 
 def _columns_of_spots(heights: Floats, kind: str, decimals: int) -> dict[str, npt.NDArray[Any]]:
-    """All heights with the same number of decimals."""
+    """Return the columns of spots of one kind, with all heights rounded to the same number of decimals."""
     labels = np.array([f"{height:.{decimals}f}" for height in heights], object)
     return {
         "elevation": np.round(heights, decimals),

@@ -1,4 +1,4 @@
-"""Writes files beside rasters: a VRT (GDAL's virtual raster, in XML) over the sheets of a product, names of classes."""
+"""Writing of XML files next to rasters: a VRT (GDAL's virtual raster) over the sheets of a product, and class names."""
 
 from __future__ import annotations
 
@@ -25,9 +25,9 @@ _TYPES = {"float32": "Float32", "uint8": "Byte"}
 
 
 def write_mosaic(store_url: str, work: WriteMosaic) -> dict[str, Any]:
-    """Write ``<out>/<product>.vrt``; a `tiler.schedule.task.Work`.
+    """Write ``<out>/<product>.vrt`` (a `tiler.schedule.task.Work`).
 
-    The record is that of `tiler.export.output_files.new_file`. Raises ProcessingError.
+    Return the record of `tiler.export.output_files.new_file`. Raise ProcessingError if the file cannot be written.
     """
     frame, product = open_store(store_url).meta.frame, PRODUCTS[work.product]
     whole = _hull([spec for _, spec in work.sheets])
@@ -46,7 +46,10 @@ def write_mosaic(store_url: str, work: WriteMosaic) -> dict[str, Any]:
 
 
 def _srs(crs: str) -> ElementTree.Element:
-    """The element that GDAL itself writes over a file in this CRS: it tells which axis of the CRS columns run along."""
+    """Return the SRS element that GDAL writes for a file in this CRS.
+
+    It contains the mapping of columns and rows to the axes of the CRS.
+    """
     profile = {"driver": "GTiff", "width": 1, "height": 1, "count": 1, "dtype": "uint8"}
     with MemoryFile() as memory, MemoryFile(ext=".vrt") as copy:
         with memory.open(**profile, crs=CRS.from_user_input(crs), transform=Affine.scale(2.0)):
@@ -72,7 +75,7 @@ def _add_metadata(parent: ElementTree.Element, tags: dict[str, str]) -> None:
 
 
 def _describe_band(band: ElementTree.Element, look: RasterMetadata) -> None:
-    """What the files of the sheets say of their bands; in the order that GDAL's schema wants."""
+    """Add the metadata of the bands of the sheets' files, in the order that GDAL's schema requires."""
     _add_metadata(band, dict(look.meanings))
     ElementTree.SubElement(band, "Description").text = look.description
     if look.unit:
@@ -90,7 +93,7 @@ def _describe_band(band: ElementTree.Element, look: RasterMetadata) -> None:
 
 
 def category_names(names: Sequence[str]) -> ElementTree.Element:
-    """What GDAL calls the values 0, 1, 2 ... of a raster of classes."""
+    """Return the element that names the values 0, 1, 2, ... of a raster of classes for GDAL."""
     found = ElementTree.Element("CategoryNames")
     for name in names:
         ElementTree.SubElement(found, "Category").text = name
@@ -111,11 +114,11 @@ def _add_sheet(band: ElementTree.Element, path: str, spec: RasterSpec, whole: Ra
 
 
 def write_legend(store_url: str, work: WriteLegend) -> dict[str, Any]:
-    """Write ``<out>/<product>.tif.aux.xml``; a `tiler.schedule.task.Work`.
+    """Write ``<out>/<product>.tif.aux.xml`` (a `tiler.schedule.task.Work`).
 
-    A GeoTIFF itself holds the colours of its classes, but GDAL keeps their names beside it.
+    A GeoTIFF contains the colours of its classes, but GDAL keeps their names in a file next to it.
 
-    The record is that of `tiler.export.output_files.new_file`. Raises ProcessingError.
+    Return the record of `tiler.export.output_files.new_file`. Raise ProcessingError if the file cannot be written.
     """
     root = ElementTree.Element("PAMDataset")
     band = ElementTree.SubElement(root, "PAMRasterBand", band="1")

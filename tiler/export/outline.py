@@ -1,4 +1,4 @@
-"""The outline of the survey as polygons."""
+"""Outline of the survey as polygons."""
 
 from __future__ import annotations
 
@@ -23,20 +23,20 @@ from tiler.store import TileStore, coarse_values, open_store
 
 LAYER = "outline"
 POLYGON = 3
-"""Number of this type of geometry."""
+"""Number of the geometry type Polygon in shapely."""
 
 
 def write_outline(store_url: str, work: WriteOutline) -> dict[str, Any]:
-    """Write the outline of the survey as ``<out>/outline.gpkg``; a `tiler.schedule.task.Work`.
+    """Write the outline of the survey as ``<out>/outline.gpkg`` (a `tiler.schedule.task.Work`).
 
-    It is the edge of the terrain, pixel by pixel: a polygon for each part of the survey, with its voids as holes:
-    ``area_m2`` (without them), ``void_m2``, ``void_percent`` (of both together).
+    The outline is the edge of the terrain, pixel by pixel. The file has one polygon for each part of the survey, with
+    its voids as holes, and with ``area_m2`` (without the voids), ``void_m2`` and ``void_percent`` (of both together).
 
     Returns
     -------
     dict
-        As of `new_file`; ``polygons``; ``rings``: for a map, each as
-        x, y, x, y, ... in units of the CRS, with no more detail than `tiler.core.map_lines.MAX_VERTICES` allow.
+        The record of `new_file`, and ``polygons`` (their number) and ``rings`` for a map, each as x, y, x, y, ... in
+        units of the CRS, with no more detail than `tiler.core.map_lines.MAX_VERTICES` allow.
 
     Raises
     ------
@@ -59,9 +59,10 @@ def write_outline(store_url: str, work: WriteOutline) -> dict[str, Any]:
 
 
 def _polygons(store: TileStore, work: WriteOutline, area: Area | None, block: Block) -> npt.NDArray[Any]:
-    """Polygons around what a block holds of the survey: pixels with a height, and those that should have one.
+    """Return the polygons around the pixels of a block that belong to the survey.
 
-    Places that are enclosed without points are left out, also where facets span them.
+    They have a height, or lie inside the survey and should have one. Pixels in a void are left out, even if facets span
+    it.
     """
     cells = coarse_values(store, work.survey, work.coarse, work.spec, block)
     covered = cells == SURVEYED
@@ -73,13 +74,14 @@ def _polygons(store: TileStore, work: WriteOutline, area: Area | None, block: Bl
 
 
 def polygons_of(inside: npt.NDArray[np.bool_], spec: RasterSpec, block: Block) -> npt.NDArray[Any]:
-    """Polygons around the pixels of a block that are marked, in units of the CRS.
+    """Return polygons around the chosen pixels of a block, in units of the CRS.
 
     Parameters
     ----------
     inside : bool, shape (height, width)
+        Mask of the chosen pixels.
     spec : RasterSpec
-        Of all pixels.
+        Raster that contains the block.
     block : Block
     """
     to_units = Affine(*spec.window(block).transform(COUNTS_PER_UNIT))
@@ -91,8 +93,8 @@ def polygons_of(inside: npt.NDArray[np.bool_], spec: RasterSpec, block: Block) -
 
 
 def joined(pieces: npt.NDArray[Any]) -> npt.NDArray[Any]:
-    """Polygons of the pieces of all blocks, those that share a side in one, from the north-west."""
-    # Corners between three blocks are vertices on straight sides.
+    """Join the polygons of all blocks that share a side, and return the results from the north-west."""
+    # Corners of blocks would stay as vertices on straight sides, so the polygons are simplified.
     parts = shapely.normalize(shapely.simplify(shapely.get_parts(shapely.union_all(pieces)), 0.0))
     parts = parts[(shapely.get_type_id(parts) == POLYGON) & ~shapely.is_empty(parts)]
     west, _, _, north = shapely.bounds(parts).T if len(parts) else np.empty((4, 0))

@@ -1,4 +1,4 @@
-"""Writes files into a folder or to a URL, whole or not at all, and makes their records."""
+"""Writing of files into a folder or to a URL, completely or not at all, with their records."""
 
 from __future__ import annotations
 
@@ -16,19 +16,22 @@ from tiler.io.locations import as_path, joined, staging_folder, state_of
 
 @contextmanager
 def new_file(out: str, name: str) -> Iterator[tuple[Path, dict[str, Any]]]:
-    """Give a path for a new file, and its record, which is filled when the block ends.
+    """Yield a path for a new file, and its record, which is filled when the block ends.
 
     Parameters
     ----------
     out : str
-        Folder that exists, or a URL.
+        Existing folder, or a URL.
     name : str
+        Name of the file.
 
     Yields
     ------
     Path
+        Path on this machine to which the file is written.
     dict
-        ``path`` (the file's name), ``bytes``, ``digest`` (of all bytes), ``state`` (a `tiler.io.locations.FileState`).
+        Record: ``path`` (the file's name), ``bytes``, ``digest`` (of all bytes), ``state`` (a
+        `tiler.io.locations.FileState`).
     """
     record: dict[str, Any] = {}
     with staging_folder(out) as folder:
@@ -39,12 +42,12 @@ def new_file(out: str, name: str) -> Iterator[tuple[Path, dict[str, Any]]]:
 
 
 def write_bytes(out: str, name: str, content: bytes) -> dict[str, Any]:
-    """Write a small file and return the record of `new_file`. Raises ProcessingError."""
+    """Write a small file and return the record of `new_file`. Raise ProcessingError if it cannot be written."""
     with new_file(out, name) as (target, record), raster_errors(target):
         write_atomic(target, content)
     return record
 
 
 def write_text(store_url: str, work: WriteText) -> dict[str, Any]:
-    """Write ``<out>/<name>``; a `tiler.schedule.task.Work`. The record is that of `new_file`."""
+    """Write ``<out>/<name>`` and return the record of `new_file` (a `tiler.schedule.task.Work`)."""
     return write_bytes(work.out, work.name, work.text.encode())

@@ -1,4 +1,4 @@
-"""Sheets of products: which of them hold a height, and their index as a GeoPackage."""
+"""Sheets of products: search for sheets with a height, and the index of the sheets as a GeoPackage."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from tiler.store import open_store
 
 
 def find_sheets(store_url: str, work: FindSheets) -> dict[str, Any]:
-    """Find the sheets in which one block of the models has a height; a `tiler.schedule.task.Work`.
+    """Find the sheets in which one block of the models has a height (a `tiler.schedule.task.Work`).
 
     Returns
     -------
     dict
-        ``sheets``: columns and rows on the lattice of the sheets, ascending.
+        ``sheets``: pairs of column and row on the lattice of the sheets, ascending.
     """
     store, spec, block = open_store(store_url), work.spec, work.block
     there = np.zeros((block.height, block.width), np.bool_)
@@ -39,12 +39,12 @@ COLUMNS = ("west", "south", "east", "north", "void_percent", "min", "max")
 
 
 def write_sheet_index(store_url: str, work: WriteSheetIndex) -> dict[str, Any]:
-    """Write ``<out>/sheets.gpkg``, a layer for each product and a polygon for each sheet; a `tiler.schedule.task.Work`.
+    """Write ``<out>/sheets.gpkg``, a layer per product with a polygon per sheet (a `tiler.schedule.task.Work`).
 
-    Columns are ``location`` (path from the folder of the file, named as by gdaltindex), ``west``, ``south``, ``east``,
-    ``north``, ``void_percent`` (pixels without a value), ``min`` and ``max``.
+    Columns are ``location`` (path relative to the folder of the file, with the column name of gdaltindex), ``west``,
+    ``south``, ``east``, ``north``, ``void_percent`` (share of the pixels without a value), ``min`` and ``max``.
 
-    The record is that of `tiler.export.output_files.new_file`. Raises ProcessingError.
+    Return the record of `tiler.export.output_files.new_file`. Raise ProcessingError if the file cannot be written.
     """
     crs = open_store(store_url).meta.frame.crs_wkt
     with new_file(work.out, work.name) as (target, record), geopackage(target, crs) as file:
@@ -60,7 +60,7 @@ def write_sheet_index(store_url: str, work: WriteSheetIndex) -> dict[str, Any]:
 
 
 def _edges(spec: RasterSpec) -> tuple[float, float, float, float]:
-    """West, south, east and north edge in units of the CRS."""
+    """Return the west, south, east and north edge of a raster in units of the CRS."""
     size = spec.lattice.size / COUNTS_PER_UNIT
     west, north = spec.west * size, spec.north * size
     return float(west), float(north - spec.height * size), float(west + spec.width * size), float(north)

@@ -9,24 +9,26 @@ import scipy
 HIGH, LOW = "high", "low"
 
 BESIDE = 5
-"""Pixels a side around a spot in which each has a height: the rim of the data is no top."""
+"""Side in pixels of the square around a spot in which every pixel has a height, since the edge of data is not a top."""
 
 
 def spots_of_block(
     heights: npt.NDArray[np.float64], kind: str, reach: int, least: float
 ) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-    """Rows and columns of the pixels that nothing around is higher than (or lower), one of each level top.
+    """Return rows and columns of the pixels that are the highest or lowest in the square around them.
+
+    Of a flat top, only one pixel is returned.
 
     Parameters
     ----------
     heights : float64 (h, w)
-        NaN where there is none. What is found depends on ``2 * reach`` pixels around it.
+        Heights, NaN for pixels without one. A result depends on the ``2 * reach`` pixels around it.
     kind : str
         `HIGH` or `LOW`.
     reach : int
-        Pixels to each side that are around.
+        Number of pixels from a spot to each side of its square.
     least : float
-        How much lower (or higher) something around has to be.
+        Minimum difference between the highest and lowest height in the square, in the unit of the heights.
     """
     size, sign = 2 * reach + 1, 1.0 if kind == HIGH else -1.0
     known = ~np.isnan(heights)
@@ -35,7 +37,7 @@ def spots_of_block(
     bottom = scipy.ndimage.minimum_filter(np.where(known, height, np.inf), size, mode="nearest")
     chosen = known & (height == top) & (top - bottom >= least)
     chosen &= scipy.ndimage.binary_erosion(known, np.ones((BESIDE, BESIDE), np.bool_))
-    # Of pixels of one height the first in the order of the raster; those that are chosen nearby are of one height.
+    # Chosen pixels near each other have the same height, and only the first of them in the raster is kept.
     number = np.where(chosen, np.arange(heights.size).reshape(heights.shape), heights.size)
     first = scipy.ndimage.minimum_filter(number, size, mode="nearest") == number
     rows, cols = np.nonzero(chosen & first)

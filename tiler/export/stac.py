@@ -1,4 +1,4 @@
-"""Parts of STAC documents (SpatioTemporal Asset Catalogs): place, dates, and contents of a cloud or raster."""
+"""Parts of STAC documents (SpatioTemporal Asset Catalogs): extent, dates, and contents of a cloud or raster."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Box = tuple[float, float, float, float]
 """Lowest x and y, highest x and y, in units of the CRS."""
 
 UNKNOWN_DATES = {"start_datetime": "1970-01-01T00:00:00Z", "end_datetime": "9999-12-31T23:59:59Z"}
-"""Dates of a cloud of unknown age. STAC demands a time, and that of the run would be wrong."""
+"""Dates of a cloud of unknown age. STAC requires a time, and the time of the run would be wrong."""
 
 _WGS84, _DIGITS = 4326, 7
 _GPS_EPOCH, _GPS_OFFSET_S = datetime(1980, 1, 6, tzinfo=UTC), 1_000_000_000
@@ -29,7 +29,10 @@ _MIN_STEPS = 8
 
 
 def horizontal_code(wkt: str | None) -> str | None:
-    """Code of the horizontal part of a CRS, such as ``EPSG:25832``; None: it has none. Takes a tenth of a second."""
+    """Return the code of the horizontal part of a CRS, such as ``EPSG:25832``, or None if it has no code.
+
+    The search takes a tenth of a second.
+    """
     if wkt is None:
         return None
     horizontal, _ = split(CRS.from_wkt(wkt))
@@ -42,12 +45,12 @@ def horizontal_code(wkt: str | None) -> str | None:
 
 
 class Globe:
-    """Transforms boxes of a CRS to longitude and latitude.
+    """Transformation of boxes in a CRS to longitude and latitude.
 
     Parameters
     ----------
     wkt : str or None
-        CRS; boxes have no place if it is None or local.
+        CRS of the boxes. If it is None or local, they have no geographic coordinates.
     """
 
     def __init__(self, wkt: str | None) -> None:
@@ -57,11 +60,14 @@ class Globe:
             return
         try:
             self._transformer = Transformer.from_crs(horizontal, _WGS84, always_xy=True)
-        except ProjError:  # a local CRS
+        except ProjError:  # A local CRS has no geographic coordinates.
             return
 
     def bbox(self, box: Box) -> list[float] | None:
-        """West, south, east and north in degrees; west is larger than east across the antimeridian."""
+        """Return west, south, east and north of a box in degrees, or None if it has no geographic coordinates.
+
+        West is larger than east across the antimeridian.
+        """
         if self._transformer is None:
             return None
         found = self._transformer.transform_bounds(*box, densify_pts=_MIN_STEPS)
@@ -70,7 +76,10 @@ class Globe:
         return [round(v, _DIGITS) for v in found]
 
     def polygon(self, box: Box) -> dict[str, Any] | None:
-        """The box as GeoJSON in degrees; in two parts if it crosses the antimeridian (RFC 7946, 3.1.9)."""
+        """Return a box as GeoJSON in degrees, or None if it has no geographic coordinates.
+
+        A box that crosses the antimeridian has two parts (RFC 7946, 3.1.9).
+        """
         if self._transformer is None or (bbox := self.bbox(box)) is None:
             return None
         places = self._transformer.itransform(corners(box))
@@ -88,11 +97,11 @@ def _ring(places: Iterable[Iterable[float]]) -> list[list[float]]:
 
 
 def hull_of(boxes: Iterable[Sequence[float]]) -> list[float]:
-    """The narrowest bbox that holds all boxes; west is larger than east across the antimeridian."""
+    """Return the narrowest bbox that contains all boxes. West is larger than east across the antimeridian."""
     west, south, east, north = np.array(list(boxes)).T
     east = np.where(east < west, east + 360, east)
     hulls = []
-    for turn in (0, 360):  # longitudes from -180 to 180, or from 0 to 360
+    for turn in (0, 360):  # Longitudes run from -180 to 180, or from 0 to 360.
         turned = np.where(west < 0, turn, 0)
         hulls.append([float((west + turned).min()), float((east + turned).max())])
     narrowest = min(hulls, key=lambda ends: round(ends[1] - ends[0], _DIGITS))
@@ -101,13 +110,16 @@ def hull_of(boxes: Iterable[Sequence[float]]) -> list[float]:
 
 
 def corners(box: Box) -> list[list[float]]:
-    """The ring of a box, counter-clockwise."""
+    """Return the counter-clockwise ring of a box."""
     x0, y0, x1, y1 = box
     return [[x0, y0], [x1, y0], [x1, y1], [x0, y1], [x0, y0]]
 
 
 def dates_of_header(created: tuple[int, int]) -> tuple[date, date] | None:
-    """The day on which a file was made, by year and day of the year; None if these are invalid."""
+    """Return the day on which a file was made, as first and last day, or None if it is invalid.
+
+    ``created`` is the year and the day of the year.
+    """
     year, day = created
     if not (1900 <= year <= 9998 and 1 <= day <= 366):
         return None
@@ -116,7 +128,7 @@ def dates_of_header(created: tuple[int, int]) -> tuple[date, date] | None:
 
 
 def dates_of_gps(times: Sequence[float] | None) -> tuple[date, date] | None:
-    """First and last day of adjusted standard GPS times; None if there are none or they are invalid."""
+    """Return the first and last day of adjusted standard GPS times, or None if they are missing or invalid."""
     if not times:
         return None
     try:
@@ -127,7 +139,10 @@ def dates_of_gps(times: Sequence[float] | None) -> tuple[date, date] | None:
 
 
 def dates(found: Iterable[tuple[date, date] | None]) -> dict[str, str | None]:
-    """Dates as STAC has them: ``datetime`` for a single day, else ``start_datetime`` and ``end_datetime`` as well."""
+    """Return the dates as STAC has them.
+
+    A single day is a ``datetime``. Several days are ``start_datetime`` and ``end_datetime``, with ``datetime`` None.
+    """
     known = [dates for dates in found if dates is not None]
     if not known:
         return {"datetime": None, **UNKNOWN_DATES}
@@ -140,7 +155,7 @@ def dates(found: Iterable[tuple[date, date] | None]) -> dict[str, str | None]:
 
 
 def schema(point_formats: Iterable[int]) -> list[dict[str, Any]]:
-    """``pc:schemas``: fields of points of these formats, by the names of PDAL and QGIS."""
+    """Return ``pc:schemas``: the fields of points of these formats, with the names of PDAL and QGIS."""
     formats = set(point_formats)
     found = [*((axis, 8, "floating") for axis in "XYZ"), ("Intensity", 2, "unsigned")]
     bytes_ = ["ReturnNumber", "NumberOfReturns", "ScanDirectionFlag", "EdgeOfFlightLine", "Classification"]
@@ -161,7 +176,7 @@ def schema(point_formats: Iterable[int]) -> list[dict[str, Any]]:
 def statistics(
     fields: Mapping[str, Mapping[str, float]], points: int, names: Sequence[str]
 ) -> list[dict[str, Any]]:
-    """``pc:statistics`` of a cloud (`tiler.export.cloud_statistics`); ``names`` are those of its schema."""
+    """Return ``pc:statistics`` of a cloud (`tiler.export.cloud_statistics`), given the names of its schema."""
     return [
         {"name": name, "position": position, "count": points, **dict(sorted(fields[name].items()))}
         for position, name in enumerate(names)

@@ -1,4 +1,4 @@
-"""The stage export of a run: the files that people open, and what becomes of those of earlier runs."""
+"""Stage export of a run: writes the files for users, and archives outdated files of earlier runs."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ from tiler.schedule import Task, digest_of
 from tiler.store import Commits
 
 PRODUCTS = (".tif", ".vrt", ".gpkg", ".vpc", ".json", LEGEND)
-"""Files of products among what is written; their tasks have the names of the files as keys."""
+"""Endings of the files of products. Their tasks have the names of the files as keys."""
 
 
 def export(
@@ -46,7 +46,7 @@ def export(
     labelled: Labelled,
     corrections: Corrections,
 ) -> None:
-    """Write the files that people open: rasters, vectors, classified clouds."""
+    """Write the files for users: rasters, vector products, classified clouds, and the catalogue."""
     out = job.products
     gridding.sheets = cut(job, gridding)
     if job.plan.config.sheets is not None:
@@ -75,10 +75,11 @@ def export(
     written |= {SHEETS: SHEETS} if mosaics else {}
     written |= planned(gridding)
     archive_outdated(job, written.values(), basis)
-    _make_folders(rasters, out)  # only now: the folder of sheets that were put aside is gone
-    # The store keeps the code, so that a run that finds all done does not work it out.
+    # Archiving may have removed the folder of the sheets, so the folders are made afterwards.
+    _make_folders(rasters, out)
+    # The store keeps the code, so that a run without new results does not search for it again.
     known = job.store.get_state("crs")
-    with ThreadPoolExecutor(1) as meanwhile:  # the workers write
+    with ThreadPoolExecutor(1) as meanwhile:  # The workers write at the same time.
         computed = None if known else meanwhile.submit(horizontal_code, job.plan.meta.frame.crs_wkt)
         made = _write(job, "export", tasks, out)
     crs_code = known["code"] if computed is None else computed.result()
@@ -106,11 +107,12 @@ def export(
             if isinstance(task.arguments, WriteCog) and task.arguments.product == "dtm"
         ]
         job.facts["dtm"]["filled"] = sum(made[key][1]["valid"] for key in terrain if key in made)
-    # The virtual cloud holds as long as the clouds do, which no basis is noted for.
+    # The virtual cloud is valid as long as the clouds are, which have no basis in run.json.
     rasters_of = (path for key, path in written.items() if key.endswith(PRODUCTS) and path != VIRTUAL)
     job.facts["made_of"] |= dict.fromkeys(rasters_of, basis)
     unwritten = [path for path in written.values() if path not in job.facts["outputs"]]
-    sizes = sizes_at([joined(out, path) for path in unwritten])  # of an earlier run, where a task failed
+    # If a task failed, the file of an earlier run may still be there.
+    sizes = sizes_at([joined(out, path) for path in unwritten])
     job.facts["earlier_outputs"] = {
         p: None for p, size in zip(unwritten, sizes, strict=True) if size is not None
     }
@@ -161,7 +163,7 @@ def _report_spots(job: Job) -> None:
 
 
 def _validate_outputs_exist(job: Job) -> None:
-    """Raise ProcessingError where files that were written are gone already: a run that is done has them."""
+    """Raise ProcessingError if files of the run were removed already, since a finished run must have them."""
     outputs = list(job.facts["outputs"])
     sizes = sizes_at([joined(job.products, path) for path in outputs])
     gone = [path for path, size in zip(outputs, sizes, strict=True) if size is None]
@@ -174,7 +176,10 @@ def _validate_outputs_exist(job: Job) -> None:
 
 
 def _basis(gridding: GridContext) -> str:
-    """What the products are made of: points, labels, and settings that more than their files' form depends on."""
+    """Return the digest of everything from which the products are made: points, labels and settings.
+
+    Settings that only change the format of the files are not in it.
+    """
     config = gridding.plan.config
     terrain = [[key, digest] for key, (digest, _) in sorted(gridding.made["dtm"].items())]
     into = [str(config.sheets), config.sheet_name, config.empty_sheets] if config.sheets else None
@@ -185,14 +190,14 @@ def _basis(gridding: GridContext) -> str:
 
 
 def _files(tasks: list[Task]) -> dict[str, str]:
-    """What each task writes, by path or URL."""
+    """Return the path or URL of the file that each task writes, by the key of the task."""
     return {
         t.key: joined(t.arguments.out, t.key) if t.key.endswith(PRODUCTS) else t.arguments.out for t in tasks
     }
 
 
 def _write(job: Job, stage: str, tasks: list[Task], out: str) -> Commits:
-    """Write files that are not there, or not as they were written; the commits of those that were."""
+    """Write the files that are missing or were changed, and return the commits of all files that were written."""
     files = _files(tasks)
     invalidate_changed_outputs(job, stage, files)
     written = run_stage(job, stage, tasks, writes_out=True)

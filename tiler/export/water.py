@@ -1,4 +1,4 @@
-"""Bodies of water as a file that a person can edit and give back."""
+"""Bodies of water as a file that users can edit and use as an input."""
 
 from __future__ import annotations
 
@@ -20,24 +20,28 @@ from tiler.store import open_store
 POLYGONS, FLOW, REACHES, BREAKLINES = "water", "flow", "reaches", "breaklines"
 """Layers of the file."""
 STEP_SLOPE = 1.0
-"""Slope of the line of a river from which on a structure (a dam, a weir, a fall) lies across it."""
+"""Slope of a river's line above which a structure (a dam, a weir, a fall) is assumed to lie across it."""
 
 
 def write_water(store_url: str, work: WriteWater) -> dict[str, Any]:
-    """Write bodies of water as ``<out>/water.gpkg``; a `tiler.schedule.task.Work`.
+    """Write bodies of water as ``<out>/water.gpkg`` (a `tiler.schedule.task.Work`).
 
-    Layer ``water``: polygons with ``number``, ``kind``, ``level`` (of a river the upper one), ``level_end``,
-    ``area_m2`` and ``sure`` (0 to 1, empty for water of a file). Layer ``flow``: the line of each
-    river, with the height of the water at each vertex. Layer ``reaches``: the stations of each river, downstream, with
-    ``number``, ``along`` (from the first, in the unit of the CRS), ``level``, ``seen`` (pixels of the water that the
-    level rests on), ``left``, ``right`` (levels that the banks would give) and ``slope_permille`` to the next. Layer
-    ``breaklines``: shores at their level, lines of flow, and structures in 3D, with ``number`` and ``kind`` (shore,
-    flow or structure); a structure is a line from bank to bank at a step, with the level above it.
+    Layer ``water`` has polygons with ``number``, ``kind``, ``level`` (for a river, its upper level), ``level_end``,
+    ``area_m2`` and ``sure`` (confidence from 0 to 1, empty for water from a file).
+
+    Layer ``flow`` has the line of each river, with the height of the water at each vertex.
+
+    Layer ``reaches`` has the stations of each river downstream, with ``number``, ``along`` (distance from the first
+    station in the unit of the CRS), ``level``, ``seen`` (number of pixels of the water from which the level was
+    estimated), ``left``, ``right`` (levels estimated from the banks) and ``slope_permille`` (slope to the next).
+
+    Layer ``breaklines`` has shores at their level, lines of flow, and structures in 3D, with ``number`` and ``kind``
+    (shore, flow or structure). A structure is a line from bank to bank at a step, with the level above the step.
 
     Returns
     -------
     dict
-        The record of `new_file`, and ``bodies``.
+        The record of `new_file`, and ``bodies`` (number of bodies).
     """
     store = open_store(store_url)
     bodies = store.all_waters(work.waters).bodies
@@ -106,7 +110,10 @@ def _add_breaklines(file: GeoPackage, bodies: Sequence[Water]) -> None:
 
 
 def structures(body: Water) -> list[npt.NDArray[np.float64]]:
-    """Lines from bank to bank across the steps of a river, float64 (2, 3) in counts, with the level above the step."""
+    """Return lines from bank to bank across the steps of a river, float64 (2, 3) in counts.
+
+    Their height is the level above the step.
+    """
     flow = body.flow
     if flow is None or flow.shape[1] < 3:
         return []
@@ -128,12 +135,12 @@ def structures(body: Water) -> list[npt.NDArray[np.float64]]:
 
 
 def _lifted_ring(body: Water, ring: Counts) -> Any:
-    """A closed ring at the level of the water."""
+    """Return the closed ring at the level of the water."""
     closed = np.concatenate((ring, ring[:1]))
     return np.column_stack((closed, body.heights(closed[:, 0], closed[:, 1])))
 
 
 def _shape(body: Water) -> Any:
-    """The polygons of a body, in units of the CRS."""
+    """Return the polygons of a body in units of the CRS."""
     polygons = [[ring / COUNTS_PER_UNIT for ring in rings] for rings in body.area.polygons]
     return shapely.MultiPolygon([shapely.Polygon(outer, holes) for outer, *holes in polygons])

@@ -1,4 +1,4 @@
-"""Arguments of the tasks that write files: one frozen dataclass for each kind of file."""
+"""Arguments of the tasks that write files: one frozen dataclass per kind of file."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tiler.store import KeptPiece
 
 @dataclass(frozen=True, kw_only=True)
 class NamedFile:
-    """A file, by its name in a folder that exists, or at a URL."""
+    """File with a name in an existing folder or at a URL."""
 
     name: str
     out: str
@@ -25,18 +25,18 @@ class NamedFile:
 
 @dataclass(frozen=True, kw_only=True)
 class ProductFile:
-    """A file of a product.
+    """File of a product.
 
     Attributes
     ----------
     product : str
-        Key of `tiler.core.products.PRODUCTS`, for the type and looks.
+        Key of `tiler.core.products.PRODUCTS`, which defines data type and colours.
     out : str
-        Folder that exists, or a URL.
+        Existing folder, or a URL.
     tags : mapping of str to str
-        The provenance (TILER_VERSION, TILER_METHOD, TILER_PARAMETERS, TILER_INPUTS).
+        Tags with the provenance (TILER_VERSION, TILER_METHOD, TILER_PARAMETERS, TILER_INPUTS).
     nodata : float or None
-        Of the file; None: that of the store.
+        Nodata value of the file, or None for the nodata value of the product.
     """
 
     product: str
@@ -47,21 +47,22 @@ class ProductFile:
 
 @dataclass(frozen=True, kw_only=True)
 class WriteOutline(NamedFile):
-    """The outline of the survey as polygons.
+    """Outline of the survey as polygons.
 
     Attributes
     ----------
     terrain : str
-        Raster of the heights that are delivered.
+        Raster in the store of the final heights.
     spec : RasterSpec
-        Of its pixels.
+        Pixels of this raster.
     survey : str
+        Raster in the store of the cells of the survey.
     coarse : RasterSpec
-        Of the cells of the survey.
+        Cells of the survey.
     blocks : tuple of str
         Names of the blocks of the terrain.
     area : str or None
-        Key in the store of the area that is wanted.
+        Key in the store of the requested area.
     """
 
     terrain: str
@@ -74,31 +75,31 @@ class WriteOutline(NamedFile):
 
 @dataclass(frozen=True, kw_only=True)
 class WriteWater(NamedFile):
-    """Bodies of water as polygons, and the lines along which rivers flow; ``waters``: key in the store."""
+    """Bodies of water as polygons, lines and stations of rivers, with their key in the store (``waters``)."""
 
     waters: str
 
 
 @dataclass(frozen=True, kw_only=True)
 class WriteCog(ProductFile):
-    """A raster of the store, or a sheet of it, as one file.
+    """Raster of the store, or a sheet of it, as one file.
 
     Attributes
     ----------
     name : str
-        Of the file, without its ending.
+        Name of the file without its ending.
     raster : str
-        In the store.
+        Name of the raster in the store.
     spec : RasterSpec
-        Of the file.
+        Pixels of the file.
     compress : str
-        ``deflate`` or ``zstd``.
+        Compression, ``deflate`` or ``zstd``.
     fill : float
-        Value beyond raster and area.
+        Value of pixels beyond the raster and the area.
     whole : RasterSpec or None
-        Of the raster in the store, where ``spec`` is that of a sheet.
+        Pixels of the raster in the store if the file is a sheet, else None.
     area : str or None
-        Key in the store of the area that is wanted.
+        Key in the store of the requested area.
     """
 
     name: str
@@ -112,33 +113,39 @@ class WriteCog(ProductFile):
 
 @dataclass(frozen=True, kw_only=True)
 class WriteMosaic(ProductFile):
-    """A VRT of a product; ``sheets``: paths relative to ``out`` and their pixels on one lattice, at least one."""
+    """VRT of a product over its sheets.
+
+    Attributes
+    ----------
+    sheets : tuple of (str, RasterSpec)
+        Path relative to ``out`` and pixels of each sheet, on one lattice. There is at least one.
+    """
 
     sheets: tuple[tuple[str, RasterSpec], ...]
 
 
 @dataclass(frozen=True, kw_only=True)
 class WriteBridges(NamedFile):
-    """The decks of bridges."""
+    """Decks of bridges as polygons."""
 
     decks: tuple[DrawnDeck, ...]
 
 
 @dataclass(frozen=True, kw_only=True)
 class FindSheets:
-    """A block of the models, in which sheets with a height are looked for.
+    """Search of a block of the models for sheets with a height.
 
     Attributes
     ----------
     rasters : tuple of str
-        Of the models in the store.
+        Rasters of the models in the store.
     spec : RasterSpec
-        Of these.
+        Pixels of these rasters.
     block : Block
     side : int
-        Pixels of a sheet's side; sheets are anchored at CRS 0, as pixels are.
+        Side of a sheet in pixels. Sheets are anchored at CRS 0, as pixels are.
     area : str or None
-        Key in the store of the area that is wanted.
+        Key in the store of the requested area.
     """
 
     rasters: tuple[str, ...]
@@ -148,13 +155,13 @@ class FindSheets:
     area: str | None
 
     def place(self, buckets: Lattice) -> Bounds | None:
-        """Bounds of the block."""
+        """Return the bounds of the block."""
         return self.spec.block_bounds(self.block)
 
 
 @dataclass(frozen=True)
 class SheetFile:
-    """A sheet that was written: its product, path in OUT, pixels, percentage without a value, lowest and highest."""
+    """File of a sheet: product, path in OUT, pixels, percentage without a value, lowest and highest value."""
 
     product: str
     path: str
@@ -166,7 +173,7 @@ class SheetFile:
 
 @dataclass(frozen=True, kw_only=True)
 class WriteSheetIndex(NamedFile):
-    """The tile index of the sheets."""
+    """Index of the sheets."""
 
     sheets: tuple[SheetFile, ...]
 
@@ -180,21 +187,22 @@ class WriteLegend(NamedFile):
 
 @dataclass(frozen=True, kw_only=True)
 class VectorFile:
-    """A file of vectors that follows from the terrain.
+    """Vector product that is made from the terrain.
 
     Attributes
     ----------
     raster : str
-        Of heights in the store.
+        Raster of heights in the store.
     spec : RasterSpec
+        Pixels of this raster.
     out : str
-        Folder that exists, or a URL.
+        Existing folder, or a URL.
     interval : Fraction or None
-        Of contours, in vertical units of the CRS; None: by the relief.
+        Interval of contours in vertical units of the CRS, or None for a default by relief and noise.
     noise : float
-        Standard deviation of the heights in these units; 0 where it is not known.
+        Standard deviation of the heights in these units, or 0 if it is not known.
     area, waters : str or None
-        Keys in the store of the area that is wanted, and of bodies of water.
+        Keys in the store of the requested area, and of bodies of water.
     """
 
     raster: str
@@ -208,61 +216,62 @@ class VectorFile:
 
 @dataclass(frozen=True, kw_only=True)
 class WriteContours(VectorFile):
-    """Contour lines; ``sigma``: pixels, of the Gaussian that smooths the heights beforehand."""
+    """Contour lines of heights that a Gaussian with a standard deviation of ``sigma`` pixels smooths before."""
 
     sigma: float
 
 
 @dataclass(frozen=True, kw_only=True)
 class WriteSpots(VectorFile):
-    """Spot heights; ``reach``: pixels around a spot in which nothing is higher, or lower."""
+    """Spot heights: pixels that are the highest or lowest within ``reach`` pixels to each side."""
 
     reach: int
 
 
 @dataclass(frozen=True, kw_only=True)
 class WriteText(NamedFile):
-    """A small file of text."""
+    """Small file of text."""
 
     text: str
 
 
 @dataclass(frozen=True, kw_only=True)
 class WriteClassified:
-    """A source again, with its new classes.
+    """Copy of a source with its new classes.
 
     Attributes
     ----------
     path : str
-        Of the source, or its URL.
+        Path or URL of the source.
     source : int
-        Its number in the store.
+        Number of the source in the store.
     out : str
-        The final name, a path or a URL.
+        Path or URL of the classified cloud.
     labels : str
         Name of the final labels in the store.
     cells : tuple of Cell
-        The buckets that hold points of it.
+        Buckets that contain points of the source.
     salvage : bool
+        True if the readable part of a damaged source is used.
     area, edits, waters : str or None
-        Keys in the store of the area, of corrections and of bodies of water in which points are water.
+        Keys in the store of the area, of edits, and of bodies of water whose points become water.
     low_is_noise : bool
-        Whether returns from far below the level of water are low noise.
+        True if returns from far below the level of water become low noise.
     reclass : str
-        Which classes change, see `tiler.core.classes.written_classes`.
+        Rule that selects the classes that change, see `tiler.core.classes.written_classes`.
     stamp : list or None
-        Of the source, as the plan found it: tells a file that was only touched from one that was changed.
+        Fingerprint of the source in the plan, which distinguishes a file that was only touched from a changed file.
     ranges : tuple of (int, int)
-        First record and number of those that are looked at, whole chunks; of them only points inside the area are
-        written. Empty: all points of the source are.
+        First record and number of records of the whole chunks to read. Only points inside the area are written. Empty
+        if all points of the source are written.
     copc : bool
-        As COPC; else LAZ or LAS, by the name of ``out``.
+        True for COPC, False for LAZ or LAS by the name of ``out``.
     pieces : tuple of KeptPiece
-        Of which the store may keep the records: the source is decoded where it does not.
+        Pieces whose records the store may have kept. If it has not, the source is decoded again.
     threads : int
-        Number of threads that compress: more than one where there are fewer clouds than workers.
+        Number of threads that compress, more than one if there are fewer clouds than workers.
     wkt : str or None
-        The CRS to write, where the source has none that can be read.
+        CRS to write, if the source has no readable CRS.
     """
 
     path: str
@@ -284,5 +293,5 @@ class WriteClassified:
     wkt: str | None = None
 
     def place(self, buckets: Lattice) -> Bounds | None:
-        """Bounds of the buckets."""
+        """Return the bounds of the buckets."""
         return buckets.hull(self.cells) if self.cells else None

@@ -1,1 +1,1 @@
-"""Tasks of the stage export, and what becomes of the files of earlier runs."""
+"""Tasks of the stage export, and the archiving of outdated files of earlier runs."""

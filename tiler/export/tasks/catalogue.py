@@ -1,7 +1,7 @@
-"""What tells other programs of the results: ``classified.vpc`` (QGIS, pdal_wrench) and ``stac.json`` (STAC 1.1).
+"""Catalogues for other programs: ``classified.vpc`` (QGIS, pdal_wrench) and ``stac.json`` (STAC 1.1).
 
-Nothing in them tells of time or place of the run, so that the same content gives the same bytes, and all links are
-relative, so that OUT can be published as it is.
+They do not contain the time or the folder of the run, so that the same content gives the same bytes. All links are
+relative, so that OUT can be published without changes.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ from tiler.version import __version__
 
 STAGE = "catalogue"
 _DIGITS = 9
-"""After the point, of coordinates: beyond are the traces of binary fractions."""
+"""Number of decimals of coordinates. Further decimals are rounding errors of binary fractions."""
 _SCHEMAS = "https://stac-extensions.github.io"
 _POINTCLOUD = f"{_SCHEMAS}/pointcloud/v1.0.0/schema.json"
 _OF_VIRTUAL = [_POINTCLOUD, f"{_SCHEMAS}/projection/v1.1.0/schema.json"]
@@ -60,12 +60,12 @@ _CLOUDS = {
     "las": ("application/vnd.las", "LAS"),
     "copc": ("application/vnd.laszip+copc", "LASzip"),
 }
-"""Media type and encoding of classified clouds, by what `--classified` says."""
+"""Media type and encoding of classified clouds, by the value of `--classified`."""
 
 
 @dataclass(frozen=True)
 class Cloud:
-    """A classified cloud that was written: its place below OUT, its source, and the record of its task."""
+    """Classified cloud that was written: its path in OUT, its source, and the record of its task."""
 
     path: str
     source: Source
@@ -73,14 +73,14 @@ class Cloud:
 
     @property
     def dates(self) -> Any:
-        """First and last day, by the times of the pulses, else by the date of the file that was read."""
+        """First and last day by the GPS times of the points, or else by the date in the header of the source."""
         return stac.dates_of_gps(self.record["statistics"]["gps"]) or stac.dates_of_header(
             self.source.info.created
         )
 
 
 def planned(gridding: GridContext) -> dict[str, str]:
-    """Key of each task of this stage to the path below OUT of its file."""
+    """Return the path in OUT of the file of each task of this stage, by the key of the task."""
     cut = [_item_path(gridding, sheet) for sheet in gridding.sheets]
     found = [STAC, VIRTUAL, *cut] if gridding.plan.writes_clouds else [STAC, *cut]
     return {path.rpartition("/")[2]: path for path in found}
@@ -94,19 +94,20 @@ def catalogue_tasks(
     out: str,
     crs_code: str | None,
 ) -> Iterator[Task]:
-    """One for each file.
+    """Yield one task per file.
 
     Parameters
     ----------
     gridding : GridContext
     sources : sequence of Source
     kind : str or None
-        What made the clouds, as the run found it.
+        Kind of the clouds, ``lidar`` or ``dim``, or None if it is not known.
     written : Commits
-        Of the stages export and mosaic.
+        Commits of the stages export and mosaic.
     out : str
+        Folder or URL of the results.
     crs_code : str or None
-        See `tiler.export.stac.horizontal_code`.
+        Code of the horizontal CRS, see `tiler.export.stac.horizontal_code`.
     """
     maker = _Catalogue(gridding, sources, kind, written, crs_code)
     for path, content in maker.documents().items():
@@ -120,7 +121,7 @@ def catalogue_tasks(
 
 
 class _Catalogue:
-    """Makes the documents of a run; parameters as of `catalogue_tasks`."""
+    """Documents of a run, with the parameters of `catalogue_tasks`."""
 
     def __init__(
         self,
@@ -144,7 +145,7 @@ class _Catalogue:
         ]
 
     def documents(self) -> dict[str, dict[str, Any]]:
-        """Path below OUT to content."""
+        """Return the content of each document by its path in OUT."""
         found: dict[str, dict[str, Any]] = {}
         if self._plan.writes_clouds:
             features = [self._virtual(cloud) for cloud in self.clouds if cloud.record["statistics"]["fields"]]
@@ -156,7 +157,7 @@ class _Catalogue:
         return {**found, STAC: self._collection(items), **items}
 
     def _virtual(self, cloud: Cloud) -> dict[str, Any]:
-        """A classified cloud as a feature of the virtual one."""
+        """Return a classified cloud as a feature of the virtual cloud."""
         wkt, fields = self._plan.meta.frame.crs_wkt, cloud.record["statistics"]["fields"]
         schema = stac.schema([self._format(cloud)])
         names = [entry["name"] for entry in schema]
@@ -179,12 +180,12 @@ class _Catalogue:
         }  # fmt: skip
 
     def _format(self, cloud: Cloud) -> int:
-        """The point format of a classified cloud."""
+        """Return the point format of a classified cloud."""
         own = cloud.source.info.point_format
         return newer_format(own) if self._plan.config.classified == "copc" else own
 
     def _whole(self) -> dict[str, Any]:
-        """The item of a run that is not cut into sheets."""
+        """Return the item of a run whose products are not divided into sheets."""
         rasters = {name: raster_file(name) for name in self._plan.config.exported}
         assets = {**self._rasters(rasters, "."), **self._besides()}
         item = self._item(self._id, self._gridding.spec, assets, [])
@@ -207,7 +208,7 @@ class _Catalogue:
         return {**item, "collection": self._id}
 
     def _collection(self, items: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
-        """The collection of the sheets."""
+        """Return the collection of the sheets."""
         boxes = [item["bbox"] for item in items.values() if "bbox" in item] or [(-180, -90, 180, 90)]
         when = self._dates()
         interval = [when.get(f"{end}_datetime") or when["datetime"] for end in ("start", "end")]
@@ -230,7 +231,7 @@ class _Catalogue:
     def _item(
         self, name: str, spec: RasterSpec, assets: Mapping[str, Any], links: Sequence[Mapping[str, str]]
     ) -> dict[str, Any]:
-        """An item whose rasters have these pixels."""
+        """Return an item whose rasters have these pixels."""
         box = _box(spec)
         bbox = self._globe.bbox(box)
         return {
@@ -246,7 +247,7 @@ class _Catalogue:
         }  # fmt: skip
 
     def _rasters(self, paths: Mapping[str, str], base: str) -> dict[str, Any]:
-        """The assets of rasters that were written."""
+        """Return the assets of the rasters that were written."""
         found = {}
         for name, path in paths.items():
             key = path.rpartition("/")[2]
@@ -274,14 +275,14 @@ class _Catalogue:
         }  # fmt: skip
 
     def _besides(self) -> dict[str, Any]:
-        """The assets that are no rasters."""
+        """Return the assets that are not rasters."""
         drawn = [OUTLINE, WATER, BRIDGES, SHEETS, *(f"{name}.gpkg" for name in self._plan.config.drawn)]
         written = [name for name in drawn if name in self._written]
         found = {name.removesuffix(".gpkg"): _asset(name, _GPKG) for name in written}
         if self.clouds:
             found[VIRTUAL] = _asset(VIRTUAL, _GEOJSON, "metadata", title="classified clouds as one")
         for cloud in self.clouds:
-            # The schema of the extension is for items alone.
+            # The schema of the extension is valid only for items, and with sheets this is a collection.
             more = {"pc:count": cloud.record["points"]} if self._plan.config.sheets is None else {}
             asset = _asset(
                 quote(os.fsencode(cloud.path)), self._media, title="points with their classes", **more
@@ -297,7 +298,7 @@ class _Catalogue:
 
     @cached_property
     def _id(self) -> str:
-        """The same for rasters of the same bytes, however they came about."""
+        """Identifier of the results, which depends only on the bytes of the rasters."""
         files = self._written.items()
         rasters = [[key, record["digest"]] for key, (_, record) in files if key.endswith(".tif")]
         return f"terrain-{digest_of(sorted(rasters))[:16]}"
@@ -309,16 +310,16 @@ class _Catalogue:
 
 
 def _asset(path: str, media: str, role: str = "data", **more: Any) -> dict[str, Any]:
-    """A file of OUT."""
+    """Return the asset of a file in OUT."""
     return {"href": f"./{path}", "type": media, "roles": [role], **more}
 
 
 def _box(spec: RasterSpec) -> stac.Box:
-    """The edges of a raster in units of the CRS."""
+    """Return the edges of a raster in units of the CRS."""
     a, _, x, _, e, y = spec.transform(COUNTS_PER_UNIT)
     return (x, y + e * spec.height, x + a * spec.width, y)
 
 
 def _item_path(gridding: GridContext, sheet: Sheet) -> str:
-    """The file below OUT of a sheet's item."""
+    """Return the path in OUT of the item of a sheet."""
     return f"{SHEET_ITEMS}/{name_of(gridding, SHEET_ITEMS, sheet)}.json"

@@ -1,4 +1,4 @@
-"""Points by class in the classified clouds, and what they keep of the classes of the input."""
+"""Numbers of points by class in the classified clouds, and the classes of the input that they keep."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tiler.store import Commits
 
 
 def report_written_classes(job: Job, tasks: Iterable[Task], made: Commits) -> None:
-    """Count the points of each class of the classified clouds, and tell which classes of the input they keep."""
+    """Count the points of the classified clouds by class, and note which classes of the input they keep."""
     records = [made[task.key][1] for task in tasks if task.key in made]
     kept = sum_by_class(record["kept"] for record in records)
     written = sum_by_class(record["classes"] for record in records)
@@ -24,7 +24,7 @@ def report_written_classes(job: Job, tasks: Iterable[Task], made: Commits) -> No
 
 
 def report_earlier_classes(job: Job, tasks: Iterable[Task]) -> None:
-    """Tell that clouds are written again which an earlier version wrote, as it kept no class of the input."""
+    """Note that the clouds of an earlier version, which kept no class of the input, are written again."""
     if job.plan.config.reclass != ONLY_GROUND:
         return
     commits = job.store.committed("export")
@@ -38,7 +38,7 @@ def report_earlier_classes(job: Job, tasks: Iterable[Task]) -> None:
 
 
 def kept_text(kept: Counts, no_part: Counts) -> str:
-    """The line on classes of the input that classified clouds keep; empty where there is none."""
+    """Return the note about classes of the input that classified clouds keep, or an empty text if they keep none."""
     parts = []
     if kept:
         parts.append(f"{_listed(kept)}, which are not ground (--reclass all gives them class 1)")
@@ -48,7 +48,7 @@ def kept_text(kept: Counts, no_part: Counts) -> str:
 
 
 def _listed(counts: Counts) -> str:
-    """``12 points of class 3, 5 of class 6``."""
+    """Return a text such as ``12 points of class 3, 5 of class 6``."""
     first, *more = ((f"{n:,}", code) for code, n in counts.items())
     return ", ".join(
         (f"{first[0]} points of class {first[1]}", *(f"{n} of class {code}" for n, code in more))

@@ -1,4 +1,4 @@
-"""The tasks that draw what is no raster: the outline of the survey, contours and spot heights."""
+"""Tasks that write vector files: outline of the survey, bridges, bodies of water, contours and spot heights."""
 
 from __future__ import annotations
 
@@ -28,13 +28,16 @@ from tiler.schedule import Task, Work, digest_of
 from tiler.version import __version__
 
 SMOOTH_PIXELS = 2
-"""Standard deviation of the Gaussian that smooths the heights, where the user names none."""
+"""Standard deviation in pixels of the Gaussian that smooths the heights, if the user gives none."""
 SPOT_REACH_M, MAX_REACH = 50, 256
-"""How far around a spot nothing is higher or lower; and the pixels that this is at most."""
+"""Distance around a spot within which nothing is higher or lower, in metres, and its maximum in pixels."""
 
 
 def vector_tasks(g: GridContext, out: str, noise_m: float) -> Iterator[Task]:
-    """One task for each vector file; ``noise_m``: that of the heights of ground, 0 where it is not known."""
+    """Yield one task per vector file.
+
+    ``noise_m`` is the standard deviation of the heights of ground in metres, or 0 if it is not known.
+    """
     plan, config = g.plan, g.plan.config
     terrain, interval = final("dtm", config), config.contour_interval
     common: dict[str, Any] = {

@@ -1,4 +1,4 @@
-"""The tasks that write the files of a run: rasters (one COG each, or sheets and a VRT over them), classified clouds."""
+"""Tasks that write the files of a run: rasters (as one COG, or as sheets with a VRT) and classified clouds."""
 
 from __future__ import annotations
 
@@ -43,11 +43,11 @@ from tiler.store import Commits, KeptPiece
 from tiler.version import __version__
 
 Inputs = Mapping[Cell, Collection[str]]
-"""Bucket -> digests of the sources that have points in it."""
+"""Digests of the sources that have points in a bucket, by bucket."""
 
 
 def inputs_of(sources: Iterable[Source], spooled: Commits) -> Inputs:
-    """The inputs of each bucket, from the commits of the pieces."""
+    """Return the inputs of each bucket, from the commits of the pieces."""
     found: dict[Cell, set[str]] = defaultdict(set)
     records = by_source(spooled)
     for source in sources:
@@ -58,10 +58,10 @@ def inputs_of(sources: Iterable[Source], spooled: Commits) -> Inputs:
 
 
 def cog_tasks(g: GridContext, inputs: Inputs, whole_inputs: str, out: str) -> Iterator[Task]:
-    """One task for each raster file.
+    """Yield one task per raster file.
 
-    The tag of a sheet names the inputs that have points in it, and its digest the blocks that it is made of: another
-    input makes new sheets where it lies.
+    The tag of a sheet depends on the inputs that have points in it, and its digest also on its blocks. So another input
+    changes only the sheets where it has points.
     """
     cut = [(sheet, _digest(inputs, sheet.cells)) for sheet in g.sheets]
     rasters = raster_table(g.plan.config)
@@ -98,7 +98,7 @@ def cog_tasks(g: GridContext, inputs: Inputs, whole_inputs: str, out: str) -> It
 
 
 def _digest(inputs: Inputs, cells: Iterable[Cell]) -> str:
-    """Digest of the inputs that have points in some buckets."""
+    """Return the digest of the inputs that have points in some buckets."""
     return digest_of(sorted(set[str]().union(*(inputs.get(cell, ()) for cell in cells))))
 
 
@@ -108,7 +108,7 @@ def _cog_task(work: WriteCog, blocks: list[list[str]]) -> Task:
 
 
 def mosaic_tasks(g: GridContext, whole_inputs: str, out: str) -> Iterator[Task]:
-    """One VRT for each product that is cut into sheets."""
+    """Yield one task per product that is divided into sheets, which writes its VRT."""
     for name in g.plan.config.exported if g.sheets else ():
         files = [(name_of(g, name, sheet), sheet.spec) for sheet in g.sheets]
         validate_distinct_names(g.plan.config.sheet_name, (file for file, _ in files))
@@ -123,7 +123,10 @@ def mosaic_tasks(g: GridContext, whole_inputs: str, out: str) -> Iterator[Task]:
 
 
 def legend_tasks(g: GridContext, out: str) -> Iterator[Task]:
-    """One for each raster of classes that is one file; over sheets the VRT has the names of the classes."""
+    """Yield one task per raster of classes that is a single file.
+
+    If a product is divided into sheets, its VRT contains the names of the classes.
+    """
     for name in g.plan.config.exported if g.plan.config.sheets is None else ():
         if PRODUCTS[name].values:
             work = WriteLegend(product=name, name=f"{raster_file(name)}{LEGEND}", out=out)
@@ -131,7 +134,7 @@ def legend_tasks(g: GridContext, out: str) -> Iterator[Task]:
 
 
 def index_tasks(tasks: Iterable[Task], written: Commits, out: str) -> Iterator[Task]:
-    """The one that draws where the sheets lie, from the records of those that were written."""
+    """Yield the task that writes the index of the sheets, from the records of the written sheets, if there are any."""
     works = [
         t.arguments for t in tasks if isinstance(t.arguments, WriteCog) and t.arguments.whole is not None
     ]
@@ -148,7 +151,10 @@ def index_tasks(tasks: Iterable[Task], written: Commits, out: str) -> Iterator[T
 
 
 def nodata_of(plan: Plan, name: str) -> float | None:
-    """What the files of a product say where it has no value, if that is the user's to say: not of codes and greys."""
+    """Return the nodata value of the settings, or None for products of codes or grey values.
+
+    The user cannot change the nodata value of these products.
+    """
     return plan.config.nodata if PRODUCTS[name].nodata == NODATA else None
 
 
@@ -174,14 +180,14 @@ def _tags(plan: Plan, name: str, inputs: str) -> dict[str, str]:
 
 
 def _window(plan: Plan, info: SourceInfo) -> tuple[tuple[int, int], ...]:
-    """Records, of a source of which the run fetched only a part, that may be inside the area; none for others."""
+    """Return the ranges of records that may be inside the area if the run fetched only a part of a source, else ()."""
     chunks = (chunks_of(plan, info, 0) or chunks_of(plan, info)) if is_url(info.path) else None
     found = [] if chunks is None else window_pieces(info, chunks, PIECE_POINTS)
     return tuple(records for ranges in found for records in ranges)
 
 
 def kept_pieces(spooled: Commits) -> dict[str, list[KeptPiece]]:
-    """Name of a source -> its pieces in order."""
+    """Return the pieces of each source in order, by its name."""
     found: dict[str, list[KeptPiece]] = defaultdict(list)
     for key in sorted(spooled):
         source, _, start = key.partition("-")
@@ -199,17 +205,17 @@ def classified_tasks(
     edits: str | None,
     out: str,
 ) -> Iterator[Task]:
-    """One task for each classified cloud; ``edits``: name of the corrections in the store.
+    """Yield one task per classified cloud. ``edits`` is the key of the edits in the store.
 
-    What corrections change of the labels is in the labels' digests.
+    The digests of the labels include the changes of the edits.
     """
     wet = _wet(plan, waters, labels)
     records, pieces, sources = by_source(spooled), kept_pieces(spooled), list(sources)
-    # Workers of a cluster are other machines': what a task takes there is one core.
+    # On a cluster a task has only one core, since its workers run on other machines.
     threads = 1 if plan.config.scheduler else max(plan.workers // max(len(sources), 1), 1)
     for source in sources:
         touched = {Cell(ix, iy) for r in records[source.name] for ix, iy, _ in r["buckets"]}
-        cells = sorted(touched & labels.keys())  # a bucket whose task failed is not there
+        cells = sorted(touched & labels.keys())  # A bucket has no labels if its task failed.
         extent = header_bounds(source.info)
         whole = plan.area is None or (extent is not None and plan.area.covers(extent))
         work = WriteClassified(
@@ -237,7 +243,7 @@ def classified_tasks(
 
 
 def _wet(plan: Plan, waters: Waters, cells: Iterable[Cell]) -> dict[Cell, list[str]]:
-    """Buckets in which points become water, and what it depends on which ones do; none where nothing does."""
+    """Return the digests of the bodies of water that overlap each bucket, or {} if points do not become water."""
     lattice, known, found = plan.meta.bucket, frozenset(cells), defaultdict(list)
     if plan.config.reclass != ONLY_GROUND:
         return {}

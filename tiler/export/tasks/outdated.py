@@ -1,12 +1,14 @@
-"""Moves files that no longer hold, or are not as a run wrote them, to OUT/outdated, so that nothing old looks current.
+"""Archiving of outdated and changed files of earlier runs in OUT/outdated, so that they do not look current.
 
-A run writes the products that it is asked for. Those of an earlier run that it is not asked for hold as long as points,
-labels and settings of the rasters are the same; else they go to ``OUT/outdated``, and so do classified files of inputs
-that the run has not. run.json lists what a run wrote (``outputs``), what its rasters were made of (``made_of``), and
-until the export has dealt with them the files of earlier runs (``earlier_outputs``).
+A run writes only the requested products. Other products of an earlier run stay valid as long as the points, the labels
+and the settings of the rasters are the same. Otherwise they are moved to ``OUT/outdated``, and so are classified files
+of inputs that the run does not have.
 
-Files may be gone, changed by a user, or damaged. Size and time tell as a rule; where the time is another one, and with
-``--verify``, all bytes are read. What differs is put aside, not overwritten: it may be a user's work.
+In run.json, ``outputs`` lists the files that a run wrote, and ``made_of`` the basis of its products.
+``earlier_outputs`` lists the files of earlier runs until the export has checked them.
+
+Files may be missing, changed by a user, or damaged. Usually size and time show this. If the time differs, and with
+``--verify``, all bytes are read. A file that differs is moved and not overwritten, since it may be a user's work.
 """
 
 from __future__ import annotations
@@ -24,29 +26,29 @@ from tiler.runs.job import Job
 
 STAGE = "verify"
 NAMED = 5
-"""Files that the note names; the others are counted."""
+"""Number of files that a note lists. Further files are counted."""
 
 
 def archive_outdated(job: Job, wanted: Collection[str], basis: str) -> None:
-    """Move what no longer holds; what does is listed in ``outputs``, as are no files yet of this run.
+    """Move outdated files of earlier runs, and list the files that stay valid in ``outputs``.
 
     Parameters
     ----------
     job : Job
     wanted : collection of str
-        Files that this run writes, as paths in OUT. They are known from now on, but not what they are made of, so
-        that a run that is killed while it writes leaves nothing that later runs take for theirs.
+        Files that this run writes, as paths in OUT. From now on run.json lists them as ``earlier_outputs`` without a
+        basis. So if a run is killed while it writes, later runs do not treat its files as valid.
     basis : str
-        What the rasters of this run are made of.
+        Digest of the data and settings from which the products of this run are made.
 
     Raises
     ------
     ConfigError
-        A file that this run writes is there, and no earlier run made it.
+        A file that this run writes already exists, and was not written by an earlier run.
     ProcessingError
         A file cannot be moved.
     """
-    # What was dealt with already is this run's own: after a repair of the store all of this is done again.
+    # After a repair of the store this is repeated, and ``outputs`` lists files that this run has checked already.
     earlier = {**job.facts["earlier_outputs"], **dict.fromkeys(job.facts.get("outputs", {}), basis)}
     if not job.plan.config.force:
         _validate_own_files(job, [path for path in wanted if path not in earlier])
@@ -72,7 +74,7 @@ def archive_outdated(job: Job, wanted: Collection[str], basis: str) -> None:
 
 
 def _damaged(job: Job, paths: Collection[str]) -> list[str]:
-    """Files that differ from what the run that wrote them noted in run.json."""
+    """Return the files whose bytes do not match their digest in run.json."""
     known = {p: d for p, d in job.facts.get("digests", {}).items() if p in paths}
     places = {joined(job.products, path): path for path in sorted(known)}
     states = zip(places, states_at(list(places)), strict=True)
@@ -81,7 +83,7 @@ def _damaged(job: Job, paths: Collection[str]) -> list[str]:
 
 
 def _validate_own_files(job: Job, wanted: list[str]) -> None:
-    """Raise ConfigError for files that came after the plan, or whose names it could not know."""
+    """Raise ConfigError if files exist that appeared after the plan, or whose names the plan did not contain."""
     sizes = sizes_at([joined(job.products, path) for path in wanted])
     there = [path for path, size in zip(wanted, sizes, strict=True) if size is not None]
     if there:
@@ -92,7 +94,7 @@ def _validate_own_files(job: Job, wanted: list[str]) -> None:
 
 
 def _inside(out: str, path: str) -> bool:
-    """Whether a path that a file named leads nowhere else, and to a file."""
+    """Return whether a path from run.json lies in OUT and is not a folder."""
     if is_url(out):
         return not {"", ".", ".."} & set(path.split("/"))
     whole = Path(out, path)
@@ -100,7 +102,7 @@ def _inside(out: str, path: str) -> bool:
 
 
 def move_aside(out: str, paths: Sequence[str]) -> str:
-    """Move files of OUT together into a folder in which none of their names is taken; its path in OUT."""
+    """Move files of OUT into one folder in which none of their names exists, and return its path in OUT."""
     folder, number = OUTDATED, 1
     while _taken(out, [joined(out, folder, path) for path in paths]):
         number += 1
@@ -111,7 +113,7 @@ def move_aside(out: str, paths: Sequence[str]) -> str:
 
 
 def named(paths: Sequence[str]) -> str:
-    """The first of some files by name, and how many more there are."""
+    """Return a text with the first names of files, and the number of further files."""
     more = f" and {len(paths) - NAMED:,} more" if len(paths) > NAMED else ""
     return ", ".join(paths[:NAMED]) + more
 
@@ -129,25 +131,25 @@ def _move(out: str, path: str, target: str) -> None:
     except OSError as error:
         raise write_error(target, error, None if is_url(out) else Path(out)) from error
     if not is_url(out):
-        with suppress(OSError):  # the folder of a product's sheets, unless it still holds any
+        with suppress(OSError):  # The folder of a product's sheets is removed once it is empty.
             Path(source).parent.rmdir()
 
 
 def invalidate_changed_outputs(job: Job, stage: str, files: Mapping[str, str]) -> None:
-    """Let the tasks of a stage be done again whose files are not what they wrote.
+    """Invalidate the tasks of a stage whose files are missing or were changed, and archive the changed files.
 
     Parameters
     ----------
     job : Job
     stage : str
-        Its records have ``bytes``, and ``digest`` and ``state`` unless an older version made them.
+        Stage whose records have ``bytes``, and ``digest`` and ``state`` unless an older version made them.
     files : mapping of str to str
-        Key of a task to the path or URL of its file.
+        Path or URL of the file of each task, by the key of the task.
 
     Raises
     ------
     ProcessingError
-        A file that differs cannot be moved aside.
+        A changed file cannot be moved.
     """
     commits = {key: commit for key, commit in job.store.committed(stage).items() if key in files}
     states = dict(zip(commits, states_at([files[key] for key in commits]), strict=True))
@@ -165,7 +167,7 @@ def invalidate_changed_outputs(job: Job, stage: str, files: Mapping[str, str]) -
         digest, record = commits[key]
         if result.get("content") != record.get("digest", ""):
             changed.append(key)
-        else:  # the same bytes: this time is as good as the one before
+        else:  # The bytes are the same, so the new time replaces the earlier one.
             job.store.commit(stage, key, digest, {**record, "state": there[key].to_json()})
     job.invalidate(stage, [*gone, *changed])
     if changed:

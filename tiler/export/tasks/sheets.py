@@ -1,4 +1,4 @@
-"""Sheets into which products are cut."""
+"""Sheets into which products are divided."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ STAGE = "sheets"
 
 
 def cut(job: Job, g: GridContext) -> list[Sheet]:
-    """The sheets of a run, none where its products are not cut."""
+    """Return the sheets of a run, or an empty list if its products are not divided."""
     if g.plan.config.sheets is None:
         return []
     tasks = list(height_tasks(g))
@@ -43,7 +43,7 @@ def cut(job: Job, g: GridContext) -> list[Sheet]:
 
 
 def height_tasks(g: GridContext) -> Iterator[Task]:
-    """One for each block of the models that has a height."""
+    """Yield one task per block of the models that has a height."""
     rasters = tuple(name for name in (final(model, g.plan.config) for model in MODELS) if name in g.made)
     side, area = _pixels(g), g.plan.area_key
     keys = {key for name in rasters for key, (_, record) in g.made[name].items() if record["filled"]}
@@ -56,7 +56,7 @@ def height_tasks(g: GridContext) -> Iterator[Task]:
 
 
 def sheets(g: GridContext, cells: Iterable[Cell]) -> list[Sheet]:
-    """Some sheets, by their cells on the lattice of sheets, which is anchored at CRS 0."""
+    """Return the sheets of these cells of the lattice of sheets, which is anchored at CRS 0."""
     lattice, side = _lattice(g), _pixels(g)
     buckets, found = with_points(g), []
     for cell in sorted(cells):
@@ -70,13 +70,13 @@ def sheets(g: GridContext, cells: Iterable[Cell]) -> list[Sheet]:
 
 
 def name_of(g: GridContext, product: str, sheet: Sheet) -> str:
-    """The name of a product's file of a sheet, without its ending."""
+    """Return the name of a product's file for a sheet, without its ending."""
     side = float(_lattice(g).size / COUNTS_PER_UNIT)
     return sheet_name(g.plan.config.sheet_name, product, *sheet.corner, side)
 
 
 def with_points(g: GridContext) -> dict[Cell, list[Cell]]:
-    """The sheets between the points of buckets, as far as the raster reaches, each with these buckets."""
+    """Return the buckets by the sheets that the bounds of their points overlap, within the raster and the area."""
     lattice, area = _lattice(g), g.plan.area
     whole = g.spec.block_bounds(g.spec.block_at(0, 0, max(g.spec.height, g.spec.width)))
     buckets: dict[Cell, list[Cell]] = defaultdict(list)
@@ -90,10 +90,10 @@ def with_points(g: GridContext) -> dict[Cell, list[Cell]]:
 
 
 def _lattice(g: GridContext) -> Lattice:
-    """Lattice of the sheets."""
+    """Return the lattice of the sheets."""
     return Lattice(g.plan.meta.frame.counts(g.plan.config.sheets or Fraction(0)))
 
 
 def _pixels(g: GridContext) -> int:
-    """Side of a sheet in pixels."""
+    """Return the side of a sheet in pixels."""
     return int(_lattice(g).size / g.spec.lattice.size)
