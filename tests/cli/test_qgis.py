@@ -312,7 +312,9 @@ def test_an_error_is_the_line_of_the_command(line: str, process: ModuleType, tmp
 @pytest.mark.processes
 def test_cancel_tells_the_command_and_waits_for_its_end(process: ModuleType, tmp_path: Path) -> None:
     begun, stop = threading.Event(), tmp_path / "stopped"
-    text = f"trap 'sleep 0.2; touch \"{stop}\"; exit 130' TERM\necho '{LINE}' >&2\nwhile :; do sleep 0.05; done"
+    text = (
+        f"trap 'sleep 0.2; touch \"{stop}\"; exit 130' TERM\necho '{LINE}' >&2\nwhile :; do sleep 0.05; done"
+    )
     ended = process.run_command(script(tmp_path / "a", text), lambda event: begun.set(), begun.is_set)
     assert ended.cancelled
     assert stop.exists()

@@ -20,7 +20,7 @@ def write_bridges(store_url: str, work: WriteBridges) -> dict[str, Any]:
     """Write ``<out>/bridges.gpkg`` (a `tiler.schedule.task.Work`).
 
     The file has one polygon for the free part of each deck. Columns are ``length_m``, ``width_m``, ``clearance_m``
-    (height above the ground next to it) and ``points_below``. There are more than a few points below a deck only where
+    (height above the surface next to it) and ``points_below``. There are more than a few points below a deck only where
     the scanner looked from the side.
 
     Return the record of `tiler.export.output_files.new_file`. Raise ProcessingError if the file cannot be written.
