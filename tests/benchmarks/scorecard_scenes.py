@@ -175,6 +175,8 @@ def simulated_scenes() -> Iterator[BenchScene]:
 
     sources = digest_of_modules(*(maker.__module__ for maker in (*SENSORS.values(), *SITES.values())))
     for name, spec in SCENES.items():
+        if spec.scene_class == "als water":  # these have a benchmark of their own
+            continue
         family, load = f"simulated {spec.scene_class}", partial(simulated, name)
         yield BenchScene(name, family, SIMULATED[spec.kind], load, recipe=f"{spec} {sources}")
 

@@ -1,4 +1,4 @@
-"""What a run makes of the scenes of `tests.scenes.water_scenes`: extent, levels, shores and profiles against the truth.
+"""Extent, levels, shores and profiles that a run finds in the simulated scenes of water, against the truth.
 
 ``python -m tests.benchmarks.water [--seeds 1 2] [--classes] [SCENE ...]`` prints a table.
 """
@@ -16,18 +16,19 @@ import rasterio
 import scipy
 import shapely
 
-from tests.invariants.clouds import CORNER
-from tests.scenes.water_scenes import SCENES, WaterScene
+from tests.scenes.water_scenes import UNKNOWN, WATER_KNOWN, WATER_SCENES, write_cloud
 from tiler.config import RunConfig
 from tiler.core.mask_values import WATER
 from tiler.pipeline import run
+from tiler.simulate import Site, describe_scene
+from tiler.simulate.cloud import ORIGIN
 
 BORDER_M = 4
 """Pixels so near to the border of the survey are not counted."""
 BEYOND_NOISE_M = 0.1
 
 
-def measured(scene: WaterScene, out: Path) -> dict[str, Any]:
+def measured(site: Site, out: Path) -> dict[str, Any]:
     """Figures of a finished run.
 
     Returns
@@ -41,13 +42,13 @@ def measured(scene: WaterScene, out: Path) -> dict[str, Any]:
         heights, bounds = raster.read(1), raster.bounds
         rows, cols = np.mgrid[0 : raster.height, 0 : raster.width]
         size = raster.res[0]
-    x = bounds.left + (cols + 0.5) * size - CORNER[0]
-    y = bounds.top - (rows + 0.5) * size - CORNER[1]
+    x = bounds.left + (cols + 0.5) * size - ORIGIN[0]
+    y = bounds.top - (rows + 0.5) * size - ORIGIN[1]
     with rasterio.open(out / "mask.tif") as raster:
         found = raster.read(1) == WATER
-    inner = (np.minimum(x, scene.width - x) > BORDER_M) & (np.minimum(y, scene.height - y) > BORDER_M)
-    wet = scene.wet(x, y)
-    truth = scene.height_at(x, y)
+    inner = (np.minimum(x, site.side_m - x) > BORDER_M) & (np.minimum(y, site.north_m - y) > BORDER_M)
+    wet = site.terrain.wet_at(x, y)
+    truth = site.terrain.height_at(x, y)
     both = found & wet & inner
     beside = scipy.ndimage.binary_dilation(found, np.ones((3, 3))) & ~found & inner & (heights != -9999)
     near = scipy.ndimage.distance_transform_edt(~found, return_distances=False, return_indices=True)
@@ -57,7 +58,7 @@ def measured(scene: WaterScene, out: Path) -> dict[str, Any]:
         "recall": _share(both, wet & inner),
         "precision": _share(both, found & inner),
         "level_rmse": float(np.sqrt(np.mean((heights - truth)[both] ** 2))) if both.any() else np.nan,
-        "shore_rmse": _shore(scene, wet, found, inner) * size,
+        "shore_rmse": _shore(wet, found, inner) * size,
         "floating": _share(beside & (heights < level - BEYOND_NOISE_M), beside),
         "dug": _share(edge & (truth > heights + 3 * BEYOND_NOISE_M), edge),
         **_profiles(out),
@@ -68,7 +69,7 @@ def _share(part: np.ndarray, whole: np.ndarray) -> float:
     return float(part.sum() / whole.sum()) if whole.any() else np.nan
 
 
-def _shore(scene: WaterScene, wet: np.ndarray, found: np.ndarray, inner: np.ndarray) -> float:
+def _shore(wet: np.ndarray, found: np.ndarray, inner: np.ndarray) -> float:
     """Distance of the found shore from the true one in pixels, RMS; those farther than 20 pixels are not counted."""
 
     def edges(water: np.ndarray) -> np.ndarray:
@@ -95,8 +96,8 @@ def _profiles(out: Path) -> dict[str, Any]:
 
 def scored(name: str, seed: int, folder: Path, classes: bool = False, **changes: Any) -> dict[str, Any]:
     """Simulate a scene, run the whole job on it, and measure; OUT is ``folder / "out"``."""
-    scene = SCENES[name]()
-    cloud = scene.write(folder / "cloud.laz", seed, classes)
+    spec = describe_scene(name, seed=seed)
+    cloud = write_cloud(folder / "cloud.laz", spec, WATER_KNOWN if classes else UNKNOWN)
     values = {
         "workers": 1,
         "resolution": "1",
@@ -106,13 +107,13 @@ def scored(name: str, seed: int, folder: Path, classes: bool = False, **changes:
         **changes,
     }
     run([str(cloud)], folder / "out", RunConfig.from_mapping(values))
-    return measured(scene, folder / "out")
+    return measured(spec.make_site(), folder / "out")
 
 
 def main() -> None:
     """Print a table of the scenes."""
     parser = argparse.ArgumentParser()
-    parser.add_argument("scenes", nargs="*", default=list(SCENES))
+    parser.add_argument("scenes", nargs="*", default=WATER_SCENES)
     parser.add_argument("--seeds", nargs="*", type=int, default=[1])
     parser.add_argument("--classes", action="store_true")
     parser.add_argument("--out", type=Path)

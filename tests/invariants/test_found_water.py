@@ -15,11 +15,11 @@ import pytest
 import shapely
 
 from tests.benchmarks.water import scored
-from tests.invariants import clouds
 from tests.invariants.runs import do
 from tests.scenes.drawings import digests
 from tests.scenes.small_stores import USUAL_ROW_POINTS, small_stores
-from tests.scenes.water_scenes import GROUND, TREE, WaterScene, lakes, meander
+from tests.scenes.water_scenes import PLANTS_KNOWN, write_cloud
+from tiler.simulate import describe_scene
 
 HIDDEN_SEED = 23
 """None of those on which the search was made."""
@@ -109,19 +109,16 @@ def test_the_file_for_hydrographers_has_shores_and_stations_at_the_level(finishe
         assert np.diff(table["along"][mine]).min() > 0
 
 
-def ground_of(path: Path, scene: WaterScene) -> Path:
-    """A file of a scene in which returns from land and water are ground, so that no filter is needed."""
-    cloud = scene.cloud(HIDDEN_SEED)
-    return clouds.write(path, cloud, classes=np.where(cloud.truth == TREE, TREE, GROUND).astype(np.uint8))
-
-
-SMALL = {"lakes": lakes, "meander": lambda: meander(700.0)}
+SMALL = {
+    "lakes": describe_scene("als_lakes", seed=HIDDEN_SEED),
+    "meander": describe_scene("als_meander", seed=HIDDEN_SEED, side_m=700.0),
+}
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("name", SMALL)
 def test_the_same_bodies_are_found_whatever_the_pixel(name: str, tmp_path: Path) -> None:
-    cloud, found = ground_of(tmp_path / "cloud.laz", SMALL[name]()), {}
+    cloud, found = write_cloud(tmp_path / "cloud.laz", SMALL[name], PLANTS_KNOWN), {}
     for pixel in ("0.5", "1", "2", "5"):
         out = tmp_path / pixel
         do(cloud, out, method="keep", water="auto", resolution=pixel, tile_size=None, halo=None)
@@ -140,7 +137,7 @@ def test_tiles_and_workers_do_not_show_in_the_water(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     small_stores(monkeypatch, row_points=USUAL_ROW_POINTS)  # what workers know
-    cloud = ground_of(tmp_path / "cloud.laz", SMALL[name]())
+    cloud = write_cloud(tmp_path / "cloud.laz", SMALL[name], PLANTS_KNOWN)
     runs = [
         {"tile_size": "60", "workers": 1},
         {"tile_size": "170", "workers": 1},

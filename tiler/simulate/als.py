@@ -14,6 +14,7 @@ from tiler.simulate.points import Box, SimulatedPoints, UInt8s, vegetation_label
 from tiler.simulate.randomness import BIAS, BLUNDERS, PULSES, generator, node_normals
 from tiler.simulate.site import Site
 from tiler.simulate.terrain import Terrain
+from tiler.simulate.water_bodies import Waters
 
 PATCH_M = 100.0
 """Side of the squares that are surveyed at once, on a lattice at (0, 0). It bounds the memory."""
@@ -208,10 +209,41 @@ def _surface(
         ray, top = solid.hit(rays)
         higher = top > z[ray]
         z[ray[higher]], label[ray[higher]] = top[higher], solid.label
-    kept = rng.random(len(rays)) >= np.where(label == WATER, 1.0 - WATER_RETURNS, LOST)
-    ray = np.flatnonzero(kept)
+    draw = rng.random(len(rays))
+    lost = np.where(label == WATER, 1.0 - WATER_RETURNS, LOST)
+    if site.terrain.waters is not None:
+        lost = _on_waters(site.terrain.waters, (px, py), z, label, lost, rng)
+    ray = np.flatnonzero(draw >= lost)
     hits.append(_hit(ray, z[ray], label[ray], True))
     return z
+
+
+def _on_waters(
+    waters: Waters,
+    at: tuple[Floats, Floats],
+    z: Floats,
+    label: UInt8s,
+    lost: Floats,
+    rng: np.random.Generator,
+) -> Floats:
+    """The share of lost pulses at each position. Heights and labels of returns from water are set in place."""
+    x, y = at
+    if waters.lost_on_land is not None:
+        lost = np.where(label == GROUND, waters.lost_on_land(x, y), lost)
+    wet = np.flatnonzero(label == WATER)
+    index = waters.body_at(x[wet], y[wet])
+    for i, body in enumerate(waters.bodies):
+        here = wet[index == i]
+        place = x[here], y[here]
+        lost[here] = 1.0 - body.returned(*place)
+        z[here] += body.tide_m(*place) + body.waves_m(*place) * rng.standard_normal(len(here))
+        reed = here[rng.random(len(here)) < body.reeds(*place)]
+        z[reed] += rng.uniform(0.3, 2.0, len(reed))
+        label[reed], lost[reed] = LOW_VEGETATION, 0.0
+        deep = here[rng.random(len(here)) < body.low]
+        z[deep] -= rng.uniform(1.0, 3.0, len(deep))
+        label[deep], lost[deep] = LOW_NOISE, 0.0
+    return lost
 
 
 def _numbered(hits: Hits, max_returns: int) -> tuple[npt.NDArray[np.intp], Floats, UInt8s, UInt8s, UInt8s]:

@@ -158,6 +158,15 @@ _ALL = (
               256, 150.0,
               ROUGH | {"density": 25.0, "tails": 4.0, "shadow": 3.0, "edge_m": 0.6, "facade": 0.0,
                        "coloured": False}),
+    SceneSpec("als_weir", "als", "a pool above a dam of 3 m, tailwater with waves, a tributary, trees over both banks",
+              "als water", "weir", 261, 700.0, {"density": 3.0}),
+    SceneSpec("als_meander", "als", "a river that falls 1 m per km, a bar, a gravel island, a ford, a bridge",
+              "als water", "meander", 262, 1500.0, {"density": 2.0}),
+    SceneSpec("als_lakes", "als", "three lakes with a dam between two, a bank of reed, two strips that differ by 0.4 m",
+              "als water", "lakes", 263, 640.0, {"density": 2.0}),
+    SceneSpec("als_tide", "als", "a beach and a sea at two tides", "als water", "tide", 264, 400.0, {"density": 2.0}),
+    SceneSpec("als_wet_meadow", "als", "flat land with few returns in patches, no water", "als water", "wet_meadow",
+              265, 400.0, {"density": 2.0}),
 )  # fmt: skip
 
 SCENES: dict[str, SceneSpec] = {spec.name: spec for spec in _ALL}

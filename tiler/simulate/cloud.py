@@ -85,14 +85,14 @@ def write_dtm(path: Path, site: Site, pixel_m: float) -> None:
     pixel_m : float
         Side of a pixel, metres.
     """
-    pixels = int(np.ceil(site.side_m / pixel_m))
-    top = pixels * pixel_m
-    x = (np.arange(pixels) + 0.5) * pixel_m
+    columns, rows = (int(np.ceil(extent / pixel_m)) for extent in (site.side_m, site.north_m))
+    top = rows * pixel_m
+    x = (np.arange(columns) + 0.5) * pixel_m
     transform = (pixel_m, 0.0, ORIGIN[0], 0.0, -pixel_m, ORIGIN[1] + top)
     look = RasterMetadata(CRS, "metre", "true terrain height", {})
-    with plain_geotiff(path, pixels, pixels, transform, look) as raster:
-        for row in range(0, pixels, BLOCK_PIXELS):
-            y = top - (np.arange(row, min(row + BLOCK_PIXELS, pixels)) + 0.5) * pixel_m
-            for column in range(0, pixels, BLOCK_PIXELS):
+    with plain_geotiff(path, rows, columns, transform, look) as raster:
+        for row in range(0, rows, BLOCK_PIXELS):
+            y = top - (np.arange(row, min(row + BLOCK_PIXELS, rows)) + 0.5) * pixel_m
+            for column in range(0, columns, BLOCK_PIXELS):
                 heights = site.terrain.height_at(x[None, column : column + BLOCK_PIXELS], y[:, None])
                 raster.write(heights.astype(np.float32), row, column)

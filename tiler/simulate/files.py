@@ -16,7 +16,8 @@ from tiler.io.atomic_files import partial_path, replace_file
 from tiler.observe.events import Listener, ignore_events
 from tiler.simulate.catalogue import SCENES, SENSORS, SceneSpec
 from tiler.simulate.cloud import CloudWriter, write_dtm
-from tiler.simulate.points import CLASS_NAMES, patches, survey_patch
+from tiler.simulate.points import CLASS_NAMES, Sensor, patches, survey_patch
+from tiler.simulate.site import Site
 from tiler.simulate.sites import SITES
 
 DEFAULT_SIDE_M = {"als": 500.0, "dim": 150.0}
@@ -131,10 +132,11 @@ def write_scene(
     if os.path.lexists(dtm) and not os.path.lexists(path):
         raise ConfigError(f"{dtm}: already exists, but its cloud does not; give another name")
     part, dtm_part = (partial_path(target) for target in (path, dtm))
+    site = spec.make_site()
     try:
         path.parent.mkdir(parents=True, exist_ok=True)
-        counts = _write_cloud(part, path.suffix.lower() == ".laz", spec, listener)
-        write_dtm(dtm_part, spec.make_site(), pixel_m)
+        counts = _write_cloud(part, path.suffix.lower() == ".laz", site, spec.make_sensor(), listener)
+        write_dtm(dtm_part, site, pixel_m)
         replace_file(part, path)
         replace_file(dtm_part, dtm)
     except OSError as error:
@@ -154,17 +156,16 @@ def write_scene(
         "seed": spec.seed,
         "side_m": spec.side_m,
         "points": points,
-        "points_per_m2": round(points / spec.side_m**2, 3),
+        "points_per_m2": round(points / (site.side_m * site.north_m), 3),
         "classes": {
             f"{value} {CLASS_NAMES[value]}": int(counts[value]) for value in np.flatnonzero(counts).tolist()
         },
     }
 
 
-def _write_cloud(path: Path, compressed: bool, spec: SceneSpec, listener: Listener) -> np.ndarray:
+def _write_cloud(path: Path, compressed: bool, site: Site, sensor: Sensor, listener: Listener) -> np.ndarray:
     """Write all patches into one file; return the number of points of each class, int64, shape (256,)."""
-    site, sensor = spec.make_site(), spec.make_sensor()
-    todo = patches(sensor, spec.side_m)
+    todo = patches(sensor, site.side_m, site.north_m)
     counts = np.zeros(256, np.int64)
     started = time.monotonic()
     stage = {"stage": "simulate", "title": "simulate the cloud"}

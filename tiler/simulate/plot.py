@@ -189,14 +189,19 @@ class Plot:
         self.box(*Line(self.x, self.y, angle).at(0.0, width / 2 + 2.0), angle, 0.4 * length, 4.0, 1.1)
         return True
 
-    def tree(self, x: float, y: float, tall: float, dense: bool = False, widest: float = 6.0) -> None:
-        """A broad or, if ``dense``, a conifer-like tree of ``tall`` metres, unless it would grow in a house."""
+    def tree(
+        self, x: float, y: float, tall: float, dense: bool = False, widest: float = 6.0, trunk: float = 0.6
+    ) -> None:
+        """A broad or, if ``dense``, a conifer-like tree of ``tall`` metres.
+
+        None grows where less than ``trunk`` times its radius is free of houses and water.
+        """
         radii, clearances, spacing, stop = (0.2, 0.38), (0.15, 0.35), 1.6, 0.3
         if dense:
             radii, clearances, spacing, stop = (0.12, 0.2), (0.05, 0.15), 0.9, 0.45
         radius = min(self.rng.uniform(*radii) * tall, widest)
         clear = self.rng.uniform(*clearances) * tall
-        if self.free(x, y, 0.6 * radius):
+        if self.free(x, y, trunk * radius):
             half = (tall - clear) / 2
             z = self.ground(x, y) + clear + half
             self._crowns.append(Crown(x, y, z, radius, half, spacing, stop))

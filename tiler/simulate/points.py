@@ -118,30 +118,34 @@ def vegetation_label(label: UInt8s, above_ground_m: Floats) -> UInt8s:
     return np.where(label == LOW_VEGETATION, by_height, label).astype(np.uint8)
 
 
-def patches(sensor: Sensor, side_m: float, rim: bool = True) -> list[tuple[int, int]]:
+def patches(
+    sensor: Sensor, side_m: float, north_m: float | None = None, *, rim: bool = True
+) -> list[tuple[int, int]]:
     """Indices (ix, iy) of the patches that hold all points of a site, row by row from the south-west.
 
-    Without ``rim`` patches outside the site are omitted, so its outermost metres may be thinner.
+    The site is ``side_m`` wide, and as long from south to north unless ``north_m`` is given. Without ``rim`` patches
+    outside the site are omitted, so its outermost metres may be thinner.
     """
     reach = 0.0
     if rim:
         reach = sensor.reach_m
     low = int(np.floor(-reach / sensor.patch_m))
-    high = int(np.ceil((side_m + reach) / sensor.patch_m))
-    along = range(low, high)
-    return [(ix, iy) for iy, ix in itertools.product(along, along)]
+    columns, rows = (
+        range(low, int(np.ceil((extent + reach) / sensor.patch_m))) for extent in (side_m, north_m or side_m)
+    )
+    return [(ix, iy) for iy, ix in itertools.product(rows, columns)]
 
 
 def survey_patch(site: Site, sensor: Sensor, ix: int, iy: int) -> SimulatedPoints:
     """The points of a patch that lie on the site, coordinates rounded to millimetres."""
     points = sensor.survey(site, ix, iy)
     xyz = np.round(points.xyz, 3)
-    inside = np.all((xyz[:, :2] >= 0) & (xyz[:, :2] < site.side_m), axis=1)
+    inside = np.all((xyz[:, :2] >= 0) & (xyz[:, :2] < (site.side_m, site.north_m)), axis=1)
     return replace(points, xyz=xyz).take(inside)
 
 
 def survey(site: Site, sensor: Sensor) -> SimulatedPoints:
     """All points of a site at once: for small ones."""
     return SimulatedPoints.joined(
-        [survey_patch(site, sensor, *index) for index in patches(sensor, site.side_m)]
+        [survey_patch(site, sensor, *index) for index in patches(sensor, site.side_m, site.north_m)]
     )

@@ -21,7 +21,7 @@ KEPT_BLOCKS = 256
 
 @dataclass(frozen=True)
 class Site:
-    """Terrain and its objects; x and y run from 0 to ``side_m`` metres.
+    """Terrain and its objects; x runs from 0 to ``side_m`` metres, y to ``north_m``.
 
     Attributes
     ----------
@@ -39,6 +39,8 @@ class Site:
         Width of the asphalt along the edges of the blocks.
     green : float
         Share of the open ground that is lawn; the rest is soil.
+    north_m : float, optional
+        Extent from south to north. By default the site is a square.
     """
 
     terrain: Terrain
@@ -49,7 +51,12 @@ class Site:
     landmarks: Objects = field(default_factory=Objects)
     street_m: float = 0.0
     green: float = 0.6
+    north_m: float = 0.0
     _blocks: dict[tuple[int, int], Objects] = field(default_factory=dict, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        if not self.north_m:
+            object.__setattr__(self, "north_m", self.side_m)
 
     def objects_near(self, x0: float, y0: float, x1: float, y1: float) -> Objects:
         """All objects that may reach into a box, in an order that depends only on the box; metres."""

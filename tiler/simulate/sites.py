@@ -27,6 +27,7 @@ from tiler.simulate.terrain import (
     Terrain,
     Waves,
 )
+from tiler.simulate.water_sites import lakes, meander, tide, weir, wet_meadow
 
 
 def _rng(seed: int) -> np.random.Generator:
@@ -234,6 +235,11 @@ SITES: dict[str, Callable[[int, float], Site]] = {
         bluff,
         plane,
         hills,
+        weir,
+        meander,
+        lakes,
+        tide,
+        wet_meadow,
     )
 }
 """Makers ``(seed, side_m) -> Site`` by name."""

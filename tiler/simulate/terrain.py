@@ -8,6 +8,8 @@ from typing import Protocol
 import numpy as np
 import numpy.typing as npt
 
+from tiler.simulate.water_bodies import Waters
+
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
 
@@ -254,11 +256,14 @@ class Terrain:
     slope : (float, float)
         Rise of the plane per metre to the east and to the north.
     features : tuple of TerrainFeature
+    waters : Waters, optional
+        Bodies of water with levels of their own, which the features do not raise or lower.
     """
 
     base: float = 100.0
     slope: tuple[float, float] = (0.0, 0.0)
     features: tuple[TerrainFeature, ...] = ()
+    waters: Waters | None = None
 
     def height_at(self, x: npt.ArrayLike, y: npt.ArrayLike) -> Floats:
         """True height of the ground, metres, float64 of the broadcast shape of ``x`` and ``y`` (metres)."""
@@ -266,6 +271,8 @@ class Terrain:
         height = self.base + self.slope[0] * east + self.slope[1] * north
         for feature in self.features:
             height = height + feature.height_at(east, north)
+        if self.waters is not None:
+            height = self.waters.height_at(east, north, height)
         return np.asarray(height)
 
     def wet_at(self, x: npt.ArrayLike, y: npt.ArrayLike) -> Bools:
@@ -275,6 +282,8 @@ class Terrain:
         for feature in self.features:
             if isinstance(feature, River | Basin):
                 wet |= feature.wet_at(east, north)
+        if self.waters is not None:
+            wet |= self.waters.body_at(east, north) >= 0
         return wet
 
     def range_around(self, x: float, y: float, radius: float) -> tuple[float, float]:

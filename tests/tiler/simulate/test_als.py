@@ -29,9 +29,10 @@ def test_ground_points_lie_on_the_terrain_and_objects_above_it(kind):
     # x and y are rounded to a millimetre, which is up to 20 mm of height on the face of a wall.
     assert np.quantile(np.abs(above[ground]), 0.99) < 0.003
     assert np.abs(above[ground]).max() < 0.02
-    assert above[~ground].min(initial=0.0) > -0.02
-    assert set(np.unique(points.label)) <= {1, 2, 3, 4, 5, 6, 9, 14, 15, 17}
-    assert ((points.xyz[:, :2] >= 0) & (points.xyz[:, :2] < 100)).all()
+    # Water may have waves, and returns that seem to come from below it.
+    assert above[~np.isin(points.label, (2, 7, 9))].min(initial=0.0) > -0.02
+    assert set(np.unique(points.label)) <= {1, 2, 3, 4, 5, 6, 7, 9, 14, 15, 17}
+    assert ((points.xyz[:, :2] >= 0) & (points.xyz[:, :2] < (100, site.north_m))).all()
 
 
 def test_noise_has_the_sigma_of_the_sensor_and_blunders_their_labels():
