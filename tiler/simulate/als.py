@@ -43,7 +43,9 @@ WATER_RETURNS = 0.03
 
 @dataclass(frozen=True)
 class AlsSensor:
-    """An airborne laser scanner; units are metres, degrees and counts per square kilometre.
+    """An airborne laser scanner.
+
+    Units are metres, degrees and counts per square kilometre.
 
     Attributes
     ----------
@@ -145,7 +147,7 @@ def _pulses(
 
 
 def ground_hit(terrain: Terrain, rays: Rays) -> Floats:
-    """Height at which each ray meets the terrain; metres.
+    """Height in metres at which each ray meets the terrain.
 
     A fixed-point iteration finds it if rays are much steeper than slopes. Rays that do not settle (at cliffs) are
     bisected.

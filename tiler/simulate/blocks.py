@@ -35,7 +35,7 @@ def city_block(plot: Plot) -> None:
 
 
 def suburb_block(plot: Plot) -> None:
-    """One or two houses with a garden, hedges, walls, sheds and trees; a wood on steep land."""
+    """One or two houses with a garden, hedges, walls, sheds and trees, or a wood on steep land."""
     if plot.slope() > 0.4:
         plot.wood(5.0, (8.0, 20.0), 0.3)
         return
@@ -170,7 +170,7 @@ def park_block(plot: Plot) -> None:
 
 
 def row_block(plot: Plot) -> None:
-    """Two rows of terraced houses with gardens, cars in front, street trees; sometimes a small green."""
+    """Two rows of terraced houses with gardens, cars in front and street trees, or a small green."""
     length = plot.side - 2 * plot.street
     if plot.rng.random() < 0.15 or not plot.terrace(plot.x, plot.y - plot.side / 4 - 2.0, 0.0, length, 9.0):
         plot.trees(4, 9, (5.0, 14.0))
@@ -195,7 +195,7 @@ def industry_block(plot: Plot) -> None:
 
 
 def bluff_block(plot: Plot) -> None:
-    """A closed wood of 16 to 20 m on steep land; elsewhere a meadow, sometimes a house."""
+    """A closed wood of 16 to 20 m on steep land, or a meadow, sometimes with a house."""
     if plot.slope() > 0.2:
         plot.wood(6.5, (16.0, 20.0), 0.5)
     elif plot.rng.random() < 0.15:

@@ -85,7 +85,7 @@ class Scene:
     returns: UInt8s
 
     def truth(self, x: npt.ArrayLike, y: npt.ArrayLike) -> Floats:
-        """True height of the ground, metres, at positions in metres; float64 of their broadcast shape."""
+        """True height of the ground in metres, float64, of the broadcast shape of the positions (metres)."""
         return self.site.terrain.height_at(x, y)
 
 

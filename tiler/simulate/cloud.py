@@ -24,7 +24,7 @@ PULSE_S = 1e-5
 
 
 class CloudWriter:
-    """A LAZ file that grows: LAS 1.4, point format 6, or 7 with colours; millimetres.
+    """A LAZ file that grows: LAS 1.4, point format 6, or 7 with colours, in whole millimetres.
 
     It holds neither today's date nor a version, so the same points have the same bytes.
 

@@ -1,4 +1,4 @@
-"""Dense image matching: a skin with correlated noise, facades, blunders and colours; nothing below plants."""
+"""Dense image matching: a surface with correlated noise, facades, blunders and colours, without points below plants."""
 
 from __future__ import annotations
 
@@ -164,7 +164,7 @@ class DimSensor:
         return np.asarray(sigma * (self.correlated**0.5 * common + (1.0 - self.correlated) ** 0.5 * own))
 
     def _facades(self, skin: MatchedSurface, box: Box, rng: np.random.Generator) -> Floats:
-        """Points on walls, where the skin falls from a building to its neighbour; walls differ in their share."""
+        """Points on walls, where the surface falls from a building to its neighbour. Walls differ in their share."""
         x, y = skin.positions()
         parts = [np.empty((0, 3))]
         rate = self.facade * self.density * PIXEL_M

@@ -164,7 +164,10 @@ def write_scene(
 
 
 def _write_cloud(path: Path, compressed: bool, site: Site, sensor: Sensor, listener: Listener) -> np.ndarray:
-    """Write all patches into one file; return the number of points of each class, int64, shape (256,)."""
+    """Write all patches into one file.
+
+    Returns the number of points of each class, int64, shape (256,).
+    """
     todo = patches(sensor, site.side_m, site.north_m)
     counts = np.zeros(256, np.int64)
     started = time.monotonic()

@@ -14,7 +14,7 @@ SPAN_M = 110.0
 
 
 def bridge(terrain: Terrain, line: Line, length: float, width: float) -> Objects:
-    """A deck with parapets along a line, centred at the line's point, from ground to ground; metres.
+    """A deck with parapets along a line, from ground to ground. Its middle is the line's point.
 
     It connects the heights of the terrain at its two ends, so that a road has no step.
     """
@@ -31,7 +31,7 @@ def bridge(terrain: Terrain, line: Line, length: float, width: float) -> Objects
 
 
 def power_line(terrain: Terrain, line: Line, length: float) -> Objects:
-    """Towers of 26 m every `SPAN_M` from the line's point, with a cross-arm and three sagging wires; metres."""
+    """Towers of 26 m every `SPAN_M` from the line's point, with a cross-arm and three sagging wires."""
     solids: list[Solid] = []
     wires: list[Wire] = []
     before: list[tuple[float, float, float]] = []

@@ -26,7 +26,7 @@ SMEARED_M = 0.2
 
 @dataclass(frozen=True)
 class MatchedSurface:
-    """Rasters of shape (rows, columns), rows from south to north; the node (0, 0) lies at (x0, y0), metres.
+    """Rasters of shape (rows, columns), rows from south to north. Node (0, 0) lies at (x0, y0), metres.
 
     Attributes
     ----------
@@ -60,11 +60,11 @@ class MatchedSurface:
         return row, column
 
     def height(self, x: Floats, y: Floats) -> Floats:
-        """The smoothed height at each position, bilinear; metres."""
+        """The smoothed height at each position in metres, interpolated bilinearly."""
         return self._between(self.smooth, x, y)
 
     def labels(self, x: Floats, y: Floats) -> npt.NDArray[np.uint8]:
-        """Class of the smoothed skin at each position; ground that an object lifts belongs to the object."""
+        """Class of the smoothed surface at each position. Ground that an object lifts belongs to the object."""
         node = self.nearest(x, y)
         label = self.label[node]
         lifted = np.isin(label, (GROUND, WATER)) & (self._between(self.rise, x, y) > SMEARED_M)
@@ -148,7 +148,7 @@ def _covered(
 
 
 def _nearest_object(label: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
-    """The class of the nearest node that is neither ground nor water; unchanged without such a node."""
+    """Class of the nearest node that is neither ground nor water. Without such a node the class stays."""
     low = np.isin(label, (GROUND, WATER))
     if low.all():
         return label

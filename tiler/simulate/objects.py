@@ -1,4 +1,4 @@
-"""Objects on the terrain; each computes where a ray meets it.
+"""Objects on the terrain. Each computes where a ray meets it.
 
 A ray is a line that comes from above, written by its height z: ``x = ax + lx * z``, ``y = ay + ly * z``.
 """
@@ -25,7 +25,7 @@ BRIDGE = 17
 
 @dataclass(frozen=True)
 class Rays:
-    """``n`` rays; all columns float64, shape (n,), metres (``lx``, ``ly``: metres per metre of height).
+    """``n`` rays. All columns are float64, shape (n,), metres (``lx``, ``ly``: metres per metre of height).
 
     ``level`` is a height near most hits; it only shortens searches.
     """
@@ -145,7 +145,7 @@ class Solid:
 
 @dataclass(frozen=True)
 class Crown:
-    """The crown of a tree: an ellipsoid that pulses enter; metres.
+    """The crown of a tree: an ellipsoid that pulses enter. Lengths are in metres.
 
     ``spacing`` is the mean distance between two returns in it, ``stop`` the probability that a return ends the pulse.
     """
@@ -174,7 +174,9 @@ class Crown:
 
 @dataclass(frozen=True)
 class PlantPatch:
-    """Low vegetation: an ellipse or, if ``square``, a rectangle in which plants stand on the ground; metres.
+    """Low vegetation: an ellipse or, if ``square``, a rectangle with plants on the ground.
+
+    Lengths are in metres.
 
     ``cover`` is the share of pulses that end in them, at heights up to ``height``.
     """
@@ -204,7 +206,7 @@ class PlantPatch:
 
 @dataclass(frozen=True)
 class Wire:
-    """A wire that sags between two points; metres. A pulse within ``reach`` leaves a return and continues."""
+    """A wire that sags between two points, in metres. A pulse within ``reach`` leaves a return and continues."""
 
     start: tuple[float, float, float]
     end: tuple[float, float, float]
@@ -255,7 +257,7 @@ class Objects:
         return Objects(*(a + b for a, b in zip(self._kinds, other._kinds, strict=True)))
 
     def touching(self, x0: float, y0: float, x1: float, y1: float) -> Objects:
-        """Objects that may reach into a box, in the same order; metres."""
+        """Objects that may reach into a box (metres), in the same order."""
 
         def near(thing: Solid | Crown | PlantPatch | Wire) -> bool:
             far = thing.radius

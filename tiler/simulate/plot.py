@@ -13,7 +13,7 @@ STEEPEST_HOUSE = 0.3
 
 
 class Plot:
-    """Collects the objects on a square block; lengths in metres, angles in degrees.
+    """Collects the objects on a square block. Lengths are in metres, angles in degrees.
 
     Parameters
     ----------
@@ -98,7 +98,7 @@ class Plot:
         return high - low <= most
 
     def house(self, x: float, y: float, angle: float) -> bool:
-        """A gabled house of 1-3 storeys, some with a garage and a shed; False if it cannot stand there."""
+        """Place a gabled house of 1 to 3 storeys, some with a garage and a shed. False if it cannot stand there."""
         length, width = self.rng.uniform(9, 16), self.rng.uniform(7, 11)
         height, pitch = self.rng.uniform(3, 7.5), float(self.rng.choice([0.0, 0.5, 0.7, 0.9]))
         even = self.level(x, y, length / 2, STEEPEST_HOUSE * length * 1.4)

@@ -88,7 +88,7 @@ class SimulatedPoints:
 
 
 class Sensor(Protocol):
-    """Surveys a site patch by patch; the patches are a lattice at (0, 0)."""
+    """Surveys a site patch by patch. The patches are a lattice with a corner at (0, 0)."""
 
     @property
     def patch_m(self) -> float:

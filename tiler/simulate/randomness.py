@@ -9,7 +9,7 @@ Floats = npt.NDArray[np.float64]
 UInt64s = npt.NDArray[np.uint64]
 
 BLOCKS, PULSES, MATCHES, BLUNDERS, BIAS, RELIEF, COLOUR, TEXTURE = range(8)
-"""Purposes of random numbers; each purpose has numbers of its own."""
+"""Purposes of random numbers. Two purposes never share numbers."""
 
 OFFSET = 1 << 31
 

@@ -21,7 +21,7 @@ KEPT_BLOCKS = 256
 
 @dataclass(frozen=True)
 class Site:
-    """Terrain and its objects; x runs from 0 to ``side_m`` metres, y to ``north_m``.
+    """Terrain and its objects. x runs from 0 to ``side_m`` metres, y from 0 to ``north_m``.
 
     Attributes
     ----------
@@ -59,7 +59,7 @@ class Site:
             object.__setattr__(self, "north_m", self.side_m)
 
     def objects_near(self, x0: float, y0: float, x1: float, y1: float) -> Objects:
-        """All objects that may reach into a box, in an order that depends only on the box; metres."""
+        """All objects that may reach into a box (metres), in an order that depends only on the box."""
         objects = self.landmarks.touching(x0, y0, x1, y1)
         if self.fill is None:
             return objects

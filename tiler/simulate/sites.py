@@ -41,7 +41,7 @@ def _tilt(east: float, north: float, side_m: float) -> tuple[float, float]:
 
 
 def city(seed: int, side_m: float) -> Site:
-    """Blocks of 50 m on gentle hills; a dam across, a river bank, a power line."""
+    """Blocks of 50 m on gentle hills, a dam across, a river bank, a power line."""
     rng = _rng(seed)
     dam = Embankment(side_m / 2, side_m * 0.78, 12.0, height=5.0, crest_width=6.0, slope_width=9.0)
     bank = Bank(side_m * 0.86, drop=6.0, width=4.0, swing=side_m * 0.04, period=side_m * 0.9)
@@ -246,7 +246,7 @@ SITES: dict[str, Callable[[int, float], Site]] = {
 
 
 def make_site(kind: str, seed: int, side_m: float) -> Site:
-    """The site of a name in `SITES`; raises ConfigError for other names."""
+    """The site of a name in `SITES`. Other names raise ConfigError."""
     if kind not in SITES:
         raise ConfigError(f"unknown scene {kind!r}: choose one of {', '.join(SITES)}")
     return SITES[kind](seed, side_m)

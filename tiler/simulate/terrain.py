@@ -15,7 +15,7 @@ Bools = npt.NDArray[np.bool_]
 
 
 class TerrainFeature(Protocol):
-    """A part of a terrain; `Terrain` sums the parts."""
+    """A part of a terrain. `Terrain` sums the parts."""
 
     def height_at(self, x: Floats, y: Floats) -> Floats:
         """Metres that the feature adds at each position (metres)."""
@@ -24,14 +24,14 @@ class TerrainFeature(Protocol):
 
 @dataclass(frozen=True)
 class Line:
-    """A straight line through (x, y), in metres; ``angle_deg`` is counter-clockwise from east."""
+    """A straight line through (x, y), in metres. ``angle_deg`` is counter-clockwise from east."""
 
     x: float
     y: float
     angle_deg: float
 
     def along_across(self, x: Floats, y: Floats) -> tuple[Floats, Floats]:
-        """Distance of each position along the line from (x, y), and to the left of the line; metres."""
+        """Distance of each position along the line from (x, y), and to the left of the line, in metres."""
         cos, sin = np.cos(np.radians(self.angle_deg)), np.sin(np.radians(self.angle_deg))
         east, north = x - self.x, y - self.y
         return east * cos + north * sin, north * cos - east * sin
@@ -44,7 +44,7 @@ class Line:
 
 @dataclass(frozen=True)
 class Hill:
-    """``height * exp(-d**2 / (2 radius**2))``, d the distance from (x, y); metres."""
+    """A hill of ``height * exp(-d**2 / (2 radius**2))``, d being the distance from (x, y), in metres."""
 
     x: float
     y: float
@@ -90,7 +90,7 @@ class Waves:
 
 @dataclass(frozen=True)
 class Ridge:
-    """A roof-shaped ridge: sharp crest along a line, even flanks, hipped ends; metres."""
+    """A roof-shaped ridge with a sharp crest along a line, even flanks and hipped ends, in metres."""
 
     line: Line
     height: float
@@ -123,7 +123,7 @@ class Terraces:
 
 @dataclass(frozen=True)
 class Cliff:
-    """A step of ``height`` within ``width``, up to the left of a winding line; metres."""
+    """A step of ``height`` within ``width``, up to the left of a winding line, in metres."""
 
     line: Line
     height: float
@@ -140,7 +140,7 @@ class Cliff:
 
 @dataclass(frozen=True)
 class Basin:
-    """A round pit with a flat floor: a quarry with benches or, if ``water``, a pond; metres.
+    """A round pit with a flat floor: a quarry with benches or, if ``water``, a pond. Lengths are in metres.
 
     Attributes
     ----------
@@ -179,7 +179,7 @@ class Basin:
 
 @dataclass(frozen=True)
 class Embankment:
-    """A dam along a straight line: a crest of full height, slopes down to the terrain on both sides; metres.
+    """A dam along a straight line, with a crest of full height and slopes on both sides, in metres.
 
     (x, y) is a point of the axis, ``angle_deg`` its direction counter-clockwise from east. A negative
     height makes a cutting or a canal.
@@ -201,7 +201,7 @@ class Embankment:
 
 @dataclass(frozen=True)
 class Bank:
-    """A river bank: the land drops by ``drop`` along a winding line, within about ``4 * width``; metres.
+    """A river bank: the land drops by ``drop`` along a winding line, within about ``4 * width``, in metres.
 
     The line runs from south to north around ``x``, swinging by ``swing`` with the period ``period``; the
     low side is in the east.
@@ -221,7 +221,7 @@ class Bank:
 
 @dataclass(frozen=True)
 class River:
-    """A river with a bank on each side along a winding line; its floor is the surface of the water; metres."""
+    """A river with a bank on each side along a winding line, in metres. Its floor is the surface of the water."""
 
     line: Line
     width: float
@@ -247,7 +247,7 @@ class River:
 
 @dataclass(frozen=True)
 class Terrain:
-    """A tilted plane plus features; all features are summed in their order.
+    """A tilted plane plus features, which are summed in their order.
 
     Attributes
     ----------
@@ -257,7 +257,7 @@ class Terrain:
         Rise of the plane per metre to the east and to the north.
     features : tuple of TerrainFeature
     waters : Waters, optional
-        Bodies of water with levels of their own, which the features do not raise or lower.
+        Bodies of water whose levels do not depend on the plane and the features.
     """
 
     base: float = 100.0
@@ -287,14 +287,14 @@ class Terrain:
         return wet
 
     def range_around(self, x: float, y: float, radius: float) -> tuple[float, float]:
-        """Lowest and highest ground of a 9 x 9 lattice within ``radius`` of a position; metres."""
+        """Lowest and highest ground of a 9 x 9 lattice within ``radius`` of a position, in metres."""
         steps = np.linspace(-radius, radius, 9)
         heights = self.height_at(x + steps[None, :], y + steps[:, None])
         return float(heights.min()), float(heights.max())
 
 
 def _stairs(t: Floats, steps: int, face: float) -> Floats:
-    """Stairs of height 1 and length 1 from 0 to ``steps``; the last ``face`` of each length goes up."""
+    """Stairs of height 1 and length 1 from 0 to ``steps``. The last ``face`` of each length goes up."""
     t = np.clip(t, 0.0, steps)
     whole = np.floor(t)
     return np.asarray(whole + np.clip((t - whole - (1.0 - face)) / face, 0.0, 1.0))

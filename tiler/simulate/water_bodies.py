@@ -15,7 +15,7 @@ Field = Callable[[Floats, Floats], Floats]
 """A value at each position; positions are in metres."""
 
 FACE_SLOPE = 8.0
-"""Rise of the faces of masonry per metre. Vertical faces would have no height of their own."""
+"""Rise of the faces of masonry per metre. The height at a vertical face would be ambiguous."""
 
 
 def constant(value: float) -> Field:
@@ -64,7 +64,7 @@ class WaterBody:
 
 @dataclass(frozen=True)
 class Masonry:
-    """A dam, a lock wall or a pier: a box with a level crest and steep faces; metres."""
+    """A dam, a lock wall or a pier: a box with a level crest and steep faces, in metres."""
 
     west: float
     south: float
@@ -98,7 +98,7 @@ class Waters:
     lost_on_land: Field | None = None
 
     def body_at(self, x: Floats, y: Floats) -> Ints:
-        """Index of the body of water at each position, int64; -1 on land and on masonry."""
+        """Index of the body of water at each position, int64. It is -1 on land and on masonry."""
         index = np.full(x.shape, -1)
         surface = np.full(x.shape, -np.inf)
         for i, body in enumerate(self.bodies):
@@ -110,14 +110,14 @@ class Waters:
         return index
 
     def shore_m(self, x: Floats, y: Floats) -> Floats:
-        """Distance from the nearest shore in metres, negative on the water; masonry is not considered."""
+        """Distance from the nearest shore in metres, negative on the water. Masonry is ignored."""
         nearest = np.full(x.shape, np.inf)
         for body in self.bodies:
             nearest = np.minimum(nearest, body.shore(x, y))
         return nearest
 
     def height_at(self, x: Floats, y: Floats, land: Floats) -> Floats:
-        """Height of water, banks and masonry in metres; ``land`` (same shape) is the height without them."""
+        """Height of water, banks and masonry in metres. ``land`` (same shape) is the height without them."""
         height = land
         for body in self.bodies:
             bank = body.level(x, y) + np.maximum(body.shore(x, y), 0.0) * body.bank_slope

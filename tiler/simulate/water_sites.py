@@ -25,16 +25,23 @@ def _rng(seed: int) -> np.random.Generator:
 
 
 def bank_trees(plot: Plot) -> None:
-    """Trees along the shores, whose crowns reach over the water; none elsewhere."""
+    """Plant trees along the shores, whose crowns reach over the water."""
     waters = plot.terrain.waters
     if waters is None:
         return
     for _ in range(round(plot.side**2 / 25)):
         x, y = plot.pick()
         tall, crown = plot.rng.uniform(6.0, 14.0), plot.rng.uniform(2.5, 5.0)
-        shore = float(waters.shore_m(np.array([x]), np.array([y]))[0])
-        if max(0.5, crown - OVERHANG_M) < shore < BANK_TREES_M:
+        place = np.array([x]), np.array([y])
+        shore = float(waters.shore_m(*place)[0])
+        on_bank = max(0.5, crown - OVERHANG_M) < shore < BANK_TREES_M
+        if on_bank and not _built(waters, place, plot.ground(x, y)):
             plot.tree(x, y, tall, widest=crown, trunk=0.1)
+
+
+def _built(waters: Waters, place: tuple[Floats, Floats], height: float) -> bool:
+    """Whether the terrain at a place is masonry."""
+    return any(block.height_at(*place)[0] > height - 0.5 for block in waters.masonry)
 
 
 def weir(seed: int, side_m: float) -> Site:
@@ -160,7 +167,7 @@ def lakes(seed: int, side_m: float) -> Site:
 
 
 def tide(seed: int, side_m: float) -> Site:
-    """A sea along a beach; it was 0.6 m lower when the eastern half was surveyed."""
+    """A sea along a beach, which was 0.6 m lower when the eastern half was surveyed."""
     rng = _rng(seed)
     phase, beach_slope, fall = rng.uniform(0.0, 2 * np.pi), 0.05, 0.6
 
