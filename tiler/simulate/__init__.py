@@ -1,4 +1,4 @@
-"""Simulated sites with reference classes and terrain, surveyed by laser scanning or image matching.
+"""Simulated sites with reference classes and terrain, and simulated surveys of them.
 
 A `Site` consists of ``terrain`` (a height by formula) and ``objects`` (solids, crowns, plants, wires), which ``plot``
 places on a block of land. ``sites`` contains the kinds of sites by name, and ``catalogue`` the committed scenes.

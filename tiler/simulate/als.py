@@ -1,4 +1,4 @@
-"""Airborne laser scanner: slanted pulses along scan lines, with several returns, noise and blunders."""
+"""Airborne laser scanner: slanted pulses, several returns, range noise and blunders."""
 
 from __future__ import annotations
 
@@ -16,19 +16,23 @@ from tiler.simulate.site import Site
 from tiler.simulate.terrain import Terrain
 
 PATCH_M = 100.0
-"""Side in metres of the squares that are surveyed at once, on a lattice at (0, 0). It bounds the memory."""
+"""Side in metres of the squares that are surveyed at once, which bounds the memory.
+
+The squares are a lattice at (0, 0)."""
 
 FORWARD_TILT = 0.02
-"""Metres to the north per metre of height, so that walls facing along the strip get points too."""
+"""Metres to the north per metre of height, so that walls across the strip get points."""
 
 LINE_STEP = 1.25
-"""Ratio of the spacing of scan lines to the spacing of pulses along them. The density does not depend on it."""
+"""Ratio of the spacing of scan lines to the spacing of pulses, at constant density."""
 
 SETTLED_M = 1e-5
 """Accuracy in metres with which a hit lies on the terrain."""
 
 REACH_M = 160.0
-"""Largest height of surfaces above `Terrain.base`, metres. It bounds how far pulses lean into the site."""
+"""Largest height of surfaces above `Terrain.base`, metres.
+
+It bounds how far pulses lean into the site."""
 
 TALLEST_M = 60.0
 """Largest height of an object above the ground, metres."""
@@ -80,7 +84,7 @@ class AlsSensor:
         return REACH_M * lean
 
     def survey(self, site: Site, ix: int, iy: int) -> SimulatedPoints:
-        """Return the points of the pulses aimed at patch (ix, iy), pulse by pulse, with blunders last.
+        """Return the points of the pulses aimed at patch (ix, iy), by pulse, with blunders last.
 
         A pulse belongs to the patch at which it is aimed, on the level `Terrain.base`. So each pulse belongs to one
         patch, and its points may lie beyond the edge of the patch.
@@ -123,7 +127,7 @@ def _hit(ray: npt.NDArray[np.intp], z: Floats, label: Any, last: Any) -> Any:
 def _pulses(
     sensor: AlsSensor, base: float, box: Box, rng: np.random.Generator
 ) -> tuple[Rays, npt.NDArray[np.int64]]:
-    """Return rays through a jittered pattern over ``box`` on the level ``base``, and the strip of each ray."""
+    """Return rays through a jittered pattern over ``box`` at ``base``, and the strip of each."""
     across, lap = (sensor.density * LINE_STEP) ** -0.5, sensor.overlap_m / 2
     along = across * LINE_STEP
     lines = (np.arange(np.ceil(box[1] / along - 0.5), np.ceil(box[3] / along - 0.5)) + 0.5) * along
@@ -190,7 +194,10 @@ def _canopy(objects: Objects, rays: Rays, surface: Floats, rng: np.random.Genera
 def _surface(
     site: Site, objects: Objects, rays: Rays, bare: Floats, rng: np.random.Generator, hits: Hits
 ) -> Floats:
-    """Return the height at which each ray ends on a solid, plants, water or the ground, and append the returns."""
+    """Append the last returns, and return the height at which each ray ends.
+
+    A ray ends on a solid, a plant, water or the ground. Some rays have no return from there.
+    """
     z = bare.copy()
     px, py = rays.at(bare)
     label = np.where(site.terrain.wet_at(px, py), WATER, GROUND).astype(np.uint8)
@@ -215,7 +222,7 @@ def _surface(
 
 
 def _numbered(hits: Hits, max_returns: int) -> tuple[npt.NDArray[np.intp], Floats, UInt8s, UInt8s, UInt8s]:
-    """Return ray, height, label, return number and count, by ray from the first return to the last."""
+    """Return ray, height, label, return number and count, in the order of rays and returns."""
     ray, z, label, last = (np.concatenate(column) for column in zip(*hits, strict=True))
     order = np.lexsort((-z, ray))
     ray, z, label, last = ray[order], z[order], label[order], last[order]

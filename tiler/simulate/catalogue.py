@@ -1,7 +1,7 @@
-"""Scenes on which methods are tuned and scored, committed before any tuning: names, seeds and sensors.
+"""Scenes on which methods are tuned and scored: names, seeds and sensors.
 
-Scores of different dates are comparable only if the scenes stay the same. Add scenes rather than change one, and
-document every change.
+The scenes were committed before any tuning. Scores of different dates are comparable only if the scenes stay the same.
+Add scenes rather than change one, and document every change.
 """
 
 from __future__ import annotations
@@ -86,12 +86,12 @@ class Scene:
     returns: UInt8s
 
     def truth(self, x: npt.ArrayLike, y: npt.ArrayLike) -> Floats:
-        """Return the reference height of the ground at positions: metres, float64, of their broadcast shape."""
+        """Return the reference height of the ground in metres, float64 of the broadcast shape."""
         return self.site.terrain.height_at(x, y)
 
 
 ROUGH = {"textureless_share": 0.1, "plants_m": 0.3}
-"""Settings of scenes like real photogrammetric clouds: patches without texture, and low plants as ground."""
+"""Settings for patches without texture, and low plants as ground, as in real clouds."""
 
 _ALL = (
     SceneSpec("als_city", "als", "flats, courtyards, podiums, parking, parks, a dam, a power line",

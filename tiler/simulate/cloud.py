@@ -54,7 +54,7 @@ class CloudWriter:
         self._file.close()
 
     def write(self, points: SimulatedPoints, classes: UInt8s | None = None) -> None:
-        """Append points. ``classes`` (uint8, shape (n,)), if given, replaces the classes of the points."""
+        """Append points. If given, ``classes`` (uint8, shape (n,)) replaces their labels."""
         if not len(points):
             return
         record = laspy.ScaleAwarePointRecord.zeros(len(points), header=self._header)

@@ -1,4 +1,4 @@
-"""Colours of a photogrammetric cloud: materials, their variation, and the shadows of the sun."""
+"""Colours of a photogrammetric cloud: materials, their variation, and shadows."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ PAINTS = np.array(
 
 
 def ground_materials(site: Site, x: Floats, y: Floats) -> npt.NDArray[np.intp]:
-    """Return the material of open ground: streets along blocks, rock on steep land, else lawn or soil."""
+    """Return the material of open ground: asphalt along blocks, rock if steep, lawn or soil."""
     step = 0.5
     rise = np.hypot(
         site.terrain.height_at(x + step, y) - site.terrain.height_at(x - step, y),

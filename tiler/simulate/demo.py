@@ -42,7 +42,7 @@ class DemoScene:
 
 
 def demo_files(folder: Path) -> list[Path]:
-    """List the files that `demo_city` writes: clouds, clouds with reference classes, reference terrain."""
+    """List the files of `demo_city`: clouds, clouds with reference classes, and terrain."""
     names = [f"city_{name}.laz" for name in PARTS]
     truth = folder / "truth"
     return [*(folder / n for n in names), *(truth / n for n in names), truth / "dtm.tif"]

@@ -1,4 +1,4 @@
-"""Dense image matching: points of a surface with correlated noise, of facades, and blunders, with colours.
+"""Dense image matching: a surface with correlated noise, facades, blunders and colours.
 
 Plants hide the ground below them.
 """
@@ -25,7 +25,9 @@ Floats = npt.NDArray[np.float64]
 UInt8s = npt.NDArray[np.uint8]
 
 PATCH_M = 50.0
-"""Side in metres of the squares that are matched at once, on a lattice at (0, 0). It bounds the memory."""
+"""Side in metres of the squares that are matched at once, which bounds the memory.
+
+The squares are a lattice at (0, 0)."""
 
 CLUMP = (5, 30)
 """Smallest and largest number of points in a clump of blunders."""
@@ -34,7 +36,7 @@ WALL_M = 2.5
 """Smallest jump of the surface that is a visible wall, metres."""
 
 NARROW_M = 1.2
-"""Half the width in metres of the window around a position in which higher objects hide it from images."""
+"""Half the width in metres of the window in which objects hide the centre from images."""
 
 NARROW_RISE_M = 7.0
 """Height in metres above a position from which an object next to it hides it from images."""
@@ -68,7 +70,7 @@ class DimSensor:
     shadow : float
         Factor of the standard deviation of heights in shadow.
     textureless, textureless_share : float
-        Factor of the standard deviation on ground, water and roofs without texture, and the share of these.
+        Factor of the standard deviation on ground, water and roofs without texture, and their share of the area.
     tails : float or None
         Degrees of freedom (above 2) of Student's t for the independent noise of a point. None gives normal noise.
     jitter : float
@@ -125,7 +127,10 @@ class DimSensor:
         box: Box,
         rng: np.random.Generator,
     ) -> tuple[Floats, UInt8s]:
-        """Return xyz and labels of points of the surface, fewer in shadow, in narrow yards and on water."""
+        """Return xyz and labels of points of the surface.
+
+        Points are fewer in shadow, in narrow yards and on water.
+        """
         count = round(PATCH_M * self.density**0.5)
         step = PATCH_M / count
         row, column = np.divmod(np.arange(count * count), count)
@@ -167,7 +172,7 @@ class DimSensor:
         return np.asarray(sigma * (self.correlated**0.5 * common + (1.0 - self.correlated) ** 0.5 * own))
 
     def _facades(self, skin: MatchedSurface, box: Box, rng: np.random.Generator) -> Floats:
-        """Return xyz (n, 3) of points on walls, where the surface falls from a building to a lower node."""
+        """Return xyz (n, 3) of points on walls, where the surface falls from a building."""
         x, y = skin.positions()
         parts = [np.empty((0, 3))]
         rate = self.facade * self.density * PIXEL_M
