@@ -1,10 +1,10 @@
-"""Simulated places with true labels and true terrain: formulas, solids, a laser scanner and an image matcher.
+"""Simulated sites with reference classes and terrain, and simulated surveys of them.
 
 A `Site` consists of ``terrain`` (a height by formula) and ``objects`` (solids, crowns, plants, wires), which ``plot``
-places on a block of land. ``sites`` has the kinds of places by name, ``catalogue`` the committed scenes. ``als``
-shoots pulses at a site and ``dim`` matches images of it, both patch by patch. ``cloud`` and ``files`` write the
-points, ``demo`` those of the demo. Random numbers come from a hash of the seed and the index of a patch or block, so
-nothing depends on an order. This package knows nothing of filters, stores or runs.
+places on a block of land. ``sites`` contains the kinds of sites by name, and ``catalogue`` the committed scenes.
+``als`` simulates laser scanning of a site and ``dim`` image matching, both patch by patch. ``cloud`` and ``files``
+write the points, and ``demo`` writes the files of the demo. Random numbers come from a hash of the seed and the index
+of a patch or block, so results do not depend on an order. This package imports nothing of filters, stores or runs.
 """
 
 from tiler.simulate.als import AlsSensor

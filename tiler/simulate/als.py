@@ -1,4 +1,4 @@
-"""An airborne laser scanner: slanted pulses along scan lines, several returns, range noise and blunders."""
+"""Airborne laser scanner: slanted pulses, several returns, range noise and blunders."""
 
 from __future__ import annotations
 
@@ -17,25 +17,29 @@ from tiler.simulate.terrain import Terrain
 from tiler.simulate.water_bodies import Waters
 
 PATCH_M = 100.0
-"""Side of the squares that are surveyed at once, on a lattice at (0, 0). It bounds the memory."""
+"""Side in metres of the squares that are surveyed at once, which bounds the memory.
+
+The squares are a lattice at (0, 0)."""
 
 FORWARD_TILT = 0.02
-"""Metres to the north per metre of height, so that walls facing along the strip get points too."""
+"""Metres to the north per metre of height, so that walls across the strip get points."""
 
 LINE_STEP = 1.25
-"""Distance of the scan lines over that of the pulses along them, at constant density."""
+"""Ratio of the spacing of scan lines to the spacing of pulses, at constant density."""
 
 SETTLED_M = 1e-5
-"""Accuracy with which a hit lies on the terrain."""
+"""Accuracy in metres with which a hit lies on the terrain."""
 
 REACH_M = 160.0
-"""Largest height of surfaces above `Terrain.base`. It bounds how far pulses lean into the site."""
+"""Largest height of surfaces above `Terrain.base`, metres.
+
+It bounds how far pulses lean into the site."""
 
 TALLEST_M = 60.0
-"""Largest height of an object above the ground."""
+"""Largest height of an object above the ground, metres."""
 
 LOST = 0.01
-"""Share of pulses without any return."""
+"""Share of pulses that do not return from the surface where they end, except on water."""
 
 WATER_RETURNS = 0.03
 """Share of pulses on water that return."""
@@ -43,23 +47,21 @@ WATER_RETURNS = 0.03
 
 @dataclass(frozen=True)
 class AlsSensor:
-    """An airborne laser scanner.
-
-    Units are metres, degrees and counts per square kilometre.
+    """Airborne laser scanner. Units are metres, degrees and counts per square kilometre.
 
     Attributes
     ----------
     density : float
-        Pulses per square metre outside of overlaps; scan lines run along x.
+        Pulses per square metre outside of overlaps. Scan lines run along x.
     sigma_m : float
         Standard deviation of the heights. The offset of each strip has 0.3 of this deviation.
     flying_height_m, strip_m, overlap_m : float
-        Height above `Terrain.base`; distance of the strips, which run along y; width of their overlap.
+        Height above `Terrain.base`, distance of the strips, which run along y, and width of their overlap.
     max_returns : int
-        Most returns of a pulse; later ones are lost.
+        Largest number of returns of a pulse. Later returns are lost.
     low_singles_km2, low_groups_km2, high_km2 : float
-        Blunders: single points 2-15 m below the ground, groups of 3 to 7 points 2-6 m below it, single points
-        20-200 m above it.
+        Numbers of blunders: single points 2-15 m below the ground, groups of 3 to 7 points 2-6 m below it, and
+        single points 20-200 m above it.
     """
 
     BLUNDERS: ClassVar = ("low_singles_km2", "low_groups_km2", "high_km2")
@@ -83,10 +85,10 @@ class AlsSensor:
         return REACH_M * lean
 
     def survey(self, site: Site, ix: int, iy: int) -> SimulatedPoints:
-        """The points of the pulses aimed at patch (ix, iy), pulse by pulse, with blunders last.
+        """Return the points of the pulses aimed at patch (ix, iy), by pulse, with blunders last.
 
-        A pulse belongs to the patch at which the pattern aims it, on the level `Terrain.base`. So neighbouring patches
-        shoot each pulse once, and its points may fall beyond the edge of the patch.
+        A pulse belongs to the patch at which it is aimed, on the level `Terrain.base`. So each pulse belongs to one
+        patch, and its points may lie beyond the edge of the patch.
         """
         box = (ix * PATCH_M, iy * PATCH_M, (ix + 1) * PATCH_M, (iy + 1) * PATCH_M)
         rng = generator(site.seed, PULSES, ix, iy)
@@ -116,7 +118,7 @@ class AlsSensor:
 
 
 Hits = list[tuple[npt.NDArray[np.intp], Floats, UInt8s, npt.NDArray[np.bool_]]]
-"""Returns in any order: ray, height, label, and whether the pulse ends there."""
+"""Returns in any order: index of the ray, height, label, and True if the pulse ends there."""
 
 
 def _hit(ray: npt.NDArray[np.intp], z: Floats, label: Any, last: Any) -> Any:
@@ -126,7 +128,7 @@ def _hit(ray: npt.NDArray[np.intp], z: Floats, label: Any, last: Any) -> Any:
 def _pulses(
     sensor: AlsSensor, base: float, box: Box, rng: np.random.Generator
 ) -> tuple[Rays, npt.NDArray[np.int64]]:
-    """Rays through a jittered pattern over ``box`` on the level ``base``, and the strip of each."""
+    """Return rays through a jittered pattern over ``box`` at ``base``, and the strip of each."""
     across, lap = (sensor.density * LINE_STEP) ** -0.5, sensor.overlap_m / 2
     along = across * LINE_STEP
     lines = (np.arange(np.ceil(box[1] / along - 0.5), np.ceil(box[3] / along - 0.5)) + 0.5) * along
@@ -147,10 +149,10 @@ def _pulses(
 
 
 def ground_hit(terrain: Terrain, rays: Rays) -> Floats:
-    """Height in metres at which each ray meets the terrain.
+    """Return the height in metres at which each ray meets the terrain.
 
-    A fixed-point iteration finds it if rays are much steeper than slopes. Rays that do not settle (at cliffs) are
-    bisected.
+    A fixed-point iteration converges where rays are much steeper than slopes. Bisection finds the height of the other
+    rays, which meet cliffs.
     """
     z = terrain.height_at(*rays.at(np.full(len(rays), terrain.base)))
     rest = np.arange(len(rays))
@@ -171,7 +173,7 @@ def ground_hit(terrain: Terrain, rays: Rays) -> Floats:
 
 
 def _canopy(objects: Objects, rays: Rays, surface: Floats, rng: np.random.Generator, hits: Hits) -> None:
-    """Returns from inside crowns and from wires, above the surface that stops the ray."""
+    """Append the returns from wires and crowns above the surface at which each ray ends."""
     for wire in objects.wires:
         ray, z = wire.hit(rays)
         seen = z > surface[ray]
@@ -186,14 +188,17 @@ def _canopy(objects: Objects, rays: Rays, surface: Floats, rng: np.random.Genera
             hits.append(_hit(ray[inside], z[inside], LOW_VEGETATION, ends[inside]))
             go_on = inside & ~ends
             ray, floor = ray[go_on], floor[go_on]
-            # Two echoes closer than about half a metre merge into one.
+            # Two echoes within half a metre merge into one.
             z = z[go_on] - 0.5 - rng.exponential(max(crown.spacing - 0.5, 0.1), len(ray))
 
 
 def _surface(
     site: Site, objects: Objects, rays: Rays, bare: Floats, rng: np.random.Generator, hits: Hits
 ) -> Floats:
-    """The opaque end of each ray, which is a solid, low vegetation, water or the ground."""
+    """Append the last returns, and return the height at which each ray ends.
+
+    A ray ends on a solid, a plant, water or the ground. Some rays have no return from there.
+    """
     z = bare.copy()
     px, py = rays.at(bare)
     label = np.where(site.terrain.wet_at(px, py), WATER, GROUND).astype(np.uint8)
@@ -249,7 +254,7 @@ def _on_waters(
 
 
 def _numbered(hits: Hits, max_returns: int) -> tuple[npt.NDArray[np.intp], Floats, UInt8s, UInt8s, UInt8s]:
-    """Ray, height, label, return number and count, ordered by ray from the first return to the last."""
+    """Return ray, height, label, return number and count, in the order of rays and returns."""
     ray, z, label, last = (np.concatenate(column) for column in zip(*hits, strict=True))
     order = np.lexsort((-z, ray))
     ray, z, label, last = ray[order], z[order], label[order], last[order]
@@ -265,7 +270,7 @@ def _numbered(hits: Hits, max_returns: int) -> tuple[npt.NDArray[np.intp], Float
 def _blunders(
     sensor: AlsSensor, terrain: Terrain, box: Box, rng: np.random.Generator
 ) -> tuple[Floats, UInt8s]:
-    """Points in empty places: xyz (n, 3) and labels."""
+    """Return points below the ground and in the air: xyz (n, 3) in metres and labels."""
     km2 = (box[2] - box[0]) * (box[3] - box[1]) / 1e6
     low, groups, high = (
         rng.poisson(rate * km2) for rate in (sensor.low_singles_km2, sensor.low_groups_km2, sensor.high_km2)

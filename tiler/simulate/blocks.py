@@ -1,4 +1,4 @@
-"""Objects on a block of land, by kind of place."""
+"""Functions that place objects on a block of land, one per kind of block."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from tiler.simulate.plot import Plot
 
 
 def city_block(plot: Plot) -> None:
-    """Flats, a courtyard, a podium with a tower, a parking lot, or a park."""
+    """Place flats, a courtyard, a podium with a tower, a parking lot or a park."""
     kind = plot.rng.random()
     done = False
     if kind < 0.2:
@@ -35,7 +35,7 @@ def city_block(plot: Plot) -> None:
 
 
 def suburb_block(plot: Plot) -> None:
-    """One or two houses with a garden, hedges, walls, sheds and trees, or a wood on steep land."""
+    """Place up to two houses with gardens, hedges and walls, or a wood on steep land."""
     if plot.slope() > 0.4:
         plot.wood(5.0, (8.0, 20.0), 0.3)
         return
@@ -58,7 +58,7 @@ def suburb_block(plot: Plot) -> None:
 
 
 def forest_block(plot: Plot) -> None:
-    """A closed wood, sometimes a clearing."""
+    """Place a closed wood or, sometimes, a clearing."""
     if plot.rng.random() < 0.12:
         plot.undergrowth(plot.rng.uniform(0.2, 0.8), plot.rng.uniform(0.3, 1.0))
         plot.bushes(3, 8, (0.4, 1.6))
@@ -67,7 +67,7 @@ def forest_block(plot: Plot) -> None:
 
 
 def mountain_block(plot: Plot) -> None:
-    """Wood and scrub on slopes, rock where they are steepest, a village in the valley."""
+    """Place wood or scrub on slopes, and houses with gardens in the valley."""
     slope = plot.slope(15.0)
     if slope > 0.3:
         share = 0.25
@@ -82,7 +82,7 @@ def mountain_block(plot: Plot) -> None:
 
 
 def terrace_block(plot: Plot) -> None:
-    """Rows of vines, huts, some trees, dry walls."""
+    """Place rows of vines or a house, with trees and bushes, a dugout and a wall."""
     if plot.rng.random() < 0.5:
         for off in np.arange(-plot.side / 2 + 2, plot.side / 2, 3.0):
             plot.hedge(plot.x, plot.y + float(off), 0.0, plot.side - 6.0)
@@ -97,7 +97,7 @@ def terrace_block(plot: Plot) -> None:
 
 
 def works_block(plot: Plot) -> None:
-    """Works: sheds, heaps of bushes, vehicles, wood at the edges."""
+    """Place a hall with parked cars, bushes, a wood or low plants."""
     kind = plot.rng.random()
     if kind < 0.25:
         plot.hall(plot.rng.uniform(18, 32), plot.rng.uniform(10, 18))
@@ -112,7 +112,7 @@ def works_block(plot: Plot) -> None:
 
 
 def hall_block(plot: Plot) -> None:
-    """A large hall, a podium, a large courtyard or parking, with trees along the street."""
+    """Place a large hall, courtyard or podium, or else parking, with trees and bushes."""
     kind = plot.rng.random()
     if kind < 0.4:
         built = plot.hall(plot.rng.uniform(55, 95), plot.rng.uniform(35, 65))
@@ -128,7 +128,7 @@ def hall_block(plot: Plot) -> None:
 
 
 def mixed_block(plot: Plot) -> None:
-    """Houses, fields, wood."""
+    """Place houses, a wood or a field."""
     kind = plot.rng.random()
     if kind < 0.45:
         suburb_block(plot)
@@ -140,7 +140,7 @@ def mixed_block(plot: Plot) -> None:
 
 
 def river_block(plot: Plot) -> None:
-    """Houses and a few flats on dry land, trees and reed on the bank."""
+    """Place houses or flats on dry land, and trees and reed on the bank."""
     if plot.terrain.wet_at(plot.x, plot.y) or plot.slope() > 0.12:
         plot.trees(3, 9, (4.0, 14.0))
         plot.bushes(4, 12, (0.4, 1.6))
@@ -153,7 +153,7 @@ def river_block(plot: Plot) -> None:
 
 
 def park_block(plot: Plot) -> None:
-    """Lawn with groups of trees, beds, hedges, a kiosk or a playground."""
+    """Place a wood, a meadow, or trees with beds and sometimes a kiosk, and some hedges."""
     kind = plot.rng.random()
     if kind < 0.18:
         plot.wood(6.5, (6.0, 20.0), 0.2)
@@ -170,7 +170,7 @@ def park_block(plot: Plot) -> None:
 
 
 def row_block(plot: Plot) -> None:
-    """Two rows of terraced houses with gardens, cars in front and street trees, or a small green."""
+    """Place two rows of terraced houses with gardens, or a small green, and parked cars."""
     length = plot.side - 2 * plot.street
     if plot.rng.random() < 0.15 or not plot.terrace(plot.x, plot.y - plot.side / 4 - 2.0, 0.0, length, 9.0):
         plot.trees(4, 9, (5.0, 14.0))
@@ -183,7 +183,7 @@ def row_block(plot: Plot) -> None:
 
 
 def industry_block(plot: Plot) -> None:
-    """A flat hall of about 90 x 50 m, a yard of trailers, or parking."""
+    """Place a hall of about 90 x 50 m, a yard of trailers, or parking."""
     kind = plot.rng.random()
     if kind >= 0.65 or not plot.hall(plot.rng.uniform(80, 95), plot.rng.uniform(42, 55)):
         if kind < 0.9:
@@ -195,7 +195,7 @@ def industry_block(plot: Plot) -> None:
 
 
 def bluff_block(plot: Plot) -> None:
-    """A closed wood of 16 to 20 m on steep land, or a meadow, sometimes with a house."""
+    """Place a closed wood of 16 to 20 m on steep land, and a meadow or a house elsewhere."""
     if plot.slope() > 0.2:
         plot.wood(6.5, (16.0, 20.0), 0.5)
     elif plot.rng.random() < 0.15:

@@ -1,6 +1,7 @@
-"""The scenes that methods are tuned and scored on: names, seeds and sensors, committed before any tuning.
+"""Scenes on which methods are tuned and scored: names, seeds and sensors.
 
-A scene's content is part of the repository's history: add scenes, never change one without saying so.
+The scenes were committed before any tuning. Scores of different dates are comparable only if the scenes stay the same.
+Add scenes rather than change one, and document every change.
 """
 
 from __future__ import annotations
@@ -33,7 +34,7 @@ class SceneSpec:
         ``als`` or ``dim``.
     summary : str
     scene_class : str
-        Scenes of a class are scored together.
+        Class of the scene. Scenes of one class are scored together.
     site : str
         A name of `tiler.simulate.sites.SITES`.
     seed : int
@@ -52,26 +53,26 @@ class SceneSpec:
     sensor: dict[str, Any] = field(default_factory=dict)
 
     def make_site(self) -> Site:
-        """Terrain and objects."""
+        """Make the terrain and the objects of the scene."""
         return SITES[self.site](self.seed, self.side_m)
 
     def make_sensor(self) -> Sensor:
-        """The sensor with its settings."""
+        """Make the sensor of the scene."""
         return SENSORS[self.kind](**self.sensor)
 
 
 @dataclass(frozen=True)
 class Scene:
-    """A simulated cloud and its truth.
+    """Simulated cloud with its reference classes and terrain.
 
     Attributes
     ----------
     spec : SceneSpec
     site : Site
     xyz : float64, shape (n, 3)
-        Metres, whole millimetres, from the scene's south-west corner.
+        Coordinates in metres from the scene's south-west corner, rounded to millimetres.
     classification : uint8, shape (n,)
-        True ASPRS classes, as `tiler.simulate.points.SimulatedPoints.label`.
+        Reference classes (ASPRS), as `tiler.simulate.points.SimulatedPoints.label`.
     rgb : uint16, shape (n, 3), or None
     returns : uint8, shape (n, 2)
         Return number and number of returns.
@@ -85,12 +86,12 @@ class Scene:
     returns: UInt8s
 
     def truth(self, x: npt.ArrayLike, y: npt.ArrayLike) -> Floats:
-        """True height of the ground in metres, float64, of the broadcast shape of the positions (metres)."""
+        """Return the reference height of the ground in metres, float64 of the broadcast shape."""
         return self.site.terrain.height_at(x, y)
 
 
 ROUGH = {"textureless_share": 0.1, "plants_m": 0.3}
-"""Settings of scenes like real matched clouds: patches without texture, and plants that look like ground."""
+"""Settings for patches without texture, and low plants as ground, as in real clouds."""
 
 _ALL = (
     SceneSpec("als_city", "als", "flats, courtyards, podiums, parking, parks, a dam, a power line",
@@ -170,11 +171,11 @@ _ALL = (
 )  # fmt: skip
 
 SCENES: dict[str, SceneSpec] = {spec.name: spec for spec in _ALL}
-"""All scenes by name."""
+"""Scenes by name."""
 
 
 def make_scene(name: str) -> Scene:
-    """Simulate a scene: the same name gives the same points.
+    """Simulate a scene. The same name gives the same points.
 
     Parameters
     ----------
@@ -184,7 +185,7 @@ def make_scene(name: str) -> Scene:
     Raises
     ------
     ConfigError
-        There is no scene of this name.
+        If no scene has this name.
     """
     if name not in SCENES:
         raise ConfigError(f"unknown scene {name!r}: choose one of {', '.join(SCENES)}")

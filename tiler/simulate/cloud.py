@@ -1,4 +1,4 @@
-"""Simulated points as LAZ files, and their true terrain as a GeoTIFF."""
+"""Writers of simulated points as LAZ files, and of the reference terrain as a GeoTIFF."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ from tiler.simulate.site import Site
 
 CRS = "EPSG:32632"
 ORIGIN = (500_000.0, 5_400_000.0)
-"""Coordinates of a site's south-west corner."""
+"""Coordinates of a site's south-west corner in `CRS`, metres."""
 
 PULSE_S = 1e-5
-"""Time between pulses."""
+"""Time between pulses, seconds."""
 
 
 class CloudWriter:
-    """A LAZ file that grows: LAS 1.4, point format 6, or 7 with colours, in whole millimetres.
+    """Writer of a LAZ or LAS file: LAS 1.4, point format 6, or 7 with colours, in millimetres.
 
-    It holds neither today's date nor a version, so the same points have the same bytes.
+    The header contains neither the current date nor a version, so the same points give the same bytes.
 
     Parameters
     ----------
     path : Path
-        Replaced if it exists.
+        File to write. An existing file is replaced.
     colour, compressed : bool
     """
 
@@ -54,7 +54,7 @@ class CloudWriter:
         self._file.close()
 
     def write(self, points: SimulatedPoints, classes: UInt8s | None = None) -> None:
-        """Append points. ``classes`` (uint8, shape (n,)) replaces their own classes."""
+        """Append points. If given, ``classes`` (uint8, shape (n,)) replaces their labels."""
         if not len(points):
             return
         record = laspy.ScaleAwarePointRecord.zeros(len(points), header=self._header)
@@ -67,7 +67,7 @@ class CloudWriter:
         record["point_source_id"] = np.ones(len(points), np.uint16)
         if points.rgb is None:
             record["gps_time"] = pulse * PULSE_S
-        else:  # matched from images, whose points have no time
+        else:  # Coloured points come from images and have no GPS time.
             record["red"], record["green"], record["blue"] = points.rgb.T
         self._file.write_points(record)
         self._pulses = int(pulse[-1])
@@ -75,12 +75,12 @@ class CloudWriter:
 
 
 def write_dtm(path: Path, site: Site, pixel_m: float) -> None:
-    """Write the true height at the centre of each pixel, float32, in blocks of rows.
+    """Write the reference height at the centre of each pixel, float32, block by block.
 
     Parameters
     ----------
     path : Path
-        Replaced if it is there.
+        GeoTIFF to write. An existing file is replaced.
     site : Site
     pixel_m : float
         Side of a pixel, metres.

@@ -1,4 +1,4 @@
-"""Colours of a matched cloud: materials, their variation, and the shadows of a sun."""
+"""Colours of a photogrammetric cloud: materials, their variation, and shadows."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ Floats = npt.NDArray[np.float64]
 
 SUN_ELEVATION_DEG = 48.0
 SUN_STEP = (-2, -3)
-"""Pixels (row, column) of one step towards the sun, which stands in the south-west."""
+"""Rows and columns of one step towards the sun, which is in the south-west."""
 
 SHADOW_REACH_M = 30.0
-"""Longest shadow; longer ones are cut off."""
+"""Length in metres at which shadows are cut off."""
 
 SHADE = np.array([0.36, 0.40, 0.50])
-"""Share of each colour in shadow, which only the sky lights."""
+"""Factors of red, green and blue in shadow, where light comes only from the sky."""
 
 ASPHALT, LAWN, SOIL, ROCK, WATERS, LEAVES, PLANTS, CONCRETE, FACADE = range(9)
 MATERIALS = np.array(
@@ -51,14 +51,14 @@ PAINTS = np.array(
 
 
 def ground_materials(site: Site, x: Floats, y: Floats) -> npt.NDArray[np.intp]:
-    """Material of the open ground: streets at the edges of blocks, rock on steep land, lawn or soil elsewhere."""
+    """Return the material of open ground: asphalt along blocks, rock if steep, lawn or soil."""
     step = 0.5
     rise = np.hypot(
         site.terrain.height_at(x + step, y) - site.terrain.height_at(x - step, y),
         site.terrain.height_at(x, y + step) - site.terrain.height_at(x, y - step),
     )
     patchy = smooth_noise(site.seed, COLOUR, x, y, 7.0)
-    # A standard normal lies below 1.6 (green - 0.5) / 0.5 with a probability of about `green`, from 0.1 to 0.9.
+    # A standard normal is less than 2.6 (green - 0.5) with a probability of about `green`, from 0.2 to 0.8.
     material = np.where(patchy < 2.6 * (site.green - 0.5), LAWN, SOIL)
     material = np.where(rise / (2 * step) > 0.9, ROCK, material)
     if site.street_m > 0:
@@ -72,7 +72,7 @@ def _from_edge(x: Floats, side: float) -> Floats:
 
 
 def shadows(skin: MatchedSurface) -> npt.NDArray[np.bool_]:
-    """Mask of the nodes of a skin in the shadow of another node within `SHADOW_REACH_M`."""
+    """Return a mask of the nodes of a surface in the shadow of a node within `SHADOW_REACH_M`."""
     length = float(np.hypot(*SUN_STEP)) * PIXEL_M
     climb = length * np.tan(np.radians(SUN_ELEVATION_DEG))
     dark = np.zeros_like(skin.sharp, dtype=np.bool_)
@@ -96,7 +96,7 @@ def colours(
     dark: npt.NDArray[np.bool_],
     rng: np.random.Generator,
 ) -> npt.NDArray[np.uint16]:
-    """Colour of each point: uint16, shape (n, 3), 8-bit values times 256.
+    """Return the colour of each point: uint16, shape (n, 3), 8-bit values times 256.
 
     Parameters
     ----------
@@ -104,9 +104,9 @@ def colours(
     x, y : float64, shape (n,), metres
     label : uint8, shape (n,)
     thing : int64, shape (n,)
-        `tiler.simulate.matched_surface.solid_number` of the solid below the point; -1 for none.
+        `tiler.simulate.matched_surface.solid_number` of the solid at the point, or -1 if there is none.
     facade, dark : bool, shape (n,)
-        Whether the point lies on a wall, and in the shadow.
+        Masks of the points on walls, and of the points in shadow.
     rng : numpy.random.Generator
     """
     material = ground_materials(site, x, y)

@@ -1,4 +1,4 @@
-"""The simulated city of the demo: four input clouds, their true classes, and the true terrain."""
+"""Simulated city of the demo: four input clouds with their reference classes and terrain."""
 
 from __future__ import annotations
 
@@ -20,16 +20,16 @@ PARTS = ("sw", "se", "nw", "ne")
 
 @dataclass(frozen=True)
 class DemoScene:
-    """Files and truth that `demo_city` wrote.
+    """Files and terrain that `demo_city` wrote.
 
     Attributes
     ----------
     paths, truth_paths : tuple of Path
-        Four clouds (classes 0 and 1), and the same rows with the true classes.
+        Four clouds with classes 0 and 1, and the same points with the reference classes.
     dtm_path : Path
-        The true terrain, float32 GeoTIFF.
+        GeoTIFF of the reference terrain, float32.
     terrain : Terrain
-        The formula behind it, in metres from `tiler.simulate.cloud.ORIGIN`.
+        Formula of the terrain, in metres from `tiler.simulate.cloud.ORIGIN`.
     points : int
         Number of points in all four clouds.
     """
@@ -42,7 +42,7 @@ class DemoScene:
 
 
 def demo_files(folder: Path) -> list[Path]:
-    """The files that `demo_city` writes: clouds, clouds with true classes, true terrain."""
+    """List the files of `demo_city`: clouds, clouds with reference classes, and terrain."""
     names = [f"city_{name}.laz" for name in PARTS]
     truth = folder / "truth"
     return [*(folder / n for n in names), *(truth / n for n in names), truth / "dtm.tif"]
@@ -55,19 +55,21 @@ def demo_city(
     sensor: AlsSensor | None = None,
     dtm_m: float = 1.0,
 ) -> DemoScene:
-    """Write the city of a seed into ``folder``: ``city_{sw,se,nw,ne}.laz``, ``truth/`` and ``truth/dtm.tif``.
+    """Write the city of a seed into a folder.
+
+    The files are ``city_{sw,se,nw,ne}.laz``, clouds of the same names in ``truth/``, and ``truth/dtm.tif``.
 
     Parameters
     ----------
     folder : path
-        Created if necessary; files of these names are replaced.
+        Folder to write to. It is created if necessary, and files of these names are replaced.
     seed : int
         The same seed gives the same bytes.
     side_m : float
-        Side of the city, metres: at least 100.
+        Side of the city in metres, at least 100.
     sensor : AlsSensor, optional
     dtm_m : float
-        Pixel size of the true terrain, metres.
+        Pixel size of the reference terrain, metres.
     """
     folder = Path(folder)
     (folder / "truth").mkdir(parents=True, exist_ok=True)
@@ -78,7 +80,7 @@ def demo_city(
         clouds, truths = (
             [open_files.enter_context(CloudWriter(path)) for path in group] for group in (paths, truth_paths)
         )
-        # The rim would add half of the work for the last metre or two of the city.
+        # Patches outside the city would cost much time and only complete its outermost metre or two.
         for index in patches(sensor, side_m, rim=False):
             points = survey_patch(site, sensor, *index)
             part = (points.xyz[:, 0] >= side_m / 2) + 2 * (points.xyz[:, 1] >= side_m / 2)

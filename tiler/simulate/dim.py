@@ -1,4 +1,7 @@
-"""Dense image matching: a surface with correlated noise, facades, blunders and colours, without points below plants."""
+"""Dense image matching: a surface with correlated noise, facades, blunders and colours.
+
+Plants hide the ground below them.
+"""
 
 from __future__ import annotations
 
@@ -22,22 +25,24 @@ Floats = npt.NDArray[np.float64]
 UInt8s = npt.NDArray[np.uint8]
 
 PATCH_M = 50.0
-"""Side of the squares that are matched at once, on a lattice at (0, 0). It bounds the memory."""
+"""Side in metres of the squares that are matched at once, which bounds the memory.
+
+The squares are a lattice at (0, 0)."""
 
 CLUMP = (5, 30)
 """Smallest and largest number of points in a clump of blunders."""
 
 WALL_M = 2.5
-"""Smallest jump of the skin that is a visible wall."""
+"""Smallest jump of the surface that is a visible wall, metres."""
 
 NARROW_M = 1.2
-"""Half the width of a window; objects in it higher by `NARROW_RISE_M` hide part of the ground from images."""
+"""Half the width in metres of the window in which objects hide the centre from images."""
 
 NARROW_RISE_M = 7.0
-"""Height of an object that hides the ground beside it from images."""
+"""Height in metres above a position from which an object next to it hides it from images."""
 
 TEXTURE_M = 5.0
-"""Size of the patches of ground and roofs without texture."""
+"""Size in metres of the patches of ground, water and roofs without texture."""
 
 
 @dataclass(frozen=True)
@@ -49,29 +54,29 @@ class DimSensor:
     density : float
         Points per square metre of open ground.
     sigma_m : float
-        Standard deviation of the heights of hard surfaces; plants have twice as much.
+        Standard deviation of heights on ground, water and buildings. It is doubled on plants and other objects.
     correlated : float
-        Share of the variance that neighbours share.
+        Share of the variance that is common to neighbouring points.
     correlation_m : float
-        Distance up to which neighbours share it.
+        Distance up to which errors of neighbouring points are correlated.
     edge_m : float
         Standard deviation of the smoothing at edges.
     facade : float
-        Points per square metre of a wall over those of open ground.
+        Ratio of the density of points on well visible walls to the density on open ground.
     blunders : float
-        Share of points below the ground: half of them alone, half in clumps of 5 to 30.
+        Share of points below the ground. Half of them are single points, half are in clumps of 5 to 30.
     high_blunders : float
         Share of points in the air.
     shadow : float
         Factor of the standard deviation of heights in shadow.
     textureless, textureless_share : float
-        Factor of the standard deviation on ground and roofs without texture, and the share of these.
+        Factor of the standard deviation on ground, water and roofs without texture, and their share of the area.
     tails : float or None
-        Degrees of freedom (above 2) of Student's t for the independent noise of a point; None: normal noise.
+        Degrees of freedom (above 2) of Student's t for the independent noise of a point. None gives normal noise.
     jitter : float
-        Distance of points from a square lattice, over its spacing: 1 is random, 0 is as regular as a mesh.
+        Range of the random offsets from a square lattice, over its spacing. With 0, points are as regular as a mesh.
     plants_m : float
-        Plants lower than this are ground, metres.
+        Height below which plants are classified as ground.
     coloured : bool
     """
 
@@ -96,7 +101,7 @@ class DimSensor:
     coloured: bool = True
 
     def survey(self, site: Site, ix: int, iy: int) -> SimulatedPoints:
-        """The points of patch (ix, iy): the skin, facades, blunders."""
+        """Return the points of patch (ix, iy): first the surface, then facades, then blunders."""
         box = (ix * PATCH_M, iy * PATCH_M, (ix + 1) * PATCH_M, (iy + 1) * PATCH_M)
         rng = generator(site.seed, MATCHES, ix, iy)
         skin = render_surface(site, box, SHADOW_REACH_M + 2.0, self.edge_m)
@@ -122,7 +127,10 @@ class DimSensor:
         box: Box,
         rng: np.random.Generator,
     ) -> tuple[Floats, UInt8s]:
-        """Points of the skin, fewer in shadow, in narrow yards and on water."""
+        """Return xyz and labels of points of the surface.
+
+        Points are fewer in shadow, in narrow yards and on water.
+        """
         count = round(PATCH_M * self.density**0.5)
         step = PATCH_M / count
         row, column = np.divmod(np.arange(count * count), count)
@@ -150,7 +158,7 @@ class DimSensor:
         shaded: npt.NDArray[np.bool_],
         rng: np.random.Generator,
     ) -> Floats:
-        """Errors of heights in metres: one part that neighbours share and one part of each point."""
+        """Return errors of heights in metres, the sum of a correlated and an independent part."""
         hard = np.isin(label, (GROUND, WATER, BUILDING))
         sigma = self.sigma_m * np.where(hard, 1.0, 2.0) * np.where(shaded, self.shadow, 1.0)
         if self.textureless_share:
@@ -164,14 +172,14 @@ class DimSensor:
         return np.asarray(sigma * (self.correlated**0.5 * common + (1.0 - self.correlated) ** 0.5 * own))
 
     def _facades(self, skin: MatchedSurface, box: Box, rng: np.random.Generator) -> Floats:
-        """Points on walls, where the surface falls from a building to its neighbour. Walls differ in their share."""
+        """Return xyz (n, 3) of points on walls, where the surface falls from a building."""
         x, y = skin.positions()
         parts = [np.empty((0, 3))]
         rate = self.facade * self.density * PIXEL_M
         for axis, way in ((0, 1), (0, -1), (1, 1), (1, -1)):
             lower = np.roll(skin.sharp, -way, axis)
             jump = skin.sharp - lower
-            # Images show a wall from one or two sides only.
+            # Images show some sides of a building better than others.
             seen = skin.thing * 4 + axis * 2 + (way > 0)
             share = np.array([1.0, 0.15, 0.5, 0.05, 0.8])[seen % 5]
             at = (skin.thing >= 0) & (skin.label == BUILDING) & (jump > WALL_M)
@@ -184,7 +192,7 @@ class DimSensor:
             if axis:
                 dx, dy = offset, slide
             wx, wy = wx + dx, wy + dy
-            # Matching sees the upper part of a wall better than its foot.
+            # Matching finds more points on the upper part of a wall than near its foot.
             z = top - fall * rng.beta(1.0, 1.4, len(wx)) + self.sigma_m * rng.standard_normal(len(wx))
             parts.append(np.column_stack((wx, wy, z)))
         points = np.concatenate(parts)
@@ -194,7 +202,7 @@ class DimSensor:
     def _blunders(
         self, site: Site, skin: MatchedSurface, box: Box, rng: np.random.Generator
     ) -> tuple[Floats, UInt8s]:
-        """Points in empty places: xyz (n, 3) and labels."""
+        """Return points below the ground and in the air: xyz (n, 3) in metres and labels."""
         points = self.density * PATCH_M**2
         alone = rng.poisson(points * self.blunders / 2)
         clumps = rng.poisson(points * self.blunders / 2 / np.mean(CLUMP))
@@ -211,7 +219,7 @@ class DimSensor:
         x, y = x + spread * rng.standard_normal(len(x)), y + spread * rng.standard_normal(len(y))
         x, y = np.clip(x, box[0], box[2] - 0.001), np.clip(y, box[1], box[3] - 0.001)
         above = above + 0.25 * spread * rng.standard_normal(len(x))
-        # Blunders lie at least 0.4 m below the ground; otherwise they would be noise of the ground.
+        # Blunders closer than 0.4 m to the ground would be noise of the ground.
         above = np.where(label == LOW_NOISE, np.minimum(above, -0.4), above)
         start = np.where(label == LOW_NOISE, site.terrain.height_at(x, y), skin.height(x, y))
         return np.column_stack((x, y, start + above)), label

@@ -1,4 +1,4 @@
-"""A scene written patch by patch: a cloud with true classes, and the true terrain beside it."""
+"""Scenes as files: a cloud with reference classes, and its reference terrain next to it."""
 
 from __future__ import annotations
 
@@ -22,7 +22,9 @@ from tiler.simulate.sites import SITES
 
 DEFAULT_SIDE_M = {"als": 500.0, "dim": 150.0}
 DENSITY_RANGE = {"als": (0.05, 100.0), "dim": (1.0, 1000.0)}
-"""Smallest and largest number of points per square metre; the densest scene needs 750 MB in all."""
+"""Smallest and largest number of points per square metre.
+
+The densest scene needs 750 MB of memory."""
 
 SIDE_RANGE_M = (50.0, 50_000.0)
 SIGMA_RANGE_M = (0.0, 1.0)
@@ -40,26 +42,27 @@ def describe_scene(
     sigma_m: float | None = None,
     blunders: float = 1.0,
 ) -> SceneSpec:
-    """A scene of the catalogue or a kind of place, with the changed settings.
+    """Describe a scene of the catalogue, or of a kind of site, with changed settings.
 
     Parameters
     ----------
     scene : str
-        A name of `tiler.simulate.SCENES` or of `tiler.simulate.SITES`.
+        Name in `tiler.simulate.SCENES` or `tiler.simulate.SITES`.
     kind : {'als', 'dim'}, optional
-        Kind of the sensor; by default that of the catalogue's scene, or ``als``.
+        Kind of the sensor. The default is the kind of the catalogue's scene, or ``als``.
     seed : int, optional
-        By default that of the catalogue's scene, or 1.
+        Seed of the scene. The default is the seed of the catalogue's scene, or 1.
     side_m, density, sigma_m : float, optional
-        Metres, points per square metre, metres; by default those of the catalogue's scene, or `DEFAULT_SIDE_M` and the
-        sensor's values.
+        Side in metres, points per square metre, and standard deviation of heights in metres. Defaults are the values
+        of the catalogue's scene, or `DEFAULT_SIDE_M` and the defaults of the sensor.
     blunders : float
         Factor of the usual number of low and high blunders.
 
     Raises
     ------
     ConfigError
-        If the name is unknown, the kind differs from that of the catalogue's scene, or a value is out of range.
+        If the name or the kind is unknown, the kind differs from the kind of the catalogue's scene, or a value is
+        out of range.
     """
     if scene in SCENES:
         spec = SCENES[scene]
@@ -96,17 +99,19 @@ def describe_scene(
 def write_scene(
     path: str | Path, spec: SceneSpec, pixel_m: float = 1.0, listener: Listener = ignore_events
 ) -> dict[str, Any]:
-    """Simulate a scene into a cloud, and ``<name>_dtm.tif`` beside it. Memory is that of one patch.
+    """Write the cloud of a scene, and its reference terrain as ``<name>_dtm.tif`` next to it.
+
+    Patches are simulated one by one, so the memory holds only one patch.
 
     Parameters
     ----------
     path : path
-        LAZ or LAS, by the suffix; format 6, or 7 if the scene has colours. Both files appear under their names once
-        they are complete, and replace existing ones. The same ``spec`` gives the same bytes.
+        LAZ or LAS file to write, in point format 6, or 7 if the scene has colours. Both files appear under their names
+        once they are complete, and replace existing files. The same ``spec`` gives the same bytes.
     spec : SceneSpec
         Result of `describe_scene`.
     pixel_m : float
-        Side of a pixel of the true terrain, metres.
+        Side of a pixel of the reference terrain, metres.
     listener : Listener
         Receives events.
 
@@ -119,8 +124,8 @@ def write_scene(
     Raises
     ------
     ConfigError
-        If the name is neither LAZ nor LAS, a raster with the terrain's name exists without a cloud, or ``pixel_m`` is
-        out of range.
+        If the suffix is neither LAZ nor LAS, a file with the terrain's name exists without the cloud, or ``pixel_m``
+        is out of range.
     ProcessingError
         If a file cannot be written.
     """
@@ -164,10 +169,7 @@ def write_scene(
 
 
 def _write_cloud(path: Path, compressed: bool, site: Site, sensor: Sensor, listener: Listener) -> np.ndarray:
-    """Write all patches into one file.
-
-    Returns the number of points of each class, int64, shape (256,).
-    """
+    """Write all patches to a file. Return the points per class, int64, shape (256,)."""
     todo = patches(sensor, site.side_m, site.north_m)
     counts = np.zeros(256, np.int64)
     started = time.monotonic()

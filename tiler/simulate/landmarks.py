@@ -1,4 +1,4 @@
-"""Bridges and power lines, which span blocks."""
+"""Bridges and power lines, which extend across blocks."""
 
 from __future__ import annotations
 
@@ -10,13 +10,13 @@ from tiler.simulate.objects import BRIDGE, TOWER, Objects, Solid, Wire
 from tiler.simulate.terrain import Line, Terrain
 
 SPAN_M = 110.0
-"""Distance of the towers of a power line."""
+"""Distance of the towers of a power line, metres."""
 
 
 def bridge(terrain: Terrain, line: Line, length: float, width: float) -> Objects:
-    """A deck with parapets along a line, from ground to ground. Its middle is the line's point.
+    """Return a deck with parapets along a line, centred at the line's point. Lengths are metres.
 
-    It connects the heights of the terrain at its two ends, so that a road has no step.
+    The deck connects the heights of the terrain at its two ends, so that a road has no step.
     """
     start, end = (float(terrain.height_at(*line.at(along))) for along in (-length / 2, length / 2))
     top, tilt = (start + end) / 2, (end - start) / length
@@ -31,7 +31,10 @@ def bridge(terrain: Terrain, line: Line, length: float, width: float) -> Objects
 
 
 def power_line(terrain: Terrain, line: Line, length: float) -> Objects:
-    """Towers of 26 m every `SPAN_M` from the line's point, with a cross-arm and three sagging wires."""
+    """Return towers of 26 m every `SPAN_M`, with cross-arms and three sagging wires.
+
+    The first tower is 0.15 `SPAN_M` after the line's point, and the last is less than ``length`` metres after it.
+    """
     solids: list[Solid] = []
     wires: list[Wire] = []
     before: list[tuple[float, float, float]] = []

@@ -1,4 +1,4 @@
-"""The skin of a site as image matching sees it: one height per pixel, smoothed at jumps."""
+"""Surface of a site for image matching: one height per pixel, smoothed at jumps."""
 
 from __future__ import annotations
 
@@ -18,29 +18,30 @@ from tiler.simulate.site import Site
 Floats = npt.NDArray[np.float64]
 
 PIXEL_M = 0.25
-"""Side of a pixel; the lattice starts at (0, 0)."""
+"""Side of a pixel in metres. The lattice of the pixels starts at (0, 0)."""
 
 SMEARED_M = 0.2
-"""Height above which smoothed ground belongs to the object beside it."""
+"""Rise in metres by smoothing above which ground belongs to the nearest object."""
 
 
 @dataclass(frozen=True)
 class MatchedSurface:
-    """Rasters of shape (rows, columns), rows from south to north. Node (0, 0) lies at (x0, y0), metres.
+    """Rasters of the surface, with rows from south to north, and with a common shape.
 
     Attributes
     ----------
     x0, y0 : float
+        Position of the node (0, 0), metres.
     bare : float64
         The terrain, metres.
     sharp, smooth : float64
         The surface with objects, before and after smoothing, metres.
     label, beside : uint8
-        ASPRS class before smoothing, and for ground and water that of the nearest object.
+        ASPRS class before smoothing, and the same with the class of the nearest object instead of ground and water.
     rise : float64
-        Height by which objects lift the smoothed skin, metres.
+        Height by which objects lift the smoothed surface, metres.
     thing : int64
-        `solid_number` of the visible solid, -1 for none.
+        `solid_number` of the visible solid, or -1 if there is none.
     """
 
     x0: float
@@ -54,17 +55,20 @@ class MatchedSurface:
     thing: npt.NDArray[np.int64]
 
     def nearest(self, x: Floats, y: Floats) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
-        """Row and column of the nearest node of each position (metres)."""
+        """Return the row and column of the node nearest to each position in metres."""
         row = np.rint((y - self.y0) / PIXEL_M).astype(np.intp)
         column = np.rint((x - self.x0) / PIXEL_M).astype(np.intp)
         return row, column
 
     def height(self, x: Floats, y: Floats) -> Floats:
-        """The smoothed height at each position in metres, interpolated bilinearly."""
+        """Return the smoothed height in metres at each position, interpolated bilinearly."""
         return self._between(self.smooth, x, y)
 
     def labels(self, x: Floats, y: Floats) -> npt.NDArray[np.uint8]:
-        """Class of the smoothed surface at each position. Ground that an object lifts belongs to the object."""
+        """Return the class of the surface at each position.
+
+        Ground or water that is lifted by smoothing has the class of the nearest object.
+        """
         node = self.nearest(x, y)
         label = self.label[node]
         lifted = np.isin(label, (GROUND, WATER)) & (self._between(self.rise, x, y) > SMEARED_M)
@@ -75,21 +79,21 @@ class MatchedSurface:
         return np.asarray(ndimage.map_coordinates(raster, place, order=1, mode="nearest"))
 
     def positions(self) -> tuple[Floats, Floats]:
-        """X and y of all nodes, in the shape of the rasters."""
+        """Return x and y of all nodes in metres, in the shape of the rasters."""
         rows, columns = self.bare.shape
         x, y = np.meshgrid(self.x0 + PIXEL_M * np.arange(columns), self.y0 + PIXEL_M * np.arange(rows))
         return x, y
 
 
 def render_surface(site: Site, box: Box, margin_m: float, edge_m: float) -> MatchedSurface:
-    """The skin of a box with a margin.
+    """Return the surface of a box with a margin.
 
     Parameters
     ----------
     site : Site
     box : (x0, y0, x1, y1), metres
     margin_m : float
-        Margin for smoothing and shadows.
+        Margin for smoothing and shadows, metres.
     edge_m : float
         Standard deviation of the smoothing, metres.
     """
@@ -109,14 +113,14 @@ def render_surface(site: Site, box: Box, margin_m: float, edge_m: float) -> Matc
 
 
 def solid_number(solid: Solid) -> int:
-    """A number of the solid, not negative, that depends only on its place."""
+    """Return a non-negative number that depends only on the position of a solid."""
     return int((round(solid.x * 100) * 73856093 ^ round(solid.y * 100) * 19349663) & (2**40 - 1))
 
 
 def _covered(
     site: Site, x: Floats, y: Floats, bare: Floats
 ) -> tuple[Floats, npt.NDArray[np.uint8], npt.NDArray[np.int64]]:
-    """Height, label and solid at each position, seen vertically from above."""
+    """Return height, label and `solid_number` of the topmost surface at each position."""
     z = bare.copy()
     label = np.where(site.terrain.wet_at(x, y), WATER, GROUND).astype(np.uint8)
     thing = np.full(len(x), -1, np.int64)
@@ -125,7 +129,7 @@ def _covered(
     for patch in objects.patches:
         here = np.flatnonzero((np.abs(x - patch.x) <= patch.radius) & (np.abs(y - patch.y) <= patch.radius))
         depth = patch.inside(x[here], y[here])
-        # Between sparse plants the matched surface follows the ground.
+        # Between sparse plants, image matching finds the ground.
         share = np.clip(patch.cover + 0.35 * lumps[here], 0.0, 1.0) * np.clip(4.0 * depth, 0.0, 1.0)
         tall = 0.8 * patch.height * share
         here, tall = here[tall > 0.1], tall[tall > 0.1]
@@ -140,7 +144,7 @@ def _covered(
         z[ray], label[ray], thing[ray] = top, solid.label, solid_number(solid)
     for crown in objects.crowns:
         ray, top, bottom = crown.chord(rays)
-        # A matched crown is a lumpy dome that hides its lower half.
+        # Image matching finds a crown as a lumpy dome, without its lower half.
         top = top - 0.15 * (top - bottom) * np.abs(lumps[ray])
         ray, top = ray[top > z[ray]], top[top > z[ray]]
         z[ray], label[ray], thing[ray] = top, LOW_VEGETATION, -1
@@ -148,7 +152,10 @@ def _covered(
 
 
 def _nearest_object(label: npt.NDArray[np.uint8]) -> npt.NDArray[np.uint8]:
-    """Class of the nearest node that is neither ground nor water. Without such a node the class stays."""
+    """Return the class of the nearest node that is not ground or water.
+
+    Labels do not change if there is no such node.
+    """
     low = np.isin(label, (GROUND, WATER))
     if low.all():
         return label

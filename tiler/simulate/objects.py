@@ -1,6 +1,6 @@
-"""Objects on the terrain. Each computes where a ray meets it.
+"""Objects on the terrain, and the rays that meet them.
 
-A ray is a line that comes from above, written by its height z: ``x = ax + lx * z``, ``y = ay + ly * z``.
+A ray is a line from above with its height z as the parameter: ``x = ax + lx * z``, ``y = ay + ly * z``.
 """
 
 from __future__ import annotations
@@ -25,9 +25,9 @@ BRIDGE = 17
 
 @dataclass(frozen=True)
 class Rays:
-    """``n`` rays. All columns are float64, shape (n,), metres (``lx``, ``ly``: metres per metre of height).
+    """Columns of ``n`` rays, float64, shape (n,), in metres.
 
-    ``level`` is a height near most hits; it only shortens searches.
+    ``lx`` and ``ly`` are metres per metre of height. ``level`` is a height near most hits, which shortens searches.
     """
 
     ax: Floats
@@ -41,15 +41,15 @@ class Rays:
 
     @cached_property
     def steepest(self) -> float:
-        """Largest horizontal motion of a ray per metre of height, metres."""
+        """Largest horizontal shift of a ray in metres per metre of height."""
         return float(np.hypot(self.lx, self.ly).max(initial=0.0))
 
     def at(self, z: Floats, index: npt.NDArray[np.intp] | slice = slice(None)) -> tuple[Floats, Floats]:
-        """Positions x, y of the rays (of ``index``) at the heights z."""
+        """Return the positions x, y of the rays (or of ``index``) at the heights z."""
         return self.ax[index] + self.lx[index] * z, self.ay[index] + self.ly[index] * z
 
     def near(self, x: float, y: float, z: float, radius: float) -> npt.NDArray[np.intp]:
-        """Indices, ascending, of the rays that pass (x, y) within ``radius`` at height z."""
+        """Return the ascending indices of the rays within ``radius`` of (x, y) at height z."""
         order, sorted_x = self._from_west
         shift = radius + self.steepest * abs(z - self.level)
         index = order[slice(*np.searchsorted(sorted_x, (x - shift, x + shift)))]
@@ -58,7 +58,7 @@ class Rays:
 
     @cached_property
     def _from_west(self) -> tuple[npt.NDArray[np.intp], Floats]:
-        """Indices from west to east on the level, and their positions x."""
+        """Indices of the rays from west to east at `level`, and their positions x."""
         x = self.ax + self.lx * self.level
         order = np.argsort(x, kind="stable")
         return order, x[order]
@@ -66,7 +66,7 @@ class Rays:
 
 @dataclass(frozen=True)
 class Solid:
-    """A box, a gabled house or a sloping deck: a convex body, opaque.
+    """Opaque convex body: a box, a gabled house or a sloping deck.
 
     Attributes
     ----------
@@ -79,11 +79,11 @@ class Solid:
     base, top : float
         Heights of the underside (in the ground) and of the flat roof or the ridge, metres.
     pitch : float
-        Rise of the roof per metre across; 0 makes a flat roof.
+        Rise of the roof per metre across. A flat roof has 0.
     label : int
         ASPRS class of its points.
     tilt : float
-        Rise of underside and top per metre along; ``base`` and ``top`` hold at the centre.
+        Rise of underside and top per metre along. ``base`` and ``top`` are the heights at the centre.
     """
 
     x: float
@@ -103,14 +103,14 @@ class Solid:
         return float(np.hypot(self.length, self.width) / 2)
 
     def distance(self, x: float, y: float) -> float:
-        """Metres from a position to the footprint, 0 inside."""
+        """Return the distance in metres from a position to the footprint, 0 inside."""
         east, north, turn = x - self.x, y - self.y, math.radians(self.angle_deg)
         along = east * math.cos(turn) + north * math.sin(turn)
         across = north * math.cos(turn) - east * math.sin(turn)
         return math.hypot(max(abs(along) - self.length / 2, 0.0), max(abs(across) - self.width / 2, 0.0))
 
     def hit(self, rays: Rays) -> tuple[npt.NDArray[np.intp], Floats]:
-        """Indices of the rays that meet the body, and the heights at which they enter it (metres)."""
+        """Return indices of the rays that meet the body, and the heights of entry, metres."""
         height = self.top - self.base + abs(self.tilt) * self.length / 2
         index = rays.near(self.x, self.y, self.top, self.radius + height * rays.steepest + 0.01)
         if not len(index):
@@ -119,7 +119,7 @@ class Solid:
         ax, ay = rays.ax[index] - self.x, rays.ay[index] - self.y
         lx, ly = rays.lx[index], rays.ly[index]
         au, av, lu, lv = ax * cos + ay * sin, ay * cos - ax * sin, lx * cos + ly * sin, ly * cos - lx * sin
-        # A convex body is an intersection of half-spaces; each bounds z from above or below.
+        # A convex body is an intersection of half-spaces, which bound z from above or below.
         high, low = np.full(len(index), np.inf), np.full(len(index), -np.inf)
         half_spaces = [
             (-self.tilt, 0.0, 1.0, self.top),
@@ -145,9 +145,9 @@ class Solid:
 
 @dataclass(frozen=True)
 class Crown:
-    """The crown of a tree: an ellipsoid that pulses enter. Lengths are in metres.
+    """Crown of a tree: an ellipsoid that pulses enter. Lengths are metres.
 
-    ``spacing`` is the mean distance between two returns in it, ``stop`` the probability that a return ends the pulse.
+    ``spacing`` is the mean distance of consecutive returns. ``stop`` is the probability that a return ends the pulse.
     """
 
     x: float
@@ -159,7 +159,7 @@ class Crown:
     stop: float = 0.3
 
     def chord(self, rays: Rays) -> tuple[npt.NDArray[np.intp], Floats, Floats]:
-        """Indices of the rays that meet the crown, and the heights at which they enter and leave it (metres)."""
+        """Return indices of the rays that meet the crown, and heights of entry and exit, metres."""
         index = rays.near(self.x, self.y, self.z, self.radius + self.half_height * rays.steepest + 0.01)
         px, py = rays.at(np.full(len(index), self.z), index)
         ratio = (self.radius / self.half_height) ** 2
@@ -174,11 +174,9 @@ class Crown:
 
 @dataclass(frozen=True)
 class PlantPatch:
-    """Low vegetation: an ellipse or, if ``square``, a rectangle with plants on the ground.
+    """Low vegetation in an ellipse or, if ``square``, in a rectangle. Lengths are metres.
 
-    Lengths are in metres.
-
-    ``cover`` is the share of pulses that end in them, at heights up to ``height``.
+    ``cover`` is the share of pulses that hit the plants, at heights up to ``height`` above the ground.
     """
 
     x: float
@@ -196,7 +194,7 @@ class PlantPatch:
         return float(np.hypot(self.length, self.width) / 2)
 
     def inside(self, x: Floats, y: Floats) -> Floats:
-        """Depth inside of the footprint at each position: 1 at the centre, 0 at the edge, negative outside."""
+        """Return the depth in the footprint: 1 at the centre, 0 at the edge, negative outside."""
         along, across = Line(self.x, self.y, self.angle_deg).along_across(x, y)
         u, v = 2 * along / self.length, 2 * across / self.width
         if self.square:
@@ -206,7 +204,10 @@ class PlantPatch:
 
 @dataclass(frozen=True)
 class Wire:
-    """A wire that sags between two points, in metres. A pulse within ``reach`` leaves a return and continues."""
+    """Wire that sags between two points. Lengths are metres.
+
+    A pulse that passes within ``reach`` of the wire returns there and continues.
+    """
 
     start: tuple[float, float, float]
     end: tuple[float, float, float]
@@ -229,7 +230,7 @@ class Wire:
         return float(np.hypot(self.end[0] - self.start[0], self.end[1] - self.start[1]) / 2)
 
     def hit(self, rays: Rays) -> tuple[npt.NDArray[np.intp], Floats]:
-        """Indices of the rays that pass the wire, and the heights of their returns (metres)."""
+        """Return indices of the rays that hit the wire, and the heights of their returns, metres."""
         angle = float(np.degrees(np.arctan2(self.end[1] - self.start[1], self.end[0] - self.start[0])))
         line = Line(self.x, self.y, angle)
         index = rays.near(self.x, self.y, self.start[2], self.radius + 10.0)
@@ -245,7 +246,7 @@ class Wire:
 
 @dataclass(frozen=True)
 class Objects:
-    """All objects on a terrain, in a fixed order."""
+    """Objects on a terrain, in a fixed order."""
 
     solids: tuple[Solid, ...] = ()
     crowns: tuple[Crown, ...] = ()
@@ -253,11 +254,11 @@ class Objects:
     wires: tuple[Wire, ...] = ()
 
     def __add__(self, other: Objects) -> Objects:
-        """Objects of both, those of ``other`` last."""
+        """Return the objects of both, with the objects of ``other`` last."""
         return Objects(*(a + b for a, b in zip(self._kinds, other._kinds, strict=True)))
 
     def touching(self, x0: float, y0: float, x1: float, y1: float) -> Objects:
-        """Objects that may reach into a box (metres), in the same order."""
+        """Return the objects that may reach into a box (metres), in the same order."""
 
         def near(thing: Solid | Crown | PlantPatch | Wire) -> bool:
             far = thing.radius

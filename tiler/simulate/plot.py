@@ -1,4 +1,4 @@
-"""A block of land on which objects are placed: houses, halls, courtyards, trees, hedges, cars, walls."""
+"""Block of land, on which buildings, trees, hedges, walls and cars are placed."""
 
 from __future__ import annotations
 
@@ -9,11 +9,13 @@ from tiler.simulate.objects import BUILDING, Crown, Objects, PlantPatch, Solid
 from tiler.simulate.terrain import Line, Terrain
 
 STEEPEST_HOUSE = 0.3
-"""Rise of the ground per metre above which no house is built."""
+"""Rise of the ground per metre above which houses are not built."""
 
 
 class Plot:
-    """Collects the objects on a square block. Lengths are in metres, angles in degrees.
+    """Objects on a square block. Lengths are metres, angles degrees counter-clockwise from east.
+
+    Methods for buildings return False, and place nothing, if the ground is too uneven or not free.
 
     Parameters
     ----------
@@ -23,9 +25,9 @@ class Plot:
     x, y, side : float
         Centre and side of the block.
     landmarks : Objects
-        Objects from which the block keeps clear.
+        Objects whose solids keep other objects away.
     street : float
-        Width of the street along its edges.
+        Width of the streets along the edges of the block.
     """
 
     def __init__(
@@ -46,26 +48,26 @@ class Plot:
         self._patches: list[PlantPatch] = []
 
     def objects(self) -> Objects:
-        """All objects placed so far."""
+        """Return all objects that were placed so far."""
         return Objects(tuple(self._solids), tuple(self._crowns), tuple(self._patches))
 
     def pick(self, edge: float = 0.0) -> tuple[float, float]:
-        """A random position at least ``edge`` from the block's edge."""
+        """Return a random position at least ``edge`` from the edges of the block, or its centre."""
         reach = max(self.side / 2 - edge, 0.0)
         dx, dy = self.rng.uniform(-reach, reach, 2)
         return self.x + float(dx), self.y + float(dy)
 
     def ground(self, x: float, y: float) -> float:
-        """Height of the terrain."""
+        """Return the height of the terrain."""
         return float(self.terrain.height_at(x, y))
 
     def slope(self, radius: float = 10.0) -> float:
-        """Mean rise per metre across the middle of the block."""
+        """Return the mean rise per metre within ``radius`` of the centre of the block."""
         low, high = self.terrain.range_around(self.x, self.y, radius)
         return (high - low) / (2.8 * radius)
 
     def free(self, x: float, y: float, radius: float) -> bool:
-        """Whether a circle is dry and clear of landmarks and of the block's solids."""
+        """Return whether a circle is dry and clear of the solids of landmarks and of the block."""
         steps = np.linspace(-radius, radius, 5)
         if self.terrain.wet_at(x + steps[None, :], y + steps[:, None]).any():
             return False
@@ -82,23 +84,23 @@ class Plot:
         pitch: float = 0.0,
         label: int = BUILDING,
     ) -> None:
-        """A solid whose eaves are ``height`` above the highest ground that it touches."""
+        """Place a solid with eaves ``height`` above the highest ground below it."""
         low, high = self.terrain.range_around(x, y, 0.35 * float(np.hypot(length, width)))
         top = high + height + pitch * width / 2
         self._solids.append(Solid(x, y, angle, length, width, low - 1.0, top, pitch=pitch, label=label))
 
     def thing(self, x: float, y: float, angle: float, length: float, width: float, tall: float) -> None:
-        """A solid that is not a building, ``tall`` above the ground at its middle."""
+        """Place an unclassified solid that rises to ``tall`` above the ground at its centre."""
         low = self.ground(x, y)
         self._solids.append(Solid(x, y, angle, length, width, low - 1.0, low + tall, label=UNCLASSIFIED))
 
     def level(self, x: float, y: float, radius: float, most: float) -> bool:
-        """Whether the ground within a radius rises by at most ``most``."""
+        """Return whether the ground within a radius rises by at most ``most``."""
         low, high = self.terrain.range_around(x, y, radius)
         return high - low <= most
 
     def house(self, x: float, y: float, angle: float) -> bool:
-        """Place a gabled house of 1 to 3 storeys, some with a garage and a shed. False if it cannot stand there."""
+        """Place a flat or gabled house of 1-3 storeys, with or without garage and shed."""
         length, width = self.rng.uniform(9, 16), self.rng.uniform(7, 11)
         height, pitch = self.rng.uniform(3, 7.5), float(self.rng.choice([0.0, 0.5, 0.7, 0.9]))
         even = self.level(x, y, length / 2, STEEPEST_HOUSE * length * 1.4)
@@ -113,7 +115,7 @@ class Plot:
         return True
 
     def terrace(self, x: float, y: float, angle: float, length: float, depth: float) -> bool:
-        """Adjoining houses of 5 to 6 m each, a row of low sheds behind their gardens, fences between."""
+        """Place adjoining houses about 5.5 m wide, with gardens, low sheds and some hedges."""
         if not self.free(x, y, 0.4 * length):
             return False
         axis = Line(x, y, angle)
@@ -132,14 +134,17 @@ class Plot:
         return True
 
     def dugout(self, x: float, y: float) -> None:
-        """A garage or cellar dug into a slope, whose flat roof hardly rises above the ground behind it."""
+        """Place a garage or cellar in a slope, if it is steep enough and free.
+
+        Its flat roof is 0.1 to 0.6 m above the highest ground below it.
+        """
         length, width = self.rng.uniform(5, 14), self.rng.uniform(5, 8)
         radius = 0.35 * float(np.hypot(length, width))
         if not self.level(x, y, radius, 0.8) and self.free(x, y, 0.5 * length):
             self.box(x, y, float(self.rng.uniform(0, 180)), length, width, self.rng.uniform(0.1, 0.6))
 
     def flats(self, x: float, y: float, angle: float) -> bool:
-        """A flat-roofed or gabled block of 3-7 storeys."""
+        """Place a flat-roofed or gabled building of 3-7 storeys."""
         length, width = self.rng.uniform(16, 32), self.rng.uniform(10, 14)
         pitch = float(self.rng.choice([0.0, 0.0, 0.6]))
         if not self.level(x, y, length / 2, 4.0) or not self.free(x, y, 0.5 * length):
@@ -148,7 +153,7 @@ class Plot:
         return True
 
     def courtyard(self, depth: float, closed: bool) -> bool:
-        """Four wings (three if not closed) around a yard, along the edges of the block."""
+        """Place four wings (three if not ``closed``) around a yard, along the edges of the block."""
         outer = self.side / 2 - self.street - 2.0
         if not self.level(self.x, self.y, outer, 5.0) or not self.free(self.x, self.y, 1.2 * outer):
             return False
@@ -164,7 +169,7 @@ class Plot:
         return True
 
     def podium(self) -> bool:
-        """A low base that nearly fills the block, a terrace before it, a tower on it."""
+        """Place a low base that nearly fills the block, a terrace south of it and a tower on it."""
         side = self.side - 2 * self.street - 6.0
         if not self.level(self.x, self.y, side / 2, 4.0) or not self.free(self.x, self.y, 0.7 * side):
             return False
@@ -175,7 +180,7 @@ class Plot:
         return True
 
     def hall(self, length: float, width: float) -> bool:
-        """A flat or slightly pitched hall with ventilators and a loading ramp."""
+        """Place a flat or slightly pitched hall with ventilators and a loading ramp."""
         angle = float(self.rng.choice([0.0, 90.0, self.rng.uniform(0, 180)]))
         if not self.level(self.x, self.y, 0.35 * length, 5.0) or not self.free(self.x, self.y, 0.5 * length):
             return False
@@ -190,30 +195,33 @@ class Plot:
         return True
 
     def tree(
-        self, x: float, y: float, tall: float, dense: bool = False, widest: float = 6.0, trunk: float = 0.6
+        self, x: float, y: float, tall: float, dense: bool = False, widest: float = 6.0, rooted: float = 0.6
     ) -> None:
-        """A broad or, if ``dense``, a conifer-like tree of ``tall`` metres.
+        """Place a broad or, if ``dense``, a conifer-like tree of height ``tall`` on free ground.
 
-        None grows where less than ``trunk`` times its radius is free of houses and water.
+        The radius of its crown is at most ``widest``. The ground must be free within the share ``rooted`` of it.
         """
         radii, clearances, spacing, stop = (0.2, 0.38), (0.15, 0.35), 1.6, 0.3
         if dense:
             radii, clearances, spacing, stop = (0.12, 0.2), (0.05, 0.15), 0.9, 0.45
         radius = min(self.rng.uniform(*radii) * tall, widest)
         clear = self.rng.uniform(*clearances) * tall
-        if self.free(x, y, trunk * radius):
+        if self.free(x, y, rooted * radius):
             half = (tall - clear) / 2
             z = self.ground(x, y) + clear + half
             self._crowns.append(Crown(x, y, z, radius, half, spacing, stop))
 
     def trees(self, low: int, high: int, tall: tuple[float, float] = (4.0, 14.0)) -> None:
-        """Between ``low`` and ``high`` trees anywhere on the block."""
+        """Place ``low`` to ``high`` trees at random positions of the block."""
         for _ in range(self.rng.integers(low, high + 1)):
             x, y = self.pick(1.0)
             self.tree(x, y, self.rng.uniform(*tall))
 
     def wood(self, spacing: float, tall: tuple[float, float], dense: float) -> None:
-        """A closed stand with a tree in every square of ``spacing``, a share ``dense`` of conifers, and undergrowth."""
+        """Place a closed wood with a tree per square of about ``spacing``, and with undergrowth.
+
+        ``tall`` is the range of heights, and ``dense`` the share of conifers.
+        """
         count = max(1, round(self.side / spacing))
         step = self.side / count
         for place in range(count * count):
@@ -225,13 +233,13 @@ class Plot:
         self.undergrowth(self.rng.uniform(0.1, 0.5), self.rng.uniform(0.4, 1.2))
 
     def undergrowth(self, cover: float, height: float) -> None:
-        """Plants on the whole block: a field, a fallow, brambles."""
+        """Place plants of a field, a fallow or brambles on the whole block."""
         self._patches.append(
             PlantPatch(self.x, self.y, 0.0, self.side, self.side, height, cover, square=True)
         )
 
     def bushes(self, low: int, high: int, height: tuple[float, float] = (0.2, 1.0)) -> None:
-        """Beds and bushes, up to 8 m long."""
+        """Place ``low`` to ``high`` beds or bushes up to 8 m long, on free ground."""
         for _ in range(self.rng.integers(low, high + 1)):
             x, y = self.pick(2.0)
             length, width = self.rng.uniform(1.5, 8), self.rng.uniform(1, 4)
@@ -242,12 +250,12 @@ class Plot:
                 self._patches.append(PlantPatch(x, y, angle, length, width, tall, cover))
 
     def hedge(self, x: float, y: float, angle: float, length: float) -> None:
-        """A trimmed, dense hedge."""
+        """Place a trimmed, dense hedge of 0.8 to 2 m."""
         tall = self.rng.uniform(0.8, 2.0)
         self._patches.append(PlantPatch(x, y, angle, length, 0.9, tall, 0.9, square=True))
 
     def wall(self, x: float, y: float, angle: float, length: float) -> None:
-        """A garden wall of 0.3 m, 0.6 to 2 m high, in pieces that follow the ground."""
+        """Place a garden wall 0.3 m wide and 0.6 to 2 m high, in pieces that follow the ground."""
         tall = self.rng.uniform(0.6, 2.0)
         pieces = max(1, round(length / 4.0))
         for piece in range(pieces):
@@ -256,7 +264,7 @@ class Plot:
                 self.thing(px, py, angle, length / pieces, 0.3, tall)
 
     def car(self, x: float, y: float, angle: float) -> None:
-        """A car or, sometimes, a van: body and cabin."""
+        """Place a car with body and cabin or, sometimes, a van, on free ground."""
         if not self.free(x, y, 0.5):
             return
         if self.rng.random() < 0.15:
@@ -266,7 +274,7 @@ class Plot:
             self.thing(x, y, angle, 2.3, 1.6, self.rng.uniform(1.4, 1.7))
 
     def street_cars(self, share: float) -> None:
-        """Parked cars along the south and the west edge of the block."""
+        """Place parked cars along the south and the west edge of the block."""
         edge = self.side / 2 - min(1.5, self.street / 2)
         for place in range(int(self.side / 8)):
             along = -self.side / 2 + 6.0 + 7.0 * place
@@ -276,7 +284,7 @@ class Plot:
                 self.car(self.x - edge, self.y + along, 90.0)
 
     def trailers(self) -> None:
-        """Rows of parked trailers and containers on the whole block, with some free places."""
+        """Place rows of trailers and containers on the whole block, with some gaps."""
         reach = self.side / 2 - self.street - 8.0
         for y in np.arange(-reach, reach + 0.1, 26.0):
             for x in np.arange(-reach, reach + 0.1, 3.6):
@@ -285,7 +293,7 @@ class Plot:
                     self.thing(px, py, 90.0, 13.6, 2.5, self.rng.uniform(2.6, 4.0))
 
     def parking(self) -> None:
-        """Rows of cars on the whole block."""
+        """Place rows of cars on the whole block, with some gaps."""
         reach = self.side / 2 - self.street - 3.0
         for y in np.arange(-reach, reach + 0.1, 6.0):
             for x in np.arange(-reach, reach + 0.1, 2.8):

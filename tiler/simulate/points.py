@@ -1,4 +1,4 @@
-"""Columns of simulated points, and the protocol of the sensors that make them."""
+"""Columns of simulated points, and the protocol of the sensors that simulate them."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ UInt8s = npt.NDArray[np.uint8]
 UInt16s = npt.NDArray[np.uint16]
 Floats = npt.NDArray[np.float64]
 Box = tuple[float, float, float, float]
-"""x0, y0, x1, y1 in metres, half-open."""
+"""Half-open box x0, y0, x1, y1 in metres."""
 
 CLASS_NAMES = {
     UNCLASSIFIED: "cars, garden walls",
@@ -41,7 +41,7 @@ CLASS_NAMES = {
     BRIDGE: "bridges",
     HIGH_NOISE: "blunders in the air",
 }
-"""Names of the ASPRS classes."""
+"""Descriptions of the ASPRS classes of simulated points."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class SimulatedPoints:
     number, count : uint8, shape (n,)
         Return number, and number of returns of the pulse.
     angle_deg : float64, shape (n,)
-        Scan angle.
+        Scan angle of the pulse.
     rgb : uint16, shape (n, 3), optional
     """
 
@@ -71,13 +71,13 @@ class SimulatedPoints:
         return len(self.label)
 
     def take(self, keep: npt.NDArray[np.bool_]) -> SimulatedPoints:
-        """The points of a mask, in the same order."""
+        """Return the points of a mask, in the same order."""
         columns: list[Any] = [None if column is None else column[keep] for column in self._columns]
         return SimulatedPoints(*columns)
 
     @classmethod
     def joined(cls, parts: list[SimulatedPoints]) -> SimulatedPoints:
-        """All parts (at least one), one after the other."""
+        """Return the points of one or more parts, part by part."""
         columns = zip(*(part._columns for part in parts), strict=True)
         whole: list[Any] = [None if column[0] is None else np.concatenate(column) for column in columns]
         return cls(*whole)
@@ -88,7 +88,7 @@ class SimulatedPoints:
 
 
 class Sensor(Protocol):
-    """Surveys a site patch by patch. The patches are a lattice with a corner at (0, 0)."""
+    """Sensor that surveys a site patch by patch. The patches are a lattice at (0, 0)."""
 
     @property
     def patch_m(self) -> float:
@@ -102,16 +102,16 @@ class Sensor(Protocol):
 
     @property
     def coloured(self) -> bool:
-        """Whether the points have colours."""
+        """True if the points have colours."""
         ...
 
     def survey(self, site: Site, ix: int, iy: int) -> SimulatedPoints:
-        """The points of a patch, which depend only on the site, the sensor and (ix, iy)."""
+        """Return the points of a patch, which depend only on the site, the sensor and (ix, iy)."""
         ...
 
 
 def vegetation_label(label: UInt8s, above_ground_m: Floats) -> UInt8s:
-    """Labels in which low plants are split by height above ground: below 1 m, below 3 m, higher."""
+    """Return labels with low plants split by height above ground: below 1 m, below 3 m, higher."""
     by_height = np.select(
         [above_ground_m < 1.0, above_ground_m < 3.0], [LOW_VEGETATION, MEDIUM_VEGETATION], HIGH_VEGETATION
     )
@@ -121,10 +121,10 @@ def vegetation_label(label: UInt8s, above_ground_m: Floats) -> UInt8s:
 def patches(
     sensor: Sensor, side_m: float, north_m: float | None = None, *, rim: bool = True
 ) -> list[tuple[int, int]]:
-    """Indices (ix, iy) of the patches that hold all points of a site, row by row from the south-west.
+    """Return (ix, iy) of the patches with all points of a site, row by row from the south-west.
 
-    The site is ``side_m`` wide, and as long from south to north unless ``north_m`` is given. Without ``rim`` patches
-    outside the site are omitted, so its outermost metres may be thinner.
+    The site is ``side_m`` wide, and as long from south to north unless ``north_m`` is given. Without ``rim``, patches
+    outside the site are omitted. So the outermost metres of the site may have fewer points.
     """
     reach = 0.0
     if rim:
@@ -137,7 +137,7 @@ def patches(
 
 
 def survey_patch(site: Site, sensor: Sensor, ix: int, iy: int) -> SimulatedPoints:
-    """The points of a patch that lie on the site, coordinates rounded to millimetres."""
+    """Return the points of a patch that lie on the site, rounded to millimetres."""
     points = sensor.survey(site, ix, iy)
     xyz = np.round(points.xyz, 3)
     inside = np.all((xyz[:, :2] >= 0) & (xyz[:, :2] < (site.side_m, site.north_m)), axis=1)
@@ -145,7 +145,7 @@ def survey_patch(site: Site, sensor: Sensor, ix: int, iy: int) -> SimulatedPoint
 
 
 def survey(site: Site, sensor: Sensor) -> SimulatedPoints:
-    """All points of a site at once: for small ones."""
+    """Return all points of a small site at once."""
     return SimulatedPoints.joined(
         [survey_patch(site, sensor, *index) for index in patches(sensor, site.side_m, site.north_m)]
     )

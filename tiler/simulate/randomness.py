@@ -1,4 +1,4 @@
-"""Random numbers that depend only on a seed and a place, not on earlier draws."""
+"""Random numbers that depend only on a seed, a purpose and a position, not on earlier draws."""
 
 from __future__ import annotations
 
@@ -9,28 +9,28 @@ Floats = npt.NDArray[np.float64]
 UInt64s = npt.NDArray[np.uint64]
 
 BLOCKS, PULSES, MATCHES, BLUNDERS, BIAS, RELIEF, COLOUR, TEXTURE = range(8)
-"""Purposes of random numbers. Two purposes never share numbers."""
+"""Purposes of random numbers. Different purposes give different numbers."""
 
 OFFSET = 1 << 31
 
 
 def generator(seed: int, purpose: int, *place: int) -> np.random.Generator:
-    """A generator for a place (lattice indices, also negative ones), from a hash of all arguments."""
+    """Return a generator for lattice indices (also negative), from a hash of the arguments."""
     return np.random.Generator(np.random.PCG64([seed, purpose, *(index + OFFSET for index in place)]))
 
 
 def smooth_noise(seed: int, purpose: int, x: Floats, y: Floats, cell_m: float) -> Floats:
-    """Spatially correlated noise, standard normal at each position and the same for every caller.
+    """Return spatially correlated noise, about standard normal at each position.
 
-    Normal numbers are hashed from the nodes of a lattice at coordinate 0, interpolated bilinearly, and divided by
-    the root of the sum of the squared weights. So the variance is 1 everywhere.
+    Nearly normal numbers are hashed from the nodes of a lattice at coordinate 0, interpolated bilinearly, and divided
+    by the root of the sum of the squared weights. So the variance is 1 everywhere.
 
     Parameters
     ----------
     seed, purpose : int
     x, y : float64, shape (n,) or broadcastable, metres
     cell_m : float
-        Side of a lattice cell, about the distance beyond which the noise is independent.
+        Side of a lattice cell in metres, about the distance beyond which the noise is independent.
 
     Returns
     -------
@@ -50,7 +50,10 @@ def smooth_noise(seed: int, purpose: int, x: Floats, y: Floats, cell_m: float) -
 def node_normals(
     seed: int, purpose: int, column: npt.NDArray[np.int64], row: npt.NDArray[np.int64]
 ) -> Floats:
-    """Nearly normal numbers (sums of four uniforms) of mean 0 and variance 1, hashed from lattice indices."""
+    """Return nearly normal numbers of mean 0 and variance 1, hashed from lattice indices.
+
+    Each is a sum of four uniform numbers.
+    """
     key = np.uint64((seed * 8 + purpose) & 0xFFFFFFFF) << np.uint64(32)
     hashed = _mixed(_mixed(column.astype(np.uint64) ^ key) + row.astype(np.uint64))
     total = np.zeros(hashed.shape)
@@ -60,7 +63,7 @@ def node_normals(
 
 
 def _mixed(value: UInt64s) -> UInt64s:
-    """The finaliser of SplitMix64 (Steele, Lea & Flood 2014), which wraps around intentionally."""
+    """Apply the finaliser of SplitMix64 (Steele, Lea & Flood 2014). Overflow is intended."""
     value = value + np.uint64(0x9E3779B97F4A7C15)
     value = (value ^ (value >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
     value = (value ^ (value >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)

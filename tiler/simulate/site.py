@@ -1,4 +1,4 @@
-"""A place to survey: terrain and its objects, made block by block on demand."""
+"""Site of a survey: terrain and its objects, made block by block on demand."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tiler.simulate.randomness import BLOCKS, generator
 from tiler.simulate.terrain import Terrain
 
 BLOCK_REACH_M = 15.0
-"""Distance by which the objects of a block may reach beyond it."""
+"""Distance in metres by which the objects of a block may reach beyond it."""
 
 KEPT_BLOCKS = 256
 """Number of blocks kept in memory, which bounds the memory for a city of any size."""
@@ -21,26 +21,24 @@ KEPT_BLOCKS = 256
 
 @dataclass(frozen=True)
 class Site:
-    """Terrain and its objects. x runs from 0 to ``side_m`` metres, y from 0 to ``north_m``.
+    """Terrain and its objects, with x and y from 0 to ``side_m`` metres.
 
     Attributes
     ----------
     terrain : Terrain
     side_m : float
     seed : int
-        Seed of its blocks.
+        Seed of the random numbers of blocks and sensors.
     fill : callable, optional
-        Puts objects on a `Plot`; None leaves the land bare.
+        Function that places objects on a `Plot`. With None, blocks are bare.
     block_m : float
-        Side of a block. Blocks are a lattice at (0, 0).
+        Side of a block in metres. Blocks are a lattice at (0, 0).
     landmarks : Objects
-        Objects that span blocks: bridges, power lines.
+        Objects that extend across blocks: bridges and power lines.
     street_m : float
-        Width of the asphalt along the edges of the blocks.
+        Width of the asphalt along the edges of the blocks, metres.
     green : float
-        Share of the open ground that is lawn; the rest is soil.
-    north_m : float, optional
-        Extent from south to north. By default the site is a square.
+        Share of lawn on open ground. The rest is soil.
     """
 
     terrain: Terrain
@@ -59,7 +57,10 @@ class Site:
             object.__setattr__(self, "north_m", self.side_m)
 
     def objects_near(self, x0: float, y0: float, x1: float, y1: float) -> Objects:
-        """All objects that may reach into a box (metres), in an order that depends only on the box."""
+        """Return all objects that may reach into a box (metres).
+
+        Their order depends only on the box.
+        """
         objects = self.landmarks.touching(x0, y0, x1, y1)
         if self.fill is None:
             return objects

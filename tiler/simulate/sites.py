@@ -1,4 +1,4 @@
-"""Kinds of places: a city, a suburb, forest, mountains, a quarry, a river and others, each from a seed."""
+"""Kinds of sites, such as a city, a forest, a quarry or a river, each made from a seed."""
 
 from __future__ import annotations
 
@@ -35,13 +35,16 @@ def _rng(seed: int) -> np.random.Generator:
 
 
 def _tilt(east: float, north: float, side_m: float) -> tuple[float, float]:
-    """A slope, gentler on sites above 400 m, because the whole site must stay within reach of one flying height."""
+    """Return a slope, which is gentler on sites with sides above 400 m.
+
+    One flying height must suit the whole site.
+    """
     share = min(1.0, 400.0 / side_m)
     return east * share, north * share
 
 
 def city(seed: int, side_m: float) -> Site:
-    """Blocks of 50 m on gentle hills, a dam across, a river bank, a power line."""
+    """City blocks of 50 m on gentle hills with a dam, a river bank and a power line."""
     rng = _rng(seed)
     dam = Embankment(side_m / 2, side_m * 0.78, 12.0, height=5.0, crest_width=6.0, slope_width=9.0)
     bank = Bank(side_m * 0.86, drop=6.0, width=4.0, swing=side_m * 0.04, period=side_m * 0.9)
@@ -51,7 +54,7 @@ def city(seed: int, side_m: float) -> Site:
 
 
 def suburb(seed: int, side_m: float) -> Site:
-    """Houses and gardens on rolling land, a cutting with a road bridge, a pond."""
+    """Houses and gardens on rolling land, with a pond and a cutting below a road bridge."""
     rng = _rng(seed)
     cutting = Embankment(side_m * 0.5, side_m * 0.3, 5.0, height=-5.0, crest_width=9.0, slope_width=7.0)
     pond = Basin(side_m * 0.78, side_m * 0.75, 18.0, 2.0, 4.0, water=True)
@@ -61,7 +64,7 @@ def suburb(seed: int, side_m: float) -> Site:
 
 
 def forest(seed: int, side_m: float) -> Site:
-    """Closed wood on hills with the valley of a stream and clearings."""
+    """Closed wood with clearings, on hills with the valley of a stream."""
     rng = _rng(seed)
     hills = [
         Hill(rng.uniform(0, side_m), rng.uniform(0, side_m), rng.uniform(8, 30), rng.uniform(25, 60))
@@ -77,7 +80,7 @@ def forest(seed: int, side_m: float) -> Site:
 
 
 def mountain(seed: int, side_m: float) -> Site:
-    """Sharp ridges of 35-45 degrees beside a valley with a settlement, the terrain that `ridge2016` is made for."""
+    """Sharp ridges of 35-45 degrees, for which `ridge2016` is made, and a settled valley."""
     rng = _rng(seed)
     ridges = [
         Ridge(Line(side_m * 0.8, side_m * 0.55, 85.0), 75.0, 82.0, side_m * 1.2),
@@ -91,7 +94,7 @@ def mountain(seed: int, side_m: float) -> Site:
 
 
 def terraces(seed: int, side_m: float) -> Site:
-    """Vineyard terraces with steep faces below a cliff, a retaining wall by the road."""
+    """Vineyard terraces with steep faces below a cliff, and a retaining wall."""
     rng = _rng(seed)
     steps = Terraces(Line(0.0, side_m * 0.15, 6.0), min(max(2, int(side_m * 0.45 / 13)), 12), 13.0, 2.4, 0.9)
     cliff = Cliff(Line(0.0, side_m * 0.72, -4.0), 28.0, 9.0, swing=7.0, period=90.0)
@@ -101,7 +104,7 @@ def terraces(seed: int, side_m: float) -> Site:
 
 
 def quarry(seed: int, side_m: float) -> Site:
-    """A pit with benches, a spoil heap, a railway embankment, works, bushes on the rubble."""
+    """A pit with benches, a spoil heap, a railway embankment, works and bushes."""
     rng = _rng(seed)
     pit = Basin(side_m * 0.38, side_m * 0.42, side_m * 0.27, 36.0, side_m * 0.13, benches=3)
     pool = Basin(side_m * 0.38, side_m * 0.40, side_m * 0.05, 3.0, 3.0, water=True)
@@ -116,7 +119,7 @@ def quarry(seed: int, side_m: float) -> Site:
 
 
 def river(seed: int, side_m: float) -> Site:
-    """A river with hardly any returns from its water, banks, two bridges, houses beside it, a pond."""
+    """A river and a pond with hardly any returns, two bridges, and houses on the banks."""
     rng = _rng(seed)
     course = Line(side_m * 0.5, 0.0, 84.0)
     stream = River(course, side_m * 0.14, 5.0, 9.0, swing=side_m * 0.05, period=side_m * 1.1)
@@ -136,7 +139,7 @@ def river(seed: int, side_m: float) -> Site:
 
 
 def halls(seed: int, side_m: float) -> Site:
-    """Large halls, podiums and courtyards on nearly flat land with the ramp of a road."""
+    """Large halls, podiums and courtyards on nearly flat land with a road embankment."""
     rng = _rng(seed)
     ramp = Embankment(side_m * 0.98, side_m * 0.5, 90.0, height=4.0, crest_width=8.0, slope_width=6.0)
     terrain = Terrain(60.0, _tilt(0.008, 0.004, side_m), (Waves.random(rng, 2.5, 300.0), ramp))
@@ -152,7 +155,7 @@ def mixed(seed: int, side_m: float) -> Site:
 
 
 def village(seed: int, side_m: float) -> Site:
-    """Houses and gardens on a slope of 15-25 degrees with terraces, a gully, scrub."""
+    """Houses and gardens on a slope of about 15 degrees, with terraces, a gully and scrub."""
     rng = _rng(seed)
     gully = River(Line(side_m * 0.7, 0.0, 70.0), 0.5, 5.0, 11.0, swing=6.0, period=70.0)
     steps = Terraces(Line(0.0, side_m * 0.2, 10.0), 3, 16.0, 1.8, 0.8)
@@ -165,7 +168,7 @@ def village(seed: int, side_m: float) -> Site:
 
 
 def park(seed: int, side_m: float) -> Site:
-    """Lawns, trees, meadows, hedges, a pond, some buildings."""
+    """Lawns, trees, meadows and hedges, with a pond and some buildings."""
     rng = _rng(seed)
     pond = Basin(side_m * 0.3, side_m * 0.3, 11.0, 1.2, 3.0, water=True)
     terrain = Terrain(
@@ -175,7 +178,7 @@ def park(seed: int, side_m: float) -> Site:
 
 
 def rows(seed: int, side_m: float) -> Site:
-    """Terraced houses on flat land, a canal across."""
+    """Terraced houses on flat land, with a canal."""
     rng = _rng(seed)
     canal = River(Line(0.0, side_m * 0.62, 0.0), 9.0, 1.5, 2.5)
     terrain = Terrain(2.0, _tilt(0.002, 0.001, side_m), (Waves.random(rng, 0.5, 80.0), canal))
@@ -190,7 +193,7 @@ def industry(seed: int, side_m: float) -> Site:
 
 
 def bluff(seed: int, side_m: float) -> Site:
-    """A closed wood on a bluff of about 60 m at 45 degrees, rocky steps in it, a meadow above and houses below."""
+    """A closed wood on a bluff of about 60 m with rocky steps, between meadows and houses."""
     rng = _rng(seed)
     face = Cliff(Line(0.0, side_m * 0.3, 9.0), 55.0, 60.0, swing=12.0, period=140.0)
     steps = Cliff(Line(0.0, side_m * 0.42, 6.0), 6.0, 2.5, swing=9.0, period=70.0)
@@ -242,11 +245,11 @@ SITES: dict[str, Callable[[int, float], Site]] = {
         wet_meadow,
     )
 }
-"""Makers ``(seed, side_m) -> Site`` by name."""
+"""Functions ``(seed, side_m) -> Site`` by the name of the kind of site."""
 
 
 def make_site(kind: str, seed: int, side_m: float) -> Site:
-    """The site of a name in `SITES`. Other names raise ConfigError."""
+    """Return a site of a kind in `SITES`. Raise ConfigError if there is no such kind."""
     if kind not in SITES:
         raise ConfigError(f"unknown scene {kind!r}: choose one of {', '.join(SITES)}")
     return SITES[kind](seed, side_m)
@@ -255,24 +258,24 @@ def make_site(kind: str, seed: int, side_m: float) -> Site:
 def scene_points(
     kind: str = "city", seed: int = 1, side_m: float = 100.0, sensor: Sensor | None = None
 ) -> tuple[Floats, UInt8s]:
-    """Points of a site and their true classes.
+    """Return the points of a site and their reference classes.
 
     Parameters
     ----------
     kind : str
-        A name of `SITES`.
+        Name in `SITES`.
     seed : int
-        The same seed gives the same points.
+        Seed of the site. The same seed gives the same points.
     side_m : float
         Side of the site, metres.
     sensor : AlsSensor or DimSensor, optional
-        Sensor with its density, noise and blunders.
+        Sensor with its density, noise and blunders. The default is `AlsSensor` with its defaults.
 
     Returns
     -------
     xyz : float64, shape (n, 3), metres
     labels : uint8, shape (n,)
-        Labels of `tiler.simulate.points.SimulatedPoints`.
+        Labels as in `tiler.simulate.points.SimulatedPoints`.
     """
     points = survey(make_site(kind, seed, side_m), sensor or AlsSensor())
     return points.xyz, points.label

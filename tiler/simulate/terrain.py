@@ -1,4 +1,4 @@
-"""Terrain by formula: the true height, at any position, against which a DTM is compared."""
+"""Terrain by formula: the exact height at any position, the reference for a DTM."""
 
 from __future__ import annotations
 
@@ -15,36 +15,36 @@ Bools = npt.NDArray[np.bool_]
 
 
 class TerrainFeature(Protocol):
-    """A part of a terrain. `Terrain` sums the parts."""
+    """Part of a terrain. `Terrain` adds the heights of its parts."""
 
     def height_at(self, x: Floats, y: Floats) -> Floats:
-        """Metres that the feature adds at each position (metres)."""
+        """Return the metres that the feature adds at each position (metres)."""
         ...
 
 
 @dataclass(frozen=True)
 class Line:
-    """A straight line through (x, y), in metres. ``angle_deg`` is counter-clockwise from east."""
+    """Straight line through (x, y) in metres. ``angle_deg`` is counter-clockwise from east."""
 
     x: float
     y: float
     angle_deg: float
 
     def along_across(self, x: Floats, y: Floats) -> tuple[Floats, Floats]:
-        """Distance of each position along the line from (x, y), and to the left of the line, in metres."""
+        """Return each position's distance along the line from (x, y) and to its left, metres."""
         cos, sin = np.cos(np.radians(self.angle_deg)), np.sin(np.radians(self.angle_deg))
         east, north = x - self.x, y - self.y
         return east * cos + north * sin, north * cos - east * sin
 
     def at(self, along: float, across: float = 0.0) -> tuple[float, float]:
-        """The place at a distance along the line and to its left."""
+        """Return the position at a distance along the line and to its left, metres."""
         cos, sin = np.cos(np.radians(self.angle_deg)), np.sin(np.radians(self.angle_deg))
         return float(self.x + along * cos - across * sin), float(self.y + along * sin + across * cos)
 
 
 @dataclass(frozen=True)
 class Hill:
-    """A hill of ``height * exp(-d**2 / (2 radius**2))``, d being the distance from (x, y), in metres."""
+    """Hill of ``height * exp(-d**2 / (2 radius**2))`` metres at a distance d from (x, y)."""
 
     x: float
     y: float
@@ -52,14 +52,14 @@ class Hill:
     radius: float
 
     def height_at(self, x: Floats, y: Floats) -> Floats:
-        """Metres that the hill adds at each position."""
+        """Return the metres that the hill adds at each position."""
         squared = (x - self.x) ** 2 + (y - self.y) ** 2
         return np.asarray(self.height * np.exp(squared / (-2.0 * self.radius**2)))
 
 
 @dataclass(frozen=True)
 class Waves:
-    """Endless rolling land: a sum of sines.
+    """Endless rolling land: a sum of sine waves.
 
     Attributes
     ----------
@@ -71,7 +71,7 @@ class Waves:
 
     @classmethod
     def random(cls, rng: np.random.Generator, height: float, length: float, count: int = 6) -> Waves:
-        """``count`` waves of 0.4 to 1 ``length`` in any direction, with a sum up to about ``height`` (metres)."""
+        """Return ``count`` waves 0.4 to 1 ``length`` long, with a sum of up to ``height``, metres."""
         rows = []
         for _ in range(count):
             shrink, turn, phase = rng.uniform(0.4, 1.0), rng.uniform(0, 2 * np.pi), rng.uniform(0, 2 * np.pi)
@@ -81,7 +81,7 @@ class Waves:
         return cls(tuple(rows))
 
     def height_at(self, x: Floats, y: Floats) -> Floats:
-        """Metres that the waves add at each position."""
+        """Return the metres that the waves add at each position."""
         total = np.zeros(np.broadcast_shapes(np.shape(x), np.shape(y)))
         for amplitude, east, north, phase in self.waves:
             total += amplitude * np.sin(east * x + north * y + phase)
@@ -90,7 +90,7 @@ class Waves:
 
 @dataclass(frozen=True)
 class Ridge:
-    """A roof-shaped ridge with a sharp crest along a line, even flanks and hipped ends, in metres."""
+    """Roof-shaped ridge with a sharp crest along a line, even flanks and hipped ends, in metres."""
 
     line: Line
     height: float
@@ -98,7 +98,7 @@ class Ridge:
     length: float
 
     def height_at(self, x: Floats, y: Floats) -> Floats:
-        """Metres that the ridge adds at each position."""
+        """Return the metres that the ridge adds at each position."""
         along, across = self.line.along_across(x, y)
         flank = 1.0 - np.abs(across) / self.half_width
         end = 1.0 + (self.length / 2 - np.abs(along)) / self.half_width
@@ -107,7 +107,10 @@ class Ridge:
 
 @dataclass(frozen=True)
 class Terraces:
-    """``steps`` terraces that rise to the left of a line, each ``tread`` long with a face of ``rise`` and ``face``."""
+    """Terraces that rise to the left of a line, in metres.
+
+    Each of the ``steps`` is ``tread`` long and rises by ``rise`` over its last ``face``.
+    """
 
     line: Line
     steps: int
@@ -116,14 +119,14 @@ class Terraces:
     face: float
 
     def height_at(self, x: Floats, y: Floats) -> Floats:
-        """Metres that the terraces add at each position."""
+        """Return the metres that the terraces add at each position."""
         _, across = self.line.along_across(x, y)
         return np.asarray(self.rise * _stairs(across / self.tread, self.steps, self.face / self.tread))
 
 
 @dataclass(frozen=True)
 class Cliff:
-    """A step of ``height`` within ``width``, up to the left of a winding line, in metres."""
+    """Step up of ``height`` within ``width`` to the left of a winding line, in metres."""
 
     line: Line
     height: float
@@ -132,7 +135,7 @@ class Cliff:
     period: float = 100.0
 
     def height_at(self, x: Floats, y: Floats) -> Floats:
-        """Metres that the cliff adds at each position."""
+        """Return the metres that the cliff adds at each position."""
         along, across = self.line.along_across(x, y)
         across = across + self.swing * np.sin(2 * np.pi * along / self.period)
         return np.asarray(self.height * np.clip(across / self.width, 0.0, 1.0))
@@ -140,7 +143,7 @@ class Cliff:
 
 @dataclass(frozen=True)
 class Basin:
-    """A round pit with a flat floor: a quarry with benches or, if ``water``, a pond. Lengths are in metres.
+    """Round pit with a flat floor: a quarry with benches or, if ``water``, a pond, in metres.
 
     Attributes
     ----------
@@ -151,9 +154,9 @@ class Basin:
     wall_width : float
         Distance from the edge to the floor.
     benches : int
-        Number of steps on the way down; each is half bench and half face.
+        Number of steps on the way down. Each is half bench and half face.
     water : bool
-        Whether the floor is the surface of water.
+        True if the floor is the surface of water.
     """
 
     x: float
@@ -168,20 +171,20 @@ class Basin:
         return np.asarray(self.radius - np.hypot(x - self.x, y - self.y))
 
     def height_at(self, x: Floats, y: Floats) -> Floats:
-        """Metres (negative) that the pit removes at each position."""
+        """Return the metres, 0 or negative, that the pit adds at each position."""
         down = _stairs(self._inward(x, y) * self.benches / self.wall_width, self.benches, 0.5)
         return np.asarray(-self.depth / self.benches * down)
 
     def wet_at(self, x: Floats, y: Floats) -> Bools:
-        """Whether each position is water."""
+        """Return a mask of the positions on water."""
         return np.asarray((self._inward(x, y) > self.wall_width) & self.water)
 
 
 @dataclass(frozen=True)
 class Embankment:
-    """A dam along a straight line, with a crest of full height and slopes on both sides, in metres.
+    """Endless dam along a straight line, with a level crest and a slope on each side, in metres.
 
-    (x, y) is a point of the axis, ``angle_deg`` its direction counter-clockwise from east. A negative
+    (x, y) is a point of the axis, and ``angle_deg`` its direction counter-clockwise from east. A negative
     height makes a cutting or a canal.
     """
 
@@ -193,7 +196,7 @@ class Embankment:
     slope_width: float
 
     def height_at(self, x: Floats, y: Floats) -> Floats:
-        """Metres that the dam adds at each position."""
+        """Return the metres that the dam adds at each position."""
         _, across = Line(self.x, self.y, self.angle_deg).along_across(x, y)
         down = np.clip((np.abs(across) - self.crest_width / 2) / self.slope_width, 0.0, 1.0)
         return np.asarray(self.height * (1.0 - down))
@@ -201,10 +204,10 @@ class Embankment:
 
 @dataclass(frozen=True)
 class Bank:
-    """A river bank: the land drops by ``drop`` along a winding line, within about ``4 * width``, in metres.
+    """River bank: a drop within about ``4 * width`` across a winding line, in metres.
 
-    The line runs from south to north around ``x``, swinging by ``swing`` with the period ``period``; the
-    low side is in the east.
+    The line runs from south to north around ``x``, and swings by ``swing`` with the period ``period``. Its
+    east side is the low side.
     """
 
     x: float
@@ -214,14 +217,17 @@ class Bank:
     period: float
 
     def height_at(self, x: Floats, y: Floats) -> Floats:
-        """Metres (negative in the east) that the bank removes at each position."""
+        """Return the metres, negative, that the bank adds at each position."""
         line = self.x + self.swing * np.sin(2 * np.pi * y / self.period)
         return np.asarray(-self.drop * (0.5 + 0.5 * np.tanh((x - line) / self.width)))
 
 
 @dataclass(frozen=True)
 class River:
-    """A river with a bank on each side along a winding line, in metres. Its floor is the surface of the water."""
+    """River along a winding line, with a bank on each side, in metres.
+
+    Its floor is the surface of the water.
+    """
 
     line: Line
     width: float
@@ -231,23 +237,23 @@ class River:
     period: float = 300.0
 
     def _outside(self, x: Floats, y: Floats) -> Floats:
-        """Distance from the edge of the water in metres, negative on the water."""
+        """Return the distance from the edge of the water in metres, negative on the water."""
         along, across = self.line.along_across(x, y)
         across = across + self.swing * np.sin(2 * np.pi * along / self.period)
         return np.asarray(np.abs(across) - self.width / 2)
 
     def height_at(self, x: Floats, y: Floats) -> Floats:
-        """Metres (negative) that the river removes at each position."""
+        """Return the metres, 0 or negative, that the river adds at each position."""
         return np.asarray(-self.depth * (1.0 - np.clip(self._outside(x, y) / self.bank_width, 0.0, 1.0)))
 
     def wet_at(self, x: Floats, y: Floats) -> Bools:
-        """Whether each position is water."""
+        """Return a mask of the positions on water."""
         return np.asarray(self._outside(x, y) < 0.0)
 
 
 @dataclass(frozen=True)
 class Terrain:
-    """A tilted plane plus features, which are summed in their order.
+    """Sum of a tilted plane and features, in the order of the features.
 
     Attributes
     ----------
@@ -266,7 +272,7 @@ class Terrain:
     waters: Waters | None = None
 
     def height_at(self, x: npt.ArrayLike, y: npt.ArrayLike) -> Floats:
-        """True height of the ground, metres, float64 of the broadcast shape of ``x`` and ``y`` (metres)."""
+        """Return the height of the ground in metres, float64 of the broadcast shape of x and y."""
         east, north = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
         height = self.base + self.slope[0] * east + self.slope[1] * north
         for feature in self.features:
@@ -276,7 +282,7 @@ class Terrain:
         return np.asarray(height)
 
     def wet_at(self, x: npt.ArrayLike, y: npt.ArrayLike) -> Bools:
-        """Whether each position is water, bool of the broadcast shape of ``x`` and ``y`` (metres)."""
+        """Return a mask of the positions on water, of the broadcast shape of x and y (metres)."""
         east, north = np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64))
         wet = np.zeros(east.shape, np.bool_)
         for feature in self.features:
@@ -287,14 +293,20 @@ class Terrain:
         return wet
 
     def range_around(self, x: float, y: float, radius: float) -> tuple[float, float]:
-        """Lowest and highest ground of a 9 x 9 lattice within ``radius`` of a position, in metres."""
+        """Return the lowest and highest ground in metres around a position.
+
+        Heights are taken on a 9 x 9 lattice in the square of ``2 * radius`` around it.
+        """
         steps = np.linspace(-radius, radius, 9)
         heights = self.height_at(x + steps[None, :], y + steps[:, None])
         return float(heights.min()), float(heights.max())
 
 
 def _stairs(t: Floats, steps: int, face: float) -> Floats:
-    """Stairs of height 1 and length 1 from 0 to ``steps``. The last ``face`` of each length goes up."""
+    """Return the height of stairs, 1 high and 1 long, from 0 to ``steps``.
+
+    The last ``face`` of each length rises, and the rest is level.
+    """
     t = np.clip(t, 0.0, steps)
     whole = np.floor(t)
     return np.asarray(whole + np.clip((t - whole - (1.0 - face)) / face, 0.0, 1.0))

@@ -36,7 +36,7 @@ def bank_trees(plot: Plot) -> None:
         shore = float(waters.shore_m(*place)[0])
         on_bank = max(0.5, crown - OVERHANG_M) < shore < BANK_TREES_M
         if on_bank and not _built(waters, place, plot.ground(x, y)):
-            plot.tree(x, y, tall, widest=crown, trunk=0.1)
+            plot.tree(x, y, tall, widest=crown, rooted=0.1)
 
 
 def _built(waters: Waters, place: tuple[Floats, Floats], height: float) -> bool:
