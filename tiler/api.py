@@ -22,7 +22,7 @@ from tiler.config import RunConfig
 from tiler.core.units import parse_length, unit_named
 from tiler.errors import ConfigError, InputError, ProcessingError, TilerError
 from tiler.io.locations import as_path
-from tiler.observe.events import Listener, combine
+from tiler.observe.events import Event, Listener, Note, Warned, combine
 from tiler.observe.json_lines import Progress, ProgressRecords
 from tiler.observe.notebook_bar import NotebookBar, in_notebook
 from tiler.observe.progress import open_progress
@@ -188,9 +188,9 @@ def classify(
     """
     told: list[str] = []
 
-    def keep(event: str, fields: dict[str, Any]) -> None:
-        if event in ("note", "warning"):
-            told.append(fields["text"])
+    def keep(event: Event) -> None:
+        if isinstance(event, Note | Warned):
+            told.append(event.text)
 
     path, sources = _text("target", target), _texts("source", source)
     with _listening(progress) as listener:

@@ -24,7 +24,17 @@ from tiler.io.locations import is_url, joined, upload_file
 from tiler.io.overwrite_check import check_names
 from tiler.io.result_folder import EVENTS, REPORT, RUN, STORE, earlier_facts, earlier_outputs, local_folder
 from tiler.observe.eventlog import EventLog
-from tiler.observe.events import Listener, combine, ignore_events, redacting
+from tiler.observe.events import (
+    ExpectedStage,
+    JobStarted,
+    Listener,
+    Note,
+    RunFinished,
+    Warned,
+    combine,
+    ignore_events,
+    redacting,
+)
 from tiler.plan import Plan, crs_name, make_plan, remember, stage_seconds, validate
 from tiler.preparation import prepare_workers
 from tiler.redaction import without_secrets
@@ -108,10 +118,7 @@ def run(
             job.listener = redacting(combine(listener, log, job.record.keep_warning))
             result = _locked_run(job, until, started)
         if config.clean_store and until == "export" and (left := remove_store(url)):
-            listener(
-                "note",
-                {"text": f"{url}: the store was deleted; kept, since not part of it: {', '.join(left)}"},
-            )
+            listener(Note(f"{url}: the store was deleted; kept, since not part of it: {', '.join(left)}"))
     return result
 
 
@@ -147,10 +154,10 @@ def _locked_run(job: Job, until: str, started: float) -> RunResult:
     """Run the job in the process that holds the locks."""
     plan, listener = job.plan, job.listener
     for text in plan.notes:
-        listener("note", {"text": text})
+        listener(Note(text))
     left_out = [f"{path}: left out: {error.removeprefix(f'{path}: ')}" for path, error in plan.unreadable]
     for text in (*left_out, *plan.warnings):
-        listener("warning", {"text": text})
+        listener(Warned(text))
     if not (limits_memory() or plan.config.in_process):
         job.note(
             "this system cannot limit the memory of a process: a worker that needs more than planned is not stopped"
@@ -165,8 +172,8 @@ def _locked_run(job: Job, until: str, started: float) -> RunResult:
             f"{RUN}, {EVENTS} and {REPORT} are in {job.out}/; copies go to {job.products} when the run ends"
         )
     seconds = stage_seconds(plan, [raster.stage for raster in wanted(plan.config)], until)
-    stages = [{"stage": s, "title": plan.title_of(s), "seconds": round(t, 3)} for s, t in seconds.items()]
-    listener("job_started", {"stages": stages})
+    stages = [ExpectedStage(stage=s, title=plan.title_of(s), seconds=round(t, 3)) for s, t in seconds.items()]
+    listener(JobStarted(stages))
     try:
         _healing_stages(job, until)
     except BaseException as error:
@@ -190,7 +197,7 @@ def _locked_run(job: Job, until: str, started: float) -> RunResult:
     remember(plan, job.record.stages)
     job.record.exit_code = 5 if job.record.quarantined or job.record.failed else 0
     summary = _report(job)
-    listener("run_finished", {"seconds": job.facts["seconds"]})
+    listener(RunFinished(job.facts["seconds"]))
     return RunResult(
         job.record.exit_code, summary, job.record.computed == 0, without_secrets(job.products), plan
     )
@@ -204,7 +211,7 @@ def _report(job: Job) -> dict[str, Any]:
         write_report(job.out, summary, job.products)
     except Exception as error:  # noqa: BLE001 - The results exist after any error of the report.
         text = f"{REPORT} could not be drawn: {error}; run `tiler report {job.out}` to try again"
-        job.listener("warning", {"text": text})
+        job.listener(Warned(text))
         job.record.notes.append(text)
         job.facts["report"] = None
         summary = job.save("done")

@@ -30,6 +30,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[2]))
 from tests.benchmarks.peers import installed_peers, missing_peers
 from tiler.apps.warm import warm
 from tiler.config import RunConfig
+from tiler.observe.events import Event, StageFinished, StageStarted
 from tiler.pipeline import run
 
 PIECE_POINTS = 1_000_000
@@ -69,11 +70,11 @@ class StageWatch:
     stages: dict[str, Cost] = field(default_factory=dict)
     _began: tuple[str, Cost] | None = None
 
-    def __call__(self, event: str, fields: dict[str, Any]) -> None:
+    def __call__(self, event: Event) -> None:
         """Take in an event."""
-        if event == "stage_started":
-            self._began = (fields["title"], Cost.now())
-        elif event == "stage_finished" and self._began is not None:
+        if isinstance(event, StageStarted):
+            self._began = (event.title, Cost.now())
+        elif isinstance(event, StageFinished) and self._began is not None:
             title, before = self._began
             spent = Cost.now() - before
             known = self.stages.get(title, Cost(0.0, 0.0))

@@ -14,6 +14,7 @@ from cli.main import main
 from cli.output import fact_lines, map_lines
 from cli.summary import score_lines, summary_lines
 from tiler.config import RunConfig
+from tiler.observe.events import Note, Warned
 
 SUMMARY: dict[str, Any] = {
     "inputs": [{}, {}],
@@ -41,8 +42,8 @@ def calls(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
     seen: list[dict[str, Any]] = []
 
     def run(inputs: Any, out: Any, config: RunConfig, listener: Any, until: str) -> Result:
-        listener("note", {"text": "a note"})
-        listener("warning", {"text": "a warning"})
+        listener(Note("a note"))
+        listener(Warned("a warning"))
         seen.append({"inputs": inputs, "out": out, "config": config, "until": until})
         return Result()
 
@@ -164,7 +165,7 @@ def test_plan(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str
 
 def test_classify(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     def classify_file(source: str, target: str, config: RunConfig, listener: Any) -> dict[str, Any]:
-        listener("note", {"text": "metres assumed"})
+        listener(Note("metres assumed"))
         assert (source, target, config) == ("a.las", "b.laz", RunConfig(keep_classes=()))
         return {"points": 7, "parameters": {"rounds": 1}, "failed_tasks": failed}
 

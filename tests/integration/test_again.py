@@ -28,6 +28,7 @@ from tiler.core.points import unpack_origin
 from tiler.errors import ConfigError, InputError, ProcessingError
 from tiler.filter import FilterTile, filter_tile
 from tiler.grid.roofs import Advice
+from tiler.observe.events import Event, Warned
 from tiler.pipeline import run
 from tiler.simulate import DemoScene
 
@@ -203,9 +204,9 @@ def test_a_corrupt_file_stops_a_strict_run(demo: DemoScene, tmp_path: Path) -> N
 def test_a_terrain_without_a_height_is_warned_of(demo: DemoScene, tmp_path: Path) -> None:
     told: list[str] = []
 
-    def listen(event: str, fields: dict[str, Any]) -> None:
-        if event == "warning":
-            told.append(fields["text"])
+    def listen(event: Event) -> None:
+        if isinstance(event, Warned):
+            told.append(event.text)
 
     (tmp_path / "in").mkdir()
     shutil.copy(demo.truth_paths[0], tmp_path / "in")

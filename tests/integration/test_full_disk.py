@@ -20,6 +20,7 @@ from tests.invariants.runs import EVERY_STAGE, WITH_EVERY_STAGE, all_digests, do
 from tiler.errors import ConfigError, CorruptStoreError, DiskFullError, ProcessingError, StoreAccessError
 from tiler.ingest.tasks import points as ingest_tasks
 from tiler.observe.eventlog import EventLog
+from tiler.observe.events import Event, StageStarted
 from tiler.pipeline import run
 from tiler.store.storage import _write_file as write_file
 
@@ -129,8 +130,8 @@ def test_a_disk_that_is_full_when_a_stage_begins(
     stage, left, out = EVERY_STAGE[number], 8192 * (number % 2), disk.folder / "out"
     disk.has(256 << 20)
 
-    def fill(event: str, fields: dict[str, Any]) -> None:
-        if event == "stage_started" and fields["stage"] == stage:
+    def fill(event: Event) -> None:
+        if isinstance(event, StageStarted) and event.stage == stage:
             used = shutil.disk_usage(disk.folder).used
             disk.has(used + left, again=True)
 

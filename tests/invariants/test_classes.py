@@ -17,6 +17,7 @@ from tests.invariants.runs import computed, do, settings, stored_labels, the_sto
 from tests.scenes.drawings import draw
 from tiler.apps.classify import classify_file
 from tiler.io.result_folder import RUN
+from tiler.observe.events import Event, Note
 
 SIDE = 80.0
 POND = shapely.box(10, 10, 60, 60)
@@ -157,8 +158,9 @@ def test_classify_keeps_them_too(tmp_path: Path) -> None:
     cloud, told = written(tmp_path / "a.laz", 1), []
     config = settings(keep_classes="7,9,17,18,31")
 
-    def listen(event: str, fields: dict) -> None:
-        told.append(fields.get("text", ""))
+    def listen(event: Event) -> None:
+        if isinstance(event, Note):
+            told.append(event.text)
 
     facts = classify_file(cloud, tmp_path / "b.laz", config, listen)
     before, after = classes_of(cloud), classes_of(tmp_path / "b.laz")

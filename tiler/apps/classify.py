@@ -24,7 +24,7 @@ from tiler.inputs import find_inputs, inspect, inspect_in_child, read_in_child
 from tiler.io.locations import as_path, is_url, location, state_at
 from tiler.io.overwrite_check import Target, check_targets
 from tiler.io.result_folder import COPC_SUFFIX, STORE
-from tiler.observe.events import Listener, ignore_events
+from tiler.observe.events import Listener, Note, ignore_events
 from tiler.pipeline import run
 from tiler.plan import KEEP, Plan
 from tiler.redaction import without_secrets
@@ -141,7 +141,7 @@ def classify_files(
         raise ProcessingError(f"no file could be written; the first: {failed[0]['error']}")
     kept, classes = sum_by_class(r["kept"] for r in records), sum_by_class(r["classes"] for r in records)
     if text := kept_text(kept, result.summary["classes"]["no_part"]):
-        listener("note", {"text": text})
+        listener(Note(text))
     written = {name: sum(record[name] for record in records) for name in ("points", "changed", "bytes")}
     notes = dict.fromkeys(note for record in records for note in record["notes"])
     return {
@@ -254,10 +254,7 @@ def _classify(
         else inspect_in_child(guard, source, config.salvage)
     )
     if info.georeference.kind == "missing" and config.crs is None:
-        listener(
-            "note",
-            {"text": f"{source}: has no CRS; metres are assumed; use --units or --crs if they are not"},
-        )
+        listener(Note(f"{source}: has no CRS; metres are assumed; use --units or --crs if they are not"))
         config = config.updated(crs="none")
     if config.workers is None and info.points < ONE_WORKER_POINTS:
         config = config.updated(workers=1)
@@ -268,7 +265,7 @@ def _classify(
         copc = target.name.lower().endswith(COPC_SUFFIX)
         record = _written(guard, store.url, replace(work, copc=copc), config)
     if text := kept_text(record["kept"], result.summary["classes"]["no_part"]):
-        listener("note", {"text": text})
+        listener(Note(text))
     written = {name: record[name] for name in ("points", "changed", "classes", "kept", "bytes", "notes")}
     return {**written, **_facts(result.summary, config)}
 

@@ -12,7 +12,7 @@ from tiler.apps.evaluate import Scene, evaluate_dtm, evaluate_scenes
 from tiler.config import RunConfig
 from tiler.errors import ConfigError, write_error
 from tiler.io.result_folder import CLASSIFIED, EVALUATION
-from tiler.observe.events import Listener
+from tiler.observe.events import Listener, Note
 from tiler.pipeline import run
 from tiler.report.accuracy import write_measured
 from tiler.report.html import write_report
@@ -66,7 +66,7 @@ def run_demo(out: str | Path, seed: int, config: RunConfig, listener: Listener) 
     """
     out = Path(out)
     _validate_own_files(out, config)
-    listener("note", {"text": f"simulating a city of seed {seed} in {out / 'input'}"})
+    listener(Note(f"simulating a city of seed {seed} in {out / 'input'}"))
     scene = demo_city(out / "input", seed)
     config = config.updated(resolution=RESOLUTION_M)
     result = run([str(path) for path in scene.paths], str(out), config, listener)

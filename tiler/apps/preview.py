@@ -8,7 +8,6 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -22,7 +21,7 @@ from tiler.io.las.extract import Box, cut_windows, sample_places
 from tiler.io.overwrite_check import Target, check_targets
 from tiler.io.picture import write_png
 from tiler.io.result_folder import STORE
-from tiler.observe.events import Listener, ignore_events
+from tiler.observe.events import Event, Listener, Note, Warned, ignore_events
 from tiler.pipeline import run
 from tiler.plan import Plan, make_plan
 from tiler.schedule import ChildProcess
@@ -106,9 +105,9 @@ def make_preview(
     check_targets([picture], [*(s.path for s in plan.sources), *(path for path, _ in plan.unreadable)])
     tell = _once(listener)
     for text in plan.notes:
-        listener("note", {"text": text})
+        listener(Note(text))
     for text in plan.warnings:
-        tell("warning", {"text": text})
+        tell(Warned(text))
     sources = [s for s in plan.sources if s.points and s.bounds is not None]
     side = _side(plan, side_m)
     with TemporaryDirectory(prefix=".tiler-preview-") as scratch, ChildProcess() as guard:
@@ -120,7 +119,7 @@ def make_preview(
         found: list[PreviewWindow] = []
         for bounds, paths in zip(windows, files, strict=True):
             if paths:
-                listener("note", {"text": f"draw window {len(found) + 1} of {len(windows)} at most"})
+                listener(Note(f"draw window {len(found) + 1} of {len(windows)} at most"))
                 column, window = _window(bounds, paths, settings, tell)
                 columns.append(column)
                 found.append(window)
@@ -132,10 +131,10 @@ def _once(listener: Listener) -> Listener:
     """A listener that passes on each warning once, and neither notes nor progress."""
     seen: set[str] = set()
 
-    def tell(kind: str, facts: dict[str, Any]) -> None:
-        if kind == "warning" and facts["text"] not in seen:
-            seen.add(facts["text"])
-            listener(kind, facts)
+    def tell(event: Event) -> None:
+        if isinstance(event, Warned) and event.text not in seen:
+            seen.add(event.text)
+            listener(event)
 
     return tell
 
@@ -237,14 +236,14 @@ def _window(
 ) -> tuple[tuple[Shade, Shade], PreviewWindow]:
     out = Path(next(iter(paths))).with_suffix("")
 
-    def tell(kind: str, facts: dict[str, Any]) -> None:
+    def tell(event: Event) -> None:
         """Name the cloud instead of the file that was cut from it."""
-        if kind == "warning":
-            text = facts["text"]
+        if isinstance(event, Warned):
+            text = event.text
             for path, cloud in paths.items():
                 text = text.replace(path, f"window at x {bounds[0]:.0f}, y {bounds[1]:.0f} of {cloud}")
-            facts = {**facts, "text": text}
-        listener(kind, facts)
+            event = Warned(text)
+        listener(event)
 
     summary = run(list(paths), out, config, tell, until="grid").summary
     store = open_store(str(out / STORE))
@@ -253,7 +252,7 @@ def _window(
         ground = summary["filter"]["ground"]
     failed = summary["failed_tasks"]
     for task in failed:
-        listener("warning", {"text": f"{task['title']} {task['key']} failed: {task['error']}"})
+        listener(Warned(f"{task['title']} {task['key']} failed: {task['error']}"))
     window = PreviewWindow(bounds, summary["counts"]["stored"], ground, len(failed))
     return (_shade(store, "dsm"), _shade(store, "dtm")), window
 

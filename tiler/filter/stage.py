@@ -19,6 +19,7 @@ from tiler.filter import FilterTile
 from tiler.filter.tasks.labelled import MATCHED, Labelled
 from tiler.filter.tasks.passes import PassInputs, filter_tasks, labels_given
 from tiler.ingest.tasks.assembled import IngestResult
+from tiler.observe.events import StagesPassedOver, Warned
 from tiler.plan import KEEP
 from tiler.runs.compiling import filter_kernels, likely_kind
 from tiler.runs.job import Job
@@ -53,7 +54,7 @@ def filter_points(job: Job, assembled: IngestResult) -> Labelled:
             writes = True
             _clear_passed_over(job, passes, state)
             passed_over = [f"filter{n}" for n, other in enumerate(passes) if not other.applies(state)]
-            job.listener("stages_passed_over", {"stages": passed_over})
+            job.listener(StagesPassedOver(passed_over))
         tasks = list(filter_tasks(job.plan, assembled, number, state, before))
         kind = state["survey"]["kind"] if "survey" in state else likely_kind(job.plan)
         filtered = run_stage(job, f"filter{number}", tasks, filter_kernels(config.method, kind))
@@ -135,7 +136,7 @@ def _warn_of_uncertain_kind(job: Job, survey: Mapping[str, Any]) -> None:
     words = {"lidar": "laser scanning", MATCHED: "image matching"}[survey["kind"]]
     text = f"it is only {100 * sure:.0f} % sure that the clouds are from {words}; use --kind {other} if they are not"
     job.facts["doubts"] = [text]
-    job.listener("warning", {"text": text})
+    job.listener(Warned(text))
 
 
 def _leave_out(job: Job, task: Task, step: Pass, before: PassInputs) -> None:

@@ -32,6 +32,7 @@ from tiler.grid.tasks.voids import report_voids
 from tiler.grid.tasks.water import find_waters
 from tiler.grid.tasks.water_facts import report_waters
 from tiler.ingest.tasks.assembled import IngestResult
+from tiler.observe.events import Warned
 from tiler.plan import KEEP
 from tiler.runs.compiling import grid_kernels
 from tiler.runs.job import Job
@@ -212,7 +213,7 @@ def _report_terrain(job: Job, spec: RasterSpec, tasks: list[Task], made: Mapping
     if records and job.facts["dtm"]["filled"] == 0:
         text = f"the terrain model is empty: {_why_empty(job)}"
         job.record.notes.append(text)
-        job.listener("warning", {"text": text})
+        job.listener(Warned(text))
 
 
 def _why_empty(job: Job) -> str:

@@ -27,6 +27,7 @@ from tiler.ingest.tasks.points import (
 )
 from tiler.inputs import FAR
 from tiler.io.locations import is_url
+from tiler.observe.events import Warned
 from tiler.plan import KEEP, Plan, bounds_of, sparse_raster_remedy
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage
@@ -74,7 +75,7 @@ def spool(job: Job, sources: list[Source]) -> tuple[Commits, list[Source]]:
     if not good:
         raise InputError(f"no input could be read; the first: {lines[0]}")
     for text in lines:
-        job.listener("warning", {"text": text})
+        job.listener(Warned(text))
     spooled = {k: c for k, c in spooled.items() if source_of(k) not in bad}
     records = [record for _, record in spooled.values()]
     dropped: Counter[str] = Counter()

@@ -8,9 +8,9 @@ import os
 from datetime import UTC, datetime
 from pathlib import Path
 from types import TracebackType
-from typing import Any
 
 from tiler.errors import write_error
+from tiler.observe.events import Event
 
 
 class EventLog:
@@ -43,10 +43,10 @@ class EventLog:
         except OSError as error:
             raise write_error(str(path), error, path.parent) from error
 
-    def __call__(self, event: str, fields: dict[str, Any]) -> None:
-        """Append one event: ``{"time": UTC time in ISO 8601, "event": name, ...fields}``."""
+    def __call__(self, event: Event) -> None:
+        """Append one event: ``{"time": UTC time in ISO 8601, "event": name, ...values}``."""
         time = datetime.now(UTC).isoformat(timespec="milliseconds")
-        line = json.dumps({"time": time, "event": event, **fields}, default=str)
+        line = json.dumps({"time": time, "event": event.name, **event.to_json()}, default=str)
         try:
             data = line.encode() + b"\n"
             if self._stream.write(data) != len(data):

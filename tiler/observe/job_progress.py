@@ -5,7 +5,15 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+
+from tiler.observe.events import (
+    Event,
+    JobStarted,
+    StageFinished,
+    StagesPassedOver,
+    StageStarted,
+    TaskDone,
+)
 
 OWN_SHARE = 0.03
 """Share of the job from which only the pace of this run counts. Before, the expected pace counts as well."""
@@ -52,26 +60,25 @@ class StageProgress:
     last_end: float = 0.0
 
     @classmethod
-    def at_start(cls, fields: dict[str, Any], now: float) -> StageProgress:
-        """Return the stage of an event ``stage_started``."""
-        done = fields.get("done", 0)
+    def at_start(cls, event: StageStarted, now: float) -> StageProgress:
+        """Return the progress of a stage that begins."""
         return cls(
-            key=fields["stage"],
-            title=fields.get("title", fields["stage"]),
-            tasks=fields["tasks"],
-            points=fields.get("points", 0),
-            tasks_done=done,
+            key=event.stage,
+            title=event.title,
+            tasks=event.tasks,
+            points=event.points,
+            tasks_done=event.done,
             started=now,
-            before=done,
-            pixels=fields.get("pixels", 0),
+            before=event.done,
+            pixels=event.pixels,
             last_end=now,
         )
 
-    def count(self, fields: dict[str, Any], now: float) -> None:
-        """Handle an event ``task_done``."""
+    def count(self, event: TaskDone, now: float) -> None:
+        """Count a task that is done."""
         self.tasks_done += 1
-        self.points_done += fields.get("points", 0)
-        self.pixels_done += fields.get("pixels", 0)
+        self.points_done += event.points
+        self.pixels_done += event.pixels
         self.last_end = now
 
     @property
@@ -138,29 +145,34 @@ class JobProgress:
         """Whether the stages of the job are known."""
         return bool(self._expected)
 
-    def __call__(self, event: str, fields: dict[str, Any]) -> None:
+    def __call__(self, event: Event) -> None:
         """Handle an event."""
-        if event == "job_started":
-            self._expected = {stage["stage"]: stage["seconds"] for stage in fields["stages"]}
-            self._ended = set()
-            self._furthest = 0.0
-            self._looked = self._clock()
-        elif event == "stages_passed_over":
-            for key in fields["stages"]:
-                self._expected.pop(key, None)
-        elif event == "stage_started":
-            self.stage = StageProgress.at_start(fields, self._clock())
-            keys = list(self._expected)
-            if self.stage.key in self._expected:  # Earlier stages that did not run are not needed.
-                self._ended.update(keys[: keys.index(self.stage.key)])
-        elif event == "task_done" and self.stage is not None and self.stage.key == fields["stage"]:
-            self.stage.count(fields, self._clock())
-        elif event == "stage_finished" and self.stage is not None and self.stage.key == fields["stage"]:
-            if self._expected_of(self.stage) > 0:
-                self._seen_seconds += fields.get("seconds", self._clock() - self.stage.started)
-                self._seen_expected += self._expected_of(self.stage)
-            self._ended.add(self.stage.key)
-            self.stage = None
+        match event:
+            case JobStarted():
+                self._expected = {stage["stage"]: stage["seconds"] for stage in event.stages}
+                self._ended = set()
+                self._furthest = 0.0
+                self._looked = self._clock()
+            case StagesPassedOver():
+                for key in event.stages:
+                    self._expected.pop(key, None)
+            case StageStarted():
+                self.stage = StageProgress.at_start(event, self._clock())
+                keys = list(self._expected)
+                if self.stage.key in self._expected:  # Earlier stages that did not run are not needed.
+                    self._ended.update(keys[: keys.index(self.stage.key)])
+            case TaskDone() if self.stage is not None and self.stage.key == event.stage:
+                self.stage.count(event, self._clock())
+            case StageFinished() if self.stage is not None and self.stage.key == event.stage:
+                self._end(self.stage, event.seconds)
+
+    def _end(self, stage: StageProgress, seconds: float) -> None:
+        """Handle the end of the running stage."""
+        if self._expected_of(stage) > 0:
+            self._seen_seconds += seconds
+            self._seen_expected += self._expected_of(stage)
+        self._ended.add(stage.key)
+        self.stage = None
 
     def fraction(self) -> float:
         """Return the share of the job that is done, 0 to 1. It never decreases, and it grows with time."""

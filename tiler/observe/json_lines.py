@@ -7,6 +7,16 @@ import time
 from collections.abc import Callable
 from typing import IO, Any, TypedDict, cast
 
+from tiler.observe.events import (
+    Event,
+    Note,
+    RunFinished,
+    StageFinished,
+    StageStarted,
+    TaskDone,
+    TaskFailed,
+    Warned,
+)
 from tiler.observe.job_progress import JobProgress
 from tiler.redaction import stored
 
@@ -61,15 +71,15 @@ def progress_record(
     return cast(Progress, stored({**record, "message": message, "level": level}))
 
 
-def message_of(event: str, fields: dict[str, Any]) -> tuple[str, str] | None:
+def message_of(event: Event) -> tuple[str, str] | None:
     """Return text and level of a note, a warning or a failed task, or None for other events."""
-    if event == "note":
-        return str(fields["text"]), "info"
-    if event == "warning":
-        return str(fields["text"]), "warning"
-    if event == "task_failed" and fields["stage"] != REPORTED_BY_FILE:
-        title = fields.get("title", fields["stage"])
-        return f"{title} {fields['key']} failed: {fields['error']}", "warning"
+    match event:
+        case Note():
+            return event.text, "info"
+        case Warned():
+            return event.text, "warning"
+        case TaskFailed() if event.stage != REPORTED_BY_FILE:
+            return f"{event.title} {event.key} failed: {event.error}", "warning"
     return None
 
 
@@ -101,23 +111,25 @@ class ProgressRecords:
         self._last = 0.0
         self._job = JobProgress(clock)
 
-    def __call__(self, event: str, fields: dict[str, Any]) -> None:
+    def __call__(self, event: Event) -> None:
         """Handle an event."""
         at_work = self._job.stage
-        self._job(event, fields)
-        message = message_of(event, fields)
+        self._job(event)
+        message = message_of(event)
         if message is not None:
             self._record(*message)
-        elif event == "stage_started":
-            self._record()
-        elif event == "stage_finished" and at_work is not None:
-            ended, self._job.stage = self._job.stage, at_work  # The last record is for the ended stage.
-            self._record()
-            self._job.stage = ended
-        elif event == "task_done" and self._clock() - self._last >= MIN_SECONDS:
-            self._record()
-        elif event == "run_finished":
-            self._record("done")
+            return
+        match event:
+            case StageStarted():
+                self._record()
+            case StageFinished() if at_work is not None:
+                ended, self._job.stage = self._job.stage, at_work  # The last record is for the ended stage.
+                self._record()
+                self._job.stage = ended
+            case TaskDone() if self._clock() - self._last >= MIN_SECONDS:
+                self._record()
+            case RunFinished():
+                self._record("done")
 
     def _record(self, message: str | None = None, level: str = "info") -> None:
         self._last = self._clock()

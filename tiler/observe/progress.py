@@ -5,9 +5,19 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from typing import IO, Any
+from typing import IO
 
-from tiler.observe.events import Listener
+from tiler.observe.events import (
+    Event,
+    Listener,
+    Note,
+    RunFinished,
+    StageFinished,
+    StageStarted,
+    TaskDone,
+    TaskFailed,
+    Warned,
+)
 from tiler.observe.job_progress import JobProgress, StageProgress
 from tiler.observe.json_lines import JsonLines, message_of
 from tiler.redaction import shown
@@ -19,7 +29,7 @@ _START_LINE_SECONDS = 5.0
 """Duration from which a stage also has a line about its beginning, so that a log shows the running stage."""
 ALMOST = 0.999
 """Maximum of the bar before the run is finished."""
-TROUBLE = ("warning", "task_failed")
+TROUBLE = (Warned, TaskFailed)
 """Events that are shown even with ``--quiet``."""
 
 
@@ -82,21 +92,22 @@ class PlainLines:
         print(shown(text), file=self._stream, flush=True)
         self._last_line = self._clock()
 
-    def __call__(self, event: str, fields: dict[str, Any]) -> None:
+    def __call__(self, event: Event) -> None:
         """Handle an event."""
         stage = self._job.stage
-        self._job(event, fields)
-        text = message_text(event, fields)
+        self._job(event)
+        text = message_text(event)
         if text is not None:
             self._write(text)
-        elif event == "stage_started":
-            self._begun = False
-        elif event == "task_done" and stage is not None:
-            self._show(stage)
-        elif event == "stage_finished" and stage is not None and stage.remaining_share > 0:
-            seconds = fields.get("seconds", self._clock() - stage.started)
-            if self._begun or seconds >= _MIN_SECONDS:
-                self._write(f"{stage.title}: {self._end(stage, seconds)}")
+            return
+        match event:
+            case StageStarted():
+                self._begun = False
+            case TaskDone() if stage is not None:
+                self._show(stage)
+            case StageFinished() if stage is not None and stage.remaining_share > 0:
+                if self._begun or event.seconds >= _MIN_SECONDS:
+                    self._write(f"{stage.title}: {self._end(stage, event.seconds)}")
 
     def _end(self, stage: StageProgress, seconds: float) -> str:
         parts = [f"done in {duration_text(seconds)}", stage_rate(stage, seconds)]
@@ -122,9 +133,9 @@ class PlainLines:
         return ", ".join(p for p in parts if p)
 
 
-def message_text(event: str, fields: dict[str, Any]) -> str | None:
+def message_text(event: Event) -> str | None:
     """Return the line for a note, a warning or a failed task, or None for other events."""
-    text, level = message_of(event, fields) or (None, "")
+    text, level = message_of(event) or (None, "")
     return f"warning: {text}" if level == "warning" else text
 
 
@@ -182,24 +193,28 @@ def bar_progress(stream: IO[str]) -> Iterator[Listener]:
         whole = bars.add_task("whole job", total=1.0, visible=False, rate="", clock=True)
         part = bars.add_task("", total=1.0, visible=False, rate="", clock=False)
 
-        def listen(event: str, fields: dict[str, Any]) -> None:
+        def listen(event: Event) -> None:
             before = job.stage
-            job(event, fields)
-            stage, text = job.stage, message_text(event, fields)
+            job(event)
+            stage, text = job.stage, message_text(event)
             if text is not None:
                 bars.console.print(shown(text), markup=False, highlight=False)
-            elif event == "stage_started" and stage is not None:
-                bars.reset(part, description=shown(stage.title), visible=True, clock=not job.known, rate="")
-                bars.update(part, completed=stage.fraction)
-            elif event == "task_done" and stage is not None:
-                rate = stage_rate(stage, time.monotonic() - stage.started)
-                bars.update(part, completed=stage.fraction, rate=rate)
-            elif event == "stage_finished" and before is not None:
-                bars.update(part, completed=1.0)
-            elif event == "run_finished":
-                bars.update(part, visible=False)
-                bars.update(whole, completed=1.0)
-            if job.known and event != "run_finished":
+            match event:
+                case StageStarted() if stage is not None:
+                    bars.reset(
+                        part, description=shown(stage.title), visible=True, clock=not job.known, rate=""
+                    )
+                    bars.update(part, completed=stage.fraction)
+                case TaskDone() if stage is not None:
+                    rate = stage_rate(stage, time.monotonic() - stage.started)
+                    bars.update(part, completed=stage.fraction, rate=rate)
+                case StageFinished() if before is not None:
+                    bars.update(part, completed=1.0)
+                case RunFinished():
+                    bars.update(part, visible=False)
+                    bars.update(whole, completed=1.0)
+                    return
+            if job.known:
                 bars.update(whole, completed=job.fraction(), visible=True)
 
         yield listen
@@ -225,7 +240,7 @@ def open_progress(stream: IO[str], quiet: bool = False, form: str = "auto") -> I
     elif quiet:
         yield _only(PlainLines(stream), *TROUBLE)
     elif form == "none":
-        yield _only(PlainLines(stream), *TROUBLE, "note")
+        yield _only(PlainLines(stream), *TROUBLE, Note)
     elif form == "auto" and stream.isatty():
         with bar_progress(stream) as listener:
             yield listener
@@ -233,9 +248,9 @@ def open_progress(stream: IO[str], quiet: bool = False, form: str = "auto") -> I
         yield PlainLines(stream)
 
 
-def _only(listener: Listener, *names: str) -> Listener:
-    def listen(event: str, fields: dict[str, Any]) -> None:
-        if event in names:
-            listener(event, fields)
+def _only(listener: Listener, *kinds: type[Event]) -> Listener:
+    def listen(event: Event) -> None:
+        if isinstance(event, kinds):
+            listener(event)
 
     return listen

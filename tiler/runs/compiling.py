@@ -20,7 +20,7 @@ from ptd.precompile import (
     why_not_compiled,
 )
 from tiler.errors import first_line
-from tiler.observe.events import Listener
+from tiler.observe.events import Listener, StageFinished, StageStarted, TaskDone, Warned
 from tiler.plan import KEEP, MIN_MATCHED_M2, Plan
 from tiler.schedule import ChildDiedError, ChildProcess
 
@@ -120,24 +120,22 @@ class Compiler:
         started = time.monotonic()
         reported = 0
         before = compiled_count()
-        facts = {"title": "compile kernels", "tasks": kernels.count, "points": 0, "done": 0}
-        self._listener("stage_started", {"stage": STAGE, **facts})
+        self._listener(StageStarted(STAGE, "compile kernels", tasks=kernels.count))
         finished = False
         while not finished:
             finished = ended.wait(LOOK_SECONDS)
             new = compiled_count() - before
             for _ in range(reported, new):
-                done = {"key": "kernel", "points": 0, "seconds": 0.0, "peak_rss_bytes": 0}
-                self._listener("task_done", {"stage": STAGE, **done})
+                self._listener(TaskDone(STAGE, "kernel"))
             reported = max(reported, new)
-        self._listener("stage_finished", {"stage": STAGE, "seconds": round(time.monotonic() - started, 3)})
+        self._listener(StageFinished(STAGE, round(time.monotonic() - started, 3)))
         if not is_compiled(kernels.name):
             why = f" ({self._errors[kernels.name]})" if kernels.name in self._errors else ""
             text = (
                 f"kernels ({kernels.name}) could not be compiled in advance{why}, so each process compiles them "
                 "itself"
             )
-            self._listener("warning", {"text": text})
+            self._listener(Warned(text))
 
     def _report_why(self, kernels: Kernels) -> None:
         why = self._why.get(kernels.name) or why_not_compiled(kernels.name)

@@ -12,7 +12,7 @@ from tiler.core.units_text import in_unit_of_crs
 from tiler.errors import ConfigError
 from tiler.io.locations import is_url, joined, upload_file
 from tiler.io.result_folder import RUN, local_folder
-from tiler.observe.events import Listener
+from tiler.observe.events import Listener, Note
 from tiler.plan import Plan
 from tiler.report import write_run_file
 from tiler.report.notebook import run_markup
@@ -153,7 +153,7 @@ class Job:
 
     def __post_init__(self) -> None:
         self.compiler = Compiler(
-            lambda event, facts: self.listener(event, facts), not self.plan.config.in_process, self.note
+            lambda event: self.listener(event), not self.plan.config.in_process, self.note
         )
         self.executors = Executors(self.plan, self.store.url, self.products, self.note)
 
@@ -167,7 +167,7 @@ class Job:
         text = in_unit_of_crs(text, self.plan.meta.frame.units)
         if text not in self.record.notes:  # A stage that is run twice repeats its notes.
             self.record.notes.append(text)
-        self.listener("note", {"text": text})
+        self.listener(Note(text))
 
     def split_commits(self, stage: str, tasks: Iterable[Task]) -> tuple[Commits, Commits]:
         """Return the commits of a stage that fit these tasks, and those of other settings or inputs."""

@@ -12,6 +12,7 @@ from functools import cache
 from importlib.metadata import version
 from typing import Any, TypedDict
 
+from tiler.observe.events import Event
 from tiler.observe.json_lines import message_of
 from tiler.plan import Plan, plan_json
 from tiler.redaction import stored
@@ -161,9 +162,9 @@ class RunRecord:
         elif not (outcome.again or outcome.damaged):
             tile["state"] = "failed"
 
-    def keep_warning(self, event: str, fields: dict[str, Any]) -> None:
+    def keep_warning(self, event: Event) -> None:
         """Keep the text of an event if it is a warning. This method is a listener."""
-        text, level = message_of(event, fields) or ("", "")
+        text, level = message_of(event) or ("", "")
         if level == "warning" and text not in self.warnings:
             self.warnings.append(text)
 

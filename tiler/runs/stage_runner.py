@@ -5,11 +5,11 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
-from typing import Any
 
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.raster import Block
 from tiler.errors import CorruptStoreError, DiskFullError, ProcessingError, StoreAccessError
+from tiler.observe.events import StageFinished, StageStarted, TaskAgain, TaskDone, TaskFailed
 from tiler.runs import record
 from tiler.runs.compiling import Kernels
 from tiler.runs.job import Job
@@ -62,19 +62,19 @@ def run_stage(
     done, stale = job.split_commits(stage, wanted.values())
     job.invalidate(stage, stale)
     todo = [task for key, task in wanted.items() if key not in done]
-    info = {
-        "stage": stage,
-        "title": job.plan.title_of(stage),
-        "tasks": len(wanted),
-        "done": len(done),
-        "points": sum(t.points for t in todo),
-        "pixels": sum(map(_pixels, todo)),
-    }
+    begin = StageStarted(
+        stage=stage,
+        title=job.plan.title_of(stage),
+        tasks=len(wanted),
+        done=len(done),
+        points=sum(t.points for t in todo),
+        pixels=sum(map(_pixels, todo)),
+    )
     if stage.startswith(record.PLACED) and len(wanted) <= record.LISTED_TILES:
         job.record.list_tiles(stage, ((task, _place(job, task)) for task in wanted.values()), done)
     if todo and kernels is not None and job.plan.config.scheduler is None:
         job.compiler.finish(kernels)
-    job.listener("stage_started", info)  # The kernels come first, so that the stage's time excludes them.
+    job.listener(begin)  # The kernels come first, so that the stage's time excludes them.
     start = time.monotonic()
     peak_rss = 0
     damaged = set[str]()
@@ -92,8 +92,9 @@ def run_stage(
     seconds = round(time.monotonic() - start, 3)
     job.record.computed += len(todo)
     job.store.compact(stage, PACKED_COMMITS)
-    job.record.stages[stage] = {**info, "computed": len(todo), "seconds": seconds, "peak_rss_bytes": peak_rss}
-    job.listener("stage_finished", {"stage": stage, "seconds": seconds})
+    measured = {"computed": len(todo), "seconds": seconds, "peak_rss_bytes": peak_rss}
+    job.record.stages[stage] = begin.to_json() | measured
+    job.listener(StageFinished(stage, seconds))
     job.save_if_due()
     return dict(sorted(done.items()))
 
@@ -129,39 +130,29 @@ def _report(job: Job, outcome: Outcome) -> None:
     """Report a task that is done, retried or failed. Raise an error if the failure ends the run."""
     task = outcome.task
     if outcome.record is not None:
-        job.listener(
-            "task_done",
-            {
-                "stage": task.stage,
-                "key": task.key,
-                "points": task.points,
-                "pixels": _pixels(task),
-                "seconds": round(outcome.seconds, 3),
-                "peak_rss_bytes": outcome.peak_rss_bytes,
-            },
+        done = TaskDone(
+            stage=task.stage,
+            key=task.key,
+            points=task.points,
+            pixels=_pixels(task),
+            seconds=round(outcome.seconds, 3),
+            peak_rss_bytes=outcome.peak_rss_bytes,
         )
+        job.listener(done)
         return
-    failure: dict[str, Any] = {
-        "stage": task.stage,
-        "title": job.plan.title_of(task.stage),
-        "key": task.key,
-        "error": outcome.error or "",
-        "kind": outcome.error_kind or "",
-    }
+    title, error, error_kind = job.plan.title_of(task.stage), outcome.error or "", outcome.error_kind or ""
     _validate_folders_exist(job)
     if outcome.fatal and not outcome.again:
         kind = DiskFullError if outcome.error_kind == DiskFullError.__name__ else StoreAccessError
-        raise kind(f"{failure['title']} {task.key}: {outcome.error}")
+        raise kind(f"{title} {task.key}: {error}")
     if outcome.again or outcome.damaged:
-        job.listener("task_again", failure)
+        job.listener(TaskAgain(task.stage, title, task.key, error, error_kind))
         return
-    failure["bounds"] = _place(job, task)
-    job.listener("task_failed", dict(failure))
-    job.record.failed.append(failure)
+    failed = TaskFailed(task.stage, title, task.key, error, error_kind, _place(job, task))
+    job.listener(failed)
+    job.record.failed.append(failed.to_json())
     if job.plan.config.on_error == "stop":
-        raise ProcessingError(
-            f"{failure['title']} {task.key}: {outcome.error}; use --on-error skip to continue without it"
-        )
+        raise ProcessingError(f"{title} {task.key}: {error}; use --on-error skip to continue without it")
 
 
 def _validate_folders_exist(job: Job) -> None:

@@ -13,7 +13,7 @@ import numpy as np
 
 from tiler.errors import ConfigError, ProcessingError
 from tiler.io.atomic_files import partial_path, replace_file
-from tiler.observe.events import Listener, ignore_events
+from tiler.observe.events import Listener, StageFinished, StageStarted, TaskDone, ignore_events
 from tiler.simulate.catalogue import SCENES, SENSORS, SceneSpec
 from tiler.simulate.cloud import CloudWriter, write_dtm
 from tiler.simulate.points import CLASS_NAMES, Sensor, patches, survey_patch
@@ -25,6 +25,9 @@ DENSITY_RANGE = {"als": (0.05, 100.0), "dim": (1.0, 1000.0)}
 """Smallest and largest number of points per square metre.
 
 The densest scene needs 750 MB of memory."""
+
+STAGE = "simulate"
+"""Key of the stage in the progress."""
 
 SIDE_RANGE_M = (50.0, 50_000.0)
 SIGMA_RANGE_M = (0.0, 1.0)
@@ -173,15 +176,14 @@ def _write_cloud(path: Path, compressed: bool, site: Site, sensor: Sensor, liste
     todo = patches(sensor, site.side_m, site.north_m)
     counts = np.zeros(256, np.int64)
     started = time.monotonic()
-    stage = {"stage": "simulate", "title": "simulate the cloud"}
-    listener("stage_started", {**stage, "tasks": len(todo), "points": 0, "done": 0})
+    listener(StageStarted(STAGE, "simulate the cloud", tasks=len(todo)))
     with CloudWriter(path, colour=sensor.coloured, compressed=compressed) as cloud:
         for index in todo:
             points = survey_patch(site, sensor, *index)
             cloud.write(points)
             counts += np.bincount(points.label, minlength=256)
-            listener("task_done", {"stage": "simulate", "points": len(points)})
-    listener("stage_finished", {"stage": "simulate", "seconds": time.monotonic() - started})
+            listener(TaskDone(STAGE, f"{index[0]},{index[1]}", points=len(points)))
+    listener(StageFinished(STAGE, time.monotonic() - started))
     return counts
 
 

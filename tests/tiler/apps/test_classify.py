@@ -18,6 +18,7 @@ from tiler.config import RunConfig
 from tiler.errors import ConfigError, ProcessingError
 from tiler.filter import FilterTile, filter_tile
 from tiler.filter.tasks import passes
+from tiler.observe.events import Event, Warned
 
 
 def test_a_folder_that_cannot_be_made_is_refused(make_cloud: Any, tmp_path: Path) -> None:
@@ -84,9 +85,9 @@ def test_labels_with_a_hole_are_not_scored(cloud: Path) -> None:
 def test_a_preview_with_a_hole_says_so(cloud: Path, tmp_path: Path) -> None:
     told: list[str] = []
 
-    def listen(event: str, fields: dict[str, Any]) -> None:
-        if event == "warning":
-            told.append(fields["text"])
+    def listen(event: Event) -> None:
+        if isinstance(event, Warned):
+            told.append(event.text)
 
     windows = make_preview([str(cloud)], tmp_path / "preview.png", settings(), listen, number=1, side_m=140.0)
     assert [window.failed for window in windows] == [1]

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import laspy
 import numpy as np
@@ -19,6 +17,7 @@ from tiler.config import RunConfig
 from tiler.core.raster import NODATA, Block
 from tiler.inputs import inspect
 from tiler.io.las.extract import cut_windows, sample_places
+from tiler.observe.events import Event, Note, Warned
 from tiler.pipeline import run
 from tiler.store import open_store
 
@@ -101,13 +100,12 @@ def read_png(path: Path) -> np.ndarray:
 
 @pytest.mark.processes
 def test_a_preview_equals_a_run(hills: Path, tmp_path: Path) -> None:
-    told: list[tuple[str, Any]] = []
-    listener: Callable[[str, Any], None] = lambda kind, facts: told.append((kind, facts))  # noqa: E731
+    told: list[Event] = []
     config = RunConfig.from_mapping({"max_edge": "20", "products": "slope", "sheets": "10"})
-    (window,) = make_preview([str(hills)], tmp_path / "p.png", config, listener, number=1)
+    (window,) = make_preview([str(hills)], tmp_path / "p.png", config, told.append, number=1)
     assert window.points == 28_800
     assert window.ground > 28_000
-    assert {kind for kind, _ in told} <= {"note", "warning"}
+    assert all(isinstance(event, Note | Warned) for event in told)
     picture = read_png(tmp_path / "p.png")
     plain = RunConfig(in_process=True, workers=1, max_edge=config.max_edge)
     run([str(hills)], tmp_path / "out", plain, until="grid")
@@ -139,9 +137,9 @@ def test_a_warning_of_a_window_names_the_cloud(hills: Path, tmp_path: Path) -> N
     cloud.write(tmp_path / "towers.las")
     told: list[str] = []
 
-    def listener(kind: str, facts: dict[str, Any]) -> None:
-        if kind == "warning":
-            told.append(facts["text"])
+    def listener(event: Event) -> None:
+        if isinstance(event, Warned):
+            told.append(event.text)
 
     make_preview(
         [str(tmp_path / "towers.las")], tmp_path / "p.png", RunConfig(), listener, number=1, side_m=110.0

@@ -7,6 +7,7 @@ from datetime import datetime, timedelta
 from pathlib import Path
 
 from tiler.observe.eventlog import EventLog
+from tiler.observe.events import Note, RunFinished
 
 
 def lines(path: Path) -> list[dict[str, object]]:
@@ -16,7 +17,7 @@ def lines(path: Path) -> list[dict[str, object]]:
 def test_a_line_is_in_the_file_at_once(tmp_path: Path) -> None:
     path = tmp_path / "out" / "events.jsonl"
     with EventLog(path) as log:
-        log("note", {"text": "Höhe in m\nzweite Zeile"})
+        log(Note("Höhe in m\nzweite Zeile"))
         (line,) = lines(path)
     assert line["event"] == "note"
     assert line["text"] == "Höhe in m\nzweite Zeile"
@@ -27,7 +28,7 @@ def test_runs_are_appended(tmp_path: Path) -> None:
     path = tmp_path / "events.jsonl"
     for _ in range(2):
         with EventLog(path) as log:
-            log("run_finished", {"seconds": 1.5})
+            log(RunFinished(1.5))
     assert [line["event"] for line in lines(path)] == ["run_finished", "run_finished"]
 
 
@@ -35,12 +36,12 @@ def test_an_unfinished_line_does_not_spoil_the_next(tmp_path: Path) -> None:
     path = tmp_path / "events.jsonl"
     path.write_text('{"event": "no', "utf-8")
     with EventLog(path) as log:
-        log("note", {"text": "again"})
+        log(Note("again"))
     assert json.loads(path.read_text("utf-8").splitlines()[-1])["text"] == "again"
 
 
 def test_values_that_json_cannot_hold_become_text(tmp_path: Path) -> None:
     path = tmp_path / "events.jsonl"
     with EventLog(path) as log:
-        log("note", {"path": Path("a/b")})
-    assert lines(path)[0]["path"] == "a/b"
+        log(Note(Path("a/b")))  # type: ignore[arg-type]
+    assert lines(path)[0]["text"] == "a/b"

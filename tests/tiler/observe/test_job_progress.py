@@ -10,6 +10,15 @@ import numpy as np
 import pytest
 
 from cli.main import main
+from tiler.observe.events import (
+    Event,
+    JobStarted,
+    StageFinished,
+    StagesPassedOver,
+    StageStarted,
+    TaskDone,
+    Warned,
+)
 from tiler.observe.job_progress import JobProgress
 from tiler.observe.json_lines import JsonLines
 
@@ -24,23 +33,23 @@ class Run:
         self.now = 0.0
         self.job = JobProgress(lambda: self.now)
         self.listeners = (self.job, *listeners)
-        self.tell("job_started", stages=[{"stage": k, "title": k, "seconds": s} for k, s in STAGES.items()])
+        self.tell(JobStarted([{"stage": k, "title": k, "seconds": s} for k, s in STAGES.items()]))
 
-    def tell(self, event: str, **fields: Any) -> None:
+    def tell(self, event: Event) -> None:
         for listener in self.listeners:
-            listener(event, fields)
+            listener(event)
 
     def begin(self, stage: str, done: int = 0) -> None:
         points = 100 * (10 - done)
-        self.tell("stage_started", stage=stage, title=f"the {stage}", tasks=10, done=done, points=points)
+        self.tell(StageStarted(stage, f"the {stage}", tasks=10, done=done, points=points))
 
     def work(self, stage: str, tasks: int, seconds: float) -> None:
         for number in range(tasks):
             self.now += seconds / tasks
-            self.tell("task_done", stage=stage, key=str(number), points=100)
+            self.tell(TaskDone(stage, str(number), points=100))
 
     def end(self, stage: str, seconds: float) -> None:
-        self.tell("stage_finished", stage=stage, seconds=seconds)
+        self.tell(StageFinished(stage, seconds))
 
 
 def test_a_job_at_the_expected_pace_takes_what_was_expected() -> None:
@@ -80,10 +89,10 @@ def test_after_a_tenth_the_time_left_is_right_within_a_third(pace: float, seed: 
     }
     whole, run, checked = sum(map(np.sum, times.values())), Run(), 0
     for stage, seconds in times.items():
-        run.tell("stage_started", stage=stage, title=stage, tasks=40, done=0, points=4000)
+        run.tell(StageStarted(stage, stage, tasks=40, points=4000))
         for number, duration in enumerate(seconds):
             run.now += duration
-            run.tell("task_done", stage=stage, key=str(number), points=100)
+            run.tell(TaskDone(stage, str(number), points=100))
             if run.now > 0.1 * whole:
                 left = run.job.seconds_left()
                 assert left is not None
@@ -100,7 +109,7 @@ def test_the_runs_own_pace_counts_from_the_first_tasks_on() -> None:
     assert run.job.seconds_left() == pytest.approx(97 / 6, rel=0.05)
     half = Run()
     half.begin("spool")
-    half.tell("task_done", stage="spool", key="0", points=100)  # 1 % of the job, in no time
+    half.tell(TaskDone("spool", "0", points=100))  # 1 % of the job, in no time
     left = half.job.seconds_left()
     assert left is not None
     assert 50 < left < 90
@@ -117,11 +126,11 @@ def test_the_bar_moves_while_time_goes_by(pace: float) -> None:
             seen.append(run.job.fraction())
 
     for stage, tasks in (("spool", 1), ("filter0", 4), ("filter1", 1), ("export", 2)):
-        run.tell("stage_started", stage=stage, title=stage, tasks=tasks, done=0, points=0)
+        run.tell(StageStarted(stage, stage, tasks=tasks, points=0))
         started = run.now
         for number in range(tasks):
             wait(STAGES[stage] * pace * 3 / tasks)
-            run.tell("task_done", stage=stage, key=str(number), points=0)
+            run.tell(TaskDone(stage, str(number), points=0))
         run.end(stage, run.now - started)
         if stage != "export":
             wait(15)  # flaws in the terrain are looked for, which is no stage
@@ -132,7 +141,7 @@ def test_the_bar_moves_while_time_goes_by(pace: float) -> None:
 
 def test_stages_that_are_not_needed_count_no_more() -> None:
     run = Run()
-    run.tell("stages_passed_over", stages=["filter1"])
+    run.tell(StagesPassedOver(["filter1"]))
     assert run.job.seconds_left() == 70.0
     run.begin("export")  # so the stages before it are not needed either
     assert run.job.seconds_left() == pytest.approx(40.0)
@@ -164,7 +173,7 @@ def test_lines_for_programs_have_the_same_entries() -> None:
     run.listeners = (run.job, JsonLines(stream, lambda: run.now))
     run.begin("spool")
     run.work("spool", 4, 4.0)
-    run.tell("warning", text="z looks like feet")
+    run.tell(Warned("z looks like feet"))
     run.end("spool", 4.0)
     lines = [json.loads(line) for line in stream.getvalue().splitlines()]
     assert all(line.keys() == KEYS for line in lines)

@@ -5,11 +5,22 @@ from __future__ import annotations
 import io
 import sys
 from collections.abc import Callable
-from typing import Any
+from dataclasses import replace
 
 import pytest
 
-from tiler.observe.events import combine
+from tiler.observe.events import (
+    Event,
+    JobStarted,
+    Note,
+    StageFinished,
+    StageStarted,
+    TaskDone,
+    TaskFailed,
+    Warned,
+    combine,
+    redacting,
+)
 from tiler.observe.progress import (
     PlainLines,
     bar_progress,
@@ -38,11 +49,11 @@ class Terminal(io.StringIO):
         return True
 
 
-STARTED = {"stage": "filter", "tasks": 4, "points": 4_000_000, "done": 0}
+STARTED = StageStarted("filter", "filter", tasks=4, points=4_000_000)
 
 
-def task(key: str, points: int = 1_000_000) -> dict[str, Any]:
-    return {"stage": "filter", "key": key, "points": points, "seconds": 1.0, "peak_rss_bytes": 1}
+def task(key: str, points: int = 1_000_000) -> TaskDone:
+    return TaskDone("filter", key, points=points, seconds=1.0, peak_rss_bytes=1)
 
 
 @pytest.mark.parametrize(
@@ -68,13 +79,13 @@ def test_no_rate_without_points_or_time() -> None:
 def test_plain_lines_come_at_begin_and_end_and_now_and_then() -> None:
     stream, clock = io.StringIO(), Clock()
     listen = PlainLines(stream, clock)
-    listen("stage_started", STARTED)
+    listen(STARTED)
     clock.now += 5
-    listen("task_done", task("a"))
+    listen(task("a"))
     clock.now += 15
-    listen("task_done", task("b"))
+    listen(task("b"))
     clock.now += 20
-    listen("stage_finished", {"stage": "filter", "seconds": 40.0})
+    listen(StageFinished("filter", 40.0))
     assert stream.getvalue().splitlines() == [
         "filter: 4 tasks, 4.0 M points",
         "filter: 50%, 100.0 k points/s, about 20.0 s left",
@@ -93,18 +104,18 @@ def test_plain_lines_come_at_begin_and_end_and_now_and_then() -> None:
 def test_a_stage_has_a_line_if_it_took_a_second(done: int, seconds: float, text: str) -> None:
     stream = io.StringIO()
     listen = PlainLines(stream)
-    listen("stage_started", {"stage": "grid", "tasks": 9, "points": 10, "done": done})
-    listen("stage_finished", {"stage": "grid", "seconds": seconds})
+    listen(StageStarted("grid", "grid", tasks=9, points=10, done=done))
+    listen(StageFinished("grid", seconds))
     assert stream.getvalue() == text
 
 
 def test_rates_are_of_pixels_where_pixels_are_made() -> None:
     stream, clock = io.StringIO(), Clock()
     listen = PlainLines(stream, clock)
-    listen("stage_started", {**STARTED, "pixels": 1_000_000, "tasks": 1})
+    listen(replace(STARTED, pixels=1_000_000, tasks=1))
     clock.now += 2
-    listen("task_done", task("a") | {"pixels": 1_000_000})
-    listen("stage_finished", {"stage": "filter", "seconds": 2.0})
+    listen(replace(task("a"), pixels=1_000_000))
+    listen(StageFinished("filter", 2.0))
     assert stream.getvalue() == "filter: 1 task, 4.0 M points, done in 2.0 s, 500.0 k pixels/s\n"
 
 
@@ -112,21 +123,21 @@ def test_a_stage_of_a_few_seconds_has_one_line() -> None:
     stream, clock = io.StringIO(), Clock()
     listen = PlainLines(stream, clock)
     for _ in range(20):
-        listen("stage_started", STARTED)
+        listen(STARTED)
         for key in "abcd":
             clock.now += 1.1
-            listen("task_done", task(key))
-        listen("stage_finished", {"stage": "filter", "seconds": 4.4})
+            listen(task(key))
+        listen(StageFinished("filter", 4.4))
     assert len(stream.getvalue().splitlines()) == 20
 
 
 def test_quiet_shows_only_trouble() -> None:
     stream = io.StringIO()
     with open_progress(stream, quiet=True) as listen:
-        listen("note", {"text": "all is well"})
-        listen("stage_started", STARTED)
-        listen("warning", {"text": "z looks like feet"})
-        listen("task_failed", {"stage": "filter", "key": "t+1", "error": "disk full"})
+        listen(Note("all is well"))
+        listen(STARTED)
+        listen(Warned("z looks like feet"))
+        listen(TaskFailed("filter", "filter", "t+1", "disk full"))
     assert stream.getvalue() == "warning: z looks like feet\nwarning: filter t+1 failed: disk full\n"
 
 
@@ -134,10 +145,10 @@ def test_bars_on_a_terminal_only() -> None:
     plain, terminal = io.StringIO(), Terminal()
     for stream in (plain, terminal):
         with open_progress(stream) as listen:
-            listen("note", {"text": "pixels of [1 m]"})
-            listen("stage_started", STARTED)
-            listen("task_done", task("a", 4_000_000))
-            listen("stage_finished", {"stage": "filter", "seconds": 1.0})
+            listen(Note("pixels of [1 m]"))
+            listen(STARTED)
+            listen(task("a", 4_000_000))
+            listen(StageFinished("filter", 1.0))
     assert "\x1b" not in plain.getvalue()
     assert "\x1b" in terminal.getvalue()
     assert "100.0 %" in terminal.getvalue()
@@ -147,21 +158,37 @@ def test_bars_on_a_terminal_only() -> None:
 def test_bar_of_an_empty_stage_is_full() -> None:
     stream = Terminal()
     with bar_progress(stream) as listen:
-        listen("stage_started", {"stage": "grid", "tasks": 0, "points": 0, "done": 0})
-        listen("task_failed", {"stage": "grid", "key": "r0", "error": "none"})
+        listen(StageStarted("grid", "grid", tasks=0))
+        listen(TaskFailed("grid", "grid", "r0", "none"))
     assert "100.0 %" in stream.getvalue()
 
 
 def test_combined_listeners_receive_all_events_in_order() -> None:
-    heard: list[tuple[int, str]] = []
-    listen = combine(lambda e, f: heard.append((1, e)), lambda e, f: heard.append((2, e)))
-    listen("note", {})
-    listen("warning", {})
-    assert heard == [(1, "note"), (2, "note"), (1, "warning"), (2, "warning")]
+    heard: list[tuple[int, Event]] = []
+    listen = combine(lambda event: heard.append((1, event)), lambda event: heard.append((2, event)))
+    first, second = Note("a"), Warned("b")
+    listen(first)
+    listen(second)
+    assert heard == [(1, first), (2, first), (1, second), (2, second)]
+
+
+def test_secrets_do_not_reach_a_listener() -> None:
+    heard: list[Event] = []
+    redacting(heard.append)(Warned("https://anna:secret@host/a.laz?token=1: cut short"))
+    redacting(heard.append)(JobStarted([{"stage": "s", "title": "ftp://a:b@c/", "seconds": 1.0}]))
+    assert heard == [
+        Warned("https://host/a.laz: cut short"),
+        JobStarted([{"stage": "s", "title": "ftp://c/", "seconds": 1.0}]),
+    ]
+
+
+def test_values_of_an_event_have_the_order_of_the_log() -> None:
+    assert list(STARTED.to_json()) == ["stage", "title", "tasks", "done", "points", "pixels"]
+    assert StageFinished("grid", 2.5).to_json() == {"stage": "grid", "seconds": 2.5}
 
 
 def test_a_failed_file_is_reported_once_by_its_name(capsys: pytest.CaptureFixture[str]) -> None:
     with open_progress(sys.stderr, quiet=True) as listener:
-        listener("task_failed", {"stage": "spool", "key": "s000000-0", "error": "a.laz: cut short"})
-        listener("warning", {"text": "a.laz: left out: cut short"})
+        listener(TaskFailed("spool", "read", "s000000-0", "a.laz: cut short"))
+        listener(Warned("a.laz: left out: cut short"))
     assert capsys.readouterr().err == "warning: a.laz: left out: cut short\n"

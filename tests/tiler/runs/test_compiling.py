@@ -9,13 +9,13 @@ import os
 import signal
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from ptd.matched.evidence import Evidence
 from tests.tiler.conftest import MakeCloud
 from tiler.config import RunConfig
+from tiler.observe.events import Event, Note, StageFinished, StageStarted, Warned
 from tiler.plan import make_plan
 from tiler.runs import compiling
 from tiler.runs.compiling import Compiler, Kernels, likely_kind
@@ -35,21 +35,21 @@ def fill_disk(tell: Callable[[], None]) -> None:
 
 
 @pytest.fixture
-def told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[tuple[str, dict[str, Any]]]:
+def told(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> list[Event]:
     """Events; files in a folder of the test show that kernels are compiled, and other processes do not count."""
     monkeypatch.setattr(compiling, "is_compiled", lambda name: Path(name).exists())
     monkeypatch.setattr(compiling, "compiled_count", lambda: 0)
     return []
 
 
-def compiler(told: list[tuple[str, dict[str, Any]]]) -> Compiler:
+def compiler(told: list[Event]) -> Compiler:
     def note(text: str) -> None:
-        told.append(("note", {"text": text}))
+        told.append(Note(text))
 
-    return Compiler(lambda event, fields: told.append((event, fields)), apart=True, note=note)
+    return Compiler(told.append, apart=True, note=note)
 
 
-def test_a_run_waits_for_its_kernels(told: list[tuple[str, dict[str, Any]]], tmp_path: Path) -> None:
+def test_a_run_waits_for_its_kernels(told: list[Event], tmp_path: Path) -> None:
     """Kernels are compiled once, in a process of their own."""
     done = tmp_path / "done"
     kernels, at_work = Kernels(str(done), functools.partial(make_file, done), 1), compiler(told)
@@ -57,8 +57,11 @@ def test_a_run_waits_for_its_kernels(told: list[tuple[str, dict[str, Any]]], tmp
         at_work.finish(kernels)
     at_work.close()
     assert done.exists()
-    assert [event for event, _ in told] == ["note", "stage_started", "stage_finished"]
-    assert told[0][1]["text"].startswith("kernels are compiled")
+    why, started, finished = told
+    assert isinstance(why, Note)
+    assert why.text.startswith("kernels are compiled")
+    assert started == StageStarted("compile", "compile kernels", tasks=1)
+    assert isinstance(finished, StageFinished)
 
 
 @pytest.mark.parametrize(
@@ -68,14 +71,14 @@ def test_a_run_waits_for_its_kernels(told: list[tuple[str, dict[str, Any]]], tmp
 def test_a_failed_compilation_is_reported(
     work: Callable[[Callable[[], None]], None],
     why: str,
-    told: list[tuple[str, dict[str, Any]]],
+    told: list[Event],
     tmp_path: Path,
 ) -> None:
     at_work, name = compiler(told), str(tmp_path / "never")
     at_work.finish(Kernels(name, work, 1))
     at_work.close()
     text = f"kernels ({name}) could not be compiled in advance ({why}), so each process compiles them itself"
-    assert told[-1] == ("warning", {"text": text})
+    assert told[-1] == Warned(text)
 
 
 def test_the_kind_of_a_cloud_is_guessed(make_cloud: MakeCloud) -> None:

@@ -17,7 +17,7 @@ from tiler.config import RunConfig
 from tiler.core.units import METRE
 from tiler.errors import ConfigError, ProcessingError
 from tiler.inputs import find_inputs, inspect
-from tiler.observe.events import Listener, ignore_events
+from tiler.observe.events import Listener, Note, ignore_events
 from tiler.schedule import call_isolated, half_of_memory
 
 
@@ -145,7 +145,7 @@ def evaluate_scenes(
     """
     total, results = LabelComparison(), []
     for scene in scenes:
-        listener("note", {"text": f"{scene.name}: {scene.cloud} against {scene.reference}"})
+        listener(Note(f"{scene.name}: {scene.cloud} against {scene.reference}"))
         findings, how, written = call_isolated(
             _compare, scene, ignore, maps, paths=(scene.cloud, scene.reference), memory_bytes=half_of_memory()
         )
@@ -213,7 +213,7 @@ def filter_and_evaluate(
     TilerError
     """
     blind = config.updated(keep_classes=())
-    listener("note", {"text": "the classes of the clouds are not shown to the filter"})
+    listener(Note("the classes of the clouds are not shown to the filter"))
     with TemporaryDirectory(prefix=".tiler-evaluate-") as scratch:
         scenes, filtered = [], []
         for number, scene in enumerate(find_scenes(clouds, clouds)):

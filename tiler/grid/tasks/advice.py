@@ -11,6 +11,7 @@ from tiler.errors import CorruptStoreError, ProcessingError
 from tiler.filter.tasks.labelled import Labelled
 from tiler.grid.crowns import FindCrowns, crowns_told, find_crowns
 from tiler.grid.roofs import Advice, FindRoofs, find_roofs
+from tiler.observe.events import Warned
 from tiler.runs.job import Job
 from tiler.schedule import Task, digest_of
 from tiler.schedule.worker import compute
@@ -43,7 +44,7 @@ def advise(job: Job, labelled: Labelled, spec: RasterSpec, made: Commits) -> Non
         job.store.put_state("advice", found)
     job.facts["advice"], job.facts["advice_at"] = found["texts"], found["at"]
     for line in found["texts"]:
-        job.listener("warning", {"text": line})
+        job.listener(Warned(line))
 
 
 def _roofs(job: Job, spec: RasterSpec, filled: tuple[str, ...]) -> Advice | None:

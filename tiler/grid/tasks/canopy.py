@@ -22,6 +22,7 @@ from tiler.core.units_text import length_text
 from tiler.filter.tasks.labelled import Labelled
 from tiler.filter.tasks.passes import elected_name, label_digests, labels_name
 from tiler.ingest.tasks.assembled import IngestResult
+from tiler.observe.events import Warned
 from tiler.runs.job import Job
 from tiler.store import Commits
 
@@ -97,7 +98,7 @@ def _tell(job: Job, share: float, made: Commits) -> None:
     if job.plan.config.canopy == VOID_CANOPY:
         done = "the terrain has no heights there (--canopy fill bridges it from the ground seen around it)"
     hidden = f"{HIDES} in {percent(share)} % of the area, most of all around {around}"
-    job.listener("warning", {"text": f"{hidden}: {done}"})
+    job.listener(Warned(f"{hidden}: {done}"))
 
 
 def _doubt(block: tuple[int, int], part: float, unit: float) -> dict[str, Any]:

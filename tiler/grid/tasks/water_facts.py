@@ -11,6 +11,7 @@ from tiler.core.map_lines import add_rings
 from tiler.core.units_text import length_text
 from tiler.core.water import RIVER, Station, Water, Waters, lengths_along
 from tiler.grid.water_level import NOISE_M
+from tiler.observe.events import Warned
 from tiler.runs.job import Job
 from tiler.store import Commits
 
@@ -41,7 +42,7 @@ def report_levels(job: Job, waters: Waters, records: Mapping[int, Mapping[str, A
         doubts += _doubts(body, record, unit)
     job.facts["water_doubts"] = doubts
     for doubt in doubts:
-        job.listener("warning", {"text": doubt["text"]})
+        job.listener(Warned(doubt["text"]))
 
 
 def _doubts(body: Water, record: Mapping[str, Any], unit: Fraction) -> list[dict[str, Any]]:

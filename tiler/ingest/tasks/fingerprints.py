@@ -15,6 +15,7 @@ from tiler.ingest.contents import ReadFiles, read_files
 from tiler.ingest.tasks.points import Source
 from tiler.inputs import SourceInfo
 from tiler.io.locations import FileState, is_url, location
+from tiler.observe.events import StageFinished, StageStarted, TaskDone, Warned
 from tiler.plan import chunks_of
 from tiler.redaction import without_secrets
 from tiler.runs.job import Job
@@ -106,34 +107,18 @@ def contents(
     if not tasks:
         return
     points, start = sum(task.points for task in tasks), time.monotonic()
-    info = {
-        "stage": stage,
-        "title": job.plan.title_of(stage),
-        "tasks": len(tasks),
-        "done": 0,
-        "points": points,
-    }
-    job.listener("stage_started", info)
+    job.listener(StageStarted(stage, job.plan.title_of(stage), tasks=len(tasks), points=points))
     for outcome in job.executors.choose(writes_out).run(compute, job.store.url, tasks):
         if outcome.again:
             continue
         task = outcome.task
-        job.listener(
-            "task_done",
-            {
-                "stage": stage,
-                "key": task.key,
-                "points": task.points,
-                "seconds": round(outcome.seconds, 3),
-                "peak_rss_bytes": 0,
-            },
-        )
+        job.listener(TaskDone(stage, task.key, points=task.points, seconds=round(outcome.seconds, 3)))
         found: dict[str, dict[str, str]] = outcome.record or {}
         for place, _ in task.arguments.files:
             error = f"{place}: what reads it {outcome.error}; get the file again"
             yield place, found.get(place, {"error": error})
     seconds = round(time.monotonic() - start, 3)
-    job.listener("stage_finished", {"stage": stage, "seconds": seconds})
+    job.listener(StageFinished(stage, seconds))
 
 
 def _leave_out(job: Job, unreadable: dict[str, str]) -> None:
@@ -141,7 +126,7 @@ def _leave_out(job: Job, unreadable: dict[str, str]) -> None:
         if job.plan.config.on_error == "stop" or len(job.plan.sources) == 1:
             raise InputError(reason)
         job.record.quarantined.append({"path": place, "error": reason})
-        job.listener("warning", {"text": f"{place}: left out: {reason.removeprefix(f'{place}: ')}"})
+        job.listener(Warned(f"{place}: left out: {reason.removeprefix(f'{place}: ')}"))
 
 
 def _tasks(stage: str, files: Iterable[File]) -> Iterator[Task]:
