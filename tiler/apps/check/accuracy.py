@@ -32,7 +32,10 @@ MIN_POINTS = 30
 MAX_POINTS = 120
 """Number of checkpoints that the standard requires for the largest areas."""
 OUTLIER_NMADS = 3.0
-"""Minimum distance of an outlier from the median, in NMAD. Outliers are listed and stay in all statistics."""
+"""Minimum distance of an outlier from the median, in NMAD.
+
+Outliers are listed and stay in all statistics.
+"""
 _ROUNDING = 1e-9
 
 Floats = npt.NDArray[np.float64]

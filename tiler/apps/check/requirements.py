@@ -57,7 +57,10 @@ METRICS: dict[str, Metric] = {
     "seam": Metric("seams", lambda seams: seams["excess"]),
     "strips": Metric("strips", lambda strips: strips["all"]["rmse"]),
 }
-"""Metrics by name. Accuracy is that of non-vegetated checkpoints, because vegetated accuracy is never judged."""
+"""Metrics by name.
+
+Accuracy is that of non-vegetated checkpoints, because vegetated accuracy is never judged.
+"""
 
 
 @dataclass(frozen=True)

@@ -37,7 +37,10 @@ Nearer lines are left out. The slopes of the nearest one on each side contain ha
 """
 
 KINDS = ("interior", "tiles", "blocks", "beside_tiles", "beside_blocks")
-"""Kinds of steps: within tiles, across edges of tiles and of the raster's own blocks, and next to these edges."""
+"""Kinds of steps: within tiles, across edges, and next to edges.
+
+The edges are those of tiles and of the raster's own blocks.
+"""
 
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]

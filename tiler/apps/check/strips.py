@@ -28,7 +28,10 @@ They are large enough for a few points of each strip, and small enough to be nea
 MIN_POINTS = 3
 """Minimum number of points of each strip in a compared cell."""
 MAX_ROUGH_M = 0.1
-"""Maximum standard deviation of a strip's heights in a compared cell, metres. Other cells are too rough or steep."""
+"""Maximum standard deviation of a strip's heights in a compared cell, metres.
+
+Other cells are too rough or too steep.
+"""
 
 Floats = npt.NDArray[np.float64]
 Int64s = npt.NDArray[np.int64]
