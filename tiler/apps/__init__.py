@@ -1,1 +1,1 @@
-"""Commands beside the pipeline, which use it or read its results."""
+"""Commands other than `tiler run` that use the pipeline or read its results."""

@@ -1,4 +1,4 @@
-"""Sums by cell, for figures that are collected piece by piece."""
+"""Sums per cell, for statistics that are collected piece by piece."""
 
 from __future__ import annotations
 
@@ -12,12 +12,16 @@ Figure = TypeVar("Figure", np.int64, np.float64)
 
 
 def summed(cells: Cells, sums: npt.NDArray[Figure]) -> tuple[Cells, npt.NDArray[Figure]]:
-    """The distinct cells, sorted by the last row, then the row before it, with the sums of their figures.
+    """Return the distinct cells and the sums of their values.
+
+    The cells are sorted by the last row of ``cells``, then by the row before it, and so on.
 
     Parameters
     ----------
     cells : int64, shape (k, n)
+        Indices of the cell of each value, one row per axis.
     sums : array, shape (m, n)
+        Values to add up per cell.
     """
     if cells.shape[1] == 0:
         return cells, sums

@@ -1,4 +1,4 @@
-"""Classifies one file or many: the job up to the labels, in a temporary store."""
+"""Classification of one file or many files: a run up to the labels, in a temporary store."""
 
 from __future__ import annotations
 
@@ -32,13 +32,13 @@ from tiler.schedule import ChildPool, ChildProcess
 from tiler.store import TileStore, open_store
 
 SUFFIXES = (".laz", ".las")
-"""Suffixes of classified files."""
+"""Accepted suffixes of a classified file."""
 ONE_WORKER_POINTS = 1_000_000
-"""Number of points below which starting a second worker costs more than it saves."""
+"""Number of points of a file below which a second worker costs more time than it saves."""
 
 
 def is_one_file(sources: Sequence[str], target: str) -> bool:
-    """Whether sources and target ask for a single classified file, not for a folder of files."""
+    """Return whether the target is a single classified file, not a folder of classified files."""
     if len(sources) != 1 or Path(target).is_dir() or not Path(target).suffix:
         return False
     source = sources[0]
@@ -56,13 +56,13 @@ def classify_file(
 ) -> dict[str, Any]:
     """Classify one LAS or LAZ file: same points, same order, new classes.
 
-    A file without a CRS is assumed to be in metres, and a note says so.
+    A file without a CRS is assumed to be in metres, which a note reports.
 
     Parameters
     ----------
     source, target : path
-        The suffix of the target says LAZ, LAS or (``.copc.laz``) COPC, in which points have another order. The target
-        appears under its name once it is complete.
+        Files. The suffix of the target selects LAZ, LAS or (``.copc.laz``) COPC, in which points have another order.
+        The target gets its name once it is complete.
     config : RunConfig
     listener : callable
         Receives events, see `tiler.observe.events`.
@@ -70,9 +70,10 @@ def classify_file(
     Returns
     -------
     dict
-        ``points``, ``changed``, ``classes`` (points by class), ``kept`` (points that are neither ground nor noise and
-        keep their class, by class), ``bytes``, ``notes``, ``seconds``, ``method``, ``parameters``, ``tiles``,
-        ``marked``, and ``failed_tasks`` as in run.json. Points of failed tasks keep the classes of the source.
+        ``points``, ``changed``, ``classes`` (number of points by class), ``kept`` (number of points by class that were
+        not labelled ground or noise and keep a class of the source other than 0, 1 and 2), ``bytes``, ``notes``,
+        ``seconds``, ``method``, ``parameters``, ``tiles``, ``marked`` (number of uncertified labels), and
+        ``failed_tasks`` as in run.json. Points of failed tasks keep the classes of the source.
 
     Raises
     ------
@@ -96,15 +97,15 @@ def classify_files(
     config: RunConfig | None = None,
     listener: Listener = ignore_events,
 ) -> dict[str, Any]:
-    """Classify many LAS or LAZ files into a folder; each file is seen with its neighbours, as in a run.
+    """Classify many LAS or LAZ files into a folder, each together with its neighbours, as in a run.
 
     Parameters
     ----------
     sources : sequence of str
         Files, folders, globs and virtual point clouds.
     folder : path
-        Each file gets the name of its source there, with the suffix ``.laz``; the folder is made if it is not there.
-        A file of that name is replaced, unless it is a source.
+        Folder of the classified files, which is made if necessary. Each file gets the name of its source, with the
+        suffix ``.laz``. An existing file of that name is replaced, unless it is a source.
     config : RunConfig
     listener : callable
         Receives events, see `tiler.observe.events`.
@@ -112,8 +113,8 @@ def classify_files(
     Returns
     -------
     dict
-        As of `classify_file`, summed up over the files; ``files`` is their number, and ``quarantined`` lists files that
-        were left out, or could not be written, as in run.json.
+        Result of `classify_file`, with sums over all files; ``files``: number of files written; ``quarantined``: files
+        that were left out or could not be written, as in run.json.
 
     Raises
     ------
@@ -156,7 +157,7 @@ def classify_files(
 
 
 def _validate_not_inputs(sources: Sequence[str], folder: Path) -> None:
-    """Raise ConfigError where the folder would replace inputs, or feed its files to the next call."""
+    """Raise ConfigError if files in the folder would replace inputs, or be inputs of the next call."""
     paths = find_inputs(sources)
     check_targets([Target("", folder / path.name) for path in paths if not is_url(path)], paths)
     for source in (Path(source) for source in sources if not is_url(source)):
@@ -167,7 +168,7 @@ def _validate_not_inputs(sources: Sequence[str], folder: Path) -> None:
 def _records(
     works: Sequence[WriteClassified], made: Iterable[Callable[[], dict[str, Any]]]
 ) -> tuple[list[dict[str, Any]], list[dict[str, str]]]:
-    """Records of the files that were written, and path and error of the others."""
+    """Return the records of the files that were written, and path and error of the other files."""
     records, failed = [], []
     for work, record in zip(works, made, strict=True):
         try:
@@ -178,7 +179,7 @@ def _records(
 
 
 def _works(store: TileStore, plan: Plan, targets: Mapping[Path, Path]) -> Iterator[WriteClassified]:
-    """A file to write for each source that was decoded."""
+    """Yield the arguments of `write_classified` for each source that was decoded."""
     spooled, buckets = store.committed("spool"), store.buckets()
     numbers, pieces, records = store.get_state("sources") or {}, kept_pieces(spooled), by_source(spooled)
     for info in plan.sources:
@@ -214,7 +215,7 @@ def _checked(config: RunConfig | None) -> RunConfig:
 
 @contextmanager
 def _scratch_beside(target: Path, config: RunConfig) -> Iterator[tuple[str, RunConfig]]:
-    """A temporary folder beside a target, and the settings of a run that leaves its store there."""
+    """Yield a temporary folder next to a target, and the settings of a run with its store in OUT."""
     try:
         target.parent.mkdir(parents=True, exist_ok=True)
         folder = TemporaryDirectory(prefix=".tiler-", dir=target.parent)
@@ -227,7 +228,7 @@ def _scratch_beside(target: Path, config: RunConfig) -> Iterator[tuple[str, RunC
 
 
 def _facts(summary: Mapping[str, Any], config: RunConfig) -> dict[str, Any]:
-    """Facts of the run that are told beside those of the files."""
+    """Return the properties of the run that a result contains in addition to those of the files."""
     return {
         "seconds": summary["seconds"],
         "method": config.method,
@@ -239,7 +240,10 @@ def _facts(summary: Mapping[str, Any], config: RunConfig) -> dict[str, Any]:
 
 
 def _written(guard: ChildProcess, store_url: str, work: WriteClassified, config: RunConfig) -> dict[str, Any]:
-    """Write a file in a child process, which may crash: it decodes fields that were not needed before."""
+    """Write a file, by default in a child process.
+
+    Decoding may crash, because the filter did not need all fields that are now copied.
+    """
     if config.in_process:
         return write_classified(store_url, work)
     return read_in_child(guard, _write, as_path(work.path), store_url, work)

@@ -1,4 +1,4 @@
-"""`tiler clean`: remove files of earlier runs that no later run needs."""
+"""Command `tiler clean`, which removes files of earlier runs that later runs do not need."""
 
 from __future__ import annotations
 
@@ -14,32 +14,33 @@ from tiler.store import locked_folder, open_store
 
 
 def clean(out: str | Path, store_url: str | None = None) -> dict[str, Any]:
-    """Remove scratch and spool of a finished or broken run; the next run finds all other work done.
+    """Remove the temporary files and the spool of a finished or broken run.
 
-    The points, the labels of all passes, the rasters and the records of finished tasks stay. If a later run has to
-    assemble buckets again, for example for a further file, it decodes only the pieces that touch them.
+    The points, the labels of all passes, the rasters and the records of finished tasks stay, so the next run does not
+    repeat them. If a later run has to assemble buckets again, for example for a further file, it decodes only the
+    pieces that intersect them.
 
     Parameters
     ----------
     out : path or URL
         Folder of the run.
     store_url : str, optional
-        Location of its store; by default the one in its ``run.json``, or ``store.zarr`` in the folder.
+        Location of the store. The default is the one in the ``run.json``, or ``store.zarr`` in the folder.
 
     Returns
     -------
     dict
-        ``scratch_files`` removed from the folder, ``removed_objects`` and ``removed_bytes`` of store and folder,
-        ``store_bytes`` left.
+        ``scratch_files`` (number of files removed from the folder), ``removed_objects`` and ``removed_bytes`` (of store
+        and folder together), ``store_bytes`` (remaining size of the store).
 
     Raises
     ------
     ConfigError
-        If there is no such folder.
+        The folder does not exist.
     StoreError
-        If it has no store.
+        The run has no store, or the store cannot be opened.
     LockedError
-        If a run is at work on the folder or its store.
+        A run uses the folder or its store.
     """
     place = str(out)
     if not is_url(out):
@@ -56,7 +57,7 @@ def clean(out: str | Path, store_url: str | None = None) -> dict[str, Any]:
         store.tidy()
         after = store.usage()
         scratch = []
-        if not is_url(out):  # objects at a URL appear whole
+        if not is_url(out):  # Objects at a URL are never unfinished.
             scratch = list(_scratch(Path(out)))
         sizes = [path.stat().st_size for path in scratch]
         for path in scratch:
@@ -70,7 +71,7 @@ def clean(out: str | Path, store_url: str | None = None) -> dict[str, Any]:
 
 
 def _scratch(out: Path) -> Iterator[Path]:
-    """Unfinished files of killed runs, recognised by their names, in the folders into which runs write."""
+    """Yield unfinished files of killed runs, recognised by name, in the folders into which runs write."""
     if read_run(str(out)) is None:
         return
     folders = {out, *((out / path).parent for path in earlier_outputs(out, str(out.resolve())))}

@@ -1,4 +1,4 @@
-"""Facts about a cloud. Only commands that describe clouds import this module."""
+"""Descriptions of clouds. Only commands that describe clouds import this module."""
 
 from __future__ import annotations
 
@@ -21,15 +21,16 @@ from tiler.io.las.reader import NEEDED, PointReader
 _POINTS_PER_CELL = 16
 """Mean number of points in a cell of the raster that measures the filled part of the extent."""
 _MAX_CELLS = 1024
-"""Most cells along a side of that raster, so that it takes 8 MB at most."""
+"""Maximum number of cells along a side of that raster, so that it needs only about 8 MB."""
 
 _MAP_COLUMNS = 64
+"""Maximum width of the density map in characters, so that it fits a terminal of 80 x 24."""
 _MAP_ROWS = 24
-"""Largest size of the density map in characters, so that it fits a terminal of 80 x 24."""
+"""Maximum height of the density map in characters."""
 
 
 def describe_cloud(path: Path) -> dict[str, Any]:
-    """Facts of a LAS or LAZ file: the correct parts of its header, its units, density and classes."""
+    """Describe a LAS or LAZ file: the correct parts of its header, its units, density and classes."""
     info = inspect(path)
     place = info.georeference
     file_format = "LAS"
@@ -62,7 +63,7 @@ def describe_cloud(path: Path) -> dict[str, Any]:
 
 
 def _point_facts(path: Path, bounds: tuple[float, ...] | None, metres: float) -> dict[str, Any]:
-    """Density, classes, returns and flags, from all points; one piece is in memory at a time."""
+    """Return density, classes and flags of all points, with one piece of them in memory at a time."""
     if bounds is None:
         return {}
     header = read_header(path)
@@ -94,7 +95,7 @@ def _point_facts(path: Path, bounds: tuple[float, ...] | None, metres: float) ->
 
 
 def describe_point_tiles(path: str) -> dict[str, Any]:
-    """Facts of an EPT data set from its description and its hierarchy, without reading points."""
+    """Describe an EPT data set from its metadata and its hierarchy, without reading points."""
     tiles = read_point_tiles(path)
     counts = node_counts(tiles)
     points = sum(counts.values())
@@ -112,19 +113,20 @@ def describe_point_tiles(path: str) -> dict[str, Any]:
 
 
 def density_map(counts: npt.NDArray[np.int64], cell_m: float) -> dict[str, Any]:
-    """Density in cells twice as high as wide, like the characters of a terminal.
+    """Return the density in cells twice as high as wide, like the characters of a terminal.
 
     Parameters
     ----------
     counts : int64, shape (rows, columns)
-        Points in square cells, row 0 in the south.
+        Number of points in square cells, row 0 in the south.
     cell_m : float
         Side of a cell, metres.
 
     Returns
     -------
     dict
-        ``width_m`` and ``height_m`` of a cell; ``per_m2``: rows of points per square metre, from north to south.
+        ``width_m`` and ``height_m`` of a cell; ``per_m2``: rows of densities in points per square metre, from north to
+        south.
     """
     filled = np.argwhere(counts)
     high, wide = 1, 1

@@ -1,4 +1,4 @@
-"""The demonstration: the whole job on a simulated city, scored against the truth."""
+"""Demonstration: all stages on a simulated city, and scores against its reference data."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from tiler.report.html import write_report
 from tiler.simulate import demo_city, demo_files
 
 RESOLUTION_M = Fraction(1)
-"""Pixel of the true terrain. The DTM is compared with it pixel by pixel."""
+"""Pixel size of the reference terrain, metres. The DTM is compared with it pixel by pixel."""
 
 
 MARK = ".tiler-demo"
-"""Empty file in OUT/input that is made before the clouds."""
+"""Name of an empty file in OUT/input that is made before the clouds and identifies a demo."""
 
 
 @dataclass(frozen=True)
@@ -47,22 +47,23 @@ class DemoResult:
 
 
 def run_demo(out: str | Path, seed: int, config: RunConfig, listener: Listener) -> DemoResult:
-    """Simulate a city into OUT/input, run the whole job into OUT, score its classes and its DTM.
+    """Simulate a city in OUT/input, run all stages into OUT, and score its classes and its DTM.
 
     Parameters
     ----------
     out : path
+        Folder OUT of the run.
     seed : int
         Seed of the city. The same seed gives the same clouds, so a second demo has nothing to do.
     config : RunConfig
-        Settings of the run. The resolution is replaced by that of the true terrain, 1 m.
+        Settings of the run. The resolution is replaced by that of the reference terrain, 1 m.
     listener : Listener
         Receives events.
 
     Raises
     ------
     TilerError
-        If `tiler.pipeline.run` raises it, or a file that no demo made would be replaced.
+        `tiler.pipeline.run` raises it, or a file that was not made by a demo would be replaced.
     """
     out = Path(out)
     _validate_own_files(out, config)
@@ -82,7 +83,7 @@ def run_demo(out: str | Path, seed: int, config: RunConfig, listener: Listener) 
 
 
 def _validate_own_files(out: Path, config: RunConfig) -> None:
-    """Raise ConfigError if files that no demo made would be replaced; mark the folder as that of a demo."""
+    """Mark the folder as that of a demo. Raise ConfigError if foreign files would be replaced."""
     mark = out / "input" / MARK
     wanted = [*demo_files(out / "input"), out / EVALUATION]
     there = [path for path in wanted if os.path.lexists(path)]

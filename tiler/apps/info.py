@@ -1,4 +1,4 @@
-"""Facts about a cloud, a tile store, a result folder or a raster."""
+"""Descriptions of a cloud, a tile store, a result folder or a raster."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _RUN_FACTS = (
     "seconds",
     "peak_rss_bytes",
 )
-"""Facts from run.json in the description of a result; the file itself has the rest."""
+"""Keys of run.json that are copied to the description of a result."""
 
 
 def describe(path: str) -> dict[str, Any]:
@@ -46,15 +46,15 @@ def describe(path: str) -> dict[str, Any]:
     Returns
     -------
     dict
-        JSON-able; ``kind`` is ``cloud``, ``store``, ``result`` or ``raster``. Coordinates are in units of the
-        CRS, densities in points per square metre.
+        Values that JSON can represent. ``kind`` is ``cloud``, ``store``, ``result`` or ``raster``. Coordinates are in
+        units of the CRS, densities in points per square metre.
 
     Raises
     ------
     InputError
-        If nothing is there, or nothing that tiler knows.
+        There is no file or folder, or it is not a cloud, store, result or raster.
     StoreError
-        If another version wrote the store.
+        There is no store at a URL, another version wrote it, or it is damaged.
     """
     place = as_path(path)
     name = without_query(path).lower()
@@ -64,7 +64,7 @@ def describe(path: str) -> dict[str, Any]:
                 missing = state_at(path) is None
             else:
                 missing = not place.exists()
-            # Asking a web server whether a cloud is a folder would read all of it.
+            # On a web server, the test for a folder would read the whole cloud.
             is_cloud = is_url(path) and name.endswith((*_CLOUDS, "ept.json"))
             is_folder = not missing and not is_cloud and place.is_dir()
     except OSError as error:
@@ -109,7 +109,7 @@ def _describe_folder(folder: Path) -> dict[str, Any]:
 
 
 def describe_store(url: str) -> dict[str, Any]:
-    """Facts of a tile store: its contents, and the progress of its run."""
+    """Describe a tile store: its contents, and the progress of its run."""
     from tiler.store import open_store
 
     store = open_store(url)
@@ -134,13 +134,13 @@ def describe_store(url: str) -> dict[str, Any]:
 
 def _commits(store: TileStore) -> dict[str, Any]:
     found = {stage: store.committed(stage) for stage in ("spool", "assemble")}
-    for number in range(store.get_state("passes") or 0):  # passes that do not apply have none
+    for number in range(store.get_state("passes") or 0):  # Passes that do not apply have no commits.
         found[f"filter{number}"] = store.committed(f"filter{number}")
     return found | {stage: store.committed(stage) for stage in ("grid-dtm", "export")}
 
 
 def describe_result(folder: Path) -> dict[str, Any]:
-    """Facts of the OUT of a run, from its run.json, and from its store if it still exists."""
+    """Describe the OUT of a run from its run.json, and from its store if it still exists."""
     from tiler.store import store_exists
 
     try:
@@ -166,7 +166,7 @@ def describe_result(folder: Path) -> dict[str, Any]:
 
 
 def describe_raster(path: Path) -> dict[str, Any]:
-    """Facts of a raster: extent, units, and the heights of its first band, read block by block."""
+    """Describe a raster: its extent, its units, and the heights of its first band."""
     from tiler.apps.evaluate.rasters import open_raster
 
     with open_raster(path, "neither a cloud nor a raster that can be read") as raster:
@@ -192,7 +192,7 @@ def describe_raster(path: Path) -> dict[str, Any]:
 
 
 def _heights(raster: Any) -> dict[str, Any]:
-    """Statistics of the first band's valid pixels; one block is in memory at a time."""
+    """Return statistics of the first band's valid pixels, with one block in memory at a time."""
     from tiler.apps.evaluate.heights import blocks_with_files
     from tiler.export.cog import Statistics
 

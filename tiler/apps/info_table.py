@@ -1,4 +1,4 @@
-"""Many clouds in a table, a row each, from their headers and a few of their points."""
+"""Table of clouds, with a row per cloud, from their headers and a few of their points."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from tiler.schedule import ChildPool
 
 COLUMNS = ("file", "points", "per m2", "west", "south", "east", "north", "lowest", "highest", "unit", "CRS")
 ZARR = "zarr.json"
-"""A folder that holds this file is a tile store."""
+"""Name of a file that identifies a folder as a tile store."""
 
 
 def is_many(paths: Sequence[str]) -> bool:
-    """Whether some paths are told as a table: several, or a folder or pattern of clouds."""
+    """Return whether paths are described in a table: several paths, or a folder or pattern of clouds."""
     if len(paths) != 1:
         return True
     place = Path(paths[0])
@@ -32,7 +32,7 @@ def is_many(paths: Sequence[str]) -> bool:
 
 
 def describe_many(paths: Sequence[str]) -> list[dict[str, Any]]:
-    """Facts of each cloud that the paths name, by its name; one that cannot be read has an ``error``.
+    """Describe each cloud that is found in some paths.
 
     Parameters
     ----------
@@ -42,13 +42,15 @@ def describe_many(paths: Sequence[str]) -> list[dict[str, Any]]:
     Returns
     -------
     list of dict
-        ``path``, ``points``, ``per_m2`` (over its bounds, or None), ``bounds`` (lowest x, y, z, highest x, y, z in
-        units of the CRS), ``unit``, ``crs``.
+        ``path``, ``points``, ``per_m2`` (mean density in its bounds, or None), ``bounds`` (lowest x, y, z, highest x,
+        y, z in units of the CRS), ``unit``, ``crs``. A cloud that cannot be read has ``path`` and ``error``.
 
     Raises
     ------
+    ConfigError
+        A path does not exist.
     InputError
-        No cloud is there.
+        There is no cloud.
     """
     found, files = [], find_inputs(paths)
     with ChildPool(1) as guards:
@@ -73,7 +75,7 @@ def _facts(source: SourceInfo) -> dict[str, Any]:
 
 
 def rows(clouds: Sequence[dict[str, Any]]) -> list[list[str]]:
-    """The rows of the table, in the order of `COLUMNS`."""
+    """Return the rows of the table, with cells in the order of `COLUMNS`."""
     return [_row(cloud) for cloud in clouds]
 
 

@@ -1,4 +1,4 @@
-"""Preview of a run in seconds: a few windows of the clouds at full density, filtered, gridded and drawn."""
+"""Preview of a run in seconds: a few windows at full density, filtered, gridded and drawn."""
 
 from __future__ import annotations
 
@@ -28,35 +28,42 @@ from tiler.schedule import ChildProcess
 from tiler.store import TileStore, open_store
 
 MAX_WIDTH_M = 200.0
-"""Largest default side of a window, which shows a few blocks of a town."""
+"""Maximum default side of a window in metres, which shows a few blocks of a town."""
 MIN_WIDTH_M = 20.0
-"""Smallest default side of a window, below which a building would fill it."""
+"""Minimum default side of a window in metres, below which a building would fill it."""
 MAX_POINTS = 700_000
-"""Most points of a window without a given side; one core processes them in a few seconds."""
+"""Number of points that limits the default side of a window.
+
+One core processes this number in a few seconds.
+"""
 FILES = 6
-"""Most files that are sampled for places of windows."""
+"""Maximum number of files that are sampled for positions of windows."""
 PLACES = 24
-"""Number of places that are sampled from all files together, at least one from each."""
-GAP = 6  # pixels between pictures
+"""Number of positions that are sampled in all files together, at least one in each file."""
+GAP = 6
+"""Number of pixels between pictures."""
 WIDE_PIXELS = 320
-"""Smallest number of pixels along a side of a window's picture."""
-EMPTY_GREY = 236  # pixels without a height, lighter than shaded ground
+"""Minimum side of the largest window's picture in pixels. Smaller pictures are enlarged."""
+EMPTY_GREY = 236
+"""Grey of pixels without a height, which is lighter than shaded ground."""
 PAPER = 255
+"""Grey of the background."""
 
 Shade = npt.NDArray[np.uint8]
 
 
 @dataclass(frozen=True)
 class PreviewWindow:
-    """A window of the picture.
+    """Window of the preview.
 
     Attributes
     ----------
     bounds : tuple of 4 float
         Lowest x, y, highest x, y in units of the CRS.
     points, ground : int
+        Number of points in the window, and of points labelled ground.
     failed : int
-        Number of failed tasks, which leave holes in the picture.
+        Number of failed tasks, which cause holes in the picture.
     """
 
     bounds: Box
@@ -74,29 +81,29 @@ def make_preview(
     number: int = 3,
     side_m: float | None = None,
 ) -> list[PreviewWindow]:
-    """Shade surface and terrain of a few windows of the clouds, as a run with these settings gives them.
+    """Draw hillshades of surface and terrain in a few windows of the clouds, for the settings of a run.
 
-    Each window is processed alone. A run may differ at the borders of the windows, and because of its run-wide
-    statistics. Only files that windows touch are decoded.
+    Each window is processed separately. A run may differ at the borders of the windows, and because of its run-wide
+    statistics. After sampling, only files that windows intersect are decoded.
 
     Parameters
     ----------
     inputs : sequence of str
         Files, folders, globs.
     target : path
-        PNG: a column for each window, the surface (highest returns) above the terrain.
+        PNG with a column for each window, in which the surface (highest returns) is above the terrain.
     config : RunConfig
     listener : callable
-        Receives the notes of the plan, and each warning once.
+        Function that receives the notes of the plan and each warning once.
     number : int
-        Most windows; they do not overlap.
+        Maximum number of windows, which do not overlap.
     side_m : float, optional
-        Side of a window, metres; by default up to 200, less in dense clouds.
+        Side of a window, metres. The default is up to 200, and less in dense clouds.
 
     Raises
     ------
     TilerError
-        If `tiler.pipeline.run` raises it.
+        `tiler.pipeline.run` raises it, or no window contains points.
     """
     config = config or RunConfig()
     picture = Target("-o", target, (".png",))
@@ -128,7 +135,7 @@ def make_preview(
 
 
 def _once(listener: Listener) -> Listener:
-    """A listener that passes on each warning once, and neither notes nor progress."""
+    """Return a listener that forwards each warning once, and does not forward other events."""
     seen: set[str] = set()
 
     def tell(event: Event) -> None:
@@ -162,9 +169,10 @@ def _hull(sources: Sequence[SourceInfo]) -> Box:
 
 
 def spread(places: Sequence[tuple[float, float]], number: int, side: float, hull: Box) -> list[Box]:
-    """Squares around some of the places, far from one another and not overlapping, inside the hull if they fit.
+    """Return squares around some of the positions, distant from one another and without overlap.
 
-    The first place is the one nearest to the median of all; each further one is the farthest from those chosen.
+    They are inside ``hull`` if they fit. The first position is the one nearest to the median of all positions. Each
+    further position is the farthest from the chosen ones.
     """
     if not places:
         return []
@@ -192,10 +200,10 @@ def spread(places: Sequence[tuple[float, float]], number: int, side: float, hull
 def _cut(
     guard: ChildProcess, sources: Sequence[SourceInfo], windows: Sequence[Box], scratch: Path, salvage: bool
 ) -> list[dict[str, str]]:
-    """Files with the points of each window, and the cloud from which each was cut."""
+    """Write files with the points of each window. Return them, with the cloud from which each was cut."""
     files: list[dict[str, str]] = [{} for _ in windows]
     for number, source in enumerate(sources):
-        assert source.bounds is not None  # the caller passes no others
+        assert source.bounds is not None  # The caller passes only sources with bounds.
         x0, y0, _, x1, y1, _ = source.bounds
         mine = [i for i, w in enumerate(windows) if w[0] <= x1 and x0 <= w[2] and w[1] <= y1 and y0 <= w[3]]
         if not mine:
@@ -212,7 +220,7 @@ def _cut(
 
 
 def _settings(plan: Plan) -> RunConfig:
-    """The settings of the run, without extent, output and resources."""
+    """Return the settings of the run of a window, without extent, output and resources of the plan."""
     return plan.config.updated(
         products=("dtm", "dsm"),
         resolution=plan.resolution,
@@ -237,7 +245,7 @@ def _window(
     out = Path(next(iter(paths))).with_suffix("")
 
     def tell(event: Event) -> None:
-        """Name the cloud instead of the file that was cut from it."""
+        """Replace the path of a cut file in a warning by the window and the path of the cloud."""
         if isinstance(event, Warned):
             text = event.text
             for path, cloud in paths.items():
@@ -268,7 +276,7 @@ def _shade(store: TileStore, name: str) -> Shade:
 
 
 def _montage(columns: Sequence[Sequence[Shade]]) -> npt.NDArray[np.uint8]:
-    """All pictures on white paper, RGBA; small pictures are enlarged."""
+    """Return all pictures on a white background as RGBA. Small pictures are enlarged."""
     largest = max(max(picture.shape) for picture in itertools.chain(*columns))
     times = max(math.ceil(WIDE_PIXELS / largest), 1)
     pictures = [[np.kron(p, np.ones((times, times), np.uint8)) for p in column] for column in columns]

@@ -1,4 +1,4 @@
-"""Compile all kernels of methods ahead of their first run: for images, CI, and machines with little time."""
+"""Compilation of all kernels of methods before their first run, for example in images and CI."""
 
 from __future__ import annotations
 
@@ -20,14 +20,14 @@ def warm(methods: Sequence[str]) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``folder`` of the machine code, ``kernels`` in it, ``compiled`` by this call.
+        ``folder`` of the machine code, ``kernels`` (number in it), ``compiled`` (number compiled by this call).
 
     Raises
     ------
     ConfigError
-        If a method is unknown, or no folder can be written.
+        A method is unknown, or no folder can be written.
     ProcessingError
-        If the compiler crashes.
+        The compiler crashes.
     """
     unknown = [name for name in methods if name not in METHODS]
     if unknown:

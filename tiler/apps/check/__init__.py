@@ -1,7 +1,7 @@
 """Checks of a DTM against checkpoints, across the edges of tiles, and between flight strips.
 
-`measure` does all of these. `points` reads checkpoints and `accuracy` compares them with a DTM; `seams` and `strips`
-need no checkpoints. `requirements` judges the figures, and `figures` draws them.
+`measure` runs all of these. `points` reads checkpoints and `accuracy` compares them with a DTM. `seams` and `strips` do
+not need checkpoints. `requirements` compares the results with limits, and `figures` draws them.
 """
 
 from tiler.apps.check.accuracy import check_dtm

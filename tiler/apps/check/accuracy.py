@@ -27,34 +27,41 @@ from tiler.errors import ConfigError
 from tiler.io.json_text import excerpt
 
 STANDARD = "ASPRS Positional Accuracy Standards for Digital Geospatial Data, Edition 2"
-MIN_POINTS = 30  # the standard's numbers of checkpoints
+MIN_POINTS = 30
+"""Minimum number of checkpoints that the standard requires."""
 MAX_POINTS = 120
+"""Number of checkpoints that the standard requires for the largest areas."""
 OUTLIER_NMADS = 3.0
-"""Distance of an outlier from the median, in NMAD. Outliers are named, and stay in all figures."""
+"""Minimum distance of an outlier from the median, in NMAD.
+
+Outliers are listed and stay in all statistics.
+"""
 _ROUNDING = 1e-9
 
 Floats = npt.NDArray[np.float64]
 
 
 def check_dtm(dtm: Path | str, points: Checkpoints, options: PointOptions | None = None) -> dict[str, Any]:
-    """Differences between DTM and checkpoints; the DTM is bilinear between pixel centres.
+    """Compare a DTM, interpolated bilinearly between pixel centres, with checkpoints.
 
     Returns
     -------
     dict
-        ``unit`` (of all heights), ``metres_per_unit``; ``points``, ``used``, ``no_height`` (a pixel around has no
-        data), ``outside`` (of the raster); ``all``, ``nva``, ``vva``: figures of
+        ``dtm`` (path); ``unit`` (of all heights), ``metres_per_unit``; numbers of checkpoints: ``points``, ``used``,
+        ``no_height`` (a pixel around the checkpoint has no data), ``outside`` (of the raster); ``points_rmse`` (the
+        checkpoints' own error, in ``unit``); ``all``, ``nva``, ``vva``: statistics of
         `tiler.core.difference_statistics.spread`, ``points``, ``rmse_v`` (RMSE with the checkpoints' own error),
-        ``outliers``; ``land_cover``: the same by name; ``asprs``: ``standard``, ``least_points``, ``enough_points``,
-        ``statement`` (None with too few); ``differences``: for each point ``name``, ``x``, ``y`` (CRS of the DTM),
-        ``kind``, ``cover``, ``z``, ``dtm``, ``difference`` (None without a height) and ``outlier``; ``notes``.
+        ``outliers``; ``land_cover``: the same by name of the land cover; ``asprs``: ``standard``, ``least_points``,
+        ``enough_points``, ``statement`` (None with too few checkpoints); ``differences``: for each checkpoint
+        ``name``, ``x``, ``y`` (CRS of the DTM), ``kind``, ``cover``, ``z``, ``dtm``, ``difference`` (None without a
+        height) and ``outlier``; ``notes``.
 
     Raises
     ------
     InputError
-        If the DTM cannot be read.
+        The DTM cannot be read.
     ConfigError
-        If the checkpoints' CRS is unknown.
+        The CRS of the checkpoints is unknown or cannot be transformed to the CRS of the DTM.
     """
     options = options or PointOptions()
     notes = list(points.notes)
@@ -107,7 +114,7 @@ def _none_for_nan(values: Floats) -> list[float | None]:
 def _in_crs_of(
     raster: Any, points: Checkpoints, options: PointOptions, notes: list[str]
 ) -> tuple[Floats, Floats]:
-    """X and y of the checkpoints in the raster's CRS; heights are not transformed."""
+    """Return x and y of the checkpoints in the raster's CRS. Heights are not transformed."""
     text = options.crs or points.crs
     x, y = points.xy
     if text is None:
@@ -145,20 +152,20 @@ def _in_crs_of(
 
 
 def bilinear(raster: Any, x: Floats, y: Floats) -> tuple[Floats, npt.NDArray[np.bool_]]:
-    """Heights at positions, bilinear between the four surrounding pixel centres.
+    """Return heights at positions, interpolated bilinearly between the four pixel centres around each.
 
     Parameters
     ----------
     raster : rasterio data set
     x, y : float64 [n]
-        In the raster's CRS.
+        Positions in the raster's CRS.
 
     Returns
     -------
     heights : float64 [n]
-        NaN if a pixel of non-zero weight has no data or does not exist.
+        Heights, or NaN if a pixel of non-zero weight has no data or does not exist.
     outside : bool [n]
-        Whether a position lies beyond the raster's pixels.
+        Mask of the positions that lie beyond the raster's pixels.
     """
     columns, rows = pixel_places(raster.transform, x, y)
     outside = ~((columns >= 0) & (columns <= raster.width) & (rows >= 0) & (rows <= raster.height))
@@ -169,16 +176,19 @@ def bilinear(raster: Any, x: Floats, y: Floats) -> tuple[Floats, npt.NDArray[np.
 
 
 def pixel_places(transform: Any, x: Floats, y: Floats) -> tuple[Floats, Floats]:
-    """Positions as columns and rows, in pixels from the corner of the first one; `transform` is rasterio's."""
+    """Return positions as columns and rows, in pixels from the outer corner of the first pixel.
+
+    ``transform`` is the affine transform of a rasterio data set.
+    """
     a, b, c, d, e, f = tuple(transform)[:6]
     determinant = a * e - b * d
     across, down = np.asarray(x) - c, np.asarray(y) - f
-    with np.errstate(invalid="ignore"):  # a failed transformation gives infinity, which is on no pixel
+    with np.errstate(invalid="ignore"):  # A failed transformation gives infinity, which is beyond all pixels.
         return (e * across - b * down) / determinant, (a * down - d * across) / determinant
 
 
 def _between_centres(raster: Any, column: float, row: float) -> float:
-    """The height at a position in pixels from the centre of the first one; NaN without one."""
+    """Return the height at a position in pixels from the centre of the first pixel, or NaN."""
     column, row = _near_whole(column), _near_whole(row)
     left, top = math.floor(column), math.floor(row)
     across, down = column - left, row - top
@@ -188,12 +198,15 @@ def _between_centres(raster: Any, column: float, row: float) -> float:
 
 
 def _near_whole(value: float) -> float:
-    """The value, or the nearest integer if only rounding separates them."""
+    """Return the nearest integer if only rounding separates it from the value, else the value."""
     return round(value) if abs(value - round(value)) < 1e-6 else value
 
 
 def outliers(difference: Floats) -> npt.NDArray[np.bool_]:
-    """Mask of the differences (NaN: none) that lie farther than `OUTLIER_NMADS` from their median."""
+    """Return a mask of the differences that lie farther than `OUTLIER_NMADS` from their median.
+
+    A difference of NaN is not an outlier.
+    """
     figures = spread(difference[np.isfinite(difference)])
     if figures["median"] is None or figures["nmad"] is None:
         return np.zeros(difference.size, np.bool_)
@@ -203,7 +216,7 @@ def outliers(difference: Floats) -> npt.NDArray[np.bool_]:
 
 
 def _figures(difference: Floats, own_rmse: float) -> dict[str, Any]:
-    """The spread of the differences that are not NaN, and the accuracy by the standard."""
+    """Return the statistics of the differences that are not NaN, and the accuracy by the standard."""
     used = difference[np.isfinite(difference)]
     figures = spread(used)
     accuracy = None
@@ -218,13 +231,19 @@ def _figures(difference: Floats, own_rmse: float) -> dict[str, Any]:
 
 
 def min_points(area_km2: float) -> int:
-    """Checkpoints that the standard requires: 30 up to 1000 km2, 10 more per further 1000 km2, 120 at most."""
+    """Return the number of checkpoints that the standard requires.
+
+    It is 30 up to 1000 km2, plus 10 for each further 1000 km2 or part of it, up to 120.
+    """
     further = max(math.ceil(min(area_km2, 1e9) / 1000) - 1, 0)
     return min(MIN_POINTS + 10 * further, MAX_POINTS)
 
 
 def _area_km2(raster: Any) -> float:
-    """Area of the whole raster, including pixels without data; without a projected CRS units count as metres."""
+    """Return the area of the whole raster, including pixels without data.
+
+    Without a projected CRS, the units of the raster count as metres.
+    """
     factor = 1.0
     if raster.crs is not None and raster.crs.is_projected:
         factor = raster.crs.linear_units_factor[1]

@@ -1,7 +1,7 @@
-"""Drawings of a check: a histogram of the differences and a map of the points.
+"""Drawings of a check: a histogram of the differences and a map of the checkpoints.
 
-They are SVG, because numbers at axes need letters, which every viewer of SVG has. A plotting library would be a
-dependency for two pictures. The map contains the hillshade of the report as a PNG.
+They are SVG, because the labels of axes need fonts, which every SVG viewer has. A plotting library would be a
+dependency for only two drawings. The map contains the hillshade of the report as a PNG.
 """
 
 from __future__ import annotations
@@ -26,26 +26,33 @@ from tiler.io.overwrite_check import Target, check_targets
 from tiler.redaction import shown
 from tiler.report.pictures import small_hillshade
 
-WIDTH = 760  # of a drawing, pixels
+WIDTH = 760
+"""Width of the histogram and minimum width of the map, in pixels."""
 HEIGHT = 420
-MARGIN = 56  # room for the numbers at the axes
-BINS = 30  # bars of the histogram
+"""Height of the histogram in pixels."""
+MARGIN = 56
+"""Width in pixels of the margin that contains the labels of the axes."""
+BINS = 30
+"""Number of bars of the histogram."""
 MAP_PIXELS = 900
-"""Pixels along the longer side of the map's hillshade."""
+"""Number of pixels along the longer side of the map's hillshade."""
 
 _STYLE = (
     "text{font:13px sans-serif;fill:#333}.axis{stroke:#888}.bar{fill:#4878a8}.out{stroke:#000;stroke-width:2}"
     ".zero{stroke:#c33;stroke-dasharray:4 3}"
 )
-_BELOW = (33, 102, 172)  # blue where the DTM is too low
-_ABOVE = (178, 24, 43)  # red where it is too high
-_NONE = "#777"  # grey without a height
+_BELOW = (33, 102, 172)
+"""Blue, for checkpoints where the DTM is too low."""
+_ABOVE = (178, 24, 43)
+"""Red, for checkpoints where the DTM is too high."""
+_NONE = "#777"
+"""Grey, for checkpoints without a height of the DTM."""
 
 FILES = ("histogram.svg", "map.svg")
 
 
 def validate_figure_files(folder: Path, dtm: Path, points: Path | None, strips: Sequence[str]) -> None:
-    """Raise ConfigError if drawings of `write_figures` would replace files that the check reads."""
+    """Raise ConfigError if `write_figures` would replace files that are not drawings of a check."""
     reads: list[str | Path] = list(files_of_raster(dtm))
     if points is not None:
         reads.append(points)
@@ -72,21 +79,22 @@ def write_figures(folder: Path | str, dtm: Path | str, accuracy: Mapping[str, An
     Parameters
     ----------
     folder : path
-        Made if necessary.
+        Folder of the drawings, which is made if necessary.
     dtm : path
     accuracy : mapping
+        Result of `tiler.apps.check.check_dtm` for this DTM.
 
     Returns
     -------
     list of str
-        The files.
+        Paths of the drawings.
 
     Raises
     ------
     InputError
-        If the DTM cannot be read.
+        The DTM cannot be read.
     ProcessingError
-        If the files cannot be written.
+        The files cannot be written.
     """
     folder = Path(folder)
     drawings = dict(zip(FILES, (histogram(accuracy), point_map(as_path(dtm), accuracy)), strict=True))
@@ -115,7 +123,7 @@ def _text(x: float, y: float, text: str, anchor: str = "middle") -> str:
 
 
 def histogram(accuracy: Mapping[str, Any]) -> str:
-    """Histogram of the differences as SVG."""
+    """Return a histogram of the differences as SVG."""
     unit = accuracy["unit"]
     title = f"DTM minus checkpoint, {unit}"
     values = np.array([p["difference"] for p in accuracy["differences"] if p["difference"] is not None])
@@ -159,7 +167,7 @@ def histogram(accuracy: Mapping[str, Any]) -> str:
 
 
 def ticks(low: float, high: float) -> list[float]:
-    """About six round numbers in an interval."""
+    """Return up to seven round numbers in an interval, at even distances."""
     if not high > low:
         return [low]
     rough = (high - low) / 6
@@ -170,7 +178,7 @@ def ticks(low: float, high: float) -> list[float]:
 
 
 def point_map(dtm: Path, accuracy: Mapping[str, Any]) -> str:
-    """Map of the points over a hillshade, coloured by their difference, as SVG."""
+    """Return a map of the checkpoints over a hillshade, coloured by their differences, as SVG."""
     with open_raster(dtm) as raster:
         transform, shape = raster.transform, raster.shape
     with raster_named(dtm):

@@ -1,4 +1,4 @@
-"""All checks of one DTM. A child process reads its files, as damaged ones may crash it."""
+"""All checks of one DTM. Child processes read the files, because a damaged file may crash them."""
 
 from __future__ import annotations
 
@@ -26,14 +26,15 @@ def measure(
     requirements: Sequence[Requirement] = (),
     figures: Path | None = None,
 ) -> dict[str, Any]:
-    """Check a DTM by its checkpoints, its seams and overlapping strips, as far as these are given.
+    """Check a DTM by checkpoints, by its seams, and by overlapping strips, as far as these are given.
 
     Parameters
     ----------
     dtm, points : Path
+        Raster, and file of checkpoints.
     options : PointOptions
     tile_m : Fraction or None
-        Argument of `seams_of`.
+        Side of a tile, see `seams_of`.
     strips : sequence of str
         Classified clouds.
     requirements : sequence of Requirement
@@ -43,7 +44,8 @@ def measure(
     Returns
     -------
     dict
-        ``dtm``; ``accuracy``, ``seams`` and ``strips``, if measured; ``requirements``; ``figures``.
+        ``dtm`` (path); ``accuracy``, ``seams`` and ``strips``, if measured; ``requirements`` (see `judge`); ``figures``
+        (paths of the drawings).
 
     Raises
     ------

@@ -41,7 +41,7 @@ Floats = npt.NDArray[np.float64]
 
 
 class Row(NamedTuple):
-    """One checkpoint in the terms of its file."""
+    """One checkpoint, with the values as in its file."""
 
     x: float
     y: float
@@ -53,14 +53,14 @@ class Row(NamedTuple):
 
 @dataclass(frozen=True)
 class PointOptions:
-    """Facts that a file of checkpoints does not state itself.
+    """Properties of checkpoints that their file does not contain.
 
     Attributes
     ----------
     crs : str or None
-        CRS of x and y; None: that of the file, or else of the DTM.
+        CRS of x and y. None: the CRS of the file, or of the DTM if the file has none.
     unit : Fraction or None
-        Metres in one unit of the heights; None: the unit of the DTM.
+        Metres in one unit of the heights. None: the unit of the DTM.
     rmse : float
         RMSE of the checkpoints' own heights, metres.
     """
@@ -72,17 +72,18 @@ class PointOptions:
 
 @dataclass(frozen=True)
 class Checkpoints:
-    """Points of known height.
+    """Checkpoints of one file.
 
     Attributes
     ----------
     xy : float64 [2, n]
+        Coordinates in the CRS of the file.
     z : float64 [n]
         Heights in units of the file.
     kinds : tuple of str
-        ``NVA`` or ``VVA``.
+        ``NVA`` or ``VVA`` for each checkpoint.
     covers : tuple of str
-        Land cover; empty if the file has none.
+        Land cover of each checkpoint, empty if the file has none.
     names : tuple of str
     crs : str or None
         CRS in the file: WKT or authority code.
@@ -102,20 +103,20 @@ class Checkpoints:
 
 
 def read_checkpoints(path: Path | str) -> Checkpoints:
-    """The points of a file.
+    """Read the checkpoints of a file.
 
     Parameters
     ----------
     path : path
         ``.csv`` or ``.txt``: comma, semicolon or tab between the columns x, y, z and, optionally, type (NVA or VVA),
-        land cover, id. A heading names the columns; without one they have this order. Lines that begin with # are
-        skipped. ``.geojson``, ``.gpkg``, ``.shp``, ``.fgb``: the only layer of points, with heights in the geometry or
-        in a column.
+        land cover, id. A heading gives the names of the columns. Without a heading, the columns are x, y, z, type and
+        land cover, and an id is not read. Lines that begin with # are skipped. ``.geojson``, ``.gpkg``, ``.shp``,
+        ``.fgb``: the only layer of points, with heights in the geometry or in a column.
 
     Raises
     ------
     InputError
-        If the file cannot be read, has another format, or a line has no coordinates.
+        The file cannot be read, has another format or no checkpoint, or a checkpoint has invalid values.
     """
     path = Path(path)
     suffix = path.suffix.lower()
@@ -144,14 +145,17 @@ def read_checkpoints(path: Path | str) -> Checkpoints:
 
 
 def _row_of(feature: Feature) -> Row:
-    """A row from a point, whose height is its third coordinate or an attribute."""
+    """Return the row of a point, whose height is its third coordinate or an attribute."""
     has_z = bool(feature.geometry.has_z)
     place = shapely.get_coordinates(feature.geometry, include_z=has_z)[0].tolist()
     return row_of(feature.attributes | dict(zip(("x", "y", "z"), place, strict=False)), feature.place)
 
 
 def row_of(values: Mapping[str, Any], place: str) -> Row:
-    """A row from named values; raises InputError if x, y or z is not a finite number."""
+    """Return a row from named values.
+
+    Raise InputError if x, y or z is missing, is not a finite number, or is too large.
+    """
     found = {wanted: _value(values, names) for wanted, names in _COLUMNS.items()}
     numbers = []
     for axis in ("x", "y", "z"):

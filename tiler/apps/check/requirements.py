@@ -1,4 +1,4 @@
-"""Limits for the figures of a check, such as ``rmse=0.1``."""
+"""Limits for the results of a check, such as ``rmse=0.1``."""
 
 from __future__ import annotations
 
@@ -15,18 +15,18 @@ Report = Mapping[str, Any]
 
 @dataclass(frozen=True)
 class Metric:
-    """A figure that can have a limit.
+    """Result of a check that can have a limit.
 
     Attributes
     ----------
-    value : callable
-        Gives the figure from a part of a report, or None.
     part : str
         Part of the report: ``accuracy``, ``seams`` or ``strips``.
+    value : callable
+        Function that returns the value of the metric from that part, or None.
     is_length : bool
-        Whether the figure is a length; otherwise it is a number of points.
+        Whether the metric is a length. Otherwise it is a number of points.
     at_least : bool
-        Whether the limit is a minimum; otherwise it is a maximum.
+        Whether the limit is a minimum. Otherwise it is a maximum.
     """
 
     part: str
@@ -57,19 +57,25 @@ METRICS: dict[str, Metric] = {
     "seam": Metric("seams", lambda seams: seams["excess"]),
     "strips": Metric("strips", lambda strips: strips["all"]["rmse"]),
 }
-"""Figures by name. Those of checkpoints are non-vegetated, since vegetated accuracy is never judged."""
+"""Metrics by name.
+
+Accuracy is that of non-vegetated checkpoints, because vegetated accuracy is never judged.
+"""
 
 
 @dataclass(frozen=True)
 class Requirement:
-    """A limit of a figure: metres, or a number of points."""
+    """Limit of a metric, in metres or as a number of points."""
 
     name: str
     limit: Fraction
 
 
 def parse_requirements(texts: Iterable[str]) -> list[Requirement]:
-    """Requirements from ``name=value`` texts; lengths without a unit are metres. Raises ConfigError."""
+    """Return the requirements of ``name=value`` texts, in which lengths without a unit are metres.
+
+    Raise ConfigError if a name is unknown or a value is invalid.
+    """
     found = []
     for text in texts:
         name, sign, value = (part.strip() for part in text.partition("="))
@@ -90,13 +96,13 @@ def judge(requirements: Sequence[Requirement], report: Report) -> list[dict[str,
     Returns
     -------
     list of dict
-        ``name``, ``limit`` and ``value`` (metres or points; None: not measured), ``met``. A requirement without a
-        measured value is not met.
+        ``name``, ``limit`` and ``value`` (metres or number of points, None if not measured), ``met``. A requirement
+        without a measured value is not met.
 
     Raises
     ------
     ConfigError
-        If the check did not include the part of a requirement.
+        The report does not contain the part of a requirement.
     """
     judged = []
     for requirement in requirements:

@@ -1,11 +1,11 @@
 """Steps of a DTM across the edges of tiles, compared with steps within tiles.
 
 A *step* is the absolute difference of two neighbouring pixels. A *jump* is the part of a step that the slopes on both
-sides do not explain: for heights a, b, c, d in a row, the jump between b and c is |(c - b) - ((b - a) + (d - c)) / 2|.
-It is 0 on any plane and any even curve, so it shows a seam on steep ground as well.
+sides do not explain. For heights a, b, c, d in a row, the jump between b and c is |(c - b) - ((b - a) + (d - c)) / 2|.
+It is 0 on any plane and any parabola, so it shows a seam on steep ground as well.
 
-A few edges cross only a few places, which may be rougher than the rest. So edges are compared with the lines of pixels
-beside them, which cross the same places.
+A few edges cross only a small part of the terrain, which may be rougher than the rest. So edges are compared with the
+lines of pixels next to them, which cross the same terrain.
 """
 
 from __future__ import annotations
@@ -31,10 +31,16 @@ from tiler.io.locations import as_path
 from tiler.io.result_folder import RUN
 
 BESIDE = (3, 20)
-"""Distances in pixels of the lines beside an edge. The nearest two lines contain half of its jump in their slopes."""
+"""Minimum and maximum distance in pixels of the lines next to an edge with which it is compared.
+
+Nearer lines are left out. The slopes of the nearest one on each side contain half of the edge's jump.
+"""
 
 KINDS = ("interior", "tiles", "blocks", "beside_tiles", "beside_blocks")
-"""Kinds of steps: within tiles, across edges of tiles and of the raster's own blocks, and beside these edges."""
+"""Kinds of steps: within tiles, across edges, and next to edges.
+
+The edges are those of tiles and of the raster's own blocks.
+"""
 
 Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
@@ -42,14 +48,15 @@ Bools = npt.NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class TileEdges:
-    """The edges of tiles, at multiples of a size, moved to the nearest edge of a bucket.
+    """Edges of tiles, at multiples of a size, moved to the nearest edge of a bucket.
 
     Attributes
     ----------
     tile : float
-        Side of a tile, units of the CRS; the lattice is anchored at coordinate 0.
+        Side of a tile in units of the CRS. The lattice is anchored at coordinate 0.
     bucket : float
-        Side of a bucket. A tile consists of the buckets whose centres lie in its cell. 0: no buckets.
+        Side of a bucket in units of the CRS. A tile consists of the buckets whose centres lie in its cell. 0: there
+        are no buckets, and edges are not moved.
     blocks : bool
         Whether to examine the raster's own blocks as well.
     """
@@ -59,7 +66,7 @@ class TileEdges:
     blocks: bool = False
 
     def between(self, low: float, high: float) -> list[float]:
-        """The edges in an interval along one axis."""
+        """Return the edges in an open interval along one axis, sorted."""
         first, last = math.ceil(low / self.tile) - 1, math.floor(high / self.tile) + 1
         edges = [k * self.tile for k in range(first, last + 1)]
         if self.bucket:
@@ -69,7 +76,7 @@ class TileEdges:
 
 @dataclass
 class StepStatistics:
-    """Number, sum and largest of the known values."""
+    """Number, sum and maximum of the values that are not NaN."""
 
     n: int = 0
     total: float = 0.0
@@ -84,36 +91,36 @@ class StepStatistics:
             self.largest = max(self.largest, float(known.max()))
 
     def facts(self, name: str) -> dict[str, float | None]:
-        """Mean and largest value; None without values."""
+        """Return the mean and the largest value by key, each None if there are no values."""
         if not self.n:
             return {f"mean_{name}": None, f"largest_{name}": None}
         return {f"mean_{name}": self.total / self.n, f"largest_{name}": self.largest}
 
 
 def seam_steps(dtm: Path | str, edges: TileEdges) -> dict[str, Any]:
-    """Steps and jumps across edges and within tiles, read block by block.
+    """Measure steps and jumps across edges and within tiles, block by block.
 
     Parameters
     ----------
     dtm : path
-        A raster without rotation.
+        Raster without rotation.
     edges : TileEdges
 
     Returns
     -------
     dict
         ``unit`` (of the heights), ``metres_per_unit``; ``tile``, ``bucket`` (units of the CRS); ``interior``, ``tiles``
-        and, if requested, ``blocks``: ``pairs``, ``mean_step``, ``largest_step``, ``mean_jump``, ``largest_jump`` in
-        units of the heights, or None; ``beside_tiles``, ``beside_blocks``: the same for lines `BESIDE` the edges;
-        ``excess``: mean jump across edges of tiles minus that beside them (or of the interior, if tiles are too small
-        for lines beside edges).
+        and, if requested, ``blocks``: ``pairs`` (number), ``mean_step``, ``largest_step``, ``mean_jump``,
+        ``largest_jump`` in units of the heights, or None; ``beside_tiles``, ``beside_blocks``: the same for the lines
+        next to the edges (see `BESIDE`); ``excess``: mean jump across edges of tiles minus the mean jump next to them,
+        or within tiles if the tiles are too small for lines next to edges.
 
     Raises
     ------
     InputError
-        If the DTM cannot be read.
+        The DTM cannot be read.
     ConfigError
-        If it is rotated, or the tile is at most three pixels wide.
+        The DTM is rotated, or the tiles are narrower than four pixels.
     """
     with open_raster(dtm) as raster:
         if raster.transform.b or raster.transform.d:
@@ -150,23 +157,23 @@ def seam_steps(dtm: Path | str, edges: TileEdges) -> dict[str, Any]:
 
 
 def seams_of(dtm: Path | str, tile_m: Fraction | None) -> dict[str, Any] | None:
-    """`seam_steps` for tiles of a size in metres, or for those of the run that made the DTM.
+    """Return `seam_steps` for tiles of a size in metres, or for the tiles of the run that made the DTM.
 
     Parameters
     ----------
     dtm : path
     tile_m : Fraction or None
-        Side of a tile; None: the tiles of the ``run.json`` beside the DTM.
+        Side of a tile in metres. None: the tiles in the ``run.json`` next to the DTM.
 
     Returns
     -------
     dict or None
-        None without a size and without a ``run.json``.
+        Result of `seam_steps`, or None without a size and without a ``run.json``.
 
     Raises
     ------
     TilerError
-        If `seam_steps` or `edges_of_run` raises it, or the DTM cannot be read.
+        `seam_steps` or `edges_of_run` raises it, the DTM cannot be read, or ``tile_m`` is not positive.
     """
     metres = horizontal_unit(as_path(dtm))
     if tile_m is None:
@@ -180,7 +187,10 @@ def seams_of(dtm: Path | str, tile_m: Fraction | None) -> dict[str, Any] | None:
 
 
 def _pairs(raster: Any, edges: TileEdges) -> Iterator[tuple[Floats, Floats, dict[str, Bools]]]:
-    """Steps and jumps (NaN: none) of neighbours and masks of their kinds: along rows, along columns, by block."""
+    """Yield steps and jumps of neighbouring pixels, and masks of their kinds.
+
+    Each block yields the neighbours along rows, then along columns. Values next to pixels without data are NaN.
+    """
     transform, (height, width) = raster.transform, raster.shape
     columns = _marks(transform.c, transform.a, width, edges)
     rows = _marks(transform.f, transform.e, height, edges)
@@ -192,7 +202,10 @@ def _pairs(raster: Any, edges: TileEdges) -> Iterator[tuple[Floats, Floats, dict
 
 
 def _differences(heights: Floats, marks: dict[str, Bools]) -> tuple[Floats, Floats, dict[str, Bools]]:
-    """Pairs between columns i + 1 and i + 2 of `heights`, which has three more columns than there are pairs."""
+    """Return steps and jumps between columns i + 1 and i + 2 of ``heights``, and masks of their kinds.
+
+    The results have three columns fewer than ``heights``.
+    """
     a, b, c, d = heights[:, :-3], heights[:, 1:-2], heights[:, 2:-1], heights[:, 3:]
     steps = np.abs(c - b)
     jumps = np.abs((c - b) - ((b - a) + (d - c)) / 2)
@@ -200,7 +213,7 @@ def _differences(heights: Floats, marks: dict[str, Bools]) -> tuple[Floats, Floa
 
 
 def _marks(start: float, size: float, pixels: int, edges: TileEdges) -> dict[str, Bools]:
-    """Masks of the pixels along an axis whose step from the pixel before is of a kind, for each of `KINDS`."""
+    """Return masks of the pixels along an axis whose step from the previous pixel is of each of `KINDS`."""
     low, high = sorted((start, start + size * pixels))
     found = np.zeros(pixels + 1, np.bool_)
     for edge in edges.between(low, high):
@@ -218,17 +231,17 @@ def _marks(start: float, size: float, pixels: int, edges: TileEdges) -> dict[str
 
 
 def _within(lines: int, mark: Bools) -> Bools:
-    """Mask of the lines within a distance of a marked line."""
+    """Return a mask of the lines that are at most ``lines`` lines away from a marked line."""
     return maximum_filter1d(mark.astype(np.uint8), 2 * lines + 1, mode="constant") > 0
 
 
 def edges_of_run(dtm: Path) -> TileEdges | None:
-    """The edges of the run that made a DTM, from the ``run.json`` beside it; None without one.
+    """Return the edges of the run that made a DTM, or None if no ``run.json`` is next to it.
 
     Raises
     ------
     InputError
-        If no run wrote the file.
+        The ``run.json`` cannot be read, or does not contain the sizes of tiles and buckets.
     """
     path = dtm.parent / RUN
     if not path.is_file():

@@ -21,20 +21,26 @@ from tiler.io.las.reader import EVERYTHING, PointReader
 from tiler.schedule import call_isolated, half_of_memory
 
 CELL_M = 2.0
-"""Side of the compared cells: large enough for a few points of each strip, small enough to be nearly flat."""
+"""Side of the compared cells in metres.
+
+They are large enough for a few points of each strip, and small enough to be nearly flat.
+"""
 MIN_POINTS = 3
-"""Fewest points of each strip in a compared cell."""
+"""Minimum number of points of each strip in a compared cell."""
 MAX_ROUGH_M = 0.1
-"""Largest standard deviation of a strip's heights in a compared cell; others are too rough or steep."""
+"""Maximum standard deviation of a strip's heights in a compared cell, metres.
+
+Other cells are too rough or too steep.
+"""
 
 Floats = npt.NDArray[np.float64]
 Int64s = npt.NDArray[np.int64]
 
 
 def strip_differences(clouds: Sequence[str | Path]) -> dict[str, Any]:
-    """Compare the ground of strips in the cells of 2 m that they share.
+    """Compare the ground heights of strips in the cells of 2 m that they share.
 
-    The files are read piece by piece. Memory grows with the number of cells that hold ground.
+    The files are read piece by piece. Memory grows with the number of cells that contain ground.
 
     Parameters
     ----------
@@ -44,14 +50,16 @@ def strip_differences(clouds: Sequence[str | Path]) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``unit`` (of heights), ``metres_per_unit``; ``cell_m``; ``strips`` (points of ground by source id); ``cells``
-        (compared), ``rough`` (left out); ``all``: `tiler.core.difference_statistics.spread` of the differences;
-        ``pairs``: for each two strips ``first``, ``second``, ``cells`` and the spread of second minus first.
+        ``unit`` (of heights), ``metres_per_unit``; ``cell_m``; ``strips`` (number of ground points by source id);
+        ``cells`` (number of comparisons, one per cell and pair of strips), ``rough`` (number of comparisons left out,
+        because a strip has too few points or is too rough); ``all``: `tiler.core.difference_statistics.spread` of the
+        differences; ``pairs``: for each pair of strips ``first``, ``second``, ``cells`` and the spread of second minus
+        first.
 
     Raises
     ------
     InputError
-        If a file cannot be read, or there is no ground.
+        A file cannot be read, or there is no ground.
     """
     paths = find_inputs(clouds, results=True)
     return call_isolated(_strips_of, paths, paths=paths, memory_bytes=half_of_memory())
@@ -86,7 +94,7 @@ def _strips_of(paths: Sequence[Path]) -> dict[str, Any]:
 
 
 def _ground(path: Path) -> Iterator[tuple[Int64s, Floats, Floats, Floats]]:
-    """Source ids and coordinates of the ground points of a file, piece by piece."""
+    """Yield source ids and coordinates of the ground points of a file, piece by piece."""
     header = read_header(path)
     with PointReader(header, EVERYTHING) as reader:
         for records in reader.pieces():
@@ -97,9 +105,10 @@ def _ground(path: Path) -> Iterator[tuple[Int64s, Floats, Floats, Floats]]:
 
 
 def _compared(keys: Int64s, sums: Floats, max_rough: float) -> dict[str, Any]:
-    """Differences of all pairs of strips in the cells that they share.
+    """Return the differences of all pairs of strips in the cells that they share.
 
-    ``keys`` are strip, column and row, sorted by row, column, strip; ``sums`` points, heights, squared heights.
+    The rows of ``keys`` are strip, column and row, sorted by row, column and strip. The rows of ``sums`` are the number
+    of points, the sum of their heights, and the sum of their squared heights.
     """
     n, total, squares = sums
     mean = total / n
@@ -108,7 +117,7 @@ def _compared(keys: Int64s, sums: Floats, max_rough: float) -> dict[str, Any]:
     firsts, seconds = [np.empty(0, np.int64)], [np.empty(0, np.int64)]
     rough, step = 0, 1
     while True:
-        # Strips of a cell are consecutive, so the two of a pair are `step` apart.
+        # Strips of a cell are consecutive, so the strips of a pair are ``step`` apart.
         same = np.all(keys[1:, step:] == keys[1:, :-step], axis=0)
         if not same.any():
             break

@@ -1,7 +1,7 @@
-"""Scores against the truth: labels of clouds, heights of a DTM, and maps of the errors.
+"""Scores against references: classes of clouds, heights of a DTM, and maps of the errors.
 
-`tiler.apps.evaluate.labels` holds the definitions, `tiler.apps.evaluate.clouds` pairs the points of two files,
-`tiler.apps.evaluate.scenes` does it for many files, `tiler.apps.evaluate.heights` compares rasters.
+`tiler.apps.evaluate.labels` contains the definitions, `tiler.apps.evaluate.clouds` pairs the points of two files,
+`tiler.apps.evaluate.scenes` pairs and scores many files, and `tiler.apps.evaluate.heights` compares rasters.
 """
 
 from tiler.apps.evaluate.clouds import evaluate_files

@@ -1,4 +1,4 @@
-"""The classes of a cloud compared with those of a reference cloud: the same points, in any order."""
+"""Comparison of the classes of a cloud with a reference cloud of the same points, in any order."""
 
 from __future__ import annotations
 
@@ -19,21 +19,21 @@ from tiler.io.las.reader import NEEDED, PointReader
 
 _STEP = 1_000_000
 PER_UNIT = 10_000
-"""Counts per unit of the CRS in which coordinates are compared."""
+"""Counts per unit of the CRS. Coordinates are compared in counts."""
 
 UInt8s = npt.NDArray[np.uint8]
 Int64s = npt.NDArray[np.int64]
 
 
 class ClassifiedPoints(NamedTuple):
-    """Some points of a file: coordinates (int64 counts, shape (3, n)), classes, and a mask of withheld ones."""
+    """Points of a file: coordinates (int64 counts, shape (3, n)), classes and a mask of withheld points."""
 
     place: Int64s
     classes: UInt8s
     withheld: npt.NDArray[np.bool_]
 
     def take(self, at: npt.NDArray[Any]) -> ClassifiedPoints:
-        """The points of an index array or mask."""
+        """Return the points of an index array or mask."""
         return ClassifiedPoints(self.place[:, at], self.classes[at], self.withheld[at])
 
 
@@ -45,8 +45,9 @@ class LabelComparison:
     table : int64, shape (256, 2)
         Counts of `tiler.apps.evaluate.labels.class_table`.
     withheld : int
-        Number of points that the reference withholds; they are not judged.
+        Number of points that are withheld in the reference, and are not judged.
     grid : ErrorGrid or None
+        Grid that receives the errors per cell.
     """
 
     def __init__(self, grid: ErrorGrid | None = None) -> None:
@@ -55,7 +56,7 @@ class LabelComparison:
         self.grid = grid
 
     def add(self, labels: UInt8s, reference: ClassifiedPoints) -> None:
-        """Judge the labels of the reference's points."""
+        """Count the labels of the reference's points."""
         if reference.withheld.any():
             self.withheld += int(reference.withheld.sum())
             labels, reference = labels[~reference.withheld], reference.take(~reference.withheld)
@@ -64,7 +65,7 @@ class LabelComparison:
             self.grid.add(reference.place, PER_UNIT, labels, reference.classes)
 
     def facts(self, ignore: Sequence[int]) -> dict[str, Any]:
-        """Scores, also by class, and the numbers of points left out."""
+        """Return the scores, overall and by class, and the numbers of points left out."""
         per_class = self.table.sum(axis=1)
         left_out: dict[str, int] = {str(code): int(per_class[code]) for code in ignore if per_class[code]}
         return {
@@ -82,20 +83,20 @@ def evaluate_files(
     """Score the classes of a cloud against those of a reference cloud.
 
     Files with the same points in the same order are read side by side in bounded memory. Otherwise both are held in
-    memory, and each point of the reference is looked up in the cloud by its exact coordinates. Points at one place are
-    paired in the order of their files. Points that the reference withholds are not judged.
+    memory, and points are paired by their coordinates, rounded to counts of `PER_UNIT`. Points at one position are
+    paired in the order of their files. Points that are withheld in the reference are not judged.
 
     Returns
     -------
     dict
-        Result of `scores`; ``ignore``; ``left_out`` (points by class that were left out); ``withheld`` (points);
-        ``classes`` (`tiler.apps.evaluate.labels.class_scores`); ``matched_by`` (``order`` or ``coordinates``);
-        ``unmatched_reference`` and ``unmatched_cloud`` (points without a partner).
+        Result of `scores`; ``ignore``; ``left_out`` (number of points by class that were left out); ``withheld``
+        (number of points); ``classes`` (`tiler.apps.evaluate.labels.class_scores`); ``matched_by`` (``order`` or
+        ``coordinates``); ``unmatched_reference`` and ``unmatched_cloud`` (number of points without a partner).
 
     Raises
     ------
     InputError
-        If a file cannot be read, or no point of the reference is in the cloud.
+        A file cannot be read, or no point of the reference is in the cloud.
     """
     findings, how = compare_files(Path(cloud), Path(reference))
     return {**findings.facts(ignore), **how}
@@ -104,9 +105,9 @@ def evaluate_files(
 def compare_files(
     cloud: Path, reference: Path, grid: ErrorGrid | None = None
 ) -> tuple[LabelComparison, dict[str, Any]]:
-    """Findings, and the way in which points were paired; see `evaluate_files`.
+    """Compare two files, and return the counts and how points were paired (see `evaluate_files`).
 
-    An empty ``grid`` receives the errors by place. Raises InputError.
+    An empty ``grid`` receives the errors per cell. Raise InputError as `evaluate_files` does.
     """
     findings = LabelComparison(grid)
     if _in_order(cloud, reference, findings):
@@ -138,7 +139,10 @@ def _read(path: Path) -> Iterator[ClassifiedPoints]:
 
 
 def _in_order(cloud: Path, reference: Path, findings: LabelComparison) -> bool:
-    """Judge two files side by side; False, with useless findings, if their orders differ."""
+    """Compare two files point by point. Return False if their points are in different orders.
+
+    The counts in ``findings`` are then incomplete.
+    """
     if read_header(cloud).point_count != read_header(reference).point_count:
         return False
     for mine, true in zip(_read(cloud), _read(reference), strict=True):
@@ -161,7 +165,7 @@ def _whole(path: Path) -> ClassifiedPoints:
 
 def _pairs(place: Int64s, true_place: Int64s) -> tuple[npt.NDArray[np.intp], npt.NDArray[np.intp]]:
     both = np.concatenate((place, true_place), axis=1)
-    # The n-th point at a place pairs with the n-th point of the other file at that place.
+    # The n-th point at a position is paired with the n-th point of the other file at that position.
     order = np.lexsort((both[2], both[1], both[0]))
     ordered = both[:, order]
     new = np.r_[True, np.any(ordered[:, 1:] != ordered[:, :-1], axis=0)]
@@ -173,7 +177,7 @@ def _pairs(place: Int64s, true_place: Int64s) -> tuple[npt.NDArray[np.intp], npt
 
 
 def _numbered(group: Int64s) -> Int64s:
-    """One number for each combination of a place and the number of earlier points there."""
+    """Return a number per point, unique for its position and the number of earlier points there."""
     order = np.argsort(group, kind="stable")
     ordered = group[order]
     start = np.flatnonzero(np.r_[True, ordered[1:] != ordered[:-1]][: len(group)])

@@ -1,4 +1,4 @@
-"""A DTM compared with a true one, block by block."""
+"""Comparison of a DTM with a reference raster, block by block."""
 
 from __future__ import annotations
 
@@ -28,13 +28,13 @@ from tiler.io.geotiff import RasterMetadata, plain_geotiff, raster_errors
 from tiler.io.overwrite_check import Target, check_targets
 
 BLOCK = 1024
-"""Side in pixels of the blocks that are in memory at a time."""
+"""Side in pixels of a block. One block per raster is in memory at a time."""
 
 Float64s = npt.NDArray[np.float64]
 
 
 class Pair(NamedTuple):
-    """Two open rasters on one lattice; the DTM's pixel (0, 0) is the truth's (row, col)."""
+    """Two open rasters on one lattice. The DTM's pixel (0, 0) is the reference's pixel (row, col)."""
 
     dtm: Any
     truth: Any
@@ -48,36 +48,38 @@ def evaluate_dtm(
     difference: Path | str | None = None,
     sigma: Path | str | None = None,
 ) -> dict[str, Any]:
-    """Differences ``dtm - truth`` over the pixels that both have.
+    """Compare a DTM with a reference over the pixels that both have, as ``dtm - truth``.
 
     The rasters are read in blocks of bounded size, whatever their extent.
 
     Parameters
     ----------
     dtm, truth : path
-        Single-band rasters of the same CRS, unit and pixel size on the same pixel lattice; extents may differ.
+        Rasters of the same CRS, unit and pixel size on the same pixel lattice, the second one is the reference. Their
+        first bands are compared. Extents may differ.
     difference : path, optional
-        GeoTIFF that receives the differences, float32, on the truth's pixels.
+        GeoTIFF that receives the differences, float32, on the reference's pixels.
     sigma : path, optional
-        Raster of the DTM's standard errors, which are judged.
+        Raster of the DTM's standard errors, which are compared with its actual errors.
 
     Returns
     -------
     dict
-        ``unit`` (of the heights); ``pixels``; ``only_dtm``, ``only_truth`` (valid pixels of the truth's extent that
-        the other lacks); ``coverage`` (share of the truth's valid pixels that the DTM has); the figures of
-        `tiler.core.difference_statistics.spread` in units of the heights, None without a common pixel;
-        ``quantile_step`` (accuracy of medians and percentiles); with ``sigma``: ``sigma``, of
-        `tiler.apps.evaluate.sigma.SigmaTally.summary`, and ``sigma_file``.
+        ``unit`` (of the heights); ``pixels`` (number of common pixels); ``only_dtm``, ``only_truth`` (numbers of
+        pixels within the reference's extent that are valid in only one raster); ``coverage`` (share of the
+        reference's valid pixels that are valid in the DTM); statistics of `tiler.core.difference_statistics.spread`
+        in units of the heights, None without a common pixel; ``quantile_step`` (accuracy of medians and percentiles);
+        with ``sigma``: ``sigma``, the result of `tiler.apps.evaluate.sigma.SigmaTally.summary`, and ``sigma_file``.
 
     Raises
     ------
     InputError
-        If a raster cannot be read.
+        A raster cannot be read.
     ConfigError
-        If the rasters differ in CRS or units, do not lie on one lattice, or do not overlap.
+        The rasters differ in CRS or units, do not lie on one lattice, or do not overlap. Or ``difference`` would
+        replace one of them, or does not have the suffix of a GeoTIFF.
     ProcessingError
-        If ``difference`` cannot be written.
+        ``difference`` cannot be written.
     """
     validate_targets(difference, None, (), (), (dtm, truth))
     tally, both, only_dtm, only_truth = SpreadTally(), 0, 0, 0
@@ -111,12 +113,12 @@ def evaluate_dtm(
 
 
 class _Judge:
-    """Judges standard errors block by block.
+    """Comparison of standard errors with actual errors, block by block.
 
     Parameters
     ----------
     pair : Pair
-        The raster of standard errors, and the truth.
+        Raster of standard errors, and the reference.
     """
 
     def __init__(self, pair: Pair) -> None:
@@ -125,7 +127,7 @@ class _Judge:
         self._step = float(across / float(vertical_unit(pair.truth)))
 
     def add(self, row: int, col: int, mine: Float64s, true: Float64s) -> None:
-        """Judge a block of the truth whose first pixel is (row, col), where the DTM has the heights ``mine``."""
+        """Add a block of the reference from pixel (row, col), in which the DTM has the heights ``mine``."""
         pair = self._pair
         sigma = read_heights(pair.dtm, row - pair.row, col - pair.col, *true.shape)
         slope = slopes_of(true, self._step)
@@ -134,7 +136,7 @@ class _Judge:
 
 
 def sigma_beside(dtm: Path | str) -> Path | None:
-    """The raster of standard errors that a run left beside its DTM; None where there is none."""
+    """Return the raster of standard errors that a run wrote next to its DTM, or None."""
     found = Path(dtm).with_name(f"sigma{Path(dtm).suffix}")
     return found if Path(dtm).stem == "dtm" and found.is_file() else None
 
@@ -153,11 +155,11 @@ def validate_targets(
     difference : path, optional
         Argument of `evaluate_dtm`.
     maps : Path, optional
-        Folder of the maps of the errors.
+        Folder of the error maps.
     names : sequence of str
         Names of the maps without suffixes.
     clouds, rasters : iterable of path
-        Files that are read.
+        Files that the command reads.
     """
     targets, reads = [], list(clouds)
     if difference is not None:
@@ -173,13 +175,13 @@ def validate_targets(
 
 
 def files_of_raster(path: Path | str) -> list[str]:
-    """The file of a raster, and the files that a VRT refers to."""
+    """Return the files of a raster, including the files to which a VRT refers."""
     found, todo = [str(path)], [str(path)]
     while todo:
         try:
             with open_raster(todo.pop()) as raster:
                 new = [file for file in raster.files if file not in found]
-        except InputError:  # reported when the raster is read
+        except InputError:  # The fault is reported when the raster is read.
             continue
         found += new
         todo += [file for file in new if file.lower().endswith(".vrt")]
@@ -188,7 +190,7 @@ def files_of_raster(path: Path | str) -> list[str]:
 
 @contextmanager
 def _difference_writer(path: Path | str | None, pair: Pair) -> Iterator[Any]:
-    """A function that writes a block of differences (NaN: none), or None."""
+    """Yield a function that writes a block of differences (NaN: none), or None without a path."""
     if path is None:
         yield None
         return
@@ -209,7 +211,7 @@ def _difference_writer(path: Path | str | None, pair: Pair) -> Iterator[Any]:
 
 @contextmanager
 def _opened(dtm: Path, truth: Path) -> Iterator[Pair]:
-    """Both rasters, checked against one another; raises InputError and ConfigError."""
+    """Open both rasters. Raise InputError or ConfigError if they cannot be read or compared."""
     with open_raster(dtm) as mine, open_raster(truth) as true:
         _check_places(dtm, mine, truth, true)
         a, b = mine.transform, true.transform
@@ -245,17 +247,17 @@ def _whole_number(value: float) -> bool:
 
 
 def _blocks(pair: Pair) -> Iterator[tuple[int, int, Float64s, Float64s]]:
-    """Row and column in the truth, and both heights of each block; NaN without a height."""
+    """Yield row and column in the reference and the heights of both rasters (NaN: none), per block."""
     for row, col, height, width in blocks_with_files(pair.truth, pair.dtm):
         mine = read_heights(pair.dtm, row - pair.row, col - pair.col, height, width)
         yield row, col, mine, read_heights(pair.truth, row, col, height, width)
 
 
 def blocks_with_files(raster: Any, *others: Any) -> Iterator[tuple[int, int, int, int]]:
-    """Row, column, height and width of the blocks of an open raster, except those of a VRT that no file reaches.
+    """Yield row, column, height and width of the blocks of an open raster.
 
-    A VRT over the sheets of distant sites has millions of empty blocks. Files of ``others``, rasters on the same
-    lattice, count as well.
+    Blocks of a VRT are left out if they are not near a file of the VRT or of ``others``, rasters on the same lattice. A
+    VRT over the sheets of distant sites has millions of empty blocks.
     """
     height, width = raster.shape
     if raster.driver == "VRT" and not (raster.transform.b or raster.transform.d):
@@ -271,14 +273,14 @@ def blocks_with_files(raster: Any, *others: Any) -> Iterator[tuple[int, int, int
 
 
 def _files(raster: Any) -> list[str]:
-    """The files that hold the pixels of an open raster."""
+    """Return the files that contain the pixels of an open raster."""
     if raster.driver != "VRT":
         return [raster.name]
     return [path for path in raster.files if path != raster.name]
 
 
 def _reached(vrt: Any, path: str) -> Iterator[tuple[int, int]]:
-    """Row and column of the blocks of a VRT that a file touches or nearly touches."""
+    """Yield row and column of the blocks of a VRT that are at most two pixels from a file."""
     with rasterio.open(path) as part:
         x0, y0, x1, y1 = part.bounds
     place = vrt.transform
@@ -290,13 +292,13 @@ def _reached(vrt: Any, path: str) -> Iterator[tuple[int, int]]:
 
 
 def read_heights(raster: Any, row: int, col: int, height: int, width: int) -> Float64s:
-    """A window of an open raster's first band; NaN without data and beyond the raster.
+    """Read a window of an open raster's first band, with NaN without data and beyond the raster.
 
     Parameters
     ----------
     raster : rasterio data set
     row, col, height, width : int
-        Pixels; the window may lie partly or wholly outside.
+        First pixel and size of the window in pixels. It may lie partly or wholly beyond the raster.
 
     Returns
     -------
@@ -313,20 +315,23 @@ def read_heights(raster: Any, row: int, col: int, height: int, width: int) -> Fl
 
 
 def vertical_unit(raster: Any) -> Fraction:
-    """Metres in one unit of an open raster's heights: that of the band, of the CRS, or a metre."""
+    """Return the metres in one unit of an open raster's heights: that of the band, else of the CRS."""
     if raster.units[0]:
         return unit_named(raster.units[0])
     return _crs_unit(raster)
 
 
 def horizontal_unit(dtm: Path) -> Fraction:
-    """Metres in one unit of a raster's coordinates; a metre without a CRS. Raises InputError."""
+    """Return the metres in one unit of a raster's coordinates, or 1 without a projected CRS.
+
+    Raise InputError if the raster cannot be read.
+    """
     with open_raster(dtm) as raster:
         return _crs_unit(raster)
 
 
 def _crs_unit(raster: Any) -> Fraction:
-    """Metres in one unit of a raster's CRS; a metre without a CRS, or for one in degrees."""
+    """Return the metres in one unit of a raster's CRS, or 1 without a projected CRS."""
     if raster.crs is None or not raster.crs.is_projected:
         return METRE
     return exact_unit(raster.crs.linear_units_factor[1])

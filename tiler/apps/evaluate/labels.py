@@ -1,4 +1,4 @@
-"""Count labels by true class, and compute the scores.
+"""Counts of labels by reference class, and the scores of these counts.
 
 The scores follow Sithole and Vosselman (2004, Experimental comparison of filter algorithms for bare-Earth
 extraction from airborne laser scanning point clouds, ISPRS J. 59). With ``a`` ground kept, ``b`` ground lost,
@@ -27,17 +27,17 @@ Int64s = npt.NDArray[np.int64]
 
 
 def class_table(labels: UInt8s, reference: UInt8s) -> Int64s:
-    """Count points by true class and by label.
+    """Count points by reference class and by label, which is ground or not.
 
     Parameters
     ----------
     labels, reference : uint8, shape (n,)
-        ASPRS classes of the same points: to be judged, and true.
+        ASPRS classes of the same points: the labels to judge, and the reference classes.
 
     Returns
     -------
     int64, shape (256, 2)
-        For each true class, the numbers of points that are not labelled ground, and that are.
+        For each reference class, the number of points not labelled ground, and the number labelled ground.
     """
     if labels.shape != reference.shape:
         raise InputError(f"{labels.size} labels against {reference.size} true ones; compare the same points")
@@ -46,7 +46,10 @@ def class_table(labels: UInt8s, reference: UInt8s) -> Int64s:
 
 
 def counts_of(table: Int64s, ignore: Sequence[int] = IGNORED) -> Int64s:
-    """The counts a, b, c, d of the module's text and the number left out, int64 [5], from a `class_table`."""
+    """Return the counts a, b, c, d of a `class_table` and the number of points left out, int64 [5].
+
+    The text of the module defines these counts.
+    """
     left_out = np.zeros(256, np.bool_)
     left_out[list(ignore)] = True
     ground = np.zeros(2, np.int64)
@@ -58,12 +61,12 @@ def counts_of(table: Int64s, ignore: Sequence[int] = IGNORED) -> Int64s:
 
 
 def confusion(labels: UInt8s, reference: UInt8s, ignore: Sequence[int] = IGNORED) -> Int64s:
-    """Counts of pairs of labels: `counts_of` their `class_table`.
+    """Return `counts_of` the `class_table` of labels and reference classes.
 
     Parameters
     ----------
     labels, reference : uint8, shape (n,)
-        ASPRS classes of the same points: to be judged, and true.
+        ASPRS classes of the same points: the labels to judge, and the reference classes.
     ignore : sequence of int
         Reference classes that are left out.
     """
@@ -71,14 +74,14 @@ def confusion(labels: UInt8s, reference: UInt8s, ignore: Sequence[int] = IGNORED
 
 
 def scores(counts: Int64s) -> dict[str, Any]:
-    """Errors and agreement from the five counts of `confusion`.
+    """Return errors and agreement from the five counts of `confusion`.
 
     Returns
     -------
     dict
-        ``points`` and ``ignored``; ``ground_kept``, ``ground_lost``, ``object_taken``, ``object_kept``; as
-        fractions ``type_1``, ``type_2``, ``total``, ``kappa`` (Cohen), ``f1`` (of ground), None for a division
-        by zero.
+        Numbers of points: ``points``, ``ignored``, ``ground_kept``, ``ground_lost``, ``object_taken`` (labelled
+        ground), ``object_kept``. Fractions: ``type_1``, ``type_2``, ``total``, ``kappa`` (Cohen), ``f1`` (of ground),
+        None for a division by zero.
     """
     a, b, c, d, ignored = (int(n) for n in counts)
     n = a + b + c + d
@@ -99,25 +102,25 @@ def scores(counts: Int64s) -> dict[str, Any]:
 
 
 def ratio(part: float, whole: int) -> float | None:
-    """A quotient, or None for a division by zero."""
+    """Return a quotient, or None for a division by zero."""
     if not whole:
         return None
     return part / whole
 
 
 def evaluate_labels(labels: UInt8s, reference: UInt8s, ignore: Sequence[int] = IGNORED) -> dict[str, Any]:
-    """`scores` of two arrays of labels, see `confusion`."""
+    """Return the `scores` of labels and reference classes, with the arguments of `confusion`."""
     return scores(confusion(labels, reference, ignore))
 
 
 def class_scores(table: Int64s, ignore: Sequence[int] = IGNORED) -> dict[str, dict[str, Any]]:
-    """Counts and errors of each true class of a `class_table`.
+    """Return counts and errors of each reference class of a `class_table`.
 
     Returns
     -------
     dict
-        By class, as text: ``points``; ``labelled_ground``; ``wrong`` and ``error`` (fraction), None for a class that is
-        left out.
+        By class, as text: ``points``; ``labelled_ground``; ``wrong`` (number of points) and ``error`` (fraction), both
+        None for a class that is left out.
     """
     found: dict[str, dict[str, Any]] = {}
     for code in np.flatnonzero(table.sum(axis=1)).tolist():
@@ -137,7 +140,7 @@ def class_scores(table: Int64s, ignore: Sequence[int] = IGNORED) -> dict[str, di
 
 
 def mean_scores(scenes: Iterable[Mapping[str, Any]]) -> dict[str, float | None]:
-    """Means of the errors over scenes of equal weight; None if no scene has the error."""
+    """Return the mean of each of `ERRORS` over scenes of equal weight, or None if all lack it."""
     scenes = list(scenes)
     means: dict[str, float | None] = {}
     for name in ERRORS:

@@ -1,4 +1,4 @@
-"""Error maps: the kind and the share of errors by cell, as GeoTIFF and PNG."""
+"""Error maps: the kind and the share of errors per cell, as GeoTIFF and PNG."""
 
 from __future__ import annotations
 
@@ -22,11 +22,16 @@ from tiler.io.atomic_files import atomic_path
 from tiler.io.geotiff import CACHE_MB, any_place, raster_errors, tiled_profile
 from tiler.io.picture import write_png
 
-RIGHT = 0  # codes of a cell: all points are right
-TYPE_1 = 1  # ground is lost
-TYPE_2 = 2  # objects are labelled ground
+RIGHT = 0
+"""Code of a cell in which all points are right."""
+TYPE_1 = 1
+"""Code of a cell in which ground is lost."""
+TYPE_2 = 2
+"""Code of a cell in which objects are labelled ground."""
 BOTH = 3
-NONE = 255  # no judged point, the nodata value
+"""Code of a cell with both kinds of errors."""
+NONE = 255
+"""Code of a cell without a judged point, and nodata value of all bands."""
 
 BANDS = (
     "code: 0 right, 1 type I (ground lost), 2 type II (object taken), 3 both",
@@ -34,9 +39,9 @@ BANDS = (
     "type II, percent of the cell's points",
 )
 MAX_CELLS = 1 << 31
-"""Most cells of a map; stray points far away would make it arbitrarily large."""
+"""Maximum number of cells of a map, which distant stray points would make arbitrarily large."""
 MAX_PICTURE = 4000
-"""Longest side of a PNG in pixels; larger maps are drawn in larger cells."""
+"""Maximum side of a PNG in pixels. Larger maps are drawn in larger cells."""
 
 _COLOURS = {
     RIGHT: (205, 205, 200, 255),
@@ -45,21 +50,23 @@ _COLOURS = {
     BOTH: (148, 60, 180, 255),
     NONE: (0, 0, 0, 0),
 }
-"""Grey; red and blue of figure 12 of Chen 2023; violet; transparent."""
+"""Colours of the codes. Red and blue are those of figure 12 of Chen 2023."""
 
 Int64s = npt.NDArray[np.int64]
 UInt8s = npt.NDArray[np.uint8]
 
 
 class ErrorGrid:
-    """Counts of right and wrong points per cell; memory grows with the number of occupied cells.
+    """Counts of all points and of wrong points per cell.
+
+    Memory grows with the number of occupied cells.
 
     Parameters
     ----------
     cell : Fraction
-        Side of a cell in units of the CRS; the lattice is anchored at coordinate 0.
+        Side of a cell in units of the CRS. The lattice is anchored at coordinate 0.
     ignore : sequence of int
-        True classes that are left out.
+        Reference classes that are left out.
     """
 
     def __init__(self, cell: Fraction, ignore: Sequence[int]) -> None:
@@ -69,20 +76,21 @@ class ErrorGrid:
         self.clear()
 
     def clear(self) -> None:
-        """Forget all points."""
+        """Remove all points."""
         self.places: Int64s = np.empty((2, 0), np.int64)
         self.counts: Int64s = np.empty((3, 0), np.int64)
 
     def add(self, place: Int64s, per_unit: int, labels: UInt8s, truth: UInt8s) -> None:
-        """Count points.
+        """Count points and their errors.
 
         Parameters
         ----------
         place : int64, shape (2 or more, n)
-            x and y in counts.
+            Coordinates x, y and others in counts. Only x and y are used.
         per_unit : int
-            Counts in a unit of the CRS.
+            Counts per unit of the CRS.
         labels, truth : uint8, shape (n,)
+            ASPRS classes: the labels to judge, and the reference classes.
         """
         seen = ~self._left_out[truth]
         side = self.cell * per_unit
@@ -95,19 +103,22 @@ class ErrorGrid:
         )
 
     def coarser(self, factor: int) -> ErrorGrid:
-        """The map in cells that are ``factor`` times as large."""
+        """Return the counts in cells whose sides are ``factor`` times as long."""
         grid = ErrorGrid(self.cell * factor, np.flatnonzero(self._left_out).tolist())
         grid.places, grid.counts = summed(self.places // factor, self.counts)
         return grid
 
     @property
     def extent(self) -> tuple[int, int, int, int]:
-        """West and north (of the first cell), width and height in cells."""
+        """Westernmost column, northernmost row, width and height of the map, in cells."""
         low, high = self.places.min(axis=1), self.places.max(axis=1)
         return int(low[0]), int(high[1]), int(high[0] - low[0]) + 1, int(high[1] - low[1]) + 1
 
     def bands(self, first_row: int, rows: int) -> UInt8s:
-        """The bands of `BANDS` for some rows from the north, uint8 of shape (3, rows, width)."""
+        """Return `BANDS` for ``rows`` rows from ``first_row``, uint8, shape (3, rows, width).
+
+        Rows are counted from the north.
+        """
         west, north, width, _ = self.extent
         found = np.full((3, rows, width), NONE, np.uint8)
         row = north - self.places[1] - first_row
@@ -139,13 +150,13 @@ def _is_map(tif: Path) -> bool:
 
 
 def write_error_map(grid: ErrorGrid, folder: Path, name: str, crs: str | None) -> list[str]:
-    """Write ``<folder>/<name>.tif`` (bands of `BANDS`, nodata 255) and a picture of its codes beside it.
+    """Write ``<folder>/<name>.tif`` (bands of `BANDS`, nodata 255) and a PNG of its codes.
 
     Parameters
     ----------
     grid : ErrorGrid
     folder : Path
-        Made if necessary.
+        Folder of the map, which is made if necessary.
     name : str
     crs : str or None
         WKT or authority code.
@@ -153,14 +164,14 @@ def write_error_map(grid: ErrorGrid, folder: Path, name: str, crs: str | None) -
     Returns
     -------
     list of str
-        The files; none without a judged point.
+        Paths of the files, or an empty list if no point was judged.
 
     Raises
     ------
     ConfigError
-        If the map has too many cells.
+        The map has too many cells.
     ProcessingError
-        If the files cannot be written.
+        The files cannot be written.
     """
     if grid.places.shape[1] == 0:
         return []

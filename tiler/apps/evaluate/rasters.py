@@ -1,4 +1,4 @@
-"""Open foreign rasters; any fault in one is an error of one line that names it."""
+"""Access to foreign rasters. Any fault in one becomes an error of one line with its path."""
 
 from __future__ import annotations
 
@@ -19,21 +19,27 @@ from tiler.redaction import printable
 
 @contextmanager
 def open_raster(path: Path | str, what: str = "cannot be read") -> Iterator[Any]:
-    """The rasterio data set, open while the context lasts.
+    """Yield an open rasterio data set.
+
+    Parameters
+    ----------
+    path : path or URL
+    what : str
+        Fault in the text of the error.
 
     Raises
     ------
     InputError
-        If the raster cannot be opened or read, or its texts or its CRS are invalid.
+        The raster cannot be opened or read, or its texts or its CRS are invalid.
     """
     with raster_named(path, what), opened(path) as raster:
-        # Damaged text is reported here. Later, with two rasters open, its origin would be unknown.
+        # Damaged text is reported here. Later, with two rasters open, the damaged one would be unknown.
         _ = raster.units, raster.tags(), raster.tags(1), raster.crs
         yield raster
 
 
 def opened(path: Path | str) -> Any:
-    """The rasterio data set. At a URL only the requested parts are read, because overviews need little."""
+    """Open a rasterio data set. At a URL, only the requested parts of the file are read."""
     if not is_url(path):
         return rasterio.open(path)
     if state_at(str(path)) is None:
@@ -43,7 +49,7 @@ def opened(path: Path | str) -> Any:
 
 @contextmanager
 def raster_named(path: Path | str, what: str = "cannot be read") -> Iterator[None]:
-    """Turn any error of reading a raster into an InputError that names it."""
+    """Turn any error of reading a raster into an InputError with its path."""
     try:
         yield
     except (RasterioError, CRSError, ProjError, UnicodeDecodeError) as error:

@@ -1,4 +1,4 @@
-"""Evaluation of many clouds: pairs with references, scores of each scene and of all points, and their means."""
+"""Evaluation of many clouds: pairs with references, scores per scene and of all points, and means."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from tiler.schedule import call_isolated, half_of_memory
 
 @dataclass(frozen=True)
 class Scene:
-    """A cloud and the cloud with its true classes.
+    """Cloud to score, and the cloud with its reference classes.
 
     Attributes
     ----------
@@ -38,7 +38,7 @@ class Scene:
 
 @dataclass(frozen=True)
 class MapRequest:
-    """Folder and cell size of error maps.
+    """Request for error maps: their folder and cell size.
 
     Attributes
     ----------
@@ -57,14 +57,16 @@ def find_scenes(clouds: Sequence[str | Path], references: Sequence[str | Path]) 
     Parameters
     ----------
     clouds, references : sequence of path
-        Files, folders, globs. A single cloud has all references. Equal numbers of clouds and references that are named
-        one by one are paired in their order. Otherwise a reference belongs to the cloud of the same name (without
-        suffix), and among several to the one with the same path below its folder.
+        Files, folders, globs. A single cloud is paired with all references. Equal numbers of clouds and references
+        that are given one by one are paired in their order. Otherwise a reference is paired with the cloud of the same
+        name (without suffix). Among several of them, it is the one with the same path within the given folder.
 
     Raises
     ------
     ConfigError
-        If there are no files, or a reference has no cloud or several.
+        A path does not exist, or a reference fits no cloud or several clouds.
+    InputError
+        There are no files.
     """
     mine, true = _expanded(clouds), _expanded(references)
     one_by_one = len(mine) == len(clouds) and len(true) == len(references)
@@ -79,7 +81,7 @@ def find_scenes(clouds: Sequence[str | Path], references: Sequence[str | Path]) 
 
 
 def _partner(clouds: Sequence[tuple[Path, str]], reference: Path, place: str) -> Path:
-    """The only cloud with the name of a reference; raises ConfigError."""
+    """Return the only cloud with the name of a reference. Raise ConfigError if it is not the only one."""
     found = [cloud for cloud in clouds if cloud[0].stem == reference.stem]
     if len(found) > 1:
         found = [cloud for cloud in found if cloud[1] == place]
@@ -92,7 +94,7 @@ def _partner(clouds: Sequence[tuple[Path, str]], reference: Path, place: str) ->
 
 
 def _expanded(paths: Sequence[str | Path]) -> list[tuple[Path, str]]:
-    """Files in the order of `paths`, with their path (without suffix) below the given folder."""
+    """Return files in the order of ``paths``, with their paths (without suffix) in the given folder."""
     found: dict[Path, str] = {}
     for text in paths:
         for path in find_inputs([text], results=True):
@@ -104,7 +106,7 @@ def _expanded(paths: Sequence[str | Path]) -> list[tuple[Path, str]]:
 
 
 def _names(references: Sequence[tuple[Path, str]]) -> list[str]:
-    """Unique names of the references for maps; folders or a number are added if necessary."""
+    """Return unique names of the references, with their folders or a number if necessary."""
     for names in (
         [path.stem for path, _ in references],
         [place.replace("/", "_") for _, place in references],
@@ -120,13 +122,13 @@ def evaluate_scenes(
     maps: MapRequest | None = None,
     listener: Listener = ignore_events,
 ) -> dict[str, Any]:
-    """Score each scene, and all points together.
+    """Score each scene, and the points of all scenes together.
 
     Parameters
     ----------
     scenes : sequence of Scene
     ignore : sequence of int
-        True classes that are left out.
+        Reference classes that are left out.
     maps : MapRequest, optional
         Request for a map of the errors of each scene.
     listener : callable
@@ -136,8 +138,8 @@ def evaluate_scenes(
     -------
     dict
         Result of `tiler.apps.evaluate.evaluate_files` for all points together, without ``matched_by``; ``mean``: mean
-        errors over scenes of equal weight; ``scenes``: for each scene ``name``, ``cloud``, ``reference``, its scores,
-        and ``maps``, the files written.
+        errors over scenes of equal weight; ``scenes``: for each scene ``name``, ``cloud``, ``reference``, the result of
+        `tiler.apps.evaluate.evaluate_files`, and ``maps`` (paths of the files written).
 
     Raises
     ------
@@ -172,13 +174,13 @@ def evaluate_scenes(
 def _compare(
     scene: Scene, ignore: Sequence[int], maps: MapRequest | None
 ) -> tuple[LabelComparison, dict[str, Any], list[str]]:
-    """Findings of a scene, the way in which its points were paired, and the maps written."""
+    """Return the counts of a scene, how its points were paired, and the paths of its maps."""
     if maps is None:
         return *compare_files(scene.cloud, scene.reference), []
     place = inspect(scene.reference).georeference
     grid = ErrorGrid(maps.cell_m / (place.horizontal or METRE), ignore)
     findings, how = compare_files(scene.cloud, scene.reference, grid)
-    findings.grid = None  # not returned
+    findings.grid = None  # The caller does not need the grid, which may be large.
     return findings, how, write_error_map(grid, maps.folder, scene.name, place.wkt)
 
 
@@ -189,24 +191,24 @@ def filter_and_evaluate(
     maps: MapRequest | None = None,
     listener: Listener = ignore_events,
 ) -> dict[str, Any]:
-    """Filter labelled clouds with their classes hidden from the filter, and score the result.
+    """Filter clouds with reference classes, which the filter does not use, and score the result.
 
-    All points take part except withheld ones, which are not judged either. A run usually leaves some classes alone
-    (noise, water, bridges), which here would give a part of the truth to the filter.
+    All points take part except withheld ones, which are not judged either. A run usually keeps some classes (noise,
+    water, bridges), which here would give a part of the reference to the filter.
 
     Parameters
     ----------
     clouds : sequence of path
-        Files, folders, globs, with true classes.
+        Files, folders, globs, with reference classes.
     config : RunConfig
-        Settings of the filter, except `keep_classes`.
+        Settings of the filter. ``keep_classes`` is not used.
     ignore, maps, listener
         See `evaluate_scenes`.
 
     Returns
     -------
     dict
-        Result of `evaluate_scenes`, with ``seconds`` of each scene, and ``method`` and ``parameters``.
+        Result of `evaluate_scenes`, with ``seconds`` for each scene, and ``method`` and ``parameters``.
 
     Raises
     ------

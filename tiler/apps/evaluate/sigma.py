@@ -1,4 +1,4 @@
-"""How well a raster of standard errors tells the errors of a DTM."""
+"""Comparison of a raster of standard errors with the actual errors of a DTM."""
 
 from __future__ import annotations
 
@@ -12,20 +12,23 @@ from ptd.gridding.shape import gradients, slope_deg
 from tiler.apps.evaluate.labels import ratio
 
 SLOPES_DEG = (0, 5, 15, 30, 90)
-"""Edges of the classes of slope."""
+"""Edges of the classes of slope, degrees."""
 PER_DECADE = 100
-"""Classes of sigma in a factor of ten: the order within a class is not told."""
+"""Number of classes of standard errors and errors per factor of ten.
+
+Values in a class are not ordered.
+"""
 LOWEST, HIGHEST = -5.0, 4.0
-"""Logarithms of the units of the heights between which the classes lie."""
+"""Decimal logarithms of the lowest and the highest class, in units of the heights."""
 LOOKED_AT = 0.1
-"""A person looks at this share of the area."""
+"""Share of the area that a person may inspect."""
 
 Float64s = npt.NDArray[np.float64]
 N_CLASSES = round((HIGHEST - LOWEST) * PER_DECADE) + 1
 
 
 class SigmaTally:
-    """Counts of errors and of the standard errors at the same pixels, in bounded memory."""
+    """Counter of errors and of the standard errors at the same pixels, in bounded memory."""
 
     def __init__(self) -> None:
         self._within = np.zeros(3, np.int64)
@@ -34,7 +37,15 @@ class SigmaTally:
         self._by_error = np.zeros((N_CLASSES, 2))
 
     def add(self, difference: Float64s, sigma: Float64s, slope: Float64s) -> None:
-        """Count pixels: differences and standard errors in units of the heights, slopes in degrees; shape (n,)."""
+        """Count pixels by their errors, standard errors and slopes.
+
+        Parameters
+        ----------
+        difference, sigma : float64, shape (n,)
+            Errors and standard errors in units of the heights.
+        slope : float64, shape (n,)
+            Slopes in degrees.
+        """
         squared, size = difference**2, np.abs(difference)
         for k in (1, 2, 3):
             self._within[k - 1] += np.count_nonzero(size <= k * sigma)
@@ -47,17 +58,18 @@ class SigmaTally:
             table[:, 1] += np.bincount(place, squared, N_CLASSES)
 
     def summary(self) -> dict[str, Any]:
-        """What the counts say.
+        """Return the statistics of all counted pixels.
 
         Returns
         -------
         dict
-            ``pixels``; ``within_1``, ``within_2``, ``within_3`` (share of errors within so many standard errors; of
-            normally distributed ones 0.683, 0.954, 0.997); ``rmse`` and ``predicted_rmse`` (root mean square of errors
-            and of standard errors); ``by_slope``: the same of each class ``from_deg`` to ``to_deg``; ``area``: the mean
-            share of all squared errors that the largest standard errors hold, over all shares of the pixels (0.5: no
-            better than chance), ``area_at_best`` if the pixels were in the order of their errors; ``in_first_tenth``:
-            that share in a tenth of the pixels.
+            ``pixels`` (number); ``within_1``, ``within_2``, ``within_3`` (share of errors within 1, 2 and 3 standard
+            errors, which is 0.683, 0.954 and 0.997 for normally distributed errors); ``rmse`` and ``predicted_rmse``
+            (root mean square of errors and of standard errors); ``by_slope``: ``pixels``, ``rmse`` and
+            ``predicted_rmse`` of each class ``from_deg`` to ``to_deg``; ``in_first_tenth``: share of the sum of squared
+            errors in the tenth of the pixels with the largest standard errors; ``area``: mean of this share over all
+            fractions of the pixels instead of a tenth, which is 0.5 in random order; ``area_at_best``: the same for
+            pixels sorted by their errors.
         """
         n, squared, predicted = self._by_slope.sum(axis=0)
         shares = {f"within_{k}": ratio(int(self._within[k - 1]), int(n)) for k in (1, 2, 3)}
@@ -77,7 +89,10 @@ class SigmaTally:
 
 
 def slopes_of(truth: Float64s, step: float) -> Float64s:
-    """Slopes of a block of heights, degrees; ``step``: side of a pixel in units of the heights."""
+    """Return the slopes of a block of heights in degrees.
+
+    ``step`` is the side of a pixel in units of the heights.
+    """
     return slope_deg(*gradients(np.pad(truth, 1, constant_values=np.nan), step))
 
 
@@ -96,7 +111,10 @@ def _figures(n: float, squared: float, predicted: float) -> dict[str, Any]:
 
 
 def _curve(table: Float64s) -> tuple[Float64s, Float64s] | None:
-    """Share of the pixels, largest first, and the share of the squared errors that they hold; None without errors."""
+    """Return shares of the pixels, largest value first, and their shares of the sum of squared errors.
+
+    Return None if there are no errors.
+    """
     if not table[:, 1].sum():
         return None
     found = np.cumsum(table[::-1], axis=0) / table.sum(axis=0)
