@@ -12,15 +12,15 @@ from tiler.simulate.cloud import CloudWriter
 from tiler.simulate.points import survey
 
 UNCLASSIFIED, GROUND, WATER = 1, 2, 9
-PLANTS = (3, 4, 5)
+PLANTS_AND_NOISE = (3, 4, 5, 7, 18)
 
 WATER_SCENES = [name for name, spec in SCENES.items() if spec.scene_class == "als water"]
 """Names of the scenes."""
 
 UNKNOWN = dict.fromkeys(range(256), UNCLASSIFIED)
 WATER_KNOWN = UNKNOWN | {WATER: WATER}
-PLANTS_KNOWN = dict.fromkeys(range(256), GROUND) | {plant: plant for plant in PLANTS}
-"""Classes by true class: everything but plants is ground, so no filter is needed."""
+BARE = dict.fromkeys(range(256), GROUND) | {value: value for value in PLANTS_AND_NOISE}
+"""Classes by true class: everything but plants and noise is ground, so no filter is needed."""
 
 
 def write_cloud(path: Path, spec: SceneSpec, classes: Mapping[int, int] = UNKNOWN) -> Path:

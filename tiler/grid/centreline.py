@@ -32,6 +32,18 @@ def polygon_of(area: Area) -> Any:
     return shapely.union_all(shapes)
 
 
+def area_of(shape: Any) -> Area:
+    """Return the area of the polygons of a shape in absolute counts, rounded."""
+    import shapely
+
+    polygons = []
+    for part in shapely.get_parts(shapely.make_valid(shape)):
+        if part.geom_type == "Polygon":
+            rings = (part.exterior, *part.interiors)
+            polygons.append(tuple(np.rint(shapely.get_coordinates(r)[:-1]).astype(np.int64) for r in rings))
+    return Area(tuple(polygons))
+
+
 def mean_width(shape: Any) -> float:
     """Return the width of a ribbon with the same area and (outer) perimeter, or of a disk the radius."""
     import shapely

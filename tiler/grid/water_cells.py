@@ -218,7 +218,7 @@ def judged(size: Size, rim: Rim) -> float | None:
     return rim.sure
 
 
-def rim_of(cells: WaterCells, mine: Bools, others: Bools, counted: Bools) -> Rim:
+def rim_of(cells: WaterCells, mine: Bools, others: Bools, counted: Bools, water: Bools | None = None) -> Rim:
     """Count the land around an area.
 
     Parameters
@@ -228,13 +228,18 @@ def rim_of(cells: WaterCells, mine: Bools, others: Bools, counted: Bools) -> Rim
         Masks of the area, and of other candidates, which do not count as land.
     counted : bool
         Mask of the cells that are counted. Other cells are only neighbours.
+    water : bool, shape of the cells, optional
+        Mask of cells that count in the ring like land, with returns or without. A dam falls to the water beside it.
     """
     distance = distances(mine, RING_M[1] / cells.size + 1)
     distance *= cells.size
     land = ~np.isnan(cells.ground) & ~others & cells.domain
     beside = (distance > 0) & (distance <= SHORE_M + 0.1 * cells.size)
     shore, ring = beside & land & (cells.returns > 0), (distance > RING_M[0]) & (distance <= RING_M[1]) & land
-    ring &= (cells.returns > 0) & counted
+    seen = cells.returns > 0
+    if water is not None:
+        seen |= water
+    ring &= seen & counted
     counts = Rim(int((beside & cells.domain & counted).sum()), int((shore & counted).sum()), int(ring.sum()))
     if not shore.any() or not counts.ring:
         return counts

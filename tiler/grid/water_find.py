@@ -14,6 +14,7 @@ from tiler.core.area import Area
 from tiler.core.products import BEYOND
 from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec
 from tiler.core.water import LAKE, RIVER, Water
+from tiler.grid.centreline import area_of
 from tiler.grid.coarse import Bools, padded
 from tiler.grid.pieces import Piece, cells_of, components
 from tiler.grid.reach import box_around
@@ -155,10 +156,4 @@ def _area(whole: Any, side: float) -> Area:
     """Return the area of a polygon of cells with a smooth shore."""
     import shapely
 
-    smooth = shapely.simplify(shapely.normalize(shapely.simplify(whole, 0.0)), SIMPLER * side)
-    polygons = [p for p in shapely.get_parts(shapely.make_valid(smooth)) if p.geom_type == "Polygon"]
-    rings = [
-        tuple(np.rint(shapely.get_coordinates(r)[:-1]).astype(np.int64) for r in (p.exterior, *p.interiors))
-        for p in polygons
-    ]
-    return Area(tuple(rings))
+    return area_of(shapely.simplify(shapely.normalize(shapely.simplify(whole, 0.0)), SIMPLER * side))

@@ -21,6 +21,7 @@ from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec
 from tiler.core.water import RIVER, Counts, Water
 from tiler.grid.centreline import centreline, mean_width, polygon_of
 from tiler.grid.profile import MIN_PIXELS, SMOOTH_M, Profile, Scale, bank_level, profile_along, water_level
+from tiler.grid.water_pockets import POCKET_PIXELS, Beside, pockets, with_pixels
 from tiler.store import TileStore, open_store
 
 Floats = npt.NDArray[np.float64]
@@ -53,6 +54,8 @@ class LevelWater:
         the terrain gives them.
     coarse : RasterSpec
         Raster of these cells.
+    joins_pockets : bool
+        Whether closed-off low terrain beside the water becomes part of it, which a shore drawn by the user forbids.
     """
 
     body: Water
@@ -61,6 +64,7 @@ class LevelWater:
     spec: RasterSpec
     cells: tuple[str, str] | None
     coarse: RasterSpec
+    joins_pockets: bool
 
     def place(self, buckets: Lattice) -> Bounds | None:
         """Return the bounds of the water."""
@@ -83,7 +87,8 @@ def level_water(store_url: str, work: LevelWater) -> dict[str, Any]:
     scale = Scale(
         COUNTS_PER_UNIT / float(frame.units.horizontal), COUNTS_PER_UNIT / float(frame.units.vertical)
     )
-    shore, within = heights_of(store, work)
+    beside, within = heights_of(store, work)
+    shore = beside.xyz[:, beside.distance <= SHORE_PIXELS]
     found: Water | None = None
     if max(shore.shape[1], within.shape[1]) >= MIN_PIXELS:
         profile = None
@@ -95,6 +100,11 @@ def level_water(store_url: str, work: LevelWater) -> dict[str, Any]:
             seen = water_level(within[2], scale)
             level = bank_level(shore[2] if shore.shape[1] else within[2]) if seen is None else seen
             found = replace(body, level=math.floor(level), flow=None)
+    if found is not None and work.joins_pockets:
+        joined = pockets(found, beside, NOISE_M * scale.z)
+        if joined.any():
+            found = with_pixels(found, beside.xyz[:2, joined], float(work.spec.lattice.size))
+            shore = beside.xyz[:, (beside.distance <= SHORE_PIXELS) & ~joined]
     low, high = np.percentile(within[2], (25, 75)) if within.shape[1] else (0.0, 0.0)
     return {
         "shore": shore.shape[1],
@@ -113,23 +123,26 @@ def _floating(body: Water | None, shore: Counts, noise: float) -> tuple[float, l
     return share, shore[:2, int(deep.argmax())].tolist() if share else None
 
 
-def heights_of(store: TileStore, work: LevelWater) -> tuple[Counts, Counts]:
-    """Return absolute counts x, y, z of the shore's pixels, and of some pixels of the water: int64 (3, n) each."""
+def heights_of(store: TileStore, work: LevelWater) -> tuple[Beside, Counts]:
+    """Return the pixels beside the water, and absolute counts x, y, z of some pixels of the water, int64 (3, n)."""
     spec, area = work.spec, work.body.area
     pixels = polygon_of(area).area / float(spec.lattice.size) ** 2
     step = math.ceil(math.sqrt(max(pixels / MAX_WITHIN, 1.0)))
-    shores, insides = [np.empty((3, 0), np.int64)], [np.empty((3, 0), np.int64)]
-    pad = int(SHORE_PIXELS * spec.lattice.size) + 1
+    besides, insides = [np.empty((6, 0), np.int64)], [np.empty((3, 0), np.int64)]
+    pad = int(POCKET_PIXELS * spec.lattice.size) + 1
     for block in spec.blocks_within(area.bounds.pad(pad), BLOCK_PIXELS):
-        wide = _padded(spec, block, SHORE_PIXELS)
+        wide = _padded(spec, block, POCKET_PIXELS)
         if not area.touches(spec.block_bounds(wide)):
             continue
         inside = spec.inside(wide, area)
-        shore = scipy.ndimage.binary_dilation(inside, np.ones((3, 3), np.bool_), SHORE_PIXELS) & ~inside
+        if not inside.any():
+            continue
+        distance = scipy.ndimage.distance_transform_cdt(~inside, "chessboard")
+        beside = ~inside & (distance <= POCKET_PIXELS)
         for other in work.others:
-            shore &= ~spec.inside(wide, other)
+            beside &= ~spec.inside(wide, other)
         heights = store.read_block(work.heights, wide)
-        known = np.zeros_like(shore)
+        known = np.zeros_like(beside)
         top, left = block.row - wide.row, block.col - wide.col
         known[top : top + block.height, left : left + block.width] = True
         known &= heights != np.float32(NODATA)
@@ -137,10 +150,13 @@ def heights_of(store: TileStore, work: LevelWater) -> tuple[Counts, Counts]:
         some[(spec.north - 1 - wide.row) % step :: step, -(spec.west + wide.col) % step :: step] = True
         x, y = spec.centres(wide)
         xyz = np.stack((x, y, np.rint(heights.astype(np.float64) * COUNTS_PER_UNIT).astype(np.int64)))
-        shores.append(xyz[:, shore & known])
+        beside &= known
+        places = np.argwhere(beside).T + np.array([[wide.row], [wide.col]])
+        besides.append(np.concatenate((xyz[:, beside], places, distance[None, beside])))
         insides.append(xyz[:, inside & known & some])
     within = np.concatenate(insides, axis=1) if work.cells is None else _seen(store, work, *work.cells)
-    return np.concatenate(shores, axis=1), within
+    columns = np.concatenate(besides, axis=1)
+    return Beside(columns[:3], columns[3:5], columns[5]), within
 
 
 def _seen(store: TileStore, work: LevelWater, points: str, ground: str) -> Counts:

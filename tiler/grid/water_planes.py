@@ -77,7 +77,8 @@ class CountPlaneRims(AreasWork):
     evident : tuple of Piece
         Planes that may be water by themselves. They do not count as land around each other.
     others : tuple of Piece
-        Planes that may be water next to others. All cells around them count as land, water or not.
+        Planes that may be water next to others. All cells around them count as land, water or not: the crest of a dam
+        is level, but falls to the water on both sides.
     """
 
     evident: tuple[Piece, ...]
@@ -165,7 +166,7 @@ def count_plane_rims(store_url: str, work: CountPlaneRims) -> dict[str, Any]:
                 _rim(part, water, others & ~water, near.counted[window]) for others in (wet, of_any[numbers])
             ]
         else:
-            rims = [rim_of(part, water, np.zeros_like(water), near.counted[window])]
+            rims = [rim_of(part, water, np.zeros_like(water), near.counted[window], wet)]
         if any(map(any, rims)):
             found.append([list(name), *map(list, rims)])
         close = wet & near.counted[window] & (distances(mine, DAM_M / part.size + 1) * part.size <= DAM_M)

@@ -201,3 +201,15 @@ def test_a_window_that_cuts_a_long_bar_says_the_same_as_one_that_holds_it() -> N
     part = close_bridge_gaps(ground[:, :200], ~bar[:, :200], 2.0, 128)
     inner = np.s_[:, 20:150]
     assert (whole[inner] == part[inner]).all()
+
+
+def test_the_crest_of_a_dam_falls_to_the_water_beside_it():
+    """The ground rises at both ends of the dam, and the water on its long sides returns nothing."""
+    crest = (np.abs(COL - 60) < 3) & (np.abs(ROW - 60) < 10)
+    water = (np.abs(COL - 60) >= 5) & (np.abs(COL - 60) < 40) & (np.abs(ROW - 60) < 10)
+    ground = np.where(water, 10.0, 12.0 + 0.3 * np.clip(np.abs(ROW - 60) - 10, 0, 20))
+    given, every = cells(ground, water), np.ones(crest.shape, np.bool_)
+    alone = rim_of(given, crest, np.zeros_like(crest), every)
+    beside = rim_of(given, crest, np.zeros_like(crest), every, water)
+    assert judged(Size(), alone) is not None
+    assert judged(Size(), beside) is None

@@ -18,6 +18,7 @@ from tiler.grid.tasks.survey import names_of, near_places
 from tiler.grid.tasks.water_facts import report_levels
 from tiler.grid.tasks.water_search import area_sums
 from tiler.grid.water_find import MIN_LENGTH
+from tiler.grid.water_pockets import POCKET_PIXELS
 from tiler.io.result_folder import WATER
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage
@@ -31,7 +32,7 @@ SOURCES = ("occupancy", "water-ground", "domain")
 """Rasters for the search for water."""
 STEEPEST = 1 / 30
 """Largest fall of a river relative to its length."""
-SHORE_REACH = 4
+SHORE_REACH = POCKET_PIXELS + 2
 """Margin around a body of water, in pixels, on which its level may depend."""
 
 
@@ -115,6 +116,7 @@ def level_tasks(g: GridContext, bodies: tuple[Water, ...]) -> Iterator[Task]:
     """Yield a task for each body without a level."""
     spec = g.spec
     pad = int(SHORE_REACH * spec.lattice.size) + 1
+    auto = g.plan.config.water == AUTO_WATER
     index = AreaIndex([body.area for body in bodies])
     for body in bodies:
         if body.levelled:
@@ -122,12 +124,14 @@ def level_tasks(g: GridContext, bodies: tuple[Water, ...]) -> Iterator[Task]:
         near = body.area.bounds.pad(pad)
         others = tuple(bodies[i].area for i in index.overlapping(near) if bodies[i] is not body)
         cells = SOURCES[:2] if all(name in g.made for name in SOURCES[:2]) else None
-        work = LevelWater(body, others, "dtm", spec, cells, g.coarse)
+        work = LevelWater(body, others, "dtm", spec, cells, g.coarse, joins_pockets=auto)
         seen = [g.checksums("dtm", (block.name for block in spec.blocks_within(near, BLOCK_PIXELS)))]
         if cells is not None:
             under = [block.name for block in g.coarse.blocks_within(near, BLOCK_PIXELS)]
             seen += [g.checksums(name, under) for name in cells]
-        digest = digest_of(__version__, body.digest, body.number, [other.key for other in others], spec, seen)
+        digest = digest_of(
+            __version__, body.digest, body.number, auto, [other.key for other in others], spec, seen
+        )
         yield Task(STAGE, _key(body), digest, level_water, work)
 
 
