@@ -20,7 +20,7 @@ from tests.invariants.runs import EVERY_STAGE, WITH_EVERY_STAGE, all_digests, do
 from tiler.errors import ConfigError, CorruptStoreError, DiskFullError, ProcessingError, StoreAccessError
 from tiler.ingest.tasks import points as ingest_tasks
 from tiler.observe.eventlog import EventLog
-from tiler.observe.events import Event, StageStarted
+from tiler.observe.events import Event, Note, StageStarted
 from tiler.pipeline import run
 from tiler.store.storage import _write_file as write_file
 
@@ -214,7 +214,7 @@ def test_an_event_log_on_a_full_disk_is_one_line(tmp_path: Path) -> None:
         pytest.raises(DiskFullError, match="No space left on device"),
         EventLog(tmp_path / "events.jsonl") as log,
     ):
-        log("note", {"text": "a"})
+        log(Note("a"))
 
 
 def test_an_error_of_the_store_while_clouds_are_read_leaves_no_input_out(
