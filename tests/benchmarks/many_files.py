@@ -93,6 +93,7 @@ def simulate_buckets(number: int, memory: bool = False) -> dict[str, Any]:
     from fractions import Fraction
     from tempfile import TemporaryDirectory
 
+    from tests.scenes.records import bucket_record
     from tiler.config import RunConfig
     from tiler.core.lattice import Bounds, Cell
     from tiler.export.tasks.files import cog_tasks, inputs_of, mosaic_tasks
@@ -125,7 +126,9 @@ def simulate_buckets(number: int, memory: bool = False) -> dict[str, Any]:
         if memory:
             tracemalloc.start()
         counts = {"n": 100_000, "n_candidates": 40_000}
-        records = {c: {"cell": [c.ix, c.iy], **counts, "bounds": lattice.bounds(c).to_json()} for c in cells}
+        records = {
+            c: bucket_record(cell=[c.ix, c.iy], bounds=lattice.bounds(c).to_json(), **counts) for c in cells
+        }
         assembled = IngestResult(records, {c: f"{i:032x}" for i, c in enumerate(cells)})
         store = create_store(str(Path(scratch) / "store.zarr"), plan.meta)
 

@@ -189,7 +189,7 @@ def _works(store: TileStore, plan: Plan, targets: Mapping[Path, Path]) -> Iterat
         name = Source(info, known["number"], "").name
         if name not in pieces:
             continue
-        touched = {Cell(ix, iy) for record in records[name] for ix, iy, _ in record["buckets"]}
+        touched = {Cell(ix, iy) for record in records[name] for ix, iy, _ in record.buckets}
         yield WriteClassified(
             path=location(info.path),
             source=known["number"],

@@ -14,6 +14,7 @@ from tiler.core.classes import STRAY_FLAG, WITHHELD_FLAG, participates
 from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.points import SOURCE_SHIFT, PointBlock
+from tiler.core.records import BucketRecord
 from tiler.ingest.spool import extent
 from tiler.ingest.strays import places, stray_mask
 from tiler.store import open_store
@@ -231,14 +232,17 @@ def _record(
     if block.classification is not None:
         counts = np.bincount(block.classification).tolist()
         classes = {str(number): count for number, count in enumerate(counts) if count}
-    return {
-        "cell": [cell.ix, cell.iy],
-        "n": len(block),
-        "n_candidates": found.n_candidates,
-        "n_participating": int(np.count_nonzero(taking)),
-        "duplicates": {"within": found.duplicates_within, "between": found.duplicates_between},
-        "z_participating": [int(z.min()), int(z.max())] if z.size else None,
-        "classes": classes,
-        "strays": places(block, strays, frame.origin),
-        **extent(block.take(~strays) if strays.any() else block, frame),
-    }
+    bounds, z_range = extent(block.take(~strays) if strays.any() else block, frame)
+    record = BucketRecord(
+        cell=[cell.ix, cell.iy],
+        n=len(block),
+        n_candidates=found.n_candidates,
+        n_participating=int(np.count_nonzero(taking)),
+        duplicates={"within": found.duplicates_within, "between": found.duplicates_between},
+        z_participating=[int(z.min()), int(z.max())] if z.size else None,
+        classes=classes,
+        strays=places(block, strays, frame.origin),
+        bounds=bounds,
+        z=z_range,
+    )
+    return record.to_json()

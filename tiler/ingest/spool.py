@@ -15,6 +15,7 @@ from tiler.core.classes import UNSELECTED_FLAG, WITHHELD_FLAG
 from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Bounds, Lattice
 from tiler.core.points import PointBlock, pack_origin
+from tiler.core.records import SpoolRecord
 from tiler.core.selection import EVERY_POINT, WITHHELD, Selection
 from tiler.ingest.selecting import unselected
 from tiler.inputs.requantise import fits_int32, to_counts
@@ -97,11 +98,7 @@ def spool_piece(store_url: str, work: SpoolPiece) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``read``, ``stored``, ``outside`` (usable points outside ``extent``), ``dropped`` (reason to number),
-        ``largest_rounding`` (units of the CRS), ``buckets`` ([[ix, iy, number], ...] in the order of the piece),
-        ``left`` (the same for buckets that are not stored), ``bounds`` (half-open absolute counts, or None), ``z``
-        ([lowest, highest] in counts, or None), ``identity``, ``fetched`` (bytes read of a source at a URL),
-        ``unselected`` (key of `Selection.options` to number of usable points that the option leaves out).
+        JSON of a `tiler.core.records.SpoolRecord`.
 
     Raises
     ------
@@ -134,19 +131,22 @@ def spool_piece(store_url: str, work: SpoolPiece) -> dict[str, Any]:
     block = block.take(order)
     if len(block):
         store.write_piece(work.piece, block)
-    return {
-        "read": sum(count for _, count in ranges),
-        "stored": len(block),
-        "outside": sum(step.outside for step in read),
-        "dropped": dict(dropped),
-        "unselected": dict(unselected),
-        "largest_rounding": max(step.rounding for step in read),
-        "buckets": [list(entry) for entry in index],
-        "left": [list(entry) for entry in left],
-        "identity": work.identity,
-        "fetched": fetched_bytes() - before,
-        **extent(block, frame),
-    }
+    bounds, z = extent(block, frame)
+    record = SpoolRecord(
+        read=sum(count for _, count in ranges),
+        stored=len(block),
+        outside=sum(step.outside for step in read),
+        dropped=dict(dropped),
+        unselected=dict(unselected),
+        largest_rounding=max(step.rounding for step in read),
+        buckets=[list(entry) for entry in index],
+        left=[list(entry) for entry in left],
+        identity=work.identity,
+        fetched=fetched_bytes() - before,
+        bounds=bounds,
+        z=z,
+    )
+    return record.to_json()
 
 
 @dataclass(frozen=True)
@@ -320,17 +320,14 @@ def _of_buckets(
     return order[np.repeat(kept, numbers)], list(compress(index, kept)), list(compress(index, ~kept))
 
 
-def extent(block: PointBlock, frame: CoordFrame) -> dict[str, Any]:
+def extent(block: PointBlock, frame: CoordFrame) -> tuple[list[int] | None, list[int] | None]:
     """Return the bounds (half-open, absolute counts) and z (lowest, highest) of points.
 
     Both are None without points.
     """
     if len(block) == 0:
-        return {"bounds": None, "z": None}
+        return None, None
     low = block.xyz.min(axis=1).tolist()
     high = block.xyz.max(axis=1).tolist()
     x, y = frame.origin
-    return {
-        "bounds": [low[0] + x, low[1] + y, high[0] + x + 1, high[1] + y + 1],
-        "z": [low[2], high[2]],
-    }
+    return [low[0] + x, low[1] + y, high[0] + x + 1, high[1] + y + 1], [low[2], high[2]]

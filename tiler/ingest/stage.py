@@ -12,6 +12,7 @@ from typing import Any
 from tiler.core.classes import sum_by_class
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds, Cell
+from tiler.core.records import SpoolRecord, buckets_in
 from tiler.core.selection import WITHHELD
 from tiler.errors import InputError, ProcessingError
 from tiler.ingest import OUTSIDE_AREA, Strays
@@ -77,14 +78,14 @@ def spool(job: Job, sources: list[Source]) -> tuple[Commits, list[Source]]:
     for text in lines:
         job.listener(Warned(text))
     spooled = {k: c for k, c in spooled.items() if source_of(k) not in bad}
-    records = [record for _, record in spooled.values()]
+    records = [SpoolRecord.of(stored) for _, stored in spooled.values()]
     dropped: Counter[str] = Counter()
     unselected: Counter[str] = Counter()
     for record in records:
-        dropped.update(record["dropped"])
-        unselected.update(record["unselected"])
-    read, stored = sum(r["read"] for r in records), sum(r["stored"] for r in records)
-    rounding = max(r["largest_rounding"] for r in records)
+        dropped.update(record.dropped)
+        unselected.update(record.unselected)
+    read, stored = sum(record.read for record in records), sum(record.stored for record in records)
+    rounding = max(record.largest_rounding for record in records)
     job.facts["counts"] = {
         "read": read,
         "stored": stored,
@@ -92,12 +93,12 @@ def spool(job: Job, sources: list[Source]) -> tuple[Commits, list[Source]]:
         "unselected": {key: count for key, count in unselected.items() if count},
         "largest_rounding": rounding,
     }
-    stored_of = {name: sum(r["stored"] for r in found) for name, found in by_source(spooled).items()}
+    stored_of = {name: sum(r.stored for r in pieces) for name, pieces in by_source(spooled).items()}
     job.facts["inputs"] = [
         {**s.info.to_json(), "content": s.content, "stored": stored_of.get(s.name, 0)} for s in sources
     ]
     if any(is_url(s.info.path) for s in sources):
-        points = sum(r["fetched"] for r in records)
+        points = sum(record.fetched for record in records)
         job.facts["fetched"] = {"plan": sum(s.fetched for s in job.plan.sources), "points": points}
     if rounding > 0:
         job.note(
@@ -142,9 +143,7 @@ def _misplaced(job: Job, sources: list[Source], spooled: Commits) -> dict[str, s
     """
     records = by_source(spooled)
     sources = [s for s in sources if s.name in records]  # Sources without pieces have no part near the area.
-    held = {
-        s.name: sum(r["stored"] + r["dropped"].get(OUTSIDE_AREA, 0) for r in records[s.name]) for s in sources
-    }
+    held = {s.name: sum(r.stored + r.dropped.get(OUTSIDE_AREA, 0) for r in records[s.name]) for s in sources}
     if not any(held.values()):
         return {}
     found = {
@@ -171,7 +170,7 @@ def _far_away(plan: Plan, out: Path | None, sources: list[Source], spooled: Comm
         s
         for s in sources
         if any(
-            r["bounds"] and told[s.name].union(Bounds.from_json(r["bounds"])) != told[s.name]
+            r.bounds and told[s.name].union(Bounds.from_json(r.bounds)) != told[s.name]
             for r in records[s.name]
         )
     ]
@@ -179,7 +178,7 @@ def _far_away(plan: Plan, out: Path | None, sources: list[Source], spooled: Comm
     extents: dict[str, Bounds] = {}
     for source in doubtful:
         mine = strays.get(source.number, Strays())
-        cells = {Cell(ix, iy) for r in records[source.name] for ix, iy, _ in r["buckets"]} - mine.alone
+        cells = {Cell(ix, iy) for r in records[source.name] for ix, iy, _ in r.buckets} - mine.alone
         hull = lattice.hull(cells) if cells else told[source.name]
         hull = hull if mine.extent is None else hull.intersection(mine.extent)
         if told[source.name].union(hull) != told[source.name]:
@@ -211,10 +210,11 @@ def assemble(job: Job, sources: list[Source], spooled: Commits) -> IngestResult:
     area = job.plan.area
     if area is not None and area.bounds.intersection(assembled.bounds).empty:
         raise InputError("no point of the clouds lies in the area, though some lie near it; give another")
-    job.store.publish_index({c: BucketInfo(r["n"], r["n_candidates"]) for c, r in assembled.records.items()})
-    within = sum(r["duplicates"]["within"] for r in assembled.records.values())
-    between = sum(r["duplicates"]["between"] for r in assembled.records.values())
-    taking = sum(r["n_participating"] for r in assembled.records.values())
+    job.store.publish_index({c: BucketInfo(r.n, r.n_candidates) for c, r in assembled.records.items()})
+    buckets = assembled.records.values()
+    within = sum(bucket.duplicates["within"] for bucket in buckets)
+    between = sum(bucket.duplicates["between"] for bucket in buckets)
+    taking = sum(bucket.n_participating for bucket in buckets)
     job.facts["counts"] |= {
         "duplicates_within_files": within,
         "duplicates_between_files": between,
@@ -232,7 +232,7 @@ def assemble(job: Job, sources: list[Source], spooled: Commits) -> IngestResult:
 def _report_unfiltered(job: Job, assembled: IngestResult) -> None:
     """Count the input points per class, and report excluded classes with many points."""
     config = job.plan.config
-    found = sum_by_class(record["classes"] for record in assembled.records.values())
+    found = sum_by_class(bucket.classes for bucket in assembled.records.values())
     kept_out = () if config.method == KEEP else config.keep_classes
     no_part = {
         code: n for code, n in found.items() if int(code) in kept_out and int(code) not in config.drop_classes
@@ -263,7 +263,7 @@ def _report_strays(job: Job, sources: list[Source], assembled: IngestResult) -> 
     paths = {source.number: str(source.info.path) for source in sources}
     found: list[dict[str, Any]] = []
     for record in assembled.records.values():
-        for number, row, x, y, z in record["strays"]:
+        for number, row, x, y, z in record.strays:
             found.append({"path": paths[number], "point": row, "x": x, "y": y, "z": z})
     job.facts["counts"]["strays"] = len(found)
     job.facts["strays"] = found
@@ -276,7 +276,7 @@ def _report_strays(job: Job, sources: list[Source], assembled: IngestResult) -> 
 
 def _forget_labels(job: Job, stale: Commits) -> None:
     """Invalidate the tiles of rewritten buckets, since a bucket that moves loses its labels."""
-    cells = {tuple(bucket["cell"]) for _, record in stale.values() for bucket in record["buckets"]}
+    cells = {tuple(bucket.cell) for _, stored in stale.values() for bucket in buckets_in(stored)}
     for number in range(job.store.get_state("passes") or 0):
         stage = f"filter{number}"
         tiles = job.store.committed(stage) if cells else {}

@@ -8,6 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from tiler.core.raster import BLOCK_PIXELS, Block
+from tiler.core.records import buckets_in
 from tiler.runs.job import Job
 from tiler.store import chunk_numbers
 
@@ -69,7 +70,7 @@ def _take_back_bucket(job: Job, kind: str, row: int) -> None:
     place = [cell.ix, cell.iy]
     if kind == "points":
         for task, (_, record) in job.store.committed("assemble").items():
-            if any(bucket["cell"] == place for bucket in record["buckets"]):
+            if any(bucket.cell == place for bucket in buckets_in(record)):
                 job.invalidate("assemble", [task])
         return
     for stage in _passes(job):

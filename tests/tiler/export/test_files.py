@@ -8,6 +8,7 @@ from typing import Any
 import pytest
 
 from tests.invariants import clouds
+from tests.scenes.records import bucket_record, spool_record
 from tiler.config import RunConfig
 from tiler.core.lattice import Bounds, Cell
 from tiler.core.raster import BLOCK_PIXELS
@@ -38,7 +39,7 @@ def gridding(plan: Plan, **bounds: tuple[int, int, int, int]) -> GridContext:
     for cell, name in ((WEST, "west"), (EAST, "east")):
         west, south, east, north = boxes[name]
         box = Bounds(500_000 + west, 5_400_000 + south, 500_000 + east, 5_400_000 + north)
-        records[cell] = {"bounds": [1000 * side for side in box.to_json()]}
+        records[cell] = bucket_record(bounds=[1000 * side for side in box.to_json()])
     found = GridContext(plan, IngestResult(records, {WEST: "w", EAST: "e"}), {})
     blocks = list(found.spec.blocks(BLOCK_PIXELS))
     for raster in ("dtm", "dtm-outlined", "hillshade"):
@@ -53,8 +54,8 @@ def spooled(first: str, second: str, plan: Plan) -> Inputs:
     """Two files, of these contents: one with points in both buckets, one in the east alone."""
     sources = [Source(plan.sources[0], number, content) for number, content in enumerate((first, second))]
     pieces: Any = {
-        "s000000-0": ("", {"buckets": [[0, 0, 3], [1, 0, 1]]}),
-        "s000001-0": ("", {"buckets": [[1, 0, 2]]}),
+        "s000000-0": ("", spool_record(buckets=[[0, 0, 3], [1, 0, 1]]).to_json()),
+        "s000001-0": ("", spool_record(buckets=[[1, 0, 2]]).to_json()),
     }
     return inputs_of(sources, pieces)
 

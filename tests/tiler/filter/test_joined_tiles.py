@@ -6,13 +6,12 @@ from collections.abc import Callable
 from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
-from typing import Any
 
 import pytest
 
 from tiler.config import RunConfig
 from tiler.core.lattice import Cell
-from tiler.filter.tasks.tiles import _bytes, tiles_of
+from tiler.filter.tasks.tiles import BucketPoints, _bytes, tiles_of
 from tiler.plan import Plan, make_plan
 from tiler.plan.memory import JOINED_BYTES
 
@@ -21,11 +20,11 @@ pytestmark = pytest.mark.processes
 EACH = 40_000
 """Candidates of a bucket."""
 
-Records = dict[Cell, dict[str, Any]]
+Records = dict[Cell, BucketPoints]
 
 
 def buckets(columns: range, rows: range) -> Records:
-    return {Cell(ix, iy): {"n": 100_000, "n_candidates": EACH} for ix in columns for iy in rows}
+    return {Cell(ix, iy): BucketPoints(100_000, EACH) for ix in columns for iy in rows}
 
 
 @pytest.fixture

@@ -14,6 +14,7 @@ from tiler.core.lattice import Cell
 from tiler.core.products import NODATA, PRODUCTS
 from tiler.core.raster import BLOCK_PIXELS
 from tiler.core.reclass import ONLY_GROUND
+from tiler.core.records import SpoolRecord
 from tiler.core.sheet_names import validate_distinct_names
 from tiler.core.water import Waters
 from tiler.export import (
@@ -52,7 +53,7 @@ def inputs_of(sources: Iterable[Source], spooled: Commits) -> Inputs:
     records = by_source(spooled)
     for source in sources:
         for record in records.get(source.name, ()):
-            for ix, iy, _ in record["buckets"]:
+            for ix, iy, _ in record.buckets:
                 found[Cell(ix, iy)].add(source.content)
     return found
 
@@ -191,8 +192,9 @@ def kept_pieces(spooled: Commits) -> dict[str, list[KeptPiece]]:
     found: dict[str, list[KeptPiece]] = defaultdict(list)
     for key in sorted(spooled):
         source, _, start = key.partition("-")
-        record = spooled[key][1]
-        found[source].append(KeptPiece(key, int(start), record["read"], record["identity"]))
+        _, stored = spooled[key]
+        record = SpoolRecord.of(stored)
+        found[source].append(KeptPiece(key, int(start), record.read, record.identity))
     return found
 
 
@@ -214,7 +216,7 @@ def classified_tasks(
     # On a cluster a task has only one core, since its workers run on other machines.
     threads = 1 if plan.config.scheduler else max(plan.workers // max(len(sources), 1), 1)
     for source in sources:
-        touched = {Cell(ix, iy) for r in records[source.name] for ix, iy, _ in r["buckets"]}
+        touched = {Cell(ix, iy) for r in records[source.name] for ix, iy, _ in r.buckets}
         cells = sorted(touched & labels.keys())  # A bucket has no labels if its task failed.
         extent = header_bounds(source.info)
         whole = plan.area is None or (extent is not None and plan.area.covers(extent))

@@ -81,8 +81,8 @@ def with_points(g: GridContext) -> dict[Cell, list[Cell]]:
     whole = g.spec.block_bounds(g.spec.block_at(0, 0, max(g.spec.height, g.spec.width)))
     buckets: dict[Cell, list[Cell]] = defaultdict(list)
     for bucket, record in g.assembled.records.items():
-        if record["bounds"]:
-            for cell in lattice.cells(Bounds.from_json(record["bounds"]).intersection(whole)):
+        if record.bounds:
+            for cell in lattice.cells(Bounds.from_json(record.bounds).intersection(whole)):
                 buckets[cell].append(bucket)
     if area is None:
         return buckets

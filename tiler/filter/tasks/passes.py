@@ -17,7 +17,7 @@ from ptd.methods import METHODS
 from ptd.passes import Pass, later_passes, read_at_candidates
 from tiler.core.lattice import Cell
 from tiler.filter import LABELS, FilterTile, filter_tile, influence_margin_m, local_window
-from tiler.filter.tasks.tiles import tiles_of
+from tiler.filter.tasks.tiles import BucketPoints, tiles_of
 from tiler.ingest.tasks.assembled import IngestResult, skip_flags
 from tiler.plan import Plan
 from tiler.plan.memory import held_bytes
@@ -115,9 +115,10 @@ def filter_tasks(
     beyond = math.ceil(frame.counts(Fraction(influence_margin_m(step, params))))
     margin = math.ceil(frame.counts(Fraction(repr(float(step.label_margin_m)))))
     reads = "labels" in step.columns
-    records: Mapping[Cell, Mapping[str, Any]] = assembled.records
-    if step.elected:
-        records = {cell: {**record, "n_elected": before.n_elected[cell]} for cell, record in records.items()}
+    records = {
+        cell: BucketPoints(record.n, record.n_candidates, before.n_elected.get(cell, 0))
+        for cell, record in assembled.records.items()
+    }
     scale = Scale(frame.metres_xy, frame.metres_z, frame.origin)
     for tile in tiles_of(plan, records, plan.passes[number]):
         sight = plan.meta.bucket.hull(tile.cells).pad(max(tile.max_halo + beyond, margin))
@@ -145,7 +146,7 @@ def filter_tasks(
         near = plan.meta.bucket.among(sight, digests)
         seen = [[c.ix, c.iy, digests[c]] for c in near]
         made = [before.elected_digests[c] for c in near] if step.elected else []
-        points = sum(assembled.records[c]["n"] for c in tile.cells)
+        points = sum(assembled.records[c].n for c in tile.cells)
         digest = digest_of(__version__, work, seen, made)
         yield Task(f"filter{number}", f"t{tile.name}", digest, filter_tile, work, points)
 

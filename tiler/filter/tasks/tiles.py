@@ -16,7 +16,7 @@ from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import pairwise
-from typing import Any
+from typing import NamedTuple
 
 from ptd.tin.mesh import MAX_EXTENT
 from tiler.core.lattice import Cell, Lattice
@@ -37,8 +37,16 @@ EQUAL_HALF = 0.05
 ROUNDEST = 1 << 62
 """Roundness of the line 0, which every power of two divides."""
 
-Records = Mapping[Cell, Mapping[str, Any]]
-"""Record of the assembly of each bucket: ``n`` points, ``n_candidates``, and ``n_elected`` after an election."""
+
+class BucketPoints(NamedTuple):
+    """Numbers of points of a bucket: all, candidates, and those that a pass elected."""
+
+    n: int
+    n_candidates: int
+    n_elected: int = 0
+
+
+Records = Mapping[Cell, BucketPoints]
 
 
 @dataclass(frozen=True)
@@ -64,7 +72,7 @@ class Tile:
 def tiles_of(plan: Plan, records: Records, step: PlannedPass) -> Iterator[Tile]:
     """Yield the tiles of a pass, from the west."""
     if plan.joins(step):
-        held = sum(record["n_candidates"] for record in records.values())
+        held = sum(record.n_candidates for record in records.values())
         yield from _halved(plan, records, step, sorted(records), plan.wanted_tiles(held))
         return
     size = plan.meta.frame.counts(plan.tile)
@@ -108,7 +116,7 @@ def _halves(records: Records, cells: Sequence[Cell], near: float) -> list[list[C
     axis = "ix" if max(columns) - min(columns) >= max(rows) - min(rows) else "iy"
     held: Counter[int] = Counter()
     for cell in cells:
-        held[getattr(cell, axis)] += records[cell]["n_candidates"] + 1
+        held[getattr(cell, axis)] += records[cell].n_candidates + 1
     lines = []
     below = 0
     total = held.total()
@@ -173,17 +181,16 @@ def _by_centre(lattice: Lattice, cells: Iterable[Cell], size: Fraction) -> dict[
 def _bytes(plan: Plan, records: Records, step: PlannedPass, cells: Sequence[Cell], halo: int) -> int:
     """Estimate the peak bytes of a worker for a tile with a halo, from the known points of the window."""
     lattice = plan.meta.bucket
-    if step.work.elected:
-        column = "n_elected"
-    elif plan.on_candidates and not step.work.every_point:
-        column = "n_candidates"
-    else:
-        column = "n"
     window = lattice.hull(cells).pad(halo)
     near = lattice.among(window, records)
-    held = [records[cell][column] for cell in near]
+    if step.work.elected:
+        held = [records[cell].n_elected for cell in near]
+    elif plan.on_candidates and not step.work.every_point:
+        held = [records[cell].n_candidates for cell in near]
+    else:
+        held = [records[cell].n for cell in near]
     area = len(held) * plan.bucket_m**2
-    bucket = max(records[cell]["n"] for cell in cells)
+    bucket = float(max(records[cell].n for cell in cells))
     kept = 0
     if step.work.label_margin_m:
         bucket *= (1 + 2 * step.work.label_margin_m / plan.bucket_m) ** 2

@@ -154,7 +154,7 @@ def _survey_tasks(
         seen = [[edit.number, *edit.digest] for edit in near]
         digest = digest_of(__version__, rule, edits.cell, cell, labels[cell], seen)
         work = SurveyEdits(rule, edits.key, cell)
-        yield Task("edits", cell.name, digest, survey_edits, work, assembled.records[cell]["n"])
+        yield Task("edits", cell.name, digest, survey_edits, work, assembled.records[cell].n)
 
 
 def _fact(edit: Edit, counts: Sequence[int]) -> dict[str, Any]:

@@ -160,7 +160,7 @@ class GridContext:
 
     def points(self, cells: Iterable[Cell]) -> int:
         """Return the number of points of some buckets."""
-        return sum(self.assembled.records[cell]["n"] for cell in cells)
+        return sum(self.assembled.records[cell].n for cell in cells)
 
     def checksums(self, raster: str, blocks: Iterable[str] | None = None) -> list[list[str]]:
         """Return name and checksum of each block of a raster, or of those of ``blocks`` that were made."""

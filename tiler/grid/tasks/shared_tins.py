@@ -9,13 +9,13 @@ from __future__ import annotations
 import heapq
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
 from tiler.core.lattice import Cell
 from tiler.core.raster import BLOCK_PIXELS, Block
+from tiler.core.records import BucketRecord
 from tiler.grid import GridBlock, GridBlocks, grid_blocks, max_points_in_bucket
 from tiler.plan import Plan
 from tiler.plan.memory import GROUND_BYTES, TIN_BYTES
@@ -28,7 +28,7 @@ TASKS_PER_WORKER = 4
 WORTH_DIVIDING = 0.95
 """Share to which dividing must shorten the time of the worker that finishes last."""
 
-Records = Mapping[Cell, Mapping[str, Any]]
+Records = Mapping[Cell, BucketRecord]
 Ints = npt.NDArray[np.int64]
 
 
@@ -57,7 +57,7 @@ def joined_blocks(plan: Plan, records: Records, tasks: Sequence[Task], workers: 
     Parameters
     ----------
     plan : Plan
-    records : mapping of Cell to dict
+    records : mapping of Cell to BucketRecord
         Record of the assembly of each bucket.
     tasks : sequence of Task
         Tasks of single blocks.
@@ -136,7 +136,7 @@ class _Survey:
         self._stop = np.array([(b.row + b.height, b.col + b.width) for b in blocks])
         self._cells = np.array([(cell.ix, cell.iy) for cell in records])
         self._points = np.array(
-            [max_points_in_bucket(r["n"], self._buckets, works[0].thin) for r in records.values()]
+            [max_points_in_bucket(r.n, self._buckets, works[0].thin) for r in records.values()]
         )
 
     def whole(self) -> _Group:

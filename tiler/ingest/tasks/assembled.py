@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property, reduce
-from typing import Any
 
 from tiler.core.classes import OVERLAP_FLAG, STRAY_FLAG, SYNTHETIC_FLAG, UNSELECTED_FLAG, WITHHELD_FLAG
 from tiler.core.lattice import Bounds, Cell
+from tiler.core.records import BucketRecord, buckets_in
 from tiler.plan import Plan
 from tiler.store import Commits
 
@@ -23,22 +23,22 @@ def skip_flags(plan: Plan) -> int:
 class IngestResult:
     """Result of the ingest: record of each bucket, and digest of the inputs of its contents."""
 
-    records: dict[Cell, dict[str, Any]]
+    records: dict[Cell, BucketRecord]
     digests: dict[Cell, str]
 
     @classmethod
     def of(cls, commits: Commits) -> IngestResult:
         """Make the result from the commits of the assembly tasks."""
-        records: dict[Cell, dict[str, Any]] = {}
+        records: dict[Cell, BucketRecord] = {}
         digests: dict[Cell, str] = {}
         for digest, record in commits.values():
-            for bucket in record["buckets"]:
-                cell = Cell(*bucket["cell"])
+            for bucket in buckets_in(record):
+                cell = Cell(*bucket.cell)
                 records[cell], digests[cell] = bucket, digest
         return cls(dict(sorted(records.items())), digests)
 
     @cached_property
     def bounds(self) -> Bounds:
         """Bounds of all stored points except strays, in absolute counts."""
-        found = [Bounds.from_json(r["bounds"]) for r in self.records.values() if r["bounds"]]
-        return reduce(Bounds.union, found)
+        known = (Bounds.from_json(record.bounds) for record in self.records.values() if record.bounds)
+        return reduce(Bounds.union, known)

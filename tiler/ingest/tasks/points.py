@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from tiler.core.lattice import Cell
+from tiler.core.records import SpoolRecord
 from tiler.ingest import (
     AssembleBuckets,
     BucketParts,
@@ -88,12 +89,12 @@ def _pieces(plan: Plan, info: SourceInfo) -> Iterator[tuple[int, int, tuple[tupl
         yield ranges[0][0], sum(count for _, count in ranges), ranges
 
 
-def by_source(spooled: Commits) -> dict[str, list[dict[str, Any]]]:
+def by_source(spooled: Commits) -> dict[str, list[SpoolRecord]]:
     """Return the records of the pieces of each source by its name."""
-    found: dict[str, list[dict[str, Any]]] = defaultdict(list)
-    for key, (_, record) in spooled.items():
-        found[source_of(key)].append(record)
-    return found
+    records: dict[str, list[SpoolRecord]] = defaultdict(list)
+    for key, (_, stored) in spooled.items():
+        records[source_of(key)].append(SpoolRecord.of(stored))
+    return records
 
 
 def source_of(piece: str) -> str:
@@ -110,7 +111,8 @@ def fragments_of(spooled: Commits) -> Fragments:
     found: Fragments = defaultdict(list)
     for piece in sorted(spooled):
         start = 0
-        for ix, iy, count in spooled[piece][1]["buckets"]:
+        _, stored = spooled[piece]
+        for ix, iy, count in SpoolRecord.of(stored).buckets:
             found[Cell(ix, iy)].append((piece, start, start + count))
             start += count
     return dict(found)
@@ -120,10 +122,11 @@ def strays_of(plan: Plan, sources: Iterable[Source], spooled: Commits) -> dict[i
     """Return the strays of each source that may have some, by its number."""
     held: dict[str, dict[Cell, int]] = defaultdict(lambda: defaultdict(int))
     outside: dict[str, int] = defaultdict(int)
-    for key, (_, record) in spooled.items():
-        outside[source_of(key)] += record["outside"]
-        for ix, iy, count in record["buckets"] + record["left"]:  # A file is judged as a whole.
-            held[source_of(key)][Cell(ix, iy)] += count
+    for name, records in by_source(spooled).items():
+        for record in records:
+            outside[name] += record.outside
+            for ix, iy, count in record.buckets + record.left:  # A file is judged as a whole.
+                held[name][Cell(ix, iy)] += count
     found = {}
     for source in sources:
         strays = find_strays(
@@ -153,12 +156,11 @@ def assemble_tasks(
     for cell in fragments:
         groups[Cell(cell.ix // GROUP, cell.iy // GROUP)].append(cell)
     flags, keep = skip_flags(plan), plan.config.keep_classes
+    identities = {piece: SpoolRecord.of(stored).identity for piece, (_, stored) in spooled.items()}
     for group in sorted(groups):
         buckets = tuple(bucket(c) for c in sorted(groups[group]))
-        parents = [
-            spooled[piece][1]["identity"]
-            for piece in sorted({f[0] for c in groups[group] for f in fragments[c]})
-        ]
+        pieces_of_group = {piece for cell in groups[group] for piece, _, _ in fragments[cell]}
+        parents = [identities[piece] for piece in sorted(pieces_of_group)]
         points = sum(stop - start for c in groups[group] for _, start, stop in fragments[c])
         # The rows in a piece are not in the digest: they depend on its other stored buckets, but the points do not.
         content = [

@@ -1,0 +1,25 @@
+"""Records of the ingest for tests of later stages."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from tiler.core.records import BucketRecord, SpoolRecord
+
+
+def bucket_record(**values: Any) -> BucketRecord:
+    """A bucket without points, but for the given values."""
+    nothing: dict[str, Any] = {
+        "cell": [0, 0], "n": 0, "n_candidates": 0, "n_participating": 0, "duplicates": {"within": 0, "between": 0},
+        "z_participating": None, "classes": {}, "strays": [], "bounds": None, "z": None,
+    }  # fmt: skip
+    return BucketRecord(**{**nothing, **values})
+
+
+def spool_record(**values: Any) -> SpoolRecord:
+    """A piece without points, but for the given values."""
+    nothing: dict[str, Any] = {
+        "read": 0, "stored": 0, "outside": 0, "dropped": {}, "unselected": {}, "largest_rounding": 0.0, "buckets": [],
+        "left": [], "identity": "", "fetched": 0, "bounds": None, "z": None,
+    }  # fmt: skip
+    return SpoolRecord(**{**nothing, **values})

@@ -1,0 +1,33 @@
+"""Records of tasks are the JSON that the store keeps."""
+
+from __future__ import annotations
+
+import json
+
+import pytest
+
+from tests.scenes.records import bucket_record, spool_record
+from tiler.core.records import BucketRecord, SpoolRecord, buckets_in
+from tiler.errors import StoreError
+
+
+def test_a_record_survives_the_store() -> None:
+    piece = spool_record(read=5, dropped={"withheld": 1}, buckets=[[0, -1, 4]], bounds=[0, 0, 2, 2], z=[3, 4])
+    assert SpoolRecord.of(json.loads(json.dumps(piece.to_json()))) == piece
+    bucket = bucket_record(cell=[0, -1], n=4, strays=[[0, 7, 1.5, 2.5, 9.0]])
+    assert buckets_in(json.loads(json.dumps({"buckets": [bucket.to_json()]}))) == [bucket]
+
+
+def test_keys_have_the_order_of_the_fields() -> None:
+    assert list(bucket_record().to_json()) == [
+        "cell", "n", "n_candidates", "n_participating", "duplicates", "z_participating", "classes", "strays", "bounds",
+        "z",
+    ]  # fmt: skip
+
+
+def test_further_keys_are_ignored_and_missing_ones_are_an_error_of_the_store() -> None:
+    stored = bucket_record(n=3).to_json()
+    assert BucketRecord.of({**stored, "later": 1}).n == 3
+    del stored["n_candidates"]
+    with pytest.raises(StoreError, match="a record of the store has no 'n_candidates'"):
+        BucketRecord.of(stored)
