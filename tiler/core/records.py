@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import MISSING, dataclass
 from typing import Any, Self, TypedDict
 
 from tiler.errors import StoreError
@@ -11,7 +11,10 @@ from tiler.errors import StoreError
 
 @dataclass(frozen=True, slots=True)
 class Record:
-    """Record of a task. The names of its fields are the keys of the JSON object."""
+    """Record of a task. The names of its fields are the keys of the JSON object.
+
+    A field whose default is None has no key if it is None.
+    """
 
     @classmethod
     def of(cls, stored: Mapping[str, Any]) -> Self:
@@ -23,15 +26,25 @@ class Record:
             A key is missing, as in stores of other versions.
         """
         try:
-            return cls(**{name: stored[name] for name in cls.__dataclass_fields__})
+            known = {
+                name: stored[name]
+                for name, field in cls.__dataclass_fields__.items()
+                if name in stored or field.default is MISSING
+            }
         except KeyError as missing:
             raise StoreError(
                 f"a record of the store has no {missing}, so another version wrote it; delete the store and run again"
             ) from None
+        return cls(**known)
 
     def to_json(self) -> dict[str, Any]:
         """Return the record as a JSON object."""
-        return {name: getattr(self, name) for name in self.__dataclass_fields__}
+        values = {}
+        for name, field in self.__dataclass_fields__.items():
+            value = getattr(self, name)
+            if value is not None or field.default is MISSING:
+                values[name] = value
+        return values
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -118,3 +131,52 @@ class BucketRecord(Record):
 def buckets_in(assembled: Mapping[str, Any]) -> list[BucketRecord]:
     """Return the records of the buckets that a task of the assembly wrote."""
     return [BucketRecord.of(stored) for stored in assembled["buckets"]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TileRecord(Record):
+    """Record of a tile of a pass of the filter.
+
+    Attributes
+    ----------
+    points, ground, low_noise, unclassified, kept : int
+        Number of labelled points, in all and by label.
+    marked : int
+        Number of labels that are not certified.
+    tries, halo : int
+        Number of windows that were tried, and the halo of the last one in counts.
+    window_points : int
+        Number of points in the last window.
+    core_area, window_area : int
+        Area of the tile, and of all windows that were tried, in square counts.
+    cells : list of [ix, iy]
+        Buckets of the tile.
+    labels : str
+        Digest of the labels.
+    elected : str, optional
+        Digest of the elected points. None if the pass elects no points.
+    elected_points : list of int, optional
+        Number of elected points of each bucket.
+    partial : dict
+        Part of the state after the pass, which `Pass.reduce` combines.
+    stats : dict
+        Figures of the method, for its developers.
+    """
+
+    points: int
+    ground: int
+    low_noise: int
+    unclassified: int
+    kept: int
+    marked: int
+    tries: int
+    halo: int
+    window_points: int
+    core_area: int
+    window_area: int
+    cells: list[list[int]]
+    labels: str
+    elected: str | None = None
+    elected_points: list[int] | None = None
+    partial: dict[str, Any]
+    stats: dict[str, Any]

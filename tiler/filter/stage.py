@@ -13,11 +13,12 @@ from ptd.matched.survey import SurveyPass, run_facts
 from ptd.methods import METHODS
 from ptd.passes import MethodRefusal, Pass, State
 from ptd.places import PLACES
+from tiler.core.records import TileRecord
 from tiler.core.units_text import in_unit_of_crs
 from tiler.errors import ConfigError, ProcessingError
 from tiler.filter import FilterTile
 from tiler.filter.tasks.labelled import MATCHED, Labelled
-from tiler.filter.tasks.passes import PassInputs, filter_tasks, labels_given
+from tiler.filter.tasks.passes import PassInputs, filter_tasks, labels_given, tile_records
 from tiler.ingest.tasks.assembled import IngestResult
 from tiler.observe.events import StagesPassedOver, Warned
 from tiler.plan import KEEP
@@ -70,8 +71,8 @@ def filter_points(job: Job, assembled: IngestResult) -> Labelled:
             before = before.after(number, step, is_last, few, assembled, filtered)
             last = step.name if is_last else ""
         if step.gives_labels:
-            job.facts["filter"] = _filter_facts(job, [r for _, r in filtered.values()], len(tasks))
-        partials = (record["partial"] for _, record in filtered.values())
+            job.facts["filter"] = _filter_facts(job, list(tile_records(filtered)), len(tasks))
+        partials = (tile.partial for tile in tile_records(filtered))
         after = _reduced(job, step, partials, state) if known is None else _known(job, step, state)
         told = _without_known_places(after, state)
         job.store.put_state(f"after-{step.name}", told)
@@ -157,12 +158,12 @@ def _leave_out(job: Job, task: Task, step: Pass, before: PassInputs) -> None:
             job.store.write_labels(work.labels_out, cell, labels, work.of_candidates)
 
 
-def _filter_facts(job: Job, records: list[dict[str, Any]], tiles: int) -> dict[str, Any]:
+def _filter_facts(job: Job, records: list[TileRecord], tiles: int) -> dict[str, Any]:
     def total(name: str) -> int:
-        return sum(r[name] for r in records)
+        return sum(getattr(record, name) for record in records)
 
     names = ("points", "ground", "low_noise", "unclassified", "kept", "marked")
-    again = sum(r["tries"] > 1 for r in records)
+    again = sum(record.tries > 1 for record in records)
     facts: dict[str, Any] = {name: total(name) for name in names}
     facts |= {
         "tiles": tiles,

@@ -17,6 +17,7 @@ from ptd.methods import METHODS
 from ptd.passes import Model, Pass, Points, joined
 from tiler.core.classes import GROUND, LOW_NOISE, UNCERTIFIED_BIT, UNCLASSIFIED
 from tiler.core.lattice import Bounds, Cell, Lattice
+from tiler.core.records import TileRecord
 from tiler.filter.reading import TileReader
 from tiler.filter.work import FilterTile
 from tiler.store import TileStore, open_store
@@ -83,7 +84,7 @@ def filter_tile(store_url: str, work: FilterTile) -> dict[str, Any]:
     if inherited:  # an uncertified label of the earlier pass may have changed the labels
         labels = {cell: found | (found > 0) * np.uint8(UNCERTIFIED_BIT) for cell, found in labels.items()}
         marked = sum(int(np.count_nonzero(found)) for found in labels.values())
-    elected = {} if work.elected_out is None else _elect(store, work.cells, model, work.elected_out)
+    elected, elected_points = _elect(store, work.cells, model, work.elected_out)
     for cell, found in labels.items():
         if work.of_elected or step.elects:
             store.write_elected_labels(work.labels_out, cell, found)
@@ -92,24 +93,26 @@ def filter_tile(store_url: str, work: FilterTile) -> dict[str, Any]:
     counts = np.zeros(256, np.int64)
     for found in labels.values():
         counts += np.bincount(found & ~np.uint8(UNCERTIFIED_BIT), minlength=256)
-    return {
-        "points": int(counts.sum()),
-        "ground": int(counts[GROUND]),
-        "low_noise": int(counts[LOW_NOISE]),
-        "unclassified": int(counts[UNCLASSIFIED]),
-        "kept": int(counts[KEEP]),
-        "marked": marked,
-        "tries": tries,
-        "halo": halo,
-        "window_points": len(points),
-        "core_area": core.area(),
-        "window_area": area,
-        "cells": [[cell.ix, cell.iy] for cell in work.cells],
-        "labels": digest_of_arrays(labels.values()),
-        **elected,
-        "partial": model.partial(),
-        "stats": model.stats,
-    }
+    record = TileRecord(
+        points=int(counts.sum()),
+        ground=int(counts[GROUND]),
+        low_noise=int(counts[LOW_NOISE]),
+        unclassified=int(counts[UNCLASSIFIED]),
+        kept=int(counts[KEEP]),
+        marked=marked,
+        tries=tries,
+        halo=halo,
+        window_points=len(points),
+        core_area=core.area(),
+        window_area=area,
+        cells=[[cell.ix, cell.iy] for cell in work.cells],
+        labels=digest_of_arrays(labels.values()),
+        elected=elected,
+        elected_points=elected_points,
+        partial=model.partial(),
+        stats=model.stats,
+    )
+    return record.to_json()
 
 
 def _label(reader: TileReader, cell: Cell, model: Model) -> tuple[npt.NDArray[np.uint8], bool]:
@@ -133,16 +136,20 @@ def _label_elected(store: TileStore, cell: Cell, model: Model) -> npt.NDArray[np
     return labels | (marks.astype(np.uint8) * np.uint8(UNCERTIFIED_BIT))
 
 
-def _elect(store: TileStore, cells: Sequence[Cell], model: Model, name: str) -> dict[str, Any]:
-    """Write the points that a pass elects in the buckets. Return their digest, and their number per bucket."""
+def _elect(
+    store: TileStore, cells: Sequence[Cell], model: Model, name: str | None
+) -> tuple[str | None, list[int] | None]:
+    """Write the points that a pass elects in the buckets. Return their digest, and their number per bucket.
+
+    Both are None if the pass elects no points.
+    """
+    if name is None:
+        return None, None
     found = {}
     for cell in cells:
         found[cell] = model.elect(_local(store.meta.bucket.bounds(cell), store))
         store.write_elected(name, cell, found[cell])
-    return {
-        "elected": digest_of_arrays(found.values()),
-        "elected_points": [int(xyz.shape[1]) for xyz in found.values()],
-    }
+    return digest_of_arrays(found.values()), [int(xyz.shape[1]) for xyz in found.values()]
 
 
 def _window(store: TileStore, padded: Bounds, step: Pass, params: Any) -> tuple[Bounds, Known]:

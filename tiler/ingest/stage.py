@@ -281,5 +281,6 @@ def _forget_labels(job: Job, stale: Commits) -> None:
         stage = f"filter{number}"
         tiles = job.store.committed(stage) if cells else {}
         job.invalidate(
-            stage, [k for k, (_, r) in tiles.items() if not cells.isdisjoint(map(tuple, r["cells"]))]
+            stage,
+            [key for key, (_, stored) in tiles.items() if not cells.isdisjoint(map(tuple, stored["cells"]))],
         )

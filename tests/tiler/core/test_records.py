@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 
 import pytest
 
 from tests.scenes.records import bucket_record, spool_record
-from tiler.core.records import BucketRecord, SpoolRecord, buckets_in
+from tiler.core.records import BucketRecord, SpoolRecord, TileRecord, buckets_in
 from tiler.errors import StoreError
 
 
@@ -31,3 +32,14 @@ def test_further_keys_are_ignored_and_missing_ones_are_an_error_of_the_store() -
     del stored["n_candidates"]
     with pytest.raises(StoreError, match="a record of the store has no 'n_candidates'"):
         BucketRecord.of(stored)
+
+
+def test_a_field_that_may_be_missing_has_no_key_if_it_is_none() -> None:
+    tile = TileRecord(
+        points=1, ground=1, low_noise=0, unclassified=0, kept=0, marked=0, tries=1, halo=5, window_points=2,
+        core_area=9, window_area=16, cells=[[0, 0]], labels="digest", partial={}, stats={},
+    )  # fmt: skip
+    assert not {"elected", "elected_points"} & tile.to_json().keys()
+    assert TileRecord.of(tile.to_json()) == tile
+    elected = replace(tile, elected="another", elected_points=[1])
+    assert TileRecord.of(elected.to_json()) == elected

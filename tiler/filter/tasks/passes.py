@@ -7,7 +7,7 @@ those tasks new that it can affect, and all other tasks stay done.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, field, replace
 from fractions import Fraction
 from typing import Any
@@ -16,6 +16,7 @@ from ptd.frame import Scale
 from ptd.methods import METHODS
 from ptd.passes import Pass, later_passes, read_at_candidates
 from tiler.core.lattice import Cell
+from tiler.core.records import TileRecord
 from tiler.filter import LABELS, FilterTile, filter_tile, influence_margin_m, local_window
 from tiler.filter.tasks.tiles import BucketPoints, tiles_of
 from tiler.ingest.tasks.assembled import IngestResult, skip_flags
@@ -60,10 +61,10 @@ class PassInputs:
         """
         if step.elects:
             counts = dict.fromkeys(assembled.records, 0)
-            for _, record in done.values():
-                cells = (Cell(*cell) for cell in record["cells"])
-                counts |= dict(zip(cells, record["elected_points"], strict=True))
-            digests = label_digests(assembled, done, "elected")
+            for tile in tile_records(done):
+                cells = (Cell(*cell) for cell in tile.cells)
+                counts |= dict(zip(cells, tile.elected_points or (), strict=True))
+            digests = _content_digests(assembled, ((tile, tile.elected) for tile in tile_records(done)))
             if step.gives_labels:
                 of_labels = label_digests(assembled, done)
                 digests = {cell: digest_of(digest, of_labels[cell]) for cell, digest in digests.items()}
@@ -151,12 +152,21 @@ def filter_tasks(
         yield Task(f"filter{number}", f"t{tile.name}", digest, filter_tile, work, points)
 
 
-def label_digests(assembled: IngestResult, filtered: Commits, what: str = "labels") -> dict[Cell, str]:
-    """Return the digest of each bucket's contents and of the labels that a pass gave it, if its tile succeeded.
+def tile_records(filtered: Commits) -> Iterator[TileRecord]:
+    """Yield the records of the tiles of a pass, from their commits."""
+    return (TileRecord.of(stored) for _, stored in filtered.values())
 
-    The entry of the record is ``what``: ``labels`` or ``elected``.
-    """
-    labels = dict.fromkeys(assembled.records, "none")
-    for _, record in filtered.values():
-        labels |= {Cell(*cell): record[what] for cell in record["cells"]}
-    return {cell: digest_of(given, assembled.digests[cell]) for cell, given in labels.items()}
+
+def label_digests(assembled: IngestResult, filtered: Commits) -> dict[Cell, str]:
+    """Return the digest of each bucket's contents and of the labels that a pass gave it, if its tile succeeded."""
+    return _content_digests(assembled, ((tile, tile.labels) for tile in tile_records(filtered)))
+
+
+def _content_digests(
+    assembled: IngestResult, results: Iterable[tuple[TileRecord, str | None]]
+) -> dict[Cell, str]:
+    """Return the digest of each bucket's contents and of the results of its tile, given as digests of tiles."""
+    by_bucket: dict[Cell, str | None] = dict.fromkeys(assembled.records, "none")
+    for tile, digest in results:
+        by_bucket |= {Cell(*cell): digest for cell in tile.cells}
+    return {cell: digest_of(digest, assembled.digests[cell]) for cell, digest in by_bucket.items()}
