@@ -20,7 +20,7 @@ from tiler.core.lattice import Cell
 from tiler.core.map_lines import rings_of
 from tiler.core.units_text import length_text
 from tiler.filter.tasks.labelled import Labelled
-from tiler.filter.tasks.passes import elected_name, label_digests, labels_name
+from tiler.filter.tasks.passes import elected_name, label_digests, labels_name, tile_records
 from tiler.ingest.tasks.assembled import IngestResult
 from tiler.observe.events import Warned
 from tiler.runs.job import Job
@@ -79,8 +79,8 @@ def canopy_cells(job: Job, assembled: IngestResult, labelled: Labelled) -> Canop
 def _tell(job: Job, share: float, made: Commits) -> None:
     """Add the positions of the canopy to the facts, and warn if it covers much of the area."""
     blocks: Counter[tuple[int, int]] = Counter()
-    for _, record in made.values():
-        for column, row, area_m2 in record["partial"]["blocks"]:
+    for tile in tile_records(made):
+        for column, row, area_m2 in tile.partial["blocks"]:
             blocks[column, row] += area_m2
     unit = float(job.plan.meta.frame.units.horizontal)
     most = sorted(blocks, key=lambda place: (-blocks[place], place))[:PLACES]
