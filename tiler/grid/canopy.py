@@ -85,12 +85,9 @@ def _covered(store: TileStore, work: CanopyBlock, spec: RasterSpec, block: Block
     )
     for down in (0, 1):
         for right in (0, 1):
-            cell_indices = (
-                np.where(wide, wide_rows + down, rows),
-                np.where(wide, wide_columns + right, columns),
-            )
-            there[cell_indices] = True
-            covered[cell_indices[0][hidden], cell_indices[1][hidden]] = True
+            index = np.where(wide, wide_rows + down, rows), np.where(wide, wide_columns + right, columns)
+            there[index] = True
+            covered[index[0][hidden], index[1][hidden]] = True
     covered |= ~there & scipy.ndimage.binary_closing(covered, np.ones((2 * GAP + 1, 2 * GAP + 1), np.bool_))
     pixel_rows, pixel_columns = (lattice.index(centres) for centres in _centres(spec, block))
     covered_pixels: npt.NDArray[np.bool_] = covered[np.ix_(pixel_rows - south, pixel_columns - west)]

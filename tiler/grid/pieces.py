@@ -193,11 +193,9 @@ def areas_within(
     for row in range(window.row // BLOCK_PIXELS * BLOCK_PIXELS, window.row + window.height, BLOCK_PIXELS):
         for col in range(window.col // BLOCK_PIXELS * BLOCK_PIXELS, window.col + window.width, BLOCK_PIXELS):
             part = part_of(window, row, col)
-            part_labels = np.flatnonzero(
-                np.bincount(labels[part].ravel())
-            )  # like np.unique, but without sorting
-            table = np.zeros(int(part_labels.max(initial=0)) + 1, np.int32)
-            for label in part_labels[part_labels > 0].tolist():
+            present = np.flatnonzero(np.bincount(labels[part].ravel()))  # like np.unique, but without sorting
+            table = np.zeros(int(present.max(initial=0)) + 1, np.int32)
+            for label in present[present > 0].tolist():
                 piece = Piece(row, col, label)
                 table[label] = names.setdefault(known.get(piece, piece), len(names) + 1)
             numbers[part] = table[labels[part]]
