@@ -40,5 +40,5 @@ class IngestResult:
     @cached_property
     def bounds(self) -> Bounds:
         """Bounds of all stored points except strays, in absolute counts."""
-        found = [Bounds.from_json(r["bounds"]) for r in self.records.values() if r["bounds"]]
-        return reduce(Bounds.union, found)
+        bucket_bounds = [Bounds.from_json(r["bounds"]) for r in self.records.values() if r["bounds"]]
+        return reduce(Bounds.union, bucket_bounds)
