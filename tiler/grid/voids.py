@@ -235,11 +235,11 @@ def _rim_of_piece(store: TileStore, rasters: VoidRasters, void: Void, core: Bloc
     top, left = max(core.row - 1, 0), max(core.col - 1, 0)
     bottom, right = min(core.row + core.height + 1, spec.height), min(core.col + core.width + 1, spec.width)
     wide = Block(top, left, bottom - top, right - left)
-    hole_mask = _holds(store, rasters, void, wide)
-    if not hole_mask.any():
+    hole_cells_mask = _holds(store, rasters, void, wide)
+    if not hole_cells_mask.any():
         return np.empty((3, 0), np.int64)
     heights = store.read_block(rasters.heights, wide)
-    empty = hole_mask & _void(store, rasters, wide)
+    empty = hole_cells_mask & _void(store, rasters, wide)
     rim = scipy.ndimage.binary_dilation(empty, AROUND) & (heights != np.float32(NODATA))
     rows, cols = np.nonzero(rim)
     rows, cols = rows + wide.row, cols + wide.col
