@@ -42,17 +42,17 @@ def clean(out: str | Path, store_url: str | None = None) -> dict[str, Any]:
     LockedError
         A run uses the folder or its store.
     """
-    place = str(out)
+    location = str(out)
     if not is_url(out):
-        place = str(Path(out).resolve())
+        location = str(Path(out).resolve())
         if not Path(out).is_dir():
             raise ConfigError(f"{out}: no such folder; give the OUT of a run")
     if not store_url:
-        configured = (read_run(place) or {}).get("configuration")
+        configured = (read_run(location) or {}).get("configuration")
         if isinstance(configured, dict):
             store_url = configured.get("store")
-    store = open_store(str(store_url or joined(place, STORE)))
-    with locked_folder(place), store.lock():
+    store = open_store(str(store_url or joined(location, STORE)))
+    with locked_folder(location), store.lock():
         before = store.usage()
         store.tidy()
         after = store.usage()

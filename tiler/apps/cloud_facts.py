@@ -32,18 +32,18 @@ _MAP_ROWS = 24
 def describe_cloud(path: Path) -> dict[str, Any]:
     """Describe a LAS or LAZ file: the correct parts of its header, its units, density and classes."""
     info = inspect(path)
-    place = info.georeference
+    georeference = info.georeference
     file_format = "LAS"
     if info.compressed:
         file_format = "LAZ"
     if info.copc:
         file_format += ", COPC"
     horizontal, vertical = "unknown", "not declared"
-    if place.horizontal:
-        horizontal = unit_label(place.horizontal)
-    if place.vertical:
-        vertical = unit_label(place.vertical)
-    facts = {
+    if georeference.horizontal:
+        horizontal = unit_label(georeference.horizontal)
+    if georeference.vertical:
+        vertical = unit_label(georeference.vertical)
+    description = {
         "kind": "cloud",
         "path": str(path),
         "size_bytes": info.size,
@@ -53,13 +53,13 @@ def describe_cloud(path: Path) -> dict[str, Any]:
         "points": info.points,
         "bounds": list(info.bounds) if info.bounds else None,
         "scales": list(info.scales),
-        "crs": place.name or "none",
-        "crs_kind": place.kind,
+        "crs": georeference.name or "none",
+        "crs_kind": georeference.kind,
         "horizontal_unit": horizontal,
         "vertical_unit": vertical,
     }
-    metres = float(place.horizontal or 1)
-    return {**facts, **_point_facts(path, info.bounds, metres), "notes": list(info.notes)}
+    metres = float(georeference.horizontal or 1)
+    return {**description, **_point_facts(path, info.bounds, metres), "notes": list(info.notes)}
 
 
 def _point_facts(path: Path, bounds: tuple[float, ...] | None, metres: float) -> dict[str, Any]:

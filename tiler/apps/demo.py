@@ -85,8 +85,8 @@ def run_demo(out: str | Path, seed: int, config: RunConfig, listener: Listener) 
 def _validate_own_files(out: Path, config: RunConfig) -> None:
     """Mark the folder as that of a demo. Raise ConfigError if foreign files would be replaced."""
     mark = out / "input" / MARK
-    wanted = [*demo_files(out / "input"), out / EVALUATION]
-    there = [path for path in wanted if os.path.lexists(path)]
+    demo_paths = [*demo_files(out / "input"), out / EVALUATION]
+    there = [path for path in demo_paths if os.path.lexists(path)]
     if there and not mark.is_file() and not config.force:
         raise ConfigError(
             f"{there[0]}: already exists and was not written by a demo; use another -o, or --force to replace it"

@@ -56,29 +56,29 @@ def describe(path: str) -> dict[str, Any]:
     StoreError
         There is no store at a URL, another version wrote it, or it is damaged.
     """
-    place = as_path(path)
+    location = as_path(path)
     name = without_query(path).lower()
     try:
         with storage_errors():
             if is_url(path):
                 missing = state_at(path) is None
             else:
-                missing = not place.exists()
+                missing = not location.exists()
             # On a web server, the test for a folder would read the whole cloud.
             is_cloud = is_url(path) and name.endswith((*_CLOUDS, "ept.json"))
-            is_folder = not missing and not is_cloud and place.is_dir()
+            is_folder = not missing and not is_cloud and location.is_dir()
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror or error}); give what can be") from error
     if missing and is_url(path):
         if read_run(path) is not None:
-            return describe_result(place)
+            return describe_result(location)
         return describe_store(path)
     if missing:
         raise InputError(
             f"{path}: no such file or folder; give a cloud, a store, a result folder or a raster"
         )
     if is_folder:
-        return _describe_folder(place)
+        return _describe_folder(location)
     if name.endswith("ept.json"):
         from tiler.apps.cloud_facts import describe_point_tiles
         from tiler.inputs import read_list
@@ -87,13 +87,13 @@ def describe(path: str) -> dict[str, Any]:
     if not name.endswith(_CLOUDS):
         from tiler.schedule import call_isolated, half_of_memory
 
-        return call_isolated(describe_raster, place, paths=(place,), memory_bytes=half_of_memory())
+        return call_isolated(describe_raster, location, paths=(location,), memory_bytes=half_of_memory())
     from tiler.apps.cloud_facts import describe_cloud
     from tiler.inputs import read_in_child
     from tiler.schedule import ChildProcess
 
     with ChildProcess() as guard:
-        return read_in_child(guard, describe_cloud, place)
+        return read_in_child(guard, describe_cloud, location)
 
 
 def _describe_folder(folder: Path) -> dict[str, Any]:
@@ -133,10 +133,10 @@ def describe_store(url: str) -> dict[str, Any]:
 
 
 def _commits(store: TileStore) -> dict[str, Any]:
-    found = {stage: store.committed(stage) for stage in ("spool", "assemble")}
+    commits = {stage: store.committed(stage) for stage in ("spool", "assemble")}
     for number in range(store.get_state("passes") or 0):  # Passes that do not apply have no commits.
-        found[f"filter{number}"] = store.committed(f"filter{number}")
-    return found | {stage: store.committed(stage) for stage in ("grid-dtm", "export")}
+        commits[f"filter{number}"] = store.committed(f"filter{number}")
+    return commits | {stage: store.committed(stage) for stage in ("grid-dtm", "export")}
 
 
 def describe_result(folder: Path) -> dict[str, Any]:
@@ -151,7 +151,7 @@ def describe_result(folder: Path) -> dict[str, Any]:
         ) from error
     except ValueError as error:
         raise InputError(f"{folder / RUN}: not valid JSON ({error}); run the same command again") from error
-    facts: dict[str, Any] = {
+    description: dict[str, Any] = {
         "kind": "result",
         "path": str(folder),
         **{name: run.get(name) for name in _RUN_FACTS},
@@ -159,10 +159,10 @@ def describe_result(folder: Path) -> dict[str, Any]:
     store = joined(str(folder), STORE)
     if store_exists(store):
         try:
-            facts["store"] = describe_store(store)
+            description["store"] = describe_store(store)
         except StoreError as error:
-            facts["store"] = {"unreadable": str(error)}
-    return facts
+            description["store"] = {"unreadable": str(error)}
+    return description
 
 
 def describe_raster(path: Path) -> dict[str, Any]:
@@ -199,16 +199,16 @@ def _heights(raster: Any) -> dict[str, Any]:
     windows = (((row, row + high), (col, col + wide)) for row, col, high, wide in blocks_with_files(raster))
     if raster.driver != "VRT":
         windows = (window for _, window in raster.block_windows(1))
-    found = Statistics()
+    statistics = Statistics()
     for window in windows:
         values = raster.read(1, window=window, masked=True).compressed()
-        found = found.merged(values[np.isfinite(values)], nodata=None)
-    if found.n == 0:
+        statistics = statistics.merged(values[np.isfinite(values)], nodata=None)
+    if statistics.n == 0:
         return {"valid": 0.0}
     return {
-        "valid": found.n / (raster.width * raster.height),
-        "minimum": found.low,
-        "maximum": found.high,
-        "mean": found.mean,
-        "deviation": math.sqrt(found.squares / found.n),
+        "valid": statistics.n / (raster.width * raster.height),
+        "minimum": statistics.low,
+        "maximum": statistics.high,
+        "mean": statistics.mean,
+        "deviation": math.sqrt(statistics.squares / statistics.n),
     }

@@ -23,11 +23,11 @@ def is_many(paths: Sequence[str]) -> bool:
     """Return whether paths are described in a table: several paths, or a folder or pattern of clouds."""
     if len(paths) != 1:
         return True
-    place = Path(paths[0])
-    if is_url(paths[0]) or place.is_file():
+    path = Path(paths[0])
+    if is_url(paths[0]) or path.is_file():
         return False
-    if place.is_dir():
-        return not ((place / RUN).is_file() or (place / ZARR).is_file())
+    if path.is_dir():
+        return not ((path / RUN).is_file() or (path / ZARR).is_file())
     return any(sign in paths[0] for sign in "*?[")
 
 
@@ -52,26 +52,26 @@ def describe_many(paths: Sequence[str]) -> list[dict[str, Any]]:
     InputError
         There is no cloud.
     """
-    found, files = [], find_inputs(paths)
+    descriptions, files = [], find_inputs(paths)
     with ChildPool(1) as guards:
         for path, look in zip(files, guards.each(inspect_in_child, files), strict=True):
             try:
-                found.append(_facts(look()))
+                descriptions.append(_facts(look()))
             except InputError as error:
-                found.append({"path": str(path), "error": str(error).removeprefix(f"{path}: ")})
-    return found
+                descriptions.append({"path": str(path), "error": str(error).removeprefix(f"{path}: ")})
+    return descriptions
 
 
 def _facts(source: SourceInfo) -> dict[str, Any]:
     georeference = source.georeference
     metres = georeference.horizontal
-    facts: dict[str, Any] = {"path": str(source.path), "points": source.points, "per_m2": None}
+    description: dict[str, Any] = {"path": str(source.path), "points": source.points, "per_m2": None}
     if source.bounds is not None and metres is not None:
         x0, y0, _, x1, y1, _ = source.bounds
         area = (x1 - x0) * (y1 - y0) * float(metres) ** 2
-        facts["per_m2"] = source.points / area if area > 0 else None
+        description["per_m2"] = source.points / area if area > 0 else None
     unit = None if metres is None else short_unit(metres)
-    return {**facts, "bounds": source.bounds, "unit": unit, "crs": crs_name(georeference.wkt)}
+    return {**description, "bounds": source.bounds, "unit": unit, "crs": crs_name(georeference.wkt)}
 
 
 def rows(clouds: Sequence[dict[str, Any]]) -> list[list[str]]:
@@ -84,12 +84,12 @@ def _row(cloud: dict[str, Any]) -> list[str]:
         return [cloud["path"], cloud["error"], *[""] * (len(COLUMNS) - 2)]
     density = "-" if cloud["per_m2"] is None else f"{cloud['per_m2']:.3g}"
     bounds = cloud["bounds"]
-    places = ["-"] * 6 if bounds is None else [f"{bounds[i]:.2f}" for i in (0, 1, 3, 4, 2, 5)]
+    bounds_texts = ["-"] * 6 if bounds is None else [f"{bounds[i]:.2f}" for i in (0, 1, 3, 4, 2, 5)]
     return [
         cloud["path"],
         f"{cloud['points']:,}",
         density,
-        *places,
+        *bounds_texts,
         cloud["unit"] or "-",
         cloud["crs"] or "-",
     ]

@@ -118,20 +118,20 @@ def make_preview(
     sources = [s for s in plan.sources if s.points and s.bounds is not None]
     side = _side(plan, side_m)
     with TemporaryDirectory(prefix=".tiler-preview-") as scratch, ChildProcess() as guard:
-        places = _places(guard, sources, config.salvage)
-        windows = spread(places, number, side, _hull(sources))
+        positions = _places(guard, sources, config.salvage)
+        windows = spread(positions, number, side, _hull(sources))
         files = _cut(guard, sources, windows, Path(scratch), config.salvage)
         settings = _settings(plan)
         columns: list[tuple[Shade, Shade]] = []
-        found: list[PreviewWindow] = []
+        drawn_windows: list[PreviewWindow] = []
         for bounds, paths in zip(windows, files, strict=True):
             if paths:
-                listener(Note(f"draw window {len(found) + 1} of {len(windows)} at most"))
+                listener(Note(f"draw window {len(drawn_windows) + 1} of {len(windows)} at most"))
                 column, window = _window(bounds, paths, settings, tell)
                 columns.append(column)
-                found.append(window)
+                drawn_windows.append(window)
     write_png(Path(target), _montage(columns))
-    return found
+    return drawn_windows
 
 
 def _once(listener: Listener) -> Listener:
@@ -156,10 +156,10 @@ def _side(plan: Plan, side_m: float | None) -> float:
 def _places(guard: ChildProcess, sources: Sequence[SourceInfo], salvage: bool) -> list[tuple[float, float]]:
     chosen = sorted({len(sources) * i // FILES for i in range(FILES)})
     each = max(PLACES // len(chosen), 1)
-    places = []
+    positions = []
     for source in (sources[i] for i in chosen):
-        places += read_in_child(guard, sample_places, source.path, each, salvage, source.octree)
-    return places
+        positions += read_in_child(guard, sample_places, source.path, each, salvage, source.octree)
+    return positions
 
 
 def _hull(sources: Sequence[SourceInfo]) -> Box:
@@ -205,13 +205,15 @@ def _cut(
     for number, source in enumerate(sources):
         assert source.bounds is not None  # The caller passes only sources with bounds.
         x0, y0, _, x1, y1, _ = source.bounds
-        mine = [i for i, w in enumerate(windows) if w[0] <= x1 and x0 <= w[2] and w[1] <= y1 and y0 <= w[3]]
-        if not mine:
+        window_indices = [
+            i for i, w in enumerate(windows) if w[0] <= x1 and x0 <= w[2] and w[1] <= y1 and y0 <= w[3]
+        ]
+        if not window_indices:
             continue
-        targets = [str(scratch / f"w{i}-{number}.las") for i in mine]
-        wanted = [windows[i] for i in mine]
-        counts = read_in_child(guard, cut_windows, source.path, wanted, targets, salvage, source.octree)
-        for i, path, count in zip(mine, targets, counts, strict=True):
+        targets = [str(scratch / f"w{i}-{number}.las") for i in window_indices]
+        boxes = [windows[i] for i in window_indices]
+        counts = read_in_child(guard, cut_windows, source.path, boxes, targets, salvage, source.octree)
+        for i, path, count in zip(window_indices, targets, counts, strict=True):
             if count:
                 files[i][path] = str(source.path)
     if not any(files):

@@ -35,12 +35,12 @@ def warm(methods: Sequence[str]) -> dict[str, Any]:
     folder = cache_folder()
     if folder is None:
         raise ConfigError("no folder for compiled kernels can be written; set NUMBA_CACHE_DIR to one")
-    before = compiled_count()
-    wanted = []
+    n_before = compiled_count()
+    needed_kernels = []
     for method in methods:
-        wanted += [filter_kernels(method, kind) for kind in kinds_of(method)]
-    wanted += [grid_kernels(interpolation) for interpolation in ("linear", "natural")]
-    todo = [kernels for kernels in wanted if not is_compiled(kernels.name)]
+        needed_kernels += [filter_kernels(method, kind) for kind in kinds_of(method)]
+    needed_kernels += [grid_kernels(interpolation) for interpolation in ("linear", "natural")]
+    todo = [kernels for kernels in needed_kernels if not is_compiled(kernels.name)]
     try:
         with ChildPool(max(min(cores(), len(todo)), 1), None) as guards:
             for done in guards.each(_compile, todo):
@@ -50,7 +50,7 @@ def warm(methods: Sequence[str]) -> dict[str, Any]:
             f"compiling kernels: the process {died}; free some memory and try again"
         ) from died
     count = compiled_count()
-    return {"folder": str(folder), "kernels": count, "compiled": count - before}
+    return {"folder": str(folder), "kernels": count, "compiled": count - n_before}
 
 
 def _compile(guard: ChildProcess, kernels: Kernels) -> None:

@@ -83,13 +83,16 @@ def write_classified(store_url: str, work: WriteClassified) -> dict[str, Any]:
         The file cannot be written, or lazrs cannot compress it without loss.
     """
     store = open_store(store_url)
-    place, name = os.path.split(work.out)
-    with unchanged(as_path(work.path), work.stamp, work.salvage) as header, staging_folder(place) as folder:
-        before = fetched_bytes()
+    target_folder, name = os.path.split(work.out)
+    with (
+        unchanged(as_path(work.path), work.stamp, work.salvage) as header,
+        staging_folder(target_folder) as folder,
+    ):
+        bytes_before = fetched_bytes()
         # A salvaged file has fewer points than its header states.
         header = replace(header, point_count=count_decodable(header))
         record = _write(store, header, work, folder / name)
-        record["fetched"] = fetched_bytes() - before
+        record["fetched"] = fetched_bytes() - bytes_before
     return {**record, "state": state_of(as_path(work.out)).to_json()}
 
 
@@ -155,8 +158,8 @@ def _write_points(
     with _reader(store, header, work) as reader:
         for ranges in _spans(work.ranges or [(0, header.point_count)]):
             first, last = ranges[0][0], ranges[-1][1]
-            found = collect_labels(store, work, first, last)
-            wanted = _inside_area(store, work, first, last) if work.ranges else None
+            span_labels = collect_labels(store, work, first, last)
+            in_area = _inside_area(store, work, first, last) if work.ranges else None
             for start, stop in _steps(ranges, step):
                 records = reader.read(start, stop - start)
                 if isinstance(writer, PointWriter):
@@ -168,15 +171,15 @@ def _write_points(
                     )
                 if work.copc:
                     records = upgrade_records(as_standard_times(records, header), header.point_format)
-                labels = found[start - first : stop - first]
-                if wanted is not None:
-                    inside = wanted[start - first : stop - first]
+                labels = span_labels[start - first : stop - first]
+                if in_area is not None:
+                    inside = in_area[start - first : stop - first]
                     records, labels = records[inside], labels[inside]
-                before = class_and_flags(records, form.point_format)[0]
-                pair = labels.astype(np.intp) * len(table) + before
+                old_classes = class_and_flags(records, form.point_format)[0]
+                pair = labels.astype(np.intp) * len(table) + old_classes
                 pairs += np.bincount(pair, minlength=table.size)
                 new = table.ravel()[pair]
-                write_classes(records, form.point_format, new, new != before)
+                write_classes(records, form.point_format, new, new != old_classes)
                 statistics.add(records)
                 writer.write(records)
     return _counts(pairs.reshape(table.shape), table), statistics
@@ -194,13 +197,15 @@ def _counts(pairs: npt.NDArray[np.int64], table: npt.NDArray[np.uint8]) -> dict[
 
     ``pairs`` has the number of points, and ``table`` the new class, by label (row) and class of the source (column).
     """
-    before = np.arange(len(table))
-    kept = pairs[[UNCLASSIFIED, UNCLASSIFIED | WATER_BIT]].sum(axis=0) * (table[UNCLASSIFIED] == before)
+    source_classes = np.arange(len(table))
+    kept = pairs[[UNCLASSIFIED, UNCLASSIFIED | WATER_BIT]].sum(axis=0) * (
+        table[UNCLASSIFIED] == source_classes
+    )
     kept[list(WITHOUT_OBJECT)] = 0
     classes = np.zeros(len(table), np.int64)
     np.add.at(classes, table.ravel(), pairs.ravel())
     return {
-        "changed": int(pairs[table != before].sum()),
+        "changed": int(pairs[table != source_classes].sum()),
         "classes": _histogram(classes),
         "kept": _histogram(kept),
     }
@@ -256,24 +261,24 @@ def collect_labels(store: TileStore, work: WriteClassified, first: int, last: in
 
     Points in water have `WATER_BIT`. A label is 0 if the point is not in the store or lies outside the area.
     """
-    found = np.zeros(last - first, dtype=np.uint8)
-    for cell, rows, mine in _rows_inside(store, work, first, last):
+    final_labels = np.zeros(last - first, dtype=np.uint8)
+    for cell, rows, row_mask in _rows_inside(store, work, first, last):
         final = store.read_labels(work.labels, cell)
         if work.edits is not None:
             final = _corrected(store, work.edits, cell, final)
         final = final & ~np.uint8(UNCERTIFIED_BIT)
         if work.waters is not None:
             final = _with_water(store, work, cell, final)
-        found[rows[mine] - first] = final[mine]
-    return found
+        final_labels[rows[row_mask] - first] = final[row_mask]
+    return final_labels
 
 
 def _inside_area(store: TileStore, work: WriteClassified, first: int, last: int) -> npt.NDArray[np.bool_]:
     """Return a mask of the rows ``first`` to ``last`` of a source: True for points of the store inside the area."""
-    found = np.zeros(last - first, dtype=np.bool_)
-    for _, rows, mine in _rows_inside(store, work, first, last):
-        found[rows[mine] - first] = True
-    return found
+    in_area = np.zeros(last - first, dtype=np.bool_)
+    for _, rows, row_mask in _rows_inside(store, work, first, last):
+        in_area[rows[row_mask] - first] = True
+    return in_area
 
 
 def _rows_inside(
@@ -290,25 +295,25 @@ def _rows_inside(
         if block.origin is None:
             continue
         sources, rows = unpack_origin(block.origin)
-        mine = (sources == work.source) & (rows >= first) & (rows < last)
+        row_mask = (sources == work.source) & (rows >= first) & (rows < last)
         if area is not None and not whole:
             east, north = store.meta.frame.origin[:2]
             x = block.xyz[0].astype(np.int64) + east
             y = block.xyz[1].astype(np.int64) + north
-            mine &= area.inside(x, y)
-        if mine.any():
-            yield cell, rows, mine
+            row_mask &= area.inside(x, y)
+        if row_mask.any():
+            yield cell, rows, row_mask
 
 
 def _corrected(
     store: TileStore, edits: str, cell: Cell, labels: npt.NDArray[np.uint8]
 ) -> npt.NDArray[np.uint8]:
     """Return the labels of a bucket after the edits."""
-    found = store.edits(edits, store.meta.bucket.bounds(cell), OF_POINTS)
-    if found is None:
+    bucket_edits = store.edits(edits, store.meta.bucket.bounds(cell), OF_POINTS)
+    if bucket_edits is None:
         return labels
     points = store.read_bucket(cell, ("xyz", "classification", "flags"))
-    return found.labels(points, labels, store.meta.frame.origin)
+    return bucket_edits.labels(points, labels, store.meta.frame.origin)
 
 
 def _with_water(
@@ -319,17 +324,17 @@ def _with_water(
     Objects above the water, such as trees and boats, do not get it. If ``work.low_is_noise``, returns from more than
     `WATER_LOW_M` below the level become low noise.
     """
-    found = store.waters(work.waters, store.meta.bucket.bounds(cell))
-    if found is None:
+    waters = store.waters(work.waters, store.meta.bucket.bounds(cell))
+    if waters is None:
         return labels
     frame = store.meta.frame
     xyz = store.read_bucket(cell).xyz.astype(np.int64) + np.array([[*frame.origin, 0]]).T
-    wet = found.holds(xyz[0], xyz[1])
+    wet = waters.holds(xyz[0], xyz[1])
     objects = np.flatnonzero(wet & (labels == UNCLASSIFIED))
     if work.low_is_noise:
         inside = np.flatnonzero(wet & (labels != 0))
-        low = inside[found.reaches(xyz[:, inside], -WATER_LOW_M / float(frame.metres_z))]
+        low = inside[waters.reaches(xyz[:, inside], -WATER_LOW_M / float(frame.metres_z))]
         labels = labels.copy()
         labels[low] = LOW_NOISE
-    wet[objects] = found.reaches(xyz[:, objects], WATER_RISE_M / float(frame.metres_z))
+    wet[objects] = waters.reaches(xyz[:, objects], WATER_RISE_M / float(frame.metres_z))
     return labels | wet * np.uint8(WATER_BIT)

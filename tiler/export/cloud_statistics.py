@@ -45,10 +45,10 @@ class CloudStatistics:
         counts = np.bincount(np.minimum(number, _RETURNS), minlength=_RETURNS + 1)[1:].tolist()
         self.by_return = [a + b for a, b in zip(self.by_return, counts, strict=True)]
         for name, values in _fields(records, self._header.point_format):
-            found = self._sums.setdefault(name, list(_NOTHING))
+            sums = self._sums.setdefault(name, list(_NOTHING))
             if values.size:
                 low, high, total, squares = sums_of(values)
-                found[:] = [min(found[0], low), max(found[1], high), found[2] + total, found[3] + squares]
+                sums[:] = [min(sums[0], low), max(sums[1], high), sums[2] + total, sums[3] + squares]
         names = records.dtype.names or ()
         if "gps_time" in names and self._header.global_encoding & 1:
             times = records["gps_time"][np.isfinite(records["gps_time"])]
@@ -99,9 +99,14 @@ def sums_of(values: npt.NDArray[Any]) -> tuple[int, int, int, int]:
     """Return the exact lowest, highest, sum and sum of squares of integers of at most 32 bits."""
     if values.dtype.itemsize <= 2:
         counts = np.bincount(values)
-        found = np.flatnonzero(counts)
-        total = int((found * counts[found]).sum())
-        return int(found[0]), int(found[-1]), total, int((found * found * counts[found]).sum())
+        distinct = np.flatnonzero(counts)
+        total = int((distinct * counts[distinct]).sum())
+        return (
+            int(distinct[0]),
+            int(distinct[-1]),
+            total,
+            int((distinct * distinct * counts[distinct]).sum()),
+        )
     low, high, n = int(values.min()), int(values.max()), values.size
     raised = values.astype(np.int64) - low
     total = int(raised.sum())

@@ -90,10 +90,10 @@ def write_cog(store_url: str, work: WriteCog) -> dict[str, Any]:
         The disk is full or the file cannot be written.
     """
     with new_file(work.out, f"{work.name}.tif") as (target, record):
-        found = _write(open_store(store_url), work, target)
-    record |= {"pixels": work.spec.height * work.spec.width, "valid": found.n}
-    if found.n:
-        return record | {"min": found.low, "max": found.high, "mean": found.mean}
+        statistics = _write(open_store(store_url), work, target)
+    record |= {"pixels": work.spec.height * work.spec.width, "valid": statistics.n}
+    if statistics.n:
+        return record | {"min": statistics.low, "max": statistics.high, "mean": statistics.mean}
     return record | {"min": None, "max": None, "mean": None}
 
 

@@ -102,8 +102,8 @@ def smoothed(heights: Floats, sigma: float) -> Floats:
     """
     if sigma <= 0:
         return heights
-    reach = smoothing_reach(sigma)
-    weights = np.exp(-0.5 * (np.arange(-reach, reach + 1) / sigma) ** 2)
+    radius = smoothing_reach(sigma)
+    weights = np.exp(-0.5 * (np.arange(-radius, radius + 1) / sigma) ** 2)
     known = ~np.isnan(heights)
     total, weight = np.where(known, heights, 0.0), known.astype(np.float64)
     for axis in (0, 1):

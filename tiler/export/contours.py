@@ -62,8 +62,8 @@ class _Terrain:
     def heights(self, block: Block) -> Floats:
         """Return the heights of a block in units of the CRS, NaN outside the area and for pixels without one."""
         values = self.store.read_block(self.raster, block)
-        wanted = (values != np.float32(NODATA)) & self.spec.inside(block, self.area)
-        return np.where(wanted, values.astype(np.float64), np.nan)
+        is_valid = (values != np.float32(NODATA)) & self.spec.inside(block, self.area)
+        return np.where(is_valid, values.astype(np.float64), np.nan)
 
     def around(self, block: Block, reach: int) -> tuple[Floats, int, int]:
         """Return the heights of a block with a margin, and the row and column of the block in them.
@@ -81,17 +81,17 @@ class _Terrain:
         Water keeps the heights of its outermost pixels and is NaN inside. So lines run around water, and end at the
         shore of a river that falls through their level.
         """
-        reach = max(smoothing_reach(sigma), 1)
-        heights, top, left = self.around(block, reach)
+        margin = max(smoothing_reach(sigma), 1)
+        heights, top, left = self.around(block, margin)
         wide = Block(block.row - top, block.col - left, *heights.shape)
         waters = self.store.waters(self.waters, self.spec.block_bounds(wide))
         if waters is None:
-            found = smoothed(heights, sigma)
+            smooth_heights = smoothed(heights, sigma)
         else:
             wet = waters.inside(self.spec, wide)
-            found = np.where(wet, heights, smoothed(np.where(wet, np.nan, heights), sigma))
-            found[scipy.ndimage.binary_erosion(wet, np.ones((3, 3), np.bool_))] = np.nan
-        return found[top : top + block.height, left : left + block.width]
+            smooth_heights = np.where(wet, heights, smoothed(np.where(wet, np.nan, heights), sigma))
+            smooth_heights[scipy.ndimage.binary_erosion(wet, np.ones((3, 3), np.bool_))] = np.nan
+        return smooth_heights[top : top + block.height, left : left + block.width]
 
     def relief(self) -> tuple[float, float]:
         """Return the two heights between which nearly all of the terrain lies (see `USUAL`), or NaN if it is empty."""
@@ -127,8 +127,8 @@ class _Terrain:
         size = 2 * reach + 1
         near = scipy.ndimage.binary_dilation(waters.inside(self.spec, wide), np.ones((size, size), np.bool_))
         rows, cols = within(block, wide)
-        found: npt.NDArray[np.bool_] = near[rows, cols]
-        return found
+        wet_mask: npt.NDArray[np.bool_] = near[rows, cols]
+        return wet_mask
 
     @property
     def decimals(self) -> int:
@@ -219,9 +219,9 @@ def _add_lines(
     file: GeoPackage, terrain: _Terrain, interval: Fraction, lines: list[tuple[int, Floats]]
 ) -> None:
     levels = np.array([level for level, _ in lines], np.int64)
-    numbers = np.repeat(np.arange(len(lines)), [len(places) for _, places in lines])
-    places = np.concatenate([np.empty((0, 2)), *(places for _, places in lines)])
-    shapes = shapely.linestrings(terrain.places(places), indices=numbers) if lines else []
+    numbers = np.repeat(np.arange(len(lines)), [len(vertices) for _, vertices in lines])
+    vertices = np.concatenate([np.empty((0, 2)), *(vertices for _, vertices in lines)])
+    shapes = shapely.linestrings(terrain.places(vertices), indices=numbers) if lines else []
     heights = levels * float(interval)
     labels = np.array([f"{height:.{_decimals(interval)}f}" for height in heights], object)
     columns = {"elevation": heights, "index": levels % INDEX_EVERY == 0, "label": labels}
@@ -242,27 +242,27 @@ def write_spots(store_url: str, work: WriteSpots) -> dict[str, Any]:
         The record of `new_file`, and ``interval`` (vertical units of the CRS), ``highs`` and ``lows`` (numbers of tops
         and bottoms).
     """
-    terrain, reach = _terrain(store_url, work), work.reach
+    terrain, reach_pixels = _terrain(store_url, work), work.reach
     low, high = terrain.relief()
     interval = _interval(work, terrain, low, high)
     counts = {HIGH: 0, LOW: 0}
     crs = terrain.store.meta.frame.crs_wkt
     with new_file(work.out, "spots.gpkg") as (target, record), geopackage(target, crs) as file:
         for block in terrain.spec.blocks(BLOCK):
-            heights, top, left = terrain.around(block, 2 * reach)
+            heights, top, left = terrain.around(block, 2 * reach_pixels)
             wet = terrain.wet(block, NO_SPOT)
             for kind in counts:
-                rows, cols = spots_of_block(heights, kind, reach, float(interval))
-                mine = (rows >= top) & (rows < top + block.height)
-                mine &= (cols >= left) & (cols < left + block.width)
-                rows, cols = rows[mine], cols[mine]
+                rows, cols = spots_of_block(heights, kind, reach_pixels, float(interval))
+                in_block = (rows >= top) & (rows < top + block.height)
+                in_block &= (cols >= left) & (cols < left + block.width)
+                rows, cols = rows[in_block], cols[in_block]
                 dry = ~wet[rows - top, cols - left]
                 rows, cols = rows[dry], cols[dry]
                 counts[kind] += len(rows)
                 pixels = np.stack((cols + block.col - left, rows + block.row - top), axis=1)
                 columns = _columns_of_spots(heights[rows, cols], kind, terrain.decimals)
-                places = terrain.places(pixels.astype(np.float64))
-                file.add("spots", "Point", shapely.points(places), columns)
+                coordinates = terrain.places(pixels.astype(np.float64))
+                file.add("spots", "Point", shapely.points(coordinates), columns)
     return {**record, "interval": float(interval), "highs": counts[HIGH], "lows": counts[LOW]}
 
 

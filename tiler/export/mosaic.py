@@ -56,10 +56,10 @@ def _srs(crs: str) -> ElementTree.Element:
             pass
         with memory.open() as pixel:
             rasterio.shutil.copy(pixel, copy.name, driver="VRT")
-        found = ElementTree.fromstring(copy.read()).find("SRS")
-    if found is None:
+        srs = ElementTree.fromstring(copy.read()).find("SRS")
+    if srs is None:
         raise ProcessingError(f"GDAL cannot write the CRS {crs[:60]} into a VRT; export without --sheets")
-    return found
+    return srs
 
 
 def _hull(specs: list[RasterSpec]) -> RasterSpec:
@@ -94,10 +94,10 @@ def _describe_band(band: ElementTree.Element, look: RasterMetadata) -> None:
 
 def category_names(names: Sequence[str]) -> ElementTree.Element:
     """Return the element that names the values 0, 1, 2, ... of a raster of classes for GDAL."""
-    found = ElementTree.Element("CategoryNames")
+    element = ElementTree.Element("CategoryNames")
     for name in names:
-        ElementTree.SubElement(found, "Category").text = name
-    return found
+        ElementTree.SubElement(element, "Category").text = name
+    return element
 
 
 def _add_sheet(band: ElementTree.Element, path: str, spec: RasterSpec, whole: RasterSpec, kind: str) -> None:
@@ -108,8 +108,8 @@ def _add_sheet(band: ElementTree.Element, path: str, spec: RasterSpec, whole: Ra
     block = dict(zip(("RasterXSize", "RasterYSize"), size, strict=True))
     block |= {"DataType": kind, "BlockXSize": str(BLOCK_PIXELS), "BlockYSize": str(BLOCK_PIXELS)}
     ElementTree.SubElement(source, "SourceProperties", block)
-    place = (str(spec.west - whole.west), str(whole.north - spec.north))
-    for name, (x, y) in (("SrcRect", ("0", "0")), ("DstRect", place)):
+    offset = (str(spec.west - whole.west), str(whole.north - spec.north))
+    for name, (x, y) in (("SrcRect", ("0", "0")), ("DstRect", offset)):
         ElementTree.SubElement(source, name, xOff=x, yOff=y, xSize=size[0], ySize=size[1])
 
 

@@ -98,5 +98,5 @@ def joined(pieces: npt.NDArray[Any]) -> npt.NDArray[Any]:
     parts = shapely.normalize(shapely.simplify(shapely.get_parts(shapely.union_all(pieces)), 0.0))
     parts = parts[(shapely.get_type_id(parts) == POLYGON) & ~shapely.is_empty(parts)]
     west, _, _, north = shapely.bounds(parts).T if len(parts) else np.empty((4, 0))
-    found: npt.NDArray[Any] = parts[np.lexsort((west, -north))]
-    return found
+    polygons: npt.NDArray[Any] = parts[np.lexsort((west, -north))]
+    return polygons

@@ -49,12 +49,12 @@ def write_sheet_index(store_url: str, work: WriteSheetIndex) -> dict[str, Any]:
     crs = open_store(store_url).meta.frame.crs_wkt
     with new_file(work.out, work.name) as (target, record), geopackage(target, crs) as file:
         for product in dict.fromkeys(sheet.product for sheet in work.sheets):
-            found = [sheet for sheet in work.sheets if sheet.product == product]
-            edges = np.array([_edges(sheet.spec) for sheet in found])
+            product_sheets = [sheet for sheet in work.sheets if sheet.product == product]
+            edges = np.array([_edges(sheet.spec) for sheet in product_sheets])
             # A height of None becomes NaN, which is NULL in the file.
-            figures = np.array([(s.void_percent, s.low, s.high) for s in found], np.float64)
+            figures = np.array([(s.void_percent, s.low, s.high) for s in product_sheets], np.float64)
             numbers = dict(zip(COLUMNS, np.hstack((edges, figures)).T, strict=True))
-            columns = {"location": np.array([sheet.path for sheet in found], object), **numbers}
+            columns = {"location": np.array([sheet.path for sheet in product_sheets], object), **numbers}
             file.add(product, "Polygon", list(shapely.box(*edges.T)), columns)
     return record
 

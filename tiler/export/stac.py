@@ -70,10 +70,10 @@ class Globe:
         """
         if self._transformer is None:
             return None
-        found = self._transformer.transform_bounds(*box, densify_pts=_MIN_STEPS)
-        if not all(map(math.isfinite, found)):
+        degrees = self._transformer.transform_bounds(*box, densify_pts=_MIN_STEPS)
+        if not all(map(math.isfinite, degrees)):
             return None
-        return [round(v, _DIGITS) for v in found]
+        return [round(v, _DIGITS) for v in degrees]
 
     def polygon(self, box: Box) -> dict[str, Any] | None:
         """Return a box as GeoJSON in degrees, or None if it has no geographic coordinates.
@@ -82,10 +82,10 @@ class Globe:
         """
         if self._transformer is None or (bbox := self.bbox(box)) is None:
             return None
-        places = self._transformer.itransform(corners(box))
+        vertices = self._transformer.itransform(corners(box))
         if bbox[0] <= bbox[2]:
-            return {"type": "Polygon", "coordinates": [_ring(places)]}
-        whole = shapely.Polygon([(x % 360, y) for x, y in places])
+            return {"type": "Polygon", "coordinates": [_ring(vertices)]}
+        whole = shapely.Polygon([(x % 360, y) for x, y in vertices])
         parts = [(shapely.clip_by_rect(whole, west, -90, west + 180, 90), -2 * west) for west in (0, 180)]
         parts = [(polygon.orient(part), shift) for part, shift in parts if not part.is_empty]
         rings = [shapely.get_coordinates(part) + (shift, 0) for part, shift in parts]
@@ -123,8 +123,8 @@ def dates_of_header(created: tuple[int, int]) -> tuple[date, date] | None:
     year, day = created
     if not (1900 <= year <= 9998 and 1 <= day <= 366):
         return None
-    found = date(year, 1, 1) + timedelta(days=day - 1)
-    return found, found
+    made_on = date(year, 1, 1) + timedelta(days=day - 1)
+    return made_on, made_on
 
 
 def dates_of_gps(times: Sequence[float] | None) -> tuple[date, date] | None:
@@ -157,20 +157,24 @@ def dates(found: Iterable[tuple[date, date] | None]) -> dict[str, str | None]:
 def schema(point_formats: Iterable[int]) -> list[dict[str, Any]]:
     """Return ``pc:schemas``: the fields of points of these formats, with the names of PDAL and QGIS."""
     formats = set(point_formats)
-    found = [*((axis, 8, "floating") for axis in "XYZ"), ("Intensity", 2, "unsigned")]
+    fields = [*((axis, 8, "floating") for axis in "XYZ"), ("Intensity", 2, "unsigned")]
     bytes_ = ["ReturnNumber", "NumberOfReturns", "ScanDirectionFlag", "EdgeOfFlightLine", "Classification"]
-    found += [(name, 1, "unsigned") for name in bytes_]
-    found += [("ScanAngleRank", 4, "floating"), ("UserData", 1, "unsigned"), ("PointSourceId", 2, "unsigned")]
+    fields += [(name, 1, "unsigned") for name in bytes_]
+    fields += [
+        ("ScanAngleRank", 4, "floating"),
+        ("UserData", 1, "unsigned"),
+        ("PointSourceId", 2, "unsigned"),
+    ]
     newer = any(not is_legacy(form) for form in formats)
     if newer or formats & set(_TIMED):
-        found.append(("GpsTime", 8, "floating"))
+        fields.append(("GpsTime", 8, "floating"))
     if newer:
-        found.append(("ScanChannel", 1, "unsigned"))
+        fields.append(("ScanChannel", 1, "unsigned"))
     if formats & set(RGB_FORMATS):
-        found += [(name, 2, "unsigned") for name in ("Red", "Green", "Blue")]
+        fields += [(name, 2, "unsigned") for name in ("Red", "Green", "Blue")]
     if formats & set(_INFRARED):
-        found.append(("Infrared", 2, "unsigned"))
-    return [{"name": name, "size": size, "type": kind} for name, size, kind in found]
+        fields.append(("Infrared", 2, "unsigned"))
+    return [{"name": name, "size": size, "type": kind} for name, size, kind in fields]
 
 
 def statistics(

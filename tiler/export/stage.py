@@ -71,7 +71,7 @@ def export(
     tasks += clouds
     mosaics = list(mosaic_tasks(gridding, digest, out))
     basis = _basis(gridding)
-    written = {key: below(out, place) for key, place in _files([*tasks, *mosaics]).items()}
+    written = {key: below(out, location) for key, location in _files([*tasks, *mosaics]).items()}
     written |= {SHEETS: SHEETS} if mosaics else {}
     written |= planned(gridding)
     archive_outdated(job, written.values(), basis)
@@ -132,17 +132,17 @@ def _make_folders(tasks: list[Task], out: str) -> None:
 
 
 def _report_outline(job: Job) -> None:
-    found = job.store.committed("export").get(OUTLINE)
-    if found is not None and "outline" in job.facts:
-        more = {"rings": found[1].get("rings", []), "polygons": found[1]["polygons"]}
+    commit = job.store.committed("export").get(OUTLINE)
+    if commit is not None and "outline" in job.facts:
+        more = {"rings": commit[1].get("rings", []), "polygons": commit[1]["polygons"]}
         job.facts["outline"] = {**job.facts["outline"], **more}
 
 
 def _report_contours(job: Job) -> None:
-    found = job.store.committed("export").get(f"{CONTOURS}.gpkg")
-    if CONTOURS not in job.plan.config.drawn or found is None:
+    commit = job.store.committed("export").get(f"{CONTOURS}.gpkg")
+    if CONTOURS not in job.plan.config.drawn or commit is None:
         return
-    record, unit = found[1], short_unit(job.plan.meta.frame.units.vertical)
+    record, unit = commit[1], short_unit(job.plan.meta.frame.units.vertical)
     job.facts["contours"] = {name: record[name] for name in ("interval", "lines", "vertices", "cut", "short")}
     if job.plan.config.contour_interval is None and record["low"] is not None:
         job.note(
@@ -157,9 +157,9 @@ def _report_contours(job: Job) -> None:
 
 
 def _report_spots(job: Job) -> None:
-    found = job.store.committed("export").get(f"{SPOTS}.gpkg")
-    if SPOTS in job.plan.config.drawn and found is not None:
-        job.facts["spots"] = {name: found[1][name] for name in ("highs", "lows")}
+    commit = job.store.committed("export").get(f"{SPOTS}.gpkg")
+    if SPOTS in job.plan.config.drawn and commit is not None:
+        job.facts["spots"] = {name: commit[1][name] for name in ("highs", "lows")}
 
 
 def _validate_outputs_exist(job: Job) -> None:

@@ -88,8 +88,8 @@ def _add_reaches(file: GeoPackage, bodies: Sequence[Water], frame: CoordFrame) -
         "right": z[:, 2],
         "slope_permille": np.concatenate(slopes),
     }
-    places = [shapely.Point(np.array([s.x, s.y, s.level]) / COUNTS_PER_UNIT) for s in stations]
-    file.add(REACHES, "Point Z", places, columns)
+    points = [shapely.Point(np.array([s.x, s.y, s.level]) / COUNTS_PER_UNIT) for s in stations]
+    file.add(REACHES, "Point Z", points, columns)
 
 
 def _add_breaklines(file: GeoPackage, bodies: Sequence[Water]) -> None:
@@ -97,11 +97,11 @@ def _add_breaklines(file: GeoPackage, bodies: Sequence[Water]) -> None:
     lines: list[Any] = []
     numbers, kinds = list[int](), list[str]()
     for body in bodies:
-        found = [("shore", _lifted_ring(body, ring)) for rings in body.area.polygons for ring in rings]
+        body_lines = [("shore", _lifted_ring(body, ring)) for rings in body.area.polygons for ring in rings]
         if body.flow is not None:
-            found.append(("flow", body.flow))
-            found += [("structure", line) for line in structures(body)]
-        for kind, line in found:
+            body_lines.append(("flow", body.flow))
+            body_lines += [("structure", line) for line in structures(body)]
+        for kind, line in body_lines:
             lines.append(shapely.LineString(line / COUNTS_PER_UNIT))
             numbers.append(body.number)
             kinds.append(kind)
@@ -117,21 +117,21 @@ def structures(body: Water) -> list[npt.NDArray[np.float64]]:
     flow = body.flow
     if flow is None or flow.shape[1] < 3:
         return []
-    shape, found = shapely.make_valid(_shape(body)), []
-    reach = math.hypot(*np.ptp(shapely.get_coordinates(shape), axis=0))
+    shape, lines_across = shapely.make_valid(_shape(body)), []
+    diagonal = math.hypot(*np.ptp(shapely.get_coordinates(shape), axis=0))
     falls = -np.diff(flow[:, 2]) > STEP_SLOPE * np.diff(lengths_along(flow))
     for i in np.flatnonzero(falls).tolist():
         before, after = flow[max(i - 1, 0), :2], flow[min(i + 2, len(flow) - 1), :2]
-        place, way = (flow[i, :2] + flow[i + 1, :2]) / 2 / COUNTS_PER_UNIT, (after - before).astype(float)
-        aside = np.array([-way[1], way[0]]) / max(math.hypot(*way), 1.0) * reach
-        lines = shapely.get_parts(shapely.LineString([place + aside, place - aside]).intersection(shape))
+        middle, way = (flow[i, :2] + flow[i + 1, :2]) / 2 / COUNTS_PER_UNIT, (after - before).astype(float)
+        aside = np.array([-way[1], way[0]]) / max(math.hypot(*way), 1.0) * diagonal
+        lines = shapely.get_parts(shapely.LineString([middle + aside, middle - aside]).intersection(shape))
         lines = lines[shapely.length(lines) > 0]
         if not len(lines):
             continue
-        nearest = lines[shapely.distance(lines, shapely.Point(place)).argmin()]
+        nearest = lines[shapely.distance(lines, shapely.Point(middle)).argmin()]
         ends = shapely.get_coordinates(nearest)[[0, -1]] * COUNTS_PER_UNIT
-        found.append(np.column_stack((ends, np.full(2, float(flow[i, 2])))))
-    return found
+        lines_across.append(np.column_stack((ends, np.full(2, float(flow[i, 2])))))
+    return lines_across
 
 
 def _lifted_ring(body: Water, ring: Counts) -> Any:

@@ -64,7 +64,7 @@ class TileReader:
         A pass on elected points reads these. Another pass reads the store's candidates if the method's cells consist of
         whole fine cells and the pass does not need every point, else all points that take part.
         """
-        places: dict[Cell, slice] = {}
+        slices_by_cell: dict[Cell, slice] = {}
         self._window = None  # frees memory for the new window
         if self._step.elected:
             block = self._elected(bounds)
@@ -72,33 +72,33 @@ class TileReader:
             fine, frame = self._store.meta.fine.size, self._store.meta.frame
             nested = cell_m > 0 and (frame.counts(Fraction(repr(float(cell_m)))) / fine).denominator == 1
             if nested and not self._step.every_point:
-                block = self._store.window(bounds, self._columns, True, self._labels, places)
+                block = self._store.window(bounds, self._columns, True, self._labels, slices_by_cell)
             else:
                 columns = (*self._columns, "classification", "flags")
                 block = self._store.window(bounds, columns, labels=self._labels)
                 block = block.take(self._taking_part(block))
         points = self._as_points(block)
         # A pass that labels only candidates finds those of its core in the window, so that they are read once.
-        self._window = (points, places) if places and self._work.of_candidates else None
+        self._window = (points, slices_by_cell) if slices_by_cell and self._work.of_candidates else None
         return points, _any_marked(block)
 
     def own(self, cell: Cell) -> Bucket:
         """Return the points of a bucket, in the core or next to it, that the pass labels or reads."""
         if self._window is not None:
-            points, places = self._window
-            points = points.take(places.get(cell, slice(0, 0)))
+            points, slices_by_cell = self._window
+            points = points.take(slices_by_cell.get(cell, slice(0, 0)))
             # `window` has already returned whether a label is uncertified.
             return Bucket(points, np.ones(len(points), np.bool_), False)
         if cell in self._held:
             self._held.move_to_end(cell)
             return self._held[cell]
-        found = self._read(cell)
+        bucket = self._read(cell)
         if self._margin:  # the bucket's neighbours read it later
-            self._held[cell] = found
-            self._held_bytes += found.size_bytes
+            self._held[cell] = bucket
+            self._held_bytes += bucket.size_bytes
             while self._held_bytes > self._work.held_bytes and len(self._held) > 1:
                 self._held_bytes -= self._held.popitem(last=False)[1].size_bytes
-        return found
+        return bucket
 
     def around(self, cell: Cell) -> tuple[list[Points], bool]:
         """Return the points within `label_margin_m` around a bucket, and whether a label is uncertified."""
@@ -108,7 +108,7 @@ class TileReader:
         if self._near is None:  # one read of the index serves all buckets
             self._near = self._store.buckets_within(lattice.hull(self._work.cells).pad(self._margin))
         seen = lattice.bounds(cell).pad(self._margin)
-        found, marked = [], False
+        points_around, marked = [], False
         for other in lattice.among(seen, self._near):
             if other == cell:
                 continue
@@ -116,9 +116,9 @@ class TileReader:
             x, y = bucket.points.xyz[0].astype(np.int64) + ox, bucket.points.xyz[1].astype(np.int64) + oy
             near = (x >= seen.x0) & (x < seen.x1) & (y >= seen.y0) & (y < seen.y1)
             if near.any():
-                found.append(bucket.points.take(near))
+                points_around.append(bucket.points.take(near))
                 marked |= bucket.marked
-        return found, marked
+        return points_around, marked
 
     def _read(self, cell: Cell) -> Bucket:
         if self._work.of_elected:
@@ -129,10 +129,10 @@ class TileReader:
         block = self._store.read_bucket(cell, columns, few)
         if self._labels is not None and (few or not self._work.in_of_candidates):
             block = dataclasses.replace(block, labels=self._store.read_labels(self._labels, cell, few))
-        which = np.ones(len(block), np.bool_) if few else self._taking_part(block)
-        if not which.all():
-            block = block.take(which)
-        return Bucket(self._as_points(block), which, _any_marked(block))
+        taking_part = np.ones(len(block), np.bool_) if few else self._taking_part(block)
+        if not taking_part.all():
+            block = block.take(taking_part)
+        return Bucket(self._as_points(block), taking_part, _any_marked(block))
 
     def _elected(self, bounds: Bounds) -> PointBlock:
         if self._work.elected_in is None:

@@ -41,7 +41,7 @@ def filter_points(job: Job, assembled: IngestResult) -> Labelled:
     sigma = None if config.sigma is None else float(config.sigma)
     facts = run_facts(sigma, config.source_kind, job.plan.evidence)
     state: dict[str, Any] = {"run": dataclasses.asdict(facts)}
-    before = PassInputs(assembled.digests)
+    pass_inputs = PassInputs(assembled.digests)
     statistics = job.facts["statistics"] = {}
     writes, last = False, ""
     for number, step in enumerate(passes):
@@ -56,7 +56,7 @@ def filter_points(job: Job, assembled: IngestResult) -> Labelled:
             _clear_passed_over(job, passes, state)
             passed_over = [f"filter{n}" for n, other in enumerate(passes) if not other.applies(state)]
             job.listener(StagesPassedOver(passed_over))
-        tasks = list(filter_tasks(job.plan, assembled, number, state, before))
+        tasks = list(filter_tasks(job.plan, assembled, number, state, pass_inputs))
         kind = state["survey"]["kind"] if "survey" in state else likely_kind(job.plan)
         filtered = run_stage(job, f"filter{number}", tasks, filter_kernels(config.method, kind))
         if not filtered:
@@ -67,8 +67,8 @@ def filter_points(job: Job, assembled: IngestResult) -> Labelled:
             is_last, few = labels_given(job.plan, number, state)
             for task in tasks:
                 if task.key not in filtered:
-                    _leave_out(job, task, step, before)
-            before = before.after(number, step, is_last, few, assembled, filtered)
+                    _leave_out(job, task, step, pass_inputs)
+            pass_inputs = pass_inputs.after(number, step, is_last, few, assembled, filtered)
             last = step.name if is_last else ""
         if step.gives_labels:
             job.facts["filter"] = _filter_facts(job, list(tile_records(filtered)), len(tasks))
@@ -80,7 +80,7 @@ def filter_points(job: Job, assembled: IngestResult) -> Labelled:
         state = after
         if step.name == SurveyPass.name:
             _warn_of_uncertain_kind(job, state["survey"])
-    return Labelled.of(config, before.digests, statistics)
+    return Labelled.of(config, pass_inputs.digests, statistics)
 
 
 def _clear_passed_over(job: Job, passes: Sequence[Pass], state: State) -> None:
@@ -97,35 +97,35 @@ def _without_known_places(after: Mapping[str, Any], before: State) -> dict[str, 
 
 def _known(job: Job, step: Pass, before: State) -> dict[str, Any]:
     """Return the state after a pass from the run of ``--statistics``."""
-    found: dict[str, Any] | None = (job.plan.statistics or {}).get(step.name)
-    if found is None:
+    state_after: dict[str, Any] | None = (job.plan.statistics or {}).get(step.name)
+    if state_after is None:
         raise ConfigError(
             f"--statistics {job.plan.config.statistics}: that run did not do the pass {step.name}; use the same --kind"
         )
-    if step.name == SurveyPass.name and PLACES not in found:
+    if step.name == SurveyPass.name and PLACES not in state_after:
         raise ConfigError(
             f"--statistics {job.plan.config.statistics}: that run did not measure each place, as it is of an earlier "
             "version; do it again"
         )
-    found = {**{name: before[name] for name in (PLACES,) if name in before}, **found}
+    state_after = {**{name: before[name] for name in (PLACES,) if name in before}, **state_after}
     kind = job.plan.config.source_kind
-    if kind is not None and found.get("run", {}).get("kind") != kind:
+    if kind is not None and state_after.get("run", {}).get("kind") != kind:
         job.note(
             f"--statistics: what made the cloud is as that run took it; --kind {job.plan.config.kind} is not used"
         )
-    return found
+    return state_after
 
 
 def _reduced(job: Job, step: Pass, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
     """Return the state after a pass, and add its new notes to those of the run."""
     try:
-        found = step.reduce(partials, state)
+        state_after = step.reduce(partials, state)
     except MethodRefusal as error:
         text = in_unit_of_crs(str(error), job.plan.meta.frame.units)
         raise ConfigError(f"--method {job.plan.config.method}: {text}") from error
-    for text in found.get("notes", [])[len(state.get("notes", [])) :]:
+    for text in state_after.get("notes", [])[len(state.get("notes", [])) :]:
         job.note(text)
-    return found
+    return state_after
 
 
 def _warn_of_uncertain_kind(job: Job, survey: Mapping[str, Any]) -> None:
@@ -164,15 +164,15 @@ def _filter_facts(job: Job, records: list[TileRecord], tiles: int) -> dict[str, 
 
     names = ("points", "ground", "low_noise", "unclassified", "kept", "marked")
     again = sum(record.tries > 1 for record in records)
-    facts: dict[str, Any] = {name: total(name) for name in names}
-    facts |= {
+    summary: dict[str, Any] = {name: total(name) for name in names}
+    summary |= {
         "tiles": tiles,
         "tiles_done_again": again,
         "overlap_work": total("window_area") / max(total("core_area"), 1),
     }
-    if facts["marked"]:
+    if summary["marked"]:
         job.note(
-            f"{facts['marked']:,} labels are not certified: points beyond the widest halo could change them; "
+            f"{summary['marked']:,} labels are not certified: points beyond the widest halo could change them; "
             "more --memory allows a wider one"
         )
-    return facts
+    return summary

@@ -76,23 +76,26 @@ def filter_tile(store_url: str, work: FilterTile) -> dict[str, Any]:
                 continue
             labels[cell], near = _label(reader, cell, model)
             inherited |= near
-        marked = sum(int(np.count_nonzero(found & UNCERTIFIED_BIT)) for found in labels.values())
+        marked = sum(int(np.count_nonzero(cell_labels & UNCERTIFIED_BIT)) for cell_labels in labels.values())
         if (marked == 0 and model.uncertain() == 0) or halo >= work.max_halo:
             break
         halo = min(2 * halo, work.max_halo)
         del points, model  # frees the memory for the wider window
     if inherited:  # an uncertified label of the earlier pass may have changed the labels
-        labels = {cell: found | (found > 0) * np.uint8(UNCERTIFIED_BIT) for cell, found in labels.items()}
-        marked = sum(int(np.count_nonzero(found)) for found in labels.values())
+        labels = {
+            cell: cell_labels | (cell_labels > 0) * np.uint8(UNCERTIFIED_BIT)
+            for cell, cell_labels in labels.items()
+        }
+        marked = sum(int(np.count_nonzero(cell_labels)) for cell_labels in labels.values())
     elected, elected_points = _elect(store, work.cells, model, work.elected_out)
-    for cell, found in labels.items():
+    for cell, cell_labels in labels.items():
         if work.of_elected or step.elects:
-            store.write_elected_labels(work.labels_out, cell, found)
+            store.write_elected_labels(work.labels_out, cell, cell_labels)
         else:
-            store.write_labels(work.labels_out, cell, found, work.of_candidates)
+            store.write_labels(work.labels_out, cell, cell_labels, work.of_candidates)
     counts = np.zeros(256, np.int64)
-    for found in labels.values():
-        counts += np.bincount(found & ~np.uint8(UNCERTIFIED_BIT), minlength=256)
+    for cell_labels in labels.values():
+        counts += np.bincount(cell_labels & ~np.uint8(UNCERTIFIED_BIT), minlength=256)
     record = TileRecord(
         points=int(counts.sum()),
         ground=int(counts[GROUND]),
@@ -120,14 +123,16 @@ def _label(reader: TileReader, cell: Cell, model: Model) -> tuple[npt.NDArray[np
 
     Uncertified labels have bit 7. Points that do not take part in filtering are not passed to the model.
     """
-    own = reader.own(cell)
-    others, near = reader.around(cell)
-    found = np.full(own.which.size, KEEP, np.uint8)
-    if len(own.points):
-        labels, marks = model.label(joined([own.points, *others]) if others else own.points)
-        n = len(own.points)
-        found[own.which] = labels[:n] | (marks[:n].astype(np.uint8) * np.uint8(UNCERTIFIED_BIT))
-    return found, near
+    bucket = reader.own(cell)
+    points_around, near = reader.around(cell)
+    bucket_labels = np.full(bucket.which.size, KEEP, np.uint8)
+    if len(bucket.points):
+        labels, marks = model.label(
+            joined([bucket.points, *points_around]) if points_around else bucket.points
+        )
+        n = len(bucket.points)
+        bucket_labels[bucket.which] = labels[:n] | (marks[:n].astype(np.uint8) * np.uint8(UNCERTIFIED_BIT))
+    return bucket_labels, near
 
 
 def _label_elected(store: TileStore, cell: Cell, model: Model) -> npt.NDArray[np.uint8]:
@@ -145,11 +150,12 @@ def _elect(
     """
     if name is None:
         return None, None
-    found = {}
+    elected_by_cell = {}
     for cell in cells:
-        found[cell] = model.elect(_local(store.meta.bucket.bounds(cell), store))
-        store.write_elected(name, cell, found[cell])
-    return digest_of_arrays(found.values()), [int(xyz.shape[1]) for xyz in found.values()]
+        elected_by_cell[cell] = model.elect(_local(store.meta.bucket.bounds(cell), store))
+        store.write_elected(name, cell, elected_by_cell[cell])
+    numbers = [int(xyz.shape[1]) for xyz in elected_by_cell.values()]
+    return digest_of_arrays(elected_by_cell.values()), numbers
 
 
 def _window(store: TileStore, padded: Bounds, step: Pass, params: Any) -> tuple[Bounds, Known]:

@@ -136,14 +136,14 @@ def _heights(
     raster, ground = _attempt(store, whole, _window(whole, halo))
     for work in works:
         row, col = work.block.row - whole.block.row, work.block.col - whole.block.col
-        place = (slice(row, row + work.block.height), slice(col, col + work.block.width))
-        marked = int(raster.marks[place].sum())
+        part = (slice(row, row + work.block.height), slice(col, col + work.block.width))
+        marked = int(raster.marks[part].sum())
         if marked and halo < _most_halo(work):
             yield from _heights(store, (work,), min(2 * halo, _most_halo(work)), tries + 1)
             continue
-        heights = heights_in_units(raster.heights[place])
-        facts = {"pixels": heights.size, "marked": marked, "tries": tries, "halo": halo}
-        yield work, heights, {**facts, **_counted(heights), **ground}
+        heights = heights_in_units(raster.heights[part])
+        record = {"pixels": heights.size, "marked": marked, "tries": tries, "halo": halo}
+        yield work, heights, {**record, **_counted(heights), **ground}
 
 
 def _nothing(block: Block, halo: int) -> tuple[Heights, dict[str, Any]]:

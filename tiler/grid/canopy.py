@@ -85,13 +85,13 @@ def _covered(store: TileStore, work: CanopyBlock, spec: RasterSpec, block: Block
     )
     for down in (0, 1):
         for right in (0, 1):
-            place = np.where(wide, wide_rows + down, rows), np.where(wide, wide_columns + right, columns)
-            there[place] = True
-            covered[place[0][hidden], place[1][hidden]] = True
+            index = np.where(wide, wide_rows + down, rows), np.where(wide, wide_columns + right, columns)
+            there[index] = True
+            covered[index[0][hidden], index[1][hidden]] = True
     covered |= ~there & scipy.ndimage.binary_closing(covered, np.ones((2 * GAP + 1, 2 * GAP + 1), np.bool_))
     pixel_rows, pixel_columns = (lattice.index(centres) for centres in _centres(spec, block))
-    found: npt.NDArray[np.bool_] = covered[np.ix_(pixel_rows - south, pixel_columns - west)]
-    return found
+    covered_pixels: npt.NDArray[np.bool_] = covered[np.ix_(pixel_rows - south, pixel_columns - west)]
+    return covered_pixels
 
 
 def _centres(spec: RasterSpec, block: Block) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:

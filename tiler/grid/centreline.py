@@ -71,12 +71,12 @@ def centreline(shape: Any) -> Floats | None:
     cells, plain, central = _graph(wet, middle)
     start = _farthest(plain, _farthest(plain, 0))
     end = _farthest(plain, start)
-    _, before = scipy.sparse.csgraph.dijkstra(
+    _, predecessors = scipy.sparse.csgraph.dijkstra(
         central, directed=False, indices=np.array([start]), return_predecessors=True
     )
     way = [end]
     while way[-1] != start:
-        way.append(int(before[0, way[-1]]))
+        way.append(int(predecessors[0, way[-1]]))
     half = float(np.median(middle[wet.nonzero()[0][way], wet.nonzero()[1][way]]))
     trim = min(round(half), max((len(way) - 3) // 2, 0))
     rows, cols = (axis[way][trim : len(way) - trim] for axis in cells)
@@ -88,8 +88,8 @@ def centreline(shape: Any) -> Floats | None:
     ]
     x, y = west - cell + (smooth[0] + 0.5) * cell, north + cell - (smooth[1] + 0.5) * cell
     line = shapely.simplify(shapely.LineString(np.stack((x, y), axis=1)), cell / 2)
-    places: Floats = shapely.get_coordinates(line)
-    return places
+    vertices: Floats = shapely.get_coordinates(line)
+    return vertices
 
 
 def _graph(wet: npt.NDArray[np.bool_], middle: Floats) -> tuple[Any, Any, Any]:

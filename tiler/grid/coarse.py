@@ -67,13 +67,13 @@ def block_runs(cells: Bools, coarse: RasterSpec, spec: RasterSpec, size: int, pa
 
 def _merged(runs: list[tuple[int, int]], size: int) -> list[tuple[int, int]]:
     """Merge the runs of a row that overlap or touch, and return them from west to east."""
-    found: list[tuple[int, int]] = []
+    merged_runs: list[tuple[int, int]] = []
     for first, last in sorted(set(runs)):
-        if found and first <= found[-1][1] + size:
-            found[-1] = found[-1][0], max(found[-1][1], last)
+        if merged_runs and first <= merged_runs[-1][1] + size:
+            merged_runs[-1] = merged_runs[-1][0], max(merged_runs[-1][1], last)
         else:
-            found.append((first, last))
-    return found
+            merged_runs.append((first, last))
+    return merged_runs
 
 
 def blocks_of(runs: Runs, spec: RasterSpec, size: int) -> Iterator[Block]:

@@ -94,10 +94,10 @@ def occupancy_block(store_url: str, work: PointsBlock) -> dict[str, Any]:
     for cell in store.buckets_within(bounds):
         points, chosen = surface_points(store, rule, cell)
         chosen &= points.inside(bounds, store.meta.frame.origin)
-        places = pixel_indices(points.xyz[:, chosen], store.meta.frame.origin, spec, block)
-        counts += np.bincount(places, minlength=len(counts))
+        cell_indices = pixel_indices(points.xyz[:, chosen], store.meta.frame.origin, spec, block)
+        counts += np.bincount(cell_indices, minlength=len(counts))
         if points.classification is not None:
-            water += np.bincount(places[points.classification[chosen] == WATER], minlength=len(counts))
+            water += np.bincount(cell_indices[points.classification[chosen] == WATER], minlength=len(counts))
     shape = block.height, block.width
     values = np.where(2 * water > counts, -counts, counts).astype(np.float32).reshape(shape)
     store.write_block(work.name, block, values)
@@ -156,11 +156,11 @@ def gaps_of(occupied: Bools, gap: float, most: float) -> npt.NDArray[np.float64]
     float64, shape (height / 128 - 2, width / 128 - 2)
     """
     rows, cols = (side // WINDOW - 2 for side in occupied.shape)
-    found = np.full((rows, cols), min(max(gap, MIN_GAP), most))
+    gaps = np.full((rows, cols), min(max(gap, MIN_GAP), most))
     for row, col in np.ndindex(rows, cols):
         near = occupied[row * WINDOW : (row + 3) * WINDOW, col * WINDOW : (col + 3) * WINDOW]
-        found[row, col] = gap_of(near, gap, most)
-    return found
+        gaps[row, col] = gap_of(near, gap, most)
+    return gaps
 
 
 def gap_of(occupied: Bools, gap: float, most: float) -> float:
@@ -220,17 +220,17 @@ def survey_block(store_url: str, work: SurveyBlock) -> dict[str, Any]:
     window = padded(block, 1)
     opened = read_cells(store, work.opened, spec, window, NO_PIECE)
     enclosed = (opened > 0) & ~cells_of(store, work.opened, spec, window, work.outside)
-    for place in work.empty:
-        enclosed[part_of(window, *place)] = True
-    found = survey_values(opened == 0, enclosed)[1:-1, 1:-1].astype(np.float32)
-    store.write_block(work.name, block, found)
-    inside = found >= SURVEYED
+    for first_cell in work.empty:
+        enclosed[part_of(window, *first_cell)] = True
+    values = survey_values(opened == 0, enclosed)[1:-1, 1:-1].astype(np.float32)
+    store.write_block(work.name, block, values)
+    inside = values >= SURVEYED
     return {
         "inside": int(inside.sum()),
-        "cells": found.size,
+        "cells": values.size,
         "blocks": block_runs(inside, spec.window(block), work.pixels, BLOCK_PIXELS),
-        "filled": int(np.count_nonzero(found)),
-        "checksum": checksum(found),
+        "filled": int(np.count_nonzero(values)),
+        "checksum": checksum(values),
     }
 
 
@@ -245,5 +245,5 @@ def survey_values(closed: Bools, enclosed: Bools) -> npt.NDArray[np.uint8]:
     whole = closed | enclosed
     inner = scipy.ndimage.binary_erosion(whole, np.ones((3, 3), np.bool_))
     values = np.select([inner & ~closed, inner, whole], [VOID, SURVEYED, BORDER], BEYOND)
-    found: npt.NDArray[np.uint8] = values.astype(np.uint8)
-    return found
+    survey: npt.NDArray[np.uint8] = values.astype(np.uint8)
+    return survey

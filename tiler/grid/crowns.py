@@ -36,7 +36,7 @@ def find_crowns(store_url: str, work: FindCrowns) -> dict[str, Any]:
     parts = [look_for_crowns(store, "dtm", spec, block) for block in blocks]
     return {
         "looked_at": sum(part.looked_at for part in parts),
-        "found": [place for part in parts for place in part.found],
+        "found": [pixel for part in parts for pixel in part.found],
     }
 
 
@@ -58,24 +58,24 @@ def look_for_crowns(store: TileStore, name: str, spec: RasterSpec, block: Block)
     metres = np.where(heights == np.float32(NODATA), np.nan, heights.astype(np.float64))
     looked = crowns(metres * float(store.meta.frame.units.vertical))
     half = BLOCK * times // 2
-    found = [
+    pixels = [
         (block.row + row * times + half, block.col + column * times + half) for row, column in looked.found
     ]
-    return Crowns(looked.looked_at, found)
+    return Crowns(looked.looked_at, pixels)
 
 
 def crowns_told(looked: Iterable[Crowns], spec: RasterSpec) -> Advice | None:
     """Return a warning if a tenth of the terrain or more looks like crowns, else None."""
     parts = list(looked)
     looked_at = sum(part.looked_at for part in parts)
-    found = [place for part in parts for place in part.found]
-    if len(found) < max(TOLD * looked_at, FEWEST):
+    pixels = [pixel for part in parts for pixel in part.found]
+    if len(pixels) < max(TOLD * looked_at, FEWEST):
         return None
-    row, column = found[len(found) // 2]
+    row, column = pixels[len(pixels) // 2]
     a, _, x, _, e, y = spec.transform(COUNTS_PER_UNIT)
     x, y = x + a * column, y + e * row
     text = (
-        f"{100 * len(found) / looked_at:.0f} % of the terrain looks like the crowns of a closed canopy, as around x "
+        f"{100 * len(pixels) / looked_at:.0f} % of the terrain looks like the crowns of a closed canopy, as around x "
         f"{x:.0f}, y {y:.0f}: image matching sees no ground there, and the terrain may be "
         "metres too high; look at it, and leave such places out (--edits, action void) or survey them with a laser"
     )

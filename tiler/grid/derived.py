@@ -43,9 +43,9 @@ def derive_block(store_url: str, work: DeriveBlock) -> dict[str, Any]:
         ``pixels``, ``filled``; ``checksum``.
     """
     store, spec, block = open_store(store_url), work.spec, work.block
-    found = _PRODUCTS[work.name](store, spec, block, work.sources)
+    computed_values = _PRODUCTS[work.name](store, spec, block, work.sources)
     fill = np.float32(work.fill)
-    values = np.where(np.isnan(found), fill, found.astype(np.float32))
+    values = np.where(np.isnan(computed_values), fill, computed_values.astype(np.float32))
     store.write_block(work.name, block, values)
     return {
         "pixels": values.size,

@@ -41,15 +41,15 @@ def distance_block(store_url: str, work: DistanceBlock) -> dict[str, Any]:
     """
     store, spec, block = open_store(store_url), work.spec, work.block
     cap, rule = work.cap, work.rule
-    found = ground_distance(store, rule, spec, block, cap / FIRST_SHARE)
-    if np.isinf(found).any():
-        found = ground_distance(store, rule, spec, block, cap)
+    distances = ground_distance(store, rule, spec, block, cap / FIRST_SHARE)
+    if np.isinf(distances).any():
+        distances = ground_distance(store, rule, spec, block, cap)
     metres = float(store.meta.frame.metres_xy)
-    values = (np.minimum(found, float(cap)) * metres).astype(np.float32)
+    values = (np.minimum(distances, float(cap)) * metres).astype(np.float32)
     store.write_block(work.name, block, values)
     return {
         "pixels": values.size,
-        "filled": int(np.isfinite(found).sum()),
+        "filled": int(np.isfinite(distances).sum()),
         "checksum": checksum(values),
     }
 

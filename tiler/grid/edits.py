@@ -39,18 +39,18 @@ def survey_edits(store_url: str, work: SurveyEdits) -> dict[str, Any]:
         that the input classifies as ground.
     """
     store = open_store(store_url)
-    found = store.edits(work.edits, store.meta.bucket.bounds(work.cell), OF_POINTS)
-    if found is None:
+    edits = store.edits(work.edits, store.meta.bucket.bounds(work.cell), OF_POINTS)
+    if edits is None:
         return {"edits": []}
     block, classes, is_ground = read_classes(store, work.rule, work.cell, needs_input=True)
     points = EditedPoints(block, classes, store.meta.frame.origin)
     counts = []
-    for edit in found.edits:
+    for edit in edits.edits:
         rows = points.inside(edit.area)
-        before, after, given = int(is_ground[rows].sum()), [0, 0], 0
+        ground_before, after, given = int(is_ground[rows].sum()), [0, 0], 0
         if edit.action == TO_GROUND:
-            becoming = [points.to_ground(rows, cell) for cell in (None, found.cell)]
-            after = [before + int(np.count_nonzero(~is_ground[more])) for more in becoming]
+            becoming = [points.to_ground(rows, cell) for cell in (None, edits.cell)]
+            after = [ground_before + int(np.count_nonzero(~is_ground[more])) for more in becoming]
             given = len(becoming[0])
-        counts.append([edit.number, len(rows), before, *after, given])
+        counts.append([edit.number, len(rows), ground_before, *after, given])
     return {"edits": counts}

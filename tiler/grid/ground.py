@@ -98,8 +98,8 @@ def read_ground(
         chosen &= block.inside(bounds, store.meta.frame.origin)
         index = np.flatnonzero(chosen)
         if rule.erode and len(index):
-            own = block.xyz[:, _is_object(block, classes, is_ground, rule, store, cell)]
-            index = index[~_beside_objects(store, rule, cell, block.xyz[:, index], own, edges)]
+            own_objects = block.xyz[:, _is_object(block, classes, is_ground, rule, store, cell)]
+            index = index[~_beside_objects(store, rule, cell, block.xyz[:, index], own_objects, edges)]
         points = block.xyz.take(index, axis=1)
         read += points.shape[1]
         parts.append(points if choose is None else points[:, choose(cell, points)])
@@ -143,13 +143,13 @@ def _objects_at_edges(
     store: TileStore, rule: GroundSelection, bounds: Bounds
 ) -> dict[Cell, npt.NDArray[np.int32]]:
     """Return points of objects, by bucket, that are near enough to its edge to erode ground beyond it."""
-    reach, origin = math.ceil(rule.erode), store.meta.frame.origin
-    found = {}
-    for cell in store.buckets_within(bounds.pad(reach)):
+    radius, origin = math.ceil(rule.erode), store.meta.frame.origin
+    objects_by_cell = {}
+    for cell in store.buckets_within(bounds.pad(radius)):
         block, classes, is_ground = read_classes(store, rule, cell, needs_input=True)
-        edge = ~block.inside(store.meta.bucket.bounds(cell).pad(-reach), origin)
-        found[cell] = block.xyz[:, edge & _is_object(block, classes, is_ground, rule, store, cell)]
-    return found
+        edge = ~block.inside(store.meta.bucket.bounds(cell).pad(-radius), origin)
+        objects_by_cell[cell] = block.xyz[:, edge & _is_object(block, classes, is_ground, rule, store, cell)]
+    return objects_by_cell
 
 
 def _beside_objects(
@@ -162,8 +162,8 @@ def _beside_objects(
 ) -> npt.NDArray[np.bool_]:
     """Return a mask of the ground points near objects of the bucket (``own``) or of a neighbour."""
     around = store.meta.bucket.bounds(cell).pad(math.ceil(rule.erode))
-    others = [edges[other] for other in store.meta.bucket.among(around, edges) if other != cell]
-    objects = np.concatenate([own, *others], axis=1)
+    neighbour_objects = [edges[other] for other in store.meta.bucket.among(around, edges) if other != cell]
+    objects = np.concatenate([own, *neighbour_objects], axis=1)
     return near_objects(ground, objects, rule.erode, rule.erode_rise, store.meta.frame.origin)
 
 

@@ -52,18 +52,18 @@ def holes_of_block(
         ``surveyed``: pixels that have a height or should have one; ``voided``: holes that edits request; ``holes``: all
         other holes as `hole_cells` returns them; ``edit_holes``: number of each edit and of the holes in it.
     """
-    empty, wanted = heights == np.float32(NODATA), spec.inside(block, area)
-    holes = empty & surveyed & wanted
+    empty, in_area = heights == np.float32(NODATA), spec.inside(block, area)
+    holes = empty & surveyed & in_area
     asked, counts = np.zeros_like(holes), []
-    found = None if edits is None else store.edits(edits, spec.block_bounds(block), LEAVE_HOLES)
-    for edit in () if found is None else found.edits:
+    block_edits = None if edits is None else store.edits(edits, spec.block_bounds(block), LEAVE_HOLES)
+    for edit in () if block_edits is None else block_edits.edits:
         part = spec.part(block, edit.area.bounds)
-        inside, place = spec.inside(part, edit.area), within(part, block)
-        counts.append([edit.number, int(np.count_nonzero(inside & holes[place]))])
+        inside, part_in_block = spec.inside(part, edit.area), within(part, block)
+        counts.append([edit.number, int(np.count_nonzero(inside & holes[part_in_block]))])
         if edit.action == VOID:
-            asked[place] |= inside
+            asked[part_in_block] |= inside
     return {
-        "surveyed": int(np.count_nonzero((~empty | surveyed) & wanted)),
+        "surveyed": int(np.count_nonzero((~empty | surveyed) & in_area)),
         "voided": int(np.count_nonzero(holes & asked)),
         "holes": hole_cells(holes & ~asked, block),
         "edit_holes": counts,
@@ -76,14 +76,14 @@ def hole_cells(holes: Mask, block: Block) -> list[list[int]]:
     if not len(rows):
         return []
     rows, cols = rows + block.row, cols + block.col
-    places = np.stack((rows // CELL_PIXELS, cols // CELL_PIXELS))
-    cells, number = np.unique(places, axis=1, return_inverse=True)
+    cell_positions = np.stack((rows // CELL_PIXELS, cols // CELL_PIXELS))
+    cells, number = np.unique(cell_positions, axis=1, return_inverse=True)
     number = number.ravel()
-    found = np.empty((5, cells.shape[1]), np.int64)
-    found[0] = np.bincount(number)
-    found[1:3], found[3:] = np.iinfo(np.int64).max, -1
+    counts_and_extents = np.empty((5, cells.shape[1]), np.int64)
+    counts_and_extents[0] = np.bincount(number)
+    counts_and_extents[1:3], counts_and_extents[3:] = np.iinfo(np.int64).max, -1
     for axis, values in enumerate((rows, cols)):
-        np.minimum.at(found[1 + axis], number, values)
-        np.maximum.at(found[3 + axis], number, values)
-    listed: list[list[int]] = found.T.tolist()
+        np.minimum.at(counts_and_extents[1 + axis], number, values)
+        np.maximum.at(counts_and_extents[3 + axis], number, values)
+    listed: list[list[int]] = counts_and_extents.T.tolist()
     return listed

@@ -65,25 +65,25 @@ def outline_block(store_url: str, work: OutlineBlock) -> dict[str, Any]:
     """
     store, spec, block = open_store(store_url), work.spec, work.block
     nodata = np.float32(NODATA)
-    before = store.read_block(work.heights, block)
+    heights_before = store.read_block(work.heights, block)
     cells = coarse_values(store, work.survey, work.coarse, spec, block)
     beyond = cells == BEYOND
-    heights, water = before.copy(), []
+    heights, water = heights_before.copy(), []
     if work.canopy is not None:
         heights[store.read_block(work.canopy, block) > 0] = nodata
         edit_heights(store, work.edits, spec, block, heights)
-    hidden = int(np.count_nonzero((before != nodata) & (heights == nodata)))
+    hidden = int(np.count_nonzero((heights_before != nodata) & (heights == nodata)))
     waters = store.waters(work.waters, spec.block_bounds(block))
     if waters is not None:
         wet = waters.inside(spec, block)
-        water = waters.set_heights(spec, block, heights, (before != nodata) | ~beyond)
+        water = waters.set_heights(spec, block, heights, (heights_before != nodata) | ~beyond)
         edit_heights(store, work.edits, spec, block, heights)
         beyond &= ~wet
     if work.cut:
         heights[beyond] = nodata
     store.write_block(work.name, block, heights)
     filled = int(np.count_nonzero(heights != nodata))
-    lost = int(np.count_nonzero((before != nodata) & (heights == nodata)))
+    lost = int(np.count_nonzero((heights_before != nodata) & (heights == nodata)))
     return {
         "pixels": heights.size,
         "filled": filled,
@@ -91,6 +91,6 @@ def outline_block(store_url: str, work: OutlineBlock) -> dict[str, Any]:
         "cut": max(lost - hidden, 0),
         "water": water,
         "checksum": checksum(heights),
-        "added": filled + lost - int(np.count_nonzero(before != nodata)),
+        "added": filled + lost - int(np.count_nonzero(heights_before != nodata)),
         **holes_of_block(store, spec, block, heights, cells >= SURVEYED, work.edits, store.area(work.area)),
     }

@@ -68,8 +68,8 @@ def _runs(line: npt.NDArray[Any]) -> Side:
 def side_labels(side: Side) -> Labels:
     """Return the label of each cell along a side of a block."""
     labels, lengths = np.array(side, np.int32).T
-    found: Labels = np.repeat(labels, lengths)
-    return found
+    cell_labels: Labels = np.repeat(labels, lengths)
+    return cell_labels
 
 
 def touching(blocks: Mapping[tuple[int, int], Mapping[str, Side]], corners: bool) -> set[tuple[Piece, Piece]]:
@@ -81,21 +81,21 @@ def touching(blocks: Mapping[tuple[int, int], Mapping[str, Side]], corners: bool
         First row and column of each block -> its sides, see `label_block`.
     corners : bool
     """
-    found: set[tuple[Piece, Piece]] = set()
+    touching_pairs: set[tuple[Piece, Piece]] = set()
     for (row, col), sides in blocks.items():
         below, right = (row + BLOCK_PIXELS, col), (row, col + BLOCK_PIXELS)
-        for other, mine, theirs in ((below, "south", "north"), (right, "east", "west")):
+        for other, side, facing_side in ((below, "south", "north"), (right, "east", "west")):
             if other in blocks:
-                pairs = _facing(side_labels(sides[mine]), side_labels(blocks[other][theirs]), corners)
-                found |= {(Piece(row, col, a), Piece(*other, b)) for a, b in pairs}
+                pairs = _facing(side_labels(sides[side]), side_labels(blocks[other][facing_side]), corners)
+                touching_pairs |= {(Piece(row, col, a), Piece(*other, b)) for a, b in pairs}
         for other, end, start in (
             ((row + BLOCK_PIXELS, col + BLOCK_PIXELS), -1, 0),
             ((row + BLOCK_PIXELS, col - BLOCK_PIXELS), 0, -1),
         ):
             if corners and other in blocks:
                 a, b = sides["south"][end][0], blocks[other]["north"][start][0]
-                found |= {(Piece(row, col, a), Piece(*other, b))} if a and b else set()
-    return found
+                touching_pairs |= {(Piece(row, col, a), Piece(*other, b))} if a and b else set()
+    return touching_pairs
 
 
 def _facing(mine: Labels, theirs: Labels, corners: bool) -> Iterable[tuple[int, int]]:
@@ -110,8 +110,8 @@ def _facing(mine: Labels, theirs: Labels, corners: bool) -> Iterable[tuple[int, 
 def components(nodes: Iterable[Node], pairs: Iterable[tuple[Node, Node]]) -> list[list[Node]]:
     """Return groups of connected nodes. Groups and their nodes are in the order of the nodes."""
     listed = list(nodes)
-    place = {node: i for i, node in enumerate(listed)}
-    ends = np.array([[place[a], place[b]] for a, b in pairs], np.int64).reshape(-1, 2)
+    node_index = {node: i for i, node in enumerate(listed)}
+    ends = np.array([[node_index[a], node_index[b]] for a, b in pairs], np.int64).reshape(-1, 2)
     graph = scipy.sparse.coo_array((np.ones(len(ends)), ends.T), (len(listed), len(listed)))
     groups: dict[int, list[Node]] = {}
     if listed:
@@ -135,11 +135,11 @@ class Joined:
 
     @cached_property
     def _joins(self) -> dict[tuple[int, int], list[tuple[Piece, Piece]]]:
-        found: dict[tuple[int, int], list[tuple[Piece, Piece]]] = defaultdict(list)
+        joins: dict[tuple[int, int], list[tuple[Piece, Piece]]] = defaultdict(list)
         for name, pieces in self.areas.items():
             for piece in pieces if len(pieces) > 1 else ():
-                found[piece.row, piece.col].append((piece, name))
-        return found
+                joins[piece.row, piece.col].append((piece, name))
+        return joins
 
     def joins(self, places: Iterable[tuple[int, int]]) -> tuple[tuple[Piece, Piece], ...]:
         """Return the pieces of multi-piece areas in some blocks, each with the name of its area."""
@@ -160,7 +160,11 @@ def join_pieces(
     corners : bool
         Whether cells that touch at a corner belong together.
     """
-    pieces = [Piece(*place, label) for place in sorted(counts) for label in range(1, counts[place] + 1)]
+    pieces = [
+        Piece(*first_cell, label)
+        for first_cell in sorted(counts)
+        for label in range(1, counts[first_cell] + 1)
+    ]
     return Joined({area[0]: tuple(area) for area in components(pieces, touching(blocks, corners))})
 
 
@@ -189,9 +193,9 @@ def areas_within(
     for row in range(window.row // BLOCK_PIXELS * BLOCK_PIXELS, window.row + window.height, BLOCK_PIXELS):
         for col in range(window.col // BLOCK_PIXELS * BLOCK_PIXELS, window.col + window.width, BLOCK_PIXELS):
             part = part_of(window, row, col)
-            found = np.flatnonzero(np.bincount(labels[part].ravel()))  # like np.unique, but without sorting
-            table = np.zeros(int(found.max(initial=0)) + 1, np.int32)
-            for label in found[found > 0].tolist():
+            present = np.flatnonzero(np.bincount(labels[part].ravel()))  # like np.unique, but without sorting
+            table = np.zeros(int(present.max(initial=0)) + 1, np.int32)
+            for label in present[present > 0].tolist():
                 piece = Piece(row, col, label)
                 table[label] = names.setdefault(known.get(piece, piece), len(names) + 1)
             numbers[part] = table[labels[part]]
@@ -203,14 +207,14 @@ def cells_of(
 ) -> Bools:
     """Return a mask of the cells of some pieces in a window of a raster of labels."""
     labels = read_cells(store, name, coarse, window)
-    found = np.zeros(labels.shape, np.bool_)
+    cell_mask = np.zeros(labels.shape, np.bool_)
     of_block: dict[tuple[int, int], list[int]] = defaultdict(list)
     for piece in pieces:
         of_block[piece.row, piece.col].append(piece.label)
-    for (row, col), wanted in of_block.items():
+    for (row, col), piece_labels in of_block.items():
         part = part_of(window, row, col)
-        found[part] = np.isin(labels[part], wanted)
-    return found
+        cell_mask[part] = np.isin(labels[part], piece_labels)
+    return cell_mask
 
 
 def part_of(window: Block, row: int, col: int) -> tuple[slice, slice]:

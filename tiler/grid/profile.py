@@ -82,8 +82,8 @@ def profile_along(
     if np.ptp(fit) < LEVEL_M * scale.z:
         fit = np.full_like(fit, _weighted_median(levels, weights))
     stations = [s._replace(level=round(float(level))) for s, level in zip(stations, fit, strict=True)]
-    places, heights = _with_steps(along, fit, line, within, scale)
-    flow = lifted_line(line, places, heights)
+    distances, heights = _with_steps(along, fit, line, within, scale)
+    flow = lifted_line(line, distances, heights)
     if downstream:
         return Profile(flow, tuple(stations))
     turned = tuple(s._replace(left=s.right, right=s.left) for s in reversed(stations))
@@ -119,25 +119,25 @@ def _stations(
         shapely.line_locate_point(shape, shapely.points(xyz[0], xyz[1])) for xyz in (shore, within)
     )
     left = _left_of(line, shore, beside)
-    reach = np.concatenate((beside, inside))
-    if not len(reach):
+    distances = np.concatenate((beside, inside))
+    if not len(distances):
         return np.empty(0), [], np.empty(0)
-    low, high = float(reach.min()), float(reach.max())
+    low, high = float(distances.min()), float(distances.max())
     steps = round((high - low) / spacing)
     along = np.linspace(low, high, steps + 1) if steps else np.array([(low + high) / 2])
-    found: list[Station | None] = []
+    stations: list[Station | None] = []
     weights = np.zeros(len(along))
-    for i, place in enumerate(along):
-        near = np.abs(beside - place) <= spacing / 2
-        own = within[2][np.abs(inside - place) <= spacing / 2]
+    for i, distance in enumerate(along):
+        near = np.abs(beside - distance) <= spacing / 2
+        water_heights = within[2][np.abs(inside - distance) <= spacing / 2]
         banks = [shore[2][near & side] for side in (left, ~left)]
-        x, y = shapely.get_coordinates(shape.interpolate(place))[0]
-        station, weights[i] = _station(round(x), round(y), own, banks, scale)
-        found.append(station)
-    keep = _decisive(found)
+        x, y = shapely.get_coordinates(shape.interpolate(distance))[0]
+        station, weights[i] = _station(round(x), round(y), water_heights, banks, scale)
+        stations.append(station)
+    keep = _decisive(stations)
     return (
         along[keep],
-        [s for s, kept in zip(found, keep, strict=True) if kept and s is not None],
+        [s for s, kept in zip(stations, keep, strict=True) if kept and s is not None],
         weights[keep],
     )
 
@@ -184,17 +184,17 @@ def _with_steps(
     """Return distances along the line and levels, with two of each where the water has a step."""
     import shapely
 
-    places, heights = [along[:1]], [levels[:1]]
+    distances, heights = [along[:1]], [levels[:1]]
     inside = shapely.line_locate_point(shapely.LineString(line), shapely.points(within[0], within[1]))
     for i in range(len(along) - 1):
         fall, length = abs(levels[i + 1] - levels[i]) / scale.z, (along[i + 1] - along[i]) / scale.xy
         if fall > STEP_M and fall > STEEPEST * length:
             step = _step_at(along[i], along[i + 1], levels[i], levels[i + 1], inside, within[2])
-            places.append(np.array([step - 0.05 * scale.xy, step + 0.05 * scale.xy]))
+            distances.append(np.array([step - 0.05 * scale.xy, step + 0.05 * scale.xy]))
             heights.append(levels[i : i + 2])
-        places.append(along[i + 1 : i + 2])
+        distances.append(along[i + 1 : i + 2])
         heights.append(levels[i + 1 : i + 2])
-    return np.concatenate(places), np.concatenate(heights)
+    return np.concatenate(distances), np.concatenate(heights)
 
 
 def _step_at(

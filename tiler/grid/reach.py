@@ -18,38 +18,38 @@ STRIP_ROWS = 256
 
 def within(cells: Bools, radius: float) -> Bools:
     """Return a mask of the cells within a radius of a set cell, measured between centres in cells."""
-    found = np.zeros(cells.shape, np.bool_)
+    near_mask = np.zeros(cells.shape, np.bool_)
     for part, distance in _strips(cells, radius):
-        np.less_equal(distance, radius, out=found[part])
-    return found
+        np.less_equal(distance, radius, out=near_mask[part])
+    return near_mask
 
 
 def distances(cells: Bools, radius: float) -> Floats:
     """Return the distance of each cell from the nearest set cell, in cells, infinite beyond a radius."""
-    found = np.full(cells.shape, np.inf)
+    near_distances = np.full(cells.shape, np.inf)
     for part, distance in _strips(cells, radius):
-        np.copyto(found[part], distance, where=distance <= radius)
-    return found
+        np.copyto(near_distances[part], distance, where=distance <= radius)
+    return near_distances
 
 
 def box_around(cells: Bools, pad: int) -> tuple[slice, slice]:
     """Return the rows and columns of the box around the set cells, padded by ``pad`` cells within the array."""
-    found = []
+    slices = []
     for axis in (1, 0):
         lines = np.flatnonzero(cells.any(axis=axis))
         first, last = (int(lines[0]), int(lines[-1])) if len(lines) else (0, -1)
-        found.append(slice(max(first - pad, 0), last + 1 + pad))
-    return found[0], found[1]
+        slices.append(slice(max(first - pad, 0), last + 1 + pad))
+    return slices[0], slices[1]
 
 
 def _strips(cells: Bools, radius: float) -> Iterator[tuple[tuple[slice, slice], Floats]]:
     """Yield the parts with set cells near them, and their distances, which are correct up to the radius."""
-    reach = max(math.floor(radius), 0)
-    step = max(STRIP_ROWS, 2 * reach)
-    rows, cols = box_around(cells, reach)
+    margin = max(math.floor(radius), 0)
+    step = max(STRIP_ROWS, 2 * margin)
+    rows, cols = box_around(cells, margin)
     for first in range(rows.start, min(rows.stop, len(cells)), step):
-        top, end = max(first - reach, 0), min(first + step, rows.stop)
-        strip = cells[top : end + reach, cols]
+        top, end = max(first - margin, 0), min(first + step, rows.stop)
+        strip = cells[top : end + margin, cols]
         if strip.any():
             distance = scipy.ndimage.distance_transform_edt(~strip)[first - top :][: end - first]
             yield (slice(first, first + len(distance)), cols), distance

@@ -33,13 +33,13 @@ def histograms(counts: npt.NDArray[np.int64]) -> list[Histogram]:
     ----------
     counts : int64, shape (height, width)
     """
-    found = []
+    level_histograms = []
     for level in range(LEVELS):
         sums = merged(counts, 1 << level).sum(axis=2)
         bins = np.rint(np.log2(sums[sums > 0]) * BINS_PER_OCTAVE).astype(np.int64)
-        places, cells = np.unique(bins, return_counts=True)
-        found.append([[int(b), int(n)] for b, n in zip(places, cells, strict=True)])
-    return found
+        bin_numbers, cells = np.unique(bins, return_counts=True)
+        level_histograms.append([[int(b), int(n)] for b, n in zip(bin_numbers, cells, strict=True)])
+    return level_histograms
 
 
 def usual_returns(found: Iterable[list[Histogram]], enough: float) -> tuple[int, float] | None:

@@ -99,11 +99,11 @@ def roofs_in_terrain(
     setting, metres = "max_building_size", building_m
     if roof_m is not None and widest > roof_m:
         setting, metres = "roof_size", roof_m
-    wanted = math.ceil(1.2 * max(widest, metres) / 10) * 10
+    suggested_m = math.ceil(1.2 * max(widest, metres) / 10) * 10
     wide = length_text(round(widest), unit)
     text = (
         f"the terrain holds what looks like a roof {wide} wide, at x {x:.0f}, y {y:.0f}, and {setting} "
-        f"is {length_text(metres, unit)}; if it is one, use --set {setting}={wanted}"
+        f"is {length_text(metres, unit)}; if it is one, use --set {setting}={suggested_m}"
     )
     return Advice(text, x, y)
 

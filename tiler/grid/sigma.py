@@ -57,11 +57,11 @@ def sigma_block(store_url: str, work: SigmaBlock) -> dict[str, Any]:
     record: dict[str, Any] = {"groups": {}, "histogram": {}}
     if there.any():
         mask = store.read_block(work.mask, block)
-        found = measures_of(store, work.rule, spec, block, work.terrain, work.cap)
-        sigma_m = standard_error_m(found, mask, work.kind)
+        measures = measures_of(store, work.rule, spec, block, work.terrain, work.cap)
+        sigma_m = standard_error_m(measures, mask, work.kind)
         unit_m = float(store.meta.frame.units.vertical)
         values = np.where(there, sigma_m / unit_m, NODATA).astype(np.float32)
-        for name, pixels in _groups(found, mask, there).items():
+        for name, pixels in _groups(measures, mask, there).items():
             record["groups"][name] = _squares(sigma_m[pixels])
             record["histogram"][name] = _histogram(sigma_m[pixels])
     store.write_block(work.name, block, values)

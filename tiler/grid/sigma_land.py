@@ -57,8 +57,8 @@ class Land:
         """
         east, north = gradients(self._means, pixel * self._side)
         steep = np.sqrt(east * east + north * north)
-        found = steep[np.ix_(self._rows // self._side - 1, self._columns // self._side - 1)]
-        return np.nan_to_num(found)
+        pixel_slope = steep[np.ix_(self._rows // self._side - 1, self._columns // self._side - 1)]
+        return np.nan_to_num(pixel_slope)
 
     def off_trend(self) -> Float64:
         """Return the absolute deviation of the block's heights from the median of the cells around.
@@ -78,19 +78,21 @@ class Land:
     def _between(self, pixels: Index) -> tuple[Index, Float64]:
         """Return the index of the median before each row or column of pixels, and the share of the way to the next."""
         # Whole numbers of half pixels make the share the same for any start of the block.
-        place = 2 * pixels + 1 - (2 * HALF + 1) * self._side
-        first = place // (2 * self._side)
-        return first, (place - 2 * self._side * first) / (2 * self._side)
+        half_pixels = 2 * pixels + 1 - (2 * HALF + 1) * self._side
+        first = half_pixels // (2 * self._side)
+        return first, (half_pixels - 2 * self._side * first) / (2 * self._side)
 
 
 def _linear(values: Float64, first: Index, share: Float64) -> Float64:
     """Interpolate linearly between rows of values."""
-    found: Float64 = values[first] * (1 - share)[:, np.newaxis] + values[first + 1] * share[:, np.newaxis]
-    return found
+    interpolated: Float64 = (
+        values[first] * (1 - share)[:, np.newaxis] + values[first + 1] * share[:, np.newaxis]
+    )
+    return interpolated
 
 
 def _by_cells(pixels: Int64, side: int) -> Int64:
     """Return sums over squares of pixels."""
     rows, columns = pixels.shape
-    found: Int64 = pixels.reshape(rows // side, side, columns // side, side).sum(axis=(1, 3))
-    return found
+    sums: Int64 = pixels.reshape(rows // side, side, columns // side, side).sum(axis=(1, 3))
+    return sums

@@ -114,8 +114,8 @@ def _share(ground: npt.NDArray[np.int64], objects: npt.NDArray[np.int64], half: 
     """Return the share of objects among the points in windows around cells, 0 without points."""
     n_objects = box_sums(objects, half, MARGIN)
     n = n_objects + box_sums(ground, half, MARGIN)
-    found: Float64 = n_objects / np.maximum(n, 1)
-    return found
+    share: Float64 = n_objects / np.maximum(n, 1)
+    return share
 
 
 class _Cells:
@@ -145,5 +145,5 @@ class _Cells:
 
     def at_pixels(self, cells: Float64) -> Float64:
         """Return the values of cells, without their margin, at the block's pixels."""
-        found: Float64 = cells[self._pixels]
-        return found
+        pixel_values: Float64 = cells[self._pixels]
+        return pixel_values

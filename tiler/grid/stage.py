@@ -92,22 +92,22 @@ def _settle_surface(job: Job) -> None:
     surface = config.surface or MATCHED_SURFACE
     erode = MATCHED_EROSION if config.erode is None else config.erode
     if (surface, erode) != (config.surface, config.erode):
-        reach = length_text(erode, plan.meta.frame.units.horizontal)
+        erode_text = length_text(erode, plan.meta.frame.units.horizontal)
         job.note(
             f"decided: the surface is the {surface} of the heights in half a pixel, without ground within "
-            f"{reach} of objects, because the cloud is photogrammetric (--surface, --erode)"
+            f"{erode_text} of objects, because the cloud is photogrammetric (--surface, --erode)"
         )
     job.plan = replace(plan, config=config.updated(surface=surface, erode=erode))
 
 
 def _holes(job: Job) -> list[Bounds]:
     """Return the bounds in absolute counts where tiles or buckets failed."""
-    found = [
+    failed_bounds = [
         f["bounds"]
         for f in job.record.failed
         if f["stage"].startswith(("assemble", "filter")) and f["bounds"]
     ]
-    return [Bounds(*(round(edge * COUNTS_PER_UNIT) for edge in bounds)) for bounds in found]
+    return [Bounds(*(round(edge * COUNTS_PER_UNIT) for edge in bounds)) for bounds in failed_bounds]
 
 
 def _make(job: Job, raster: RasterStep, spec: RasterSpec, tasks: list[Task], join: Join | None) -> Commits:
@@ -116,7 +116,7 @@ def _make(job: Job, raster: RasterStep, spec: RasterSpec, tasks: list[Task], joi
     done, stale = job.split_commits(stage, tasks)
     job.invalidate(stage, stale)
     job.store.create_raster(name, spec.height, spec.width, raster.fill)
-    stored = {spec.block_at(*place, BLOCK_PIXELS).name for place in job.store.stored_blocks(name)}
+    stored = {spec.block_at(*first_pixel, BLOCK_PIXELS).name for first_pixel in job.store.stored_blocks(name)}
     lost = {key for key, (_, record) in done.items() if record.get("filled")} - stored
     if lost:
         job.note(f"gone from the store, and made again: {counted(len(lost), 'block')} of {name}")
@@ -225,9 +225,9 @@ def _why_empty(job: Job) -> str:
             "--returns or the like, or of a class that is kept (`tiler info` shows the classes); --keep-classes none "
             "filters the classes too"
         )
-    what = (
+    points_text = (
         f"points of class {', '.join(map(str, config.ground_classes))}"
         if config.method == KEEP
         else "ground points"
     )
-    return f"no three {what} lie within --max-edge {float(config.max_edge):g} m of one another"
+    return f"no three {points_text} lie within --max-edge {float(config.max_edge):g} m of one another"

@@ -85,9 +85,9 @@ def surface_heights(
 ) -> tuple[Heights, npt.NDArray[np.bool_], dict[str, Any]]:
     """Return the heights of any block without the terrain's limit, where they are measured, and the record."""
     block, bounds, limit = work.block, work.spec.block_bounds(work.block), full_halo(work.max_edge)
-    own = _returns(store, work, block)
-    measured = own[..., 2] != NOTHING
-    heights = np.where(measured, own[..., 2] / COUNTS_PER_UNIT, NODATA).astype(np.float32)
+    returns = _returns(store, work, block)
+    measured = returns[..., 2] != NOTHING
+    heights = np.where(measured, returns[..., 2] / COUNTS_PER_UNIT, NODATA).astype(np.float32)
     # A block with a return in every pixel needs no interpolation.
     halo, tries, marked = 0, 1, 0
     while not measured.all():
@@ -129,8 +129,8 @@ def _vertices(store: TileStore, work: SurfaceBlock, window: Bounds) -> Int32:
 
 def _returns(store: TileStore, work: SurfaceBlock, block: Block) -> Int32:
     """Return the highest supported return of each pixel, int32 (height, width, 3)."""
-    reach, origin = work.reach, store.meta.frame.origin
-    wider = Block(block.row - reach, block.col - reach, block.height + 2 * reach, block.width + 2 * reach)
+    radius, origin = work.reach, store.meta.frame.origin
+    wider = Block(block.row - radius, block.col - radius, block.height + 2 * radius, block.width + 2 * radius)
     bounds = work.spec.block_bounds(wider)
     highest = HighestReturns(wider.height, wider.width)
     for cell in store.buckets_within(bounds):
@@ -138,8 +138,8 @@ def _returns(store: TileStore, work: SurfaceBlock, block: Block) -> Int32:
         chosen &= points.inside(bounds, origin)
         xyz = np.ascontiguousarray(points.xyz[:, chosen])
         highest.add(pixel_indices(xyz, origin, work.spec, wider), xyz)
-    supported = highest.supported(reach, float(work.spike))
-    return supported[reach : reach + block.height, reach : reach + block.width]
+    supported = highest.supported(radius, float(work.spike))
+    return supported[radius : radius + block.height, radius : radius + block.width]
 
 
 def reach_pixels(pixel_m: Fraction) -> int:

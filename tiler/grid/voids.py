@@ -127,8 +127,8 @@ def find_voids(store_url: str, work: FindVoids) -> dict[str, Any]:
         box = Block(
             block.row + down.start, block.col + right.start, down.stop - down.start, right.stop - right.start
         )
-        mine = labels[down, right] == number
-        blocks.append(block_runs(mine, coarse.window(box), spec, BLOCK_PIXELS, NEAR))
+        hole_mask = labels[down, right] == number
+        blocks.append(block_runs(hole_mask, coarse.window(box), spec, BLOCK_PIXELS, NEAR))
     return {
         "sides": sides,
         "labels": len(blocks),
@@ -146,9 +146,11 @@ def _around_small_pixels(store: TileStore, rasters: VoidRasters, block: Block) -
         rows, cols = np.nonzero(_void(store, rasters, piece))
         if len(rows):
             cell_rows, cell_cols = coarse_cells(coarse, spec, piece)
-            places = cell_rows[rows] - block.row, cell_cols[cols] - block.col
-            own = (places[0] >= 0) & (places[0] < block.height) & (places[1] >= 0) & (places[1] < block.width)
-            empty[places[0][own], places[1][own]] = True
+            cells = cell_rows[rows] - block.row, cell_cols[cols] - block.col
+            in_block = (
+                (cells[0] >= 0) & (cells[0] < block.height) & (cells[1] >= 0) & (cells[1] < block.width)
+            )
+            empty[cells[0][in_block], cells[1][in_block]] = True
     return empty
 
 
@@ -179,7 +181,7 @@ def fill_block(store_url: str, work: FillBlock) -> dict[str, Any]:
     store, block, rasters = open_store(store_url), work.block, work.rasters
     heights = store.read_block(rasters.heights, block)
     empty = _void(store, rasters, block)
-    before = int(np.count_nonzero(heights != np.float32(NODATA)))
+    filled_before = int(np.count_nonzero(heights != np.float32(NODATA)))
     for void in work.voids:
         inside = empty & _holds(store, rasters, void, block)
         if inside.any():
@@ -189,7 +191,12 @@ def fill_block(store_url: str, work: FillBlock) -> dict[str, Any]:
     edit_heights(store, work.edits, rasters.spec, block, heights)
     store.write_block(work.name, block, heights)
     after = int(np.count_nonzero(heights != np.float32(NODATA)))
-    return {"pixels": heights.size, "filled": after, "added": after - before, "checksum": checksum(heights)}
+    return {
+        "pixels": heights.size,
+        "filled": after,
+        "added": after - filled_before,
+        "checksum": checksum(heights),
+    }
 
 
 def _void(store: TileStore, rasters: VoidRasters, block: Block) -> npt.NDArray[np.bool_]:
@@ -214,10 +221,10 @@ def _rim(store: TileStore, rasters: VoidRasters, void: Void) -> tuple[Int32, Int
     cores: set[Block] = set()
     for area in void.pieces:
         cells = coarse.block_at(area.row, area.col, BLOCK_PIXELS)
-        mine = store.read_block(rasters.numbers, cells) == area.label
-        cores.update(blocks_of(block_runs(mine, coarse.window(cells), spec, PIECE, 1), spec, PIECE))
-    found = [_rim_of_piece(store, rasters, void, piece) for piece in sorted(cores, key=north_west)]
-    x, y, z = np.concatenate([np.empty((3, 0), np.int64), *found], axis=1)
+        piece_mask = store.read_block(rasters.numbers, cells) == area.label
+        cores.update(blocks_of(block_runs(piece_mask, coarse.window(cells), spec, PIECE, 1), spec, PIECE))
+    rim_parts = [_rim_of_piece(store, rasters, void, piece) for piece in sorted(cores, key=north_west)]
+    x, y, z = np.concatenate([np.empty((3, 0), np.int64), *rim_parts], axis=1)
     east, north = store.meta.frame.origin
     return (x - east).astype(np.int32), (y - north).astype(np.int32), z.astype(np.int32)
 
@@ -228,11 +235,11 @@ def _rim_of_piece(store: TileStore, rasters: VoidRasters, void: Void, core: Bloc
     top, left = max(core.row - 1, 0), max(core.col - 1, 0)
     bottom, right = min(core.row + core.height + 1, spec.height), min(core.col + core.width + 1, spec.width)
     wide = Block(top, left, bottom - top, right - left)
-    mine = _holds(store, rasters, void, wide)
-    if not mine.any():
+    hole_cells_mask = _holds(store, rasters, void, wide)
+    if not hole_cells_mask.any():
         return np.empty((3, 0), np.int64)
     heights = store.read_block(rasters.heights, wide)
-    empty = mine & _void(store, rasters, wide)
+    empty = hole_cells_mask & _void(store, rasters, wide)
     rim = scipy.ndimage.binary_dilation(empty, AROUND) & (heights != np.float32(NODATA))
     rows, cols = np.nonzero(rim)
     rows, cols = rows + wide.row, cols + wide.col

@@ -141,7 +141,7 @@ class Rim(NamedTuple):
 
     def plus(self, other: Rim) -> Rim:
         """Return the sum of two counts."""
-        return Rim(*(mine + theirs for mine, theirs in zip(self, other, strict=True)))
+        return Rim(*(own_count + other_count for own_count, other_count in zip(self, other, strict=True)))
 
     @property
     def known(self) -> bool:
@@ -254,18 +254,18 @@ def _near_ground(
 ) -> Floats:
     """Return ``level`` of the ground [n, k] of the k nearest known cells of n places (row, column)."""
     heights, tree = ground[known], scipy.spatial.cKDTree(np.argwhere(known))
-    found = np.empty(len(places))
+    levels = np.empty(len(places))
     for first in range(0, len(places), PLACES_PER_BATCH):
         part = places[first : first + PLACES_PER_BATCH]
         _, near = tree.query(part, k=min(NEAREST, len(heights)))
-        found[first : first + len(part)] = level(heights[near.reshape(len(part), -1)])
-    return found
+        levels[first : first + len(part)] = level(heights[near.reshape(len(part), -1)])
+    return levels
 
 
 def disk(radius: float) -> Bools:
     """Return a mask of the cells within a radius of the middle one."""
-    reach = max(int(radius), 1)
-    y, x = np.mgrid[-reach : reach + 1, -reach : reach + 1]
+    radius_cells = max(int(radius), 1)
+    y, x = np.mgrid[-radius_cells : radius_cells + 1, -radius_cells : radius_cells + 1]
     return np.asarray(x * x + y * y <= max(radius, 1.0) ** 2)
 
 

@@ -37,10 +37,10 @@ def smoothed(ground: Floats) -> Floats:
     for axis in (0, 1, 0, 1):
         before, after = np.roll(part, 1, axis), np.roll(part, -1, axis)
         part = np.fmax(np.fmin(before, after), np.fmin(np.fmax(before, after), part))
-    found = np.full_like(ground, np.nan)
-    found[box] = part
-    found[~known] = np.nan
-    return found
+    smooth_ground = np.full_like(ground, np.nan)
+    smooth_ground[box] = part
+    smooth_ground[~known] = np.nan
+    return smooth_ground
 
 
 def water_heights(cells: WaterCells, wet: Bools) -> Floats | None:
@@ -65,17 +65,17 @@ def water_heights(cells: WaterCells, wet: Bools) -> Floats | None:
 
 def shore_area(cells: WaterCells, water: Bools, reach: int) -> Bools:
     """Extend water over connected cells up to ``reach`` away that are as low as its level."""
-    found, box = water.copy(), box_around(water, reach)
+    extended_water, box = water.copy(), box_around(water, reach)
     near, wet = cells.cut(box), water[box]
     level = water_heights(near, wet)
     if level is None:
-        return found
+        return extended_water
     above = near.ground - level
     deep = scipy.ndimage.binary_opening(above < -BELOW_M, np.ones((DEEP_CELLS, DEEP_CELLS), np.bool_))
     low = near.domain & ~deep & ((above <= LEVEL_M) | np.isnan(above))
     low = scipy.ndimage.binary_opening(low | wet, np.ones((3, 3), np.bool_)) | wet
-    found[box] = scipy.ndimage.binary_dilation(wet, iterations=reach, mask=low)
-    return found
+    extended_water[box] = scipy.ndimage.binary_dilation(wet, iterations=reach, mask=low)
+    return extended_water
 
 
 def close_bridge_gaps(ground: Floats, water: Bools, size_m: float, longest_island: int) -> Bools:

@@ -76,13 +76,13 @@ def describe_body(store_url: str, work: DescribeBody) -> dict[str, Any]:
     size_m = float(coarse.lattice.size * store.meta.frame.metres_xy)
     polygons: list[Any] = []
     ends, faces, cells = [np.empty((0, 2), np.int64)], 0, 0
-    for block, mine in _blocks(store, work):
+    for block, body_mask in _blocks(store, work):
         polygons += _polygons(store, work, block)
         beyond = read_cells(store, work.sources.domain, coarse, padded(block, 1), float(BEYOND)) == BEYOND
-        leaving, sides = _leaving(mine, beyond)
+        leaving, sides = _leaving(body_mask, beyond)
         ends.append(np.argwhere(leaving) + (block.row, block.col))
         faces += sides
-        cells += int(mine[1:-1, 1:-1].sum())
+        cells += int(body_mask[1:-1, 1:-1].sum())
     side = float(coarse.lattice.size)
     whole = _without_islands(shapely.union_all(polygons), work.island_m2 * (side / size_m) ** 2)
     shore = shapely.get_exterior_ring(shapely.get_parts(whole))
@@ -103,12 +103,12 @@ def _blocks(store: TileStore, work: DescribeBody) -> Iterator[tuple[Block, Bools
 
 def _leaving(mine: Bools, beyond: Bools) -> tuple[Bools, int]:
     """Return a mask of the cells at the border of the survey, and the number of their sides there."""
-    found, sides = np.zeros_like(mine), 0
+    leaving_mask, sides = np.zeros_like(mine), 0
     for axis, step in ((0, 1), (0, -1), (1, 1), (1, -1)):
         edge = mine & np.roll(beyond, step, axis)
         sides += int(edge.sum())
-        found |= edge
-    return found[1:-1, 1:-1], sides
+        leaving_mask |= edge
+    return leaving_mask[1:-1, 1:-1], sides
 
 
 def _exits(cells: Any) -> int:
@@ -145,11 +145,11 @@ def _without_islands(whole: Any, least: float) -> Any:
     """Return a shape without its holes of an area below ``least``."""
     import shapely
 
-    found = []
+    polygons = []
     for polygon in shapely.get_parts(whole):
         holes = [ring for ring in polygon.interiors if shapely.Polygon(ring).area >= least]
-        found.append(shapely.Polygon(polygon.exterior, holes))
-    return shapely.union_all(found)
+        polygons.append(shapely.Polygon(polygon.exterior, holes))
+    return shapely.union_all(polygons)
 
 
 def _area(whole: Any, side: float) -> Area:

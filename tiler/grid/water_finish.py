@@ -58,8 +58,8 @@ class FinishWater(BlockWork):
 
 def finish_margin(work: FinishWater, size_m: float) -> int:
     """Return the margin around a block, in coarse cells, on which its final water depends."""
-    reach = math.ceil(SHORE_M / size_m) + math.ceil(2 * BRIDGE_M / size_m)
-    return reach + math.ceil(2 * work.river_width_m / size_m) + 2 + _longest_island(work, size_m)
+    base_margin = math.ceil(SHORE_M / size_m) + math.ceil(2 * BRIDGE_M / size_m)
+    return base_margin + math.ceil(2 * work.river_width_m / size_m) + 2 + _longest_island(work, size_m)
 
 
 def _longest_island(work: FinishWater, size_m: float) -> int:

@@ -65,9 +65,9 @@ def ground_cells(store_url: str, work: GroundCells) -> dict[str, Any]:
         rows, cols = rows - block.row, cols - block.col
         own_rows, own_cols = (rows >= 0) & (rows < block.height), (cols >= 0) & (cols < block.width)
         known = (heights != np.float32(NODATA)) & own_rows[:, None] & own_cols
-        places = (rows[:, None] * block.width + cols)[known]
-        total += np.bincount(places, np.rint(heights[known].astype(np.float64) * COUNTS_PER_UNIT), size)
-        number += np.bincount(places, minlength=size)
+        cell_indices = (rows[:, None] * block.width + cols)[known]
+        total += np.bincount(cell_indices, np.rint(heights[known].astype(np.float64) * COUNTS_PER_UNIT), size)
+        number += np.bincount(cell_indices, minlength=size)
     mean = _means(total, number).reshape(block.height, block.width)
     if work.occupancy is not None:
         water = _given_heights(store, work, work.occupancy)
@@ -79,9 +79,9 @@ def ground_cells(store_url: str, work: GroundCells) -> dict[str, Any]:
 
 def _means(total: Floats, number: npt.NDArray[np.int64]) -> Floats:
     """Convert sums and numbers of heights in counts to means in units of the CRS, `NODATA` for none."""
-    found = np.full(total.shape, NODATA)
-    np.divide(total, number * COUNTS_PER_UNIT, out=found, where=number > 0)
-    return found
+    means = np.full(total.shape, NODATA)
+    np.divide(total, number * COUNTS_PER_UNIT, out=means, where=number > 0)
+    return means
 
 
 def _given_heights(store: TileStore, work: GroundCells, occupancy: str) -> Floats:
@@ -96,13 +96,13 @@ def _given_heights(store: TileStore, work: GroundCells, occupancy: str) -> Float
             continue
         chosen &= points.inside(bounds, origin) & (points.classification == WATER)
         xyz = points.xyz[:, chosen]
-        places = pixel_indices(xyz, origin, work.spec, window)
-        total += np.bincount(places, xyz[2], returns.size)
-        number += np.bincount(places, minlength=returns.size)
+        cell_indices = pixel_indices(xyz, origin, work.spec, window)
+        total += np.bincount(cell_indices, xyz[2], returns.size)
+        number += np.bincount(cell_indices, minlength=returns.size)
     mean = _means(total, number).reshape(returns.shape)
-    found = np.full(returns.shape, NODATA)
+    heights = np.full(returns.shape, NODATA)
     if (returns != 0).any():
         distance, near = scipy.ndimage.distance_transform_edt(returns == 0, return_indices=True)
         water = (returns[tuple(near)] < 0) & (distance <= NEAR_CELLS)
-        found[water] = mean[tuple(near)][water]
-    return found[NEAR_CELLS:-NEAR_CELLS, NEAR_CELLS:-NEAR_CELLS]
+        heights[water] = mean[tuple(near)][water]
+    return heights[NEAR_CELLS:-NEAR_CELLS, NEAR_CELLS:-NEAR_CELLS]

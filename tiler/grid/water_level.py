@@ -89,28 +89,28 @@ def level_water(store_url: str, work: LevelWater) -> dict[str, Any]:
     )
     beside, within = heights_of(store, work)
     shore = beside.xyz[:, beside.distance <= SHORE_PIXELS]
-    found: Water | None = None
+    levelled: Water | None = None
     if max(shore.shape[1], within.shape[1]) >= MIN_PIXELS:
         profile = None
         if body.kind == RIVER:
             profile = _profile(body, shore, within, float(STATION_PIXELS * work.spec.lattice.size), scale)
         if profile is not None and len(profile.stations) > 1:
-            found = replace(body, level=None, flow=profile.flow, stations=profile.stations)
+            levelled = replace(body, level=None, flow=profile.flow, stations=profile.stations)
         else:
             seen = water_level(within[2], scale)
             level = bank_level(shore[2] if shore.shape[1] else within[2]) if seen is None else seen
-            found = replace(body, level=math.floor(level), flow=None)
-    if found is not None and work.joins_pockets:
-        joined = pockets(found, beside, NOISE_M * scale.z)
+            levelled = replace(body, level=math.floor(level), flow=None)
+    if levelled is not None and work.joins_pockets:
+        joined = pockets(levelled, beside, NOISE_M * scale.z)
         if joined.any():
-            found = with_pixels(found, beside.xyz[:2, joined], float(work.spec.lattice.size))
+            levelled = with_pixels(levelled, beside.xyz[:2, joined], float(work.spec.lattice.size))
             shore = beside.xyz[:, (beside.distance <= SHORE_PIXELS) & ~joined]
     low, high = np.percentile(within[2], (25, 75)) if within.shape[1] else (0.0, 0.0)
     return {
         "shore": shore.shape[1],
-        "body": None if found is None else found.to_json(),
-        "floating": _floating(found, shore, NOISE_M * scale.z),
-        "uneven": found is not None and found.flow is None and bool(high - low > SMOOTH_M * scale.z),
+        "body": None if levelled is None else levelled.to_json(),
+        "floating": _floating(levelled, shore, NOISE_M * scale.z),
+        "uneven": levelled is not None and levelled.flow is None and bool(high - low > SMOOTH_M * scale.z),
     }
 
 
@@ -151,8 +151,8 @@ def heights_of(store: TileStore, work: LevelWater) -> tuple[Beside, Counts]:
         x, y = spec.centres(wide)
         xyz = np.stack((x, y, np.rint(heights.astype(np.float64) * COUNTS_PER_UNIT).astype(np.int64)))
         beside &= known
-        places = np.argwhere(beside).T + np.array([[wide.row], [wide.col]])
-        besides.append(np.concatenate((xyz[:, beside], places, distance[None, beside])))
+        rows_and_columns = np.argwhere(beside).T + np.array([[wide.row], [wide.col]])
+        besides.append(np.concatenate((xyz[:, beside], rows_and_columns, distance[None, beside])))
         insides.append(xyz[:, inside & known & some])
     within = np.concatenate(insides, axis=1) if work.cells is None else _seen(store, work, *work.cells)
     columns = np.concatenate(besides, axis=1)
@@ -161,7 +161,7 @@ def heights_of(store: TileStore, work: LevelWater) -> tuple[Beside, Counts]:
 
 def _seen(store: TileStore, work: LevelWater, points: str, ground: str) -> Counts:
     """Return absolute counts x, y, z of cells with returns within the body: int64 (3, n)."""
-    coarse, area, found = work.coarse, work.body.area, [np.empty((3, 0), np.int64)]
+    coarse, area, cell_points = work.coarse, work.body.area, [np.empty((3, 0), np.int64)]
     cells = polygon_of(area).area / float(coarse.lattice.size) ** 2
     step = math.ceil(math.sqrt(max(cells / MAX_WITHIN, 1.0)))
     for block in coarse.blocks_within(area.bounds, BLOCK_PIXELS):
@@ -175,8 +175,8 @@ def _seen(store: TileStore, work: LevelWater, points: str, ground: str) -> Count
         seen &= some & (store.read_block(points, part) != 0) & (heights != np.float32(NODATA))
         x, y = coarse.centres(part)
         z = np.rint(heights.astype(np.float64) * COUNTS_PER_UNIT).astype(np.int64)
-        found.append(np.stack((x, y, z))[:, seen])
-    return np.concatenate(found, axis=1)
+        cell_points.append(np.stack((x, y, z))[:, seen])
+    return np.concatenate(cell_points, axis=1)
 
 
 def _padded(spec: RasterSpec, block: Block, reach: int) -> Block:

@@ -152,26 +152,29 @@ def count_plane_rims(store_url: str, work: CountPlaneRims) -> dict[str, Any]:
         second rim, which leaves out all planes that may be water. ``beside``: pairs of a plane and an evident one near
         it.
     """
-    evident, among, found, beside = set(work.evident), {*work.evident, *work.others}, [], []
+    evident, among, named_rims, beside = set(work.evident), {*work.evident, *work.others}, [], []
     near = _planes(store_url, work, among)
     of_evident = np.array([False, *(name in evident for name in near.names)])
     of_any = np.array([False, *(name in among for name in near.names)])
     for number, window in near.windows(among):
         name, part, numbers = near.names[number - 1], near.cells.cut(window), near.numbers[window]
-        mine = numbers == number
-        water = shore_area(part, mine, SHORE_CELLS)
+        plane_mask = numbers == number
+        water = shore_area(part, plane_mask, SHORE_CELLS)
         wet = of_evident[numbers] & ~water
         if name in evident:
             rims = [
-                _rim(part, water, others & ~water, near.counted[window]) for others in (wet, of_any[numbers])
+                _rim(part, water, left_out & ~water, near.counted[window])
+                for left_out in (wet, of_any[numbers])
             ]
         else:
             rims = [rim_of(part, water, np.zeros_like(water), near.counted[window], wet)]
         if any(map(any, rims)):
-            found.append([list(name), *map(list, rims)])
-        close = wet & near.counted[window] & (distances(mine, DAM_M / part.size + 1) * part.size <= DAM_M)
+            named_rims.append([list(name), *map(list, rims)])
+        close = (
+            wet & near.counted[window] & (distances(plane_mask, DAM_M / part.size + 1) * part.size <= DAM_M)
+        )
         beside += [[list(name), list(near.names[other - 1])] for other in np.unique(numbers[close])]
-    return {"rims": found, "beside": beside}
+    return {"rims": named_rims, "beside": beside}
 
 
 def _rim(cells: WaterCells, water: Bools, others: Bools, counted: Bools) -> Rim:
@@ -192,11 +195,11 @@ def keep_planes(store_url: str, work: KeepPlanes) -> dict[str, Any]:
     """
     kept, block = dict(work.kept), work.block
     near = _planes(store_url, work, kept)
-    found = np.zeros(near.numbers.shape, np.float32)
+    confidence = np.zeros(near.numbers.shape, np.float32)
     for number, window in near.windows(kept):
         water = shore_area(near.cells.cut(window), near.numbers[window] == number, SHORE_CELLS)
-        found[window][water] = np.maximum(found[window][water], kept[near.names[number - 1]])
-    values = near.of_block(found)
+        confidence[window][water] = np.maximum(confidence[window][water], kept[near.names[number - 1]])
+    values = near.of_block(confidence)
     open_store(store_url).write_block(work.name, block, values)
     return {"filled": int(np.count_nonzero(values)), "checksum": checksum(values)}
 

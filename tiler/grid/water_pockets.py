@@ -59,9 +59,9 @@ def pockets(body: Water, beside: Beside, noise: float) -> npt.NDArray[np.bool_]:
     x, y, z = beside.xyz
     depth = body.heights(x, y) - z
     low = np.flatnonzero(depth > 0)
-    found = np.zeros(len(x), np.bool_)
+    is_pocket = np.zeros(len(x), np.bool_)
     if not len(low):
-        return found
+        return is_pocket
     pairs = scipy.spatial.cKDTree(beside.places[:, low].T).query_pairs(1, p=np.inf, output_type="ndarray")
     links = scipy.sparse.coo_array((np.ones(len(pairs)), pairs.T), (len(low), len(low)))
     count, label = scipy.sparse.csgraph.connected_components(links, directed=False)
@@ -69,8 +69,8 @@ def pockets(body: Water, beside: Beside, noise: float) -> npt.NDArray[np.bool_]:
     touches = np.bincount(label, distance == 1, count) > 0
     leaves = np.bincount(label, distance >= POCKET_PIXELS, count) > 0
     deep = np.bincount(label, depth[low] > noise, count) > 0
-    found[low] = (touches & ~leaves & deep)[label]
-    return found
+    is_pocket[low] = (touches & ~leaves & deep)[label]
+    return is_pocket
 
 
 def with_pixels(body: Water, centres: Counts, pixel: float) -> Water:
@@ -78,6 +78,6 @@ def with_pixels(body: Water, centres: Counts, pixel: float) -> Water:
     import shapely
 
     x, y = centres
-    reach = OVERLAP * pixel
-    joined = shapely.box(x - reach, y - reach, x + reach, y + reach)
+    half_side = OVERLAP * pixel
+    joined = shapely.box(x - half_side, y - half_side, x + half_side, y + half_side)
     return replace(body, area=area_of(shapely.union_all([polygon_of(body.area), *joined])))

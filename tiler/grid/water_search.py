@@ -116,9 +116,9 @@ def find_areas(store_url: str, work: FindAreas) -> dict[str, Any]:
     """
     store, block = open_store(store_url), work.block
     cells = read_search_cells(store, work.sources, work.spec, padded(block, MARGIN), work.times)
-    found = water_areas(cells, work.usual).repeat(work.times, axis=0).repeat(work.times, axis=1)
+    candidate_mask = water_areas(cells, work.usual).repeat(work.times, axis=0).repeat(work.times, axis=1)
     fine = cells.finer(work.times).cut(inner_window(block, MARGIN))
-    labels, sides = label_block(found[inner_window(block, MARGIN)], corners=False)
+    labels, sides = label_block(candidate_mask[inner_window(block, MARGIN)], corners=False)
     values = labels.astype(np.float32)
     store.write_block(work.name, block, values)
     count = int(labels.max(initial=0))
@@ -141,14 +141,14 @@ def count_rims(store_url: str, work: CountRims) -> dict[str, Any]:
     dict
         ``rims``: name of each area, and its `tiler.grid.water_cells.Rim`.
     """
-    near, found = areas_around(open_store(store_url), work, None, BESIDE_M), []
+    near, named_rims = areas_around(open_store(store_url), work, None, BESIDE_M), []
     for number, window in near.windows(None):
-        mine = near.numbers[window] == number
-        others = (near.numbers[window] > 0) & ~mine
-        rim = rim_of(near.cells.cut(window), mine, others, near.counted[window])
+        area_mask = near.numbers[window] == number
+        other_areas_mask = (near.numbers[window] > 0) & ~area_mask
+        rim = rim_of(near.cells.cut(window), area_mask, other_areas_mask, near.counted[window])
         if any(rim):
-            found.append([list(near.names[number - 1]), list(rim)])
-    return {"rims": found}
+            named_rims.append([list(near.names[number - 1]), list(rim)])
+    return {"rims": named_rims}
 
 
 def keep_areas(store_url: str, work: KeepAreas) -> dict[str, Any]:
@@ -222,9 +222,9 @@ class AreasAround:
     @cached_property
     def counted(self) -> Bools:
         """Mask of the cells of the block itself."""
-        found = np.zeros(self.numbers.shape, np.bool_)
-        found[self._own[0]] = True
-        return found
+        block_mask = np.zeros(self.numbers.shape, np.bool_)
+        block_mask[self._own[0]] = True
+        return block_mask
 
     @property
     def _own(self) -> tuple[Window, Window]:
@@ -241,10 +241,10 @@ class AreasAround:
 
     def of_block(self, values: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
         """Return the values of the window's cells for all cells of the block, 0 beyond the window."""
-        found = np.zeros((self.block.height, self.block.width), np.float32)
+        block_values = np.zeros((self.block.height, self.block.width), np.float32)
         here, there = self._own
-        found[there] = values[here]
-        return found
+        block_values[there] = values[here]
+        return block_values
 
     def windows(self, among: Collection[Piece] | None) -> Iterator[tuple[int, Window]]:
         """Yield the numbers of all (or some) areas and their padded windows, if these overlap the block."""
@@ -265,11 +265,11 @@ def areas_around(
     whole = padded(work.block, MARGIN)
     numbers, names = areas_within(store, work.areas, work.spec, whole, work.joins)
     some = names if among is None else among
-    wanted = np.array([False, *(name in some for name in names)])[numbers]
+    area_mask = np.array([False, *(name in some for name in names)])[numbers]
     pad = math.ceil(beside_m / float(work.spec.lattice.size * store.meta.frame.metres_xy)) + 1
     rows, cols = (
         slice(s.start // ALIGNED * ALIGNED, -(-s.stop // ALIGNED) * ALIGNED)
-        for s in box_around(wanted, pad + SEEN_CELLS)
+        for s in box_around(area_mask, pad + SEEN_CELLS)
     )
     numbers = numbers[rows, cols]
     window = Block(whole.row + rows.start, whole.col + cols.start, *numbers.shape)

@@ -43,13 +43,13 @@ def depths(cells: WaterCells, wet: Bools) -> Floats:
     above = cells.ground - level
     for _ in range(BANK_CELLS):
         wet = wet & ~_banks(above, wet, cells.returns > 0)
-    found = np.where(wet, -MAX_DEPTH_M, MAX_DEPTH_M)
+    bank_heights = np.where(wet, -MAX_DEPTH_M, MAX_DEPTH_M)
     beside = ~wet & ~np.isnan(above) & scipy.ndimage.binary_dilation(wet, AROUND)
-    found[beside] = np.clip(above[beside], MIN_DEPTH_M, MAX_DEPTH_M)
+    bank_heights[beside] = np.clip(above[beside], MIN_DEPTH_M, MAX_DEPTH_M)
     gone_on = _gone_on(above, wet)
     outermost = ~np.isnan(gone_on)
-    found[outermost] = np.clip(gone_on[outermost], -MAX_DEPTH_M, -MIN_DEPTH_M)
-    return found
+    bank_heights[outermost] = np.clip(gone_on[outermost], -MAX_DEPTH_M, -MIN_DEPTH_M)
+    return bank_heights
 
 
 def _banks(above: Floats, wet: Bools, seen: Bools) -> Bools:
@@ -72,9 +72,9 @@ def _gone_on(above: Floats, wet: Bools) -> Floats:
         here = wet & ~np.isnan(gone_on)
         total[here] += np.clip(gone_on[here], -MAX_DEPTH_M, MAX_DEPTH_M)
         number[here] += 1
-    found = np.full(wet.shape, np.nan)
-    np.divide(total, number, out=found, where=number > 0)
-    return found
+    heights = np.full(wet.shape, np.nan)
+    np.divide(total, number, out=heights, where=number > 0)
+    return heights
 
 
 def shore_polygons(field: Floats, coarse: RasterSpec, window: Block) -> list[Any]:
@@ -87,8 +87,8 @@ def shore_polygons(field: Floats, coarse: RasterSpec, window: Block) -> list[Any
     y = (coarse.north - window.row - np.arange(window.height) - 0.5) * side
     lines = contour_generator(x, y, field, fill_type=FillType.OuterOffset)
     outers, offsets = lines.filled(-2 * MAX_DEPTH_M, 0.0)  # type: ignore[misc]
-    found = []
-    for places, starts in zip(outers, offsets, strict=True):
-        rings = np.split(places, starts[1:-1])
-        found.append(shapely.make_valid(shapely.Polygon(rings[0], rings[1:])))
-    return found
+    polygons = []
+    for vertices, starts in zip(outers, offsets, strict=True):
+        rings = np.split(vertices, starts[1:-1])
+        polygons.append(shapely.make_valid(shapely.Polygon(rings[0], rings[1:])))
+    return polygons

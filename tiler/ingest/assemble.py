@@ -107,9 +107,9 @@ def assemble_buckets(store_url: str, work: AssembleBuckets) -> dict[str, Any]:
         if strays.any() and block.flags is not None:
             block = replace(block, flags=block.flags | (strays * np.uint8(STRAY_FLAG)))
         taking = _taking_part(block, work.keep_classes, work.skip_flags)
-        found = bucket_order(block, taking, meta.frame, meta.bucket, meta.fine, cell)
-        store.write_bucket(cell, block.take(found.order), found.n_candidates)
-        records.append(_record(cell, block, taking, strays, found, meta.frame))
+        ordering = bucket_order(block, taking, meta.frame, meta.bucket, meta.fine, cell)
+        store.write_bucket(cell, block.take(ordering.order), ordering.n_candidates)
+        records.append(_record(cell, block, taking, strays, ordering, meta.frame))
     return {"buckets": records}
 
 
@@ -201,10 +201,10 @@ def _by_origin(
     runs = np.cumsum(~again)
     tied = again.copy()
     tied[:-1] |= again[1:]
-    places = np.flatnonzero(tied)
-    sorted_places = places[np.lexsort((origin[order[places]], runs[places]))]
+    tied_positions = np.flatnonzero(tied)
+    sorted_places = tied_positions[np.lexsort((origin[order[tied_positions]], runs[tied_positions]))]
     result = order.copy()
-    result[places] = order[sorted_places]
+    result[tied_positions] = order[sorted_places]
     return result
 
 

@@ -24,13 +24,13 @@ def read_files(store_url: str, work: ReadFiles) -> dict[str, Any]:
 
     This is the function of a task.
     """
-    found = {}
-    for place, state in work.files:
+    results = {}
+    for location, state in work.files:
         try:
-            found[place] = {"content": _content(as_path(place), state)}
+            results[location] = {"content": _content(as_path(location), state)}
         except InputError as error:
-            found[place] = {"error": str(error)}
-    return found
+            results[location] = {"error": str(error)}
+    return results
 
 
 def _content(path: Path, state: FileState) -> str:

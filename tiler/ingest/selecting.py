@@ -41,17 +41,17 @@ def unselected(
     dict of str to bool (n,)
         Mask by the key of `Selection.options`.
     """
-    found: dict[str, Bools] = {}
+    masks: dict[str, Bools] = {}
     if selection.returns is not None:
-        found["returns"] = ~_of_returns(selection.returns, np.maximum(returns, 1))
+        masks["returns"] = ~_of_returns(selection.returns, np.maximum(returns, 1))
     if selection.scan_angle_deg is not None:
-        found["scan_angle"] = np.abs(angles_deg) > selection.scan_angle_deg
+        masks["scan_angle"] = np.abs(angles_deg) > selection.scan_angle_deg
     if selection.source_ids is not None:
-        wanted = parse_numbers(selection.source_ids, "point source ids", 0, MAX_SOURCE_ID)
-        found["source_id"] = ~np.isin(source_ids, wanted)
+        selected_ids = parse_numbers(selection.source_ids, "point source ids", 0, MAX_SOURCE_ID)
+        masks["source_id"] = ~np.isin(source_ids, selected_ids)
     if selection.drop_classes:
-        found["drop_classes"] = np.isin(classes, selection.drop_classes)
-    return found
+        masks["drop_classes"] = np.isin(classes, selection.drop_classes)
+    return masks
 
 
 def _of_returns(wanted: str, returns: npt.NDArray[np.uint8]) -> Bools:

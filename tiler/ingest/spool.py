@@ -107,7 +107,7 @@ def spool_piece(store_url: str, work: SpoolPiece) -> dict[str, Any]:
     """
     store = open_store(store_url)
     frame = store.meta.frame
-    before = fetched_bytes()
+    bytes_before = fetched_bytes()
     with unchanged(as_path(work.path), work.stamp, work.salvage) as header:
         keeper = _keeper(store, work, header)
         layers = TO_SELECT if work.selection.options else NEEDED
@@ -142,7 +142,7 @@ def spool_piece(store_url: str, work: SpoolPiece) -> dict[str, Any]:
         buckets=[list(entry) for entry in index],
         left=[list(entry) for entry in left],
         identity=work.identity,
-        fetched=fetched_bytes() - before,
+        fetched=fetched_bytes() - bytes_before,
         bounds=bounds,
         z=z,
     )
@@ -209,10 +209,10 @@ def _selected(
     if not selection.options:
         return replace(block, flags=flags), {WITHHELD: withheld}
     angles = scan_angles(records, header.point_format)
-    found = unselected(selection, block.returns, angles, records["point_source_id"], block.classification)
-    for left_out in found.values():
+    masks = unselected(selection, block.returns, angles, records["point_source_id"], block.classification)
+    for left_out in masks.values():
         flags = flags | (left_out * np.uint8(UNSELECTED_FLAG))
-    return replace(block, flags=flags), {**found, WITHHELD: withheld}
+    return replace(block, flags=flags), {**masks, WITHHELD: withheld}
 
 
 def place(
@@ -237,10 +237,10 @@ def place(
     rounding = 0.0
     origins = (*frame.origin, 0)
     for axis, name in enumerate("XYZ"):
-        found = to_counts(records[name], header.scales[axis], header.offsets[axis])
-        rounding = max(rounding, found.largest_rounding)
-        finite &= found.usable
-        shifted = found.counts - origins[axis]
+        converted = to_counts(records[name], header.scales[axis], header.offsets[axis])
+        rounding = max(rounding, converted.largest_rounding)
+        finite &= converted.usable
+        shifted = converted.counts - origins[axis]
         fits = fits_int32(shifted)
         framed &= fits
         local[axis] = np.where(fits, shifted, 0)

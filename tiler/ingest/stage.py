@@ -146,17 +146,17 @@ def _misplaced(job: Job, sources: list[Source], spooled: Commits) -> dict[str, s
     held = {s.name: sum(r.stored + r.dropped.get(OUTSIDE_AREA, 0) for r in records[s.name]) for s in sources}
     if not any(held.values()):
         return {}
-    found = {
+    reasons = {
         s.name: f"all its {s.info.points:,} points lie beyond the range of a run; check its scales and offsets"
         for s in sources
         if not held[s.name]
     }
     if job.plan.config.sheets is None:
-        found |= _far_away(job.plan, None if is_url(job.products) else Path(job.products), sources, spooled)
-    if found and (job.plan.config.on_error == "stop" or len(found) == len(sources)):
-        source = next(s for s in sources if s.name in found)
-        raise InputError(f"{source.info.path}: {found[source.name]}")
-    return found
+        reasons |= _far_away(job.plan, None if is_url(job.products) else Path(job.products), sources, spooled)
+    if reasons and (job.plan.config.on_error == "stop" or len(reasons) == len(sources)):
+        source = next(s for s in sources if s.name in reasons)
+        raise InputError(f"{source.info.path}: {reasons[source.name]}")
+    return reasons
 
 
 def _far_away(plan: Plan, out: Path | None, sources: list[Source], spooled: Commits) -> dict[str, str]:
@@ -177,10 +177,10 @@ def _far_away(plan: Plan, out: Path | None, sources: list[Source], spooled: Comm
     strays = strays_of(plan, doubtful, spooled)
     extents: dict[str, Bounds] = {}
     for source in doubtful:
-        mine = strays.get(source.number, Strays())
-        cells = {Cell(ix, iy) for r in records[source.name] for ix, iy, _ in r.buckets} - mine.alone
+        source_strays = strays.get(source.number, Strays())
+        cells = {Cell(ix, iy) for r in records[source.name] for ix, iy, _ in r.buckets} - source_strays.alone
         hull = lattice.hull(cells) if cells else told[source.name]
-        hull = hull if mine.extent is None else hull.intersection(mine.extent)
+        hull = hull if source_strays.extent is None else hull.intersection(source_strays.extent)
         if told[source.name].union(hull) != told[source.name]:
             extents[source.name] = hull
     extent = reduce(Bounds.union, extents.values(), plan.extent)
@@ -232,19 +232,21 @@ def assemble(job: Job, sources: list[Source], spooled: Commits) -> IngestResult:
 def _report_unfiltered(job: Job, assembled: IngestResult) -> None:
     """Count the input points per class, and report excluded classes with many points."""
     config = job.plan.config
-    found = sum_by_class(bucket.classes for bucket in assembled.records.values())
+    input_counts = sum_by_class(bucket.classes for bucket in assembled.records.values())
     kept_out = () if config.method == KEEP else config.keep_classes
     no_part = {
-        code: n for code, n in found.items() if int(code) in kept_out and int(code) not in config.drop_classes
+        code: n
+        for code, n in input_counts.items()
+        if int(code) in kept_out and int(code) not in config.drop_classes
     }
-    job.facts["classes"] = {"input": found, "no_part": no_part}
-    points = sum(found.values())
+    job.facts["classes"] = {"input": input_counts, "no_part": no_part}
+    points = sum(input_counts.values())
     for code, n in no_part.items():
         if n > MANY * points:
-            others = ",".join(str(c) for c in config.keep_classes if c != int(code)) or "none"
+            other_classes = ",".join(str(c) for c in config.keep_classes if c != int(code)) or "none"
             job.note(
                 f"{n / points:.1%} of the points ({n:,}) are of class {code}, which takes no part in the filter and is "
-                f"kept; where these clouds mean something else by it, --keep-classes {others} lets it take part"
+                f"kept; where these clouds mean something else by it, --keep-classes {other_classes} lets it take part"
             )
 
 
@@ -261,15 +263,15 @@ def _bring_back(job: Job, sources: list[Source], todo: list[Task]) -> None:
 def _report_strays(job: Job, sources: list[Source], assembled: IngestResult) -> None:
     """List the stray points in run.json, and report their number."""
     paths = {source.number: str(source.info.path) for source in sources}
-    found: list[dict[str, Any]] = []
+    strays: list[dict[str, Any]] = []
     for record in assembled.records.values():
         for number, row, x, y, z in record.strays:
-            found.append({"path": paths[number], "point": row, "x": x, "y": y, "z": z})
-    job.facts["counts"]["strays"] = len(found)
-    job.facts["strays"] = found
-    if found:
+            strays.append({"path": paths[number], "point": row, "x": x, "y": y, "z": z})
+    job.facts["counts"]["strays"] = len(strays)
+    job.facts["strays"] = strays
+    if strays:
         job.note(
-            f"{len(found)} points far from all others of their file, or outside of its bounds, are not filtered: "
+            f"{len(strays)} points far from all others of their file, or outside of its bounds, are not filtered: "
             "run.json lists them (strays)"
         )
 

@@ -57,15 +57,15 @@ def _given(text: str | None) -> Georeference | None:
     if text is None or text.strip().lower() == "none":
         return None
     try:
-        found = describe(CRS.from_user_input(text))
+        crs = describe(CRS.from_user_input(text))
     except CRSError as error:
         raise ConfigError(
             f"--crs {text}: {' '.join(str(error).split())[:150]}; write EPSG:25832, a WKT, or none"
         ) from error
-    if found.kind not in ("projected", "local"):
-        kind = "; ".join(found.notes) if found.kind == "missing" else f"{found.name} is {found.kind}"
+    if crs.kind not in ("projected", "local"):
+        kind = "; ".join(crs.notes) if crs.kind == "missing" else f"{crs.name} is {crs.kind}"
         raise ConfigError(f"--crs {text}: {kind}; give a projected CRS")
-    return found
+    return crs
 
 
 def _note_ignored_crs(
@@ -75,17 +75,17 @@ def _note_ignored_crs(
     notes: list[str],
 ) -> None:
     """Add a note if files have a CRS other than ``--crs``, which is then not used for them."""
-    own = [(g.wkt, g.name) for _, g in members if g.wkt is not None and g is not given]
-    if text is None or not own:
+    declared = [(g.wkt, g.name) for _, g in members if g.wkt is not None and g is not given]
+    if text is None or not declared:
         return
-    theirs = split(CRS.from_wkt(own[0][0]))[0]
-    wanted = None
+    file_crs = split(CRS.from_wkt(declared[0][0]))[0]
+    given_crs = None
     if given is not None and given.wkt is not None:
-        wanted = split(CRS.from_wkt(given.wkt))[0]
-    if theirs is None or wanted is None or not same_horizontal(wanted, theirs):
+        given_crs = split(CRS.from_wkt(given.wkt))[0]
+    if file_crs is None or given_crs is None or not same_horizontal(given_crs, file_crs):
         notes.append(
-            f"--crs {text}: is only for files without a CRS; {len(own)} of {len(members)} files have their own, "
-            f"{own[0][1]}, which is used; if it is wrong, write the right one into the files first "
+            f"--crs {text}: is only for files without a CRS; {len(declared)} of {len(members)} files have their own, "
+            f"{declared[0][1]}, which is used; if it is wrong, write the right one into the files first "
             "(`pdal translate IN OUT --writers.las.a_srs=EPSG:...`)"
         )
 
@@ -117,11 +117,11 @@ def _with_heights(own: Georeference, given: Georeference | None) -> Georeference
     """Return a file's CRS, or that of ``--crs`` if it adds a vertical CRS to the same horizontal one."""
     if given is None or given.wkt is None or own.wkt is None:
         return own
-    mine, vertical = split(CRS.from_wkt(own.wkt))
-    theirs, heights = split(CRS.from_wkt(given.wkt))
+    own_crs, vertical = split(CRS.from_wkt(own.wkt))
+    given_crs, heights = split(CRS.from_wkt(given.wkt))
     if vertical is not None or heights is None or own.vertical not in (None, given.vertical):
         return own
-    if mine is None or theirs is None or not same_horizontal(theirs, mine):
+    if own_crs is None or given_crs is None or not same_horizontal(given_crs, own_crs):
         return own
     return given
 

@@ -139,7 +139,7 @@ def _patches_of(
     octree: Octree, counts: list[int], sample: Array, bounds: Sequence[float]
 ) -> tuple[DensityPatch, ...]:
     """Return a patch for each square of an octree with points, clipped to the bounds."""
-    found = []
+    patches = []
     level = max(*(key[0] for key in octree.keys), math.isqrt(sample.shape[1] // IN_CELL).bit_length() - 1)
     for key, points in octree.spread(counts, sample, min(level, _LEVELS)).items():
         x0, y0, x1, y1 = octree.box(key)
@@ -150,8 +150,8 @@ def _patches_of(
             y1=min(max(y1, bounds[1]), bounds[3]),
             points=points,
         )
-        found.append(patch)
-    return tuple(found)
+        patches.append(patch)
+    return tuple(patches)
 
 
 def _few_outside(header: LasHeader, sample: Iterable[Records], claim: _BoundingBox) -> bool:
@@ -159,14 +159,14 @@ def _few_outside(header: LasHeader, sample: Iterable[Records], claim: _BoundingB
 
     Points fill ``claim`` if they extend over at least half of its width and height.
     """
-    places = np.concatenate([_plan_view(header, records) for records in sample], axis=1)
+    positions = np.concatenate([_plan_view(header, records) for records in sample], axis=1)
     tolerance = np.asarray(header.scales[:2])
     low = claim.low[:2] - tolerance
     high = claim.high[:2] + tolerance
-    inside = np.all((places >= low[:, None]) & (places <= high[:, None]), axis=0)
-    if not can_be_strays(int(np.count_nonzero(~inside)), places.shape[1]):
+    inside = np.all((positions >= low[:, None]) & (positions <= high[:, None]), axis=0)
+    if not can_be_strays(int(np.count_nonzero(~inside)), positions.shape[1]):
         return False
-    return bool(np.all(2 * np.ptp(places[:, inside], axis=1) >= high - low))
+    return bool(np.all(2 * np.ptp(positions[:, inside], axis=1) >= high - low))
 
 
 def _plan_view(header: LasHeader, records: Records) -> Array:
@@ -198,11 +198,11 @@ class _BoundingBox:
                 with np.errstate(over="ignore", invalid="ignore"):
                     ends = np.array([int(values.min()), int(values.max())]) * scale + offset
                     if not np.all(np.abs(ends) < FARTHEST):
-                        places = values.astype(np.float64) * scale + offset
-                        places = places[np.abs(places) < FARTHEST]
-                        if places.size == 0:
+                        coordinates = values.astype(np.float64) * scale + offset
+                        coordinates = coordinates[np.abs(coordinates) < FARTHEST]
+                        if coordinates.size == 0:
                             continue
-                        ends = np.array([places.min(), places.max()])
+                        ends = np.array([coordinates.min(), coordinates.max()])
                 low[axis] = min(low[axis], ends[0])
                 high[axis] = max(high[axis], ends[1])
         return cls(low, high)

@@ -63,11 +63,11 @@ def crs_of_keys(directory: bytes) -> KeyedCrs:
         notes.append("its GeoTIFF keys describe a CRS of their own, only EPSG codes are read")
     unit = _UNITS.get(keys.get(_LINEAR_UNIT, 0))
     if horizontal is not None and horizontal.is_projected and unit is not None:
-        own = horizontal.axis_info[0].unit_conversion_factor
-        if abs(own / float(unit) - 1) > 1e-9:
+        metres_per_unit = horizontal.axis_info[0].unit_conversion_factor
+        if abs(metres_per_unit / float(unit) - 1) > 1e-9:
             notes.append(
                 f"its GeoTIFF keys say {unit_label(unit)}, their EPSG:{keys[_PROJECTED]} is in "
-                f"{unit_label(exact_unit(own))}, which is used; use --units to change it"
+                f"{unit_label(exact_unit(metres_per_unit))}, which is used; use --units to change it"
             )
     vertical = _of_code(keys.get(_VERTICAL), [])
     if vertical is not None and not vertical.is_vertical:
@@ -121,9 +121,9 @@ def georeference(header: LasHeader) -> Georeference:
     notes: list[str] = []
     readers = [_from_wkt, _from_keys] if header.prefers_wkt else [_from_keys, _from_wkt]
     for read in readers:
-        found = read(header, notes)
-        if found is not None:
-            return found
+        file_crs = read(header, notes)
+        if file_crs is not None:
+            return file_crs
     return Georeference("missing", notes=tuple(notes))
 
 
@@ -165,8 +165,8 @@ def _from_wkt(header: LasHeader, notes: list[str]) -> Georeference | None:
             notes.append("its WKT record is empty")
             continue
         try:
-            found = _described(text)
-            return replace(found, notes=(*notes, *found.notes))
+            file_crs = _described(text)
+            return replace(file_crs, notes=(*notes, *file_crs.notes))
         except CRSError as error:
             notes.append(f"its WKT cannot be read ({' '.join(str(error).split())[:120]})")
     return None
@@ -191,9 +191,9 @@ def _from_keys(header: LasHeader, notes: list[str]) -> Georeference | None:
         both = CompoundCRS(
             f"{keyed.horizontal.name} + {keyed.vertical.name}", [keyed.horizontal, keyed.vertical]
         )
-        found = describe(both, notes)
-        if keyed.vertical_unit not in (None, found.vertical):
+        compound = describe(both, notes)
+        if keyed.vertical_unit not in (None, compound.vertical):
             # The key takes precedence over the EPSG entry: heights may be in feet, their datum in metres.
             return describe(keyed.horizontal, notes, keyed.vertical_unit)
-        return found
+        return compound
     return None

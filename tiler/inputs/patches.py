@@ -80,11 +80,11 @@ def find_patches(
         step = max(round(sum(run.shape[1] for run in inside) / points), 1)
         divided = divided[::step]
         share = points / len(divided)
-    found = []
+    patches = []
     for parts in divided:
         total = sum(part.shape[1] for part in parts)
-        found += [_patch(part, share * part.shape[1] / total, low, high) for part in parts]
-    return tuple(found)
+        patches += [_patch(part, share * part.shape[1] / total, low, high) for part in parts]
+    return tuple(patches)
 
 
 def _cells(
@@ -97,8 +97,8 @@ def _cells(
     total = sample.shape[1]
     across = min(max(math.isqrt(total // IN_CELL), 1), _CELLS)
     side = (high - low) / across
-    place = np.floor((sample - low[:, None]) / np.where(side > 0, side, 1.0)[:, None]).astype(np.int64)
-    cells, held = np.unique(np.minimum(place, across - 1), axis=1, return_counts=True)
+    indices = np.floor((sample - low[:, None]) / np.where(side > 0, side, 1.0)[:, None]).astype(np.int64)
+    cells, held = np.unique(np.minimum(indices, across - 1), axis=1, return_counts=True)
     corners = (low + cells.T * side).tolist()
     return tuple(
         DensityPatch(x, y, x + float(side[0]), y + float(side[1]), points * number / total)
@@ -117,10 +117,10 @@ def _divide(run: npt.NDArray[np.float64], points: float) -> list[npt.NDArray[np.
         return [run]
     axis = int(np.argmax(sides))
     first = run[axis] <= run[axis].min() + sides[axis] / 2
-    found = []
+    parts = []
     for half in (run[:, first], run[:, ~first]):
-        found += _divide(half, points * half.shape[1] / total)
-    return found
+        parts += _divide(half, points * half.shape[1] / total)
+    return parts
 
 
 def _patch(

@@ -84,8 +84,8 @@ class EptDataset:
 
 def is_ept(text: str | Path) -> bool:
     """Return whether an input has the file name ``ept.json``."""
-    place = str(text).partition("?")[0] if is_url(text) else str(text)
-    return place.lower().replace("\\", "/").rpartition("/")[2] == NAME
+    path = str(text).partition("?")[0] if is_url(text) else str(text)
+    return path.lower().replace("\\", "/").rpartition("/")[2] == NAME
 
 
 def read_point_tiles(text: str) -> EptDataset:
@@ -93,9 +93,9 @@ def read_point_tiles(text: str) -> EptDataset:
 
     Raise InputError if it cannot be read, or if its points are not in LAZ files.
     """
-    found = _read(text, text)
-    kind = found.get("dataType")
-    bounds = found.get("bounds")
+    content = _read(text, text)
+    kind = content.get("dataType")
+    bounds = content.get("bounds")
     if kind != "laszip":
         _refuse(
             text,
@@ -104,16 +104,16 @@ def read_point_tiles(text: str) -> EptDataset:
         )
     if not _is_cube(bounds):
         _refuse(text, f"has bounds {excerpt(str(bounds))}, no cube")
-    points = found.get("points")
+    points = content.get("points")
     if not isinstance(points, int) or abs(points) >= 1 << 63:
         points = None
-    scales, has_rgb = _schema(found)
+    scales, has_rgb = _schema(content)
     return EptDataset(
         text=text,
         west=float(bounds[0]),
         south=float(bounds[1]),
         side=float(bounds[3] - bounds[0]),
-        wkt=_wkt(text, found),
+        wkt=_wkt(text, content),
         points=points,
         scales=scales,
         has_rgb=has_rgb,

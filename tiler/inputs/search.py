@@ -73,7 +73,7 @@ def find_inputs(
     """
     if not paths:
         raise ConfigError("no input; give LAS or LAZ files, folders, globs or .vpc files")
-    found: dict[Path, Path] = {}
+    clouds: dict[Path, Path] = {}
     reported: list[str] = []
 
     def report(text: str) -> None:
@@ -83,22 +83,22 @@ def find_inputs(
     for text in chain.from_iterable(_globbed_lists(str(path)) for path in paths):
         if _is_there_as_list(text):
             for path in _listed(text, wanted, listed, in_process):
-                found.setdefault(_real(path), path)
+                clouds.setdefault(_real(path), path)
             continue
         root, candidates = _expanded(text, report)
-        own = results and not is_url(text) and not any(path.parent == root for path in candidates)
-        made = _Made(root, root / CLASSIFIED if own else None, out, report)
+        reads_results = results and not is_url(text) and not any(path.parent == root for path in candidates)
+        made = _Made(root, root / CLASSIFIED if reads_results else None, out, report)
         for path in made.without(candidates):
-            known = found.setdefault(_real(path), path)
+            known = clouds.setdefault(_real(path), path)
             if known is not path:
                 report(f"{path}: named twice (as {known}), read once")
-    if not found:
+    if not clouds:
         why = f" ({reported[0]})" if reported else ""
         raise InputError(
             f"{', '.join(map(str, paths))}: no .las or .laz file there{why}; give files, folders or globs"
         )
-    urls = sorted((path for path in found.values() if is_url(path)), key=str)
-    return sorted(path for path in found.values() if not is_url(path)) + urls
+    urls = sorted((path for path in clouds.values() if is_url(path)), key=str)
+    return sorted(path for path in clouds.values() if not is_url(path)) + urls
 
 
 def is_list(text: str | Path) -> bool:
@@ -121,13 +121,13 @@ def _is_there_as_list(text: str) -> bool:
 def _listed(text: str, wanted: Wanted, listed: Listed, in_process: bool) -> list[Path]:
     """Return the clouds in a virtual point cloud, or the files of the selected nodes of point tiles."""
     if is_virtual(text):
-        places = read_list(text, members, text, SUFFIXES, in_process=in_process)
-        return [as_path(place) for place in places]
+        locations = read_list(text, members, text, SUFFIXES, in_process=in_process)
+        return [as_path(location) for location in locations]
     tiles = read_list(text, read_point_tiles, text, in_process=in_process)
-    found = read_list(text, node_files, tiles, wanted(tiles), in_process=in_process)
-    if not found:
+    node_counts = read_list(text, node_files, tiles, wanted(tiles), in_process=in_process)
+    if not node_counts:
         raise ConfigError(f"{text}: has no points near the requested area; check --bounds or --aoi")
-    counts = {as_path(place): count for place, count in found.items()}
+    counts = {as_path(location): count for location, count in node_counts.items()}
     listed(tiles, counts)
     return list(counts)
 
@@ -161,13 +161,13 @@ def _expanded(text: str, note: Tell) -> tuple[Path, list[Path]]:
         raise ConfigError(
             f"{text}: no such file or folder; give LAS or LAZ files, folders, globs or .vpc files"
         )
-    found: list[Path] = []
+    clouds: list[Path] = []
     for match in map(Path, matches):
         if match.is_dir():
-            found += _walk(match, note)
+            clouds += _walk(match, note)
         elif match.suffix.lower() in SUFFIXES:
-            found.append(match)
-    return Path(text[: _glob_base(text)] + "x").parent, found
+            clouds.append(match)
+    return Path(text[: _glob_base(text)] + "x").parent, clouds
 
 
 def _glob_base(pattern: str) -> int:

@@ -140,20 +140,20 @@ def inspect(path: Path, salvage: bool = False) -> SourceInfo:
 
     Raise InputError if the file cannot be read.
     """
-    before = fetched_bytes()
+    bytes_before = fetched_bytes()
     header = read_header(path, salvage)
     header = replace(header, point_count=count_decodable(header))
     notes = list(header.notes)
     if header.point_count == 0:
         notes.append("has no points")
-    place = georeference(header)
-    has_crs = place.kind != "missing"
+    file_crs = georeference(header)
+    has_crs = file_crs.kind != "missing"
     octree, damage = _octree(header)
     extent = find_extent(header, octree)
     if extent.note:
         notes.append(extent.note)
     if has_crs:
-        notes += place.notes
+        notes += file_crs.notes
     return SourceInfo(
         path=header.path,
         state=header.state,
@@ -167,7 +167,7 @@ def inspect(path: Path, salvage: bool = False) -> SourceInfo:
         has_rgb=header.point_format in RGB_FORMATS,
         salvaged=salvage and bool(header.notes),
         scales=header.scales,
-        georeference=place,
+        georeference=file_crs,
         bounds=extent.bounds,
         claimed=extent.claimed,
         returns=extent.returns,
@@ -179,7 +179,7 @@ def inspect(path: Path, salvage: bool = False) -> SourceInfo:
         octree=octree,
         octree_damage=damage,
         has_crs=has_crs,
-        fetched=fetched_bytes() - before,
+        fetched=fetched_bytes() - bytes_before,
     )
 
 
@@ -272,22 +272,22 @@ def window_pieces(
     """
     counts = [info.chunks] * len(chunks) if isinstance(info.chunks, int) else info.chunks
     starts = [0, *accumulate(counts)]
-    found: list[list[tuple[int, int]]] = []
+    all_pieces: list[list[tuple[int, int]]] = []
     room = 0
     for chunk in chunks:
         start, count = starts[chunk], counts[chunk]
         if count == 0:
             continue
-        if not found or count > room:
-            found.append([])
+        if not all_pieces or count > room:
+            all_pieces.append([])
             room = rows_at_once(info.record_length, size)
-        piece = found[-1]
+        piece = all_pieces[-1]
         if piece and sum(piece[-1]) == start:
             piece[-1] = (piece[-1][0], piece[-1][1] + count)
         else:
             piece.append((start, count))
         room -= count
-    return [tuple(piece) for piece in found]
+    return [tuple(piece) for piece in all_pieces]
 
 
 def _chunks(layout: LazLayout | None) -> int | tuple[int, ...]:
@@ -313,9 +313,9 @@ def _whole_chunks(counts: Sequence[int], size: int, largest: int) -> list[tuple[
         held += count
     if held:
         ranges.append((start, held))
-    found = []
+    divided_ranges = []
     for start, count in ranges:
         step = size if count > largest else count
         for first in range(0, count, step):
-            found.append((start + first, min(size, count - first)))
-    return found
+            divided_ranges.append((start + first, min(size, count - first)))
+    return divided_ranges

@@ -20,8 +20,8 @@ REMOTE = ("http", "https", "s3", "gs", "gcs", "abfs", "abfss", "az")
 
 def is_virtual(text: str | Path) -> bool:
     """Return whether an input has the name of a virtual point cloud."""
-    place = str(text).partition("?")[0] if is_url(text) else str(text)
-    return place.lower().endswith(SUFFIX)
+    path = str(text).partition("?")[0] if is_url(text) else str(text)
+    return path.lower().endswith(SUFFIX)
 
 
 def members(text: str, suffixes: tuple[str, ...]) -> list[str]:
@@ -39,22 +39,22 @@ def members(text: str, suffixes: tuple[str, ...]) -> list[str]:
     InputError
         The file cannot be read, is not a virtual point cloud, or lists something that cannot be an input.
     """
-    found: dict[str, None] = {}
+    locations: dict[str, None] = {}
     for number, feature in enumerate(_features(text), start=1):
         href = _href(member(feature, "assets"))
         if not isinstance(href, str) or not href or "\0" in href:
             _refuse(text, f"its feature {number} names no cloud")
         if not href.partition("?")[0].lower().endswith(suffixes):
             _refuse(text, f"its feature {number} names {excerpt(href)}, no file of {', '.join(suffixes)}")
-        place = _resolved(text, href)
-        if not _is_name(place):
+        location = _resolved(text, href)
+        if not _is_name(location):
             _refuse(text, f"its feature {number} names {excerpt(href)}, which holds half of a character")
-        found.setdefault(place)
-    if not found:
+        locations.setdefault(location)
+    if not locations:
         _refuse(text, "names no cloud at all")
-    if len(found) > MAX_CLOUDS:
-        _refuse(text, f"names {len(found)} clouds, {MAX_CLOUDS} at most can be read")
-    return list(found)
+    if len(locations) > MAX_CLOUDS:
+        _refuse(text, f"names {len(locations)} clouds, {MAX_CLOUDS} at most can be read")
+    return list(locations)
 
 
 def _href(assets: dict[str, Any]) -> Any:
@@ -87,11 +87,11 @@ def _features(text: str) -> list[Any]:
     if len(content) > LIST_BYTES:
         _refuse(text, f"has more than {LIST_BYTES >> 20} MiB")
     try:
-        found = parse_json_object(content)
+        document = parse_json_object(content)
     except ValueError as error:  # This includes errors of UTF-8.
         _refuse(text, " ".join(str(error).split()))
-    features = found.get("features")
-    if found.get("type") != "FeatureCollection" or not isinstance(features, list):
+    features = document.get("features")
+    if document.get("type") != "FeatureCollection" or not isinstance(features, list):
         _refuse(text, "holds no FeatureCollection")
     return features
 
@@ -112,8 +112,8 @@ def _resolved(text: str, href: str) -> str:
     if Path(href).is_absolute() or chained or ".." in Path(unquote(href)).parts:
         _refuse(text, f"names {excerpt(href)}, which is not below the folder that it lies in")
     # `urljoin` joins only paths of known schemes, such as http.
-    system, _, place = base.partition("://")
-    return f"{system}://{urljoin('http://' + place, href).removeprefix('http://')}"
+    system, _, host_and_path = base.partition("://")
+    return f"{system}://{urljoin('http://' + host_and_path, href).removeprefix('http://')}"
 
 
 def _refuse(text: str, what: str) -> NoReturn:

@@ -37,8 +37,8 @@ class DensityMap:
     """
 
     def __init__(self, patches: Iterable[DensityPatch], metres: float) -> None:
-        found = [(p.x0 * metres, p.y0 * metres, p.x1 * metres, p.y1 * metres, p.points) for p in patches]
-        boxes = np.array(found, np.float64).reshape(-1, 5)
+        rectangles = [(p.x0 * metres, p.y0 * metres, p.x1 * metres, p.y1 * metres, p.points) for p in patches]
+        boxes = np.array(rectangles, np.float64).reshape(-1, 5)
         wide, tall = boxes[:, 2] - boxes[:, 0], boxes[:, 3] - boxes[:, 1]
         area, length = float(np.sum(wide * tall)), float(np.sum(wide + tall))
         self._cell = CELL_M
@@ -69,8 +69,8 @@ class DensityMap:
         corners = [
             (cells + corner) * self._cell // side_m for corner in ((0, 0), (0, 0.99), (0.99, 0), (0.99, 0.99))
         ]
-        _, found = _gathered(np.concatenate(corners).astype(np.int64), np.tile(held, 4))
-        return float(np.minimum(found, 1.0).sum())
+        _, square_points = _gathered(np.concatenate(corners).astype(np.int64), np.tile(held, 4))
+        return float(np.minimum(square_points, 1.0).sum())
 
     def _fullest(self, side_m: float) -> float:
         """Estimate the number of points in the fullest square of a side in metres."""
@@ -95,9 +95,11 @@ def _gathered(
     low = cells.min(axis=0)
     height = int(cells[:, 1].max() - low[1]) + 1
     # A cell becomes a single number, because sorting pairs takes ten times as long.
-    numbers, place = np.unique((cells[:, 0] - low[0]) * height + cells[:, 1] - low[1], return_inverse=True)
+    numbers, cell_index = np.unique(
+        (cells[:, 0] - low[0]) * height + cells[:, 1] - low[1], return_inverse=True
+    )
     once = np.stack(np.divmod(numbers, height), axis=1) + low
-    return once, np.bincount(place, weights).astype(np.float64)
+    return once, np.bincount(cell_index, weights).astype(np.float64)
 
 
 def _covered(cells: npt.NDArray[np.int64], bits: npt.NDArray[np.uint64]) -> int:
@@ -127,9 +129,9 @@ def _shares(
     first = np.floor(boxes[:, :2] / cell).astype(np.int64)
     counts = np.floor(boxes[:, 2:4] / cell).astype(np.int64) - first + 1
     # Each pair of a rectangle and a cell that it intersects is a row.
-    box, place = _enumerated(counts.prod(axis=1))
+    box, cell_number = _enumerated(counts.prod(axis=1))
     columns = counts[box, 0]
-    cells = first[box] + np.stack([place % columns, place // columns], axis=1)
+    cells = first[box] + np.stack([cell_number % columns, cell_number // columns], axis=1)
     low, high, west_south = boxes[box, :2], boxes[box, 2:4], cells * cell
     sides = np.minimum(west_south + cell, high) - np.maximum(west_south, low)
     share = np.maximum(sides, 1e-9).prod(axis=1)

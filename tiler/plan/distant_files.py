@@ -59,7 +59,7 @@ def files_beyond_frame(
         It cannot be decided which files to keep.
     """
     absurd = [(s, _absurd(s, metres)) for s in sources]
-    found = [(s, reason) for s, reason in absurd if reason]
+    left_out = [(s, reason) for s, reason in absurd if reason]
     left = [s for s, reason in absurd if not reason]
     while left and not _fits(hull_of(left)):
         if area is not None:
@@ -70,12 +70,12 @@ def files_beyond_frame(
                     for s in left
                     if s not in near
                 ]
-                found, left = found + far, near
+                left_out, left = left_out + far, near
                 continue
         remedy = "too far for one run; run them separately, or check the coordinates"
         far = outlying_files(left, wkt, metres, remedy)
-        found, left = found + far, _without(left, far)
-    return found
+        left_out, left = left_out + far, _without(left, far)
+    return left_out
 
 
 def outlying_files(sources: Sequence[SourceInfo], wkt: str | None, metres: float, remedy: str) -> LeftOut:
@@ -88,12 +88,12 @@ def outlying_files(sources: Sequence[SourceInfo], wkt: str | None, metres: float
     """
     ranked = [(len(part), _in_use(part[0], wkt), _points(part), part) for part in _parts(sources)]
     (_, used, _, main), *rest = sorted(ranked, key=lambda entry: entry[:3], reverse=True)
-    others: list[SourceInfo] = []
+    outlying: list[SourceInfo] = []
     for *_, part in rest:
-        others += part
+        outlying += part
     elsewhere = max((entry[1] for entry in rest), default=1)
-    if used > elsewhere or (others and used == elsewhere and FEW * len(others) <= len(sources)):
-        return [(s, _reason(s, main, metres, remedy)) for s in others]
+    if used > elsewhere or (outlying and used == elsewhere and FEW * len(outlying) <= len(sources)):
+        return [(s, _reason(s, main, metres, remedy)) for s in outlying]
     span = _span(hull_of(sources))
     wide = [s for s in sources if 2 * _span(bounds_of(s)) > span]
     if wide and FEW * len(wide) <= len(sources):

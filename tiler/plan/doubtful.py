@@ -33,10 +33,10 @@ def _too_high(plan: Plan) -> list[str]:
     """Warn about heights that terrain cannot have."""
     units = plan.meta.frame.units
     boxes = [(s.path, s.bounds) for s in plan.sources if s.points and s.bounds is not None]
-    found = []
+    warnings = []
     relief = (max(b[5] for _, b in boxes) - min(b[2] for _, b in boxes)) * float(units.vertical)
     if relief > MAX_RELIEF_M:
-        found.append(
+        warnings.append(
             f"heights span {relief:,.0f} m, more than any terrain; check for noise far from the ground, "
             "or give the unit of z with --units h,v"
         )
@@ -44,11 +44,11 @@ def _too_high(plan: Plan) -> list[str]:
         side = max(x1 - x0, y1 - y0, 1.0) * float(units.horizontal)
         rise = (z1 - z0) * float(units.vertical)
         if side > MIN_SIDE_M and rise > 2 * side:
-            found.append(
+            warnings.append(
                 f"{path}: rises {rise:,.0f} m over {side:,.0f} m; check for noise, or give the unit of z with "
                 "--units h,v"
             )
-    return found
+    return warnings
 
 
 def _much_overlap(plan: Plan) -> list[str]:

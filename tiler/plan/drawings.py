@@ -39,19 +39,19 @@ def with_drawings(plan: Plan) -> Plan:
     if config.breaklines and config.interpolation == "idw":
         raise ConfigError("--breaklines: idw does not follow lines; use --interpolation linear")
     for name in config.breaklines:
-        found = _read(plan, Path(name), LINES_AND_POLYGONS, True, notes, warnings)
-        for feature in found.features:
+        drawing = _read(plan, Path(name), LINES_AND_POLYGONS, True, notes, warnings)
+        for feature in drawing.features:
             lines += [_counts(feature, line) for line in _lines(feature)]
     if lines:
         warnings += [*_warn_two_heights(lines), *_warn_upright(lines)]
     edits: tuple[Edit, ...] = ()
     if config.edits is not None:
-        found = _read(plan, Path(config.edits), POLYGONS, False, notes, warnings)
-        edits = tuple(_edit(number, feature) for number, feature in enumerate(found.features, start=1))
+        drawing = _read(plan, Path(config.edits), POLYGONS, False, notes, warnings)
+        edits = tuple(_edit(number, feature) for number, feature in enumerate(drawing.features, start=1))
     waters: tuple[Water, ...] = ()
     if config.water_file is not None:
-        found = _read(plan, Path(config.water_file), DRAWN_WATER, False, notes, warnings, every=True)
-        waters = tuple(waters_of(found.features, plan.extent))
+        drawing = _read(plan, Path(config.water_file), DRAWN_WATER, False, notes, warnings, every=True)
+        waters = tuple(waters_of(drawing.features, plan.extent))
     return replace(
         plan, lines=tuple(lines), edits=edits, waters=waters, notes=tuple(notes), warnings=tuple(warnings)
     )
@@ -59,12 +59,12 @@ def with_drawings(plan: Plan) -> Plan:
 
 def _warn_two_heights(lines: list[Counts]) -> list[str]:
     """Warn if breaklines have two heights at a position."""
-    places = two_heights(lines)
-    if not len(places):
+    positions = two_heights(lines)
+    if not len(positions):
         return []
-    x, y, low, high = (value / COUNTS_PER_UNIT for value in places[0].tolist())
+    x, y, low, high = (value / COUNTS_PER_UNIT for value in positions[0].tolist())
     return [
-        f"--breaklines: {len(places)} positions have two heights, the first at ({x:.10g}, {y:.10g}): {low:g} and "
+        f"--breaklines: {len(positions)} positions have two heights, the first at ({x:.10g}, {y:.10g}): {low:g} and "
         f"{high:g}; only one of them is used; draw the top and the foot of a wall some centimetres apart"
     ]
 
@@ -75,12 +75,12 @@ def _warn_upright(lines: list[Counts]) -> list[str]:
     for line in lines:
         step = np.diff(line, axis=0)
         upright.append(line[:-1][(step[:, :2] == 0).all(axis=1) & (step[:, 2] != 0)])
-    places = np.concatenate(upright)
-    if not len(places):
+    starts = np.concatenate(upright)
+    if not len(starts):
         return []
-    x, y, _ = (value / COUNTS_PER_UNIT for value in places[0].tolist())
+    x, y, _ = (value / COUNTS_PER_UNIT for value in starts[0].tolist())
     return [
-        f"--breaklines: vertical segments are left out ({len(places)}, the first at {x:.10g}, {y:.10g}); draw the top "
+        f"--breaklines: vertical segments are left out ({len(starts)}, the first at {x:.10g}, {y:.10g}); draw the top "
         "and the foot of a wall some centimetres apart"
     ]
 
@@ -98,13 +98,13 @@ def _read(
     every |= needs_z
     wkt = plan.meta.frame.crs_wkt
     if plan.config.in_process:
-        found = read_in_crs(path, kind, wkt, every, needs_z)
+        features = read_in_crs(path, kind, wkt, every, needs_z)
     else:
-        found = call_isolated(read_in_crs, path, kind, wkt, every, needs_z, paths=(path,))
-    notes += found.notes
+        features = call_isolated(read_in_crs, path, kind, wkt, every, needs_z, paths=(path,))
+    notes += features.notes
     x0, y0, x1, y1 = (v / COUNTS_PER_UNIT for v in plan.extent.to_json())
-    warnings += warn_outside(path, found, (x0, y0, x1, y1))
-    return found
+    warnings += warn_outside(path, features, (x0, y0, x1, y1))
+    return features
 
 
 def _lines(feature: Feature) -> list[npt.NDArray[np.float64]]:
@@ -143,8 +143,8 @@ def _edit(number: int, feature: Feature) -> Edit:
     """
     action: Any = feature.attributes.get("action")
     if not isinstance(action, str) or action.strip().lower() not in ACTIONS:
-        what = "has no `action`" if action is None else f"its action is {action!r}"
-        raise InputError(f"{feature.place}: {what}; give one of {', '.join(ACTIONS)} in the column `action`")
+        fault = "has no `action`" if action is None else f"its action is {action!r}"
+        raise InputError(f"{feature.place}: {fault}; give one of {', '.join(ACTIONS)} in the column `action`")
     action = action.strip().lower()
     height = feature.height() if action == FLAT else None
     if action == FLAT and (height is None or abs(height) * COUNTS_PER_UNIT > INT32_LIMIT):

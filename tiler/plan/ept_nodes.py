@@ -86,22 +86,22 @@ class TilesOfRun:
             notes += contradictions(tiles, counts, [s for s in sources if s.path in counts], whole)
             if tiles.wkt is not None:
                 known |= dict.fromkeys(counts, describe(CRS.from_wkt(tiles.wkt)))
-        found = []
+        sources_with_crs = []
         for source in sources:
             if source.georeference.kind == "missing" and source.path in known:
                 source = replace(source, georeference=known[source.path])
-            found.append(source)
-        return found
+            sources_with_crs.append(source)
+        return sources_with_crs
 
 
 def validate_distances(plan: Plan, inputs: Sequence[str]) -> None:
     """Raise ConfigError if a run needs points farther away than EPT nodes were considered."""
-    reach = _reach_m(plan.config)
+    reach_m = _reach_m(plan.config)
     if plan.area is None or not any(map(is_ept, inputs)):
         return
-    if plan.margin > plan.meta.frame.counts(reach):
+    if plan.margin > plan.meta.frame.counts(reach_m):
         raise ConfigError(
-            f"--halo: nodes of ept.json are read up to {float(reach):g} m around the area, but this run needs points "
+            f"--halo: nodes of ept.json are read up to {float(reach_m):g} m around the area, but this run needs points "
             "farther away; use a smaller --halo, or leave out --bounds"
         )
 
@@ -136,14 +136,14 @@ def contradictions(
         lambda source: _colours(tiles, source),
     )
     for told in kinds:
-        found = []
+        faults = []
         for source in sources:
             text = told(source)
             if text is not None:
-                found.append((source.path, text))
-        if found:
-            path, text = found[0]
-            more = f" ({len(found)} of {len(sources)} files)" if len(sources) > 1 else ""
+                faults.append((source.path, text))
+        if faults:
+            path, text = faults[0]
+            more = f" ({len(faults)} of {len(sources)} files)" if len(sources) > 1 else ""
             yield f"{tiles.text}: {text} in {path.name}{more}; the files are used; create it again"
 
 
@@ -173,9 +173,9 @@ def _crs(tiles: EptDataset, source: SourceInfo, same: dict[str, bool]) -> Told:
     if tiles.wkt is None or wkt is None:
         return None
     if wkt not in same:
-        own, _ = split(CRS.from_wkt(wkt))
+        file_crs, _ = split(CRS.from_wkt(wkt))
         said, _ = split(CRS.from_wkt(tiles.wkt))
-        same[wkt] = own is None or said is None or same_horizontal(said, own)
+        same[wkt] = file_crs is None or said is None or same_horizontal(said, file_crs)
     if same[wkt]:
         return None
     return f"its srs is {CRS.from_wkt(tiles.wkt).name}, but the CRS is {source.georeference.name}"

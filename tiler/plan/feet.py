@@ -20,23 +20,23 @@ def in_feet_of(config: RunConfig, units: Units) -> RunConfig:
     The US survey foot is 2 millionths longer than the international foot. A sheet of 1500 US survey feet would not be
     a whole number of pixels of 3 international feet.
     """
-    found = {}
+    lengths = {}
     for name, value, unit in _lengths(config, units):
         if isinstance(value, FeetLength) and unit == US_SURVEY_FOOT:
-            found[name] = value / FOOT * US_SURVEY_FOOT
-    return config.updated(**found) if found else config
+            lengths[name] = value / FOOT * US_SURVEY_FOOT
+    return config.updated(**lengths) if lengths else config
 
 
 def bare_lengths(config: RunConfig, units: Units) -> list[str]:
     """Return a line for each length given without a unit if the CRS is not in metres."""
-    found = []
+    texts = []
     for name, value, unit in _lengths(config, units):
         if isinstance(value, BareLength) and unit != METRE and value:
             option, number = f"--{name.replace('_', '-')}", f"{float(value):g}"
             feet = f"{number_text(float(value / unit))} {short_unit(unit)}"
-            wanted = f"; give {number}ft for feet" if unit in (FOOT, US_SURVEY_FOOT) else ""
-            found.append(f"{option} {number} is {number} m = {feet}{wanted}")
-    return found
+            remedy = f"; give {number}ft for feet" if unit in (FOOT, US_SURVEY_FOOT) else ""
+            texts.append(f"{option} {number} is {number} m = {feet}{remedy}")
+    return texts
 
 
 def _lengths(config: RunConfig, units: Units) -> Iterator[tuple[str, Fraction, Fraction]]:

@@ -81,5 +81,5 @@ def _control_groups(controller: str) -> Iterator[tuple[Path, bool]]:
             continue
         root = CGROUPS / controller if controllers else CGROUPS
         group = PurePosixPath(path.lstrip("/"))
-        for place in (group, *group.parents):
-            yield root / place, not controllers
+        for relative_path in (group, *group.parents):
+            yield root / relative_path, not controllers

@@ -34,15 +34,15 @@ def validate_single_kind(sources: Sequence[SourceInfo], config: RunConfig) -> No
     for source in sources:
         writers[source.version, source.point_format, source.record_length, source.scales].append(source)
     whole = sum(map(_area, sources))
-    found: dict[str, tuple[Finding, SourceInfo]] = {}
+    findings: dict[str, tuple[Finding, SourceInfo]] = {}
     for files in writers.values():
         made = decided_by(evidence_of(files))
         if made is not None and sum(map(_area, files)) >= NOTICEABLE * whole:
-            found.setdefault(made.kind, (made, files[0]))
-    if len(found) < 2:
+            findings.setdefault(made.kind, (made, files[0]))
+    if len(findings) < 2:
         return
     raise ConfigError(
-        f"{_told(found.values())}: a run needs clouds of one kind; run them separately, or use --kind als or dim"
+        f"{_told(findings.values())}: a run needs clouds of one kind; run them separately, or use --kind als or dim"
     )
 
 

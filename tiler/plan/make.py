@@ -104,20 +104,20 @@ def make_plan(
     if not _filled(sources):
         raise InputError(f"{_names(sources)}: no points to make a terrain from; give clouds with points")
     area = area_of(config, agreement.wkt, notes)
-    found = _InspectedInputs(inputs, sources, unreadable, agreement, area, notes)
+    inspected = _InspectedInputs(inputs, sources, unreadable, agreement, area, notes)
     metres = float(agreement.units.horizontal)
-    found = _without(found, files_beyond_frame(_filled(sources), area, agreement.wkt, metres), config)
-    plan = _settled(found, config, parameters, defaults)
+    inspected = _without(inspected, files_beyond_frame(_filled(sources), area, agreement.wkt, metres), config)
+    plan = _settled(inspected, config, parameters, defaults)
     validate_resolution(plan)  # This comes first, so that bad pixels are not reported as a large raster.
     validate_pixel_count(plan, folder)
     while remedy := sparse_raster_remedy(plan, folder):
-        found = _without(found, outlying_files(plan.filled, agreement.wkt, metres, remedy), config)
-        plan = _settled(found, config, parameters, defaults)
+        inspected = _without(inspected, outlying_files(plan.filled, agreement.wkt, metres, remedy), config)
+        plan = _settled(inspected, config, parameters, defaults)
     validate_distances(plan, inputs)
     plan = with_drawings(plan)
 
     def changed(**values: Any) -> Plan:
-        other = _settled(found, config.updated(**values), parameters, defaults)
+        other = _settled(inspected, config.updated(**values), parameters, defaults)
         return replace(other, edits=plan.edits, lines=plan.lines, waters=plan.waters)
 
     validate(plan, folder, changed)

@@ -114,8 +114,8 @@ def breakline_bytes(lines: Sequence[npt.NDArray[np.int64]], pixel: float, window
 
 def _most_in_a_window(squares: npt.NDArray[np.float64], pieces: npt.NDArray[np.float64]) -> float:
     """Return a bound of the pieces in a window, which intersects at most 2 x 2 of the squares."""
-    occupied, which = np.unique(squares, axis=0, return_inverse=True)
-    held = np.bincount(which.ravel(), pieces)
+    occupied, square_index = np.unique(squares, axis=0, return_inverse=True)
+    held = np.bincount(square_index.ravel(), pieces)
     windows: dict[tuple[int, int], float] = defaultdict(float)
     for (column, row), count in zip(occupied.tolist(), held.tolist(), strict=True):
         for west, south in ((0, 0), (1, 0), (0, 1), (1, 1)):
@@ -129,9 +129,9 @@ def fine_cell_m(cell_m: float, bucket_m: Fraction) -> Fraction:
     It is the cell of the method (``cell_m``, 0 if it has none) if the side of a bucket is a whole number of cells, or
     else `FINE_CELL_M`.
     """
-    own = Fraction(repr(float(cell_m)))
-    if own > 0 and (bucket_m / own).denominator == 1:
-        return own
+    method_cell_m = Fraction(repr(float(cell_m)))
+    if method_cell_m > 0 and (bucket_m / method_cell_m).denominator == 1:
+        return method_cell_m
     return FINE_CELL_M
 
 

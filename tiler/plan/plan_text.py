@@ -128,11 +128,11 @@ def _halo_in_words(plan: Plan) -> str:
 
     if not plan.kinds:
         return words(plan.halo_m, plan.steps)
-    found = ", or ".join(
+    halos_text = ", or ".join(
         f"{words(plan.halo_of(kind), steps_of(plan.passes, kind))} for {KIND_WORDS[kind]}"
         for kind in plan.kinds
     )
-    return f"{found}, decided from the points (or give --kind)"
+    return f"{halos_text}, decided from the points (or give --kind)"
 
 
 def _passes_in_words(plan: Plan) -> str:

@@ -84,13 +84,13 @@ def overlap_of(plan: Plan, steps: Iterable[PlannedPass]) -> float:
 
 
 def _overlap(plan: Plan, step: PlannedPass) -> float:
-    found = 1.0
+    overlap = 1.0
     for side, most in zip(_tile_sides_m(plan, step), plan.sides_m, strict=True):
         padded = side + 2 * step.halo_m
         if plan.joins(step):
             padded = min(padded, most)
-        found *= padded / side
-    return found
+        overlap *= padded / side
+    return overlap
 
 
 def _tile_sides_m(plan: Plan, step: PlannedPass) -> tuple[float, float]:
@@ -98,11 +98,11 @@ def _tile_sides_m(plan: Plan, step: PlannedPass) -> tuple[float, float]:
     if not plan.joins(step):
         return float(plan.tile), float(plan.tile)
     sides = list(plan.sides_m)
-    wanted = plan.wanted_tiles(plan.points)
+    n_tiles = plan.wanted_tiles(plan.points)
     while max(sides) > plan.bucket_m:
         peak = filter_peak(plan, step, math.sqrt(math.prod(sides)), step.halo_m)
-        if wanted <= 1 and peak <= plan.tile_memory_of(step):
+        if n_tiles <= 1 and peak <= plan.tile_memory_of(step):
             break
         sides[sides.index(max(sides))] /= 2
-        wanted //= 2
+        n_tiles //= 2
     return sides[0], sides[1]

@@ -48,9 +48,9 @@ def remember(plan: Plan, stages: Mapping[str, Mapping[str, Any]]) -> None:
     if plan.points < MIN_POINTS or plan.config.scheduler is not None:
         return
     known = _read()
-    for stage, facts in stages.items():
-        if facts["computed"] and facts["computed"] == facts["tasks"]:
-            rate, name = facts["seconds"] * plan.workers / plan.points * 1e6, _name(plan, stage)
+    for stage, record in stages.items():
+        if record["computed"] and record["computed"] == record["tasks"]:
+            rate, name = record["seconds"] * plan.workers / plan.points * 1e6, _name(plan, stage)
             known[name] = rate if name not in known else (1 - _NEWEST) * known[name] + _NEWEST * rate
     path = _path()
     partial = path.with_name(f"{path.name}.{os.getpid()}.partial")

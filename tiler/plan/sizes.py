@@ -114,9 +114,9 @@ def bucket_m(density: float, density_map: DensityMap, memory: int) -> int:
     A bucket has about `BUCKET_POINTS` points on average, and in the fullest place no more than fit into memory.
     """
     side = math.sqrt(BUCKET_POINTS / density)
-    wanted = min(BUCKETS_M, key=lambda b: abs(math.log(b / side)))
+    preferred_m = min(BUCKETS_M, key=lambda b: abs(math.log(b / side)))
     most = (memory - BASE_BYTES) / ASSEMBLY_POINT_BYTES
-    fitting = [b for b in BUCKETS_M if b <= wanted and density_map.fullest(b) <= most]
+    fitting = [b for b in BUCKETS_M if b <= preferred_m and density_map.fullest(b) <= most]
     return max(fitting, default=BUCKETS_M[0])
 
 

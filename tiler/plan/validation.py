@@ -86,22 +86,24 @@ def validate_output_paths(config: RunConfig, products: str, paths: Sequence[Path
 def validate_targets(plan: Plan, products: str, paths: Sequence[Path]) -> None:
     """Raise ConfigError if a run would overwrite its inputs, or files that no run in OUT wrote."""
     out = local_folder(products)
-    wanted = _targets(plan)
-    places = [joined(products, name) for name in wanted]
-    places += [joined(place, name) for place in (str(out), products) for name in (RUN, EVENTS, REPORT)]
+    file_names = _targets(plan)
+    locations = [joined(products, name) for name in file_names]
+    locations += [
+        joined(location, name) for location in (str(out), products) for name in (RUN, EVENTS, REPORT)
+    ]
     reads: list[str | Path] = [*paths, *read_besides(plan.config)]
-    check_targets([Target("-o", place) for place in places], reads)
+    check_targets([Target("-o", location) for location in locations], reads)
     if plan.config.force:
         return
     starts = {}
     if plan.config.sheets is not None:
         names = (*plan.config.exported, SHEET_ITEMS)
         starts = {name: name_prefix(plan.config.sheet_name, name) for name in names}
-    found = foreign_files(out, products, wanted, starts)
-    if found:
-        more = f" and {len(found) - NAMED:,} more" if len(found) > NAMED else ""
+    foreign_paths = foreign_files(out, products, file_names, starts)
+    if foreign_paths:
+        more = f" and {len(foreign_paths) - NAMED:,} more" if len(foreign_paths) > NAMED else ""
         raise ConfigError(
-            f"-o {products}: {', '.join(found[:NAMED])}{more}: already exists and was not written by a run in "
+            f"-o {products}: {', '.join(foreign_paths[:NAMED])}{more}: already exists and was not written by a run in "
             "this folder; use another -o, or --force to replace them"
         )
 
@@ -110,23 +112,23 @@ def _targets(plan: Plan) -> list[str]:
     """Return the names in OUT of the files of a run, except run.json, log, report and sheets."""
     exported = plan.config.exported
     if plan.config.sheets is not None:
-        wanted = [mosaic_file(name) for name in exported]
-        wanted.append(SHEETS)
+        names = [mosaic_file(name) for name in exported]
+        names.append(SHEETS)
     else:
-        wanted = [raster_file(name) for name in exported]
-        wanted += [f"{raster_file(name)}{LEGEND}" for name in exported if PRODUCTS[name].values]
-    wanted += [f"{name}.gpkg" for name in plan.config.drawn]
+        names = [raster_file(name) for name in exported]
+        names += [f"{raster_file(name)}{LEGEND}" for name in exported if PRODUCTS[name].values]
+    names += [f"{name}.gpkg" for name in plan.config.drawn]
     if plan.config.bridges == "remove":
-        wanted.append(BRIDGES)
+        names.append(BRIDGES)
     if plan.config.outline == "survey":
-        wanted.append(OUTLINE)
+        names.append(OUTLINE)
     if plan.config.water != "none":
-        wanted.append(WATER)
-    wanted.append(STAC)
+        names.append(WATER)
+    names.append(STAC)
     if plan.writes_clouds:
-        wanted.append(VIRTUAL)
-        wanted += [f"{CLASSIFIED}/{name}" for name in plan.names.values()]
-    return wanted
+        names.append(VIRTUAL)
+        names += [f"{CLASSIFIED}/{name}" for name in plan.names.values()]
+    return names
 
 
 def _error(plan: Plan, text: str) -> ConfigError:
@@ -244,13 +246,13 @@ def enough_memory(plan: Plan, changed: Changed) -> int:
 
     More memory makes tiles larger, which then need more. So the search is repeated until the memory suffices.
     """
-    wanted = max(projected_memory(plan).values())
+    required_bytes = max(projected_memory(plan).values())
     while True:
-        allowed = -(-wanted >> 20) << 20
+        allowed = -(-required_bytes >> 20) << 20
         needed = max(projected_memory(changed(memory=allowed)).values())
         if needed <= allowed:
             return allowed
-        wanted = max(needed, int(1.01 * allowed))
+        required_bytes = max(needed, int(1.01 * allowed))
 
 
 def _instead(plan: Plan, stage: str, changed: Changed) -> str:

@@ -49,9 +49,9 @@ def waters_of(features: Sequence[Feature], extent: Bounds) -> list[Water]:
     """
     polygons = [f for f in features if f.geometry.geom_type in POLYGONS.types]
     if not polygons:
-        place = features[0].place.rpartition(",")[0]
+        file_text = features[0].place.rpartition(",")[0]
         raise InputError(
-            f"{place}: has lines but no polygons; add polygons of the water that the lines flow through"
+            f"{file_text}: has lines but no polygons; add polygons of the water that the lines flow through"
         )
     lines = _merged([f for f in features if f.geometry.geom_type in LINES.types])
     given, open_ones = list[tuple[Feature, int]](), dict[str, list[Feature]]()
@@ -61,27 +61,27 @@ def waters_of(features: Sequence[Feature], extent: Bounds) -> list[Water]:
             open_ones.setdefault(_kind(feature, lines), []).append(feature)
         else:
             given.append((feature, level))
-    found = [Water(0, kind, *rest) for kind, *rest in _without_level(open_ones)]
+    bodies = [Water(0, kind, *rest) for kind, *rest in _without_level(open_ones)]
     for feature, level in given:
         kind = _kind(feature, lines)
-        found.append(Water(0, kind, area_in_counts(feature.place, [feature]), level))
-    found = [_with_line(body, lines) for body in found if body.area.bounds.overlaps(extent)]
+        bodies.append(Water(0, kind, area_in_counts(feature.place, [feature]), level))
+    bodies = [_with_line(body, lines) for body in bodies if body.area.bounds.overlaps(extent)]
     stations = [f for f in features if f.geometry.geom_type in POINTS.types]
-    found = _with_stations(found, stations)
-    return [Water(n, b.kind, b.area, b.level, b.flow) for n, b in enumerate(found, start=1)]
+    bodies = _with_stations(bodies, stations)
+    return [Water(n, b.kind, b.area, b.level, b.flow) for n, b in enumerate(bodies, start=1)]
 
 
 def _without_level(features: dict[str, list[Feature]]) -> list[tuple[Any, ...]]:
     """Return the kind and the area of each body formed by polygons without a level."""
     import shapely
 
-    found = []
+    kinds_and_areas = []
     for kind, of_kind in sorted(features.items()):
         whole = shapely.union_all([f.geometry for f in of_kind])
         for part in shapely.get_parts(whole):
             if part.geom_type == "Polygon" and part.area > 0:
-                found.append((kind, area_in_counts(of_kind[0].place, [Feature("", part, {})])))
-    return found
+                kinds_and_areas.append((kind, area_in_counts(of_kind[0].place, [Feature("", part, {})])))
+    return kinds_and_areas
 
 
 def _kind(feature: Feature, lines: Sequence[Any]) -> str:
@@ -126,7 +126,7 @@ def _merged(features: Sequence[Feature]) -> list[Any]:
     import shapely
 
     flat: list[Any] = []
-    found: list[Any] = []
+    sloping_lines: list[Any] = []
     for feature in features:
         for line in shapely.get_parts(feature.geometry):
             z = shapely.get_coordinates(line, include_z=True)[:, 2] if line.has_z else np.array([np.nan])
@@ -138,8 +138,11 @@ def _merged(features: Sequence[Feature]) -> list[Any]:
                     f"{feature.place}: its heights rise and fall; give heights that fall along the line, or draw "
                     "it in 2D"
                 )
-            found.append(shapely.reverse(line) if z[-1] > z[0] else line)
-    return [*found, *(shapely.get_parts(shapely.line_merge(shapely.MultiLineString(flat))) if flat else ())]
+            sloping_lines.append(shapely.reverse(line) if z[-1] > z[0] else line)
+    return [
+        *sloping_lines,
+        *(shapely.get_parts(shapely.line_merge(shapely.MultiLineString(flat))) if flat else ()),
+    ]
 
 
 def _with_line(body: Water, lines: Sequence[Any]) -> Water:
@@ -153,8 +156,8 @@ def _with_line(body: Water, lines: Sequence[Any]) -> Water:
     if not inside:
         return body
     most = max(inside, key=lambda line: (bool(line.has_z), shapely.intersection(line, shape).length))
-    places: npt.NDArray[np.float64] = shapely.get_coordinates(most, include_z=bool(most.has_z))
-    flow = np.rint(places * COUNTS_PER_UNIT).astype(np.int64)
+    vertices: npt.NDArray[np.float64] = shapely.get_coordinates(most, include_z=bool(most.has_z))
+    flow = np.rint(vertices * COUNTS_PER_UNIT).astype(np.int64)
     return Water(body.number, RIVER, body.area, None, flow)
 
 
@@ -179,10 +182,10 @@ def _with_stations(bodies: list[Water], stations: Sequence[Feature]) -> list[Wat
     for station in stations:
         nearest = int(np.argmin([shapely.distance(line, station.geometry) for line in lines]))
         of_river.setdefault(nearest, []).append(station)
-    found = list(bodies)
-    for nearest, mine in of_river.items():
-        found[rivers[nearest]] = _at_stations(bodies[rivers[nearest]], lines[nearest], mine)
-    return found
+    new_bodies = list(bodies)
+    for nearest, river_stations in of_river.items():
+        new_bodies[rivers[nearest]] = _at_stations(bodies[rivers[nearest]], lines[nearest], river_stations)
+    return new_bodies
 
 
 def _at_stations(body: Water, line: Any, stations: Sequence[Feature]) -> Water:
@@ -195,21 +198,21 @@ def _at_stations(body: Water, line: Any, stations: Sequence[Feature]) -> Water:
         return body
     along = np.array([shapely.line_locate_point(line, s.geometry) * COUNTS_PER_UNIT for s, _ in known])
     order = np.argsort(along, kind="stable")
-    along, wanted = along[order], np.array([level for _, level in known], np.float64)[order]
+    along, station_levels = along[order], np.array([level for _, level in known], np.float64)[order]
     flow = _flow(body)
     if flow.shape[1] == 2:
-        lifted = lifted_line(flow, along, wanted)
+        lifted = lifted_line(flow, along, station_levels)
     else:
         lengths = lengths_along(flow)
-        change = wanted - np.rint(np.interp(along, lengths, flow[:, 2]))
+        change = station_levels - np.rint(np.interp(along, lengths, flow[:, 2]))
         if (np.abs(change) <= SAME_COUNTS).all():
             return body
         lifted = lifted_line(flow, *_sums(lengths, flow[:, 2], along, change))
     if (np.diff(lifted[:, 2]) > 0).any():
         if (np.diff(lifted[:, 2]) < 0).any():
-            place = known[int(order[0])][0].place.rpartition(",")[0]
+            file_text = known[int(order[0])][0].place.rpartition(",")[0]
             raise InputError(
-                f"{place}: levels of a river rise and fall; give levels that fall along its line"
+                f"{file_text}: levels of a river rise and fall; give levels that fall along its line"
             )
         lifted = lifted[::-1].copy()
     return replace(body, level=None, flow=lifted)
@@ -219,8 +222,8 @@ def _sums(
     lengths: npt.NDArray[Any], z: npt.NDArray[Any], along: npt.NDArray[Any], change: npt.NDArray[Any]
 ) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
     """Return positions along a line in counts, and its heights there with the interpolated changes."""
-    places = np.unique(np.concatenate((lengths, along)))
-    return places, np.interp(places, lengths, z) + np.interp(places, along, change)
+    positions = np.unique(np.concatenate((lengths, along)))
+    return positions, np.interp(positions, lengths, z) + np.interp(positions, along, change)
 
 
 def _flow(body: Water) -> npt.NDArray[np.int64]:

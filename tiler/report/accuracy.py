@@ -42,17 +42,17 @@ def read_measured(out: Path, name: str) -> dict[str, Any]:
     if not path.is_file():
         return {}
     try:
-        found = parse_json_object(path.read_text("utf-8"))
-        checkpoints_on_map(found)
-        accuracy_content(*((found, {}) if name == CHECK else ({}, found)))
+        measured = parse_json_object(path.read_text("utf-8"))
+        checkpoints_on_map(measured)
+        accuracy_content(*((measured, {}) if name == CHECK else ({}, measured)))
     except (OSError, ValueError) as error:
         return {"unreadable": f"{name}: {error}"}
     except (KeyError, TypeError, AttributeError, OverflowError) as error:
-        what = f"was not written by this version of tiler ({type(error).__name__}: {error}); measure again"
-        return {"unreadable": f"{name}: {what}"}
+        fault = f"was not written by this version of tiler ({type(error).__name__}: {error}); measure again"
+        return {"unreadable": f"{name}: {fault}"}
     dtms = [p for p in (out / "dtm.tif", out / "dtm.vrt") if p.is_file()]
     older = bool(dtms) and path.stat().st_mtime < max(p.stat().st_mtime for p in dtms)
-    return {**found, "older": older}
+    return {**measured, "older": older}
 
 
 def write_measured(out: Path, name: str, content: Mapping[str, Any]) -> None:
@@ -65,24 +65,24 @@ def write_measured(out: Path, name: str, content: Mapping[str, Any]) -> None:
 
 def accuracy_content(check: Mapping[str, Any], evaluation: Mapping[str, Any]) -> list[Content]:
     """Return tables of the measurements, or the commands that make them if there are none."""
-    found: list[Content] = []
+    content: list[Content] = []
     for name, measured in ((CHECK, check), (EVALUATION, evaluation)):
         if "unreadable" in measured:
-            found.append(el("p", measured["unreadable"], class_="warning"))
+            content.append(el("p", measured["unreadable"], class_="warning"))
         elif measured.get("older"):
             text = f"{name} is older than the DTM, so it may describe another DTM; measure again."
-            found.append(el("p", text, class_="warning"))
+            content.append(el("p", text, class_="warning"))
     if check.get("accuracy"):
-        found += _checkpoints(check["accuracy"])
+        content += _checkpoints(check["accuracy"])
     if check.get("seams"):
-        found.append(_seams(check["seams"]))
+        content.append(_seams(check["seams"]))
     if check.get("requirements"):
-        found.append(_requirements(check["requirements"]))
+        content.append(_requirements(check["requirements"]))
     if "total" in evaluation:
-        found.append(_classes(evaluation))
+        content.append(_classes(evaluation))
     if evaluation.get("dtm"):
-        found.append(_true_dtm(evaluation["dtm"]))
-    return found or [
+        content.append(_true_dtm(evaluation["dtm"]))
+    return content or [
         el("p", "Nothing was measured yet. These commands fill this section:"),
         facts({when: el("code", command) for when, command in HOW.items()}),
     ]
@@ -90,15 +90,15 @@ def accuracy_content(check: Mapping[str, Any], evaluation: Mapping[str, Any]) ->
 
 def checkpoints_on_map(check: Mapping[str, Any]) -> dict[str, Any]:
     """Return the checkpoints for the map, each with name, x, y, difference, and whether it is an outlier."""
-    found = check.get("accuracy") or {}
-    places = ("x", "y", "difference")
+    accuracy = check.get("accuracy") or {}
+    number_keys = ("x", "y", "difference")
     return {
         "checkpoints": [
-            [shown(str(p["name"])), *(_finite(p[key]) for key in places), bool(p["outlier"])]
-            for p in found.get("differences", ())
+            [shown(str(p["name"])), *(_finite(p[key]) for key in number_keys), bool(p["outlier"])]
+            for p in accuracy.get("differences", ())
         ],
-        "checkpoint_unit": str(found.get("unit", "")),
-        "checkpoint_range": _finite((found.get("all") or {}).get("p95_abs")) or 1.0,
+        "checkpoint_unit": str(accuracy.get("unit", "")),
+        "checkpoint_range": _finite((accuracy.get("all") or {}).get("p95_abs")) or 1.0,
     }
 
 

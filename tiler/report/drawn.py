@@ -63,7 +63,9 @@ LAYERS = {
 def shapes(run: Run) -> list[dict[str, Any]]:
     """Return the layers of the map that can be switched off, with lines as x, y, x, y, ... in units of the CRS."""
     of_features = {name: run.get(name) or () for name in ("water", "bridges", "edits")}
-    lines = {name: [r for f in found for r in f.get("rings", ())] for name, found in of_features.items()}
+    lines = {
+        name: [r for f in features for r in f.get("rings", ())] for name, features in of_features.items()
+    }
     lines["outline"] = (run.get("outline") or {}).get("rings", [])
     lines["canopy"] = (run.get("canopy") or {}).get("rings", [])
     lines["breaklines"] = (run.get("breaklines") or {}).get("drawn", [])

@@ -26,18 +26,18 @@ BAR_WIDTH, BAR_HEIGHT = 300, 10
 
 def expected(run: Run) -> list[Content]:
     """Return a table and a histogram, or an empty list if the run made no standard errors."""
-    found = run.get("sigma")
-    if not found:
+    sigma = run.get("sigma")
+    if not sigma:
         return []
     unit_m = float(run["plan"].get("metres_per_unit", {}).get("vertical", 1.0))
     unit = short_unit(unit_m)
-    pixels = max(sum(found[name]["pixels"] for name in GROUPS), 1)
+    pixels = max(sum(sigma[name]["pixels"] for name in GROUPS), 1)
     rows = [
-        (NAMES[name], f"{found[name]['pixels'] / pixels:.1%}", f"{found[name]['rmse_m'] / unit_m:.3f}")
+        (NAMES[name], f"{sigma[name]['pixels'] / pixels:.1%}", f"{sigma[name]['rmse_m'] / unit_m:.3f}")
         for name in GROUPS
-        if found[name]["pixels"]
+        if sigma[name]["pixels"]
     ]
-    basis = CALIBRATED.get(found["kind"] or "", UNKNOWN)
+    basis = CALIBRATED.get(sigma["kind"] or "", UNKNOWN)
     text = (
         f"Estimated without checkpoints, with constants fitted to {basis}. For scenes that were left out of the fit, "
         "the actual RMSE was within a factor of 2 in four of five LiDAR clouds and nine of ten photogrammetric clouds. "
@@ -48,7 +48,7 @@ def expected(run: Run) -> list[Content]:
         el("h3", f"Expected RMSE of this terrain, {unit}"),
         table(("ground", "share of the pixels", "expected RMSE"), rows, (1, 2)),
         el("p", text),
-        table((f"standard error, {unit}", "pixels", ""), _histogram(found, unit_m), (1,)),
+        table((f"standard error, {unit}", "pixels", ""), _histogram(sigma, unit_m), (1,)),
     ]
 
 

@@ -102,22 +102,22 @@ def _extent(run: Mapping[str, Any]) -> Extent:
 
 def _stages(run: Mapping[str, Any]) -> list[dict[str, Any]]:
     """Return the stages with their tiles. The last pass of the filter is first, because it made the labels."""
-    found, room = [], MAX_TILES
+    stages, room = [], MAX_TILES
     tiles = run.get("tiles", {})
     passes = sum(name.startswith("filter") for name in tiles)
     errors = {(f["stage"], f["key"]): f["error"] for f in run.get("failed_tasks", ())}
     order = sorted(tiles, key=lambda name: (not name.startswith("filter"), name != "grid-dtm"))
     for stage in [*reversed(order[:passes]), *order[passes:]]:
-        facts = ("state", "points", "seconds", "tries", "marked")
+        fact_names = ("state", "points", "seconds", "tries", "marked")
         rows = [
-            [t["key"], *t["bounds"], *(t[fact] for fact in facts), errors.get((stage, t["key"]), "")]
+            [t["key"], *t["bounds"], *(t[fact] for fact in fact_names), errors.get((stage, t["key"]), "")]
             for t in tiles[stage]
             if t["bounds"] is not None
         ]
         if rows and len(rows) <= room:
             room -= len(rows)
-            found.append({"name": stage, "title": title_of(run, stage), "tiles": rows})
-    return found
+            stages.append({"name": stage, "title": title_of(run, stage), "tiles": rows})
+    return stages
 
 
 def _files(run: Mapping[str, Any]) -> list[list[Any]]:

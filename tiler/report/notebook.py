@@ -124,17 +124,17 @@ def _rounded(value: float | None) -> str:
 def _picture(run: Mapping[str, Any], products: str) -> Iterator[Content]:
     """Yield the hillshade of the DTM, or an error if the DTM cannot be read."""
     name = next((name for name in ("dtm.tif", "dtm.vrt") if name in run.get("outputs", {})), None)
-    if name is None or state_at(place := joined(products, name)) is None:
+    if name is None or state_at(location := joined(products, name)) is None:
         return
     try:
-        found = small_hillshade(place, run, PICTURE_PIXELS)
+        picture = small_hillshade(location, run, PICTURE_PIXELS)
     except (RasterioError, OSError) as error:
-        yield el("p", f"{place}: cannot be drawn ({error})")
+        yield el("p", f"{location}: cannot be drawn ({error})")
         return
-    times = max(PICTURE_PIXELS // max(found.size), 1)
-    size = dict(zip(("width", "height"), (times * side for side in found.size), strict=True))
+    times = max(PICTURE_PIXELS // max(picture.size), 1)
+    size = dict(zip(("width", "height"), (times * side for side in picture.size), strict=True))
     alt = "Hillshade of the terrain model"
-    yield el("p", el("img", src=found.uri, alt=alt, **size, style="image-rendering: pixelated"))
+    yield el("p", el("img", src=picture.uri, alt=alt, **size, style="image-rendering: pixelated"))
 
 
 def _list(title: str, texts: Sequence[str]) -> Content:
@@ -147,8 +147,8 @@ def _list(title: str, texts: Sequence[str]) -> Content:
 
 def _links(files: Mapping[str, str]) -> Iterator[Content]:
     """Yield links to files, separated by spaces. Links into folders are last, because there may be many."""
-    for name, place in sorted(files.items(), key=lambda file: "/" in file[0])[:MAX_LINKS]:
-        yield el("a", name, href=_href(place), target="_blank", rel="noopener")
+    for name, location in sorted(files.items(), key=lambda file: "/" in file[0])[:MAX_LINKS]:
+        yield el("a", name, href=_href(location), target="_blank", rel="noopener")
         yield " "
     if len(files) > MAX_LINKS:
         yield f"and {len(files) - MAX_LINKS} more"

@@ -120,10 +120,10 @@ def draw(rasters: Mapping[str, str], run: Mapping[str, Any]) -> Pictures | None:
         return None
     longer = LONGER_SIDE
     while True:
-        found = _draw(rasters, run, longer)
-        taken = sum(len(picture.uri) * 3 // 4 for picture in found.pictures)
+        pictures = _draw(rasters, run, longer)
+        taken = sum(len(picture.uri) * 3 // 4 for picture in pictures.pictures)
         if taken <= MAX_BYTES:
-            return found
+            return pictures
         longer = min(int(longer * math.sqrt(MAX_BYTES / taken)), longer - 1)
 
 
@@ -211,15 +211,15 @@ def _read_sheets(vrt: Any, shape: tuple[int, ...], resampling: Resampling) -> Fl
         if path == vrt.name:
             continue
         with rasterio.open(path) as sheet:
-            place, (left, bottom, right, top) = vrt.transform, sheet.bounds
-            rows = [round((y - place.f) / place.e * down) for y in (top, bottom)]
-            cols = [round((x - place.c) / place.a * across) for x in (left, right)]
+            transform, (left, bottom, right, top) = vrt.transform, sheet.bounds
+            rows = [round((y - transform.f) / transform.e * down) for y in (top, bottom)]
+            cols = [round((x - transform.c) / transform.a * across) for x in (left, right)]
             row, col = min(rows[0], shape[0] - 1), min(cols[0], shape[1] - 1)
             end_row, end_col = max(rows[1], row + 1), max(cols[1], col + 1)
-            found = _values(sheet, (end_row - row, end_col - col), resampling)
+            sheet_values = _values(sheet, (end_row - row, end_col - col), resampling)
         window = values[row:end_row, col:end_col]
-        found = found[: window.shape[0], : window.shape[1]]
-        window[np.isfinite(found)] = found[np.isfinite(found)]
+        sheet_values = sheet_values[: window.shape[0], : window.shape[1]]
+        window[np.isfinite(sheet_values)] = sheet_values[np.isfinite(sheet_values)]
     return values
 
 
@@ -251,24 +251,24 @@ def _hillshade(heights: Floats, extent: Extent, run: Mapping[str, Any]) -> Pictu
 def _heights(heights: Floats, run: Mapping[str, Any]) -> Picture:
     unit = short_unit(run["plan"].get("metres_per_unit", {}).get("vertical", 1.0))
     low, high = _range(heights)
-    places = 0 if high - low >= 50 else 1 if high - low >= 5 else 2
-    return _ramp("dtm", "Terrain height", heights, low, high, TERRAIN, lambda v: f"{v:,.{places}f} {unit}")
+    decimals = 0 if high - low >= 50 else 1 if high - low >= 5 else 2
+    return _ramp("dtm", "Terrain height", heights, low, high, TERRAIN, lambda v: f"{v:,.{decimals}f} {unit}")
 
 
 def _density(density: Floats) -> Picture:
     """Draw the density with logarithmic shades, so that forest clearings and overlaps of strips are both visible."""
     density[density <= 0] = np.nan
-    found = np.log10(density, out=density)
-    low, high = _range(found)
-    return _ramp("density", "Ground points per m2", found, low, high, VIRIDIS, lambda v: f"{10**v:.3g}")
+    logarithms = np.log10(density, out=density)
+    low, high = _range(logarithms)
+    return _ramp("density", "Ground points per m2", logarithms, low, high, VIRIDIS, lambda v: f"{10**v:.3g}")
 
 
 def _sigma(sigma: Floats, run: Mapping[str, Any]) -> Picture:
     """Draw standard errors with logarithmic shades, so that errors of centimetres and of metres are both visible."""
     unit = short_unit(run["plan"].get("metres_per_unit", {}).get("vertical", 1.0))
-    found = np.log10(sigma, out=sigma)
-    low, high = _range(found)
-    return _ramp("sigma", "Standard error", found, low, high, VIRIDIS, lambda v: f"{10**v:.2g} {unit}")
+    logarithms = np.log10(sigma, out=sigma)
+    low, high = _range(logarithms)
+    return _ramp("sigma", "Standard error", logarithms, low, high, VIRIDIS, lambda v: f"{10**v:.2g} {unit}")
 
 
 def _mask(mask: Floats) -> Picture:
@@ -309,7 +309,9 @@ def _ramp(
 
 def ramp_colour(stops: tuple[Colour, ...], share: float) -> Colour:
     """Return the colour at a share, 0 to 1, of a ramp with equally spaced stops."""
-    place = share * (len(stops) - 1)
-    i = min(int(place), len(stops) - 2)
-    red, green, blue = (round(a + (place - i) * (b - a)) for a, b in zip(stops[i], stops[i + 1], strict=True))
+    position = share * (len(stops) - 1)
+    i = min(int(position), len(stops) - 2)
+    red, green, blue = (
+        round(a + (position - i) * (b - a)) for a, b in zip(stops[i], stops[i + 1], strict=True)
+    )
     return red, green, blue

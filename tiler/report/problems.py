@@ -67,9 +67,9 @@ def _warnings(run: Run) -> Iterator[Problem]:
 
 def _objects(run: Run) -> Iterator[Problem]:
     """Yield roofs and crowns that may still be in the finished terrain."""
-    places = run.get("advice_at", ())
-    for text, place in zip_longest(run.get("advice", ()), places):
-        yield Problem("objects suspected in the terrain", place_of(place), text)
+    positions = run.get("advice_at", ())
+    for text, position in zip_longest(run.get("advice", ()), positions):
+        yield Problem("objects suspected in the terrain", place_of(position), text)
 
 
 def _files(run: Run) -> Iterator[Problem]:
@@ -87,7 +87,12 @@ def _tasks(run: Run) -> Iterator[Problem]:
 def _labels(run: Run) -> Iterator[Problem]:
     """Yield tiles with labels that points beyond their halo could change."""
     marked = run.get("filter", {}).get("marked", 0)
-    tiles = [t for name, found in run.get("tiles", {}).items() if name.startswith("filter") for t in found]
+    tiles = [
+        t
+        for name, stage_tiles in run.get("tiles", {}).items()
+        if name.startswith("filter")
+        for t in stage_tiles
+    ]
     doubtful = [tile for tile in tiles if tile["marked"]]
     remedy = "use a larger --halo"
     for tile in doubtful:
@@ -175,12 +180,14 @@ SOURCES: tuple[Callable[[Run], Iterator[Problem]], ...] = (
 
 def problems(run: Run) -> Node:
     """Return the section of the report about missing and doubtful results, with remedies."""
-    found = problems_of(run)
-    if not found:
+    all_problems = problems_of(run)
+    if not all_problems:
         none = "None: every file was read, every tile was processed, and no result is doubtful."
         return section("problems", "Problems", el("p", none))
-    rows: list[tuple[Content, ...]] = [(p.what, _link(p.where), p.why, p.remedy) for p in found[:MAX_ROWS]]
-    more = len(found) - MAX_ROWS
+    rows: list[tuple[Content, ...]] = [
+        (p.what, _link(p.where), p.why, p.remedy) for p in all_problems[:MAX_ROWS]
+    ]
+    more = len(all_problems) - MAX_ROWS
     rest = el("p", f"{more:,} more are in run.json.") if more > 0 else None
     return section("problems", "Problems", table(("problem", "location", "cause", "remedy"), rows), rest)
 
@@ -196,5 +203,5 @@ def _link(where: Place | None) -> Content:
 
 def marked_places(run: Run) -> list[list[Any]]:
     """Return kind, west, south, east and north of each problem that has a location, for the map."""
-    found = [problem for problem in problems_of(run) if problem.where is not None]
-    return [[problem.what, *(problem.where or ())] for problem in found[:MAX_ROWS]]
+    located = [problem for problem in problems_of(run) if problem.where is not None]
+    return [[problem.what, *(problem.where or ())] for problem in located[:MAX_ROWS]]

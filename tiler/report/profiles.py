@@ -44,11 +44,11 @@ def profile(body: Mapping[str, Any], unit: str) -> Node | None:
     def down(z: float) -> float:
         return TOP + (HEIGHT - TOP - BOTTOM) * ((high - z) / (high - low))
 
-    places = [(across(s["along"]), down(s["level"])) for s in stations]
-    points = " ".join(f"{x:.1f},{y:.1f}" for x, y in places)
+    vertices = [(across(s["along"]), down(s["level"])) for s in stations]
+    points = " ".join(f"{x:.1f},{y:.1f}" for x, y in vertices)
     line = el("polyline", points=points, fill="none", stroke=WATER, stroke_width=2)
     marks = [_mark(across(along), down(z), BANKS, 2.5) for along, z in banks if low <= z <= high]
-    marks += [_mark(x, y, WATER, 3.5) for (x, y), s in zip(places, stations, strict=True) if s["seen"]]
+    marks += [_mark(x, y, WATER, 3.5) for (x, y), s in zip(vertices, stations, strict=True) if s["seen"]]
     title = el("title", f"Level of {body['kind']} {body['number']} along its flow")
     frame = [*_heights(low, high, down), *_lengths(length, across)]
     box = f"0 0 {WIDTH} {HEIGHT}"
@@ -89,8 +89,8 @@ def _caption(body: Mapping[str, Any], stations: Sequence[Station], unit: str) ->
 def _span(levels: Sequence[float], banks: Sequence[float]) -> tuple[float, float]:
     """Return the lowest and highest height of a picture."""
     low, high = min(levels), max(levels)
-    reach = max(high - low, MIN_RANGE)
-    near = [z for z in banks if low - reach <= z <= high + reach]
+    margin = max(high - low, MIN_RANGE)
+    near = [z for z in banks if low - margin <= z <= high + margin]
     low, high = min([low, *near]), max([high, *near])
     pad = max(MIN_RANGE - (high - low), 0.1 * (high - low)) / 2
     return low - pad, high + pad
@@ -98,22 +98,22 @@ def _span(levels: Sequence[float], banks: Sequence[float]) -> tuple[float, float
 
 def _heights(low: float, high: float, down: Scale) -> list[Node]:
     """Draw lines across the picture at round heights."""
-    found, digits = [], 2 if high - low < LINES_ACROSS else 0
+    nodes, digits = [], 2 if high - low < LINES_ACROSS else 0
     for z in round_steps(low, high, LINES_ACROSS):
         y = f"{down(z):.1f}"
-        found.append(_line(x1=LEFT, y1=y, x2=WIDTH - RIGHT, y2=y))
-        found.append(_text(LEFT - 8, f"{down(z) + 4:.1f}", f"{z:,.{digits}f}", "end"))
-    return found
+        nodes.append(_line(x1=LEFT, y1=y, x2=WIDTH - RIGHT, y2=y))
+        nodes.append(_text(LEFT - 8, f"{down(z) + 4:.1f}", f"{z:,.{digits}f}", "end"))
+    return nodes
 
 
 def _lengths(length: float, across: Scale) -> list[Node]:
     """Draw short lines below the picture at round lengths."""
-    found = []
+    nodes = []
     for along in round_steps(0.0, length, LINES_ALONG):
         x = f"{across(along):.1f}"
-        found.append(_line(x1=x, y1=HEIGHT - BOTTOM, x2=x, y2=HEIGHT - BOTTOM + 4))
-        found.append(_text(x, HEIGHT - 8, f"{along:,.0f}", "middle"))
-    return [_line(x1=LEFT, y1=HEIGHT - BOTTOM, x2=WIDTH - RIGHT, y2=HEIGHT - BOTTOM), *found]
+        nodes.append(_line(x1=x, y1=HEIGHT - BOTTOM, x2=x, y2=HEIGHT - BOTTOM + 4))
+        nodes.append(_text(x, HEIGHT - 8, f"{along:,.0f}", "middle"))
+    return [_line(x1=LEFT, y1=HEIGHT - BOTTOM, x2=WIDTH - RIGHT, y2=HEIGHT - BOTTOM), *nodes]
 
 
 def _line(**ends: str | int) -> Node:

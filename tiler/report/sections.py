@@ -51,13 +51,13 @@ def _left_out(run: Run) -> str:
 def sentence(run: Run) -> str:
     """Return the result of the run in one or two sentences."""
     plan, dtm, left_out = run["plan"], run.get("dtm"), _left_out(run)
-    what = "A run without a terrain model so far"
+    subject = "A run without a terrain model so far"
     if dtm:
-        what = f"A terrain model with pixels of {_length(run, dtm['resolution_m'])}"
+        subject = f"A terrain model with pixels of {_length(run, dtm['resolution_m'])}"
     seconds = f" in {duration_text(run['seconds'])}" if "seconds" in run and not done_before(run) else ""
     missing = f" Left out: {left_out}; see Problems." if left_out else " Nothing was left out."
     return (
-        f"{what} from {plan['points']:,} points of {counted(plan['inputs'], 'file')}, "
+        f"{subject} from {plan['points']:,} points of {counted(plan['inputs'], 'file')}, "
         f"{area_text(plan['area_m2'], _unit(run))}, by the method {plan['method']}{seconds}.{missing}"
     )
 
@@ -130,7 +130,7 @@ def settled(run: Run) -> list[ResolvedSetting]:
     plan, config = run["plan"], run["configuration"]
     memory, declared = plan["memory_bytes"], "declared by the files"
     units = " and ".join(dict.fromkeys(plan.get("units", {}).values()))
-    found = {
+    choices = {
         "resolution": (
             _length(run, plan["resolution_m"]),
             "1 m (2 ft), or the point spacing if larger; finer for dense photogrammetric clouds",
@@ -146,7 +146,7 @@ def settled(run: Run) -> list[ResolvedSetting]:
         ResolvedSetting(
             name.replace("_", " "), value, *(("automatic", why) if config[name] is None else ("you", ""))
         )
-        for name, (value, why) in found.items()
+        for name, (value, why) in choices.items()
     ]
 
 
@@ -165,12 +165,12 @@ def warned(run: Run) -> list[str]:
 def decisions(run: Run) -> Node:
     """Return the section about automatic decisions and their reasons."""
     told = [el("li", text) for text in noted(run)[:MAX_ROWS]]
-    found = list(_measured(run))
+    figure_rows = list(_measured(run))
     content: list[Content] = [table(("setting", "value", "by", "why"), settled(run))]
     if told:
         content += [el("h3", "Notes"), el("ul", *told)]
-    if found:
-        measured = table(("pass", "figure", "value"), found[:MAX_ROWS])
+    if figure_rows:
+        measured = table(("pass", "figure", "value"), figure_rows[:MAX_ROWS])
         content += [el("h3", "Measured over the whole run"), measured]
     return section("decisions", "Decided automatically", *content)
 

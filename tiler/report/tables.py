@@ -21,9 +21,12 @@ SLOWEST = 10
 
 def counts(run: Run) -> Node:
     """Return the table of counts: points that were read, stored and dropped, their classes, and pixels."""
-    found = run.get("counts", {})
-    pairs: dict[str, Content] = {"read": _count(found.get("read")), "stored": _count(found.get("stored"))}
-    pairs |= {f"dropped: {reason}": _count(n) for reason, n in found.get("dropped", {}).items()}
+    run_counts = run.get("counts", {})
+    pairs: dict[str, Content] = {
+        "read": _count(run_counts.get("read")),
+        "stored": _count(run_counts.get("stored")),
+    }
+    pairs |= {f"dropped: {reason}": _count(n) for reason, n in run_counts.get("dropped", {}).items()}
     names = {
         "duplicates_within_files": "duplicates within files",
         "duplicates_between_files": "duplicates between files",
@@ -31,7 +34,7 @@ def counts(run: Run) -> Node:
         "participating": "used by the filter",
         "strays": "far from all other points",
     }
-    pairs |= {text: _count(found.get(name)) for name, text in names.items()}
+    pairs |= {text: _count(run_counts.get(name)) for name, text in names.items()}
     names = {
         "ground": "ground",
         "unclassified": "unclassified",
@@ -83,13 +86,13 @@ def _more(number: int) -> Node | None:
 
 def outputs(run: Run) -> Node:
     """Return the table of output files with relative links. Files in folders are last."""
-    found = run.get("outputs", {})
+    sizes = run.get("outputs", {})
     rows = [
         (el("a", name, href=quote(os.fsencode(name))), size_text(size))
-        for name, size in sorted(found.items(), key=lambda file: "/" in file[0])[:MAX_ROWS]
+        for name, size in sorted(sizes.items(), key=lambda file: "/" in file[0])[:MAX_ROWS]
     ]
     body = table(("file", "size"), rows, (1,)) if rows else el("p", "None yet.")
-    return section("outputs", "Results", body, _more(len(found)))
+    return section("outputs", "Results", body, _more(len(sizes)))
 
 
 def timings(run: Run) -> Node:
@@ -116,12 +119,12 @@ def timings(run: Run) -> Node:
         "planned per worker": size_text(projected),
         "allowed per worker": size_text(plan["memory_bytes"]),
     }
-    before, tasks = done_before(run), sum(s["tasks"] for s in stages.values())
-    earlier = f"{before:,} of {tasks:,} tasks were done by earlier runs. The times of the stages are from the last run."
+    n_done, tasks = done_before(run), sum(s["tasks"] for s in stages.values())
+    earlier = f"{n_done:,} of {tasks:,} tasks were done by earlier runs. The times of the stages are from the last run."
     return section(
         "timings",
         "Time and memory",
-        el("p", earlier, class_="quiet") if before else None,
+        el("p", earlier, class_="quiet") if n_done else None,
         table(columns, rows, (1, 2, 3, 5, 6)),
         facts(memory),
         *_slowest(run),
@@ -147,7 +150,7 @@ def _bar(share: float) -> Node:
 
 
 def _slowest(run: Run) -> list[Content]:
-    tiles = ((stage, tile) for stage, found in run.get("tiles", {}).items() for tile in found)
+    tiles = ((stage, tile) for stage, stage_tiles in run.get("tiles", {}).items() for tile in stage_tiles)
     timed = [(stage, tile) for stage, tile in tiles if tile["seconds"] is not None]
     timed.sort(key=lambda item: (-item[1]["seconds"], item[0], item[1]["key"]))
     if not timed:

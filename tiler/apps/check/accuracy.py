@@ -72,11 +72,11 @@ def check_dtm(dtm: Path | str, points: Checkpoints, options: PointOptions | None
         area_km2 = _area_km2(raster)
     z = points.z * float((options.unit or metres) / metres)
     difference = sampled - z
-    own = options.rmse / float(metres)
-    if not own:
+    own_error = options.rmse / float(metres)
+    if not own_error:
         notes.append("the checkpoints' own error is assumed to be 0; give it with --points-rmse")
     kinds, covers = np.array(points.kinds), np.array(points.covers)
-    facts: dict[str, Any] = {
+    result: dict[str, Any] = {
         "dtm": str(dtm),
         "unit": unit_label(metres),
         "metres_per_unit": float(metres),
@@ -84,13 +84,15 @@ def check_dtm(dtm: Path | str, points: Checkpoints, options: PointOptions | None
         "used": int(np.isfinite(difference).sum()),
         "outside": int(outside.sum()),
         "no_height": int((np.isnan(sampled) & ~outside).sum()),
-        "points_rmse": own,
-        "all": _figures(difference, own),
-        "nva": _figures(difference[kinds == NVA], own),
-        "vva": _figures(difference[kinds == VVA], own),
-        "land_cover": {n: _figures(difference[covers == n], own) for n in sorted(set(points.covers)) if n},
+        "points_rmse": own_error,
+        "all": _figures(difference, own_error),
+        "nva": _figures(difference[kinds == NVA], own_error),
+        "vva": _figures(difference[kinds == VVA], own_error),
+        "land_cover": {
+            n: _figures(difference[covers == n], own_error) for n in sorted(set(points.covers)) if n
+        },
     }
-    facts["asprs"] = _statement(facts, area_km2, float(metres))
+    result["asprs"] = _statement(result, area_km2, float(metres))
     columns: dict[str, Sequence[Any]] = {
         "name": points.names,
         "x": x.tolist(),
@@ -103,8 +105,8 @@ def check_dtm(dtm: Path | str, points: Checkpoints, options: PointOptions | None
         "outlier": outliers(difference).tolist(),
     }
     rows = zip(*columns.values(), strict=True)
-    facts["differences"] = [dict(zip(columns, row, strict=True)) for row in rows]
-    return {**facts, "notes": notes}
+    result["differences"] = [dict(zip(columns, row, strict=True)) for row in rows]
+    return {**result, "notes": notes}
 
 
 def _none_for_nan(values: Floats) -> list[float | None]:
@@ -128,12 +130,12 @@ def _in_crs_of(
         )
     try:
         named = CRS.from_user_input(text)
-        own = CRS.from_wkt(raster.crs.to_wkt())
+        raster_crs = CRS.from_wkt(raster.crs.to_wkt())
     except (ProjError, UnicodeError, RecursionError) as error:
         raise ConfigError(
             f"the checkpoints are in {excerpt(text)}, which is not a known CRS; give one with --points-crs"
         ) from error
-    source, target = split(named)[0], split(own)[0]
+    source, target = split(named)[0], split(raster_crs)[0]
     if source is None or target is None:
         raise ConfigError(f"{text}: has no horizontal part; give the CRS of x and y with --points-crs")
     if same_horizontal(source, target):
@@ -211,8 +213,8 @@ def outliers(difference: Floats) -> npt.NDArray[np.bool_]:
     if figures["median"] is None or figures["nmad"] is None:
         return np.zeros(difference.size, np.bool_)
     limit = OUTLIER_NMADS * figures["nmad"] + _ROUNDING
-    found: npt.NDArray[np.bool_] = np.abs(difference - figures["median"]) > limit
-    return found
+    is_outlier: npt.NDArray[np.bool_] = np.abs(difference - figures["median"]) > limit
+    return is_outlier
 
 
 def _figures(difference: Floats, own_rmse: float) -> dict[str, Any]:

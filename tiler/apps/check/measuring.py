@@ -76,10 +76,10 @@ def measure(
 def _accuracy_and_seams(
     dtm: Path, points: Path | None, options: PointOptions, tile_m: Fraction | None
 ) -> dict[str, dict[str, Any]]:
-    found = {}
+    measured = {}
     if points is not None:
-        found["accuracy"] = check_dtm(dtm, read_checkpoints(points), options)
+        measured["accuracy"] = check_dtm(dtm, read_checkpoints(points), options)
     seams = seams_of(dtm, tile_m)
     if seams is not None:
-        found["seams"] = seams
-    return found
+        measured["seams"] = seams
+    return measured

@@ -125,9 +125,9 @@ def read_checkpoints(path: Path | str) -> Checkpoints:
     if suffix in (".csv", ".txt"):
         rows, crs, notes = list(_csv_rows(path)), None, []
     else:
-        found = read_features(path, CHECKPOINTS)
-        rows = [_row_of(feature) for feature in found.features]
-        crs, notes = found.crs, list(found.notes)
+        layer = read_features(path, CHECKPOINTS)
+        rows = [_row_of(feature) for feature in layer.features]
+        crs, notes = layer.crs, list(layer.notes)
     if not rows:
         raise InputError(f"{path}: holds no checkpoint")
     kinds = tuple(_kind(path, row.kind) for row in rows)
@@ -147,8 +147,8 @@ def read_checkpoints(path: Path | str) -> Checkpoints:
 def _row_of(feature: Feature) -> Row:
     """Return the row of a point, whose height is its third coordinate or an attribute."""
     has_z = bool(feature.geometry.has_z)
-    place = shapely.get_coordinates(feature.geometry, include_z=has_z)[0].tolist()
-    return row_of(feature.attributes | dict(zip(("x", "y", "z"), place, strict=False)), feature.place)
+    coordinates = shapely.get_coordinates(feature.geometry, include_z=has_z)[0].tolist()
+    return row_of(feature.attributes | dict(zip(("x", "y", "z"), coordinates, strict=False)), feature.place)
 
 
 def row_of(values: Mapping[str, Any], place: str) -> Row:
@@ -156,10 +156,10 @@ def row_of(values: Mapping[str, Any], place: str) -> Row:
 
     Raise InputError if x, y or z is missing, is not a finite number, or is too large.
     """
-    found = {wanted: _value(values, names) for wanted, names in _COLUMNS.items()}
+    row_values = {column: _value(values, names) for column, names in _COLUMNS.items()}
     numbers = []
     for axis in ("x", "y", "z"):
-        text = found[axis]
+        text = row_values[axis]
         if text is None:
             raise InputError(f"{place}: {axis} is missing")
         try:
@@ -175,7 +175,7 @@ def row_of(values: Mapping[str, Any], place: str) -> Row:
         numbers.append(number)
     texts = []
     for name in ("kind", "cover", "name"):
-        text = found[name]
+        text = row_values[name]
         texts.append("" if text is None else str(text).strip())
     x, y, z = numbers
     return Row(x, y, z, *texts)

@@ -37,10 +37,10 @@ class Metric:
 
 def _nva(key: str) -> Callable[[Mapping[str, Any]], float | None]:
     def value(accuracy: Mapping[str, Any]) -> float | None:
-        found: float | None = accuracy["nva"][key]
-        if found is None:
+        figure: float | None = accuracy["nva"][key]
+        if figure is None:
             return None
-        return abs(found)
+        return abs(figure)
 
     return value
 
@@ -76,18 +76,18 @@ def parse_requirements(texts: Iterable[str]) -> list[Requirement]:
 
     Raise ConfigError if a name is unknown or a value is invalid.
     """
-    found = []
+    requirements = []
     for text in texts:
         name, sign, value = (part.strip() for part in text.partition("="))
         if not sign or name not in METRICS:
             raise ConfigError(f"--require {text}; give NAME=VALUE with one of {', '.join(METRICS)}")
         if METRICS[name].is_length:
-            found.append(Requirement(name, parse_length(value)))
+            requirements.append(Requirement(name, parse_length(value)))
         elif value.isdecimal():
-            found.append(Requirement(name, Fraction(int(value))))
+            requirements.append(Requirement(name, Fraction(int(value))))
         else:
             raise ConfigError(f"--require {text}: {value!r} is not a number of points")
-    return found
+    return requirements
 
 
 def judge(requirements: Sequence[Requirement], report: Report) -> list[dict[str, Any]]:

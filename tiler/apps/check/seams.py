@@ -136,14 +136,14 @@ def seam_steps(dtm: Path | str, edges: TileEdges) -> dict[str, Any]:
                 of_steps, of_jumps = tallies.setdefault(name, (StepStatistics(), StepStatistics()))
                 of_steps.add(steps[mark])
                 of_jumps.add(jumps[mark])
-    found = {}
+    figures = {}
     for name in KINDS:
         if name in tallies:
             steps_of, jumps_of = tallies[name]
-            found[name] = {"pairs": steps_of.n, **steps_of.facts("step"), **jumps_of.facts("jump")}
-    across, near, excess = found["tiles"]["mean_jump"], found["beside_tiles"]["mean_jump"], None
+            figures[name] = {"pairs": steps_of.n, **steps_of.facts("step"), **jumps_of.facts("jump")}
+    across, near, excess = figures["tiles"]["mean_jump"], figures["beside_tiles"]["mean_jump"], None
     if near is None:
-        near = found["interior"]["mean_jump"]
+        near = figures["interior"]["mean_jump"]
     if across is not None and near is not None:
         excess = across - near
     return {
@@ -151,7 +151,7 @@ def seam_steps(dtm: Path | str, edges: TileEdges) -> dict[str, Any]:
         "metres_per_unit": float(metres),
         "tile": edges.tile,
         "bucket": edges.bucket,
-        **found,
+        **figures,
         "excess": excess,
     }
 
@@ -215,13 +215,13 @@ def _differences(heights: Floats, marks: dict[str, Bools]) -> tuple[Floats, Floa
 def _marks(start: float, size: float, pixels: int, edges: TileEdges) -> dict[str, Bools]:
     """Return masks of the pixels along an axis whose step from the previous pixel is of each of `KINDS`."""
     low, high = sorted((start, start + size * pixels))
-    found = np.zeros(pixels + 1, np.bool_)
+    edge_mask = np.zeros(pixels + 1, np.bool_)
     for edge in edges.between(low, high):
         # In the order of the file, this is the first pixel whose centre lies on or beyond the edge.
-        place = (edge - start) / size - 0.5
-        found[min(math.ceil(place - 1e-9), pixels)] = True
-    found[0] = False
-    marks = {"tiles": found[:pixels]}
+        position = (edge - start) / size - 0.5
+        edge_mask[min(math.ceil(position - 1e-9), pixels)] = True
+    edge_mask[0] = False
+    marks = {"tiles": edge_mask[:pixels]}
     if edges.blocks:
         at = np.arange(pixels)
         marks["blocks"] = (at % BLOCK_PIXELS == 0) & (at > 0)

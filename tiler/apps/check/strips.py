@@ -131,6 +131,8 @@ def _compared(keys: Int64s, sums: Floats, max_rough: float) -> dict[str, Any]:
     of_first, of_second = keys[0, first], keys[0, second]
     pairs = []
     for a, b in sorted(set(zip(of_first.tolist(), of_second.tolist(), strict=True))):
-        own = difference[(of_first == a) & (of_second == b)]
-        pairs.append({"first": a, "second": b, "cells": int(own.size), **spread(own)})
+        pair_differences = difference[(of_first == a) & (of_second == b)]
+        pairs.append(
+            {"first": a, "second": b, "cells": int(pair_differences.size), **spread(pair_differences)}
+        )
     return {"cells": int(difference.size), "rough": rough, "all": spread(difference), "pairs": pairs}

@@ -115,15 +115,15 @@ def compare_files(
     if grid is not None:
         grid.clear()
     findings = LabelComparison(grid)
-    mine, true = _whole(cloud), _whole(reference)
-    in_cloud, in_reference = _pairs(mine.place, true.place)
+    cloud_points, true = _whole(cloud), _whole(reference)
+    in_cloud, in_reference = _pairs(cloud_points.place, true.place)
     if len(in_cloud) == 0:
         raise InputError(f"{reference}: none of its points is in {cloud}; give the reference of this cloud")
-    findings.add(mine.classes[in_cloud], true.take(in_reference))
+    findings.add(cloud_points.classes[in_cloud], true.take(in_reference))
     return findings, {
         "matched_by": "coordinates",
         "unmatched_reference": len(true.classes) - len(in_reference),
-        "unmatched_cloud": len(mine.classes) - len(in_cloud),
+        "unmatched_cloud": len(cloud_points.classes) - len(in_cloud),
     }
 
 
@@ -133,9 +133,9 @@ def _read(path: Path) -> Iterator[ClassifiedPoints]:
         for start in range(0, header.point_count, _STEP):
             records = reader.read(start, min(_STEP, header.point_count - start))
             xyz = [coordinate(records, header, axis) for axis in range(3)]
-            place = np.round(np.stack(xyz) * PER_UNIT).astype(np.int64)
+            positions = np.round(np.stack(xyz) * PER_UNIT).astype(np.int64)
             classes, flags = class_and_flags(records, header.point_format)
-            yield ClassifiedPoints(place, classes, (flags & WITHHELD_FLAG) > 0)
+            yield ClassifiedPoints(positions, classes, (flags & WITHHELD_FLAG) > 0)
 
 
 def _in_order(cloud: Path, reference: Path, findings: LabelComparison) -> bool:
@@ -145,10 +145,10 @@ def _in_order(cloud: Path, reference: Path, findings: LabelComparison) -> bool:
     """
     if read_header(cloud).point_count != read_header(reference).point_count:
         return False
-    for mine, true in zip(_read(cloud), _read(reference), strict=True):
-        if not np.array_equal(mine.place, true.place):
+    for cloud_points, true in zip(_read(cloud), _read(reference), strict=True):
+        if not np.array_equal(cloud_points.place, true.place):
             return False
-        findings.add(mine.classes, true)
+        findings.add(cloud_points.classes, true)
     return True
 
 
@@ -171,8 +171,8 @@ def _pairs(place: Int64s, true_place: Int64s) -> tuple[npt.NDArray[np.intp], npt
     new = np.r_[True, np.any(ordered[:, 1:] != ordered[:, :-1], axis=0)]
     group = np.empty(len(order), np.int64)
     group[order] = np.cumsum(new) - 1
-    mine, other = (_numbered(part) for part in np.split(group, [place.shape[1]]))
-    _, in_cloud, in_reference = np.intersect1d(mine, other, assume_unique=True, return_indices=True)
+    cloud_numbers, other = (_numbered(part) for part in np.split(group, [place.shape[1]]))
+    _, in_cloud, in_reference = np.intersect1d(cloud_numbers, other, assume_unique=True, return_indices=True)
     return in_cloud, in_reference
 
 

@@ -88,17 +88,17 @@ def evaluate_dtm(
         write = stack.enter_context(_difference_writer(difference, pair))
         unit = unit_label(vertical_unit(pair.truth))
         judge = None if sigma is None else _Judge(stack.enter_context(_opened(Path(sigma), Path(truth))))
-        for row, col, mine, true in _blocks(pair):
-            has_mine, has_true = np.isfinite(mine), np.isfinite(true)
+        for row, col, dtm_heights, true in _blocks(pair):
+            has_mine, has_true = np.isfinite(dtm_heights), np.isfinite(true)
             common = has_mine & has_true
             both += int(common.sum())
             only_dtm += int((has_mine & ~common).sum())
             only_truth += int((has_true & ~common).sum())
-            tally.add(mine[common] - true[common])
+            tally.add(dtm_heights[common] - true[common])
             if write is not None:
-                write(mine - true, row, col)
+                write(dtm_heights - true, row, col)
             if judge is not None:
-                judge.add(row, col, mine, true)
+                judge.add(row, col, dtm_heights, true)
     judged = {} if judge is None else {"sigma": judge.tally.summary(), "sigma_file": str(sigma)}
     return {
         "unit": unit,
@@ -137,8 +137,8 @@ class _Judge:
 
 def sigma_beside(dtm: Path | str) -> Path | None:
     """Return the raster of standard errors that a run wrote next to its DTM, or None."""
-    found = Path(dtm).with_name(f"sigma{Path(dtm).suffix}")
-    return found if Path(dtm).stem == "dtm" and found.is_file() else None
+    sigma_path = Path(dtm).with_name(f"sigma{Path(dtm).suffix}")
+    return sigma_path if Path(dtm).stem == "dtm" and sigma_path.is_file() else None
 
 
 def validate_targets(
@@ -176,16 +176,16 @@ def validate_targets(
 
 def files_of_raster(path: Path | str) -> list[str]:
     """Return the files of a raster, including the files to which a VRT refers."""
-    found, todo = [str(path)], [str(path)]
+    files, todo = [str(path)], [str(path)]
     while todo:
         try:
             with open_raster(todo.pop()) as raster:
-                new = [file for file in raster.files if file not in found]
+                new = [file for file in raster.files if file not in files]
         except InputError:  # The fault is reported when the raster is read.
             continue
-        found += new
+        files += new
         todo += [file for file in new if file.lower().endswith(".vrt")]
-    return found
+    return files
 
 
 @contextmanager
@@ -212,29 +212,29 @@ def _difference_writer(path: Path | str | None, pair: Pair) -> Iterator[Any]:
 @contextmanager
 def _opened(dtm: Path, truth: Path) -> Iterator[Pair]:
     """Open both rasters. Raise InputError or ConfigError if they cannot be read or compared."""
-    with open_raster(dtm) as mine, open_raster(truth) as true:
-        _check_places(dtm, mine, truth, true)
-        a, b = mine.transform, true.transform
+    with open_raster(dtm) as dtm_raster, open_raster(truth) as true:
+        _check_places(dtm, dtm_raster, truth, true)
+        a, b = dtm_raster.transform, true.transform
         col, row = (a.c - b.c) / b.a, (a.f - b.f) / b.e
         if not (np.allclose((a.a, a.e), (b.a, b.e)) and _whole_number(col) and _whole_number(row)):
             raise ConfigError(
                 f"{dtm} and {truth} do not lie on one pixel lattice (pixels of {a.a:g} and {b.a:g}, "
                 f"shifted by {col % 1:.3f} and {row % 1:.3f}); make the DTM with the truth's resolution"
             )
-        pair = Pair(mine, true, round(row), round(col))
+        pair = Pair(dtm_raster, true, round(row), round(col))
         apart = pair.row >= true.height or pair.col >= true.width
-        if apart or pair.row + mine.height <= 0 or pair.col + mine.width <= 0:
+        if apart or pair.row + dtm_raster.height <= 0 or pair.col + dtm_raster.width <= 0:
             raise ConfigError(f"{dtm} and {truth} do not overlap; give the truth of this DTM")
         yield pair
 
 
 def _check_places(dtm: Path, mine: Any, truth: Path, true: Any) -> None:
     if mine.crs and true.crs:
-        ours, theirs = (CRS.from_wkt(raster.crs.to_wkt()) for raster in (mine, true))
-        one, other = split(ours)[0], split(theirs)[0]
+        dtm_crs, truth_crs = (CRS.from_wkt(raster.crs.to_wkt()) for raster in (mine, true))
+        one, other = split(dtm_crs)[0], split(truth_crs)[0]
         if one is not None and other is not None and not same_horizontal(one, other):
             raise ConfigError(
-                f"{dtm} is in {ours.name}, {truth} in {theirs.name}; bring both into one CRS (gdalwarp)"
+                f"{dtm} is in {dtm_crs.name}, {truth} in {truth_crs.name}; bring both into one CRS (gdalwarp)"
             )
     if mine.units[0] and true.units[0] and mine.units[0] != true.units[0]:
         raise ConfigError(
@@ -249,8 +249,8 @@ def _whole_number(value: float) -> bool:
 def _blocks(pair: Pair) -> Iterator[tuple[int, int, Float64s, Float64s]]:
     """Yield row and column in the reference and the heights of both rasters (NaN: none), per block."""
     for row, col, height, width in blocks_with_files(pair.truth, pair.dtm):
-        mine = read_heights(pair.dtm, row - pair.row, col - pair.col, height, width)
-        yield row, col, mine, read_heights(pair.truth, row, col, height, width)
+        dtm_heights = read_heights(pair.dtm, row - pair.row, col - pair.col, height, width)
+        yield row, col, dtm_heights, read_heights(pair.truth, row, col, height, width)
 
 
 def blocks_with_files(raster: Any, *others: Any) -> Iterator[tuple[int, int, int, int]]:
@@ -265,10 +265,10 @@ def blocks_with_files(raster: Any, *others: Any) -> Iterator[tuple[int, int, int
         for each in (raster, *others):
             for path in _files(each):
                 reached.update(_reached(raster, path))
-        places = sorted(reached)
+        block_corners = sorted(reached)
     else:
-        places = list(itertools.product(range(0, height, BLOCK), range(0, width, BLOCK)))
-    for row, col in places:
+        block_corners = list(itertools.product(range(0, height, BLOCK), range(0, width, BLOCK)))
+    for row, col in block_corners:
         yield row, col, min(BLOCK, height - row), min(BLOCK, width - col)
 
 
@@ -283,9 +283,9 @@ def _reached(vrt: Any, path: str) -> Iterator[tuple[int, int]]:
     """Yield row and column of the blocks of a VRT that are at most two pixels from a file."""
     with rasterio.open(path) as part:
         x0, y0, x1, y1 = part.bounds
-    place = vrt.transform
-    left, right = sorted((x - place.c) / place.a for x in (x0, x1))
-    top, bottom = sorted((y - place.f) / place.e for y in (y0, y1))
+    transform = vrt.transform
+    left, right = sorted((x - transform.c) / transform.a for x in (x0, x1))
+    top, bottom = sorted((y - transform.f) / transform.e for y in (y0, y1))
     for row in range(max(int(top) - 1, 0) // BLOCK * BLOCK, min(int(bottom) + 2, vrt.height), BLOCK):
         for col in range(max(int(left) - 1, 0) // BLOCK * BLOCK, min(int(right) + 2, vrt.width), BLOCK):
             yield row, col

@@ -122,7 +122,7 @@ def class_scores(table: Int64s, ignore: Sequence[int] = IGNORED) -> dict[str, di
         By class, as text: ``points``; ``labelled_ground``; ``wrong`` (number of points) and ``error`` (fraction), both
         None for a class that is left out.
     """
-    found: dict[str, dict[str, Any]] = {}
+    scores_by_class: dict[str, dict[str, Any]] = {}
     for code in np.flatnonzero(table.sum(axis=1)).tolist():
         other, ground = (int(n) for n in table[code])
         wrong: int | None = ground
@@ -130,13 +130,13 @@ def class_scores(table: Int64s, ignore: Sequence[int] = IGNORED) -> dict[str, di
             wrong = other
         if code in ignore:
             wrong = None
-        found[str(code)] = {
+        scores_by_class[str(code)] = {
             "points": other + ground,
             "labelled_ground": ground,
             "wrong": wrong,
             "error": None if wrong is None else wrong / (other + ground),
         }
-    return found
+    return scores_by_class
 
 
 def mean_scores(scenes: Iterable[Mapping[str, Any]]) -> dict[str, float | None]:

@@ -120,15 +120,15 @@ class ErrorGrid:
         Rows are counted from the north.
         """
         west, north, width, _ = self.extent
-        found = np.full((3, rows, width), NONE, np.uint8)
+        bands = np.full((3, rows, width), NONE, np.uint8)
         row = north - self.places[1] - first_row
         here = (row >= 0) & (row < rows)
         points, lost, taken = self.counts[:, here]
         at = (row[here], self.places[0, here] - west)
-        found[0][at] = (lost > 0) * TYPE_1 + (taken > 0) * TYPE_2
+        bands[0][at] = (lost > 0) * TYPE_1 + (taken > 0) * TYPE_2
         for band, wrong in ((1, lost), (2, taken)):
-            found[band][at] = np.ceil(100 * wrong / points).astype(np.uint8)
-        return found
+            bands[band][at] = np.ceil(100 * wrong / points).astype(np.uint8)
+        return bands
 
 
 def validate_map_files(folder: Path, names: Sequence[str]) -> None:

@@ -68,48 +68,48 @@ def find_scenes(clouds: Sequence[str | Path], references: Sequence[str | Path]) 
     InputError
         There are no files.
     """
-    mine, true = _expanded(clouds), _expanded(references)
-    one_by_one = len(mine) == len(clouds) and len(true) == len(references)
-    if len(mine) == 1:
-        partners = [mine[0][0]] * len(true)
-    elif one_by_one and len(mine) == len(true):
-        partners = [path for path, _ in mine]
+    cloud_paths, true = _expanded(clouds), _expanded(references)
+    one_by_one = len(cloud_paths) == len(clouds) and len(true) == len(references)
+    if len(cloud_paths) == 1:
+        partners = [cloud_paths[0][0]] * len(true)
+    elif one_by_one and len(cloud_paths) == len(true):
+        partners = [path for path, _ in cloud_paths]
     else:
-        partners = [_partner(mine, path, place) for path, place in true]
+        partners = [_partner(cloud_paths, path, relative_path) for path, relative_path in true]
     names = _names(true)
     return [Scene(name, cloud, path) for name, cloud, (path, _) in zip(names, partners, true, strict=True)]
 
 
 def _partner(clouds: Sequence[tuple[Path, str]], reference: Path, place: str) -> Path:
     """Return the only cloud with the name of a reference. Raise ConfigError if it is not the only one."""
-    found = [cloud for cloud in clouds if cloud[0].stem == reference.stem]
-    if len(found) > 1:
-        found = [cloud for cloud in found if cloud[1] == place]
-    if len(found) != 1:
+    matches = [cloud for cloud in clouds if cloud[0].stem == reference.stem]
+    if len(matches) > 1:
+        matches = [cloud for cloud in matches if cloud[1] == place]
+    if len(matches) != 1:
         raise ConfigError(
-            f"{reference}: {len(found) or 'none'} of the {len(clouds)} clouds {'are' if found else 'is'} named "
+            f"{reference}: {len(matches) or 'none'} of the {len(clouds)} clouds {'are' if matches else 'is'} named "
             f"{reference.stem}; give clouds and references alike, or in the same order"
         )
-    return found[0][0]
+    return matches[0][0]
 
 
 def _expanded(paths: Sequence[str | Path]) -> list[tuple[Path, str]]:
     """Return files in the order of ``paths``, with their paths (without suffix) in the given folder."""
-    found: dict[Path, str] = {}
+    relative_paths: dict[Path, str] = {}
     for text in paths:
         for path in find_inputs([text], results=True):
             base = path.parent
             if Path(text).is_dir():
                 base = Path(text)
-            found.setdefault(path, path.relative_to(base).with_suffix("").as_posix())
-    return list(found.items())
+            relative_paths.setdefault(path, path.relative_to(base).with_suffix("").as_posix())
+    return list(relative_paths.items())
 
 
 def _names(references: Sequence[tuple[Path, str]]) -> list[str]:
     """Return unique names of the references, with their folders or a number if necessary."""
     for names in (
         [path.stem for path, _ in references],
-        [place.replace("/", "_") for _, place in references],
+        [relative_path.replace("/", "_") for _, relative_path in references],
     ):
         if len(set(names)) == len(names):
             return names
@@ -177,11 +177,11 @@ def _compare(
     """Return the counts of a scene, how its points were paired, and the paths of its maps."""
     if maps is None:
         return *compare_files(scene.cloud, scene.reference), []
-    place = inspect(scene.reference).georeference
-    grid = ErrorGrid(maps.cell_m / (place.horizontal or METRE), ignore)
+    georeference = inspect(scene.reference).georeference
+    grid = ErrorGrid(maps.cell_m / (georeference.horizontal or METRE), ignore)
     findings, how = compare_files(scene.cloud, scene.reference, grid)
     findings.grid = None  # The caller does not need the grid, which may be large.
-    return findings, how, write_error_map(grid, maps.folder, scene.name, place.wkt)
+    return findings, how, write_error_map(grid, maps.folder, scene.name, georeference.wkt)
 
 
 def filter_and_evaluate(
@@ -228,7 +228,7 @@ def filter_and_evaluate(
                 )
             filtered.append(made)
             scenes.append(Scene(scene.name, target, scene.reference))
-        facts = evaluate_scenes(scenes, ignore, maps)
-    for result, made in zip(facts["scenes"], filtered, strict=True):
+        scores = evaluate_scenes(scenes, ignore, maps)
+    for result, made in zip(scores["scenes"], filtered, strict=True):
         result |= {"cloud": result["reference"], "seconds": made["seconds"]}
-    return {**facts, "method": config.method, "parameters": filtered[0]["parameters"]}
+    return {**scores, "method": config.method, "parameters": filtered[0]["parameters"]}

@@ -53,9 +53,9 @@ class SigmaTally:
         for column, values in enumerate((np.ones_like(sigma), squared, sigma**2)):
             self._by_slope[:, column] += np.bincount(classes, values, len(SLOPES_DEG) - 1)
         for table, values in ((self._by_sigma, sigma), (self._by_error, size)):
-            place = _classes(values)
-            table[:, 0] += np.bincount(place, minlength=N_CLASSES)
-            table[:, 1] += np.bincount(place, squared, N_CLASSES)
+            class_numbers = _classes(values)
+            table[:, 0] += np.bincount(class_numbers, minlength=N_CLASSES)
+            table[:, 1] += np.bincount(class_numbers, squared, N_CLASSES)
 
     def summary(self) -> dict[str, Any]:
         """Return the statistics of all counted pixels.
@@ -98,10 +98,10 @@ def slopes_of(truth: Float64s, step: float) -> Float64s:
 
 def _classes(values: Float64s) -> npt.NDArray[np.int64]:
     logarithm = np.log10(np.maximum(values, 10.0**LOWEST))
-    found: npt.NDArray[np.int64] = np.rint((np.minimum(logarithm, HIGHEST) - LOWEST) * PER_DECADE).astype(
-        np.int64
-    )
-    return found
+    class_numbers: npt.NDArray[np.int64] = np.rint(
+        (np.minimum(logarithm, HIGHEST) - LOWEST) * PER_DECADE
+    ).astype(np.int64)
+    return class_numbers
 
 
 def _figures(n: float, squared: float, predicted: float) -> dict[str, Any]:
@@ -117,8 +117,8 @@ def _curve(table: Float64s) -> tuple[Float64s, Float64s] | None:
     """
     if not table[:, 1].sum():
         return None
-    found = np.cumsum(table[::-1], axis=0) / table.sum(axis=0)
-    return np.append(0.0, found[:, 0]), np.append(0.0, found[:, 1])
+    shares = np.cumsum(table[::-1], axis=0) / table.sum(axis=0)
+    return np.append(0.0, shares[:, 0]), np.append(0.0, shares[:, 1])
 
 
 def _area(curve: tuple[Float64s, Float64s] | None) -> float | None:

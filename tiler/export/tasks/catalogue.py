@@ -82,8 +82,8 @@ class Cloud:
 def planned(gridding: GridContext) -> dict[str, str]:
     """Return the path in OUT of the file of each task of this stage, by the key of the task."""
     cut = [_item_path(gridding, sheet) for sheet in gridding.sheets]
-    found = [STAC, VIRTUAL, *cut] if gridding.plan.writes_clouds else [STAC, *cut]
-    return {path.rpartition("/")[2]: path for path in found}
+    paths = [STAC, VIRTUAL, *cut] if gridding.plan.writes_clouds else [STAC, *cut]
+    return {path.rpartition("/")[2]: path for path in paths}
 
 
 def catalogue_tasks(
@@ -146,15 +146,15 @@ class _Catalogue:
 
     def documents(self) -> dict[str, dict[str, Any]]:
         """Return the content of each document by its path in OUT."""
-        found: dict[str, dict[str, Any]] = {}
+        documents: dict[str, dict[str, Any]] = {}
         if self._plan.writes_clouds:
             features = [self._virtual(cloud) for cloud in self.clouds if cloud.record["statistics"]["fields"]]
-            found[VIRTUAL] = {"type": "FeatureCollection", "features": features}
+            documents[VIRTUAL] = {"type": "FeatureCollection", "features": features}
         if self._plan.config.sheets is None:
-            found[STAC] = self._whole()
-            return found
+            documents[STAC] = self._whole()
+            return documents
         items = {_item_path(self._gridding, sheet): self._sheet(sheet) for sheet in self._gridding.sheets}
-        return {**found, STAC: self._collection(items), **items}
+        return {**documents, STAC: self._collection(items), **items}
 
     def _virtual(self, cloud: Cloud) -> dict[str, Any]:
         """Return a classified cloud as a feature of the virtual cloud."""
@@ -181,8 +181,8 @@ class _Catalogue:
 
     def _format(self, cloud: Cloud) -> int:
         """Return the point format of a classified cloud."""
-        own = cloud.source.info.point_format
-        return newer_format(own) if self._plan.config.classified == "copc" else own
+        point_format = cloud.source.info.point_format
+        return newer_format(point_format) if self._plan.config.classified == "copc" else point_format
 
     def _whole(self) -> dict[str, Any]:
         """Return the item of a run whose products are not divided into sheets."""
@@ -201,10 +201,10 @@ class _Catalogue:
     def _sheet(self, sheet: Sheet) -> dict[str, Any]:
         exported = self._plan.config.exported
         rasters = {name: raster_file(name, name_of(self._gridding, name, sheet)) for name in exported}
-        place = "_".join(f"{edge:.10g}" for edge in sheet.corner)
+        corner_name = "_".join(f"{edge:.10g}" for edge in sheet.corner)
         rels = ("root", "parent", "collection")
         links = [{"rel": rel, "href": f"../{STAC}", "type": _JSON} for rel in rels]
-        item = self._item(f"{self._id}_{place}", sheet.spec, self._rasters(rasters, ".."), links)
+        item = self._item(f"{self._id}_{corner_name}", sheet.spec, self._rasters(rasters, ".."), links)
         return {**item, "collection": self._id}
 
     def _collection(self, items: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
@@ -248,17 +248,17 @@ class _Catalogue:
 
     def _rasters(self, paths: Mapping[str, str], base: str) -> dict[str, Any]:
         """Return the assets of the rasters that were written."""
-        found = {}
+        assets = {}
         for name, path in paths.items():
             key = path.rpartition("/")[2]
             if key in self._written:
                 product, record = PRODUCTS[name], self._written[key][1]
-                found[name] = {
+                assets[name] = {
                     "href": f"{base}/{quote(os.fsencode(path))}", "type": _COG, "title": product.description,
                     "roles": ["data"],
                     "bands": [self._band(name, record)],
                 }  # fmt: skip
-        return found
+        return assets
 
     def _band(self, name: str, record: Mapping[str, Any]) -> dict[str, Any]:
         product, units = PRODUCTS[name], self._plan.meta.frame.units
@@ -278,18 +278,18 @@ class _Catalogue:
         """Return the assets that are not rasters."""
         drawn = [OUTLINE, WATER, BRIDGES, SHEETS, *(f"{name}.gpkg" for name in self._plan.config.drawn)]
         written = [name for name in drawn if name in self._written]
-        found = {name.removesuffix(".gpkg"): _asset(name, _GPKG) for name in written}
+        assets = {name.removesuffix(".gpkg"): _asset(name, _GPKG) for name in written}
         if self.clouds:
-            found[VIRTUAL] = _asset(VIRTUAL, _GEOJSON, "metadata", title="classified clouds as one")
+            assets[VIRTUAL] = _asset(VIRTUAL, _GEOJSON, "metadata", title="classified clouds as one")
         for cloud in self.clouds:
             # The schema of the extension is valid only for items, and with sheets this is a collection.
             more = {"pc:count": cloud.record["points"]} if self._plan.config.sheets is None else {}
             asset = _asset(
                 quote(os.fsencode(cloud.path)), self._media, title="points with their classes", **more
             )
-            found[cloud.path.removesuffix(self._suffix)] = asset
-        found["report"] = _asset(REPORT, "text/html", "metadata")
-        return found
+            assets[cloud.path.removesuffix(self._suffix)] = asset
+        assets["report"] = _asset(REPORT, "text/html", "metadata")
+        return assets
 
     def _dates(self) -> dict[str, str | None]:
         if self.clouds:

@@ -17,8 +17,8 @@ def report_written_classes(job: Job, tasks: Iterable[Task], made: Commits) -> No
     records = [made[task.key][1] for task in tasks if task.key in made]
     kept = sum_by_class(record["kept"] for record in records)
     written = sum_by_class(record["classes"] for record in records)
-    facts = {"reclass": job.plan.config.reclass, "kept": kept, "written": written}
-    job.facts["classes"] = {**job.facts["classes"], **facts}
+    class_facts = {"reclass": job.plan.config.reclass, "kept": kept, "written": written}
+    job.facts["classes"] = {**job.facts["classes"], **class_facts}
     if text := kept_text(kept, job.facts["classes"]["no_part"]):
         job.note(text)
 

@@ -51,10 +51,10 @@ def vector_tasks(g: GridContext, out: str, noise_m: float) -> Iterator[Task]:
     }
     smooth = config.contour_smooth
     sigma = Fraction(SMOOTH_PIXELS) if smooth is None else smooth / plan.resolution
-    reach = min(math.ceil(SPOT_REACH_M / plan.resolution), MAX_REACH)
+    spot_reach = min(math.ceil(SPOT_REACH_M / plan.resolution), MAX_REACH)
     works: dict[str, tuple[Work, VectorFile]] = {
         CONTOURS: (write_contours, WriteContours(**common, sigma=float(sigma))),
-        SPOTS: (write_spots, WriteSpots(**common, reach=reach)),
+        SPOTS: (write_spots, WriteSpots(**common, reach=spot_reach)),
     }
     if config.outline == "survey":
         outline = WriteOutline(

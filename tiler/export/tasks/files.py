@@ -49,13 +49,13 @@ Inputs = Mapping[Cell, Collection[str]]
 
 def inputs_of(sources: Iterable[Source], spooled: Commits) -> Inputs:
     """Return the inputs of each bucket, from the commits of the pieces."""
-    found: dict[Cell, set[str]] = defaultdict(set)
+    inputs: dict[Cell, set[str]] = defaultdict(set)
     records = by_source(spooled)
     for source in sources:
         for record in records.get(source.name, ()):
             for ix, iy, _ in record.buckets:
-                found[Cell(ix, iy)].add(source.content)
-    return found
+                inputs[Cell(ix, iy)].add(source.content)
+    return inputs
 
 
 def cog_tasks(g: GridContext, inputs: Inputs, whole_inputs: str, out: str) -> Iterator[Task]:
@@ -139,15 +139,15 @@ def index_tasks(tasks: Iterable[Task], written: Commits, out: str) -> Iterator[T
     works = [
         t.arguments for t in tasks if isinstance(t.arguments, WriteCog) and t.arguments.whole is not None
     ]
-    found = []
+    sheet_files = []
     for work in works:
         record = written.get(f"{work.name}.tif", ("", None))[1]
         if record is not None:
             path = raster_file(work.product, work.name)
             void = 100 * (1 - record["valid"] / record["pixels"])
-            found.append(SheetFile(work.product, path, work.spec, void, record["min"], record["max"]))
-    if found:
-        index = WriteSheetIndex(name=SHEETS, sheets=tuple(found), out=out)
+            sheet_files.append(SheetFile(work.product, path, work.spec, void, record["min"], record["max"]))
+    if sheet_files:
+        index = WriteSheetIndex(name=SHEETS, sheets=tuple(sheet_files), out=out)
         yield Task("mosaic", SHEETS, digest_of(__version__, index), write_sheet_index, index)
 
 
@@ -183,19 +183,19 @@ def _tags(plan: Plan, name: str, inputs: str) -> dict[str, str]:
 def _window(plan: Plan, info: SourceInfo) -> tuple[tuple[int, int], ...]:
     """Return the ranges of records that may be inside the area if the run fetched only a part of a source, else ()."""
     chunks = (chunks_of(plan, info, 0) or chunks_of(plan, info)) if is_url(info.path) else None
-    found = [] if chunks is None else window_pieces(info, chunks, PIECE_POINTS)
-    return tuple(records for ranges in found for records in ranges)
+    pieces = [] if chunks is None else window_pieces(info, chunks, PIECE_POINTS)
+    return tuple(records for ranges in pieces for records in ranges)
 
 
 def kept_pieces(spooled: Commits) -> dict[str, list[KeptPiece]]:
     """Return the pieces of each source in order, by its name."""
-    found: dict[str, list[KeptPiece]] = defaultdict(list)
+    pieces: dict[str, list[KeptPiece]] = defaultdict(list)
     for key in sorted(spooled):
         source, _, start = key.partition("-")
         _, stored = spooled[key]
         record = SpoolRecord.of(stored)
-        found[source].append(KeptPiece(key, int(start), record.read, record.identity))
-    return found
+        pieces[source].append(KeptPiece(key, int(start), record.read, record.identity))
+    return pieces
 
 
 def classified_tasks(
@@ -246,12 +246,12 @@ def classified_tasks(
 
 def _wet(plan: Plan, waters: Waters, cells: Iterable[Cell]) -> dict[Cell, list[str]]:
     """Return the digests of the bodies of water that overlap each bucket, or {} if points do not become water."""
-    lattice, known, found = plan.meta.bucket, frozenset(cells), defaultdict(list)
+    lattice, known, digests = plan.meta.bucket, frozenset(cells), defaultdict(list)
     if plan.config.reclass != ONLY_GROUND:
         return {}
     for body in waters.bodies:
         key = digest_of(body.digest)
         for cell in lattice.among(body.area.bounds, known):
             if body.area.touches(lattice.bounds(cell)):
-                found[cell].append(key)
-    return dict(found)
+                digests[cell].append(key)
+    return dict(digests)

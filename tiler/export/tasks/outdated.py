@@ -76,10 +76,14 @@ def archive_outdated(job: Job, wanted: Collection[str], basis: str) -> None:
 def _damaged(job: Job, paths: Collection[str]) -> list[str]:
     """Return the files whose bytes do not match their digest in run.json."""
     known = {p: d for p, d in job.facts.get("digests", {}).items() if p in paths}
-    places = {joined(job.products, path): path for path in sorted(known)}
-    states = zip(places, states_at(list(places)), strict=True)
-    found = contents(job, "verify", [(place, s, 0) for place, s in states if s is not None], writes_out=True)
-    return [places[place] for place, result in found if result.get("content") != known[places[place]]]
+    path_of = {joined(job.products, path): path for path in sorted(known)}
+    states = zip(path_of, states_at(list(path_of)), strict=True)
+    results = contents(
+        job, "verify", [(location, s, 0) for location, s in states if s is not None], writes_out=True
+    )
+    return [
+        path_of[location] for location, result in results if result.get("content") != known[path_of[location]]
+    ]
 
 
 def _validate_own_files(job: Job, wanted: list[str]) -> None:
@@ -161,9 +165,9 @@ def invalidate_changed_outputs(job: Job, stage: str, files: Mapping[str, str]) -
         record = commits[key][1]
         if job.plan.config.verify or there[key].to_json() != record.get("state", there[key].to_json()):
             doubtful[files[key]] = key
-    files_of = [(place, there[key], 0) for place, key in sorted(doubtful.items())]
-    for place, result in contents(job, STAGE, files_of, writes_out=True):
-        key = doubtful[place]
+    files_of = [(location, there[key], 0) for location, key in sorted(doubtful.items())]
+    for location, result in contents(job, STAGE, files_of, writes_out=True):
+        key = doubtful[location]
         digest, record = commits[key]
         if result.get("content") != record.get("digest", ""):
             changed.append(key)
@@ -172,5 +176,5 @@ def invalidate_changed_outputs(job: Job, stage: str, files: Mapping[str, str]) -
     job.invalidate(stage, [*gone, *changed])
     if changed:
         paths = sorted(below(job.products, files[key]) for key in changed)
-        place = move_aside(job.products, paths)
-        job.note(f"{named(paths)}: changed since a run wrote them; moved to {place}/ and made again")
+        location = move_aside(job.products, paths)
+        job.note(f"{named(paths)}: changed since a run wrote them; moved to {location}/ and made again")

@@ -58,15 +58,15 @@ def height_tasks(g: GridContext) -> Iterator[Task]:
 def sheets(g: GridContext, cells: Iterable[Cell]) -> list[Sheet]:
     """Return the sheets of these cells of the lattice of sheets, which is anchored at CRS 0."""
     lattice, side = _lattice(g), _pixels(g)
-    buckets, found = with_points(g), []
+    buckets, sheets_of_cells = with_points(g), []
     for cell in sorted(cells):
         corner = (
             float(cell.ix * lattice.size / COUNTS_PER_UNIT),
             float(cell.iy * lattice.size / COUNTS_PER_UNIT),
         )
         spec = RasterSpec(g.spec.lattice, cell.ix * side, (cell.iy + 1) * side, side, side)
-        found.append(Sheet(corner, spec, buckets.get(cell, [])))
-    return found
+        sheets_of_cells.append(Sheet(corner, spec, buckets.get(cell, [])))
+    return sheets_of_cells
 
 
 def name_of(g: GridContext, product: str, sheet: Sheet) -> str:
@@ -86,7 +86,9 @@ def with_points(g: GridContext) -> dict[Cell, list[Cell]]:
                 buckets[cell].append(bucket)
     if area is None:
         return buckets
-    return {cell: found for cell, found in buckets.items() if area.touches(lattice.bounds(cell))}
+    return {
+        cell: cell_buckets for cell, cell_buckets in buckets.items() if area.touches(lattice.bounds(cell))
+    }
 
 
 def _lattice(g: GridContext) -> Lattice:

@@ -120,8 +120,8 @@ def _halves(records: Records, cells: Sequence[Cell], near: float) -> list[list[C
     lines = []
     below = 0
     total = held.total()
-    for before, line in pairwise(sorted(held)):
-        below += held[before]
+    for previous_line, line in pairwise(sorted(held)):
+        below += held[previous_line]
         off = abs(below / total - 0.5)
         round_to = (line & -line or ROUNDEST) if off <= near else 0
         lines.append((off > near, -round_to, off, line))
@@ -146,9 +146,9 @@ def _fitting(
     if len(cells) > 1 and (too_full or _too_wide(plan, cells, halo)):
         quarters = _by_centre(plan.meta.bucket, cells, size / 2)
         root = name.split(".")[0]
-        for place in sorted(quarters):
-            below = f"{root}.{level + 1}{place.name}"
-            yield from _fitting(plan, records, step, quarters[place], below, size / 2, level + 1)
+        for quarter in sorted(quarters):
+            below = f"{root}.{level + 1}{quarter.name}"
+            yield from _fitting(plan, records, step, quarters[quarter], below, size / 2, level + 1)
         return
     yield Tile(name, tuple(sorted(cells)), halo, _widest(plan, records, step, cells, halo))
 
@@ -169,13 +169,13 @@ def _widest(plan: Plan, records: Records, step: PlannedPass, cells: Sequence[Cel
 
 def _by_centre(lattice: Lattice, cells: Iterable[Cell], size: Fraction) -> dict[Cell, list[Cell]]:
     """Group buckets by the cell of ``size`` counts that contains their centre."""
-    found: dict[Cell, list[Cell]] = defaultdict(list)
+    cells_by_centre: dict[Cell, list[Cell]] = defaultdict(list)
     half = Fraction(1, 2)
     for cell in cells:
         column = math.floor((cell.ix + half) * lattice.size / size)
         row = math.floor((cell.iy + half) * lattice.size / size)
-        found[Cell(column, row)].append(cell)
-    return found
+        cells_by_centre[Cell(column, row)].append(cell)
+    return cells_by_centre
 
 
 def _bytes(plan: Plan, records: Records, step: PlannedPass, cells: Sequence[Cell], halo: int) -> int:

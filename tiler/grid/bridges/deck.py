@@ -144,9 +144,9 @@ def find_deck(
     if why:
         return None, why
     ring = _ring(view, free) @ np.array((along, (-along[1], along[0]))) + centre
-    place, direction = (float(centre[0]), float(centre[1])), (float(along[0]), float(along[1]))
+    position, direction = (float(centre[0]), float(centre[1])), (float(along[0]), float(along[1]))
     below = _beneath(view, free, edges)
-    return Deck(ring, place, direction, view.surface, long, wide, float(-levels.max()), below), ""
+    return Deck(ring, position, direction, view.surface, long, wide, float(-levels.max()), below), ""
 
 
 def _seen(xyz: Floats, seeds: Bools, centre: Floats, along: Floats, spacing: float) -> _View | None:
@@ -187,9 +187,9 @@ def _wrong_end(view: _View, ground: Bools, edges: Floats, end: int, step: int, c
 
     Return what is wrong, or an empty text.
     """
-    reach = int(np.ceil(END_M / view.width))
+    n_slices = int(np.ceil(END_M / view.width))
     near = np.array(
-        [i for k in range(1, reach + 1) if 0 <= (i := end + step * k) < len(view.starts)], np.intp
+        [i for k in range(1, n_slices + 1) if 0 <= (i := end + step * k) < len(view.starts)], np.intp
     )
     # The ground is halfway up, or it is as high as the deck and extends beyond the edge.
     up = view.sides.level[near] > -0.5 * clearance
@@ -227,8 +227,8 @@ def _rotated(xy: Floats, along: Floats) -> tuple[Floats, Floats]:
 
 def _height(surface: Surface, s: Floats, t: Floats) -> Floats:
     a, b, c, d = surface
-    found: Floats = a + b * s + c * s * s + d * t
-    return found
+    heights: Floats = a + b * s + c * s * s + d * t
+    return heights
 
 
 def _fitted(s: Floats, t: Floats, z: Floats, seeds: Bools) -> Surface | None:
@@ -236,16 +236,16 @@ def _fitted(s: Floats, t: Floats, z: Floats, seeds: Bools) -> Surface | None:
     rows = np.flatnonzero(seeds)
     median = np.median(z[rows])
     rows = rows[np.abs(z[rows] - median) < max(1.5, 2 * float(np.median(np.abs(z[rows] - median))))]
-    found = None
+    surface = None
     for limit in (2.0, 1.0, 0.5, TOLERANCE_M):
         if len(rows) < 12:
             return None
         terms = np.column_stack((np.ones(len(rows)), s[rows], s[rows] ** 2, t[rows]))
         solved = np.linalg.lstsq(terms, z[rows], rcond=None)[0]
-        found = (float(solved[0]), float(solved[1]), float(solved[2]), float(solved[3]))
+        surface = (float(solved[0]), float(solved[1]), float(solved[2]), float(solved[3]))
         every = np.flatnonzero(seeds)
-        rows = every[np.abs(z[every] - _height(found, s[every], t[every])) < limit]
-    return found if len(rows) > 0.4 * seeds.sum() else None
+        rows = every[np.abs(z[every] - _height(surface, s[every], t[every])) < limit]
+    return surface if len(rows) > 0.4 * seeds.sum() else None
 
 
 def _longest(free: Bools) -> Ints | None:

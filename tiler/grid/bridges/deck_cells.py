@@ -53,15 +53,15 @@ class DeckCells:
     def inside(self, rows: Ints, cols: Ints) -> Bools:
         """Return a mask of the positions within the raster."""
         height, width = self.top.shape
-        found: Bools = (rows >= 0) & (rows < height) & (cols >= 0) & (cols < width)
-        return found
+        inside_mask: Bools = (rows >= 0) & (rows < height) & (cols >= 0) & (cols < width)
+        return inside_mask
 
     def at(self, values: Floats, rows: Ints, cols: Ints) -> Floats:
         """Return the values at positions, NaN beyond the raster."""
         inside = self.inside(rows, cols)
-        found = np.full(len(rows), np.nan, np.float32)
-        found[inside] = values[rows[inside], cols[inside]]
-        return found
+        cell_values = np.full(len(rows), np.nan, np.float32)
+        cell_values[inside] = values[rows[inside], cols[inside]]
+        return cell_values
 
 
 def deck_cells(cells: DeckCells) -> tuple[Ints, Ints, Ints]:
@@ -70,15 +70,15 @@ def deck_cells(cells: DeckCells) -> tuple[Ints, Ints, Ints]:
     marked = np.zeros(cells.top.shape, np.bool_)
     for rows, cols, _ in spans:
         marked[rows, cols] = True
-    found = [np.empty((3, 0), np.int64)]
+    good_cells = [np.empty((3, 0), np.int64)]
     for direction, (rows, cols, middle) in enumerate(spans):
         ends = np.ones(int(middle.max(initial=-1)) + 1, np.bool_)
         first = np.unique(middle, return_index=True)[1]
         for sign in (1, -1):
             ends &= _road_goes_on(cells, marked, rows[first], cols[first], direction, sign)
         good = ends[middle]
-        found.append(np.stack((rows[good], cols[good], np.full(int(good.sum()), direction))))
-    rows, cols, directions = np.concatenate(found, axis=1)
+        good_cells.append(np.stack((rows[good], cols[good], np.full(int(good.sum()), direction))))
+    rows, cols, directions = np.concatenate(good_cells, axis=1)
     return rows, cols, directions
 
 
@@ -90,16 +90,16 @@ def along(direction: int, steps: int) -> tuple[int, int]:
 
 def _drops(cells: DeckCells, rows: Ints, cols: Ints, height: Floats, direction: int, sign: int) -> Bools:
     """Return whether the ground next to cells, or the first point beyond water, is lower by `CLEAR_M`."""
-    found, waiting = np.zeros(len(rows), np.bool_), np.ones(len(rows), np.bool_)
+    has_drop, waiting = np.zeros(len(rows), np.bool_), np.ones(len(rows), np.bool_)
     for step in range(1, cells.steps(VOID_M) + 1):
         down, right = along(direction, sign * step)
         low = cells.at(cells.low, rows + down, cols + right)
-        found |= waiting & (low <= height - CLEAR_M)
+        has_drop |= waiting & (low <= height - CLEAR_M)
         # A cell at the edge has points of the deck and of the ground, so one more cell is examined.
-        waiting &= ~found & (np.isnan(low) | (step == 1))
+        waiting &= ~has_drop & (np.isnan(low) | (step == 1))
         if not waiting.any():
             break
-    return found
+    return has_drop
 
 
 def _spans(cells: DeckCells, direction: int) -> tuple[Ints, Ints, Ints]:
@@ -107,31 +107,31 @@ def _spans(cells: DeckCells, direction: int) -> tuple[Ints, Ints, Ints]:
     rows, cols = (axis.astype(np.int64) for axis in np.nonzero(~np.isnan(cells.top)))
     edge = _drops(cells, rows, cols, cells.top[rows, cols], direction, 1)
     rows, cols = rows[edge], cols[edge]
-    start_rows, start_cols, before = rows, cols, cells.top[rows, cols]
-    found = [np.empty((3, 0), np.int64)]
+    start_rows, start_cols, previous_top = rows, cols, cells.top[rows, cols]
+    spans = [np.empty((3, 0), np.int64)]
     for step in range(cells.steps(MAX_WIDTH_M)):
-        ended = _drops(cells, rows, cols, before, direction, -1)
+        ended = _drops(cells, rows, cols, previous_top, direction, -1)
         if step:
-            found.append(np.stack((start_rows[ended], start_cols[ended], np.full(int(ended.sum()), step))))
+            spans.append(np.stack((start_rows[ended], start_cols[ended], np.full(int(ended.sum()), step))))
         down, right = along(direction, -(step + 1))
         rows, cols = start_rows + down, start_cols + right
         here = cells.at(cells.top, rows, cols)
         gap = np.isnan(here) & cells.inside(rows, cols)
         go_on = (
-            ~ended & (gap | (np.abs(here - before) <= STEP_M))
+            ~ended & (gap | (np.abs(here - previous_top) <= STEP_M))
             if step
-            else gap | (np.abs(here - before) <= STEP_M)
+            else gap | (np.abs(here - previous_top) <= STEP_M)
         )
-        before = np.where(gap, before, here)[go_on]
+        previous_top = np.where(gap, previous_top, here)[go_on]
         rows, cols, start_rows, start_cols = rows[go_on], cols[go_on], start_rows[go_on], start_cols[go_on]
-    first_rows, first_cols, steps = np.concatenate(found, axis=1)
-    places = []
+    first_rows, first_cols, steps = np.concatenate(spans, axis=1)
+    span_cells = []
     for step in range(cells.steps(MAX_WIDTH_M) + 1):
         down, right = along(direction, -step)
         has = np.flatnonzero(steps >= step)
         middle = (step == steps[has] // 2).astype(np.int64)
-        places.append(np.stack((has, 1 - middle, first_rows[has] + down, first_cols[has] + right)))
-    number, _, rows, cols = (whole := np.concatenate(places, axis=1))[:, np.lexsort((whole[1], whole[0]))]
+        span_cells.append(np.stack((has, 1 - middle, first_rows[has] + down, first_cols[has] + right)))
+    number, _, rows, cols = (whole := np.concatenate(span_cells, axis=1))[:, np.lexsort((whole[1], whole[0]))]
     return rows, cols, number
 
 
@@ -139,21 +139,25 @@ def _road_goes_on(
     cells: DeckCells, marked: Bools, rows: Ints, cols: Ints, direction: int, sign: int
 ) -> Bools:
     """Return whether a way along a deck leads without a step to ground that is not a deck, for each cell."""
-    found = np.zeros(len(rows), np.bool_)
-    which, before, gaps = np.arange(len(rows)), cells.at(cells.top, rows, cols), np.zeros(len(rows), np.int64)
+    goes_on = np.zeros(len(rows), np.bool_)
+    ways, previous_top, gaps = (
+        np.arange(len(rows)),
+        cells.at(cells.top, rows, cols),
+        np.zeros(len(rows), np.int64),
+    )
     arrived = np.zeros(len(rows), np.int64)
     turn = direction + sign * DIRECTIONS // 2
     for step in range(1, cells.steps(MAX_LENGTH_M) + 1):
         down, right = along(turn, step)
-        r, c = rows[which] + down, cols[which] + right
+        r, c = rows[ways] + down, cols[ways] + right
         here, inside = cells.at(cells.top, r, c), cells.inside(r, c)
         unknown = np.isnan(here)
         gaps = np.where(unknown, gaps + 1, 0)
-        road = np.zeros(len(which), np.bool_)
+        road = np.zeros(len(ways), np.bool_)
         road[inside] = cells.ground[r[inside], c[inside]] & ~marked[r[inside], c[inside]]
         arrived = np.where(unknown, arrived, np.where(road, arrived + 1, 0))
-        found[which[arrived >= 2]] = True
-        go_on = inside & (arrived < 2) & np.where(unknown, gaps <= 2, np.abs(here - before) <= STEP_M)
-        before = np.where(unknown, before, here)[go_on]
-        which, gaps, arrived = which[go_on], gaps[go_on], arrived[go_on]
-    return found
+        goes_on[ways[arrived >= 2]] = True
+        go_on = inside & (arrived < 2) & np.where(unknown, gaps <= 2, np.abs(here - previous_top) <= STEP_M)
+        previous_top = np.where(unknown, previous_top, here)[go_on]
+        ways, gaps, arrived = ways[go_on], gaps[go_on], arrived[go_on]
+    return goes_on

@@ -32,8 +32,8 @@ class DeckEdges:
 
     def both_free(self) -> Bools:
         """Return a mask of the slices that stand free on both sides."""
-        found: Bools = self.free[:, 0] & self.free[:, 1]
-        return found
+        is_free: Bools = self.free[:, 0] & self.free[:, 1]
+        return is_free
 
 
 def sides_of(s: Floats, t: Floats, off: Floats, bins: Floats, width: float, spacing: float) -> DeckEdges:

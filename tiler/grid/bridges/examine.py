@@ -78,18 +78,20 @@ def find_deck_cells(store_url: str, work: FindDeckCells) -> dict[str, Any]:
     bounds = spec.block_bounds(window)
     for cell in store.buckets_within(bounds):
         points, chosen, is_ground = _points(store, work.rule, cell, bounds)
-        places = _cells(points, chosen, store, spec, window)
+        cell_indices = _cells(points, chosen, store, spec, window)
         z = (points.xyz[2][chosen] * float(store.meta.frame.metres_z)).astype(np.float32)
-        np.minimum.at(low, places, z)
+        np.minimum.at(low, cell_indices, z)
         ground = is_ground[chosen]
-        np.maximum.at(top, tuple(axis[ground] for axis in places), z[ground])
+        np.maximum.at(top, tuple(axis[ground] for axis in cell_indices), z[ground])
     ground, known = np.isfinite(top), np.isfinite(low)
     top = np.where(ground, top, np.where(known, low, np.float32(np.nan)))
     low = np.where(known, low, np.float32(np.nan))
     rows, cols, directions = deck_cells(DeckCells(top, low, ground, size_m))
-    own = (rows >= pad) & (rows < pad + block.height) & (cols >= pad) & (cols < pad + block.width)
-    found = np.stack((rows[own] + window.row, cols[own] + window.col, directions[own]), axis=1)
-    return {"cells": found.tolist()}
+    in_block = (rows >= pad) & (rows < pad + block.height) & (cols >= pad) & (cols < pad + block.width)
+    block_cells = np.stack(
+        (rows[in_block] + window.row, cols[in_block] + window.col, directions[in_block]), axis=1
+    )
+    return {"cells": block_cells.tolist()}
 
 
 def examine_decks(store_url: str, work: ExamineDecks) -> dict[str, Any]:
@@ -134,13 +136,13 @@ def _examine(
     spacing = side * math.sqrt(int(occupied.sum()) / len(counts))
     corner = np.array((window.x0, window.y0, 0.0))
     xyz = (counts - corner) * metres
-    places, why = np.array(cells), "too few points"
-    votes = np.bincount(places[:, 2], minlength=DIRECTIONS)
+    cell_array, why = np.array(cells), "too few points"
+    votes = np.bincount(cell_array[:, 2], minlength=DIRECTIONS)
     for direction in np.argsort(-votes, kind="stable")[:MAX_DIRECTIONS].tolist():
         mask = np.zeros(shape, np.bool_)
-        mine = places[places[:, 2] == direction, :2] - (top, left)
-        there = ((mine >= 0) & (mine < shape)).all(axis=1)
-        mask[mine[there, 0], mine[there, 1]] = True
+        cells_of_direction = cell_array[cell_array[:, 2] == direction, :2] - (top, left)
+        there = ((cells_of_direction >= 0) & (cells_of_direction < shape)).all(axis=1)
+        mask[cells_of_direction[there, 0], cells_of_direction[there, 1]] = True
         seeds = mask[rows, cols]
         if seeds.sum() < FEWEST:
             continue

@@ -29,21 +29,21 @@ def advise(job: Job, labelled: Labelled, spec: RasterSpec, made: Commits) -> Non
     asked = [building, crowns]
     if not any(asked):
         return
-    found = job.store.get_state("advice")
+    advice_state = job.store.get_state("advice")
     if (
         job.record.stages["grid-dtm"]["computed"]
-        or not found
-        or found.get("asked") != asked
-        or "at" not in found
+        or not advice_state
+        or advice_state.get("asked") != asked
+        or "at" not in advice_state
     ):
         filled = tuple(key for key, (_, record) in made.items() if record["filled"])
         looked = [_roofs(job, spec, filled) if building is not None else None]
         looked.append(_crowns(job, spec, filled) if crowns else None)
         given = [advice for advice in looked if advice is not None]
-        found = {"asked": asked, "texts": [a.text for a in given], "at": [[a.x, a.y] for a in given]}
-        job.store.put_state("advice", found)
-    job.facts["advice"], job.facts["advice_at"] = found["texts"], found["at"]
-    for line in found["texts"]:
+        advice_state = {"asked": asked, "texts": [a.text for a in given], "at": [[a.x, a.y] for a in given]}
+        job.store.put_state("advice", advice_state)
+    job.facts["advice"], job.facts["advice_at"] = advice_state["texts"], advice_state["at"]
+    for line in advice_state["texts"]:
         job.listener(Warned(line))
 
 
@@ -67,9 +67,9 @@ def _looked(job: Job, tasks: list[Task]) -> list[dict[str, Any]]:
         if outcome.again:
             continue
         if outcome.damaged:
-            places = ", ".join(outcome.damaged)
+            damaged_text = ", ".join(outcome.damaged)
             raise CorruptStoreError(
-                f"{job.store.url}: {places}: damaged or missing; run again", outcome.damaged
+                f"{job.store.url}: {damaged_text}: damaged or missing; run again", outcome.damaged
             )
         if outcome.record is None:
             raise ProcessingError(f"flaws in the terrain cannot be looked for: {outcome.error}")

@@ -78,19 +78,19 @@ def _told(records: Sequence[Mapping[str, Any]], frame: CoordFrame) -> str:
         )
         texts.append(f"{long} long and {wide} wide at x {x:.0f}, y {y:.0f}")
     more = f", and {len(records) - MAX_REPORTED} more" if len(records) > MAX_REPORTED else ""
-    found = counted(len(records), "bridge")
-    return f"left out of the terrain: {found} ({'; '.join(texts)}{more}; --bridges keep leaves bridges in)"
+    bridges_text = counted(len(records), "bridge")
+    return f"left out of the terrain: {bridges_text} ({'; '.join(texts)}{more}; --bridges keep leaves bridges in)"
 
 
 def _cell_tasks(g: GridContext) -> Iterator[Task]:
     """Yield a task for each block of coarse cells with points."""
     spec, rule, lattice = g.coarse, g.rule, g.plan.meta.bucket
-    reach = math.ceil((REACH_M + float(g.coarse_m)) / float(g.plan.meta.frame.metres_xy))
-    for block, own in spec.blocks_near(lattice, g.labels, BLOCK_PIXELS).items():
+    margin = math.ceil((REACH_M + float(g.coarse_m)) / float(g.plan.meta.frame.metres_xy))
+    for block, buckets in spec.blocks_near(lattice, g.labels, BLOCK_PIXELS).items():
         work = FindDeckCells(name=CELLS, spec=spec, block=block, rule=rule)
-        near = lattice.among(spec.block_bounds(block).pad(reach), g.labels)
+        near = lattice.among(spec.block_bounds(block).pad(margin), g.labels)
         digest = digest_of(__version__, work, g.seen(near))
-        yield Task(CELLS, block.name, digest, find_deck_cells, work, g.points(own))
+        yield Task(CELLS, block.name, digest, find_deck_cells, work, g.points(buckets))
 
 
 def _deck_tasks(g: GridContext, found: Commits) -> Iterator[Task]:
@@ -105,9 +105,9 @@ def _deck_tasks(g: GridContext, found: Commits) -> Iterator[Task]:
             and max(bounds.x1 - bounds.x0, bounds.y1 - bounds.y0) * metres <= MAX_WIDTH_M
         ):
             groups[next(lattice.cells(bounds))].append(cells)
-    for cell, places in sorted(groups.items()):
-        work = ExamineDecks(rule, spec, tuple(places))
-        near = lattice.among(reduce(Bounds.union, (examined(spec, c, metres) for c in places)), g.labels)
+    for cell, candidates in sorted(groups.items()):
+        work = ExamineDecks(rule, spec, tuple(candidates))
+        near = lattice.among(reduce(Bounds.union, (examined(spec, c, metres) for c in candidates)), g.labels)
         digest = digest_of(__version__, work, g.seen(near))
         yield Task(DECKS, cell.name, digest, examine_decks, work, g.points(near))
 
@@ -117,8 +117,8 @@ def _places(found: Commits) -> Iterator[PlaceCells]:
     cells = sorted({tuple(cell) for _, record in found.values() for cell in record["cells"]})
     if not cells:
         return
-    places = scipy.spatial.cKDTree([cell[:2] for cell in cells])
-    for group in components(range(len(cells)), places.query_pairs(TOUCHING)):
+    tree = scipy.spatial.cKDTree([cell[:2] for cell in cells])
+    for group in components(range(len(cells)), tree.query_pairs(TOUCHING)):
         yield tuple((int(r), int(c), int(d)) for r, c, d in (cells[i] for i in group))
 
 
@@ -139,8 +139,8 @@ def _edit(number: int, record: Mapping[str, Any], metres_z: float) -> Edit:
 
 
 def _drawn(record: Mapping[str, Any]) -> DrawnDeck:
-    places = tuple(int(v) for place in record["ring"] for v in place)
-    return places, record["length_m"], record["width_m"], record["clearance_m"], record["below"]
+    coordinates = tuple(int(v) for vertex in record["ring"] for v in vertex)
+    return coordinates, record["length_m"], record["width_m"], record["clearance_m"], record["below"]
 
 
 def _fact(record: Mapping[str, Any]) -> dict[str, Any]:

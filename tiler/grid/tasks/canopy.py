@@ -84,13 +84,13 @@ def _tell(job: Job, share: float, made: Commits) -> None:
             blocks[column, row] += area_m2
     unit = float(job.plan.meta.frame.units.horizontal)
     most = sorted(blocks, key=lambda place: (-blocks[place], place))[:PLACES]
-    places = [[round((index + 0.5) * BLOCK_M / unit, 1) for index in place] for place in most]
-    job.facts["canopy"] |= {"places": places, "rings": _rings(blocks, unit)}
+    centres = [[round((index + 0.5) * BLOCK_M / unit, 1) for index in place] for place in most]
+    job.facts["canopy"] |= {"places": centres, "rings": _rings(blocks, unit)}
     if share < TOLD:
         return
     held = {place: blocks[place] / BLOCK_M**2 for place in most}
     job.facts["canopy_doubts"] = [_doubt(place, held[place], unit) for place in most]
-    around = " and ".join(f"x {x:.0f}, y {y:.0f}" for x, y in places)
+    around = " and ".join(f"x {x:.0f}, y {y:.0f}" for x, y in centres)
     done = (
         "up to --max-edge the terrain is bridged there from the ground seen around (mask 6; --voids fill goes on "
         "beyond, --canopy void leaves it without heights)"
@@ -112,7 +112,7 @@ def _doubt(block: tuple[int, int], part: float, unit: float) -> dict[str, Any]:
 def _rings(blocks: Mapping[tuple[int, int], int], unit: float) -> list[list[float]]:
     """Return rings in units of the CRS around the blocks that are mostly canopy, for the map."""
     least = min(MOSTLY * BLOCK_M**2, max(blocks.values()))
-    held = np.array([place for place, area_m2 in blocks.items() if area_m2 >= least], np.float64)
+    held = np.array([block for block, area_m2 in blocks.items() if area_m2 >= least], np.float64)
     side = BLOCK_M / unit
     squares = shapely.box(*(held.T * side), *((held.T + 1) * side))
     return rings_of(shapely.get_parts(shapely.union_all(squares)), side / 4)

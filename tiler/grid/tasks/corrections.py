@@ -74,11 +74,11 @@ class Corrections:
 
     def _lines_near(self, plan: Plan, bounds: Bounds) -> list[Any]:
         """Return the cells with breaklines that can change a block, within the reach of any facet."""
-        found = self.line_digests or {}
-        reach = full_halo(plan.meta.frame.counts(plan.config.max_edge))
-        reach += math.ceil(3 * plan.meta.frame.counts(plan.resolution))
-        near = plan.meta.bucket.among(bounds.pad(reach), found)
-        return [[cell.ix, cell.iy, found[cell]] for cell in near]
+        digests = self.line_digests or {}
+        facet_reach = full_halo(plan.meta.frame.counts(plan.config.max_edge))
+        facet_reach += math.ceil(3 * plan.meta.frame.counts(plan.resolution))
+        near = plan.meta.bucket.among(bounds.pad(facet_reach), digests)
+        return [[cell.ix, cell.iy, digests[cell]] for cell in near]
 
 
 def _with_edits(task: Task, key: str) -> Task:
@@ -93,13 +93,13 @@ def _with_edits(task: Task, key: str) -> Task:
 
 def correct(job: Job, assembled: IngestResult, labelled: Labelled) -> tuple[Labelled, Corrections]:
     """Apply the user features of the plan and the bridges. Return the edited labels, and the `Corrections`."""
-    plan, labels, found = job.plan, labelled.digests, Corrections()
+    plan, labels, corrections = job.plan, labelled.digests, Corrections()
     decks, shapes = find_bridges(job, assembled, labels)
     if decks or plan.edits:
         cell = Lattice(plan.meta.frame.counts(plan.resolution))
         edits = Edits((*decks, *_surveyed(job, assembled, labels, cell)), cell)
         job.store.put_edits(edits)
-        found = replace(found, edits=edits, decks=shapes)
+        corrections = replace(corrections, edits=edits, decks=shapes)
         labelled = replace(labelled, digests=_labels(plan, edits, labels))
     if plan.lines:
         pixel = plan.meta.frame.counts(plan.resolution)
@@ -107,16 +107,16 @@ def correct(job: Job, assembled: IngestResult, labelled: Labelled) -> tuple[Labe
         job.store.put_breaklines(lines)
         vertices, on_map = len(lines.vertices), drawn(plan.lines)
         job.facts["breaklines"] = {"lines": len(plan.lines), "vertices": vertices, "drawn": on_map}
-        found = replace(found, lines=lines, line_digests=lines.digests(plan.meta.bucket))
-    return labelled, found
+        corrections = replace(corrections, lines=lines, line_digests=lines.digests(plan.meta.bucket))
+    return labelled, corrections
 
 
 def _labels(plan: Plan, edits: Edits, labels: Mapping[Cell, str]) -> dict[Cell, str]:
     """Return the digests of labels, which are different for buckets that an edit touches."""
-    found = dict(labels)
+    digests = dict(labels)
     for cell, near in edits.by_cell(plan.meta.bucket, labels).items():
-        found[cell] = digest_of(found[cell], [edit.digest for edit in near], str(plan.resolution))
-    return found
+        digests[cell] = digest_of(digests[cell], [edit.digest for edit in near], str(plan.resolution))
+    return digests
 
 
 def _surveyed(
@@ -162,8 +162,8 @@ def _fact(edit: Edit, counts: Sequence[int]) -> dict[str, Any]:
     bounds = [v / COUNTS_PER_UNIT for v in edit.area.bounds.to_json()]
     fact: dict[str, Any] = {"number": edit.number, "action": edit.action, "bounds": bounds}
     if edit.action in OF_POINTS:
-        points, before, by_classes, by_lowest, _ = counts
-        fact |= {"points": points, "ground_before": before}
+        points, ground_before, by_classes, by_lowest, _ = counts
+        fact |= {"points": points, "ground_before": ground_before}
         fact["ground_after"] = by_lowest if edit.lowest else by_classes
         fact["by"] = "lowest points" if edit.lowest else "classes"
     return fact

@@ -165,8 +165,8 @@ class GridContext:
     def checksums(self, raster: str, blocks: Iterable[str] | None = None) -> list[list[str]]:
         """Return name and checksum of each block of a raster, or of those of ``blocks`` that were made."""
         made = self.made[raster]
-        wanted = sorted(made) if blocks is None else (name for name in blocks if name in made)
-        return [[name, made[name][1]["checksum"]] for name in wanted]
+        names = sorted(made) if blocks is None else (name for name in blocks if name in made)
+        return [[name, made[name][1]["checksum"]] for name in names]
 
     def records(self, raster: str) -> dict[Place, dict[str, Any]]:
         """Return the record of each block of a raster of coarse cells by its place, from the north-west."""
@@ -180,8 +180,8 @@ class GridContext:
         """Return the connected areas of a raster of labels."""
         if raster not in self._areas:
             records = self.records(raster)
-            sides = {place: record["sides"] for place, record in records.items()}
-            counts = {place: record["labels"] for place, record in records.items()}
+            sides = {first_cell: record["sides"] for first_cell, record in records.items()}
+            counts = {first_cell: record["labels"] for first_cell, record in records.items()}
             self._areas[raster] = join_pieces(sides, counts, corners)
         return self._areas[raster]
 

@@ -177,13 +177,13 @@ def _fill(product: str) -> float:
 
 def wanted(config: RunConfig) -> list[RasterStep]:
     """Return the rasters to make, each after its inputs, the terrain first."""
-    table, found = raster_table(config), dict[str, RasterStep]()
+    table, steps = raster_table(config), dict[str, RasterStep]()
 
     def add(name: str) -> None:
         for source in table[name].inputs:
             add(source)
-        found.setdefault(name, table[name])
+        steps.setdefault(name, table[name])
 
     for product in ("dtm", *(name for name in PRODUCTS if name in config.exported)):
         add(final(product, config))
-    return list(found.values())
+    return list(steps.values())

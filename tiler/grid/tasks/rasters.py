@@ -109,21 +109,21 @@ def canopy_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
     """Yield a task for each block with points, if the filter found a canopy."""
     if g.canopy is None:
         return
-    found = g.canopy
-    for block, near in _near(g, g.spec, math.ceil(CANOPY_AROUND * found.side)).items():
+    canopy = g.canopy
+    for block, near in _near(g, g.spec, math.ceil(CANOPY_AROUND * canopy.side)).items():
         work = CanopyBlock(
-            name=raster.name, spec=g.spec, block=block, rule=g.rule, elected=found.elected, labels=found.labels,
-            side=found.side,
+            name=raster.name, spec=g.spec, block=block, rule=g.rule, elected=canopy.elected, labels=canopy.labels,
+            side=canopy.side,
         )  # fmt: skip
-        cells = [found.digests[cell] for cell in near]
+        cells = [canopy.digests[cell] for cell in near]
         digest = digest_of(__version__, work, g.seen(near), cells)
         yield Task(raster.stage, block.name, digest, raster.work, work, g.points(near))
 
 
 def outline_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
     """Yield a task for each block of a model, and for the terrain also each block of the survey."""
-    model, survey, *others = raster.inputs
-    canopy = CANOPY if CANOPY in others and g.made[CANOPY] else None
+    model, survey, *other_inputs = raster.inputs
+    canopy = CANOPY if CANOPY in other_inputs and g.made[CANOPY] else None
     waters = g.waters if raster.name.startswith("dtm") else Waters(())
     keys = {*g.made[model]}
     if raster.name.startswith("dtm"):

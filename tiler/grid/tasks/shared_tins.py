@@ -85,15 +85,15 @@ def _fitting(survey: _Survey, most: int) -> list[_Group]:
 
     Halves of a group together cost at least as much as the group.
     """
-    found, todo = [], [survey.whole()]
+    groups, todo = [], [survey.whole()]
     while todo:
         group = todo.pop()
         halves = survey.halves(group)
         if halves and (_too_large(group, most) or _total(halves) < group.cost):
             todo += halves
         else:
-            found.append(group)
-    return found
+            groups.append(group)
+    return groups
 
 
 def _too_large(group: _Group, most: int) -> bool:
@@ -145,14 +145,14 @@ class _Survey:
 
     def halves(self, group: _Group) -> list[_Group]:
         """Divide a group by the line with the cheapest larger part. Return an empty list for a single block."""
-        found: list[tuple[int, int, int, list[_Group]]] = []
+        divisions: list[tuple[int, int, int, list[_Group]]] = []
         for axis in (0, 1):
             starts = self._start[group.blocks, axis]
             for line in np.unique(starts)[1:]:
                 sides = (group.blocks[starts < line], group.blocks[starts >= line])
                 pair = [self._group(side, group.buckets) for side in sides]
-                found.append((max(half.cost for half in pair), _total(pair), len(found), pair))
-        return min(found)[-1] if found else []
+                divisions.append((max(half.cost for half in pair), _total(pair), len(divisions), pair))
+        return min(divisions)[-1] if divisions else []
 
     def _group(self, blocks: Ints, buckets: Ints) -> _Group:
         """Return the group of some blocks. Only the given buckets can be in its window."""

@@ -38,22 +38,22 @@ def _close_tasks(raster: RasterStep, g: GridContext, gap: float) -> Iterator[Tas
     coarse = g.coarse
     (occupancy,) = raster.inputs
     most = float(g.plan.config.max_edge / g.coarse_m)
-    reach = math.ceil((most + 2) / BLOCK_PIXELS)
+    reach_blocks = math.ceil((most + 2) / BLOCK_PIXELS)
     occupied = [place for place, record in g.records(occupancy).items() if record["filled"]]
-    for place in near_places(coarse, occupied, reach):
+    for place in near_places(coarse, occupied, reach_blocks):
         work = CloseBlock(
             name=raster.name, spec=coarse, block=coarse.block_at(*place, BLOCK_PIXELS), occupancy=occupancy,
             gap=min(gap, most), most_gap=most,
         )  # fmt: skip
-        seen = g.checksums(occupancy, names_of(near_places(coarse, [place], reach)))
+        seen = g.checksums(occupancy, names_of(near_places(coarse, [place], reach_blocks)))
         yield g.block_task(raster, work, [seen])
 
 
 def near_places(coarse: RasterSpec, places: Iterable[Place], reach: int = 1) -> list[Place]:
     """Return the places of blocks, and of those around them within the raster, from the north-west."""
     steps = [step * BLOCK_PIXELS for step in range(-reach, reach + 1)]
-    found = {(row + down, col + right) for row, col in places for down in steps for right in steps}
-    return sorted((r, c) for r, c in found if 0 <= r < coarse.height and 0 <= c < coarse.width)
+    places_around = {(row + down, col + right) for row, col in places for down in steps for right in steps}
+    return sorted((r, c) for r, c in places_around if 0 <= r < coarse.height and 0 <= c < coarse.width)
 
 
 def names_of(places: Iterable[Place]) -> list[str]:
@@ -100,12 +100,12 @@ def outside_of(
     pairs: list[tuple[Any, Any]] = [*touching(blocks, corners=False)]
     for (row, col), sides in blocks.items():
         for side, (down, right) in SIDES.items():
-            place = (row + down * BLOCK_PIXELS, col + right * BLOCK_PIXELS)
-            if place not in blocks:
-                other = _gap_at(gaps, *place)
+            neighbour = (row + down * BLOCK_PIXELS, col + right * BLOCK_PIXELS)
+            if neighbour not in blocks:
+                other = _gap_at(gaps, *neighbour)
                 pairs += [(Piece(row, col, label), other) for label in _labels(sides[side])]
-    for row, found in gaps.items():
-        for gap in found:
+    for row, row_gaps in gaps.items():
+        for gap in row_gaps:
             pairs += [(gap, other) for other in _facing(gap, row - BLOCK_PIXELS, gaps, columns)]
             pairs += [(gap, other) for other in _facing(gap, row + BLOCK_PIXELS, gaps, columns)]
     nodes = {node: None for pair in pairs for node in pair} | {BEYOND_ALL: None}
@@ -113,7 +113,7 @@ def outside_of(
     outside: dict[Place, list[Piece]] = defaultdict(list)
     for piece in sorted(node for node in beyond if isinstance(node, Piece)):
         outside[piece.row, piece.col].append(piece)
-    enclosed = (gap for found in gaps.values() for gap in found if gap not in beyond)
+    enclosed = (gap for row_gaps in gaps.values() for gap in row_gaps if gap not in beyond)
     empty = {(gap[1], col) for gap in enclosed for col in range(gap[2], gap[3] + 1, BLOCK_PIXELS)}
     return outside, empty
 
@@ -135,11 +135,11 @@ def _gap_at(gaps: Mapping[int, list[Gap]], row: int, col: int) -> Gap:
 
 def _facing(gap: Gap, row: int, gaps: Mapping[int, list[Gap]], columns: Mapping[int, list[int]]) -> list[Gap]:
     """Return the gaps that a gap touches in the row above or below, and `BEYOND_ALL` if outside."""
-    found = [other for other in gaps.get(row, ()) if other[2] <= gap[3] and gap[2] <= other[3]]
+    touched_gaps = [other for other in gaps.get(row, ()) if other[2] <= gap[3] and gap[2] <= other[3]]
     cols = columns.get(row)
     if cols is None or gap[2] < cols[0] or gap[3] > cols[-1]:
-        found.append(BEYOND_ALL)
-    return found
+        touched_gaps.append(BEYOND_ALL)
+    return touched_gaps
 
 
 def voids_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
@@ -165,15 +165,15 @@ def fill_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
     for pieces in g.areas(voids, corners=True).areas.values():
         runs = [run for p in pieces for run in records[p.row, p.col]["blocks"][p.label - 1]]
         near = sorted({block.name for block in blocks_of(runs, spec, BLOCK_PIXELS)})
-        own = names_of({(p.row, p.col) for p in pieces})
-        rim = digest_of(g.checksums(model, near), g.checksums(voids, sorted(own)))
+        piece_blocks = names_of({(p.row, p.col) for p in pieces})
+        rim = digest_of(g.checksums(model, near), g.checksums(voids, sorted(piece_blocks)))
         for key in near:
             voids_of[key].append((Void(pieces), rim))
     for key in sorted(voids_of.keys() | g.made[model].keys()):
-        mine = voids_of.get(key, [])
+        block_voids = voids_of.get(key, [])
         block = spec.block_named(key, BLOCK_PIXELS)
-        work = FillBlock(raster.name, block, rasters, tuple(void for void, _ in mine))
-        seen = [g.checksums(model, [key]), g.beneath(survey, block), [rim for _, rim in mine]]
+        work = FillBlock(raster.name, block, rasters, tuple(void for void, _ in block_voids))
+        seen = [g.checksums(model, [key]), g.beneath(survey, block), [rim for _, rim in block_voids]]
         digest = digest_of(__version__, work, seen)
         yield Task(raster.stage, key, digest, raster.work, work, block.height * block.width)
 

@@ -29,9 +29,9 @@ def report_voids(job: Job, spec: RasterSpec, outlined: Commits) -> None:
         inside.update(dict(map(tuple, record["edit_holes"])))
     for fact in job.facts.get("edits", ()):
         fact["holes"] = inside[fact["number"]]
-    found = voids_of((cell for record in records for cell in record["holes"]), spec)
+    voids_in_pixels = voids_of((cell for record in records for cell in record["holes"]), spec)
     square = float(job.plan.resolution) ** 2
-    voids = [{**void, "area_m2": void["pixels"] * square} for void in found]
+    voids = [{**void, "area_m2": void["pixels"] * square} for void in voids_in_pixels]
     job.facts["voids"] = {
         "surveyed_pixels": sum(record["surveyed"] for record in records),
         "pixels": sum(void["pixels"] for void in voids),

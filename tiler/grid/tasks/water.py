@@ -57,9 +57,9 @@ def find_waters(job: Job, g: GridContext) -> Waters:
     if auto and waters.bodies:
         lakes = sum(b.kind == LAKE for b in waters.bodies)
         rivers = counted(len(waters.bodies) - lakes, "river or canal", "rivers or canals")
-        found = [counted(lakes, "lake")] * (lakes > 0) + [rivers] * (lakes < len(waters.bodies))
+        counts = [counted(lakes, "lake")] * (lakes > 0) + [rivers] * (lakes < len(waters.bodies))
         job.note(
-            f"decided: found {' and '.join(found)} and flattened the terrain there (edit {WATER} and give it with "
+            f"decided: found {' and '.join(counts)} and flattened the terrain there (edit {WATER} and give it with "
             "--water to change this, or use --water none)"
         )
     if auto and not g.trusted:
@@ -76,9 +76,9 @@ def _found(job: Job, g: GridContext) -> tuple[Water, ...]:
     """Return the bodies of water in the data, without levels, from the north-west."""
     tasks = list(_body_tasks(g))
     made = run_stage(job, FINDING, tasks) if tasks else {}
-    found = [Water.from_json(record["body"]) for _, record in made.values() if record["body"]]
-    found.sort(key=lambda body: (-body.area.bounds.y1, body.area.bounds.x0, body.area.key))
-    return tuple(replace(body, number=number) for number, body in enumerate(found, start=1))
+    bodies = [Water.from_json(record["body"]) for _, record in made.values() if record["body"]]
+    bodies.sort(key=lambda body: (-body.area.bounds.y1, body.area.bounds.x0, body.area.key))
+    return tuple(replace(body, number=number) for number, body in enumerate(bodies, start=1))
 
 
 def _body_tasks(g: GridContext) -> Iterator[Task]:
@@ -122,15 +122,15 @@ def level_tasks(g: GridContext, bodies: tuple[Water, ...]) -> Iterator[Task]:
         if body.levelled:
             continue
         near = body.area.bounds.pad(pad)
-        others = tuple(bodies[i].area for i in index.overlapping(near) if bodies[i] is not body)
+        other_areas = tuple(bodies[i].area for i in index.overlapping(near) if bodies[i] is not body)
         cells = SOURCES[:2] if all(name in g.made for name in SOURCES[:2]) else None
-        work = LevelWater(body, others, "dtm", spec, cells, g.coarse, joins_pockets=auto)
+        work = LevelWater(body, other_areas, "dtm", spec, cells, g.coarse, joins_pockets=auto)
         seen = [g.checksums("dtm", (block.name for block in spec.blocks_within(near, BLOCK_PIXELS)))]
         if cells is not None:
             under = [block.name for block in g.coarse.blocks_within(near, BLOCK_PIXELS)]
             seen += [g.checksums(name, under) for name in cells]
         digest = digest_of(
-            __version__, body.digest, body.number, auto, [other.key for other in others], spec, seen
+            __version__, body.digest, body.number, auto, [other.key for other in other_areas], spec, seen
         )
         yield Task(STAGE, _key(body), digest, level_water, work)
 

@@ -47,13 +47,13 @@ def report_levels(job: Job, waters: Waters, records: Mapping[int, Mapping[str, A
 
 def _doubts(body: Water, record: Mapping[str, Any], unit: Fraction) -> list[dict[str, Any]]:
     """Return warnings about a body of water, each with a text and a position (x, y)."""
-    found: list[tuple[str, tuple[float, float]]] = []
+    doubts: list[tuple[str, tuple[float, float]]] = []
     if body.sure is not None and body.sure < SURE:
         text = (
             f"{_named(body)} is water with {body.sure:.0%} certainty; check it, and if it is not water delete it from "
             "water.gpkg and give that file with --water"
         )
-        found.append((text, _place(body)))
+        doubts.append((text, _place(body)))
     share, lowest = record.get("floating", (0.0, None))
     if share > MAX_FLOATING and lowest is not None:
         x, y = (value / COUNTS_PER_UNIT for value in lowest)
@@ -62,14 +62,14 @@ def _doubts(body: Water, record: Mapping[str, Any], unit: Fraction) -> list[dict
             f"the lowest at ({x:.1f}, {y:.1f}); check its level and its outline there (edit water.gpkg and give it "
             "with --water)"
         )
-        found.append((text, (x, y)))
+        doubts.append((text, (x, y)))
     if record.get("uneven"):
         text = (
             f"{_named(body)}: its returns differ by more than waves do, as those of strips flown at two levels; the "
             "lower level holds (another one: `level` in water.gpkg, --water)"
         )
-        found.append((text, _place(body)))
-    return [{"text": text, "place": list(place)} for text, place in found]
+        doubts.append((text, _place(body)))
+    return [{"text": text, "place": list(position)} for text, position in doubts]
 
 
 def _place(body: Water) -> tuple[float, float]:
@@ -90,9 +90,9 @@ def report_waters(job: Job, waters: Waters, terrain: Commits) -> None:
         for area, count in record.get("water", ()):
             pixels[area] = pixels.get(area, 0) + count
     square = float(job.plan.resolution) ** 2
-    facts = [_fact(body, pixels.get(body.area.key, 0), square) for body in waters.bodies]
-    add_rings(facts, [body.area for body in waters.bodies])
-    job.facts["water"] = facts
+    body_facts = [_fact(body, pixels.get(body.area.key, 0), square) for body in waters.bodies]
+    add_rings(body_facts, [body.area for body in waters.bodies])
+    job.facts["water"] = body_facts
 
 
 def _fact(body: Water, pixels: int, square: float) -> dict[str, Any]:

@@ -55,8 +55,8 @@ def ground_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
         under = [other.name for other in spec.blocks_within(coarse.block_bounds(block), BLOCK_PIXELS)]
         seen: list[Any] = [g.checksums(terrain, under)]
         if given:
-            reach = int(NEAR_CELLS * coarse.lattice.size) + 1
-            near = g.plan.meta.bucket.among(coarse.block_bounds(block).pad(reach), g.labels)
+            margin = int(NEAR_CELLS * coarse.lattice.size) + 1
+            near = g.plan.meta.bucket.among(coarse.block_bounds(block).pad(margin), g.labels)
             seen += [g.checksums(occupancy, names_of(near_places(coarse, [place]))), g.seen(near)]
         yield g.block_task(raster, work, seen)
 
@@ -107,9 +107,9 @@ def plane_sure_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
     """Yield a task for each block near a plane that is water."""
     rims, *inputs = raster.inputs
     kept = _kept_planes(g, inputs[0], rims)
-    places = _by_place(g.areas(inputs[0]), kept)
-    for place in near_places(g.coarse, places):
-        names = sorted({name for other in around(*place) for name in places.get(other, ())})
+    names_by_place = _by_place(g.areas(inputs[0]), kept)
+    for place in near_places(g.coarse, names_by_place):
+        names = sorted({name for other in around(*place) for name in names_by_place.get(other, ())})
         work = KeepPlanes(**_on_areas(raster, g, place), kept=tuple((name, kept[name]) for name in names))
         yield g.block_task(raster, work, _seen(g, inputs, place))
 
@@ -167,11 +167,11 @@ def _near_labels(g: GridContext, areas: str) -> list[Place]:
 
 def _by_place(joined: Joined, names: Iterable[Piece]) -> dict[Place, list[Piece]]:
     """Return the names of areas by the blocks in which they lie."""
-    found: dict[Place, list[Piece]] = defaultdict(list)
+    names_by_place: dict[Place, list[Piece]] = defaultdict(list)
     for name in sorted(names):
         for place in sorted({(piece.row, piece.col) for piece in joined.areas[name]}):
-            found[place].append(name)
-    return found
+            names_by_place[place].append(name)
+    return names_by_place
 
 
 def _sizes(g: GridContext, areas: str) -> dict[Piece, tuple[int, ...]]:
@@ -181,11 +181,11 @@ def _sizes(g: GridContext, areas: str) -> dict[Piece, tuple[int, ...]]:
 
 def area_sums(joined: Joined, records: Mapping[Place, Mapping[str, Any]]) -> dict[Piece, tuple[int, ...]]:
     """Return the sums of ``sizes`` over the pieces of each area, by the name of the area."""
-    found = {}
+    sums = {}
     for name, pieces in joined.areas.items():
         parts = (records[p.row, p.col]["sizes"][p.label - 1] for p in pieces)
-        found[name] = tuple(map(sum, zip(*parts, strict=True)))
-    return found
+        sums[name] = tuple(map(sum, zip(*parts, strict=True)))
+    return sums
 
 
 def _kept(g: GridContext, areas: str, rims: str) -> dict[Piece, float]:
@@ -199,12 +199,12 @@ def _kept(g: GridContext, areas: str, rims: str) -> dict[Piece, float]:
 
 def _rims(g: GridContext, rims: str, which: int = 0) -> dict[Piece, Rim]:
     """Return the land around each area, added up over blocks, from the rim number ``which`` in the records."""
-    found: dict[Piece, Rim] = {}
+    rim_by_area: dict[Piece, Rim] = {}
     for record in g.records(rims).values():
         for name, *counts in record["rims"]:
             rim = Rim(*counts[min(which, len(counts) - 1)])
-            found[Piece(*name)] = found.get(Piece(*name), Rim()).plus(rim)
-    return found
+            rim_by_area[Piece(*name)] = rim_by_area.get(Piece(*name), Rim()).plus(rim)
+    return rim_by_area
 
 
 def _likely_planes(g: GridContext, planes: str) -> tuple[list[Piece], list[Piece]]:
@@ -215,10 +215,10 @@ def _likely_planes(g: GridContext, planes: str) -> tuple[list[Piece], list[Piece
     sizes = {name: Plane(*size) for name, size in area_sums(joined, records).items() if size[0] >= least}
     boxes = {name: _box(joined.areas[name], records) for name in sizes}
     evident = [name for name, plane in sizes.items() if plane.is_evident]
-    reach = DAM_M / float(g.coarse_m) + SHORE_CELLS
+    reach_cells = DAM_M / float(g.coarse_m) + SHORE_CELLS
     others = [
         name for name in sizes.keys() - set(evident)
-        if any(_are_near(boxes[name], boxes[other], reach) for other in evident)
+        if any(_are_near(boxes[name], boxes[other], reach_cells) for other in evident)
     ]  # fmt: skip
     return sorted(evident), sorted(others)
 
@@ -244,8 +244,8 @@ def _kept_planes(g: GridContext, planes: str, rims: str) -> dict[Piece, float]:
         for name, other in record["beside"]:
             beside[Piece(*name)].add(Piece(*other))
     held = {name: sure for name in others if (sure := alone.get(name))}
-    found = {name: sure for name in evident if (sure := alone.get(name))}
+    kept = {name: sure for name in evident if (sure := alone.get(name))}
     # Two neighbouring planes, one above a dam and one below, may both be water if the other does not count as land.
     lower = {other for name in held for other in beside[name]}
-    found |= {name: sure for name in evident if name in lower and (sure := without_others.get(name))}
-    return found | {name: sure for name, sure in held.items() if beside[name] & found.keys()}
+    kept |= {name: sure for name in evident if name in lower and (sure := without_others.get(name))}
+    return kept | {name: sure for name, sure in held.items() if beside[name] & kept.keys()}

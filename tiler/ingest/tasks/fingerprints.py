@@ -44,24 +44,24 @@ def numbered(job: Job) -> list[Source]:
     """
     known: dict[str, dict[str, Any]] = job.store.get_state("sources") or {}
     # Passwords and tokens are removed, because a link that is signed daily leads to the same file.
-    places = {without_secrets(location(info.path)): info for info in job.plan.sources}
+    info_by_location = {without_secrets(location(info.path)): info for info in job.plan.sources}
     todo = []
-    for place, info in places.items():
-        entry = known.setdefault(place, {"number": len(known)})
+    for file_location, info in info_by_location.items():
+        entry = known.setdefault(file_location, {"number": len(known)})
         if not job.plan.config.verify and entry.get("stamp") == info.stamp:
             continue
         if is_url(info.path) and chunks_of(job.plan, info) is not None:  # Most of the file is not fetched.
             content = digest_of("octree", info.state, info.digest, info.octree)
-            known[place] = {**entry, "stamp": info.stamp, "content": content}
+            known[file_location] = {**entry, "stamp": info.stamp, "content": content}
         else:
-            todo.append((place, info))
+            todo.append((file_location, info))
     unreadable = _identify(job, known, todo)
     job.store.put_state("sources", known)
     _leave_out(job, unreadable)
     sources = [
-        Source(info, known[place]["number"], known[place]["content"])
-        for place, info in places.items()
-        if info.points and place not in unreadable
+        Source(info, known[file_location]["number"], known[file_location]["content"])
+        for file_location, info in info_by_location.items()
+        if info.points and file_location not in unreadable
     ]
     if not sources:  # The plan contains a source with points, so the sources with points cannot be read.
         raise InputError(f"no input could be read; the first: {min(unreadable.values())}")
@@ -72,14 +72,18 @@ def _identify(
     job: Job, known: dict[str, dict[str, Any]], todo: list[tuple[str, SourceInfo]]
 ) -> dict[str, str]:
     """Let the workers read files and save the digests. Return the errors by location."""
-    stamps, unreadable, saved = {place: info.stamp for place, info in todo}, {}, time.monotonic()
+    stamps, unreadable, saved = (
+        {file_location: info.stamp for file_location, info in todo},
+        {},
+        time.monotonic(),
+    )
     files = [(location(info.path), info.state, info.points) for _, info in todo]
     for url, result in contents(job, STAGE, files):
-        place = without_secrets(url)
+        file_location = without_secrets(url)
         if "content" in result:
-            known[place] |= {"stamp": stamps[place], "content": result["content"]}
+            known[file_location] |= {"stamp": stamps[file_location], "content": result["content"]}
         else:
-            unreadable[place] = result["error"]
+            unreadable[file_location] = result["error"]
         if time.monotonic() - saved > SAVED_SECONDS:
             job.store.put_state("sources", known)
             saved = time.monotonic()
@@ -113,20 +117,20 @@ def contents(
             continue
         task = outcome.task
         job.listener(TaskDone(stage, task.key, points=task.points, seconds=round(outcome.seconds, 3)))
-        found: dict[str, dict[str, str]] = outcome.record or {}
-        for place, _ in task.arguments.files:
-            error = f"{place}: what reads it {outcome.error}; get the file again"
-            yield place, found.get(place, {"error": error})
+        results: dict[str, dict[str, str]] = outcome.record or {}
+        for file_location, _ in task.arguments.files:
+            error = f"{file_location}: what reads it {outcome.error}; get the file again"
+            yield file_location, results.get(file_location, {"error": error})
     seconds = round(time.monotonic() - start, 3)
     job.listener(StageFinished(stage, seconds))
 
 
 def _leave_out(job: Job, unreadable: dict[str, str]) -> None:
-    for place, reason in sorted(unreadable.items()):
+    for file_location, reason in sorted(unreadable.items()):
         if job.plan.config.on_error == "stop" or len(job.plan.sources) == 1:
             raise InputError(reason)
-        job.record.quarantined.append({"path": place, "error": reason})
-        job.listener(Warned(f"{place}: left out: {reason.removeprefix(f'{place}: ')}"))
+        job.record.quarantined.append({"path": file_location, "error": reason})
+        job.listener(Warned(f"{file_location}: left out: {reason.removeprefix(f'{file_location}: ')}"))
 
 
 def _tasks(stage: str, files: Iterable[File]) -> Iterator[Task]:
@@ -143,6 +147,6 @@ def _tasks(stage: str, files: Iterable[File]) -> Iterator[Task]:
 
 
 def _task(stage: str, group: list[File]) -> Task:
-    work = ReadFiles(tuple((place, state) for place, state, _ in group))
+    work = ReadFiles(tuple((file_location, state) for file_location, state, _ in group))
     digest = digest_of(work)
     return Task(stage, digest, digest, read_files, work, sum(points for _, _, points in group))

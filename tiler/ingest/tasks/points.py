@@ -52,7 +52,7 @@ def spool_tasks(plan: Plan, sources: Iterable[Source], keep: bool) -> Iterator[T
     """Yield a task per piece of each source. With ``keep``, the tasks keep the records."""
     selection = plan.config.selection
     for source in sources:
-        wanted = buckets_of(plan, source.info)
+        buckets = buckets_of(plan, source.info)
         claimed = header_bounds(source.info)
         for start, count, ranges in _pieces(plan, source.info):
             key = f"{source.name}-{start:012d}"
@@ -64,7 +64,7 @@ def spool_tasks(plan: Plan, sources: Iterable[Source], keep: bool) -> Iterator[T
                 key,
                 start,
                 count,
-                wanted,
+                buckets,
                 salvage=plan.config.salvage,
                 extent=claimed,
                 identity=identity,
@@ -73,7 +73,7 @@ def spool_tasks(plan: Plan, sources: Iterable[Source], keep: bool) -> Iterator[T
                 keep=keep,
                 selection=selection,
             )
-            yield Task("spool", key, digest_of(identity, wanted), spool_piece, work, count)
+            yield Task("spool", key, digest_of(identity, buckets), spool_piece, work, count)
 
 
 def _pieces(plan: Plan, info: SourceInfo) -> Iterator[tuple[int, int, tuple[tuple[int, int], ...]]]:
@@ -108,14 +108,14 @@ Fragments = dict[Cell, list[tuple[str, int, int]]]
 
 def fragments_of(spooled: Commits) -> Fragments:
     """Return the locations in the spool of each bucket's points, from the commits of the pieces."""
-    found: Fragments = defaultdict(list)
+    fragments: Fragments = defaultdict(list)
     for piece in sorted(spooled):
         start = 0
         _, stored = spooled[piece]
         for ix, iy, count in SpoolRecord.of(stored).buckets:
-            found[Cell(ix, iy)].append((piece, start, start + count))
+            fragments[Cell(ix, iy)].append((piece, start, start + count))
             start += count
-    return dict(found)
+    return dict(fragments)
 
 
 def strays_of(plan: Plan, sources: Iterable[Source], spooled: Commits) -> dict[int, Strays]:
@@ -127,14 +127,14 @@ def strays_of(plan: Plan, sources: Iterable[Source], spooled: Commits) -> dict[i
             outside[name] += record.outside
             for ix, iy, count in record.buckets + record.left:  # A file is judged as a whole.
                 held[name][Cell(ix, iy)] += count
-    found = {}
+    strays_by_source = {}
     for source in sources:
         strays = find_strays(
             held[source.name], plan.meta.bucket, header_bounds(source.info), outside[source.name]
         )
         if strays != Strays():
-            found[source.number] = strays
-    return found
+            strays_by_source[source.number] = strays
+    return strays_by_source
 
 
 def assemble_tasks(
