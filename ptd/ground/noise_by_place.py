@@ -90,6 +90,8 @@ def _around(place: Place, held: Mapping[Place, list[Partial]]) -> Roughness:
                 weight = OF_DENSITY[row] * OF_DENSITY[column] * cells
                 weights += weight
                 logarithms += weight * math.log(points / (cells * PATCH_M**2))
-    summed = sums.roughness()
+    roughness = sums.roughness()
     density = math.exp(logarithms / weights) if weights else 0.0
-    return Roughness(float(f"{density:.{DIGITS}g}"), summed.sigma_m, summed.patches, summed.smoothest_m)
+    return Roughness(
+        float(f"{density:.{DIGITS}g}"), roughness.sigma_m, roughness.patches, roughness.smoothest_m
+    )

@@ -165,12 +165,10 @@ class LowNoise:
         """Return a mask of the points that are low noise and, if given, in another mask: bool [n]."""
         if self._index is None:
             return np.zeros(z.size, np.bool_)
-        is_low_noise: npt.NDArray[np.bool_] = (
-            z <= self._heights.max()
-        )  # Most points are higher than all outliers.
+        is_low: npt.NDArray[np.bool_] = z <= self._heights.max()  # Most points are higher than all outliers.
         if among is not None:
-            is_low_noise &= among
-        low = np.flatnonzero(is_low_noise)
+            is_low &= among
+        low = np.flatnonzero(is_low)
         cell = self._index.find(x[low], y[low])
-        is_low_noise[low] = (cell >= 0) & (z[low] <= self._heights[cell])
-        return is_low_noise
+        is_low[low] = (cell >= 0) & (z[low] <= self._heights[cell])
+        return is_low

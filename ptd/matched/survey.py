@@ -229,7 +229,10 @@ class SurveyPass(Pass):
         counted = [place for p in parts for place in p["places"]]
         measured = noise_by_place.by_place(counted).items()
         table = with_sides(
-            {name_of(*place): [*figures(place_sums, state["run"])] for place, place_sums in measured}
+            {
+                name_of(*place): [*figures(place_roughness, state["run"])]
+                for place, place_roughness in measured
+            }
         )
         held = [table[name] for name in dict.fromkeys(name_of(*place["place"]) for place in counted)]
         survey, notes = self.decided(noise_sums.merge(counted), seen, held, state["run"])

@@ -87,12 +87,12 @@ def lowest_within(x: Int32, y: Int32, z: Int32, raster: StackIndex, x3: int, y3:
     radius : float
         Counts.
     """
-    reach = int(radius) + 2
-    x0, y0 = x3 // 3 - reach + raster.origin_x, y3 // 3 - reach + raster.origin_y
+    half_width = int(radius) + 2
+    x0, y0 = x3 // 3 - half_width + raster.origin_x, y3 // 3 - half_width + raster.origin_y
     limit2 = 9.0 * radius * radius
     best = -1
-    for row in range(y0 * raster.q // raster.p, (y0 + 2 * reach) * raster.q // raster.p + 1):
-        for column in range(x0 * raster.q // raster.p, (x0 + 2 * reach) * raster.q // raster.p + 1):
+    for row in range(y0 * raster.q // raster.p, (y0 + 2 * half_width) * raster.q // raster.p + 1):
+        for column in range(x0 * raster.q // raster.p, (x0 + 2 * half_width) * raster.q // raster.p + 1):
             slot = slot_of(raster.table, column - raster.col0, row - raster.row0)
             if slot < 0:
                 continue
