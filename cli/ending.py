@@ -63,16 +63,19 @@ def ended_in_time(own_process: bool) -> Iterator[InterruptState]:
     writing.setblocking(False)
     done = threading.Event()
     threading.Thread(target=_watch, args=(reading, done), name="tiler-ending", daemon=True).start()
-    ending, before = InterruptState(own_process), {number: signal.getsignal(number) for number in SIGNALS}
+    ending, previous_handlers = (
+        InterruptState(own_process),
+        {number: signal.getsignal(number) for number in SIGNALS},
+    )
     signal.signal(signal.SIGTERM, ending.interrupt)
     # A script starts its background commands with SIGINT ignored, which stays so.
-    if before[signal.SIGINT] is signal.default_int_handler:
+    if previous_handlers[signal.SIGINT] is signal.default_int_handler:
         signal.signal(signal.SIGINT, ending.interrupt)
     woken_before = signal.set_wakeup_fd(writing.fileno(), warn_on_full_buffer=False)
     try:
         yield ending
     finally:
-        for number, handler in before.items():  # a command that has ended cannot be interrupted
+        for number, handler in previous_handlers.items():  # a command that has ended cannot be interrupted
             signal.signal(number, handler)
         if not own_process:
             signal.set_wakeup_fd(woken_before)

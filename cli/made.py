@@ -33,8 +33,8 @@ def made_lines(summary: Summary, out: str) -> Iterator[str]:
 
     for name, text, file in _results(summary):
         written = file is None or file in summary.get("outputs", {}) or file == CLASSIFIED
-        place = f", {joined(out, file)}" if file and written else ""
-        yield f"{name:12s}{text}{place}"
+        path_text = f", {joined(out, file)}" if file and written else ""
+        yield f"{name:12s}{text}{path_text}"
     edits = summary.get("edits") or ()
     for edit in edits[:MAX_EDITS]:
         yield f"edit        {edit['number']} ({edit['action']}): {changed_text(edit)}"

@@ -70,15 +70,15 @@ def map_lines(density: Mapping[str, Any], encoding: str | None) -> list[str]:
         Encoding of the terminal. If it has no block characters, the shades are ASCII characters.
     """
     rows = density["per_m2"]
-    found = sorted(value for row in rows for value in row if value > 0)
-    if not found:
+    densities = sorted(value for row in rows for value in row if value > 0)
+    if not densities:
         return []
     try:
         "░▒▓█".encode(encoding or "ascii")
         shades = "░▒▓█"
     except (UnicodeEncodeError, LookupError):
         shades = ".:*#"
-    middle = found[len(found) // 2]
+    middle = densities[len(densities) // 2]
     limits = [share * middle for share in SHARES]
     legend = ", ".join(f"{shade} below {limit:.2g}" for shade, limit in zip(shades, limits, strict=False))
     lines = ["".join(" " if v <= 0 else shades[bisect(limits, v)] for v in row).rstrip() for row in rows]
@@ -100,8 +100,8 @@ def fact_lines(facts: Mapping[str, Any], indent: str = "") -> list[str]:
 
     The names of files and tags do not change.
     """
-    ours = (n for n in facts if n.islower() and not set(n) & set("./-"))
-    words = {name: name.replace("_", " ") for name in ours}
+    tiler_names = (n for n in facts if n.islower() and not set(n) & set("./-"))
+    words = {name: name.replace("_", " ") for name in tiler_names}
     shown = {words.get(name, name): value for name, value in facts.items() if value is not None}
     width = max((len(name) for name in shown), default=0)
     lines = []

@@ -27,9 +27,9 @@ def open_streams(own_process: bool) -> Iterator[None]:
         Whether the process runs only this command. Then its streams stay replaced, because Python writes to them when
         it exits.
     """
-    before = {name: getattr(sys, name) for name in NAMES}
+    previous_streams = {name: getattr(sys, name) for name in NAMES}
     with open(os.devnull, "w", encoding="utf-8") as nowhere:
-        for name, stream in before.items():
+        for name, stream in previous_streams.items():
             if stream is None:  # closed by the program that started the process
                 setattr(sys, name, nowhere)
             elif own_process:
@@ -37,7 +37,7 @@ def open_streams(own_process: bool) -> Iterator[None]:
         try:
             yield
         finally:
-            for name, stream in before.items():
+            for name, stream in previous_streams.items():
                 if stream is None or not own_process:
                     setattr(sys, name, stream)
 

@@ -39,16 +39,16 @@ def summary_lines(summary: Mapping[str, Any], out: str, did_nothing: bool = Fals
     lost = f", {dropped:,} dropped" if dropped else ""
     lines.append(f"points      {points:,} of {counted(files, 'file')}{lost}")
     if "filter" in summary:
-        facts = summary["filter"]
-        marked = f", {facts['marked']:,} labels not certified" if facts["marked"] else ""
-        tiles = counted(facts["tiles"], "tile")
+        section = summary["filter"]
+        marked = f", {section['marked']:,} labels not certified" if section["marked"] else ""
+        tiles = counted(section["tiles"], "tile")
         lines.append(f"ground      {counted(ground_points(summary), 'point')}, in {tiles}{marked}")
     unit = summary.get("plan", {}).get("metres_per_unit", {}).get("horizontal", 1.0)
     rasters = sorted(_RASTERS.keys() & summary.get("outputs", {}), key=_RASTERS.__getitem__)
     for name in rasters[:1]:
-        facts = summary["dtm"]
-        pixel = length_text(facts["resolution_m"], unit)
-        size = f"{facts['width']:,} x {facts['height']:,} pixels of {pixel}"
+        section = summary["dtm"]
+        pixel = length_text(section["resolution_m"], unit)
+        size = f"{section['width']:,} x {section['height']:,} pixels of {pixel}"
         lines.append(f"{name.split('.')[0].upper():12s}{joined(out, name)}, {size}")
     if rasters[1:]:
         lines.append(f"products    {', '.join(joined(out, name) for name in rasters[1:])}")

@@ -118,14 +118,14 @@ def _print_accuracy(facts: Mapping[str, Any]) -> None:
 
 
 def _figures(figures: Mapping[str, Any]) -> tuple[str, ...]:
-    found = []
+    texts = []
     for name in FIGURES:
         value = figures[name]
         if value is None or isinstance(value, int):
-            found.append("-" if value is None else str(value))
+            texts.append("-" if value is None else str(value))
         else:
-            found.append(f"{value:+.3f}" if name in ("bias", "median") else f"{value:.3f}")
-    return tuple(found)
+            texts.append(f"{value:+.3f}" if name in ("bias", "median") else f"{value:.3f}")
+    return tuple(texts)
 
 
 def _print_seams(facts: Mapping[str, Any]) -> None:

@@ -59,15 +59,15 @@ def command(source: tuple[str, ...], target: str, as_json: bool, **settings: Any
     session = current_session()
     with shown_progress() as listener:
         if is_one_file(source, target):
-            facts = classify_file(source[0], target, config, listener)
+            summary = classify_file(source[0], target, config, listener)
         else:
-            facts = classify_files(source, target, config, listener)
+            summary = classify_files(source, target, config, listener)
     if as_json:
-        print_json(facts)
+        print_json(summary)
     elif not session.quiet:
-        print_facts({n: value for n, value in facts.items() if n not in NOT_PRINTED})
-        for file in facts.get("quarantined", ()):
+        print_facts({n: value for n, value in summary.items() if n not in NOT_PRINTED})
+        for file in summary.get("quarantined", ()):
             say(f"left out    {file['path']}: {file['error']}")
-        for line in failed_lines(facts["failed_tasks"]):
+        for line in failed_lines(summary["failed_tasks"]):
             say(line)
-    return PARTIAL if facts["failed_tasks"] or facts.get("quarantined") else DONE
+    return PARTIAL if summary["failed_tasks"] or summary.get("quarantined") else DONE

@@ -27,9 +27,9 @@ def command(out: str, store: str | None, as_json: bool) -> None:
     """
     from tiler.apps.clean import clean
 
-    found = clean(out, store)
+    summary = clean(out, store)
     if as_json:
-        print_json(found)
+        print_json(summary)
         return
-    say(f"removed  {found['removed_objects']} objects, {found['removed_bytes'] / 1e6:,.1f} MB")
-    say(f"store    {found['store_bytes'] / 1e6:,.1f} MB")
+    say(f"removed  {summary['removed_objects']} objects, {summary['removed_bytes'] / 1e6:,.1f} MB")
+    say(f"store    {summary['store_bytes'] / 1e6:,.1f} MB")

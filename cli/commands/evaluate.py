@@ -108,7 +108,7 @@ def command(
         read = [path for scene in scenes for path in (scene.cloud, scene.reference)]
         rasters = [raster for raster in (dtm, true_dtm, dtm_sigma) if raster is not None]
         evaluate.validate_targets(difference, maps, [scene.name for scene in scenes], read, rasters)
-    facts: dict[str, Any] = {}
+    scores: dict[str, Any] = {}
     if clouds:
         cell = parse_length(map_cell)
         if cell <= 0:
@@ -117,22 +117,22 @@ def command(
         with shown_progress() as listener:
             if references:
                 pairs = evaluate.find_scenes(clouds, references)
-                facts = evaluate.evaluate_scenes(pairs, ignored, request, listener)
+                scores = evaluate.evaluate_scenes(pairs, ignored, request, listener)
             else:
                 config = read_config(settings)
-                facts = evaluate.filter_and_evaluate(clouds, config, ignored, request, listener)
+                scores = evaluate.filter_and_evaluate(clouds, config, ignored, request, listener)
     if dtm is not None and true_dtm is not None:
         both, sigma = (Path(dtm), Path(true_dtm)), dtm_sigma or evaluate.sigma_beside(dtm)
-        facts["dtm"] = call_isolated(
+        scores["dtm"] = call_isolated(
             evaluate.evaluate_dtm, *both, difference, sigma, paths=both, memory_bytes=half_of_memory()
         )
     if as_json:
-        print_json(facts)
+        print_json(scores)
         return
     if clouds:
-        _print_scores(facts)
+        _print_scores(scores)
     if dtm is not None:
-        for line in dtm_lines(facts["dtm"]):
+        for line in dtm_lines(scores["dtm"]):
             say(line)
 
 

@@ -34,12 +34,12 @@ def command(paths: tuple[str, ...], as_json: bool) -> None:
         return
     from tiler.apps.info import describe
 
-    facts = describe(paths[0])
+    description = describe(paths[0])
     if as_json:
-        print_json(facts)
+        print_json(description)
     else:
-        density = facts.pop("density_map", None)
-        print_facts(facts)
+        density = description.pop("density_map", None)
+        print_facts(description)
         if density is not None:
             for line in map_lines(density, sys.stdout.encoding):
                 say(line)

@@ -30,13 +30,13 @@ def command(name: str | None, as_json: bool) -> None:
     if name is not None and name not in METHODS:
         raise ConfigError(f"no method {name!r}; there are {', '.join(METHODS)}")
     chosen = {n: m for n, m in METHODS.items() if name in (None, n)}
-    facts: dict[str, dict[str, Any]] = {
+    descriptions: dict[str, dict[str, Any]] = {
         n: {"summary": m.summary, "parameters": parameter_facts(m.params)} for n, m in chosen.items()
     }
     if as_json:
-        print_json(facts)
+        print_json(descriptions)
         return
-    for method, fact in facts.items():
+    for method, fact in descriptions.items():
         rows = [
             (
                 p["name"],

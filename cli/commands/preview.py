@@ -63,13 +63,13 @@ def command(
     if side is not None and side <= 0:
         raise ConfigError(f"--size {size}: must be above 0")
     with shown_progress() as listener:
-        found = make_preview(inputs, out, config, listener, number=windows, side_m=side)
+        drawn_windows = make_preview(inputs, out, config, listener, number=windows, side_m=side)
     if as_json:
-        print_json({"picture": out, "windows": [dataclasses.asdict(window) for window in found]})
+        print_json({"picture": out, "windows": [dataclasses.asdict(window) for window in drawn_windows]})
     elif not session.quiet:
         say(f"{out}: surface above, terrain below; from left to right:")
-        for window in found:
+        for window in drawn_windows:
             x0, y0, x1, y1 = window.bounds
             share = percent_text(window.ground / window.points)
             say(f"  --bounds {x0:.0f} {y0:.0f} {x1:.0f} {y1:.0f}: {window.points:,} points, {share} ground")
-    return PARTIAL if any(window.failed for window in found) else DONE
+    return PARTIAL if any(window.failed for window in drawn_windows) else DONE

@@ -116,8 +116,8 @@ def command(
     )
     session = current_session()
     with shown_progress() as listener:
-        facts: dict[str, Any] = write_scene(out, spec, float(parse_length(resolution)), listener)
+        summary: dict[str, Any] = write_scene(out, spec, float(parse_length(resolution)), listener)
     if as_json:
-        print_json(facts)
+        print_json(summary)
     elif not session.quiet:
-        print_facts(facts)
+        print_facts(summary)

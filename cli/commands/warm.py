@@ -21,8 +21,8 @@ def command(methods: tuple[str, ...], as_json: bool) -> None:
     """
     from tiler.apps.warm import warm
 
-    found = warm(methods or ("auto",))
+    summary = warm(methods or ("auto",))
     if as_json:
-        print_json(found)
+        print_json(summary)
         return
-    say(f"compiled  {found['compiled']} kernels, {found['kernels']} are in {found['folder']}")
+    say(f"compiled  {summary['compiled']} kernels, {summary['kernels']} are in {summary['folder']}")

@@ -19,13 +19,13 @@ EMAIL = "email"
 def addresses() -> dict[str, str]:
     """Return the addresses of the project by their keys in ``metadata.txt``."""
     try:
-        facts = metadata(DISTRIBUTION)
+        package_metadata = metadata(DISTRIBUTION)
     except PackageNotFoundError:  # a checkout that is not installed
         return {}
-    urls = dict(entry.split(", ", 1) for entry in facts.get_all("Project-URL") or ())
-    found = {key: urls.get(name, "") for key, name in URLS.items()}
-    _, found[EMAIL] = parseaddr("".join(facts.get_all("Author-email") or ()))
-    return {key: address for key, address in found.items() if address}
+    urls = dict(entry.split(", ", 1) for entry in package_metadata.get_all("Project-URL") or ())
+    address_by_key = {key: urls.get(name, "") for key, name in URLS.items()}
+    _, address_by_key[EMAIL] = parseaddr("".join(package_metadata.get_all("Author-email") or ()))
+    return {key: address for key, address in address_by_key.items() if address}
 
 
 def validate_addresses(found: dict[str, str]) -> None:

@@ -35,20 +35,20 @@ def plugin_files(command: str = "") -> dict[str, bytes]:
     command : str
         Path of ``tiler``. If it is empty, the plugin looks for it in ``PATH``.
     """
-    found = {
+    content_by_name = {
         item.name: item.read_bytes()
         for item in files("cli.qgis").joinpath("plugin").iterdir()
         if item.name.endswith((".py", ".txt", ".png")) or item.name == "LICENSE"
     }
-    found["metadata.txt"] = _metadata(found["metadata.txt"].decode()).encode()
+    content_by_name["metadata.txt"] = _metadata(content_by_name["metadata.txt"].decode()).encode()
     content: dict[str, Any] = {
         "made_by": MARK,
         "command": command,
-        "files": sorted([*found, TABLE]),
+        "files": sorted([*content_by_name, TABLE]),
         **table(),
     }
-    found[TABLE] = (json.dumps(content, indent=1) + "\n").encode()
-    return dict(sorted(found.items()))
+    content_by_name[TABLE] = (json.dumps(content, indent=1) + "\n").encode()
+    return dict(sorted(content_by_name.items()))
 
 
 def install(profile: str) -> Path:
@@ -111,10 +111,10 @@ def _metadata(text: str) -> str:
 def find_own_command() -> str:
     """Return the path of the running command, or raise ConfigError."""
     called = Path(sys.argv[0])
-    own = [str(called.absolute())] if called.stem == "tiler" else []
-    for place in (*own, os.path.join(sysconfig.get_path("scripts"), "tiler"), "tiler"):
-        if found := shutil.which(place):
-            return os.path.abspath(found)
+    called_paths = [str(called.absolute())] if called.stem == "tiler" else []
+    for command in (*called_paths, os.path.join(sysconfig.get_path("scripts"), "tiler"), "tiler"):
+        if path := shutil.which(command):
+            return os.path.abspath(path)
     raise ConfigError(
         f"{sys.executable}: has no command tiler next to it; install the package (pip install tiler-dtm)"
     )
@@ -122,9 +122,9 @@ def find_own_command() -> str:
 
 def profiles_folder() -> Path:
     """Return the folder in which QGIS stores the profiles of this user."""
-    own = os.environ.get("QGIS_CUSTOM_CONFIG_PATH")
-    if own:
-        return Path(own) / "profiles"
+    custom_folder = os.environ.get("QGIS_CUSTOM_CONFIG_PATH")
+    if custom_folder:
+        return Path(custom_folder) / "profiles"
     if os.environ.get("APPDATA") and sys.platform == "win32":
         data = Path(os.environ["APPDATA"])
     elif sys.platform == "darwin":

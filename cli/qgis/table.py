@@ -73,21 +73,21 @@ def _parameter(command: str, parameter: click.Parameter) -> dict[str, Any]:
     option = "" if isinstance(parameter, click.Argument) else parameter.opts[-1]
     name = PLACES.get(key) or option.removeprefix("--").replace("-", "_").upper()
     label = LABELS_OF.get(command, {}).get(name) or LABELS.get(name) or name.replace("_", " ").capitalize()
-    facts: dict[str, Any] = {
+    fields: dict[str, Any] = {
         "name": name, "key": key, "label": label, "option": option, "required": parameter.required, "unit": "",
         "advanced": key not in SHOWN_FIRST and key not in PLACES, "help": "", "choices": [], "default": None,
         "config_default": None,
     }  # fmt: skip
     if key in SETTINGS and _is_setting(parameter):
-        return facts | _from_setting(key)
+        return fields | _from_setting(key)
     kind = KINDS.get((command, key)) or _kind(parameter)
-    facts |= {"kind": kind, "help": getattr(parameter, "help", None) or ""}
+    fields |= {"kind": kind, "help": getattr(parameter, "help", None) or ""}
     # The default of an output is a file in the working folder, which has no meaning in QGIS.
     if parameter.default is not None and isinstance(parameter.default, str | int) and key not in PLACES:
-        facts["default"] = parameter.default
+        fields["default"] = parameter.default
     if isinstance(parameter.type, click.IntRange):
-        facts["minimum"], facts["maximum"] = parameter.type.min, parameter.type.max
-    return facts
+        fields["minimum"], fields["maximum"] = parameter.type.min, parameter.type.max
+    return fields
 
 
 def _is_setting(parameter: click.Parameter) -> bool:

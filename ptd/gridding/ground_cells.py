@@ -116,9 +116,9 @@ def _plane_variances(
         for column in range(margin, columns - margin):
             cx = ((2 * (west + column) + 1) * p) // (2 * q) - start[0]
             for half in halves:
-                found = _plane_variance(sums, row, column, as_int64(half), (cx, cy))
-                if found >= 0.0:
-                    out[row - margin, column - margin] = found
+                variance = _plane_variance(sums, row, column, as_int64(half), (cx, cy))
+                if variance >= 0.0:
+                    out[row - margin, column - margin] = variance
                     break
     return out
 
@@ -146,15 +146,15 @@ def plane_variance(xyz: Int32, window: CellWindow, half_widths: Sequence[int]) -
     start = window.west * window.p // window.q, (window.north - window.rows) * window.p // window.q
     sums = integral(_sums(x, y, z, tuple(window), (*start, low)))
     halves = np.asarray(half_widths, np.int64)
-    found: Float64 = _plane_variances(sums, tuple(window), start, max(half_widths), halves)
-    return found
+    variances: Float64 = _plane_variances(sums, tuple(window), start, max(half_widths), halves)
+    return variances
 
 
 def cell_counts(xyz: Int32, window: CellWindow) -> Int64:
     """Count the points (int32 [3, n]) in each cell: int64 [rows, columns]. Points outside are ignored."""
     x, y = (np.ascontiguousarray(axis) for axis in xyz[:2])
-    found: Int64 = _counts(x, y, tuple(window))
-    return found
+    counts: Int64 = _counts(x, y, tuple(window))
+    return counts
 
 
 @kernel
@@ -171,10 +171,10 @@ def _counts(x: Int32, y: Int32, window: tuple[int, ...]) -> Int64:
 
 def integral(cells: Int64) -> Int64:
     """Sums over all cells to the north and west, int64 [..., rows + 1, columns + 1], of int64 [..., rows, columns]."""
-    found = np.zeros((*cells.shape[:-2], cells.shape[-2] + 1, cells.shape[-1] + 1), np.int64)
-    inner = found[..., 1:, 1:]
+    sums = np.zeros((*cells.shape[:-2], cells.shape[-2] + 1, cells.shape[-1] + 1), np.int64)
+    inner = sums[..., 1:, 1:]
     np.cumsum(np.cumsum(cells, axis=-2), axis=-1, out=inner)
-    return found
+    return sums
 
 
 def box_sums(cells: Int64, half: int, margin: int) -> Int64:

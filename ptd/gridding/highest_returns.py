@@ -98,9 +98,9 @@ class HighestReturns:
             heights, footprint=around, mode="constant", cval=NOTHING
         ).ravel()
         limit = math.floor(spike)
-        others = np.maximum(beside, second[:, 2]).astype(np.int64)
-        alone = others == NOTHING
-        good = alone | (first[:, 2] - others <= limit)
+        highest_other = np.maximum(beside, second[:, 2]).astype(np.int64)
+        alone = highest_other == NOTHING
+        good = alone | (first[:, 2] - highest_other <= limit)
         second_good = (beside == NOTHING) | (second[:, 2] - beside.astype(np.int64) <= limit)
         second_good &= second[:, 2] != NOTHING
         chosen = np.where(good[:, np.newaxis], first, second)

@@ -156,13 +156,13 @@ def _search(
         for column in range(columns):
             cx = (x0 + column * step) // scale
             at_row, at_column = row + pad, column + pad
-            found = as_int64(0)
-            near, which = squared[row, column], index[row, column]
+            n_found = as_int64(0)
+            near, near_indices = squared[row, column], index[row, column]
             ring = as_int64(empty[at_row, at_column])
             while True:
                 # All points nearer than this have been seen; one count allows for the rounded centre.
                 seen = (float(ring) - 0.5) * size - 1.0
-                if seen > reach or (found == k and seen > 0.0 and float(near[k - 1]) < seen * seen):
+                if seen > reach or (n_found == k and seen > 0.0 and float(near[k - 1]) < seen * seen):
                     break
                 if ring > max(height, width):
                     break
@@ -174,7 +174,7 @@ def _search(
                             cell = r * width + c
                             if starts[cell + 1] > starts[cell]:
                                 held, disk = (starts[cell], starts[cell + 1]), (cx, cy, reach2)
-                                found = _look_in(x, y, z, order, held, disk, near, which, found)
+                                n_found = _look_in(x, y, z, order, held, disk, near, near_indices, n_found)
                         c += 1 if whole or ring == 0 else 2 * ring
                 ring += 1
 

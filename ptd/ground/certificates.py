@@ -233,8 +233,8 @@ class UncertifiedRegion:
         beyond = (x < k.west) | (y < k.south) | (x >= k.east) | (y >= k.north)
         column = np.clip((x.astype(np.int64) - self.west) // self.cell, 0, self.mask.shape[1] - 1)
         row = np.clip((y.astype(np.int64) - self.south) // self.cell, 0, self.mask.shape[0] - 1)
-        found: npt.NDArray[np.bool_] = beyond | (self.mask[row, column] != 0)
-        return found
+        is_uncertified: npt.NDArray[np.bool_] = beyond | (self.mask[row, column] != 0)
+        return is_uncertified
 
     def triangles(self, tin: Tin) -> UInt8:
         """Return 1 for each uncertified triangle, else 0: uint8 [triangles].

@@ -133,7 +133,7 @@ def neighbours_of_blocks(keys: Int64, width: int) -> Int32:
     The index is -1 for blocks that are not occupied. ``keys`` are sorted. Rasters have an empty column on both sides,
     so keys of successive rows are never neighbours.
     """
-    found = np.full((keys.size, 9), -1, np.int32)
+    neighbours = np.full((keys.size, 9), -1, np.int32)
     for row in range(3):
         j = 0
         for k in range(keys.size):
@@ -142,9 +142,9 @@ def neighbours_of_blocks(keys: Int64, width: int) -> Int32:
                 j += 1
             i = j
             while i < keys.size and keys[i] <= first + 2:
-                found[k, 3 * row + keys[i] - first] = i
+                neighbours[k, 3 * row + keys[i] - first] = i
                 i += 1
-    return found
+    return neighbours
 
 
 @kernel

@@ -85,12 +85,12 @@ def elect(points: Xyz, where: Placed, close: UInt8, pages: Int32, planes: Planes
         i, page = index[k], pages[block[k]]
         if page < 0 or close[i] < NEAR:
             continue
-        place = page * CELLS + cell[k]
-        lower = z[i] < cell_z[place]
-        if z[i] == cell_z[place]:
-            lower = (x[i], y[i]) < (cell_x[place], cell_y[place])
+        plane_index = page * CELLS + cell[k]
+        lower = z[i] < cell_z[plane_index]
+        if z[i] == cell_z[plane_index]:
+            lower = (x[i], y[i]) < (cell_x[plane_index], cell_y[plane_index])
         if lower:
-            cell_x[place], cell_y[place], cell_z[place] = x[i], y[i], z[i]
+            cell_x[plane_index], cell_y[plane_index], cell_z[plane_index] = x[i], y[i], z[i]
 
 
 PATCH = SIDE + 2 * AROUND
@@ -148,11 +148,11 @@ def _fill_patch(
                 patch[m : m + (end_column - first_column) * MOMENTS] = 0.0
                 continue
             first = page * CELLS + row * SIDE
-            for place in range(first + first_column, first + end_column):
+            for plane_index in range(first + first_column, first + end_column):
                 # A product instead of a branch, which the processor could predict wrongly.
-                n_points = float(np.int64(kept[place]))
-                dx, dy = n_points * float(x[place] - x0), n_points * float(y[place] - y0)
-                dz = n_points * float(z[place] - z0)
+                n_points = float(np.int64(kept[plane_index]))
+                dx, dy = n_points * float(x[plane_index] - x0), n_points * float(y[plane_index] - y0)
+                dz = n_points * float(z[plane_index] - z0)
                 patch[m], patch[m + 1], patch[m + 2], patch[m + 3] = n_points, dx, dy, dz
                 patch[m + 4], patch[m + 5], patch[m + 6] = dx * dx, dx * dy, dy * dy
                 patch[m + 7], patch[m + 8], patch[m + 9] = dx * dz, dy * dz, dz * dz
@@ -211,18 +211,18 @@ def _fit_block(planes: Planes, first: int, sums: _Sums, origin: int, limits: Pla
     x0, y0, z0 = as_int64(x[origin]), as_int64(y[origin]), as_int64(z[origin])
     spikes = False
     for cell in range(CELLS):
-        place, m = first + cell, cell * MOMENTS
-        if z[place] == EMPTY:
+        plane_index, m = first + cell, cell * MOMENTS
+        if z[plane_index] == EMPTY:
             continue
-        dx, dy, dz = x[place] - x0, y[place] - y0, z[place] - z0
+        dx, dy, dz = x[plane_index] - x0, y[plane_index] - y0, z[plane_index] - z0
         a, b, c, scatter = _plane(sums.three, m, ENOUGH, dx, dy, dz)
         if scatter < 0.0:
             a, b, c, scatter = _plane(sums.five, m, ENOUGH_WIDE, dx, dy, dz)
         if scatter >= 0.0 and -c > limits.spike:
-            kept[place], spikes = False, True
+            kept[plane_index], spikes = False, True
         if not 0.0 <= scatter <= limits.rough:
             c = np.nan
-        east[place], north[place], height[place] = a, b, c
+        east[plane_index], north[plane_index], height[plane_index] = a, b, c
     return spikes
 
 
@@ -256,9 +256,9 @@ def fit(around: Int32, pages: Int32, wanted: Bool, planes: Planes, limits: Plane
             if not (wanted[k] and changed[k]):
                 continue
             first, filled, origin = pages[k] * CELLS, 0, 0
-            for place in range(first, first + CELLS):
-                if planes.z[place] != EMPTY:
-                    filled, origin = filled + 1, place
+            for plane_index in range(first, first + CELLS):
+                if planes.z[plane_index] != EMPTY:
+                    filled, origin = filled + 1, plane_index
             if filled < FILLED:
                 continue
             _fill_patch(planes, around, k, pages, kept, origin, sums.patch)

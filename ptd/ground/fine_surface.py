@@ -91,12 +91,12 @@ def _judge(
             seen[b] += close[i] != FAR
             on[b] += close[i] == ON
             continue
-        place = pages[b] * CELLS + cell[k]
-        if pages[b] < 0 or np.isnan(height[place]):
+        plane_index = pages[b] * CELLS + cell[k]
+        if pages[b] < 0 or np.isnan(height[plane_index]):
             continue
-        rise_x, rise_y = float(east[place]), float(north[place])
-        above = float(z[i] - cell_z[place]) - height[place]
-        above -= rise_x * float(x[i] - cell_x[place]) + rise_y * float(y[i] - cell_y[place])
+        rise_x, rise_y = float(east[plane_index]), float(north[plane_index])
+        above = float(z[i] - cell_z[plane_index]) - height[plane_index]
+        above -= rise_x * float(x[i] - cell_x[plane_index]) + rise_y * float(y[i] - cell_y[plane_index])
         if -heights.crop_below <= above <= heights.crop_above:
             seen[b] += 1
             on[b] += abs(above) <= heights.crop_on
@@ -142,8 +142,8 @@ def fine_ground(points: Xyz, close: UInt8, ground: Bool, marked: Bool, scale: Sc
     where, blocks = placed(points, close, marked, scale)
     if where.point.size == 0 or blocks.points.max() < FILLED:
         return ground, marked  # No block is dense, whether or not points are uncertified.
-    wanted = ~blocks.settled & (blocks.near >= FILLED)
-    pages, n_pages = pages_of_blocks(wanted, blocks.around)
+    is_chosen = ~blocks.settled & (blocks.near >= FILLED)
+    pages, n_pages = pages_of_blocks(is_chosen, blocks.around)
     ground, marked = ground.copy(), marked.copy()
     if n_pages:
         planes = Planes.none(n_pages)
@@ -151,7 +151,7 @@ def fine_ground(points: Xyz, close: UInt8, ground: Bool, marked: Bool, scale: Sc
         fit(
             blocks.around,
             pages,
-            wanted,
+            is_chosen,
             planes,
             PlaneLimits(scale.counts_z(SPIKE_M), scale.counts_z(ROUGH_M)),
         )

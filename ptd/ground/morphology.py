@@ -221,6 +221,6 @@ def steepest_drops(heights: Int32, radii: Sequence[float], allowance: float) -> 
     framed, filled, centres = _framed(heights)
     steepest, opened = np.full(framed.shape, -np.inf, np.float32), framed
     for radius in radii:
-        before, opened = opened, _open(framed, radius, filled, centres)
-        _keep_steepest(before, opened, float(allowance), float(radius), steepest)
+        previous, opened = opened, _open(framed, radius, filled, centres)
+        _keep_steepest(previous, opened, float(allowance), float(radius), steepest)
     return steepest[_INNER], opened[_INNER]

@@ -43,12 +43,15 @@ def measure_places(xyz: Int32, core: Window, scale: Scale) -> list[dict[str, Any
 
     Parameters and dicts are those of `ptd.ground.roughness.measure`. The dicts contain ``place`` (column and row) too.
     """
-    found = patches(xyz, core, scale)
-    columns, rows = found.columns // PATCHES_ACROSS, found.rows // PATCHES_ACROSS
+    measured_patches = patches(xyz, core, scale)
+    columns, rows = measured_patches.columns // PATCHES_ACROSS, measured_patches.rows // PATCHES_ACROSS
     order = np.lexsort((columns, rows))
     other = (np.diff(columns[order]) != 0) | (np.diff(rows[order]) != 0)
     parts = np.split(order, np.flatnonzero(other) + 1) if order.size else []
-    return [{"place": [int(columns[part[0]]), int(rows[part[0]])], **found.counts(part)} for part in parts]
+    return [
+        {"place": [int(columns[part[0]]), int(rows[part[0]])], **measured_patches.counts(part)}
+        for part in parts
+    ]
 
 
 def by_place(partials: Iterable[Partial]) -> dict[Place, Roughness]:
@@ -79,14 +82,16 @@ def _around(place: Place, held: Mapping[Place, list[Partial]]) -> Roughness:
     sums, weights, logarithms = Sums(), 0, 0.0
     for row in range(2 * AROUND + 1):
         for column in range(2 * AROUND + 1):
-            own = held.get((place[0] + column - AROUND, place[1] + row - AROUND), ())
-            for partial in own:
+            place_partials = held.get((place[0] + column - AROUND, place[1] + row - AROUND), ())
+            for partial in place_partials:
                 sums.add(partial, WEIGHTS[row] * WEIGHTS[column])
-            points, cells = (sum(partial[name] for partial in own) for name in ("points", "cells"))
+            points, cells = (sum(partial[name] for partial in place_partials) for name in ("points", "cells"))
             if points and cells:
                 weight = OF_DENSITY[row] * OF_DENSITY[column] * cells
                 weights += weight
                 logarithms += weight * math.log(points / (cells * PATCH_M**2))
-    found = sums.roughness()
+    roughness = sums.roughness()
     density = math.exp(logarithms / weights) if weights else 0.0
-    return Roughness(float(f"{density:.{DIGITS}g}"), found.sigma_m, found.patches, found.smoothest_m)
+    return Roughness(
+        float(f"{density:.{DIGITS}g}"), roughness.sigma_m, roughness.patches, roughness.smoothest_m
+    )

@@ -165,10 +165,10 @@ class LowNoise:
         """Return a mask of the points that are low noise and, if given, in another mask: bool [n]."""
         if self._index is None:
             return np.zeros(z.size, np.bool_)
-        found: npt.NDArray[np.bool_] = z <= self._heights.max()  # Most points are higher than all outliers.
+        is_low: npt.NDArray[np.bool_] = z <= self._heights.max()  # Most points are higher than all outliers.
         if among is not None:
-            found &= among
-        low = np.flatnonzero(found)
+            is_low &= among
+        low = np.flatnonzero(is_low)
         cell = self._index.find(x[low], y[low])
-        found[low] = (cell >= 0) & (z[low] <= self._heights[cell])
-        return found
+        is_low[low] = (cell >= 0) & (z[low] <= self._heights[cell])
+        return is_low

@@ -154,8 +154,8 @@ def on_plateaus(z: Int32, ground: Bool, before: Bool, raster: CellRaster, rule: 
     roof = plateaus(heights, rule, removed.reshape(heights.shape), data.reshape(heights.shape))
     beside = scipy.ndimage.maximum_filter(roof, size=3, mode="constant", cval=False)
     higher = z - heights.reshape(-1)[raster.keys].astype(np.int64) > rule.fall
-    found: Bool = ground & (roof.reshape(-1)[raster.keys] | beside.reshape(-1)[raster.keys] & higher)
-    return found
+    is_on_plateau: Bool = ground & (roof.reshape(-1)[raster.keys] | beside.reshape(-1)[raster.keys] & higher)
+    return is_on_plateau
 
 
 def plateaus(heights: Int32, rule: Plateaus, removed: Bool | None = None, data: Bool | None = None) -> Bool:
@@ -185,8 +185,8 @@ def plateaus(heights: Int32, rule: Plateaus, removed: Bool | None = None, data: 
     ends = wide <= np.where(cut, rule.widest_cut, rule.widest)
     opposite = np.minimum(border[:, :2], border[:, 2:4])  # east and west, north and south
     through = (opposite >= THROUGH).any(axis=1)
-    found: Bool = np.append(above & ends & ~through, False)[surface]  # -1: no surface
-    return found
+    is_plateau: Bool = np.append(above & ends & ~through, False)[surface]  # -1: no surface
+    return is_plateau
 
 
 @kernel
@@ -198,21 +198,21 @@ def _looks(
     looks, box = np.zeros((n, _BORDER + 8), np.int64), np.zeros((n, 4), np.int64)
     for row in range(rows):
         for column in range(columns):
-            own = surface[row, column]
-            if own < 0:
+            number = surface[row, column]
+            if number < 0:
                 continue
-            if looks[own, _AREA] == 0:
-                box[own, :2], box[own, 2:] = row, column
-            looks[own, _AREA] += 1
-            box[own, 0], box[own, 1] = min(box[own, 0], row), max(box[own, 1], row)
-            box[own, 2], box[own, 3] = min(box[own, 2], column), max(box[own, 3], column)
+            if looks[number, _AREA] == 0:
+                box[number, :2], box[number, 2:] = row, column
+            looks[number, _AREA] += 1
+            box[number, 0], box[number, 1] = min(box[number, 0], row), max(box[number, 1], row)
+            box[number, 2], box[number, 3] = min(box[number, 2], column), max(box[number, 3], column)
             for way in range(8):
                 met, joined = _BORDER + way, False
                 for steps in range(1, view + 1):
                     r, c = row + steps * NORTH[way], column + steps * EAST[way]
                     if r < 0 or c < 0 or r >= rows or c >= columns:
                         break
-                    if surface[r, c] == own:
+                    if surface[r, c] == number:
                         met = _AREA
                         break
                     if met >= _BORDER and data[r, c]:
@@ -227,5 +227,5 @@ def _looks(
                         break
                 if met != _AREA:
                     # A roof found before hides the ground here.
-                    looks[own, _PAST if joined and met >= _UNSEEN else met] += 1
+                    looks[number, _PAST if joined and met >= _UNSEEN else met] += 1
     return looks, box

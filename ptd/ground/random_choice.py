@@ -38,8 +38,8 @@ def point_hashes(x: Int32, y: Int32, z: Int32, cells: CellLattice, salt: int) ->
     with np.errstate(over="ignore"):
         east = (x.astype(np.int64) + cells.origin_x).view(np.uint64)
         north = (y.astype(np.int64) + cells.origin_y).view(np.uint64)
-        place = _mixed64(_mixed64(east + _mixed64(np.full(1, salt, np.uint64))) + north)
-        return _mixed32(place.astype(np.uint32) ^ z.view(np.uint32)).view(np.int32)
+        position_hashes = _mixed64(_mixed64(east + _mixed64(np.full(1, salt, np.uint64))) + north)
+        return _mixed32(position_hashes.astype(np.uint32) ^ z.view(np.uint32)).view(np.int32)
 
 
 def random_per_cell(x: Int32, y: Int32, z: Int32, cells: CellLattice, salt: int) -> Int32:

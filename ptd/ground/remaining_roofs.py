@@ -57,12 +57,12 @@ def remaining_roofs(
         return []
     counts, rises = np.full(heights.shape, EMPTY, np.int32), _rises(heights, known)
     counts[known] = np.rint(1000 * heights[known])
-    found = np.zeros(heights.shape, np.bool_)
+    is_roof = np.zeros(heights.shape, np.bool_)
     for step_m in ROOF_STEPS_M:
         rule = Plateaus.of(MILLIMETRES, MAX_WIDTH_M, step_m, cell_m)
-        ground = np.where(found | (rises > step_m), EMPTY, counts).astype(np.int32)
-        found |= plateaus(ground, rule, found, known)
-    numbers, _ = scipy.ndimage.label(found, np.ones((3, 3)))
+        ground = np.where(is_roof | (rises > step_m), EMPTY, counts).astype(np.int32)
+        is_roof |= plateaus(ground, rule, is_roof, known)
+    numbers, _ = scipy.ndimage.label(is_roof, np.ones((3, 3)))
     boxes = scipy.ndimage.find_objects(numbers)
     roofs = (_measured(numbers[box] == number, box, cell_m) for number, box in enumerate(boxes, start=1))
     return [roof for roof in roofs if roof.width_m >= min_width_m]

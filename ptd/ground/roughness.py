@@ -217,13 +217,13 @@ class Patches(NamedTuple):
 
     def counts(self, which: Any = slice(None)) -> dict[str, Any]:
         """Return the counts that some cells add to the run's figures (`measure`)."""
-        own = self.own[which]
+        is_in_core = self.own[which]
         return {
             "points": int(self.points[which].sum()),
-            "cells": int(own.sum()),
-            "full": int(np.count_nonzero(self.full[which][own])),
-            "patches": histogram(self.noise[which][own]),
-            "quarters": histogram(self.quarters[which][own].ravel()),
+            "cells": int(is_in_core.sum()),
+            "full": int(np.count_nonzero(self.full[which][is_in_core])),
+            "patches": histogram(self.noise[which][is_in_core]),
+            "quarters": histogram(self.quarters[which][is_in_core].ravel()),
         }
 
 

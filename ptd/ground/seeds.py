@@ -131,10 +131,10 @@ def box_with_ring(x: Int32, y: Int32, cells: CellLattice) -> tuple[int, int, int
     """Return west, south, east and north, in local counts, of all circles that can contain data (`RING`)."""
     c0, c1 = cells.column(int(x.min())), cells.column(int(x.max()))
     r0, r1 = cells.row(int(y.min())), cells.row(int(y.max()))
-    reach = RING + 1
+    margin = RING + 1
     return (
-        cells.west(c0 - reach),
-        cells.south(r0 - reach),
-        cells.west(c1 + reach + 1),
-        cells.south(r1 + reach + 1),
+        cells.west(c0 - margin),
+        cells.south(r0 - margin),
+        cells.west(c1 + margin + 1),
+        cells.south(r1 + margin + 1),
     )

@@ -63,13 +63,13 @@ def _rise(before: float, own: float, after: float) -> float:
 def _slopes(sums: Int64, reach: int, cells: Int64, out: Float64) -> None:
     for i in range(cells.size):
         row, column = divmod(cells[i], sums.shape[1] - 1)
-        own = _mean(sums, row, column, reach)
-        if math.isnan(own):
+        centre = _mean(sums, row, column, reach)
+        if math.isnan(centre):
             out[i] = 0.0
             continue
         west, east = _mean(sums, row, column - reach, reach), _mean(sums, row, column + reach, reach)
         south, north = _mean(sums, row - reach, column, reach), _mean(sums, row + reach, column, reach)
-        right, up = _rise(west, own, east), _rise(south, own, north)
+        right, up = _rise(west, centre, east), _rise(south, centre, north)
         out[i] = math.sqrt(right * right + up * up) / reach
 
 

@@ -25,9 +25,9 @@ OfSide = Callable[[Points, Scale, State, float], Model]
 
 def needed(xyz: Int32, side_m: float, state: State, scale: Scale) -> Bool:
     """Return a mask of the cells of a side that lie in places that need this side: bool [n]."""
-    own, both = (of_places(state[PLACES], figure, xyz[0], xyz[1], scale) for figure in (SIDE, BOTH))
-    found: Bool = (own == side_m) | (both > 0)
-    return found
+    place_sides, both = (of_places(state[PLACES], figure, xyz[0], xyz[1], scale) for figure in (SIDE, BOTH))
+    is_needed: Bool = (place_sides == side_m) | (both > 0)
+    return is_needed
 
 
 def side_of_cells(points: Points, scale: Scale) -> Float64:
@@ -54,10 +54,10 @@ def of_each_side(
     present = sides(state[PLACES]) or SIDES_M[:1]
     if len(present) == 1:
         return of_side(points, scale, state, present[0])
-    own = side_of_cells(points, scale)
+    cell_sides = side_of_cells(points, scale)
     asked = near(state[PLACES], core, scale)
     sides_asked = sides(asked) if cells else {known(figures, SIDE) for figures in asked.values()}
-    models = {side: of_side(points.take(own == side), scale, state, side) for side in sides_asked}
+    models = {side: of_side(points.take(cell_sides == side), scale, state, side) for side in sides_asked}
     return ModelOfCells(models, scale) if cells else ModelOfPoints(models, scale, state)
 
 
@@ -72,9 +72,9 @@ class ModelOfCells(Model):
     def label(self, points: Points) -> tuple[UInt8, Bool]:
         """Label each cell with the model of its side."""
         labels, marks = np.zeros(len(points), np.uint8), np.zeros(len(points), np.bool_)
-        own = side_of_cells(points, self._scale)
+        cell_sides = side_of_cells(points, self._scale)
         for side, model in self._models.items():
-            of_side = own == side
+            of_side = cell_sides == side
             labels[of_side], marks[of_side] = model.label(points.take(of_side))
         return labels, marks
 
@@ -89,10 +89,10 @@ class ModelOfPoints(ModelOfCells):
     def label(self, points: Points) -> tuple[UInt8, Bool]:
         """Label each point with the model of its place, which also reads the points of other places around it."""
         labels, marks = np.zeros(len(points), np.uint8), np.zeros(len(points), np.bool_)
-        own = of_places(self._state[PLACES], SIDE, points.xyz[0], points.xyz[1], self._scale)
+        place_sides = of_places(self._state[PLACES], SIDE, points.xyz[0], points.xyz[1], self._scale)
         for side, model in self._models.items():
-            of_side = own == side
+            of_side = place_sides == side
             if of_side.any():
-                found, doubtful = model.label(points)
-                labels[of_side], marks[of_side] = found[of_side], doubtful[of_side]
+                model_labels, doubtful = model.label(points)
+                labels[of_side], marks[of_side] = model_labels[of_side], doubtful[of_side]
         return labels, marks

@@ -123,8 +123,8 @@ def canopy(heights: Float64, surface: Surface, ground: Bool, cell_m: float) -> C
         Side of the cells in metres.
     """
     there, around = np.isfinite(heights), _Squares(cell_m)
-    found = np.where(there & np.isfinite(surface.narrowing), surface.height, np.nan)
-    wavy = _wavy(heights, found, around)
+    known_surface = np.where(there & np.isfinite(surface.narrowing), surface.height, np.nan)
+    wavy = _wavy(heights, known_surface, around)
     tall = there & ~ground & ~(heights - surface.height < TALL_M)  # true where the surface is NaN, too
     closed = around.closed(wavy | tall & _rough(heights, cell_m), CLOSED_M)
     half = around.mean(wavy.astype(np.float64), there, WAVY_M) > WAVY_SHARE
@@ -143,21 +143,23 @@ def may_be(heights: Float64, cell_m: float) -> Bool:
     waves = _rough_around(residuals(heights, _side(WAVES_M, cell_m)), around)
     closed = around.closed(waves | _rough(heights, cell_m), CLOSED_M)
     half = around.mean(waves.astype(np.float64), np.isfinite(heights), WAVY_M) > WAVY_SHARE
-    found: Bool = around.opened(closed, WAVY_M) & half | around.opened(closed, TALL_SIDE_M)
-    return found
+    may_have_canopy: Bool = around.opened(closed, WAVY_M) & half | around.opened(closed, TALL_SIDE_M)
+    return may_have_canopy
 
 
 def _rough(heights: Float64, cell_m: float) -> Bool:
     """Return the cells around which heights differ as much as in a crown."""
-    found: Bool = residuals(heights, _side(TEXTURE_M, cell_m)) > TEXTURE
-    return found
+    is_rough: Bool = residuals(heights, _side(TEXTURE_M, cell_m)) > TEXTURE
+    return is_rough
 
 
 def _rough_around(waves: Float64, around: _Squares) -> Bool:
     """Return the cells with rough ones nearly everywhere around them, from residuals over several crowns."""
     known = np.isfinite(waves)
-    found: Bool = known & (around.mean((waves > WAVE_M).astype(np.float64), known, AROUND_M) > ROUGH_SHARE)
-    return found
+    has_rough_around: Bool = known & (
+        around.mean((waves > WAVE_M).astype(np.float64), known, AROUND_M) > ROUGH_SHARE
+    )
+    return has_rough_around
 
 
 def _wavy(heights: Float64, found: Float64, around: _Squares) -> Bool:
@@ -182,8 +184,8 @@ def _mean_around(left: Float64, around: _Squares) -> Float64:
 def _roofs(heights: Float64, tall: Bool, around: _Squares) -> Bool:
     """Return the cells around which many of the tall cells lie in one plane with their neighbours."""
     plane = tall & (residuals(heights, PLANE_CELLS) < PLANE_M)
-    found: Bool = around.mean(plane.astype(np.float64), tall, TALL_SIDE_M) > PLANE_SHARE
-    return found
+    is_roof: Bool = around.mean(plane.astype(np.float64), tall, TALL_SIDE_M) > PLANE_SHARE
+    return is_roof
 
 
 def _slopes(found: Float64, around: _Squares) -> tuple[Float64, Float64, Float64]:
@@ -214,16 +216,16 @@ def _slopes(found: Float64, around: _Squares) -> tuple[Float64, Float64, Float64
 def _grown(heights: Float64, seen: Bool, may_join: Bool, cell_m: float) -> Bool:
     """Return the seen ground and the cells of `may_join` to which it continues without a step."""
     step = STEEPEST * cell_m
-    found = seen.copy()
+    reached = seen.copy()
     for _ in range(_steps(cell_m)):
-        joined = np.zeros_like(found)
+        joined = np.zeros_like(reached)
         for axis in (0, 1):
             for way in (1, -1):
-                beside = np.roll(found, way, axis)
+                beside = np.roll(reached, way, axis)
                 rise = np.abs(heights - np.roll(heights, way, axis))
                 joined |= beside & (rise < step)
-        found |= joined & may_join
-    return found
+        reached |= joined & may_join
+    return reached
 
 
 def _pits(heights: Float64, ground: Bool, covered: Bool, around: _Squares) -> Bool:
@@ -250,30 +252,30 @@ class _Squares:
         # Each square is summed separately, because running sums depend on where the raster begins.
         def total(of: Float64) -> Float64:
             along: Float64 = scipy.ndimage.correlate1d(of, weights, axis=1, mode="constant")
-            found: Float64 = scipy.ndimage.correlate1d(along, weights, axis=0, mode="constant")
-            return found
+            sums: Float64 = scipy.ndimage.correlate1d(along, weights, axis=0, mode="constant")
+            return sums
 
         return total(np.where(known, values, 0.0)) / np.maximum(total(known.astype(np.float64)), 1.0)
 
     def highest(self, values: Float64, side_m: float) -> Float64:
         """Return the highest value around each cell, with minus infinity beyond the raster."""
         side = _side(side_m, self.cell_m)
-        found: Float64 = scipy.ndimage.maximum_filter(values, side, mode="constant", cval=-np.inf)
-        return found
+        highest_values: Float64 = scipy.ndimage.maximum_filter(values, side, mode="constant", cval=-np.inf)
+        return highest_values
 
     def closed(self, cells: Bool, side_m: float) -> Bool:
         """Return the cells and the openings among them into which no square of this side fits (closing)."""
         side = _side(side_m, self.cell_m)
         wide: Bool = scipy.ndimage.maximum_filter(cells, side, mode="constant")
-        found: Bool = scipy.ndimage.minimum_filter(wide, side, mode="constant")
-        return found
+        is_closed: Bool = scipy.ndimage.minimum_filter(wide, side, mode="constant")
+        return is_closed
 
     def opened(self, cells: Bool, side_m: float) -> Bool:
         """Return the cells that are covered by squares of this side that contain no other cells (opening)."""
         side = _side(side_m, self.cell_m)
         inner: Bool = scipy.ndimage.minimum_filter(cells, side, mode="constant")
-        found: Bool = scipy.ndimage.maximum_filter(inner, side, mode="constant")
-        return found
+        is_covered: Bool = scipy.ndimage.maximum_filter(inner, side, mode="constant")
+        return is_covered
 
 
 def _side(metres: float, cell_m: float) -> int:

@@ -66,9 +66,9 @@ class CanopyPass(MatchedPass):
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> CanopyModel:
         """Find the canopy among the cells of each side, and count its cells in the core."""
         of_side = partial(self.of_side, core=core)
-        found = by_side.of_each_side(of_side, points, core, scale, state, cells=True)
-        own = core.has(points.xyz[0], points.xyz[1])
-        return CanopyModel(found, points.take(own), scale, state)
+        model = by_side.of_each_side(of_side, points, core, scale, state, cells=True)
+        is_in_core = core.has(points.xyz[0], points.xyz[1])
+        return CanopyModel(model, points.take(is_in_core), scale, state)
 
     def of_side(self, points: Points, scale: Scale, state: State, side: float, core: Window) -> Codes:
         """Compute the surface of the cells of one side as if there were no canopy, and test it."""
@@ -80,15 +80,15 @@ class CanopyPass(MatchedPass):
         flat[raster.keys] = codes
         coded = flat.reshape(raster.heights.shape)
         metres = np.where(raster.heights == EMPTY, np.nan, raster.heights / scale.counts_z(1.0))
-        own = _widened(core, scale.counts(side)).has(*points.xyz[:2])
+        is_near_core = _widened(core, scale.counts(side)).has(*points.xyz[:2])
         # Without cells that a canopy may cover, no surface is needed. The surface is nearly all of the work.
-        if not may_be(metres, side).reshape(-1)[raster.keys[own]].any():
+        if not may_be(metres, side).reshape(-1)[raster.keys[is_near_core]].any():
             return Codes(raster, codes, cells)
         left = np.where(coded == OBJECT, EMPTY, raster.heights).astype(np.int32)
         noise = on_cells(noise_m(state, scale), cells, raster.row, raster.column, raster.heights.shape)
-        found = surface.ground_surface(left, coded == TERRAIN, noise, scale, raster.row, raster.column, side)
-        near = band(found.sigma, found.narrowing)
-        covered, crowns = canopy(metres, found, np.abs(metres - found.height) < near, side)
+        ground = surface.ground_surface(left, coded == TERRAIN, noise, scale, raster.row, raster.column, side)
+        near = band(ground.sigma, ground.narrowing)
+        covered, crowns = canopy(metres, ground, np.abs(metres - ground.height) < near, side)
         coded[crowns] |= CROWN
         coded[covered] |= COVERED
         return Codes(raster, coded.reshape(-1)[raster.keys], cells)
@@ -128,8 +128,8 @@ class CanopyModel(Model):
 
     def _of_place(self, points: Points) -> Bool:
         """Return a mask of the cells whose side is that of their place."""
-        own = of_places(self._state[PLACES], SIDE, points.xyz[0], points.xyz[1], self._scale)
-        same: Bool = own == by_side.side_of_cells(points, self._scale)
+        place_sides = of_places(self._state[PLACES], SIDE, points.xyz[0], points.xyz[1], self._scale)
+        same: Bool = place_sides == by_side.side_of_cells(points, self._scale)
         return same
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
@@ -144,8 +144,8 @@ class CanopyModel(Model):
 
 def _by_block(xyz: Int32, sides_m: Float64, scale: Scale) -> list[list[int]]:
     """Return column and row of each block of `BLOCK_M` that contains cells, and their area in square metres."""
-    places = np.stack(CellLattice.of(BLOCK_M, scale).places(xyz[0], xyz[1]))
-    blocks, which = np.unique(places, axis=1, return_inverse=True)
-    areas = np.bincount(which.ravel(), sides_m**2, blocks.shape[1]).astype(np.int64)
-    found: list[list[int]] = np.column_stack([blocks.T, areas]).tolist()
-    return found
+    cell_blocks = np.stack(CellLattice.of(BLOCK_M, scale).places(xyz[0], xyz[1]))
+    blocks, block_numbers = np.unique(cell_blocks, axis=1, return_inverse=True)
+    areas = np.bincount(block_numbers.ravel(), sides_m**2, blocks.shape[1]).astype(np.int64)
+    block_areas: list[list[int]] = np.column_stack([blocks.T, areas]).tolist()
+    return block_areas

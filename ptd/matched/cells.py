@@ -88,12 +88,12 @@ def _sort(values: Int32, room: Int32) -> None:
         values.sort()
         return
     for i in range(n):
-        own, rank = values[i], np.int32(0)
+        value, rank = values[i], np.int32(0)
         for k in range(i):
-            rank += np.int32(values[k] <= own)
+            rank += np.int32(values[k] <= value)
         for k in range(i + 1, n):
-            rank += np.int32(values[k] < own)
-        room[rank] = own
+            rank += np.int32(values[k] < value)
+        room[rank] = value
     for i in range(n):
         values[i] = room[i]
 
@@ -173,9 +173,9 @@ def _tilted_heights(
             rise = math.floor(eastward * (x[j] - cx) / span_x) + math.floor(northward * (y[j] - cy) / span_y)
             values[i] = z[j] - rise
         _sort(values, room)
-        found, agree = _lowest_mode(values, window[k], MODE_SHARE, MODE_POINTS)
+        height, agree = _lowest_mode(values, window[k], MODE_SHARE, MODE_POINTS)
         if agree > counts[k]:
-            heights[k] = found
+            heights[k] = height
     return heights
 
 
@@ -224,10 +224,12 @@ def cell_heights(
     )
     points = _ByCell(x, y, z, starts, order)
     heights = _tilted_heights(points, centre_x, centre_y, window, scale.counts_z(cell_m), level, counts)
-    found = np.flatnonzero(counts)
-    cx, cy = centre_x[found % columns], centre_y[found // columns]
-    own = (cx >= bounds.west) & (cx < bounds.east) & (cy >= bounds.south) & (cy < bounds.north)
-    return np.stack([cx[own], cy[own], heights[found[own]]]).astype(np.int32)
+    filled_cells = np.flatnonzero(counts)
+    cx, cy = centre_x[filled_cells % columns], centre_y[filled_cells // columns]
+    is_within_bounds = (cx >= bounds.west) & (cx < bounds.east) & (cy >= bounds.south) & (cy < bounds.north)
+    return np.stack(
+        [cx[is_within_bounds], cy[is_within_bounds], heights[filled_cells[is_within_bounds]]]
+    ).astype(np.int32)
 
 
 @dataclass(frozen=True)

@@ -58,20 +58,20 @@ def crowns(heights: Float64) -> Crowns:
         Heights in metres of cells of about 1 m, NaN where unknown. Blocks begin in the first row and column.
     """
     large = residuals(heights, LARGE)
-    filled = [place for place in _blocks(heights) if _share_held(large[place]) >= MIN_FILLED]
-    rough = [place for place in filled if np.nanmedian(large[place]) > ROUGH_M]
+    filled = [block for block in _blocks(heights) if _share_held(large[block]) >= MIN_FILLED]
+    rough = [block for block in filled if np.nanmedian(large[block]) > ROUGH_M]
     if not rough:  # Nearly all rasters end here; the rest is half of the work.
         return Crowns(len(filled), [])
     part = residuals(heights, SMALL) / np.maximum(large, 1e-3)
     gradients: list[Float64] = list(np.gradient(heights))
     down, right = gradients
-    found = [
+    crown_blocks = [
         (rows.start, columns.start)
         for rows, columns in rough
         if np.nanmedian(part[rows, columns]) < SMOOTHER
         and one_way(down[rows, columns], right[rows, columns]) < ONE_WAY
     ]
-    return Crowns(len(filled), found)
+    return Crowns(len(filled), crown_blocks)
 
 
 def _blocks(heights: Float64) -> Iterator[Place]:
@@ -109,8 +109,8 @@ def residuals(heights: Float64, side: int) -> Float64:
 
     def total(values: Float64, across: Float64, down: Float64) -> Float64:
         along: Float64 = scipy.ndimage.correlate1d(values, across, axis=1, mode="constant")
-        found: Float64 = scipy.ndimage.correlate1d(along, down, axis=0, mode="constant")
-        return found
+        sums: Float64 = scipy.ndimage.correlate1d(along, down, axis=0, mode="constant")
+        return sums
 
     n = total(weight, one, one)
     points = np.maximum(n, 1.0)

@@ -120,18 +120,18 @@ class Evidence:
             several = float(np.mean(of[of > 0] > 1)) if np.any(of) else None
         differing = [None if v is None else _differs(np.asarray(v)) for v in (scan_angle, source_id, *flags)]
         differing.append(None if gps_time is None else _measured(np.asarray(gps_time)))
-        known = [found for found in differing if found is not None]
+        known = [differs for differs in differing if differs is not None]
         colours = None if rgb is None else np.asarray(rgb, np.float64)
-        own, grey = _intensities(intensity, colours)
-        return cls(several, float(any(known)) if known else None, own, grey, _coloured(colours))
+        measured, grey = _intensities(intensity, colours)
+        return cls(several, float(any(known)) if known else None, measured, grey, _coloured(colours))
 
     @classmethod
     def merged(cls, parts: Iterable[tuple[Self, float]]) -> Self:
         """Merge the evidence of several clouds of a survey, each weighted by its area or another weight."""
-        found = list(parts)
+        weighted_parts = list(parts)
         means = []
         for field in fields(cls):
-            known = [(getattr(part, field.name), area) for part, area in found]
+            known = [(getattr(part, field.name), area) for part, area in weighted_parts]
             known = [(value, area) for value, area in known if value is not None]
             total = sum(area for _, area in known)
             means.append(sum(value * area for value, area in known) / total if total else None)
@@ -139,8 +139,8 @@ class Evidence:
 
     def pieces(self) -> list[Piece]:
         """Return the known pieces of evidence."""
-        found = [self._sensor(), self._intensity(), self._colour()]
-        return [piece for piece in found if piece is not None]
+        pieces = [self._sensor(), self._intensity(), self._colour()]
+        return [piece for piece in pieces if piece is not None]
 
     def _sensor(self) -> Piece | None:
         if self.several is not None and self.several >= SEVERAL_SHARE:
@@ -178,10 +178,10 @@ def concluded(pieces: Iterable[Piece]) -> Finding:
 
     A cloud with even odds is photogrammetric.
     """
-    found = list(pieces)
-    score = sum(piece.weight for piece in found)
+    all_pieces = list(pieces)
+    score = sum(piece.weight for piece in all_pieces)
     side = 1.0 if score >= 0 else -1.0
-    speaking = sorted((p for p in found if side * p.weight > 0), key=lambda p: -abs(p.weight))
+    speaking = sorted((p for p in all_pieces if side * p.weight > 0), key=lambda p: -abs(p.weight))
     sure = min(1 / (1 + math.exp(-abs(score))), MAX_CONFIDENCE)
     return Finding(DIM if score >= 0 else LIDAR, sure, "; ".join(piece.text for piece in speaking[:2]))
 

@@ -50,12 +50,12 @@ def ground_heights(x: Int32, y: Int32, z: Int32, ground: Bool, scale: Scale) -> 
     scale : Scale
     """
     tin = Tin.build(x[ground], y[ground], z[ground])
-    found = np.full(x.size, np.nan)
+    heights = np.full(x.size, np.nan)
     if tin.n_triangles:
         rule = Rule(ANY_EDGE, scale.counts(MAX_WIDTH_M))
-        _between_vertices(tin.vertex_array, tin.triangle_array, x, y, rule, found)
-    found[ground] = z[ground]
-    return found
+        _between_vertices(tin.vertex_array, tin.triangle_array, x, y, rule, heights)
+    heights[ground] = z[ground]
+    return heights
 
 
 @kernel

@@ -104,11 +104,19 @@ class GroundModel(Model):
         """Return the same model with a last look at each point."""
         if self._ground is None:
             return self
-        ground, found = self._ground, self._ground.surface
+        ground, fitted_surface = self._ground, self._ground.surface
         there = raster.heights != EMPTY
-        band_m = band(found.sigma, np.where(np.isnan(found.narrowing), surface.NARROWEST, found.narrowing))
+        band_m = band(
+            fitted_surface.sigma,
+            np.where(np.isnan(fitted_surface.narrowing), surface.NARROWEST, fitted_surface.narrowing),
+        )
         around = last_look.around_cells(
-            raster.heights / ground.scale.counts_z(1.0), there, found.height, found.sigma, band_m, cell_m
+            raster.heights / ground.scale.counts_z(1.0),
+            there,
+            fitted_surface.height,
+            fitted_surface.sigma,
+            band_m,
+            cell_m,
         )
         return GroundModel(replace(ground, around=around), self.stats)
 
@@ -139,19 +147,19 @@ def _between(values: Float64, x: int, y: int, place: Place) -> float:
 
 def band(sigma: Float64, narrowing: Float64) -> Float64:
     """Return the largest distance of ground from the surface in metres."""
-    found: Float64 = (GROUND_M + GROUND_SIGMAS * sigma) * narrowing
-    return found
+    band_m: Float64 = (GROUND_M + GROUND_SIGMAS * sigma) * narrowing
+    return band_m
 
 
 @kernel
 def _cell_of(x: Int32, y: Int32, place: Place, rows: int, columns: int) -> Int32:
     """Return the index of each point's cell in the flattened raster, or of the nearest cell for points outside."""
-    found = np.empty(x.size, np.int32)
+    cell_indices = np.empty(x.size, np.int32)
     for k in range(x.size):
         column = int(np.floor((as_int64(x[k]) + place.origin_x) / place.side)) - place.column
         row = int(np.floor((as_int64(y[k]) + place.origin_y) / place.side)) - place.row
-        found[k] = min(max(row, 0), rows - 1) * columns + min(max(column, 0), columns - 1)
-    return found
+        cell_indices[k] = min(max(row, 0), rows - 1) * columns + min(max(column, 0), columns - 1)
+    return cell_indices
 
 
 @kernel

@@ -125,7 +125,7 @@ def _grow(
 
     All cells that join in a step do so together.
     """
-    found = np.full(height.shape, np.nan)
+    joined_heights = np.full(height.shape, np.nan)
     waiting = np.ones(rows.size, np.bool_)
     joins = np.empty(rows.size, np.int64)
     for _ in range(steps):
@@ -141,14 +141,14 @@ def _grow(
                 if not abs(above) < near[r, c] and abs(level) < LEVEL_SHARE * near[r, c]:
                     above = level
             if abs(above) < near[r, c]:
-                found[r, c] = height[r, c] - 0.5 * above
+                joined_heights[r, c] = height[r, c] - 0.5 * above
                 joins[n] = k
                 n += 1
         if n == 0:
             break
         for k in joins[:n]:
             ground[rows[k], columns[k]], waiting[k] = True, False
-    return found
+    return joined_heights
 
 
 def grown(
@@ -179,5 +179,5 @@ def grown(
     """
     rows, columns = np.nonzero(may_join)
     near = (NEAR_M + NEAR_SIGMAS * sigma) * narrowing
-    own = rows.astype(np.int64), columns.astype(np.int64)
-    return _grow(height, ground.copy(), terrain, near, *own, _steps(cell_m))
+    positions = rows.astype(np.int64), columns.astype(np.int64)
+    return _grow(height, ground.copy(), terrain, near, *positions, _steps(cell_m))

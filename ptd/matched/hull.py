@@ -116,18 +116,18 @@ def tilts(heights: Int32, std_blocks: float, block: int) -> tuple[Int64, Int64]:
     values = np.pad(np.where(lowest != EMPTY, lowest, 0).astype(np.float64), margin)
     weight = _smooth(there, std_blocks)
     mean = _smooth(values, std_blocks) / np.maximum(weight, 1e-9)
-    found = []
+    slopes = []
     for axis in (0, 1):
         ahead, behind = np.roll(mean, -1, axis), np.roll(mean, 1, axis)
         known = (np.roll(weight, -1, axis) > MIN_WEIGHT) & (np.roll(weight, 1, axis) > MIN_WEIGHT)
         slope = np.where(known, (ahead - behind) / (2 * block), 0.0)
-        found.append(np.rint(slope[margin:-margin, margin:-margin]).astype(np.int64))
-    return found[0], found[1]
+        slopes.append(np.rint(slope[margin:-margin, margin:-margin]).astype(np.int64))
+    return slopes[0], slopes[1]
 
 
 def _smooth(values: Float64, std: float) -> Float64:
-    found: Float64 = scipy.ndimage.gaussian_filter(values, std, mode="constant", radius=TILT_RADIUS)
-    return found
+    smoothed: Float64 = scipy.ndimage.gaussian_filter(values, std, mode="constant", radius=TILT_RADIUS)
+    return smoothed
 
 
 class _Blocks(NamedTuple):
@@ -220,7 +220,7 @@ def _union(
     radius, block = falls.size - 1, blocks.cells
     hull = np.full((rows, columns), LOWEST, np.int32)
     best, held = np.empty(cut + 1, np.int64), np.full(cut + 1, -1, np.int64)
-    found = _EnvelopeSearch(best, held, np.empty(blocks.lowest.shape[1], np.int64))
+    search = _EnvelopeSearch(best, held, np.empty(blocks.lowest.shape[1], np.int64))
     profile = np.empty(2 * radius + 1, np.int32)
     for r in range(row0, rows, stride):
         for c in range(column0, columns, stride):
@@ -230,7 +230,7 @@ def _union(
                     near |= heights[rr, cc] != EMPTY
             if not near:
                 continue
-            _highest_fit(heights, blocks, falls, r, c, found)
+            _highest_fit(heights, blocks, falls, r, c, search)
             if held[cut] < 0:
                 continue
             n, e = blocks.north[r // block, c // block], blocks.east[r // block, c // block]

@@ -91,11 +91,11 @@ class Heights:
 @kernel
 def _millimetres(metres: Float64) -> Int32:
     """Return heights in whole millimetres, cut off at `CLEAR_MM`, which also stands for NaN."""
-    found = np.empty(metres.size, np.int32)
+    millimetres = np.empty(metres.size, np.int32)
     for k in range(metres.size):
         cut = min(max(1000.0 * metres[k], -CLEAR_MM), CLEAR_MM) if metres[k] == metres[k] else CLEAR_MM
-        found[k] = np.int32(np.rint(cut))
-    return found
+        millimetres[k] = np.int32(np.rint(cut))
+    return millimetres
 
 
 @kernel
@@ -154,7 +154,7 @@ def _features(
     ``cell`` is the index of each point's cell of the surface, ``around`` the features of these cells.
     """
     chosen, n = np.empty(index.size, np.int32), 0
-    found = np.empty((index.size, 13 + around.shape[1] - 1), np.int32)
+    features = np.empty((index.size, 13 + around.shape[1] - 1), np.int32)
     for k in index:
         ground = labels[k] == GROUND
         if not (ground or (labels[k] == UNCLASSIFIED and abs(voted[k]) < 1000 * MAX_DISTANCE_M)):
@@ -165,7 +165,7 @@ def _features(
         of_ground = _within(sums, ON_GROUND, i, j, 2 * r)
         if of_ground == (_within(sums, COUNT, i, j, 2 * r) if ground else 0):
             continue
-        f, near = found[n], around[cell[k]]
+        f, near = features[n], around[cell[k]]
         f[0], f[1] = voted[k], own[k] - voted[k]
         f[2] = math.floor(1000.0 * voted[k] / near[0])
         _describe(sums, i, j, r, f[3:8])
@@ -173,7 +173,7 @@ def _features(
         f[13:] = near[1:]
         chosen[n] = k
         n += 1
-    return chosen[:n], found[:n]
+    return chosen[:n], features[:n]
 
 
 @dataclass(frozen=True)
@@ -236,18 +236,18 @@ def around_cells(
     def bend(metres: float) -> Int64:
         r = round(metres / cell_m)
         near = np.maximum(_boxes(known, r), 1)
-        found: Int64 = np.clip(surface - _boxes(np.where(known, surface, 0), r) // near, -30_000, 30_000)
-        return found
+        bend_mm: Int64 = np.clip(surface - _boxes(np.where(known, surface, 0), r) // near, -30_000, 30_000)
+        return bend_mm
 
     low = known & (residual > band) & (residual < HIGH_MM)
     ground = known & (np.abs(residual) < band)
     north, east = np.gradient(ground_m, cell_m)
     slope = np.where(known, np.nan_to_num(np.rint(1000 * np.minimum(np.hypot(north, east), STEEPEST))), 0)
-    found = (
+    features = (
         band, np.rint(1000 * sigma_m), slope, bend(2.0), bend(5.0), share(low, 5.0), share(low, CELL_REACH_M),
         share(ground, 5.0),
     )  # fmt: skip
-    return Around(np.stack(found, axis=-1).reshape(-1, len(found)).astype(np.int32), there.shape[1])
+    return Around(np.stack(features, axis=-1).reshape(-1, len(features)).astype(np.int32), there.shape[1])
 
 
 def _boxes(values: npt.NDArray[np.generic], r: int) -> Int64:
@@ -255,8 +255,8 @@ def _boxes(values: npt.NDArray[np.generic], r: int) -> Int64:
     padded = np.pad(values.astype(np.int64), ((r + 1, r), (r + 1, r)))
     sums = padded.cumsum(axis=0).cumsum(axis=1)
     k = 2 * r + 1
-    found: Int64 = sums[k:, k:] - sums[:-k, k:] - sums[k:, :-k] + sums[:-k, :-k]
-    return found
+    box_sums: Int64 = sums[k:, k:] - sums[:-k, k:] - sums[k:, :-k] + sums[:-k, :-k]
+    return box_sums
 
 
 def features_by_block(
@@ -347,5 +347,5 @@ def looked_at(heights: Heights, cell: Int32, around: Around, scale: Scale, trees
 def decided(labels: UInt8, score: Int32) -> UInt8:
     """Decide the labels of points that may change, from the labels by the surface and the trees' scores: uint8 [n]."""
     enough = round(UNIT * math.log(CHANGE_ODDS))
-    wanted = np.where(labels == GROUND, -enough, enough)
-    return np.where(score >= wanted, GROUND, UNCLASSIFIED).astype(np.uint8)
+    required_score = np.where(labels == GROUND, -enough, enough)
+    return np.where(score >= required_score, GROUND, UNCLASSIFIED).astype(np.uint8)

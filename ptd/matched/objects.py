@@ -77,37 +77,37 @@ def _rims(
     counts, box = np.zeros((n, 7), np.int64), np.zeros((n, 4), np.int64)
     for row in range(rows):
         for column in range(columns):
-            own = surface[row, column]
-            if own < 0:
+            number = surface[row, column]
+            if number < 0:
                 continue
             height = np.int64(heights[row, column])
-            if counts[own, 0] == 0:
-                box[own, 0], box[own, 1], box[own, 2], box[own, 3] = row, row, column, column
-            box[own, 1] = row
-            box[own, 2], box[own, 3] = min(box[own, 2], column), max(box[own, 3], column)
-            counts[own, 0] += 1
-            counts[own, 1] += height - hull[row, column] < near
+            if counts[number, 0] == 0:
+                box[number, 0], box[number, 1], box[number, 2], box[number, 3] = row, row, column, column
+            box[number, 1] = row
+            box[number, 2], box[number, 3] = min(box[number, 2], column), max(box[number, 3], column)
+            counts[number, 0] += 1
+            counts[number, 1] += height - hull[row, column] < near
             edge, cut = False, False
             for dr, dc in ((0, 1), (1, 0), (0, -1), (-1, 0)):
                 r, c = row + dr, column + dc
                 if 0 <= r < rows and 0 <= c < columns:
-                    edge |= removed[r, c] or (surface[r, c] >= 0 and surface[r, c] != own)
+                    edge |= removed[r, c] or (surface[r, c] >= 0 and surface[r, c] != number)
                     cut |= surface[r, c] < 0 and not removed[r, c]
                 else:
                     cut = True
-            counts[own, 5] += cut
+            counts[number, 5] += cut
             if not edge:
                 continue
-            counts[own, 2] += 1
+            counts[number, 2] += 1
             falls, inside, level = False, False, False
             for r in range(max(row - FALL_CELLS, 0), min(row + FALL_CELLS + 1, rows)):
                 for c in range(max(column - FALL_CELLS, 0), min(column + FALL_CELLS + 1, columns)):
                     inside |= removed[r, c]
                     level |= removed[r, c] and heights[r, c] < height + fall
-                    falls |= surface[r, c] >= 0 and surface[r, c] != own and heights[r, c] < height - fall
-            counts[own, 3] += falls
-            counts[own, 4] += inside
-            counts[own, 6] += level
+                    falls |= surface[r, c] >= 0 and surface[r, c] != number and heights[r, c] < height - fall
+            counts[number, 3] += falls
+            counts[number, 4] += inside
+            counts[number, 6] += level
     return counts, box
 
 

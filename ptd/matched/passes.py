@@ -67,11 +67,11 @@ class PlaceCellPass(MatchedPass):
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> CellModel:
         """Compute the heights of all cells of the core, the smaller cells first."""
         around, noise = _widened(core, scale), noise_m(state, scale)
-        found = [np.zeros((3, 0), np.int32)]
+        cells_by_side = [np.zeros((3, 0), np.int32)]
         for side in sides(state[PLACES]):
             cells = cell_heights(points.xyz, around, scale, noise, side)
-            found.append(cells[:, by_side.needed(cells, side, state, scale)])
-        return CellModel(np.concatenate(found, axis=1))
+            cells_by_side.append(cells[:, by_side.needed(cells, side, state, scale)])
+        return CellModel(np.concatenate(cells_by_side, axis=1))
 
 
 def _widened(core: Window, scale: Scale) -> Window:
@@ -127,9 +127,9 @@ class ObjectPass(MatchedPass):
         raster = raster_of(points.xyz, cells)
         if (known > 0).all() and not (known == OBJECT).any():
             return Codes(raster, known, cells)  # Without objects found before, the result stays.
-        before = np.zeros(raster.heights.size, np.bool_)
-        before[raster.keys[codes == OBJECT]] = True
-        removed = before.reshape(raster.heights.shape)
+        is_object = np.zeros(raster.heights.size, np.bool_)
+        is_object[raster.keys[codes == OBJECT]] = True
+        removed = is_object.reshape(raster.heights.shape)
         rule = replace(surface.STIFF, cell_m=side)
         hull = lower_envelope(raster.heights, rule, scale, raster.row, raster.column, ROOFS_TILT_BLOCKS)
         noise = on_cells(noise_m(state, scale), cells, raster.row, raster.column, raster.heights.shape)
@@ -175,11 +175,13 @@ class SurfacePass(MatchedPass):
             terrain = (codes & CODE == TERRAIN) & (heights != EMPTY)
             return surface.ground_surface(heights, terrain, noise, scale, raster.row, raster.column, side)
 
-        found, crowns = ground(raster.heights), (codes & CROWN) > 0
+        fitted_surface, crowns = ground(raster.heights), (codes & CROWN) > 0
         if crowns.any():
             raster = replace(raster, heights=np.where(crowns, EMPTY, raster.heights).astype(np.int32))
-            found = below_canopy(found, ground(raster.heights), crowns | (codes >= COVERED), side)
-        model = GroundModel.of(found, raster, cells, scale, state)
+            fitted_surface = below_canopy(
+                fitted_surface, ground(raster.heights), crowns | (codes >= COVERED), side
+            )
+        model = GroundModel.of(fitted_surface, raster, cells, scale, state)
         return model.with_last_look(raster, side) if self.refine else model
 
 

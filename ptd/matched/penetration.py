@@ -172,12 +172,12 @@ def seen_through(xyz: Int32, core: Window, scale: Scale, wide_cells: bool = True
         return dict.fromkeys(COUNTS, 0)
     raster = _Raster.of(CELL_M, x, y, z, scale)
     gap = _gaps(z, raster.slot, z[raster.lowest], scale.counts_z(BIN_M))
-    own = core.has(x[raster.lowest], y[raster.lowest])
-    through = int(_seen_through(raster.keys, gap, own, raster.width, MIN_OF_9))
-    found = dict.fromkeys(COUNTS, 0) | {"looks": int(own.sum()), "through": through}
+    is_in_core = core.has(x[raster.lowest], y[raster.lowest])
+    through = int(_seen_through(raster.keys, gap, is_in_core, raster.width, MIN_OF_9))
+    counts = dict.fromkeys(COUNTS, 0) | {"looks": int(is_in_core.sum()), "through": through}
     some = np.flatnonzero(raster.some()[raster.slot])
-    found |= _of_overhangs(x[some], y[some], z[some], core, scale)
-    return found | _of_wide_cells(x, y, z, core, scale) if wide_cells else found
+    counts |= _of_overhangs(x[some], y[some], z[some], core, scale)
+    return counts | _of_wide_cells(x, y, z, core, scale) if wide_cells else counts
 
 
 def _of_overhangs(x: Int32, y: Int32, z: Int32, core: Window, scale: Scale) -> dict[str, int]:
@@ -186,9 +186,9 @@ def _of_overhangs(x: Int32, y: Int32, z: Int32, core: Window, scale: Scale) -> d
     for side_m in OVERHANG_CELLS_M if x.size else ():
         raster = _Raster.of(side_m, x, y, z, scale)
         asked, hanging = _hanging(z, *by_cell(raster.slot, raster.keys.size), scale.counts_z(HANGING_GAP_M))
-        own = core.has(x[raster.lowest], y[raster.lowest])
-        looks += int((own & asked).sum())
-        overhangs += int((own & hanging).sum())
+        is_in_core = core.has(x[raster.lowest], y[raster.lowest])
+        looks += int((is_in_core & asked).sum())
+        overhangs += int((is_in_core & hanging).sum())
     return {"overhang_looks": looks, "overhangs": overhangs}
 
 
@@ -237,6 +237,10 @@ def _of_wide_cells(x: Int32, y: Int32, z: Int32, core: Window, scale: Scale) -> 
     raster = _Raster.of(WIDE_M, x, y, z, scale)
     starts, order = by_cell(raster.slot, raster.keys.size)
     asked, gap, mixed = _mixed(x, y, z, starts, order, scale.counts_z(GAP_M))
-    own = asked & core.has(x[raster.lowest], y[raster.lowest])
-    through = _seen_through(raster.keys, mixed, own, raster.width, MIN_MIXED)
-    return {"wide_looks": int(own.sum()), "wide_through": int(through), "wide_gaps": int((own & gap).sum())}
+    asked_in_core = asked & core.has(x[raster.lowest], y[raster.lowest])
+    through = _seen_through(raster.keys, mixed, asked_in_core, raster.width, MIN_MIXED)
+    return {
+        "wide_looks": int(asked_in_core.sum()),
+        "wide_through": int(through),
+        "wide_gaps": int((asked_in_core & gap).sum()),
+    }

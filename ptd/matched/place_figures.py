@@ -34,18 +34,20 @@ def known(figures: Figures, figure: int) -> float:
 
 def sides(table: Table) -> tuple[float, ...]:
     """Return the sides of cells that the places of a table need."""
-    own = {known(figures, SIDE) for figures in table.values()}
+    needed_sides = {known(figures, SIDE) for figures in table.values()}
     both = any(figures[BOTH] for figures in table.values())
-    return SIDES_M if both else tuple(sorted(own))
+    return SIDES_M if both else tuple(sorted(needed_sides))
 
 
 def with_sides(table: Mapping[str, list[float | None]]) -> dict[str, list[float | None]]:
     """Return a table with `SIDE` and `BOTH` appended to the figures from which they follow."""
-    own = {name: cell_side_m(known(figures, DENSITY)) for name, figures in table.items()}
-    sparse = {place_of(name) for name, side in own.items() if side == SPARSE_CELL_M}
-    fine = {place_of(name) for name, side in own.items() if side == CELL_M}
+    side_by_name = {name: cell_side_m(known(figures, DENSITY)) for name, figures in table.items()}
+    sparse = {place_of(name) for name, side in side_by_name.items() if side == SPARSE_CELL_M}
+    fine = {place_of(name) for name, side in side_by_name.items() if side == CELL_M}
     both = fine & _around(sparse, len(fine)) | sparse & _around(fine, len(sparse))
-    return {name: [*figures, own[name], float(place_of(name) in both)] for name, figures in table.items()}
+    return {
+        name: [*figures, side_by_name[name], float(place_of(name) in both)] for name, figures in table.items()
+    }
 
 
 def _around(places: set[tuple[int, int]], others: int) -> set[tuple[int, int]]:

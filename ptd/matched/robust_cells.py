@@ -172,5 +172,7 @@ class NearGroundPass(OneSidePass):
         below = np.full(raster.heights.size, np.nan)
         below[raster.keys] = heights
         noise = places.on_cells(noise_m(state, scale), cells, raster.row, raster.column, raster.heights.shape)
-        found = surface.with_noise(raster.heights, below.reshape(raster.heights.shape), noise, scale, side)
-        return GroundModel.of(found, raster, cells, scale, state)
+        tin_surface = surface.with_noise(
+            raster.heights, below.reshape(raster.heights.shape), noise, scale, side
+        )
+        return GroundModel.of(tin_surface, raster, cells, scale, state)

@@ -123,28 +123,28 @@ def hull_around_every_cell(
             if heights[r, c] != empty:
                 padded[r + radius, c + radius] = heights[r, c]
     for first in range(0, rows, block):
-        own = heights[first : first + block]
+        block_heights = heights[first : first + block]
         west, end = columns, 0
-        for r in range(own.shape[0]):
+        for r in range(block_heights.shape[0]):
             for c in range(columns):
-                if own[r, c] != empty:
+                if block_heights[r, c] != empty:
                     west, end = min(west, c), max(end, c + 1)
         if west >= end:
             continue
-        own = own[:, west:end]
+        block_heights = block_heights[:, west:end]
         n, e = np.empty(end - west, np.int32), np.empty(end - west, np.int32)
         for c in range(west, end):
             n[c - west], e[c - west] = north[first // block, c // block], east[first // block, c // block]
-        south, north_end, east_end = first, first + own.shape[0] + 2 * radius, end + 2 * radius
-        tops = _tops(padded[south:north_end, west:east_end], falls, cut, own.shape[0], n, e)
-        for r in range(own.shape[0]):
+        south, north_end, east_end = first, first + block_heights.shape[0] + 2 * radius, end + 2 * radius
+        tops = _tops(padded[south:north_end, west:east_end], falls, cut, block_heights.shape[0], n, e)
+        for r in range(block_heights.shape[0]):
             for c in range(end - west):
-                if own[r, c] == empty or tops[r, c] >= LIMIT:
+                if block_heights[r, c] == empty or tops[r, c] >= LIMIT:
                     tops[r, c] = LOW
         _spread(hull[south:north_end, west:east_end], tops, falls, n, e)
-    found = np.empty((rows, columns), np.int32)
+    hull_heights = np.empty((rows, columns), np.int32)
     for r in range(rows):
         for c in range(columns):
             height = hull[r + radius, c + radius]
-            found[r, c] = height if height > -LIMIT else none
-    return found
+            hull_heights[r, c] = height if height > -LIMIT else none
+    return hull_heights

@@ -54,8 +54,8 @@ class OneSidePass(MatchedPass):
 
     def local(self, state: State, window: Window, scale: Scale) -> dict[str, Any]:
         """Return the state that `fit` needs, with the side of the cells."""
-        found = super().local(state, window, scale)
-        return {**found, "survey": {**found["survey"], "cell_m": cell_m(state)}}
+        local_state = super().local(state, window, scale)
+        return {**local_state, "survey": {**local_state["survey"], "cell_m": cell_m(state)}}
 
 
 class Codes(Model):

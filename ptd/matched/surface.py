@@ -186,8 +186,8 @@ def ground_surface(
     cells = CellsLeft(np.where(there, heights * metres, 0.0), there, cell_m)
 
     def hull(rule: Envelope) -> Float64:
-        found = lower_envelope(heights, replace(rule, cell_m=cell_m), scale, row, column)
-        below: Float64 = np.where(there & (found != LOWEST), found * metres, 0.0)
+        envelope = lower_envelope(heights, replace(rule, cell_m=cell_m), scale, row, column)
+        below: Float64 = np.where(there & (envelope != LOWEST), envelope * metres, 0.0)
         return below
 
     start = _bent(cells, terrain, hull, sigma_m)
@@ -228,8 +228,8 @@ def with_noise(
 
 def _ramp(values: Float64, limits: tuple[float, float]) -> Float64:
     """Return 0 up to the first limit, 1 from the second on, and linear values between them."""
-    found: Float64 = np.clip((values - limits[0]) / (limits[1] - limits[0]), 0.0, 1.0)
-    return found
+    ramp: Float64 = np.clip((values - limits[0]) / (limits[1] - limits[0]), 0.0, 1.0)
+    return ramp
 
 
 def _contrast(
@@ -383,14 +383,14 @@ def _noise(cells: CellsLeft, residual: Float64, sigma_m: float | Float64) -> Flo
 def _extended(cells: CellsLeft, surface: Float64, sigma: Float64, narrowing: Float64) -> Surface:
     """Return the surface at cells, the mean of near cells around them, and NaN beyond."""
     there = cells.there
-    found = np.where(there, surface, np.nan)
+    heights = np.where(there, surface, np.nan)
     for std_m in EXTENDED_M:
         weight = cells.smoothed(there.astype(np.float64), std_m)
         mean = cells.smoothed(np.where(there, surface, 0.0), std_m) / np.maximum(weight, 1e-12)
-        found = np.where(np.isnan(found) & (weight > 1e-6), mean, found)
+        heights = np.where(np.isnan(heights) & (weight > 1e-6), mean, heights)
         if std_m == EXTENDED_M[0]:
-            narrowing = np.where(np.isnan(found), np.nan, narrowing)
-    return Surface(found, sigma, narrowing)
+            narrowing = np.where(np.isnan(heights), np.nan, narrowing)
+    return Surface(heights, sigma, narrowing)
 
 
 def _without_pockets(heights: Int32, most: int) -> Int32:

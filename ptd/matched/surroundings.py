@@ -62,8 +62,8 @@ class CellsLeft:
     def slope(self, surface: Float64) -> Float64:
         """Return the slope of a surface, or 0 where few cells are near."""
         north, east = np.gradient(self.mean(surface), self.cell_m)
-        found: Float64 = np.where(self.there & (self.near > 0.2), np.hypot(north, east), 0.0)
-        return np.minimum(found, STEEPEST)
+        slope: Float64 = np.where(self.there & (self.near > 0.2), np.hypot(north, east), 0.0)
+        return np.minimum(slope, STEEPEST)
 
 
 def smoothed(values: Float64, std: float) -> Float64:
@@ -75,8 +75,8 @@ def smoothed(values: Float64, std: float) -> Float64:
     weights = np.exp(-0.5 * (np.arange(-radius, radius + 1) / std) ** 2)
     weights /= weights.sum()
     along: Float64 = scipy.ndimage.correlate1d(values, weights, axis=1, mode="constant")
-    found: Float64 = scipy.ndimage.correlate1d(along, weights, axis=0, mode="constant")
-    return found
+    sums: Float64 = scipy.ndimage.correlate1d(along, weights, axis=0, mode="constant")
+    return sums
 
 
 def gaussian_radius(std: float) -> int:

@@ -212,13 +212,14 @@ class SurveyPass(Pass):
         if points.returns is not None:
             of = points.returns[1, core.has(*points.xyz[:2])] if core.closed else points.returns[1]
             counts |= {"told": int(np.count_nonzero(of)), "several": int(np.count_nonzero(of > 1))}
-        found = noise_by_place.measure_places(points.xyz, core, scale)
+        measured_places = noise_by_place.measure_places(points.xyz, core, scale)
         told = not core.closed and counts["several"] >= SEVERAL_SHARE * max(counts["told"], 1)
         if state["run"].get("kind") is None and not told:
-            dense = not core.closed and noise_sums.merge(found).density_m2 >= WIDE_M2
+            dense = not core.closed and noise_sums.merge(measured_places).density_m2 >= WIDE_M2
             counts |= penetration.seen_through(points.xyz, core, scale, wide_cells=not dense)
         return StatisticsModel(
-            {"places": found, **counts}, {"points": sum(place["points"] for place in found)}
+            {"places": measured_places, **counts},
+            {"points": sum(place["points"] for place in measured_places)},
         )
 
     def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
@@ -227,7 +228,12 @@ class SurveyPass(Pass):
         seen = ReturnStatistics(*(sum(p[name] for p in parts) for name in ReturnStatistics._fields))
         counted = [place for p in parts for place in p["places"]]
         measured = noise_by_place.by_place(counted).items()
-        table = with_sides({name_of(*place): [*figures(found, state["run"])] for place, found in measured})
+        table = with_sides(
+            {
+                name_of(*place): [*figures(place_roughness, state["run"])]
+                for place, place_roughness in measured
+            }
+        )
         held = [table[name] for name in dict.fromkeys(name_of(*place["place"]) for place in counted)]
         survey, notes = self.decided(noise_sums.merge(counted), seen, held, state["run"])
         return {**state, "survey": survey, PLACES: table, "notes": noted(state, *notes)}

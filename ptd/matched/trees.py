@@ -51,7 +51,7 @@ def scores(features: Int32, trees: Trees) -> Int32:
     """
     feature, threshold, leaf = trees
     columns = features.T.copy()
-    found = np.zeros(features.shape[0], np.int32)
+    sums = np.zeros(features.shape[0], np.int32)
     for t in range(leaf.size // LEAVES):
         f, limit, value = feature[t * NODES :], threshold[t * NODES :], leaf[t * LEAVES :]
         x0, x1, x2, x3 = columns[f[0]], columns[f[1]], columns[f[2]], columns[f[3]]
@@ -67,11 +67,11 @@ def scores(features: Int32, trees: Trees) -> Int32:
             value[6],
             value[7],
         )
-        for k in range(found.size):
+        for k in range(sums.size):
             a, b, c = x0[k] <= t0, x1[k] <= t1, x2[k] <= t2
             d, e, g, h = x3[k] <= t3, x4[k] <= t4, x5[k] <= t5, x6[k] <= t6
             first, second = v0 if d else v1, v2 if e else v3
             third, fourth = v4 if g else v5, v6 if h else v7
             below, beyond = first if b else second, third if c else fourth
-            found[k] += below if a else beyond
-    return found
+            sums[k] += below if a else beyond
+    return sums

@@ -113,18 +113,18 @@ def _averaged(voters: _Voters, residual: Int32, width: int) -> Int32:
         for j in range(n, filled):
             near_x[j], near_y[j], near_residual[j] = x[begin], y[begin], FAR
         for i in range(begin, end):
-            own_x, own_y, own = x[i], y[i], residual[i]
+            own_x, own_y, own_residual = x[i], y[i], residual[i]
             limit, most = square[i], alike[i]
             low, high, count = np.int32(0), np.int32(0), np.int32(0)
             for j in range(filled):  # Without branches and in 32 bits, so the sum has two parts.
                 dx, dy = np.int32(near_x[j] - own_x), np.int32(near_y[j] - own_y)
-                difference = np.int32(near_residual[j] - own)
+                difference = np.int32(near_residual[j] - own_residual)
                 near = np.int32(np.int32(dx * dx) + np.int32(dy * dy)) < limit
                 one = np.int32(near & (np.int32(abs(difference)) < most))
                 low += np.int32(one * np.int32(difference & 4095))
                 high += np.int32(one * np.int32(difference >> 12))
                 count += one
-            means[i] = own + np.int32(math.floor((as_int64(high) * 4096 + low) / count))
+            means[i] = own_residual + np.int32(math.floor((as_int64(high) * 4096 + low) / count))
     return means
 
 
@@ -210,6 +210,6 @@ def votes(
     votes = residual[asking]
     for _ in range(ROUNDS):
         votes = _averaged(voters, votes, width)
-    found = residual.copy()
-    found[asking] = votes
-    return found
+    voted = residual.copy()
+    voted[asking] = votes
+    return voted

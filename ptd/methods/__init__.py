@@ -15,10 +15,10 @@ class _Methods(UserDict[str, Any]):
     """Methods by name. A method given as a module name is imported when it is first used."""
 
     def __getitem__(self, name: str) -> Any:
-        found = self.data[name]
-        if isinstance(found, str):
-            found = self.data[name] = import_module(found).METHOD
-        return found
+        method = self.data[name]
+        if isinstance(method, str):
+            method = self.data[name] = import_module(method).METHOD
+        return method
 
 
 METHODS: MutableMapping[str, Method] = _Methods(

@@ -103,9 +103,9 @@ class ClassicPass(Pass):
         p = self.params
         x, y, z = thinned(points.columns(), p.thin_cell_m, scale)
         stats = {"candidates": int(x.size), "rounds": 0, "low_outliers": 0, "vertices": 0}
-        found = TinLabels(window.closed, stats)
+        model = TinLabels(window.closed, stats)
         if not x.size:
-            return found
+            return model
         outlier = low_outliers(x, y, z, scale, p.low_radius_m, p.low_depth_m, p.low_group)
         cells, limits = CellLattice.of(p.low_cell_m, scale), p.limits(scale)
         # In a cell cut by the window another point may be the lowest. Outliers are certified one search radius inside.
@@ -115,9 +115,9 @@ class ClassicPass(Pass):
             Xyz(x, y, z), outlier, seed_cells, limits, p.rounds, known, scale
         )
         stats.update(rounds=rounds, low_outliers=int(outlier.sum()))
-        found.low = LowNoise(x[outlier], y[outlier], z[outlier], cells)
-        found.finish(tin, in_doubt, p.ground_rule(limits, scale))
-        return found
+        model.low = LowNoise(x[outlier], y[outlier], z[outlier], cells)
+        model.finish(tin, in_doubt, p.ground_rule(limits, scale))
+        return model
 
 
 def thinned(columns: tuple[Int32, Int32, Int32], cell_m: float, scale: Scale) -> tuple[Int32, Int32, Int32]:

@@ -59,19 +59,19 @@ class Area:
     def bounds(self) -> Bounds:
         """Bounds of all polygons."""
         rings = list(chain(*self.polygons))
-        places = np.concatenate(rings) if len(rings) > 1 else rings[0]
-        return Bounds(*places.min(axis=0).tolist(), *places.max(axis=0).tolist())
+        vertices = np.concatenate(rings) if len(rings) > 1 else rings[0]
+        return Bounds(*vertices.min(axis=0).tolist(), *vertices.max(axis=0).tolist())
 
     @cached_property
     def key(self) -> str:
         """Digest of the polygons."""
-        found = hashlib.blake2b(digest_size=16)
+        digest = hashlib.blake2b(digest_size=16)
         for rings in self.polygons:
-            found.update(b"polygon %d" % len(rings))
+            digest.update(b"polygon %d" % len(rings))
             for ring in rings:
-                found.update(b"ring %d" % len(ring))
-                found.update(ring.astype("<i8").tobytes())
-        return found.hexdigest()
+                digest.update(b"ring %d" % len(ring))
+                digest.update(ring.astype("<i8").tobytes())
+        return digest.hexdigest()
 
     @cached_property
     def edges(self) -> tuple[Counts, ...]:
@@ -85,18 +85,18 @@ class Area:
 
     def inside(self, x: Counts, y: Counts) -> npt.NDArray[np.bool_]:
         """Return the mask of the positions inside the area, given by x and y in absolute counts, int64 (n,)."""
-        found = np.zeros(x.shape, np.bool_)
+        is_inside = np.zeros(x.shape, np.bool_)
         if not x.size:
-            return found
+            return is_inside
         if x.size * max(edges.shape[1] for edges in self.edges) <= FEW_SIDES and self._is_small:
             for edges in self.edges:
-                found |= _few_crossed_oddly(edges, x, y)
-            return found
+                is_inside |= _few_crossed_oddly(edges, x, y)
+            return is_inside
         order = np.argsort(y, kind="stable")
         xs, ys = x[order], y[order]
         for edges in self.edges:
-            found[order] |= _odd_crossings(edges, xs, ys)
-        return found
+            is_inside[order] |= _odd_crossings(edges, xs, ys)
+        return is_inside
 
     def covers(self, bounds: Bounds) -> bool:
         """Return whether every count of the bounds is inside. The result is False if an edge is near the bounds."""
@@ -104,10 +104,15 @@ class Area:
 
     def touches(self, bounds: Bounds) -> bool:
         """Return whether some count of the bounds is inside, or so near to an edge that rounding could decide."""
-        mine = self.bounds
-        if mine.x0 > bounds.x1 or mine.x1 < bounds.x0 or mine.y0 > bounds.y1 or mine.y1 < bounds.y0:
+        extent = self.bounds
+        if extent.x0 > bounds.x1 or extent.x1 < bounds.x0 or extent.y0 > bounds.y1 or extent.y1 < bounds.y0:
             return False
-        if mine.x0 >= bounds.x0 and mine.x1 <= bounds.x1 and mine.y0 >= bounds.y0 and mine.y1 <= bounds.y1:
+        if (
+            extent.x0 >= bounds.x0
+            and extent.x1 <= bounds.x1
+            and extent.y0 >= bounds.y0
+            and extent.y1 <= bounds.y1
+        ):
             return True
         return bool(_near(self._outline, bounds).size) or self._holds_corner(bounds)
 
@@ -141,11 +146,11 @@ class Area:
                     rows.setdefault(iy, []).append((box.x0, box.x1))
             elif outline.size:
                 boxes += [(quarter, outline) for quarter in _quarters(box)]
-        found = []
+        runs = []
         for iy in sorted(rows):
             for first, end in _joined(sorted(rows[iy])):
-                found.append([iy, first, end])
-        return found
+                runs.append([iy, first, end])
+        return runs
 
     @cached_property
     def _is_small(self) -> bool:
@@ -209,8 +214,8 @@ def in_runs(runs: Runs, ix: Counts, iy: Counts) -> npt.NDArray[np.bool_]:
     wide = max(int(end.max()), int(ix.max(initial=0))) - west + 1
     starts = row * wide + (first - west)
     run = np.searchsorted(starts, iy * wide + (ix - west), side="right") - 1
-    found: npt.NDArray[np.bool_] = (run >= 0) & (row[run] == iy) & (ix < end[run])
-    return found
+    is_in_runs: npt.NDArray[np.bool_] = (run >= 0) & (row[run] == iy) & (ix < end[run])
+    return is_in_runs
 
 
 def _edges(ring: Counts) -> Counts:
@@ -281,10 +286,10 @@ def _quarters(box: Bounds) -> list[Bounds]:
 
 def _joined(runs: list[tuple[int, int]]) -> list[list[int]]:
     """Join adjacent runs of a row. The runs are ascending."""
-    found: list[list[int]] = []
+    joined: list[list[int]] = []
     for first, end in runs:
-        if found and found[-1][1] == first:
-            found[-1][1] = end
+        if joined and joined[-1][1] == first:
+            joined[-1][1] = end
         else:
-            found.append([first, end])
-    return found
+            joined.append([first, end])
+    return joined

@@ -36,13 +36,13 @@ class AreaIndex:
         """Return the areas that touch each cell, without the cells that have no areas."""
         import shapely
 
-        places = [(cell, lattice.bounds(cell)) for cell in cells]
-        edges = np.array([bounds.to_json() for _, bounds in places], np.float64).reshape(-1, 4)
+        cell_bounds = [(cell, lattice.bounds(cell)) for cell in cells]
+        edges = np.array([bounds.to_json() for _, bounds in cell_bounds], np.float64).reshape(-1, 4)
         pairs = self._tree.query(shapely.box(*edges.T))
-        found: dict[Cell, list[int]] = defaultdict(list)
-        for place, i in pairs[:, np.lexsort(pairs[::-1])].T.tolist():
-            cell, bounds = places[place]
+        areas_by_cell: dict[Cell, list[int]] = defaultdict(list)
+        for cell_number, i in pairs[:, np.lexsort(pairs[::-1])].T.tolist():
+            cell, bounds = cell_bounds[cell_number]
             area = self._areas[i]
             if area.bounds.overlaps(bounds) and area.touches(bounds):
-                found[cell].append(i)
-        return dict(found)
+                areas_by_cell[cell].append(i)
+        return dict(areas_by_cell)

@@ -86,13 +86,13 @@ class Breaklines:
         iy = lattice.index(self.pieces[:, 1])
         order = np.lexsort((ix, iy))
         ends = np.flatnonzero(np.diff(ix[order]) | np.diff(iy[order])) + 1
-        found = {}
+        digest_by_cell = {}
         for rows in np.split(order, ends):
             if len(rows):
                 cell = Cell(int(ix[rows[0]]), int(iy[rows[0]]))
                 content = np.ascontiguousarray(self.pieces[rows]).tobytes()
-                found[cell] = hashlib.blake2b(content, digest_size=16).hexdigest()
-        return found
+                digest_by_cell[cell] = hashlib.blake2b(content, digest_size=16).hexdigest()
+        return digest_by_cell
 
     def applied(
         self, xyz: npt.NDArray[np.int32], window: Bounds, data: Bounds, origin: tuple[int, int]
@@ -125,14 +125,14 @@ class Breaklines:
     def _within(self, bounds: Bounds) -> Counts:
         """Return the pieces that begin in ``bounds``."""
         first, last = np.searchsorted(self.pieces[:, 0], (bounds.x0, bounds.x1))
-        found = self.pieces[first:last]
-        return found[(found[:, 1] >= bounds.y0) & (found[:, 1] < bounds.y1)]
+        pieces = self.pieces[first:last]
+        return pieces[(pieces[:, 1] >= bounds.y0) & (pieces[:, 1] < bounds.y1)]
 
     def _beside(self, xy: Counts, pieces: Counts) -> npt.NDArray[np.bool_]:
         """Return the mask of the positions, int64 (n, 2), that are within half a pixel of a piece."""
         import shapely
 
-        found = np.zeros(len(xy), np.bool_)
+        is_beside = np.zeros(len(xy), np.bool_)
         # Only positions in pixels next to the end of a piece can be this near.
         lattice = Lattice(self.pixel)
         ends = lattice.index(pieces.reshape(-1, 3)[:, :2])
@@ -147,8 +147,8 @@ class Breaklines:
         # The distance depends only on one position and one piece, and their counts are exact in float64.
         tree = shapely.STRtree(_as_lines(pieces))
         hits = tree.query(shapely.points(xy[rows]), predicate="dwithin", distance=float(self.pixel / 2))
-        found[rows[hits[0]]] = True
-        return found
+        is_beside[rows[hits[0]]] = True
+        return is_beside
 
     def to_json(self) -> dict[str, str]:
         """Return a JSON-able description, which `from_json` reads."""
@@ -177,11 +177,11 @@ def two_heights(lines: Iterable[Counts]) -> Counts:
     one, other = shapely.STRtree(shapes).query(shapes, predicate="intersects")
     one, other = one[one < other], other[one < other]
     common = shapely.intersection(shapes[one], shapes[other])
-    places = shapely.get_coordinates(shapely.point_on_surface(common))
-    z_one = _heights_at(segments[one], places)
-    z_other = _heights_at(segments[other], places)
-    found = np.rint(np.column_stack((places, z_one, z_other))).astype(np.int64)
-    return np.unique(found[np.abs(z_one - z_other) > ALIKE], axis=0)
+    positions = shapely.get_coordinates(shapely.point_on_surface(common))
+    z_one = _heights_at(segments[one], positions)
+    z_other = _heights_at(segments[other], positions)
+    crossings = np.rint(np.column_stack((positions, z_one, z_other))).astype(np.int64)
+    return np.unique(crossings[np.abs(z_one - z_other) > ALIKE], axis=0)
 
 
 def _heights_at(segments: Counts, places: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
@@ -194,11 +194,11 @@ def _heights_at(segments: Counts, places: npt.NDArray[np.float64]) -> npt.NDArra
 
 def _segments(line: Counts) -> Counts:
     """Return the straight parts of a line, int64 (n, 6), without vertical ones. The smaller end by (x, y) is first."""
-    found = np.concatenate((line[:-1], line[1:]), axis=1)
-    x0, y0, _, x1, y1, _ = found.T
+    segments = np.concatenate((line[:-1], line[1:]), axis=1)
+    x0, y0, _, x1, y1, _ = segments.T
     backwards = (x0 > x1) | ((x0 == x1) & (y0 > y1))
-    found = np.where(backwards[:, None], found[:, [3, 4, 5, 0, 1, 2]], found)
-    kept: Counts = found[(x0 != x1) | (y0 != y1)]
+    segments = np.where(backwards[:, None], segments[:, [3, 4, 5, 0, 1, 2]], segments)
+    kept: Counts = segments[(x0 != x1) | (y0 != y1)]
     return kept
 
 
@@ -237,9 +237,9 @@ def _touching(pieces: Counts, bounds: Bounds) -> npt.NDArray[np.bool_]:
     """Return the mask of the pieces whose bounds touch ``bounds``."""
     x = pieces[:, [0, 3]]
     y = pieces[:, [1, 4]]
-    found: npt.NDArray[np.bool_] = (x.max(axis=1) >= bounds.x0) & (x.min(axis=1) < bounds.x1)
-    found &= (y.max(axis=1) >= bounds.y0) & (y.min(axis=1) < bounds.y1)
-    return found
+    is_touching: npt.NDArray[np.bool_] = (x.max(axis=1) >= bounds.x0) & (x.min(axis=1) < bounds.x1)
+    is_touching &= (y.max(axis=1) >= bounds.y0) & (y.min(axis=1) < bounds.y1)
+    return is_touching
 
 
 def _part(segments: Counts, number: Counts, parts: int) -> Counts:

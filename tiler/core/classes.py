@@ -86,20 +86,20 @@ def written_classes(reclass: str) -> npt.NDArray[np.uint8]:
     """
     given = np.arange(256, dtype=np.uint8)
     plain = np.isin(given, WITHOUT_OBJECT)
-    found = np.tile(given, (256, 1))
+    table = np.tile(given, (256, 1))
     for label in (UNCLASSIFIED, GROUND, LOW_NOISE, BRIDGE):
-        found[[label, label | WATER_BIT]] = label
+        table[[label, label | WATER_BIT]] = label
     if reclass == ONLY_GROUND:
-        found[UNCLASSIFIED] = np.where(plain, UNCLASSIFIED, given)
-        found[UNCLASSIFIED | WATER_BIT] = np.where(plain, WATER, given)
-        found[GROUND | WATER_BIT] = WATER
-    found.flags.writeable = False
-    return found
+        table[UNCLASSIFIED] = np.where(plain, UNCLASSIFIED, given)
+        table[UNCLASSIFIED | WATER_BIT] = np.where(plain, WATER, given)
+        table[GROUND | WATER_BIT] = WATER
+    table.flags.writeable = False
+    return table
 
 
 def sum_by_class(counts: Iterable[Counts]) -> dict[str, int]:
     """Return the sum of counts by class, in the order of the classes."""
     total: Counter[str] = Counter()
-    for found in counts:
-        total.update(found)
+    for class_counts in counts:
+        total.update(class_counts)
     return {code: total[code] for code in sorted(total, key=int)}

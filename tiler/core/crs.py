@@ -70,8 +70,8 @@ def point_scale_factor(wkt: str, x: float, y: float) -> float | None:
         return None
     projection = Proj(horizontal)
     try:
-        found = projection.get_factors(*projection(x, y, inverse=True, errcheck=True), errcheck=True)
+        factors = projection.get_factors(*projection(x, y, inverse=True, errcheck=True), errcheck=True)
     except ProjError:
         return None
-    scales = [s for s in (found.tissot_semimajor, found.tissot_semiminor) if math.isfinite(s) and s > 0]
+    scales = [s for s in (factors.tissot_semimajor, factors.tissot_semiminor) if math.isfinite(s) and s > 0]
     return max(scales, key=lambda scale: abs(math.log(scale)), default=None)

@@ -46,8 +46,8 @@ class SpreadTally:
         self._sum += float(differences.sum())
         self._squares += float((differences**2).sum())
         self._largest = max(self._largest, float(np.abs(differences).max()))
-        found, counts = np.unique(np.rint(differences / self.step).astype(np.int64), return_counts=True)
-        self._merge(np.concatenate((self._values, found)), np.concatenate((self._counts, counts)))
+        steps, counts = np.unique(np.rint(differences / self.step).astype(np.int64), return_counts=True)
+        self._merge(np.concatenate((self._values, steps)), np.concatenate((self._counts, counts)))
         while self._values.size > MAX_STEPS:
             self.step *= 10
             self._merge(np.rint(self._values / 10).astype(np.int64), self._counts)
@@ -115,10 +115,10 @@ def _quantile_of_absolute(values: Float64s, counts: Int64s, percent: float) -> f
 def quantiles(values: Float64s, counts: Int64s, percents: Sequence[float]) -> list[float]:
     """Return percentiles, linear between order statistics, of ascending values that occur ``counts`` times each."""
     ends = np.cumsum(counts)
-    found = []
+    percentiles = []
     for percent in percents:
         rank = percent / 100 * (int(ends[-1]) - 1)
         below = values[np.searchsorted(ends, int(np.floor(rank)), side="right")]
         above = values[np.searchsorted(ends, int(np.ceil(rank)), side="right")]
-        found.append(float(below + (above - below) * (rank % 1.0)))
-    return found
+        percentiles.append(float(below + (above - below) * (rank % 1.0)))
+    return percentiles

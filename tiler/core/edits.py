@@ -74,8 +74,8 @@ class DeckSurface:
         s = dx * self.ux + dy * self.uy
         t = dy * self.ux - dx * self.uy
         off = z - (self.a + self.b * s + self.c * s * s + self.d * t)
-        found: npt.NDArray[np.bool_] = (off >= -self.low) & (off <= self.high)
-        return found
+        is_on_deck: npt.NDArray[np.bool_] = (off >= -self.low) & (off <= self.high)
+        return is_on_deck
 
 
 @dataclass(frozen=True, eq=False)
@@ -108,10 +108,10 @@ class Edit:
     @cached_property
     def digest(self) -> list[Any]:
         """Values on which results depend."""
-        found = [self.action, self.area.key, self.z, self.lowest]
+        values = [self.action, self.area.key, self.z, self.lowest]
         if self.deck is not None:
-            found += astuple(self.deck)
-        return found
+            values += astuple(self.deck)
+        return values
 
     def to_json(self) -> dict[str, Any]:
         """Return a JSON-able description, which `from_json` reads."""
@@ -163,24 +163,24 @@ class Edits:
 
     def near(self, bounds: Bounds, actions: Iterable[str]) -> Edits:
         """Return the edits that have one of the actions and touch the bounds."""
-        found = (self.edits[i] for i in self._index.touching(bounds))
-        return replace(self, edits=tuple(edit for edit in found if edit.action in actions))
+        touching = (self.edits[i] for i in self._index.touching(bounds))
+        return replace(self, edits=tuple(edit for edit in touching if edit.action in actions))
 
     def by_cell(self, lattice: Lattice, cells: Iterable[Cell]) -> dict[Cell, list[Edit]]:
         """Return the edits of points that touch each cell, without the cells that have no edits."""
-        found = {}
+        edits_by_cell = {}
         for cell, near in self._index.by_cell(lattice, cells).items():
             edits = [self.edits[i] for i in near if self.edits[i].action in OF_POINTS]
             if edits:
-                found[cell] = edits
-        return found
+                edits_by_cell[cell] = edits
+        return edits_by_cell
 
     def digest(self, bounds: Bounds, actions: Iterable[str]) -> list[Any]:
         """Return the values on which results inside the bounds depend. They are empty if no edit touches the bounds."""
-        found = self.near(bounds, actions).edits
-        if not found:
+        edits_near = self.near(bounds, actions).edits
+        if not edits_near:
             return []
-        return [self.cell.to_json(), *(edit.digest for edit in found)]
+        return [self.cell.to_json(), *(edit.digest for edit in edits_near)]
 
     def forced(self, block: PointBlock, classes: Classes, origin: tuple[int, int]) -> Int8:
         """Decide for each point of a bucket: `UNTOUCHED`, `FORCED_OFF`, `FORCED_ON` or `FORCED_BRIDGE`.
@@ -194,17 +194,17 @@ class Edits:
         origin : tuple of int
             Absolute counts of the local count 0.
         """
-        found = np.full(len(classes), UNTOUCHED, np.int8)
+        decisions = np.full(len(classes), UNTOUCHED, np.int8)
         points = EditedPoints(block, classes, origin)
         for edit in self.edits:
             rows = points.inside(edit.area)
             if edit.action == NOT_GROUND:
-                found[rows] = FORCED_OFF
+                decisions[rows] = FORCED_OFF
             elif edit.deck is not None:
-                found[points.on_deck(rows, edit.deck)] = FORCED_BRIDGE
+                decisions[points.on_deck(rows, edit.deck)] = FORCED_BRIDGE
             elif edit.action == TO_GROUND:
-                found[points.to_ground(rows, self.cell if edit.lowest else None)] = FORCED_ON
-        return found
+                decisions[points.to_ground(rows, self.cell if edit.lowest else None)] = FORCED_ON
+        return decisions
 
     def labels(self, block: PointBlock, labels: Classes, origin: tuple[int, int]) -> Classes:
         """Return the labels of a bucket's points after the edits."""
@@ -298,8 +298,8 @@ class EditedPoints:
 
 def ground_with(is_ground: npt.NDArray[np.bool_], forced: Int8) -> npt.NDArray[np.bool_]:
     """Return the mask of the points that are ground after the edits."""
-    found: npt.NDArray[np.bool_] = (is_ground & (forced == UNTOUCHED)) | (forced == FORCED_ON)
-    return found
+    is_ground_after: npt.NDArray[np.bool_] = (is_ground & (forced == UNTOUCHED)) | (forced == FORCED_ON)
+    return is_ground_after
 
 
 def can_be_ground(block: PointBlock, classes: Classes) -> npt.NDArray[np.bool_]:
@@ -310,10 +310,10 @@ def can_be_ground(block: PointBlock, classes: Classes) -> npt.NDArray[np.bool_]:
     excluded = (*NOISE, WATER, BRIDGE)
     if block.flags is None or block.classification is None:
         raise ValueError("block: flags or classification is None; read both columns")
-    found: npt.NDArray[np.bool_] = (block.flags & UNSEEN_FLAGS) == 0
-    found &= ~np.isin(classes & ~np.uint8(UNCERTIFIED_BIT), excluded)
-    found &= ~np.isin(block.classification, excluded)
-    return found
+    may_be_ground: npt.NDArray[np.bool_] = (block.flags & UNSEEN_FLAGS) == 0
+    may_be_ground &= ~np.isin(classes & ~np.uint8(UNCERTIFIED_BIT), excluded)
+    may_be_ground &= ~np.isin(block.classification, excluded)
+    return may_be_ground
 
 
 def _lowest(

@@ -140,8 +140,8 @@ class Lattice:
         south, north = self.index_of(bounds.y0), self.index_of(bounds.y1 - 1)
         if (east - west + 1) * (north - south + 1) <= len(occupied):
             return [cell for cell in self.cells(bounds) if cell in occupied]
-        found = [c for c in occupied if west <= c.ix <= east and south <= c.iy <= north]
-        return sorted(found, key=row_by_row)
+        cells = [c for c in occupied if west <= c.ix <= east and south <= c.iy <= north]
+        return sorted(cells, key=row_by_row)
 
     def around(self, bounds: Bounds) -> Bounds:
         """Return the bounds of all cells that overlap ``bounds``, which must not be empty."""

@@ -52,11 +52,11 @@ def within(part: Block, block: Block) -> tuple[slice, slice]:
 
 def hull_of(blocks: Iterable[Block]) -> Block:
     """Return the smallest block that contains all ``blocks`` (at least one)."""
-    found = list(blocks)
-    row = min(b.row for b in found)
-    col = min(b.col for b in found)
-    bottom = max(b.row + b.height for b in found)
-    right = max(b.col + b.width for b in found)
+    all_blocks = list(blocks)
+    row = min(b.row for b in all_blocks)
+    col = min(b.col for b in all_blocks)
+    bottom = max(b.row + b.height for b in all_blocks)
+    right = max(b.col + b.width for b in all_blocks)
     return Block(row, col, bottom - row, right - col)
 
 
@@ -119,11 +119,11 @@ class RasterSpec:
         Blocks and cells are in order, row by row. The cost depends on the number of cells, not on the number of blocks
         in the raster.
         """
-        found: dict[Block, list[Cell]] = defaultdict(list)
+        cells_by_block: dict[Block, list[Cell]] = defaultdict(list)
         for cell in sorted(cells, key=row_by_row):
             for block in self.blocks_within(lattice.bounds(cell).pad(reach), size):
-                found[block].append(cell)
-        return {block: found[block] for block in sorted(found, key=north_west)}
+                cells_by_block[block].append(cell)
+        return {block: cells_by_block[block] for block in sorted(cells_by_block, key=north_west)}
 
     def blocks_within(self, bounds: Bounds, size: int) -> Iterator[Block]:
         """Yield the `blocks` that overlap ``bounds``, in the same order."""
@@ -169,17 +169,17 @@ class RasterSpec:
         shape = (block.height, block.width)
         if area is None:
             return np.ones(shape, np.bool_)
-        found = np.zeros(shape, np.bool_)
+        is_inside = np.zeros(shape, np.bool_)
         part = self.part(block, area.bounds)
         if part.height * part.width > FEW_PIXELS:
             bounds = self.block_bounds(part)
             if part == block and area.covers(bounds):
                 return np.ones(shape, np.bool_)
             if not area.touches(bounds):
-                return found
+                return is_inside
         x, y = self.centres(part)
-        found[within(part, block)] = area.inside(x.ravel(), y.ravel()).reshape(x.shape)
-        return found
+        is_inside[within(part, block)] = area.inside(x.ravel(), y.ravel()).reshape(x.shape)
+        return is_inside
 
     def part(self, block: Block, bounds: Bounds) -> Block:
         """Return the pixels of a block that touch ``bounds``. If no pixel does, the height or width is 0."""

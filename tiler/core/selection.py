@@ -41,7 +41,7 @@ def parse_numbers(value: Any, what: str, lowest: int, highest: int) -> tuple[int
         The text is not a list of numbers and ranges, or a number lies beyond the limits.
     """
     parts = value if isinstance(value, list | tuple) else str(value).split(",")
-    found: set[int] = set()
+    numbers: set[int] = set()
     for part in filter(None, (str(part).strip() for part in parts)):
         first, dash, last = part.partition("-")
         try:
@@ -55,8 +55,8 @@ def parse_numbers(value: Any, what: str, lowest: int, highest: int) -> tuple[int
             raise ConfigError(f"{value!r}: the range {part} runs backwards; use {stop}-{start}")
         if not lowest <= start <= stop <= highest:
             raise ConfigError(f"{value!r}: {what} out of range; give {lowest} to {highest}")
-        found.update(range(start, stop + 1))
-    return tuple(sorted(found))
+        numbers.update(range(start, stop + 1))
+    return tuple(sorted(numbers))
 
 
 def parse_returns(value: Any) -> str:
@@ -123,16 +123,16 @@ class Selection:
     @property
     def options(self) -> Mapping[str, str]:
         """Command-line options that exclude points, as the user writes them, by name of the setting."""
-        found = {}
+        options = {}
         if self.returns is not None:
-            found["returns"] = f"--returns {self.returns}"
+            options["returns"] = f"--returns {self.returns}"
         if self.scan_angle_deg is not None:
-            found["scan_angle"] = f"--scan-angle {self.scan_angle_deg:g}"
+            options["scan_angle"] = f"--scan-angle {self.scan_angle_deg:g}"
         if self.source_ids is not None:
-            found["source_id"] = f"--source-id {self.source_ids}"
+            options["source_id"] = f"--source-id {self.source_ids}"
         if self.drop_classes:
-            found["drop_classes"] = f"--drop-classes {','.join(map(str, self.drop_classes))}"
-        return found
+            options["drop_classes"] = f"--drop-classes {','.join(map(str, self.drop_classes))}"
+        return options
 
 
 EVERY_POINT = Selection()

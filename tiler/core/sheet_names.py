@@ -39,21 +39,21 @@ def sheet_name(template: str, product: str, x: float, y: float, side: float) -> 
         Side of the sheet, in units of the CRS.
     """
     edges = dict(zip(EDGES, (x, y, x + side, y + side), strict=True))
-    places = {name: _Place(edge) for name, edge in edges.items()}
-    places |= {f"{name}_km": _Place(edge / 1000) for name, edge in edges.items()}
-    return template.format(name=product, **places)
+    field_values = {name: _Place(edge) for name, edge in edges.items()}
+    field_values |= {f"{name}_km": _Place(edge / 1000) for name, edge in edges.items()}
+    return template.format(name=product, **field_values)
 
 
 def name_prefix(template: str, product: str) -> str:
     """Return the text at the beginning of the names of all sheets of a product."""
-    found = ""
+    prefix = ""
     for text, field, _, _ in Formatter().parse(template):
-        found += text
+        prefix += text
         if field == "name":
-            found += product
+            prefix += product
         elif field is not None:
             break
-    return found
+    return prefix
 
 
 def check_template(template: str) -> str:
@@ -64,7 +64,7 @@ def check_template(template: str) -> str:
         if unknown:
             known = ", ".join(FIELDS)
             raise ConfigError(f"sheet_name {template!r}: no field {{{unknown[0]}}}; use {known}")
-        names = [sheet_name(template, "dtm", *place, 1000.0) for place in ((0, 0), (1000, 0), (0, 1000))]
+        names = [sheet_name(template, "dtm", *corner, 1000.0) for corner in ((0, 0), (1000, 0), (0, 1000))]
     except (ValueError, KeyError, IndexError) as error:
         raise ConfigError(f"sheet_name {template!r}: {error}; use a template like {DEFAULT}") from error
     if len({name.lower() for name in names}) < len(names):

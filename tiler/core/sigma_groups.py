@@ -24,7 +24,7 @@ def sigma_facts(kind: str | None, records: Iterable[Mapping[str, Any]]) -> dict[
         each of `GROUPS` a dict of ``pixels``, ``rmse_m`` (expected RMSE, None without pixels) and ``histogram``
         (pixels by `EDGES_M`).
     """
-    found: dict[str, Any] = {"kind": kind, "edges_m": list(EDGES_M)}
+    summary: dict[str, Any] = {"kind": kind, "edges_m": list(EDGES_M)}
     made = list(records)
     for name in GROUPS:
         pixels, squares, histogram = 0, 0, [0] * (len(EDGES_M) - 1)
@@ -37,5 +37,5 @@ def sigma_facts(kind: str | None, records: Iterable[Mapping[str, Any]]) -> dict[
         rmse_m = None
         if pixels:
             rmse_m = round(sqrt(squares / pixels) / 1000, 4)
-        found[name] = {"pixels": pixels, "rmse_m": rmse_m, "histogram": histogram}
-    return found
+        summary[name] = {"pixels": pixels, "rmse_m": rmse_m, "histogram": histogram}
+    return summary

@@ -153,9 +153,9 @@ def lifted_line(line: npt.NDArray[Any], places: npt.NDArray[Any], heights: npt.N
     lengths = lengths_along(line)
     every = np.unique(np.concatenate((lengths, places.clip(0, lengths[-1]))))
     xy = [np.interp(every, lengths, line[:, axis]) for axis in (0, 1)]
-    found = np.rint(np.stack((*xy, np.interp(every, places, heights)), axis=1)).astype(np.int64)
-    moved = np.concatenate(([True], (np.diff(found[:, :2], axis=0) != 0).any(axis=1)))
-    return np.asarray(found[moved])
+    vertices = np.rint(np.stack((*xy, np.interp(every, places, heights)), axis=1)).astype(np.int64)
+    moved = np.concatenate(([True], (np.diff(vertices[:, :2], axis=0) != 0).any(axis=1)))
+    return np.asarray(vertices[moved])
 
 
 @dataclass(frozen=True, eq=False)
@@ -185,10 +185,10 @@ class Waters:
 
     def holds(self, x: Counts, y: Counts) -> Bools:
         """Return the mask of the positions, in absolute counts, that are water."""
-        found = np.zeros(x.shape, np.bool_)
+        is_water = np.zeros(x.shape, np.bool_)
         for body in self.bodies:
-            found |= body.area.inside(x, y)
-        return found
+            is_water |= body.area.inside(x, y)
+        return is_water
 
     def reaches(self, xyz: Counts, above: float) -> Bools:
         """Return the mask of the points, absolute counts (3, n), that are in water.
@@ -196,20 +196,20 @@ class Waters:
         These points are inside a body and at most ``above`` counts above its level.
         """
         x, y, z = xyz
-        found = np.zeros(x.shape, np.bool_)
+        is_in_water = np.zeros(x.shape, np.bool_)
         for body in self.bodies:
             inside = np.flatnonzero(body.area.inside(x, y))
             levels = body.heights(x[inside], y[inside])
-            found[inside] = z[inside] <= levels + above
-        return found
+            is_in_water[inside] = z[inside] <= levels + above
+        return is_in_water
 
     def inside(self, spec: RasterSpec, block: Block) -> Bools:
         """Return the mask of the pixels of a block that are water."""
-        found = np.zeros((block.height, block.width), np.bool_)
+        is_water = np.zeros((block.height, block.width), np.bool_)
         for body in self.bodies:
             part = spec.part(block, body.area.bounds)
-            found[within(part, block)] |= spec.inside(part, body.area)
-        return found
+            is_water[within(part, block)] |= spec.inside(part, body.area)
+        return is_water
 
     def set_heights(
         self, spec: RasterSpec, block: Block, heights: npt.NDArray[np.float32], where: Bools
@@ -221,15 +221,15 @@ class Waters:
         list of tuple of str and int
             Key of the area and number of pixels of each body.
         """
-        found = []
+        pixel_counts = []
         for body in self.bodies:
             part = spec.part(block, body.area.bounds)
             pixels = within(part, block)
             inside = spec.inside(part, body.area) & where[pixels]
             x, y = spec.centres(part)
             heights[pixels][inside] = body.heights(x[inside], y[inside]) / COUNTS_PER_UNIT
-            found.append((body.area.key, int(inside.sum())))
-        return found
+            pixel_counts.append((body.area.key, int(inside.sum())))
+        return pixel_counts
 
     def to_json(self) -> list[dict[str, Any]]:
         """Return a JSON-able description, which `from_json` reads."""

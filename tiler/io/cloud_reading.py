@@ -59,11 +59,11 @@ def _read_parts(opened: Any, path: Any, parts: Sequence[tuple[int, int]]) -> lis
     if not parts:
         return []
     starts, ends = zip(*parts, strict=True)
-    found = opened.fs.cat_ranges([path.path] * len(parts), list(starts), list(ends), on_error="raise")
-    _fetched[0] += sum(map(len, found))
-    if any(len(data) != end - start for data, (start, end) in zip(found, parts, strict=True)):
+    contents = opened.fs.cat_ranges([path.path] * len(parts), list(starts), list(ends), on_error="raise")
+    _fetched[0] += sum(map(len, contents))
+    if any(len(data) != end - start for data, (start, end) in zip(contents, parts, strict=True)):
         raise OSError("its server does not support range requests; download it")
-    return list(zip(starts, found, strict=True))
+    return list(zip(starts, contents, strict=True))
 
 
 def digest_of_file(path: Path) -> str:

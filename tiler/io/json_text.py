@@ -9,18 +9,18 @@ from typing import Any
 def parse_json_object(text: str | bytes) -> dict[str, Any]:
     """Return the object in a JSON text. Raise ValueError with the reason if the text is not a JSON object."""
     try:
-        found = json.loads(text)
+        content = json.loads(text)
     except RecursionError as error:
         raise ValueError("nested too deeply") from error
-    if not isinstance(found, dict):
+    if not isinstance(content, dict):
         raise ValueError("not a JSON object")
-    return found
+    return content
 
 
 def member(value: Any, name: str) -> dict[str, Any]:
     """Return the member ``name`` of an object if both are objects, otherwise an empty dict."""
-    found = value.get(name) if isinstance(value, dict) else None
-    return found if isinstance(found, dict) else {}
+    member_value = value.get(name) if isinstance(value, dict) else None
+    return member_value if isinstance(member_value, dict) else {}
 
 
 def excerpt(value: Any, most: int = 40) -> str:

@@ -99,8 +99,8 @@ def _system(url: str) -> tuple[Any, str]:
     if _is_on_server(url):
         path = cast(Any, as_path(url))
         return path.fs, path.path
-    found: tuple[Any, str] = url_to_fs(url, **_options(url))
-    return found
+    system_and_path: tuple[Any, str] = url_to_fs(url, **_options(url))
+    return system_and_path
 
 
 def location(path: Path) -> str:
@@ -171,14 +171,14 @@ def state_of(path: Path) -> FileState:
         stat = path.stat()
         return FileState(stat.st_size, stat.st_mtime_ns)
     with storage_errors():
-        place = cast(Any, path)
-        place.fs.invalidate_cache(place.fs._parent(place.path))
-        found = place.stat()
-        info = found.as_info()
+        url_path = cast(Any, path)
+        url_path.fs.invalidate_cache(url_path.fs._parent(url_path.path))
+        status = url_path.stat()
+        info = status.as_info()
         if info.get("size") is None:
             raise OSError("its server does not report its size; download it")
         tag = next((str(info[name]) for name in TAGS if info.get(name)), "").removeprefix("W/").strip('"')
-        return FileState(int(found.st_size), int(found.st_mtime_ns), tag)
+        return FileState(int(status.st_size), int(status.st_mtime_ns), tag)
 
 
 def list_inputs(url: str, suffixes: tuple[str, ...]) -> list[Path]:
@@ -194,19 +194,19 @@ def list_inputs(url: str, suffixes: tuple[str, ...]) -> list[Path]:
     path = without_query(url)
     try:
         with storage_errors():
-            system, place = _system(url)
-            if path.lower().endswith(suffixes) and not has_magic(path) and _is_object(system, place):
+            system, system_path = _system(url)
+            if path.lower().endswith(suffixes) and not has_magic(path) and _is_object(system, system_path):
                 # Listing the file would read all of it on some servers.
                 return [as_path(url)]
-            found = system.glob(place) if has_magic(place) else system.find(place)
+            listed = system.glob(system_path) if has_magic(system_path) else system.find(system_path)
     except (OSError, ValueError) as error:
         raise ConfigError(f"{url}: cannot be listed ({error}); check the URL and its credentials") from error
-    if not found:
+    if not listed:
         raise ConfigError(f"{url}: nothing there; give LAS or LAZ objects, folders or globs")
-    if found == [place]:
+    if listed == [system_path]:
         return [as_path(url)]
-    names = sorted(name for name in found if name.lower().endswith(suffixes))
-    return [as_path(_url_of(name, url, place) or system.unstrip_protocol(name)) for name in names]
+    names = sorted(name for name in listed if name.lower().endswith(suffixes))
+    return [as_path(_url_of(name, url, system_path) or system.unstrip_protocol(name)) for name in names]
 
 
 def _is_object(system: Any, place: str) -> bool:
@@ -296,8 +296,8 @@ def upload_file(path: Path, url: str) -> None:
     """Copy a file to a URL, where it appears once it is complete. Raise ProcessingError if this fails."""
     try:
         with storage_errors():
-            system, place = _system(url)
-            system.put_file(str(path), place)
+            system, system_path = _system(url)
+            system.put_file(str(path), system_path)
     except OSError as error:
         raise write_error(url, error) from error
 
@@ -317,6 +317,6 @@ def staging_folder(place: str) -> Iterator[Path]:
 def try_write(url: str) -> None:
     """Write an object and remove it. Raise OSError if this fails."""
     with storage_errors():
-        system, place = _system(url)
-        system.pipe_file(place, b"tiler")
-        system.rm_file(place)
+        system, system_path = _system(url)
+        system.pipe_file(system_path, b"tiler")
+        system.rm_file(system_path)

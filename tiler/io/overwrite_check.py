@@ -46,8 +46,8 @@ def check_targets(targets: Iterable[Target], reads: Iterable[str | Path]) -> Non
         Paths and URLs of all files that the command reads.
     """
     known: dict[object, str | Path] = {}
-    for place in reads:
-        known.update(dict.fromkeys(_identities(place), place))
+    for source in reads:
+        known.update(dict.fromkeys(_identities(source), source))
     for target in targets:
         named = f"{target.option} {target.path}".strip()
         if target.suffixes and Path(str(target.path)).suffix.lower() not in target.suffixes:
@@ -86,12 +86,12 @@ def check_folder(option: str, folder: str | Path, others: Iterable[str | Path]) 
     others : iterable of str or Path
         Paths and URLs that the command reads, or to which it writes as well.
     """
-    mine = real_place(folder)
+    folder_path = real_place(folder)
     for other in others:
-        theirs = real_place(other)
-        if theirs == mine or theirs.startswith(mine.rstrip("/") + "/"):
-            what = "is the same as" if theirs == mine else "contains"
-            raise ConfigError(f"{option} {folder}: {what} {other}; give another folder")
+        other_path = real_place(other)
+        if other_path == folder_path or other_path.startswith(folder_path.rstrip("/") + "/"):
+            relation = "is the same as" if other_path == folder_path else "contains"
+            raise ConfigError(f"{option} {folder}: {relation} {other}; give another folder")
 
 
 def real_place(place: str | Path) -> str:
@@ -104,11 +104,11 @@ def real_place(place: str | Path) -> str:
 
 def _identities(place: str | Path) -> list[object]:
     """Return values that are equal for all names of the same file."""
-    found: list[object] = [real_place(place)]
+    identities: list[object] = [real_place(place)]
     if not is_url(real_place(place)):
         try:
             status = os.stat(real_place(place))
-            found.append((status.st_dev, status.st_ino))
+            identities.append((status.st_dev, status.st_ino))
         except OSError:  # The file does not exist yet.
             pass
-    return found
+    return identities

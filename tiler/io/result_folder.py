@@ -78,12 +78,12 @@ def local_folder(products: str) -> Path:
 def read_run(place: str) -> dict[str, Any] | None:
     """Return the content of ``run.json`` in a folder or at a URL, or None if tiler did not write one there."""
     try:
-        found = json.loads(read_bytes(joined(place, RUN)) or b"null")
+        content = json.loads(read_bytes(joined(place, RUN)) or b"null")
     except (OSError, ValueError, RecursionError):
         return None
-    if not isinstance(found, dict) or not found.keys() >= _KEYS:
+    if not isinstance(content, dict) or not content.keys() >= _KEYS:
         return None
-    return found
+    return content
 
 
 def is_results(place: str) -> bool:
@@ -102,10 +102,10 @@ def _earlier_run(out: Path, products: str) -> dict[str, Any]:
     """Return the run.json of the last run of OUT, or an empty dict if tiler did not write one."""
     url = without_secrets(products).rstrip("/") if is_url(products) else ""
     for place in (str(out), products):
-        found = read_run(place)
+        run = read_run(place)
         # The folder on this machine may contain the run.json of results at another URL.
-        if found is not None and (found.get("products_at") or "").rstrip("/") == url:
-            return found
+        if run is not None and (run.get("products_at") or "").rstrip("/") == url:
+            return run
     return {}
 
 
@@ -121,18 +121,18 @@ def earlier_outputs(out: Path, products: str) -> dict[str, str | None]:
     products : str
         Path or URL of OUT, which contains the run.json of runs on other machines.
     """
-    found = _earlier_run(out, products)
-    made_of = _mapping(found, "made_of")
-    files = dict(_mapping(found, "earlier_outputs"))
-    for path in _mapping(found, "outputs"):
+    run = _earlier_run(out, products)
+    made_of = _mapping(run, "made_of")
+    files = dict(_mapping(run, "earlier_outputs"))
+    for path in _mapping(run, "outputs"):
         files[path] = made_of.get(path)
     return files
 
 
 def earlier_facts(out: Path, products: str) -> tuple[dict[str, str], dict[str, Any]]:
     """Return the recorded digests of files that earlier runs wrote in OUT, and the settings of the last run."""
-    found = _earlier_run(out, products)
-    return _mapping(found, "digests"), _mapping(found, "configuration")
+    run = _earlier_run(out, products)
+    return _mapping(run, "digests"), _mapping(run, "configuration")
 
 
 def earlier_statistics(out: Path, method: str, parameters: dict[str, Any]) -> dict[str, Any]:
@@ -144,9 +144,9 @@ def earlier_statistics(out: Path, method: str, parameters: dict[str, Any]) -> di
         There is no run in ``out``, it was not finished, or its method or parameters differ.
     """
     try:
-        found = parse_json_object((out / RUN).read_text(encoding="utf-8"))
-        before, statistics, state = found["plan"], dict(found["statistics"]), found["state"]
-        same = (before["method"], before["parameters"]) == (method, parameters)
+        run = parse_json_object((out / RUN).read_text(encoding="utf-8"))
+        plan, statistics, state = run["plan"], dict(run["statistics"]), run["state"]
+        same = (plan["method"], plan["parameters"]) == (method, parameters)
     except (OSError, ValueError, KeyError, TypeError) as error:
         raise ConfigError(
             f"--statistics {out}: contains no run.json of a finished run; give an OUT folder"
@@ -155,7 +155,7 @@ def earlier_statistics(out: Path, method: str, parameters: dict[str, Any]) -> di
         raise ConfigError(f"--statistics {out}: its run is not finished; finish that run first")
     if not same:
         raise ConfigError(
-            f"--statistics {out}: its run used {before['method']}, and its method or parameters differ from this run; "
+            f"--statistics {out}: its run used {plan['method']}, and its method or parameters differ from this run; "
             "use the same --method and --set"
         )
     return statistics
@@ -178,20 +178,20 @@ def foreign_files(
         Products that are cut into sheets, with the beginning of the names of their sheets. The complete names are not
         known yet.
     """
-    ours = earlier_outputs(out, products)
-    names = [name for name in wanted if name not in ours]
+    earlier_files = earlier_outputs(out, products)
+    names = [name for name in wanted if name not in earlier_files]
     for product, start in (sheets_of or {}).items():
         # No file has this name, but there may be a file in place of its folder.
         names.append(f"{product}/{start or product}.")
         for name in names_in(joined(products, product)):
             path = f"{product}/{name}"
-            if name.startswith(start) and name.endswith((".tif", ".json")) and path not in ours:
+            if name.startswith(start) and name.endswith((".tif", ".json")) and path not in earlier_files:
                 names.append(path)
-    found = _existing(products, names)
+    foreign = _existing(products, names)
     for place in dict.fromkeys((str(out), products)):
         if read_run(place) is None:
-            found += _existing(place, [RUN, EVENTS, REPORT])
-    return list(dict.fromkeys(found))
+            foreign += _existing(place, [RUN, EVENTS, REPORT])
+    return list(dict.fromkeys(foreign))
 
 
 def _existing(place: str, names: list[str]) -> list[str]:
@@ -199,15 +199,15 @@ def _existing(place: str, names: list[str]) -> list[str]:
     if is_url(place):
         sizes = sizes_at([joined(place, name) for name in names])
         return [name for name, size in zip(names, sizes, strict=True) if size is not None]
-    found = []
+    existing = []
     for name in names:
         folders = [str(f) for f in reversed(Path(name).parents) if str(f) != "."]
         blocked = [f for f in folders if os.path.lexists(Path(place, f)) and not Path(place, f).is_dir()]
         if blocked:
-            found.append(blocked[0])
+            existing.append(blocked[0])
         elif os.path.lexists(Path(place, name)):
-            found.append(name)
-    return found
+            existing.append(name)
+    return existing
 
 
 def _mapping(found: dict[str, Any], name: str) -> dict[str, Any]:

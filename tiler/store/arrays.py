@@ -69,12 +69,12 @@ class StoredArray:
     def read(self, chunks: Sequence[Chunk]) -> list[npt.NDArray[Any]]:
         """Return whole chunks, read-only. Raise CorruptStoreError with the keys of damaged and missing chunks."""
         keys = [layout.chunk_key(self.path, chunk) for chunk in chunks]
-        found = []
+        decoded = []
         bad = []
         reason = ""
         for key, data in zip(keys, self.storage.get_many(keys), strict=True):
             try:
-                found.append(self._decoded(data))
+                decoded.append(self._decoded(data))
             except (ValueError, RuntimeError) as error:
                 bad.append(key)
                 reason = reason or str(error)
@@ -83,7 +83,7 @@ class StoredArray:
                 f"{self.storage.url}: {self.path} is damaged ({reason}); run again to rebuild it",
                 tuple(bad),
             )
-        return found
+        return decoded
 
     def write_row(self, number: int, values: npt.NDArray[Any]) -> None:
         """Write a whole chunk as `write` does, for an array whose chunks follow one another along the first axis."""
@@ -120,12 +120,12 @@ class StoredArray:
 @contextmanager
 def packed_by_one_thread() -> Iterator[None]:
     """Pack and unpack chunks only in the calling thread, as tasks do: processes do the parallel work."""
-    before = numcodecs.blosc.use_threads
+    used_threads = numcodecs.blosc.use_threads
     numcodecs.blosc.use_threads = False
     try:
         yield
     finally:
-        numcodecs.blosc.use_threads = before
+        numcodecs.blosc.use_threads = used_threads
 
 
 def _encoded(values: npt.NDArray[Any], kind: ArrayKind) -> bytes:
@@ -221,7 +221,7 @@ def _checked(data: bytes, where: str, path: str, kind: ArrayKind) -> dict[str, A
         metadata: dict[str, Any] = json.loads(data)
         if not seal_holds(metadata):
             raise ValueError("its checksum does not fit")
-        found = {
+        recorded = {
             "zarr_format": metadata["zarr_format"],
             "node_type": metadata["node_type"],
             "data_type": metadata["data_type"],
@@ -233,8 +233,8 @@ def _checked(data: bytes, where: str, path: str, kind: ArrayKind) -> dict[str, A
         raise CorruptStoreError(
             f"{where}: its metadata are damaged; run again to rebuild it", (path,)
         ) from error
-    wanted = {"zarr_format": 3, "node_type": "array", "data_type": kind.dtype, "chunks": kind.chunks}
-    if found != wanted or transformers:
+    expected = {"zarr_format": 3, "node_type": "array", "data_type": kind.dtype, "chunks": kind.chunks}
+    if recorded != expected or transformers:
         raise StoreError(f"{where}: not an array that this version writes; run again with --overwrite")
     if not codecs <= ALLOWED_CODECS:
         strange = ", ".join(sorted(map(str, codecs - ALLOWED_CODECS)))

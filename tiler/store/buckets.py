@@ -31,8 +31,8 @@ class BucketStore(points.ColumnStore):
         counts : mapping of Cell to int
             Upper bound of the number of points in each bucket.
         """
-        before = index.current_index(self._storage)
-        after, moved = before.allocated(counts, layout.ROW_POINTS)
+        previous = index.current_index(self._storage)
+        after, moved = previous.allocated(counts, layout.ROW_POINTS)
         self._grow(after.rows)
         for folder, kind in (("labels", layout.LABELS), ("elected", layout.ELECTED)):
             for name in self._storage.names(folder):
@@ -119,9 +119,9 @@ class BucketStore(points.ColumnStore):
         if places is not None:
             end = 0
             for part, n in zip(parts, kept, strict=True):
-                before = places.get(part.bucket.cell, slice(end, end))
+                previous_slice = places.get(part.bucket.cell, slice(end, end))
                 end += n
-                places[part.bucket.cell] = slice(before.start, end)
+                places[part.bucket.cell] = slice(previous_slice.start, end)
         return block
 
     def _label_array(self, name: str) -> arrays.StoredArray:

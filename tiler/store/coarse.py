@@ -13,14 +13,14 @@ Floats = npt.NDArray[np.float32]
 
 def read_cells(store: TileStore, name: str, coarse: RasterSpec, window: Block, fill: float = 0.0) -> Floats:
     """Return a window of a raster, float32 (height, width). Cells of the window beyond the raster are ``fill``."""
-    found = np.full((window.height, window.width), fill, np.float32)
+    values = np.full((window.height, window.width), fill, np.float32)
     top, left = max(window.row, 0), max(window.col, 0)
     bottom = min(window.row + window.height, coarse.height)
     right = min(window.col + window.width, coarse.width)
     if top < bottom and left < right:
         part = store.read_block(name, Block(top, left, bottom - top, right - left))
-        found[top - window.row : bottom - window.row, left - window.col : right - window.col] = part
-    return found
+        values[top - window.row : bottom - window.row, left - window.col : right - window.col] = part
+    return values
 
 
 def coarse_cells(coarse: RasterSpec, spec: RasterSpec, block: Block) -> tuple[npt.NDArray[np.int64], ...]:

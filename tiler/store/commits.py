@@ -23,7 +23,7 @@ class CommitStore(StorePart):
 
     def committed(self, stage: str) -> Commits:
         """Return every finished task of a stage. A task with a damaged commit counts as not done."""
-        found = self._packed(stage)
+        commits = self._packed(stage)
         names = self._names(stage)
         objects = self._storage.get_many([layout.commit_key(stage, name) for name in names])
         for name, data in zip(names, objects, strict=True):
@@ -32,10 +32,10 @@ class CommitStore(StorePart):
             try:
                 body = parse_json(data, name)
             except StoreError:
-                found.pop(name, None)
+                commits.pop(name, None)
                 continue
-            found[name] = (body["digest"], body["record"])
-        return found
+            commits[name] = (body["digest"], body["record"])
+        return commits
 
     def compact(self, stage: str, fewest: int = 1) -> None:
         """Pack the commits of a stage into one object (*coordinator*, while no task of the stage runs).

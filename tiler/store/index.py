@@ -125,9 +125,9 @@ class BucketIndex:
         """
         table = self._table.copy()
         table[:, _N:] = UNPUBLISHED
-        place = {(line[_IX], line[_IY]): i for i, line in enumerate(table.tolist())}
+        row_of_cell = {(line[_IX], line[_IY]): i for i, line in enumerate(table.tolist())}
         for cell, info in infos.items():
-            i = place.get((cell.ix, cell.iy))
+            i = row_of_cell.get((cell.ix, cell.iy))
             if i is None or not 0 <= info.n_candidates <= info.n <= table[i, _ROWS] * row_points:
                 raise StoreError(f"bucket {cell.name}: {info.n} points do not fit its rows; allocate first")
             table[i, _N:] = info.n, info.n_candidates
@@ -139,11 +139,11 @@ class BucketIndex:
         np.save(stream, self._table, allow_pickle=False)
         data = stream.getvalue()
         digest = _digest(data)
-        before = storage.get_json(layout.INDEX_POINTER)
+        previous_digest = storage.get_json(layout.INDEX_POINTER)
         storage.put(layout.index_key(digest), data)
         storage.put_json(layout.INDEX_POINTER, digest)
-        if before is not None and before != digest:
-            storage.delete(layout.index_key(before))
+        if previous_digest is not None and previous_digest != digest:
+            storage.delete(layout.index_key(previous_digest))
         return digest
 
 

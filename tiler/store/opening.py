@@ -88,12 +88,14 @@ def _is_a_store(storage: Storage) -> bool:
     data = storage.get("zarr.json")
     if data is None:
         # A zarr.json that is listed but cannot be read is a folder or a link to a folder.
-        others = [name for name in storage.names("") if name == "zarr.json" or not _is_remains(storage, name)]
+        other_objects = [
+            name for name in storage.names("") if name == "zarr.json" or not _is_remains(storage, name)
+        ]
         if lock.is_foreign(storage):
-            others.append(layout.LOCK_KEY)
-        if others:
+            other_objects.append(layout.LOCK_KEY)
+        if other_objects:
             raise ForeignStoreError(
-                f"{url}: contains something other than a tile store ({others[0]}); give an empty or new folder"
+                f"{url}: contains something other than a tile store ({other_objects[0]}); give an empty or new folder"
             )
         return False
     if _description(data) is None and not _is_damaged(data):
@@ -139,10 +141,10 @@ def open_store(url: str) -> TileStore:
 def _description(data: bytes) -> dict[str, Any] | None:
     """Return the description in the root object of a store, or None if tiler did not write the object."""
     try:
-        found = json.loads(data)["attributes"][layout.ROOT_ATTRIBUTE]
+        description = json.loads(data)["attributes"][layout.ROOT_ATTRIBUTE]
     except (ValueError, KeyError, TypeError, RecursionError):
         return None
-    return found if isinstance(found, dict) and "schema" in found else None
+    return description if isinstance(description, dict) and "schema" in description else None
 
 
 def _is_damaged(data: bytes) -> bool:

@@ -107,15 +107,17 @@ class ColumnStore(StorePart):
             _gather(opened, parts[start : start + ROWS_PER_BATCH], keep, gathered)
         if kept is not None:
             kept.extend(piece.shape[1] for piece in gathered["xyz"])
-        found: dict[str, npt.NDArray[Any]] = {}
+        values_by_field: dict[str, npt.NDArray[Any]] = {}
         for column in columns:
             values = _side_by_side(gathered, column.name, column.kind)
             for field, part in column.fields.items():
                 if field in fields or field == "xyz":
-                    found[field] = values[part.start] if part.stop - part.start == 1 else values[part]
+                    values_by_field[field] = (
+                        values[part.start] if part.stop - part.start == 1 else values[part]
+                    )
         if labels is not None:
-            found["labels"] = _side_by_side(gathered, _LABELS, layout.LABELS)[0]
-        return PointBlock(**found)
+            values_by_field["labels"] = _side_by_side(gathered, _LABELS, layout.LABELS)[0]
+        return PointBlock(**values_by_field)
 
     def _needed(self, fields: Sequence[str]) -> list[Column]:
         known = {field for c in layout.COLUMNS for field in c.fields}
@@ -157,9 +159,9 @@ def _gather(
         for kept, mask in zip(values, masks, strict=True):
             gathered[name].append(_masked(kept, mask))
         if name == "xyz":
-            wanted = [mask is None or bool(mask.any()) for mask in masks]
-            parts = list(compress(parts, wanted))
-            masks = list(compress(masks, wanted))
+            has_points = [mask is None or bool(mask.any()) for mask in masks]
+            parts = list(compress(parts, has_points))
+            masks = list(compress(masks, has_points))
 
 
 def _masked(values: npt.NDArray[Any], mask: Mask) -> npt.NDArray[Any]:

@@ -22,11 +22,11 @@ class RasterStore(StorePart):
         """Make a float32 raster (*coordinator*). An existing raster of the same shape and fill keeps its blocks."""
         path = layout.raster_path(name)
         kind = layout.raster_kind(fill)
-        found = arrays.find_array(self._storage, path, kind)
-        if found is None or found.shape != (height, width) or found.fill != np.float32(fill):
+        array = arrays.find_array(self._storage, path, kind)
+        if array is None or array.shape != (height, width) or array.fill != np.float32(fill):
             self._storage.delete_folder(path)
-            found = arrays.write_metadata(self._storage, path, (height, width), kind)
-        self._open[path] = found
+            array = arrays.write_metadata(self._storage, path, (height, width), kind)
+        self._open[path] = array
 
     def write_block(self, name: str, block: Block, values: npt.NDArray[np.float32]) -> None:
         """Write a whole block as one chunk: 512 x 512 pixels, or fewer at the south and east edge.
@@ -65,24 +65,24 @@ class RasterStore(StorePart):
         rows = range(block.row // BLOCK_PIXELS, -(-bottom // BLOCK_PIXELS))
         cols = range(block.col // BLOCK_PIXELS, -(-right // BLOCK_PIXELS))
         numbers = list(product(rows, cols))
-        found = np.empty((block.height, block.width), np.float32)
+        pixels = np.empty((block.height, block.width), np.float32)
         for (chunk_row, chunk_col), chunk in zip(numbers, array.read(numbers), strict=True):
             row = chunk_row * BLOCK_PIXELS
             col = chunk_col * BLOCK_PIXELS
             top = max(block.row, row)
             left = max(block.col, col)
             part = chunk[top - row : bottom - row, left - col : right - col]
-            found[top - block.row :, left - block.col :][: part.shape[0], : part.shape[1]] = part
-        return found
+            pixels[top - block.row :, left - block.col :][: part.shape[0], : part.shape[1]] = part
+        return pixels
 
     def stored_blocks(self, name: str) -> set[tuple[int, int]]:
         """Return first row and column of each block with a stored chunk. Other blocks hold the fill or are lost."""
-        found = set()
+        block_corners = set()
         for key in self._storage.names(layout.raster_path(name)):
             numbers = layout.chunk_numbers(key)
             if numbers is not None and len(numbers) == 2:
-                found.add((numbers[0] * BLOCK_PIXELS, numbers[1] * BLOCK_PIXELS))
-        return found
+                block_corners.add((numbers[0] * BLOCK_PIXELS, numbers[1] * BLOCK_PIXELS))
+        return block_corners
 
     def erase_blocks(self, name: str, blocks: Iterable[Block]) -> None:
         """Remove the chunks of some blocks, whose pixels then hold the raster's fill."""

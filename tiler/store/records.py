@@ -78,8 +78,8 @@ class KeptRecords:
 
         Raise CorruptStoreError if a chunk is damaged or missing.
         """
-        found: npt.NDArray[np.void] = np.empty(count, self._dtype)
-        raw = found.view(np.uint8).reshape(count, self._dtype.itemsize)
+        records: npt.NDArray[np.void] = np.empty(count, self._dtype)
+        raw = records.view(np.uint8).reshape(count, self._dtype.itemsize)
         for first, array in self._pieces:
             low = max(start - first, 0)
             high = min(start + count - first, array.rows)
@@ -90,7 +90,7 @@ class KeptRecords:
                 begin, end = max(low, at), min(high, at + SPOOL_CHUNK)
                 (values,) = array.read_rows([chunk])
                 raw[begin + first - start : end + first - start] = values[begin - at : end - at]
-        return found
+        return records
 
 
 class RecordStore(StorePart):
@@ -109,17 +109,17 @@ class RecordStore(StorePart):
         """
         if dtype.itemsize > MAX_NAME_BYTES:
             return None
-        found: list[tuple[int, StoredArray]] = []
+        piece_arrays: list[tuple[int, StoredArray]] = []
         end = 0
         for piece in pieces:
             path = layout.records_path(piece.name, dtype.itemsize)
             array = arrays.find_array(self._storage, path, layout.records_kind(dtype.itemsize))
-            wanted: tuple[Any, ...] = (end, piece.count, piece.identity)
-            if array is None or (piece.start, array.rows, array.attributes.get("identity")) != wanted:
+            expected: tuple[Any, ...] = (end, piece.count, piece.identity)
+            if array is None or (piece.start, array.rows, array.attributes.get("identity")) != expected:
                 return None
-            found.append((piece.start, array))
+            piece_arrays.append((piece.start, array))
             end += array.rows
-        return KeptRecords(found, dtype) if end == count else None
+        return KeptRecords(piece_arrays, dtype) if end == count else None
 
     def drop_records(self) -> None:
         """Remove all records that were kept (*coordinator*)."""

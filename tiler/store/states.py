@@ -60,8 +60,8 @@ class StateStore(StorePart):
 
         The result is None if there are no matching edits. Raise StoreError if the key is missing.
         """
-        found = self._kept(f"edits-{key}", Edits.from_json).near(bounds, actions)
-        return found if found.edits else None
+        edits = self._kept(f"edits-{key}", Edits.from_json).near(bounds, actions)
+        return edits if edits.edits else None
 
     def put_breaklines(self, lines: Breaklines) -> None:
         """Write breaklines under their key."""
@@ -82,8 +82,8 @@ class StateStore(StorePart):
         """
         if key is None:
             return None
-        found = self.all_waters(key).near(bounds)
-        return found if found.bodies else None
+        waters = self.all_waters(key).near(bounds)
+        return waters if waters.bodies else None
 
     def all_waters(self, key: str) -> Waters:
         """Return all bodies of water kept under a key. Raise StoreError if they are missing."""
@@ -93,12 +93,12 @@ class StateStore(StorePart):
         """Return a state from the cache or from the store. Raise StoreError if the store has no such state."""
         at = (self.url, name)
         if at not in _cache:
-            found = self.get_state(name)
-            if found is None:
+            state = self.get_state(name)
+            if state is None:
                 raise StoreError(f"{name}: not in {self.url}; run again")
             while len(_cache) >= _MAX_CACHED:
                 oldest = next(iter(_cache))
                 _cache.pop(oldest, None)
-            _cache[at] = read(found)
+            _cache[at] = read(state)
         kept: Kept = _cache[at]
         return kept

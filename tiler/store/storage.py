@@ -178,13 +178,13 @@ class Storage:
     def _delete_files(self, folder: Path, unwanted: Callable[[str], bool]) -> None:
         """Remove files in a folder of a local store by their keys, then the empty folders."""
         assert self.root is not None  # Callers check this.
-        for place, _, names in os.walk(folder, topdown=False):
+        for subfolder, _, names in os.walk(folder, topdown=False):
             for name in names:
-                path = Path(place, name)
+                path = Path(subfolder, name)
                 if unwanted(path.relative_to(self.root).as_posix()):
                     path.unlink(missing_ok=True)
             with suppress(OSError):
-                os.rmdir(place)
+                os.rmdir(subfolder)
 
     def remove_scratch(self) -> None:
         """Remove the temporary files that killed writes left on a local disk. Object stores have no such files."""
@@ -214,8 +214,8 @@ class Storage:
 
         if not self.exists():
             return StoreSize(0, 0)
-        place = self.url if self.root is None else str(self.root.absolute())
-        filesystem, path = url_to_fs(place)
+        location = self.url if self.root is None else str(self.root.absolute())
+        filesystem, path = url_to_fs(location)
         sizes = [entry["size"] for entry in filesystem.find(path, detail=True).values()]
         return StoreSize(len(sizes), sum(sizes))
 

@@ -38,8 +38,8 @@ class RunAlgorithm(CommandAlgorithm):
     def outputs(self) -> dict[str, Any]:
         """Return the folder of the results, and those of its files that other algorithms can use."""
         dtm, report = results.raster(self._place, "dtm"), results.existing(self._place, "report.html")
-        found = {"OUTPUT": self._place, "DTM": dtm, "REPORT": report}
-        return {name: path for name, path in found.items() if path}
+        outputs = {"OUTPUT": self._place, "DTM": dtm, "REPORT": report}
+        return {name: path for name, path in outputs.items() if path}
 
     def postProcessAlgorithm(
         self, context: QgsProcessingContext, feedback: QgsProcessingFeedback

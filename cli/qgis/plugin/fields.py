@@ -109,8 +109,8 @@ def numbers_of_names(spec: dict[str, Any], value: Any) -> Any:
     value = value.split(",") if isinstance(value, str) else value
     items = value if isinstance(value, (list, tuple)) else [value]
     choices = spec["choices"]
-    found = [choices.index(item) if item in choices else item for item in items]
-    return [int(item) if str(item).isdecimal() else item for item in found]
+    resolved = [choices.index(item) if item in choices else item for item in items]
+    return [int(item) if str(item).isdecimal() else item for item in resolved]
 
 
 def read_value(

@@ -61,18 +61,18 @@ class CommandResult(NamedTuple):
 def find_command(configured: str) -> str:
     """Return the path of ``tiler``: the configured one, else the one in ``PATH`` or in ``~/.local/bin``."""
     if configured:
-        found = shutil.which(os.path.expanduser(configured))
+        path = shutil.which(os.path.expanduser(configured))
         where = configured
     else:
         local = os.path.expanduser("~/.local/bin/tiler")
-        found = shutil.which("tiler") or shutil.which(local)
+        path = shutil.which("tiler") or shutil.which(local)
         where = "PATH"
-    if found is None:
+    if path is None:
         raise CommandError(
             f"{where}: the command tiler was not found; install it ({INSTALL}), then run `tiler qgis install` "
             "or set its path under Settings > Options > Processing > Providers > tiler"
         )
-    return found
+    return path
 
 
 def version_of(path: str) -> str:
@@ -123,7 +123,7 @@ def options(spec: dict[str, Any], value: Any) -> list[str]:
 
 def options_of_config(command: str, config: dict[str, Any]) -> list[str]:
     """Return the arguments that repeat the settings of an earlier run, from its run.json."""
-    found: list[str] = []
+    arguments: list[str] = []
     for spec in TABLE["commands"][command]["parameters"]:
         key = spec["key"]
         value = config.get(key, spec["config_default"])
@@ -133,8 +133,8 @@ def options_of_config(command: str, config: dict[str, Any]) -> list[str]:
             value = [f"{name}={text}" for name, text in value]
         elif spec["kind"] == "classes" and not value:
             value = "none"
-        found += options({**spec, "default": None}, value)
-    return found
+        arguments += options({**spec, "default": None}, value)
+    return arguments
 
 
 def absolute(path: str) -> str:

@@ -94,8 +94,8 @@ def load_folder(
     group = _group_of(context.project().layerTreeRoot(), folder)
     if group is not None:
         group.setName(title)
-    for rank, wanted in enumerate(_wanted(folder, feedback)):
-        _add(f"{folder}|{wanted.key}", folder, title, rank, wanted, context)
+    for rank, layer in enumerate(_wanted(folder, feedback)):
+        _add(f"{folder}|{layer.key}", folder, title, rank, layer, context)
     _add_clouds(folder, title, context, feedback)
 
 
@@ -103,13 +103,13 @@ def load_cloud(path: str, context: QgsProcessingContext, feedback: QgsProcessing
     """Add a classified cloud to the project, if this QGIS can show one."""
     if context.project() is None:
         return
-    wanted = _cloud(path, path, Path(path).stem, True)
-    if wanted is None:
+    layer = _cloud(path, path, Path(path).stem, True)
+    if layer is None:
         feedback.pushWarning(
             f"{path}: is not added to the project, because this QGIS ({Qgis.QGIS_VERSION}) cannot show LAS and LAZ"
         )
     else:
-        _add(path, "", "", 0, wanted, context)
+        _add(path, "", "", 0, layer, context)
 
 
 def _cloud(path: str, key: str, name: str, shown: bool) -> Wanted | None:
@@ -126,14 +126,14 @@ def _cloud(path: str, key: str, name: str, shown: bool) -> Wanted | None:
 
 def _wanted(folder: str, feedback: QgsProcessingFeedback) -> list[Wanted]:
     """Return the layers of a folder, from the top of the map to its bottom."""
-    found: list[Wanted] = []
+    layers: list[Wanted] = []
 
     def vector(name: str, table: str, label: str, style: Callable[..., None]) -> None:
         path = existing(folder, f"{name}.gpkg")
         source = f"{path}|layername={table}"
         if path and QgsVectorLayer(source, "", "ogr").isValid():
             key = f"{name}:{table}"
-            found.append(Wanted(key, label, lambda n: QgsVectorLayer(source, n, "ogr"), style, True))
+            layers.append(Wanted(key, label, lambda n: QgsVectorLayer(source, n, "ogr"), style, True))
 
     _make_edits(folder, feedback)
     for table in _tables(existing(folder, "edits.gpkg")):
@@ -146,16 +146,16 @@ def _wanted(folder: str, feedback: QgsProcessingFeedback) -> list[Wanted]:
     vector("water", "water", "water", styles.water)
     terrain = raster(folder, "dtm")
     if raster(folder, "hillshade"):
-        found.append(_raster(folder, "hillshade", "hillshade", styles.grey_shade, True))
+        layers.append(_raster(folder, "hillshade", "hillshade", styles.grey_shade, True))
     elif terrain:
-        found.append(Wanted("shade", "hillshade", lambda n: QgsRasterLayer(terrain, n), styles.shade, True))
+        layers.append(Wanted("shade", "hillshade", lambda n: QgsRasterLayer(terrain, n), styles.shade, True))
     if raster(folder, "mask"):  # below the hillshade, above the heights
-        found.append(_raster(folder, "mask", "source of heights", styles.mask, False))
+        layers.append(_raster(folder, "mask", "source of heights", styles.mask, False))
     if terrain:
-        found.append(_raster(folder, "dtm", "terrain", styles.heights, True))
+        layers.append(_raster(folder, "dtm", "terrain", styles.heights, True))
     rest = (name for name in TABLE["products"] if name not in ("dtm", "hillshade", "mask"))
-    found.extend(_raster(folder, name, name, styles.heights, False) for name in rest if raster(folder, name))
-    return found
+    layers.extend(_raster(folder, name, name, styles.heights, False) for name in rest if raster(folder, name))
+    return layers
 
 
 def _raster(folder: str, name: str, label: str, style: Callable[..., None], shown: bool) -> Wanted:
@@ -192,14 +192,14 @@ def _add_clouds(
     path = existing(folder, "classified.vpc")
     if not path:
         return
-    wanted = _cloud(path, "clouds", "classified clouds", False)
-    if wanted is None:
+    layer = _cloud(path, "clouds", "classified clouds", False)
+    if layer is None:
         feedback.pushInfo(
             f"{path}: contains the classified clouds as one layer, which this QGIS ({Qgis.QGIS_VERSION}) cannot show; "
             "use QGIS 3.32 or newer"
         )
     else:
-        _add(f"{folder}|clouds", folder, title, LOWEST, wanted, context)
+        _add(f"{folder}|clouds", folder, title, LOWEST, layer, context)
 
 
 def _add(key: str, folder: str, title: str, rank: int, wanted: Wanted, context: QgsProcessingContext) -> None:

@@ -68,8 +68,8 @@ class CommandAlgorithm(QgsProcessingAlgorithm):
 
     def shortHelpString(self) -> str:
         """Return the help of the command and of each parameter."""
-        facts = TABLE["commands"][self.command]
-        paragraphs = (" ".join(p.split()) for p in facts["help"].split("\n\n"))
+        command_entry = TABLE["commands"][self.command]
+        paragraphs = (" ".join(p.split()) for p in command_entry["help"].split("\n\n"))
         text = "".join(f"<p>{html.escape(p)}</p>" for p in paragraphs)
         rows = ((p.description(), p.help()) for p in self.parameterDefinitions())
         return text + "".join(f"<p><b>{html.escape(d)}</b><br>{html.escape(h)}</p>" for d, h in rows if h)
@@ -115,7 +115,7 @@ class CommandAlgorithm(QgsProcessingAlgorithm):
     def make_arguments(self, parameters: dict[str, Any], context: QgsProcessingContext) -> list[str]:
         """Return the command line."""
         arguments = [find_command(), self.command]
-        places: list[str] = []
+        positionals: list[str] = []
         extent: list[str] = []
         for spec in self.specs():
             if spec["kind"] == "bounds":
@@ -127,9 +127,9 @@ class CommandAlgorithm(QgsProcessingAlgorithm):
                 value = [*(value or []), *([absolute(folder)] if folder else [])]
                 if not value:
                     raise CommandError("INPUT: has no clouds; give files or a folder")
-                places = value + places
+                positionals = value + positionals
             elif not spec["option"]:
-                places.append(value)
+                positionals.append(value)
             else:
                 arguments += process.options(spec, value)
             if spec["name"] == "OUTPUT":
@@ -137,8 +137,8 @@ class CommandAlgorithm(QgsProcessingAlgorithm):
         if self.shows_progress:
             arguments += ["--progress", "json"]
         if extent and parameters.get(extent[0]):
-            arguments += [extent[1], *self._edges(extent[0], parameters, context, [*arguments, *places])]
-        return [*arguments, *places]
+            arguments += [extent[1], *self._edges(extent[0], parameters, context, [*arguments, *positionals])]
+        return [*arguments, *positionals]
 
     def _edges(
         self, name: str, parameters: dict[str, Any], context: QgsProcessingContext, command: list[str]
@@ -149,12 +149,12 @@ class CommandAlgorithm(QgsProcessingAlgorithm):
         if not isinstance(given, str) or "[" in given:
             at = command.index("--progress")
             plan = [command[0], "plan", *command[2:at], *command[at + 2 :], "--json"]
-            found = process.run_command(plan, lambda event: None, lambda: False)
-            wkt = json.loads(found.text)["crs"]
-            theirs = self.parameterAsExtentCrs(parameters, name, context)
+            plan_result = process.run_command(plan, lambda event: None, lambda: False)
+            wkt = json.loads(plan_result.text)["crs"]
+            extent_crs = self.parameterAsExtentCrs(parameters, name, context)
             clouds = QgsCoordinateReferenceSystem.fromWkt(wkt) if wkt else QgsCoordinateReferenceSystem()
-            if theirs.isValid() and clouds.isValid() and theirs != clouds:
-                transform = QgsCoordinateTransform(theirs, clouds, context.transformContext())
+            if extent_crs.isValid() and clouds.isValid() and extent_crs != clouds:
+                transform = QgsCoordinateTransform(extent_crs, clouds, context.transformContext())
                 extent = transform.transformBoundingBox(extent)
         edges = (extent.xMinimum(), extent.yMinimum(), extent.xMaximum(), extent.yMaximum())
         return [repr(float(edge)) for edge in edges]

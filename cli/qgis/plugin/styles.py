@@ -78,8 +78,8 @@ def _range(layer: Any) -> tuple[float, float]:
     after the raster has changed.
     """
     block = layer.dataProvider().block(1, layer.extent(), SAMPLE_PIXELS, SAMPLE_PIXELS)
-    places = range(block.width() * block.height())
-    values = sorted(block.value(i) for i in places if not block.isNoData(i))
+    pixel_numbers = range(block.width() * block.height())
+    values = sorted(block.value(i) for i in pixel_numbers if not block.isNoData(i))
     if not values:
         return 0.0, 1.0
     low, high = values[int(CUT * len(values))], values[int((1 - CUT) * len(values))]
@@ -179,20 +179,20 @@ def edits(layer: Any) -> None:
         categories.append(QgsRendererCategory(action, QgsFillSymbol.createSimple(style), label))
     layer.setRenderer(QgsCategorizedSymbolRenderer("action", categories))
     _list(layer, "action", {label: action for action, (label, _) in ACTIONS.items()})
-    if (place := layer.fields().indexOf("action")) >= 0:
-        layer.setDefaultValueDefinition(place, QgsDefaultValue("'not_ground'"))
-    if (place := layer.fields().indexOf("z")) >= 0:
-        layer.setFieldAlias(place, "z: height (only for flat)")
-    if (place := layer.fields().indexOf("fid")) >= 0:
-        layer.setEditorWidgetSetup(place, QgsEditorWidgetSetup("Hidden", {}))
+    if (field_index := layer.fields().indexOf("action")) >= 0:
+        layer.setDefaultValueDefinition(field_index, QgsDefaultValue("'not_ground'"))
+    if (field_index := layer.fields().indexOf("z")) >= 0:
+        layer.setFieldAlias(field_index, "z: height (only for flat)")
+    if (field_index := layer.fields().indexOf("fid")) >= 0:
+        layer.setEditorWidgetSetup(field_index, QgsEditorWidgetSetup("Hidden", {}))
 
 
 def _list(layer: Any, name: str, values: dict[str, str]) -> None:
     """Offer the values of a column as a list in the form."""
-    place = layer.fields().indexOf(name)
-    if place >= 0:
+    field_index = layer.fields().indexOf(name)
+    if field_index >= 0:
         entries = [{label: value} for label, value in values.items()]
-        layer.setEditorWidgetSetup(place, QgsEditorWidgetSetup("ValueMap", {"map": entries}))
+        layer.setEditorWidgetSetup(field_index, QgsEditorWidgetSetup("ValueMap", {"map": entries}))
 
 
 def _label(layer: Any, column: str, filter: str, placement: Any) -> None:

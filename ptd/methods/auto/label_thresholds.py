@@ -93,7 +93,7 @@ def decided(
     if not held:
         return survey, [note]
     if survey["kind"] == DIM:
-        noise, side = (span([known(figures, which) for figures in held], 2) for which in (CELL_SIGMA, SIDE))
+        noise, side = (span([known(figures, figure) for figures in held], 2) for figure in (CELL_SIGMA, SIDE))
         line = (
             f"decided: ground is up to {GROUND_M:g} m and twice the local noise from the surface, "
             f"after a vote of neighbours; noise of the place {noise} m, cells of {side} m"

@@ -167,8 +167,8 @@ class SeedPass(LidarPass):
             present = ~outlier[index]
             rises = low.steep_objects(present, p.seed_drop, p.shape) & present
             codes[index[rises & inner]] = OBJECT
-        found = {"low_outliers": int((codes == OUTLIER).sum()), "seeds": int((codes == SEED).sum())}
-        return CellCodes(x, y, codes, cells, window.inside(cells, p.seed_reach), found)
+        stats = {"low_outliers": int((codes == OUTLIER).sum()), "seeds": int((codes == SEED).sum())}
+        return CellCodes(x, y, codes, cells, window.inside(cells, p.seed_reach), stats)
 
 
 @dataclass(frozen=True)
@@ -211,11 +211,11 @@ class RefinePass(LidarPass):
         """Subtract the ground's mean and find the cells that rise from it, twice."""
         p = self.params
         cells = CellLattice.of(p.thin_cell_m, scale)
-        x, y, z, before = lowest_points(points, cells)
-        codes = np.where(before == OUTLIER, np.uint8(OUTLIER), np.uint8(OBJECT))
+        x, y, z, previous_codes = lowest_points(points, cells)
+        codes = np.where(previous_codes == OUTLIER, np.uint8(OUTLIER), np.uint8(OBJECT))
         for index, inner in blocks(x, y, cells, p.refine_reach):
             low = Lowest(x[index], y[index], z[index], cells, p.thin_cell_m, scale)
-            ground = refined(low, before[index], p)
+            ground = refined(low, previous_codes[index], p)
             codes[index[ground & inner]] = GROUND
         stats = {"ground": int((codes == GROUND).sum())}
         return CellCodes(x, y, codes, cells, window.inside(cells, p.refine_reach), stats)
@@ -247,12 +247,12 @@ class RoofPass(LidarPass):
         cells, wide = CellLattice.of(p.thin_cell_m, scale), CellLattice.of(ROOF_CELL_M, scale)
         rule = Plateaus.of(scale, p.roof_size_m, self.step_m)
         x, y, z, codes = lowest_points(points, cells)
-        ground, before = codes == GROUND, codes == ROOF
+        ground, earlier_roofs = codes == GROUND, codes == ROOF
         for index, inner in blocks(x, y, cells, p.roof_reach):
-            if self.again and not before[index].any():
+            if self.again and not earlier_roofs[index].any():
                 continue  # Without roofs found before, the result stays.
             raster = CellRaster(x[index], y[index], wide)
-            roofs = on_plateaus(z[index], ground[index], before[index], raster, rule)
+            roofs = on_plateaus(z[index], ground[index], earlier_roofs[index], raster, rule)
             codes[index[roofs & inner]] = ROOF
         stats = {"roofs": int(ground.sum() - (codes == GROUND).sum())}
         return CellCodes(x, y, codes, cells, window.inside(cells, p.roof_reach), stats)
@@ -276,18 +276,18 @@ class LabelPass(LidarPass):
         x, y, z, codes = lowest_points(points, cells)
         low, ground = codes == OUTLIER, codes == GROUND
         noise = LowNoise(x[low], y[low], z[low], cells)
-        found = TinLabels(window.closed, {"vertices": 0}, noise)
+        model = TinLabels(window.closed, {"vertices": 0}, noise)
         if p.fine_surface:
-            found = FineLabels(window.closed, {"vertices": 0}, noise, scale)
+            model = FineLabels(window.closed, {"vertices": 0}, noise, scale)
         if not ground.any():
-            return found
+            return model
         tin, doubt = first_tin(x, y, z, ground, window.inside(cells), scale)
         todo = np.where(ground, VERTEX, np.where(low | (codes == ROOF), REFUSED, WAITING)).astype(np.uint8)
         densify(tin, Xyz(x, y, z), todo, p.limits(scale, REGROWTH), 1, doubt)
         rule = LabelRule(p.limits(scale), scale.counts(p.label_floor_m), heights_only=True)
         rule = with_fine_surface(rule, scale) if p.fine_surface else rule
-        found.finish(tin, doubt.triangles(tin), rule, label_bands(p, state, scale))
-        return found
+        model.finish(tin, doubt.triangles(tin), rule, label_bands(p, state, scale))
+        return model
 
 
 def first_tin(

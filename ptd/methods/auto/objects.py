@@ -110,8 +110,8 @@ class Lowest:
         )
         keys = self.raster.keys
         allowed = drop.per_metre * self.unit + drop.per_slope * Boxes(opened).slopes(shape.slope, keys)
-        found: Bool = steepest.reshape(-1)[keys] > allowed
-        return found
+        is_object: Bool = steepest.reshape(-1)[keys] > allowed
+        return is_object
 
     def residual_objects(self, ground: Bool, present: Bool, rule: Residuals) -> Bool:
         """Return a mask of the points that rise like objects after subtracting the mean of the ground: bool [n].
@@ -128,8 +128,8 @@ class Lowest:
         )
         allowed = drop.per_metre * self.unit + drop.per_slope * boxes.slopes(rule.slope, keys)
         allowed += rule.lack * self.unit * self.lack_of_objects(ground, rule)
-        found: Bool = steepest.reshape(-1)[keys] > allowed
-        return found
+        is_object: Bool = steepest.reshape(-1)[keys] > allowed
+        return is_object
 
     def lack_of_objects(self, ground: Bool, rule: Residuals) -> Float64:
         """Return 1 where all cells around are ground, down to 0 where a share `enough` is not: float64 [n]."""

@@ -34,8 +34,8 @@ class Tails(NamedTuple):
 
 def _bins(z: Int32, scale: Scale) -> npt.NDArray[np.int64]:
     """Return the bin of each height. Bin 0 starts at height 0 of the CRS."""
-    found: npt.NDArray[np.int64] = np.floor(z / scale.counts_z(BIN_M)).astype(np.int64)
-    return found
+    bins: npt.NDArray[np.int64] = np.floor(z / scale.counts_z(BIN_M)).astype(np.int64)
+    return bins
 
 
 def histogram(z: Int32, scale: Scale) -> Histogram:
@@ -126,16 +126,16 @@ class ElevationsPass(Pass):
     def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
         """Merge the counts, find the tails, and report the cut."""
         counts = merged({int(k): int(n) for k, n in part["elevations"]} for part in partials)
-        found = None
+        tails = None
         if self.gap_m:
-            found = find_tails(counts, math.ceil(self.gap_m / BIN_M), self.share)
-        if found is None:
+            tails = find_tails(counts, math.ceil(self.gap_m / BIN_M), self.share)
+        if tails is None:
             return {**state, "tails": None}
-        cut = (found.below, "below", found.low_bin), (found.above, "above", found.high_bin + 1)
+        cut = (tails.below, "below", tails.low_bin), (tails.above, "above", tails.high_bin + 1)
         notes = (
             f"{n} candidates {side} {level * BIN_M:g} m are outliers: beyond a gap of {self.gap_m:g} m "
             f"in the run's elevations, and no more than {self.share:g} of all"
             for n, side, level in cut
             if n
         )
-        return {**state, "tails": [found.low_bin, found.high_bin], "notes": noted(state, *notes)}
+        return {**state, "tails": [tails.low_bin, tails.high_bin], "notes": noted(state, *notes)}

@@ -87,10 +87,10 @@ class Chen2023(Chen2023Parameters):
     def passes(self) -> tuple[Pass, ...]:
         """The histogram of heights, then the filter, both on robust cells if the cloud is photogrammetric."""
         tails = ElevationsPass(self.thin_cell_m, self.tail_gap_m, self.tail_share)
-        own = (tails, ChenPass(self))
+        method_passes = (tails, ChenPass(self))
         if self.robust_cells:
-            return for_both_kinds(own)
-        return own
+            return for_both_kinds(method_passes)
+        return method_passes
 
 
 @dataclass(frozen=True)

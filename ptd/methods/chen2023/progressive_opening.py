@@ -69,13 +69,13 @@ def height_thresholds(
     cell_m, initial_m, largest_m : float
         c, h_0 and h_max.
     """
-    found = []
-    for before, width in zip([1, *widths], widths, strict=False):
+    drops = []
+    for previous_width, width in zip([1, *widths], widths, strict=False):
         drop = initial_m
         if width > 3:
-            drop = slope * (width - before) * cell_m + initial_m
-        found.append(min(drop, largest_m))
-    return found
+            drop = slope * (width - previous_width) * cell_m + initial_m
+        drops.append(min(drop, largest_m))
+    return drops
 
 
 def _runs(values: Any, n: int, pick: np.ufunc) -> Any:
@@ -152,11 +152,11 @@ def object_cells(heights: Int32, opening: Opening, known: Bool | None) -> tuple[
     filled, layers = fill_empty(heights, opening.mean_layers, reach)
     inner = np.s_[reach:-reach, reach:-reach]
     surface = filled[inner]
-    before = surface[inner].astype(np.int64)
-    objects = np.zeros(before.shape, np.bool_)
+    previous_surface = surface[inner].astype(np.int64)
+    objects = np.zeros(previous_surface.shape, np.bool_)
     for opened, drop in zip(opened_surfaces(surface, opening.widths), opening.drops, strict=True):
-        objects |= before - opened > drop
-        before = opened.astype(np.int64)
+        objects |= previous_surface - opened > drop
+        previous_surface = opened.astype(np.int64)
     unsure = np.zeros(objects.shape, np.bool_)
     if known is not None and not known.all():
         to_unknown = scipy.ndimage.distance_transform_cdt(known, "chessboard")
@@ -195,10 +195,12 @@ def potential_seeds(
     rim, order = 2 * opening.reach, np.argsort(rows, kind="stable")
     for part, inner in blocks(x[order], y[order], cells, rim, BLOCK_CELLS):
         near = order[part]
-        own = near[inner]
-        row, column = rows[own].min() - rim, columns[own].min() - rim
+        inner_points = near[inner]
+        row, column = rows[inner_points].min() - rim, columns[inner_points].min() - rim
         heights = np.full(
-            (np.ptp(rows[own]) + 1 + 2 * rim, np.ptp(columns[own]) + 1 + 2 * rim), EMPTY, np.int32
+            (np.ptp(rows[inner_points]) + 1 + 2 * rim, np.ptp(columns[inner_points]) + 1 + 2 * rim),
+            EMPTY,
+            np.int32,
         )
         taken = near[eligible[near]]
         within = (rows[taken] - row < heights.shape[0]) & (columns[taken] - column < heights.shape[1])
@@ -207,8 +209,11 @@ def potential_seeds(
         heights[rows[taken] - row, columns[taken] - column] = z[taken]
         inside = _known_cells(cells, known, int(row), int(column), heights.shape)
         objects, doubtful = object_cells(heights, opening, inside)
-        place = rows[own] - row - rim, columns[own] - column - rim
-        seeds[own], unsure[own] = eligible[own] & ~objects[place], doubtful[place]
+        cell_positions = rows[inner_points] - row - rim, columns[inner_points] - column - rim
+        seeds[inner_points], unsure[inner_points] = (
+            eligible[inner_points] & ~objects[cell_positions],
+            doubtful[cell_positions],
+        )
     return seeds, unsure
 
 

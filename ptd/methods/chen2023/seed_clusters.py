@@ -185,10 +185,10 @@ def noisy_seeds(tin: Tin, real: Bool, limits: ClusterLimits, in_doubt: UInt8) ->
     size, total, around, total_around = _sums(vertices, facets, clusters, real & ~noise)
     small = (size <= limits.small) & (size > 0) & (around > 0)
     rise = total / np.maximum(size, 1) - total_around / np.maximum(around, 1)
-    found = noise | ((small & (rise > limits.prominence))[clusters] & real)
+    is_noise = noise | ((small & (rise > limits.prominence))[clusters] & real)
     if shaky.any():
         unsure |= _unsure_clusters(facets, joins, shaky, clusters, limits.small) & real
-    return found, unsure
+    return is_noise, unsure
 
 
 def _unsure_clusters(facets: Int32Array, joins: Bool, shaky: Bool, clusters: Int32Array, small: int) -> Bool:
@@ -197,5 +197,5 @@ def _unsure_clusters(facets: Int32Array, joins: Bool, shaky: Bool, clusters: Int
     touched[clusters[facets[shaky]]] = True
     certain = _flood(facets, joins & ~shaky, clusters.size)
     members = np.bincount(certain, minlength=clusters.size)
-    found: Bool = touched[clusters] & (members[certain] <= small)
-    return found
+    is_unsure: Bool = touched[clusters] & (members[certain] <= small)
+    return is_unsure

@@ -220,8 +220,10 @@ class Facades:
         dropped unless the points around it lie on a plane within the noise.
         """
         x, y, z, table = self.x, self.y, self.z, self.index.table
-        found = _road_points(x, y, z, table, self.holds, rule)
-        found = found[found >= 0]
-        found = found[np.sort(np.unique(found, return_index=True)[1])]
-        kept: Int32 = found[_flat(Xyz(x, y, z), table, found, self.index.places(x[found], y[found]), rule)]
+        road_points = _road_points(x, y, z, table, self.holds, rule)
+        road_points = road_points[road_points >= 0]
+        road_points = road_points[np.sort(np.unique(road_points, return_index=True)[1])]
+        kept: Int32 = road_points[
+            _flat(Xyz(x, y, z), table, road_points, self.index.places(x[road_points], y[road_points]), rule)
+        ]
         return kept

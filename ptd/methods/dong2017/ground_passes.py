@@ -64,8 +64,8 @@ class FirstMeasurement(Pass):
                 f"no jump in the distances to the TIN of {state['seeds']} seeds: too few seeds near each other; "
                 "use another method, or --set seed_cell to something larger"
             )
-        found = Threshold(jump * JUMP_BINS * PLANE.distance_m, contour.angle_rad)
-        return _with_threshold(state, "first TIN of seeds", found)
+        threshold = Threshold(jump * JUMP_BINS * PLANE.distance_m, contour.angle_rad)
+        return _with_threshold(state, "first TIN of seeds", threshold)
 
 
 @dataclass(frozen=True)
@@ -165,21 +165,21 @@ def _contour(plane: Int64, level: float) -> Threshold | None:
     """Return the largest distance and angle of the outer contour around the peak, or None without counts."""
     if not plane.size:
         return None
-    found = contour_reach(plane, max(level * plane.max(), 1.0))
-    if found is None:
+    contour_bins = contour_reach(plane, max(level * plane.max(), 1.0))
+    if contour_bins is None:
         return None
-    return Threshold(found[0] * PLANE.distance_m, found[1] * PLANE.angle_rad)
+    return Threshold(contour_bins[0] * PLANE.distance_m, contour_bins[1] * PLANE.angle_rad)
 
 
 def _with_threshold(state: State, where: str, found: Threshold, denser: bool = True) -> dict[str, Any]:
     """The state with new thresholds. With `denser`, a note says if they develop unlike the paper's."""
     note = f"{where}: distance {found.distance_m:.3f} m, angle {found.angle_rad:.3f} rad"
-    before = state.get("threshold")
-    if before is not None and denser:
+    previous = state.get("threshold")
+    if previous is not None and denser:
         odd = []
-        if found.distance_m > before["distance_m"]:
+        if found.distance_m > previous["distance_m"]:
             odd.append("distance does not shrink")
-        if found.angle_rad < before["angle_rad"]:
+        if found.angle_rad < previous["angle_rad"]:
             odd.append("angle does not grow")
         if odd:
             note += f" ({' and '.join(odd)}, unlike in the paper)"

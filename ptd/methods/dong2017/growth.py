@@ -140,11 +140,11 @@ def _doubt_cells(
     if not doubt.active or not doubtful.any():
         return
     sure = ground & ~doubtful
-    own = set(cells_of(x[doubtful], y[doubtful], cells))
+    doubtful_cells = set(cells_of(x[doubtful], y[doubtful], cells))
     filled = set(cells_of(x[sure], y[sure], cells))
     around: set[tuple[int, int]] = set()
-    for column, row in own:
+    for column, row in doubtful_cells:
         for r in range(row - REACH, row + REACH + 1):
             around.update((c, r) for c in range(column - REACH, column + REACH + 1))
-    for c, r in own | (around - filled):
+    for c, r in doubtful_cells | (around - filled):
         doubt.add_box(cells.west(c), cells.south(r), cells.west(c + 1), cells.south(r + 1))

@@ -184,8 +184,8 @@ class Dong2017(Dong2017Parameters):
         The distance leads over the facade to the block on its other side, for the point and for its neighbours in
         podium and seed cell.
         """
-        own = 2 * self.seed_distance_m + 2 * BLOCK_CELLS * self.facade_cell_m
-        return own + self.podium_radius_m + math.sqrt(2) * self.seed_cell_m
+        point_reach_m = 2 * self.seed_distance_m + 2 * BLOCK_CELLS * self.facade_cell_m
+        return point_reach_m + self.podium_radius_m + math.sqrt(2) * self.seed_cell_m
 
 
 METHOD = Method(

@@ -76,7 +76,7 @@ class Dong2017Parameters:
     @property
     def spacings_m(self) -> tuple[float, ...]:
         """Sides of the cells of the TINs of ground, halved from the first down to the last."""
-        found = [self.first_spacing_m]
-        while found[-1] > self.last_spacing_m:
-            found.append(max(found[-1] / 2, self.last_spacing_m))
-        return tuple(found)
+        spacings_m = [self.first_spacing_m]
+        while spacings_m[-1] > self.last_spacing_m:
+            spacings_m.append(max(spacings_m[-1] / 2, self.last_spacing_m))
+        return tuple(spacings_m)

@@ -40,19 +40,19 @@ class ColourPass(Pass):
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Model:
         """Count greenness and points per cell, and measure planar patches."""
-        own = core.has(points.xyz[0], points.xyz[1])
+        is_in_core = core.has(points.xyz[0], points.xyz[1])
         bins = gli_bins(_rgb(points))
-        counts = np.bincount(bins[own & (bins != COLOURLESS)], minlength=BINS)
+        counts = np.bincount(bins[is_in_core & (bins != COLOURLESS)], minlength=BINS)
         x, y, _ = points.columns()
         cells = CellLattice.of(self.params.facade_cell_m, scale)
-        found: dict[str, Any] = {
+        partial: dict[str, Any] = {
             "gli": counts.tolist(),
-            "points": int(own.sum()),
-            "cells": _points_by_count(x, y, cells, own),
+            "points": int(is_in_core.sum()),
+            "cells": _points_by_count(x, y, cells, is_in_core),
         }
         if state["run"]["sigma_m"] is None and "survey" not in state:
-            found["patches"] = roughness.measure(points.xyz, window, core, scale)
-        return StatisticsModel(found, {"points": int(own.sum())})
+            partial["patches"] = roughness.measure(points.xyz, window, core, scale)
+        return StatisticsModel(partial, {"points": int(is_in_core.sum())})
 
     def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
         """Find the threshold of greenness, the density and the noise of the run."""
@@ -151,10 +151,10 @@ class SeedModel(Model):
         """Label vegetation and seeds."""
         x, y, _ = points.columns()
         labels = np.full(x.size, UNCLASSIFIED, np.uint8)
-        places = positions(*self._seeds[:2])  # each holds one seed, as a cell does
-        order = np.argsort(places)
-        at = np.flatnonzero(np.isin(positions(x, y), places))
-        seed = order[np.searchsorted(places, positions(x[at], y[at]), sorter=order)]
+        seed_positions = positions(*self._seeds[:2])  # each holds one seed, as a cell does
+        order = np.argsort(seed_positions)
+        at = np.flatnonzero(np.isin(positions(x, y), seed_positions))
+        seed = order[np.searchsorted(seed_positions, positions(x[at], y[at]), sorter=order)]
         labels[at[points.xyz[2, at] == self._seeds[2, seed]]] = GROUND
         labels[_green(points, self.green)] = VEGETATION
         return labels, np.zeros(len(points), np.bool_)
@@ -176,11 +176,11 @@ def _seeds(p: Dong2017Parameters, facades: Facades, scale: Scale, sigma_m: float
         scale.z_ratio,
     )
     x, y, z = facades.x, facades.y, facades.z
-    found = facades.seeds(rule)
-    found = found[
-        ~on_podium(x[found], y[found], z[found], scale, p.podium_radius_m, p.terrain_slope, sigma_m)
+    seeds = facades.seeds(rule)
+    seeds = seeds[
+        ~on_podium(x[seeds], y[seeds], z[seeds], scale, p.podium_radius_m, p.terrain_slope, sigma_m)
     ]
-    return found[lowest_per_cell(x[found], y[found], z[found], CellLattice.of(p.seed_cell_m, scale))]
+    return seeds[lowest_per_cell(x[seeds], y[seeds], z[seeds], CellLattice.of(p.seed_cell_m, scale))]
 
 
 def _sigma(state: State, patches: list[dict[str, Any]]) -> tuple[float, str]:
@@ -191,8 +191,8 @@ def _sigma(state: State, patches: list[dict[str, Any]]) -> tuple[float, str]:
     if "survey" in state:
         sigma, origin = state["survey"]["sigma_m"], "from planar patches"
     else:
-        found = noise_sums.merge(patches)
-        sigma, origin = found.sigma_m, f"from {found.patches:,} planar patches"
+        measured = noise_sums.merge(patches)
+        sigma, origin = measured.sigma_m, f"from {measured.patches:,} planar patches"
     if sigma is None:
         raise MethodRefusal("no planar patch to measure the noise of heights; give it with --sigma (metres)")
     return sigma, origin
@@ -205,8 +205,8 @@ def _points_by_count(x: Int32, y: Int32, cells: CellLattice, own: Bool) -> list[
     columns, rows = cells.places(x, y)
     keys = (rows - rows.min()) * (int(columns.max() - columns.min()) + 1) + columns - columns.min()
     _, slot, counts = np.unique(keys, return_inverse=True, return_counts=True)
-    found, points = np.unique(counts[slot[own]], return_counts=True)
-    return [[int(n), int(p)] for n, p in zip(found, points, strict=True)]
+    points_per_cell, points = np.unique(counts[slot[own]], return_counts=True)
+    return [[int(n), int(p)] for n, p in zip(points_per_cell, points, strict=True)]
 
 
 def _rgb(points: Points) -> npt.NDArray[np.uint16]:
@@ -218,5 +218,5 @@ def _rgb(points: Points) -> npt.NDArray[np.uint16]:
 def _green(points: Points, green_from: int | None) -> Bool:
     if green_from is None:
         return np.zeros(len(points), np.bool_)
-    found: Bool = gli_bins(_rgb(points)) >= green_from
-    return found
+    is_green: Bool = gli_bins(_rgb(points)) >= green_from
+    return is_green

@@ -84,5 +84,5 @@ def rim(x: Int32, y: Int32, z: Int32, cells: CellLattice) -> Int32:
     cy = half - (-(empty // width + row0) * cells.p) // cells.q - cells.origin_y
     table = CellTable(np.zeros(0, np.int32), keys, np.arange(keys.size + 1), order, width, height)
     x64, y64, z64 = (column.astype(np.int64) for column in (x, y, z))
-    found = _heights(table, x64, y64, z64, empty, cx, cy)
-    return np.stack([cx, cy, np.clip(found, -(2**31) + 1, 2**31 - 1)], axis=1).astype(np.int32)
+    heights = _heights(table, x64, y64, z64, empty, cx, cy)
+    return np.stack([cx, cy, np.clip(heights, -(2**31) + 1, 2**31 - 1)], axis=1).astype(np.int32)

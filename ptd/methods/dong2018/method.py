@@ -85,14 +85,16 @@ class Dong2018(Dong2018Parameters):
     @property
     def passes(self) -> tuple[Pass, ...]:
         """The measurement of noise and density, stage one, then a measurement and a labelling for each scale."""
-        own: list[Pass] = [NoisePass(self), StageOnePass(self)]
+        method_passes: list[Pass] = [NoisePass(self), StageOnePass(self)]
         for m in self.scales_m:
-            own.append(MeasurePass(self, m, f"measure-{m:g}", f"measure distances to a TIN of {m:g} m"))
+            method_passes.append(
+                MeasurePass(self, m, f"measure-{m:g}", f"measure distances to a TIN of {m:g} m")
+            )
             last = m == self.scales_m[-1]
-            own.append(JoinPass(m, last, f"join-{m:g}", f"densify a TIN of {m:g} m"))
+            method_passes.append(JoinPass(m, last, f"join-{m:g}", f"densify a TIN of {m:g} m"))
         if self.robust_cells:
-            return for_both_kinds(own, self.classic().passes, STAGE_ONE_ALONE)
-        return tuple(own)
+            return for_both_kinds(method_passes, self.classic().passes, STAGE_ONE_ALONE)
+        return tuple(method_passes)
 
     @property
     def halo_m(self) -> float:

@@ -54,47 +54,49 @@ class NoisePass(Pass):
             If noise matters and there is no planar patch, or if a thinning cell cannot reach DEN_thr.
         """
         parts = list(partials)
-        found = noise_sums.merge(parts)
+        measured = noise_sums.merge(parts)
         given = state["run"]["sigma_m"]
-        sigma, origin = found.sigma_m, f"from {found.patches} planar patches"
+        sigma, origin = measured.sigma_m, f"from {measured.patches} planar patches"
         if given is not None:
             sigma, origin = given, "given"
         figures = {
-            "density_m2": found.density_m2,
+            "density_m2": measured.density_m2,
             "cells": sum(p["cells"] for p in parts),
             "sigma_m": sigma,
-            "patches": found.patches,
+            "patches": measured.patches,
             "threshold_m2": None,
             "thin_cell_m": None,
             "dense": False,
         }
-        density = f"{found.density_m2:.3g} points/m2"
+        density = f"{measured.density_m2:.3g} points/m2"
         assumed = sigma
         if assumed is None:
             assumed = noise_sums.MAX_SIGMA_M
         least = self.params.threshold_m2(assumed)
-        if found.density_m2 < SPARSE_M2 or (sigma is None and found.density_m2 <= least):
+        if measured.density_m2 < SPARSE_M2 or (sigma is None and measured.density_m2 <= least):
             return with_notes(
                 state, figures, f"{density}: too sparse for noise to matter, so the result is classic's"
             )
         if sigma is None:
             raise MethodRefusal(
-                f"dong2018: {found.patches or 'no'} planar patches of ground are too few to estimate the noise of"
+                f"dong2018: {measured.patches or 'no'} planar patches of ground are too few to estimate the noise of"
                 f" heights, which matters at {density}; give it with --sigma METRES"
             )
 
-        what = f"sigma {sigma:.3g} m ({origin}), {density}, DEN_thr {least:.3g} points/m2"
+        summary = f"sigma {sigma:.3g} m ({origin}), {density}, DEN_thr {least:.3g} points/m2"
         figures["threshold_m2"] = least
-        if found.density_m2 <= least:
-            return with_notes(state, figures, f"{what}: sparser than that, so the result is classic's")
+        if measured.density_m2 <= least:
+            return with_notes(state, figures, f"{summary}: sparser than that, so the result is classic's")
         cell = self.params.thin_cell_m or _thin_cell(least)
         if 1.0 / cell**2 <= least:
             raise MethodRefusal(
                 f"dong2018: with thin_cell {cell:g} m the TIN cannot be denser than {1 / cell**2:.3g} points/m2 and"
-                f" never passes DEN_thr ({what}); use --set thin_cell={_thin_cell(least):g}, or 0 to have it chosen"
+                f" never passes DEN_thr ({summary}); use --set thin_cell={_thin_cell(least):g}, or 0 to have it chosen"
             )
         figures.update(dense=True, thin_cell_m=cell)
-        return with_notes(state, figures, f"{what}: two stages, vertices of stage one thinned to {cell:g} m")
+        return with_notes(
+            state, figures, f"{summary}: two stages, vertices of stage one thinned to {cell:g} m"
+        )
 
 
 def _thin_cell(threshold_m2: float) -> float:

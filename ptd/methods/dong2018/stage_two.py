@@ -44,12 +44,12 @@ class MeasurePass(Pass):
         labels = points.known_labels()
         ground = _is_ground(labels)
         even = EvenTin(x, y, z, ground, self.scale_m, window, scale)
-        own = core.has(x, y)
-        counts = even.histogram(x, y, z, own & even.left_out)
+        is_in_core = core.has(x, y)
+        counts = even.histogram(x, y, z, is_in_core & even.left_out)
         bins = np.flatnonzero(counts)
         partial = {
-            "joined": int(np.count_nonzero(own & (labels == JOINED))),
-            "ground": int(np.count_nonzero(own & ground)),
+            "joined": int(np.count_nonzero(is_in_core & (labels == JOINED))),
+            "ground": int(np.count_nonzero(is_in_core & ground)),
             "bins": [[int(i), int(counts.flat[i])] for i in bins],
         }
         return StatisticsModel(partial, {"vertices": even.vertices, "left_out": int(counts.sum())})
@@ -70,14 +70,14 @@ class MeasurePass(Pass):
         return self._decided(counts.reshape(BINS.distances, BINS.angles), joined, ground, state)
 
     def _decided(self, counts: Any, joined: int, ground: int, state: State) -> dict[str, Any]:
-        before, lines = list(state.get("scales", [])), []
-        if before:
-            before[-1] = {**before[-1], "joined": joined}
-            lines.append(f"{joined} points joined at the scale of {before[-1]['scale_m']:g} m")
+        previous_scales, lines = list(state.get("scales", [])), []
+        if previous_scales:
+            previous_scales[-1] = {**previous_scales[-1], "joined": joined}
+            lines.append(f"{joined} points joined at the scale of {previous_scales[-1]['scale_m']:g} m")
             if joined < self.params.min_joined:
                 why = f"fewer than {self.params.min_joined}"
                 return with_notes(
-                    state, {"scales": before, "stopped": why}, f"{lines[0]}, {why}: stage two ends"
+                    state, {"scales": previous_scales, "stopped": why}, f"{lines[0]}, {why}: stage two ends"
                 )
         else:
             density = ground / (state["cells"] * noise_sums.PATCH_M**2)
@@ -85,30 +85,30 @@ class MeasurePass(Pass):
             if density <= state["threshold_m2"]:
                 short = "; nothing more passed"
             lines.append(f"stage one ended with {density:.3g} points/m2 in the TIN{short}")
-        reach = contour_reach(counts, max(self.params.contour_share * float(counts.max()), 1e-9))
-        if reach is None:
+        reach_bins = contour_reach(counts, max(self.params.contour_share * float(counts.max()), 1e-9))
+        if reach_bins is None:
             lines.append(
                 f"no ground is left out of the TIN at the scale of {self.scale_m:g} m: stage two ends"
             )
             return with_notes(state, {"stopped": "no ground left out of the TIN"}, *lines)
-        found = {
+        scale_figures = {
             "scale_m": self.scale_m,
-            "distance_m": round(reach[0] * DISTANCE_BIN_M, 6),
-            "angle_deg": round(reach[1] * ANGLE_BIN_DEG, 6),
+            "distance_m": round(reach_bins[0] * DISTANCE_BIN_M, 6),
+            "angle_deg": round(reach_bins[1] * ANGLE_BIN_DEG, 6),
             "left_out": int(counts.sum()),
         }
         lines.append(
-            f"scale {self.scale_m:g} m: {found['distance_m']:.3f} m, {found['angle_deg']:.1f} degrees"
+            f"scale {self.scale_m:g} m: {scale_figures['distance_m']:.3f} m, {scale_figures['angle_deg']:.1f} degrees"
         )
-        if before and found["angle_deg"] <= before[-1]["angle_deg"]:
+        if previous_scales and scale_figures["angle_deg"] <= previous_scales[-1]["angle_deg"]:
             lines.append(
                 f"warning: the angle does not grow at the scale of {self.scale_m:g} m; the paper's does"
             )
-        if before and found["distance_m"] >= before[-1]["distance_m"]:
+        if previous_scales and scale_figures["distance_m"] >= previous_scales[-1]["distance_m"]:
             lines.append(
                 f"warning: the distance does not shrink at the scale of {self.scale_m:g} m; the paper's does"
             )
-        return with_notes(state, {"scales": [*before, found]}, *lines)
+        return with_notes(state, {"scales": [*previous_scales, scale_figures]}, *lines)
 
 
 @dataclass(frozen=True)
@@ -129,8 +129,8 @@ class JoinPass(Pass):
         x, y, z = points.columns()
         ground = _is_ground(points.known_labels())
         even = EvenTin(x, y, z, ground, self.scale_m, window, scale)
-        found = state["scales"][-1]
-        return JoinModel(even, found["distance_m"], found["angle_deg"], self.last)
+        last_scale = state["scales"][-1]
+        return JoinModel(even, last_scale["distance_m"], last_scale["angle_deg"], self.last)
 
 
 class JoinModel(Model):
@@ -147,12 +147,12 @@ class JoinModel(Model):
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
         """Label points that joined before as ground, new ones as `JOINED`, or ground after the last scale."""
-        before = points.known_labels()
-        labels = np.where(before == JOINED, np.uint8(GROUND), before)
+        previous_labels = points.known_labels()
+        labels = np.where(previous_labels == JOINED, np.uint8(GROUND), previous_labels)
         if self._even is None:
             return labels, np.zeros(len(points), np.bool_)
         x, y, z = points.columns()
-        waiting = before == UNCLASSIFIED
+        waiting = previous_labels == UNCLASSIFIED
         passed, marked = self._even.near(x, y, z, waiting, self._distance_m, self._angle_deg)
         labels[passed] = self._label
         return labels, marked

@@ -122,15 +122,15 @@ def _statistics(
     statistic, residual = np.zeros(n_vertices), np.zeros(n_vertices)
     observations, unsure = np.zeros(n_vertices, np.int32), np.zeros(n_vertices, np.bool_)
     seen = np.full(n_vertices, -1, np.int32)
-    found = np.empty(n_vertices, np.int32)
+    neighbours = np.empty(n_vertices, np.int32)
     rows = np.empty((64, UNKNOWNS + 1), np.float64)
     for v in range(n_vertices):
         if not data[v]:
             continue
         seen[v] = v
-        m, unsure[v] = _gather(mesh, v, v, data, seen, found, 0, in_doubt)
+        m, unsure[v] = _gather(mesh, v, v, data, seen, neighbours, 0, in_doubt)
         for k in range(m):
-            m, doubtful = _gather(mesh, found[k], v, data, seen, found, m, in_doubt)
+            m, doubtful = _gather(mesh, neighbours[k], v, data, seen, neighbours, m, in_doubt)
             unsure[v] = unsure[v] or doubtful
         observations[v] = m + 1
         if m < MIN_NEIGHBOURS:
@@ -140,12 +140,14 @@ def _statistics(
         x0, y0, z0 = vertices[4 * v], vertices[4 * v + 1], vertices[4 * v + 2]
         keys = np.empty(m, np.int64)
         for k in range(m):
-            keys[k] = (np.int64(vertices[4 * found[k]] - x0) << 32) + (vertices[4 * found[k] + 1] - y0)
+            keys[k] = (np.int64(vertices[4 * neighbours[k]] - x0) << 32) + (
+                vertices[4 * neighbours[k] + 1] - y0
+            )
         order = np.argsort(keys)
         rows[0, :] = 0.0
         rows[0, UNKNOWNS - 1] = 1.0
         for k in range(m):
-            u = 4 * found[order[k]]
+            u = 4 * neighbours[order[k]]
             x, y = (vertices[u] - x0) / length, (vertices[u + 1] - y0) / length
             rows[k + 1, 0], rows[k + 1, 1] = x, y
             rows[k + 1, 2], rows[k + 1, 3], rows[k + 1, 4] = x * x, x * y, y * y
@@ -198,5 +200,5 @@ def conicoid_outliers(
     doubt.add_points(np.ascontiguousarray(xyz[:, 0]), np.ascontiguousarray(xyz[:, 1]), unsure)
     freedom = np.maximum(observations - UNKNOWNS - 1, 1)
     limit = stdtrit(freedom, 0.5 + 0.5 * confidence)
-    found: Bool = data & (statistic > limit) & (abs(residual) > least)
-    return found
+    is_outlier: Bool = data & (statistic > limit) & (abs(residual) > least)
+    return is_outlier

@@ -66,12 +66,12 @@ class Ridge2016(Ridge2016Parameters):
 
         The first of two passes counts.
         """
-        own: tuple[Pass, ...] = (RidgePass(self),)
+        method_passes: tuple[Pass, ...] = (RidgePass(self),)
         if self.growth:
-            own = (GrowthPass(self), TerrainPass(self))
+            method_passes = (GrowthPass(self), TerrainPass(self))
         if self.robust_cells:
-            return for_both_kinds(own)
-        return own
+            return for_both_kinds(method_passes)
+        return method_passes
 
     @property
     def halo_m(self) -> float:

@@ -57,8 +57,8 @@ class GrowthPass(Pass):
             gained = [a + b for a, b in zip(gained, part["gained"], strict=True)]
             unsure = [a + b for a, b in zip(unsure, part["unsure"], strict=True)]
         last, note = last_round(points, gained, unsure, self.params.growth)
-        found = {"rounds": last, "points": points, "gained": gained[:last], "unsure": unsure[:last]}
-        return {**state, "ridge2016": found, "notes": noted(state, note)}
+        figures = {"rounds": last, "points": points, "gained": gained[:last], "unsure": unsure[:last]}
+        return {**state, "ridge2016": figures, "notes": noted(state, note)}
 
 
 def max_growth(points: int, growth: float) -> Fraction:
@@ -115,10 +115,17 @@ class GrowthModel(TinLabels):
 
     def _count(self, prepared: Prepared, core: Window, enough: int) -> int:
         s = prepared.stacks
-        own = core.has(s.x, s.y)
-        seed = np.zeros(own.size, np.bool_)
+        is_in_core = core.has(s.x, s.y)
+        seed = np.zeros(is_in_core.size, np.bool_)
         seed[prepared.seeds] = True
-        tally = GrowthCounter(s.x[own], s.y[own], s.z[own], prepared.limits, prepared.floor, seed[own])
+        tally = GrowthCounter(
+            s.x[is_in_core],
+            s.y[is_in_core],
+            s.z[is_in_core],
+            prepared.limits,
+            prepared.floor,
+            seed[is_in_core],
+        )
         done = 0
         for k, step in enumerate(islice(prepared.rounds(), self._gained.size)):
             self._codes[step.vertex & (self._codes == UNCLASSIFIED)] = SEED + k
@@ -136,8 +143,8 @@ class GrowthModel(TinLabels):
         if self._prepared is None:
             return super().label(points)
         s, (x, y, z) = self._prepared.stacks, points.columns()
-        place = places_in_stacks(x, y, z, s.x, s.y, s.z, s.raster)
-        labels = np.where(place >= 0, self._codes[place], np.uint8(UNCLASSIFIED))
+        indices = places_in_stacks(x, y, z, s.x, s.y, s.z, s.raster)
+        labels = np.where(indices >= 0, self._codes[indices], np.uint8(UNCLASSIFIED))
         labels[self._prepared.low.holds(x, y, z)] = LOW_NOISE
         return labels, self._prepared.doubt.covers(x, y)
 
@@ -214,12 +221,12 @@ class RidgePass(Pass):
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> TinLabels:
         """Densify by all rounds."""
-        found = TinLabels(window.closed, {"points": len(points), "rounds": 0})
+        model = TinLabels(window.closed, {"points": len(points), "rounds": 0})
         if not len(points):
-            return found
+            return model
         prepared = Prepared(self.params, points.columns(), window, scale)
         done, last = deque(enumerate(islice(prepared.rounds(), self.params.rounds), 1), maxlen=1).pop()
-        found.low = prepared.low
-        found.stats.update(prepared.counts, rounds=done)
-        found.finish(last.tin, last.in_doubt, LabelRule(prepared.limits, prepared.floor))
-        return found
+        model.low = prepared.low
+        model.stats.update(prepared.counts, rounds=done)
+        model.finish(last.tin, last.in_doubt, LabelRule(prepared.limits, prepared.floor))
+        return model

@@ -184,7 +184,7 @@ def _ridge_points(
     x, y, z = stacks
     west, south, east, north = known
     points, doubtful, chosen = np.empty(n, np.int32), np.empty(n, np.bool_), np.empty(n, np.bool_)
-    found = np.empty(AROUND, np.int32)
+    triangles_around = np.empty(AROUND, np.int32)
     m = 0
     for t in range(n):
         if is_ghost(triangles, t):
@@ -192,9 +192,9 @@ def _ridge_points(
         if not _long_facet(vertices, triangles, t, data, rule.side):
             continue  # If t itself is uncertified, the positions near it are too.
         unsure = False
-        for k in range(_around(triangles, t, found)):
-            unsure = unsure or in_doubt[found[k]] != 0
-        ridge = ridge_facet(vertices, triangles, t, data, rule, found)
+        for k in range(_around(triangles, t, triangles_around)):
+            unsure = unsure or in_doubt[triangles_around[k]] != 0
+        ridge = ridge_facet(vertices, triangles, t, data, rule, triangles_around)
         if not (ridge or unsure):
             continue
         x3, y3 = as_int64(0), as_int64(0)
@@ -234,5 +234,5 @@ def ridge_points(tin: Tin, data: Bool, stacks: Stacks, rule: RidgeRule, doubt: U
     points, doubtful, chosen = _ridge_points(tin.mesh, n, data, rule, in_doubt, xyz, stacks.raster, known)
     doubt.add_triangles(tin, in_doubt, rule.radius)
     doubt.add_points(stacks.x[points], stacks.y[points], doubtful)
-    found: Int32 = np.unique(points[chosen])
-    return found
+    indices: Int32 = np.unique(points[chosen])
+    return indices

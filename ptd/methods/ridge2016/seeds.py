@@ -59,18 +59,18 @@ class Prepared:
         cells = CellLattice.of(p.max_building_size_m, scale)
         known = window.inside(thin, p.margin_cells)
         self.doubt = UncertifiedRegion(known, known.inside(cells, RING), box_with_ring(x, y, cells), scale)
-        found = choose_seeds(
+        selection = choose_seeds(
             self.stacks.x, self.stacks.y, self.stacks.z, np.ones(x.size, np.bool_), cells, self.doubt
         )
-        self.virtual = found.virtual
-        ridge = self._ridge_points(params, found.chosen, scale)
-        seeds = np.union1d(found.chosen, ridge)
+        self.virtual = selection.virtual
+        ridge = self._ridge_points(params, selection.chosen, scale)
+        seeds = np.union1d(selection.chosen, ridge)
         self.seeds = self._refined(params, seeds, scale)
         self.counts = {
             "points": int(columns[0].size),
             "low_outliers": int(outlier.sum()),
-            "seeds": int(found.chosen.size),
-            "ridge_points": int(seeds.size - found.chosen.size),
+            "seeds": int(selection.chosen.size),
+            "ridge_points": int(seeds.size - selection.chosen.size),
             "dropped_seeds": int(seeds.size - self.seeds.size),
         }
 

@@ -23,11 +23,11 @@ def _sort_stacks(x: Int32, y: Int32, z: Int32, starts: Int64, order: Int64) -> N
             order[first:end] = part[np.argsort(z[part])]
         for j in range(first + 1, end):
             moving = order[j]
-            place = j
-            while place > first and is_lower(x, y, z, moving, order[place - 1]):
-                order[place] = order[place - 1]
-                place -= 1
-            order[place] = moving
+            position = j
+            while position > first and is_lower(x, y, z, moving, order[position - 1]):
+                order[position] = order[position - 1]
+                position -= 1
+            order[position] = moving
 
 
 class StackIndex(NamedTuple):
@@ -87,12 +87,12 @@ def lowest_within(x: Int32, y: Int32, z: Int32, raster: StackIndex, x3: int, y3:
     radius : float
         Counts.
     """
-    reach = int(radius) + 2
-    x0, y0 = x3 // 3 - reach + raster.origin_x, y3 // 3 - reach + raster.origin_y
+    half_width = int(radius) + 2
+    x0, y0 = x3 // 3 - half_width + raster.origin_x, y3 // 3 - half_width + raster.origin_y
     limit2 = 9.0 * radius * radius
     best = -1
-    for row in range(y0 * raster.q // raster.p, (y0 + 2 * reach) * raster.q // raster.p + 1):
-        for column in range(x0 * raster.q // raster.p, (x0 + 2 * reach) * raster.q // raster.p + 1):
+    for row in range(y0 * raster.q // raster.p, (y0 + 2 * half_width) * raster.q // raster.p + 1):
+        for column in range(x0 * raster.q // raster.p, (x0 + 2 * half_width) * raster.q // raster.p + 1):
             slot = slot_of(raster.table, column - raster.col0, row - raster.row0)
             if slot < 0:
                 continue
@@ -119,7 +119,7 @@ def places_in_stacks(
         Arrays of `Stacks`.
     raster : StackIndex
     """
-    found = np.full(of_x.size, -1, np.int32)
+    indices = np.full(of_x.size, -1, np.int32)
     for k in range(of_x.size):
         column = (as_int64(of_x[k]) + raster.origin_x) * raster.q // raster.p - raster.col0
         row = (as_int64(of_y[k]) + raster.origin_y) * raster.q // raster.p - raster.row0
@@ -130,6 +130,6 @@ def places_in_stacks(
             if z[i] > of_z[k]:
                 break
             if z[i] == of_z[k] and x[i] == of_x[k] and y[i] == of_y[k]:
-                found[k] = i
+                indices[k] = i
                 break
-    return found
+    return indices

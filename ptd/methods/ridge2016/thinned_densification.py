@@ -68,13 +68,16 @@ def _test_stacks(
 @kernel
 def _same_corners(mesh: Mesh, t: int, other: Mesh, u: int) -> bool:
     """Whether a real triangle has the corners, heights included, of a triangle in another TIN."""
-    (vertices, triangles), (others, other_triangles) = mesh, other
+    (vertices, triangles), (other_vertices, other_triangles) = mesh, other
     if is_ghost(triangles, t) or is_ghost(other_triangles, u):
         return False
-    mine, found = canonical_facet(vertices, triangles, t), canonical_facet(others, other_triangles, u)
+    corners, other_corners = (
+        canonical_facet(vertices, triangles, t),
+        canonical_facet(other_vertices, other_triangles, u),
+    )
     for i in range(3):
         for k in range(3):
-            if vertices[4 * mine[i] + k] != others[4 * found[i] + k]:
+            if vertices[4 * corners[i] + k] != other_vertices[4 * other_corners[i] + k]:
                 return False
     return True
 

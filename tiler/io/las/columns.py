@@ -31,8 +31,8 @@ def is_legacy(point_format: int) -> bool:
 
 def coordinate(records: Records, header: LasHeader, axis: int) -> npt.NDArray[np.float64]:
     """Return coordinates along an axis (0 x, 1 y, 2 z) in units of the CRS, float64 of shape (n,)."""
-    found: npt.NDArray[np.float64] = records["XYZ"[axis]] * header.scales[axis] + header.offsets[axis]
-    return found
+    coordinates: npt.NDArray[np.float64] = records["XYZ"[axis]] * header.scales[axis] + header.offsets[axis]
+    return coordinates
 
 
 def class_and_flags(
@@ -78,7 +78,7 @@ def evidence(records: Records, point_format: int) -> Evidence:
     """Return evidence of the source of the cloud (laser scanning or image matching) from the fields of records."""
     names = records.dtype.names or ()
     angle = "scan_angle_rank" if is_legacy(point_format) else "scan_angle"
-    found = colours(records, point_format)
+    rgb = colours(records, point_format)
     # Scan direction and edge of flight line are the two highest bits in every format.
     flags = records["bit_fields" if is_legacy(point_format) else "classification_flags"] & np.uint8(0xC0)
     return Evidence.of(
@@ -89,7 +89,7 @@ def evidence(records: Records, point_format: int) -> Evidence:
         flags=(flags,),
         intensity=records["intensity"],
         # A format without colours means that the cloud has no colours.
-        rgb=np.zeros((records.size, 3)) if found is None else found.T,
+        rgb=np.zeros((records.size, 3)) if rgb is None else rgb.T,
     )
 
 

@@ -55,11 +55,11 @@ class Cube:
 
     def places(self, records: Records) -> Places:
         """Return the positions of records in the cube."""
-        found = np.empty((3, len(records)), dtype=np.int32)
+        positions = np.empty((3, len(records)), dtype=np.int32)
         for axis, (name, low, side) in enumerate(zip(_AXES, self.corner, self.sides, strict=True)):
             raised = (records[name].astype(np.int64) - low) * (2**DEPTH / side)
-            found[axis] = np.clip(raised, 0, 2**DEPTH - 1)
-        return found
+            positions[axis] = np.clip(raised, 0, 2**DEPTH - 1)
+        return positions
 
 
 class CopcWriter:
@@ -133,12 +133,12 @@ class CopcWriter:
         self._write_hierarchy(cube, table)
 
     def _write_hierarchy(self, cube: Cube, table: list[tuple[int, int]]) -> None:
-        place = self._begin + 8
+        offset = self._begin + 8
         entries = b""
         # Without points there is one chunk and no entry.
         for (key, points), (_, size) in zip(self._entries, table, strict=False):
-            entries += _ENTRY.pack(*key, place, size, points)
-            place += size
+            entries += _ENTRY.pack(*key, offset, size, points)
+            offset += size
         self._target.seek(0, 2)
         record = packed_record(COPC_USER, _HIERARCHY_RECORD, "EPT hierarchy", entries, extended=True)
         self.hierarchy_start = self._target.tell()
@@ -180,13 +180,13 @@ class CopcWriter:
         above: dict[Key, list[Records]] = defaultdict(list)
         if not self._points:
             return
-        for brick, found in octree_batches(
+        for brick, unsorted in octree_batches(
             self._pieces(), self._points, self._step, cube.places, self._folder
         ):
             done = sorted((key for key in above if not _holds(key, brick)), reverse=True)
             for key in done:
                 yield key, _by_time(np.concatenate(above.pop(key)))
-            records = _by_time(found)
+            records = _by_time(unsorted)
             places = cube.places(records)
             level_of = levels.of_brick(brick, places)
             for key, rows in _of_levels(places, level_of, brick):
@@ -202,7 +202,7 @@ def _of_levels(
     places: Places, level_of: npt.NDArray[np.int8], brick: Key
 ) -> list[tuple[Key, npt.NDArray[np.int64]]]:
     """Return nodes and the ascending rows of their points. Nodes near each other follow one another."""
-    found: list[tuple[Key, npt.NDArray[np.int64]]] = []
+    nodes: list[tuple[Key, npt.NDArray[np.int64]]] = []
     for level in np.unique(level_of).tolist():
         rows = np.flatnonzero(level_of == level)
         corners = places[:, rows] >> DEPTH - level
@@ -211,11 +211,11 @@ def _of_levels(
         starts = runs(number[order])[0]
         keys = corners[:, order[starts]].T.tolist()
         parts = np.split(rows[order], starts[1:])
-        found += [((level, *key), part) for key, part in zip(keys, parts, strict=True)]
-    corners = np.array([[v << DEPTH - key[0] for v in key[1:]] for key, _ in found], dtype=np.int32).T
+        nodes += [((level, *key), part) for key, part in zip(keys, parts, strict=True)]
+    corners = np.array([[v << DEPTH - key[0] for v in key[1:]] for key, _ in nodes], dtype=np.int32).T
     along = curve(corners, brick[0])
-    levels = np.array([key[0] for key, _ in found])
-    return [found[i] for i in np.lexsort((levels, along)).tolist()]
+    levels = np.array([key[0] for key, _ in nodes])
+    return [nodes[i] for i in np.lexsort((levels, along)).tolist()]
 
 
 def _holds(key: Key, brick: Key) -> bool:

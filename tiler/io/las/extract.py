@@ -56,12 +56,12 @@ def sample_places(
         # Decoding begins at the start of a chunk.
         chunk = header.laz.chunk_size
         starts = {start // chunk * chunk for start in starts}
-    found: list[tuple[float, float]] = []
+    positions: list[tuple[float, float]] = []
     with PointReader(header) as reader:
         for start in sorted(starts):
             records = reader.read(start, min(_PLACE_POINTS, header.point_count - start))
-            found += _plan_view(records[::_PLACE_STEP], header)
-    return found
+            positions += _plan_view(records[::_PLACE_STEP], header)
+    return positions
 
 
 def _plan_view(records: Records, header: LasHeader) -> list[tuple[float, float]]:

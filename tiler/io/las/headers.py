@@ -223,8 +223,8 @@ def _fixed_block(path: Path, stream: BinaryIO, state: FileState, salvage: bool) 
     if unfinished:
         header_size = least
     elif not least <= header_size <= points_offset <= size:
-        what = f"says header of {header_size} bytes, points from byte {points_offset}, in a file of {size}"
-        refuse(path, what)
+        problem = f"says header of {header_size} bytes, points from byte {points_offset}, in a file of {size}"
+        refuse(path, problem)
     plain = form & 0x3F
     if form & 0x40 or plain >= len(_RECORD_SIZES):
         refuse(path, f"point format {form} is not known, 0 to 10 are", "convert it to LAS 1.4")
@@ -258,15 +258,15 @@ def _fixed_block(path: Path, stream: BinaryIO, state: FileState, salvage: bool) 
         created=(fields[9], fields[8]),
     )
     if not all(FINEST_SCALE <= scale <= COARSEST_SCALE for scale in header.scales):
-        what = f"has scale factors {header.scales}, not all from {FINEST_SCALE:g} to {COARSEST_SCALE:g}"
-        refuse(path, what, "write it again with scales like 0.001")
+        problem = f"has scale factors {header.scales}, not all from {FINEST_SCALE:g} to {COARSEST_SCALE:g}"
+        refuse(path, problem, "write it again with scales like 0.001")
     if not all(math.isfinite(o) for o in header.offsets):
         refuse(path, f"offsets {header.offsets} are not all finite")
     if minor >= 5:
         header = _with_times(header, raw)
     if count and legacy_count not in (0, count):
-        what = f"says {count} points, and {legacy_count} in the field of LAS 1.3; {count} counts"
-        header = header.noted(what)
+        problem = f"says {count} points, and {legacy_count} in the field of LAS 1.3; {count} counts"
+        header = header.noted(problem)
     return header
 
 
@@ -316,8 +316,8 @@ def _records(header: LasHeader, stream: BinaryIO) -> LasHeader:
     except CorruptLazError as damage:
         refuse(header.path, str(damage))
     if layout.item_size != header.record_length:
-        what = f"says records of {header.record_length} bytes, its laszip record {layout.item_size}"
-        refuse(header.path, what)
+        problem = f"says records of {header.record_length} bytes, its laszip record {layout.item_size}"
+        refuse(header.path, problem)
     return replace(header, laz=layout)
 
 
@@ -325,15 +325,15 @@ def _plain_points(header: LasHeader, salvage: bool) -> LasHeader:
     """Check the number of points of a LAS file against the bytes for them."""
     room = (header.points_end - header.points_offset) // header.record_length
     if header.point_count == 0 and room:
-        what = f"says 0 points, has room for {room}: it was never finished"
-        return replace(_salvaged(header, what, salvage), point_count=room)
+        problem = f"says 0 points, has room for {room}: it was never finished"
+        return replace(_salvaged(header, problem, salvage), point_count=room)
     if header.point_count < room:
         return header.noted(f"says {header.point_count} points, has room for {room}: the rest is not read")
     room = max(header.size - header.points_offset, 0) // header.record_length
     if header.point_count <= room:
         return header
-    what = f"says {header.point_count} points, has room for {room}: cut short"
-    return replace(_salvaged(header, what, salvage), point_count=room)
+    problem = f"says {header.point_count} points, has room for {room}: cut short"
+    return replace(_salvaged(header, problem, salvage), point_count=room)
 
 
 def _compressed_points(header: LasHeader, layout: LazLayout, stream: BinaryIO, salvage: bool) -> LasHeader:
@@ -375,10 +375,10 @@ def _extended(header: LasHeader, stream: BinaryIO, salvage: bool) -> LasHeader:
     if start >= points_end:
         evlrs, whole = walk_records(stream, start, count, header.size, extended=True)
     if not whole:
-        what = (
+        problem = (
             f"says {count} extended records from byte {start}, {len(evlrs)} are whole in {header.size} bytes"
         )
-        header = _salvaged(header, what, salvage)
+        header = _salvaged(header, problem, salvage)
     return replace(header, evlrs=evlrs)
 
 

@@ -232,16 +232,16 @@ def walk_chunks(
     stream: BinaryIO, layout: LazLayout, points_offset: int, file_size: int
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
     """Return the number of points and bytes of the complete layered chunks of a file without a usable table."""
-    found: list[tuple[int, int]] = []
+    chunks: list[tuple[int, int]] = []
     start = points_offset + 8
     limit = layout.chunk_size or _VARIABLE
     while (claim := layered_chunk(stream, layout, start)) is not None:
         points, size = claim
         if not 0 < points <= limit or start + size > file_size:
             break
-        found.append((points, size))
+        chunks.append((points, size))
         start += size
         if layout.chunk_size is not None and points < layout.chunk_size:
             break
-    table = np.asarray(found, dtype=np.int64).reshape(-1, 2)
+    table = np.asarray(chunks, dtype=np.int64).reshape(-1, 2)
     return np.ascontiguousarray(table[:, 0]), np.ascontiguousarray(table[:, 1])

@@ -61,49 +61,49 @@ def upgrade_records(records: Records, point_format: int) -> Records:
         return records
     extra = records.dtype["extra"].itemsize if "extra" in (records.dtype.names or ()) else 0
     dtype = record_dtype(form, _bare_bytes(form) + extra)
-    found = np.zeros(len(records), dtype=dtype)
+    upgraded = np.zeros(len(records), dtype=dtype)
     for name in set(dtype.names or ()) & set(records.dtype.names or ()) - {"bit_fields"}:
-        found[name] = records[name]
+        upgraded[name] = records[name]
     if not is_legacy(point_format):
-        found["bit_fields"] = records["bit_fields"]
-        return found
+        upgraded["bit_fields"] = records["bit_fields"]
+        return upgraded
     bits = records["bit_fields"]
-    found["bit_fields"] = (bits & 7) | (((bits >> 3) & 7) << 4)
+    upgraded["bit_fields"] = (bits & 7) | (((bits >> 3) & 7) << 4)
     classification, flags = class_and_flags(records, point_format)
-    found["classification"] = classification
+    upgraded["classification"] = classification
     raw = records["raw_classification"]
     overlap = (flags & OVERLAP_FLAG != 0).astype(np.uint8)
     # Bits 0 to 2 are synthetic, key point and withheld, 3 overlap, 6 scan direction, 7 edge of the flight line.
-    found["classification_flags"] = (raw >> 5) | (overlap << 3) | (bits & 0xC0)
-    found["scan_angle"] = np.rint(records["scan_angle_rank"] / SCAN_STEP_DEGREES)
-    return found
+    upgraded["classification_flags"] = (raw >> 5) | (overlap << 3) | (bits & 0xC0)
+    upgraded["scan_angle"] = np.rint(records["scan_angle_rank"] / SCAN_STEP_DEGREES)
+    return upgraded
 
 
 def as_standard_times(records: Records, header: LasHeader) -> Records:
     """Convert GPS times from the time offset of LAS 1.5 to the times of LAS 1.4."""
     if header.time_offset is None:
         return records
-    found = records.copy()
-    found["gps_time"] += (header.time_offset - STANDARD_OFFSET) * 1e6
-    return found
+    converted = records.copy()
+    converted["gps_time"] += (header.time_offset - STANDARD_OFFSET) * 1e6
+    return converted
 
 
 def changes_of_format(header: LasHeader) -> list[str]:
     """Return notes about changes and losses by the conversion of a file's points. The list may be empty."""
     old = header.point_format
     new = _NEWER[old]
-    found = []
+    notes = []
     if old != new:
-        found.append(f"points of format {old} written as format {new}, as COPC has it")
+        notes.append(f"points of format {old} written as format {new}, as COPC has it")
     if header.gps_times is not None:
-        found.append("range of GPS times in the header left out: COPC is LAS 1.4")
+        notes.append("range of GPS times in the header left out: COPC is LAS 1.4")
     if header.time_offset is not None:
-        found.append(
+        notes.append(
             f"GPS times written with an offset of {STANDARD_OFFSET} million seconds, as COPC has them, instead of "
             f"{header.time_offset}"
         )
     if old in _WITHOUT_TIME:
-        found.append("COPC has a GPS time for each point: 0, as the input has none")
+        notes.append("COPC has a GPS time for each point: 0, as the input has none")
     if old in _WITH_WAVEFORMS:
-        found.append("waveforms left out: COPC has none")
-    return found
+        notes.append("waveforms left out: COPC has none")
+    return notes

@@ -60,17 +60,17 @@ class Octree:
 
     def near(self, header: LasHeader, boxes: Sequence[Box]) -> list[tuple[int, int]]:
         """Return ranges (first record, number) of the nodes within one unit of a box. Adjacent ranges are joined."""
-        found: list[tuple[int, int]] = []
+        ranges: list[tuple[int, int]] = []
         start = 0
         for key, count in zip(self.keys, _points_of_chunks(header), strict=True):
             square = self.box(key)
             if count and any(_are_near(square, box) for box in boxes):
                 first = start
-                if found and sum(found[-1]) == start:
-                    first, _ = found.pop()
-                found.append((first, start + count - first))
+                if ranges and sum(ranges[-1]) == start:
+                    first, _ = ranges.pop()
+                ranges.append((first, start + count - first))
             start += count
-        return found
+        return ranges
 
     def spread(
         self, counts: Sequence[int], sample: npt.NDArray[np.float64], level: int
@@ -129,10 +129,10 @@ def read_octree(header: LasHeader) -> Octree:
     entries = _entries(header.path, info, header.size, int(layout.counts.size))
     starts = header.points_offset + 8 + np.cumsum(layout.sizes) - layout.sizes
     chunk_at = {int(s): i for i, s in enumerate(starts.tolist()) if layout.counts[i]}
-    found: dict[int, Entry] = {}
+    entry_by_chunk: dict[int, Entry] = {}
     for entry in entries:
         chunk = chunk_at.get(entry.offset)
-        if chunk is None or chunk in found:
+        if chunk is None or chunk in entry_by_chunk:
             raise CorruptLazError(
                 f"its octree names byte {entry.offset}, where no chunk begins, or one twice"
             )
@@ -141,12 +141,12 @@ def read_octree(header: LasHeader) -> Octree:
                 f"its octree says {entry.point_count} points in {entry.byte_size} bytes at byte {entry.offset}, "
                 f"its table of chunks {layout.counts[chunk]} in {layout.sizes[chunk]}"
             )
-        found[chunk] = entry
-    if len(found) != len(chunk_at):
-        raise CorruptLazError(f"its octree names {len(found)} of {len(chunk_at)} chunks")
+        entry_by_chunk[chunk] = entry
+    if len(entry_by_chunk) != len(chunk_at):
+        raise CorruptLazError(f"its octree names {len(entry_by_chunk)} of {len(chunk_at)} chunks")
     # Chunks without points are in no node and keep this key.
     keys = [(0, 0, 0)] * layout.counts.size
-    for chunk, entry in found.items():
+    for chunk, entry in entry_by_chunk.items():
         keys[chunk] = (entry.key.level, entry.key.x, entry.key.y)
     west, south = (float(c - info.halfsize) for c in info.center[:2])
     return Octree(west, south, 2 * float(info.halfsize), tuple(keys))
@@ -154,7 +154,7 @@ def read_octree(header: LasHeader) -> Octree:
 
 def _entries(path: Path, info: CopcInfoVlr, size: int, chunks: int) -> list[Entry]:
     """Return the nodes with points, from all pages of the hierarchy."""
-    found: list[Entry] = []
+    entries: list[Entry] = []
     pages = [(info.hierarchy_root_offset, info.hierarchy_root_size)]
     seen = set[int]()
     # A node has at most eight children, with points or without.
@@ -177,16 +177,16 @@ def _entries(path: Path, info: CopcInfoVlr, size: int, chunks: int) -> list[Entr
             if entry.point_count == -1:
                 pages.append((entry.offset, entry.byte_size))
             elif entry.point_count > 0:
-                found.append(entry)
+                entries.append(entry)
             elif entry.point_count < -1:
                 raise CorruptLazError(f"its octree has a node of {entry.point_count} points")
-    return found
+    return entries
 
 
 def _can_be(key: VoxelKey) -> bool:
     if not 0 <= key.level <= _DEEPEST:
         return False
-    return all(0 <= place < 1 << key.level for place in (key.x, key.y, key.z))
+    return all(0 <= coordinate < 1 << key.level for coordinate in (key.x, key.y, key.z))
 
 
 def _points_of_chunks(header: LasHeader) -> list[int]:

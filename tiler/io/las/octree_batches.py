@@ -89,16 +89,16 @@ def octree_batches(
                     at += held * records.dtype.itemsize
             dtype = records.dtype
         x, y, z = corner
-        for number, wanted in enumerate(parts):
-            if wanted:
-                held = sum(n for _, n in wanted)
+        for number, child_parts in enumerate(parts):
+            if child_parts:
+                held = sum(n for _, n in child_parts)
                 below = (
                     level + 1,
                     2 * x + (number >> 2 & 1),
                     2 * y + (number >> 1 & 1),
                     2 * z + (number & 1),
                 )
-                yield from octree_batches(_read(spool, wanted, dtype), held, most, places, folder, below)
+                yield from octree_batches(_read(spool, child_parts, dtype), held, most, places, folder, below)
 
 
 def _read(spool: BinaryIO, parts: Iterable[tuple[int, int]], dtype: np.dtype[np.void]) -> Iterator[Records]:
@@ -120,19 +120,19 @@ class Levels:
         """Return the level of the node to which each point of a brick belongs, int8, shape (n,)."""
         code = curve(places, key[0])
         order = np.argsort(code, kind="stable")
-        found = np.empty(order.size, dtype=np.int8)
-        found[order] = self._of_sorted(key, code[order])
-        return found
+        levels = np.empty(order.size, dtype=np.int8)
+        levels[order] = self._of_sorted(key, code[order])
+        return levels
 
     def _of_sorted(self, key: Key, code: npt.NDArray[np.int64]) -> npt.NDArray[np.int8]:
         """Return the levels of points that are sorted along the curve, on which every cell of every level is a run."""
         deepest = min(key[0] + _BITS - CELLS_OF_NODE, DEEPEST)
-        found = np.full(code.size, deepest, dtype=np.int8)
+        levels = np.full(code.size, deepest, dtype=np.int8)
         rest = np.arange(code.size)
         for level in range(deepest):
             below = level - key[0]
             if below >= 0:
-                rest = _settle(found, rest, code, below, level, LEAF_POINTS)
+                rest = _settle(levels, rest, code, below, level, LEAF_POINTS)
             if not rest.size:
                 break
             starts, counts = runs(_cut(code[rest], max(below + CELLS_OF_NODE, 0)))
@@ -140,11 +140,11 @@ class Levels:
             picked = starts + counts // 2
             if below + CELLS_OF_NODE <= 0 and not self._take(key, level):
                 continue
-            found[rest[picked]] = level
+            levels[rest[picked]] = level
             rest = np.delete(rest, picked)
             if below >= -1:
-                rest = _settle(found, rest, code, below + 1, level, MIN_POINTS - 1)
-        return found
+                rest = _settle(levels, rest, code, below + 1, level, MIN_POINTS - 1)
+        return levels
 
     def _take(self, key: Key, level: int) -> bool:
         """Mark the cell that contains the brick and other bricks as taken. Return False if it was taken already."""
@@ -177,13 +177,13 @@ def _settle(
 
 def curve(places: Places, level: int) -> npt.NDArray[np.int64]:
     """Return the number of each position along a Z-order curve in a brick of a level."""
-    found = np.zeros(places.shape[1], dtype=np.int64)
+    numbers = np.zeros(places.shape[1], dtype=np.int64)
     for axis in _AXES:
         v = (places[axis].astype(np.int64) << level >> DEPTH - _BITS) & (1 << _BITS) - 1
         for step, mask in _SPREADING:
             v = (v | v << step) & mask
-        found |= v << (2 - axis)
-    return found
+        numbers |= v << (2 - axis)
+    return numbers
 
 
 def _cut(code: npt.NDArray[np.int64], levels: int) -> npt.NDArray[np.int64]:

@@ -185,16 +185,16 @@ class PointReader:
             decoder.seek(start)
             return decoder, start
         data = self.header.points_offset + 8
-        skipped = before = 0
+        skipped = first_record = 0
         if layout.sizes.size:
             skipped = int(layout.sizes[:chunk].sum())
-            before = int(layout.counts[:chunk].sum())
+            first_record = int(layout.counts[:chunk].sum())
             counts = layout.counts[chunk:stop].tolist()
             chunks = list(zip(counts, layout.sizes[chunk:stop].tolist(), strict=True))
         else:
             chunks = [(layout.chunk_size or 1, self.header.size - data)]
         view = _ChunkView(self._file, data + skipped, chunks, layout.record_data)
-        return lazrs.LasZipDecompressor(io.BufferedReader(view), layout.record_data, selection), before
+        return lazrs.LasZipDecompressor(io.BufferedReader(view), layout.record_data, selection), first_record
 
     def _skip(self, count: int) -> None:
         most = rows_at_once(self.header.record_length, _STEP)
@@ -210,14 +210,14 @@ def _parts(header: LasHeader, ranges: Sequence[tuple[int, int]]) -> list[tuple[i
         return []
     ends = np.cumsum(header.laz.counts)
     offsets = header.points_offset + 8 + np.concatenate([[0], np.cumsum(header.laz.sizes)])
-    found: list[tuple[int, int]] = []
+    parts: list[tuple[int, int]] = []
     for start, count in ranges:
         first, last = np.searchsorted(ends, (start, start + count - 1), side="right").tolist()
         begin, end = int(offsets[first]), int(offsets[last + 1])
-        if found and found[-1][1] == begin:
-            begin = found.pop()[0]
-        found.append((begin, end))
-    return found
+        if parts and parts[-1][1] == begin:
+            begin = parts.pop()[0]
+        parts.append((begin, end))
+    return parts
 
 
 class _ChunkView(io.RawIOBase):
@@ -265,8 +265,8 @@ def count_decodable(header: LasHeader) -> int:
     """Return the number of points in a file. If it has no usable table and its chunks have no sizes, decode them."""
     if header.laz is None or not header.laz.rebuilt or header.laz.sizes.size:
         return header.point_count
-    found = 0
+    n_points = 0
     with PointReader(header, COORDINATES) as reader, suppress(InputError):
         for records in reader.pieces(header.laz.chunk_size or _STEP):
-            found += len(records)
-    return found
+            n_points += len(records)
+    return n_points

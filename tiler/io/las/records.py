@@ -73,17 +73,17 @@ def walk_records(
     Only the headers of the records are read, and at most `MAX_RECORDS` of them.
     """
     form = _EVLR if extended else _VLR
-    found: list[Vlr] = []
+    records: list[Vlr] = []
     position = start
     for _ in range(min(count, MAX_RECORDS)):
         if position + form.size > end:
-            return tuple(found), False
+            return tuple(records), False
         stream.seek(position)
         _, user, record_id, length, _ = form.unpack(stream.read(form.size))
         payload = position + form.size
         if payload + length > end:
-            return tuple(found), False
+            return tuple(records), False
         name = user.split(b"\0")[0].decode("ascii", "replace")
-        found.append(Vlr(name, record_id, position, payload, length))
+        records.append(Vlr(name, record_id, position, payload, length))
         position = payload + length
-    return tuple(found), count <= MAX_RECORDS
+    return tuple(records), count <= MAX_RECORDS

@@ -20,8 +20,8 @@ def read_area(path: Path, wkt: str | None) -> tuple[Area, list[str]]:
 
     Raise InputError if the file cannot be read or its polygons have no area.
     """
-    found = read_in_crs(path, POLYGONS, wkt)
-    return area_in_counts(str(path), found.features), list(found.notes)
+    polygons = read_in_crs(path, POLYGONS, wkt)
+    return area_in_counts(str(path), polygons.features), list(polygons.notes)
 
 
 def area_in_counts(place: str, features: Sequence[Feature]) -> Area:

@@ -173,9 +173,9 @@ def _layers(path: Path, kind: Kind, every: bool) -> list[str]:
         listed = [(str(name), str(shape)) for name, shape in pyogrio.list_layers(path)]
     names = [name for name, shape in listed if kind.takes_layer(name, shape)]
     if not names or (len(names) > 1 and not every):
-        found = ", ".join(f"{printable(name)} ({shape})" for name, shape in listed) or "none"
+        listing = ", ".join(f"{printable(name)} ({shape})" for name, shape in listed) or "none"
         raise InputError(
-            f"{path}: needs one layer of {kind.name}, has {len(names)} ({found}); "
+            f"{path}: needs one layer of {kind.name}, has {len(names)} ({listing}); "
             f"write one with `ogr2ogr {kind.name.split()[0]}.gpkg FILE LAYER`"
         )
     return names
@@ -218,10 +218,10 @@ def _features(
             raise InputError(
                 f"{where}: is a {geometry.geom_type}; {kind.name} are needed: write them to a separate file"
             )
-        places = shapely.get_coordinates(geometry)
-        if not np.isfinite(places).all():
+        coordinates = shapely.get_coordinates(geometry)
+        if not np.isfinite(coordinates).all():
             raise InputError(f"{where}: has a coordinate that is not a number; draw it again")
-        if np.abs(places).max() >= FARTHEST:
+        if np.abs(coordinates).max() >= FARTHEST:
             raise InputError(f"{where}: has a coordinate beyond {FARTHEST:g}; use coordinates in its CRS")
         yield Feature(where, geometry, {k: _plain(v) for k, v in attributes.items()})
 
@@ -256,13 +256,13 @@ def read_in_crs(
     InputError
         `read_features` or the transformation failed, or a height is missing.
     """
-    found = read_features(path, kind, every_layer)
-    notes = list(found.notes)
-    features = list(found.features)
+    file_features = read_features(path, kind, every_layer)
+    notes = list(file_features.notes)
+    features = list(file_features.features)
     if needs_z:
         features = [_with_heights(feature) for feature in features]
     features = _repaired(path, features, notes)
-    moved = in_crs(path, [f.geometry for f in features], found.crs, wkt, notes)
+    moved = in_crs(path, [f.geometry for f in features], file_features.crs, wkt, notes)
     features = [replace(f, geometry=g) for f, g in zip(features, moved, strict=True)]
     return Features(tuple(features), wkt, tuple(notes))
 

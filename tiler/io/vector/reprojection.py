@@ -69,26 +69,26 @@ def in_crs(
         ) from error
     if named is None:
         raise InputError(f"{path}: its CRS {excerpt(text)} has no horizontal part; write it with another CRS")
-    own = None if wkt is None else split(CRS.from_wkt(wkt))[0]
-    if own is None:
+    run_crs = None if wkt is None else split(CRS.from_wkt(wkt))[0]
+    if run_crs is None:
         raise InputError(
             f"{path}: is in {named.name}, the CRS of the clouds is unknown; give it with --crs, or use --bounds"
         )
-    if same_horizontal(named, own):
+    if same_horizontal(named, run_crs):
         return list(geometries)
-    notes.append(f"{path}: was transformed from {named.name} to {own.name}")
+    notes.append(f"{path}: was transformed from {named.name} to {run_crs.name}")
     try:
-        transformer = Transformer.from_crs(named, own, always_xy=True)
+        transformer = Transformer.from_crs(named, run_crs, always_xy=True)
     except ProjError as error:
         raise InputError(
-            f"{path}: is in {named.name}, which cannot be transformed to {own.name}; write it with another CRS"
+            f"{path}: is in {named.name}, which cannot be transformed to {run_crs.name}; write it with another CRS"
         ) from error
     moved = partial(_moved, transformer, RETURN_DEG if named.is_geographic else RETURN)
     try:
         return [_rebuilt(geometry, moved) for geometry in geometries]
     except _Beyond as error:
         raise InputError(
-            f"{path}: extends beyond the area of use of {own.name}; clip it to the survey"
+            f"{path}: extends beyond the area of use of {run_crs.name}; clip it to the survey"
         ) from error
 
 
