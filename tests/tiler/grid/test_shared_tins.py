@@ -9,6 +9,7 @@ from typing import Any
 
 import pytest
 
+from tests.scenes.records import bucket_record
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.raster import Block, RasterSpec
 from tiler.grid import GridBlock, GroundSelection, grid_block
@@ -19,7 +20,7 @@ from tiler.schedule import Outcome, SerialExecutor, Task
 SPEC = RasterSpec(Lattice(Fraction(1000)), 0, 1536, 1536, 1100)
 """Three by three blocks, those in the east of 76 columns."""
 BUCKET = Lattice(Fraction(64_000))
-RECORDS = {Cell(ix, iy): {"n": 10_000} for ix in range(18) for iy in range(24)}
+RECORDS = {Cell(ix, iy): bucket_record(n=10_000) for ix in range(18) for iy in range(24)}
 
 
 def tasks(blocks: list[Block] | None = None, **options: Any) -> list[Task]:

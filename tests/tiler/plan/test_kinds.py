@@ -10,7 +10,7 @@ from ptd.matched.cells import CELL_M
 from tests.tiler.conftest import MakeCloud, without_sensor
 from tiler.config import RunConfig
 from tiler.core.lattice import Cell, Lattice
-from tiler.filter.tasks.tiles import tiles_of
+from tiler.filter.tasks.tiles import BucketPoints, tiles_of
 from tiler.plan import make_plan, plan_json, plan_lines, projected_memory
 from tiler.plan.memory import BASE_BYTES, VERTEX_BYTES
 from tiler.plan.sizes import tile_m
@@ -57,7 +57,7 @@ def test_rasters_of_windows_take_room_over_voids(make_cloud: MakeCloud) -> None:
     plan = replace(plan, tile=Fraction(4000))
     surface = next(step for step in plan.passes if step.name == "surface")
     apart = round(2000 / plan.bucket_m)
-    records = {Cell(0, 0): {"n": 9, "n_elected": 9}, Cell(apart, apart): {"n": 9, "n_elected": 9}}
+    records = {Cell(0, 0): BucketPoints(9, 0, 9), Cell(apart, apart): BucketPoints(9, 0, 9)}
     cells = (2000 / CELL_M) ** 2
     small = replace(plan, tile_memory=BASE_BYTES + round(cells * VERTEX_BYTES))
     assert len(list(tiles_of(small, records, surface))) == 2
@@ -76,6 +76,6 @@ def test_passes_on_every_point_make_no_tile_smaller(make_cloud: MakeCloud) -> No
     assert projected_memory(dense)["filter"] <= plan.memory
     side = math.ceil(512 / plan.bucket_m)
     n = round(700 * plan.bucket_m**2)
-    records = {Cell(ix, iy): {"n": n, "n_elected": n // 700} for ix in range(side) for iy in range(side)}
+    records = {Cell(ix, iy): BucketPoints(n, 0, n // 700) for ix in range(side) for iy in range(side)}
     assert len(list(tiles_of(dense, records, steps["survey"]))) > 4
     assert len(list(tiles_of(dense, records, steps["objects"]))) == 1
