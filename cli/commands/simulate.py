@@ -57,7 +57,8 @@ def _list_scenes(context: click.Context, parameter: click.Parameter, wanted: boo
 @click.option(
     "--size",
     metavar="LENGTH",
-    help="side of the square [unit: m; default: the side of the scene, else 500 (als) or 150 (dim)]",
+    help="side of the square, or extent from west to east of a place with water [unit: m; default: the side of "
+    "the scene, else 500 (als) or 150 (dim)]",
 )
 @click.option(
     "--density",

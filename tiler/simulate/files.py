@@ -121,7 +121,8 @@ def write_scene(
     Returns
     -------
     dict
-        ``cloud``, ``dtm``, ``scene``, ``kind``, ``seed``, ``side_m``, ``points``, ``points_per_m2``, and
+        ``cloud``, ``dtm``, ``scene``, ``kind``, ``seed``, ``side_m`` (extent from west to east), ``north_m`` (from
+        south to north), ``points``, ``points_per_m2``, and
         ``classes`` (number of points and description by class).
 
     Raises
@@ -162,7 +163,8 @@ def write_scene(
         "scene": spec.name,
         "kind": spec.kind,
         "seed": spec.seed,
-        "side_m": spec.side_m,
+        "side_m": site.side_m,
+        "north_m": site.north_m,
         "points": points,
         "points_per_m2": round(points / (site.side_m * site.north_m), 3),
         "classes": {
