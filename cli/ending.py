@@ -26,7 +26,7 @@ FORCED = b"tiler: interrupted; the work did not stop, so the process was ended\n
 class InterruptState:
     """Record of whether a command got a signal to end.
 
-    The error that ends the command does not tell this, because a library may turn the interruption into another error.
+    The error that ends the command is no proof, because a library may turn the interruption into another error.
     """
 
     own_process: bool = False
@@ -39,7 +39,7 @@ class InterruptState:
         """
         self.told = True
         signal.signal(number, signal.SIG_IGN)
-        if self.own_process:  # half-made objects of libraries warn when they are deleted
+        if self.own_process:  # incomplete objects of libraries warn when they are deleted
             sys.unraisablehook = lambda _: None
             sys.excepthook = lambda *_: None  # code in C may print an error and go on
         raise KeyboardInterrupt
@@ -68,14 +68,17 @@ def ended_in_time(own_process: bool) -> Iterator[InterruptState]:
         {number: signal.getsignal(number) for number in SIGNALS},
     )
     signal.signal(signal.SIGTERM, ending.interrupt)
-    # A script starts its background commands with SIGINT ignored, which stays so.
+    # Scripts start background commands with SIGINT ignored. It stays ignored.
     if previous_handlers[signal.SIGINT] is signal.default_int_handler:
         signal.signal(signal.SIGINT, ending.interrupt)
     woken_before = signal.set_wakeup_fd(writing.fileno(), warn_on_full_buffer=False)
     try:
         yield ending
     finally:
-        for number, handler in previous_handlers.items():  # a command that has ended cannot be interrupted
+        for (
+            number,
+            handler,
+        ) in previous_handlers.items():  # the handlers must not act after the command has ended
             signal.signal(number, handler)
         if not own_process:
             signal.set_wakeup_fd(woken_before)

@@ -43,7 +43,7 @@ def open_streams(own_process: bool) -> Iterator[None]:
 
 
 def _patient(stream: TextIO, name: str) -> TextIO:
-    """Return the same stream on top of a `_Patient`."""
+    """Return a text stream like ``stream`` that writes through a `_Patient`."""
     try:
         raw = _Patient(stream.fileno(), name)
     except OSError:  # the caller replaced the stream by an object without a descriptor
@@ -55,7 +55,7 @@ def _patient(stream: TextIO, name: str) -> TextIO:
 
 
 class _Patient(io.FileIO):
-    """Standard stream that raises at most once, and never on stderr or if the reader has gone."""
+    """Standard stream that drops output after an error. It raises the error only on stdout with a reader."""
 
     def __init__(self, descriptor: int, called: str) -> None:
         super().__init__(descriptor, "w", closefd=False)

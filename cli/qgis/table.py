@@ -91,7 +91,7 @@ def _parameter(command: str, parameter: click.Parameter) -> dict[str, Any]:
 
 
 def _is_setting(parameter: click.Parameter) -> bool:
-    """Return whether an option is the setting of the same name, unlike `tiler check --tile-size`."""
+    """Return whether an option sets the setting of its name. `tiler check --tile-size` does not."""
     help: str = SETTINGS[str(parameter.name)].metadata["help"]
     return (getattr(parameter, "help", None) or "").startswith(help.split(" [")[0])
 

@@ -208,7 +208,7 @@ def _checked(config: RunConfig | None) -> RunConfig:
     config = config or RunConfig()
     if config.method == KEEP:
         raise ConfigError(
-            "--method keep changes no class; `tiler run --method keep` grids what the input brings"
+            "--method keep does not change classes; use `tiler run --method keep` to grid the input classes"
         )
     return config
 
@@ -221,7 +221,7 @@ def _scratch_beside(target: Path, config: RunConfig) -> Iterator[tuple[str, RunC
         folder = TemporaryDirectory(prefix=".tiler-", dir=target.parent)
     except OSError as error:
         raise ConfigError(
-            f"{target}: its folder cannot be made or written ({error.strerror}); give another"
+            f"{target}: its folder cannot be made or written ({error.strerror}); give another folder"
         ) from error
     with folder as scratch:
         yield scratch, config.updated(store=None)
@@ -242,7 +242,7 @@ def _facts(summary: Mapping[str, Any], config: RunConfig) -> dict[str, Any]:
 def _written(guard: ChildProcess, store_url: str, work: WriteClassified, config: RunConfig) -> dict[str, Any]:
     """Write a file, by default in a child process.
 
-    Decoding may crash, because the filter did not need all fields that are now copied.
+    Decoding may crash, because writing copies fields that the filter did not decode.
     """
     if config.in_process:
         return write_classified(store_url, work)

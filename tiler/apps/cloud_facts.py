@@ -30,7 +30,7 @@ _MAP_ROWS = 24
 
 
 def describe_cloud(path: Path) -> dict[str, Any]:
-    """Describe a LAS or LAZ file: the correct parts of its header, its units, density and classes."""
+    """Describe a LAS or LAZ file: its checked header, units, density and classes."""
     info = inspect(path)
     georeference = info.georeference
     file_format = "LAS"

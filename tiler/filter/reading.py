@@ -124,7 +124,7 @@ class TileReader:
         if self._work.of_elected:
             block = self._elected(self._store.meta.bucket.bounds(cell))
             return Bucket(self._as_points(block), np.ones(len(block), np.bool_), _any_marked(block))
-        few = self._work.of_candidates  # candidates all take part
+        few = self._work.of_candidates  # All candidates take part, so their classes and flags are not needed.
         columns = self._columns if few else (*self._columns, "classification", "flags")
         block = self._store.read_bucket(cell, columns, few)
         if self._labels is not None and (few or not self._work.in_of_candidates):

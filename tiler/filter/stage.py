@@ -36,7 +36,7 @@ def filter_points(job: Job, assembled: IngestResult) -> Labelled:
     ever = max(job.store.get_state("passes") or 0, len(passes))
     job.store.put_state("passes", ever)
     for number in range(len(passes), ever):
-        job.store.clear(f"filter{number}")  # labels of this pass could be overwritten
+        job.store.clear(f"filter{number}")  # passes of the current method may overwrite its labels
     config, known = job.plan.config, job.plan.statistics
     sigma = None if config.sigma is None else float(config.sigma)
     facts = run_facts(sigma, config.source_kind, job.plan.evidence)
@@ -91,7 +91,7 @@ def _clear_passed_over(job: Job, passes: Sequence[Pass], state: State) -> None:
 
 
 def _without_known_places(after: Mapping[str, Any], before: State) -> dict[str, Any]:
-    """Drop figures of positions that the state before already had, as a country has a million of them."""
+    """Drop the results by position if the earlier state has them, because a country has a million positions."""
     return {name: value for name, value in after.items() if name != PLACES or name not in before}
 
 
@@ -111,7 +111,7 @@ def _known(job: Job, step: Pass, before: State) -> dict[str, Any]:
     kind = job.plan.config.source_kind
     if kind is not None and state_after.get("run", {}).get("kind") != kind:
         job.note(
-            f"--statistics: what made the cloud is as that run took it; --kind {job.plan.config.kind} is not used"
+            f"--statistics: the kind of the clouds is that of that run; --kind {job.plan.config.kind} is not used"
         )
     return state_after
 

@@ -29,7 +29,7 @@ KEEP = 0
 """Label of a point that does not take part in filtering and keeps the class of its source."""
 
 REACH_CELLS = 4
-"""Cells of a method's lattice beyond a window within which an occupied bucket shows that the data continue there."""
+"""Distance beyond a window, in cells of the method's lattice, within which a bucket shows that the data continue."""
 
 
 def influence_margin_m(step: Pass, params: Any) -> float:
@@ -45,7 +45,7 @@ def filter_tile(store_url: str, work: FilterTile) -> dict[str, Any]:
 
     A core with uncertified labels or statistics is repeated with twice the halo, up to ``max_halo``. Labels that stay
     uncertified keep bit 7 and are counted. The window of a pass with a fixed reach is exactly core and halo. The window
-    of any other pass is extended to the method's lattice, and includes the sides at which the data end.
+    of any other pass is extended to the method's lattice, and is open on sides at which the data end.
 
     Returns
     -------
@@ -171,7 +171,7 @@ def _window(store: TileStore, padded: Bounds, step: Pass, params: Any) -> tuple[
 def _known(store: TileStore, window: Bounds, reach: int) -> Known:
     """Return the window in local counts. A side without points within ``reach`` beyond it is open.
 
-    The virtual ring of a method keeps every circle that matters within that reach of the data.
+    Circumcircles that matter do not extend farther beyond the data, because the method adds a ring of virtual points.
     """
     wide = window.pad(reach)
 

@@ -36,8 +36,8 @@ class FilterTile:
     of_elected : bool
         Whether the labels of this pass are those of elected points.
     of_candidates, in_of_candidates : bool
-        Whether the labels of this pass, and of the earlier pass, are only those of candidates. Later passes do not read
-        other labels.
+        Whether the labels of this pass, and of the earlier pass, are only those of candidates, since later
+        passes read only these.
     held_bytes : int
         Largest size of the buckets that are kept for their neighbours, in bytes.
     """

@@ -173,7 +173,7 @@ def _sort_keys(
     fine_x = fine.index(x + bounds.x0)
     fine_y = fine.index(y + bounds.y0)
     fine_of = (fine_y - south) * across + (fine_x - west)
-    # A coordinate relative to its fine cell needs few bits. The first count of cell i is -((-i * p) // q).
+    # A coordinate relative to its fine cell needs few bits. Cell i of p / q counts starts at count -((-i * p) // q).
     parts = [
         fine_of,
         z,

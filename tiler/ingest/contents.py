@@ -36,7 +36,7 @@ def read_files(store_url: str, work: ReadFiles) -> dict[str, Any]:
 def _content(path: Path, state: FileState) -> str:
     """Return the digest of all bytes of a file.
 
-    Raise InputError if the file cannot be read, or is not in the state before or after that.
+    Raise InputError if the file cannot be read, or is not in ``state`` before and after reading.
     """
     validate_unchanged(path, state)
     try:

@@ -163,7 +163,7 @@ class _Step:
 def _keeper(store: TileStore, work: SpoolPiece, header: LasHeader) -> RecordKeeper | None:
     """Return a keeper for the records of a piece, or None if they are not kept.
 
-    The records of ranges, of uncompressed sources, and of more than `MAX_NAME_BYTES` are not kept.
+    The records of ranges, of uncompressed sources, and records longer than `MAX_NAME_BYTES` are not kept.
     """
     if not work.keep or work.ranges or header.laz is None or header.record_length > MAX_NAME_BYTES:
         return None
@@ -260,7 +260,7 @@ def columns(
     rows: npt.NDArray[np.int64],
     has_rgb: bool,
 ) -> PointBlock:
-    """Return all columns of the records. Colours are 0 if only the store has them."""
+    """Return all columns of the records. Colours are 0 if the store has them, but the records do not."""
     classification, flags = class_and_flags(records, header.point_format)
     rgb = None
     if has_rgb:
@@ -312,7 +312,7 @@ Index = list[tuple[int, int, int]]
 def _of_buckets(
     order: npt.NDArray[np.intp], index: Index, wanted: Runs | None
 ) -> tuple[npt.NDArray[np.intp], Index, Index]:
-    """Reduce the result of `sort_by_bucket` to the wanted buckets, and split off the other index."""
+    """Return order and index of the wanted buckets from the result of `sort_by_bucket`, and the index of the others."""
     if wanted is None or not index:
         return order, index, []
     ix, iy, numbers = np.array(index, np.int64).T

@@ -51,9 +51,9 @@ number of the class differently."""
 
 
 def spool(job: Job, sources: list[Source]) -> tuple[Commits, list[Source]]:
-    """Decode the sources into the spool. Return the commits of their pieces, and the good sources.
+    """Decode the sources into the spool. Return the commits of the good sources, and these sources.
 
-    A source is left out completely if one of its pieces failed or its points are misplaced.
+    A source is left out as bad if one of its pieces failed or its points are misplaced.
 
     Raises
     ------
@@ -102,13 +102,13 @@ def spool(job: Job, sources: list[Source]) -> tuple[Commits, list[Source]]:
         job.facts["fetched"] = {"plan": sum(s.fetched for s in job.plan.sources), "points": points}
     if rounding > 0:
         job.note(
-            f"the filter's coordinates were rounded by up to {rounding:.3g} CRS units; classified clouds keep theirs"
+            f"the filter's coordinates were rounded by up to {rounding:.3g} CRS units; classified clouds are exact"
         )
     for reason, count in dropped.items():
         job.note(f"{count:,} points left out: {reason}")
     reasons = dict(job.plan.config.selection.options)
     if unselected[WITHHELD]:
-        reasons[WITHHELD] = "flag withheld (--withheld keep takes these points as others)"
+        reasons[WITHHELD] = "flag withheld (--withheld keep treats these points like others)"
     for key, reason in reasons.items():
         job.note(
             f"{reason}: {unselected[key]:,} of the points read are neither filtered nor gridded; the clouds keep them"
@@ -160,7 +160,7 @@ def _misplaced(job: Job, sources: list[Source], spooled: Commits) -> dict[str, s
 
 
 def _far_away(plan: Plan, out: Path | None, sources: list[Source], spooled: Commits) -> dict[str, str]:
-    """Return the sources, as reasons by name, that extend the raster beyond that of the plan.
+    """Return a reason for each source that extends the raster beyond that of the plan, by its name.
 
     The result is empty if the raster is not too large.
     """
@@ -209,7 +209,9 @@ def assemble(job: Job, sources: list[Source], spooled: Commits) -> IngestResult:
         raise ProcessingError(f"no bucket could be written; the first: {job.record.first_error('assemble')}")
     area = job.plan.area
     if area is not None and area.bounds.intersection(assembled.bounds).empty:
-        raise InputError("no point of the clouds lies in the area, though some lie near it; give another")
+        raise InputError(
+            "no point of the clouds lies in the area, though some lie near it; give another area"
+        )
     job.store.publish_index({c: BucketInfo(r.n, r.n_candidates) for c, r in assembled.records.items()})
     buckets = assembled.records.values()
     within = sum(bucket.duplicates["within"] for bucket in buckets)
@@ -230,7 +232,7 @@ def assemble(job: Job, sources: list[Source], spooled: Commits) -> IngestResult:
 
 
 def _report_unfiltered(job: Job, assembled: IngestResult) -> None:
-    """Count the input points per class, and report excluded classes with many points."""
+    """Count the input points per class, and report classes with many points that are not filtered."""
     config = job.plan.config
     input_counts = sum_by_class(bucket.classes for bucket in assembled.records.values())
     kept_out = () if config.method == KEEP else config.keep_classes

@@ -29,7 +29,7 @@ _SCAN = 1 << 19
 _BLOCK_BYTES = 1 << 19
 """Bytes of an object that are read at a time, about the size of a chunk's coordinates."""
 _WIDEST = 1e6
-"""Longest credible extent in units of the CRS, across which int32 counts reach from any position in it."""
+"""Longest credible extent in units of the CRS. int32 counts from any position in it reach all others."""
 
 FEW = 10
 """Maximum number of strays of a file."""
@@ -37,7 +37,7 @@ SHARE = 1000
 """Minimum ratio of the points of a file to its strays."""
 
 FAR = 1000.0
-"""Distance between two points that are far apart, in units of the CRS."""
+"""Distance in units of the CRS above which points count as far apart."""
 _TIMES = 4
 """The bounds may extend beyond the sample by `FAR` plus this multiple of its width."""
 _LEVELS = 4
@@ -83,10 +83,10 @@ def can_be_strays(number: int, total: int) -> bool:
 def find_extent(header: LasHeader, octree: Octree | None = None) -> Extent:
     """Find the bounds of a file from its header and a sample of its points.
 
-    The bounds of the header are used if they are credible and contain the sample, or all but a few strays of a sample
-    that fills them. Otherwise all points are read. Bounds that extend very far beyond the sample are cut to it, since
-    they contain strays or an empty area that the plan must not count. The sample of an octree is its root, whose points
-    span the whole file.
+    The bounds of the header are used if they are credible and contain the sample. A few strays may lie outside if the
+    rest of the sample fills the bounds. Otherwise all points are read. Bounds that extend very far beyond the sample
+    are cut to it, since they contain strays or an empty area that the plan must not count. The sample of an octree is
+    its root, whose points span the whole file.
 
     Raises
     ------
@@ -119,7 +119,7 @@ def find_extent(header: LasHeader, octree: Octree | None = None) -> Extent:
             note = "its points lie outside the bounds that its header gives: read from the points"
     if not np.all(np.isfinite(claim.low)):
         raise InputError(
-            f"{header.path}: not one of its {header.point_count} points has a finite place; get the file again"
+            f"{header.path}: none of its {header.point_count} points has finite coordinates; get the file again"
         )
     trimmed = claim.trimmed(near)
     if trimmed is not None:
@@ -213,9 +213,9 @@ class _BoundingBox:
         return bool(inside)
 
     def trimmed(self, near: _BoundingBox) -> _BoundingBox | None:
-        """Return the box, cut to ``near`` on each side in x and y on which it extends far beyond.
+        """Return the box, with each side in x and y that is far outside ``near`` moved to ``near``.
 
-        None if it extends far beyond ``near`` on no side, or if ``near`` is empty.
+        None if no side is far outside, or if ``near`` is empty.
         """
         if not np.all(np.isfinite(near.low)):
             return None

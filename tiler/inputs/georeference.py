@@ -43,7 +43,7 @@ class KeyedCrs:
 
 
 def parse_keys(directory: bytes) -> dict[int, int]:
-    """Return the keys with numbers in the directory itself, or {} if the bytes are not a directory."""
+    """Return the keys whose values are stored in the directory itself, or {} if the bytes are not a directory."""
     usable = len(directory) // 8 * 8
     entries = np.frombuffer(directory[:usable], dtype="<u2").reshape(-1, 4)
     if len(entries) == 0:
@@ -60,13 +60,13 @@ def crs_of_keys(directory: bytes) -> KeyedCrs:
     if horizontal is None and keys.get(_PROJECTED) is None:
         horizontal = _of_code(keys.get(_GEODETIC), notes)
     if keys.get(_PROJECTED) == _USER_DEFINED:
-        notes.append("its GeoTIFF keys describe a CRS of their own, only EPSG codes are read")
+        notes.append("its GeoTIFF keys describe a user-defined CRS, but only EPSG codes are read")
     unit = _UNITS.get(keys.get(_LINEAR_UNIT, 0))
     if horizontal is not None and horizontal.is_projected and unit is not None:
         metres_per_unit = horizontal.axis_info[0].unit_conversion_factor
         if abs(metres_per_unit / float(unit) - 1) > 1e-9:
             notes.append(
-                f"its GeoTIFF keys say {unit_label(unit)}, their EPSG:{keys[_PROJECTED]} is in "
+                f"its GeoTIFF keys give {unit_label(unit)} as unit, but their EPSG:{keys[_PROJECTED]} is in "
                 f"{unit_label(exact_unit(metres_per_unit))}, which is used; use --units to change it"
             )
     vertical = _of_code(keys.get(_VERTICAL), [])

@@ -76,7 +76,7 @@ def find_patches(
     share = points / len(inside)
     divided = [_divide(run, share) for run in inside]
     if any(len(parts) > 1 for parts in divided):
-        # The runs of a small file overlap. Only as many are used as contain each point once.
+        # The runs of a small file overlap. So some are left out, until they have about as many points as the file.
         step = max(round(sum(run.shape[1] for run in inside) / points), 1)
         divided = divided[::step]
         share = points / len(divided)

@@ -22,7 +22,7 @@ DATA_FOLDER = "ept-data"
 _MAX_WKT_BYTES = 1 << 20
 _DEEPEST = 30
 _FARTHEST = 1e12
-"""Largest coordinate in units, beyond those of any CRS. Larger numbers would make the side of a box inexact."""
+"""Largest coordinate in units of the CRS, more than any CRS has. Larger ones would make the side of a box inexact."""
 _NOT_LOADED = -1
 """Number in a page of the hierarchy if another page contains the number of points."""
 
@@ -160,7 +160,7 @@ def node_files(tiles: EptDataset, touches: Touches | None = None) -> dict[str, i
     Raises
     ------
     InputError
-        A page of the hierarchy is damaged or missing, or without a predicate no node has points.
+        A page of the hierarchy is damaged or missing, or no node has points although there is no predicate.
     """
     counts = sorted(node_counts(tiles, touches).items())
     return {tiles.place(DATA_FOLDER, f"{'-'.join(map(str, key))}.laz"): count for key, count in counts}
@@ -258,4 +258,4 @@ def _read(text: str, place: str) -> dict[str, Any]:
 
 
 def _refuse(text: str, what: str, remedy: str = "make it again") -> NoReturn:
-    raise InputError(f"{text}: no point tiles (EPT) that can be read: {what}; {remedy}")
+    raise InputError(f"{text}: is not a readable EPT data set: {what}; {remedy}")

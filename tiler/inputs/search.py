@@ -51,7 +51,7 @@ def find_inputs(
     note : callable
         Function that receives a text about each folder that is left out, and about each file that is given twice.
     results : bool
-        Read a given folder of results as its classified clouds if it does not directly contain clouds.
+        Whether to read the classified clouds of a given folder of results that does not directly contain clouds.
     wanted : callable
         Function that makes the predicate for the nodes of point tiles (see `node_files`).
     listed : callable
@@ -220,7 +220,7 @@ class _Made:
                 self._linked.add(Path(os.path.realpath(out / name)))
 
     def without(self, paths: Sequence[Path]) -> Iterator[Path]:
-        """Yield the paths that no run wrote. Pass the folders of the others to `note` once."""
+        """Yield the paths that no run wrote. Report each folder that is left out to ``note`` once."""
         for path in paths:
             folder = self._folder_of(path)
             if folder is None:

@@ -110,7 +110,7 @@ def _resolved(text: str, href: str) -> str:
         return str(Path(text).parent / href)
     base, _, chained = text.partition("?")[0].partition("::")
     if Path(href).is_absolute() or chained or ".." in Path(unquote(href)).parts:
-        _refuse(text, f"names {excerpt(href)}, which is not below the folder that it lies in")
+        _refuse(text, f"names {excerpt(href)}, which is outside the folder of this file")
     # `urljoin` joins only paths of known schemes, such as http.
     system, _, host_and_path = base.partition("://")
     return f"{system}://{urljoin('http://' + host_and_path, href).removeprefix('http://')}"

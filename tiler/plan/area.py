@@ -147,7 +147,7 @@ def _around(box: Sequence[float]) -> Bounds:
 def _with_octree(
     plan: Plan, sources: list[SourceInfo], option: str
 ) -> tuple[list[SourceInfo], list[tuple[str, str]]]:
-    """Split off the files whose octree is damaged, and return them as path and reason."""
+    """Return the files without a damaged octree, and path and reason of each other file."""
     remedy = f"get the file again, or run without {option.split()[0]}"
     damaged = [(str(s.path), f"{s.path}: {s.octree_damage}; {remedy}") for s in sources if s.octree_damage]
     if damaged and (plan.config.on_error == "stop" or len(damaged) == len(sources)):
@@ -156,7 +156,7 @@ def _with_octree(
 
 
 def _nearer(plan: Plan) -> str:
-    """Describe narrower margins of single kinds of clouds, or return "" if there are none."""
+    """Return a text with the kinds of clouds that need a narrower margin, or "" if there are none."""
     if not plan.kinds:
         return ""
     texts = []

@@ -50,12 +50,12 @@ class DensityMap:
         cells, weights, bits = (np.concatenate(columns) for columns in zip(*parts, strict=True))
         self._cells, self._held = _gathered(cells, weights)
         self.covered_m2 = _covered(cells, bits) * (self._cell / PARTS) ** 2
-        # A plan uses few sides, each many times. A run uses the same squares whenever it writes run.json.
+        # The results are cached, because a plan repeats a few sides, and each write of run.json repeats the squares.
         self.fullest = cache(self._fullest)
         self.squares = cache(self._squares)
 
     def _squares(self, side_m: float, low: tuple[float, float], high: tuple[float, float]) -> float:
-        """Estimate the number of squares with points between two corners, in metres.
+        """Estimate the number of squares of side ``side_m`` with points, between two corners in metres.
 
         The lattice of the squares starts at 0.
         """
@@ -76,7 +76,7 @@ class DensityMap:
         """Estimate the number of points in the fullest square of a side in metres."""
         if side_m <= self._cell:
             return float(self._held.max(initial=0.0)) * (side_m / self._cell) ** 2
-        # Squares consist of whole cells, on four lattices half a square apart. The result is scaled by area.
+        # Points are counted in squares of whole cells, on four lattices shifted by half a square, and scaled by area.
         count = int(side_m // self._cell)
         best = 0.0
         for east in {0, count // 2}:
@@ -141,7 +141,10 @@ def _shares(
 
 
 def _enumerated(counts: npt.NDArray[np.int64]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Return owners and positions of counted items: 0 0 1 1 1 and 0 1 0 1 2 for ``counts`` (2, 3)."""
+    """Return the owner of each item, and its position among the items of the owner.
+
+    ``counts`` are the numbers of items per owner. (2, 3) gives 0 0 1 1 1 and 0 1 0 1 2.
+    """
     ends = np.cumsum(counts)
     owner = np.repeat(np.arange(len(counts)), counts)
     return owner, np.arange(len(owner)) - (ends - counts)[owner]
@@ -160,7 +163,7 @@ def _parts(
 
 
 def _spread(bits: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
-    """Move each bit to the lowest position of a row of `PARTS` bits."""
+    """Move each bit i to position ``i * PARTS``, the lowest of a row of `PARTS` bits."""
     rows = np.arange(PARTS, dtype=np.uint64)
     one = (bits[:, None] >> rows) & np.uint64(1)
     return np.asarray((one << (rows * np.uint64(PARTS))).sum(axis=1), np.uint64)

@@ -30,8 +30,8 @@ EMPTY_PIXEL_BYTES = 0.03
 DRAWN_PIXEL_BYTES = 5
 """Bytes of contours per pixel of terrain (measured with 90 levels and unsmoothed heights)."""
 COPIES = 2
-"""Number of copies of a raster while its COG is made: the plain file and the one that GDAL writes. Records that become
-COPC have as many."""
+"""Number of copies of a raster while its COG is made: the plain file and the one that GDAL writes. A cloud that becomes
+COPC also needs two copies of its records."""
 CLASSIFIED_SHARE = 1.2
 """Ratio of the size of a classified file to that of its LAZ input. LAS inputs shrink."""
 MAX_PIXELS = 2e10

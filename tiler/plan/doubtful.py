@@ -20,8 +20,8 @@ MUCH_OVERLAP = 3.0
 """Mean ratio of padded area to core area of the passes above which a warning recommends larger tiles."""
 
 STRETCHED = 1.05
-"""Ratio of lengths in the plane of the CRS to lengths on the ground, or its inverse, from which on a warning recommends
-reprojection. Projections for surveys stay within 1.03."""
+"""Ratio of lengths in the CRS to lengths on the ground, or its inverse, above which a warning recommends reprojection.
+Projections for surveys stay within 1.03."""
 
 
 def warnings_of(plan: Plan) -> list[str]:

@@ -36,7 +36,7 @@ _CARELESS = 1.0
 Told = str | None
 
 NEAR_M = 1000
-"""Distance around the area within which nodes are considered, in addition to the distances in the settings.
+"""Distance in metres around the area within which nodes are read, in addition to ``--max-edge`` and ``--halo``.
 
 The plan reduces the selection once the margin of the method is known.
 """

@@ -15,10 +15,10 @@ OF_HEIGHTS = ("contour_interval", "sigma", "spike")
 
 
 def in_feet_of(config: RunConfig, units: Units) -> RunConfig:
-    """Return the settings with lengths in feet converted to the foot of the CRS.
+    """Return the settings, with lengths in ``ft`` read as US survey feet if the CRS uses these.
 
-    The US survey foot is 2 millionths longer than the international foot. A sheet of 1500 US survey feet would not be
-    a whole number of pixels of 3 international feet.
+    The US survey foot is 2 millionths longer than the international foot. Otherwise a sheet of 1500 units of the CRS
+    would not be a whole number of pixels of 3 ft.
     """
     lengths = {}
     for name, value, unit in _lengths(config, units):

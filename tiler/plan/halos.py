@@ -18,7 +18,8 @@ Length = TypeVar("Length", int, float)
 def widened(step: PlannedPass, halo: Length, fits: Callable[[Length], bool]) -> Length:
     """Return the widest halo that a tile of a pass may get.
 
-    It is doubled while it fits, up to `MAX_HALO_FACTOR` times. A pass with a fixed radius keeps its halo.
+    The first ``halo`` is doubled while it fits, up to `MAX_HALO_FACTOR` times its width. A pass with a fixed radius
+    keeps its halo.
     """
     widest = halo
     while step.work.reach_m is None and 0 < widest < MAX_HALO_FACTOR * halo and fits(2 * widest):

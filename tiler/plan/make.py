@@ -57,8 +57,8 @@ from tiler.store import StoreMeta
 FILES_OF_A_READER = 2 if FORKS else 16
 """Number of inputs per reading process. Starting a process takes as long as inspecting this many inputs."""
 FAR_READERS = 8
-"""Maximum number of processes that inspect objects at URLs. It ignores the number of cores, because they mostly wait
-for responses."""
+"""Maximum number of processes that inspect objects at URLs. It may exceed the number of cores, because the processes
+mostly wait for responses."""
 
 
 def make_plan(
@@ -177,7 +177,7 @@ def _without(found: _InspectedInputs, far: LeftOut, config: RunConfig) -> _Inspe
 
 
 def _settled(found: _InspectedInputs, config: RunConfig, parameters: dict[str, Any], defaults: Any) -> Plan:
-    """Return the plan for some files, whether or not it can work."""
+    """Return the plan for the inspected files. Memory, disk and sizes are validated later."""
     covered, decided = found.covered
     notes, agreement, filled = [*found.notes, *decided], found.agreement, found.filled
     extent = sizes.hull_of(filled)
@@ -318,7 +318,7 @@ def _inspect_all(
 def _readers(paths: Sequence[Path], config: RunConfig) -> int:
     """Return the number of processes that inspect the inputs.
 
-    Each has at least `FILES_OF_A_READER` files, except the last, because its start takes time.
+    Each has at least `FILES_OF_A_READER` files, except the last, because starting a process takes time.
     """
     far = sum(is_url(path) for path in paths)
     workers = config.workers or machine.default_workers()

@@ -17,7 +17,7 @@ import numpy.typing as npt
 from ptd.passes import Pass
 
 FINE_CELL_M = Fraction(1, 2)
-"""Side of the store's cells, each with one candidate, if the cells of the method do not fit (`fine_cell_m`)."""
+"""Side in metres of the store's cells with one candidate each, if the method's cells do not divide a bucket evenly."""
 BASE_BYTES = 260 << 20
 """Bytes of a worker before the first point: the interpreter and the libraries."""
 READ_BYTES = 60
@@ -25,8 +25,8 @@ READ_BYTES = 60
 VERTEX_BYTES = 200
 """Bytes per candidate that may become a vertex: its columns while it is tested, and its share of the TIN.
 
-The same figure is used per cell of a raster. 35 bytes were measured there while large objects are found, and 180 while
-the surface is made.
+It also counts per cell of a raster. 35 bytes per cell were measured while large objects are found, and 180 while the
+surface is made.
 """
 BUCKET_POINT_BYTES = 200
 """Bytes per point while its bucket is labelled."""
@@ -45,10 +45,10 @@ PIECE_BYTES = 160
 NEAR_PIECE_BYTES = 650
 """Further bytes per piece of a breakline in a block's window, which is a vertex of the TIN (460 measured)."""
 JOINED_BYTES = 1 << 30
-"""Maximum memory of a worker with a tile of a pass on candidates: 1.4 km of dense LiDAR and 229 m around it.
+"""Maximum bytes of a worker with a tile of a pass on candidates, enough for 1.4 km of dense LiDAR and a halo of 229 m.
 
-Larger tiles do not save time (213 M points: 413 CPU s in 18 tiles per pass, 415 in 12), and more tiles are distributed
-more evenly.
+Larger tiles do not save time (213 M points: 413 CPU s in 18 tiles per pass, 415 in 12), and smaller tiles are
+distributed more evenly among workers.
 """
 TIN_BYTES = 3 << 29
 """Maximum bytes of a TIN that blocks of the terrain share."""
@@ -113,7 +113,7 @@ def breakline_bytes(lines: Sequence[npt.NDArray[np.int64]], pixel: float, window
 
 
 def _most_in_a_window(squares: npt.NDArray[np.float64], pieces: npt.NDArray[np.float64]) -> float:
-    """Return a bound of the pieces in a window, which intersects at most 2 x 2 of the squares."""
+    """Return the largest number of pieces in 2 x 2 neighbouring squares, since no window intersects more."""
     occupied, square_index = np.unique(squares, axis=0, return_inverse=True)
     held = np.bincount(square_index.ravel(), pieces)
     windows: dict[tuple[int, int], float] = defaultdict(float)
@@ -143,8 +143,8 @@ def nested(cell_m: float, fine_m: Fraction) -> bool:
 def filter_bytes(points: float, area_m2: float, cell_m: float, step: PlannedPass, fine_m: Fraction) -> float:
     """Return the bytes that a window of a pass needs above `BASE_BYTES`.
 
-    The number of elected points is not known yet. At most one per thinning cell is elected. A raster has all cells of
-    the window, including cells without points.
+    The number of elected points is not known yet, so one per thinning cell counts, the maximum. A raster has all cells
+    of the window, including cells without points.
 
     Parameters
     ----------

@@ -47,7 +47,7 @@ SURFACE_SHARE = 2
 """Number of cells along a pixel's side, each with one point of the surface, if the surface is a percentile of the
 heights."""
 THIN_SHARE = 4
-"""The same number if ground points are thinned to save memory."""
+"""Number of cells along a pixel's side, each with one ground point, if ground points are thinned to save memory."""
 PART = 128
 """Side, in pixels, of the parts into which a block with many points is divided."""
 
@@ -56,7 +56,7 @@ MIN_CANDIDATES = 500_000
 
 MIN_MATCHED_M2 = 0.5
 """Density in points per square metre below which the plan reserves no memory for photogrammetric clouds if the kind is
-not known. `auto` needs twice the density to decide that a cloud is photogrammetric for lack of penetrated plants."""
+not known. From positions alone, `auto` classifies clouds as photogrammetric only from twice this density on."""
 
 
 def known_kind(
@@ -64,8 +64,8 @@ def known_kind(
 ) -> str | None:
     """Return the kind of the clouds, or None if it is not known yet.
 
-    It is that of the run whose statistics are used. Without statistics it is the kind that the user gives, or else the
-    kind that the fields of the points decide.
+    With ``statistics`` of an earlier run, it is the kind in them. Otherwise it is the kind that the user gives, or
+    else the kind that the fields of the points decide.
     """
     if statistics is None:
         return run_facts(None, config.source_kind, evidence).kind
@@ -77,7 +77,10 @@ def known_kind(
 
 
 def likely_of(steps: Iterable[PlannedPass], kind: str | None, density: float) -> tuple[PlannedPass, ...]:
-    """Return the passes for which the plan reserves memory: those of a run that suit the density."""
+    """Return the passes for which the plan reserves memory.
+
+    If the kind is unknown and the density is low, passes for photogrammetric clouds are left out.
+    """
     if kind is None and density < MIN_MATCHED_M2:
         return tuple(step for step in steps if step.kind != "dim")
     return tuple(steps)
@@ -247,9 +250,9 @@ class Plan:
         return nested(self.candidate_cell_m, self.fine_m)
 
     def joins(self, step: PlannedPass) -> bool:
-        """Return whether the tiles of a pass are joined into the largest that fit into memory.
+        """Return whether a pass gets the largest tiles that fit into memory and occupy all workers.
 
-        They are if candidates suffice for the pass and the user did not choose a tile size.
+        It does if candidates suffice for the pass and the user did not choose a tile size.
         """
         return self.tile_workers > 0 and step.on_candidates and self.on_candidates
 
@@ -283,14 +286,15 @@ class Plan:
 
     @property
     def grid_halo(self) -> Fraction:
-        """Distance in metres around a block that usually suffices, a little more than `max_edge`."""
+        """Halo in metres of a block of the terrain that usually suffices, 1 % more than `max_edge`."""
         return self.config.max_edge * Fraction(101, 100)
 
     @property
     def thin_ground(self) -> bool:
         """Whether the surface is made of one ground point per cell of a quarter of a pixel's side.
 
-        It is if a part of the mean density, or the smallest part in the fullest place, would have too many points.
+        It is if a part of a block would have more than `MAX_GROUND` points, either with the mean density or, for the
+        smallest part, in the fullest place.
         """
         if self.thin is not None:
             return self.thin

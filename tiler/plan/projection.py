@@ -76,7 +76,7 @@ def widest_halo_m(plan: Plan, step: PlannedPass) -> float:
 
 
 def overlap_of(plan: Plan, steps: Iterable[PlannedPass]) -> float:
-    """Return the largest ratio over the passes of a filter tile's padded area to its core area.
+    """Return the ratio of a filter tile's padded area to its core area, the largest of all passes.
 
     Joined tiles do not extend beyond the survey.
     """

@@ -25,8 +25,8 @@ FETCHED_BUCKET_M = 32
 """Largest bucket in metres if only a part of a file at a URL is fetched. Buckets at the edge are fetched completely."""
 TILE_M = 512
 TILE_POINTS = 500_000
-"""Approximate number of points in a tile of a sparse cloud, since a task costs more than a few points. The side of the
-tile is at most `SPARSE_TILE_M`."""
+"""Approximate number of points in a tile of a sparse cloud. Fewer points are not worth a task. The side of the tile is
+at most `SPARSE_TILE_M`."""
 SPARSE_TILE_M = 4096
 
 FINE_PIXELS_M = (Fraction(1, 10), Fraction(1, 4), Fraction(1, 2))
@@ -36,8 +36,8 @@ PIXELS_FT = (Fraction(1, 10), Fraction(1, 5), Fraction(1, 2), *map(Fraction, (1,
 USUAL_FT = Fraction(2)
 """Pixel, in the unit of the CRS, that replaces the pixel of 1 m if that unit is not the metre."""
 MATCHED_POINTS = 9.0
-"""Minimum mean number of points per pixel of a photogrammetric cloud. Their mean is better than a single point, and
-relief is not finer."""
+"""Minimum mean number of points per pixel of a photogrammetric cloud. The mean of several heights is more accurate than
+one height, and smaller pixels would not show more relief."""
 MOSTLY_VOID = 0.5
 """Share of the files' bounds that a sample of the points must cover for the bounds to count as the area. Otherwise the
 area that the sample covers counts, although it is rough."""
@@ -125,9 +125,9 @@ def tile_m(
 ) -> Fraction:
     """Return the side in metres of the largest tile that fits into three quarters of the memory.
 
-    It is at most `TILE_M`, or in sparse clouds the side of `TILE_POINTS`, since a task is not worth little work. If
-    there are other passes, passes on every point do not influence it: their halos are small, and their tiles are
-    divided if they do not fit. Small tiles would cost the other passes much, whose halos are hundreds of metres wide.
+    It is at most `TILE_M`, or in sparse clouds the side of a tile of `TILE_POINTS`. Passes on every point count only if
+    there are no other passes: their halos are small, and their tiles are divided if they do not fit. The other passes
+    have halos of hundreds of metres, so small tiles would multiply their work.
     """
     passes = tuple(passes)
     passes = tuple(step for step in passes if not step.work.every_point) or passes

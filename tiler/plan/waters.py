@@ -19,8 +19,8 @@ from tiler.io.vector.areas import area_in_counts
 DRAWN_WATER = replace(
     LINES_AND_POLYGONS, point_layers=frozenset({"reaches"}), left_out=frozenset({"breaklines"})
 )
-"""Kind of a file of water: polygons, lines, and the points of the layer ``reaches``, without the layer ``breaklines``
-that a run writes for other programs."""
+"""Features read from a file of water: polygons, lines, and the points of the layer ``reaches``. The layer
+``breaklines``, which a run writes for other programs, is left out."""
 LEVEL = "level"
 """Name of the column of the height of the water, in the unit of the heights. The other height columns are used if it is
 missing or empty."""
@@ -31,8 +31,7 @@ SAME_COUNTS = 2
 def waters_of(features: Sequence[Feature], extent: Bounds) -> list[Water]:
     """Return the bodies of water of a file, with heights if it has them.
 
-    Adjacent polygons of one kind without a level form one body, because files are cut at the borders of sheets, and
-    lakes are not.
+    Adjacent polygons of one kind without a level form one body, because the borders of map sheets may divide a lake.
 
     Parameters
     ----------
@@ -119,7 +118,7 @@ def _level(feature: Feature) -> int | None:
 
 
 def _merged(features: Sequence[Feature]) -> list[Any]:
-    """Return the flow lines: lines with heights run downhill, and the others are merged.
+    """Return the flow lines. Lines with heights are directed downhill, and lines without heights are merged.
 
     Raise InputError if the heights of a line rise and fall, or are too large.
     """
@@ -168,7 +167,7 @@ def _polygon(rings: Sequence[npt.NDArray[np.int64]]) -> Any:
 
 
 def _with_stations(bodies: list[Water], stations: Sequence[Feature]) -> list[Water]:
-    """Return the bodies, with the lines of rivers at the levels of the stations nearest to them.
+    """Return the bodies, after each station has changed the levels of the river line nearest to it.
 
     Raise InputError if levels along a line rise and fall.
     """

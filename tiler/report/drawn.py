@@ -13,7 +13,7 @@ from tiler.report.profiles import profile
 
 
 def drawn(run: Run) -> list[Node]:
-    """Return the section in a list, or an empty list if the run has none of these features."""
+    """Return the section as the only item of a list, or an empty list if it would be empty."""
     lines, edits, water, contours = (run.get(name) for name in ("breaklines", "edits", "water", "contours"))
     wide = run.get("plan", {}).get("metres_per_unit", {}).get("horizontal", 1.0)
     high = run.get("plan", {}).get("metres_per_unit", {}).get("vertical", 1.0)

@@ -16,7 +16,7 @@ from tiler.report.problems import marked_places
 from tiler.report.runfile import title_of
 
 MAX_TILES = 20_000
-"""Largest number of tiles on the map, all stages together: more do not fit into a page of 5 MB.
+"""Maximum number of tiles on the map in all stages, so that the page stays below 5 MB.
 
 A stage is shown with all its tiles or not at all.
 """

@@ -29,7 +29,8 @@ LONGER_SIDE = 1600
 """Largest number of pixels of the longer side of a picture."""
 
 MAX_BYTES = 3 << 20
-"""Largest size of all pictures together, as files (a third more in the page). Above it, smaller pictures are drawn."""
+"""Maximum size in bytes of all PNG files together, which take a third more in the page. If they are larger, smaller
+pictures are drawn."""
 
 SHADES = 63
 """Number of shades of a picture. More shades are not visible, and make the file larger."""
@@ -173,7 +174,7 @@ def _picture(
 
 
 def _open(place: str) -> Any:
-    """Open a raster. A raster at a URL is read in parts, because its overviews are only a few parts of the file."""
+    """Open a raster. At a URL, only parts of the file are fetched, because the overviews are small."""
     return (
         rasterio.open(place, opener=url_to_fs(plain_scheme(place))[0])
         if is_url(place)

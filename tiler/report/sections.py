@@ -196,7 +196,7 @@ def _measured(run: Run) -> Iterator[tuple[str, str, str]]:
     """
     known: dict[str, str] = {}
     states = {step: dict(_flat("", state)) for step, state in run.get("statistics", {}).items()}
-    # The survey comes first. Later passes repeat its figures.
+    # The survey is sorted first, because later passes repeat its figures.
     for step, state in sorted(states.items(), key=lambda found: (found[0] != "survey", len(found[1]))):
         new = {name: text for name, text in state.items() if known.get(name) != text}
         known |= new
@@ -215,7 +215,7 @@ def _crs_name(wkt: str | None) -> str:
 def _flat(prefix: str, value: Any) -> Iterator[tuple[str, str]]:
     """Yield nested facts as names and texts.
 
-    Of long lists and of facts by place, only the length is given.
+    For long lists and for facts by position, only the number of values is given.
     """
     if prefix == PLACES:
         yield prefix, f"{len(value):,}"

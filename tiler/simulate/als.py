@@ -233,7 +233,7 @@ def _on_waters(
     lost: Floats,
     rng: np.random.Generator,
 ) -> Floats:
-    """The share of lost pulses at each position. Heights and labels of returns from water are set in place."""
+    """Return the share of lost pulses at each position. Set heights and labels of returns from water in place."""
     x, y = at
     if waters.lost_on_land is not None:
         lost = np.where(label == GROUND, waters.lost_on_land(x, y), lost)

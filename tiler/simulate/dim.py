@@ -36,7 +36,7 @@ WALL_M = 2.5
 """Smallest jump of the surface that is a visible wall, metres."""
 
 NARROW_M = 1.2
-"""Half the width in metres of the window in which objects hide the centre from images."""
+"""Half the side in metres of the window around a position, in which high objects hide it from images."""
 
 NARROW_RISE_M = 7.0
 """Height in metres above a position from which an object next to it hides it from images."""
@@ -74,7 +74,7 @@ class DimSensor:
     tails : float or None
         Degrees of freedom (above 2) of Student's t for the independent noise of a point. None gives normal noise.
     jitter : float
-        Range of the random offsets from a square lattice, over its spacing. With 0, points are as regular as a mesh.
+        Range of the random offsets from a square lattice, as a share of its spacing. With 0, points are regular.
     plants_m : float
         Height below which plants are classified as ground.
     coloured : bool

@@ -37,7 +37,7 @@ class MatchedSurface:
     sharp, smooth : float64
         The surface with objects, before and after smoothing, metres.
     label, beside : uint8
-        ASPRS class before smoothing, and the same with the class of the nearest object instead of ground and water.
+        ASPRS class before smoothing. ``beside`` has the class of the nearest object instead of ground and water.
     rise : float64
         Height by which objects lift the smoothed surface, metres.
     thing : int64

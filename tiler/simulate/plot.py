@@ -199,7 +199,7 @@ class Plot:
     ) -> None:
         """Place a broad or, if ``dense``, a conifer-like tree of height ``tall`` on free ground.
 
-        The radius of its crown is at most ``widest``. The ground must be free within the share ``rooted`` of it.
+        The radius of its crown is at most ``widest``. The ground must be free within ``rooted`` times that radius.
         """
         radii, clearances, spacing, stop = (0.2, 0.38), (0.15, 0.35), 1.6, 0.3
         if dense:

@@ -303,9 +303,9 @@ class Terrain:
 
 
 def _stairs(t: Floats, steps: int, face: float) -> Floats:
-    """Return the height of stairs, 1 high and 1 long, from 0 to ``steps``.
+    """Return the height of ``steps`` stairs, each 1 high and 1 long, at the distances ``t``.
 
-    The last ``face`` of each length rises, and the rest is level.
+    The last ``face`` (a share) of each step rises, and the rest is level.
     """
     t = np.clip(t, 0.0, steps)
     whole = np.floor(t)

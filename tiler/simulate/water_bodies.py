@@ -12,14 +12,14 @@ Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
 Ints = npt.NDArray[np.int64]
 Field = Callable[[Floats, Floats], Floats]
-"""A value at each position; positions are in metres."""
+"""Function that returns a value at each position x, y in metres."""
 
 FACE_SLOPE = 8.0
 """Rise of the faces of masonry per metre. The height at a vertical face would be ambiguous."""
 
 
 def constant(value: float) -> Field:
-    """A field that has the same value everywhere."""
+    """Return a field that has the same value everywhere."""
     return lambda x, y: np.full(np.broadcast_shapes(np.shape(x), np.shape(y)), value)
 
 
@@ -73,7 +73,7 @@ class Masonry:
     crest: float
 
     def height_at(self, x: Floats, y: Floats) -> Floats:
-        """Height of the crest, and of the faces, which end at any depth."""
+        """Return the height in metres of the crest, or of the faces around it, which have no lower end."""
         beside_x = np.maximum(np.maximum(self.west - x, x - self.east), 0.0)
         beside_y = np.maximum(np.maximum(self.south - y, y - self.north), 0.0)
         return np.asarray(self.crest - FACE_SLOPE * np.maximum(beside_x, beside_y))
@@ -98,7 +98,7 @@ class Waters:
     lost_on_land: Field | None = None
 
     def body_at(self, x: Floats, y: Floats) -> Ints:
-        """Index of the body of water at each position, int64. It is -1 on land and on masonry."""
+        """Return the index of the body of water at each position, int64, or -1 on land and masonry."""
         index = np.full(x.shape, -1)
         surface = np.full(x.shape, -np.inf)
         for i, body in enumerate(self.bodies):
@@ -110,14 +110,17 @@ class Waters:
         return index
 
     def shore_m(self, x: Floats, y: Floats) -> Floats:
-        """Distance from the nearest shore in metres, negative on the water. Masonry is ignored."""
+        """Return the distance from the nearest shore in metres, negative on the water. Masonry is ignored."""
         nearest = np.full(x.shape, np.inf)
         for body in self.bodies:
             nearest = np.minimum(nearest, body.shore(x, y))
         return nearest
 
     def height_at(self, x: Floats, y: Floats, land: Floats) -> Floats:
-        """Height of water, banks and masonry in metres. ``land`` (same shape) is the height without them."""
+        """Return the height of the terrain with water, banks and masonry. ``land`` is the height without them.
+
+        Both are in metres and have the shape of x and y.
+        """
         height = land
         for body in self.bodies:
             bank = body.level(x, y) + np.maximum(body.shore(x, y), 0.0) * body.bank_slope

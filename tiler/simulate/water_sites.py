@@ -1,4 +1,4 @@
-"""Kinds of places with water of known extent and level: a river with a dam, meanders, lakes, a tide, a wet meadow."""
+"""Kinds of sites with water of known extent and level, and a wet meadow without water."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ BANK_TREES_M = 9.0
 """Width of the strip along a shore on which trees grow."""
 
 OVERHANG_M = 4.0
-"""Largest distance by which crowns reach over the water."""
+"""Largest distance in metres by which crowns reach over the water."""
 
 REED_BANK_M = 6.0
 """Width of a bank of reed."""
@@ -25,7 +25,7 @@ def _rng(seed: int) -> np.random.Generator:
 
 
 def bank_trees(plot: Plot) -> None:
-    """Plant trees along the shores, whose crowns reach over the water."""
+    """Place trees along the shores, with crowns that reach over the water."""
     waters = plot.terrain.waters
     if waters is None:
         return
@@ -40,7 +40,7 @@ def bank_trees(plot: Plot) -> None:
 
 
 def _built(waters: Waters, place: tuple[Floats, Floats], height: float) -> bool:
-    """Whether the terrain at a place is masonry."""
+    """Return whether the terrain at a position is masonry, given its ``height`` there."""
     return any(block.height_at(*place)[0] > height - 0.5 for block in waters.masonry)
 
 
@@ -127,7 +127,7 @@ def meander(seed: int, side_m: float) -> Site:
 
 
 def _lobed(x0: float, y0: float, radius: float, lobes: int) -> Field:
-    """Distance from a round shore with lobes."""
+    """Return the field of the distance from a round shore with ``lobes`` lobes, in metres."""
 
     def shore(x: Floats, y: Floats) -> Floats:
         angle = np.arctan2(y - y0, x - x0)
@@ -167,7 +167,7 @@ def lakes(seed: int, side_m: float) -> Site:
 
 
 def tide(seed: int, side_m: float) -> Site:
-    """A sea along a beach, which was 0.6 m lower when the eastern half was surveyed."""
+    """A beach along a sea that was 0.6 m lower when the eastern half was surveyed."""
     rng = _rng(seed)
     phase, beach_slope, fall = rng.uniform(0.0, 2 * np.pi), 0.05, 0.6
 
@@ -186,7 +186,7 @@ def tide(seed: int, side_m: float) -> Site:
 
 
 def wet_meadow(seed: int, side_m: float) -> Site:
-    """Flat land without water: where it is wet and dark, only a third of the pulses return."""
+    """Flat land without open water, with wet, dark patches that return only a third of the pulses."""
     rng = _rng(seed)
     phase = rng.uniform(0.0, 2 * np.pi)
 

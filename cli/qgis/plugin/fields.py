@@ -60,7 +60,7 @@ def _parameter(spec: dict[str, Any]) -> Any:
         filter = TABLE["cloud_files"] if kind == "cloud" else ALL_FILES
         optional = not spec[
             "required"
-        ]  # also if it has a default, which QGIS does not accept as the value of a file
+        ]  # A setting with a default is optional, too, because QGIS does not accept the default as a file.
         return QgsProcessingParameterFile(
             name, label, defaultValue=default, optional=optional, fileFilter=filter
         )
@@ -78,7 +78,9 @@ def _parameter(spec: dict[str, Any]) -> Any:
         return QgsProcessingParameterEnum(
             name, label, spec["choices"], False, default, optional, usesStaticStrings=True
         )
-    if kind == "names":  # these are numbers, because the dialog of QGIS 3.22 loses several names
+    if (
+        kind == "names"
+    ):  # The values are numbers, because the dialog of QGIS 3.22 loses names if several are given.
         return QgsProcessingParameterEnum(
             name, label, spec["choices"], True, numbers_of_names(spec, default), optional
         )
@@ -128,7 +130,7 @@ def read_value(
     if kind in ("new_picture", "new_cloud"):
         path = algorithm.parameterAsFileOutput(parameters, name, context)
         return absolute(path) if given else path
-    if not given:  # parameters with a default as well, because the command has the same default
+    if not given:  # The command has the same defaults as the parameters.
         return None
     if kind in ("clouds", "files"):
         paths = algorithm.parameterAsFileList(parameters, name, context)

@@ -231,7 +231,7 @@ def _read(process: subprocess.Popen[bytes], lines: SimpleQueue[bytes | None]) ->
 
 
 def _event(line: str) -> dict[str, Any]:
-    """Return the object of a line of ``--progress json``, or an object with another line as its message."""
+    """Return the object in a line of ``--progress json``. Any other line becomes the message of an object."""
     try:
         event = json.loads(line)
     except ValueError:

@@ -125,7 +125,7 @@ def _cloud(path: str, key: str, name: str, shown: bool) -> Wanted | None:
 
 
 def _wanted(folder: str, feedback: QgsProcessingFeedback) -> list[Wanted]:
-    """Return the layers of a folder, from the top of the map to its bottom."""
+    """Return specifications of the layers for the results in a folder, from the top of the map down."""
     layers: list[Wanted] = []
 
     def vector(name: str, table: str, label: str, style: Callable[..., None]) -> None:
@@ -149,7 +149,7 @@ def _wanted(folder: str, feedback: QgsProcessingFeedback) -> list[Wanted]:
         layers.append(_raster(folder, "hillshade", "hillshade", styles.grey_shade, True))
     elif terrain:
         layers.append(Wanted("shade", "hillshade", lambda n: QgsRasterLayer(terrain, n), styles.shade, True))
-    if raster(folder, "mask"):  # below the hillshade, above the heights
+    if raster(folder, "mask"):  # The mask lies below the hillshade and above the heights.
         layers.append(_raster(folder, "mask", "source of heights", styles.mask, False))
     if terrain:
         layers.append(_raster(folder, "dtm", "terrain", styles.heights, True))

@@ -143,7 +143,7 @@ class CommandAlgorithm(QgsProcessingAlgorithm):
     def _edges(
         self, name: str, parameters: dict[str, Any], context: QgsProcessingContext, command: list[str]
     ) -> list[str]:
-        """Return west, south, east and north in the CRS of the clouds, which comes from `tiler plan`."""
+        """Return west, south, east and north of an extent in the CRS of the clouds, which `tiler plan` prints."""
         given = parameters[name]
         extent = self.parameterAsExtent(parameters, name, context)
         if not isinstance(given, str) or "[" in given:

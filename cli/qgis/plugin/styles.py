@@ -200,7 +200,7 @@ def _label(layer: Any, column: str, filter: str, placement: Any) -> None:
     settings = QgsPalLayerSettings()
     written = (
         layer.fields().indexOf("label") >= 0
-    )  # has the same number of decimals in all features; older files do not have it
+    )  # The column has equal decimals in all features. Older files lack it.
     settings.fieldName = '"label"' if written else f'round("{column}", 2)'
     settings.isExpression = True
     settings.placement = placement

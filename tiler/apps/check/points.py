@@ -170,7 +170,7 @@ def row_of(values: Mapping[str, Any], place: str) -> Row:
             raise InputError(f"{place}: {axis} {excerpt(text)} is not a number (1234.5, with a point)")
         if abs(number) >= FARTHEST:
             raise InputError(
-                f"{place}: {axis} {excerpt(text)} is farther than {FARTHEST:g}, where nothing lies"
+                f"{place}: {axis} {excerpt(text)} is beyond {FARTHEST:g}, the largest coordinate; check it"
             )
         numbers.append(number)
     texts = []

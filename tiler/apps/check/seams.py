@@ -31,9 +31,9 @@ from tiler.io.locations import as_path
 from tiler.io.result_folder import RUN
 
 BESIDE = (3, 20)
-"""Minimum and maximum distance in pixels of the lines next to an edge with which it is compared.
+"""Minimum and maximum distance, in pixels from an edge, of the lines of pixels with which the edge is compared.
 
-Nearer lines are left out. The slopes of the nearest one on each side contain half of the edge's jump.
+Nearer lines are left out, because the slopes next to the edge contain half of its jump.
 """
 
 KINDS = ("interior", "tiles", "blocks", "beside_tiles", "beside_blocks")
@@ -213,7 +213,7 @@ def _differences(heights: Floats, marks: dict[str, Bools]) -> tuple[Floats, Floa
 
 
 def _marks(start: float, size: float, pixels: int, edges: TileEdges) -> dict[str, Bools]:
-    """Return masks of the pixels along an axis whose step from the previous pixel is of each of `KINDS`."""
+    """Return, for each kind of step, a mask of the pixels along an axis with such a step from the previous pixel."""
     low, high = sorted((start, start + size * pixels))
     edge_mask = np.zeros(pixels + 1, np.bool_)
     for edge in edges.between(low, high):

@@ -59,7 +59,7 @@ def find_scenes(clouds: Sequence[str | Path], references: Sequence[str | Path]) 
     clouds, references : sequence of path
         Files, folders, globs. A single cloud is paired with all references. Equal numbers of clouds and references
         that are given one by one are paired in their order. Otherwise a reference is paired with the cloud of the same
-        name (without suffix). Among several of them, it is the one with the same path within the given folder.
+        name (without suffix). Among several such clouds, the one with the same path within its given folder counts.
 
     Raises
     ------
@@ -81,7 +81,7 @@ def find_scenes(clouds: Sequence[str | Path], references: Sequence[str | Path]) 
 
 
 def _partner(clouds: Sequence[tuple[Path, str]], reference: Path, place: str) -> Path:
-    """Return the only cloud with the name of a reference. Raise ConfigError if it is not the only one."""
+    """Return the cloud that belongs to a reference. Raise ConfigError if there is none, or more than one."""
     matches = [cloud for cloud in clouds if cloud[0].stem == reference.stem]
     if len(matches) > 1:
         matches = [cloud for cloud in matches if cloud[1] == place]

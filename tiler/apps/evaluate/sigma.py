@@ -67,9 +67,9 @@ class SigmaTally:
             errors, which is 0.683, 0.954 and 0.997 for normally distributed errors); ``rmse`` and ``predicted_rmse``
             (root mean square of errors and of standard errors); ``by_slope``: ``pixels``, ``rmse`` and
             ``predicted_rmse`` of each class ``from_deg`` to ``to_deg``; ``in_first_tenth``: share of the sum of squared
-            errors in the tenth of the pixels with the largest standard errors; ``area``: mean of this share over all
-            fractions of the pixels instead of a tenth, which is 0.5 in random order; ``area_at_best``: the same for
-            pixels sorted by their errors.
+            errors in the tenth of the pixels with the largest standard errors; ``area``: the same share, averaged over
+            all fractions of the pixels from 0 to 1 (0.5 in random order); ``area_at_best``: this average for pixels
+            sorted by their errors.
         """
         n, squared, predicted = self._by_slope.sum(axis=0)
         shares = {f"within_{k}": ratio(int(self._within[k - 1]), int(n)) for k in (1, 2, 3)}

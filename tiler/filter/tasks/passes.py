@@ -56,8 +56,7 @@ class PassInputs:
     ) -> PassInputs:
         """Return the results after a finished pass that elects points or gives labels.
 
-        The flags are set if its labels are the last ones (``last``), and if they are only those of candidates
-        (``few``).
+        ``last`` is set if its labels are the last ones, and ``few`` if they are only those of candidates.
         """
         if step.elects:
             counts = dict.fromkeys(assembled.records, 0)
@@ -165,7 +164,7 @@ def label_digests(assembled: IngestResult, filtered: Commits) -> dict[Cell, str]
 def _content_digests(
     assembled: IngestResult, results: Iterable[tuple[TileRecord, str | None]]
 ) -> dict[Cell, str]:
-    """Return the digest of each bucket's contents and of the results of its tile, given as digests of tiles."""
+    """Return the digest of each bucket's contents and of the digest of its tile in ``results``."""
     by_bucket: dict[Cell, str | None] = dict.fromkeys(assembled.records, "none")
     for tile, digest in results:
         by_bucket |= {Cell(*cell): digest for cell in tile.cells}

@@ -35,7 +35,7 @@ EQUAL_HALF = 0.05
 """Largest deviation for tiles that are divided among workers, as the slowest tile decides the total time."""
 
 ROUNDEST = 1 << 62
-"""Roundness of the line 0, which every power of two divides."""
+"""Power of two that counts as the largest divisor of the line 0, see `_halves`."""
 
 
 class BucketPoints(NamedTuple):

@@ -162,7 +162,7 @@ def assemble_tasks(
         pieces_of_group = {piece for cell in groups[group] for piece, _, _ in fragments[cell]}
         parents = [identities[piece] for piece in sorted(pieces_of_group)]
         points = sum(stop - start for c in groups[group] for _, start, stop in fragments[c])
-        # The rows in a piece are not in the digest: they depend on its other stored buckets, but the points do not.
+        # The digest has no rows, because a bucket's rows in a piece depend on the other buckets that are stored.
         content = [
             [b.cell, [[piece, stop - start] for piece, start, stop in b.fragments], b.rules] for b in buckets
         ]
