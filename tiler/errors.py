@@ -26,7 +26,7 @@ class TilerError(Exception):
     """Whether a task that ended with this error may be retried, since the cause may be temporary."""
 
     def __init__(self, *parts: object) -> None:
-        # Messages contain URLs, and are sent to terminals, files and other machines. All of them are made here.
+        # Messages contain URLs, and are sent to terminals, files and other machines. So secrets are removed here.
         super().__init__(*(without_secrets(part) if isinstance(part, str) else part for part in parts))
 
 
@@ -44,7 +44,7 @@ class ConfigError(TilerError):
 
 
 class LockedError(ConfigError):
-    """Another run holds the store."""
+    """Another run holds the store or the folder of results."""
 
 
 class StoreError(TilerError):
@@ -52,7 +52,7 @@ class StoreError(TilerError):
 
 
 class ForeignStoreError(StoreError):
-    """There is no store of this version at the given location. The user has to give another location."""
+    """There is no store of this version at the given location. The user has to change the command."""
 
     exit_code = 2
 
@@ -81,7 +81,7 @@ class InputError(TilerError):
 
 
 class ProcessingError(TilerError):
-    """The work itself failed: no tile succeeded, or one failed with ``--on-error stop``."""
+    """The work itself failed: no tile succeeded, one failed with ``--on-error stop``, or a file cannot be written."""
 
     again = True
 

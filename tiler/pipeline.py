@@ -118,7 +118,7 @@ def run(
             job.listener = redacting(combine(listener, log, job.record.keep_warning))
             result = _locked_run(job, until, started)
         if config.clean_store and until == "export" and (left := remove_store(url)):
-            listener(Note(f"{url}: the store was deleted; kept, since not part of it: {', '.join(left)}"))
+            listener(Note(f"{url}: the store was deleted; other files stay there: {', '.join(left)}"))
     return result
 
 
@@ -183,7 +183,7 @@ def _locked_run(job: Job, until: str, started: float) -> RunResult:
         try:
             job.save(state)
         except ProcessingError:
-            # A full disk refuses this as well, and the error that ended the run is reported.
+            # A full disk prevents this write, too. The error that ended the run is raised below.
             record_end(job.out, state, code)
         raise
     finally:

@@ -65,5 +65,5 @@ def load_config(path: Path) -> dict[str, Any]:
         raise ConfigError(f"{path}: {error.strerror}; give a readable TOML file") from error
     except UnicodeDecodeError as error:
         raise ConfigError(f"{path}: byte {error.start} is not UTF-8; save the file as UTF-8") from error
-    except (ValueError, RecursionError) as error:  # also raised for endless numbers and endless nesting
+    except (ValueError, RecursionError) as error:  # Very long numbers and deep nesting raise these, too.
         raise ConfigError(f"{path}: is not valid TOML ({error}); correct the file") from error

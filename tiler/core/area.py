@@ -119,8 +119,8 @@ class Area:
     def cells(self, lattice: Lattice, window: Bounds, margin: int) -> Runs | None:
         """Return the cells that overlap ``window`` and come within ``margin`` counts of the area.
 
-        The result is None if the area covers the window. If the outline is longer than about `MAX_BOXES` cells, it may
-        include cells beyond the margin.
+        The result is None if the area covers the window. If the outline is longer than about `MAX_BOXES` cells,
+        cells beyond the margin may be included.
         """
         if self.covers(window):
             return None
@@ -232,7 +232,7 @@ def _rising(rings: Sequence[Counts]) -> Counts:
 
 
 def _near(edges: Counts, bounds: Bounds) -> Counts:
-    """Return the edges that touch the bounds (including upper edges) or miss them by less than a rounding error."""
+    """Return the edges that touch the bounds or their border, or miss them by less than a rounding error."""
     x0, y0, x1, y1 = edges
     hit = (np.minimum(x0, x1) <= bounds.x1) & (np.maximum(x0, x1) >= bounds.x0)
     hit &= (np.minimum(y0, y1) <= bounds.y1) & (np.maximum(y0, y1) >= bounds.y0)

@@ -93,7 +93,7 @@ class Edit:
     z : int or None
         Height that `FLAT` sets, in counts.
     lowest : bool
-        Whether `TO_GROUND` selects the lowest point of each cell, as it does if the input has no ground inside.
+        Whether `TO_GROUND` selects the lowest point of each cell, because the input has no ground inside.
     deck : DeckSurface or None
         Surface of the deck, only for `DECK`.
     """
@@ -167,7 +167,7 @@ class Edits:
         return replace(self, edits=tuple(edit for edit in touching if edit.action in actions))
 
     def by_cell(self, lattice: Lattice, cells: Iterable[Cell]) -> dict[Cell, list[Edit]]:
-        """Return the edits of points that touch each cell, without the cells that have no edits."""
+        """Return the edits that change points and touch each cell. Cells without such edits are left out."""
         edits_by_cell = {}
         for cell, near in self._index.by_cell(lattice, cells).items():
             edits = [self.edits[i] for i in near if self.edits[i].action in OF_POINTS]

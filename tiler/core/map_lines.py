@@ -28,7 +28,7 @@ def drawn(lines: Sequence[Counts]) -> list[list[float]]:
 
 
 def add_rings(facts: Sequence[dict[str, Any]], areas: Sequence[Area]) -> None:
-    """Add the closed rings of its area to each fact, unless all rings together have too many vertices for a page."""
+    """Add to each fact the closed rings of its area, unless all rings together have too many vertices for a page."""
     rings = [[ring for rings in area.polygons for ring in rings] for area in areas]
     if sum(len(ring) for of_area in rings for ring in of_area) <= MAX_PLACES:
         for fact, of_area in zip(facts, rings, strict=True):
@@ -36,7 +36,7 @@ def add_rings(facts: Sequence[dict[str, Any]], areas: Sequence[Area]) -> None:
 
 
 def rings_of(parts: npt.NDArray[Any], size: float) -> list[list[float]]:
-    """Return rings of polygons, simplified by ``size``. The tolerance doubles while they have too many vertices."""
+    """Return rings of polygons, simplified with the tolerance ``size``, which doubles until the vertices are few."""
     while True:
         simple = shapely.simplify(parts, size)
         simple = simple[~shapely.is_empty(simple)]

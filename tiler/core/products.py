@@ -25,7 +25,7 @@ VOID = 3
 """Cell inside the survey, in a gap without points that is wider than the gaps that are bridged."""
 
 HEIGHT = "height"
-"""Unit of a band in the vertical unit of the CRS."""
+"""Value of `Product.unit` for bands in the vertical unit of the CRS."""
 
 
 @dataclass(frozen=True)

@@ -87,8 +87,8 @@ class RasterSpec:
     def enclosing(cls, lattice: Lattice, extent: Bounds) -> RasterSpec:
         """Return the smallest raster that has every count of ``extent`` in its pixels or on its outer edge.
 
-        A row or column of pixels for points on its edge only would have no heights. The raster has at least one row
-        and one column.
+        Unlike `covering`, it adds no row or column that only has points on its edge and so no heights. The raster has
+        at least one row and one column.
         """
         west = lattice.index_of(extent.x0)
         south = lattice.index_of(extent.y0)

@@ -13,7 +13,7 @@ from tiler.errors import StoreError
 class Record:
     """Record of a task. The names of its fields are the keys of the JSON object.
 
-    A field whose default is None has no key if it is None.
+    Fields with the default None are left out of the object while their value is None.
     """
 
     @classmethod

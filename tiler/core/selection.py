@@ -14,7 +14,7 @@ DROP_WITHHELD, KEEP_WITHHELD = "drop", "keep"
 """Values of `--withheld`."""
 
 WITHHELD = "withheld"
-"""Key of the number of points that the flag "withheld" excludes, in addition to the keys of `Selection.options`."""
+"""Key of the number of points excluded by the flag "withheld". The other keys are those of `Selection.options`."""
 
 MAX_RETURNS = 15
 """Largest return number in LAS records."""

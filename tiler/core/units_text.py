@@ -10,7 +10,7 @@ from tiler.core.units import FOOT, METRE, US_SURVEY_FOOT, Units
 
 SQUARE_KM, ACRE, ACRES_PER_SQUARE_MILE = 1e6, float(43_560 * FOOT**2), 640
 ROUND = 3e-6
-"""Largest relative difference of a number of feet from its rounded value with which it is printed without metres.
+"""Largest relative rounding error with which a number of feet counts as round and is printed without metres.
 
 The rounded value has two decimals, or one from ten feet on. The two kinds of foot differ by 2e-6."""
 

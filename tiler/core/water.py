@@ -214,7 +214,7 @@ class Waters:
     def set_heights(
         self, spec: RasterSpec, block: Block, heights: npt.NDArray[np.float32], where: Bools
     ) -> list[tuple[str, int]]:
-        """Set the heights of the water's pixels, in units of the CRS.
+        """Set the heights of the water's pixels in the mask ``where``, in units of the CRS.
 
         Returns
         -------

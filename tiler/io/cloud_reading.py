@@ -76,7 +76,7 @@ def digest_of_file(path: Path) -> str:
 
 
 def reopen(file: BinaryIO, path: Path) -> BinaryIO:
-    """Open the same file again, with a separate position. At a URL the two share their blocks."""
+    """Open the same file again, with a separate position. At a URL both file objects share their blocks."""
     if isinstance(file, _Guarded):
         return cast(BinaryIO, _Guarded(file.shared, file.parts))
     return open(path, "rb")

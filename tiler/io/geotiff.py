@@ -77,7 +77,7 @@ class PlainWriter:
 
 
 def tiled_profile(height: int, width: int, transform: Sequence[float]) -> dict[str, Any]:
-    """Return rasterio's options for a tiled GeoTIFF, BigTIFF if it may exceed 4 GB, without bands and CRS."""
+    """Return rasterio's options, except bands and CRS, for a tiled GeoTIFF (BigTIFF if it may exceed 4 GB)."""
     blocks = {"tiled": True, "blockxsize": BLOCK_PIXELS, "blockysize": BLOCK_PIXELS, "BIGTIFF": "IF_SAFER"}
     return {"driver": "GTiff", "height": height, "width": width, "transform": Affine(*transform), **blocks}
 
@@ -131,7 +131,7 @@ def plain_geotiff(
 
 @contextmanager
 def any_place() -> Iterator[None]:
-    """Suppress rasterio's warning about pixels of one unit at (0, 0), which a GeoTIFF stores correctly."""
+    """Suppress rasterio's warning that a raster at (0, 0) with pixels of one unit has no position, which is wrong."""
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", NotGeoreferencedWarning)
         yield

@@ -70,7 +70,7 @@ def _is_on_server(url: str) -> bool:
 
 
 def _login(url: str) -> dict[str, str]:
-    """Return user and password of a URL without escapes, which fsspec would not remove."""
+    """Return user and password of a URL. Their escapes are decoded here, since fsspec does not decode them."""
     parts = urlsplit(url)
     named = {"username": parts.username, "password": parts.password}
     return {name: unquote(value) for name, value in named.items() if value}
@@ -109,7 +109,7 @@ def location(path: Path) -> str:
 
 
 def validate_escaped(url: str) -> None:
-    """Raise ConfigError if characters of a password make a URL invalid, since libraries would show it in errors."""
+    """Raise ConfigError if a password makes a URL invalid, since errors of libraries would show the password."""
     try:
         urlsplit(url.rpartition("::")[2]).port  # noqa: B018 - reading it raises the error
     except ValueError:
@@ -144,7 +144,7 @@ TAGS = ("ETag", "etag", "Content-MD5", "md5Hash", "generation", "Last-Modified")
 
 @dataclass(frozen=True)
 class FileState:
-    """State of a file, which shows without reading it whether it is still the same.
+    """State of a file, which shows whether the file has changed. It is found without reading the file.
 
     Attributes
     ----------

@@ -94,7 +94,7 @@ def is_results(place: str) -> bool:
 
 
 def below(out: str, place: str) -> str:
-    """Return the path in OUT of a file at a path or URL."""
+    """Return the path in ``out`` of the file at ``place``, a path or URL."""
     return place.removeprefix(out.rstrip("/")).lstrip("/")
 
 
@@ -117,9 +117,9 @@ def earlier_outputs(out: Path, products: str) -> dict[str, str | None]:
     Parameters
     ----------
     out : Path
-        Folder on this machine with the run.json of runs on this machine, which is the newest.
+        Folder on this machine. Its run.json is used first, since it is the newest if it is of the same OUT.
     products : str
-        Path or URL of OUT, which contains the run.json of runs on other machines.
+        Path or URL of OUT, which may contain a run.json from another machine.
     """
     run = _earlier_run(out, products)
     made_of = _mapping(run, "made_of")
@@ -175,8 +175,7 @@ def foreign_files(
     wanted : iterable of str
         Files that the run will write, as paths in OUT, without run.json, log and report.
     sheets_of : mapping of str to str, optional
-        Products that are cut into sheets, with the beginning of the names of their sheets. The complete names are not
-        known yet.
+        Beginning of the names of the sheets, by product that is cut into sheets. The complete names are not known yet.
     """
     earlier_files = earlier_outputs(out, products)
     names = [name for name in wanted if name not in earlier_files]

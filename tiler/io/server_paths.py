@@ -36,10 +36,10 @@ def _url(path: Any, text: str) -> str:
 
 
 class FtpSystem(FTPFileSystem):  # type: ignore[misc]  # fsspec has no types
-    """FTP server whose connections are closed at a known time.
+    """File system on an FTP server, with connections that are closed at a known time.
 
     fsspec leaves a connection that it replaces, and a connection with a refused login, to the garbage collector. The
-    collector may also end a socket before the file system that would close it.
+    collector may also delete a socket before the file system that closes it.
     """
 
     _close: weakref.finalize[Any, FtpSystem] | None = None
@@ -90,5 +90,5 @@ for _protocol, _class in _PATHS.items():
 
 
 def server_path(url: str, **login: str) -> Any:
-    """Return the path of a URL of one of these protocols, with user and password without escapes."""
+    """Return the path of an FTP, SSH or SMB URL. ``login`` is user and password without escapes."""
     return UPath(url, **login)

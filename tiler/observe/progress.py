@@ -161,7 +161,7 @@ def bar_progress(stream: IO[str]) -> Iterator[Listener]:
     job = JobProgress()
 
     class Figures(ProgressColumn):
-        """Column with the rate of a stage, and for the job or a stage without a job with the times spent and left."""
+        """Column with the rate of a stage. The bar of a job, or of a stage without a job, has times spent and left."""
 
         def render(self, task: Bar) -> Text:
             parts = [str(task.fields["rate"])]

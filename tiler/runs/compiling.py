@@ -83,7 +83,7 @@ class Compiler:
     note : callable
         Function that receives the reason why kernels are compiled.
     apart : bool
-        Compile in child processes, instead of in this process when kernels are needed.
+        Whether to compile in child processes. If not, this process compiles kernels when it needs them.
     """
 
     def __init__(self, listener: Listener, apart: bool, note: Callable[[str], None]) -> None:
@@ -176,5 +176,5 @@ def silent() -> None:
 
 
 def kinds_of(method: str) -> tuple[str | None, ...]:
-    """Return the kinds of clouds with different kernels of a method, or (None,) if all share them."""
+    """Return the kinds of clouds for which a method has separate kernels, or (None,) if they share its kernels."""
     return ("lidar", "dim") if has_kinds(method) else (None,)

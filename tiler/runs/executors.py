@@ -14,7 +14,7 @@ from tiler.schedule.cluster_check import ClusterAccess
 from tiler.schedule.worker import prepare
 from tiler.store import store_exists
 
-# The limit of the system for a faulty worker is MEMORY_TIMES times the memory of the plan plus MEMORY_MORE_BYTES.
+# A faulty worker can allocate MEMORY_TIMES times the memory of the plan plus MEMORY_MORE_BYTES, then it fails.
 MEMORY_TIMES = 2
 MEMORY_MORE_BYTES = 512 << 20
 

@@ -26,10 +26,10 @@ from tiler.store import LEASE_SECONDS, Commits, Lease, TileStore
 if TYPE_CHECKING:
     import xarray
 
-# run.json is written again after both times, since stages may be short and thousands of edits make the file long.
+# The time between two writes of run.json is the larger of two limits: stages may be short, and the file may be long.
 SAVED_SECONDS = 2.0
 SHARE = 20
-"""Ratio of the second time to the time that the last write took."""
+"""Ratio of the second limit to the duration of the last write. `SAVED_SECONDS` is the first limit."""
 
 
 @dataclass(frozen=True)
@@ -183,7 +183,7 @@ class Job:
     def invalidate(self, stage: str, keys: Iterable[str]) -> None:
         """Remove the commits of tasks whose data will be overwritten or removed.
 
-        Call it first. Otherwise a killed run could leave commits without their data.
+        Call it before that. Otherwise a killed run could leave commits without their data.
         """
         self.store.uncommit(stage, *keys)
 

@@ -28,7 +28,7 @@ PLACED = ("filter", "grid-")
 """Stages whose tasks are tiles of the map in the report."""
 
 LISTED_TILES = 20_000
-"""Maximum number of tiles of a stage for which run.json lists them. It is written after each stage, so it must not
+"""Maximum number of tiles of a stage whose tiles are listed. run.json is written after each stage, so it must not
 become too long."""
 
 
@@ -58,7 +58,7 @@ class Facts(TypedDict, total=False):
     statistics: dict[str, Any]
     """State after each pass of the method."""
     filter: dict[str, Any]
-    """Points by class, tiles, uncertified labels, overlap work."""
+    """Points by class, tiles, uncertified labels, ratio of the area of all windows to the area of the tiles."""
     canopy: dict[str, Any]
     """Share of the area that a closed canopy covers, the setting, and where most of it is."""
     breaklines: dict[str, Any]

@@ -18,7 +18,7 @@ from tiler.schedule.worker import perform
 from tiler.store import Commits, store_exists
 
 PACKED_COMMITS = 256
-"""Number of commits from which on a finished stage packs them into one object, since reading each costs a request."""
+"""Minimum number of commits of a finished stage that are packed into one object, since each costs a request."""
 
 Join = Callable[[list[Task], int], list[Task]]
 """Function ``join(tasks, workers)`` that joins tasks into larger ones with parts."""
@@ -167,10 +167,7 @@ def _validate_folders_exist(job: Job) -> None:
 
 
 def _place(job: Job, task: Task) -> list[float] | None:
-    """Return the bounds of a task in units of the CRS, or None if it has no extent.
-
-    They are lowest x, y and highest x, y.
-    """
+    """Return lowest x, y and highest x, y of a task in units of the CRS, or None if it has no extent."""
     if not isinstance(task.arguments, Placed):
         return None
     bounds = task.arguments.place(job.plan.meta.bucket)

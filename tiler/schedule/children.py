@@ -77,7 +77,7 @@ class Children:
             self._give_back(guard)
 
     def end(self, token: str) -> None:
-        """End the children that work for one executor, and all idle ones. Its later tasks end immediately."""
+        """End the children of one executor, and all idle ones. Later tasks of this executor end immediately."""
         with self._lock:
             self._ended.add(token)
             for guard, owner in self._busy.items():

@@ -1,8 +1,8 @@
 """Server process that imports the modules that children need, and starts each `ChildProcess` as a fork.
 
-Imports take a second or more, and the server does them once for all children. It ends with the last child, or with
-the last `fork_server_running`. It has a single thread, since other threads would be lost in a fork. Only Linux forks
-safely with all libraries. On other systems each child starts without the server.
+Imports take a second or more, and the server does them once for all children. It ends once it has no
+child and no `fork_server_running` is active. It has a single thread, since other threads would be lost in a fork. Only
+Linux forks safely with all libraries. On other systems each child starts without the server.
 """
 
 from __future__ import annotations
@@ -161,7 +161,7 @@ _kept = 0
 def fork_child(memory_bytes: int | None, call: bytes, prepare: Callable[[], None] | None) -> ForkedChild:
     """Fork a child that may allocate ``memory_bytes``.
 
-    Before, the server imports the modules that ``call`` needs and calls ``prepare``.
+    The server first imports the modules that ``call`` needs and calls ``prepare``.
     """
     with _lock:
         server = _current()
@@ -265,7 +265,7 @@ def serve(door: socket.socket, answer_calls: Callable[[int | None], None]) -> No
         for source in [key.fileobj for key, _ in events]:
             if source is ended:
                 ended.recv(4096)
-            elif source is not door:  # The user of this child has abandoned it or has ended.
+            elif source is not door:  # The client has abandoned this child or has ended.
                 selector.unregister(source)
                 os.kill(lines[source], signal.SIGKILL)  # type: ignore[index]
             elif (request := _request(door)) is None:
@@ -319,7 +319,7 @@ def _report(line: socket.socket, code: int) -> None:
 
 
 def _request(door: socket.socket) -> tuple[Any, list[int]] | None:
-    """Return a requested child with its pipes and line, or names of functions without files.
+    """Return a requested child with its two pipes and the socket for its exit code, or names of functions.
 
     The result is None if the client has ended.
     """

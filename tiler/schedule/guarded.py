@@ -45,7 +45,7 @@ def _end_after(seconds: float) -> None:
 
     A time of 0 cancels this.
     """
-    if hasattr(signal, "setitimer"):  # The system ends the process without running its code.
+    if hasattr(signal, "setitimer"):  # This timer needs no Python code to end the process.
         signal.signal(signal.SIGALRM, signal.SIG_DFL)
         signal.setitimer(signal.ITIMER_REAL, seconds)
     elif seconds > 0:

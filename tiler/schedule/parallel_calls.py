@@ -26,7 +26,7 @@ class ChildPool:
     Parameters
     ----------
     count : int
-        Number of guards.
+        Number of children.
     memory_bytes : int or None
         Memory that each child may allocate, or None for no limit.
     """
@@ -55,14 +55,14 @@ class ChildPool:
     def each(
         self, function: Callable[[ChildProcess, Item], Result], items: Iterable[Item]
     ) -> Iterator[Callable[[], Result]]:
-        """Call ``function(guard, item)`` for each item, and yield a function per item, in order.
+        """Call ``function(child, item)`` for each item, and yield a function per item, in order.
 
         Each of these functions returns the result of a call, or raises its error.
 
         Parameters
         ----------
         function : callable
-            Function that is called in a thread, with a guard for the work of the child.
+            Function that is called in a thread, with a `ChildProcess` for its work.
         items : iterable
             Items, which are consumed one by one, at most `AHEAD` per child before their results are read.
         """

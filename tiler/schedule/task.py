@@ -93,7 +93,7 @@ class Outcome:
     peak_rss_bytes : int
         Largest resident memory of the process.
     again : bool
-        Whether a retry could succeed. If an executor yields True, it retries the task.
+        Whether a retry could succeed. If it is True in an outcome of `Executor.run`, the executor retries the task.
     fatal : bool
         Whether all other tasks would fail as well.
     damaged : tuple of str

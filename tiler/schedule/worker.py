@@ -17,7 +17,7 @@ from tiler.schedule import Outcome, Task
 from tiler.store import open_store, packed_by_one_thread
 
 KEPT_SHARE = 20
-"""Divisor of a worker's memory that gives the freed memory it may keep between tasks of one stage."""
+"""Ratio of a worker's memory to the freed memory that it may keep between tasks of one stage."""
 
 # These options of mallopt are from malloc.h.
 _M_TRIM_THRESHOLD = -1

@@ -39,7 +39,7 @@ WAITING_PER_WORKER = 1
 
 CONNECT_SECONDS = 20
 WORKERS_SECONDS = 20
-"""Time until a new cluster has its first worker, since workers start later than their scheduler."""
+"""Maximum time to wait for the first worker of a cluster, since workers start later than their scheduler."""
 CLOSE_SECONDS = 5
 CONCURRENT_CHECKS = 16
 """Number of workers that are checked at the same time. Each starts a child, which takes about a second."""
@@ -47,7 +47,7 @@ LOOK_SECONDS = 5.0
 """Time between two searches for workers that have joined the cluster."""
 
 _BROKEN = (OSError, CancelledError, AttributeError, RuntimeError)
-"""Errors of Dask's client if its connection to the scheduler broke. It raises the last two after its last retry."""
+"""Errors of Dask's client without a connection to the scheduler, the last two of them after its last retry."""
 
 _LOGGERS = ("distributed", "distributed.client")
 """Loggers of Dask that have their own levels. Instead of them, tiler reports a broken connection in one line."""

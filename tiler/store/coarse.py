@@ -26,7 +26,7 @@ def read_cells(store: TileStore, name: str, coarse: RasterSpec, window: Block, f
 def coarse_cells(coarse: RasterSpec, spec: RasterSpec, block: Block) -> tuple[npt.NDArray[np.int64], ...]:
     """Return row and column of the coarse cell at each pixel's centre, int64 (height,) and (width,).
 
-    They may be one cell beyond the raster of coarse cells if the sides do not divide one another.
+    They may be beyond the raster of coarse cells if the side of a cell is not a multiple of the side of a pixel.
     """
     p, q = spec.lattice.p, spec.lattice.q
     x = ((2 * (spec.west + block.col + np.arange(block.width, dtype=np.int64)) + 1) * p) // (2 * q)

@@ -1,4 +1,7 @@
-"""Results of passes: a label per point of a bucket, and elected points in the first positions of its rows."""
+"""Results of passes: a label per point of a bucket, and elected points in the first positions of its rows.
+
+Elected points are new points that a pass makes, such as one per cell, for later passes.
+"""
 
 from __future__ import annotations
 

@@ -21,7 +21,7 @@ from tiler.store.layout import LOCK_KEY
 from tiler.store.storage import Storage
 
 LEASE_SECONDS = 120.0
-"""Age in seconds at which a lease of another host that was not renewed seems to be abandoned."""
+"""Time in seconds since its last renewal after which a lease of another host seems to be abandoned."""
 RENEW_SECONDS = 20.0
 OBSERVE_SECONDS = 1.5 * RENEW_SECONDS
 """Time to watch a lease that seems to be abandoned, since the clock of the other host may differ."""
@@ -37,7 +37,11 @@ Two writers can both succeed on object stores through fsspec and on disks withou
 
 @dataclass(frozen=True)
 class Holder:
-    """Run that holds a lease, as the lease describes it."""
+    """Run that holds a lease, as the lease describes it.
+
+    ``started`` is the start of the process (see `_start_of`). ``since`` and ``renewed`` are the Unix times at which the
+    lease was taken and last renewed.
+    """
 
     token: str
     host: str
@@ -107,10 +111,10 @@ class Lease:
 
 @contextmanager
 def locked(storage: Storage, key: str = LOCK_KEY) -> Iterator[Lease]:
-    """Hold the lock.
+    """Hold a lock of a store or folder during the block.
 
-    Two kinds of lease are taken over: one whose process ran on this machine and has ended, and one that seems older
-    than `LEASE_SECONDS` and is not renewed during `OBSERVE_SECONDS`.
+    Two kinds of lease are taken over: one whose process ran on this machine and has ended, and one that was not renewed
+    for `LEASE_SECONDS` by this clock and is not renewed during `OBSERVE_SECONDS`.
 
     Raises
     ------

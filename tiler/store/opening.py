@@ -27,7 +27,7 @@ def create_store(
         JSON-able settings that the first run decides for all later runs. They are written in one object with the
         description of the store, so that every store has them.
     anew : bool
-        Empty an existing store and give it the new description.
+        Whether to empty an existing store and give it the new description.
 
     Raises
     ------

@@ -91,8 +91,8 @@ class ColumnStore(StorePart):
         fields : sequence of str
             Fields of `PointBlock` to read. xyz is always read, and rgb stays None if the store has no colours.
         keep : callable, optional
-            Function that makes the mask of the points to keep from the xyz of a part and the part. A mask of None
-            keeps all points.
+            Function that gets the xyz of a part, and the part, and returns the mask of the points to keep. A mask of
+            None keeps all points.
         labels : StoredArray, optional
             Labels of a pass, which are read as well.
         kept : list of int, optional

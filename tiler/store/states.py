@@ -1,6 +1,6 @@
 """State of the run: JSON-able values by name.
 
-Areas, edits, breaklines and waters are states, too. A process keeps the last ones that it read in memory.
+Areas, edits, breaklines and waters are states, too. A process caches the last ones that it read.
 """
 
 from __future__ import annotations

@@ -131,8 +131,8 @@ class Storage:
         Returns
         -------
         bool
-            True on storage on which only one of two writers can succeed, as on local file systems with hard links. On
-            other storage the object of the last writer stays.
+            Whether only one of two writers can succeed on this storage, as on local file systems with hard links. If
+            not, the object of the last writer stays.
         """
         data = _sealed(body)
         try:

@@ -175,7 +175,7 @@ class CopcWriter:
                 yield np.frombuffer(raw, dtype=self._dtype)
 
     def _nodes(self, cube: Cube) -> Iterator[tuple[Key, Records]]:
-        """Yield nodes and their points, sorted by GPS time. Children come before their parents."""
+        """Yield nodes and their points, sorted by GPS time. A node larger than a brick comes after all its bricks."""
         levels = Levels()
         above: dict[Key, list[Records]] = defaultdict(list)
         if not self._points:

@@ -42,7 +42,7 @@ _OLDEST_FORMAT_15 = 6
 _UNKNOWN = 1 << 40
 """Number of points of a compressed file whose header does not give it."""
 _MANY = 10_000_000
-"""Maximum number of points of a file that is not checked for being a decompression bomb."""
+"""Number of points above which a file is checked for being a decompression bomb."""
 _DENSEST = 1000
 """Number of points per compressed byte above which a file is refused as a bomb. Real clouds have less than one."""
 
@@ -151,7 +151,7 @@ def refuse(path: Path, what: str, remedy: str = AGAIN) -> NoReturn:
 
 
 def _salvaged(header: LasHeader, what: str, salvage: bool) -> LasHeader:
-    """Return the header with a note about a damage. Raise InputError without ``--salvage``."""
+    """Return the header with a note about its damage. Raise InputError if ``salvage`` is False."""
     if not salvage:
         refuse(header.path, what, SALVAGE)
     return header.noted(what)
@@ -375,9 +375,7 @@ def _extended(header: LasHeader, stream: BinaryIO, salvage: bool) -> LasHeader:
     if start >= points_end:
         evlrs, whole = walk_records(stream, start, count, header.size, extended=True)
     if not whole:
-        problem = (
-            f"says {count} extended records from byte {start}, {len(evlrs)} are whole in {header.size} bytes"
-        )
+        problem = f"says {count} extended records from byte {start}, only {len(evlrs)} are complete in {header.size} bytes"
         header = _salvaged(header, problem, salvage)
     return replace(header, evlrs=evlrs)
 

@@ -33,7 +33,7 @@ class CorruptLazError(Exception):
 def is_panic(error: BaseException) -> bool:
     """Return whether a Rust extension panicked, by the name of the exception.
 
-    The exception is not an Exception, and its class cannot be imported.
+    The class of the exception is not derived from Exception and cannot be imported.
     """
     return type(error).__name__ == "PanicException"
 
@@ -181,7 +181,9 @@ def _table_position(stream: BinaryIO, data: int, file_size: int) -> int:
     """Return the first byte of the chunk table according to the file."""
     stream.seek(data - 8)
     table = _int64(stream)
-    if table == -1 and file_size >= data + 8:  # A writer that cannot seek writes the position last.
+    if (
+        table == -1 and file_size >= data + 8
+    ):  # A writer that cannot seek writes the position at the end of the file.
         stream.seek(file_size - 8)
         table = _int64(stream)
     return table
@@ -217,10 +219,10 @@ def check_layers(stream: BinaryIO, layout: LazLayout, points_offset: int, first:
         if layout.counts[chunk]:
             claim = layered_chunk(stream, layout, start)
             if claim is None:
-                raise CorruptLazError(f"chunk {chunk} says more bytes, its table {size}: damaged")
+                raise CorruptLazError(f"chunk {chunk} says more bytes than the chunk table ({size}): damaged")
             points, claimed = claim
             if claimed > size:
-                raise CorruptLazError(f"chunk {chunk} says {claimed} bytes, its table {size}: damaged")
+                raise CorruptLazError(f"chunk {chunk} says {claimed} bytes, the chunk table {size}: damaged")
             if points != layout.counts[chunk]:
                 raise CorruptLazError(
                     f"chunk {chunk} has {points} points, by the header {layout.counts[chunk]}"

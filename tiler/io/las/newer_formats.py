@@ -103,7 +103,7 @@ def changes_of_format(header: LasHeader) -> list[str]:
             f"{header.time_offset}"
         )
     if old in _WITHOUT_TIME:
-        notes.append("COPC has a GPS time for each point: 0, as the input has none")
+        notes.append("GPS time of each point is 0: COPC needs a time, the input has none")
     if old in _WITH_WAVEFORMS:
         notes.append("waveforms left out: COPC has none")
     return notes

@@ -75,7 +75,7 @@ class Octree:
     def spread(
         self, counts: Sequence[int], sample: npt.NDArray[np.float64], level: int
     ) -> dict[tuple[int, int, int], float]:
-        """Return the squares of a level with points, and an estimate of the number of their points.
+        """Return the squares of a level that contain points, with an estimate of the number of points in each.
 
         The points of a node above that level are divided among its squares in proportion to the sample.
 
@@ -134,7 +134,7 @@ def read_octree(header: LasHeader) -> Octree:
         chunk = chunk_at.get(entry.offset)
         if chunk is None or chunk in entry_by_chunk:
             raise CorruptLazError(
-                f"its octree names byte {entry.offset}, where no chunk begins, or one twice"
+                f"its octree has a node at byte {entry.offset}, where no chunk begins or which has another node"
             )
         if (entry.point_count, entry.byte_size) != (layout.counts[chunk], layout.sizes[chunk]):
             raise CorruptLazError(

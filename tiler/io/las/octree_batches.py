@@ -1,4 +1,4 @@
-"""Nodes of an octree for each point: upper levels get few, evenly distributed points, and leaves get the rest."""
+"""Division of points among octree nodes: upper levels get few, evenly distributed points, leaves get the rest."""
 
 from __future__ import annotations
 
@@ -18,9 +18,11 @@ Places = npt.NDArray[np.int32]
 
 DEPTH = 28
 CELLS_OF_NODE = 7
-"""Levels of cells in a node, which has 2**7 cells along each axis. A node with children has one point per cell."""
+"""Number of levels between a node and its cells: a node has 2**7 cells along each axis.
+
+A node with children has one point per cell."""
 DEEPEST = DEPTH - CELLS_OF_NODE
-"""Level at which nodes are not divided, however many points have the same position."""
+"""Deepest level. Nodes of this level are not divided, however many points they have."""
 LEAF_POINTS = 32_768
 """Maximum number of points of a leaf. A node with children may have more, one per cell."""
 MIN_POINTS = 256
@@ -56,7 +58,7 @@ def octree_batches(
     count : int
         Number of records in all pieces.
     most : int
-        Maximum number of points of a brick.
+        Maximum number of points of a brick. Only a brick of the level `DEEPEST` may have more.
     places : callable
         Function that computes the positions of records.
     folder : str
@@ -111,7 +113,7 @@ def _read(spool: BinaryIO, parts: Iterable[tuple[int, int]], dtype: np.dtype[np.
 
 
 class Levels:
-    """Levels of points, chosen brick by brick. The object records the cells larger than a brick that have a point."""
+    """Choice of a level for each point, brick by brick. The object records taken cells of a brick's size or more."""
 
     def __init__(self) -> None:
         self._taken: set[Key] = set()
@@ -125,7 +127,7 @@ class Levels:
         return levels
 
     def _of_sorted(self, key: Key, code: npt.NDArray[np.int64]) -> npt.NDArray[np.int8]:
-        """Return the levels of points that are sorted along the curve, on which every cell of every level is a run."""
+        """Return the levels of points that are sorted along the curve. The points of each cell are adjacent there."""
         deepest = min(key[0] + _BITS - CELLS_OF_NODE, DEEPEST)
         levels = np.full(code.size, deepest, dtype=np.int8)
         rest = np.arange(code.size)
@@ -147,7 +149,7 @@ class Levels:
         return levels
 
     def _take(self, key: Key, level: int) -> bool:
-        """Mark the cell that contains the brick and other bricks as taken. Return False if it was taken already."""
+        """Mark the cell of ``level`` around a brick as taken. Return False if it was taken already."""
         up = key[0] - level - CELLS_OF_NODE
         cell = (level, key[1] >> up, key[2] >> up, key[3] >> up)
         free = cell not in self._taken
@@ -163,9 +165,9 @@ def _settle(
     level: int,
     most: int,
 ) -> npt.NDArray[np.int64]:
-    """Give ``level`` to all points of cubes with at most ``most`` points, ``below`` levels below the brick.
+    """Give ``level`` to all points of small cubes, and return the indices of the other points.
 
-    Return the indices of the other points.
+    The cubes are ``below`` levels below the brick. A small cube has at most ``most`` points.
     """
     if not rest.size:
         return rest
@@ -176,7 +178,7 @@ def _settle(
 
 
 def curve(places: Places, level: int) -> npt.NDArray[np.int64]:
-    """Return the number of each position along a Z-order curve in a brick of a level."""
+    """Return the index of each position on the Z-order curve of its brick, which has the level ``level``."""
     numbers = np.zeros(places.shape[1], dtype=np.int64)
     for axis in _AXES:
         v = (places[axis].astype(np.int64) << level >> DEPTH - _BITS) & (1 << _BITS) - 1

@@ -262,7 +262,7 @@ class _ChunkView(io.RawIOBase):
 
 
 def count_decodable(header: LasHeader) -> int:
-    """Return the number of points in a file. If it has no usable table and its chunks have no sizes, decode them."""
+    """Return the number of points in a file. Without usable table and sizes in the chunks, decode and count them."""
     if header.laz is None or not header.laz.rebuilt or header.laz.sizes.size:
         return header.point_count
     n_points = 0

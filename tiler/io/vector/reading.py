@@ -57,7 +57,7 @@ class Kind:
         return shape == "Unknown" or _plain_type(shape) in self.types
 
     def takes(self, layer: str, shape: str) -> bool:
-        """Return whether a geometry type is of this kind in a layer."""
+        """Return whether geometries of the type ``shape`` are read from a layer."""
         return shape in self.types or (layer in self.point_layers and shape in POINTS.types)
 
 
@@ -243,8 +243,8 @@ def read_in_crs(
     wkt : str or None
         CRS of the run, or None if it is unknown.
     needs_z : bool
-        Whether every vertex needs a height: its own, or one from a column of its feature (see `HEIGHT_COLUMNS`) for
-        all vertices. Heights are not converted.
+        Whether every vertex needs a height. If one vertex has none, all get the height in a column of the feature (see
+        `HEIGHT_COLUMNS`). Heights are not converted.
 
     Returns
     -------
