@@ -78,7 +78,7 @@ class Result:
 
 
 def _flat(values: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
-    """Return nested values as pairs of name and text, with long lists and tables by place as their length."""
+    """Return nested values as pairs of name and text. Long lists and tables by place are given as lengths."""
     found = []
     for name, value in values.items():
         if name == PLACES:

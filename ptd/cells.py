@@ -31,7 +31,7 @@ DENSE_CELLS_PER_POINT = 16
 def quotient(value: int, divisor: int, inverse: float) -> int:
     """Floor of an integer divided by another (above 0), given 1 / divisor. This is several times faster than dividing.
 
-    It is exact for quotients below 2**50, as the rounded product is less than one off.
+    It is exact for quotients below 2**50, as the first result is at most one off and is corrected.
     """
     found = math.floor(float(value) * inverse)
     rest = value - found * divisor
@@ -176,14 +176,14 @@ class CellTable(NamedTuple):
     Attributes
     ----------
     slots : int32 [height * width] or int32 [0]
-        Index into `keys` by cell where a raster is affordable (-1: empty).
+        Index into `keys` of each cell (-1: empty). It has no entries if the raster would be too large.
     keys : int64 [m]
         Sorted keys of the occupied cells, ``row * width + column``.
     starts : int64 [m + 1]
         Points of cell k are ``order[starts[k]:starts[k + 1]]``.
     order : int64 [n]
     width, height : int
-        Columns and rows that hold all points.
+        Number of columns and rows that contain all points.
     """
 
     slots: Int32

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 OPEN = 2**40
-"""A count beyond any coordinate, the side of a window beyond which there are no points."""
+"""A count beyond any coordinate. There are no points beyond a side of a window at this count."""
 
 
 @dataclass(frozen=True)
@@ -56,7 +56,7 @@ class CellLattice:
 
     @classmethod
     def of(cls, size_m: float, scale: Scale) -> CellLattice:
-        """Return cells of ``size_m`` metres. The exact size is the decimal number that ``repr`` gives."""
+        """Return cells of ``size_m`` metres. The exact size is the decimal number in ``repr(size_m)``."""
         size = Fraction(repr(float(size_m))) / scale.metres_xy
         return cls(size.numerator, size.denominator, scale.origin[0], scale.origin[1])
 

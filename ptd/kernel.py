@@ -4,8 +4,8 @@ Kernels compile once per machine and version. numba's cache checks only the sour
 it would reuse old code of the kernels called from it. Therefore the folder's name holds a digest of the package's
 location and of all its sources. It lies in ``NUMBA_CACHE_DIR`` if that is set, otherwise in the user's cache folder or
 in a folder of the user among the temporary files. If none can be written, each process compiles for itself. A folder in
-``NUMBA_CACHE_DIR`` that belongs to root, and that only root can write, is copied: so the compiled kernels of an image
-serve every user.
+``NUMBA_CACHE_DIR`` that belongs to root, and that only root can write, is copied. So every user can use the compiled
+kernels of a container image.
 """
 
 import functools
@@ -38,8 +38,8 @@ _Result = TypeVar("_Result")
 def cache_folder() -> Path | None:
     """Return the folder of this version's machine code, made if necessary, or None if no folder can be written."""
     package = Path(__file__).resolve().parent
-    # numba separates installations by location. Without the location, a second installation would expect this one's
-    # code.
+    # numba separates installations by location. Without the location in the digest, a second installation would share
+    # this folder but could not use its code.
     digest = hashlib.blake2b(f"{numba.__version__} {package}".encode(), digest_size=8)
     for path in sorted(package.rglob("*.py")):
         digest.update(path.read_bytes())
@@ -133,7 +133,7 @@ def kernel(function: Callable[_Parameters, _Result]) -> Callable[_Parameters, _R
 def inlined(function: Callable[_Parameters, _Result]) -> Callable[_Parameters, _Result]:
     """`kernel` that is inlined at each call: for short kernels that take tables of arrays in inner loops.
 
-    A call counts references to each array of a table, which would cost more than the work.
+    A normal call would count references to each array of a table, which costs more than the work.
     """
     return cast(Callable[_Parameters, _Result], numba.njit(nogil=True, inline="always")(function))
 

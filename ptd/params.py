@@ -9,7 +9,8 @@ from typing import Any, TypeVar
 UNIT_SUFFIXES = ("_m", "_deg")
 
 DECIMALS = 6
-"""Decimals of a length. Cells are exact fractions of counts, and positions among them must fit int64."""
+"""Largest number of decimals of a length in metres. Cells are exact fractions of counts, and positions among them must
+fit int64."""
 
 
 def parameter(

@@ -23,12 +23,13 @@ Int32 = npt.NDArray[np.int32]
 UInt8 = npt.NDArray[np.uint8]
 UInt16 = npt.NDArray[np.uint16]
 State = Mapping[str, Any]
-"""Figures of the run, JSON-able. At first ``{"run": RunFacts as dict}``. ``notes`` is a list of lines, which
-`Pass.reduce` may lengthen, on decisions from the data. ``places`` holds the figures of each place (`ptd.places`).
-A task carries the part that its window needs (`Pass.local`)."""
+"""Figures of the run, JSON-able. At first ``{"run": RunHints as dict}``. ``notes`` is a list of lines on decisions from
+the data, to which `Pass.reduce` may add. ``places`` holds the figures of each place (`ptd.places`). A task carries the
+part that its window needs (`Pass.local`)."""
 
 LOOKED_AT = {"run": ("sigma_m", "kind"), "survey": ("kind",), "canopy": ()}
-"""Names that passes read in these entries of a state. The others are for people, and change with each added file."""
+"""Names that passes read in these entries of a state. Other names are only for display, and change with each added
+file."""
 
 
 KINDS = ("lidar", "dim")
@@ -46,7 +47,7 @@ class MethodRefusal(ValueError):
 
 @dataclass(frozen=True)
 class RunHints:
-    """Facts about a run before its first pass that do not change with each added file.
+    """Facts about a run that are known before its first pass and seldom change with an added file.
 
     Attributes
     ----------
@@ -208,7 +209,7 @@ class Pass(ABC):
     gives_labels : bool
         Whether the pass labels points; otherwise it only measures. The last pass of a method gives labels.
     halo_m : float or None
-        Width of the halo that this pass seldom exceeds; None: the method's.
+        Width of the halo in metres that this pass seldom exceeds. None: that of the method.
     reach_m : float or None
         Distance beyond which nothing can change the result at a place. A window with exactly this margin around its
         core gives the untiled answer, without wider halos or open sides. 0: the core suffices. None: no such bound.
@@ -218,11 +219,11 @@ class Pass(ABC):
         them.
     elected : bool
         Whether `fit` gets the elected points of the window instead of the cloud's: xyz and, if named, the labels of the
-        last such pass (0 before that). `Model.label` labels elected points too, for the next such pass. Only the last
-        pass that applies labels all points of the cloud, and gets these with their labels.
+        last such pass (0 before that). `Model.label` labels elected points too, for the next such pass. If no later
+        pass applies, `Model.label` gets all points of the cloud with their labels, and labels them.
     label_margin_m : float
-        Margin of points that `Model.label` needs around those that it labels. It gets these first, then all other
-        points that take part in filtering within this distance of the rectangle around the first ones, in any order.
+        Margin of points that `Model.label` needs around those that it labels. It gets these first. Then come, in any
+        order, all other points of the filter within this distance of their bounding box.
     kind : {"lidar", "dim"} or None
         Origin of the clouds to which the pass applies. None: all clouds.
     raster_cell_m : float
@@ -249,9 +250,9 @@ class Pass(ABC):
     def applies(self, state: State) -> bool:
         """Whether the pass is done, given the state after the passes before it.
 
-        Some passes are needed only in some runs, as the survey decides. The answer must not change with the state
-        after a later pass. Passes that give labels or elect ask this of all later passes, so the deciding pass comes
-        before them. The last pass that applies labels all points.
+        Some passes are needed only in some runs, as the survey decides. Later passes must not change the answer. Passes
+        that give labels or elect depend on which later passes apply, so the deciding pass comes before them. Of the
+        passes that apply, the last labels all points.
         """
         return True
 
@@ -283,7 +284,7 @@ def later_passes(passes: Sequence[Pass], number: int, state: State) -> list[Pass
 
 
 def read_at_candidates(later: Sequence[Pass]) -> bool:
-    """Whether some passes (at least one) read the labels before them at candidates only.
+    """Whether there are later passes, and all of them read labels at candidates only.
 
     `Model.label` of such passes is given no labels, whatever it needs around the points.
     """

@@ -2,8 +2,8 @@
 
 The state of a run contains a table of them under `PLACES`: keys are places as "column,row", values are the figures at
 their middles. Between middles a figure is bilinear (`Field`). The table of a country has a million entries, so a task
-gets only those around its window (`near`). The figure at a point depends on the four middles around it, so it is the
-same.
+gets only those around its window (`near`). The figure at a point depends only on the four middles around it, so these
+suffice.
 """
 
 from __future__ import annotations

@@ -80,7 +80,7 @@ def warm_filters(method: str, tell: Callable[[], None], kind: str | None = None)
         if which == KINDS[0]:
             returns += 1
         columns = {"rgb": np.ascontiguousarray(rgb.T), "returns": returns}
-        tile = Window(0, 0, 60_000, 60_000)  # Uncertified points beyond it need further kernels.
+        tile = Window(0, 0, 60_000, 60_000)  # Closed sides, so kernels for certificates compile too.
         do_passes(METHODS[method].params(), counts, columns, Scale(), tile, RunHints())
 
     kinds: tuple[str | None, ...] = (None,)

@@ -20,8 +20,7 @@ Float64 = npt.NDArray[np.float64]
 PLANE_POINTS = 6
 """Least number of points in a window for a plane and their residuals: three more than a plane needs."""
 FLATTEST = 0.01
-"""Share of the determinant of a disk up to which the points of a window lie on a line, by the determinant of their
-spread."""
+"""Determinant of the spread of a window's points, relative to that of a disk, up to which they lie on a line."""
 SUMS = 10
 """Number of sums: number, x, y, z, xx, xy, xz, yy, yz, zz."""
 
@@ -76,10 +75,10 @@ def _sums(x: Int32, y: Int32, z: Int32, window: tuple[int, ...], start: tuple[in
 
 @kernel
 def _plane_variance(sums: Int64, row: int, column: int, half: int, middle: tuple[int, int]) -> float:
-    """Return the variance of heights about their plane in a window of cells, or -1 if too few points give no plane.
+    """Return the variance of heights about their plane in a window of cells, or -1 if the points define no plane.
 
-    ``middle`` is that of the window, relative to the start of the sums. Intermediate int64 sums may wrap, but their
-    differences are small and exact.
+    ``middle`` is the middle of the window relative to the start of the sums. Intermediate int64 sums may wrap, but
+    their differences are small and exact.
     """
     top, bottom, left, right = row - half, row + half + 1, column - half, column + half + 1
     s = np.empty(SUMS, np.int64)

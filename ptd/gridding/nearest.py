@@ -31,8 +31,8 @@ class Nearest(NamedTuple):
     Attributes
     ----------
     squared : int64 [rows, columns, k]
-        Squared distances in counts, from near to far, from the centre rounded down to whole counts; 2**63 - 1 for
-        `NONE`.
+        Squared distances to the centre (rounded down to whole counts), in counts squared and rising order. 2**63 - 1
+        for `NONE`.
     points : int32 [rows, columns, k]
         Indices of the points, `NONE` if fewer than k lie within reach.
     """

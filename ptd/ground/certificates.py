@@ -109,7 +109,7 @@ def _circle_in_doubt(
 ) -> bool:
     """Return whether the circle through a, a + b, a + c may contain an uncertified position.
 
-    The answer may rarely be yes although there is none, but is never wrongly no.
+    A false yes is possible but rare, a false no is impossible.
     """
     area = 2.0 * (bx * cy - by * cx)
     b2, c2 = bx * bx + by * by, cx * cx + cy * cy
@@ -130,8 +130,8 @@ def _disk_in_doubt(x: float, y: float, radius: float, sides: _Sides, cell: float
     column, row = (x - sides.raster[0]) / cell, (y - sides.raster[1]) / cell
     near_x = min(max(column, 0.0), float(free.shape[1]))
     near_y = min(max(row, 0.0), float(free.shape[0]))
-    # The way from a centre beyond the raster to a position in it turns by at least a right angle at the raster's
-    # nearest point. So the squared distance is at least the sum of the squares of both parts.
+    # At the raster's nearest point, the lines to a centre beyond the raster and to a position in it enclose at least a
+    # right angle. So the squared distance is at least the sum of the squares of both lines.
     beyond2 = (column - near_x) ** 2 + (row - near_y) ** 2
     clear = float(free[min(int(near_y), free.shape[0] - 1), min(int(near_x), free.shape[1] - 1)])
     return radius >= (math.sqrt(beyond2 + clear * clear) if beyond2 > 0.0 else clear) * cell
@@ -181,9 +181,9 @@ class UncertifiedRegion:
     Parameters
     ----------
     known : Window
-        Window in which all candidates, and what they are, are known.
+        Window in which all candidates and their states are known.
     deep : Window
-        Window in which, in addition, no seed (real or virtual) can appear or vanish beyond the raster.
+        Window within `known`. In its part beyond the raster, no seed (real or virtual) can appear or vanish.
     box : (int, int, int, int)
         West, south, east, north of the raster in local counts.
     scale : Scale

@@ -37,7 +37,7 @@ def connected_surfaces(
         Largest distance of neighbours in cells, with empty cells between them.
     tilts : (int64, int64), optional
         Slopes of the terrain at large to the north and to the east in counts per cell, for each block of cells.
-        Neighbours also belong to one surface if their heights without this slope differ by less.
+        Neighbours also belong to one surface if their height difference minus this slope is below the limit.
     block : int
         Side of those blocks in cells.
 

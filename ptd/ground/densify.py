@@ -58,9 +58,9 @@ def _test_round(
 ) -> int:
     """Test the candidates whose triangle changed since their last test, and return the number of those that pass.
 
-    `chosen` gets the indices of those that pass. A triangle that the insertions of the last round changed has its
-    stamp, ``stamp - 1``. A candidate whose result depends on other triangles as well (mirrored, or on an edge) is
-    tested in every round (`again`).
+    `chosen` gets the indices of those that pass. Triangles that the last round changed have the stamp ``stamp - 1``. A
+    candidate whose result depends on other triangles as well (mirrored, or on an edge) is tested in every round
+    (`again`).
     """
     vertices, triangles = mesh
     x, y, z = points
@@ -131,7 +131,7 @@ def densify(
     Returns
     -------
     doubtful : bool [n]
-        Mask of these candidates.
+        Mask of the candidates whose decision points outside the window could change.
     rounds : int
         Number of rounds that were run.
     """

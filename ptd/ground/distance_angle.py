@@ -110,8 +110,8 @@ def _owner(
 ) -> tuple[int, bool]:
     """Return the usable facet at a position that is not a vertex, or -1, and whether it is certified.
 
-    At an edge it is the facet that `locate` gives, or the other one if only that is usable. Both decide which of them
-    owns the edge. The facet across an unusable one is not needed.
+    On an edge it is the facet that `locate` gives, or the one across the edge if only that is usable. The result is
+    certified only if both are usable and certified.
     """
     beside = across(vertices, triangles, t, x, y)
     owner = t if usable[t] else (beside if usable[beside] else -1)
@@ -168,10 +168,10 @@ class Trial:
     This limits the data that a window needs for certified results. A facet that is not wide is certified if its circle
     contains no uncertified position.
 
-    Where the facet of the window's TIN is wide, the TIN of the untiled run could have one that is not. The vertices of
-    such a facet lie within 2 `widest_m` of the position. If no uncertified position is that near, the window's TIN
-    would have this facet as well (`docs/filters.md`, Certificates). A position on an edge between a wide facet and
-    another one belongs to the other one.
+    Where the facet of the window's TIN is wide, the TIN of the untiled run could have a facet that is not wide. The
+    vertices of such a facet lie within 2 `widest_m` of the position. If no uncertified position is that near, the
+    window's TIN would have this facet as well (`docs/filters.md`, Certificates). A position on an edge between a wide
+    facet and another one belongs to the other one.
 
     Parameters
     ----------

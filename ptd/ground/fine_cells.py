@@ -65,7 +65,7 @@ class Blocks(NamedTuple):
 
 
 def placed(points: Xyz, close: UInt8, marked: Bool, scale: Scale) -> tuple[Placed, Blocks]:
-    """Find the blocks and cells of the points that are not `FAR` or are uncertified, if any.
+    """Find the blocks and cells of all points that are uncertified or not `FAR`.
 
     Parameters
     ----------
@@ -164,7 +164,7 @@ def _counted(where: Placed, close: UInt8, marked: Bool, n_blocks: int) -> tuple[
 
 @kernel
 def pages_of_blocks(wanted: Bool, neighbours: Int32) -> tuple[Int32, int]:
-    """Return a page for each chosen block and its neighbours, -1 for others (int32 [m]), and the number of pages."""
+    """Number the chosen blocks and their neighbours. Return the page of each block or -1 (int32 [m]), and how many."""
     pages, n = np.full(wanted.size, -1, np.int32), 0
     for k in range(wanted.size):
         for i in neighbours[k]:

@@ -242,7 +242,7 @@ def _touched(around: Int32, k: int, first: int, kept: Bool, planes: Planes, touc
 
 @kernel
 def _apart(index: int, first: int) -> int:
-    """Return the distance, in rows or columns, from one of them to the block that begins with ``first``."""
+    """Return the distance from row or column ``index`` to the block whose first row or column is ``first``."""
     return max(first - index, index - first - SIDE + 1, 0)
 
 

@@ -38,14 +38,14 @@ eight around it, and these depend on points one block farther."""
 NEAR_M, NEAR_SLOPE_M = 0.2, 0.5
 """Largest distance from the TIN of points that may be ground: metres, plus metres per unit of slope."""
 HIGHER_M = 0.2
-"""Additional distance of points that still indicate a crop."""
+"""Addition in metres to the limit of `NEAR` that gives the limit of `CROP` (`Closeness`)."""
 BELOW_M, ABOVE_M, ABOVE_SLOPE_M = 0.25, 0.1, 0.1
 """Largest distances of ground below the plane, above it, and additionally above it per unit of slope."""
 CROP_BELOW_M, CROP_ABOVE_M, CROP_ON_M, CROP_SHARE = 0.1, 0.4, 0.05, 0.5
 """Limits of a crop.
 
-The points in this range about the fine surface, in a block and those around it, are counted. If less than this share
-lies on the surface (within `CROP_ON_M`), there is a crop, and no further points become ground.
+Points from `CROP_BELOW_M` below to `CROP_ABOVE_M` above the fine surface, in a block and those around it, are counted.
+If less than `CROP_SHARE` of them is within `CROP_ON_M`, there is a crop, and no further points become ground.
 """
 
 Bool = npt.NDArray[np.bool_]
@@ -141,7 +141,7 @@ def fine_ground(points: Xyz, close: UInt8, ground: Bool, marked: Bool, scale: Sc
     """
     where, blocks = placed(points, close, marked, scale)
     if where.point.size == 0 or blocks.points.max() < FILLED:
-        return ground, marked  # No block is dense, whether or not points are uncertified.
+        return ground, marked  # No block can be dense, even if all uncertified points count.
     is_chosen = ~blocks.settled & (blocks.near >= FILLED)
     pages, n_pages = pages_of_blocks(is_chosen, blocks.around)
     ground, marked = ground.copy(), marked.copy()
@@ -165,7 +165,7 @@ def fine_ground(points: Xyz, close: UInt8, ground: Bool, marked: Bool, scale: Sc
 
 
 def with_fine_surface(rule: LabelRule, scale: Scale) -> LabelRule:
-    """Add to a rule of ``heights_only`` the closeness of the points from which a fine surface may be made."""
+    """Return a rule of ``heights_only`` with the limits of closeness for a fine surface."""
     lengths = (ABOVE_M, ABOVE_SLOPE_M, NEAR_M, NEAR_SLOPE_M, HIGHER_M)
     return rule._replace(close=Closeness(*(scale.counts(metres) for metres in lengths)))
 

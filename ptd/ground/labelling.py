@@ -24,7 +24,7 @@ from ptd.tin.mesh import Tin
 UNCLASSIFIED, GROUND, LOW_NOISE = 1, 2, 7
 """ASPRS classes that a filter gives."""
 CLEAR = 1.0 - 1e-9
-"""Factor that widens the range of the limits of places by more than rounding errors."""
+"""Factor of the smallest limit of all places, and divisor of the largest. It outweighs rounding errors."""
 FAR, CROP, NEAR, ON = 0, 1, 2, 3
 """Degrees of closeness of a point to a TIN (`Closeness`)."""
 
@@ -97,7 +97,7 @@ class LabelRule(NamedTuple):
     floor : float
         Distance to its facet within which a point is ground, in horizontal counts.
     vertices_only : bool
-        Whether only points at the position and height of a vertex are ground, without a last pass.
+        Whether only points at the position and height of a vertex are ground.
     heights_only : bool
         Whether only the vertical distance to the TIN counts, at any angle. A point is ground up to
         ``floor + per_slope * slope`` above or below its facet, and up to ``floor`` at a vertex.
@@ -140,8 +140,8 @@ def _limits(bands: Bands) -> _Limits:
 class _Facet(NamedTuple):
     """A real triangle with corners in local counts, the smallest in (x, y) first.
 
-    It has no figures that are the same for all facets: a few more products per point are cheaper than more numbers that
-    are kept from point to point.
+    It has only a few fields, because repeating some products per point is cheaper than keeping more numbers from point
+    to point.
     """
 
     t: int

@@ -27,7 +27,7 @@ Partial = Mapping[str, Any]
 WEIGHTS = (1, 4, 6, 4, 1)
 """Weights of counts of noise, by places along a row or column: nearly a Gaussian of 256 m."""
 OF_DENSITY = (1, 32, 1024, 32, 1)
-"""Weights of the densities of places with equal numbers of occupied cells."""
+"""Weights of densities, by places along a row or column. Numbers of occupied cells multiply them."""
 AROUND = len(WEIGHTS) // 2
 """Largest distance, in places, of the places that are measured together."""
 REACH_M = (AROUND + 1.5) * PLACE_M

@@ -144,7 +144,7 @@ def search_margin(radius_m: float, group: int, cell_m: float) -> int:
 
 
 class LowNoise:
-    """Cells with low outliers: points of these cells that are not higher are low noise as well.
+    """Cells with low outliers: all points of a cell up to its highest outlier are low noise.
 
     Parameters
     ----------

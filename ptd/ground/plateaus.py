@@ -4,7 +4,7 @@ A roof of any shape ends on all sides in a fall. Terrain continues somewhere: a 
 or over a ramp. A connected surface is classified as a whole, so no opening cuts a roof in two. A surface wider than a
 limit is terrain, whatever lies beyond, so heights beyond a fixed distance do not change the result.
 
-Lower roofs lean on higher ones, so the ground does not fall next to a hall. Therefore the search is repeated without
+A lower roof may lean on a higher one, so its edge does not fall on that side. Therefore the search is repeated without
 the roofs found before, and rays continue over them.
 
 A surface that the border of the data cuts may continue there. A narrower limit applies to it, and a surface that
@@ -39,8 +39,8 @@ ROOF_STEPS_M = (ROOF_FALL_M, ROOF_FALL_M, ROOF_FALL_M, 1.0)
 """Largest height difference of neighbours on a surface, for each search.
 
 The first searches find a hall, roofs that lean on it, and roofs that lean on those. If all steps were below the fall,
-two flat roofs whose heights differ by a value in between would keep each other as ground. The last and smaller step
-separates roofs from terrain next to them, to which larger steps join them.
+two flat roofs whose heights differ by a value in between would keep each other as ground. Larger steps join a roof to
+terrain next to it. The last and smaller step separates them.
 """
 ROOF_GAP_M = 8.0
 """Largest distance of neighbours on a surface, as parts of a roof lie among higher ones."""
@@ -193,7 +193,7 @@ def plateaus(heights: Int32, rule: Plateaus, removed: Bool | None = None, data: 
 def _looks(
     heights: Int32, surface: Int32, removed: Bool, data: Bool, n: int, view: int, fall: float, slope: float
 ) -> tuple[Int64, npt.NDArray[np.int64]]:
-    """Count, for each surface, its cells (`_AREA`) to its rays that leave the data (`_BORDER`), and find its box."""
+    """Count the cells and rays of each surface (columns `_AREA` to `_BORDER` + 7), and find its bounding box."""
     rows, columns = heights.shape
     looks, box = np.zeros((n, _BORDER + 8), np.int64), np.zeros((n, 4), np.int64)
     for row in range(rows):

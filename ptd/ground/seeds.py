@@ -110,9 +110,9 @@ def _doubt_cells(
 ) -> None:
     """Make the cells uncertified that may have another seed in the untiled run.
 
-    These are cells that are not wholly known, and empty cells within the ring around them. If there is a point beyond
-    the border, an empty cell near it has a virtual seed, or none, or one of another height. The same applies to cells
-    near cells with points of uncertified eligibility (`unsure`). Cells of `filled` contain a point that is certainly
+    These are cells that are not wholly known, and empty cells within the ring around them. A point beyond the border
+    could add or remove the virtual seed of an empty cell near it, or change its height. The same applies to cells near
+    cells with points of uncertified eligibility (`unsure`). Cells of `filled` contain a point that is certainly
     eligible.
     """
     known, deep = doubt.known.inside(cells), doubt.known.inside(cells, RING)

@@ -16,7 +16,7 @@ Float64 = npt.NDArray[np.float64]
 
 @kernel
 def _sums(values: Int32) -> Int64:
-    """Return sums and numbers of all filled cells before row and column: int64 [rows + 1, columns + 1, 2]."""
+    """Return sum and number of the filled cells before each row and column: int64 [rows + 1, columns + 1, 2]."""
     height, width = values.shape
     sums = np.zeros((height + 1, width + 1, 2), np.int64)
     for row in range(height):

@@ -30,7 +30,7 @@ place_figures
     Density, noise and side of the cells of each place.
 survey, penetration
     Source of a cloud: laser scanning or dense image matching.
-on_cells, facets
+robust_cells, facets
     The papers' methods on the same cells, and the comparison of all points with the TIN of the ground cells they find.
 
 The passes start from the noise of each place, which is measured on the smoothest patches around it

@@ -33,7 +33,7 @@ def needed(xyz: Int32, side_m: float, state: State, scale: Scale) -> Bool:
 def side_of_cells(points: Points, scale: Scale) -> Float64:
     """Return the sides in metres of the cells with the given middles: float64 [n].
 
-    The middles tell the sides apart, as middles of cells of 2 m are corners of cells of 1 m.
+    Middles of cells of 2 m are corners of cells of 1 m, so a middle shows the side of its cell.
     """
     x, y = points.xyz[0], points.xyz[1]
     cells = CellLattice.of(SPARSE_CELL_M, scale)

@@ -4,9 +4,9 @@ Images show no ground below closed crowns. Two properties of the points distingu
 
 - The ground surface is *wavy* where it climbed onto crowns. Nearly everywhere around, residuals of planes over 9 m are
   some decimetres, and its slopes scatter in every direction. A fold, a dam or a cliff bends one way only, steep terrain
-  falls one way only, and lava and grass are lower. Crowns are bounded: over 25 m the surface is not much rougher. The
-  surface consists of the crowns, so little stands above it. The surface next to trees on a steep slope bends as well,
-  but these trees stand above it.
+  falls one way only, and lava and grass leave smaller residuals. Crowns are bounded: over 25 m the surface is not much
+  rougher. The surface consists of the crowns, so little stands above it. The surface next to trees on a steep slope
+  bends as well, but these trees stand above it.
 - Cells are *tall* if they stand above the ground found and are rough over 5 m. Halls are not rough. Adjacent roofs are
   rough, but many of their cells lie in one plane with their neighbours.
 
@@ -49,11 +49,11 @@ SLOPE_M = 2.0
 ROUGH_SHARE, SCATTER, ONE_WAY = 0.6, 0.17, 0.8
 """Limits of a wavy surface: share of rough cells around, scatter of slopes, and evenness of their direction.
 
-The share is larger than the first. The standard deviation of the slopes, in the direction in which they scatter least,
-is larger than the second. The length of the mean slope is less than the third part of the mean length of slopes.
+The share is larger than `ROUGH_SHARE`. The standard deviation of the slopes, in the direction in which they scatter
+least, is larger than `SCATTER`. The length of the mean slope is less than `ONE_WAY` times the mean length.
 """
 BOUNDED = 0.3
-"""Part of the residuals of planes over `AROUND_M` that residuals over `WAVES_M` exceed, as crowns are bounded. On bare
+"""Ratio of residuals of planes over `WAVES_M` to those over `AROUND_M` that crowns exceed, as they are bounded. On bare
 slopes, ridges and rocks the residuals continue to grow with the window."""
 OVER, TILT = 2.0, 1.1
 """Ratio of the residuals of all cells to those of the surface, and ratio of the scatter of slopes to their mean.

@@ -5,7 +5,7 @@ roughness with the window identifies it: residuals of planes are some decimetres
 Rocks, rough grass and noise are rough over 3 m already, and smooth hills over neither. Where a cliff or a gorge bends
 the terrain, its slopes fall one way; slopes of crowns fall all ways.
 
-On terrain of 1 m, 62 % of the blocks look like crowns in the closed forest of a drone survey. These are 4 % in a
+On terrain of 1 m, 62 % of the blocks look like crowns in the closed forest of a drone survey. The share is 4 % in a
 village in a gorge, 0 to 2 % in seven semi-real scenes, a park and rough fields, and one of 15 in a lava field.
 """
 
@@ -23,8 +23,8 @@ SMALL, LARGE = 3, 9
 BLOCK = 24
 """Side in cells of the blocks, each of which looks like crowns or does not."""
 ROUGH_M, SMOOTHER = 0.3, 0.35
-"""Limits of a block that looks like crowns: the median residual over large windows exceeds the first, and residuals
-over small windows are less than the second part of those over large ones (median)."""
+"""Limits of a block that looks like crowns: the median residual over large windows exceeds `ROUGH_M`, and the median
+ratio of residuals over small and large windows is below `SMOOTHER`."""
 ONE_WAY = 0.7
 """Length of the mean gradient of a block, in parts of the mean length, from which on its slopes fall one way."""
 MIN_FILLED = 0.3

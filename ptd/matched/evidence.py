@@ -35,7 +35,7 @@ SAME = 0.95
 """Correlation with the grey of the colours from which on intensities are this grey; at most 0.71 in LiDAR clouds."""
 TIMES_PER_POINT = 0.01
 """Number of different GPS times per point above which a sensor measured them: each block of a photogrammetric cloud has
-one."""
+a single time."""
 SURE = 0.9
 """Confidence from which on the fields of the points decide alone."""
 MAX_CONFIDENCE = 0.99
@@ -45,7 +45,7 @@ Column = npt.NDArray[np.generic]
 
 
 class Piece(NamedTuple):
-    """A piece of evidence: its weight, which is above 0 if it speaks for image matching, and its description."""
+    """A piece of evidence: its weight, which is above 0 if it indicates image matching, and its description."""
 
     weight: float
     text: str

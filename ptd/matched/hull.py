@@ -140,7 +140,7 @@ class _Blocks(NamedTuple):
 
 
 class _EnvelopeSearch(NamedTuple):
-    """Buffers: tops of the lowest paraboloids around a centre, cells that limit them, a number per column of blocks."""
+    """Buffers: tops of the lowest paraboloids at a centre, cells that limit them, least fall per column of blocks."""
 
     best: Int64
     held: Int64

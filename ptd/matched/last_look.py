@@ -10,8 +10,8 @@ labels (``tests/benchmarks/last_look_weights.py``). Rules limit the changes:
 - No label changes if all points around are ground, or none is.
 
 Features are whole numbers in millimetres or thousandths. They follow from sums of whole numbers over windows of limited
-size on a lattice that is anchored at 0, so neither tiles nor the order of points change a bit. A window is the smallest
-one with `MIN_POINTS` points, so it follows the density of the place.
+size on a lattice that is anchored at 0, so neither tiles nor the order of points change any result. A window is the
+smallest one with `MIN_POINTS` points, so it follows the density of the place.
 """
 
 from __future__ import annotations

@@ -32,8 +32,8 @@ FALL_M, FALL_CELLS, FALL_SHARE = 1.2, 2, 0.6
 """Limits of an object's rim: more than this share of its cells has another surface this much lower within this many
 cells."""
 ALL_FALLS, FALL_LEAST = 0.9, 0.4
-"""Shares of the rim above which it falls nearly everywhere: of the rim without objects found before, and of the whole
-rim. Then the distance of the hull does not matter, as halls may be too wide for it."""
+"""Shares of the rim above which it falls nearly everywhere: of the rim cells that are not close to objects found
+before, and of the whole rim. Then the distance of the hull does not matter, as halls may be too wide for it."""
 CUT_NEAR = 0.5
 """Share of an object's cells that may be near the hull if the border of the data cuts a surface whose rim falls nearly
 everywhere: the fall may be a quay or a bank."""
@@ -42,18 +42,19 @@ AREA_M2 = 40.0
 MAX_WIDTH_M = 200.0
 """Width above which a surface is terrain."""
 TERRAIN_M, TERRAIN_FALLS, TERRAIN_RIM = 100.0, 0.35, 0.2
-"""Limits of wide terrain, for example ridges and crests, even if the hull touches little of it. It is wider than the
-first, and at most the second share of its rim falls. At most the third share of its cells may be rim, as the top of a
-wood is full of gaps."""
+"""Limits of wide terrain, for example ridges and crests, even if the hull touches little of it. It is wider than
+`TERRAIN_M`, and at most `TERRAIN_FALLS` of its rim falls. At most `TERRAIN_RIM` of its cells may be rim, as the top of
+a wood is full of gaps."""
 ON_HULL_M, ON_HULL_SHARE = 70.0, 0.5
 """Limits of the ground of a small survey: it is wider than this in both directions, this share of it is near the hull,
-and its rim falls as little. In a strip or a garden, plants that lean on the hull would contribute too much."""
+and its rim falls as little as that of wide terrain. In a strip or a garden, plants that lean on the hull would
+contribute too much."""
 INSIDE_SHARE, INSIDE_M2, YARD_M2 = 0.5, 1000.0, 10.0
 """Limits of enclosed surfaces, for example equipment on a roof, which are classified even if they are small.
 
-More than this share of the rim lies next to objects found before. Surfaces of the second area or more are not enclosed:
-they may be terraces among houses. From the third area on, objects that rise from the surface do not count: it may be a
-courtyard, or ground that is visible between crowns. Smaller ones are parts of walls.
+More than `INSIDE_SHARE` of the rim lies next to objects found before. Surfaces of `INSIDE_M2` or more are not enclosed:
+they may be terraces among houses. From `YARD_M2` on, objects that rise from the surface do not count: it may be a
+courtyard, or ground that is visible between crowns. Smaller surfaces are parts of walls.
 """
 
 

@@ -8,12 +8,13 @@ with its lowest point, so the counts of tiles add up. There are three kinds of c
   successive bins of height between two of its points are empty. Bins are `BIN_M` high and begin at the cell's lowest
   point. A cell is *seen through* if it and at least `MIN_OF_9` of the 3 x 3 cells around it have a gap, itself
   counted.
-- *Wide cells* have a side of `WIDE_M`, because the cells above contain too few points in sparse clouds. Points below
-  plants lie among those above in the plan, and points below a wall or a cliff lie next to them. A wide cell is *mixed*
+- *Wide cells* have a side of `WIDE_M`, because smaller cells contain too few points in sparse clouds. In the plan,
+  points below plants lie among the points of the plants, and points below a wall or a cliff lie next to them. A wide
+  cell is *mixed*
   if it has a gap of `GAP_M` in height, and no line in the plan separates the points below the gap from those above it.
   At least `BELOW` points must lie below, as blunders are fewer. A wide cell is seen through if it and at least
   `MIN_MIXED` of the 3 x 3 cells around it are mixed. It has `MIN_POINTS` to `MAX_POINTS` points: fewer show nothing,
-  and where there are more the cells above suffice.
+  and with more points cells of `CELL_M` suffice.
 - Cells with *overhangs* are counted in an eighth of the area. They are about eight points wide: of all sides in
   `OVERHANG_CELLS_M`, cells with `HANGING_FEWEST` to `HANGING_MOST` points count. A cell has an overhang if at least two
   points lie below and two above a gap of `HANGING_GAP_M` in height. Lasers see below crowns and eaves, and

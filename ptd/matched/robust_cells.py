@@ -3,9 +3,8 @@
 The papers' seeds and vertices are the lowest points of cells. In a photogrammetric cloud these are blunders or the
 lower end of the noise. So a method gets one robust height per cell (`ptd.matched.cells`) instead of the points. The
 cells that it classifies as ground are the surface, and all points are compared with it to both sides, with the local
-noise and a vote of their neighbours, as in `auto` (`ptd.matched.passes`). `for_both_kinds` builds the passes of a
-method so that they do this if the survey finds a photogrammetric cloud. LiDAR clouds are filtered with the method's
-own passes.
+noise and a vote of their neighbours, as in `auto` (`ptd.matched.passes`). `for_both_kinds` builds passes that do so if
+the survey finds a photogrammetric cloud, and that filter LiDAR clouds like the method's own passes.
 """
 
 from __future__ import annotations

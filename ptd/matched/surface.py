@@ -1,6 +1,6 @@
 """Ground surface from cells: hulls that bend more where the cells show it, then the mean of the cells near them.
 
-1. There are two hulls. The stiff one is right below trees, where ground is visible only through gaps; the pliable one
+1. There are two hulls. The stiff one is correct below trees, where ground is visible only through gaps; the pliable one
    follows terrain. The *contrast* decides between them: above ground there is a gap up to the objects on it, and a hull
    that climbed into plants has as many cells above it as on it. Cells that are terrain as a whole
    (`ptd.matched.objects`) do not count as plants, because a hull lies below crests.
@@ -40,18 +40,18 @@ OPEN_GROUND = 0.3
 """Curvature up to which a hull is used on open ground as well. Hulls of more curvature need terrain as a whole, because
 they would follow cars."""
 CREST_SLOPE, CREST_M = (0.1, 0.2), 7.0
-"""Mean slopes of the surroundings (`TERRAIN_M`) from which on, and at which fully, hulls of more than that curvature
-are used. On level ground they are used only for features that are at least `CREST_M` wide, for example dams: some cell
-links cars to the ground, too."""
+"""Mean slopes of the surroundings (`TERRAIN_M`) from which on, and at which fully, hulls of more curvature than
+`OPEN_GROUND` are used. On level ground they are used only for features that are at least `CREST_M` wide, for example
+dams: some cell links cars to the ground, too."""
 STEEP = (0.3, 0.6)
 """Mean slopes from which on, and at which fully, terrain just above a ridge's hull does not count as plants, because
 hulls cut crests."""
 BAND_M, BAND_SIGMAS, BAND_SLOPE = 0.15, 2.5, 0.15
 """Largest distance of cells on a hull: the sum of metres, a multiple of the noise, and metres per unit of slope."""
 CONTRAST_M, CONTRAST = 12.0, (0.5, 1.0)
-"""Standard deviation of the surroundings in which cells are counted, and limits of the contrast. Up to the first limit,
-half as many cells above a hull as on it, only the pliable hull is used. From the second on, as many, only the stiff one
-is used."""
+"""Standard deviation of the surroundings in which cells are counted, and limits of the contrast. Up to the first limit
+(half as many cells above a hull as on it) only the pliable hull is used, from the second on (equally many) only the
+stiff one."""
 RIDGE_M, RIDGE_SHARE, RIDGE_CONTRAST, CREST_CONTRAST = 6.0, (0.6, 0.85), (0.02, 0.06), (0.05, 0.15)
 """Settings of the hulls of ridges.
 
@@ -61,8 +61,8 @@ RIDGE_M, RIDGE_SHARE, RIDGE_CONTRAST, CREST_CONTRAST = 6.0, (0.6, 0.85), (0.02, 
 - `CREST_CONTRAST`: the same contrasts for hulls of more curvature than `OPEN_GROUND`.
 """
 MIN_SHARE_LEFT = 0.3
-"""Least share of all cells to which open ground is related. Otherwise it is a share of the cells that are left, so that
-it is the same next to a roof or a pond as in the open."""
+"""Least share of all cells that counts as left. Open ground is a share of the cells that are left, so that it is the
+same next to a roof or a pond as in the open."""
 TERRAIN_M = 8.0
 """Standard deviation of the surroundings in which cells above the surface are counted and slopes are averaged."""
 

@@ -38,12 +38,12 @@ SPARSE_LASER_SIGMA_M, FLAT = 0.04, 10
 """Noise of flat patches up to which a sparse cloud is a LiDAR cloud, and least number of patches for it.
 
 Thinned to 1 to 3 points/m2, LiDAR clouds without penetrated plants have 0.016 to 0.036 m, photogrammetric clouds 0.044
-to 0.17 m. Two clouds matched from close range have 0.016 and 0.027 m. The passes for LiDAR clouds classify them as well
-as those for photogrammetric clouds.
+to 0.17 m. Two clouds matched from close range have 0.016 and 0.027 m. For these two, the passes for LiDAR clouds are as
+accurate as those for photogrammetric clouds.
 """
 MATCHED_LOOK, SPARSE_LOOK = 1.9, -1.5
 """Weights (`ptd.matched.evidence`) of a cloud without penetrated plants, and of a cloud that is too sparse, too bare or
-too smooth to count as such."""
+too smooth for missing penetration to be evidence."""
 MIN_THROUGH, PER_DECADE = -1.0, -0.7
 """Weight of the smallest share of penetrated cells that decides, and additional weight per factor of ten."""
 NO_OVERHANGS, OVERHANG_WEIGHT, MAX_OVERHANG = 0.0966, 0.9, 0.95
@@ -125,7 +125,7 @@ def figures(found: Roughness, run: Mapping[str, Any]) -> tuple[float, float | No
     else:
         few = (
             found.density_m2 < SPARSE_M2 and found.sigma_m is not None
-        )  # too few for planes of quarters of patches
+        )  # Quarters of patches contain too few points for planes.
         sigma, cell_sigma = found.sigma_m, found.sigma_m if few else found.smoothest_m
     cell_sigma = MIN_CELL_SIGMA_M if cell_sigma is None else cell_sigma
     return found.density_m2, sigma, min(max(cell_sigma, MIN_CELL_SIGMA_M), MAX_CELL_SIGMA_M)

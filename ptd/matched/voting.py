@@ -37,7 +37,7 @@ ROUNDED = 1e-9
 FAR = 2**30
 """Residual that is not alike any other."""
 FINEST = 2**13
-"""Resolution of positions: this part of the largest radius, or the cloud's own counts if these are coarser."""
+"""Largest number of units of positions in the largest radius. The cloud's own counts are used if they are coarser."""
 
 
 def radius_m(density_m2: float) -> float:

@@ -87,7 +87,7 @@ class Progressive:
 
     @property
     def margin_cells(self) -> int:
-        """Cells within the search radius of low outliers."""
+        """Search radius of low outliers in cells, rounded up."""
         return search_margin(self.low_radius_m, self.low_group, self.low_cell_m)
 
     @property

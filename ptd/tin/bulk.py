@@ -94,7 +94,7 @@ def build(
         Positions in counts, in any order. Differences of x and of y have to stay below 2**26: not checked
         here.
     order : int32 [n]
-        Indices of the points as they are inserted; `insertion_order` makes that fast.
+        Indices of the points in the order of insertion, fast if it is that of `insertion_order`.
     stamp : int
         Written to each triangle.
     """
@@ -107,7 +107,7 @@ def build(
     if k < 0:
         counters[N_VERTICES] = _keep_distinct(vertices, n)
         return
-    # Numbers as wide as those of the other callers: a kernel is compiled once for each kind of them.
+    # Other callers pass int64 numbers. With int32 numbers the kernels would be compiled again.
     _swap_rows(vertices, as_int64(1), j)
     _swap_rows(vertices, as_int64(2), k)
     start_triangulation(vertices, triangles, counters, as_int64(0), as_int64(1), as_int64(2), stamp)

@@ -30,9 +30,9 @@ def _collect(
 ) -> int:
     """Write the triangles in conflict with (x, y) and their rim to `scratch`, and change no other array.
 
-    With c = (scratch.size - HEADER) // 4, `scratch` receives from HEADER on the triangles, from HEADER + 2
-    c on a pair for each edge of the rim, counter-clockwise: the half-edge outside and the vertex where it
-    starts. The quarter in between is the stack of edges still to look across.
+    With c = (scratch.size - HEADER) // 4, the triangles begin at HEADER, and the rim at HEADER + 2 c. The rim has a
+    pair per edge, counter-clockwise: the half-edge outside and the vertex where it starts. From HEADER + c on lies the
+    stack of edges that are still to be crossed.
 
     Returns
     -------
@@ -147,13 +147,13 @@ def _link_large(
 def link_vertex(
     vertices: Int32Array, triangles: Int32Array, counters: Int32Array, vertex: int, first: int, stamp: int
 ) -> None:
-    """Link a vertex whose coordinates are stored and that no triangle knows yet.
+    """Link a vertex whose coordinates are stored and that no triangle has yet.
 
     Parameters
     ----------
     vertices, triangles, counters : int32 arrays, see `ptd.tin.layout`
     vertex : int
-        Its number. No other vertex may lie at its position.
+        Number of the vertex. No other vertex may lie at its position.
     first : int
         A triangle that contains it, as `ptd.tin.location.walk` gives it.
     stamp : int

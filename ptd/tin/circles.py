@@ -85,7 +85,7 @@ def circle_inside(x: float, y: float, bx: float, by: float, cx: float, cy: float
     """Whether the circle through a = (x, y), a + b and a + c is certain to stay inside the window.
 
     The bound of the rounding error is added to the radius, so a wrong no is possible and a wrong yes is not.
-    A degenerate circle is inside the whole plane only.
+    A degenerate circle is inside only if the window is the whole plane.
     """
     b2, c2 = bx * bx + by * by, cx * cx + cy * cy
     area = 2.0 * (bx * cy - by * cx)

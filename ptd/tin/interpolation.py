@@ -124,7 +124,7 @@ def heights(vertices: Int32Array, triangles: Int32Array, x: Int32Array, y: Int32
     vertices, triangles : int32 arrays, see `ptd.tin.layout`
         A TIN with at least one real triangle.
     x, y : int32 [n]
-        Fast if neighbours in the arrays are neighbours on the ground.
+        Positions in counts. Fast if neighbours in the arrays are neighbours on the ground.
 
     Returns
     -------

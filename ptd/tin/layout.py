@@ -1,10 +1,10 @@
 """Memory layout of a TIN: three flat int32 arrays, and the kernels that read them.
 
-``vertices`` (4 int32 a vertex)
+``vertices`` (4 int32 per vertex)
     ``vertices[4 * v + 0 .. 2]`` are x, y, z in counts, ``vertices[4 * v + 3]`` is one incident triangle (-1
     as long as all vertices are collinear and there is no triangle at all).
 
-``triangles`` (8 int32 a triangle)
+``triangles`` (8 int32 per triangle)
     ``triangles[8 * t + 0 .. 2]`` are the twins of its three half-edges, ``[8 * t + 3]`` the stamp of its
     last change, ``[8 * t + 4 .. 6]`` its vertices counter-clockwise, ``[8 * t + 7]`` is 0 and
     makes a row 32 bytes long.

@@ -22,8 +22,7 @@ _RATIO_BITS = 2  # each round multiplies the number of inserted points by 2**_RA
 def _hilbert_table() -> Int32Array:
     """Four levels of the Hilbert curve at once: int32 [4 * 256], place | next state << 8.
 
-    The index is state << 8 | four bits of x << 4 | four bits of y; a state says whether x and y are to be
-    swapped (1) and whether both are to be inverted (2).
+    The index is state << 8 | four bits of x << 4 | four bits of y; in a state, 1 swaps x and y, and 2 inverts both.
     """
     table = np.empty(4 * 256, np.int32)
     for index in range(4 * 256):
@@ -123,8 +122,8 @@ def round_order(order: Int32Array) -> Int32Array:
     Returns
     -------
     int32 [n]
-        ``order[0]``, then in each round the places that are multiples of the round's stride and not of the
-        one before.
+        ``order[0]``, then in each round the elements at multiples of the round's stride that are not multiples of the
+        previous stride.
     """
     n = order.size
     out = np.empty(n, np.int32)

@@ -48,7 +48,7 @@ def _known_within(lattice: PixelCentres, sides: KnownBounds, column: int, row: i
 
 @kernel
 def mark_near_sides(marks: UInt8Array, lattice: PixelCentres, rule: Rule, sides: KnownBounds) -> None:
-    """Set `_NEAR` and `_FAR` where unknown data lie within the reach of a pixel without and with a facet."""
+    """Set `_NEAR` (`_FAR`) where unknown data lie within the reach of a pixel without (with) a facet."""
     slack = 1.0 + 2.0**-20
     far = 2.0 * rule.max_radius * slack + 2.0
     near = min(far, math.sqrt(float(rule.max_edge2)) * slack + 2.0)

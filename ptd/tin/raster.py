@@ -111,9 +111,9 @@ def _own_border(
 ) -> tuple[bool, bool]:
     """Whether facet `t` owns a centre on its border, and whether the owner is certain.
 
-    `zeros` says which edges the centre lies on; `_own_vertices` handles centres on a vertex. The owner is certain
-    if both facets are. It is also certain if its own facet is and the window reaches so far that no unknown facet
-    can pass on the other side.
+    `zeros` says which edges the centre lies on; `_own_vertices` handles centres on a vertex. The owner is certain if
+    both facets at the edge are certified. If `t` owns the centre and the other one does not pass, it is enough that `t`
+    is certified and the window extends so far that no unknown facet can pass there.
     """
     if zeros[0] + zeros[1] + zeros[2] == 2:
         return False, False

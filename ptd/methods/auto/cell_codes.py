@@ -53,7 +53,7 @@ class CellCodes(Model):
         x, y, _ = points.columns()
         if np.array_equal(x, self._x) and np.array_equal(
             y, self._y
-        ):  # The points of an untiled run are the same.
+        ):  # In an untiled run the points are those of the model.
             codes, marked = self._codes[:-1].copy(), self._doubtful[:-1].copy()
         else:
             slots = self._slots(x, y)

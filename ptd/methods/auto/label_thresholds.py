@@ -29,7 +29,7 @@ noise would classify low plants as ground, because meadows and fields look plana
 SAID_BASE_M = 0.05
 """Floor of the last pass for a noise of 0, if the user gives the noise. The result is at least `DENSE_FLOOR_M`."""
 SAID_SIGMAS = 3.0
-"""Multiple of the noise given by the user that is added to this floor."""
+"""Multiple of the noise given by the user that is added to `SAID_BASE_M`."""
 DENSE_SLOPE = 0.5
 """Share of ``label_slope_m`` for dense clouds."""
 

@@ -305,5 +305,5 @@ def first_tin(
 
 
 METHOD = Method(
-    "auto", "our own, for all clouds: morphological seeds, few rounds, what rises is taken out again", Auto
+    "auto", "our own, for all clouds: morphological seeds, few rounds, then removal of objects", Auto
 )

@@ -38,8 +38,8 @@ class Reaches:
     Attributes
     ----------
     slope_m, residual_slope_m : float
-        Half width of the boxes whose means give slopes. It extends past a house's wall for seeds, and is small for
-        objects on ground whose trend is subtracted.
+        Half width of the boxes whose means give slopes. For seeds it extends past a house's wall. For objects on ground
+        whose trend is subtracted it is small.
     around_m : float
         Distance within which objects are counted. If there are few, a bump is terrain.
     object_trend_m, bump_trend_m : float
@@ -202,7 +202,7 @@ class AutoParameters:
 
     @property
     def margin_m(self) -> float:
-        """Margin of a thinning cell, so that windows contain whole ones even if they do not divide the ring's cells."""
+        """Margin of one thinning cell, so that windows contain whole ones even if the ring's cells do not."""
         return self.thin_cell_m
 
     @property

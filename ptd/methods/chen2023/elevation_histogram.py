@@ -86,7 +86,7 @@ def _inner_end(bins: list[int], counts: Histogram, gap: int, room: float) -> tup
 
 
 def outside(z: Int32, scale: Scale, kept: list[int] | None) -> tuple[Bool, Bool]:
-    """Return masks of the heights below and above the kept range, without any height if there is no range."""
+    """Return masks of the heights below and above the kept range. Both are false if there is no range."""
     if kept is None:
         return np.zeros(z.size, np.bool_), np.zeros(z.size, np.bool_)
     bins = _bins(z, scale)

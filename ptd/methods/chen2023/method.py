@@ -39,8 +39,8 @@ robust_cells         none                        on        ours, for photogramme
 The six steps, with the deviations:
 
 1. The tails of the run's elevation histogram (one candidate per cell) are cut at a gap (`elevation_histogram`), where
-   the paper chooses from a plot. Then points isolated in height are removed. The paper corrects the rest by hand, which
-   a run cannot do; it searches for groups of low points instead.
+   the paper chooses from a plot. Then points isolated in height are removed. The paper corrects the rest by hand. Here
+   groups of low points are searched for instead.
 2. A minimum raster is filled (`minimum_grid`). Cells beyond the reach of interpolation take the nearest height, not 0.
 3. The raster is opened with squares (`progressive_opening`). The paper says "window", symmetrical because its number of
    cells is odd, and uses the equations of Zhang et al. (2003), whose windows are square. An object drops by more than

@@ -40,7 +40,7 @@ class Chen2023Parameters(Progressive):
         False, "windows of 2 W_0^k + 1 cells instead; W_0 must be 2 or more", source="Chen 2023, eq. 2"
     )
     terrain_slope: float = parameter(
-        0.3, "s: rise over run by which ground may drop per metre that the window grows", minimum=0.0, maximum=10.0,
+        0.3, "s: largest drop of ground per metre by which the window grows", minimum=0.0, maximum=10.0,
         source="Chen 2023, eq. 3",
     )  # fmt: skip
     initial_drop_m: float = parameter(

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 import numpy as np
 
 SETTLED_SHARE = 0.05
-"""The counts stop falling where they fall by less than this share of the steepest fall."""
+"""Share of the steepest fall. The counts have settled where they fall by less."""
 
 
 def second_difference_jump(counts: Sequence[int]) -> int | None:

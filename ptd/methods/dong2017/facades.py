@@ -215,9 +215,9 @@ class Facades:
 
         Four lines cross a facade cell, along the axes and diagonals of the lattice, with a cell at the same distance
         on both sides. The lower of these two cells is the road. The line whose road is farthest from all facade cells
-        counts, because it is most nearly perpendicular to the facade; then the lower road counts. The seed is the
-        point of median height in its cell, as the lowest point is a blunder or at the lower end of the noise. It is
-        dropped unless the points around it lie on a plane within the noise.
+        counts, because it is most nearly perpendicular to the facade. Of equally far roads the lower one counts. The
+        seed is the point of median height in its cell, as the lowest point is a blunder or at the lower end of the
+        noise. It is dropped unless the points around it lie on a plane within the noise.
         """
         x, y, z, table = self.x, self.y, self.z, self.index.table
         road_points = _road_points(x, y, z, table, self.holds, rule)

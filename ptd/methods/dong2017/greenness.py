@@ -85,9 +85,9 @@ def two_modes(counts: Sequence[int]) -> tuple[int, int] | None:
 
     The check is needed because Otsu's threshold splits any histogram, even one with a single mode.
 
-    The valley between the modes is the bin whose smoothed count lies farthest below the lower one of the highest bins
-    on both sides. Only colours greener than grey count; otherwise red roofs beside grey streets would make the
-    streets green.
+    The highest smoothed counts to the left and right of a bin are compared with its own count. The valley is the bin
+    whose count lies farthest below the lower one. Only colours greener than grey count; otherwise red roofs beside grey
+    streets would make the streets green.
 
     Parameters
     ----------

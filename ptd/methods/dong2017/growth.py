@@ -30,7 +30,7 @@ class Stage(NamedTuple):
     Attributes
     ----------
     cell_m : float
-        One vertex in each cell of this side that holds ground.
+        Side in metres of the cells. Each cell with ground gives one vertex.
     widest_m : float
         Largest circumradius of a facet that tests points.
     tins : int

@@ -71,7 +71,7 @@ from ptd.methods.dong2017.seed_passes import ColourPass, SeedPass
 from ptd.passes import Method, Pass
 
 BLOCK_CELLS = 2
-"""Cells beyond that at `seed_distance` with points of the block around a seed: one cut, one beside it."""
+"""Number of cells beyond `seed_distance` that the block around a seed needs: one that is cut, and one next to it."""
 
 MEASURED_SEEDS = 1.5
 """Largest circumradius, in seed cells, of a facet of neighbouring seeds whose points are measured."""
@@ -125,7 +125,7 @@ class Dong2017(Dong2017Parameters):
         return steps
 
     def _growing_on_cells(self) -> list[Pass]:
-        """The same steps, repeated. At the density of the cells themselves there is nothing to measure."""
+        """`_growing_on_points`, repeated. At the density of the cells themselves there is nothing to measure."""
         steps = self._first_steps()
         spacings = [s for s in self.spacings_m if s >= CELL_M] or [CELL_M]
         for again in ("", *(f"-{n}" for n in range(2, TIMES_ON_CELLS + 1))):

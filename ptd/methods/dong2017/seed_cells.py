@@ -16,9 +16,9 @@ from ptd.passes import Int32, Points, State, UInt8
 
 @dataclass(frozen=True)
 class SeedCellPass(CellPass):
-    """A robust height for each cell. Cells that hold a seed are ground, all others unclassified."""
+    """Pass that makes a robust height per cell. Cells with a seed are ground, all others unclassified."""
 
-    title = "one height for each cell, which hold seeds"
+    title = "one height per cell, and the cells with seeds"
     columns: tuple[str, ...] = ("labels",)
     gives_labels: bool = True
 

@@ -63,7 +63,9 @@ class ColourPass(Pass):
             if "patches" in partial:
                 patches.append(partial["patches"])
         if not gli.any():
-            raise MethodRefusal("no point has a colour, dong2017 tells vegetation by it; use another method")
+            raise MethodRefusal(
+                "no point has a colour, which dong2017 needs to find vegetation; use another method"
+            )
         green = green_from(gli.tolist())
         density = density_of(cells, self.params.facade_cell_m**2)
         sigma, origin = _sigma(state, patches)
@@ -151,7 +153,9 @@ class SeedModel(Model):
         """Label vegetation and seeds."""
         x, y, _ = points.columns()
         labels = np.full(x.size, UNCLASSIFIED, np.uint8)
-        seed_positions = positions(*self._seeds[:2])  # each holds one seed, as a cell does
+        seed_positions = positions(
+            *self._seeds[:2]
+        )  # Each position holds one seed, because each cell gives one.
         order = np.argsort(seed_positions)
         at = np.flatnonzero(np.isin(positions(x, y), seed_positions))
         seed = order[np.searchsorted(seed_positions, positions(x[at], y[at]), sorter=order)]

@@ -1,8 +1,8 @@
 """``dong2018``: two stages, the second from the noise of the points (Dong et al. 2018, paper 000).
 
 In a dense TIN the noise of heights makes larger angles than the iteration angle, and Axelsson's test loses ground. So
-densification stops at that density, and continues with thresholds read from the ground points themselves, scale by
-scale.
+densification stops at the density at which noise decides, and continues with thresholds read from the ground points
+themselves, scale by scale.
 
 1. Noise sigma from planar patches (`ptd.ground.roughness`, eq. 1), or ``--sigma``.
 2. ``DEN_thr = k tan^2(alpha) / (3 sqrt(3) sigma^2)`` (eq. 3): in a denser TIN, noise decides.

@@ -114,7 +114,7 @@ def _fit(rows: Float64, n: int) -> tuple[float, float, float]:
 def _statistics(
     mesh: Mesh, n_vertices: int, data: Bool, in_doubt: UInt8, length: float
 ) -> tuple[Float64, Float64, Int32Array, Bool]:
-    """Return the normalised residual (0: not judged), the residual in vertical counts, and n of each data vertex.
+    """Return normalised residual (0: not judged), residual in vertical counts, and number of observations by vertex.
 
     The last result is a mask of the vertices with an uncertified triangle.
     """
@@ -183,7 +183,7 @@ def conicoid_outliers(
     least : float
         Smallest residual that contradicts a seed, vertical counts.
     doubt : UncertifiedRegion
-        Uncertified region, to which the positions of seeds are added whose fate points outside the window could change.
+        Uncertified region. It is extended by the positions of seeds whose result depends on points outside the window.
 
     Returns
     -------

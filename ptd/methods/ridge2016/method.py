@@ -28,10 +28,10 @@ robust_cells          none                           on        ours, for photogr
 Steps: seeds per cell (2.1); ridge points (2.1, equation 1, `ridges`); seed refinement (2.2, equations 2-10,
 `conicoid`); densification (2.3, equations 11 and 12, `thinned_densification`).
 
-Equation 11 ends the rounds when the terrain class grows by at most p_min of all points. Both numbers belong to the
-run, and no tile knows them. So a first pass runs all rounds and counts, in each, the points of its tile's core that
-join the class. The sums over all tiles determine the last round. The labels of the first pass say in which round a
-point became a vertex. A vertex is replaced only by a lower one of its cell, and never returns, so these labels give the
+Equation 11 ends the rounds when the terrain class grows by at most p_min of all points. Both numbers belong to the run
+and are unknown in a tile. So a first pass runs all rounds and counts, in each, the points of its tile's core that join
+the class. The sums over all tiles determine the last round. The labels of the first pass say in which round a point
+became a vertex. A vertex is replaced only by a lower one of its cell, and never returns, so these labels give the
 second pass the TIN of the last round. No tile ends earlier than its neighbour. A tile with an uncertain count is
 repeated with a wider halo. The remaining uncertain points are summed as well. If they could change the last round, a
 note reports it.

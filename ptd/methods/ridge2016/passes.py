@@ -31,7 +31,7 @@ SEED = 8
 """
 
 TERRAIN_HALO_CELLS = 4.0
-"""Seed cells around a tile that circles of the last TIN seldom leave; those of the ring need three."""
+"""Margin of a tile, in seed cells, that circles of the last TIN seldom leave. Circles of the ring need three."""
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class GrowthPass(Pass):
 
 
 def max_growth(points: int, growth: float) -> Fraction:
-    """Largest number of points that may join in the last round: p_min of equation 11 times all, exactly."""
+    """Largest number of points that may join in the last round: p_min of equation 11 times all points, exactly."""
     return Fraction(repr(float(growth))) * points
 
 
@@ -84,7 +84,7 @@ def last_round(points: int, gained: list[int], unsure: list[int], growth: float)
     share = 100 * gained[last - 1] / max(points, 1)
     note = f"densification ends after {last} rounds, the last of which added {share:.2f} % of all points to the terrain"
     if gained[last - 1] > limit:
-        note += f": still more than {100 * growth:g} %, but no more rounds were wanted"
+        note += f": still more than {100 * growth:g} %, but no more rounds were allowed"
     slack = [before + after for before, after in pairwise([0, *unsure[:last]])]
     if any((n - s <= limit) != (n + s <= limit) for n, s in zip(gained[:last], slack, strict=True)):
         note += "; points near tile edges could change that: a wider halo makes it certain"
@@ -92,7 +92,7 @@ def last_round(points: int, gained: list[int], unsure: list[int], growth: float)
 
 
 class GrowthModel(TinLabels):
-    """Number of points that join the terrain class of a window's core in each round, and the new vertices."""
+    """Model that counts the points of a core that join the terrain class in each round, and labels new vertices."""
 
     def __init__(
         self, params: Ridge2016Parameters, points: Points, window: Window, core: Window, scale: Scale
@@ -104,7 +104,7 @@ class GrowthModel(TinLabels):
         self._prepared: Prepared | None = None
         if len(points):
             self._prepared = Prepared(params, points.columns(), window, scale)
-            # A window that is the whole run knows its last round. Further rounds are run without counting, because
+            # If the window is the whole run, its last round is known. Further rounds are run without counting, because
             # `--statistics` of another run may ask for them.
             alone = not window.closed and self._points == len(points)
             enough = -1
@@ -177,7 +177,7 @@ class TerrainPass(Pass):
 
 
 class TerrainModel(TinLabels):
-    """The TIN of a round in a window."""
+    """Model that labels the points of a window by the TIN of a round."""
 
     def __init__(
         self, params: Ridge2016Parameters, points: Points, window: Window, scale: Scale, rounds: int

@@ -33,7 +33,7 @@ class Prepared:
     virtual : int32 [k, 3]
     doubt : UncertifiedRegion
     low : LowNoise
-    limits : Limits
+    limits : FacetLimits
     floor : float
         Floor of the final labels, counts.
     counts : dict

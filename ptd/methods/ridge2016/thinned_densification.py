@@ -200,8 +200,9 @@ def densify_thinned(
 ) -> Iterator[Round]:
     """The TINs of successive rounds: first that of the seeds, then of the lowest terrain points per cell.
 
-    They end when the next would be the same, here and beyond the window. A vertex stays until a lower point of its cell
-    becomes one, and never returns. So the rounds in which points became vertices determine the vertices of each round.
+    The rounds end when the next TIN would be the same, here and beyond the window. A vertex stays until a lower point
+    of its cell becomes one, and never returns. So the rounds in which points became vertices determine the vertices of
+    each round.
 
     Parameters
     ----------

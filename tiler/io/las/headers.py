@@ -375,7 +375,8 @@ def _extended(header: LasHeader, stream: BinaryIO, salvage: bool) -> LasHeader:
     if start >= points_end:
         evlrs, whole = walk_records(stream, start, count, header.size, extended=True)
     if not whole:
-        problem = f"says {count} extended records from byte {start}, only {len(evlrs)} are complete in {header.size} bytes"
+        complete = f"only {len(evlrs)} are complete in {header.size} bytes"
+        problem = f"says {count} extended records from byte {start}, {complete}"
         header = _salvaged(header, problem, salvage)
     return replace(header, evlrs=evlrs)
 

@@ -41,7 +41,7 @@ def test_the_last_round_by_hand() -> None:
     assert last_round(11_000, gained, [0] * 5, 0.001)[0] == 3
     last, note = last_round(10_000, gained, [0] * 5, 0.0008)
     assert last == 5
-    assert note.endswith("still more than 0.08 %, but no more rounds were wanted")
+    assert note.endswith("still more than 0.08 %, but no more rounds were allowed")
 
 
 def test_a_note_says_that_points_near_edges_could_change_the_last_round() -> None:
