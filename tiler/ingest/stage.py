@@ -102,8 +102,8 @@ def spool(job: Job, sources: list[Source]) -> tuple[Commits, list[Source]]:
         job.facts["fetched"] = {"plan": sum(s.fetched for s in job.plan.sources), "points": points}
     if rounding > 0:
         job.note(
-            f"the filter's coordinates were rounded by up to {rounding:.3g} CRS units; classified clouds keep the exact "
-            "ones"
+            f"the filter's coordinates were rounded by up to {rounding:.3g} CRS units; classified clouds keep the "
+            "exact ones"
         )
     for reason, count in dropped.items():
         job.note(f"{count:,} points left out: {reason}")
