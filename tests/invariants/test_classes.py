@@ -22,7 +22,7 @@ from tiler.observe.events import Event, Note
 SIDE = 80.0
 POND = shapely.box(10, 10, 60, 60)
 NO_PART = (7, 9, 17, 18)
-ANEW = "classified clouds of an earlier version are written anew"
+WRITTEN_AGAIN = "classified clouds of an earlier version are written again"
 
 
 def written(path: Path, point_format: int, classes: np.ndarray | None = None) -> Path:
@@ -134,7 +134,7 @@ def test_a_class_that_keeps_many_points_out_is_told(tmp_path: Path) -> None:
 def test_clouds_of_an_earlier_version_are_told_of_and_written_anew(tmp_path: Path, left: str) -> None:
     cloud, out = written(tmp_path / "a.laz", 6), tmp_path / "out"
     first = do(cloud, out)
-    assert not any(ANEW in note for note in first.notes)
+    assert not any(WRITTEN_AGAIN in note for note in first.notes)
     after = (out / "classified" / "a.laz").read_bytes()
     if left == "store":
         store = the_store(out)
@@ -147,11 +147,11 @@ def test_clouds_of_an_earlier_version_are_told_of_and_written_anew(tmp_path: Pat
         (out / RUN).write_text(json.dumps(run))
     (out / "classified" / "a.laz").write_bytes(b"what that version wrote")
     again = do(cloud, out)
-    assert any(ANEW in note for note in again.notes)
+    assert any(WRITTEN_AGAIN in note for note in again.notes)
     assert (out / "classified" / "a.laz").read_bytes() == after
     if left == "store":
         assert computed(again)["filter0"] == computed(again)["grid-dtm"] == 0
-    assert not any(ANEW in note for note in do(cloud, out).notes)
+    assert not any(WRITTEN_AGAIN in note for note in do(cloud, out).notes)
 
 
 def test_classify_keeps_them_too(tmp_path: Path) -> None:

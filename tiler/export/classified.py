@@ -71,7 +71,7 @@ def write_classified(store_url: str, work: WriteClassified) -> dict[str, Any]:
     -------
     dict
         ``points``, ``changed`` (number of points with a new class), ``classes`` (number of points by new class),
-        ``kept`` (number of points by class that took part and keep a class of the source outside `WITHOUT_OBJECT`),
+        ``kept`` (number of filtered points, by class, that keep a class of the source outside `WITHOUT_OBJECT`),
         ``statistics`` (see `CloudStatistics.to_json`), ``bytes``, ``digest`` (of all bytes), ``notes`` (list of str),
         ``fetched`` (number of bytes read over the network), ``state`` (see `tiler.io.locations.FileState`).
 
@@ -284,9 +284,9 @@ def _inside_area(store: TileStore, work: WriteClassified, first: int, last: int)
 def _rows_inside(
     store: TileStore, work: WriteClassified, first: int, last: int
 ) -> Iterator[tuple[Cell, npt.NDArray[np.int64], npt.NDArray[np.bool_]]]:
-    """Yield the buckets that contain any of these rows of a source inside the area.
+    """Yield the buckets that contain any of the rows ``first`` to ``last`` of a source inside the area.
 
-    Each comes with its cell, the rows of all of its points, and the mask of these rows.
+    Yield the cell of each bucket, the rows of all of its points, and a mask of the requested ones.
     """
     area = store.area(work.area)
     for cell in work.cells:

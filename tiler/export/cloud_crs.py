@@ -48,7 +48,7 @@ class NewCrs:
 def new_crs(header: LasHeader, work: WriteClassified, run_wkt: str | None) -> NewCrs | None:
     """Return the CRS to write into a classified cloud, or None if the records of the source stay.
 
-    LAS 1.4 and COPC get it as WKT. Earlier versions of LAS get GeoTIFF keys if its parts have EPSG codes, else WKT.
+    LAS 1.4 and COPC get WKT. Earlier versions of LAS get GeoTIFF keys if the CRS parts have EPSG codes, else WKT.
 
     Parameters
     ----------
@@ -73,7 +73,9 @@ def new_crs(header: LasHeader, work: WriteClassified, run_wkt: str | None) -> Ne
     keys = geotiff_keys(CRS.from_wkt(work.wkt))
     if keys is not None:
         return NewCrs(packed_record(PROJECTION_USER, _KEYS, "", keys), False, note)
-    told = "CRS written as WKT also into LAS before 1.4: its GeoTIFF keys have no number for it"
+    told = (
+        "CRS written as WKT, although the LAS version is before 1.4: GeoTIFF keys have no code for this CRS"
+    )
     return NewCrs(_wkt_record(work.wkt), True, told)
 
 

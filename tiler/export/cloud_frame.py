@@ -105,7 +105,7 @@ def _patch_counts(header: LasHeader, target: BinaryIO) -> None:
 
 
 def patch_window(target: BinaryIO, statistics: CloudStatistics) -> None:
-    """Write counts and bounds of a cloud (LAS 1.4) that contains a part of its source."""
+    """Write counts and bounds of the written points into a LAS 1.4 header."""
     fields = statistics.to_json()["fields"]
     ends = [0.0] * 6
     if fields:

@@ -1,10 +1,10 @@
 """Contours of a raster that is read block by block: lines of a block, and lines joined across blocks.
 
-A line runs from one edge between two neighbouring pixel centres to the next. A vertex is identified by its edge and
-computed only from the two heights at the ends of the edge. So the blocks on both sides of a border find the same
+An edge connects two neighbouring pixel centres, and a line runs from edge to edge. A vertex is identified by its edge
+and computed only from the two heights at the ends of the edge. So the blocks on both sides of a border find the same
 vertex, and lines join exactly.
 
-Short rings are drawn only around small tops and pits, since the others are noise of the heights.
+Short rings are drawn only around small tops and pits, since other short rings are noise of the heights.
 """
 
 from __future__ import annotations
@@ -38,7 +38,7 @@ LINES_OF_RELIEF = 50
 TIMES_NOISE = 4
 """Minimum interval as a multiple of the noise of the ground, if the user gives no interval."""
 STEPS = (1, 2, 5)
-"""Factors of the intervals, which are one of them times a power of ten."""
+"""Factors of the default intervals: each interval is a factor times a power of ten."""
 
 REACH_SIGMAS = 3
 """Radius of the smoothing in standard deviations."""
@@ -151,8 +151,7 @@ def contour_block(heights: Floats, interval: Fraction, row: int, col: int) -> It
 def _edges(line: Floats) -> tuple[Ints, Ints, Ints]:
     """Return row and column of the first pixel of the edge of each vertex (x, y), and 1 if the edge runs south.
 
-    One of x and y is a whole number except for rounding, which is far smaller than the distance of the other from a
-    whole number that `OFF_LEVEL` ensures.
+    One of x and y is a whole number up to rounding. `OFF_LEVEL` keeps the other one much farther from whole numbers.
     """
     nearest = np.rint(line)
     off = np.abs(line - nearest)

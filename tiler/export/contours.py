@@ -76,7 +76,7 @@ class _Terrain:
         return self.heights(Block(top, left, bottom - top, right - left)), block.row - top, block.col - left
 
     def land_smoothed(self, block: Block, sigma: float) -> Floats:
-        """Return the heights of a block, on land averaged without those of water.
+        """Return the heights of a block, averaged on land, where heights of water have no weight.
 
         Water keeps the heights of its outermost pixels and is NaN inside. So lines run around water, and end at the
         shore of a river that falls through their level.

@@ -61,8 +61,8 @@ def write_outline(store_url: str, work: WriteOutline) -> dict[str, Any]:
 def _polygons(store: TileStore, work: WriteOutline, area: Area | None, block: Block) -> npt.NDArray[Any]:
     """Return the polygons around the pixels of a block that belong to the survey.
 
-    They have a height, or lie inside the survey and should have one. Pixels in a void are left out, even if facets span
-    it.
+    These pixels have a height, or lie inside the survey and should have one. Pixels in a void are left out, even if
+    facets span it.
     """
     cells = coarse_values(store, work.survey, work.coarse, work.spec, block)
     covered = cells == SURVEYED

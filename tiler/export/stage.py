@@ -151,7 +151,7 @@ def _report_contours(job: Job) -> None:
         )
     if record["cut"]:
         job.note(
-            f"contour lines that are written in two parts, as a whole each would need more memory (--memory): "
+            f"contour lines that are written in two parts, as whole lines need more memory (--memory): "
             f"{record['cut']:,}"
         )
 
@@ -170,8 +170,8 @@ def _validate_outputs_exist(job: Job) -> None:
     if gone:
         more = f" and {len(gone) - 1:,} more files" if len(gone) > 1 else ""
         raise ProcessingError(
-            f"{joined(job.products, gone[0])}{more}: removed while the run went on; run again, and what is gone is "
-            "made anew"
+            f"{joined(job.products, gone[0])}{more}: removed during the run; run again to "
+            "make the missing files"
         )
 
 

@@ -33,7 +33,7 @@ def write_water(store_url: str, work: WriteWater) -> dict[str, Any]:
 
     Layer ``reaches`` has the stations of each river downstream, with ``number``, ``along`` (distance from the first
     station in the unit of the CRS), ``level``, ``seen`` (number of pixels of the water from which the level was
-    estimated), ``left``, ``right`` (levels estimated from the banks) and ``slope_permille`` (slope to the next).
+    estimated), ``left``, ``right`` (levels estimated from the banks) and ``slope_permille`` (slope to the next one).
 
     Layer ``breaklines`` has shores at their level, lines of flow, and structures in 3D, with ``number`` and ``kind``
     (shore, flow or structure). A structure is a line from bank to bank at a step, with the level above the step.
@@ -112,7 +112,7 @@ def _add_breaklines(file: GeoPackage, bodies: Sequence[Water]) -> None:
 def structures(body: Water) -> list[npt.NDArray[np.float64]]:
     """Return lines from bank to bank across the steps of a river, float64 (2, 3) in counts.
 
-    Their height is the level above the step.
+    Their height is the level upstream of the step.
     """
     flow = body.flow
     if flow is None or flow.shape[1] < 3:

@@ -216,7 +216,7 @@ class VectorFile:
 
 @dataclass(frozen=True, kw_only=True)
 class WriteContours(VectorFile):
-    """Contour lines of heights that a Gaussian with a standard deviation of ``sigma`` pixels smooths before."""
+    """Contour lines of heights smoothed by a Gaussian with a standard deviation of ``sigma`` pixels."""
 
     sigma: float
 

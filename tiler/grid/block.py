@@ -1,8 +1,8 @@
 """Blocks of a raster: heights at pixel centres on the TIN of the ground points around them.
 
 The pixels depend only on the data, not on the block or its halo. A facet fills a pixel only if its longest edge and its
-circumradius stay within a limit, so data farther away than twice that limit have no influence. Every pixel that nearer
-data beyond the window could change is uncertified. A block with uncertified pixels is repeated with a larger halo.
+circumradius stay within a limit, so data farther away than twice that limit have no influence. A pixel is uncertified
+if nearer data outside the window could change it. A block with uncertified pixels is repeated with a larger halo.
 """
 
 from __future__ import annotations
@@ -30,11 +30,11 @@ from tiler.grid.work import GridBlock, GridBlocks, TinBlock
 from tiler.store import TileStore, open_store
 
 MAX_WINDOW = MAX_EXTENT // 2
-"""Side of a window in counts from which a block is divided, as its TIN would not be exact."""
+"""Least side, in counts, of a window that is too wide for an exact TIN. Its block is divided."""
 
 
 def full_halo(max_edge: Fraction) -> int:
-    """Return the halo in counts with which all pixels of a block are certified, for a limit in counts.
+    """Return the halo with which all pixels of a block are certified. Halo and ``max_edge`` are in counts.
 
     A facet's circle reaches at most two radii from a pixel inside it. The rest covers rounding.
     """
@@ -47,8 +47,8 @@ def grid_block(store_url: str, work: GridBlock) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``pixels``, ``filled``, ``nodata``; ``marked`` (pixels that more data could change); ``tries``; ``halo``
-        (counts) of the last try, and its ``ground_read``, ``ground_used``, ``ground_marked``; ``checksum``.
+        ``pixels``, ``filled``, ``nodata``; ``marked`` (uncertified pixels); ``tries``; of the last try, ``halo``
+        (counts) and numbers of ground points ``ground_read``, ``ground_used``, ``ground_marked``; ``checksum``.
 
     Raises
     ------
@@ -83,7 +83,7 @@ Index = npt.NDArray[np.intp]
 def edit_heights(
     store: TileStore, key: str | None, spec: RasterSpec, block: Block, heights: Heights
 ) -> list[tuple[int, int]]:
-    """Set the heights of edits. Return the number and changed pixels of each edit in the block."""
+    """Set the heights of edits. Return for each edit its number and the number of changed pixels in the block."""
     edits = None if key is None else store.edits(key, spec.block_bounds(block), OF_PIXELS)
     return [] if edits is None else edits.set_heights(spec, block, heights)
 
@@ -164,7 +164,7 @@ def _too_wide(work: GridBlock, halo: int) -> bool:
 
 
 def _too_full(store: TileStore, work: GridBlock, halo: int) -> bool:
-    """Return whether a window is too wide or has more than ``max_points``, which the smallest parts may exceed."""
+    """Return whether a window is too wide or too full. Blocks up to `MIN_PART` pixels may exceed ``max_points``."""
     side = max(work.block.height, work.block.width)
     if side > 1 and _too_wide(work, halo):
         return True

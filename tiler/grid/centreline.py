@@ -33,7 +33,7 @@ def polygon_of(area: Area) -> Any:
 
 
 def area_of(shape: Any) -> Area:
-    """Return the area of the polygons of a shape in absolute counts, rounded."""
+    """Return the polygons of a shape as an `Area` with coordinates rounded to counts."""
     import shapely
 
     polygons = []
@@ -45,7 +45,7 @@ def area_of(shape: Any) -> Area:
 
 
 def mean_width(shape: Any) -> float:
-    """Return the width of a ribbon with the same area and (outer) perimeter, or of a disk the radius."""
+    """Return twice the area per outer perimeter: the width of a long ribbon, or the radius of a disk."""
     import shapely
 
     outer = sum(shapely.length(shapely.get_exterior_ring(p)) for p in shapely.get_parts(shape))
@@ -93,7 +93,7 @@ def centreline(shape: Any) -> Floats | None:
 
 
 def _graph(wet: npt.NDArray[np.bool_], middle: Floats) -> tuple[Any, Any, Any]:
-    """Return rows and columns of cells, and graphs of neighbours: plain, and longer near the shore."""
+    """Return rows and columns of cells, and two graphs of neighbours: plain, and with steps longer near the shore."""
     cells = np.nonzero(wet)
     number = np.full(wet.shape, -1, np.int32)  # scipy before 1.15 needs int32 indices in graphs
     number[cells] = np.arange(len(cells[0]), dtype=np.int32)

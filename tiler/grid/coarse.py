@@ -17,7 +17,7 @@ from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec
 Bools = npt.NDArray[np.bool_]
 Floats = npt.NDArray[np.float32]
 Runs = list[list[int]]
-"""Blocks of a raster: first row of pixels, first and last column of a run of neighbours (see `block_runs`)."""
+"""Runs of neighbouring blocks: first row of pixels, first columns of first and last block (see `block_runs`)."""
 
 
 def coarse_raster(lattice: Lattice, extent: Bounds) -> RasterSpec:
@@ -50,7 +50,7 @@ def block_runs(cells: Bools, coarse: RasterSpec, spec: RasterSpec, size: int, pa
     Returns
     -------
     list of [int, int, int]
-        First row of pixels, and first and last column of each run of neighbouring blocks.
+        First row of pixels of each run of neighbouring blocks, and first columns of its first and last block.
     """
     rows: dict[int, list[tuple[int, int]]] = {}
     for row in np.flatnonzero(cells.any(axis=1)).tolist():

@@ -1,9 +1,9 @@
 """Coarse raster of the extent of the survey, which distinguishes voids inside it from the area outside.
 
-A coarse cell is occupied if it contains a surface point. Gaps up to a certain width, 20 m or more if points are sparse
-(`gaps_of`), belong to the survey (a closing by a disk of half that width). So does everything that is enclosed, however
-wide it is. The remaining cells are outside. Each block is closed separately, with a margin. Its open areas are joined
-with those of its neighbours to find the enclosed ones (`tiler.grid.tasks.survey`).
+A coarse cell is occupied if it contains a surface point. Gaps up to a certain width belong to the survey: 20 m, or more
+where points are sparse (`gaps_of`). They are closed by a disk of that diameter. Enclosed areas of any width belong to
+the survey too. All other cells are outside. Each block is closed separately, with a margin. Its open areas are joined
+with those of its neighbours to find the enclosed areas (`tiler.grid.tasks.survey`).
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ WINDOW = 128
 MIN_GAP = 6
 """Least diameter of the disk in cells, as a smaller disk is not round."""
 ENOUGH_CELLS = 4
-"""Mean number of occupied cells in occupied squares of half a gap's width from which gaps are real."""
+"""Least mean number of occupied cells per occupied square, half a gap wide, at which points are not sparse."""
 NO_PIECE = -1.0
 """Value of a raster of open areas for a block that was not written: it is open everywhere."""
 
@@ -66,7 +66,7 @@ class SurveyBlock(BlockWork):
     outside : tuple of Piece
         Open areas of this block and of its neighbours that are not enclosed by the survey.
     empty : tuple of (row, column)
-        First row and column of those of these blocks that are empty and enclosed.
+        First row and column of each of these blocks that is empty and enclosed.
     pixels : RasterSpec
         Raster of the products.
     """
@@ -213,8 +213,8 @@ def survey_block(store_url: str, work: SurveyBlock) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``inside`` and ``cells``; ``blocks``: `block_runs` of the products' blocks that overlap its inside; ``filled``;
-        ``checksum``.
+        ``inside`` (cells inside the survey) and ``cells``; ``blocks``: `block_runs` of the products' blocks that
+        overlap the inside; ``filled``; ``checksum``.
     """
     store, spec, block = open_store(store_url), work.spec, work.block
     window = padded(block, 1)

@@ -27,7 +27,7 @@ class DeriveBlock(BlockWork):
     sources : tuple of str
         Raster of the terrain; for ``ndsm`` the rasters of the surface and the terrain.
     fill : float
-        Value of pixels without a value.
+        Value to store for pixels without a result.
     """
 
     sources: tuple[str, ...]

@@ -65,9 +65,9 @@ def ground_distance(
 def distance_to(
     xyz: npt.NDArray[np.int32], origin: tuple[int, int], spec: RasterSpec, block: Block, reach: Fraction
 ) -> npt.NDArray[np.float64]:
-    """Return the distances as `ground_distance` does, to given points.
+    """Return plan distances to points in counts, float64 (height, width), infinite beyond ``reach`` counts.
 
-    The points are int32 (3, n) in local counts, with all points within ``reach`` of the block.
+    ``xyz``, int32 (3, n) in local counts, has to include all points within ``reach`` of the block.
     """
     pixels = pixels_of(spec, block, origin)
     nearest = nearest_points(xyz[0], xyz[1], xyz[2], pixels, 1, float(reach))

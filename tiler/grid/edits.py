@@ -1,4 +1,4 @@
-"""Counts of the ground points inside edits before and after them, bucket by bucket."""
+"""Counts of the ground points inside each edit, before and after the edit, bucket by bucket."""
 
 from __future__ import annotations
 
@@ -34,9 +34,9 @@ def survey_edits(store_url: str, work: SurveyEdits) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``edits``: for each edit that touches the bucket its number, the points inside, and the ground points. Then the
-        ground points after the edit if it uses the input's ground, and if it uses the lowest points. Last the points
-        that the input classifies as ground.
+        ``edits``: for each edit that touches the bucket, its number and five counts of points inside it: all, ground
+        before the edit, ground after it by the input's classes or by the lowest points, and ground by the input. The
+        last three are 0 unless the edit adds ground.
     """
     store = open_store(store_url)
     edits = store.edits(work.edits, store.meta.bucket.bounds(work.cell), OF_POINTS)

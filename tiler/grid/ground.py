@@ -33,7 +33,7 @@ class GroundSelection:
         Bits of `PointBlock.flags` that exclude a point. Withheld points are always excluded.
     erode : Fraction
         Plan distance in counts. A ground point this near to a point of an object that is at least ``erode_rise``
-        vertical counts higher is left out, as image matching smears walls onto the ground next to them. 0: none is.
+        vertical counts higher is left out, as image matching smears walls onto the ground next to them. 0 keeps all.
     edits : str or None
         Key in the store of the edits, which override the classification of ground.
     """

@@ -36,7 +36,7 @@ class MaskBlock(PointsBlock):
     Attributes
     ----------
     dtm, filled : str
-        Rasters of the heights within the limit, and of the delivered heights, filled and cut at the outline.
+        Raster of the heights before voids are filled, and raster of the delivered heights, cut at the outline.
     survey : str
         Raster of the survey.
     coarse : RasterSpec

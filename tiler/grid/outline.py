@@ -32,7 +32,7 @@ class OutlineBlock(BlockWork):
     cut : bool
         Whether heights beyond the survey are removed.
     canopy : str or None
-        Raster of the pixels in which a canopy hides the ground, and which get no height.
+        Raster of the pixels in which a canopy hides the ground. These pixels get no height.
     waters, edits : str or None
         Keys in the store of bodies of water, and of edits, which are applied after water. The digest includes those
         that touch the block.
@@ -54,7 +54,7 @@ def outline_block(store_url: str, work: OutlineBlock) -> dict[str, Any]:
     """Write one block of a model, cut at the survey's outline and with level water.
 
     This is a `tiler.schedule.task.Work`. Facets span a concave border of the survey, so land that was never surveyed
-    would get a height from the border. Facets also span rivers that leave the survey. There the water stays.
+    would get a height from the border. Facets also span rivers that leave the survey. Water keeps its height there.
 
     Returns
     -------

@@ -128,7 +128,7 @@ class Joined:
     Attributes
     ----------
     areas : mapping of Piece to tuple of Piece
-        Pieces of each area by its first piece, which names the area, in the order of rows and columns of blocks.
+        First piece of each area, which names it -> all its pieces, in the order of rows and columns of blocks.
     """
 
     areas: Mapping[Piece, tuple[Piece, ...]]

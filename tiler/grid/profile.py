@@ -1,8 +1,8 @@
 """Level of a river along its line: robust levels at stations, a falling profile, and steps at dams.
 
 A station uses pixels within half a spacing along the line: pixels of the water with returns, and of both banks.
-Returns of the water decide if they are smooth. Banks decide if no station with such returns is near. The profile is the
-isotonic regression of the levels, weighted by evidence, in the direction that fits better.
+Returns of the water give the level if they are smooth. Banks give it if no station with smooth returns is near. The
+profile is the isotonic regression of the levels, weighted by evidence, in the direction that fits better.
 """
 
 from __future__ import annotations

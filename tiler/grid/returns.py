@@ -43,7 +43,7 @@ def histograms(counts: npt.NDArray[np.int64]) -> list[Histogram]:
 
 
 def usual_returns(found: Iterable[list[Histogram]], enough: float) -> tuple[int, float] | None:
-    """Merge cells 2 x 2 until a cell without returns is significant.
+    """Find how many cells to merge so that a cell without returns is significant.
 
     Parameters
     ----------

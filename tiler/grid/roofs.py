@@ -46,7 +46,7 @@ class FindRoofs:
 
 
 def find_roofs(store_url: str, work: FindRoofs) -> dict[str, Any]:
-    """Search for roofs on a worker, which has loaded the kernels. Return ``advice``, or None."""
+    """Search for roofs on a worker, which has loaded the kernels. Return ``advice``: a warning, or None."""
     blocks = (work.spec.block_named(key, BLOCK_PIXELS) for key in work.filled)
     store = open_store(store_url)
     return {"advice": roofs_in_terrain(store, "dtm", work.spec, blocks, work.building_m, work.roof_m)}
@@ -71,7 +71,7 @@ def roofs_in_terrain(
     filled : iterable of Block
         Blocks with heights. Other blocks are not examined.
     building_m : float
-        Largest building of the method in metres.
+        Setting ``max_building_size`` of the method in metres.
     roof_m : float, optional
         Widest roof for which the method itself searches, in metres.
     """

@@ -14,7 +14,7 @@ from tiler.store import TileStore, read_cells
 CELL_M = 3.4
 """Side of the cells whose means represent the terrain. A median of 5 x 5 of them covers 17 m."""
 HALF = 2
-"""Cells on each side of the middle one in the median."""
+"""Number of cells on each side of the middle cell in the window of the median."""
 RIM = HALF + 1
 """Margin around a block in cells."""
 

@@ -19,7 +19,7 @@ from tiler.grid.sigma_measures import Measures
 LASER, MATCHED = "lidar", "dim"
 """Kinds of clouds, as methods name them (`ptd.passes.RunHints`)."""
 GAP_M = 0.5
-"""Distance to ground below which ground is as good as in the pixel."""
+"""Distance below which a ground point counts as if it were in the pixel."""
 
 MAX_TREND_M = 10.0
 """Widest gap in the term of the deviation from the trend, as the window of the trend reaches only 8.5 m."""

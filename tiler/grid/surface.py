@@ -1,4 +1,4 @@
-"""Surface model: the highest return of each pixel without spikes, else the TIN of these.
+"""Surface model: the highest return of each pixel without spikes, elsewhere the TIN of these returns.
 
 The surface is never below the terrain. Returns below the terrain come from the slope within their pixel, from low noise
 that the filter missed, or from steep ground that the filter classified as noise.
@@ -83,7 +83,7 @@ def above_terrain(heights: Heights, terrain: Heights, deep: float) -> tuple[Heig
 def surface_heights(
     store: TileStore, work: SurfaceBlock
 ) -> tuple[Heights, npt.NDArray[np.bool_], dict[str, Any]]:
-    """Return the heights of any block without the terrain's limit, where they are measured, and the record."""
+    """Return the heights of any block, not yet raised to the terrain, a mask of measured pixels, and the record."""
     block, bounds, limit = work.block, work.spec.block_bounds(work.block), full_halo(work.max_edge)
     returns = _returns(store, work, block)
     measured = returns[..., 2] != NOTHING
@@ -143,5 +143,5 @@ def _returns(store: TileStore, work: SurfaceBlock, block: Block) -> Int32:
 
 
 def reach_pixels(pixel_m: Fraction) -> int:
-    """Return the radius in pixels in which a return searches for support: at least 1, and a metre."""
+    """Return the radius in pixels within which a return needs support: a metre, but at least one pixel."""
     return max(math.ceil(1 / pixel_m), 1)

@@ -97,7 +97,7 @@ class FillBlock:
     edits: str | None = field(default=None, metadata=NOT_IN_DIGEST)
 
     def place(self, buckets: Lattice) -> Bounds | None:
-        """Bounds of the block."""
+        """Return the bounds of the block."""
         return self.rasters.spec.block_bounds(self.block)
 
 

@@ -3,8 +3,8 @@
 Laser scanners get few returns from water, often none, and its returns are flat. The same is true of shadows of
 buildings, gaps between strips, wet asphalt and dark lawns, but only water is lower than everything around it. So a
 candidate is a connected area of void or sparse flat cells. It is water if the ground some metres from its shore is
-higher than the shore almost all around, and lower nowhere. The land around an area is counted block by block and added
-up, so that large areas need not be in memory.
+higher than the shore almost all around, and lower almost nowhere. The land around an area is counted block by block and
+added up, so that large areas need not be in memory.
 """
 
 from __future__ import annotations
@@ -33,11 +33,11 @@ MIN_WIDTH_M = 6
 """Least width of a candidate, which excludes shadows and hedges."""
 
 SHORE_M, RING_M = 3.0, (7.0, 13.0)
-"""Width of the shore, and limits of the distance of the ring from the water, in which the land has risen."""
+"""Width of the shore, and limits of the distance from the water of the ring, where the land has to be higher."""
 NEAREST = 20
 """Number of cells of the shore with which a cell of the ring is compared."""
 LOW_PERCENT = 20
-"""Percentile of the heights of these cells of the shore."""
+"""Percentile of the heights of these cells that is compared."""
 PLACES_PER_BATCH = 1 << 14
 """Number of cells of the ring that are compared in one batch, with about 600 bytes each."""
 RISE_M, FALL_M = 0.3, 0.2
@@ -61,7 +61,7 @@ class WaterCells:
     returns : float32
         Number of points in each cell.
     given : bool
-        Whether most of them are water by the input.
+        Whether most points of a cell are water by the input.
     ground : float64
         Height of the terrain in metres; NaN for none.
     domain : bool
@@ -229,7 +229,7 @@ def rim_of(cells: WaterCells, mine: Bools, others: Bools, counted: Bools, water:
     counted : bool
         Mask of the cells that are counted. Other cells are only neighbours.
     water : bool, shape of the cells, optional
-        Mask of cells that count in the ring like land, with returns or without. A dam falls to the water beside it.
+        Mask of cells that count in the ring even without returns, so that a dam falls to the water beside it.
     """
     distance = distances(mine, RING_M[1] / cells.size + 1)
     distance *= cells.size

@@ -18,7 +18,7 @@ LEVEL_M = 0.15
 BELOW_M = 0.4
 """Depth of the ground below the water at which water ends, as at the foot of a dam or at other water."""
 DEEP_CELLS = 5
-"""Side in cells of the squares that have to be so deep. Smaller pits come from low returns."""
+"""Side in cells of the smallest square of that depth that ends water. Smaller pits come from low returns."""
 LEVEL_CELLS, LEVEL_STEP_M = 5, 0.001
 """Side of the square of cells whose mean height is the water level, and the step of these heights."""
 OUTER_CELLS = 2
@@ -26,7 +26,7 @@ OUTER_CELLS = 2
 NEAR_CELLS = 10
 """Distance in cells within which heights of inner cells replace those of outer cells."""
 BRIDGE_M, UNDER_BRIDGE_M = 14.0, 0.5
-"""Widest bridge under which water extends, and how much higher the terrain may be there."""
+"""Widest bridge under which water extends, and largest height of the terrain there above the shores."""
 
 
 def smoothed(ground: Floats) -> Floats:

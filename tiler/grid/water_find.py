@@ -24,13 +24,13 @@ from tiler.grid.water_shore import MAX_DEPTH_M, REACH_CELLS, depths, shore_polyg
 from tiler.store import TileStore, open_store, read_cells
 
 ROUND = 1 / 3
-"""Least roundness of a lake, 4 pi area / (length of the shore)^2, which is 1 for a disk. Others are rivers."""
+"""Least roundness of a lake, 4 pi area / (shore length)^2, which is 1 for a disk. Less round water is a river."""
 MIN_LENGTH = 3
 """Least ratio of length to width of a river."""
 SIMPLER = 0.15
 """Largest distance in cells of a simplified polygon from its shore."""
 ONE_EXIT = 5
-"""Largest distance of cells at the survey's border that belong to one exit."""
+"""Largest distance, in cells, between cells at the survey's border that belong to one exit."""
 
 
 @dataclass(frozen=True)
@@ -153,7 +153,7 @@ def _without_islands(whole: Any, least: float) -> Any:
 
 
 def _area(whole: Any, side: float) -> Area:
-    """Return the area of a polygon of cells with a smooth shore."""
+    """Return a polygon of cells as an `Area` with a simplified shore."""
     import shapely
 
     return area_of(shapely.simplify(shapely.normalize(shapely.simplify(whole, 0.0)), SIMPLER * side))

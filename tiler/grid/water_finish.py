@@ -28,7 +28,7 @@ from tiler.store import TileStore, open_store, read_cells
 SHORE_M = 20.0
 """Distance by which water extends over low ground next to it."""
 MAX_ISLAND_CELLS = 128
-"""Upper limit in coarse cells of the margin in which an island has to lie whole to become water."""
+"""Upper limit, in coarse cells, of the length up to which an island lies whole in every window."""
 
 SEEN_SHARE = 0.25
 """Share of the least area of an island that has to be clearly above the water.

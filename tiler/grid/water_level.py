@@ -55,7 +55,7 @@ class LevelWater:
     coarse : RasterSpec
         Raster of these cells.
     joins_pockets : bool
-        Whether closed-off low terrain beside the water becomes part of it, which a shore drawn by the user forbids.
+        Whether pockets of low terrain beside the water become part of it. False if the user has drawn the shore.
     """
 
     body: Water

@@ -184,7 +184,7 @@ def _rim(cells: WaterCells, water: Bools, others: Bools, counted: Bools) -> Rim:
 
 
 def keep_planes(store_url: str, work: KeepPlanes) -> dict[str, Any]:
-    """Write the confidence that a cell is a plane of water or its shore, 0 elsewhere.
+    """Write the confidence that each cell belongs to a plane of water or its shore, 0 elsewhere.
 
     This is a `tiler.schedule.task.Work`.
 

@@ -1,8 +1,8 @@
 """Pockets of low terrain beside a body of water, which the shore between its coarse cells leaves out.
 
-Where masonry or a steep bank stands in a coarse cell, its pixels next to the water may be water that no cell shows. The
-terrain there lies below the level, and higher terrain closes it off: it is water. Low terrain that is not closed off
-within a few pixels stays terrain, and the run warns of it.
+A coarse cell with masonry or a steep bank counts as land, but its pixels next to the water may be water. Terrain there
+that lies below the level and is closed off by higher terrain is water. Low terrain that is not closed off within a few
+pixels stays terrain, and the run warns of it.
 """
 
 from __future__ import annotations

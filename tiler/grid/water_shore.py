@@ -55,15 +55,15 @@ def depths(cells: WaterCells, wet: Bools) -> Floats:
 def _banks(above: Floats, wet: Bools, seen: Bools) -> Bools:
     """Return a mask of the outermost cells of the water that are bank.
 
-    Both their own ground and the extrapolated bank lie above the water. The mean height of a cell that the shore cuts
-    is not lower than that of the bank at its middle, so both are needed.
+    Both their own ground and the extrapolated bank lie above the water. The ground alone does not show this, as a cell
+    that the shore cuts has a mean height at or above that of the bank at its middle.
     """
     with np.errstate(invalid="ignore"):
         return wet & seen & (np.minimum(above, _gone_on(above, wet)) > MIN_DEPTH_M)
 
 
 def _gone_on(above: Floats, wet: Bools) -> Floats:
-    """Extrapolate the bank into the outermost cells of the water: height above it, NaN elsewhere."""
+    """Extrapolate the bank's height above the water into the outermost cells of the water, NaN elsewhere."""
     bank = np.where(wet, np.nan, above)
     total, number = np.zeros(wet.shape), np.zeros(wet.shape, np.int64)
     for axis, step in ((0, 1), (0, -1), (1, 1), (1, -1)):

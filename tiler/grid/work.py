@@ -79,8 +79,8 @@ class GridBlock(TinBlock):
     breaklines : str or None
         Key in the store of lines that the surface follows. The digest includes those that touch the block.
     max_points : int or None
-        Number of points in a window above which a block is divided into quarters, with the same pixels; None for no
-        limit.
+        Number of points in a window above which a block is divided into quarters; None for no limit. Pixels do not
+        depend on it.
     """
 
     max_halo: int | None = None

@@ -231,7 +231,7 @@ class _Catalogue:
     def _item(
         self, name: str, spec: RasterSpec, assets: Mapping[str, Any], links: Sequence[Mapping[str, str]]
     ) -> dict[str, Any]:
-        """Return an item whose rasters have these pixels."""
+        """Return an item whose rasters have the pixels ``spec``."""
         box = _box(spec)
         bbox = self._globe.bbox(box)
         return {

@@ -32,8 +32,8 @@ def report_earlier_classes(job: Job, tasks: Iterable[Task]) -> None:
     listed = any(path.startswith(f"{CLASSIFIED}/") for path in job.facts["earlier_outputs"])
     if stored or (listed and job.earlier_settings and "reclass" not in job.earlier_settings):
         job.note(
-            "the classified clouds of an earlier version are written anew: it gave class 1 to points whose class of "
-            "the input is kept now (--reclass all does so still)"
+            "the classified clouds of an earlier version are written again: points that had class 1 there now keep "
+            "their class of the input (--reclass all gives class 1)"
         )
 
 

@@ -30,7 +30,7 @@ from tiler.version import __version__
 SMOOTH_PIXELS = 2
 """Standard deviation in pixels of the Gaussian that smooths the heights, if the user gives none."""
 SPOT_REACH_M, MAX_REACH = 50, 256
-"""Distance around a spot within which nothing is higher or lower, in metres, and its maximum in pixels."""
+"""Distance from a spot within which no pixel is higher (or lower), in metres, and its largest value in pixels."""
 
 
 def vector_tasks(g: GridContext, out: str, noise_m: float) -> Iterator[Task]:

@@ -61,8 +61,8 @@ def inputs_of(sources: Iterable[Source], spooled: Commits) -> Inputs:
 def cog_tasks(g: GridContext, inputs: Inputs, whole_inputs: str, out: str) -> Iterator[Task]:
     """Yield one task per raster file.
 
-    The tag of a sheet depends on the inputs that have points in it, and its digest also on its blocks. So another input
-    changes only the sheets where it has points.
+    The tags of a sheet depend on the inputs that have points in the sheet, and the digest of its task also on its
+    blocks. So another input changes only the sheets where it has points.
     """
     cut = [(sheet, _digest(inputs, sheet.cells)) for sheet in g.sheets]
     rasters = raster_table(g.plan.config)
@@ -188,7 +188,7 @@ def _window(plan: Plan, info: SourceInfo) -> tuple[tuple[int, int], ...]:
 
 
 def kept_pieces(spooled: Commits) -> dict[str, list[KeptPiece]]:
-    """Return the pieces of each source in order, by its name."""
+    """Return the pieces of each source in order, by the name of the source."""
     pieces: dict[str, list[KeptPiece]] = defaultdict(list)
     for key in sorted(spooled):
         source, _, start = key.partition("-")

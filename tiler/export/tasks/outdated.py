@@ -7,7 +7,7 @@ of inputs that the run does not have.
 In run.json, ``outputs`` lists the files that a run wrote, and ``made_of`` the basis of its products.
 ``earlier_outputs`` lists the files of earlier runs until the export has checked them.
 
-Files may be missing, changed by a user, or damaged. Usually size and time show this. If the time differs, and with
+Files may be missing, changed by a user, or damaged. Usually size and time show this. If the time differs, or with
 ``--verify``, all bytes are read. A file that differs is moved and not overwritten, since it may be a user's work.
 """
 
@@ -48,7 +48,7 @@ def archive_outdated(job: Job, wanted: Collection[str], basis: str) -> None:
     ProcessingError
         A file cannot be moved.
     """
-    # After a repair of the store this is repeated, and ``outputs`` lists files that this run has checked already.
+    # After a repair of the store the export runs again, and ``outputs`` lists files that this run has checked already.
     earlier = {**job.facts["earlier_outputs"], **dict.fromkeys(job.facts.get("outputs", {}), basis)}
     if not job.plan.config.force:
         _validate_own_files(job, [path for path in wanted if path not in earlier])
@@ -87,7 +87,7 @@ def _damaged(job: Job, paths: Collection[str]) -> list[str]:
 
 
 def _validate_own_files(job: Job, wanted: list[str]) -> None:
-    """Raise ConfigError if files exist that appeared after the plan, or whose names the plan did not contain."""
+    """Raise ConfigError if files to write already exist: they appeared after the plan, or are not in the plan."""
     sizes = sizes_at([joined(job.products, path) for path in wanted])
     there = [path for path, size in zip(wanted, sizes, strict=True) if size is not None]
     if there:

@@ -31,7 +31,7 @@ def cut(job: Job, g: GridContext) -> list[Sheet]:
     made = run_stage(job, STAGE, tasks) if tasks else {}
     if len(made) < len(tasks):
         raise ProcessingError(
-            f"--sheets: heights cannot be looked for; the first block: {job.record.first_error(STAGE)}"
+            f"--sheets: the search for heights failed; the first block: {job.record.first_error(STAGE)}"
         )
     high = {Cell(*cell) for _, record in made.values() for cell in record["sheets"]}
     every = high | set(with_points(g))
@@ -76,7 +76,7 @@ def name_of(g: GridContext, product: str, sheet: Sheet) -> str:
 
 
 def with_points(g: GridContext) -> dict[Cell, list[Cell]]:
-    """Return the buckets by the sheets that the bounds of their points overlap, within the raster and the area."""
+    """Return for each sheet in the raster and the area the buckets whose points may lie in it (by their bounds)."""
     lattice, area = _lattice(g), g.plan.area
     whole = g.spec.block_bounds(g.spec.block_at(0, 0, max(g.spec.height, g.spec.width)))
     buckets: dict[Cell, list[Cell]] = defaultdict(list)

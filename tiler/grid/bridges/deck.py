@@ -24,7 +24,7 @@ Surface = tuple[float, float, float, float]
 """Coefficients of height = a + b s + c s^2 + d t, with s along a deck and t across it."""
 
 END_M = 12.0
-"""Distance beyond the free part within which the ground next to it rises and the road goes on."""
+"""Distance beyond each end of the free part within which the ground next to the deck has to rise."""
 MIN_LENGTH_M, MAX_LENGTH_M = 5.0, 300.0
 """Limits of the length of the free part."""
 MIN_WIDTH_M = 2.0
@@ -44,7 +44,7 @@ STRAIGHT = 0.02
 ROAD_SLICES = 3
 """Number of slices beyond an end in which the road has to go on."""
 MIN_ROAD_SLICES, MOSTLY_ROAD = 3, 0.5
-"""Least number of ground points of the road there, and their least share of all points there."""
+"""Least number of ground points of the road in these slices, and their least share of all points in them."""
 INNER_M = 0.7
 """Distance within a deck's edges from which a point counts as beneath the deck."""
 WIDER_M = 0.3
@@ -68,7 +68,7 @@ class Deck:
     length_m, width_m, clearance_m : float
         Length and mean width of the free part, and median of its height above the ground next to it.
     below : int
-        Number of points beneath it.
+        Number of points beneath the free part.
     """
 
     ring: Floats
@@ -113,7 +113,7 @@ def find_deck(
     Parameters
     ----------
     xyz : float64 (n, 3)
-        All points except noise, of a candidate and around it, in metres.
+        Points of a candidate and around it, without noise, in metres.
     ground, seeds : bool (n,)
         Masks of the ground points, and of the points in the candidate's cells.
     across : (float, float)
@@ -213,7 +213,7 @@ def _beneath(view: _View, free: Ints, edges: Floats) -> int:
 
 
 def _ring(view: _View, free: Ints) -> Floats:
-    """Return the outline (s, t) of the free part, wider than its points, which lie inside it."""
+    """Return the outline (s, t) of the free part, `WIDER_M` wider on each side than its points."""
     middles = view.starts[free] + view.width / 2
     middles[0], middles[-1] = view.starts[free[0]], view.starts[free[-1]] + view.width
     right = np.column_stack((middles, view.sides.edge[free, 0] - WIDER_M))
@@ -232,7 +232,7 @@ def _height(surface: Surface, s: Floats, t: Floats) -> Floats:
 
 
 def _fitted(s: Floats, t: Floats, z: Floats, seeds: Bools) -> Surface | None:
-    """Fit the surface of most seeds. Return None if there is none."""
+    """Fit a surface to the seeds, without outliers. Return None if too few seeds are near it."""
     rows = np.flatnonzero(seeds)
     median = np.median(z[rows])
     rows = rows[np.abs(z[rows] - median) < max(1.5, 2 * float(np.median(np.abs(z[rows] - median))))]
@@ -249,7 +249,7 @@ def _fitted(s: Floats, t: Floats, z: Floats, seeds: Bools) -> Surface | None:
 
 
 def _longest(free: Bools) -> Ints | None:
-    """Return the indices of the longest run of True, or None. A single False does not end a run."""
+    """Return the indices of True in the longest run, or None. A single False does not end a run."""
     closed = free.copy()
     closed[1:-1] |= free[:-2] & free[2:]
     steps = np.flatnonzero(np.diff(closed, prepend=False, append=False)).reshape(-1, 2)

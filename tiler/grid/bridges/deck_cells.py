@@ -18,13 +18,13 @@ Ints = npt.NDArray[np.int64]
 DIRECTIONS = 8
 """Number of directions across a deck that are tried, from east by north to west."""
 DROP_M = 1.0
-"""Least height of a deck above the ground next to it, for its free part."""
+"""Least height of the free part of a deck above the ground next to it."""
 CLEAR_M = 1.8
-"""Least height of the highest part of a deck above the ground next to it. Such parts are searched first."""
+"""Least height of a cell above the ground next to it at which the cell may be part of a deck."""
 STEP_M = 0.5
 """Largest height difference between neighbouring cells of a deck."""
 MAX_WIDTH_M, MAX_LENGTH_M, VOID_M = 40.0, 60.0, 40.0
-"""Largest width of a deck; distance along it in which the road reaches ground; distance to a far bank."""
+"""Largest width of a deck, largest distance along it to ground, and largest distance across water to a bank."""
 REACH_M = MAX_WIDTH_M + MAX_LENGTH_M + VOID_M
 
 
@@ -65,7 +65,7 @@ class DeckCells:
 
 
 def deck_cells(cells: DeckCells) -> tuple[Ints, Ints, Ints]:
-    """Return row, column and direction across (of `DIRECTIONS`) of the cells that may be decks."""
+    """Return rows, columns and numbers of the direction across the deck, for the cells that may be decks."""
     spans = [_spans(cells, direction) for direction in range(DIRECTIONS)]
     marked = np.zeros(cells.top.shape, np.bool_)
     for rows, cols, _ in spans:
@@ -103,7 +103,7 @@ def _drops(cells: DeckCells, rows: Ints, cols: Ints, height: Floats, direction: 
 
 
 def _spans(cells: DeckCells, direction: int) -> tuple[Ints, Ints, Ints]:
-    """Return row and column of cells between two drops, and the number of their span. The middle comes first."""
+    """Return rows, columns and span numbers of the cells between two drops. The middle cell of a span comes first."""
     rows, cols = (axis.astype(np.int64) for axis in np.nonzero(~np.isnan(cells.top)))
     edge = _drops(cells, rows, cols, cells.top[rows, cols], direction, 1)
     rows, cols = rows[edge], cols[edge]

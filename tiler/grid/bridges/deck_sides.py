@@ -61,7 +61,7 @@ def sides_of(s: Floats, t: Floats, off: Floats, bins: Floats, width: float, spac
 
 
 def _around_zero(t: Floats, gap: float) -> tuple[float, float] | None:
-    """Return the first and last value of the group around 0 that has no gap, or None."""
+    """Return the first and last value of the group around 0 without gaps wider than ``gap``, or None."""
     if len(t) < 2:
         return None
     groups = np.split(t, np.flatnonzero(np.diff(t) > gap) + 1)
@@ -70,7 +70,7 @@ def _around_zero(t: Floats, gap: float) -> tuple[float, float] | None:
 
 
 def _beside(away: Floats, off: Floats) -> tuple[bool, float]:
-    """Return whether the ground next to an edge is lower without points between, and how low it is."""
+    """Return whether the ground next to an edge is lower, with few points in between, and its height ``off``."""
     near = (away > 0.2) & (away < BESIDE_M) & (off < TOLERANCE_M)
     lower = off[near & (off < -DROP_M)]
     if not len(lower):

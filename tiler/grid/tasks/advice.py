@@ -22,7 +22,7 @@ CROWN_BLOCKS = 16
 
 
 def advise(job: Job, labelled: Labelled, spec: RasterSpec, made: Commits) -> None:
-    """Search the terrain for roofs, and that of photogrammetric clouds for crowns, and warn about results."""
+    """Warn about roofs in the terrain, and about crowns in the terrain of a photogrammetric cloud."""
     building = job.plan.parameters.get("max_building_size_m")
     # A method that searches for canopy itself has already warned about it.
     crowns = labelled.matched and CanopyPass.name not in labelled.statistics
@@ -72,6 +72,6 @@ def _looked(job: Job, tasks: list[Task]) -> list[dict[str, Any]]:
                 f"{job.store.url}: {damaged_text}: damaged or missing; run again", outcome.damaged
             )
         if outcome.record is None:
-            raise ProcessingError(f"flaws in the terrain cannot be looked for: {outcome.error}")
+            raise ProcessingError(f"the search for flaws in the terrain failed: {outcome.error}")
         records[outcome.task.key] = outcome.record
     return [records[task.key] for task in tasks]

@@ -92,8 +92,8 @@ def _tell(job: Job, share: float, made: Commits) -> None:
     job.facts["canopy_doubts"] = [_doubt(place, held[place], unit) for place in most]
     around = " and ".join(f"x {x:.0f}, y {y:.0f}" for x, y in centres)
     done = (
-        "up to --max-edge the terrain is bridged there from the ground seen around (mask 6; --voids fill goes on "
-        "beyond, --canopy void leaves it without heights)"
+        "the terrain there is bridged up to --max-edge from the ground around it (mask 6; --voids fill also bridges "
+        "wider gaps, --canopy void leaves it without heights)"
     )
     if job.plan.config.canopy == VOID_CANOPY:
         done = "the terrain has no heights there (--canopy fill bridges it from the ground seen around it)"

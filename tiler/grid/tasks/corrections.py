@@ -47,7 +47,7 @@ class Corrections:
     edits : Edits or None
     lines : Breaklines or None
     line_digests : mapping of Cell to str
-        Digest of the breaklines in each bucket of the lattice, with or without points.
+        Digest of the breaklines in each bucket of the lattice, even if the bucket has no points.
     decks : tuple of DrawnDeck
         Decks of bridges that are left out. Edits remove their points.
     """
@@ -58,7 +58,7 @@ class Corrections:
     decks: tuple[DrawnDeck, ...] = ()
 
     def of_raster(self, plan: Plan, name: str, task: Task) -> Task:
-        """Add the edits to a task of a raster, and the digests of those that touch its block."""
+        """Add edits and breaklines to a task of a raster, and the digests of those that touch its block."""
         bounds = task.arguments.place(plan.meta.bucket) if isinstance(task.arguments, Placed) else None
         if bounds is None:
             return task
@@ -73,7 +73,7 @@ class Corrections:
         return replace(task, digest=digest_of(task.digest, seen)) if seen else task
 
     def _lines_near(self, plan: Plan, bounds: Bounds) -> list[Any]:
-        """Return the cells with breaklines that can change a block, within the reach of any facet."""
+        """Return the buckets whose breaklines can change a block through a facet, with their digests."""
         digests = self.line_digests or {}
         facet_reach = full_halo(plan.meta.frame.counts(plan.config.max_edge))
         facet_reach += math.ceil(3 * plan.meta.frame.counts(plan.resolution))
@@ -112,7 +112,7 @@ def correct(job: Job, assembled: IngestResult, labelled: Labelled) -> tuple[Labe
 
 
 def _labels(plan: Plan, edits: Edits, labels: Mapping[Cell, str]) -> dict[Cell, str]:
-    """Return the digests of labels, which are different for buckets that an edit touches."""
+    """Return the digests of labels, changed for each bucket that an edit touches."""
     digests = dict(labels)
     for cell, near in edits.by_cell(plan.meta.bucket, labels).items():
         digests[cell] = digest_of(digests[cell], [edit.digest for edit in near], str(plan.resolution))

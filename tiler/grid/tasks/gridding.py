@@ -27,9 +27,9 @@ from tiler.store import Commits
 from tiler.version import __version__
 
 COARSE_CELL_M = 2
-"""Side of a coarse cell, unless `--max-edge` is small. It is the same for all usual pixels, as is the water found."""
+"""Side of a coarse cell, unless `--max-edge` is small. It is the same for all usual pixels, to find the same water."""
 MAX_USUAL_PIXEL_M = 10
-"""Largest pixel for that side. Larger pixels are coarse cells themselves, as such points are too sparse for water."""
+"""Largest pixel with cells of that side. Larger pixels are cells themselves: their points are too sparse for water."""
 GAP_M = 20
 """Largest width of gaps that belong to every survey: shadows of buildings, gaps between strips."""
 ERODE_RISE_M = 1
@@ -116,7 +116,7 @@ class GridContext:
     Attributes
     ----------
     holes : sequence of Bounds
-        Bounds of tiles that failed. Heights there, if any, come from elsewhere.
+        Bounds of tiles that failed. Heights there, if any, come from points around them.
     decks : sequence of DrawnDeck
         Decks of bridges that are left out of the terrain.
     waters : Waters

@@ -62,7 +62,7 @@ def point_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
 
 
 def distance_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
-    """Yield a task for each block within the cap of the distance to points."""
+    """Yield a task for each block that is nearer to points than the cap of the distance."""
     cap = g.plan.meta.frame.counts(g.plan.config.max_edge)
     return _block_tasks(raster, g, partial(DistanceBlock, cap=cap), math.ceil(cap) + 1)
 
@@ -87,7 +87,7 @@ def _tin(g: GridContext) -> dict[str, Any]:
 def _block_tasks(
     raster: RasterStep, g: GridContext, make: Callable[..., PointsBlock], reach: int
 ) -> Iterator[Task]:
-    """Yield a task for each block within ``reach`` counts of points, with the same block of the inputs.
+    """Yield a task for each block within ``reach`` counts of points. It reads the same block of the inputs.
 
     The function ``make`` is passed name, spec, block and rule.
     """
@@ -100,7 +100,7 @@ def _block_tasks(
 
 
 def _near(g: GridContext, spec: RasterSpec, reach: int = 0) -> dict[Block, list[Cell]]:
-    """Return the blocks within ``reach`` counts plus the erosion of buckets, each with these buckets."""
+    """Return the blocks within ``reach`` counts (plus `--erode`) of buckets, each with these buckets."""
     reach += math.ceil(g.plan.meta.frame.counts(g.plan.config.erosion))
     return spec.blocks_near(g.plan.meta.bucket, g.labels, BLOCK_PIXELS, reach)
 

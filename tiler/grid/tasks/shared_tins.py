@@ -1,7 +1,7 @@
 """Joining of blocks of the terrain to tasks with one TIN each.
 
 A TIN also includes the points around its blocks, so a few large TINs triangulate fewer points than many small ones.
-Pixels, digests and commits are those of the blocks, so blocks stay done however they were joined.
+Pixels, digests and commits of a block do not depend on the joining, so finished blocks remain valid.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ from tiler.plan.memory import GROUND_BYTES, TIN_BYTES
 from tiler.schedule import Task
 
 MAX_PIXELS = 16 * BLOCK_PIXELS**2
-"""Largest number of pixels of a task. They take 13 bytes each, which is little compared to the base of a worker."""
+"""Largest number of pixels of a task. They take 13 bytes each, which is little compared to the memory of a worker."""
 TASKS_PER_WORKER = 4
 """Tasks per worker up to which tasks are divided, so that workers do not wait for others."""
 WORTH_DIVIDING = 0.95
@@ -83,7 +83,7 @@ def _joined(parts: Sequence[Task]) -> Task:
 def _fitting(survey: _Survey, most: int) -> list[_Group]:
     """Divide the blocks into groups of at most ``most`` points, or of one block.
 
-    Halves of a group together cost at least as much as the group.
+    A group is also divided if its halves together cost less than the group.
     """
     groups, todo = [], [survey.whole()]
     while todo:

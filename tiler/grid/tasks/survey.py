@@ -16,7 +16,7 @@ from tiler.schedule import Task, digest_of
 from tiler.version import __version__
 
 Gap = tuple[str, int, int, int]
-"""Run of missing blocks in a row between two blocks that exist: first row, first and last column."""
+"""Run of missing blocks in a row between two existing ones: kind, first row, first columns of first and last block."""
 BEYOND_ALL: Gap = ("outside", 0, 0, 0)
 SIDES = {"north": (-1, 0), "south": (1, 0), "west": (0, -1), "east": (0, 1)}
 """Rows and columns, in blocks, from a block to its neighbour at each side."""
@@ -28,7 +28,7 @@ def survey_gaps(raster: RasterStep, g: GridContext) -> Iterator[Task]:
 
 
 def domain_gaps(raster: RasterStep, g: GridContext) -> Iterator[Task]:
-    """Yield the same tasks for gaps that could be water: all up to `--max-edge`."""
+    """Yield the tasks of `survey_gaps` for gaps up to `--max-edge`, which could be water."""
     return (
         _close_tasks(raster, g, float(g.plan.config.max_edge / g.coarse_m)) if g.water_is_sought else iter(())
     )
@@ -50,7 +50,7 @@ def _close_tasks(raster: RasterStep, g: GridContext, gap: float) -> Iterator[Tas
 
 
 def near_places(coarse: RasterSpec, places: Iterable[Place], reach: int = 1) -> list[Place]:
-    """Return the places of blocks, and of those around them within the raster, from the north-west."""
+    """Return the places of blocks and of their neighbours within the raster, from the north-west."""
     steps = [step * BLOCK_PIXELS for step in range(-reach, reach + 1)]
     places_around = {(row + down, col + right) for row, col in places for down in steps for right in steps}
     return sorted((r, c) for r, c in places_around if 0 <= r < coarse.height and 0 <= c < coarse.width)
@@ -134,7 +134,7 @@ def _gap_at(gaps: Mapping[int, list[Gap]], row: int, col: int) -> Gap:
 
 
 def _facing(gap: Gap, row: int, gaps: Mapping[int, list[Gap]], columns: Mapping[int, list[int]]) -> list[Gap]:
-    """Return the gaps that a gap touches in the row above or below, and `BEYOND_ALL` if outside."""
+    """Return the gaps that a gap touches in the row above or below, and `BEYOND_ALL` if it touches the outside."""
     touched_gaps = [other for other in gaps.get(row, ()) if other[2] <= gap[3] and gap[2] <= other[3]]
     cols = columns.get(row)
     if cols is None or gap[2] < cols[0] or gap[3] > cols[-1]:
@@ -157,7 +157,7 @@ def voids_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
 
 
 def fill_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
-    """Yield a task for each block of a model. It depends on all blocks around the voids that it touches."""
+    """Yield a task for each block of a model. It depends on all blocks around the voids that touch its block."""
     spec = g.spec
     model, survey, voids = raster.inputs
     rasters, records = VoidRasters(model, spec, survey, g.coarse, voids), g.records(voids)

@@ -42,7 +42,7 @@ def report_voids(job: Job, spec: RasterSpec, outlined: Commits) -> None:
 
 
 def voids_of(cells: Iterable[list[int]], spec: RasterSpec) -> list[dict[str, Any]]:
-    """Merge holes whose cells touch to voids with ``pixels`` and CRS ``bounds``, the largest first."""
+    """Merge holes whose cells touch. Return voids with ``pixels`` and CRS ``bounds``, the largest first."""
     table = np.array(list(cells), np.int64).reshape(-1, 5)
     if not len(table):
         return []

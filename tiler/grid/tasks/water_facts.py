@@ -18,7 +18,7 @@ from tiler.store import Commits
 SURE = 0.8
 """Confidence below which a body causes a warning."""
 MAX_FLOATING = 0.005
-"""Share of the shore below the level of the water from which a body causes a warning."""
+"""Largest share of the shore that may lie below the level of the water without a warning."""
 
 
 def report_levels(job: Job, waters: Waters, records: Mapping[int, Mapping[str, Any]]) -> None:
@@ -37,7 +37,7 @@ def report_levels(job: Job, waters: Waters, records: Mapping[int, Mapping[str, A
         record = records.get(body.number, {})
         if body.kind == RIVER and body.flow is None and record:
             job.note(
-                f"decided: {_named(body)} is level: fewer than two places along it show how high it stands"
+                f"decided: {_named(body)} is level: its height is known at fewer than two positions along it"
             )
         doubts += _doubts(body, record, unit)
     job.facts["water_doubts"] = doubts
@@ -66,7 +66,7 @@ def _doubts(body: Water, record: Mapping[str, Any], unit: Fraction) -> list[dict
     if record.get("uneven"):
         text = (
             f"{_named(body)}: its returns differ by more than waves do, as those of strips flown at two levels; the "
-            "lower level holds (another one: `level` in water.gpkg, --water)"
+            "lower level is used (to change it, set `level` in water.gpkg and give the file with --water)"
         )
         doubts.append((text, _place(body)))
     return [{"text": text, "place": list(position)} for text, position in doubts]
