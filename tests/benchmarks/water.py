@@ -36,7 +36,8 @@ def measured(site: Site, out: Path) -> dict[str, Any]:
     dict
         ``recall`` and ``precision`` of the area, ``level_rmse`` in metres where both are water, ``shore_rmse`` in
         metres, ``floating`` (share of the pixels beside water that lie below it), ``dug`` (share of the outermost
-        pixels of water that lie on land above it), ``rises`` (metres that the lines of flow rise), ``bodies``.
+        pixels of water that lie on land above it), ``void`` (share of the water, up to the border, without a height),
+        ``rises`` (metres that the lines of flow rise), ``bodies``.
     """
     with rasterio.open(out / "dtm.tif") as raster:
         heights, bounds = raster.read(1), raster.bounds
@@ -60,6 +61,7 @@ def measured(site: Site, out: Path) -> dict[str, Any]:
         "level_rmse": float(np.sqrt(np.mean((heights - truth)[both] ** 2))) if both.any() else np.nan,
         "shore_rmse": _shore(wet, found, inner) * size,
         "floating": _share(beside & (heights < level - BEYOND_NOISE_M), beside),
+        "void": _share(wet & (heights == -9999), wet),
         "dug": _share(edge & (truth > heights + 3 * BEYOND_NOISE_M), edge),
         **_profiles(out),
     }

@@ -48,8 +48,12 @@ def finished(tmp_path_factory: pytest.TempPathFactory) -> Run:
     return make
 
 
-SHORE_M = {"als_weir": 1.5, "als_meander": 1.5, "als_lakes": 3.5}
+SHORE_M = {"als_weir": 1.5, "als_meander": 1.5, "als_lakes": 3.5, "als_canal": 1.8}
 """Distance of the found shore from the true one, RMS: the bank of reed, 6 m wide, is found to be land."""
+MIN_RECALL = {"als_canal": 0.9}
+"""Least share of the water that is found, if it is not 0.94: cells of 2 m that an upright quay cuts are land."""
+MAX_VOID = 0.005
+"""Share of the water without a height, where a river leaves the survey."""
 MAX_FLOATING = 0.005
 """Share of the shore more than 0.1 m below the level."""
 
@@ -57,15 +61,22 @@ MAX_FLOATING = 0.005
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "classes"),
-    [("als_weir", False), ("als_weir", True), ("als_meander", False), ("als_lakes", True)],
+    [
+        ("als_weir", False),
+        ("als_weir", True),
+        ("als_meander", False),
+        ("als_lakes", True),
+        ("als_canal", False),
+    ],
 )
 def test_extent_levels_and_shores(name: str, classes: bool, finished: Run) -> None:
     figures = finished(name, classes).figures
-    assert figures["recall"] > 0.94
+    assert figures["recall"] > MIN_RECALL.get(name, 0.94)
     assert figures["precision"] > 0.98
     assert figures["level_rmse"] < 0.05
     assert figures["shore_rmse"] < SHORE_M[name]
     assert figures["floating"] < MAX_FLOATING
+    assert figures["void"] < MAX_VOID
     assert figures["rises"] <= 0
 
 
@@ -132,12 +143,13 @@ def test_the_same_bodies_are_found_whatever_the_pixel(name: str, tmp_path: Path)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", SMALL)
+@pytest.mark.parametrize("name", [*SMALL, "canal"])
 def test_tiles_and_workers_do_not_show_in_the_water(
     name: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     small_stores(monkeypatch, row_points=USUAL_ROW_POINTS)  # what workers know
-    cloud = write_cloud(tmp_path / "cloud.laz", SMALL[name], BARE)
+    spec = SMALL.get(name) or describe_scene("als_canal", seed=HIDDEN_SEED)
+    cloud = write_cloud(tmp_path / "cloud.laz", spec, BARE)
     runs = [
         {"tile_size": "60", "workers": 1},
         {"tile_size": "170", "workers": 1},

@@ -32,6 +32,7 @@ from tiler.grid.sigma_measures import reach_of
 from tiler.grid.surface import DEEP_M, SurfaceBlock, reach_pixels, surface_block
 from tiler.grid.thinning import max_points_in_bucket
 from tiler.grid.voids import FillBlock, FindVoids, Void, VoidRasters, fill_block, find_voids
+from tiler.grid.water_crowns import CrownsBlock, crowns_block
 from tiler.grid.water_find import DescribeBody, describe_body
 from tiler.grid.water_finish import FinishWater, finish_water
 from tiler.grid.water_ground import GroundCells, ground_cells
@@ -64,6 +65,7 @@ __all__ = [
     "CloseBlock",
     "CountPlaneRims",
     "CountRims",
+    "CrownsBlock",
     "DeriveBlock",
     "DescribeBody",
     "DistanceBlock",
@@ -96,6 +98,7 @@ __all__ = [
     "close_block",
     "count_plane_rims",
     "count_rims",
+    "crowns_block",
     "density_block",
     "derive_block",
     "describe_body",

@@ -36,6 +36,8 @@ class OutlineBlock(BlockWork):
     waters, edits : str or None
         Keys in the store of bodies of water, and of edits, which are applied after water. The digest includes those
         that touch the block.
+    finds_water : bool
+        Whether the run found the water itself. Drawn water gets no height outside the survey where the model has none.
     area : str or None
         Key in the store of the area. Holes outside it do not count.
     """
@@ -47,6 +49,7 @@ class OutlineBlock(BlockWork):
     canopy: str | None = None
     waters: str | None = field(default=None, metadata=NOT_IN_DIGEST)
     edits: str | None = field(default=None, metadata=NOT_IN_DIGEST)
+    finds_water: bool = False
     area: str | None = None
 
 
@@ -76,7 +79,8 @@ def outline_block(store_url: str, work: OutlineBlock) -> dict[str, Any]:
     waters = store.waters(work.waters, spec.block_bounds(block))
     if waters is not None:
         wet = waters.inside(spec, block)
-        water = waters.set_heights(spec, block, heights, (heights_before != nodata) | ~beyond)
+        gets_water = (heights_before != nodata) | ~beyond | work.finds_water
+        water = waters.set_heights(spec, block, heights, gets_water)
         edit_heights(store, work.edits, spec, block, heights)
         beyond &= ~wet
     if work.cut:

@@ -27,6 +27,10 @@ NEAR_CELLS = 10
 """Distance in cells within which heights of inner cells replace those of outer cells."""
 BRIDGE_M, UNDER_BRIDGE_M = 14.0, 0.5
 """Widest bridge under which water extends, and largest height of the terrain there above the shores."""
+TIDE_M, SPREAD_M = 0.7, 0.2
+"""Height above the water, and standard deviation of the heights, of land at the border that may be water."""
+SPECK_CELLS = 4
+"""Largest number of cells of a speck."""
 
 
 def smoothed(ground: Floats) -> Floats:
@@ -63,14 +67,13 @@ def water_heights(cells: WaterCells, wet: Bools) -> Floats | None:
     return levels
 
 
-def shore_area(cells: WaterCells, water: Bools, reach: int) -> Bools:
-    """Extend water over connected cells up to ``reach`` away that are as low as its level."""
+def shore_area(cells: WaterCells, water: Bools, level: Floats | None, reach: int) -> Bools:
+    """Extend water over connected cells up to ``reach`` away that are as low as its level near them, if it is known."""
     extended_water, box = water.copy(), box_around(water, reach)
-    near, wet = cells.cut(box), water[box]
-    level = water_heights(near, wet)
     if level is None:
         return extended_water
-    above = near.ground - level
+    near, wet = cells.cut(box), water[box]
+    above = near.ground - level[box]
     deep = scipy.ndimage.binary_opening(above < -BELOW_M, np.ones((DEEP_CELLS, DEEP_CELLS), np.bool_))
     low = near.domain & ~deep & ((above <= LEVEL_M) | np.isnan(above))
     low = scipy.ndimage.binary_opening(low | wet, np.ones((3, 3), np.bool_)) | wet
@@ -102,10 +105,13 @@ def close_bridge_gaps(ground: Floats, water: Bools, size_m: float, longest_islan
     return np.asarray(water | (gaps & ~island[labels]))
 
 
-def remove_narrow_parts(water: Bools, width: float) -> Bools:
-    """Remove the parts of water narrower than a width in cells. The other parts keep their shore."""
+def remove_narrow_parts(water: Bools, width: float, beyond: Bools) -> Bools:
+    """Remove the parts of water narrower than a width in cells. The other parts keep their shore.
+
+    Water may go on in the cells ``beyond`` the survey, so these count as water.
+    """
     least = max(width / 2 - 0.5, 1.0)
-    inner = ~within(~np.pad(water, 1), math.nextafter(least, 0.0))[1:-1, 1:-1]
+    inner = ~within(~np.pad(water | beyond, 1), math.nextafter(least, 0.0))[1:-1, 1:-1]
     return water & within(inner, width / 2 + 1)
 
 
@@ -113,6 +119,37 @@ def without_islands(water: Bools, least: float) -> Bools:
     """Fill enclosed land of fewer than ``least`` cells. Land that touches the border of the array stays."""
     labels, sizes, enclosed = _land(water)
     return np.asarray(water | (enclosed & (sizes < least))[labels])
+
+
+def without_border_islands(cells: WaterCells, water: Bools, level: Floats, least: float) -> Bools:
+    """Fill flat land of fewer than ``least`` cells between water and the border of the survey.
+
+    It is at most `TIDE_M` above the water. Unless it is a speck, it has at least as many sides to the water as to the
+    border. Such land is mostly water with returns, as of a strip flown at a higher tide. Land that touches the border
+    of the array stays.
+    """
+    labels, _, inside = _land(water | ~cells.domain)
+    sizes, to_water, to_border = (
+        np.bincount(labels.ravel(), weights.ravel(), len(inside))
+        for weights in (labels > 0, _sides(water), _sides(~cells.domain & ~water))
+    )
+    above = np.rint((cells.ground - level) / LEVEL_STEP_M)
+    known = ~np.isnan(above)
+    number = np.maximum(np.bincount(labels[known], minlength=len(inside)), 1)
+    total, squares = (np.bincount(labels[known], above[known] ** power, len(inside)) for power in (1, 2))
+    spread = np.sqrt(squares / number - (total / number) ** 2)
+    highest = np.zeros(len(inside))
+    np.maximum.at(highest, labels[known], above[known])
+    flat = (spread * LEVEL_STEP_M <= SPREAD_M) & (highest * LEVEL_STEP_M <= TIDE_M)
+    lies_in_water = (to_water >= to_border) | (sizes <= SPECK_CELLS)
+    filled: Bools = inside & flat & (sizes < least) & (to_border > 0) & lies_in_water
+    return np.asarray(water | filled[labels])
+
+
+def _sides(cells: Bools) -> npt.NDArray[np.float64]:
+    """Return the number of sides of each cell at which one of ``cells`` lies."""
+    padded = np.pad(cells, 1).astype(np.float64)
+    return padded[:-2, 1:-1] + padded[2:, 1:-1] + padded[1:-1, :-2] + padded[1:-1, 2:]
 
 
 def _land(water: Bools) -> tuple[npt.NDArray[Any], npt.NDArray[Any], Bools]:

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import scipy
 
 from tiler.core.area import Area
@@ -18,7 +19,8 @@ from tiler.grid.centreline import area_of
 from tiler.grid.coarse import Bools, padded
 from tiler.grid.pieces import Piece, cells_of, components
 from tiler.grid.reach import box_around
-from tiler.grid.water_extent import smoothed
+from tiler.grid.water_crowns import HIDDEN
+from tiler.grid.water_extent import smoothed, water_heights
 from tiler.grid.water_search import Sources, inner_window, read_search_cells
 from tiler.grid.water_shore import MAX_DEPTH_M, REACH_CELLS, depths, shore_polygons
 from tiler.store import TileStore, open_store, read_cells
@@ -31,6 +33,8 @@ SIMPLER = 0.15
 """Largest distance in cells of a simplified polygon from its shore."""
 ONE_EXIT = 5
 """Largest distance, in cells, between cells at the survey's border that belong to one exit."""
+MAX_BAY_M = 100.0
+"""Widest bay of the survey's border that is filled with water."""
 
 
 @dataclass(frozen=True)
@@ -41,8 +45,8 @@ class DescribeBody:
     ----------
     pieces : tuple of Piece
         Pieces of the body of water.
-    water : str
-        Raster of the labels of water.
+    water, crowns : str
+        Rasters of the labels of water, and of the plants near it.
     sources : Sources
     coarse : RasterSpec
         Raster of the coarse cells.
@@ -54,6 +58,7 @@ class DescribeBody:
 
     pieces: tuple[Piece, ...]
     water: str
+    crowns: str
     sources: Sources
     coarse: RasterSpec
     sure: float
@@ -79,16 +84,18 @@ def describe_body(store_url: str, work: DescribeBody) -> dict[str, Any]:
     for block, body_mask in _blocks(store, work):
         polygons += _polygons(store, work, block)
         beyond = read_cells(store, work.sources.domain, coarse, padded(block, 1), float(BEYOND)) == BEYOND
-        leaving, sides = _leaving(body_mask, beyond)
-        ends.append(np.argwhere(leaving) + (block.row, block.col))
+        leaving_mask, sides = _leaving(body_mask, beyond)
+        ends.append(np.argwhere(leaving_mask) + (block.row, block.col))
         faces += sides
         cells += int(body_mask[1:-1, 1:-1].sum())
     side = float(coarse.lattice.size)
+    exits = _exits(np.concatenate(ends))
+    polygons.append(_bays(store, work, exits, MAX_BAY_M / size_m))
     whole = _without_islands(shapely.union_all(polygons), work.island_m2 * (side / size_m) ** 2)
     shore = shapely.get_exterior_ring(shapely.get_parts(whole))
     length_m = (float(shapely.length(shore).sum()) / side - faces) * size_m
     area_m2 = cells * size_m**2
-    kind, width_m = _kind(area_m2, length_m, size_m, _exits(np.concatenate(ends)))
+    kind, width_m = _kind(area_m2, length_m, size_m, len(exits))
     small = area_m2 < work.lake_m2 if kind == LAKE else width_m < work.river_width_m
     body = None if small else Water(0, kind, _area(whole, side), None, None, work.sure).to_json()
     return {"body": body}
@@ -111,12 +118,40 @@ def _leaving(mine: Bools, beyond: Bools) -> tuple[Bools, int]:
     return leaving_mask[1:-1, 1:-1], sides
 
 
-def _exits(cells: Any) -> int:
-    """Count the positions at which cells leave the survey."""
-    if not len(cells):
-        return 0
-    near = scipy.spatial.cKDTree(cells).query_pairs(ONE_EXIT, p=math.inf)
-    return len(components(range(len(cells)), near))
+def _exits(leaving: npt.NDArray[np.int64]) -> list[npt.NDArray[np.int64]]:
+    """Divide the cells of water at the border of the survey, int64 (n, 2), into exits, which are apart."""
+    if not len(leaving):
+        return []
+    near = scipy.spatial.cKDTree(leaving).query_pairs(ONE_EXIT, p=math.inf)
+    return [leaving[sorted(group)] for group in components(range(len(leaving)), near)]
+
+
+def _bays(store: TileStore, work: DescribeBody, exits: list[npt.NDArray[np.int64]], longest: float) -> Any:
+    """Return the bays of the survey's border at the exits of the water, as a shape in absolute counts.
+
+    They are the triangles between corners of an exit's cells with edges of at most ``longest`` cells, without land.
+    """
+    import shapely
+
+    coarse, side = work.coarse, float(work.coarse.lattice.size)
+    corners = np.array([[-0.5, -0.5], [-0.5, 0.5], [0.5, -0.5], [0.5, 0.5]])
+    triangles = [np.empty(0, object)]
+    for cells in exits:
+        points = (cells[:, None, ::-1] + corners).reshape(-1, 2)
+        triangles.append(shapely.get_parts(shapely.delaunay_triangles(shapely.multipoints(points))))
+    joined = np.concatenate(triangles)
+    edges = np.diff(shapely.get_coordinates(joined).reshape(-1, 4, 2), axis=1)
+    lengths = np.hypot(edges[:, :, 0], edges[:, :, 1])
+    bays = shapely.union_all(joined[lengths.max(axis=1, initial=0.0) <= longest])
+    land = [np.empty(0, object)]
+    for block, body_mask in _blocks(store, work):
+        domain = read_cells(store, work.sources.domain, coarse, block, float(BEYOND)) != BEYOND
+        cells = np.argwhere(domain & ~body_mask[1:-1, 1:-1]) + (block.row, block.col)
+        row, col = cells[shapely.intersects_xy(bays, cells[:, 1], cells[:, 0])].T
+        land.append(shapely.box(col - 0.5, row - 0.5, col + 0.5, row + 0.5))
+    bays = shapely.difference(bays, shapely.union_all(np.concatenate(land)))
+    west, north = coarse.west + 0.5, coarse.north - 0.5
+    return shapely.transform(bays, lambda at: np.stack((west + at[:, 0], north - at[:, 1]), axis=1) * side)
 
 
 def _kind(area_m2: float, shore_m: float, size_m: float, exits: int) -> tuple[str, float]:
@@ -135,8 +170,11 @@ def _polygons(store: TileStore, work: DescribeBody, block: Block) -> list[Any]:
     wet = cells_of(store, work.water, work.coarse, window, work.pieces)
     box = box_around(wet, REACH_CELLS)
     cells = read_search_cells(store, work.sources, work.coarse, window, 1).cut(box)
+    beneath = (read_cells(store, work.crowns, work.coarse, window) == HIDDEN)[box] & wet[box]
+    smooth = smoothed(cells.ground)
+    level = water_heights(cells.with_ground(smooth), wet[box] & ~beneath)
     field = np.full(wet.shape, MAX_DEPTH_M)
-    field[box] = depths(cells.with_ground(smoothed(cells.ground)), wet[box])
+    field[box] = depths(cells.with_ground(np.where(beneath, np.nan, smooth)), wet[box], level)
     cut = inner_window(padded(block, 1), REACH_CELLS - 1)
     return shore_polygons(field[cut], work.coarse, padded(block, 1))
 

@@ -13,12 +13,15 @@ from tiler.grid.checksum import checksum
 from tiler.grid.coarse import Bools, padded
 from tiler.grid.pieces import label_block
 from tiler.grid.reach import box_around
+from tiler.grid.water_crowns import HIDDEN, beneath_crowns
 from tiler.grid.water_extent import (
     BRIDGE_M,
     close_bridge_gaps,
     remove_narrow_parts,
     shore_area,
     smoothed,
+    water_heights,
+    without_border_islands,
     without_islands,
 )
 from tiler.grid.water_search import SEEN_CELLS, Sources, inner_window, read_search_cells
@@ -45,12 +48,15 @@ class FinishWater(BlockWork):
     ----------
     sure : tuple of str
         Rasters of the confidence that each cell is water.
+    crowns : str
+        Raster of the plants near water.
     sources : Sources
     river_width_m, island_m2 : float
         Least width of a river and least area of an island to keep.
     """
 
     sure: tuple[str, ...]
+    crowns: str
     sources: Sources
     river_width_m: float
     island_m2: float
@@ -110,7 +116,15 @@ def finish_water(store_url: str, work: FinishWater) -> dict[str, Any]:
 def _finished(store: TileStore, work: FinishWater, water: Bools, window: Block, size_m: float) -> Bools:
     """Extend the water of a window to its shores and beneath bridges, and remove narrow arms and small islands."""
     cells = read_search_cells(store, work.sources, work.spec, window, 1)
-    water = shore_area(cells.with_ground(smoothed(cells.ground)), water, math.ceil(SHORE_M / size_m))
+    smooth = cells.with_ground(smoothed(cells.ground))
+    level = water_heights(smooth, water)
+    if level is not None:
+        crowns = read_cells(store, work.crowns, work.spec, window)
+        water = water | beneath_crowns(smooth, crowns, water, level)
+        smooth = smooth.with_ground(np.where(water & (crowns == HIDDEN), np.nan, smooth.ground))
+        water = shore_area(smooth, water, level, math.ceil(SHORE_M / size_m))
+    least_island = SEEN_SHARE * work.island_m2 / size_m**2
     water = close_bridge_gaps(cells.ground, water, size_m, _longest_island(work, size_m))
-    water = remove_narrow_parts(water, work.river_width_m / size_m)
-    return without_islands(water, SEEN_SHARE * work.island_m2 / size_m**2)
+    water = remove_narrow_parts(water, work.river_width_m / size_m, ~cells.domain)
+    water = without_islands(water, least_island)
+    return water if level is None else without_border_islands(cells, water, level, least_island)

@@ -21,6 +21,7 @@ from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec
 from tiler.core.water import RIVER, Counts, Water
 from tiler.grid.centreline import centreline, mean_width, polygon_of
 from tiler.grid.profile import MIN_PIXELS, SMOOTH_M, Profile, Scale, bank_level, profile_along, water_level
+from tiler.grid.water_crowns import HIDDEN
 from tiler.grid.water_pockets import POCKET_PIXELS, Beside, pockets, with_pixels
 from tiler.store import TileStore, open_store
 
@@ -49,9 +50,9 @@ class LevelWater:
         Raster of the terrain.
     spec : RasterSpec
         Raster of its pixels.
-    cells : (str, str) or None
-        Rasters of the points in coarse cells and of their heights, which give the heights of the water itself. None:
-        the terrain gives them.
+    cells : (str, str, str) or None
+        Rasters of the points in coarse cells, of their heights, which give the heights of the water itself, and of the
+        plants over water. None: the terrain gives the heights.
     coarse : RasterSpec
         Raster of these cells.
     joins_pockets : bool
@@ -62,7 +63,7 @@ class LevelWater:
     others: tuple[Area, ...]
     heights: str
     spec: RasterSpec
-    cells: tuple[str, str] | None
+    cells: tuple[str, str, str] | None
     coarse: RasterSpec
     joins_pockets: bool
 
@@ -159,8 +160,8 @@ def heights_of(store: TileStore, work: LevelWater) -> tuple[Beside, Counts]:
     return Beside(columns[:3], columns[3:5], columns[5]), within
 
 
-def _seen(store: TileStore, work: LevelWater, points: str, ground: str) -> Counts:
-    """Return absolute counts x, y, z of cells with returns within the body: int64 (3, n)."""
+def _seen(store: TileStore, work: LevelWater, points: str, ground: str, crowns: str) -> Counts:
+    """Return absolute counts x, y, z of cells with returns of the body's water: int64 (3, n)."""
     coarse, area, cell_points = work.coarse, work.body.area, [np.empty((3, 0), np.int64)]
     cells = polygon_of(area).area / float(coarse.lattice.size) ** 2
     step = math.ceil(math.sqrt(max(cells / MAX_WITHIN, 1.0)))
@@ -173,6 +174,7 @@ def _seen(store: TileStore, work: LevelWater, points: str, ground: str) -> Count
         some[(coarse.north - 1 - part.row) % step :: step, -(coarse.west + part.col) % step :: step] = True
         heights = store.read_block(ground, part)
         seen &= some & (store.read_block(points, part) != 0) & (heights != np.float32(NODATA))
+        seen &= store.read_block(crowns, part) != HIDDEN
         x, y = coarse.centres(part)
         z = np.rint(heights.astype(np.float64) * COUNTS_PER_UNIT).astype(np.int64)
         cell_points.append(np.stack((x, y, z))[:, seen])

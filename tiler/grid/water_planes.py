@@ -27,7 +27,7 @@ from tiler.grid.water_cells import (
     rim_of,
     sparse_cells,
 )
-from tiler.grid.water_extent import shore_area, smoothed
+from tiler.grid.water_extent import shore_area, smoothed, water_heights
 from tiler.grid.water_search import (
     MARGIN,
     AreasAround,
@@ -159,7 +159,7 @@ def count_plane_rims(store_url: str, work: CountPlaneRims) -> dict[str, Any]:
     for number, window in near.windows(among):
         name, part, numbers = near.names[number - 1], near.cells.cut(window), near.numbers[window]
         plane_mask = numbers == number
-        water = shore_area(part, plane_mask, SHORE_CELLS)
+        water = shore_area(part, plane_mask, water_heights(part, plane_mask), SHORE_CELLS)
         wet = of_evident[numbers] & ~water
         if name in evident:
             rims = [
@@ -197,7 +197,8 @@ def keep_planes(store_url: str, work: KeepPlanes) -> dict[str, Any]:
     near = _planes(store_url, work, kept)
     confidence = np.zeros(near.numbers.shape, np.float32)
     for number, window in near.windows(kept):
-        water = shore_area(near.cells.cut(window), near.numbers[window] == number, SHORE_CELLS)
+        cells, mask = near.cells.cut(window), near.numbers[window] == number
+        water = shore_area(cells, mask, water_heights(cells, mask), SHORE_CELLS)
         confidence[window][water] = np.maximum(confidence[window][water], kept[near.names[number - 1]])
     values = near.of_block(confidence)
     open_store(store_url).write_block(work.name, block, values)

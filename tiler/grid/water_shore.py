@@ -11,7 +11,6 @@ from tiler.core.raster import Block, RasterSpec
 from tiler.grid.coarse import Bools
 from tiler.grid.reach import Floats
 from tiler.grid.water_cells import WaterCells
-from tiler.grid.water_extent import water_heights
 
 REACH_CELLS = 24
 """Margin around a block in cells from which the level of its water comes."""
@@ -22,10 +21,12 @@ BANK_CELLS = 2
 
 Gravel that rises by 4 % has two cells below `tiler.grid.water_extent.LEVEL_M`.
 """
+UPRIGHT_M = 0.4
+"""Least height above the water of a bank that may be upright. Lower banks have a slope that is not known well."""
 AROUND = np.ones((3, 3), np.bool_)
 
 
-def depths(cells: WaterCells, wet: Bools) -> Floats:
+def depths(cells: WaterCells, wet: Bools, level: Floats | None) -> Floats:
     """Return heights of the bank above the water, extrapolated below it into its outermost cells.
 
     Heights are positive on land and negative in water, so the line at 0 is the shore. Without ground heights the shore
@@ -36,8 +37,9 @@ def depths(cells: WaterCells, wet: Bools) -> Floats:
     cells : WaterCells
         Cells with smoothed heights, in a window with a margin of at least `REACH_CELLS`.
     wet : bool, shape of the cells
+    level : float64, shape of the cells
+        Level of the water near each cell in metres, see `tiler.grid.water_extent.water_heights`; None if not known.
     """
-    level = water_heights(cells, wet)
     if level is None:
         return np.where(wet, -MAX_DEPTH_M, MAX_DEPTH_M)
     above = cells.ground - level
@@ -46,9 +48,11 @@ def depths(cells: WaterCells, wet: Bools) -> Floats:
     bank_heights = np.where(wet, -MAX_DEPTH_M, MAX_DEPTH_M)
     beside = ~wet & ~np.isnan(above) & scipy.ndimage.binary_dilation(wet, AROUND)
     bank_heights[beside] = np.clip(above[beside], MIN_DEPTH_M, MAX_DEPTH_M)
-    gone_on = _gone_on(above, wet)
+    beside_m, gone_on = _gone_on(above, wet)
     outermost = ~np.isnan(gone_on)
-    bank_heights[outermost] = np.clip(gone_on[outermost], -MAX_DEPTH_M, -MIN_DEPTH_M)
+    # A high bank that hardly falls towards the water ends upright, so the shore is halfway between the cells.
+    depth = np.where((gone_on > beside_m / 2) & (beside_m > UPRIGHT_M), -beside_m, gone_on)
+    bank_heights[outermost] = np.clip(depth[outermost], -MAX_DEPTH_M, -MIN_DEPTH_M)
     return bank_heights
 
 
@@ -58,23 +62,28 @@ def _banks(above: Floats, wet: Bools, seen: Bools) -> Bools:
     Both their own ground and the extrapolated bank lie above the water. The ground alone does not show this, as a cell
     that the shore cuts has a mean height at or above that of the bank at its middle.
     """
+    _, gone_on = _gone_on(above, wet)
     with np.errstate(invalid="ignore"):
-        return wet & seen & (np.minimum(above, _gone_on(above, wet)) > MIN_DEPTH_M)
+        return wet & seen & (np.minimum(above, gone_on) > MIN_DEPTH_M)
 
 
-def _gone_on(above: Floats, wet: Bools) -> Floats:
-    """Extrapolate the bank's height above the water into the outermost cells of the water, NaN elsewhere."""
+def _gone_on(above: Floats, wet: Bools) -> tuple[Floats, Floats]:
+    """Return the height above the water of the bank beside each cell of water, and extrapolated into it.
+
+    Both are NaN except in the outermost cells of the water.
+    """
     bank = np.where(wet, np.nan, above)
-    total, number = np.zeros(wet.shape), np.zeros(wet.shape, np.int64)
+    totals, number = np.zeros((2, *wet.shape)), np.zeros(wet.shape, np.int64)
     for axis, step in ((0, 1), (0, -1), (1, 1), (1, -1)):
-        first, second = np.roll(bank, step, axis), np.roll(bank, 2 * step, axis)
-        gone_on = 2 * np.clip(first, MIN_DEPTH_M, MAX_DEPTH_M) - np.clip(second, MIN_DEPTH_M, MAX_DEPTH_M)
+        first, second = (np.clip(np.roll(bank, n * step, axis), MIN_DEPTH_M, MAX_DEPTH_M) for n in (1, 2))
+        gone_on = 2 * first - second
         here = wet & ~np.isnan(gone_on)
-        total[here] += np.clip(gone_on[here], -MAX_DEPTH_M, MAX_DEPTH_M)
+        totals[0, here] += first[here]
+        totals[1, here] += np.clip(gone_on[here], -MAX_DEPTH_M, MAX_DEPTH_M)
         number[here] += 1
-    heights = np.full(wet.shape, np.nan)
-    np.divide(total, number, out=heights, where=number > 0)
-    return heights
+    heights = np.full(totals.shape, np.nan)
+    np.divide(totals, number, out=heights, where=number > 0)
+    return heights[0], heights[1]
 
 
 def shore_polygons(field: Floats, coarse: RasterSpec, window: Block) -> list[Any]:

@@ -163,6 +163,8 @@ _ALL = (
               "als water", "weir", 261, 700.0, {"density": 3.0}),
     SceneSpec("als_meander", "als", "a river that falls 1 m per km, a bar, a gravel island, a ford, a bridge",
               "als water", "meander", 262, 1500.0, {"density": 2.0}),
+    SceneSpec("als_canal", "als", "a canal between quays, trees far over the water, houses beside it",
+              "als water", "canal", 266, 240.0, {"density": 8.0}),
     SceneSpec("als_lakes", "als", "three lakes with a dam between two, a bank of reed, two strips that differ by 0.4 m",
               "als water", "lakes", 263, 640.0, {"density": 2.0}),
     SceneSpec("als_tide", "als", "a beach and a sea at two tides", "als water", "tide", 264, 400.0, {"density": 2.0}),

@@ -27,7 +27,7 @@ from tiler.simulate.terrain import (
     Terrain,
     Waves,
 )
-from tiler.simulate.water_sites import lakes, meander, tide, weir, wet_meadow
+from tiler.simulate.water_sites import canal, lakes, meander, tide, weir, wet_meadow
 
 
 def _rng(seed: int) -> np.random.Generator:
@@ -240,6 +240,7 @@ SITES: dict[str, Callable[[int, float], Site]] = {
         hills,
         weir,
         meander,
+        canal,
         lakes,
         tide,
         wet_meadow,

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from tiler.simulate.landmarks import bridge
+from tiler.simulate.objects import Objects, Solid
 from tiler.simulate.plot import Plot
 from tiler.simulate.site import Site
 from tiler.simulate.terrain import Line, Terrain, Waves
-from tiler.simulate.water_bodies import Field, Floats, Masonry, WaterBody, Waters, constant
+from tiler.simulate.water_bodies import FACE_SLOPE, Field, Floats, Masonry, WaterBody, Waters, constant
 
 BANK_TREES_M = 9.0
 """Width of the strip along a shore on which trees grow."""
@@ -124,6 +125,43 @@ def meander(seed: int, side_m: float) -> Site:
     across = float(np.degrees(np.arctan(steepness(np.array(deck_x))))) + 90.0
     deck = bridge(terrain, Line(deck_x, at_deck, across), 60.0, 9.0)
     return Site(terrain, side_m, seed, None, landmarks=deck, green=0.8, north_m=300.0)
+
+
+def quay_trees(plot: Plot) -> None:
+    """Place large trees along the northern quay of a canal, with crowns that reach far over the water."""
+    waters = plot.terrain.waters
+    if waters is None:
+        return
+    for _ in range(round(plot.side**2 / 12)):
+        x, y = plot.pick()
+        tall = plot.rng.uniform(8.0, 14.0)
+        shore, south = (float(waters.shore_m(np.array([x]), np.array([at]))[0]) for at in (y, y - 2.0))
+        if 0.7 < shore < 2.0 and south < shore:
+            plot.tree(x, y, tall, widest=7.0, rooted=0.1)
+
+
+def canal(seed: int, side_m: float) -> Site:
+    """A canal between upright quays that leaves the survey aslant: trees over one quay, houses on the other."""
+    rng = _rng(seed)
+    half_width, level, quay = 16.0, -0.4, 0.9
+    tilt = np.radians(rng.uniform(25.0, 40.0))
+    middle = side_m / 2
+
+    def across(x: Floats, y: Floats) -> Floats:
+        return np.asarray((y - middle) * np.cos(tilt) - (x - middle) * np.sin(tilt))
+
+    def shore(x: Floats, y: Floats) -> Floats:
+        return np.asarray(np.abs(across(x, y)) - half_width)
+
+    body = WaterBody(shore, constant(level), FACE_SLOPE, constant(0.03))
+    terrain = Terrain(level + quay, (0.0, 0.0), (Waves.random(rng, 0.2, 120.0),), Waters((body,)))
+    row = Line(middle, middle, float(np.degrees(tilt)))
+    houses = []
+    for along in np.arange(-0.3 * side_m, 0.3 * side_m, 14.0):
+        x, y = row.at(float(along), -half_width - 5.5)
+        top = level + quay + rng.uniform(8.0, 12.0)
+        houses.append(Solid(x, y, row.angle_deg, 8.0, 10.0, level, top, pitch=0.8))
+    return Site(terrain, side_m, seed, quay_trees, 40.0, Objects(solids=tuple(houses)), green=0.4)
 
 
 def _lobed(x0: float, y0: float, radius: float, lobes: int) -> Field:

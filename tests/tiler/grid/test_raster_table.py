@@ -41,6 +41,7 @@ def test_nothing_is_made_that_no_product_needs() -> None:
         "water-planes",
         "water-plane-rims",
         "water-plane-sure",
+        "water-crowns",
         "water-cells",
     ]
     assert names(["slope"], water="auto") == ["dtm", *survey, *search, "dtm-outlined", "slope"]

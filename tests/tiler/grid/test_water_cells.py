@@ -24,6 +24,7 @@ from tiler.grid.water_extent import (
     remove_narrow_parts,
     shore_area,
     smoothed,
+    water_heights,
     without_islands,
 )
 from tiler.grid.water_planes import plane_cells
@@ -117,7 +118,8 @@ def test_what_returns_little_elsewhere_is_no_water(ground: np.ndarray, few: np.n
 
 def test_water_goes_on_where_the_ground_is_as_low_however_many_returns_it_has() -> None:
     given = cells(VALLEY, RIVER & ~STRIP, 0.3)
-    water = shore_area(given.with_ground(smoothed(given.ground)), RIVER & ~STRIP, 10)
+    smooth = given.with_ground(smoothed(given.ground))
+    water = shore_area(smooth, RIVER & ~STRIP, water_heights(smooth, RIVER & ~STRIP), 10)
     assert (water & RIVER & STRIP).sum() > 0.95 * (RIVER & STRIP).sum()
     assert (water & ~RIVER).sum() < 0.1 * RIVER.sum()  # a cell along its banks
 
@@ -179,7 +181,7 @@ def test_water_goes_on_under_a_bridge_and_not_through_a_dam() -> None:
 
 def test_narrow_arms_are_left_out() -> None:
     arm = (np.abs(ROW - 50) < 2) & (COL > 60)
-    kept = remove_narrow_parts(LAKE | arm, 8.0)
+    kept = remove_narrow_parts(LAKE | arm, 8.0, np.zeros_like(LAKE))
     assert (kept & LAKE).sum() > 0.97 * LAKE.sum()
     assert (kept & arm & ~LAKE).sum() < 0.25 * (arm & ~LAKE).sum()
 

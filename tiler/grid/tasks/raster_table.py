@@ -23,6 +23,7 @@ from tiler.grid import (
     close_block,
     count_plane_rims,
     count_rims,
+    crowns_block,
     density_block,
     derive_block,
     distance_block,
@@ -60,6 +61,7 @@ from tiler.grid.tasks.survey import domain_gaps, fill_tasks, survey_gaps, survey
 from tiler.grid.tasks.water_search import (
     areas_tasks,
     cells_tasks,
+    crowns_tasks,
     ground_tasks,
     plane_rims_tasks,
     plane_sure_tasks,
@@ -160,8 +162,15 @@ def _water_rows() -> list[RasterStep]:
             "water-plane-sure", ("water-plane-rims", *planes), keep_planes, Grid.COARSE, plane_sure_tasks
         ),
         RasterStep(
+            "water-crowns",
+            ("water-sure", "water-plane-sure", "occupancy"),
+            crowns_block,
+            Grid.COARSE,
+            crowns_tasks,
+        ),
+        RasterStep(
             "water-cells",
-            ("water-sure", "water-plane-sure", *cells),
+            ("water-sure", "water-plane-sure", "water-crowns", *cells),
             finish_water,
             Grid.COARSE,
             cells_tasks,

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from functools import partial
 from typing import Any
 
+from tiler.config import AUTO_WATER
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec, north_west
 from tiler.core.water import Waters
@@ -141,6 +142,7 @@ def outline_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
             cut=g.plan.config.outline == "survey",
             canopy=canopy,
             waters=waters.key if wet else None,
+            finds_water=g.plan.config.water == AUTO_WATER,
             area=g.plan.area_key,
         )
         hidden = g.checksums(CANOPY, [key]) if canopy else []

@@ -26,8 +26,8 @@ from tiler.schedule import Task, digest_of
 from tiler.version import __version__
 
 FINDING, STAGE = "water-search", "water"
-CELLS = "water-cells"
-"""Raster of the labels of water."""
+CELLS, CROWNS = "water-cells", "water-crowns"
+"""Rasters of the labels of water, and of the crowns near it."""
 SOURCES = ("occupancy", "water-ground", "domain")
 """Rasters for the search for water."""
 STEEPEST = 1 / 30
@@ -92,12 +92,14 @@ def _body_tasks(g: GridContext) -> Iterator[Task]:
         pieces = joined.areas[name]
         places = sorted({(piece.row, piece.col) for piece in pieces})
         work = DescribeBody(
-            pieces, CELLS, Sources(*SOURCES), coarse, sure=round(hundredths / 100 / max(known, 1), 2),
+            pieces, CELLS, CROWNS, Sources(*SOURCES), coarse, sure=round(hundredths / 100 / max(known, 1), 2),
             lake_m2=float(config.water_min_lake), river_width_m=float(config.water_min_river_width),
             island_m2=float(config.water_min_island),
         )  # fmt: skip
         near = names_of(near_places(coarse, places))
-        digest = digest_of(__version__, work, *(g.checksums(name, near) for name in (CELLS, *SOURCES)))
+        digest = digest_of(
+            __version__, work, *(g.checksums(name, near) for name in (CELLS, CROWNS, *SOURCES))
+        )
         key = f"{names_of(places)[0]}a{name.label}"
         yield Task(FINDING, key, digest, describe_body, work, cells)
 
@@ -123,7 +125,8 @@ def level_tasks(g: GridContext, bodies: tuple[Water, ...]) -> Iterator[Task]:
             continue
         near = body.area.bounds.pad(pad)
         other_areas = tuple(bodies[i].area for i in index.overlapping(near) if bodies[i] is not body)
-        cells = SOURCES[:2] if all(name in g.made for name in SOURCES[:2]) else None
+        seen_cells = (*SOURCES[:2], CROWNS)
+        cells = seen_cells if all(name in g.made for name in seen_cells) else None
         work = LevelWater(body, other_areas, "dtm", spec, cells, g.coarse, joins_pockets=auto)
         seen = [g.checksums("dtm", (block.name for block in spec.blocks_within(near, BLOCK_PIXELS)))]
         if cells is not None:

@@ -10,6 +10,7 @@ from tiler.core.raster import BLOCK_PIXELS
 from tiler.grid import (
     CountPlaneRims,
     CountRims,
+    CrownsBlock,
     FindAreas,
     FinishWater,
     GroundCells,
@@ -124,16 +125,38 @@ def sure_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
         yield g.block_task(raster, work, [g.checksums(areas, names_of([place]))])
 
 
+def crowns_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
+    """Yield a task for each block near water, if laser pulses pass through crowns."""
+    sure, planes, occupancy = raster.inputs
+    for place in _near_water(g, sure, planes) if g.trusted else []:
+        block = g.coarse.block_at(*place, BLOCK_PIXELS)
+        work = CrownsBlock(
+            name=raster.name,
+            spec=g.coarse,
+            block=block,
+            sure=(sure, planes),
+            occupancy=occupancy,
+            rule=g.rule,
+        )
+        cell = int(g.coarse.lattice.size) + 1
+        near = g.plan.meta.bucket.among(g.coarse.block_bounds(block).pad(cell), g.labels)
+        yield g.block_task(raster, work, [*_seen(g, raster.inputs, place), g.seen(near)])
+
+
+def _near_water(g: GridContext, *sure: str) -> list[Place]:
+    """Return the places of blocks with water, from rasters of its confidence, and of their neighbours."""
+    records = [item for name in sure for item in g.records(name).items()]
+    return near_places(g.coarse, {place for place, record in records if record["filled"]})
+
+
 def cells_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
     """Yield a task for each block near water."""
-    sure, planes, *sources = raster.inputs
+    sure, planes, crowns, *sources = raster.inputs
     config = g.plan.config
-    records = [*g.records(sure).items(), *g.records(planes).items()]
-    wet = {place for place, record in records if record["filled"]}
-    for place in near_places(g.coarse, wet):
+    for place in _near_water(g, sure, planes):
         work = FinishWater(
             name=raster.name, spec=g.coarse, block=g.coarse.block_at(*place, BLOCK_PIXELS), sure=(sure, planes),
-            sources=Sources(*sources), river_width_m=float(config.water_min_river_width),
+            crowns=crowns, sources=Sources(*sources), river_width_m=float(config.water_min_river_width),
             island_m2=float(config.water_min_island),
         )  # fmt: skip
         yield g.block_task(raster, work, _seen(g, raster.inputs, place))

@@ -1,0 +1,250 @@
+"""Crowns that hang over water, and the water beneath them.
+
+A laser scanner gets returns from a crown over water, and hardly any from the water below. The terrain there is
+interpolated from the bank, so water would end where crowns begin. Over land, some pulses pass through a crown and reach
+the ground. So connected cells with plants and without ground, next to water and not among cells with ground, are water.
+On a bank that slopes, the slope is continued beneath the crowns, and water ends where it reaches the level.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from tiler.core.raster import Block
+from tiler.grid.checksum import checksum
+from tiler.grid.coarse import Bools, padded
+from tiler.grid.density import pixel_indices
+from tiler.grid.ground import GroundSelection, read_ground, read_objects
+from tiler.grid.reach import Floats, box_around, within
+from tiler.grid.water_cells import WaterCells
+from tiler.grid.work import BlockWork
+from tiler.store import TileStore, open_store, read_cells
+
+OPEN, HIDDEN = 1, 2
+"""Values of cells with plants, and with or without ground beneath them."""
+CROWN_M = 14.0
+"""Largest distance from water that was found to cells beneath crowns that are water."""
+MIN_POINTS = 4
+"""Least number of points of a cell from which its roughness is known."""
+ROUGH_M = 0.4
+"""Least RMS distance of a crown's points from a plane through those of a cell. Roofs, decks and boats are smoother."""
+MIN_OPEN = 0.3
+"""Least share of the cells with plants around a cell that have ground, so that a lack of ground is a sign of water."""
+AMONG_M = 8.0
+"""Cells without ground in gaps up to twice as wide between cells with ground are land."""
+BANK_CELLS = 20
+"""Number of the nearest cells of the bank with ground whose plane is continued beneath crowns."""
+FLAT = 0.15
+"""Slope up to which a bank ends upright, as at a quay. Water beside it reaches the last ground."""
+LOW_M = 0.15
+"""Height of the continued bank above the water up to which a cell is water."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CrownsBlock(BlockWork):
+    """Arguments of `crowns_block`.
+
+    Attributes
+    ----------
+    sure : tuple of str
+        Rasters of the confidence that each cell is water.
+    occupancy : str
+        Raster of the points in each cell.
+    rule : GroundSelection
+    """
+
+    sure: tuple[str, ...]
+    occupancy: str
+    rule: GroundSelection
+
+
+def crowns_block(store_url: str, work: CrownsBlock) -> dict[str, Any]:
+    """Write `OPEN` or `HIDDEN` for the cells of a block with plants near water, 0 elsewhere.
+
+    This is a `tiler.schedule.task.Work`. Only buckets with points near water are read.
+
+    Returns
+    -------
+    dict
+        ``filled`` (cells with plants), ``checksum``.
+    """
+    store, spec = open_store(store_url), work.spec
+    size_m = float(spec.lattice.size * store.meta.frame.metres_xy)
+    margin = crowns_margin(size_m)
+    sure = np.max([read_cells(store, name, spec, padded(work.block, margin)) for name in work.sure], axis=0)
+    near_water = within(sure > 0, CROWN_M / size_m)[margin - 1 : 1 - margin, margin - 1 : 1 - margin]
+    window = padded(work.block, 1)
+    wanted = near_water & (read_cells(store, work.occupancy, spec, window) != 0)
+    values = np.where(wanted, _crowns(store, work, window, wanted), 0)[1:-1, 1:-1].astype(np.float32)
+    store.write_block(work.name, work.block, values)
+    return {"filled": int(np.count_nonzero(values)), "checksum": checksum(values)}
+
+
+def crowns_margin(size_m: float) -> int:
+    """Return the margin around a block, in coarse cells, on which its crowns depend."""
+    return math.ceil(CROWN_M / size_m) + 2
+
+
+def _crowns(store: TileStore, work: CrownsBlock, window: Block, wanted: Bools) -> npt.NDArray[np.int64]:
+    """Return the value of each cell of a window, see `crowns_block`. Only wanted cells are right."""
+    frame, spec = store.meta.frame, work.spec
+    has_ground = np.zeros(wanted.size, np.bool_)
+    objects, object_cells = [np.empty((3, 0), np.int32)], [np.empty(0, np.int64)]
+    for cell in store.buckets_within(spec.block_bounds(window)):
+        bounds = store.meta.bucket.bounds(cell).intersection(spec.block_bounds(window))
+        part = spec.part(window, bounds)
+        top, left = part.row - window.row, part.col - window.col
+        if not wanted[top : top + part.height, left : left + part.width].any():
+            continue
+        ground = read_ground(store, work.rule, bounds).xyz
+        has_ground[pixel_indices(ground, frame.origin, spec, window)] = True
+        points = read_objects(store, work.rule, bounds)
+        cells = pixel_indices(points, frame.origin, spec, window)
+        chosen = wanted.ravel()[cells]
+        objects.append(points[:, chosen])
+        object_cells.append(cells[chosen])
+    xyz, cells = np.concatenate(objects, axis=1), np.concatenate(object_cells)
+    rough = roughness(xyz, cells, wanted.size) * float(frame.metres_z)
+    plants = _mostly(rough.reshape(wanted.shape) > ROUGH_M, ~np.isnan(rough).reshape(wanted.shape))
+    has_objects = np.bincount(cells, minlength=wanted.size) > 0
+    kinds = np.where(has_ground, OPEN, HIDDEN).reshape(wanted.shape)
+    return np.where(plants & has_objects.reshape(wanted.shape), kinds, 0)
+
+
+def roughness(xyz: npt.NDArray[np.int32], cells: npt.NDArray[np.int64], size: int) -> Floats:
+    """Return the RMS of the vertical distances of the points of each cell from their plane, float64 (size,).
+
+    It is in vertical counts, and NaN for cells of fewer than `MIN_POINTS` points and for points on a line. Sums are of
+    integers, so the order of points does not matter.
+
+    Parameters
+    ----------
+    xyz : int32 (3, n)
+        Counts.
+    cells : int64 (n,)
+        Number of each point's cell, from 0.
+    size : int
+        Number of cells.
+    """
+    lowest = np.full((3, size), np.iinfo(np.int64).max)
+    offsets = xyz.astype(np.int64)
+    for axis in range(3):
+        np.minimum.at(lowest[axis], cells, offsets[axis])
+    x, y, z = offsets - lowest[:, cells]
+
+    def total(values: npt.NDArray[np.int64]) -> Floats:
+        return np.bincount(cells, values.astype(np.float64), size).astype(np.float64)
+
+    number = np.bincount(cells, minlength=size).astype(np.float64)
+    n = np.maximum(number, 1.0)
+    mean_x, mean_y, mean_z = total(x) / n, total(y) / n, total(z) / n
+    xx, xy, yy = (
+        total(x * x) / n - mean_x**2,
+        total(x * y) / n - mean_x * mean_y,
+        total(y * y) / n - mean_y**2,
+    )
+    xz, yz, zz = (
+        total(x * z) / n - mean_x * mean_z,
+        total(y * z) / n - mean_y * mean_z,
+        total(z * z) / n - mean_z**2,
+    )
+    determinant = xx * yy - xy * xy
+    flat = (number >= MIN_POINTS) & (determinant > 1e-6 * xx * yy)
+    explained = np.divide(
+        xz * xz * yy - 2 * xz * yz * xy + yz * yz * xx, determinant, out=np.zeros(size), where=flat
+    )
+    return np.where(flat, np.sqrt(np.maximum(zz - explained, 0.0)), np.nan)
+
+
+def _mostly(chosen: Bools, among: Bools) -> Bools:
+    """Return a mask of the cells around which (3 by 3) more than half of some cells are chosen."""
+    square = np.ones((3, 3), np.int64)
+    chosen_count, count = (
+        scipy.ndimage.convolve(mask.astype(np.int64), square, mode="constant")
+        for mask in (chosen & among, among)
+    )
+    return np.asarray(2 * chosen_count > count)
+
+
+def beneath_crowns(cells: WaterCells, crowns: npt.NDArray[Any], wet: Bools, level: Floats) -> Bools:
+    """Return a mask of the cells beneath crowns that are water.
+
+    Parameters
+    ----------
+    cells : WaterCells
+        Cells with smoothed heights.
+    crowns : float, shape of the cells
+        Plants, see `crowns_block`.
+    wet : bool, shape of the cells
+        Mask of the cells of water.
+    level : float64, shape of the cells
+        Level of the water near each cell in metres.
+    """
+    hidden = (crowns == HIDDEN) & ~wet & cells.domain
+    hidden &= _open_share(crowns, round(4 * CROWN_M / cells.size)) >= MIN_OPEN
+    bank = (crowns != HIDDEN) & ~wet & (cells.returns > 0) & ~np.isnan(cells.ground)
+    if not hidden.any() or not bank.any():
+        return np.zeros_like(hidden)
+    radius = AMONG_M / cells.size
+    hidden &= within(~within(bank, radius), radius)
+    hidden = _connected(hidden, wet, math.ceil(CROWN_M / cells.size))
+    height, slope = continued_bank(np.argwhere(hidden), np.argwhere(bank), (cells.ground - level)[bank])
+    hidden[hidden] = (height <= LOW_M) | (slope <= FLAT * cells.size)
+    return _connected(hidden, wet, math.ceil(CROWN_M / cells.size))
+
+
+def _open_share(crowns: npt.NDArray[Any], side: int) -> Floats:
+    """Return the share of the cells with plants around each cell that have ground; the squares have an odd side."""
+    has_ground, has_plants = (
+        scipy.ndimage.uniform_filter(mask.astype(np.float64), side // 2 * 2 + 1, mode="constant")
+        for mask in (crowns == OPEN, crowns > 0)
+    )
+    return np.divide(has_ground, has_plants, out=np.zeros(crowns.shape), where=crowns > 0)
+
+
+def _connected(hidden: Bools, wet: Bools, reach: int) -> Bools:
+    """Return the cells that are connected with water over at most ``reach`` cells."""
+    whole = hidden | wet
+    joined_mask = np.zeros_like(hidden)
+    box = box_around(whole, 0)
+    joined_mask[box] = scipy.ndimage.binary_dilation(wet[box], iterations=reach, mask=whole[box])
+    return joined_mask & ~wet
+
+
+def continued_bank(
+    places: npt.NDArray[np.int64], bank: npt.NDArray[np.int64], above: Floats
+) -> tuple[Floats, Floats]:
+    """Continue planes through the nearest cells of the bank to other cells.
+
+    Parameters
+    ----------
+    places : int64 (n, 2)
+        Row and column of the cells.
+    bank : int64 (m, 2)
+        Row and column of the cells of the bank.
+    above : float64 (m,)
+        Height of the bank's cells above the water in metres.
+
+    Returns
+    -------
+    height : float64 (n,)
+        Height of the plane at each cell.
+    slope : float64 (n,)
+        Slope of the plane in metres per cell.
+    """
+    count = min(BANK_CELLS, len(bank))
+    _, near = scipy.spatial.cKDTree(bank).query(places, k=count)
+    near = near.reshape(len(places), count)
+    offsets = (bank[near] - places[:, None]).astype(np.float64)
+    columns = np.concatenate((np.ones((len(places), count, 1)), offsets), axis=2)
+    normal = columns.transpose(0, 2, 1) @ columns + 1e-6 * np.eye(3)
+    right = columns.transpose(0, 2, 1) @ above[near][:, :, None]
+    plane = np.asarray(np.linalg.solve(normal, right), np.float64)[:, :, 0]
+    slope = np.hypot(plane[:, 1], plane[:, 2])
+    return plane[:, 0], slope
