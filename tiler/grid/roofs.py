@@ -43,13 +43,15 @@ class FindRoofs:
     filled: tuple[str, ...]
     building_m: float
     roof_m: float | None
+    waters: str | None
 
 
 def find_roofs(store_url: str, work: FindRoofs) -> dict[str, Any]:
     """Search for roofs on a worker, which has loaded the kernels. Return ``advice``: a warning, or None."""
     blocks = (work.spec.block_named(key, BLOCK_PIXELS) for key in work.filled)
     store = open_store(store_url)
-    return {"advice": roofs_in_terrain(store, "dtm", work.spec, blocks, work.building_m, work.roof_m)}
+    advice = roofs_in_terrain(store, "dtm", work.spec, blocks, work.building_m, work.roof_m, work.waters)
+    return {"advice": advice}
 
 
 def roofs_in_terrain(
@@ -59,6 +61,7 @@ def roofs_in_terrain(
     filled: Iterable[Block],
     building_m: float,
     roof_m: float | None = None,
+    waters: str | None = None,
 ) -> Advice | None:
     """Return a warning if the terrain has a roof that is too wide for the settings, else None.
 
@@ -74,6 +77,9 @@ def roofs_in_terrain(
         Setting ``max_building_size`` of the method in metres.
     roof_m : float, optional
         Widest roof for which the method itself searches, in metres.
+    waters : str, optional
+        Key in the store of bodies of water. Their heights do not count, as land does not stand above a river as a roof
+        stands above the ground.
     """
     frame = store.meta.frame
     pixel = float(spec.lattice.size * frame.metres_xy)
@@ -87,7 +93,7 @@ def roofs_in_terrain(
         top, left = max(block.row - pad, 0), max(block.col - pad, 0)
         bottom = min(block.row + block.height + pad, spec.height)
         right = min(block.col + block.width + pad, spec.width)
-        part = _part(store, name, Block(top, left, bottom - top, right - left), times)
+        part = _part(store, name, waters, spec, Block(top, left, bottom - top, right - left), times)
         heights = np.where(part == np.float32(NODATA), np.nan, part) * float(frame.units.vertical)
         for roof in remaining_roofs(heights, pixel * times, TOO_WIDE * building_m):
             if roof.width_m > widest:
@@ -117,12 +123,21 @@ def _place(spec: RasterSpec, row: int, col: int) -> tuple[float, float]:
     return x + a * col, y + e * row
 
 
-def _part(store: TileStore, name: str, part: Block, times: int) -> Float64:
-    """Return the thinned heights of a part, read strip by strip."""
+def _part(
+    store: TileStore, name: str, waters: str | None, spec: RasterSpec, part: Block, times: int
+) -> Float64:
+    """Return the thinned heights of a part, read strip by strip. Water has none."""
     step = max(STRIP_ROWS // times, 1) * times
     last = part.row + part.height
-    strips = [Block(row, part.col, min(step, last - row), part.width) for row in range(part.row, last, step)]
-    return np.concatenate([pooled(store.read_block(name, strip), times) for strip in strips])
+    rows = []
+    for row in range(part.row, last, step):
+        strip = Block(row, part.col, min(step, last - row), part.width)
+        heights = store.read_block(name, strip)
+        bodies = store.waters(waters, spec.block_bounds(strip))
+        if bodies is not None:
+            heights[bodies.inside(spec, strip)] = NODATA
+        rows.append(pooled(heights, times))
+    return np.concatenate(rows)
 
 
 def pooled(heights: npt.NDArray[np.float32], times: int) -> Float64:

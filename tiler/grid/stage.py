@@ -69,7 +69,7 @@ def grid(job: Job, assembled: IngestResult, labelled: Labelled, corrections: Cor
         if name == "dtm":
             report_edited_pixels(job, gridding.made[name])
             _report_terrain(job, gridding.spec, tasks, gridding.made[name])
-            advise(job, labelled, gridding.spec, gridding.made[name])
+    advise(job, labelled, gridding.spec, gridding.made["dtm"], gridding.water_key)
     if job.plan.config.water != NO_WATER:
         report_waters(job, gridding.waters, gridding.made["dtm-outlined"])
     _report_outline(job, gridding)

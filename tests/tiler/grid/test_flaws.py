@@ -6,11 +6,14 @@ from fractions import Fraction
 
 import numpy as np
 import pytest
+import shapely
 
 from ptd.matched.crowns import Crowns
 from tests.scenes.halls import ROWS, with_hall
 from tiler.core.lattice import Lattice
 from tiler.core.raster import NODATA, RasterSpec
+from tiler.core.water import LAKE, Water, Waters
+from tiler.grid.centreline import area_of
 from tiler.grid.crowns import crowns_told, look_for_crowns
 from tiler.grid.roofs import pooled, roofs_in_terrain
 from tiler.store import TileStore
@@ -33,8 +36,8 @@ def test_a_roof_in_the_terrain_of_a_store(
         part = heights[block.row : block.row + block.height, block.col : block.col + block.width]
         small_store.write_block("dtm", block, part)
 
-    def advice(building_m: float, roof_m: float | None = None) -> str:
-        found = roofs_in_terrain(small_store, "dtm", spec, spec.blocks(512), building_m, roof_m)
+    def advice(building_m: float, roof_m: float | None = None, waters: str | None = None) -> str:
+        found = roofs_in_terrain(small_store, "dtm", spec, spec.blocks(512), building_m, roof_m, waters)
         assert found is None or f"x {found.x:.0f}, y {found.y:.0f}" in found.text
         return "" if found is None else found.text
 
@@ -45,6 +48,11 @@ def test_a_roof_in_the_terrain_of_a_store(
     assert advice(80.0) == ""
     assert advice(20.0, 50.0).endswith("roof_size is 50 m; if it is one, use --set roof_size=80")
     assert advice(20.0, 200.0) == text
+    around = shapely.box(500_060_000, 5_399_820_000, 500_200_000, 5_399_960_000)
+    hall = shapely.box(500_098_000, 5_399_858_000, 500_162_000, 5_399_922_000)
+    moat = Waters((Water(1, LAKE, area_of(around.difference(hall)), 0),))
+    small_store.put_waters(moat)
+    assert advice(20.0, waters=moat.key) == ""
 
 
 @pytest.mark.parametrize("pixels", [1, 2])

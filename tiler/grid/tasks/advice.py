@@ -21,13 +21,16 @@ CROWN_BLOCKS = 16
 """Number of blocks in which one task searches for crowns, at most half a second each."""
 
 
-def advise(job: Job, labelled: Labelled, spec: RasterSpec, made: Commits) -> None:
-    """Warn about roofs in the terrain, and about crowns in the terrain of a photogrammetric cloud."""
+def advise(job: Job, labelled: Labelled, spec: RasterSpec, made: Commits, waters: str | None) -> None:
+    """Warn about roofs in the terrain, and about crowns in the terrain of a photogrammetric cloud.
+
+    ``waters`` is the key of the bodies of water in the store, if there are any.
+    """
     building = job.plan.parameters.get("max_building_size_m")
     # A method that searches for canopy itself has already warned about it.
     crowns = labelled.matched and CanopyPass.name not in labelled.statistics
-    asked = [building, crowns]
-    if not any(asked):
+    asked = [building, crowns, waters]
+    if not (building or crowns):
         return
     advice_state = job.store.get_state("advice")
     if (
@@ -37,7 +40,7 @@ def advise(job: Job, labelled: Labelled, spec: RasterSpec, made: Commits) -> Non
         or "at" not in advice_state
     ):
         filled = tuple(key for key, (_, record) in made.items() if record["filled"])
-        looked = [_roofs(job, spec, filled) if building is not None else None]
+        looked = [_roofs(job, spec, filled, waters) if building is not None else None]
         looked.append(_crowns(job, spec, filled) if crowns else None)
         given = [advice for advice in looked if advice is not None]
         advice_state = {"asked": asked, "texts": [a.text for a in given], "at": [[a.x, a.y] for a in given]}
@@ -47,9 +50,10 @@ def advise(job: Job, labelled: Labelled, spec: RasterSpec, made: Commits) -> Non
         job.listener(Warned(line))
 
 
-def _roofs(job: Job, spec: RasterSpec, filled: tuple[str, ...]) -> Advice | None:
+def _roofs(job: Job, spec: RasterSpec, filled: tuple[str, ...], waters: str | None) -> Advice | None:
     parameters = job.plan.parameters
-    work = FindRoofs(spec, filled, parameters["max_building_size_m"], parameters.get("roof_size_m"))
+    building_m, roof_m = parameters["max_building_size_m"], parameters.get("roof_size_m")
+    work = FindRoofs(spec, filled, building_m, roof_m, waters)
     (record,) = _looked(job, [Task("advice", "roofs", digest_of(work), find_roofs, work)])
     return None if record["advice"] is None else Advice(*record["advice"])
 
