@@ -20,6 +20,7 @@ from tiler.core.lattice import Bounds, Lattice
 from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec
 from tiler.core.water import RIVER, Counts, Water
 from tiler.grid.centreline import centreline, mean_width, polygon_of
+from tiler.grid.coarse import padded
 from tiler.grid.profile import MIN_PIXELS, SMOOTH_M, Profile, Scale, bank_level, profile_along, water_level
 from tiler.grid.water_crowns import HIDDEN
 from tiler.grid.water_pockets import POCKET_PIXELS, Beside, pockets, with_pixels
@@ -161,13 +162,15 @@ def heights_of(store: TileStore, work: LevelWater) -> tuple[Beside, Counts]:
 
 
 def _seen(store: TileStore, work: LevelWater, points: str, ground: str, crowns: str) -> Counts:
-    """Return absolute counts x, y, z of cells with returns of the body's water: int64 (3, n)."""
+    """Return absolute counts x, y, z of cells with returns of the body's water, not at its shore: int64 (3, n)."""
     coarse, area, cell_points = work.coarse, work.body.area, [np.empty((3, 0), np.int64)]
     cells = polygon_of(area).area / float(coarse.lattice.size) ** 2
     step = math.ceil(math.sqrt(max(cells / MAX_WITHIN, 1.0)))
     for block in coarse.blocks_within(area.bounds, BLOCK_PIXELS):
         part = coarse.part(block, area.bounds)
-        seen = coarse.inside(part, area)
+        # Cells at the shore are partly bank.
+        inside = coarse.inside(padded(part, 1), area)
+        seen = scipy.ndimage.binary_erosion(inside, np.ones((3, 3), np.bool_))[1:-1, 1:-1]
         if not seen.any():
             continue
         some = np.zeros_like(seen)

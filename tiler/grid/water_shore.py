@@ -23,6 +23,12 @@ Gravel that rises by 4 % has two cells below `tiler.grid.water_extent.LEVEL_M`.
 """
 UPRIGHT_M = 0.4
 """Least height above the water of a bank that may be upright. Lower banks have a slope that is not known well."""
+MAX_QUAY_SLOPE = 0.15
+"""Steepest slope of the land behind an upright bank."""
+CUT_SHARE = 0.5
+"""Share of the returns of the bank's other cells below which an outermost cell is mostly water."""
+SIDES = ((0, 1), (0, -1), (1, 1), (1, -1))
+"""Axis and step from each of its four neighbours to a cell."""
 AROUND = np.ones((3, 3), np.bool_)
 
 
@@ -45,6 +51,9 @@ def depths(cells: WaterCells, wet: Bools, level: Floats | None) -> Floats:
     above = cells.ground - level
     for _ in range(BANK_CELLS):
         wet = wet & ~_banks(above, wet, cells.returns > 0)
+    mostly_wet = _cut_cells(cells, above, wet)
+    wet = wet | mostly_wet
+    above[mostly_wet] = np.nan
     bank_heights = np.where(wet, -MAX_DEPTH_M, MAX_DEPTH_M)
     beside = ~wet & ~np.isnan(above) & scipy.ndimage.binary_dilation(wet, AROUND)
     bank_heights[beside] = np.clip(above[beside], MIN_DEPTH_M, MAX_DEPTH_M)
@@ -67,6 +76,26 @@ def _banks(above: Floats, wet: Bools, seen: Bools) -> Bools:
         return wet & seen & (np.minimum(above, gone_on) > MIN_DEPTH_M)
 
 
+def _cut_cells(cells: WaterCells, above: Floats, wet: Bools) -> Bools:
+    """Return a mask of the outermost cells of a high, level bank that are mostly water, as at a quay.
+
+    The water returns little, so such a cell has less than half as many returns as the next two cells of the bank.
+    """
+    land_returns = np.where(wet, 0.0, cells.returns)
+    bank = np.where(wet, np.nan, above)
+    is_cut = np.zeros_like(wet)
+    for axis, step in SIDES:
+        (returns, heights), (next_returns, next_heights) = (
+            (np.roll(land_returns, n * step, axis), np.roll(bank, n * step, axis)) for n in (1, 2)
+        )
+        with np.errstate(invalid="ignore"):
+            upright = np.minimum(heights, next_heights) >= UPRIGHT_M
+            upright &= np.abs(heights - next_heights) <= MAX_QUAY_SLOPE * cells.size
+        few = cells.returns < CUT_SHARE * (returns + next_returns) / 2
+        is_cut |= np.roll(wet, -step, axis) & upright & few & (np.minimum(returns, next_returns) > 0)
+    return is_cut & ~wet
+
+
 def _gone_on(above: Floats, wet: Bools) -> tuple[Floats, Floats]:
     """Return the height above the water of the bank beside each cell of water, and extrapolated into it.
 
@@ -74,7 +103,7 @@ def _gone_on(above: Floats, wet: Bools) -> tuple[Floats, Floats]:
     """
     bank = np.where(wet, np.nan, above)
     totals, number = np.zeros((2, *wet.shape)), np.zeros(wet.shape, np.int64)
-    for axis, step in ((0, 1), (0, -1), (1, 1), (1, -1)):
+    for axis, step in SIDES:
         first, second = (np.clip(np.roll(bank, n * step, axis), MIN_DEPTH_M, MAX_DEPTH_M) for n in (1, 2))
         gone_on = 2 * first - second
         here = wet & ~np.isnan(gone_on)

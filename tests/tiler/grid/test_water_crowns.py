@@ -123,14 +123,30 @@ def test_sloping_land_at_the_border_is_a_bank() -> None:
     assert not without_border_islands(given, given.domain & ~notch, LEVEL, 60)[notch].any()
 
 
-def shore_of(ground: np.ndarray) -> float:
-    """Return the column at which `depths` has the shore, for water up to `SHORE` at the level 0."""
+def shore_of(ground: np.ndarray, in_first_cell: float = 20.0) -> float:
+    """Return the column at which `depths` has the shore, for water up to `SHORE` at the level 0.
+
+    The cells of land have 20 returns, but the first ones ``in_first_cell``.
+    """
     wet = COLUMNS < SHORE
-    field = depths(cells(ground, np.where(wet, 0.0, 20.0)), wet, LEVEL)[30]
+    returns = np.where(wet, 0.0, np.where(COLUMNS == SHORE, in_first_cell, 20.0))
+    field = depths(cells(ground, returns), wet, LEVEL)[30]
     assert field.min() == -MAX_DEPTH_M
-    return float(np.interp(0.0, field[SHORE - 2 : SHORE + 1], np.arange(SHORE - 2, SHORE + 1)))
+    return float(np.interp(0.0, field[SHORE - 2 : SHORE + 3], np.arange(SHORE - 2, SHORE + 3)))
 
 
 def test_the_shore_of_a_quay_is_between_cells_and_that_of_a_slope_where_it_reaches_the_level() -> None:
     assert shore_of(np.full(ROWS.shape, 0.9)) == pytest.approx(SHORE - 0.5)
     assert shore_of(0.6 * (COLUMNS - SHORE + 0.8)) == pytest.approx(SHORE - 0.8, abs=0.02)
+
+
+@pytest.mark.parametrize(("returns", "shore"), [(4, SHORE + 0.5), (15, SHORE - 0.5)])
+def test_a_cell_of_a_quay_with_few_returns_is_mostly_water(returns: float, shore: float) -> None:
+    assert shore_of(np.full(ROWS.shape, 0.9), returns) == pytest.approx(shore)
+
+
+@pytest.mark.parametrize(
+    "ground", [np.full(ROWS.shape, 0.2), 0.6 * (COLUMNS - SHORE + 0.8)], ids=["low", "slope"]
+)
+def test_a_cell_of_a_low_or_sloping_bank_with_few_returns_is_land(ground: np.ndarray) -> None:
+    assert shore_of(ground, 4.0) == shore_of(ground, 20.0)
