@@ -126,8 +126,6 @@ def islands(heights: Int32, ground: Bool, scale: Scale, cell_m: float) -> Bool:
     """
     rule, levels = _rule(scale, cell_m), np.where(ground, heights, EMPTY).astype(np.int32)
     carried = _carried(heights, ground, levels, rule, scale, cell_m)
-    if not carried.any():
-        return carried
     found: Bool = carried & plateaus(levels, rule, data=heights != EMPTY, passed=carried)
     return found
 
