@@ -158,7 +158,13 @@ def on_plateaus(z: Int32, ground: Bool, before: Bool, raster: CellRaster, rule: 
     return is_on_plateau
 
 
-def plateaus(heights: Int32, rule: Plateaus, removed: Bool | None = None, data: Bool | None = None) -> Bool:
+def plateaus(
+    heights: Int32,
+    rule: Plateaus,
+    removed: Bool | None = None,
+    data: Bool | None = None,
+    passed: Bool | None = None,
+) -> Bool:
     """Find the cells of a raster on surfaces above their surroundings: bool [rows, columns].
 
     Parameters
@@ -170,12 +176,15 @@ def plateaus(heights: Int32, rule: Plateaus, removed: Bool | None = None, data: 
         Cells of roofs found before; none by default.
     data : bool [rows, columns], optional
         Cells with any point; the cells of ground by default.
+    passed : bool [rows, columns], optional
+        Cells of ground over which the rays of other surfaces continue; none by default.
     """
     removed = np.zeros(heights.shape, np.bool_) if removed is None else removed
+    passed = np.zeros(heights.shape, np.bool_) if passed is None else passed
     data = heights != EMPTY if data is None else data
     limit = math.floor(rule.step) + 1  # heights are whole numbers
     surface, n = connected_surfaces(heights, limit, limit, rule.gap)
-    looks, box = _looks(heights, surface, removed, data, n, rule.view, rule.fall, rule.slope)
+    looks, box = _looks(heights, surface, removed, data, passed, n, rule.view, rule.fall, rule.slope)
     seen, border = looks[:, _FALLS] + looks[:, _OTHERS], looks[:, _BORDER:]
     unseen = looks[:, _UNSEEN] + border.sum(axis=1)
     every = seen + unseen + looks[:, _PAST]
@@ -191,7 +200,15 @@ def plateaus(heights: Int32, rule: Plateaus, removed: Bool | None = None, data: 
 
 @kernel
 def _looks(
-    heights: Int32, surface: Int32, removed: Bool, data: Bool, n: int, view: int, fall: float, slope: float
+    heights: Int32,
+    surface: Int32,
+    removed: Bool,
+    data: Bool,
+    passed: Bool,
+    n: int,
+    view: int,
+    fall: float,
+    slope: float,
 ) -> tuple[Int64, npt.NDArray[np.int64]]:
     """Count the cells and rays of each surface (columns `_AREA` to `_BORDER` + 7), and find its bounding box."""
     rows, columns = heights.shape
@@ -218,7 +235,7 @@ def _looks(
                     if met >= _BORDER and data[r, c]:
                         met = _UNSEEN
                     joined |= steps <= BESIDE and removed[r, c]
-                    if surface[r, c] >= 0:
+                    if surface[r, c] >= 0 and not passed[r, c]:
                         lower = np.int64(heights[row, column]) - np.int64(heights[r, c])
                         if lower > fall + slope * steps:
                             met = _FALLS

@@ -8,7 +8,7 @@ import numpy as np
 
 from ptd.frame import CellLattice, Scale, Window
 from ptd.ground.morphology import Bool
-from ptd.matched import by_side, last_look, objects, surface, voting
+from ptd.matched import by_side, islands, last_look, objects, surface, voting
 from ptd.matched.canopy_pass import CanopyPass, below_canopy
 from ptd.matched.cells import CELL_M, EMPTY, SPARSE_CELL_M, cell_heights, raster_of
 from ptd.matched.ground_model import GroundModel
@@ -150,7 +150,8 @@ class SurfacePass(MatchedPass):
     elected: bool = True
     raster_cell_m: float = CELL_M
     reach_m: float | None = max(
-        (surface.reach_cells(side) + last_look.reach_cells(side)) * side for side in SIDES_M
+        (surface.reach_cells(side) + islands.reach_cells(side) + last_look.reach_cells(side)) * side
+        for side in SIDES_M
     )
     label_margin_m: float = voting.REACH_M + last_look.REACH_M
     refine: bool = True
@@ -165,10 +166,13 @@ class SurfacePass(MatchedPass):
         left = known & CODE != OBJECT
         if not left.any():
             return GroundModel(None, {"cells": 0})
-        raster = raster_of(points.xyz[:, left], cells)
+        raster = raster_of(points.xyz, cells)
         flat = np.zeros(raster.heights.size, np.uint8)
-        flat[raster.keys] = known[left]
+        flat[raster.keys] = known
         codes = flat.reshape(raster.heights.shape)
+        everything = raster.heights
+        heights = np.where(codes & CODE == OBJECT, EMPTY, everything).astype(np.int32)
+        raster = replace(raster, heights=heights, keys=raster.keys[left])
         noise = on_cells(noise_m(state, scale), cells, raster.row, raster.column, raster.heights.shape)
 
         def ground(heights: Int32) -> surface.Surface:
@@ -181,6 +185,7 @@ class SurfacePass(MatchedPass):
             fitted_surface = below_canopy(
                 fitted_surface, ground(raster.heights), crowns | (codes >= COVERED), side
             )
+        fitted_surface = islands.without_islands(fitted_surface, raster.heights, everything, scale, side)
         model = GroundModel.of(fitted_surface, raster, cells, scale, state)
         return model.with_last_look(raster, side) if self.refine else model
 

@@ -23,7 +23,7 @@ DENSITY, SIGMA, CELL_SIGMA, SIDE, BOTH = range(5)
 """
 SIDES_M = (CELL_M, SPARSE_CELL_M)
 """Possible sides of cells."""
-SIDES_AROUND = 7
+SIDES_AROUND = 8
 """Distance in places within which cells of a place's side are needed: the radius of all passes on cells together."""
 
 

@@ -11,7 +11,7 @@ import pytest
 import ptd
 from ptd.frame import Scale
 from ptd.ground.labelling import GROUND, LOW_NOISE, UNCLASSIFIED
-from ptd.matched import canopy, last_look, objects, passes, surface
+from ptd.matched import canopy, islands, last_look, objects, passes, surface
 from ptd.methods.auto.method import Auto
 from ptd.passes import Points
 from tests.ptd.tiling import classify_tiled
@@ -53,7 +53,12 @@ def short_sighted(monkeypatch: pytest.MonkeyPatch) -> type[Auto]:
     later = [replace(step, reach_m=seen) for step in passes.PASSES[1:3]]
     beyond = max(side * (surface.reach_cells(side) + canopy.reach_cells(side) + 3) for side in passes.SIDES_M)
     later.append(replace(passes.PASSES[3], reach_m=beyond))
-    reach_m = max(side * (surface.reach_cells(side) + last_look.reach_cells(side)) for side in passes.SIDES_M)
+    monkeypatch.setattr(islands, "MAX_WIDTH_M", 6.0)
+    monkeypatch.setattr(islands, "VIEW_M", 8.0)
+    reach_m = max(
+        side * (surface.reach_cells(side) + islands.reach_cells(side) + last_look.reach_cells(side))
+        for side in passes.SIDES_M
+    )
     last = replace(passes.PASSES[4], reach_m=reach_m)
 
     class ShortSighted(Auto):

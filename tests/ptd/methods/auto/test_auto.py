@@ -235,7 +235,7 @@ def test_reaches_are_those_of_the_rules() -> None:
         "objects": 324.0,
         "inner-objects": 324.0,
         "canopy": 622.0,
-        "surface": 456.0,
+        "surface": 610.0,
     }
 
 

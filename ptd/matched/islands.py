@@ -1,0 +1,155 @@
+"""Islands of ground on objects: few cells of a roof to which the ground surface climbed.
+
+Pits in a roof, for example clumps of blunders, light wells or gaps between its parts, belong to no large object
+(`ptd.matched.objects`). So the surface passes through them, and each carries facets of the terrain model at the height
+of the roof. A connected surface of ground is such an island under these conditions:
+
+- It is narrow, and it is a plateau (`ptd.ground.plateaus`): nearly all ground seen around it, beyond objects, is lower.
+  Most rays may meet no ground, because a wide roof hides it.
+- Most cells around its cells are objects. Terraces, tops of walls and rocks are mostly ground.
+- Most of these objects have its height, as the roof has. Crowns around a glimpse of ground are higher.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import scipy
+
+from ptd.cells import Int32, Int64
+from ptd.frame import Scale
+from ptd.ground.connected import connected_surfaces
+from ptd.ground.morphology import EMPTY, Bool
+from ptd.ground.plateaus import Plateaus, plateaus
+from ptd.kernel import kernel
+from ptd.matched.ground_model import band
+from ptd.matched.surface import Surface
+
+MAX_WIDTH_M = 50.0
+"""Width above which a surface is not an island."""
+VIEW_M, SLOPE, UNSEEN_SHARE = 40.0, 0.1, 0.9
+"""Length of the rays that search for other ground, slope that their fall must exceed, and largest share of rays that
+meet no ground. An island may lie in the middle of a wide roof. Objects of its height tell it from the top of a hill, so
+the slope is less than for whole roofs."""
+AROUND_M, GROUND_SHARE = 3.0, 0.5
+"""Distance (along rows and along columns) of the cells around an island's cells, and the share of ground among them
+below which most of them are objects."""
+LEVEL_ABOVE_M, LEVEL_BELOW_M, LEVEL_SHARE = 3.0, 1.5, 0.5
+"""Heights above and below a cell within which an object around it has its height, and least share of such objects. Pits
+lie below the roof."""
+
+
+def _around_cells(cell_m: float) -> int:
+    """Return the distance of the cells around an island's cells, in cells."""
+    return max(round(AROUND_M / cell_m), 1)
+
+
+def _rule(scale: Scale, cell_m: float) -> Plateaus:
+    """Return the rule by which the surface of an island is a plateau."""
+    rule = Plateaus.of(scale, MAX_WIDTH_M, cell_m=cell_m)
+    view, slope = round(VIEW_M / cell_m), scale.counts_z(SLOPE * cell_m)
+    return replace(rule, view=view, slope=slope, unseen=UNSEEN_SHARE)
+
+
+def reach_cells(cell_m: float) -> int:
+    """Return the distance in cells beyond which cells do not change the result of `without_islands`.
+
+    Rays begin at the last cell of an island and may end at the first cell of another surface. Of a surface that
+    continues beyond this distance, a part wider than `MAX_WIDTH_M` lies within it.
+    """
+    rule, around = _rule(Scale(), cell_m), _around_cells(cell_m)
+    return 2 * rule.widest + rule.view + max(rule.gap, around) + around + 1
+
+
+@kernel
+def _surroundings(
+    heights: Int32, ground: Bool, surface: Int32, n: int, distance: int, above: int, below: int
+) -> tuple[Int64, Int64]:
+    """Count the cells around the cells of each surface (int64 [n, 3]), and find its box (int64 [n, 4]).
+
+    The counts are all cells, ground, and objects of the same height. A cell near several cells of a surface is
+    counted for each. The box is the first and last row, and the first and last column.
+    """
+    rows, columns = heights.shape
+    counts, box = np.zeros((n, 3), np.int64), np.zeros((n, 4), np.int64)
+    for row in range(rows):
+        for column in range(columns):
+            number = surface[row, column]
+            if number < 0:
+                continue
+            if counts[number, 0] == 0:
+                box[number, 0], box[number, 2], box[number, 3] = row, column, column
+            box[number, 1] = row
+            box[number, 2], box[number, 3] = min(box[number, 2], column), max(box[number, 3], column)
+            for r in range(max(row - distance, 0), min(row + distance + 1, rows)):
+                for c in range(max(column - distance, 0), min(column + distance + 1, columns)):
+                    if heights[r, c] == EMPTY:
+                        continue
+                    rise = np.int64(heights[r, c]) - np.int64(heights[row, column])
+                    counts[number, 0] += 1
+                    counts[number, 1] += ground[r, c]
+                    counts[number, 2] += not ground[r, c] and -below <= rise <= above
+    return counts, box
+
+
+def _carried(
+    heights: Int32, ground: Bool, levels: Int32, rule: Plateaus, scale: Scale, cell_m: float
+) -> Bool:
+    """Find the cells of narrow surfaces of ground among objects of their height: bool [rows, columns]."""
+    limit = math.floor(rule.step) + 1  # heights are whole numbers
+    surface, n = connected_surfaces(levels, limit, limit, rule.gap)
+    above, below = (round(scale.counts_z(metres)) for metres in (LEVEL_ABOVE_M, LEVEL_BELOW_M))
+    counts, box = _surroundings(heights, ground, surface, n, _around_cells(cell_m), above, below)
+    cells, of_ground, level = counts.T
+    width = np.maximum(box[:, 1] - box[:, 0], box[:, 3] - box[:, 2]) + 1
+    is_carried = (of_ground < GROUND_SHARE * cells) & (level >= LEVEL_SHARE * (cells - of_ground))
+    carried: Bool = np.append(is_carried & (width <= rule.widest), False)[surface]  # -1: no surface
+    return carried
+
+
+def islands(heights: Int32, ground: Bool, scale: Scale, cell_m: float) -> Bool:
+    """Find the cells of islands: bool [rows, columns].
+
+    Islands of one roof are not ground for each other: rays continue over surfaces that objects of their height carry.
+
+    Parameters
+    ----------
+    heights : int32 [rows, columns]
+        Heights of all cells in vertical counts; `EMPTY` where there is none.
+    ground : bool [rows, columns]
+        Cells of ground.
+    scale : Scale
+    cell_m : float
+        Side of the cells in metres.
+    """
+    rule, levels = _rule(scale, cell_m), np.where(ground, heights, EMPTY).astype(np.int32)
+    carried = _carried(heights, ground, levels, rule, scale, cell_m)
+    found: Bool = carried & plateaus(levels, rule, data=heights != EMPTY, passed=carried)
+    return found
+
+
+def without_islands(found: Surface, left: Int32, heights: Int32, scale: Scale, cell_m: float) -> Surface:
+    """Return the surface without ground at islands on objects.
+
+    The cells around islands that are not ground themselves have none either, because it was continued there from the
+    islands.
+
+    Parameters
+    ----------
+    found : Surface
+    left, heights : int32 [rows, columns]
+        Heights of the cells to which the surface was fitted, and of all cells, in vertical counts; `EMPTY` elsewhere.
+    scale : Scale
+    cell_m : float
+        Side of the cells in metres.
+    """
+    near = np.abs(left / scale.counts_z(1.0) - found.height) < band(found.sigma, found.narrowing)
+    ground = (left != EMPTY) & near  # Without a surface, the comparison with NaN gives False.
+    on_object = islands(heights, ground, scale, cell_m)
+    if not on_object.any():
+        return found
+    around = scipy.ndimage.maximum_filter(on_object, 2 * _around_cells(cell_m) + 1, mode="constant")
+    gone = on_object | (around & ~ground)
+    return found._replace(narrowing=np.where(gone, np.nan, found.narrowing))
