@@ -81,8 +81,10 @@ def shore_area(cells: WaterCells, water: Bools, level: Floats | None, reach: int
     return extended_water
 
 
-def close_bridge_gaps(ground: Floats, water: Bools, size_m: float, longest_island: int) -> Bools:
-    """Close gaps in water under bridges, where the terrain between is about as low as the shores.
+def close_bridge_gaps(
+    ground: Floats, water: Bools, size_m: float, longest_island: int, below_deck: Bools
+) -> Bools:
+    """Close gaps in water under bridges: below known decks, and where the terrain is about as low as the shores.
 
     A bridge is connected with the bank, so enclosed land of up to ``longest_island`` rows and columns stays and is left
     to `without_islands`. Longer land may be cut by the border of the array, which hides whether water encloses it.
@@ -95,7 +97,7 @@ def close_bridge_gaps(ground: Floats, water: Bools, size_m: float, longest_islan
     around = 2 * pad + 1
     low = scipy.ndimage.minimum_filter(np.where(shore, ground, np.inf), around)
     with np.errstate(invalid="ignore"):
-        gaps = closed & (ground - low <= UNDER_BRIDGE_M)
+        gaps = closed & (below_deck | (ground - low <= UNDER_BRIDGE_M))
     labels, _, enclosed = _land(water)
     spans = [
         max(rows.stop - rows.start, cols.stop - cols.start)

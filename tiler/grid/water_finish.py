@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from tiler.core.raster import Block
+from tiler.grid.centreline import area_of
 from tiler.grid.checksum import checksum
 from tiler.grid.coarse import Bools, padded
 from tiler.grid.pieces import label_block
@@ -33,6 +34,8 @@ SHORE_M = 20.0
 MAX_ISLAND_CELLS = 128
 """Upper limit, in coarse cells, of the length up to which an island lies whole in every window."""
 
+DECK_EDGE_M = 4.0
+"""Width of the strip beside a deck in which remains of it may be terrain."""
 SEEN_SHARE = 0.25
 """Share of the least area of an island that has to be clearly above the water.
 
@@ -53,6 +56,8 @@ class FinishWater(BlockWork):
     sources : Sources
     river_width_m, island_m2 : float
         Least width of a river and least area of an island to keep.
+    decks : tuple of tuple of int
+        Outlines of the bridges near the block that were removed from the terrain: x, y, x, y, ... in absolute counts.
     """
 
     sure: tuple[str, ...]
@@ -60,6 +65,7 @@ class FinishWater(BlockWork):
     sources: Sources
     river_width_m: float
     island_m2: float
+    decks: tuple[tuple[int, ...], ...] = ()
 
 
 def finish_margin(work: FinishWater, size_m: float) -> int:
@@ -124,7 +130,21 @@ def _finished(store: TileStore, work: FinishWater, water: Bools, window: Block, 
         smooth = smooth.with_ground(np.where(water & (crowns == HIDDEN), np.nan, smooth.ground))
         water = shore_area(smooth, water, level, math.ceil(SHORE_M / size_m))
     least_island = SEEN_SHARE * work.island_m2 / size_m**2
-    water = close_bridge_gaps(cells.ground, water, size_m, _longest_island(work, size_m))
+    below_deck = _below_decks(work, window, DECK_EDGE_M / size_m)
+    longest_island = _longest_island(work, size_m)
+    water = close_bridge_gaps(cells.ground, water, size_m, longest_island, below_deck)
     water = remove_narrow_parts(water, work.river_width_m / size_m, ~cells.domain)
     water = without_islands(water, least_island)
     return water if level is None else without_border_islands(cells, water, level, least_island)
+
+
+def _below_decks(work: FinishWater, window: Block, edge: float) -> Bools:
+    """Return a mask of the cells of a window below decks and up to ``edge`` cells beside them."""
+    import shapely
+
+    is_below = np.zeros((window.height, window.width), np.bool_)
+    for ring in work.decks:
+        deck = shapely.Polygon(np.array(ring).reshape(-1, 2))
+        area = area_of(deck.buffer(edge * float(work.spec.lattice.size)))
+        is_below |= work.spec.inside(window, area)
+    return is_below

@@ -174,9 +174,17 @@ def test_small_islands_become_water_and_land_at_the_border_stays() -> None:
 def test_water_goes_on_under_a_bridge_and_not_through_a_dam() -> None:
     broken = RIVER & ~(np.abs(COL - 60) < 2)
     dam = np.where(np.abs(COL - 60) < 2, 13.0, VALLEY)
-    closed = [close_bridge_gaps(cells(ground, ~broken).ground, broken, 2.0, 128) for ground in (VALLEY, dam)]
+    no_deck = np.zeros_like(RIVER)
+    closed = [
+        close_bridge_gaps(cells(ground, ~broken).ground, broken, 2.0, 128, no_deck)
+        for ground in (VALLEY, dam)
+    ]
     assert (closed[0] & RIVER).sum() > 0.99 * RIVER.sum()
     assert (closed[1] == broken).all()
+    deck = np.abs(COL - 60) < 3
+    below_deck = close_bridge_gaps(cells(dam, ~broken).ground, broken, 2.0, 128, deck)
+    assert (below_deck & RIVER).sum() > 0.99 * RIVER.sum()
+    assert not (below_deck & ~RIVER & (np.abs(ROW - 60) > 20)).any()
 
 
 def test_narrow_arms_are_left_out() -> None:
@@ -189,7 +197,7 @@ def test_narrow_arms_are_left_out() -> None:
 def test_a_bar_in_the_river_is_no_bridge() -> None:
     bar = (np.abs(ROW - 60 - 6 * np.sin(COL / 20)) < 2.5) & (np.abs(COL - 60) < 20)
     ground = np.where(bar, VALLEY + 0.3, VALLEY)
-    closed = close_bridge_gaps(ground, RIVER & ~bar, 2.0, 128)
+    closed = close_bridge_gaps(ground, RIVER & ~bar, 2.0, 128, np.zeros_like(bar))
     assert not (closed & bar).any()
 
 
@@ -199,8 +207,8 @@ def test_a_window_that_cuts_a_long_bar_says_the_same_as_one_that_holds_it() -> N
     bar = np.zeros(ground.shape, np.bool_)
     bar[29:32, 100:300] = True
     ground[bar] = 0.3
-    whole = close_bridge_gaps(ground, ~bar, 2.0, 128)
-    part = close_bridge_gaps(ground[:, :200], ~bar[:, :200], 2.0, 128)
+    whole = close_bridge_gaps(ground, ~bar, 2.0, 128, np.zeros_like(bar))
+    part = close_bridge_gaps(ground[:, :200], ~bar[:, :200], 2.0, 128, np.zeros_like(bar[:, :200]))
     inner = np.s_[:, 20:150]
     assert (whole[inner] == part[inner]).all()
 

@@ -6,6 +6,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any
 
+from tiler.core.lattice import Bounds
 from tiler.core.raster import BLOCK_PIXELS
 from tiler.grid import (
     CountPlaneRims,
@@ -18,6 +19,7 @@ from tiler.grid import (
     KeepPlanes,
     Sources,
 )
+from tiler.grid.coarse import padded
 from tiler.grid.pieces import Joined, Piece, around
 from tiler.grid.returns import usual_returns
 from tiler.grid.tasks.gridding import GridContext, Place, RasterStep
@@ -157,9 +159,18 @@ def cells_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
         work = FinishWater(
             name=raster.name, spec=g.coarse, block=g.coarse.block_at(*place, BLOCK_PIXELS), sure=(sure, planes),
             crowns=crowns, sources=Sources(*sources), river_width_m=float(config.water_min_river_width),
-            island_m2=float(config.water_min_island),
+            island_m2=float(config.water_min_island), decks=_decks_near(g, place),
         )  # fmt: skip
         yield g.block_task(raster, work, _seen(g, raster.inputs, place))
+
+
+def _decks_near(g: GridContext, place: Place) -> tuple[tuple[int, ...], ...]:
+    """Return the outlines of the removed bridges in a block and its neighbours."""
+    block = g.coarse.block_at(*place, BLOCK_PIXELS)
+    bounds = g.coarse.block_bounds(padded(block, BLOCK_PIXELS))
+    rings = [deck[0] for deck in g.decks]
+    boxes = [Bounds(min(ring[::2]), min(ring[1::2]), max(ring[::2]), max(ring[1::2])) for ring in rings]
+    return tuple(ring for ring, box in zip(rings, boxes, strict=True) if bounds.overlaps(box))
 
 
 def _on_areas(raster: RasterStep, g: GridContext, place: Place) -> dict[str, Any]:
