@@ -11,6 +11,7 @@ import shutil
 import socket
 import subprocess
 import sys
+import tempfile
 import tomllib
 from collections.abc import Iterator
 from itertools import groupby
@@ -121,13 +122,15 @@ def test_pictures_are_small_and_shown(picture: Path) -> None:
 @pytest.fixture(scope="module")
 def warm_tiler(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
     """A program `tiler` whose commands are forks of a warm process; starting them takes most of the time of a page."""
-    folder = tmp_path_factory.mktemp("resident")
-    call = [sys.executable, "-m", "tests.docs.resident", str(folder / "socket")]
-    with subprocess.Popen(call, cwd=ROOT, env=environment(), stdin=subprocess.PIPE) as server:
-        wait_until((folder / "socket").exists, server)
-        write_client(folder / "tiler", folder / "socket")
-        yield folder / "tiler"
-        server.communicate()
+    program = tmp_path_factory.mktemp("warm") / "tiler"
+    with tempfile.TemporaryDirectory(dir="/tmp") as folder:  # an address of a socket has 107 bytes at most
+        address = Path(folder) / "socket"
+        call = [sys.executable, "-m", "tests.docs.resident", str(address)]
+        with subprocess.Popen(call, cwd=ROOT, env=environment(), stdin=subprocess.PIPE) as server:
+            wait_until(address.exists, server)
+            write_client(program, address)
+            yield program
+            server.communicate()
 
 
 @pytest.mark.processes
