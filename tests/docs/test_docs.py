@@ -11,14 +11,17 @@ import shutil
 import socket
 import subprocess
 import sys
+import tempfile
 import tomllib
+from collections.abc import Iterator
 from itertools import groupby
 from pathlib import Path
 
 import pytest
 
+from tests.docs.resident import write_client
 from tests.integration.command import environment
-from tests.waiting import PATIENCE_SECONDS
+from tests.waiting import PATIENCE_SECONDS, wait_until
 
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = sorted((ROOT / "docs").glob("*.md"))
@@ -29,6 +32,10 @@ NEEDS = re.compile(r"# needs (.+)\n")
 LINK = re.compile(r"\]\(([^)#:]+)(?:#[^)]*)?\)")
 MAX_PICTURE = 200_000
 PORT = "8786"
+BACKGROUND = re.compile(r" & \w+=\$!$", re.MULTILINE)
+"""A command that is left to itself, to be killed later, or to serve as a cluster."""
+PROGRAMS = {"tiler": "cli.main", "dask": "dask.__main__", "rio": "rasterio.rio.main"}
+"""Programs of the pages and the modules that are theirs."""
 
 
 def free_port() -> str:
@@ -112,14 +119,28 @@ def test_pictures_are_small_and_shown(picture: Path) -> None:
     assert any(picture.name in text for text in texts)
 
 
+@pytest.fixture(scope="module")
+def warm_tiler(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Path]:
+    """A program `tiler` whose commands are forks of a warm process; starting them takes most of the time of a page."""
+    program = tmp_path_factory.mktemp("warm") / "tiler"
+    with tempfile.TemporaryDirectory(dir="/tmp") as folder:  # an address of a socket has 107 bytes at most
+        address = Path(folder) / "socket"
+        call = [sys.executable, "-m", "tests.docs.resident", str(address)]
+        with subprocess.Popen(call, cwd=ROOT, env=environment(), stdin=subprocess.PIPE) as server:
+            wait_until(address.exists, server)
+            write_client(program, address)
+            yield program
+            server.communicate()
+
+
 @pytest.mark.processes
 @pytest.mark.slow
 @pytest.mark.parametrize(
     "page", [p for p in PAGES if blocks(p) and p.stem != "gallery"], ids=lambda p: p.stem
 )
-def test_every_command_works(page: Path, tmp_path: Path) -> None:
+def test_every_command_works(page: Path, warm_tiler: Path, tmp_path: Path) -> None:
     """In an empty folder, block by block, as a reader would. Building the site runs the commands of the gallery."""
-    run_blocks(blocks(page), tmp_path)
+    run_blocks(blocks(page), tmp_path, warm_tiler)
 
 
 @pytest.mark.processes
@@ -136,21 +157,30 @@ def test_the_commands_of_the_readme_work(tmp_path: Path) -> None:
     run_blocks([(0, prepared), *readme], tmp_path)
 
 
-def run_blocks(found: list[tuple[int, str]], tmp_path: Path) -> None:
+def run_blocks(found: list[tuple[int, str]], tmp_path: Path, warm_tiler: Path | None = None) -> None:
+    """Run blocks in an empty folder.
+
+    Where nothing is in the background, ``warm_tiler`` is the program `tiler`; else each command starts as usual.
+    """
     programs, folder = tmp_path / "bin", tmp_path / "folder"
     programs.mkdir()
     folder.mkdir()
-    for name, module in (("tiler", "cli.main"), ("dask", "dask.__main__"), ("rio", "rasterio.rio.main")):
+    for name, module in PROGRAMS.items():
         program = programs / name
         program.write_text(f'#!/bin/sh\nexec "{sys.executable}" -m {module} "$@"\n')
         program.chmod(0o755)
-    path = os.pathsep.join((str(programs), os.environ["PATH"]))
+    usual = [str(programs), os.environ["PATH"]]
     port = free_port()
     for code, text in found:
+        path = usual if warm_tiler is None or BACKGROUND.search(text) else [str(warm_tiler.parent), *usual]
         done = subprocess.run(
             ["bash", "-euo", "pipefail", "-c", text.replace(PORT, port)],
             cwd=folder,
-            env={**environment(), "PATH": path, "QGIS_CUSTOM_CONFIG_PATH": str(tmp_path / "qgis")},
+            env={
+                **environment(),
+                "PATH": os.pathsep.join(path),
+                "QGIS_CUSTOM_CONFIG_PATH": str(tmp_path / "qgis"),
+            },
             capture_output=True,
             text=True,
             check=False,

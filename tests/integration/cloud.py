@@ -68,9 +68,12 @@ class Cluster:
         return self
 
     def __exit__(self, *error: object) -> None:
-        for process in reversed(self._processes):
+        # The scheduler last: workers whose scheduler is gone look for it before they end.
+        scheduler, *workers = self._processes
+        for process in workers:
             process.terminate()
-        for process in reversed(self._processes):
+        for process in (*workers, scheduler):
+            process.terminate()
             try:
                 process.wait(timeout=5)
             except subprocess.TimeoutExpired:

@@ -26,7 +26,7 @@ OPTIONS = ("--method", "classic", "--resolution", 1, "--tile-size", 64, "--halo"
 
 @pytest.fixture(scope="module")
 def cloud(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return clouds.write(tmp_path_factory.mktemp("cloud") / "city.laz", clouds.city(192.0, 2.0))
+    return clouds.write(tmp_path_factory.mktemp("cloud") / "city.laz", clouds.city(128.0, 1.0))
 
 
 @pytest.fixture(scope="module")
@@ -47,6 +47,14 @@ def bucket(bucket: Any, cloud: Path) -> Any:
 @pytest.fixture
 def cluster(tmp_path: Path) -> Iterator[Cluster]:
     with Cluster(tmp_path) as cluster:
+        yield cluster
+
+
+@pytest.fixture(scope="module")
+def two_workers(bucket: Any, tmp_path_factory: pytest.TempPathFactory) -> Iterator[Cluster]:
+    """A cluster of two workers, for tests that leave it as it is."""
+    with Cluster(tmp_path_factory.mktemp("cluster")) as cluster:
+        cluster.workers(2)
         yield cluster
 
 
@@ -78,11 +86,16 @@ def test_a_worker_is_lost_and_one_joins(
 
 
 def test_everything_by_url(
-    bucket: Any, cluster: Cluster, local: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    bucket: Any, two_workers: Cluster, local: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    cluster.workers(2)
     monkeypatch.chdir(tmp_path)
-    arguments = (f"s3://{BUCKET}/clouds/*.laz", "-o", f"s3://{BUCKET}/town", "--scheduler", cluster.address)
+    arguments = (
+        f"s3://{BUCKET}/clouds/*.laz",
+        "-o",
+        f"s3://{BUCKET}/town",
+        "--scheduler",
+        two_workers.address,
+    )
     ended(start(*arguments, "--products", "dtm,slope"))
     assert {p.name for p in (tmp_path / "town").iterdir()} == {"events.jsonl", "report.html", "run.json"}
     bucket.get(f"{BUCKET}/town/dtm.tif", str(tmp_path / "copy/dtm.tif"))
@@ -135,23 +148,23 @@ def test_the_connection_is_cut(cluster: Cluster, cloud: Path, local: Path, tmp_p
 
 
 def test_workers_that_see_no_folder_of_the_client(
-    bucket: Any, cluster: Cluster, local: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    bucket: Any, two_workers: Cluster, local: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The command writes the files itself."""
-    cluster.workers(1)
     monkeypatch.setattr("tiler.schedule.cluster_check.sees", blind)
     out = tmp_path / "out"
-    changes = {"store": f"s3://{BUCKET}/blind", "scheduler": cluster.address, "in_process": False}
+    changes = {"store": f"s3://{BUCKET}/blind", "scheduler": two_workers.address, "in_process": False}
     result = do([f"s3://{BUCKET}/clouds"], out, **changes)  # type: ignore[list-item]
     assert any("cannot write into" in note for note in result.summary["notes"])
     assert output_digests(out) == output_digests(local)
 
 
-def test_the_plan_looks_at_the_workers(bucket: Any, cluster: Cluster, cloud: Path, tmp_path: Path) -> None:
+def test_the_plan_looks_at_the_workers(
+    bucket: Any, two_workers: Cluster, cloud: Path, tmp_path: Path
+) -> None:
     """How many there are and what they have, also before there is a store; nothing is left behind."""
-    cluster.workers(2)
     inputs, store = f"s3://{BUCKET}/clouds", f"s3://{BUCKET}/planned"
-    options = ("--scheduler", cluster.address, *OPTIONS)
+    options = ("--scheduler", two_workers.address, *OPTIONS)
     done = tiler("plan", inputs, "-o", tmp_path / "out", "--store", store, *options, "--json")
     assert done.returncode == 0, done.stderr
     found = json.loads(done.stdout)

@@ -80,9 +80,9 @@ SHAPES: dict[str, Callable[[Cloud], Cloud]] = {
 }
 
 
-def quarters(cloud: Cloud) -> list[Cloud]:
+def quarters(cloud: Cloud, side_m: float = SIDE_M) -> list[Cloud]:
     """The four quarters, unequal ones; each point in one of them."""
-    east, north = cloud.xyz[:, 0] > 0.4 * SIDE_M, cloud.xyz[:, 1] > 0.55 * SIDE_M
+    east, north = cloud.xyz[:, 0] > 0.4 * side_m, cloud.xyz[:, 1] > 0.55 * side_m
     return [cloud.take((east == e) & (north == n)) for n in (False, True) for e in (False, True)]
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import itertools
 import random
 import shutil
 import threading
@@ -17,7 +16,9 @@ import pytest
 from ptd.methods import METHODS
 from ptd.methods.classic import Classic, ClassicPass
 from ptd.passes import Method
+from tests.invariants import clouds
 from tests.invariants.runs import do, output_digests
+from tests.scenes.small_stores import small_stores
 from tiler.store.lock import FOLDER_LOCK
 from tiler.store.storage import Storage
 
@@ -45,14 +46,17 @@ VARIANTS: dict[str, dict[str, Any]] = {
     "as many other pixels": {"max_edge": "3"},
     "two passes": {"method": "two", "parameters": {"iteration_distance": "0.4"}},
     "trust the input": {"method": "keep", "ground_classes": [1]},
-    "a part": {"bounds": [500_040.0, 5_400_010.0, 500_150.0, 5_400_170.0]},
+    "a part": {"bounds": [500_030.0, 5_400_010.0, 500_100.0, 5_400_110.0]},
     "fewer files": {},
     "water": {"water": "auto"},
 }
 
 
-WRITES = 400
+WRITES = 250
 """Some more than a run does, so that a few end undisturbed."""
+ENDLESS = 10**9
+"""More writes than any run does."""
+SIDE_M = 128.0
 
 
 class CutOffError(BaseException):
@@ -60,17 +64,16 @@ class CutOffError(BaseException):
 
 
 @contextmanager
-def cut_off(writes: int, out: Path) -> Iterator[None]:
-    """A run ends before its write number ``writes``."""
-    left = writes
+def cut_off(writes: int, out: Path) -> Iterator[list[int]]:
+    """A run ends before its write number ``writes``; the first number is the writes that are left to it."""
+    left = [writes]
 
     def counted(write: Callable[..., Any]) -> Callable[..., Any]:
         def call(*arguments: Any, **settings: Any) -> Any:
-            nonlocal left
             if threading.current_thread() is not threading.main_thread():
                 return write(*arguments, **settings)  # a lease renewed meanwhile, as on a slow machine
-            left -= 1
-            if left < 0:
+            left[0] -= 1
+            if left[0] < 0:
                 raise CutOffError
             return write(*arguments, **settings)
 
@@ -79,7 +82,7 @@ def cut_off(writes: int, out: Path) -> Iterator[None]:
     with pytest.MonkeyPatch.context() as patch, suppress(CutOffError):
         for name in ("put", "delete", "delete_folder"):
             patch.setattr(Storage, name, counted(getattr(Storage, name)))
-        yield
+        yield left
     for lease in ("store.zarr/lock.json", FOLDER_LOCK):  # of this process, which lives on
         (out / lease).unlink(missing_ok=True)
 
@@ -89,16 +92,34 @@ def changes(name: str, files: list[Path]) -> tuple[list[Path], Mapping[str, Any]
 
 
 @pytest.fixture(scope="module")
+def small_files(tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    """Four files, smaller than those of other tests, as dozens of runs read them."""
+    folder = tmp_path_factory.mktemp("quarters")
+    parts = clouds.quarters(clouds.city(SIDE_M))
+    return [clouds.write(folder / f"{number}.laz", part) for number, part in enumerate(parts)]
+
+
+@pytest.fixture(scope="module")
+def plain(small_files: list[Path], tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """OUT of a run with the usual settings. Not to be changed."""
+    out = tmp_path_factory.mktemp("plain") / "out"
+    with pytest.MonkeyPatch.context() as patch:
+        small_stores(patch)
+        assert do(small_files, out).exit_code == 0
+    return out
+
+
+@pytest.fixture(scope="module")
 def alone(
-    quarter_files: list[Path], tmp_path_factory: pytest.TempPathFactory
+    small_files: list[Path], plain: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> Callable[[str], dict[str, str]]:
     """Digests of the outputs of a variant that ran alone."""
-    known: dict[str, dict[str, str]] = {}
+    known = {"plain": output_digests(plain)}
 
     def digests(name: str) -> dict[str, str]:
         if name not in known:
             out = tmp_path_factory.mktemp("alone") / "out"
-            paths, settings = changes(name, quarter_files)
+            paths, settings = changes(name, small_files)
             assert do(paths, out, **settings).exit_code == 0
             known[name] = output_digests(out)
         return known[name]
@@ -112,7 +133,7 @@ def assert_no_trace(
     """Run the variants but the last up to some write each; the last must give what it gives alone."""
     for number, name in enumerate(names[:-1]):
         paths, settings = changes(name, files)
-        with cut_off(10**9 if number == 0 and rng.random() < 0.6 else rng.randrange(5, WRITES), out):
+        with cut_off(ENDLESS if number == 0 and rng.random() < 0.6 else rng.randrange(5, WRITES), out):
             do(paths, out, **settings)
     shutil.rmtree(out / "classified", ignore_errors=True)
     paths, settings = changes(names[-1], files)
@@ -128,42 +149,42 @@ def history(rng: random.Random) -> list[str]:
 
 @pytest.mark.parametrize("seed", [0, *(pytest.param(seed, marks=pytest.mark.slow) for seed in (1, 2))])
 def test_an_eventful_history(
-    seed: int, quarter_files: list[Path], alone: Callable[[str], dict[str, str]], tmp_path: Path
+    seed: int, small_files: list[Path], alone: Callable[[str], dict[str, str]], tmp_path: Path
 ) -> None:
     rng = random.Random(seed)
     names = history(rng)
-    assert_no_trace(names, rng, quarter_files, tmp_path / "out", alone(names[-1]))
+    assert_no_trace(names, rng, small_files, tmp_path / "out", alone(names[-1]))
 
 
-@pytest.mark.processes
 @pytest.mark.parametrize(
-    ("other", "step"),
+    ("other", "shares"),
     [
-        ("other pixels", 17),
-        pytest.param("as many other pixels", 37, marks=pytest.mark.slow),
-        pytest.param("fewer files", 53, marks=pytest.mark.slow),
-        pytest.param("other tiles", 67, marks=pytest.mark.slow),
-        pytest.param("two passes", 71, marks=pytest.mark.slow),
-        pytest.param("water", 13, marks=pytest.mark.slow),
+        ("other pixels", (0.1, 0.6)),
+        pytest.param("as many other pixels", (0.05, 0.4, 0.8), marks=pytest.mark.slow),
+        pytest.param("fewer files", (0.02, 0.15, 0.35, 0.6, 0.9), marks=pytest.mark.slow),
+        pytest.param("other tiles", (0.05, 0.25, 0.55, 0.95), marks=pytest.mark.slow),
+        pytest.param("two passes", (0.02, 0.3, 0.5, 0.7), marks=pytest.mark.slow),
+        pytest.param("water", (0.1, 0.45, 0.75), marks=pytest.mark.slow),
     ],
 )
-def test_another_run_cut_off_at_each_write(
+def test_another_run_cut_off_in_its_writes(
     other: str,
-    step: int,
-    quarter_files: list[Path],
+    shares: tuple[float, ...],
+    small_files: list[Path],
+    plain: Path,
     alone: Callable[[str], dict[str, str]],
     tmp_path: Path,
 ) -> None:
-    out = tmp_path / "out"
-    do(quarter_files, out)
-    paths, settings = changes(other, quarter_files)
-    ended = False
-    for writes in itertools.count(3, step):
-        with cut_off(writes, out):
+    """After these shares of its writes, and after the last of them, the first run is made whole again."""
+    paths, settings = changes(other, small_files)
+    writes = 0
+    for share in (1.0, *shares):
+        out = Path(shutil.copytree(plain, tmp_path / str(share)))
+        allowed = round(share * writes) if writes else ENDLESS
+        with cut_off(allowed, out) as left:
             do(paths, out, **settings)
-            ended = True
-        if ended:
-            break
-        do(quarter_files, out)
-        assert output_digests(out) == alone("plain"), writes
+        writes = writes or allowed - left[0]
+        assert (left[0] < 0) == (share < 1.0)
+        assert do(small_files, out).exit_code == 0
+        assert output_digests(out) == alone("plain"), share
     assert writes > 10

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import itertools
 import json
 import re
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from tests.invariants import clouds
@@ -31,6 +33,14 @@ def measured_run(path: Path, out: Path, **changes: object) -> dict:
     return content
 
 
+def repeated(cloud: clouds.Cloud, side_m: float, times: int) -> clouds.Cloud:
+    """A square of the same cloud beside itself, so many times in each direction: to simulate all would take longer."""
+    shifts = [(side_m * i, side_m * j, 0.0) for i, j in itertools.product(range(times), repeat=2)]
+    return clouds.Cloud(
+        np.concatenate([cloud.xyz + shift for shift in shifts]), np.tile(cloud.truth, len(shifts))
+    )
+
+
 def assert_within(content: dict) -> None:
     projected = content["plan"]["projected_memory_bytes"]
     assert max(projected.values()) <= content["plan"]["memory_bytes"]
@@ -50,7 +60,7 @@ def test_a_small_run_stays_within_what_was_projected(city_file: Path, tmp_path: 
 @pytest.mark.parametrize(("density", "tile"), [(4.0, "600"), (16.0, "256")])
 def test_a_million_points_stay_within_what_was_projected(density: float, tile: str, tmp_path: Path) -> None:
     side = (1.6e6 / density) ** 0.5
-    path = clouds.write(tmp_path / "city.laz", clouds.city(side, density, seed=4))
+    path = clouds.write(tmp_path / "city.laz", repeated(clouds.city(side / 2, density, seed=4), side / 2, 2))
     assert_within(measured_run(path, tmp_path / "out", tile_size=tile, halo=80, memory="2GiB"))
 
 
@@ -58,7 +68,7 @@ def test_a_million_points_stay_within_what_was_projected(density: float, tile: s
 @pytest.mark.slow
 def test_rasters_of_matched_clouds_stay_within_what_was_projected(tmp_path: Path) -> None:
     """A diagonal strip: the windows' rasters hold ten times as many cells as there are points elected."""
-    cloud = clouds.city(1000.0, 3.0, seed=5)
+    cloud = repeated(clouds.city(250.0, 3.0, seed=5), 250.0, 4)
     strip = abs(cloud.xyz[:, 0] - cloud.xyz[:, 1]) < 40.0
     path = clouds.write(tmp_path / "strip.laz", cloud.take(strip))
     content = measured_run(path, tmp_path / "out", method="auto", kind="dim", tile_size="512", memory="1GiB")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -36,6 +37,20 @@ class Found(NamedTuple):
     covered: np.ndarray
 
 
+def remembering(step: Pass) -> Pass:
+    """The pass, which works once: later calls return the model of the first, as they are for the same points."""
+    step = copy.copy(step)  # passes are shared by all that have the same parameters
+    fit, models = step.fit, []
+
+    def once(*given: Any) -> Model:
+        if not models:
+            models.append(fit(*given))
+        return models[0]
+
+    object.__setattr__(step, "fit", once)
+    return step
+
+
 def found(xyz: np.ndarray) -> Found:
     """What the pass makes of a matched cloud."""
     models: list[tuple[Model, Any, Any]] = []
@@ -46,15 +61,19 @@ def found(xyz: np.ndarray) -> Found:
             models.append((model, points, scale))
             return model
 
+    steps = Auto().passes
+    first = [step.name for step in steps].index("canopy")
+    before_it = tuple(remembering(step) for step in steps[:first])
+
     class Without(Auto):
         @property
         def passes(self) -> tuple[Pass, ...]:
-            return tuple(step for step in Auto().passes if step.name != "canopy")
+            return (*before_it, *steps[first + 1 :])
 
     class With(Auto):
         @property
         def passes(self) -> tuple[Pass, ...]:
-            return tuple(Listening() if step.name == "canopy" else step for step in Auto().passes)
+            return (*before_it, Listening(), *steps[first + 1 :])
 
     counts, scale = _counts(xyz)
     columns = {"rgb": None, "returns": None}
