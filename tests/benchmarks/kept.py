@@ -50,10 +50,11 @@ def digest_of_file(path: Path) -> str:
 
 @cache
 def digest_of_modules(*names: str) -> str:
-    """A key of the sources of modules and of all that they import of this project."""
-    return digest(
-        *(f"{path.relative_to(ROOT)} {digest_of_file(path)}" for path in sorted(sources_of(*names)))
-    )
+    """A key of the sources of modules, of all that they import of this project, and of the data beside them."""
+    sources = sources_of(*names)
+    data = {path.with_suffix(".npz") for path in sources}
+    files = sorted(sources | {path for path in data if path.is_file()})
+    return digest(*(f"{path.relative_to(ROOT)} {digest_of_file(path)}" for path in files))
 
 
 def sources_of(*names: str) -> set[Path]:

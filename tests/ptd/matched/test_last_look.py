@@ -149,6 +149,9 @@ def test_what_lies_around_a_cell_ends_at_its_reach() -> None:
 
 def test_the_parameter_turns_it_off() -> None:
     xyz, truth = village()
+    plants = np.hypot(xyz[:, 0] - 50.0, xyz[:, 1] - 80.0) < 6.0
+    xyz[plants, 2] += np.random.default_rng(5).uniform(0.0, 0.6, plants.sum())
+    truth[plants] = 3
     with_look, without = (
         ptd.classify(xyz, "auto", Auto(refine=refine), kind="dim").classification for refine in (True, False)
     )
