@@ -28,14 +28,7 @@ METHOD = "auto"
 PASSES = sum(not isinstance(step, MatchedPass) for step in METHODS[METHOD].params().passes)  # a laser scan's
 STAGES = ("spool", "assemble", *(f"filter{n}" for n in range(PASSES)), "grid-dtm", "export")
 SIDE_M = 96.0
-RASTERS_LIKE_ANOTHER = {
-    "grid-slope",
-    "grid-survey",
-    "grid-domain",
-    "grid-water-ground",
-    "grid-dtm-outlined",
-    "grid-mask",
-}
+RASTERS_LIKE_ANOTHER = {"grid-slope", "grid-domain", "grid-mask"}
 """Stages whose tasks write and commit as those of `grid-dtm`; a full disk ends each of them in test_full_disk.py."""
 DIFFERENT_STAGES = [stage for stage in EVERY_STAGE if stage not in RASTERS_LIKE_ANOTHER]
 

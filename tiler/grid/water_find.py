@@ -20,7 +20,7 @@ from tiler.grid.coarse import Bools, padded
 from tiler.grid.pieces import Piece, cells_of, components
 from tiler.grid.reach import box_around
 from tiler.grid.water_crowns import HIDDEN
-from tiler.grid.water_extent import smoothed, water_heights
+from tiler.grid.water_extent import SPECK_CELLS, smoothed, water_heights
 from tiler.grid.water_search import Sources, inner_window, read_search_cells
 from tiler.grid.water_shore import MAX_DEPTH_M, REACH_CELLS, depths, shore_polygons
 from tiler.store import TileStore, open_store, read_cells
@@ -90,8 +90,10 @@ def describe_body(store_url: str, work: DescribeBody) -> dict[str, Any]:
         cells += int(body_mask[1:-1, 1:-1].sum())
     side = float(coarse.lattice.size)
     exits = _exits(np.concatenate(ends))
-    polygons.append(_bays(store, work, exits, MAX_BAY_M / size_m))
-    whole = _without_islands(shapely.union_all(polygons), work.island_m2 * (side / size_m) ** 2)
+    found = _without_islands(shapely.union_all(polygons), work.island_m2 * (side / size_m) ** 2)
+    bays = _bays(store, work, exits, MAX_BAY_M / size_m)
+    # Land that only a bay encloses stays, unless it is a speck.
+    whole = _without_islands(shapely.union(found, bays), SPECK_CELLS * side**2)
     shore = shapely.get_exterior_ring(shapely.get_parts(whole))
     length_m = (float(shapely.length(shore).sum()) / side - faces) * size_m
     area_m2 = cells * size_m**2
@@ -144,9 +146,11 @@ def _bays(store: TileStore, work: DescribeBody, exits: list[npt.NDArray[np.int64
     lengths = np.hypot(edges[:, :, 0], edges[:, :, 1])
     bays = shapely.union_all(joined[lengths.max(axis=1, initial=0.0) <= longest])
     land = [np.empty(0, object)]
-    for block, body_mask in _blocks(store, work):
-        domain = read_cells(store, work.sources.domain, coarse, block, float(BEYOND)) != BEYOND
-        cells = np.argwhere(domain & ~body_mask[1:-1, 1:-1]) + (block.row, block.col)
+    for block, _ in _blocks(store, work):
+        window = padded(block, math.ceil(longest))
+        domain = read_cells(store, work.sources.domain, coarse, window, float(BEYOND)) != BEYOND
+        mine = cells_of(store, work.water, coarse, window, work.pieces)
+        cells = np.argwhere(domain & ~mine) + (window.row, window.col)
         row, col = cells[shapely.intersects_xy(bays, cells[:, 1], cells[:, 0])].T
         land.append(shapely.box(col - 0.5, row - 0.5, col + 0.5, row + 0.5))
     bays = shapely.difference(bays, shapely.union_all(np.concatenate(land)))
