@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -77,6 +78,22 @@ def test_a_product_that_this_run_does_not_make_is_put_aside(cloud: Path, out: Pa
     assert (out / "outdated" / "slope.tif").read_bytes() == spoilt
     told = "slope.tif: changed since a run wrote it; moved to outdated/"
     assert any(told in note for note in result.summary["notes"])
+
+
+@pytest.mark.parametrize("settings", [{"clean_store": True}, {"store": "another.zarr"}])
+def test_a_new_store_keeps_what_was_changed(
+    settings: dict[str, Any], cloud: Path, out: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(out.parent)
+    before = output_digests(out)
+    for name in FILES:
+        (out / name).write_bytes(b"mine")
+    result = do(cloud, out, products="dtm,slope", overwrite=True, **settings)
+    assert output_digests(out) == before
+    assert [(out / "outdated" / name).read_bytes() for name in FILES] == [b"mine", b"mine"]
+    told = "classified/hill.laz, dtm.tif: changed since a run wrote them; moved to outdated/ and made again"
+    assert told in result.summary["notes"]
+    assert sorted(path.name for path in (out / "outdated").iterdir()) == ["classified", "dtm.tif"]
 
 
 def test_what_is_put_aside_never_replaces_what_was(cloud: Path, out: Path) -> None:

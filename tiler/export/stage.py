@@ -74,7 +74,7 @@ def export(
     written = {key: below(out, location) for key, location in _files([*tasks, *mosaics]).items()}
     written |= {SHEETS: SHEETS} if mosaics else {}
     written |= planned(gridding)
-    archive_outdated(job, written.values(), basis)
+    archive_outdated(job, written, basis)
     # Archiving may have removed the folder of the sheets, so the folders are made afterwards.
     _make_folders(rasters, out)
     # The store keeps the code, so that a run without new results does not search for it again.

@@ -25,19 +25,22 @@ from tiler.io.result_folder import OUTDATED, below
 from tiler.runs.job import Job
 
 STAGE = "verify"
+WRITING = ("export", "mosaic", "catalogue")
+"""Stages whose tasks write files of OUT."""
 NAMED = 5
 """Number of files that a note lists. Further files are counted."""
 
 
-def archive_outdated(job: Job, wanted: Collection[str], basis: str) -> None:
+def archive_outdated(job: Job, written: Mapping[str, str], basis: str) -> None:
     """Move outdated files of earlier runs, and list the files that stay valid in ``outputs``.
 
     Parameters
     ----------
     job : Job
-    wanted : collection of str
-        Files that this run writes, as paths in OUT. From now on run.json lists them as ``earlier_outputs`` without a
-        basis. So if a run is killed while it writes, later runs do not treat its files as valid.
+    written : mapping of str to str
+        Files that this run writes, as paths in OUT, by the key of the task. From now on run.json lists them as
+        ``earlier_outputs`` without a basis. So if a run is killed while it writes, later runs do not treat its files as
+        valid.
     basis : str
         Digest of the data and settings from which the products of this run are made.
 
@@ -48,6 +51,7 @@ def archive_outdated(job: Job, wanted: Collection[str], basis: str) -> None:
     ProcessingError
         A file cannot be moved.
     """
+    wanted = set(written.values())
     # After a repair of the store the export runs again, and ``outputs`` lists files that this run has checked already.
     earlier = {**job.facts["earlier_outputs"], **dict.fromkeys(job.facts.get("outputs", {}), basis)}
     if not job.plan.config.force:
@@ -61,6 +65,7 @@ def archive_outdated(job: Job, wanted: Collection[str], basis: str) -> None:
         del kept[path]
         text = f"{path}: changed since a run wrote it; moved to {move_aside(job.products, [path])}/"
         job.note(f"{text}, and not made again, as --products does not list it")
+    _archive_changed(job, written)
     job.facts["outputs"] = kept
     job.facts["digests"] = {p: d for p, d in job.facts.get("digests", {}).items() if p in kept}
     job.facts["made_of"] = dict.fromkeys(kept, basis)
@@ -71,6 +76,21 @@ def archive_outdated(job: Job, wanted: Collection[str], basis: str) -> None:
             f"moved to {aside}/"
         )
     job.save("running")
+
+
+def _archive_changed(job: Job, written: Mapping[str, str]) -> None:
+    """Move files that this run replaces, that were changed, and that the store does not know, since it is a new one.
+
+    `invalidate_changed_outputs` moves those that the store knows.
+    """
+    known = {key for stage in WRITING for key in job.store.committed(stage)}
+    changed = sorted(_damaged(job, [path for key, path in written.items() if key not in known]))
+    if changed:
+        job.note(_changed_text(changed, move_aside(job.products, changed)))
+
+
+def _changed_text(paths: Sequence[str], location: str) -> str:
+    return f"{named(paths)}: changed since a run wrote them; moved to {location}/ and made again"
 
 
 def _damaged(job: Job, paths: Collection[str]) -> list[str]:
@@ -176,5 +196,4 @@ def invalidate_changed_outputs(job: Job, stage: str, files: Mapping[str, str]) -
     job.invalidate(stage, [*gone, *changed])
     if changed:
         paths = sorted(below(job.products, files[key]) for key in changed)
-        location = move_aside(job.products, paths)
-        job.note(f"{named(paths)}: changed since a run wrote them; moved to {location}/ and made again")
+        job.note(_changed_text(paths, move_aside(job.products, paths)))
