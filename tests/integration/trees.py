@@ -29,6 +29,11 @@ OTHERS = tuple(
     """notes.txt dtm.tif dtm.vrt DTM.tif run.json events.jsonl report.html check.json zarr.json a.laz p.png d.tif
     x.partial dtm.tif.plain.partial run.json.partial c 0 index lock.json""".split()  # noqa: SIM905
 )
+RESULTS = tuple(
+    "dtm.tif run.json events.jsonl report.html classified/a.laz stac.json x.partial".split()  # noqa: SIM905
+)
+"""Names in OUT that a run writes or `tiler clean` might remove."""
+WRITTEN_ANEW = ("run.json", "events.jsonl", "report.html", "check.json")
 WEST, SOUTH, SIDE = 500_000.0, 5_400_000.0, 12.0
 
 
@@ -56,7 +61,8 @@ class Tree:
     def harmed(self, before: dict[str, str], named: set[str]) -> list[str]:
         """Files of the user that are not what they were; what commands made is known from now on.
 
-        A file that the user put in the place of a result may have been moved aside, whole.
+        A file that the user put in the place of a result may have been moved aside, whole. The files that each run
+        writes anew stay the run's.
         """
         after = self.state()
         aside = {digest for place, digest in after.items() if "outdated" in place.split(os.sep)}
@@ -66,7 +72,7 @@ class Tree:
         for place, digest in before.items():
             if place in own or place in named or after.get(place) == digest:
                 continue
-            if place in results and digest in aside:
+            if place in results and (digest in aside or os.path.basename(place) in WRITTEN_ANEW):
                 continue
             found.append(place)
         for place, digest in after.items():
@@ -124,11 +130,12 @@ def within(folders: tuple[str, ...], names: tuple[str, ...]) -> st.SearchStrateg
     return st.builds("{}/{}".format, one(folders), one(names))
 
 
-PLACES = st.one_of(
+ANYWHERE = st.one_of(
     within(("in", "in", "in/sub", *FOLDERS), CLOUDS),
     within((*FOLDERS, "out"), OTHERS),
     one(("a.las", "notes.txt", "d.tif", "preview.png")),
 )
+PLACES = st.one_of(ANYWHERE, ANYWHERE, within(("out",), RESULTS))
 """Where things lie."""
 
 THINGS = st.tuples(
@@ -138,6 +145,10 @@ THINGS = st.tuples(
     st.integers(0, 3),
     st.one_of(PLACES, one(FOLDERS)),
 )
+
+
+KINDS = {".las": ".las", ".laz": ".laz", ".json": "json"}
+"""Kinds of files that their suffix decides."""
 
 
 def put(tree: Tree, thing: tuple[str, str, str, int, str]) -> None:
@@ -157,7 +168,7 @@ def put(tree: Tree, thing: tuple[str, str, str, int, str]) -> None:
         elif what == "hard link":
             os.link(other, path)
         else:
-            data = content(suffix if suffix in (".las", ".laz") else kind, seed)
+            data = content(KINDS.get(suffix, kind), seed)
             if path.is_symlink():
                 path.unlink()
             path.write_bytes(data)
@@ -172,10 +183,10 @@ STORES = st.one_of(st.none(), one((None, "store", "out", "in", "out/classified",
 MORE_OPTIONS = ("--overwrite", "--clean-store", "--verify", "--sheets=6", "--products=dtm,hillshade")
 FLAGS = st.lists(one(MORE_OPTIONS), max_size=2, unique=True)
 ANY = ("in/a.las", "out/run.json", "notes.txt", "d.tif", "in-link/a.las", "in/A.LAS", "out")
-SOURCES = one(("in/a.las", "a.las", "in/b.laz", "in-link/a.las", "out/classified/a.laz", *ANY))
-TARGETS = one(
-    ("new/x.laz", "out/classified/a.laz", "in/b.laz", "a.laz", "IN/a.laz", "in/a.laz", "out/a.laz", *ANY)
-)
+CLOUD_FILES = ("in/a.las", "a.las", "in/b.laz", "in-link/b.laz", "out/classified/a.laz")
+SOURCES = st.one_of(one(CLOUD_FILES), one(CLOUD_FILES), one(ANY))
+NEW_CLOUDS = ("new/x.laz", "out/classified/a.laz", "in/b.laz", "a.laz", "IN/a.laz", "out/a.laz")
+TARGETS = st.one_of(one(NEW_CLOUDS), one(NEW_CLOUDS), one(ANY))
 PICTURES = one(("preview.png", "pictures/p.png", "in/p.png", "out/p.png", "out-link/p.png", *ANY))
 RASTERS = one(("out/dtm.tif", "d.tif", "d.tif", "in/d.tif", "out/dtm.vrt", "out-link/dtm.tif", *ANY))
 
@@ -225,6 +236,8 @@ COMMAND = st.tuples(st.just("command"), COMMANDS)
 MORE = st.lists(st.one_of(st.tuples(st.just("put"), THINGS), COMMAND, COMMAND), min_size=1, max_size=3)
 STEPS = st.one_of(MORE, st.builds(lambda first, rest: [("command", first), *rest], RUNS, MORE))
 TREES = st.lists(THINGS, min_size=2, max_size=9)
+BEGINNING = {"in/a.las": "", "in/b.laz": "", "a.las": "", "d.tif": "raster", "points.csv": "points"}
+"""Files of every tree, and their kinds."""
 
 
 @contextlib.contextmanager
@@ -233,8 +246,9 @@ def planted(things: list[tuple[str, str, str, int, str]]) -> Iterator[Tree]:
     before = os.getcwd()
     with tempfile.TemporaryDirectory() as scratch:
         tree = Tree(Path(scratch).resolve() / "tree")
-        begin = [("in/a.las", ".las"), ("a.las", ".las"), ("d.tif", "raster"), ("points.csv", "points")]
-        for thing in [*((place, "file", kind, 0, "") for place, kind in begin), *things]:
+        for place, kind in BEGINNING.items():
+            put(tree, (place, "file", kind, 0, ""))
+        for thing in things:
             put(tree, thing)
         os.chdir(tree.root)
         try:
@@ -247,12 +261,25 @@ def tried(tree: Tree, arguments: list[str]) -> None:
     """Run a command; raises AssertionError where it harmed a file, or ended in a way that nobody planned."""
     before = tree.state()
     named = named_by(arguments)
+    inputs = {path for path in named if is_read(path, arguments)}
     told = io.StringIO()
     with contextlib.redirect_stderr(told), contextlib.redirect_stdout(told):
         code = main(arguments)
     assert "unexpected " not in told.getvalue(), (arguments, told.getvalue())
     harmed = tree.harmed(before, named)
     assert not harmed, f"{arguments} harmed {harmed} (code {code})"
-    inputs = {p for p in named if p in before and not before[p].startswith("->") and p in arguments[1:2]}
-    assert all(tree.state().get(p) == before[p] for p in inputs), f"{arguments} wrote over its input"
+    after = tree.state()
+    assert all(after.get(path) == before[path] for path in inputs), f"{arguments} wrote over its input"
     assert code in (0, 2, 3, 4, 5, 6), (arguments, code)
+
+
+def is_read(target: str, arguments: list[str]) -> bool:
+    """Whether a file that a command is told to write is also one that it reads, perhaps by another name."""
+    if not os.path.isfile(target):
+        return False
+    others = list(arguments[1:])
+    for argument in arguments:
+        if os.path.normpath(argument) == target:
+            others.remove(argument)
+            break
+    return any(os.path.isfile(other) and os.path.samefile(other, target) for other in others)
