@@ -84,10 +84,10 @@ def test_settings_without_end_are_not_read(tmp_path: Path, capsys: pytest.Captur
 
 
 def end_of(call: list[str], at_work: Callable[[psutil.Process], bool]) -> str:
-    """Send SIGTERM to a command a second after it is at work; it ends, its children too. What it said."""
+    """Send SIGTERM to a command a moment after it is at work; it ends, its children too. What it said."""
     process = started(call)
     wait_until(lambda: at_work(psutil.Process(process.pid)), process)
-    time.sleep(1.0)
+    time.sleep(0.2)
     children = psutil.Process(process.pid).children(recursive=True)
     process.send_signal(signal.SIGTERM)
     _, error = process.communicate(timeout=PATIENCE_SECONDS)
@@ -123,9 +123,10 @@ sys.exit(main())
 """
 
 
-def interrupted(folder: Path, program: str) -> str:
+def interrupted(folder: Path, program: str, grace_seconds: float) -> str:
     """What a program says that is interrupted once it is stuck, for a minute each time."""
-    (folder / "stuck.py").write_text(program)
+    grace = f"import cli.ending\ncli.ending.GRACE_SECONDS = {grace_seconds}\n"
+    (folder / "stuck.py").write_text(grace + program)
     return end_of([sys.executable, str(folder / "stuck.py")], lambda _: (folder / "ready").exists())
 
 
@@ -133,8 +134,7 @@ def interrupted(folder: Path, program: str) -> str:
 def test_an_interruption_of_which_a_library_makes_an_error_is_one(tmp_path: Path) -> None:
     """As a compressor does whose file is written by Python."""
     stuck = STUCK.format("__import__('time').sleep(60)").replace("pass", "raise ValueError('write')")
-    patient = f"import cli.ending\ncli.ending.GRACE_SECONDS = 900\n{stuck}"
-    assert interrupted(tmp_path, patient) == "tiler: interrupted\n"
+    assert interrupted(tmp_path, stuck, grace_seconds=900) == "tiler: interrupted\n"
 
 
 @pytest.mark.processes
@@ -147,5 +147,5 @@ def test_an_interruption_of_which_a_library_makes_an_error_is_one(tmp_path: Path
 )
 def test_what_does_not_let_go_is_ended_by_force(what: str, tmp_path: Path) -> None:
     """A library that computes and looks at no signal, and one that swallows the interruption."""
-    error = interrupted(tmp_path, STUCK.format(what))
+    error = interrupted(tmp_path, STUCK.format(what), grace_seconds=1)
     assert error == "tiler: interrupted; the work did not stop, so the process was ended\n"

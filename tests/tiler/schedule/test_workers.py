@@ -87,12 +87,12 @@ def test_a_task_that_kills_its_workers_is_given_up_and_the_others_are_done(
 
 
 def test_a_task_that_hangs_is_given_up(tmp_path: Path) -> None:
-    executor = DaskExecutor(2, limits=TaskLimits(seconds=1.0))
+    executor = DaskExecutor(2, limits=TaskLimits(seconds=0.3))
     try:
         ends, again = run(executor, [task(1, does="hang")], tmp_path)
     finally:
         executor.close()
-    assert "killed its worker 3 times: it did not end within 1 s" in str(ends[1].error)
+    assert "killed its worker 3 times: it did not end within 0.3 s" in str(ends[1].error)
     assert again == {1: TRIES - 1}
 
 
@@ -260,7 +260,7 @@ def test_the_connection_breaks_while_a_result_is_fetched(
     cable.start()
     executor = DaskExecutor(1, cable.address)
     if for_good:
-        executor._client._timeout = 3  # for reconnecting
+        executor._client._timeout = 1  # for reconnecting
     fetch = executor._client._gather_remote
 
     async def cut(*arguments: Any) -> Any:
