@@ -19,9 +19,9 @@ from tiler.core.lattice import Bounds, Cell
 from tiler.core.raster import BLOCK_PIXELS
 from tiler.core.units_text import length_text
 from tiler.core.words import counted
-from tiler.grid import ExamineDecks, FindDeckCells, examine_decks, examined, find_deck_cells
+from tiler.grid import ExamineDecks, FindDeckCells, examine_decks, examined_bounds, find_deck_cells
 from tiler.grid.bridges.deck_cells import DROP_M, REACH_M
-from tiler.grid.bridges.examine import PlaceCells
+from tiler.grid.bridges.examine import CandidateCells
 from tiler.grid.pieces import components
 from tiler.grid.tasks.gridding import GridContext
 from tiler.ingest.tasks.assembled import IngestResult
@@ -97,9 +97,9 @@ def _deck_tasks(g: GridContext, found: Commits) -> Iterator[Task]:
     """Yield a task for the candidates of each bucket: groups of touching cells that may be decks."""
     spec, rule, lattice = g.coarse, g.rule, g.plan.meta.bucket
     metres = float(g.plan.meta.frame.metres_xy)
-    groups: dict[Cell, list[PlaceCells]] = defaultdict(list)
+    groups: dict[Cell, list[CandidateCells]] = defaultdict(list)
     for cells in _places(found):
-        bounds = examined(spec, cells, metres)
+        bounds = examined_bounds(spec, cells, metres)
         if (
             len(cells) >= MIN_CELLS
             and max(bounds.x1 - bounds.x0, bounds.y1 - bounds.y0) * metres <= MAX_WIDTH_M
@@ -107,12 +107,14 @@ def _deck_tasks(g: GridContext, found: Commits) -> Iterator[Task]:
             groups[next(lattice.cells(bounds))].append(cells)
     for cell, candidates in sorted(groups.items()):
         work = ExamineDecks(rule, spec, tuple(candidates))
-        near = lattice.among(reduce(Bounds.union, (examined(spec, c, metres) for c in candidates)), g.labels)
+        near = lattice.among(
+            reduce(Bounds.union, (examined_bounds(spec, c, metres) for c in candidates)), g.labels
+        )
         digest = digest_of(__version__, work, g.seen(near))
         yield Task(DECKS, cell.name, digest, examine_decks, work, g.points(near))
 
 
-def _places(found: Commits) -> Iterator[PlaceCells]:
+def _places(found: Commits) -> Iterator[CandidateCells]:
     """Yield groups of touching cells, across blocks, in the order of rows and columns."""
     cells = sorted({tuple(cell) for _, record in found.values() for cell in record["cells"]})
     if not cells:
