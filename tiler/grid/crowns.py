@@ -64,7 +64,7 @@ def look_for_crowns(store: TileStore, name: str, spec: RasterSpec, block: Block)
     return Crowns(looked.looked_at, pixels)
 
 
-def crowns_told(looked: Iterable[Crowns], spec: RasterSpec) -> Advice | None:
+def crown_advice(looked: Iterable[Crowns], spec: RasterSpec) -> Advice | None:
     """Return a warning if a tenth of the terrain or more looks like crowns, else None."""
     parts = list(looked)
     looked_at = sum(part.looked_at for part in parts)
