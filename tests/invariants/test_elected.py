@@ -314,8 +314,8 @@ def test_a_part_with_the_statistics_of_the_whole(scene: Any, file: Path, whole: 
 def test_the_plan_knows_elected_points_and_margins(file: Path) -> None:
     plan = make_plan([str(file)], settings(method="medians", tile_size=None, halo=None))
     step = {step.name: step for step in plan.passes}
-    assert step["spread"].work.label_margin_m == 3.0
-    assert (step["mean"].work.elected, step["medians"].work.elected) == (True, False)
+    assert step["spread"].pass_.label_margin_m == 3.0
+    assert (step["mean"].pass_.elected, step["medians"].pass_.elected) == (True, False)
     assert (step["medians"].sometimes, step["census"].sometimes) == (True, False)
     assert "some of them only for some clouds" in " ".join(plan_lines(plan))
     assert filter_peak(plan, step["spread"], 64, 8) > filter_peak(plan, step["rising"], 64, 8)

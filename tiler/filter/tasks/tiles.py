@@ -21,7 +21,7 @@ from typing import NamedTuple
 from ptd.tin.mesh import MAX_EXTENT
 from tiler.core.lattice import Cell, Lattice
 from tiler.plan import Plan, PlannedPass
-from tiler.plan.halos import MAX_HALO_FACTOR, widened
+from tiler.plan.halos import MAX_HALO_FACTOR, widest_halo
 from tiler.plan.memory import BASE_BYTES, bucket_bytes, filter_bytes, held_bytes
 from tiler.plan.sizes import SPARSE_TILE_M
 
@@ -73,7 +73,7 @@ def tiles_of(plan: Plan, records: Records, step: PlannedPass) -> Iterator[Tile]:
     """Yield the tiles of a pass, from the west."""
     if plan.joins(step):
         held = sum(record.n_candidates for record in records.values())
-        yield from _halved(plan, records, step, sorted(records), plan.wanted_tiles(held))
+        yield from _halved(plan, records, step, sorted(records), plan.n_joined_tiles(held))
         return
     size = plan.meta.frame.counts(plan.tile)
     groups = _by_centre(plan.meta.bucket, records, size)
@@ -164,7 +164,7 @@ def _too_wide(plan: Plan, cells: Sequence[Cell], halo: int) -> bool:
 
 def _widest(plan: Plan, records: Records, step: PlannedPass, cells: Sequence[Cell], halo: int) -> int:
     most = plan.tile_memory_of(step)
-    return widened(step, halo, lambda wider: _bytes(plan, records, step, cells, wider) <= most)
+    return widest_halo(step, halo, lambda wider: _bytes(plan, records, step, cells, wider) <= most)
 
 
 def _by_centre(lattice: Lattice, cells: Iterable[Cell], size: Fraction) -> dict[Cell, list[Cell]]:
@@ -183,22 +183,22 @@ def _bytes(plan: Plan, records: Records, step: PlannedPass, cells: Sequence[Cell
     lattice = plan.meta.bucket
     window = lattice.hull(cells).pad(halo)
     near = lattice.among(window, records)
-    if step.work.elected:
+    if step.pass_.elected:
         held = [records[cell].n_elected for cell in near]
-    elif plan.on_candidates and not step.work.every_point:
+    elif plan.on_candidates and not step.pass_.every_point:
         held = [records[cell].n_candidates for cell in near]
     else:
         held = [records[cell].n for cell in near]
     area = len(held) * plan.bucket_m**2
     bucket = float(max(records[cell].n for cell in cells))
     kept = 0
-    if step.work.label_margin_m:
-        bucket *= (1 + 2 * step.work.label_margin_m / plan.bucket_m) ** 2
+    if step.pass_.label_margin_m:
+        bucket *= (1 + 2 * step.pass_.label_margin_m / plan.bucket_m) ** 2
         kept = held_bytes(plan.tile_memory)
-    if step.work.raster_cell_m:
+    if step.pass_.raster_cell_m:
         across = lattice.hull(near).intersection(window).area() * float(plan.meta.frame.metres_xy) ** 2
         window_bytes = filter_bytes(sum(held), across, 0.0, step, plan.fine_m)
-    elif step.work.elected:  # the number of elected points is known
+    elif step.pass_.elected:  # the number of elected points is known
         window_bytes = filter_bytes(sum(held), area, 0.0, step, plan.fine_m)
     else:
         window_bytes = filter_bytes(sum(held), area, plan.candidate_cell_m, step, plan.fine_m)
