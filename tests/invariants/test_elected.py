@@ -113,7 +113,7 @@ def test_order_frame_and_rows_do_not_show(
 class Wary(RisingPass):
     """Not certain until it sees 12 m: tiles are done a second time."""
 
-    reach_m, halo_m = None, 6.0
+    influence_radius_m, halo_m = None, 6.0
 
     def fit(self, points: Any, window: Any, core: Any, scale: Any, state: Any) -> Any:
         model = super().fit(points, window, core, scale, state)
@@ -335,7 +335,7 @@ def test_passes_of_another_branch_make_no_tile_smaller(file: Path, monkeypatch: 
     with monkeypatch.context() as patch:
         wide = [SplitPass(), LidarPass()]
         for step in wide:
-            step.reach_m = 20.0
+            step.influence_radius_m = 20.0
         patch.setattr(Parameters, "passes", (Census(), *wide))
         patch.setattr(Parameters, "candidate_cell_m", 0.0)
         laser = plans()

@@ -37,7 +37,7 @@ def influence_margin_m(step: Pass, params: Any) -> float:
 
     ``params`` are the parameters of the method.
     """
-    if step.reach_m is not None:
+    if step.influence_radius_m is not None:
         return 0.0
     return float((REACH_CELLS + 1) * params.align_m + params.margin_m)
 
@@ -163,7 +163,7 @@ def _elect(
 
 def _window(store: TileStore, padded: Bounds, step: Pass, params: Any) -> tuple[Bounds, Known]:
     """Return the bounds of the points that a pass reads for a padded core, and the window that it knows completely."""
-    if step.reach_m is not None:
+    if step.influence_radius_m is not None:
         return padded, _local(padded, store)
     align = Lattice(store.meta.frame.counts(Fraction(repr(float(params.align_m)))))
     margin = math.ceil(store.meta.frame.counts(Fraction(repr(float(params.margin_m)))))

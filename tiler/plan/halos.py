@@ -22,7 +22,7 @@ def widest_halo(step: PlannedPass, halo: Length, fits: Callable[[Length], bool])
     keeps its halo.
     """
     widest = halo
-    while step.pass_.reach_m is None and 0 < widest < MAX_HALO_FACTOR * halo and fits(2 * widest):
+    while step.pass_.influence_radius_m is None and 0 < widest < MAX_HALO_FACTOR * halo and fits(2 * widest):
         widest *= 2
     return widest
 
@@ -31,7 +31,7 @@ def default_halo_m(params: Any) -> float | None:
     """Return the widest default halo of a method in metres, or None if no pass has a variable halo."""
     if params is None:
         return None
-    halos = [_first_halo_m(params, pass_) for pass_ in params.passes if pass_.reach_m is None]
+    halos = [_first_halo_m(params, pass_) for pass_ in params.passes if pass_.influence_radius_m is None]
     return max(halos, default=None)
 
 
@@ -51,17 +51,17 @@ def planned_passes(
     """
 
     def halo(pass_: Pass) -> float:
-        if pass_.reach_m is not None:
-            return pass_.reach_m
+        if pass_.influence_radius_m is not None:
+            return pass_.influence_radius_m
         if config.halo is not None:
             return float(config.halo)
         return _first_halo_m(params, pass_)
 
     planned = tuple(PlannedPass(pass_, halo(pass_)) for pass_ in params.passes)
     fixed = [
-        f"{pass_.name} {pass_.reach_m:g} m"
+        f"{pass_.name} {pass_.influence_radius_m:g} m"
         for pass_ in params.passes
-        if pass_.reach_m is not None and (pass_.kind is None or kind in (None, pass_.kind))
+        if pass_.influence_radius_m is not None and (pass_.kind is None or kind in (None, pass_.kind))
     ]
     if config.halo is not None and fixed:
         notes.append(f"--halo has no effect on passes with a fixed radius: {', '.join(fixed)}")
