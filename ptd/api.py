@@ -27,15 +27,15 @@ BLOCK_POINTS = 8192
 MIN_SIGMA_M = 1e-6
 MAX_SIGMA_M = 1e3
 MAX_SHOWN = 12
-"""Longest list whose values a notebook shows."""
+"""Largest number of values of a list that a notebook shows. Of longer lists it shows the number of values."""
 MAX_EXTENT_M = 60_000.0
 """Largest extent, as in-circle tests are exact for differences below 2**26 counts."""
 MAX_DISTANCE_M = 9e12
-"""Largest distance from 0, as counts of x and y are exact in float64 below 2**53."""
+"""Largest x or y, positive or negative, as counts are exact in float64 below 2**53."""
 MAX_HEIGHT_M = 2_000_000.0
 """Largest height above or below 0, as heights are int32 counts."""
 MAX_CELLS = 1 << 27
-"""Most cells of a raster of the whole extent. A cell takes about 35 bytes."""
+"""Largest number of cells of a raster of the whole extent. A cell takes about 35 bytes."""
 
 CLASS_NAMES = {1: "unclassified", 2: "ground", 7: "low noise"}
 
@@ -65,11 +65,12 @@ class Result:
         return dict(zip(codes.tolist(), counts.tolist(), strict=True))
 
     def _repr_html_(self) -> str:
-        classes = [
-            (f"{code} {CLASS_NAMES.get(code, '')}", f"{points:,}") for code, points in self.counts.items()
-        ]
+        classes = []
+        for code, points in self.counts.items():
+            classes.append((f"{code} {CLASS_NAMES.get(code, '')}", f"{points:,}"))
         title = f"ptd.classify: {self.classification.size:,} points by the method {self.decisions['method']}"
-        parameters, decided = (_flat(self.decisions[name]) for name in ("parameters", "statistics"))
+        parameters = _flat(self.decisions["parameters"])
+        decided = _flat(self.decisions["statistics"])
         return (
             f"<div><b>{escape(title)}</b>{_table(('class', 'points'), classes)}"
             f"{_table(('decided', 'value'), decided)}"
@@ -78,19 +79,19 @@ class Result:
 
 
 def _flat(values: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
-    """Return nested values as pairs of name and text. Long lists and tables by place are given as lengths."""
-    found = []
+    """Return nested values as pairs of name and text. Of long lists and of the table of places, give the length."""
+    pairs = []
     for name, value in values.items():
         if name == PLACES:
-            found.append((name, f"{len(value):,} values"))
+            pairs.append((name, f"{len(value):,} values"))
         elif isinstance(value, Mapping):
-            found += _flat(value, f"{prefix}{name} / ")
+            pairs += _flat(value, f"{prefix}{name} / ")
         elif isinstance(value, list | tuple) and len(value) > MAX_SHOWN:
-            found.append((f"{prefix}{name}", f"{len(value):,} values"))
+            pairs.append((f"{prefix}{name}", f"{len(value):,} values"))
         elif value is not None:
             items = list(value) if isinstance(value, list | tuple) else [value]
-            found.append((f"{prefix}{name}", "; ".join(_text(item) for item in items)))
-    return found
+            pairs.append((f"{prefix}{name}", "; ".join(_text(item) for item in items)))
+    return pairs
 
 
 def _text(value: Any) -> str:
@@ -168,20 +169,20 @@ def classify(
     >>> result.decisions["parameters"]["iteration_angle_deg"]
     25.0
     """
-    if hasattr(xyz, "header") or hasattr(
-        xyz, "point_format"
-    ):  # an object of laspy, which is not imported here
+    # Objects of laspy have these attributes. The package itself is not imported.
+    if hasattr(xyz, "header") or hasattr(xyz, "point_format"):
         raise TypeError(f"xyz is a {type(xyz).__name__}, must be an array (n, 3) in metres: pass las.xyz")
     points = np.asarray(xyz, dtype=np.float64)
     if points.ndim != 2 or points.shape[1] != 3:
         raise ValueError(f"xyz has shape {points.shape}, must be (n, 3): x, y, z in metres")
     if method not in METHODS:
         raise ValueError(f"no method {method!r}; there are {', '.join(METHODS)}")
-    wanted = METHODS[method].params
+    params_type = METHODS[method].params
     if params is None:
-        params = wanted()
-    if type(params) is not wanted:  # parameters may derive from those of another method
-        raise ValueError(f"params is {type(params).__name__}, method {method} takes {wanted.__name__}")
+        params = params_type()
+    # The parameters of a method may be a subclass of those of another method, so `isinstance` is not enough.
+    if type(params) is not params_type:
+        raise ValueError(f"params is {type(params).__name__}, method {method} takes {params_type.__name__}")
     if sigma is not None and not MIN_SIGMA_M <= sigma <= MAX_SIGMA_M:
         raise ValueError(f"sigma {sigma}: must be {MIN_SIGMA_M:g} to {MAX_SIGMA_M:g} m")
     counts, scale = _counts(points)
@@ -215,7 +216,7 @@ def do_passes(
         for other in params.passes[number:]:
             if other.raster_cell_m and other.applies(state):
                 _validate_raster_size(counts, other.raster_cell_m, scale)
-        model = step.fit(_given(cloud.seen(step), step), window, window, scale, state)
+        model = step.fit(_with_columns_of(step, cloud.points_for(step)), window, window, scale, state)
         if step.elects:
             cloud.elect(model.elect(window), model if step.gives_labels else None)
         elif step.gives_labels:
@@ -239,31 +240,41 @@ def _validate_raster_size(counts: Int32, cell_m: float, scale: Scale) -> None:
 
 @dataclass
 class _Cloud:
-    """Points with labels for passes: all points, candidates (if the method has cells), and elected points."""
+    """Points of a cloud, with their labels.
+
+    Attributes
+    ----------
+    everything : Points
+        All points.
+    cell : CellLattice or None
+        Cells with one candidate each; None if the method has no cells.
+    candidates, index : Points and int32 [n], or None
+        Candidates, and their indices among all points; None before the first pass that needs them.
+    elected : Points or None
+        Points that the last electing pass elected.
+    """
 
     everything: Points
     cell: CellLattice | None
-    some: Points | None = None
+    candidates: Points | None = None
     index: Any = None
     elected: Points | None = None
 
-    def seen(self, step: Pass) -> Points:
-        """Return the points that a pass gets."""
+    def points_for(self, step: Pass) -> Points:
+        """Return the points that `Pass.fit` gets."""
         if step.elected:
             if self.elected is None:
-                raise ValueError(
-                    f"pass {step.name} works on elected points, and no pass before it elected any"
-                )
+                raise ValueError(f"pass {step.name} works on elected points, but no earlier pass elected any")
             return self.elected
         if step.every_point or self.cell is None:
             return self.everything
-        if self.some is None:  # made on first use, as some runs need no candidates
+        if self.candidates is None:
             self.index = lowest_per_cell(*self.everything.columns(), self.cell)
-            self.some = self.everything.take(self.index)
-        return self.some
+            self.candidates = self.everything.take(self.index)
+        return self.candidates
 
     def elect(self, xyz: Int32, model: Model | None) -> None:
-        """Replace the elected points. A model, if there is one, labels them."""
+        """Replace the elected points, and label them by the model if there is one."""
         labels = np.zeros(xyz.shape[1], np.uint8)
         if model is not None:
             labels, _ = model.label(Points(xyz))
@@ -271,19 +282,24 @@ class _Cloud:
 
     def label(self, step: Pass, model: Model, later: list[Pass]) -> None:
         """Label the points of the pass. `later` lists the following passes that apply."""
+
+        def labelled(points: Points) -> Points:
+            return replace(points, labels=model.label(_with_columns_of(step, points))[0])
+
         if step.elected and later:
-            seen = self.seen(step)
-            self.elected = replace(seen, labels=model.label(_given(seen, step))[0])
+            self.elected = labelled(self.points_for(step))
             return
-        if self.some is not None and read_at_candidates(later):
-            self.some = replace(self.some, labels=model.label(_given(self.some, step))[0])
+        if self.candidates is not None and read_at_candidates(later):
+            self.candidates = labelled(self.candidates)
             return
-        self.everything = replace(self.everything, labels=model.label(_given(self.everything, step))[0])
-        if self.some is not None and later:
-            self.some = replace(self.some, labels=self.everything.known_labels()[self.index])
+        self.everything = labelled(self.everything)
+        if self.candidates is not None and later:
+            labels = self.everything.known_labels()[self.index]
+            self.candidates = replace(self.candidates, labels=labels)
 
 
-def _given(points: Points, step: Pass) -> Points:
+def _with_columns_of(step: Pass, points: Points) -> Points:
+    """Return points with only the columns that a pass names."""
     return Points(points.xyz, **{name: getattr(points, name) for name in step.columns})
 
 
@@ -291,54 +307,59 @@ def _column(name: str, values: npt.ArrayLike | None, n: int, width: int, dtype: 
     """Return a column [width, n] from values [n, width], or None without values."""
     if values is None:
         return None
-    found = np.asarray(values)
-    if found.shape != (n, width):
-        raise ValueError(f"{name} has shape {found.shape}, must be ({n}, {width}), a row for each point")
-    if found.dtype.kind not in "biuf":
+    rows = np.asarray(values)
+    if rows.shape != (n, width):
+        raise ValueError(f"{name} has shape {rows.shape}, must be ({n}, {width}), a row for each point")
+    if rows.dtype.kind not in "biuf":
         raise ValueError(f"{name} must be whole numbers from 0 to {np.iinfo(dtype).max}")
-    with np.errstate(invalid="ignore"):  # NaN is refused below
-        column: npt.NDArray[Any] = np.ascontiguousarray(found.T, dtype)
-    if not np.array_equal(column, found.T):
+    with np.errstate(invalid="ignore"):  # The comparison below refuses NaN.
+        column: npt.NDArray[Any] = np.ascontiguousarray(rows.T, dtype)
+    if not np.array_equal(column, rows.T):
         raise ValueError(f"{name} must be whole numbers from 0 to {np.iinfo(dtype).max}")
     return column
 
 
 def _counts(points: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.int32], Scale]:
-    """Local counts of a millimetre, int32 [3, n], and their scale."""
+    """Convert coordinates in metres to local counts of a millimetre, int32 [3, n], and return these and their scale."""
     if len(points) == 0:
         return np.zeros((3, 0), np.int32), Scale()
-    low, high = np.full(3, np.inf), np.full(3, -np.inf)
-    for metres in _columns(points):
-        low, high = np.minimum(low, metres.min(axis=1)), np.maximum(high, metres.max(axis=1))
+    low = np.full(3, np.inf)
+    high = np.full(3, -np.inf)
+    for metres in _blocks(points):
+        low = np.minimum(low, metres.min(axis=1))
+        high = np.maximum(high, metres.max(axis=1))
     if not (np.isfinite(low).all() and np.isfinite(high).all()):
         raise ValueError("xyz has values that are not finite; leave those points out")
-    if (high[:2] - low[:2]).max() > MAX_EXTENT_M:
+    extent = (high[:2] - low[:2]).max()
+    if extent > MAX_EXTENT_M:
         raise ValueError(
-            f"xyz extends over {(high[:2] - low[:2]).max() / 1000:.0f} km; "
-            f"above {MAX_EXTENT_M / 1000:.0f} km use tiles"
+            f"xyz extends over {extent / 1000:.0f} km; above {MAX_EXTENT_M / 1000:.0f} km use tiles"
         )
-    if (highest := max(-low[2], high[2])) > MAX_HEIGHT_M:
+    highest = max(-low[2], high[2])
+    if highest > MAX_HEIGHT_M:
         raise ValueError(
             f"xyz has heights of {highest:g} m above or below 0; up to {MAX_HEIGHT_M / 1000:.0f} km are allowed"
         )
-    if (farthest := max(-low[:2].min(), high[:2].max())) > MAX_DISTANCE_M:
+    farthest = max(-low[:2].min(), high[:2].max())
+    if farthest > MAX_DISTANCE_M:
         raise ValueError(
             f"xyz has x or y of {farthest:g} m; up to {MAX_DISTANCE_M:g} m from 0 are exact, so subtract an offset"
         )
     origin = [round(float(v) * COUNTS_PER_METRE) for v in low[:2]]
-    counts, at = np.empty((3, len(points)), np.int32), 0
+    counts = np.empty((3, len(points)), np.int32)
+    first = 0
     shift = np.array([[*origin, 0]], np.float64).T
-    for metres in _columns(points):
-        metres *= COUNTS_PER_METRE
-        np.rint(metres, out=metres)
-        metres -= shift  # exact, as these are whole numbers below 2^53
-        counts[:, at : at + metres.shape[1]] = metres
-        at += metres.shape[1]
+    for block in _blocks(points):
+        block *= COUNTS_PER_METRE
+        np.rint(block, out=block)
+        block -= shift  # The difference is exact, as both are whole numbers below 2^53.
+        counts[:, first : first + block.shape[1]] = block
+        first += block.shape[1]
     unit = Fraction(1, COUNTS_PER_METRE)
     return counts, Scale(unit, unit, (origin[0], origin[1]))
 
 
-def _columns(points: npt.NDArray[np.float64]) -> Iterator[npt.NDArray[np.float64]]:
-    """Copies of successive points, float64 [3, m], small enough to stay in the processor's cache."""
+def _blocks(points: npt.NDArray[np.float64]) -> Iterator[npt.NDArray[np.float64]]:
+    """Yield copies of successive points, float64 [3, m], small enough to stay in the processor's cache."""
     for first in range(0, len(points), BLOCK_POINTS):
         yield np.array(points[first : first + BLOCK_POINTS].T, order="C")

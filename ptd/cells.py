@@ -1,4 +1,4 @@
-"""Points by the cells of a square lattice, and the lowest point of each cell."""
+"""Grouping of points by the cells of a square lattice, and the lowest point of each cell."""
 
 from __future__ import annotations
 
@@ -24,27 +24,31 @@ class Xyz(NamedTuple):
 
 
 DENSE_CELLS_PER_POINT = 16
-"""Most cells per point for which a raster of cells is made; sparser clouds are sorted instead."""
+"""Largest number of cells per point for which a raster of cells is made. Points of sparser clouds are sorted."""
 
 
 @kernel
 def quotient(value: int, divisor: int, inverse: float) -> int:
-    """Floor of an integer divided by another (above 0), given 1 / divisor. This is several times faster than dividing.
+    """Return the floor of ``value / divisor``, given ``inverse``, which is 1 / divisor. The divisor is above 0.
 
-    It is exact for quotients below 2**50, as the first result is at most one off and is corrected.
+    This is several times faster than a division. It is exact for quotients below 2**50, as the product with the inverse
+    is at most one off and is corrected.
     """
-    found = math.floor(float(value) * inverse)
-    rest = value - found * divisor
+    floor = math.floor(float(value) * inverse)
+    rest = value - floor * divisor
     if rest < 0:
-        return found - 1
-    return found + (rest >= divisor)
+        return floor - 1
+    return floor + (rest >= divisor)
 
 
 @kernel
 def cell_keys(
     x: Int32, y: Int32, p: int, q: int, ox: int, oy: int, col0: int, row0: int, width: int
 ) -> Int64:
-    """``row * width + column`` of each point, relative to (col0, row0): int64 [n]."""
+    """Return the key of each point's cell, ``row * width + column`` relative to (col0, row0): int64 [n].
+
+    ``p``, ``q``, ``ox`` and ``oy`` are the fields of the `CellLattice`.
+    """
     out, inverse = np.empty(x.size, np.int64), 1.0 / p
     for i in range(x.size):
         column = quotient((as_int64(x[i]) + ox) * q, p, inverse) - col0
@@ -54,14 +58,14 @@ def cell_keys(
 
 
 def keys_in(x: Int32, y: Int32, cells: CellLattice, col0: int, row0: int, width: int) -> Int64:
-    """`cell_keys` for cells of a lattice."""
+    """Return the `cell_keys` of points in a lattice."""
     lattice = {"p": cells.p, "q": cells.q, "ox": cells.origin_x, "oy": cells.origin_y}
     return cell_keys(x, y, **lattice, col0=col0, row0=row0, width=width)
 
 
 @kernel
 def is_lower(x: Int32, y: Int32, z: Int32, i: int, j: int) -> bool:
-    """Return whether point i is lower than j. Of equally high points, that with the smaller x, then y, is lower."""
+    """Return whether point i is lower than point j. Of equally high points, the lower has the smaller x, or then y."""
     if z[i] != z[j]:
         return bool(z[i] < z[j])
     if x[i] != x[j]:
@@ -71,12 +75,13 @@ def is_lower(x: Int32, y: Int32, z: Int32, i: int, j: int) -> bool:
 
 @kernel
 def lowest_by_key(x: Int32, y: Int32, z: Int32, keys: Int64, n_cells: int) -> Int32:
-    """Lowest point of each cell, -1 for empty cells: int32 [n_cells]."""
+    """Return the index of the lowest point of each cell, -1 for empty cells: int32 [n_cells]."""
     lowest = np.full(n_cells, -1, np.int32)
     height = np.full(n_cells, 2**31 - 1, np.int32)
     for i in range(keys.size):
         height[keys[i]] = min(height[keys[i]], z[i])
-    for i in range(keys.size):  # few points equal the lowest height
+    # Few points have the lowest height of their cell, so `is_lower` is seldom called.
+    for i in range(keys.size):
         if z[i] == height[keys[i]]:
             j = lowest[keys[i]]
             if j < 0 or is_lower(x, y, z, i, j):
@@ -86,7 +91,7 @@ def lowest_by_key(x: Int32, y: Int32, z: Int32, keys: Int64, n_cells: int) -> In
 
 @kernel
 def _lowest_sorted(x: Int32, y: Int32, z: Int32, keys: Int64, order: Int64) -> Int32:
-    """Lowest point of each occupied cell, given the order that sorts the keys."""
+    """Return the index of the lowest point of each occupied cell, given the order that sorts the keys."""
     out = np.empty(keys.size, np.int32)
     n = 0
     for k in range(order.size):
@@ -100,9 +105,9 @@ def _lowest_sorted(x: Int32, y: Int32, z: Int32, keys: Int64, order: Int64) -> I
 
 
 def lowest_per_cell(x: Int32, y: Int32, z: Int32, cells: CellLattice) -> Int32:
-    """The lowest point of each occupied cell, in row-major order of the cells.
+    """Find the lowest point of each occupied cell, in row-major order of the cells.
 
-    Among equal heights the lexicographically smallest (x, y) is taken, so the order of the points has no effect.
+    Of several lowest points, the one with the smallest x, then y, is chosen, so the order of the points has no effect.
 
     Parameters
     ----------
@@ -113,7 +118,7 @@ def lowest_per_cell(x: Int32, y: Int32, z: Int32, cells: CellLattice) -> Int32:
     Returns
     -------
     int32 [m]
-        Indices into the arrays.
+        Indices of the points.
     """
     if x.size == 0:
         return np.zeros(0, np.int32)
@@ -121,7 +126,7 @@ def lowest_per_cell(x: Int32, y: Int32, z: Int32, cells: CellLattice) -> Int32:
     width = cells.column(int(x.max())) - col0 + 1
     n_cells = width * (cells.row(int(y.max())) - row0 + 1)
     keys = keys_in(x, y, cells, col0, row0, width)
-    if np.all(keys[1:] > keys[:-1]):  # already one point per cell in order, from an earlier call
+    if np.all(keys[1:] > keys[:-1]):  # The points are the result of an earlier call.
         return np.arange(x.size, dtype=np.int32)
     if n_cells <= DENSE_CELLS_PER_POINT * x.size + 1024:
         lowest = lowest_by_key(x, y, z, keys, n_cells)
@@ -130,7 +135,7 @@ def lowest_per_cell(x: Int32, y: Int32, z: Int32, cells: CellLattice) -> Int32:
 
 
 def occupied(keys: Int64, n_cells: int) -> tuple[Int64, Int64]:
-    """Sorted keys of the occupied cells, and the index among them of each point's cell.
+    """Find the occupied cells.
 
     Parameters
     ----------
@@ -141,18 +146,20 @@ def occupied(keys: Int64, n_cells: int) -> tuple[Int64, Int64]:
 
     Returns
     -------
-    found : int64 [m]
+    cells : int64 [m]
+        Sorted keys of the occupied cells.
     slot : int64 [n]
+        Index into `cells` of the cell of each point.
     """
     if n_cells > DENSE_CELLS_PER_POINT * keys.size + 1024:
-        found, slot = np.unique(keys, return_inverse=True)
-        return found, slot
+        cells, slot = np.unique(keys, return_inverse=True)
+        return cells, slot
     return _occupied_raster(keys, n_cells)
 
 
 @kernel
 def _occupied_raster(keys: Int64, n_cells: int) -> tuple[Int64, Int64]:
-    """`occupied` with the help of a raster."""
+    """Find the occupied cells, like `occupied`, with a raster of all cells."""
     slots = np.full(n_cells, -1, np.int32)
     for key in keys:
         slots[key] = 0
@@ -161,13 +168,14 @@ def _occupied_raster(keys: Int64, n_cells: int) -> tuple[Int64, Int64]:
         if slots[k] == 0:
             slots[k] = n
             n += 1
-    found, slot = np.empty(n, np.int64), np.empty(keys.size, np.int64)
+    cells = np.empty(n, np.int64)
     for k in range(n_cells):
         if slots[k] >= 0:
-            found[slots[k]] = k
+            cells[slots[k]] = k
+    slot = np.empty(keys.size, np.int64)
     for i in range(keys.size):
         slot[i] = slots[keys[i]]
-    return found, slot
+    return cells, slot
 
 
 class CellTable(NamedTuple):
@@ -176,14 +184,15 @@ class CellTable(NamedTuple):
     Attributes
     ----------
     slots : int32 [height * width] or int32 [0]
-        Index into `keys` of each cell (-1: empty). It has no entries if the raster would be too large.
+        Index of each cell into `keys`, -1 for empty cells. The array has no entries if it would be too large.
     keys : int64 [m]
         Sorted keys of the occupied cells, ``row * width + column``.
     starts : int64 [m + 1]
-        Points of cell k are ``order[starts[k]:starts[k + 1]]``.
+        The points of the cell with the index k are ``order[starts[k]:starts[k + 1]]``.
     order : int64 [n]
+        Indices of the points, sorted by cell.
     width, height : int
-        Number of columns and rows that contain all points.
+        Number of columns and of rows between the outermost points.
     """
 
     slots: Int32
@@ -224,20 +233,20 @@ class CellIndex:
             slots[keys] = np.arange(keys.size, dtype=np.int32)
         self.table = CellTable(slots, keys, np.append(first, x.size).astype(np.int64), order, width, height)
 
-    def places(self, x: Int32, y: Int32) -> tuple[Int64, Int64]:
-        """Columns and rows of positions within the table: int64 [n] each."""
-        columns, rows = self.cells.places(x, y)
+    def cell_indices(self, x: Int32, y: Int32) -> tuple[Int64, Int64]:
+        """Return columns and rows of positions within the table: int64 [n] each."""
+        columns, rows = self.cells.cell_indices(x, y)
         return columns - self.col0, rows - self.row0
 
     def find(self, x: Int32, y: Int32) -> Int32:
-        """Index into the table's `keys` of the cell of each position, -1 for empty cells: int32 [n]."""
+        """Return the index into the table's `keys` of the cell of each position, -1 for empty cells: int32 [n]."""
         c = self.cells
         return _find(x, y, c.p, c.q, c.origin_x, c.origin_y, self.col0, self.row0, self.table)
 
 
 @kernel
 def find_slot(slots: Int32, keys: Int64, width: int, height: int, column: int, row: int) -> int:
-    """`slot_of` for inner loops, with the table unpacked beforehand."""
+    """Return the same index as `slot_of`, given the fields of the table, which is faster in inner loops."""
     if column < 0 or row < 0 or column >= width or row >= height:
         return -1
     key = row * width + column
@@ -249,7 +258,7 @@ def find_slot(slots: Int32, keys: Int64, width: int, height: int, column: int, r
 
 @inlined
 def slot_of(table: CellTable, column: int, row: int) -> int:
-    """Return the index of a cell among the table's occupied ones, or -1 if it is empty or outside."""
+    """Return the index of a cell among the table's occupied cells, or -1 if the cell is empty or outside."""
     return find_slot(table.slots, table.keys, table.width, table.height, column, row)
 
 
@@ -266,6 +275,6 @@ def _find(
     return out
 
 
-def positions(x: Int32, y: Int32) -> Int64:
-    """Return a number for each position, which differs for different positions: int64 [n]."""
+def position_keys(x: Int32, y: Int32) -> Int64:
+    """Return an integer for each position, different for different positions: int64 [n]."""
     return (x.astype(np.int64) << 32) + y

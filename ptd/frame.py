@@ -29,16 +29,16 @@ class Scale:
     origin: tuple[int, int] = (0, 0)
 
     def counts(self, metres: float) -> float:
-        """A horizontal length in metres as counts."""
+        """Convert a horizontal length in metres to counts."""
         return float(Fraction(metres) / self.metres_xy)
 
     def counts_z(self, metres: float) -> float:
-        """A height in metres as vertical counts."""
+        """Convert a height in metres to vertical counts."""
         return float(Fraction(metres) / self.metres_z)
 
     @property
     def z_ratio(self) -> float:
-        """Horizontal counts in one vertical count."""
+        """Length of a vertical count in horizontal counts."""
         return float(self.metres_z / self.metres_xy)
 
 
@@ -56,22 +56,22 @@ class CellLattice:
 
     @classmethod
     def of(cls, size_m: float, scale: Scale) -> CellLattice:
-        """Return cells of ``size_m`` metres. The exact size is the decimal number in ``repr(size_m)``."""
+        """Return a lattice of cells of ``size_m`` metres. The exact size is the decimal number in ``repr(size_m)``."""
         size = Fraction(repr(float(size_m))) / scale.metres_xy
         return cls(size.numerator, size.denominator, scale.origin[0], scale.origin[1])
 
     def column(self, x: int) -> int:
-        """Column of local count ``x``."""
+        """Return the column of local count ``x``. Columns increase to the east."""
         return ((x + self.origin_x) * self.q) // self.p
 
     def row(self, y: int) -> int:
         """Return the row of local count ``y``. Rows increase to the north."""
         return ((y + self.origin_y) * self.q) // self.p
 
-    def places(
+    def cell_indices(
         self, x: npt.NDArray[np.int32], y: npt.NDArray[np.int32]
     ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-        """Columns and rows of local counts: int64 [n] each."""
+        """Return columns and rows of local counts: int64 [n] each."""
         columns: npt.NDArray[np.int64] = ((x.astype(np.int64) + self.origin_x) * self.q) // self.p
         rows: npt.NDArray[np.int64] = ((y.astype(np.int64) + self.origin_y) * self.q) // self.p
         return columns, rows
@@ -79,25 +79,25 @@ class CellLattice:
     def corners(
         self, columns: npt.NDArray[np.int64], rows: npt.NDArray[np.int64]
     ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-        """Western and southern edges of cells, local counts: int64 [n] each."""
+        """Return the western and southern edges of cells, in local counts: int64 [n] each."""
         west: npt.NDArray[np.int64] = -((-columns * self.p) // self.q) - self.origin_x
         south: npt.NDArray[np.int64] = -((-rows * self.p) // self.q) - self.origin_y
         return west, south
 
     def west(self, column: int) -> int:
-        """Western edge of a column, local counts."""
+        """Return the western edge of a column, in local counts."""
         return -((-column * self.p) // self.q) - self.origin_x
 
     def south(self, row: int) -> int:
-        """Southern edge of a row, local counts."""
+        """Return the southern edge of a row, in local counts."""
         return -((-row * self.p) // self.q) - self.origin_y
 
 
 @dataclass(frozen=True)
 class Window:
-    """The half-open rectangle of local counts whose points are all given.
+    """Half-open rectangle of local counts in which all points are known.
 
-    A side is *open* (at -OPEN or OPEN) if there are no points beyond it.
+    A side is *open* (at -OPEN or OPEN) if there are no points beyond it, and otherwise *closed*.
     """
 
     west: int
@@ -107,42 +107,42 @@ class Window:
 
     @classmethod
     def everything(cls) -> Window:
-        """The window of a whole cloud, with no points outside."""
+        """Return the window of a whole cloud, with no points outside."""
         return cls(-OPEN, -OPEN, OPEN, OPEN)
 
     @property
     def closed(self) -> bool:
-        """Whether points may lie beyond at least one side."""
+        """Whether at least one side is closed, so that points may lie beyond it."""
         return self != Window.everything()
 
     def inside(self, cells: CellLattice, steps: int = 0) -> Window:
-        """The window shrunk to whole cells, and by `steps` further cells, at its closed sides."""
-
-        def first(index: int, count: int, start: int) -> int:
-            return index + (start < count) + steps
-
+        """Return the window, shrunk at its closed sides to whole cells and by `steps` further cells."""
         west, south, east, north = self.west, self.south, self.east, self.north
         if west > -OPEN:
             column = cells.column(west)
-            west = cells.west(first(column, west, cells.west(column)))
+            if cells.west(column) < west:  # The window cuts this column.
+                column += 1
+            west = cells.west(column + steps)
         if south > -OPEN:
             row = cells.row(south)
-            south = cells.south(first(row, south, cells.south(row)))
+            if cells.south(row) < south:  # The window cuts this row.
+                row += 1
+            south = cells.south(row + steps)
         if east < OPEN:
             east = cells.west(cells.column(east) - steps)
         if north < OPEN:
             north = cells.south(cells.row(north) - steps)
         return Window(west, south, east, north)
 
-    def holds(self, west: int, south: int, east: int, north: int) -> bool:
-        """Whether a half-open rectangle of local counts lies within the window."""
+    def contains_box(self, west: int, south: int, east: int, north: int) -> bool:
+        """Return whether a half-open rectangle of local counts lies within the window."""
         return west >= self.west and south >= self.south and east <= self.east and north <= self.north
 
-    def has(self, x: npt.NDArray[np.int32], y: npt.NDArray[np.int32]) -> npt.NDArray[np.bool_]:
-        """Mask of the positions (local counts) within the window: bool [n]."""
+    def contains(self, x: npt.NDArray[np.int32], y: npt.NDArray[np.int32]) -> npt.NDArray[np.bool_]:
+        """Return a mask of the positions (local counts) within the window: bool [n]."""
         if not self.closed:
             return np.ones(x.shape, np.bool_)
-        found: npt.NDArray[np.bool_] = (
+        inside: npt.NDArray[np.bool_] = (
             (x >= self.west) & (x < self.east) & (y >= self.south) & (y < self.north)
         )
-        return found
+        return inside

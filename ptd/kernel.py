@@ -1,11 +1,11 @@
 """Compiling numeric functions (kernels) with numba, and the folder where their machine code is kept.
 
 Kernels compile once per machine and version. numba's cache checks only the source file of a kernel, so after an upgrade
-it would reuse old code of the kernels called from it. Therefore the folder's name holds a digest of the package's
-location and of all its sources. It lies in ``NUMBA_CACHE_DIR`` if that is set, otherwise in the user's cache folder or
-in a folder of the user among the temporary files. If none can be written, each process compiles for itself. A folder in
-``NUMBA_CACHE_DIR`` that belongs to root, and that only root can write, is copied. So every user can use the compiled
-kernels of a container image.
+it would reuse old code of the kernels that this kernel calls. Therefore the folder's name contains a digest of the
+package's location and of all its sources. The folder is in ``NUMBA_CACHE_DIR`` if that is set, otherwise in the user's
+cache folder or in a folder of the user among the temporary files. If none of these can be written, each process
+compiles for itself. A folder in ``NUMBA_CACHE_DIR`` that belongs to root, and that only root can write, is copied. So
+every user can use the compiled kernels of a container image.
 """
 
 import functools
@@ -25,7 +25,7 @@ from numba.core import config as numba_config
 
 __all__ = ["as_int64", "cache_folder", "compiled_count", "inlined", "kernel"]
 
-config: Any = numba_config  # Any, as its variables are made at run time
+config: Any = numba_config  # The variables of this module are made at run time, so they have no types.
 # numba would read a file of settings in the current folder. A file that came with the clouds must not change results.
 config._config_fname = os.devnull
 config.reload_config()
@@ -47,19 +47,19 @@ def cache_folder() -> Path | None:
     user = "user"
     if hasattr(os, "getuid"):
         user = str(os.getuid())
-    places = (os.environ.get("NUMBA_CACHE_DIR"), home, os.path.join(tempfile.gettempdir(), f"cache-{user}"))
-    folders = [Path(place) / "tiler-kernels" / digest.hexdigest() for place in places if place]
+    parents = (os.environ.get("NUMBA_CACHE_DIR"), home, os.path.join(tempfile.gettempdir(), f"cache-{user}"))
+    folders = [Path(parent) / "tiler-kernels" / digest.hexdigest() for parent in parents if parent]
     shared = [folder for folder in folders if _trusted(folder)]
     for folder in folders:
         if shared and not folder.exists():
-            _take_over(shared[0], folder)
+            _copy_cache(shared[0], folder)
         if _usable(folder):
             return folder
     return None
 
 
 def compiled_count() -> int:
-    """Number of compiled kernels in the folder of this version."""
+    """Return the number of compiled kernels in the folder of this version."""
     folder = cache_folder()
     if folder is None:
         return 0
@@ -70,46 +70,45 @@ _ROOT = 0
 
 
 def _trusted(path: Path) -> bool:
-    """Whether a path belongs to root and only root can replace it, as required of code that is run."""
+    """Return whether a path belongs to root and only root can replace it, as required of code that is run."""
     try:
         real = path.resolve(strict=True)
-        stats = [place.stat() for place in (real, *real.parents)]
+        stats = [part.stat() for part in (real, *real.parents)]
     except OSError:
         return False
     return all(s.st_uid == _ROOT and not s.st_mode & (stat.S_IWGRP | stat.S_IWOTH) for s in stats)
 
 
-def _take_over(shared: Path, folder: Path) -> None:
+def _copy_cache(shared: Path, folder: Path) -> None:
     """Copy a cache completely or not at all, even if other processes do so at the same time."""
     with suppress(OSError):
         folder.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=folder.parent) as scratch:
             copy = Path(scratch) / "copy"
-            shutil.copytree(
-                shared,
-                copy,
-                symlinks=True,
-                ignore=lambda place, names: [name for name in names if not _trusted(Path(place, name))],
-            )
+            shutil.copytree(shared, copy, symlinks=True, ignore=_untrusted)
             copy.chmod(0o700)
             copy.rename(folder)
 
 
+def _untrusted(folder: str, names: list[str]) -> list[str]:
+    return [name for name in names if not _trusted(Path(folder, name))]
+
+
 def _usable(folder: Path) -> bool:
-    """Whether a folder exists or can be made, belongs to the user (it holds code), and can be written."""
+    """Return whether a folder exists or can be made, belongs to the user (as it contains code), and can be written."""
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
-        own = not hasattr(os, "getuid") or folder.stat().st_uid == os.getuid()
+        is_own = not hasattr(os, "getuid") or folder.stat().st_uid == os.getuid()
     except OSError:
         return False
-    return own and os.access(folder, os.W_OK)
+    return is_own and os.access(folder, os.W_OK)
 
 
 def kernel(function: Callable[_Parameters, _Result]) -> Callable[_Parameters, _Result]:
-    """Compile `function` to machine code on its first call (cached on disk, without the GIL).
+    """Compile `function` to machine code on its first call. The code is cached on disk and runs without the GIL.
 
-    Neither ``fastmath`` nor ``parallel`` is ever set, because sums and comparisons must give the same bits on
-    each run. Tiles run in parallel instead.
+    Neither ``fastmath`` nor ``parallel`` is used, because sums and comparisons must give the same bits in each run.
+    Tiles run in parallel instead.
 
     Parameters
     ----------
@@ -121,24 +120,25 @@ def kernel(function: Callable[_Parameters, _Result]) -> Callable[_Parameters, _R
     callable
         The compiled function, with the same signature for the type checker.
     """
-    folder, before = cache_folder(), config.CACHE_DIR
+    folder, previous = cache_folder(), config.CACHE_DIR
     try:
         config.CACHE_DIR = str(folder or "")
         compiled = numba.njit(cache=folder is not None, nogil=True)(function)
     finally:
-        config.CACHE_DIR = before  # other packages keep their own folder
+        config.CACHE_DIR = previous  # Other packages keep their own folder.
     return cast(Callable[_Parameters, _Result], compiled)
 
 
 def inlined(function: Callable[_Parameters, _Result]) -> Callable[_Parameters, _Result]:
-    """`kernel` that is inlined at each call: for short kernels that take tables of arrays in inner loops.
+    """Compile `function` as a kernel that is inlined where it is called.
 
-    A normal call would count references to each array of a table, which costs more than the work.
+    It is for short kernels that are passed tables of arrays in inner loops. A normal call counts references to each
+    array of a table, which takes longer than the kernel itself.
     """
     return cast(Callable[_Parameters, _Result], numba.njit(nogil=True, inline="always")(function))
 
 
 @kernel
 def as_int64(value: SupportsInt) -> int:
-    """A value as int64. Otherwise a kernel would be compiled a second time for int32."""
+    """Convert a value to int64, so that kernels are not compiled a second time for int32."""
     return np.int64(value)  # type: ignore[return-value]

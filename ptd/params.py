@@ -21,13 +21,13 @@ def parameter(
     unit: str = "",
     source: str = "",
 ) -> Any:
-    """A field with help, closed range, unit and source in the literature."""
+    """Return a dataclass field with help, closed range, unit and source in the literature."""
     metadata = {"help": help, "unit": unit, "minimum": minimum, "maximum": maximum, "source": source}
     return field(default=default, metadata=metadata)
 
 
 def like(cls: type[Any], name: str, default: float | int | bool | None = None) -> Any:
-    """The field of another method's dataclass, optionally with another default."""
+    """Return the field of another method's dataclass, optionally with another default."""
     spec = next(spec for spec in fields(cls) if spec.name == name)
     value: Any = default
     if default is None:
@@ -44,7 +44,7 @@ def check(params: Any) -> None:
     Raises
     ------
     ValueError
-        One line that names the parameter, the value and what would be right.
+        A value cannot be used. The message names the parameter, the value and the allowed values.
     """
     for spec in fields(params):
         value = getattr(params, spec.name)
@@ -81,12 +81,13 @@ def parse(cls: type[T], texts: dict[str, str]) -> T:
     Raises
     ------
     ValueError
-        One line that names the parameter, the value and what would be right.
+        A text cannot be used. The message names the parameter, the value and the allowed values.
     """
     known = {spec.name: spec for spec in fields(cls)}  # type: ignore[arg-type]
     values: dict[str, Any] = {}
     for name, text in texts.items():
-        full = next((n for n in (name, *(name + s for s in UNIT_SUFFIXES)) if n in known), None)
+        full_names = (name, *(name + suffix for suffix in UNIT_SUFFIXES))
+        full = next((full_name for full_name in full_names if full_name in known), None)
         if full is None:
             raise ValueError(f"no parameter {name!r}; there are {', '.join(known)}")
         if full in values:
@@ -108,5 +109,5 @@ def _parse_value(name: str, text: str, default: Any) -> Any:
 
 
 def to_json(params: Any) -> dict[str, Any]:
-    """Plain values by name, in the order of the fields."""
+    """Return plain values by name, in the order of the fields."""
     return dataclasses.asdict(params)

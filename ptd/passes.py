@@ -1,9 +1,8 @@
-"""The interface of methods: a method runs over tiles as a sequence of passes.
+"""Interface of methods: a method runs over tiles as a sequence of passes.
 
-A pass gets the candidates of a window (`Pass.fit`) and returns a model. The model labels points in pieces
-(`Model.label`) and gives the window's part of run-wide statistics (`Model.partial`). `Pass.reduce` merges the
-partials of all tiles, in any order, into the state that the next pass gets. A pass is the unit of scheduling and of
-resume.
+`Pass.fit` is passed the candidates of a window and returns a model. The model labels points in batches (`Model.label`)
+and returns the part of the run-wide statistics that its core contributes (`Model.partial`). `Pass.reduce` merges these
+parts of all tiles, in any order, into the state for the next pass. A pass is the unit of scheduling and of resume.
 """
 
 from __future__ import annotations
@@ -23,26 +22,26 @@ Int32 = npt.NDArray[np.int32]
 UInt8 = npt.NDArray[np.uint8]
 UInt16 = npt.NDArray[np.uint16]
 State = Mapping[str, Any]
-"""Figures of the run, JSON-able. At first ``{"run": RunHints as dict}``. ``notes`` is a list of lines on decisions from
-the data, to which `Pass.reduce` may add. ``places`` holds the figures of each place (`ptd.places`). A task carries the
-part that its window needs (`Pass.local`)."""
+"""JSON-able results of the passes for the whole run. The first state is ``{"run": RunHints as dict}``. ``notes`` is a
+list of lines on decisions from the data, to which `Pass.reduce` may add. ``places`` is the table of the figures of each
+place (`ptd.places`). The arguments of a task have only the part of the state that its window needs (`Pass.local`)."""
 
-LOOKED_AT = {"run": ("sigma_m", "kind"), "survey": ("kind",), "canopy": ()}
-"""Names that passes read in these entries of a state. Other names are only for display, and change with each added
-file."""
+READ_NAMES = {"run": ("sigma_m", "kind"), "survey": ("kind",), "canopy": ()}
+"""Names of values that passes read, for some entries of a state. Other values in these entries are only for display,
+and change with each added file."""
 
 
 KINDS = ("lidar", "dim")
 """Origins of a cloud: laser scanning, or image matching."""
 
 
-def noted(state: State, *lines: str) -> list[str]:
-    """The notes of a state and further notes."""
+def add_notes(state: State, *lines: str) -> list[str]:
+    """Return the notes of a state, followed by further notes."""
     return [*state.get("notes", []), *lines]
 
 
 class MethodRefusal(ValueError):
-    """Error with one line for the user: the statistics show that the method cannot work on this run."""
+    """Error in one line for the user, raised if the statistics show that the method cannot work on this run."""
 
 
 @dataclass(frozen=True)
@@ -54,14 +53,14 @@ class RunHints:
     sigma_m : float or None
         Noise of heights given by the user (``--sigma``).
     kind : {"lidar", "dim"} or None
-        Origin of the cloud, laser scanning or image matching, as the user gives it (``--kind``) or the fields of its
-        points show it. None: the positions of the points have to decide as well.
+        Origin of the cloud, laser scanning or image matching, as given by the user (``--kind``) or decided from the
+        fields of the points. None if the positions of the points have to decide as well.
     sure : float or None
-        Probability that the kind is right; None if the user gives it.
+        Probability that the kind is right; None if the user gives the kind.
     why : str or None
         Evidence for the kind, in words.
     evidence : dict or None
-        `ptd.Evidence` as plain values, if it does not decide alone.
+        `ptd.Evidence` as plain values, if this evidence is not enough to decide the kind.
     """
 
     sigma_m: float | None = None
@@ -96,7 +95,7 @@ class Points:
         return int(self.xyz.shape[1])
 
     def columns(self) -> tuple[Int32, Int32, Int32]:
-        """x, y, z, each contiguous."""
+        """Return x, y and z as contiguous arrays."""
         x, y, z = (np.ascontiguousarray(c) for c in self.xyz)
         return x, y, z
 
@@ -107,20 +106,20 @@ class Points:
         return self.labels
 
     def take(self, index: npt.NDArray[Any] | slice) -> Points:
-        """The points of an index or mask, in its order."""
+        """Return the points that an index, a mask or a slice selects, in its order."""
 
         def taken(column: Any) -> Any:
             if column is None:
                 return None
             if isinstance(index, np.ndarray) and index.dtype.kind == "i":
-                return np.take(column, index, axis=-1)  # several times as fast
+                return np.take(column, index, axis=-1)  # np.take is several times faster than indexing.
             return np.ascontiguousarray(column[..., index])
 
         return Points(taken(self.xyz), taken(self.labels), taken(self.rgb), taken(self.returns))
 
 
 def joined(parts: Sequence[Points]) -> Points:
-    """Points of all parts (at least one), one after the other, with the columns that all parts have."""
+    """Concatenate parts (at least one). Only columns that all parts have are kept."""
 
     def column(name: str) -> Any:
         columns = [getattr(part, name) for part in parts]
@@ -130,7 +129,7 @@ def joined(parts: Sequence[Points]) -> Points:
 
 
 class Model(ABC):
-    """The result of a pass in a window.
+    """Result of a pass in a window.
 
     Attributes
     ----------
@@ -144,27 +143,27 @@ class Model(ABC):
     def label(self, points: Points) -> tuple[UInt8, npt.NDArray[np.bool_]]:
         """Return labels (uint8 [n], below 128) and a mask of uncertified labels (bool [n]) of points of the window.
 
-        Labels of the last pass are ASPRS classes; the method defines those of earlier passes. Not called if the pass
-        gives no labels. With `Pass.label_margin_m` other points follow those to be labelled; their labels are
-        ignored.
+        Labels of the last pass are ASPRS classes. The method defines the labels of earlier passes. This method is not
+        called if the pass gives no labels. With `Pass.label_margin_m`, the points to label are followed by other
+        points, whose labels are ignored.
         """
 
     def elect(self, bounds: Window) -> Int32:
-        """The elected points whose x and y lie within half-open bounds: int32 [3, m], local counts.
+        """Return the elected points whose x and y lie within half-open bounds: int32 [3, m], local counts.
 
-        Called for parts of the core, only if the pass elects. Points and their order must follow only from their
-        surroundings, not from the window or the bounds. In a tiled run the bounds are those of a bucket, which
-        keeps at most as many elected points as its rows hold points. Cells with one elected point each nest in
-        buckets if 8 m are a whole number of cells.
+        This method is called for parts of the core, only if the pass elects. The points and their order must depend
+        only on their surroundings, not on the window or the bounds. In a tiled run the bounds are those of a bucket,
+        which has room for at most as many elected points as it has points. One elected point per cell always fits if
+        each cell lies in one bucket, that is, if 8 m is a multiple of its side.
         """
         raise NotImplementedError("the pass elects no points")
 
     def partial(self) -> dict[str, Any]:
-        """The core's part of the run's statistics, JSON-able. Each point lies in one core."""
+        """Return the core's part of the run's statistics, JSON-able. Each point lies in one core."""
         return {}
 
     def uncertain(self) -> int:
-        """Number of points of the core that `partial` may count wrongly, because points beyond the window are unknown.
+        """Return the number of core points that `partial` may count wrongly, as points beyond the window are unknown.
 
         A core with such points is repeated with a wider halo, like one with uncertified labels.
         """
@@ -172,7 +171,7 @@ class Model(ABC):
 
 
 class StatisticsModel(Model):
-    """The result of a pass that gives no labels.
+    """Result of a pass that gives no labels.
 
     Parameters
     ----------
@@ -189,48 +188,49 @@ class StatisticsModel(Model):
         raise NotImplementedError("the pass gives no labels")
 
     def partial(self) -> dict[str, Any]:
-        """The measured part of the core."""
+        """Return the core's part of the statistics."""
         return self._partial
 
 
 class Pass(ABC):
-    """One step of a method that needs only a window and the state.
+    """Step of a method that needs only a window and the state.
 
     Attributes
     ----------
     name : str
-        Unique in the method; its state is kept as ``after-<name>``.
+        Name that is unique in the method. The state after the pass is stored as ``after-<name>``.
     title : str
-        A few words on what the pass does; if empty, the name is used.
+        Short description of the pass; if empty, the name is used.
     columns : tuple of str
         Columns of `Points` that the pass needs besides xyz: ``labels``, ``rgb``, ``returns``.
     every_point : bool
-        Whether `fit` gets all points of the window instead of one candidate per cell of `candidate_cell_m`.
+        Whether `fit` is passed all points of the window instead of one candidate per cell of `candidate_cell_m`.
     gives_labels : bool
-        Whether the pass labels points; otherwise it only measures. The last pass of a method gives labels.
+        Whether the pass labels points; otherwise it only computes statistics. The last pass of a method gives labels.
     halo_m : float or None
-        Width of the halo in metres that this pass seldom exceeds. None: that of the method.
-    reach_m : float or None
-        Distance beyond which nothing can change the result at a place. A window with exactly this margin around its
-        core gives the untiled answer, without wider halos or open sides. 0: the core suffices. None: no such bound.
+        Width of the halo in metres that usually suffices. None: that of the method.
+    influence_radius_m : float or None
+        Distance from a position in metres beyond which nothing can change the result there. With exactly this margin
+        around the core, a window gives the same result as the whole cloud. 0: the core suffices. None: there is no such
+        distance, so halos may become wider and windows may have open sides.
     elects : bool
-        Whether the pass makes new points (`Model.elect`), for example one per cell, for later `elected` passes.
-        If it gives labels, `Model.label` gets these points, with xyz only, and labels them. The next such pass replaces
-        them.
+        Whether the pass makes new points (`Model.elect`), for example one per cell, for later passes that are
+        `elected`. If the pass also gives labels, `Model.label` labels these points and is passed only their xyz. The
+        next pass that elects replaces them.
     elected : bool
-        Whether `fit` gets the elected points of the window instead of the cloud's: xyz and, if named, the labels of the
-        last such pass (0 before that). `Model.label` labels elected points too, for the next such pass. If no later
-        pass applies, `Model.label` gets all points of the cloud with their labels, and labels them.
+        Whether `fit` is passed the elected points of the window instead of points of the cloud. Their labels, if named
+        in `columns`, are those of the last pass that labelled them, or 0. `Model.label` also labels elected points. But
+        if no later pass applies, it is passed all points of the cloud with their labels, and labels these.
     label_margin_m : float
-        Margin of points that `Model.label` needs around those that it labels. It gets these first. Then come, in any
-        order, all other points of the filter within this distance of their bounding box.
+        Width in metres of the margin of points that `Model.label` needs. It is passed the points to label first, and
+        then, in any order, all other points of the filter within this distance of their bounding box.
     kind : {"lidar", "dim"} or None
         Origin of the clouds to which the pass applies. None: all clouds.
     raster_cell_m : float
-        Side of the cells of a raster of the whole window that the pass makes, and that determines its memory. 0: the
+        Side of the cells of a raster that the pass makes of the whole window, and that determines its memory. 0: the
         pass makes no such raster, and the points determine its memory.
     by_place : bool
-        Whether `fit` reads the figures of places in the state.
+        Whether `fit` reads the table of places in the state.
     """
 
     name: str
@@ -239,7 +239,7 @@ class Pass(ABC):
     every_point: bool = False
     gives_labels: bool = True
     halo_m: float | None = None
-    reach_m: float | None = None
+    influence_radius_m: float | None = None
     elects: bool = False
     elected: bool = False
     label_margin_m: float = 0.0
@@ -248,61 +248,64 @@ class Pass(ABC):
     by_place: bool = False
 
     def applies(self, state: State) -> bool:
-        """Whether the pass is done, given the state after the passes before it.
+        """Return whether the pass is done, given the state after the earlier passes.
 
-        Some passes are needed only in some runs, as the survey decides. Later passes must not change the answer. Passes
-        that give labels or elect depend on which later passes apply, so the deciding pass comes before them. Of the
-        passes that apply, the last labels all points.
+        The result may depend on the statistics of an earlier pass, such as the survey. That pass must come before all
+        passes that give labels or elect, as these need to know which later passes apply. So no other pass may change
+        the result. Of the passes that apply, the last labels all points.
         """
         return True
 
     @abstractmethod
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Model:
-        """Work on the points of a window, in any order. Only the core counts for `Model.partial`."""
+        """Make the model of a window from its points, which may be in any order.
+
+        `Model.partial` counts only points of the core.
+        """
 
     def local(self, state: State, window: Window, scale: Scale) -> dict[str, Any]:
         """Return the part of a state that `fit` needs for a window, so that distant files do not change it."""
-        found = {name: value for name, value in state.items() if name not in ("notes", places.PLACES)}
-        for name, looked_at in LOOKED_AT.items():
-            if name in found:
-                found[name] = {key: value for key, value in found[name].items() if key in looked_at}
+        part = {name: value for name, value in state.items() if name not in ("notes", places.PLACES)}
+        for name, keys in READ_NAMES.items():
+            if name in part:
+                part[name] = {key: value for key, value in part[name].items() if key in keys}
         if self.by_place and places.PLACES in state:
-            found[places.PLACES] = places.near(state[places.PLACES], window, scale)
-        return found
+            part[places.PLACES] = places.near(state[places.PLACES], window, scale)
+        return part
 
     def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
         """Return the state after the pass, which must not depend on the order of the partials.
 
-        `MethodRefusal` ends the run.
+        Raise MethodRefusal to end the run.
         """
         return dict(state)
 
 
 def later_passes(passes: Sequence[Pass], number: int, state: State) -> list[Pass]:
-    """The passes after number `number` that apply, as far as the state before it shows."""
+    """Return the passes after the pass `number` that apply according to the state before it."""
     return [step for step in passes[number + 1 :] if step.applies(state)]
 
 
 def read_at_candidates(later: Sequence[Pass]) -> bool:
-    """Whether there are later passes, and all of them read labels at candidates only.
+    """Return whether there are later passes, and all of them read labels only at candidates.
 
-    `Model.label` of such passes is given no labels, whatever it needs around the points.
+    Then only candidates are labelled, so `Model.label` of the later passes cannot use earlier labels of other points.
     """
     return bool(later) and not any(step.every_point for step in later)
 
 
 @dataclass(frozen=True)
 class Method:
-    """A filter with its name and its parameters.
+    """Filter with its name and its parameters.
 
     Attributes
     ----------
     name, summary : str
     params : type
-        Frozen dataclass of `ptd.params.parameter` fields, the only home of the defaults. Its properties are ``passes``
-        (tuple of `Pass`), ``halo_m`` (metres around a tile that decisions usually reach), ``align_m`` (side of the
-        lattice cells to which windows are widened), ``margin_m`` (further widening) and ``candidate_cell_m`` (0: every
-        point is a candidate).
+        Frozen dataclass of `ptd.params.parameter` fields, which have the defaults. Its properties are ``passes`` (tuple
+        of `Pass`), ``halo_m`` (width of the halo that usually suffices), ``align_m`` (side of the lattice cells to
+        which windows are widened), ``margin_m`` (further widening) and ``candidate_cell_m`` (side of the cells with one
+        candidate each; 0: every point is a candidate). All are in metres.
     needs : tuple of str
         Columns that the method requires, such as ``rgb``.
     """

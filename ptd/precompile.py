@@ -1,7 +1,7 @@
-"""Compilation of the kernels once per machine, before workers start, as each worker would compile them otherwise.
+"""Compilation of the kernels once per machine, before workers start, since otherwise each worker would compile them.
 
-`ptd.kernel` describes where the machine code is kept. A file next to the code marks each method whose kernels are
-compiled.
+`ptd.kernel` describes where the machine code is kept. For each method whose kernels are compiled, there is a file next
+to the code, the mark.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ GARBAGE_OBJECTS = 100_000
 
 
 def _scene() -> tuple[Float64, npt.NDArray[np.uint16]]:
-    """A coloured town in which every method finds what it needs: xyz [n, 3] in metres, rgb [n, 3].
+    """Return a coloured town on which every method works: xyz [n, 3] in metres, rgb [n, 3].
 
     It covers 60 m of a slope at 10 points/m2 with noise of 5 cm, with a mound, four houses with a facade each, trees,
     and low outliers.
@@ -38,19 +38,19 @@ def _scene() -> tuple[Float64, npt.NDArray[np.uint16]]:
     z = 0.04 * x + mound + tree * random.uniform(2, 6, x.size)
     z[(abs(u) < 7) & (abs(v) < 5)] = 13.0
     z[::5000] -= 20.0
-    at = np.flatnonzero(abs(u) < 7)
-    facades = np.stack([x[at], y[at] // 30 * 30 + 10, random.uniform(4, 13, at.size)])
+    rows = np.flatnonzero(abs(u) < 7)
+    facades = np.stack([x[rows], y[rows] // 30 * 30 + 10, random.uniform(4, 13, rows.size)])
     xyz = np.concatenate([[x, y, z + random.normal(0, 0.05, x.size)], facades], axis=1)
-    green = np.append(tree, np.zeros(at.size, np.bool_))
+    green = np.append(tree, np.zeros(rows.size, np.bool_))
     rgb = np.where(green, [[90], [140], [60]], [[120], [118], [116]])
     rgb += random.integers(-9, 9, rgb.shape)
     return xyz.T, rgb.T.astype(np.uint16)
 
 
 def has_kinds(method: str) -> bool:
-    """Whether a method has passes that do not always apply.
+    """Return whether a method has passes that do not always apply.
 
-    Passes for one kind of clouds have separate kernels.
+    Passes for LiDAR and for photogrammetric clouds have different kernels.
     """
     from ptd.methods import METHODS
     from ptd.passes import Pass
@@ -58,36 +58,38 @@ def has_kinds(method: str) -> bool:
     return any(type(step).applies is not Pass.applies for step in METHODS[method].params().passes)
 
 
-def warm_filters(method: str, tell: Callable[[], None], kind: str | None = None) -> None:
-    """Compile the kernels of a method if necessary, and call ``tell`` before it takes long.
+def warm_filters(method: str, notify: Callable[[], None], kind: str | None = None) -> None:
+    """Compile the kernels of a method if necessary.
 
     Parameters
     ----------
     method : str
-    tell : callable
+    notify : callable
+        Function that is called before the compilation, which takes long.
     kind : {"lidar", "dim"} or None
-        Kind of the cloud, if the method has passes for one kind. None: both kinds.
+        Kind of the cloud, if the method has passes for only one kind. None: both kinds.
     """
     from ptd.api import do_passes
     from ptd.methods import METHODS
     from ptd.passes import KINDS, RunHints
 
-    def work(which: str | None) -> None:
+    def run_passes(cloud_kind: str | None) -> None:
         xyz, rgb = _scene()
         counts = np.ascontiguousarray((1000 * xyz).T.astype(np.int32))
-        # Several returns show a LiDAR cloud. The kind is not given, so that the passes that decide it compile as well.
+        # Multiple returns show that the cloud is LiDAR. `RunHints` does not give the kind, so that the passes that
+        # decide it are compiled as well.
         returns = np.ones((2, len(xyz)), np.uint8)
-        if which == KINDS[0]:
+        if cloud_kind == KINDS[0]:
             returns += 1
         columns = {"rgb": np.ascontiguousarray(rgb.T), "returns": returns}
-        tile = Window(0, 0, 60_000, 60_000)  # Closed sides, so kernels for certificates compile too.
+        tile = Window(0, 0, 60_000, 60_000)  # With closed sides, kernels for certificates compile too.
         do_passes(METHODS[method].params(), counts, columns, Scale(), tile, RunHints())
 
     kinds: tuple[str | None, ...] = (None,)
     if has_kinds(method):
         kinds = (kind,) if kind else KINDS
-    for which in kinds:
-        _once(filters_name(method, which), tell, functools.partial(work, which))
+    for cloud_kind in kinds:
+        _once(filters_name(method, cloud_kind), notify, functools.partial(run_passes, cloud_kind))
 
 
 def filters_name(method: str, kind: str | None) -> str:
@@ -98,18 +100,18 @@ def filters_name(method: str, kind: str | None) -> str:
 
 
 def gridding_name(interpolation: str) -> str:
-    """Name of the mark for the kernels of gridding."""
+    """Return the name of the mark for the kernels of gridding."""
     return f"gridding-{interpolation}"
 
 
 def is_compiled(name: str) -> bool:
-    """Whether the kernels of that mark are compiled, or no folder can hold them."""
+    """Return whether the kernels with the mark ``name`` are compiled, or no folder can store them."""
     folder = cache_folder()
     return folder is None or (folder / f"{name}.compiled").exists()
 
 
 def why_not_compiled(name: str) -> str:
-    """Return, in words, why the kernels of a name are yet to be compiled."""
+    """Return in words why the kernels with the mark ``name`` are not compiled yet."""
     folder = cache_folder()
     if folder is None:
         return "no folder for machine code can be written, so each process compiles for itself"
@@ -120,12 +122,12 @@ def why_not_compiled(name: str) -> str:
     return f"the first run that keeps its machine code in {folder.parent}"
 
 
-def warm_gridding(interpolation: Literal["linear", "natural"], tell: Callable[[], None]) -> None:
-    """Compile the kernels of gridding if necessary, and call ``tell`` before it takes long."""
+def warm_gridding(interpolation: Literal["linear", "natural"], notify: Callable[[], None]) -> None:
+    """Compile the kernels of gridding if necessary, after a call of ``notify``."""
     from ptd.gridding import ground_cells, highest_returns, nearest, wall_feet
     from ptd.tin import KnownWindow, Pixels, Tin, rasterise
 
-    def work() -> None:
+    def make_rasters() -> None:
         pixels = Pixels(1000, 1, 0, 59, 60, 60)
         xyz = np.ascontiguousarray((1000 * _scene()[0]).T.astype(np.int32))
         tin = Tin.build(*xyz)
@@ -138,23 +140,23 @@ def warm_gridding(interpolation: Literal["linear", "natural"], tell: Callable[[]
         ground_cells.plane_variance(xyz, cells, (2, 5))
         ground_cells.cell_counts(xyz, cells)
 
-    _once(gridding_name(interpolation), tell, work)
+    _once(gridding_name(interpolation), notify, make_rasters)
 
 
-def _once(name: str, tell: Callable[[], None], work: Callable[[], None]) -> None:
-    """Compile by running `work`, unless the mark next to the machine code exists."""
+def _once(name: str, notify: Callable[[], None], run_kernels: Callable[[], None]) -> None:
+    """Compile kernels by running them, unless the mark ``name`` next to the machine code exists."""
     folder = cache_folder()
     if folder is None:
-        tell()  # Every process compiles for itself.
+        notify()  # Every process compiles for itself.
         return
-    done = folder / f"{name}.compiled"
-    if done.exists():
+    mark = folder / f"{name}.compiled"
+    if mark.exists():
         return
-    tell()
+    notify()
     threshold = gc.get_threshold()
     gc.set_threshold(GARBAGE_OBJECTS)
     try:
-        work()
+        run_kernels()
     finally:
         gc.set_threshold(*threshold)
-    done.touch()
+    mark.touch()

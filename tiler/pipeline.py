@@ -16,7 +16,7 @@ from tiler.export.stage import export
 from tiler.filter.stage import filter_points
 from tiler.grid.stage import grid
 from tiler.grid.tasks.corrections import correct
-from tiler.grid.tasks.raster_table import wanted
+from tiler.grid.tasks.raster_table import required_rasters
 from tiler.ingest.stage import assemble, spool
 from tiler.ingest.tasks.fingerprints import numbered
 from tiler.inputs import SourceInfo
@@ -171,7 +171,7 @@ def _locked_run(job: Job, until: str, started: float) -> RunResult:
         job.note(
             f"{RUN}, {EVENTS} and {REPORT} are in {job.out}/; copies go to {job.products} when the run ends"
         )
-    seconds = stage_seconds(plan, [raster.stage for raster in wanted(plan.config)], until)
+    seconds = stage_seconds(plan, [raster.stage for raster in required_rasters(plan.config)], until)
     stages = [ExpectedStage(stage=s, title=plan.title_of(s), seconds=round(t, 3)) for s, t in seconds.items()]
     listener(JobStarted(stages))
     try:

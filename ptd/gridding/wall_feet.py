@@ -80,5 +80,5 @@ def near_objects(
     above = Xyz(*(axis[index.table.order] for axis in objects))
     below = Xyz(*(np.ascontiguousarray(axis) for axis in ground))
     tops = np.maximum.reduceat(above.z, index.table.starts[:-1])
-    places = index.places(below.x, below.y)
+    places = index.cell_indices(below.x, below.y)
     return _beside(below, places, above, tops, index.table, math.floor(reach * reach), rise)

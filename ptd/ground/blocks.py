@@ -42,7 +42,7 @@ def blocks(
     if x.size == 0:
         return
     side = SIDE_CELLS if side is None else side
-    columns, rows = cells.places(x, y)
+    columns, rows = cells.cell_indices(x, y)
     columns -= columns.min()
     rows -= rows[0]
     if columns.max() < side + 2 * reach and rows[-1] < side + 2 * reach:

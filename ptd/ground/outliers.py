@@ -135,7 +135,7 @@ def _search(
 ) -> npt.NDArray[np.bool_]:
     index = CellIndex(x, y, CellLattice.of(1.0, scale))
     search = _Search(scale.counts(radius_m), scale.counts_z(depth_m), group, both)
-    return _outliers(Xyz(x, y, z), index.table, index.places(x, y), int(np.ceil(radius_m)) + 1, search)
+    return _outliers(Xyz(x, y, z), index.table, index.cell_indices(x, y), int(np.ceil(radius_m)) + 1, search)
 
 
 def search_margin(radius_m: float, group: int, cell_m: float) -> int:

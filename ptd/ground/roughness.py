@@ -235,7 +235,7 @@ def patches(xyz: Int32, core: Window, scale: Scale) -> Patches:
         none, never = np.zeros(0, np.int64), np.zeros(0, np.bool_)
         return Patches(none, none, none, never, never, none, np.zeros((0, 4), np.int64))
     cells = CellLattice.of(PATCH_M, scale)
-    inside = core.has(x, y)
+    inside = core.contains(x, y)
     # With a margin of columns around the occupied ones, a key beyond the raster is never a cell of another row.
     col0, row0 = cells.column(int(x.min())) - REACH_CELLS, cells.row(int(y.min()))
     width = cells.column(int(x.max())) + REACH_CELLS + 1 - col0

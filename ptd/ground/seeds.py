@@ -75,7 +75,7 @@ def choose_seeds(
 
 def cells_of(x: Int32, y: Int32, cells: CellLattice) -> list[tuple[int, int]]:
     """Return column and row of each point."""
-    columns, rows = cells.places(x, y)
+    columns, rows = cells.cell_indices(x, y)
     return list(zip(columns.tolist(), rows.tolist(), strict=True))
 
 
@@ -121,9 +121,9 @@ def _doubt_cells(
     for row in range(cells.row(south), cells.row(north - 1) + 1):
         for column in range(cells.column(west), cells.column(east - 1) + 1):
             box = cells.west(column), cells.south(row), cells.west(column + 1), cells.south(row + 1)
-            if known.holds(*box) and (column, row) in filled:
+            if known.contains_box(*box) and (column, row) in filled:
                 continue
-            if not deep.holds(*box) or (column, row) in reached:
+            if not deep.contains_box(*box) or (column, row) in reached:
                 doubt.add_box(*box)
 
 

@@ -37,7 +37,7 @@ def side_of_cells(points: Points, scale: Scale) -> Float64:
     """
     x, y = points.xyz[0], points.xyz[1]
     cells = CellLattice.of(SPARSE_CELL_M, scale)
-    columns, rows = cells.places(x, y)
+    columns, rows = cells.cell_indices(x, y)
     west, south = cells.corners(columns, rows)
     east, north = cells.corners(columns + 1, rows + 1)
     middle = (x == (west + east) // 2) & (y == (south + north) // 2)

@@ -22,7 +22,7 @@ from ptd.matched.evidence import percent
 from ptd.matched.ground_model import band
 from ptd.matched.place_figures import SIDE, SIDES_M
 from ptd.matched.step import COVERED, CROWN, OBJECT, TERRAIN, Codes, MatchedPass, noise_m
-from ptd.passes import Int32, Model, Points, State, UInt8, noted
+from ptd.passes import Int32, Model, Points, State, UInt8, add_notes
 from ptd.places import PLACES, of_places, on_cells
 
 BORDER_M = 8.0
@@ -59,7 +59,7 @@ class CanopyPass(MatchedPass):
     by_place: bool = True
     elected: bool = True
     raster_cell_m: float = CELL_M
-    reach_m: float | None = max(
+    influence_radius_m: float | None = max(
         (surface.reach_cells(side) + canopy_reach_cells(side) + 3) * side for side in SIDES_M
     )
 
@@ -67,7 +67,7 @@ class CanopyPass(MatchedPass):
         """Find the canopy among the cells of each side, and count its cells in the core."""
         of_side = partial(self.of_side, core=core)
         model = by_side.of_each_side(of_side, points, core, scale, state, cells=True)
-        is_in_core = core.has(points.xyz[0], points.xyz[1])
+        is_in_core = core.contains(points.xyz[0], points.xyz[1])
         return CanopyModel(model, points.take(is_in_core), scale, state)
 
     def of_side(self, points: Points, scale: Scale, state: State, side: float, core: Window) -> Codes:
@@ -80,7 +80,7 @@ class CanopyPass(MatchedPass):
         flat[raster.keys] = codes
         coded = flat.reshape(raster.heights.shape)
         metres = np.where(raster.heights == EMPTY, np.nan, raster.heights / scale.counts_z(1.0))
-        is_near_core = _widened(core, scale.counts(side)).has(*points.xyz[:2])
+        is_near_core = _widened(core, scale.counts(side)).contains(*points.xyz[:2])
         # Without cells that a canopy may cover, no surface is needed. The surface is nearly all of the work.
         if not may_be(metres, side).reshape(-1)[raster.keys[is_near_core]].any():
             return Codes(raster, codes, cells)
@@ -104,7 +104,7 @@ class CanopyPass(MatchedPass):
             f"decided: a closed canopy hides the ground in {percent(covered / area)} % of the area; only "
             "openings in it contain ground points"
         )
-        return {**after, "notes": noted(state, line)}
+        return {**after, "notes": add_notes(state, line)}
 
 
 class CanopyModel(Model):
@@ -144,7 +144,7 @@ class CanopyModel(Model):
 
 def _by_block(xyz: Int32, sides_m: Float64, scale: Scale) -> list[list[int]]:
     """Return column and row of each block of `BLOCK_M` that contains cells, and their area in square metres."""
-    cell_blocks = np.stack(CellLattice.of(BLOCK_M, scale).places(xyz[0], xyz[1]))
+    cell_blocks = np.stack(CellLattice.of(BLOCK_M, scale).cell_indices(xyz[0], xyz[1]))
     blocks, block_numbers = np.unique(cell_blocks, axis=1, return_inverse=True)
     areas = np.bincount(block_numbers.ravel(), sides_m**2, blocks.shape[1]).astype(np.int64)
     block_areas: list[list[int]] = np.column_stack([blocks.T, areas]).tolist()

@@ -1,13 +1,14 @@
-"""Islands of ground on objects: few cells of a roof to which the ground surface climbed.
+"""Islands of ground on objects: a few cells of a roof that the ground surface wrongly includes.
 
-Pits in a roof, for example clumps of blunders, light wells or gaps between its parts, belong to no large object
-(`ptd.matched.objects`). So the surface passes through them, and each carries facets of the terrain model at the height
-of the roof. A connected surface of ground is such an island under these conditions:
+Pits in a roof, for example clumps of blunders, light wells or gaps between parts of the roof, do not belong to a large
+object (`ptd.matched.objects`). So the ground surface passes through them, and the terrain model has facets there at the
+height of the roof. A connected surface of ground cells is such an island under these conditions:
 
-- It is narrow, and it is a plateau (`ptd.ground.plateaus`): nearly all ground seen around it, beyond objects, is lower.
-  Most rays may meet no ground, because a wide roof hides it.
-- Most cells around its cells are objects. Terraces, tops of walls and rocks are mostly ground.
-- Most of these objects have its height, as the roof has. Crowns around a glimpse of ground are higher.
+- The surface is narrow, and it is a plateau (`ptd.ground.plateaus`): nearly all other ground that rays from it meet
+  beyond objects is lower. Most rays may not meet any ground, because the roof may be wide.
+- Most cells around the surface are objects. Around terraces, tops of walls and rocks, most cells are ground.
+- Most of these objects have the height of the surface, like the rest of a roof. Crowns around a spot of ground are
+  higher.
 """
 
 from __future__ import annotations
@@ -30,15 +31,15 @@ from ptd.matched.surface import Surface
 MAX_WIDTH_M = 50.0
 """Width above which a surface is not an island."""
 VIEW_M, SLOPE, UNSEEN_SHARE = 40.0, 0.1, 0.9
-"""Length of the rays that search for other ground, slope that their fall must exceed, and largest share of rays that
-meet no ground. An island may lie in the middle of a wide roof. Objects of its height tell it from the top of a hill, so
-the slope is less than for whole roofs."""
+"""Length of the rays that search for other ground, slope of a ray above which this ground is lower, and largest share
+of rays that do not meet ground. The slope is less than for whole roofs, because the objects around an island already
+distinguish it from the top of a hill."""
 AROUND_M, GROUND_SHARE = 3.0, 0.5
 """Distance (along rows and along columns) of the cells around an island's cells, and the share of ground among them
-below which most of them are objects."""
+below which they are mostly objects."""
 LEVEL_ABOVE_M, LEVEL_BELOW_M, LEVEL_SHARE = 3.0, 1.5, 0.5
-"""Heights above and below a cell within which an object around it has its height, and least share of such objects. Pits
-lie below the roof."""
+"""Heights above and below a cell between which an object counts as equally high, and least share of such objects. The
+upper limit is larger, because pits lie below the roof."""
 
 
 def _around_cells(cell_m: float) -> int:
@@ -56,8 +57,8 @@ def _rule(scale: Scale, cell_m: float) -> Plateaus:
 def reach_cells(cell_m: float) -> int:
     """Return the distance in cells beyond which cells do not change the result of `without_islands`.
 
-    Rays begin at the last cell of an island and may end at the first cell of another surface. Of a surface that
-    continues beyond this distance, a part wider than `MAX_WIDTH_M` lies within it.
+    Rays begin at the last cell of an island and may end at the first cell of another surface. A surface that continues
+    beyond this distance is too wide for an island, as the part within the distance is wider than `MAX_WIDTH_M`.
     """
     rule, around = _rule(Scale(), cell_m), _around_cells(cell_m)
     return 2 * rule.widest + rule.view + max(rule.gap, around) + around + 1
@@ -67,13 +68,14 @@ def reach_cells(cell_m: float) -> int:
 def _surroundings(
     heights: Int32, ground: Bool, surface: Int32, n: int, distance: int, above: int, below: int
 ) -> tuple[Int64, Int64]:
-    """Count the cells around the cells of each surface (int64 [n, 3]), and find its box (int64 [n, 4]).
+    """Count the cells around the cells of each surface (int64 [n, 3]), and find its bounding box (int64 [n, 4]).
 
-    The counts are all cells, ground, and objects of the same height. A cell near several cells of a surface is
-    counted for each. The box is the first and last row, and the first and last column.
+    The counts are all cells, ground, and objects of the same height. A cell near several cells of a surface is counted
+    several times. The box is the first and last row, and the first and last column.
     """
     rows, columns = heights.shape
-    counts, box = np.zeros((n, 3), np.int64), np.zeros((n, 4), np.int64)
+    counts = np.zeros((n, 3), np.int64)
+    box = np.zeros((n, 4), np.int64)
     for row in range(rows):
         for column in range(columns):
             number = surface[row, column]
@@ -97,22 +99,25 @@ def _surroundings(
 def _carried(
     heights: Int32, ground: Bool, levels: Int32, rule: Plateaus, scale: Scale, cell_m: float
 ) -> Bool:
-    """Find the cells of narrow surfaces of ground among objects of their height: bool [rows, columns]."""
-    limit = math.floor(rule.step) + 1  # heights are whole numbers
+    """Find the cells of narrow surfaces of ground between objects of the same height: bool [rows, columns]."""
+    limit = math.floor(rule.step) + 1  # The next whole number, as heights are whole numbers.
     surface, n = connected_surfaces(levels, limit, limit, rule.gap)
-    above, below = (round(scale.counts_z(metres)) for metres in (LEVEL_ABOVE_M, LEVEL_BELOW_M))
+    above = round(scale.counts_z(LEVEL_ABOVE_M))
+    below = round(scale.counts_z(LEVEL_BELOW_M))
     counts, box = _surroundings(heights, ground, surface, n, _around_cells(cell_m), above, below)
-    cells, of_ground, level = counts.T
+    n_cells, n_ground, n_level = counts.T
     width = np.maximum(box[:, 1] - box[:, 0], box[:, 3] - box[:, 2]) + 1
-    is_carried = (of_ground < GROUND_SHARE * cells) & (level >= LEVEL_SHARE * (cells - of_ground))
-    carried: Bool = np.append(is_carried & (width <= rule.widest), False)[surface]  # -1: no surface
+    is_carried = (n_ground < GROUND_SHARE * n_cells) & (n_level >= LEVEL_SHARE * (n_cells - n_ground))
+    # Cells without a surface have the number -1, which selects the appended value.
+    carried: Bool = np.append(is_carried & (width <= rule.widest), False)[surface]
     return carried
 
 
 def islands(heights: Int32, ground: Bool, scale: Scale, cell_m: float) -> Bool:
     """Find the cells of islands: bool [rows, columns].
 
-    Islands of one roof are not ground for each other: rays continue over surfaces that objects of their height carry.
+    Other islands of the same roof do not count as ground: rays continue beyond narrow surfaces between objects of the
+    same height.
 
     Parameters
     ----------
@@ -124,32 +129,33 @@ def islands(heights: Int32, ground: Bool, scale: Scale, cell_m: float) -> Bool:
     cell_m : float
         Side of the cells in metres.
     """
-    rule, levels = _rule(scale, cell_m), np.where(ground, heights, EMPTY).astype(np.int32)
+    rule = _rule(scale, cell_m)
+    levels = np.where(ground, heights, EMPTY).astype(np.int32)
     carried = _carried(heights, ground, levels, rule, scale, cell_m)
-    found: Bool = carried & plateaus(levels, rule, data=heights != EMPTY, passed=carried)
-    return found
+    is_island: Bool = carried & plateaus(levels, rule, data=heights != EMPTY, passed=carried)
+    return is_island
 
 
-def without_islands(found: Surface, left: Int32, heights: Int32, scale: Scale, cell_m: float) -> Surface:
+def without_islands(surface: Surface, fitted: Int32, heights: Int32, scale: Scale, cell_m: float) -> Surface:
     """Return the surface without ground at islands on objects.
 
-    The cells around islands that are not ground themselves have none either, because it was continued there from the
+    Cells around islands that are not ground are left out as well, because the surface was continued there from the
     islands.
 
     Parameters
     ----------
-    found : Surface
-    left, heights : int32 [rows, columns]
+    surface : Surface
+    fitted, heights : int32 [rows, columns]
         Heights of the cells to which the surface was fitted, and of all cells, in vertical counts; `EMPTY` elsewhere.
     scale : Scale
     cell_m : float
         Side of the cells in metres.
     """
-    near = np.abs(left / scale.counts_z(1.0) - found.height) < band(found.sigma, found.narrowing)
-    ground = (left != EMPTY) & near  # Without a surface, the comparison with NaN gives False.
+    near = np.abs(fitted / scale.counts_z(1.0) - surface.height) < band(surface.sigma, surface.narrowing)
+    ground = (fitted != EMPTY) & near  # Without a surface, the comparison with NaN gives False.
     on_object = islands(heights, ground, scale, cell_m)
     if not on_object.any():
-        return found
+        return surface
     around = scipy.ndimage.maximum_filter(on_object, 2 * _around_cells(cell_m) + 1, mode="constant")
-    gone = on_object | (around & ~ground)
-    return found._replace(narrowing=np.where(gone, np.nan, found.narrowing))
+    left_out = on_object | (around & ~ground)
+    return surface._replace(narrowing=np.where(left_out, np.nan, surface.narrowing))

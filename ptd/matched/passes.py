@@ -41,7 +41,7 @@ class CellPass(OneSidePass):
     by_place: bool = True
     gives_labels: bool = False
     elects: bool = True
-    reach_m: float | None = 2 * SPARSE_CELL_M
+    influence_radius_m: float | None = 2 * SPARSE_CELL_M
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> CellModel:
         """Compute the heights of all cells of the core."""
@@ -62,7 +62,7 @@ class PlaceCellPass(MatchedPass):
     by_place: bool = True
     gives_labels: bool = False
     elects: bool = True
-    reach_m: float | None = CellPass.reach_m
+    influence_radius_m: float | None = CellPass.influence_radius_m
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> CellModel:
         """Compute the heights of all cells of the core, the smaller cells first."""
@@ -92,7 +92,7 @@ class CellModel(Model):
 
     def elect(self, bounds: Window) -> Int32:
         """Return the points of the cells whose centres lie within bounds."""
-        return np.ascontiguousarray(self._xyz[:, bounds.has(self._xyz[0], self._xyz[1])])
+        return np.ascontiguousarray(self._xyz[:, bounds.contains(self._xyz[0], self._xyz[1])])
 
 
 @dataclass(frozen=True)
@@ -104,7 +104,7 @@ class ObjectPass(MatchedPass):
     by_place: bool = True
     elected: bool = True
     raster_cell_m: float = CELL_M
-    reach_m: float | None = max(
+    influence_radius_m: float | None = max(
         (objects.reach_cells(side) + replace(surface.STIFF, cell_m=side).reach + 1) * side for side in SIDES_M
     )
 
@@ -149,7 +149,7 @@ class SurfacePass(MatchedPass):
     by_place: bool = True
     elected: bool = True
     raster_cell_m: float = CELL_M
-    reach_m: float | None = max(
+    influence_radius_m: float | None = max(
         (surface.reach_cells(side) + islands.reach_cells(side) + last_look.reach_cells(side)) * side
         for side in SIDES_M
     )

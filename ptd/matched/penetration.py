@@ -173,7 +173,7 @@ def seen_through(xyz: Int32, core: Window, scale: Scale, wide_cells: bool = True
         return dict.fromkeys(COUNTS, 0)
     raster = _Raster.of(CELL_M, x, y, z, scale)
     gap = _gaps(z, raster.slot, z[raster.lowest], scale.counts_z(BIN_M))
-    is_in_core = core.has(x[raster.lowest], y[raster.lowest])
+    is_in_core = core.contains(x[raster.lowest], y[raster.lowest])
     through = int(_seen_through(raster.keys, gap, is_in_core, raster.width, MIN_OF_9))
     counts = dict.fromkeys(COUNTS, 0) | {"looks": int(is_in_core.sum()), "through": through}
     some = np.flatnonzero(raster.some()[raster.slot])
@@ -187,7 +187,7 @@ def _of_overhangs(x: Int32, y: Int32, z: Int32, core: Window, scale: Scale) -> d
     for side_m in OVERHANG_CELLS_M if x.size else ():
         raster = _Raster.of(side_m, x, y, z, scale)
         asked, hanging = _hanging(z, *by_cell(raster.slot, raster.keys.size), scale.counts_z(HANGING_GAP_M))
-        is_in_core = core.has(x[raster.lowest], y[raster.lowest])
+        is_in_core = core.contains(x[raster.lowest], y[raster.lowest])
         looks += int((is_in_core & asked).sum())
         overhangs += int((is_in_core & hanging).sum())
     return {"overhang_looks": looks, "overhangs": overhangs}
@@ -238,7 +238,7 @@ def _of_wide_cells(x: Int32, y: Int32, z: Int32, core: Window, scale: Scale) -> 
     raster = _Raster.of(WIDE_M, x, y, z, scale)
     starts, order = by_cell(raster.slot, raster.keys.size)
     asked, gap, mixed = _mixed(x, y, z, starts, order, scale.counts_z(GAP_M))
-    asked_in_core = asked & core.has(x[raster.lowest], y[raster.lowest])
+    asked_in_core = asked & core.contains(x[raster.lowest], y[raster.lowest])
     through = _seen_through(raster.keys, mixed, asked_in_core, raster.width, MIN_MIXED)
     return {
         "wide_looks": int(asked_in_core.sum()),

@@ -27,7 +27,7 @@ from ptd.matched.place_figures import SIDES_M
 from ptd.matched.step import OneSidePass, cell_m, is_matched, noise_m
 from ptd.matched.survey import SurveyPass
 from ptd.params import parameter
-from ptd.passes import Model, Pass, Points, State, noted
+from ptd.passes import Model, Pass, Points, State, add_notes
 
 
 @dataclass(frozen=True)
@@ -85,7 +85,7 @@ class MethodSurveyPass(SurveyPass):
             f"vote of neighbours, ground is up to {GROUND_M:g} m and twice the local noise from the surface "
             "(--set robust_cells=no: as in the paper)"
         )
-        return {**after, "notes": noted(after, line, *self.notes)}
+        return {**after, "notes": add_notes(after, line, *self.notes)}
 
 
 @dataclass(frozen=True)
@@ -98,7 +98,7 @@ class _Wrapped(Pass):
     every_point: bool
     gives_labels: bool
     halo_m: float | None
-    reach_m: float | None
+    influence_radius_m: float | None
 
     @property
     def title(self) -> str:  # type: ignore[override]
@@ -153,7 +153,7 @@ class NearGroundPass(OneSidePass):
     title = "label points near the ground"
     columns: tuple[str, ...] = ("labels",)
     elected: bool = True
-    reach_m: float | None = facets.reach_m() + max(
+    influence_radius_m: float | None = facets.reach_m() + max(
         (surface.noise_reach_cells(side) + 3) * side for side in SIDES_M
     )
     label_margin_m: float = voting.REACH_M

@@ -73,6 +73,6 @@ class Codes(Model):
         certain = np.zeros(len(points), np.bool_)
         if self._raster is None or len(points) == 0:
             return np.zeros(len(points), np.uint8), certain
-        columns, rows = self._cells.places(points.xyz[0], points.xyz[1])
+        columns, rows = self._cells.cell_indices(points.xyz[0], points.xyz[1])
         width = self._raster.heights.shape[1]
         return self._codes[(rows - self._raster.row) * width + columns - self._raster.column], certain

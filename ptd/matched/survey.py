@@ -16,7 +16,7 @@ from ptd.matched import penetration
 from ptd.matched.cells import SPARSE_M2, cell_side_m
 from ptd.matched.evidence import DIM, SEVERAL_SHARE, Evidence, Finding, Piece, concluded, decided_by, percent
 from ptd.matched.place_figures import with_sides
-from ptd.passes import Pass, Points, RunHints, State, StatisticsModel, noted
+from ptd.passes import Pass, Points, RunHints, State, StatisticsModel, add_notes
 from ptd.places import PLACES, Figures, name_of
 
 SEEN_THROUGH_SHARE = 0.004
@@ -202,7 +202,7 @@ class SurveyPass(Pass):
     columns: tuple[str, ...] = ("returns",)
     every_point: bool = True
     gives_labels: bool = False
-    reach_m: float | None = max(roughness.REACH_M, penetration.REACH_M)
+    influence_radius_m: float | None = max(roughness.REACH_M, penetration.REACH_M)
 
     def fit(
         self, points: Points, window: Window, core: Window, scale: Scale, state: State
@@ -210,7 +210,7 @@ class SurveyPass(Pass):
         """Measure the places of the core, and count its returns and penetrated cells."""
         counts = dict.fromkeys(ReturnStatistics._fields, 0)
         if points.returns is not None:
-            of = points.returns[1, core.has(*points.xyz[:2])] if core.closed else points.returns[1]
+            of = points.returns[1, core.contains(*points.xyz[:2])] if core.closed else points.returns[1]
             counts |= {"told": int(np.count_nonzero(of)), "several": int(np.count_nonzero(of > 1))}
         measured_places = noise_by_place.measure_places(points.xyz, core, scale)
         told = not core.closed and counts["several"] >= SEVERAL_SHARE * max(counts["told"], 1)
@@ -236,7 +236,7 @@ class SurveyPass(Pass):
         )
         held = [table[name] for name in dict.fromkeys(name_of(*place["place"]) for place in counted)]
         survey, notes = self.decided(noise_sums.merge(counted), seen, held, state["run"])
-        return {**state, "survey": survey, PLACES: table, "notes": noted(state, *notes)}
+        return {**state, "survey": survey, PLACES: table, "notes": add_notes(state, *notes)}
 
     def decided(
         self, found: Roughness, seen: ReturnStatistics, held: Sequence[Figures], run: Mapping[str, Any]

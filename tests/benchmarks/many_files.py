@@ -100,7 +100,7 @@ def simulate_buckets(number: int, memory: bool = False) -> dict[str, Any]:
     from tiler.export.tasks.sheets import sheets, with_points
     from tiler.filter.tasks.passes import filter_tasks, label_digests
     from tiler.grid.tasks.gridding import GridContext
-    from tiler.grid.tasks.raster_table import wanted
+    from tiler.grid.tasks.raster_table import required_rasters
     from tiler.ingest.tasks.assembled import IngestResult
     from tiler.ingest.tasks.points import Source
     from tiler.plan import make_plan
@@ -141,7 +141,7 @@ def simulate_buckets(number: int, memory: bool = False) -> dict[str, Any]:
         facts["tiles"] = len(tasks)
         labels = timed("label_digests", lambda: label_digests(assembled, {}))
         g = GridContext(plan, assembled, labels)
-        for raster in wanted(config):
+        for raster in required_rasters(config):
             made = timed(f"tasks_{raster.name}", lambda raster=raster: list(raster.tasks(raster, g)))
             g.made[raster.name] = {t.key: (t.digest, {"checksum": t.digest, "filled": 1}) for t in made}
         facts["blocks"] = len(g.made["dtm"])

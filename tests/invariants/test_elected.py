@@ -113,7 +113,7 @@ def test_order_frame_and_rows_do_not_show(
 class Wary(RisingPass):
     """Not certain until it sees 12 m: tiles are done a second time."""
 
-    reach_m, halo_m = None, 6.0
+    influence_radius_m, halo_m = None, 6.0
 
     def fit(self, points: Any, window: Any, core: Any, scale: Any, state: Any) -> Any:
         model = super().fit(points, window, core, scale, state)
@@ -314,8 +314,8 @@ def test_a_part_with_the_statistics_of_the_whole(scene: Any, file: Path, whole: 
 def test_the_plan_knows_elected_points_and_margins(file: Path) -> None:
     plan = make_plan([str(file)], settings(method="medians", tile_size=None, halo=None))
     step = {step.name: step for step in plan.passes}
-    assert step["spread"].work.label_margin_m == 3.0
-    assert (step["mean"].work.elected, step["medians"].work.elected) == (True, False)
+    assert step["spread"].pass_.label_margin_m == 3.0
+    assert (step["mean"].pass_.elected, step["medians"].pass_.elected) == (True, False)
     assert (step["medians"].sometimes, step["census"].sometimes) == (True, False)
     assert "some of them only for some clouds" in " ".join(plan_lines(plan))
     assert filter_peak(plan, step["spread"], 64, 8) > filter_peak(plan, step["rising"], 64, 8)
@@ -335,7 +335,7 @@ def test_passes_of_another_branch_make_no_tile_smaller(file: Path, monkeypatch: 
     with monkeypatch.context() as patch:
         wide = [SplitPass(), LidarPass()]
         for step in wide:
-            step.reach_m = 20.0
+            step.influence_radius_m = 20.0
         patch.setattr(Parameters, "passes", (Census(), *wide))
         patch.setattr(Parameters, "candidate_cell_m", 0.0)
         laser = plans()

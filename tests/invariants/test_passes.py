@@ -74,7 +74,7 @@ class Lonely(Model):
 class LonelyLow(Pass):
     """The cell of a point reaches no farther than its side."""
 
-    name, columns, every_point, reach_m = "lonely", ("labels",), True, 8.0
+    name, columns, every_point, influence_radius_m = "lonely", ("labels",), True, 8.0
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Model:
         return Lonely(points, scale)

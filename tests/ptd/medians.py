@@ -30,12 +30,12 @@ def around(of: np.ndarray, among: np.ndarray, reach: float) -> list[list[int]]:
 
 
 class Census(Pass):
-    name, gives_labels, every_point, reach_m = "census", False, True, 0.0
+    name, gives_labels, every_point, influence_radius_m = "census", False, True, 0.0
 
     def fit(
         self, points: Points, window: Window, core: Window, scale: Scale, state: State
     ) -> StatisticsModel:
-        z = points.xyz[2, core.has(points.xyz[0], points.xyz[1])].astype(np.int64)
+        z = points.xyz[2, core.contains(points.xyz[0], points.xyz[1])].astype(np.int64)
         return StatisticsModel({"n": int(z.size), "sum": int(z.sum())})
 
     def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
@@ -67,7 +67,7 @@ class Split(Model):
 
 
 class SplitPass(OnLidar):
-    name, reach_m, every_point = "split", 0.0, True
+    name, influence_radius_m, every_point = "split", 0.0, True
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Split:
         return Split(state["mean"], (HIGH, LOW))
@@ -86,7 +86,7 @@ class Medians(Model):
     """The lower median height of each cell, at its middle, labelled by whether it is even."""
 
     def __init__(self, xyz: np.ndarray, cells: CellLattice) -> None:
-        columns, rows = cells.places(xyz[0], xyz[1])
+        columns, rows = cells.cell_indices(xyz[0], xyz[1])
         order = np.lexsort((xyz[2], columns, rows))
         columns, rows, z = columns[order], rows[order], xyz[2, order]
         first = np.flatnonzero(np.r_[True, (np.diff(columns) != 0) | (np.diff(rows) != 0)][: len(z)])
@@ -100,11 +100,11 @@ class Medians(Model):
         return parity(points), np.zeros(len(points), bool)
 
     def elect(self, bounds: Window) -> np.ndarray:
-        return self.xyz[:, bounds.has(self.xyz[0], self.xyz[1])]
+        return self.xyz[:, bounds.contains(self.xyz[0], self.xyz[1])]
 
 
 class MedianPass(OfImages):
-    name, elects, every_point, reach_m = "medians", True, True, CELL_M
+    name, elects, every_point, influence_radius_m = "medians", True, True, CELL_M
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Medians:
         return Medians(points.xyz, CellLattice.of(CELL_M, scale))
@@ -129,7 +129,7 @@ class Rising(Model):
 
 
 class RisingPass(OfImages):
-    name, elected, columns, reach_m = "rising", True, ("labels",), SEEN_M
+    name, elected, columns, influence_radius_m = "rising", True, ("labels",), SEEN_M
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Rising:
         return Rising(points, scale.counts(SEEN_M), scale.counts_z(1.0))
@@ -149,7 +149,7 @@ class Spread(Model):
 
 
 class SpreadPass(OfImages):
-    name, elected, columns, reach_m, label_margin_m = "spread", True, ("labels",), 0.0, SPREAD_M
+    name, elected, columns, influence_radius_m, label_margin_m = "spread", True, ("labels",), 0.0, SPREAD_M
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Spread:
         assert set(np.unique(points.known_labels())) <= {HIGH, LOW}
@@ -178,7 +178,7 @@ class Mean(Model):
 
 
 class MeanPass(OfImages):
-    name, elected, columns, reach_m, label_margin_m = "mean", True, ("labels",), TERRAIN_M, MEAN_M
+    name, elected, columns, influence_radius_m, label_margin_m = "mean", True, ("labels",), TERRAIN_M, MEAN_M
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Mean:
         return Mean(points, scale)

@@ -96,5 +96,5 @@ def test_elected_points_need_a_pass_that_elects(xyz: np.ndarray, monkeypatch: py
             return [step for step in Parameters().passes if not step.elects]
 
     monkeypatch.setitem(METHODS, "medians", Method("medians", "", Without))
-    with pytest.raises(ValueError, match="rising works on elected points, and no pass before it elected any"):
+    with pytest.raises(ValueError, match="rising works on elected points, but no earlier pass elected any"):
         ptd.classify(xyz, "medians", kind="dim")

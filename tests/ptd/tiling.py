@@ -16,7 +16,7 @@ MARK = np.uint8(128)
 
 
 def inside(points: Points, window: Window) -> np.ndarray:
-    return window.has(points.xyz[0], points.xyz[1])
+    return window.contains(points.xyz[0], points.xyz[1])
 
 
 def _given(points: Points, step: Any, labels: np.ndarray) -> Points:
@@ -107,8 +107,8 @@ def _windows(
     for row in range(tiles.row(int(y0)), tiles.row(int(y1)) + 1):
         for column in range(tiles.column(int(x0)), tiles.column(int(x1)) + 1):
             core = Window(tiles.west(column), tiles.south(row), tiles.west(column + 1), tiles.south(row + 1))
-            if step.reach_m is not None:
-                reach = math.ceil(scale.counts(step.reach_m))
+            if step.influence_radius_m is not None:
+                reach = math.ceil(scale.counts(step.influence_radius_m))
                 sides = core.west - reach, core.south - reach, core.east + reach, core.north + reach
                 found.append((core, Window(*sides)))
                 continue

@@ -16,7 +16,7 @@ SIDE = 16_000
 
 def cut(cloud: Cloud, window: Window) -> np.ndarray:
     """Which points lie in a window."""
-    return window.has(cloud[0], cloud[1])
+    return window.contains(cloud[0], cloud[1])
 
 
 def opened(cloud: Cloud, window: Window) -> Window:

@@ -1,4 +1,4 @@
-"""Points of a tile from the store: the points of a window, and the points to label, bucket by bucket."""
+"""Reading of the points of a tile from the store: the points of a window, and the points to label, by bucket."""
 
 from __future__ import annotations
 
@@ -20,24 +20,30 @@ from tiler.store import BucketInfo, TileStore
 
 @dataclasses.dataclass(frozen=True)
 class Bucket:
-    """Points of a bucket that may be labelled, a mask of them among all its points, and an uncertified flag.
+    """Points of a bucket that take part in filtering.
 
-    The mask ``which`` is bool [n]. The flag ``marked`` is set if a label of the points is uncertified.
+    Attributes
+    ----------
+    points : Points
+    mask : bool [n]
+        Mask of these points among all points that are read for the bucket.
+    uncertified : bool
+        Whether a label of these points is uncertified.
     """
 
     points: Points
-    which: npt.NDArray[np.bool_]
-    marked: bool
+    mask: npt.NDArray[np.bool_]
+    uncertified: bool
 
     @property
     def size_bytes(self) -> int:
         """Bytes of the columns of the bucket."""
         columns = (getattr(self.points, f.name) for f in dataclasses.fields(Points))
-        return int(self.which.nbytes) + sum(int(c.nbytes) for c in columns if c is not None)
+        return int(self.mask.nbytes) + sum(int(c.nbytes) for c in columns if c is not None)
 
 
 class TileReader:
-    """Reader of the points of a tile, which keeps buckets for later requests.
+    """Reader of the points of a tile. It keeps buckets in memory for later requests.
 
     Parameters
     ----------
@@ -59,13 +65,14 @@ class TileReader:
         self._window: tuple[Points, dict[Cell, slice]] | None = None
 
     def window(self, bounds: Bounds, cell_m: float) -> tuple[Points, bool]:
-        """Read the points of a window for a pass, and return them and whether one has an uncertified label.
+        """Read the points of a window for a pass. Return the points, and whether one has an uncertified label.
 
-        A pass on elected points reads these. Another pass reads the store's candidates if the method's cells consist of
-        whole fine cells and the pass does not need every point, else all points that take part.
+        A pass on elected points gets the elected points. Another pass gets the store's candidates if the method's
+        cells consist of whole fine cells and the pass does not need every point. Otherwise it gets all points that take
+        part in filtering.
         """
         slices_by_cell: dict[Cell, slice] = {}
-        self._window = None  # frees memory for the new window
+        self._window = None  # This frees memory for the new window.
         if self._step.elected:
             block = self._elected(bounds)
         else:
@@ -76,13 +83,13 @@ class TileReader:
             else:
                 columns = (*self._columns, "classification", "flags")
                 block = self._store.window(bounds, columns, labels=self._labels)
-                block = block.take(self._taking_part(block))
+                block = block.take(self._participating(block))
         points = self._as_points(block)
-        # A pass that labels only candidates finds those of its core in the window, so that they are read once.
+        # If the pass labels only candidates, `bucket` takes them from the window instead of reading them again.
         self._window = (points, slices_by_cell) if slices_by_cell and self._work.of_candidates else None
-        return points, _any_marked(block)
+        return points, _any_uncertified(block)
 
-    def own(self, cell: Cell) -> Bucket:
+    def bucket(self, cell: Cell) -> Bucket:
         """Return the points of a bucket, in the core or next to it, that the pass labels or reads."""
         if self._window is not None:
             points, slices_by_cell = self._window
@@ -93,64 +100,69 @@ class TileReader:
             self._held.move_to_end(cell)
             return self._held[cell]
         bucket = self._read(cell)
-        if self._margin:  # the bucket's neighbours read it later
+        if self._margin:  # Neighbouring buckets need these points later.
             self._held[cell] = bucket
             self._held_bytes += bucket.size_bytes
             while self._held_bytes > self._work.held_bytes and len(self._held) > 1:
                 self._held_bytes -= self._held.popitem(last=False)[1].size_bytes
         return bucket
 
-    def around(self, cell: Cell) -> tuple[list[Points], bool]:
+    def points_around(self, cell: Cell) -> tuple[list[Points], bool]:
         """Return the points within `label_margin_m` around a bucket, and whether a label is uncertified."""
         if not self._margin:
             return [], False
         lattice, (ox, oy) = self._store.meta.bucket, self._store.meta.frame.origin
-        if self._near is None:  # one read of the index serves all buckets
+        if self._near is None:  # One read of the index is enough for all buckets.
             self._near = self._store.buckets_within(lattice.hull(self._work.cells).pad(self._margin))
-        seen = lattice.bounds(cell).pad(self._margin)
-        points_around, marked = [], False
-        for other in lattice.among(seen, self._near):
+        bounds = lattice.bounds(cell).pad(self._margin)
+        parts = []
+        uncertified = False
+        for other in lattice.among(bounds, self._near):
             if other == cell:
                 continue
-            bucket = self.own(other)
-            x, y = bucket.points.xyz[0].astype(np.int64) + ox, bucket.points.xyz[1].astype(np.int64) + oy
-            near = (x >= seen.x0) & (x < seen.x1) & (y >= seen.y0) & (y < seen.y1)
+            bucket = self.bucket(other)
+            x = bucket.points.xyz[0].astype(np.int64) + ox
+            y = bucket.points.xyz[1].astype(np.int64) + oy
+            near = (x >= bounds.x0) & (x < bounds.x1) & (y >= bounds.y0) & (y < bounds.y1)
             if near.any():
-                points_around.append(bucket.points.take(near))
-                marked |= bucket.marked
-        return points_around, marked
+                parts.append(bucket.points.take(near))
+                uncertified |= bucket.uncertified
+        return parts, uncertified
 
     def _read(self, cell: Cell) -> Bucket:
         if self._work.of_elected:
             block = self._elected(self._store.meta.bucket.bounds(cell))
-            return Bucket(self._as_points(block), np.ones(len(block), np.bool_), _any_marked(block))
-        few = self._work.of_candidates  # All candidates take part, so their classes and flags are not needed.
-        columns = self._columns if few else (*self._columns, "classification", "flags")
-        block = self._store.read_bucket(cell, columns, few)
-        if self._labels is not None and (few or not self._work.in_of_candidates):
-            block = dataclasses.replace(block, labels=self._store.read_labels(self._labels, cell, few))
-        taking_part = np.ones(len(block), np.bool_) if few else self._taking_part(block)
-        if not taking_part.all():
-            block = block.take(taking_part)
-        return Bucket(self._as_points(block), taking_part, _any_marked(block))
+            return Bucket(self._as_points(block), np.ones(len(block), np.bool_), _any_uncertified(block))
+        candidates_only = self._work.of_candidates
+        columns = self._columns
+        if not candidates_only:  # All candidates take part, so their classes and flags are not needed.
+            columns = (*columns, "classification", "flags")
+        block = self._store.read_bucket(cell, columns, candidates_only)
+        if self._labels is not None and (candidates_only or not self._work.in_of_candidates):
+            labels = self._store.read_labels(self._labels, cell, candidates_only)
+            block = dataclasses.replace(block, labels=labels)
+        mask = np.ones(len(block), np.bool_) if candidates_only else self._participating(block)
+        if not mask.all():
+            block = block.take(mask)
+        return Bucket(self._as_points(block), mask, _any_uncertified(block))
 
     def _elected(self, bounds: Bounds) -> PointBlock:
         if self._work.elected_in is None:
-            raise ValueError("no pass before elected any points")
+            raise ValueError("no earlier pass elected points")
         return self._store.elected(self._work.elected_in, bounds, self._elected_labels)
 
     def _as_points(self, block: PointBlock) -> Points:
         labels = None if block.labels is None else block.labels & ~np.uint8(UNCERTIFIED_BIT)
         if labels is None and "labels" in self._step.columns:
-            labels = np.zeros(len(block), np.uint8)  # there are no labels yet
+            labels = np.zeros(len(block), np.uint8)  # No earlier pass has labelled the points.
         return Points(block.xyz, labels, block.rgb, block.returns)
 
-    def _taking_part(self, block: PointBlock) -> npt.NDArray[np.bool_]:
+    def _participating(self, block: PointBlock) -> npt.NDArray[np.bool_]:
         if block.classification is None or block.flags is None:
             raise ValueError("points were read without their classes and flags")
         keep, skip = self._work.keep_classes, self._work.skip_flags
         return participates(block.classification, block.flags, keep, skip)
 
 
-def _any_marked(block: PointBlock) -> bool:
+def _any_uncertified(block: PointBlock) -> bool:
     return block.labels is not None and bool((block.labels >= UNCERTIFIED_BIT).any())

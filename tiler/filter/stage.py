@@ -1,4 +1,4 @@
-"""Stage filter of a run: the passes of the method one after the other, and their common results."""
+"""Stage filter of a run: the passes of the method one after the other, and the state that they share."""
 
 from __future__ import annotations
 
@@ -33,26 +33,27 @@ def filter_points(job: Job, assembled: IngestResult) -> Labelled:
     if job.plan.config.method == KEEP:
         return Labelled.of(job.plan.config, assembled.digests, {})
     passes = METHODS[job.plan.config.method].params(**job.plan.parameters).passes
-    ever = max(job.store.get_state("passes") or 0, len(passes))
-    job.store.put_state("passes", ever)
-    for number in range(len(passes), ever):
-        job.store.clear(f"filter{number}")  # passes of the current method may overwrite its labels
-    config, known = job.plan.config, job.plan.statistics
+    # An earlier run may have used a method with more passes. Passes of this method may overwrite their labels.
+    max_passes = max(job.store.get_state("passes") or 0, len(passes))
+    job.store.put_state("passes", max_passes)
+    for number in range(len(passes), max_passes):
+        job.store.clear(f"filter{number}")
+    config, known_states = job.plan.config, job.plan.statistics
     sigma = None if config.sigma is None else float(config.sigma)
     facts = run_facts(sigma, config.source_kind, job.plan.evidence)
     state: dict[str, Any] = {"run": dataclasses.asdict(facts)}
     pass_inputs = PassInputs(assembled.digests)
     statistics = job.facts["statistics"] = {}
-    writes, last = False, ""
+    has_written, last = False, ""
     for number, step in enumerate(passes):
         if not step.applies(state):
             continue
         if last:
             raise ValueError(
-                f"method {config.method}: {step.name} applies after {last}, which was to be the last"
+                f"method {config.method}: {step.name} applies, although {last} gave the final labels"
             )
-        if (step.elects or step.gives_labels) and not writes:
-            writes = True
+        if (step.elects or step.gives_labels) and not has_written:
+            has_written = True
             _clear_passed_over(job, passes, state)
             passed_over = [f"filter{n}" for n, other in enumerate(passes) if not other.applies(state)]
             job.listener(StagesPassedOver(passed_over))
@@ -64,39 +65,42 @@ def filter_points(job: Job, assembled: IngestResult) -> Labelled:
                 f"no tile could be filtered; the first: {job.record.first_error(f'filter{number}')}"
             )
         if step.elects or step.gives_labels:
-            is_last, few = labels_given(job.plan, number, state)
+            is_last, candidates_only = labels_given(job.plan, number, state)
             for task in tasks:
                 if task.key not in filtered:
                     _leave_out(job, task, step, pass_inputs)
-            pass_inputs = pass_inputs.after(number, step, is_last, few, assembled, filtered)
+            pass_inputs = pass_inputs.after(number, step, is_last, candidates_only, assembled, filtered)
             last = step.name if is_last else ""
         if step.gives_labels:
             job.facts["filter"] = _filter_facts(job, list(tile_records(filtered)), len(tasks))
         partials = (tile.partial for tile in tile_records(filtered))
-        after = _reduced(job, step, partials, state) if known is None else _known(job, step, state)
-        told = _without_known_places(after, state)
-        job.store.put_state(f"after-{step.name}", told)
-        statistics[step.name] = told
-        state = after
+        if known_states is None:
+            state_after = _reduced(job, step, partials, state)
+        else:
+            state_after = _known_state(job, step, state)
+        recorded = _without_known_places(state_after, state)
+        job.store.put_state(f"after-{step.name}", recorded)
+        statistics[step.name] = recorded
+        state = state_after
         if step.name == SurveyPass.name:
             _warn_of_uncertain_kind(job, state["survey"])
     return Labelled.of(config, pass_inputs.digests, statistics)
 
 
 def _clear_passed_over(job: Job, passes: Sequence[Pass], state: State) -> None:
-    """Clear the commits of passes that do not apply in this run, as their results may be overwritten."""
+    """Clear the commits of passes that do not apply in this run, as other passes may overwrite their results."""
     for number, step in enumerate(passes):
         if not step.applies(state):
             job.store.clear(f"filter{number}")
 
 
-def _without_known_places(after: Mapping[str, Any], before: State) -> dict[str, Any]:
-    """Drop the results by position if the earlier state has them, because a country has a million positions."""
-    return {name: value for name, value in after.items() if name != PLACES or name not in before}
+def _without_known_places(state_after: Mapping[str, Any], state: State) -> dict[str, Any]:
+    """Drop the table of places if the state before the pass has it, because a country has a million places."""
+    return {name: value for name, value in state_after.items() if name != PLACES or name not in state}
 
 
-def _known(job: Job, step: Pass, before: State) -> dict[str, Any]:
-    """Return the state after a pass from the run of ``--statistics``."""
+def _known_state(job: Job, step: Pass, state: State) -> dict[str, Any]:
+    """Return the state after a pass from the run given by ``--statistics``."""
     state_after: dict[str, Any] | None = (job.plan.statistics or {}).get(step.name)
     if state_after is None:
         raise ConfigError(
@@ -104,10 +108,11 @@ def _known(job: Job, step: Pass, before: State) -> dict[str, Any]:
         )
     if step.name == SurveyPass.name and PLACES not in state_after:
         raise ConfigError(
-            f"--statistics {job.plan.config.statistics}: that run did not measure each place, as it is of an earlier "
-            "version; do it again"
+            f"--statistics {job.plan.config.statistics}: an earlier version wrote it, without the figures of places; "
+            "run it again with this version"
         )
-    state_after = {**{name: before[name] for name in (PLACES,) if name in before}, **state_after}
+    if PLACES in state:
+        state_after = {PLACES: state[PLACES], **state_after}
     kind = job.plan.config.source_kind
     if kind is not None and state_after.get("run", {}).get("kind") != kind:
         job.note(
@@ -117,7 +122,7 @@ def _known(job: Job, step: Pass, before: State) -> dict[str, Any]:
 
 
 def _reduced(job: Job, step: Pass, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
-    """Return the state after a pass, and add its new notes to those of the run."""
+    """Return the state after a pass, and report its new notes."""
     try:
         state_after = step.reduce(partials, state)
     except MethodRefusal as error:
@@ -140,8 +145,8 @@ def _warn_of_uncertain_kind(job: Job, survey: Mapping[str, Any]) -> None:
     job.listener(Warned(text))
 
 
-def _leave_out(job: Job, task: Task, step: Pass, before: PassInputs) -> None:
-    """Write empty results for the core of a tile that failed, which replace those of an earlier run."""
+def _leave_out(job: Job, task: Task, step: Pass, inputs: PassInputs) -> None:
+    """Write empty results for the core of a tile that failed, to replace the results of an earlier run."""
     work: FilterTile = task.arguments
     buckets = job.store.buckets_within(job.plan.meta.bucket.hull(work.cells))
     for cell in work.cells:
@@ -150,7 +155,7 @@ def _leave_out(job: Job, task: Task, step: Pass, before: PassInputs) -> None:
             if step.gives_labels:
                 job.store.write_elected_labels(work.labels_out, cell, np.zeros(0, np.uint8))
         elif work.of_elected:
-            labels = np.zeros(before.n_elected[cell], np.uint8)
+            labels = np.zeros(inputs.n_elected[cell], np.uint8)
             job.store.write_elected_labels(work.labels_out, cell, labels)
         else:
             bucket = buckets[cell]
@@ -163,16 +168,16 @@ def _filter_facts(job: Job, records: list[TileRecord], tiles: int) -> dict[str, 
         return sum(getattr(record, name) for record in records)
 
     names = ("points", "ground", "low_noise", "unclassified", "kept", "marked")
-    again = sum(record.tries > 1 for record in records)
+    n_repeated = sum(record.tries > 1 for record in records)
     summary: dict[str, Any] = {name: total(name) for name in names}
     summary |= {
         "tiles": tiles,
-        "tiles_done_again": again,
+        "tiles_done_again": n_repeated,
         "overlap_work": total("window_area") / max(total("core_area"), 1),
     }
     if summary["marked"]:
         job.note(
             f"{summary['marked']:,} labels are not certified: points beyond the widest halo could change them; "
-            "more --memory allows a wider one"
+            "more --memory allows a wider halo"
         )
     return summary

@@ -35,23 +35,25 @@ REACH_CELLS = 4
 def influence_margin_m(step: Pass, params: Any) -> float:
     """Return the distance in metres beyond the halo within which buckets can affect a tile.
 
-    The parameters are a pass and the parameters of its method.
+    ``params`` are the parameters of the method.
     """
-    return float((REACH_CELLS + 1) * params.align_m + params.margin_m) if step.reach_m is None else 0.0
+    if step.influence_radius_m is not None:
+        return 0.0
+    return float((REACH_CELLS + 1) * params.align_m + params.margin_m)
 
 
 def filter_tile(store_url: str, work: FilterTile) -> dict[str, Any]:
     """Filter one tile.
 
     A core with uncertified labels or statistics is repeated with twice the halo, up to ``max_halo``. Labels that stay
-    uncertified keep bit 7 and are counted. The window of a pass with a fixed reach is exactly core and halo. The window
-    of any other pass is extended to the method's lattice, and is open on sides at which the data end.
+    uncertified keep bit 7 and are counted. The window of a pass with a fixed radius is exactly core and halo. The
+    window of any other pass is extended to the method's lattice, and is open on sides where the data end.
 
     Returns
     -------
     dict
         ``cells``; ``points``, ``ground``, ``low_noise``, ``unclassified``, ``kept`` (of the core), ``marked``
-        (uncertified), ``tries``, ``halo`` (counts), ``window_points`` (candidates of the last window), ``core_area``,
+        (uncertified), ``tries``, ``halo`` (counts), ``window_points`` (points of the last window), ``core_area``,
         ``window_area`` (square counts, all tries), ``labels`` (digest), ``partial`` (for the pass's reduction),
         ``stats`` of the model. A pass that elects also has ``elected`` (digest) and ``elected_points`` (number for each
         cell).
@@ -61,27 +63,28 @@ def filter_tile(store_url: str, work: FilterTile) -> dict[str, Any]:
     step = params.passes[work.number]
     scale = Scale(store.meta.frame.metres_xy, store.meta.frame.metres_z, store.meta.frame.origin)
     core = store.meta.bucket.hull(work.cells)
+    local_core = _local(core, store)
+    reader = TileReader(store, step, work)
     halo, tries, area = work.halo, 0, 0
-    inner, reader = _local(core, store), TileReader(store, step, work)
     while True:
         tries += 1
         window, known = _window(store, core.pad(halo), step, params)
         area += window.area()
-        points, inherited = reader.window(window, params.candidate_cell_m)
-        model = step.fit(points, known, inner, scale, work.state)
+        points, inputs_uncertified = reader.window(window, params.candidate_cell_m)
+        model = step.fit(points, known, local_core, scale, work.state)
         labels = {}
         for cell in work.cells if step.gives_labels else ():
             if step.elects:
                 labels[cell] = _label_elected(store, cell, model)
                 continue
-            labels[cell], near = _label(reader, cell, model)
-            inherited |= near
+            labels[cell], near_uncertified = _label(reader, cell, model)
+            inputs_uncertified |= near_uncertified
         marked = sum(int(np.count_nonzero(cell_labels & UNCERTIFIED_BIT)) for cell_labels in labels.values())
         if (marked == 0 and model.uncertain() == 0) or halo >= work.max_halo:
             break
         halo = min(2 * halo, work.max_halo)
-        del points, model  # frees the memory for the wider window
-    if inherited:  # an uncertified label of the earlier pass may have changed the labels
+        del points, model  # This frees memory for the wider window.
+    if inputs_uncertified:  # Uncertified labels of the earlier pass may have changed the labels.
         labels = {
             cell: cell_labels | (cell_labels > 0) * np.uint8(UNCERTIFIED_BIT)
             for cell, cell_labels in labels.items()
@@ -123,22 +126,22 @@ def _label(reader: TileReader, cell: Cell, model: Model) -> tuple[npt.NDArray[np
 
     Uncertified labels have bit 7. Points that do not take part in filtering are not passed to the model.
     """
-    bucket = reader.own(cell)
-    points_around, near = reader.around(cell)
-    bucket_labels = np.full(bucket.which.size, KEEP, np.uint8)
-    if len(bucket.points):
-        labels, marks = model.label(
-            joined([bucket.points, *points_around]) if points_around else bucket.points
-        )
-        n = len(bucket.points)
-        bucket_labels[bucket.which] = labels[:n] | (marks[:n].astype(np.uint8) * np.uint8(UNCERTIFIED_BIT))
-    return bucket_labels, near
+    bucket = reader.bucket(cell)
+    points_around, near_uncertified = reader.points_around(cell)
+    bucket_labels = np.full(bucket.mask.size, KEEP, np.uint8)
+    n = len(bucket.points)
+    if n:
+        points = joined([bucket.points, *points_around]) if points_around else bucket.points
+        labels, uncertified = model.label(points)
+        bits = uncertified[:n].astype(np.uint8) * np.uint8(UNCERTIFIED_BIT)
+        bucket_labels[bucket.mask] = labels[:n] | bits
+    return bucket_labels, near_uncertified
 
 
 def _label_elected(store: TileStore, cell: Cell, model: Model) -> npt.NDArray[np.uint8]:
-    """Return the labels of the points that a pass elects in a bucket, with bit 7 for uncertified ones."""
-    labels, marks = model.label(Points(model.elect(_local(store.meta.bucket.bounds(cell), store))))
-    return labels | (marks.astype(np.uint8) * np.uint8(UNCERTIFIED_BIT))
+    """Return the labels of the points that a pass elects in a bucket. Uncertified labels have bit 7."""
+    labels, uncertified = model.label(Points(model.elect(_local(store.meta.bucket.bounds(cell), store))))
+    return labels | (uncertified.astype(np.uint8) * np.uint8(UNCERTIFIED_BIT))
 
 
 def _elect(
@@ -159,30 +162,31 @@ def _elect(
 
 
 def _window(store: TileStore, padded: Bounds, step: Pass, params: Any) -> tuple[Bounds, Known]:
-    """Return the bounds of the points that a pass reads for a core and its halo, and the known window."""
-    if step.reach_m is not None:
+    """Return the bounds of the points that a pass reads for a padded core, and the window that it knows completely."""
+    if step.influence_radius_m is not None:
         return padded, _local(padded, store)
     align = Lattice(store.meta.frame.counts(Fraction(repr(float(params.align_m)))))
     margin = math.ceil(store.meta.frame.counts(Fraction(repr(float(params.margin_m)))))
     window = align.around(padded).pad(margin)
-    return window, _known(store, window, reach=math.ceil(REACH_CELLS * align.size))
+    return window, _known_window(store, window, margin=math.ceil(REACH_CELLS * align.size))
 
 
-def _known(store: TileStore, window: Bounds, reach: int) -> Known:
-    """Return the window in local counts. A side without points within ``reach`` beyond it is open.
+def _known_window(store: TileStore, window: Bounds, margin: int) -> Known:
+    """Return the window in local counts. A side is open if there are no points within ``margin`` beyond it.
 
-    Circumcircles that matter do not extend farther beyond the data, because the method adds a ring of virtual points.
+    Points farther away do not matter, because the method adds a ring of virtual points around the data. So the relevant
+    circumcircles do not extend beyond the margin.
     """
-    wide = window.pad(reach)
+    padded = window.pad(margin)
 
     def empty(strip: Bounds) -> bool:
         return not store.buckets_within(strip)
 
     ox, oy = store.meta.frame.origin
-    west = empty(Bounds(wide.x0, wide.y0, window.x0, wide.y1))
-    east = empty(Bounds(window.x1, wide.y0, wide.x1, wide.y1))
-    south = empty(Bounds(wide.x0, wide.y0, wide.x1, window.y0))
-    north = empty(Bounds(wide.x0, window.y1, wide.x1, wide.y1))
+    west = empty(Bounds(padded.x0, padded.y0, window.x0, padded.y1))
+    east = empty(Bounds(window.x1, padded.y0, padded.x1, padded.y1))
+    south = empty(Bounds(padded.x0, padded.y0, padded.x1, window.y0))
+    north = empty(Bounds(padded.x0, window.y1, padded.x1, padded.y1))
     return Known(
         -OPEN if west else window.x0 - ox,
         -OPEN if south else window.y0 - oy,
@@ -196,7 +200,7 @@ def _local(bounds: Bounds, store: TileStore) -> Known:
 
 
 def local_window(bounds: Bounds, origin: tuple[int, int]) -> Known:
-    """Convert bounds to the local counts of a frame with that origin."""
+    """Convert bounds from absolute counts to local counts of a frame with the given origin."""
     ox, oy = origin
     return Known(bounds.x0 - ox, bounds.y0 - oy, bounds.x1 - ox, bounds.y1 - oy)
 

@@ -27,19 +27,19 @@ class FilterTile:
         Buckets of the core.
     halo, max_halo : int
         First and largest halo in counts.
-    keep_classes, skip_flags
+    keep_classes, skip_flags : tuple of int, int
         Classes and flags of points that are excluded, see `tiler.core.classes.participates`.
     labels_in, labels_out : str or None
-        Names in the store of the labels of the earlier pass and of this one.
+        Names in the store of the labels of the earlier pass and of this pass.
     elected_in, elected_labels_in, elected_out : str or None
-        Names in the store of the points elected before, of their labels, and of the points that this pass elects.
+        Names in the store of the points that an earlier pass elected, of their labels, and of the points that this pass
+        elects.
     of_elected : bool
-        Whether the labels of this pass are those of elected points.
+        Whether this pass labels elected points.
     of_candidates, in_of_candidates : bool
-        Whether the labels of this pass, and of the earlier pass, are only those of candidates, since later
-        passes read only these.
+        Whether this pass, and the earlier pass, label only candidates, since later passes read only their labels.
     held_bytes : int
-        Largest size of the buckets that are kept for their neighbours, in bytes.
+        Largest size of the buckets that are kept in memory for their neighbours, in bytes.
     """
 
     method: str

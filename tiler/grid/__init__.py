@@ -6,7 +6,7 @@ from tiler.grid.bridges.examine import (
     ExamineDecks,
     FindDeckCells,
     examine_decks,
-    examined,
+    examined_bounds,
     find_deck_cells,
 )
 from tiler.grid.canopy import CANOPY_AROUND, CanopyBlock, canopy_block
@@ -104,7 +104,7 @@ __all__ = [
     "describe_body",
     "distance_block",
     "examine_decks",
-    "examined",
+    "examined_bounds",
     "fill_block",
     "find_areas",
     "find_deck_cells",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -15,9 +16,9 @@ from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec
 from tiler.grid.roofs import Advice
 from tiler.store import TileStore, open_store
 
-CELL_M, COARSEST_M = 1.0, 1.25
-"""Side of the cells for the search, and of the coarsest pixels that show crowns. Finer pixels are thinned."""
-TOLD, FEWEST = 0.1, 10
+CELL_M, MAX_CELL_M = 1.0, 1.25
+"""Approximate and largest side of the cells for the search. Finer pixels are thinned, coarser pixels hide crowns."""
+MIN_SHARE, MIN_BLOCKS = 0.1, 10
 """Least share of the terrain and least number of blocks (0.06 ha each) that look like crowns for a warning."""
 
 
@@ -33,14 +34,14 @@ def find_crowns(store_url: str, work: FindCrowns) -> dict[str, Any]:
     """Search blocks for crowns. Return ``looked_at`` and ``found``, see `ptd.matched.crowns.Crowns`."""
     store, spec = open_store(store_url), work.spec
     blocks = [spec.block_named(name, BLOCK_PIXELS) for name in work.names]
-    parts = [look_for_crowns(store, "dtm", spec, block) for block in blocks]
+    parts = [crowns_in_block(store, "dtm", spec, block) for block in blocks]
     return {
         "looked_at": sum(part.looked_at for part in parts),
-        "found": [pixel for part in parts for pixel in part.found],
+        "found": list(chain.from_iterable(part.found for part in parts)),
     }
 
 
-def look_for_crowns(store: TileStore, name: str, spec: RasterSpec, block: Block) -> Crowns:
+def crowns_in_block(store: TileStore, name: str, spec: RasterSpec, block: Block) -> Crowns:
     """Find the positions in a block of the terrain that look like crowns, as pixels of the raster.
 
     Parameters
@@ -56,28 +57,29 @@ def look_for_crowns(store: TileStore, name: str, spec: RasterSpec, block: Block)
         return Crowns(0, [])
     heights = store.read_block(name, block)[times // 2 :: times, times // 2 :: times]
     metres = np.where(heights == np.float32(NODATA), np.nan, heights.astype(np.float64))
-    looked = crowns(metres * float(store.meta.frame.units.vertical))
+    cells = crowns(metres * float(store.meta.frame.units.vertical))
     half = BLOCK * times // 2
-    pixels = [
-        (block.row + row * times + half, block.col + column * times + half) for row, column in looked.found
-    ]
-    return Crowns(looked.looked_at, pixels)
+    pixels = []
+    for row, column in cells.found:
+        pixels.append((block.row + row * times + half, block.col + column * times + half))
+    return Crowns(cells.looked_at, pixels)
 
 
-def crowns_told(looked: Iterable[Crowns], spec: RasterSpec) -> Advice | None:
+def crown_advice(parts: Iterable[Crowns], spec: RasterSpec) -> Advice | None:
     """Return a warning if a tenth of the terrain or more looks like crowns, else None."""
-    parts = list(looked)
-    looked_at = sum(part.looked_at for part in parts)
-    pixels = [pixel for part in parts for pixel in part.found]
-    if len(pixels) < max(TOLD * looked_at, FEWEST):
+    looked_at = 0
+    pixels: list[tuple[int, int]] = []
+    for part in parts:
+        looked_at += part.looked_at
+        pixels += part.found
+    if len(pixels) < max(MIN_SHARE * looked_at, MIN_BLOCKS):
         return None
     row, column = pixels[len(pixels) // 2]
     a, _, x, _, e, y = spec.transform(COUNTS_PER_UNIT)
     x, y = x + a * column, y + e * row
     text = (
-        f"{100 * len(pixels) / looked_at:.0f} % of the terrain looks like the crowns of a closed canopy, as around x "
-        f"{x:.0f}, y {y:.0f}: image matching sees no ground there, and the terrain may be "
-        "metres too high; look at it, and leave such places out (--edits, action void) or survey them with a laser"
+        f"{100 * len(pixels) / looked_at:.0f} % of the terrain looks like crowns of a closed canopy and may be metres "
+        f"too high, as around x {x:.0f}, y {y:.0f}; remove these areas (--edits, action void) or survey them with LiDAR"
     )
     return Advice(text, x, y)
 
@@ -86,4 +88,4 @@ def _thinning(store: TileStore, spec: RasterSpec) -> int | None:
     """Return the number of pixels along a cell of about a metre, or None if pixels are too coarse."""
     pixel = float(spec.lattice.size * store.meta.frame.metres_xy)
     times = max(round(CELL_M / pixel), 1)
-    return times if pixel * times <= COARSEST_M else None
+    return times if pixel * times <= MAX_CELL_M else None

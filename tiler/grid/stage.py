@@ -26,8 +26,8 @@ from tiler.grid.tasks.advice import advise
 from tiler.grid.tasks.canopy import canopy_cells
 from tiler.grid.tasks.corrections import Corrections, report_edited_pixels
 from tiler.grid.tasks.gridding import GAP_M, GridContext, RasterStep
-from tiler.grid.tasks.raster_table import wanted
-from tiler.grid.tasks.shared_tins import joined_blocks
+from tiler.grid.tasks.raster_table import required_rasters
+from tiler.grid.tasks.shared_tins import join_blocks
 from tiler.grid.tasks.voids import report_voids
 from tiler.grid.tasks.water import find_waters
 from tiler.grid.tasks.water_facts import report_waters
@@ -56,15 +56,15 @@ def grid(job: Job, assembled: IngestResult, labelled: Labelled, corrections: Cor
         _settle_surface(job)
     gridding = GridContext(
         job.plan, assembled, labelled.digests, _holes(job), decks=corrections.decks,
-        trusted=not labelled.matched, kind=labelled.kind,
+        returns_show_water=not labelled.matched, kind=labelled.kind,
         canopy=canopy_cells(job, assembled, labelled),
     )  # fmt: skip
-    for raster in wanted(job.plan.config):
+    for raster in required_rasters(job.plan.config):
         name = raster.name
         if name == "dtm-outlined" and job.plan.config.water != NO_WATER:
             gridding.waters = find_waters(job, gridding)
-        tasks = [corrections.of_raster(job.plan, name, task) for task in raster.tasks(raster, gridding)]
-        join = partial(joined_blocks, job.plan, assembled.records) if name == "dtm" else None
+        tasks = [corrections.add_to_task(job.plan, name, task) for task in raster.tasks(raster, gridding)]
+        join = partial(join_blocks, job.plan, assembled.records) if name == "dtm" else None
         gridding.made[name] = _make(job, raster, gridding.spec_of(raster), tasks, join)
         if name == "dtm":
             report_edited_pixels(job, gridding.made[name])

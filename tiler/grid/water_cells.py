@@ -1,15 +1,15 @@
-"""Candidates for water: by the input's class, or flat, low, with few returns and rising banks.
+"""Candidates for water, and the decision which of them are water.
 
-Laser scanners get few returns from water, often none, and its returns are flat. The same is true of shadows of
-buildings, gaps between strips, wet asphalt and dark lawns, but only water is lower than everything around it. So a
-candidate is a connected area of void or sparse flat cells. It is water if the ground some metres from its shore is
-higher than the shore almost all around, and lower almost nowhere. The land around an area is counted block by block and
-added up, so that large areas need not be in memory.
+Laser scanners get few returns from water, often none, and these returns are at one height. The same is true of shadows
+of buildings, gaps between strips, wet asphalt and dark lawns, but only water is lower than everything around it. So a
+candidate is a connected area of void or sparse flat cells, or of cells that are water by the input. It is water if the
+ground some metres from its shore is higher than the shore almost all around, and lower almost nowhere. The land around
+an area is counted block by block and added up, so that large areas need not be in memory.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import operator
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
 
@@ -25,20 +25,23 @@ Floats = npt.NDArray[np.float64]
 ENOUGH_RETURNS = 8
 """Least median of the returns in cells with returns. With fewer returns, a cell may be empty by chance."""
 SPARSE = 0.6
-"""Share of the median number of returns below which the mean of the cells around a cell counts as few."""
+"""Share of the median number of returns below which the mean number around a cell counts as few returns."""
 SPARSE_CELLS = 5
+"""Side of the square around a cell in which this mean is computed, in cells."""
 FLAT_M = 0.35
 """Largest difference of height between neighbouring cells of water, noise included."""
 MIN_WIDTH_M = 6
 """Least width of a candidate, which excludes shadows and hedges."""
 
-SHORE_M, RING_M = 3.0, (7.0, 13.0)
-"""Width of the shore, and limits of the distance from the water of the ring, where the land has to be higher."""
-NEAREST = 20
-"""Number of cells of the shore with which a cell of the ring is compared."""
+SHORE_M = 3.0
+"""Width of the shore."""
+RING_M = (7.0, 13.0)
+"""Distances from the water between which cells form the ring. The land there has to be higher than the shore."""
+N_NEAREST = 20
+"""Number of the nearest cells of the shore with which a cell of the ring is compared."""
 LOW_PERCENT = 20
-"""Percentile of the heights of these cells that is compared."""
-PLACES_PER_BATCH = 1 << 14
+"""Percentile of the heights of these cells of the shore with which the height of the cell is compared."""
+CELLS_PER_BATCH = 1 << 14
 """Number of cells of the ring that are compared in one batch, with about 600 bytes each."""
 RISE_M, FALL_M = 0.3, 0.2
 """Least difference of height by which a cell of the ring is above, or below, the shore."""
@@ -49,7 +52,7 @@ MIN_KNOWN = 0.4
 MIN_CELLS = 20
 """Least number of cells of shore and of ring from which an area can be classified."""
 GIVEN_SHARE = 0.03
-"""Least share of cells of class water that makes a candidate water, unless its ring is lower."""
+"""Least share of cells of class water that makes a candidate water, unless much of its ring is lower than its shore."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,7 +80,7 @@ class WaterCells:
     size: float
 
     def coarser(self) -> WaterCells:
-        """Merge cells two by two. A remaining row or column is merged with empty cells."""
+        """Merge squares of two by two cells. A remaining row or column is merged with empty cells."""
         pads = [(0, side % 2) for side in self.returns.shape]
 
         def fours(values: npt.NDArray[Any], fill: Any) -> npt.NDArray[Any]:
@@ -140,8 +143,8 @@ class Rim(NamedTuple):
     falling: int = 0
 
     def plus(self, other: Rim) -> Rim:
-        """Return the sum of two counts."""
-        return Rim(*(own_count + other_count for own_count, other_count in zip(self, other, strict=True)))
+        """Return the sums of the numbers of two rims."""
+        return Rim(*map(operator.add, self, other))
 
     @property
     def known(self) -> bool:
@@ -165,7 +168,7 @@ class Rim(NamedTuple):
 
 
 class Size(NamedTuple):
-    """Number of cells of an area, added up over blocks: all, and cells that are water by the input."""
+    """Numbers of cells of an area, added up over blocks: all cells, and cells that are water by the input."""
 
     cells: int = 0
     given: int = 0
@@ -184,8 +187,8 @@ def water_areas(cells: WaterCells, usual: float | None) -> Bools:
     cells : WaterCells
         Cells of a size at which a cell without returns is significant.
     usual : float or None
-        Median of the returns of the cells in this region with returns. None: few returns are not a sign of water, as in
-        photogrammetric clouds, which have holes anywhere, so the input's class decides.
+        Median of the numbers of returns, of the cells with returns in this region. None: only the input's class
+        decides, as in photogrammetric clouds, in which few returns are not a sign of water.
     """
     candidates = cells.given
     if usual is not None:
@@ -201,16 +204,15 @@ def flat_cells(cells: WaterCells) -> Bools:
 
 
 def sparse_cells(cells: WaterCells, flat: Bools, usual: float) -> Bools:
-    """Return a mask of the cells of the survey without returns, and of flat ones with few returns around them."""
-    some = cells.returns > 0
-    total, held = (
-        scipy.ndimage.uniform_filter(v.astype(np.float64), SPARSE_CELLS) for v in (cells.returns, some)
-    )
-    return cells.domain & (~some | (flat & (total < SPARSE * usual * held)))
+    """Return a mask of the cells of the survey that have no returns, or are flat with few returns around them."""
+    has_returns = cells.returns > 0
+    returns = scipy.ndimage.uniform_filter(cells.returns.astype(np.float64), SPARSE_CELLS)
+    share = scipy.ndimage.uniform_filter(has_returns.astype(np.float64), SPARSE_CELLS)
+    return cells.domain & (~has_returns | (flat & (returns < SPARSE * usual * share)))
 
 
-def judged(size: Size, rim: Rim) -> float | None:
-    """Return the confidence that an area is water, by the land around it, or None if it is not water."""
+def water_confidence(size: Size, rim: Rim) -> float | None:
+    """Return the confidence that an area is water, which follows from the land around it, or None if it is not."""
     if size.is_given:
         return None if rim.known and rim.falls >= 5 * MAX_FALLING else 0.95
     if not rim.known or rim.rises < MIN_RISING or rim.falls > MAX_FALLING:
@@ -218,59 +220,59 @@ def judged(size: Size, rim: Rim) -> float | None:
     return rim.sure
 
 
-def rim_of(cells: WaterCells, mine: Bools, others: Bools, counted: Bools, water: Bools | None = None) -> Rim:
+def rim_of(cells: WaterCells, area: Bools, others: Bools, counted: Bools, water: Bools | None = None) -> Rim:
     """Count the land around an area.
 
     Parameters
     ----------
     cells : WaterCells
-    mine, others : bool, shape of the cells
+    area, others : bool, shape of the cells
         Masks of the area, and of other candidates, which do not count as land.
     counted : bool
-        Mask of the cells that are counted. Other cells are only neighbours.
+        Mask of the cells that are counted. Other cells are only compared with them.
     water : bool, shape of the cells, optional
-        Mask of cells that count in the ring even without returns, so that a dam falls to the water beside it.
+        Mask of cells that count in the ring even without returns, so that the ring of a dam falls to the water.
     """
-    distance = distances(mine, RING_M[1] / cells.size + 1)
+    distance = distances(area, RING_M[1] / cells.size + 1)
     distance *= cells.size
     land = ~np.isnan(cells.ground) & ~others & cells.domain
+    has_returns = cells.returns > 0
     beside = (distance > 0) & (distance <= SHORE_M + 0.1 * cells.size)
-    shore, ring = beside & land & (cells.returns > 0), (distance > RING_M[0]) & (distance <= RING_M[1]) & land
-    seen = cells.returns > 0
-    if water is not None:
-        seen |= water
-    ring &= seen & counted
+    shore = beside & land & has_returns
+    ring = (distance > RING_M[0]) & (distance <= RING_M[1]) & land & counted
+    ring &= has_returns if water is None else has_returns | water
     counts = Rim(int((beside & cells.domain & counted).sum()), int((shore & counted).sum()), int(ring.sum()))
     if not shore.any() or not counts.ring:
         return counts
-    rise = cells.ground[ring] - _near_ground(
-        cells.ground, shore, np.argwhere(ring), lambda near: np.percentile(near, LOW_PERCENT, axis=1)
-    )
+    rise = cells.ground[ring] - _low_shore(cells.ground, shore, np.argwhere(ring))
     return counts._replace(rising=int((rise > RISE_M).sum()), falling=int((rise < -FALL_M).sum()))
 
 
-def _near_ground(
-    ground: Floats, known: Bools, places: npt.NDArray[np.int64], level: Callable[[Floats], Floats]
-) -> Floats:
-    """Return ``level`` of the ground [n, k] of the k nearest known cells of n places (row, column)."""
-    heights, tree = ground[known], scipy.spatial.cKDTree(np.argwhere(known))
-    levels = np.empty(len(places))
-    for first in range(0, len(places), PLACES_PER_BATCH):
-        part = places[first : first + PLACES_PER_BATCH]
-        _, near = tree.query(part, k=min(NEAREST, len(heights)))
-        levels[first : first + len(part)] = level(heights[near.reshape(len(part), -1)])
-    return levels
+def _low_shore(ground: Floats, shore: Bools, cells: npt.NDArray[np.int64]) -> Floats:
+    """Return a low percentile of the heights of the shore near each cell, float64 (n,).
+
+    ``cells`` are rows and columns, int64 (n, 2).
+    """
+    heights = ground[shore]
+    tree = scipy.spatial.cKDTree(np.argwhere(shore))
+    low_heights = np.empty(len(cells))
+    for first in range(0, len(cells), CELLS_PER_BATCH):
+        batch = cells[first : first + CELLS_PER_BATCH]
+        _, near = tree.query(batch, k=min(N_NEAREST, len(heights)))
+        near_heights = heights[near.reshape(len(batch), -1)]
+        low_heights[first : first + len(batch)] = np.percentile(near_heights, LOW_PERCENT, axis=1)
+    return low_heights
 
 
 def disk(radius: float) -> Bools:
-    """Return a mask of the cells within a radius of the middle one."""
+    """Return a mask of the cells within a radius of the middle cell."""
     radius_cells = max(int(radius), 1)
     y, x = np.mgrid[-radius_cells : radius_cells + 1, -radius_cells : radius_cells + 1]
     return np.asarray(x * x + y * y <= max(radius, 1.0) ** 2)
 
 
 def _relief(ground: Floats) -> Floats:
-    """Return the height range of each cell and its neighbours, infinite if one of them has no ground."""
+    """Return the range of heights of each cell and its neighbours, infinite if one of these cells has no ground."""
     high = scipy.ndimage.maximum_filter(np.where(np.isnan(ground), np.inf, ground), 3)
     low = scipy.ndimage.minimum_filter(np.where(np.isnan(ground), -np.inf, ground), 3)
     return np.asarray(high - low)

@@ -2,8 +2,9 @@
 
 A laser scanner gets returns from a crown over water, and hardly any from the water below. The terrain there is
 interpolated from the bank, so water would end where crowns begin. Over land, some pulses pass through a crown and reach
-the ground. So connected cells with plants and without ground, next to water and not among cells with ground, are water.
-On a bank that slopes, the slope is continued beneath the crowns, and water ends where it reaches the level.
+the ground. So connected cells with plants and without ground, next to water and not between cells with ground, are
+water. The slope of a bank is continued beneath the crowns, and water ends where the continued bank rises above the
+level.
 """
 
 from __future__ import annotations
@@ -29,19 +30,21 @@ from tiler.store import TileStore, open_store, read_cells
 OPEN, HIDDEN = 1, 2
 """Values of cells with plants, and with or without ground beneath them."""
 CROWN_M = 14.0
-"""Largest distance from water that was found to cells beneath crowns that are water."""
+"""Largest distance by which water extends beneath crowns."""
 MIN_POINTS = 4
 """Least number of points of a cell from which its roughness is known."""
 ROUGH_M = 0.4
-"""Least RMS distance of a crown's points from a plane through those of a cell. Roofs, decks and boats are smoother."""
+"""Least RMS distance of points of a crown from the plane through the points of their cell. Roofs, decks and boats are
+smoother."""
 MIN_OPEN = 0.3
-"""Least share of the cells with plants around a cell that have ground, so that a lack of ground is a sign of water."""
+"""Least share of the cells with plants around a cell that have ground. With a lower share, a lack of ground is not a
+sign of water."""
 AMONG_M = 8.0
-"""Cells without ground in gaps up to twice as wide between cells with ground are land."""
+"""Half the width of gaps between cells with ground up to which cells without ground are land."""
 BANK_CELLS = 20
 """Number of the nearest cells of the bank with ground whose plane is continued beneath crowns."""
-FLAT = 0.15
-"""Slope up to which a bank ends upright, as at a quay. Water beside it reaches the last ground."""
+MAX_QUAY_SLOPE = 0.15
+"""Steepest slope of land that ends at an upright bank, as at a quay. All hidden cells next to such land are water."""
 LOW_M = 0.15
 """Height of the continued bank above the water up to which a cell is water."""
 
@@ -80,8 +83,8 @@ def crowns_block(store_url: str, work: CrownsBlock) -> dict[str, Any]:
     sure = np.max([read_cells(store, name, spec, padded(work.block, margin)) for name in work.sure], axis=0)
     near_water = within(sure > 0, CROWN_M / size_m)[margin - 1 : 1 - margin, margin - 1 : 1 - margin]
     window = padded(work.block, 1)
-    wanted = near_water & (read_cells(store, work.occupancy, spec, window) != 0)
-    values = np.where(wanted, _crowns(store, work, window, wanted), 0)[1:-1, 1:-1].astype(np.float32)
+    examined = near_water & (read_cells(store, work.occupancy, spec, window) != 0)
+    values = np.where(examined, _crowns(store, work, window, examined), 0)[1:-1, 1:-1].astype(np.float32)
     store.write_block(work.name, work.block, values)
     return {"filled": int(np.count_nonzero(values)), "checksum": checksum(values)}
 
@@ -91,37 +94,40 @@ def crowns_margin(size_m: float) -> int:
     return math.ceil(CROWN_M / size_m) + 2
 
 
-def _crowns(store: TileStore, work: CrownsBlock, window: Block, wanted: Bools) -> npt.NDArray[np.int64]:
-    """Return the value of each cell of a window, see `crowns_block`. Only wanted cells are right."""
+def _crowns(store: TileStore, work: CrownsBlock, window: Block, examined: Bools) -> npt.NDArray[np.int64]:
+    """Return the value of each cell of a window, see `crowns_block`.
+
+    The values of cells that are not ``examined`` may be wrong.
+    """
     frame, spec = store.meta.frame, work.spec
-    has_ground = np.zeros(wanted.size, np.bool_)
+    has_ground = np.zeros(examined.size, np.bool_)
     objects, object_cells = [np.empty((3, 0), np.int32)], [np.empty(0, np.int64)]
     for cell in store.buckets_within(spec.block_bounds(window)):
         bounds = store.meta.bucket.bounds(cell).intersection(spec.block_bounds(window))
         part = spec.part(window, bounds)
         top, left = part.row - window.row, part.col - window.col
-        if not wanted[top : top + part.height, left : left + part.width].any():
+        if not examined[top : top + part.height, left : left + part.width].any():
             continue
         ground = read_ground(store, work.rule, bounds).xyz
         has_ground[pixel_indices(ground, frame.origin, spec, window)] = True
         points = read_objects(store, work.rule, bounds)
         cells = pixel_indices(points, frame.origin, spec, window)
-        chosen = wanted.ravel()[cells]
+        chosen = examined.ravel()[cells]
         objects.append(points[:, chosen])
         object_cells.append(cells[chosen])
     xyz, cells = np.concatenate(objects, axis=1), np.concatenate(object_cells)
-    rough = roughness(xyz, cells, wanted.size) * float(frame.metres_z)
-    plants = _mostly(rough.reshape(wanted.shape) > ROUGH_M, ~np.isnan(rough).reshape(wanted.shape))
-    has_objects = np.bincount(cells, minlength=wanted.size) > 0
-    kinds = np.where(has_ground, OPEN, HIDDEN).reshape(wanted.shape)
-    return np.where(plants & has_objects.reshape(wanted.shape), kinds, 0)
+    rough = (roughness(xyz, cells, examined.size) * float(frame.metres_z)).reshape(examined.shape)
+    plants = _mostly(rough > ROUGH_M, ~np.isnan(rough))
+    has_objects = np.bincount(cells, minlength=examined.size) > 0
+    kinds = np.where(has_ground, OPEN, HIDDEN).reshape(examined.shape)
+    return np.where(plants & has_objects.reshape(examined.shape), kinds, 0)
 
 
 def roughness(xyz: npt.NDArray[np.int32], cells: npt.NDArray[np.int64], size: int) -> Floats:
     """Return the RMS of the vertical distances of the points of each cell from their plane, float64 (size,).
 
-    It is in vertical counts, and NaN for cells of fewer than `MIN_POINTS` points and for points on a line. Sums are of
-    integers, so the order of points does not matter.
+    The RMS is in vertical counts. It is NaN for cells with fewer than `MIN_POINTS` points or with points on a line. The
+    terms of sums are integers, so the order of points does not matter.
 
     Parameters
     ----------
@@ -155,21 +161,19 @@ def roughness(xyz: npt.NDArray[np.int32], cells: npt.NDArray[np.int64], size: in
         total(z * z) / n - mean_z**2,
     )
     determinant = xx * yy - xy * xy
-    flat = (number >= MIN_POINTS) & (determinant > 1e-6 * xx * yy)
+    has_plane = (number >= MIN_POINTS) & (determinant > 1e-6 * xx * yy)
     explained = np.divide(
-        xz * xz * yy - 2 * xz * yz * xy + yz * yz * xx, determinant, out=np.zeros(size), where=flat
+        xz * xz * yy - 2 * xz * yz * xy + yz * yz * xx, determinant, out=np.zeros(size), where=has_plane
     )
-    return np.where(flat, np.sqrt(np.maximum(zz - explained, 0.0)), np.nan)
+    return np.where(has_plane, np.sqrt(np.maximum(zz - explained, 0.0)), np.nan)
 
 
-def _mostly(chosen: Bools, among: Bools) -> Bools:
-    """Return a mask of the cells around which (3 by 3) more than half of some cells are chosen."""
+def _mostly(chosen: Bools, known: Bools) -> Bools:
+    """Return a mask of the cells in whose squares of 3 by 3 cells more than half of the known cells are chosen."""
     square = np.ones((3, 3), np.int64)
-    chosen_count, count = (
-        scipy.ndimage.convolve(mask.astype(np.int64), square, mode="constant")
-        for mask in (chosen & among, among)
-    )
-    return np.asarray(2 * chosen_count > count)
+    n_chosen = scipy.ndimage.convolve((chosen & known).astype(np.int64), square, mode="constant")
+    n_known = scipy.ndimage.convolve(known.astype(np.int64), square, mode="constant")
+    return np.asarray(2 * n_chosen > n_known)
 
 
 def beneath_crowns(cells: WaterCells, crowns: npt.NDArray[Any], wet: Bools, level: Floats) -> Bools:
@@ -195,37 +199,39 @@ def beneath_crowns(cells: WaterCells, crowns: npt.NDArray[Any], wet: Bools, leve
     hidden &= within(~within(bank, radius), radius)
     hidden = _connected(hidden, wet, math.ceil(CROWN_M / cells.size))
     height, slope = continued_bank(np.argwhere(hidden), np.argwhere(bank), (cells.ground - level)[bank])
-    hidden[hidden] = (height <= LOW_M) | (slope <= FLAT * cells.size)
+    hidden[hidden] = (height <= LOW_M) | (slope <= MAX_QUAY_SLOPE * cells.size)
     return _connected(hidden, wet, math.ceil(CROWN_M / cells.size))
 
 
 def _open_share(crowns: npt.NDArray[Any], side: int) -> Floats:
-    """Return the share of the cells with plants around each cell that have ground; the squares have an odd side."""
-    has_ground, has_plants = (
-        scipy.ndimage.uniform_filter(mask.astype(np.float64), side // 2 * 2 + 1, mode="constant")
-        for mask in (crowns == OPEN, crowns > 0)
-    )
+    """Return the share of cells with ground among the cells with plants in a square around each cell.
+
+    The square has ``side`` rows, or one more if that is even.
+    """
+    odd_side = side // 2 * 2 + 1
+    has_ground = scipy.ndimage.uniform_filter((crowns == OPEN).astype(np.float64), odd_side, mode="constant")
+    has_plants = scipy.ndimage.uniform_filter((crowns > 0).astype(np.float64), odd_side, mode="constant")
     return np.divide(has_ground, has_plants, out=np.zeros(crowns.shape), where=crowns > 0)
 
 
-def _connected(hidden: Bools, wet: Bools, reach: int) -> Bools:
-    """Return the cells that are connected with water over at most ``reach`` cells."""
+def _connected(hidden: Bools, wet: Bools, max_steps: int) -> Bools:
+    """Return a mask of the hidden cells that are connected with water by at most ``max_steps`` steps."""
     whole = hidden | wet
-    joined_mask = np.zeros_like(hidden)
+    connected = np.zeros_like(hidden)
     box = box_around(whole, 0)
-    joined_mask[box] = scipy.ndimage.binary_dilation(wet[box], iterations=reach, mask=whole[box])
-    return joined_mask & ~wet
+    connected[box] = scipy.ndimage.binary_dilation(wet[box], iterations=max_steps, mask=whole[box])
+    return connected & ~wet
 
 
 def continued_bank(
-    places: npt.NDArray[np.int64], bank: npt.NDArray[np.int64], above: Floats
+    cells: npt.NDArray[np.int64], bank: npt.NDArray[np.int64], above: Floats
 ) -> tuple[Floats, Floats]:
     """Continue planes through the nearest cells of the bank to other cells.
 
     Parameters
     ----------
-    places : int64 (n, 2)
-        Row and column of the cells.
+    cells : int64 (n, 2)
+        Row and column of the other cells.
     bank : int64 (m, 2)
         Row and column of the cells of the bank.
     above : float64 (m,)
@@ -234,15 +240,15 @@ def continued_bank(
     Returns
     -------
     height : float64 (n,)
-        Height of the plane at each cell.
+        Height above the water of the plane at each cell.
     slope : float64 (n,)
         Slope of the plane in metres per cell.
     """
     count = min(BANK_CELLS, len(bank))
-    _, near = scipy.spatial.cKDTree(bank).query(places, k=count)
-    near = near.reshape(len(places), count)
-    offsets = (bank[near] - places[:, None]).astype(np.float64)
-    columns = np.concatenate((np.ones((len(places), count, 1)), offsets), axis=2)
+    _, near = scipy.spatial.cKDTree(bank).query(cells, k=count)
+    near = near.reshape(len(cells), count)
+    offsets = (bank[near] - cells[:, None]).astype(np.float64)
+    columns = np.concatenate((np.ones((len(cells), count, 1)), offsets), axis=2)
     normal = columns.transpose(0, 2, 1) @ columns + 1e-6 * np.eye(3)
     right = columns.transpose(0, 2, 1) @ above[near][:, :, None]
     plane = np.asarray(np.linalg.solve(normal, right), np.float64)[:, :, 0]

@@ -1,4 +1,4 @@
-"""Extension of water to its shore and beneath bridges, and removal of its narrow arms and islands."""
+"""Extension of water to its shore and under bridges, and removal of its narrow parts and islands."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from tiler.grid.water_cells import WaterCells
 LEVEL_M = 0.15
 """Height of the ground above the water up to which water extends."""
 BELOW_M = 0.4
-"""Depth of the ground below the water at which water ends, as at the foot of a dam or at other water."""
+"""Depth below the water at which ground is not part of it, such as the foot of a dam or other water."""
 DEEP_CELLS = 5
-"""Side in cells of the smallest square of that depth that ends water. Smaller pits come from low returns."""
+"""Side in cells of the smallest square of such ground. Smaller pits come from low returns."""
 LEVEL_CELLS, LEVEL_STEP_M = 5, 0.001
-"""Side of the square of cells whose mean height is the water level, and the step of these heights."""
+"""Side in cells of the square whose mean height is the water level, and the unit to which heights are rounded."""
 OUTER_CELLS = 2
 """Width in cells of the edge of the water that may be bank."""
 NEAR_CELLS = 10
-"""Distance in cells within which heights of inner cells replace those of outer cells."""
+"""Distance from inner cells within which cells at the edge do not contribute to the level."""
 BRIDGE_M, UNDER_BRIDGE_M = 14.0, 0.5
 """Widest bridge under which water extends, and largest height of the terrain there above the shores."""
 TIDE_M, SPREAD_M = 0.7, 0.2
@@ -34,7 +34,7 @@ SPECK_CELLS = 4
 
 
 def smoothed(ground: Floats) -> Floats:
-    """Remove pits and peaks of a cell or two: the median of three along rows and columns, twice."""
+    """Remove pits and peaks of one or two cells, by the median of three along rows and columns, twice."""
     known = ~np.isnan(ground)
     box = box_around(known, 0)
     part = ground[box]
@@ -54,7 +54,7 @@ def water_heights(cells: WaterCells, wet: Bools) -> Floats | None:
     count only if there are no inner cells near. Cells without returns do not count, as their heights come from the
     banks.
     """
-    ground = np.rint(cells.ground / LEVEL_STEP_M)  # sums of whole numbers are exact
+    ground = np.rint(cells.ground / LEVEL_STEP_M)  # Sums of whole numbers are exact.
     known = wet & (cells.returns > 0) & ~np.isnan(ground)
     if not known.any():
         return None
@@ -67,17 +67,21 @@ def water_heights(cells: WaterCells, wet: Bools) -> Floats | None:
     return levels
 
 
-def shore_area(cells: WaterCells, water: Bools, level: Floats | None, reach: int) -> Bools:
-    """Extend water over connected cells up to ``reach`` away that are as low as its level near them, if it is known."""
-    extended_water, box = water.copy(), box_around(water, reach)
+def shore_area(cells: WaterCells, water: Bools, level: Floats | None, max_steps: int) -> Bools:
+    """Extend water over connected cells that are as low as its level near them.
+
+    Cells may be up to ``max_steps`` away. Without a level, water is not extended.
+    """
+    extended_water = water.copy()
     if level is None:
         return extended_water
+    box = box_around(water, max_steps)
     near, wet = cells.cut(box), water[box]
     above = near.ground - level[box]
     deep = scipy.ndimage.binary_opening(above < -BELOW_M, np.ones((DEEP_CELLS, DEEP_CELLS), np.bool_))
     low = near.domain & ~deep & ((above <= LEVEL_M) | np.isnan(above))
     low = scipy.ndimage.binary_opening(low | wet, np.ones((3, 3), np.bool_)) | wet
-    extended_water[box] = scipy.ndimage.binary_dilation(wet, iterations=reach, mask=low)
+    extended_water[box] = scipy.ndimage.binary_dilation(wet, iterations=max_steps, mask=low)
     return extended_water
 
 
@@ -86,8 +90,9 @@ def close_bridge_gaps(
 ) -> Bools:
     """Close gaps in water under bridges: below known decks, and where the terrain is about as low as the shores.
 
-    A bridge is connected with the bank, so enclosed land of up to ``longest_island`` rows and columns stays and is left
-    to `without_islands`. Longer land may be cut by the border of the array, which hides whether water encloses it.
+    A bridge is connected with the bank, so land that water encloses is an island and stays, up to ``longest_island``
+    rows and columns; see `without_islands`. Longer land is never an island here, because the border of the array may
+    cut it.
     """
     pad = math.ceil(BRIDGE_M / size_m)
     padded = np.pad(water, pad)
@@ -99,63 +104,69 @@ def close_bridge_gaps(
     with np.errstate(invalid="ignore"):
         gaps = closed & (below_deck | (ground - low <= UNDER_BRIDGE_M))
     labels, _, enclosed = _land(water)
-    spans = [
-        max(rows.stop - rows.start, cols.stop - cols.start)
-        for rows, cols in scipy.ndimage.find_objects(labels)
-    ]
-    island = enclosed & np.array([False, *(span <= longest_island for span in spans)])
+    is_short = [False]
+    for rows, cols in scipy.ndimage.find_objects(labels):
+        is_short.append(max(rows.stop - rows.start, cols.stop - cols.start) <= longest_island)
+    island = enclosed & np.array(is_short)
     return np.asarray(water | (gaps & ~island[labels]))
 
 
 def remove_narrow_parts(water: Bools, width: float, beyond: Bools) -> Bools:
-    """Remove the parts of water narrower than a width in cells. The other parts keep their shore.
+    """Remove the parts of water narrower than ``width`` cells. The other parts keep their shore.
 
-    Water may go on in the cells ``beyond`` the survey, so these count as water.
+    Cells ``beyond`` the survey count as water, because water may continue there.
     """
-    least = max(width / 2 - 0.5, 1.0)
-    inner = ~within(~np.pad(water | beyond, 1), math.nextafter(least, 0.0))[1:-1, 1:-1]
+    radius = max(width / 2 - 0.5, 1.0)
+    inner = ~within(~np.pad(water | beyond, 1), math.nextafter(radius, 0.0))[1:-1, 1:-1]
     return water & within(inner, width / 2 + 1)
 
 
-def without_islands(water: Bools, least: float) -> Bools:
-    """Fill enclosed land of fewer than ``least`` cells. Land that touches the border of the array stays."""
+def without_islands(water: Bools, min_cells: float) -> Bools:
+    """Fill enclosed land of fewer than ``min_cells`` cells. Land that touches the border of the array stays."""
     labels, sizes, enclosed = _land(water)
-    return np.asarray(water | (enclosed & (sizes < least))[labels])
+    return np.asarray(water | (enclosed & (sizes < min_cells))[labels])
 
 
-def without_border_islands(cells: WaterCells, water: Bools, level: Floats, least: float) -> Bools:
-    """Fill flat land of fewer than ``least`` cells between water and the border of the survey.
+def without_border_islands(cells: WaterCells, water: Bools, level: Floats, min_cells: float) -> Bools:
+    """Fill flat land of fewer than ``min_cells`` cells between water and the border of the survey.
 
-    It is at most `TIDE_M` above the water. Unless it is a speck, it has at least as many sides to the water as to the
-    border. Such land is mostly water with returns, as of a strip flown at a higher tide. Land that touches the border
-    of the array stays.
+    Land is filled if it is at most `TIDE_M` above the water, and is a speck or has at least as many sides to the water
+    as to the border. Such land is mostly water with returns, for example from a strip flown at a higher tide. Land that
+    touches the border of the array stays.
     """
     labels, _, inside = _land(water | ~cells.domain)
-    sizes, to_water, to_border = (
-        np.bincount(labels.ravel(), weights.ravel(), len(inside))
-        for weights in (labels > 0, _sides(water), _sides(~cells.domain & ~water))
-    )
+
+    def total(weights: npt.NDArray[Any], mask: Any = ...) -> npt.NDArray[Any]:
+        """Return the sums of weights over the pieces of land."""
+        return np.bincount(labels[mask].ravel(), weights[mask].ravel(), len(inside))
+
+    sizes = total(labels > 0)
+    to_water = total(_sides(water))
+    to_border = total(_sides(~cells.domain & ~water))
     above = np.rint((cells.ground - level) / LEVEL_STEP_M)
     known = ~np.isnan(above)
     number = np.maximum(np.bincount(labels[known], minlength=len(inside)), 1)
-    total, squares = (np.bincount(labels[known], above[known] ** power, len(inside)) for power in (1, 2))
-    spread = np.sqrt(squares / number - (total / number) ** 2)
+    mean = total(above, known) / number
+    spread = np.sqrt(total(above**2, known) / number - mean**2)
     highest = np.zeros(len(inside))
     np.maximum.at(highest, labels[known], above[known])
     flat = (spread * LEVEL_STEP_M <= SPREAD_M) & (highest * LEVEL_STEP_M <= TIDE_M)
     lies_in_water = (to_water >= to_border) | (sizes <= SPECK_CELLS)
-    filled: Bools = inside & flat & (sizes < least) & (to_border > 0) & lies_in_water
+    filled: Bools = inside & flat & (sizes < min_cells) & (to_border > 0) & lies_in_water
     return np.asarray(water | filled[labels])
 
 
 def _sides(cells: Bools) -> npt.NDArray[np.float64]:
-    """Return the number of sides of each cell at which one of ``cells`` lies."""
+    """Return the number of the four neighbours of each cell that are in the mask ``cells``."""
     padded = np.pad(cells, 1).astype(np.float64)
     return padded[:-2, 1:-1] + padded[2:, 1:-1] + padded[1:-1, :-2] + padded[1:-1, 2:]
 
 
 def _land(water: Bools) -> tuple[npt.NDArray[Any], npt.NDArray[Any], Bools]:
-    """Label the pieces of land. Return the label of each cell, and size and enclosure by water for each label."""
+    """Label the pieces of land.
+
+    Return the label of each cell, and for each label its number of cells and whether water encloses it.
+    """
     labels, number = scipy.ndimage.label(~water)
     sizes = np.bincount(labels.ravel(), minlength=number + 1)
     enclosed: Bools = np.ones(number + 1, np.bool_)

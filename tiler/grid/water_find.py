@@ -1,4 +1,4 @@
-"""Polygon and kind (lake or river) of a body of water, from its coarse cells."""
+"""Making of the polygon of a body of water from its coarse cells, and choice of its kind, lake or river."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from tiler.grid.water_shore import MAX_DEPTH_M, REACH_CELLS, depths, shore_polyg
 from tiler.store import TileStore, open_store, read_cells
 
 ROUND = 1 / 3
-"""Least roundness of a lake, 4 pi area / (shore length)^2, which is 1 for a disk. Less round water is a river."""
+"""Least roundness of a lake, 4 pi area / (shore length)^2, which is 1 for a disk. Water below it is a river."""
 MIN_LENGTH = 3
 """Least ratio of length to width of a river."""
 SIMPLER = 0.15
@@ -80,23 +80,24 @@ def describe_body(store_url: str, work: DescribeBody) -> dict[str, Any]:
     store, coarse = open_store(store_url), work.coarse
     size_m = float(coarse.lattice.size * store.meta.frame.metres_xy)
     polygons: list[Any] = []
-    ends, faces, cells = [np.empty((0, 2), np.int64)], 0, 0
+    border_cells = [np.empty((0, 2), np.int64)]
+    n_border_sides, n_cells = 0, 0
     for block, body_mask in _blocks(store, work):
         polygons += _polygons(store, work, block)
         beyond = read_cells(store, work.sources.domain, coarse, padded(block, 1), float(BEYOND)) == BEYOND
-        leaving_mask, sides = _leaving(body_mask, beyond)
-        ends.append(np.argwhere(leaving_mask) + (block.row, block.col))
-        faces += sides
-        cells += int(body_mask[1:-1, 1:-1].sum())
+        border_mask, n_sides = _survey_border(body_mask, beyond)
+        border_cells.append(np.argwhere(border_mask) + (block.row, block.col))
+        n_border_sides += n_sides
+        n_cells += int(body_mask[1:-1, 1:-1].sum())
     side = float(coarse.lattice.size)
-    exits = _exits(np.concatenate(ends))
-    found = _without_islands(shapely.union_all(polygons), work.island_m2 * (side / size_m) ** 2)
+    exits = _exits(np.concatenate(border_cells))
+    water = _without_islands(shapely.union_all(polygons), work.island_m2 * (side / size_m) ** 2)
     bays = _bays(store, work, exits, MAX_BAY_M / size_m)
     # Land that only a bay encloses stays, unless it is a speck.
-    whole = _without_islands(shapely.union(found, bays), SPECK_CELLS * side**2)
-    shore = shapely.get_exterior_ring(shapely.get_parts(whole))
-    length_m = (float(shapely.length(shore).sum()) / side - faces) * size_m
-    area_m2 = cells * size_m**2
+    whole = _without_islands(shapely.union(water, bays), SPECK_CELLS * side**2)
+    outline = shapely.get_exterior_ring(shapely.get_parts(whole))
+    length_m = (float(shapely.length(outline).sum()) / side - n_border_sides) * size_m
+    area_m2 = n_cells * size_m**2
     kind, width_m = _kind(area_m2, length_m, size_m, len(exits))
     small = area_m2 < work.lake_m2 if kind == LAKE else width_m < work.river_width_m
     body = None if small else Water(0, kind, _area(whole, side), None, None, work.sure).to_json()
@@ -104,53 +105,55 @@ def describe_body(store_url: str, work: DescribeBody) -> dict[str, Any]:
 
 
 def _blocks(store: TileStore, work: DescribeBody) -> Iterator[tuple[Block, Bools]]:
-    """Yield the blocks of a body, and masks of its cells with a margin of one cell that is not set."""
+    """Yield the blocks of a body, each with a mask of its cells and an empty margin of one cell."""
     for row, col in sorted({(piece.row, piece.col) for piece in work.pieces}):
         block = work.coarse.block_at(row, col, BLOCK_PIXELS)
         yield block, np.pad(cells_of(store, work.water, work.coarse, block, work.pieces), 1)
 
 
-def _leaving(mine: Bools, beyond: Bools) -> tuple[Bools, int]:
-    """Return a mask of the cells at the border of the survey, and the number of their sides there."""
-    leaving_mask, sides = np.zeros_like(mine), 0
+def _survey_border(body: Bools, beyond: Bools) -> tuple[Bools, int]:
+    """Return a mask of the water's cells at the border of the survey, and the number of their sides at the border."""
+    border_mask = np.zeros_like(body)
+    n_sides = 0
     for axis, step in ((0, 1), (0, -1), (1, 1), (1, -1)):
-        edge = mine & np.roll(beyond, step, axis)
-        sides += int(edge.sum())
-        leaving_mask |= edge
-    return leaving_mask[1:-1, 1:-1], sides
+        edge = body & np.roll(beyond, step, axis)
+        n_sides += int(edge.sum())
+        border_mask |= edge
+    return border_mask[1:-1, 1:-1], n_sides
 
 
-def _exits(leaving: npt.NDArray[np.int64]) -> list[npt.NDArray[np.int64]]:
-    """Divide the cells of water at the border of the survey, int64 (n, 2), into exits, which are apart."""
-    if not len(leaving):
+def _exits(cells: npt.NDArray[np.int64]) -> list[npt.NDArray[np.int64]]:
+    """Group the water's cells at the border of the survey, int64 (n, 2), into separate exits."""
+    if not len(cells):
         return []
-    near = scipy.spatial.cKDTree(leaving).query_pairs(ONE_EXIT, p=math.inf)
-    return [leaving[sorted(group)] for group in components(range(len(leaving)), near)]
+    near = scipy.spatial.cKDTree(cells).query_pairs(ONE_EXIT, p=math.inf)
+    return [cells[sorted(group)] for group in components(range(len(cells)), near)]
 
 
-def _bays(store: TileStore, work: DescribeBody, exits: list[npt.NDArray[np.int64]], longest: float) -> Any:
+def _bays(store: TileStore, work: DescribeBody, exits: list[npt.NDArray[np.int64]], max_width: float) -> Any:
     """Return the bays of the survey's border at the exits of the water, as a shape in absolute counts.
 
-    They are the triangles between corners of an exit's cells with edges of at most ``longest`` cells, without land.
+    A bay consists of triangles between corners of cells of one exit, with edges of at most ``max_width`` cells. Land is
+    cut out of it.
     """
     import shapely
 
     coarse, side = work.coarse, float(work.coarse.lattice.size)
     corners = np.array([[-0.5, -0.5], [-0.5, 0.5], [0.5, -0.5], [0.5, 0.5]])
-    triangles = [np.empty(0, object)]
+    triangles_by_exit = [np.empty(0, object)]
     for cells in exits:
         points = (cells[:, None, ::-1] + corners).reshape(-1, 2)
-        triangles.append(shapely.get_parts(shapely.delaunay_triangles(shapely.multipoints(points))))
-    joined = np.concatenate(triangles)
-    edges = np.diff(shapely.get_coordinates(joined).reshape(-1, 4, 2), axis=1)
+        triangles_by_exit.append(shapely.get_parts(shapely.delaunay_triangles(shapely.multipoints(points))))
+    triangles = np.concatenate(triangles_by_exit)
+    edges = np.diff(shapely.get_coordinates(triangles).reshape(-1, 4, 2), axis=1)
     lengths = np.hypot(edges[:, :, 0], edges[:, :, 1])
-    bays = shapely.union_all(joined[lengths.max(axis=1, initial=0.0) <= longest])
+    bays = shapely.union_all(triangles[lengths.max(axis=1, initial=0.0) <= max_width])
     land = [np.empty(0, object)]
     for block, _ in _blocks(store, work):
-        window = padded(block, math.ceil(longest))
+        window = padded(block, math.ceil(max_width))
         domain = read_cells(store, work.sources.domain, coarse, window, float(BEYOND)) != BEYOND
-        mine = cells_of(store, work.water, coarse, window, work.pieces)
-        cells = np.argwhere(domain & ~mine) + (window.row, window.col)
+        body = cells_of(store, work.water, coarse, window, work.pieces)
+        cells = np.argwhere(domain & ~body) + (window.row, window.col)
         row, col = cells[shapely.intersects_xy(bays, cells[:, 1], cells[:, 0])].T
         land.append(shapely.box(col - 0.5, row - 0.5, col + 0.5, row + 0.5))
     bays = shapely.difference(bays, shapely.union_all(np.concatenate(land)))
@@ -158,14 +161,14 @@ def _bays(store: TileStore, work: DescribeBody, exits: list[npt.NDArray[np.int64
     return shapely.transform(bays, lambda at: np.stack((west + at[:, 0], north - at[:, 1]), axis=1) * side)
 
 
-def _kind(area_m2: float, shore_m: float, size_m: float, exits: int) -> tuple[str, float]:
+def _kind(area_m2: float, shore_m: float, size_m: float, n_exits: int) -> tuple[str, float]:
     """Return the kind, lake or river, and the mean width in metres.
 
-    A river is long, or leaves the survey at two or more positions.
+    A river has a long shore for its area, or leaves the survey at two or more positions.
     """
     length = max(shore_m, size_m)
-    river = exits > 1 or 4 * math.pi * area_m2 / length**2 < ROUND
-    return (RIVER if river else LAKE), 2 * area_m2 / length
+    is_river = n_exits > 1 or 4 * math.pi * area_m2 / length**2 < ROUND
+    return (RIVER if is_river else LAKE), 2 * area_m2 / length
 
 
 def _polygons(store: TileStore, work: DescribeBody, block: Block) -> list[Any]:
@@ -183,19 +186,20 @@ def _polygons(store: TileStore, work: DescribeBody, block: Block) -> list[Any]:
     return shore_polygons(field[cut], work.coarse, padded(block, 1))
 
 
-def _without_islands(whole: Any, least: float) -> Any:
-    """Return a shape without its holes of an area below ``least``."""
+def _without_islands(shape: Any, min_area: float) -> Any:
+    """Return a shape without holes that have an area below ``min_area``."""
     import shapely
 
     polygons = []
-    for polygon in shapely.get_parts(whole):
-        holes = [ring for ring in polygon.interiors if shapely.Polygon(ring).area >= least]
+    for polygon in shapely.get_parts(shape):
+        holes = [ring for ring in polygon.interiors if shapely.Polygon(ring).area >= min_area]
         polygons.append(shapely.Polygon(polygon.exterior, holes))
     return shapely.union_all(polygons)
 
 
-def _area(whole: Any, side: float) -> Area:
-    """Return a polygon of cells as an `Area` with a simplified shore."""
+def _area(shape: Any, side: float) -> Area:
+    """Return the polygons of a body of water as an `Area` with a simplified shore."""
     import shapely
 
-    return area_of(shapely.simplify(shapely.normalize(shapely.simplify(whole, 0.0)), SIMPLER * side))
+    # Vertices on straight lines are removed first, so that they do not influence the result.
+    return area_of(shapely.simplify(shapely.normalize(shapely.simplify(shape, 0.0)), SIMPLER * side))

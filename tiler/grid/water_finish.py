@@ -1,4 +1,4 @@
-"""Final water of a run: extended to its shores and beneath bridges, without narrow arms and small islands."""
+"""Final water of a run: extended to its shores and under bridges, without narrow parts and small islands."""
 
 from __future__ import annotations
 
@@ -25,21 +25,22 @@ from tiler.grid.water_extent import (
     without_border_islands,
     without_islands,
 )
-from tiler.grid.water_search import SEEN_CELLS, Sources, inner_window, read_search_cells
+from tiler.grid.water_search import SMOOTHING_CELLS, Sources, inner_window, read_search_cells
 from tiler.grid.work import BlockWork
 from tiler.store import TileStore, open_store, read_cells
 
 SHORE_M = 20.0
 """Distance by which water extends over low ground next to it."""
 MAX_ISLAND_CELLS = 128
-"""Upper limit, in coarse cells, of the length up to which an island lies whole in every window."""
+"""Upper limit, in coarse cells, of the length of the islands for which windows have a margin."""
 
 DECK_EDGE_M = 4.0
-"""Width of the strip beside a deck in which remains of it may be terrain."""
-SEEN_SHARE = 0.25
+"""Width of the strip next to a deck in which remains of the deck may be terrain."""
+DRY_SHARE = 0.25
 """Share of the least area of an island that has to be clearly above the water.
 
-Flat parts become water here. The whole area of an island is known when its shore is drawn (`tiler.grid.water_find`).
+Flat parts of an island become water here. Its whole area is known only after its shore is drawn, see
+`tiler.grid.water_find`.
 """
 
 
@@ -75,7 +76,7 @@ def finish_margin(work: FinishWater, size_m: float) -> int:
 
 
 def _longest_island(work: FinishWater, size_m: float) -> int:
-    """Return the length in cells of the longest island that lies whole in every window."""
+    """Return the length in cells of the longest island that may be kept and always lies completely in a window."""
     return min(math.ceil(work.island_m2 / size_m**2), MAX_ISLAND_CELLS)
 
 
@@ -86,8 +87,8 @@ def finish_water(store_url: str, work: FinishWater) -> dict[str, Any]:
     -------
     dict
         ``sides`` and ``labels`` (number of labels), see `tiler.grid.pieces`; ``sizes``: for each label the number of
-        cells, the number of cells that were found rather than added, and the sum of their confidences in hundredths;
-        ``filled``; ``checksum``.
+        cells, the number of cells with a confidence, as others were added here, and the sum of the confidences in
+        hundredths; ``filled``; ``checksum``.
     """
     store, block, spec = open_store(store_url), work.block, work.spec
     size_m = float(spec.lattice.size * store.meta.frame.metres_xy)
@@ -95,7 +96,7 @@ def finish_water(store_url: str, work: FinishWater) -> dict[str, Any]:
     sure = np.max([read_cells(store, name, spec, padded(block, margin)) for name in work.sure], axis=0)
     water = sure > 0
     if water.any():
-        rows, cols = box_around(water, math.ceil((SHORE_M + BRIDGE_M) / size_m) + SEEN_CELLS)
+        rows, cols = box_around(water, math.ceil((SHORE_M + BRIDGE_M) / size_m) + SMOOTHING_CELLS)
         part = water[rows, cols]
         window = Block(block.row - margin + rows.start, block.col - margin + cols.start, *part.shape)
         water[rows, cols] = _finished(store, work, part, window, size_m)
@@ -103,7 +104,8 @@ def finish_water(store_url: str, work: FinishWater) -> dict[str, Any]:
     labels, sides = label_block(water[inner], corners=False)
     values = labels.astype(np.float32)
     store.write_block(work.name, block, values)
-    count, known = int(labels.max(initial=0)), sure[inner] > 0
+    count = int(labels.max(initial=0))
+    known = sure[inner] > 0
     hundredths = np.rint(sure[inner][known].astype(np.float64) * 100)
     counts = [
         np.bincount(labels.ravel(), minlength=count + 1)[1:],
@@ -120,7 +122,7 @@ def finish_water(store_url: str, work: FinishWater) -> dict[str, Any]:
 
 
 def _finished(store: TileStore, work: FinishWater, water: Bools, window: Block, size_m: float) -> Bools:
-    """Extend the water of a window to its shores and beneath bridges, and remove narrow arms and small islands."""
+    """Extend the water of a window to its shores and under bridges, and remove narrow parts and small islands."""
     cells = read_search_cells(store, work.sources, work.spec, window, 1)
     smooth = cells.with_ground(smoothed(cells.ground))
     level = water_heights(smooth, water)
@@ -129,17 +131,17 @@ def _finished(store: TileStore, work: FinishWater, water: Bools, window: Block, 
         water = water | beneath_crowns(smooth, crowns, water, level)
         smooth = smooth.with_ground(np.where(water & (crowns == HIDDEN), np.nan, smooth.ground))
         water = shore_area(smooth, water, level, math.ceil(SHORE_M / size_m))
-    least_island = SEEN_SHARE * work.island_m2 / size_m**2
+    min_island = DRY_SHARE * work.island_m2 / size_m**2
     below_deck = _below_decks(work, window, DECK_EDGE_M / size_m)
     longest_island = _longest_island(work, size_m)
     water = close_bridge_gaps(cells.ground, water, size_m, longest_island, below_deck)
     water = remove_narrow_parts(water, work.river_width_m / size_m, ~cells.domain)
-    water = without_islands(water, least_island)
-    return water if level is None else without_border_islands(cells, water, level, least_island)
+    water = without_islands(water, min_island)
+    return water if level is None else without_border_islands(cells, water, level, min_island)
 
 
 def _below_decks(work: FinishWater, window: Block, edge: float) -> Bools:
-    """Return a mask of the cells of a window below decks and up to ``edge`` cells beside them."""
+    """Return a mask of the cells of a window below decks and up to ``edge`` cells next to decks."""
     import shapely
 
     is_below = np.zeros((window.height, window.width), np.bool_)

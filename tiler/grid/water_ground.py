@@ -1,4 +1,4 @@
-"""Heights of coarse cells for the search for water: of the terrain, or of the input's water."""
+"""Heights of coarse cells for the search for water: of the terrain, or of points that the input classifies as water."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from tiler.store import TileStore, coarse_cells, open_store, read_cells
 Floats = npt.NDArray[np.float64]
 
 NEAR_CELLS = 8
-"""Largest distance in cells at which a cell without returns is water like the nearest cell with returns."""
+"""Largest distance in cells at which a cell with returns decides whether a cell without returns is water."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,14 +63,15 @@ def ground_cells(store_url: str, work: GroundCells) -> dict[str, Any]:
         heights = store.read_block(work.heights, piece)
         rows, cols = coarse_cells(work.spec, work.pixels, piece)
         rows, cols = rows - block.row, cols - block.col
-        own_rows, own_cols = (rows >= 0) & (rows < block.height), (cols >= 0) & (cols < block.width)
-        known = (heights != np.float32(NODATA)) & own_rows[:, None] & own_cols
+        in_rows = (rows >= 0) & (rows < block.height)
+        in_cols = (cols >= 0) & (cols < block.width)
+        known = (heights != np.float32(NODATA)) & in_rows[:, None] & in_cols
         cell_indices = (rows[:, None] * block.width + cols)[known]
         total += np.bincount(cell_indices, np.rint(heights[known].astype(np.float64) * COUNTS_PER_UNIT), size)
         number += np.bincount(cell_indices, minlength=size)
     mean = _means(total, number).reshape(block.height, block.width)
     if work.occupancy is not None:
-        water = _given_heights(store, work, work.occupancy)
+        water = _water_class_heights(store, work, work.occupancy)
         mean = np.where(water == NODATA, mean, water)
     values = mean.astype(np.float32)
     store.write_block(work.name, block, values)
@@ -78,14 +79,17 @@ def ground_cells(store_url: str, work: GroundCells) -> dict[str, Any]:
 
 
 def _means(total: Floats, number: npt.NDArray[np.int64]) -> Floats:
-    """Convert sums and numbers of heights in counts to means in units of the CRS, `NODATA` for none."""
+    """Convert sums and numbers of heights in counts to means in units of the CRS, `NODATA` without heights."""
     means = np.full(total.shape, NODATA)
     np.divide(total, number * COUNTS_PER_UNIT, out=means, where=number > 0)
     return means
 
 
-def _given_heights(store: TileStore, work: GroundCells, occupancy: str) -> Floats:
-    """Return heights of points that are water by the input in the cells of a block, `NODATA` elsewhere."""
+def _water_class_heights(store: TileStore, work: GroundCells, occupancy: str) -> Floats:
+    """Return the mean height of the points of class water in each cell of a block, `NODATA` elsewhere.
+
+    Cells without returns get the height of the nearest cell with returns, if that is water.
+    """
     window = padded(work.block, NEAR_CELLS)
     returns = read_cells(store, occupancy, work.spec, window)
     total, number = np.zeros(returns.size), np.zeros(returns.size, np.int64)

@@ -1,7 +1,8 @@
 """Level of a lake or river, from the terrain along its shore and from the heights of the water itself.
 
-The level comes from the water's own returns if they are smooth, else it is a low percentile of the shore's heights. A
-lake has one level. A river has a level at each position of its line (`tiler.grid.profile`).
+The level is estimated from the returns of the water if their heights are smooth. Otherwise it is a low percentile of
+the heights of the shore. A lake has one level. A river has a level at each position of its line
+(`tiler.grid.profile`).
 """
 
 from __future__ import annotations
@@ -33,9 +34,9 @@ SHORE_PIXELS = 2
 STATION_PIXELS = 10
 """Least distance in pixels between the stations of a river."""
 NOISE_M = 0.1
-"""Depth below the level up to which ground of the shore may be measured too low."""
-MAX_WITHIN = 50_000
-"""Approximate largest number of pixels of the water itself that are used."""
+"""Depth below the level up to which ground of the shore may lie because of noise."""
+MAX_WATER_HEIGHTS = 50_000
+"""Approximate largest number of heights of the water that are used."""
 
 
 @dataclass(frozen=True)
@@ -50,14 +51,14 @@ class LevelWater:
     heights : str
         Raster of the terrain.
     spec : RasterSpec
-        Raster of its pixels.
+        Raster of the terrain's pixels.
     cells : (str, str, str) or None
-        Rasters of the points in coarse cells, of their heights, which give the heights of the water itself, and of the
-        plants over water. None: the terrain gives the heights.
+        Rasters of coarse cells: the number of points, the height, and the plants over water. The heights of the water
+        are those of coarse cells, or of the terrain if this is None.
     coarse : RasterSpec
-        Raster of these cells.
+        Raster of the coarse cells.
     joins_pockets : bool
-        Whether pockets of low terrain beside the water become part of it. False if the user has drawn the shore.
+        Whether pockets of low terrain next to the water become part of it. False if the user has drawn the shore.
     """
 
     body: Water
@@ -79,35 +80,36 @@ def level_water(store_url: str, work: LevelWater) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``shore``: pixels with a height along the water; ``body``: the water with its level (see `Water.to_json`), None
-        if shore and water have too few pixels; ``floating``: share of the shore that lies more than `NOISE_M` below the
-        level, and its lowest position as counts x, y, None if the share is 0; ``uneven``: whether heights of a level
-        body differ by more than waves do.
+        ``shore``: number of pixels with a height along the water; ``body``: the water with its level (see
+        `Water.to_json`), None if shore and water have too few heights; ``floating``: share of the shore that lies more
+        than `NOISE_M` below the level, and its lowest position as counts x, y, None if the share is 0; ``uneven``:
+        whether the body has one level although its heights differ by more than waves.
     """
     store, body = open_store(store_url), work.body
     frame = store.meta.frame
     scale = Scale(
         COUNTS_PER_UNIT / float(frame.units.horizontal), COUNTS_PER_UNIT / float(frame.units.vertical)
     )
-    beside, within = heights_of(store, work)
+    beside, water = heights_of(store, work)
     shore = beside.xyz[:, beside.distance <= SHORE_PIXELS]
     levelled: Water | None = None
-    if max(shore.shape[1], within.shape[1]) >= MIN_PIXELS:
+    if max(shore.shape[1], water.shape[1]) >= MIN_PIXELS:
         profile = None
         if body.kind == RIVER:
-            profile = _profile(body, shore, within, float(STATION_PIXELS * work.spec.lattice.size), scale)
+            profile = _profile(body, shore, water, float(STATION_PIXELS * work.spec.lattice.size), scale)
         if profile is not None and len(profile.stations) > 1:
             levelled = replace(body, level=None, flow=profile.flow, stations=profile.stations)
         else:
-            seen = water_level(within[2], scale)
-            level = bank_level(shore[2] if shore.shape[1] else within[2]) if seen is None else seen
+            level = water_level(water[2], scale)
+            if level is None:
+                level = bank_level(shore[2] if shore.shape[1] else water[2])
             levelled = replace(body, level=math.floor(level), flow=None)
     if levelled is not None and work.joins_pockets:
-        joined = pockets(levelled, beside, NOISE_M * scale.z)
-        if joined.any():
-            levelled = with_pixels(levelled, beside.xyz[:2, joined], float(work.spec.lattice.size))
-            shore = beside.xyz[:, (beside.distance <= SHORE_PIXELS) & ~joined]
-    low, high = np.percentile(within[2], (25, 75)) if within.shape[1] else (0.0, 0.0)
+        in_pocket = pockets(levelled, beside, NOISE_M * scale.z)
+        if in_pocket.any():
+            levelled = with_pixels(levelled, beside.xyz[:2, in_pocket], float(work.spec.lattice.size))
+            shore = beside.xyz[:, (beside.distance <= SHORE_PIXELS) & ~in_pocket]
+    low, high = np.percentile(water[2], (25, 75)) if water.shape[1] else (0.0, 0.0)
     return {
         "shore": shore.shape[1],
         "body": None if levelled is None else levelled.to_json(),
@@ -117,85 +119,100 @@ def level_water(store_url: str, work: LevelWater) -> dict[str, Any]:
 
 
 def _floating(body: Water | None, shore: Counts, noise: float) -> tuple[float, list[int] | None]:
-    """Return the share of the shore below the level by more than noise, and its lowest position, if any."""
+    """Return the share of the shore that lies below the level by more than ``noise`` counts.
+
+    Also return the lowest position of the shore, or None if the share is 0.
+    """
     if body is None or not shore.shape[1]:
         return 0.0, None
-    deep = body.heights(shore[0], shore[1]) - shore[2]
-    share = float((deep > noise).mean())
-    return share, shore[:2, int(deep.argmax())].tolist() if share else None
+    depth = body.heights(shore[0], shore[1]) - shore[2]
+    share = float((depth > noise).mean())
+    return share, shore[:2, int(depth.argmax())].tolist() if share else None
 
 
 def heights_of(store: TileStore, work: LevelWater) -> tuple[Beside, Counts]:
-    """Return the pixels beside the water, and absolute counts x, y, z of some pixels of the water, int64 (3, n)."""
+    """Return the pixels next to the water, and absolute counts x, y, z of a sample of the water, int64 (3, n)."""
     spec, area = work.spec, work.body.area
     pixels = polygon_of(area).area / float(spec.lattice.size) ** 2
-    step = math.ceil(math.sqrt(max(pixels / MAX_WITHIN, 1.0)))
-    besides, insides = [np.empty((6, 0), np.int64)], [np.empty((3, 0), np.int64)]
+    step = math.ceil(math.sqrt(max(pixels / MAX_WATER_HEIGHTS, 1.0)))
+    beside_parts = [np.empty((6, 0), np.int64)]
+    water_parts = [np.empty((3, 0), np.int64)]
     pad = int(POCKET_PIXELS * spec.lattice.size) + 1
     for block in spec.blocks_within(area.bounds.pad(pad), BLOCK_PIXELS):
-        wide = _padded(spec, block, POCKET_PIXELS)
-        if not area.touches(spec.block_bounds(wide)):
+        window = _padded(spec, block, POCKET_PIXELS)
+        if not area.touches(spec.block_bounds(window)):
             continue
-        inside = spec.inside(wide, area)
+        inside = spec.inside(window, area)
         if not inside.any():
             continue
         distance = scipy.ndimage.distance_transform_cdt(~inside, "chessboard")
         beside = ~inside & (distance <= POCKET_PIXELS)
         for other in work.others:
-            beside &= ~spec.inside(wide, other)
-        heights = store.read_block(work.heights, wide)
+            beside &= ~spec.inside(window, other)
+        heights = store.read_block(work.heights, window)
         known = np.zeros_like(beside)
-        top, left = block.row - wide.row, block.col - wide.col
+        top, left = block.row - window.row, block.col - window.col
         known[top : top + block.height, left : left + block.width] = True
         known &= heights != np.float32(NODATA)
-        some = np.zeros_like(known)
-        some[(spec.north - 1 - wide.row) % step :: step, -(spec.west + wide.col) % step :: step] = True
-        x, y = spec.centres(wide)
+        x, y = spec.centres(window)
         xyz = np.stack((x, y, np.rint(heights.astype(np.float64) * COUNTS_PER_UNIT).astype(np.int64)))
         beside &= known
-        rows_and_columns = np.argwhere(beside).T + np.array([[wide.row], [wide.col]])
-        besides.append(np.concatenate((xyz[:, beside], rows_and_columns, distance[None, beside])))
-        insides.append(xyz[:, inside & known & some])
-    within = np.concatenate(insides, axis=1) if work.cells is None else _seen(store, work, *work.cells)
-    columns = np.concatenate(besides, axis=1)
-    return Beside(columns[:3], columns[3:5], columns[5]), within
+        rows_and_columns = np.argwhere(beside).T + np.array([[window.row], [window.col]])
+        beside_parts.append(np.concatenate((xyz[:, beside], rows_and_columns, distance[None, beside])))
+        water_parts.append(xyz[:, inside & known & _sample(spec, window, step)])
+    if work.cells is None:
+        water = np.concatenate(water_parts, axis=1)
+    else:
+        water = _coarse_heights(store, work, *work.cells)
+    columns = np.concatenate(beside_parts, axis=1)
+    return Beside(columns[:3], columns[3:5], columns[5]), water
 
 
-def _seen(store: TileStore, work: LevelWater, points: str, ground: str, crowns: str) -> Counts:
-    """Return absolute counts x, y, z of cells with returns of the body's water, not at its shore: int64 (3, n)."""
-    coarse, area, cell_points = work.coarse, work.body.area, [np.empty((3, 0), np.int64)]
+def _sample(spec: RasterSpec, window: Block, step: int) -> npt.NDArray[np.bool_]:
+    """Return a mask of every ``step``-th pixel along rows and columns, on a lattice that is the same in all windows."""
+    mask = np.zeros((window.height, window.width), np.bool_)
+    mask[(spec.north - 1 - window.row) % step :: step, -(spec.west + window.col) % step :: step] = True
+    return mask
+
+
+def _coarse_heights(store: TileStore, work: LevelWater, points: str, ground: str, crowns: str) -> Counts:
+    """Return absolute counts x, y, z of a sample of the coarse cells of the water, int64 (3, n).
+
+    The cells have returns, are not at the shore and are not beneath crowns.
+    """
+    coarse, area = work.coarse, work.body.area
+    xyz_parts = [np.empty((3, 0), np.int64)]
     cells = polygon_of(area).area / float(coarse.lattice.size) ** 2
-    step = math.ceil(math.sqrt(max(cells / MAX_WITHIN, 1.0)))
+    step = math.ceil(math.sqrt(max(cells / MAX_WATER_HEIGHTS, 1.0)))
     for block in coarse.blocks_within(area.bounds, BLOCK_PIXELS):
         part = coarse.part(block, area.bounds)
         # Cells at the shore are partly bank.
         inside = coarse.inside(padded(part, 1), area)
-        seen = scipy.ndimage.binary_erosion(inside, np.ones((3, 3), np.bool_))[1:-1, 1:-1]
-        if not seen.any():
+        used = scipy.ndimage.binary_erosion(inside, np.ones((3, 3), np.bool_))[1:-1, 1:-1]
+        if not used.any():
             continue
-        some = np.zeros_like(seen)
-        some[(coarse.north - 1 - part.row) % step :: step, -(coarse.west + part.col) % step :: step] = True
         heights = store.read_block(ground, part)
-        seen &= some & (store.read_block(points, part) != 0) & (heights != np.float32(NODATA))
-        seen &= store.read_block(crowns, part) != HIDDEN
+        used &= _sample(coarse, part, step)
+        used &= (store.read_block(points, part) != 0) & (heights != np.float32(NODATA))
+        used &= store.read_block(crowns, part) != HIDDEN
         x, y = coarse.centres(part)
         z = np.rint(heights.astype(np.float64) * COUNTS_PER_UNIT).astype(np.int64)
-        cell_points.append(np.stack((x, y, z))[:, seen])
-    return np.concatenate(cell_points, axis=1)
+        xyz_parts.append(np.stack((x, y, z))[:, used])
+    return np.concatenate(xyz_parts, axis=1)
 
 
-def _padded(spec: RasterSpec, block: Block, reach: int) -> Block:
+def _padded(spec: RasterSpec, block: Block, margin: int) -> Block:
     """Return a block and the pixels around it within the raster."""
-    top, left = max(block.row - reach, 0), max(block.col - reach, 0)
-    bottom = min(block.row + block.height + reach, spec.height)
-    right = min(block.col + block.width + reach, spec.width)
+    top, left = max(block.row - margin, 0), max(block.col - margin, 0)
+    bottom = min(block.row + block.height + margin, spec.height)
+    right = min(block.col + block.width + margin, spec.width)
     return Block(top, left, bottom - top, right - left)
 
 
-def _profile(body: Water, shore: Counts, within: Counts, least: float, scale: Scale) -> Profile | None:
+def _profile(body: Water, shore: Counts, water: Counts, min_spacing: float, scale: Scale) -> Profile | None:
     """Return the profile of a river, or None if it is too small for a line."""
     shape = polygon_of(body.area)
     line = centreline(shape) if body.flow is None else body.flow[:, :2].astype(np.float64)
     if line is None or len(line) < 2:
         return None
-    return profile_along(line, shore, within, max(least, mean_width(shape)), scale)
+    return profile_along(line, shore, water, max(min_spacing, mean_width(shape)), scale)

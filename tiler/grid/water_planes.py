@@ -1,9 +1,10 @@
 """Planes of water: level areas with any number of returns, surrounded by rising land.
 
 Water with waves, below weirs and at fords, has as many returns as land, and crowns over its banks hide its shore. But
-it is level over tens of metres, which land is not. A connected area of level ground is water if the land around it
-rises, as around areas of few returns (`tiler.grid.water_cells`), and if there is further evidence. This is few returns
-in much of it, water by the input in some of it, or water with such evidence next to it, perhaps beyond a dam.
+it is level over tens of metres, unlike land. A plane is a connected area of level ground. It is water if the land
+around it rises, as around areas of few returns (`tiler.grid.water_cells`), and if there is further evidence. This is
+few returns in much of the plane, or water by the input in some of it. A plane without such evidence is water only next
+to a plane with it, perhaps on the other side of a dam.
 """
 
 from __future__ import annotations
@@ -43,20 +44,20 @@ from tiler.store import open_store
 LEVEL_CELLS = 3
 """Side in cells of the square in which smoothed heights are compared."""
 RELIEF_M = 0.08
-"""Largest difference of height of water in that square: waves, and a fall of 1 %."""
+"""Largest difference of height of water in that square, due to waves and a fall of up to 1 %."""
 SHORE_CELLS = 5
-"""Largest distance in cells of a shore from its plane, by smoothing and by the relief of the bank."""
+"""Largest distance in cells from a plane to its shore. Smoothing and the slope of the bank separate them."""
 SPARSE_SHARE = 0.5
 """Least share of cells with few returns for which a plane may be water by itself."""
 DAM_M = 40.0
-"""Largest distance to other water for a plane with as many returns as land. A dam may lie between."""
+"""Largest distance to evident water of a plane that may be water only next to it. A dam may lie in between."""
 BESIDE_M = DAM_M + 20
-"""Distance in metres around a plane and its shore that is examined."""
+"""Distance from a plane within which cells are examined."""
 AROUND = np.ones((3, 3), np.bool_)
 
 
 class Plane(NamedTuple):
-    """Number of cells of a plane, added up over blocks: all, water by the input, and few returns."""
+    """Numbers of cells of a plane, added up over blocks: all, water by the input, and cells with few returns."""
 
     cells: int = 0
     given: int = 0
@@ -77,8 +78,8 @@ class CountPlaneRims(AreasWork):
     evident : tuple of Piece
         Planes that may be water by themselves. They do not count as land around each other.
     others : tuple of Piece
-        Planes that may be water next to others. All cells around them count as land, water or not: the crest of a dam
-        is level, but falls to the water on both sides.
+        Planes that may be water next to evident planes. All cells around them count as land, even water. So the crest
+        of a dam, which is level, falls to the water on both sides and is not water.
     """
 
     evident: tuple[Piece, ...]
@@ -93,7 +94,7 @@ class KeepPlanes(AreasWork):
 
 
 def plane_cells(ground: Floats, domain: Bools) -> Bools:
-    """Return a mask of the cells whose smoothed heights are as level as water, without arms of one cell."""
+    """Return a mask of the cells whose smoothed heights are as level as water, without arms that are one cell wide."""
     unknown = np.isnan(ground)
     high = scipy.ndimage.maximum_filter(np.where(unknown, np.inf, ground), LEVEL_CELLS)
     low = scipy.ndimage.minimum_filter(np.where(unknown, -np.inf, ground), LEVEL_CELLS)
@@ -118,19 +119,18 @@ def find_planes(store_url: str, work: FindAreas) -> dict[str, Any]:
     sparse = np.zeros_like(labels, np.bool_)
     if work.usual is not None:
         coarser = read_search_cells(store, work.sources, work.spec, padded(block, MARGIN), work.times)
-        few = sparse_cells(coarser, flat_cells(coarser), work.usual)
-        sparse = few.repeat(work.times, axis=0).repeat(work.times, axis=1)[inner]
+        coarse_sparse = sparse_cells(coarser, flat_cells(coarser), work.usual)
+        sparse = coarse_sparse.repeat(work.times, axis=0).repeat(work.times, axis=1)[inner]
     values = labels.astype(np.float32)
     store.write_block(work.name, block, values)
     count = int(labels.max(initial=0))
-    counts = [
-        np.bincount(labels[where], minlength=count + 1)[1:]
-        for where in (labels > 0, cells.given[inner], sparse)
-    ]
-    boxes = [
-        [block.row + r.start, block.col + c.start, block.row + r.stop, block.col + c.stop]
-        for r, c in scipy.ndimage.find_objects(labels)
-    ]
+    masks = (labels > 0, cells.given[inner], sparse)
+    counts = [np.bincount(labels[mask], minlength=count + 1)[1:] for mask in masks]
+    boxes = []
+    for rows, cols in scipy.ndimage.find_objects(labels):
+        boxes.append(
+            [block.row + rows.start, block.col + cols.start, block.row + rows.stop, block.col + cols.stop]
+        )
     return {
         "sides": sides,
         "labels": count,
@@ -148,39 +148,42 @@ def count_plane_rims(store_url: str, work: CountPlaneRims) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``rims``: name of each plane, and the `tiler.grid.water_cells.Rim` of it and its shore. An evident plane has a
-        second rim, which leaves out all planes that may be water. ``beside``: pairs of a plane and an evident one near
-        it.
+        ``rims``: name of each plane, and the `tiler.grid.water_cells.Rim` around the plane and its shore. An evident
+        plane has a second rim, in which no plane that may be water counts as land. ``beside``: pairs of a plane and an
+        evident plane near it.
     """
-    evident, among, named_rims, beside = set(work.evident), {*work.evident, *work.others}, [], []
-    near = _planes(store_url, work, among)
-    of_evident = np.array([False, *(name in evident for name in near.names)])
-    of_any = np.array([False, *(name in among for name in near.names)])
-    for number, window in near.windows(among):
-        name, part, numbers = near.names[number - 1], near.cells.cut(window), near.numbers[window]
+    evident = set(work.evident)
+    planes = {*work.evident, *work.others}
+    near = _planes(store_url, work, planes)
+    is_evident = np.array([False, *(name in evident for name in near.names)])
+    is_plane = np.array([False, *(name in planes for name in near.names)])
+    named_rims: list[list[Any]] = []
+    beside: list[list[Any]] = []
+    for number, window in near.windows(planes):
+        name = near.names[number - 1]
+        cells = near.cells.cut(window)
+        numbers = near.numbers[window]
+        counted = near.counted[window]
         plane_mask = numbers == number
-        water = shore_area(part, plane_mask, water_heights(part, plane_mask), SHORE_CELLS)
-        wet = of_evident[numbers] & ~water
+        water = shore_area(cells, plane_mask, water_heights(cells, plane_mask), SHORE_CELLS)
+        evident_water = is_evident[numbers] & ~water
         if name in evident:
-            rims = [
-                _rim(part, water, left_out & ~water, near.counted[window])
-                for left_out in (wet, of_any[numbers])
-            ]
+            any_water = is_plane[numbers] & ~water
+            rims = [_rim(cells, water, others, counted) for others in (evident_water, any_water)]
         else:
-            rims = [rim_of(part, water, np.zeros_like(water), near.counted[window], wet)]
+            rims = [rim_of(cells, water, np.zeros_like(water), counted, evident_water)]
         if any(map(any, rims)):
             named_rims.append([list(name), *map(list, rims)])
-        close = (
-            wet & near.counted[window] & (distances(plane_mask, DAM_M / part.size + 1) * part.size <= DAM_M)
-        )
-        beside += [[list(name), list(near.names[other - 1])] for other in np.unique(numbers[close])]
+        is_near = distances(plane_mask, DAM_M / cells.size + 1) * cells.size <= DAM_M
+        for other in np.unique(numbers[evident_water & counted & is_near]):
+            beside.append([list(name), list(near.names[other - 1])])
     return {"rims": named_rims, "beside": beside}
 
 
 def _rim(cells: WaterCells, water: Bools, others: Bools, counted: Bools) -> Rim:
     """Count the land around a plane and its shore, without other planes and their shores."""
-    wide = scipy.ndimage.binary_dilation(others, AROUND, iterations=SHORE_CELLS) & ~water
-    return rim_of(cells, water, wide, counted)
+    others_with_shores = scipy.ndimage.binary_dilation(others, AROUND, iterations=SHORE_CELLS) & ~water
+    return rim_of(cells, water, others_with_shores, counted)
 
 
 def keep_planes(store_url: str, work: KeepPlanes) -> dict[str, Any]:
@@ -200,14 +203,14 @@ def keep_planes(store_url: str, work: KeepPlanes) -> dict[str, Any]:
         cells, mask = near.cells.cut(window), near.numbers[window] == number
         water = shore_area(cells, mask, water_heights(cells, mask), SHORE_CELLS)
         confidence[window][water] = np.maximum(confidence[window][water], kept[near.names[number - 1]])
-    values = near.of_block(confidence)
+    values = near.block_values(confidence)
     open_store(store_url).write_block(work.name, block, values)
     return {"filled": int(np.count_nonzero(values)), "checksum": checksum(values)}
 
 
-def _planes(store_url: str, work: AreasWork, among: Collection[Piece]) -> AreasAround:
-    """Return the planes in and around a block, with smoothed heights in cells next to the planes ``among``."""
+def _planes(store_url: str, work: AreasWork, selected: Collection[Piece]) -> AreasAround:
+    """Return the planes in and around a block, with smoothed heights in cells near the selected planes."""
     store = open_store(store_url)
-    near = areas_around(store, work, among, BESIDE_M)
+    near = areas_around(store, work, selected, BESIDE_M)
     ground = ground_in(store, work.sources.ground, work.spec, near.window)
     return replace(near, cells=near.cells.with_ground(smoothed(ground)))

@@ -1,8 +1,8 @@
-"""Pockets of low terrain beside a body of water, which the shore between its coarse cells leaves out.
+"""Search for pockets: low terrain next to a body of water that is water as well.
 
-A coarse cell with masonry or a steep bank counts as land, but its pixels next to the water may be water. Terrain there
-that lies below the level and is closed off by higher terrain is water. Low terrain that is not closed off within a few
-pixels stays terrain, and the run warns of it.
+The shore follows coarse cells. A cell with masonry or a steep bank counts as land, but its pixels next to the water may
+be water. Such a pixel is water if it lies below the level and higher terrain closes off the pocket around it. Low
+terrain that is not closed off within a few pixels stays terrain, and the run warns about it.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ POCKET_PIXELS = 6
 OVERLAP = 0.9
 """Half of the side of a pixel's polygon, in pixels.
 
-Polygons of more than a pixel leave no gap to the shore, which lies anywhere between two centres of pixels.
+The shore may lie anywhere between the centres of two pixels. So polygons are larger than their pixels, to leave no gap.
 """
 
 
@@ -34,14 +34,14 @@ class Beside(NamedTuple):
     ----------
     xyz : int64 (3, n)
         Centres and heights in absolute counts.
-    places : int64 (2, n)
-        Rows and columns of the raster.
+    pixels : int64 (2, n)
+        Rows and columns in the raster.
     distance : int64 (n,)
-        Steps to the water, also diagonal ones, from 1.
+        Number of steps to the water, straight or diagonal, at least 1.
     """
 
     xyz: Counts
-    places: Counts
+    pixels: Counts
     distance: Counts
 
 
@@ -62,19 +62,19 @@ def pockets(body: Water, beside: Beside, noise: float) -> npt.NDArray[np.bool_]:
     is_pocket = np.zeros(len(x), np.bool_)
     if not len(low):
         return is_pocket
-    pairs = scipy.spatial.cKDTree(beside.places[:, low].T).query_pairs(1, p=np.inf, output_type="ndarray")
+    pairs = scipy.spatial.cKDTree(beside.pixels[:, low].T).query_pairs(1, p=np.inf, output_type="ndarray")
     links = scipy.sparse.coo_array((np.ones(len(pairs)), pairs.T), (len(low), len(low)))
     count, label = scipy.sparse.csgraph.connected_components(links, directed=False)
     distance = beside.distance[low]
-    touches = np.bincount(label, distance == 1, count) > 0
-    leaves = np.bincount(label, distance >= POCKET_PIXELS, count) > 0
-    deep = np.bincount(label, depth[low] > noise, count) > 0
-    is_pocket[low] = (touches & ~leaves & deep)[label]
+    is_at_water = np.bincount(label, distance == 1, count) > 0
+    is_open = np.bincount(label, distance >= POCKET_PIXELS, count) > 0
+    is_deep = np.bincount(label, depth[low] > noise, count) > 0
+    is_pocket[low] = (is_at_water & ~is_open & is_deep)[label]
     return is_pocket
 
 
 def with_pixels(body: Water, centres: Counts, pixel: float) -> Water:
-    """Return the body with the pixels of these centres, int64 (2, n); ``pixel`` is their side in counts."""
+    """Return a body with additional pixels, given their centres, int64 (2, n), and their side in counts."""
     import shapely
 
     x, y = centres

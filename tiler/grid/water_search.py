@@ -35,8 +35,8 @@ MARGIN, ALIGNED = 64, 16
 """Margin around a block in coarse cells, and largest number of cells that are merged along a side."""
 BESIDE_M = RING_M[1] + 2
 """Distance in metres from an area within which land is compared with it."""
-SEEN_CELLS = 8
-"""Margin in cells on which the smoothed height of a cell depends."""
+SMOOTHING_CELLS = 8
+"""Distance in cells within which cells change the smoothed height of a cell."""
 Window = tuple[slice, slice]
 
 
@@ -122,7 +122,7 @@ def find_areas(store_url: str, work: FindAreas) -> dict[str, Any]:
     values = labels.astype(np.float32)
     store.write_block(work.name, block, values)
     count = int(labels.max(initial=0))
-    counts = [np.bincount(labels[where], minlength=count + 1)[1:] for where in (labels > 0, fine.given)]
+    counts = [np.bincount(labels[mask], minlength=count + 1)[1:] for mask in (labels > 0, fine.given)]
     return {
         "sides": sides,
         "labels": count,
@@ -141,7 +141,8 @@ def count_rims(store_url: str, work: CountRims) -> dict[str, Any]:
     dict
         ``rims``: name of each area, and its `tiler.grid.water_cells.Rim`.
     """
-    near, named_rims = areas_around(open_store(store_url), work, None, BESIDE_M), []
+    near = areas_around(open_store(store_url), work, None, BESIDE_M)
+    named_rims = []
     for number, window in near.windows(None):
         area_mask = near.numbers[window] == number
         other_areas_mask = (near.numbers[window] > 0) & ~area_mask
@@ -167,12 +168,12 @@ def keep_areas(store_url: str, work: KeepAreas) -> dict[str, Any]:
 
 
 def inner_window(block: Block, margin: int) -> Window:
-    """Return the part of a window with a margin that is its block."""
+    """Return the part of a block with a margin that is the block itself."""
     return slice(margin, margin + block.height), slice(margin, margin + block.width)
 
 
 def ground_in(store: TileStore, name: str, spec: RasterSpec, window: Block) -> Floats:
-    """Read the heights of the terrain in a window in metres, NaN for none."""
+    """Read the heights of the terrain in a window in metres, NaN where the terrain has none."""
     heights = read_cells(store, name, spec, window, NODATA).astype(np.float64)
     heights[heights == NODATA] = np.nan
     heights *= float(store.meta.frame.units.vertical)
@@ -182,7 +183,7 @@ def ground_in(store: TileStore, name: str, spec: RasterSpec, window: Block) -> F
 def read_search_cells(
     store: TileStore, sources: Sources, spec: RasterSpec, window: Block, times: int
 ) -> WaterCells:
-    """Read returns, classes and ground in a window, merged ``times`` by ``times``."""
+    """Read returns, classes and ground in a window, and merge squares of ``times`` by ``times`` cells."""
     points = read_cells(store, sources.occupancy, spec, window)
     domain: Bools = read_cells(store, sources.domain, spec, window, float(BEYOND)) != BEYOND
     size_m = float(spec.lattice.size * store.meta.frame.metres_xy)
@@ -196,7 +197,7 @@ def read_search_cells(
 
 @dataclass(frozen=True)
 class AreasAround:
-    """Areas in and around a block, in a window of all cells that matter.
+    """Areas in and around a block, in a window of all cells that are needed to count the land around them.
 
     Attributes
     ----------
@@ -209,7 +210,7 @@ class AreasAround:
         Position of the cells in the raster.
     block : Block
     pad : int
-        Number of cells next to an area that matter.
+        Number of cells around an area that are needed.
     """
 
     cells: WaterCells
@@ -223,34 +224,35 @@ class AreasAround:
     def counted(self) -> Bools:
         """Mask of the cells of the block itself."""
         block_mask = np.zeros(self.numbers.shape, np.bool_)
-        block_mask[self._own[0]] = True
+        block_mask[self._common_part(self.window)] = True
         return block_mask
 
-    @property
-    def _own(self) -> tuple[Window, Window]:
-        """Part of the window that lies in the block, and its position in the block."""
-        top, left = max(self.window.row, self.block.row), max(self.window.col, self.block.col)
+    def _common_part(self, origin: Block) -> Window:
+        """Return the cells that window and block have in common, as a part of ``origin``, which is one of them."""
+        top = max(self.window.row, self.block.row)
+        left = max(self.window.col, self.block.col)
         bottom = min(self.window.row + self.window.height, self.block.row + self.block.height)
         right = min(self.window.col + self.window.width, self.block.col + self.block.width)
         bottom, right = max(bottom, top), max(right, left)
-        first, second = (
-            (slice(top - b.row, bottom - b.row), slice(left - b.col, right - b.col))
-            for b in (self.window, self.block)
+        return (
+            slice(top - origin.row, bottom - origin.row),
+            slice(left - origin.col, right - origin.col),
         )
-        return first, second
 
-    def of_block(self, values: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-        """Return the values of the window's cells for all cells of the block, 0 beyond the window."""
+    def block_values(self, values: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
+        """Convert values of the window's cells to values of the block's cells, 0 beyond the window."""
         block_values = np.zeros((self.block.height, self.block.width), np.float32)
-        here, there = self._own
-        block_values[there] = values[here]
+        block_values[self._common_part(self.block)] = values[self._common_part(self.window)]
         return block_values
 
-    def windows(self, among: Collection[Piece] | None) -> Iterator[tuple[int, Window]]:
-        """Yield the numbers of all (or some) areas and their padded windows, if these overlap the block."""
-        some = self.names if among is None else among
+    def windows(self, selected: Collection[Piece] | None) -> Iterator[tuple[int, Window]]:
+        """Yield the number and the padded window of each selected area whose padded window overlaps the block.
+
+        None selects all areas.
+        """
+        names = self.names if selected is None else selected
         for number, window in enumerate(scipy.ndimage.find_objects(self.numbers), start=1):
-            if self.names[number - 1] not in some:
+            if self.names[number - 1] not in names:
                 continue
             if window is not None:
                 rows, cols = (slice(max(s.start - self.pad, 0), s.stop + self.pad) for s in window)
@@ -259,17 +261,20 @@ class AreasAround:
 
 
 def areas_around(
-    store: TileStore, work: AreasWork, among: Collection[Piece] | None, beside_m: float
+    store: TileStore, work: AreasWork, selected: Collection[Piece] | None, margin_m: float
 ) -> AreasAround:
-    """Find the areas in and around a block, and read the cells within ``beside_m`` of all (or some) of them."""
+    """Find the areas in and around a block, and read the cells within ``margin_m`` of selected areas.
+
+    None selects all areas.
+    """
     whole = padded(work.block, MARGIN)
     numbers, names = areas_within(store, work.areas, work.spec, whole, work.joins)
-    some = names if among is None else among
-    area_mask = np.array([False, *(name in some for name in names)])[numbers]
-    pad = math.ceil(beside_m / float(work.spec.lattice.size * store.meta.frame.metres_xy)) + 1
+    selected_names = names if selected is None else selected
+    area_mask = np.array([False, *(name in selected_names for name in names)])[numbers]
+    pad = math.ceil(margin_m / float(work.spec.lattice.size * store.meta.frame.metres_xy)) + 1
     rows, cols = (
         slice(s.start // ALIGNED * ALIGNED, -(-s.stop // ALIGNED) * ALIGNED)
-        for s in box_around(area_mask, pad + SEEN_CELLS)
+        for s in box_around(area_mask, pad + SMOOTHING_CELLS)
     )
     numbers = numbers[rows, cols]
     window = Block(whole.row + rows.start, whole.col + cols.start, *numbers.shape)

@@ -1,4 +1,4 @@
-"""Shore of a body of water between its coarse cells, where its level meets the ground of the bank."""
+"""Shore of a body of water, finer than its coarse cells: the line where its level meets the ground of the bank."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from tiler.grid.reach import Floats
 from tiler.grid.water_cells import WaterCells
 
 REACH_CELLS = 24
-"""Margin around a block in cells from which the level of its water comes."""
+"""Margin around a block, in cells, on which the level of its water depends."""
 MAX_DEPTH_M, MIN_DEPTH_M = 2.0, 0.02
 """Largest and smallest height above or below the level in metres. Other heights are clipped to these limits."""
 BANK_CELLS = 2
@@ -26,17 +26,17 @@ UPRIGHT_M = 0.4
 MAX_QUAY_SLOPE = 0.15
 """Steepest slope of the land behind an upright bank."""
 CUT_SHARE = 0.5
-"""Share of the returns of the bank's other cells below which an outermost cell is mostly water."""
+"""Share of the returns of the next cells of the bank, below which an outermost cell of the bank is mostly water."""
 SIDES = ((0, 1), (0, -1), (1, 1), (1, -1))
-"""Axis and step from each of its four neighbours to a cell."""
+"""Axis and step by which `np.roll` moves each of the four neighbours of a cell onto the cell."""
 AROUND = np.ones((3, 3), np.bool_)
 
 
 def depths(cells: WaterCells, wet: Bools, level: Floats | None) -> Floats:
-    """Return heights of the bank above the water, extrapolated below it into its outermost cells.
+    """Return heights relative to the level of the water, whose zero line is the shore.
 
-    Heights are positive on land and negative in water, so the line at 0 is the shore. Without ground heights the shore
-    lies halfway between cells.
+    On land they are heights of the bank. In the outermost cells of the water they are extrapolated from the bank and
+    negative. Without ground heights the shore lies halfway between cells.
 
     Parameters
     ----------
@@ -57,23 +57,24 @@ def depths(cells: WaterCells, wet: Bools, level: Floats | None) -> Floats:
     bank_heights = np.where(wet, -MAX_DEPTH_M, MAX_DEPTH_M)
     beside = ~wet & ~np.isnan(above) & scipy.ndimage.binary_dilation(wet, AROUND)
     bank_heights[beside] = np.clip(above[beside], MIN_DEPTH_M, MAX_DEPTH_M)
-    beside_m, gone_on = _gone_on(above, wet)
-    outermost = ~np.isnan(gone_on)
+    beside_m, extrapolated_m = _extrapolated_bank(above, wet)
+    outermost = ~np.isnan(extrapolated_m)
     # A high bank that hardly falls towards the water ends upright, so the shore is halfway between the cells.
-    depth = np.where((gone_on > beside_m / 2) & (beside_m > UPRIGHT_M), -beside_m, gone_on)
+    is_upright = (extrapolated_m > beside_m / 2) & (beside_m > UPRIGHT_M)
+    depth = np.where(is_upright, -beside_m, extrapolated_m)
     bank_heights[outermost] = np.clip(depth[outermost], -MAX_DEPTH_M, -MIN_DEPTH_M)
     return bank_heights
 
 
-def _banks(above: Floats, wet: Bools, seen: Bools) -> Bools:
+def _banks(above: Floats, wet: Bools, has_returns: Bools) -> Bools:
     """Return a mask of the outermost cells of the water that are bank.
 
-    Both their own ground and the extrapolated bank lie above the water. The ground alone does not show this, as a cell
-    that the shore cuts has a mean height at or above that of the bank at its middle.
+    In these cells, both the ground and the extrapolated bank lie above the water. The height of the ground is not
+    enough, as the mean height of a cell that the shore cuts may be above the water although its middle is not.
     """
-    _, gone_on = _gone_on(above, wet)
+    _, extrapolated_m = _extrapolated_bank(above, wet)
     with np.errstate(invalid="ignore"):
-        return wet & seen & (np.minimum(above, gone_on) > MIN_DEPTH_M)
+        return wet & has_returns & (np.minimum(above, extrapolated_m) > MIN_DEPTH_M)
 
 
 def _cut_cells(cells: WaterCells, above: Floats, wet: Bools) -> Bools:
@@ -85,9 +86,8 @@ def _cut_cells(cells: WaterCells, above: Floats, wet: Bools) -> Bools:
     bank = np.where(wet, np.nan, above)
     is_cut = np.zeros_like(wet)
     for axis, step in SIDES:
-        (returns, heights), (next_returns, next_heights) = (
-            (np.roll(land_returns, n * step, axis), np.roll(bank, n * step, axis)) for n in (1, 2)
-        )
+        returns, next_returns = (np.roll(land_returns, n * step, axis) for n in (1, 2))
+        heights, next_heights = (np.roll(bank, n * step, axis) for n in (1, 2))
         with np.errstate(invalid="ignore"):
             upright = np.minimum(heights, next_heights) >= UPRIGHT_M
             upright &= np.abs(heights - next_heights) <= MAX_QUAY_SLOPE * cells.size
@@ -96,19 +96,20 @@ def _cut_cells(cells: WaterCells, above: Floats, wet: Bools) -> Bools:
     return is_cut & ~wet
 
 
-def _gone_on(above: Floats, wet: Bools) -> tuple[Floats, Floats]:
-    """Return the height above the water of the bank beside each cell of water, and extrapolated into it.
+def _extrapolated_bank(above: Floats, wet: Bools) -> tuple[Floats, Floats]:
+    """Return the height above the water of the bank next to each cell of water, and of the bank extrapolated into it.
 
     Both are NaN except in the outermost cells of the water.
     """
     bank = np.where(wet, np.nan, above)
-    totals, number = np.zeros((2, *wet.shape)), np.zeros(wet.shape, np.int64)
+    totals = np.zeros((2, *wet.shape))
+    number = np.zeros(wet.shape, np.int64)
     for axis, step in SIDES:
         first, second = (np.clip(np.roll(bank, n * step, axis), MIN_DEPTH_M, MAX_DEPTH_M) for n in (1, 2))
-        gone_on = 2 * first - second
-        here = wet & ~np.isnan(gone_on)
+        extrapolated = 2 * first - second
+        here = wet & ~np.isnan(extrapolated)
         totals[0, here] += first[here]
-        totals[1, here] += np.clip(gone_on[here], -MAX_DEPTH_M, MAX_DEPTH_M)
+        totals[1, here] += np.clip(extrapolated[here], -MAX_DEPTH_M, MAX_DEPTH_M)
         number[here] += 1
     heights = np.full(totals.shape, np.nan)
     np.divide(totals, number, out=heights, where=number > 0)

@@ -20,15 +20,15 @@ FOR_SCANNERS = ("classic", "chen2023", "ridge2016")
 """Methods whose defaults are made for laser scanning."""
 
 
-def before(
-    config: RunConfig, made: Finding | None, density: float, halo_m: float | None, unit: Fraction = METRE
+def preflight_warnings(
+    config: RunConfig, finding: Finding | None, density: float, halo_m: float | None, unit: Fraction = METRE
 ) -> Iterator[str]:
     """Yield the warnings that follow from the headers and a sample of the points.
 
     Parameters
     ----------
     config : RunConfig
-    made : Finding or None
+    finding : Finding or None
         Source of the clouds; None if the fields of their points do not decide it.
     density : float
         Points per m2.
@@ -37,20 +37,20 @@ def before(
     unit : Fraction
         Metres per horizontal unit of the CRS.
     """
-    if config.method in FOR_SCANNERS and made is not None and made.kind == DIM:
+    if config.method in FOR_SCANNERS and finding is not None and finding.kind == DIM:
         yield (
-            f"the points look like image matching ({made.why}), but method {config.method} is made for LiDAR; "
+            f"the points look like image matching ({finding.why}), but method {config.method} is made for LiDAR; "
             "use --preset dim"
         )
     spacing = 1 / math.sqrt(density)
     if config.resolution is not None and float(config.resolution) < 0.7 * spacing:
-        coarser = (
-            f"{math.ceil(spacing / float(unit) * 10) / 10:g}{'' if unit == METRE else written_unit(unit)}"
-        )
-        apart = f"{spacing / float(unit):.2g} {short_unit(unit)}"
+        coarser = f"{math.ceil(spacing / float(unit) * 10) / 10:g}"
+        if unit != METRE:
+            coarser += written_unit(unit)
         yield (
-            f"--resolution {length_text(config.resolution, unit)} is finer than the point spacing of {apart}, so most "
-            f"pixels will be interpolated; use --resolution {coarser}"
+            f"--resolution {length_text(config.resolution, unit)} is finer than the point spacing of "
+            f"{spacing / float(unit):.2g} {short_unit(unit)}, so most pixels will be interpolated; use --resolution "
+            f"{coarser}"
         )
     if config.halo is not None and halo_m is not None and float(config.halo) < halo_m / 2:
         yield (

@@ -72,8 +72,8 @@ def part_of(plan: Plan) -> Plan:
         return plan
     option = "--bounds" if plan.config.aoi is None else f"--aoi {plan.config.aoi}"
     near = [s for s in plan.sources if s.points and plan.area.touches(bounds_of(s).pad(plan.margin))]
-    near, damaged = _with_octree(plan, near, option)
-    near = [s for s in near if chunks_of(plan, s) != []]
+    near, damaged = _without_damaged(plan, near, option)
+    near = [s for s in near if chunks_of(plan, s) != []]  # None stands for all chunks.
     if not near or not plan.area.touches(plan.extent):
         west, south, east, north = (v / COUNTS_PER_UNIT for v in plan.area.bounds.to_json())
         x0, y0, x1, y1 = (v / COUNTS_PER_UNIT for v in plan.extent.to_json())
@@ -81,13 +81,13 @@ def part_of(plan: Plan) -> Plan:
             f"{option}: ({west:.10g}, {south:.10g}) to ({east:.10g}, {north:.10g}) contains no part of the clouds, "
             f"which lie in ({x0:.10g}, {y0:.10g}) to ({x1:.10g}, {y1:.10g}); give an area there, in units of their CRS"
         )
-    left = sum(bool(s.points) for s in plan.sources) - len(near) - len(damaged)
+    n_far = sum(bool(s.points) for s in plan.sources) - len(near) - len(damaged)
     notes = [
         f"{option}: points within {_length(plan, plan.margin)} of it are read as well, so that its border is "
-        f"not visible in the results{_nearer(plan)}"
+        f"not visible in the results{_narrower_margins(plan)}"
     ]
-    if left:
-        notes.append(f"{option}: {left} files lie farther away and are not read")
+    if n_far:
+        notes.append(f"{option}: {n_far} files lie farther away and are not read")
     shares = [_share(plan, source) for source in near]
     points = max(round(sum(s.points * share for s, share in zip(near, shares, strict=True))), 1)
     extent = plan.extent.intersection(plan.area.bounds)
@@ -144,10 +144,10 @@ def _around(box: Sequence[float]) -> Bounds:
     return Bounds(x0, y0, x1, y1)
 
 
-def _with_octree(
+def _without_damaged(
     plan: Plan, sources: list[SourceInfo], option: str
 ) -> tuple[list[SourceInfo], list[tuple[str, str]]]:
-    """Return the files without a damaged octree, and path and reason of each other file."""
+    """Return the files without a damaged octree, and path and reason of each file with one."""
     remedy = f"get the file again, or run without {option.split()[0]}"
     damaged = [(str(s.path), f"{s.path}: {s.octree_damage}; {remedy}") for s in sources if s.octree_damage]
     if damaged and (plan.config.on_error == "stop" or len(damaged) == len(sources)):
@@ -155,7 +155,7 @@ def _with_octree(
     return [s for s in sources if not s.octree_damage], damaged
 
 
-def _nearer(plan: Plan) -> str:
+def _narrower_margins(plan: Plan) -> str:
     """Return a text with the kinds of clouds that need a narrower margin, or "" if there are none."""
     if not plan.kinds:
         return ""

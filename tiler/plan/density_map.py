@@ -15,7 +15,7 @@ CELL_M = 64.0
 MAX_CELLS = 1_000_000
 """Approximate maximum number of cells of the map. Larger surveys get larger cells."""
 PARTS = 8
-"""Number of parts of a cell along its side. Each of the 64 parts has a bit that is set if points cover it."""
+"""Number of parts along the side of a cell. Each of the 64 parts has a bit, which is set if points cover the part."""
 _BATCH = 4096
 """Number of rectangles processed together, which limits the memory."""
 
@@ -26,7 +26,7 @@ class DensityMap:
     Parameters
     ----------
     patches : iterable of DensityPatch
-        Rectangles in units of the CRS. The points of each count as evenly distributed.
+        Rectangles in units of the CRS. The points of a rectangle are assumed to be evenly distributed.
     metres : float
         Metres per unit of the CRS.
 
@@ -39,19 +39,21 @@ class DensityMap:
     def __init__(self, patches: Iterable[DensityPatch], metres: float) -> None:
         rectangles = [(p.x0 * metres, p.y0 * metres, p.x1 * metres, p.y1 * metres, p.points) for p in patches]
         boxes = np.array(rectangles, np.float64).reshape(-1, 5)
-        wide, tall = boxes[:, 2] - boxes[:, 0], boxes[:, 3] - boxes[:, 1]
-        area, length = float(np.sum(wide * tall)), float(np.sum(wide + tall))
+        width = boxes[:, 2] - boxes[:, 0]
+        height = boxes[:, 3] - boxes[:, 1]
+        area = float(np.sum(width * height))
+        length = float(np.sum(width + height))
         self._cell = CELL_M
         while area / self._cell**2 + length / self._cell > MAX_CELLS:
             self._cell *= 2
         self._points = float(boxes[:, 4].sum())
         batches = np.split(boxes, range(_BATCH, len(boxes), _BATCH))
-        parts = [_shares(batch, self._cell) for batch in batches]
-        cells, weights, bits = (np.concatenate(columns) for columns in zip(*parts, strict=True))
-        self._cells, self._held = _gathered(cells, weights)
+        shares = [_shares(batch, self._cell) for batch in batches]
+        cells, points, bits = (np.concatenate(columns) for columns in zip(*shares, strict=True))
+        self._cells, self._points_of_cell = _summed(cells, points)
         self.covered_m2 = _covered(cells, bits) * (self._cell / PARTS) ** 2
-        # The results are cached, because a plan repeats a few sides, and each write of run.json repeats the squares.
-        self.fullest = cache(self._fullest)
+        # The results are cached, because a plan and each write of run.json ask for the same few sides again.
+        self.max_points = cache(self._max_points)
         self.squares = cache(self._squares)
 
     def _squares(self, side_m: float, low: tuple[float, float], high: tuple[float, float]) -> float:
@@ -59,34 +61,33 @@ class DensityMap:
 
         The lattice of the squares starts at 0.
         """
-        inside = np.all((self._cells + 1) * self._cell > low, axis=1) & np.all(
-            self._cells * self._cell < high, axis=1
-        )
-        cells, held = self._cells[inside], self._held[inside]
+        inside = np.all((self._cells + 1) * self._cell > low, axis=1)
+        inside &= np.all(self._cells * self._cell < high, axis=1)
+        cells, points = self._cells[inside], self._points_of_cell[inside]
         if side_m <= self._cell:
-            return float(np.minimum(held, (self._cell / side_m) ** 2).sum())
-        # Each corner of a cell lies in a square. A few points in many squares occupy one square each.
-        corners = [
-            (cells + corner) * self._cell // side_m for corner in ((0, 0), (0, 0.99), (0.99, 0), (0.99, 0.99))
-        ]
-        _, square_points = _gathered(np.concatenate(corners).astype(np.int64), np.tile(held, 4))
+            # A point occupies one square, and a cell with many points has at most all its squares occupied.
+            return float(np.minimum(points, (self._cell / side_m) ** 2).sum())
+        # A cell occupies the squares in which its four corners lie, up to four.
+        corners = ((0, 0), (0, 0.99), (0.99, 0), (0.99, 0.99))
+        squares = [(cells + corner) * self._cell // side_m for corner in corners]
+        _, square_points = _summed(np.concatenate(squares).astype(np.int64), np.tile(points, 4))
         return float(np.minimum(square_points, 1.0).sum())
 
-    def _fullest(self, side_m: float) -> float:
-        """Estimate the number of points in the fullest square of a side in metres."""
+    def _max_points(self, side_m: float) -> float:
+        """Estimate the number of points in the densest square of a side in metres."""
         if side_m <= self._cell:
-            return float(self._held.max(initial=0.0)) * (side_m / self._cell) ** 2
+            return float(self._points_of_cell.max(initial=0.0)) * (side_m / self._cell) ** 2
         # Points are counted in squares of whole cells, on four lattices shifted by half a square, and scaled by area.
         count = int(side_m // self._cell)
-        best = 0.0
+        most = 0.0
         for east in {0, count // 2}:
             for north in {0, count // 2}:
-                _, held = _gathered((self._cells + (east, north)) // count, self._held)
-                best = max(best, float(held.max(initial=0.0)))
-        return min(best * (side_m / (count * self._cell)) ** 2, self._points)
+                _, points = _summed((self._cells + (east, north)) // count, self._points_of_cell)
+                most = max(most, float(points.max(initial=0.0)))
+        return min(most * (side_m / (count * self._cell)) ** 2, self._points)
 
 
-def _gathered(
+def _summed(
     cells: npt.NDArray[np.int64], weights: npt.NDArray[np.float64]
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.float64]]:
     """Return the distinct cells, int64 (n, 2), and the sum of the weights of each."""
@@ -98,8 +99,8 @@ def _gathered(
     numbers, cell_index = np.unique(
         (cells[:, 0] - low[0]) * height + cells[:, 1] - low[1], return_inverse=True
     )
-    once = np.stack(np.divmod(numbers, height), axis=1) + low
-    return once, np.bincount(cell_index, weights).astype(np.float64)
+    distinct = np.stack(np.divmod(numbers, height), axis=1) + low
+    return distinct, np.bincount(cell_index, weights).astype(np.float64)
 
 
 def _covered(cells: npt.NDArray[np.int64], bits: npt.NDArray[np.uint64]) -> int:
@@ -132,12 +133,15 @@ def _shares(
     box, cell_number = _enumerated(counts.prod(axis=1))
     columns = counts[box, 0]
     cells = first[box] + np.stack([cell_number % columns, cell_number // columns], axis=1)
-    low, high, west_south = boxes[box, :2], boxes[box, 2:4], cells * cell
+    low, high = boxes[box, :2], boxes[box, 2:4]
+    west_south = cells * cell
     sides = np.minimum(west_south + cell, high) - np.maximum(west_south, low)
-    share = np.maximum(sides, 1e-9).prod(axis=1)
-    whole = np.bincount(box, share, minlength=len(boxes))
-    bits = _parts(low - west_south, high - west_south, cell)
-    return cells, share / whole[box] * boxes[box, 4], bits[:, 0] * _spread(bits[:, 1])
+    area = np.maximum(sides, 1e-9).prod(axis=1)
+    box_area = np.bincount(box, area, minlength=len(boxes))
+    points = area / box_area[box] * boxes[box, 4]
+    columns_covered, rows_covered = _parts(low - west_south, high - west_south, cell).T
+    # The product repeats the bits of the covered columns in each covered row.
+    return cells, points, columns_covered * _row_starts(rows_covered)
 
 
 def _enumerated(counts: npt.NDArray[np.int64]) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
@@ -162,7 +166,7 @@ def _parts(
     return np.asarray((one << (last + one)) - (one << first), np.uint64)
 
 
-def _spread(bits: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
+def _row_starts(bits: npt.NDArray[np.uint64]) -> npt.NDArray[np.uint64]:
     """Move each bit i to position ``i * PARTS``, the lowest of a row of `PARTS` bits."""
     rows = np.arange(PARTS, dtype=np.uint64)
     one = (bits[:, None] >> rows) & np.uint64(1)

@@ -30,8 +30,8 @@ EMPTY_PIXEL_BYTES = 0.03
 DRAWN_PIXEL_BYTES = 5
 """Bytes of contours per pixel of terrain (measured with 90 levels and unsmoothed heights)."""
 COPIES = 2
-"""Number of copies of a raster while its COG is made: the plain file and the one that GDAL writes. A cloud that becomes
-COPC also needs two copies of its records."""
+"""Number of copies of a raster while its COG is made: the plain file and the COG. A cloud that becomes COPC also needs
+two copies of its records."""
 CLASSIFIED_SHARE = 1.2
 """Ratio of the size of a classified file to that of its LAZ input. LAS inputs shrink."""
 MAX_PIXELS = 2e10
@@ -55,18 +55,18 @@ def pixels_of(plan: Plan) -> Pixels:
     """Estimate the numbers of pixels of a product from a sample of the points."""
     resolution, metres = float(plan.resolution), float(plan.meta.frame.metres_xy)
     whole = plan.extent.area() * metres**2 / resolution**2
-    corners = [v * metres for v in plan.extent.to_json()]
+    west, south, east, north = (v * metres for v in plan.extent.to_json())
 
-    def near(side_m: float) -> float:
-        west, south, east, north = corners
-        return plan.density_map.squares(side_m, (west, south), (east, north)) * (side_m / resolution) ** 2
+    def in_squares_with_points(side_m: float) -> float:
+        squares = plan.density_map.squares(side_m, (west, south), (east, north))
+        return squares * (side_m / resolution) ** 2
 
-    filled = min(near(BLOCK_PIXELS * resolution) or whole, whole)
+    filled = min(in_squares_with_points(BLOCK_PIXELS * resolution) or whole, whole)
     if plan.config.sheets is None:
         return Pixels(filled, whole - filled, whole)
     side = float(plan.config.sheets)
-    cut = near(side)
-    return Pixels(min(filled, cut), max(cut - filled, 0.0), (side / resolution) ** 2)
+    in_sheets = in_squares_with_points(side)
+    return Pixels(min(filled, in_sheets), max(in_sheets - filled, 0.0), (side / resolution) ** 2)
 
 
 def projected_disk(plan: Plan) -> dict[str, int]:
@@ -89,7 +89,7 @@ def projected_disk(plan: Plan) -> dict[str, int]:
 
 def _stored_bytes(plan: Plan) -> float:
     """Return the bytes per point in the store."""
-    labels = max(sum(not step.work.elected for step in plan.steps) - 1, 0)
+    labels = max(sum(not step.pass_.elected for step in plan.steps) - 1, 0)
     size = SPOOL_BYTES + COLUMN_BYTES + LABEL_BYTES * labels
     if plan.writes_clouds:
         size += RECORD_BYTES
@@ -115,8 +115,8 @@ def _raster_scratch(plan: Plan, pixels: Pixels, sizes: list[int]) -> float:
     else:
         workers = plan.workers
         largest = workers * max(sizes)
-    held = min(pixels.filled, pixels.largest)
-    return held * largest + (pixels.largest - held) * EMPTY_PIXEL_BYTES * workers
+    filled = min(pixels.filled, pixels.largest)
+    return filled * largest + (pixels.largest - filled) * EMPTY_PIXEL_BYTES * workers
 
 
 def _copc_scratch(plan: Plan) -> int:

@@ -1,12 +1,13 @@
 """Search for files so far from the others that one run, or one raster, cannot contain them.
 
 Coordinates alone cannot distinguish wrong coordinates from a second site. So all files are kept as long as one run can
-contain them. If it cannot, the run keeps the part with most files. Other files are left out if they are few, or if only
-the kept part lies in the area of use of its CRS. Otherwise the run is refused, with a remedy.
+contain them. If one run cannot contain them, the part with most files is kept. Other files are left out if they are
+few, or if only the kept part lies in the area of use of its CRS. Otherwise the run is refused, with a remedy.
 """
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
@@ -21,17 +22,17 @@ from tiler.core.frame import COUNTS_PER_UNIT, INT32_LIMIT
 from tiler.core.lattice import Bounds
 from tiler.errors import ConfigError
 from tiler.inputs import SourceInfo
-from tiler.plan.sizes import bounds_of, hull_of
+from tiler.plan.sizes import bounds_of, union_bounds
 
 FRAME = 2 * (INT32_LIMIT - 10_000 * COUNTS_PER_UNIT)
 """Widest extent in counts that fits the frame with room for a halo. The frame's origin is near its middle."""
 PARTS = 16
 """Number of cells along the longer side of the whole extent, on which groups of files are separated."""
-FEW = 4
-"""Outlying files count as few if they are at most one in this many files."""
+FILES_PER_OUTLIER = 4
+"""Least number of files per outlying file with which the outlying files are left out."""
 MAX_DISTANCE_M = 5e7
 """Largest coordinate of any CRS in metres, more than the circumference of the Earth."""
-BESIDE_DEG = 5.0
+TOLERANCE_DEG = 5.0
 """Tolerance in degrees around the area of use of a CRS, since CRSs are used somewhat beyond it."""
 
 LeftOut = list[tuple[SourceInfo, str]]
@@ -58,24 +59,32 @@ def files_beyond_frame(
     ConfigError
         It cannot be decided which files to keep.
     """
-    absurd = [(s, _absurd(s, metres)) for s in sources]
-    left_out = [(s, reason) for s, reason in absurd if reason]
-    left = [s for s, reason in absurd if not reason]
-    while left and not _fits(hull_of(left)):
-        if area is not None:
-            near = [s for s in left if bounds_of(s).overlaps(area.bounds.pad(FRAME // PARTS))]
-            if near and len(near) < len(left):
-                far = [
-                    (s, _reason(s, near, metres, "not near the requested area"))
-                    for s in left
-                    if s not in near
-                ]
-                left_out, left = left_out + far, near
-                continue
-        remedy = "too far for one run; run them separately, or check the coordinates"
-        far = outlying_files(left, wkt, metres, remedy)
-        left_out, left = left_out + far, _without(left, far)
+    left_out: LeftOut = []
+    kept: list[SourceInfo] = []
+    for source in sources:
+        reason = _why_impossible(source, metres)
+        if reason is None:
+            kept.append(source)
+        else:
+            left_out.append((source, reason))
+    while kept and not _fits(union_bounds(kept)):
+        far = _far_from_area(kept, area, metres)
+        if not far:
+            remedy = "too far for one run; run them separately, or check the coordinates"
+            far = outlying_files(kept, wkt, metres, remedy)
+        left_out += far
+        kept = _without(kept, far)
     return left_out
+
+
+def _far_from_area(sources: Sequence[SourceInfo], area: Area | None, metres: float) -> LeftOut:
+    """Return the files that are not near the area, or none if there is no area or no file is near it."""
+    if area is None:
+        return []
+    near = [s for s in sources if bounds_of(s).overlaps(area.bounds.pad(FRAME // PARTS))]
+    if not near:
+        return []
+    return [(s, _reason(s, near, metres, "not near the requested area")) for s in sources if s not in near]
 
 
 def outlying_files(sources: Sequence[SourceInfo], wkt: str | None, metres: float, remedy: str) -> LeftOut:
@@ -86,28 +95,33 @@ def outlying_files(sources: Sequence[SourceInfo], wkt: str | None, metres: float
     ConfigError
         Too many files lie apart, or the files do not form separate parts.
     """
-    ranked = [(len(part), _in_use(part[0], wkt), _points(part), part) for part in _parts(sources)]
-    (_, used, _, main), *rest = sorted(ranked, key=lambda entry: entry[:3], reverse=True)
-    outlying: list[SourceInfo] = []
-    for *_, part in rest:
-        outlying += part
-    elsewhere = max((entry[1] for entry in rest), default=1)
-    if used > elsewhere or (outlying and used == elsewhere and FEW * len(outlying) <= len(sources)):
+
+    def rank(part: Sequence[SourceInfo]) -> tuple[int, int, int]:
+        return len(part), _in_use(part[0], wkt), sum(source.points for source in part)
+
+    main, *rest = sorted(_parts(sources), key=rank, reverse=True)
+    outlying = list(itertools.chain.from_iterable(rest))
+    in_use = _in_use(main[0], wkt)
+    rest_in_use = max((_in_use(part[0], wkt) for part in rest), default=1)
+    few = 0 < FILES_PER_OUTLIER * len(outlying) <= len(sources)
+    if in_use > rest_in_use or (in_use == rest_in_use and few):
         return [(s, _reason(s, main, metres, remedy)) for s in outlying]
-    span = _span(hull_of(sources))
+    span = _span(union_bounds(sources))
     wide = [s for s in sources if 2 * _span(bounds_of(s)) > span]
-    if wide and FEW * len(wide) <= len(sources):
+    if wide and FILES_PER_OUTLIER * len(wide) <= len(sources):
         return [(s, f"its points lie up to {_km(bounds_of(s), metres)} apart: {remedy}") for s in wide]
-    ends = wide[:1] or [pick(sources, key=lambda s: sum(bounds_of(s).to_json())) for pick in (min, max)]
-    named = " and ".join(str(s.path) for s in ends) + (": its points lie" if wide else " lie")
-    raise ConfigError(f"{named} up to {_km(hull_of(sources), metres)} apart: {remedy}")
+    if wide:
+        subject = f"{wide[0].path}: its points lie"
+    else:
+
+        def north_east(source: SourceInfo) -> int:
+            return sum(bounds_of(source).to_json())
+
+        subject = f"{min(sources, key=north_east).path} and {max(sources, key=north_east).path} lie"
+    raise ConfigError(f"{subject} up to {_km(union_bounds(sources), metres)} apart: {remedy}")
 
 
-def _points(sources: Iterable[SourceInfo]) -> int:
-    return sum(source.points for source in sources)
-
-
-def _absurd(source: SourceInfo, metres: float) -> str | None:
+def _why_impossible(source: SourceInfo, metres: float) -> str | None:
     """Return the reason why no run can contain a file, or None if a run can."""
     bounds = bounds_of(source)
     x, y = bounds.x0 / COUNTS_PER_UNIT, bounds.y0 / COUNTS_PER_UNIT
@@ -135,17 +149,17 @@ def _fits(bounds: Bounds) -> bool:
 
 
 def _without(sources: Iterable[SourceInfo], far: LeftOut) -> list[SourceInfo]:
-    gone = {s.path for s, _ in far}
-    return [s for s in sources if s.path not in gone]
+    far_paths = {s.path for s, _ in far}
+    return [s for s in sources if s.path not in far_paths]
 
 
 def _reason(source: SourceInfo, others: Sequence[SourceInfo], metres: float, remedy: str) -> str:
-    bounds, hull = bounds_of(source), hull_of(others)
+    bounds, hull = bounds_of(source), union_bounds(others)
     x, y = bounds.x0 / COUNTS_PER_UNIT, bounds.y0 / COUNTS_PER_UNIT
-    aside = max(hull.x0 - bounds.x1, bounds.x0 - hull.x1, 0)
-    along = max(hull.y0 - bounds.y1, bounds.y0 - hull.y1, 0)
-    away = math.hypot(aside, along) / COUNTS_PER_UNIT * metres / 1000
-    return f"lies at x {x:.10g}, y {y:.10g}, {away:,.0f} km from the other files: {remedy}"
+    dx = max(hull.x0 - bounds.x1, bounds.x0 - hull.x1, 0)
+    dy = max(hull.y0 - bounds.y1, bounds.y0 - hull.y1, 0)
+    km = math.hypot(dx, dy) / COUNTS_PER_UNIT * metres / 1000
+    return f"lies at x {x:.10g}, y {y:.10g}, {km:,.0f} km from the other files: {remedy}"
 
 
 def _parts(sources: Sequence[SourceInfo]) -> list[list[SourceInfo]]:
@@ -153,16 +167,16 @@ def _parts(sources: Sequence[SourceInfo]) -> list[list[SourceInfo]]:
 
     The longer side of the extent has `PARTS` cells.
     """
-    hull = hull_of(sources)
+    hull = union_bounds(sources)
     side = _span(hull) // PARTS + 1
-    held = np.zeros((PARTS, PARTS), np.bool_)
+    occupied = np.zeros((PARTS, PARTS), np.bool_)
     windows = []
     for bounds in map(bounds_of, sources):
         columns = slice((bounds.x0 - hull.x0) // side, (bounds.x1 - 1 - hull.x0) // side + 1)
         rows = slice((bounds.y0 - hull.y0) // side, (bounds.y1 - 1 - hull.y0) // side + 1)
-        held[rows, columns] = True
+        occupied[rows, columns] = True
         windows.append((rows, columns))
-    numbers = scipy.ndimage.label(held, np.ones((3, 3), np.bool_))[0]
+    numbers = scipy.ndimage.label(occupied, np.ones((3, 3), np.bool_))[0]
     parts: dict[int, list[SourceInfo]] = defaultdict(list)
     for source, window in zip(sources, windows, strict=True):
         parts[int(numbers[window].flat[0])].append(source)
@@ -189,7 +203,7 @@ def _in_use(source: SourceInfo, wkt: str | None) -> int:
     if not all(map(math.isfinite, (east, north, *back))) or math.dist(back, (x, y)) > 1:
         return -1
     width = (use.east - use.west) % 360 or 360
-    beside = (east - use.west + BESIDE_DEG) % 360 <= width + 2 * BESIDE_DEG
-    if beside and use.south - BESIDE_DEG <= north <= use.north + BESIDE_DEG:
+    east_fits = (east - use.west + TOLERANCE_DEG) % 360 <= width + 2 * TOLERANCE_DEG
+    if east_fits and use.south - TOLERANCE_DEG <= north <= use.north + TOLERANCE_DEG:
         return 1
     return -1

@@ -23,7 +23,7 @@ from tiler.schedule import call_isolated
 Counts = npt.NDArray[np.int64]
 
 
-def with_drawings(plan: Plan) -> Plan:
+def with_user_features(plan: Plan) -> Plan:
     """Return the plan with the user's features, and with notes and warnings about them.
 
     Raises
@@ -43,14 +43,14 @@ def with_drawings(plan: Plan) -> Plan:
         for feature in drawing.features:
             lines += [_counts(feature, line) for line in _lines(feature)]
     if lines:
-        warnings += [*_warn_two_heights(lines), *_warn_upright(lines)]
+        warnings += [*_warn_two_heights(lines), *_warn_vertical(lines)]
     edits: tuple[Edit, ...] = ()
     if config.edits is not None:
         drawing = _read(plan, Path(config.edits), POLYGONS, False, notes, warnings)
         edits = tuple(_edit(number, feature) for number, feature in enumerate(drawing.features, start=1))
     waters: tuple[Water, ...] = ()
     if config.water_file is not None:
-        drawing = _read(plan, Path(config.water_file), DRAWN_WATER, False, notes, warnings, every=True)
+        drawing = _read(plan, Path(config.water_file), DRAWN_WATER, False, notes, warnings, all_layers=True)
         waters = tuple(waters_of(drawing.features, plan.extent))
     return replace(
         plan, lines=tuple(lines), edits=edits, waters=waters, notes=tuple(notes), warnings=tuple(warnings)
@@ -69,13 +69,13 @@ def _warn_two_heights(lines: list[Counts]) -> list[str]:
     ]
 
 
-def _warn_upright(lines: list[Counts]) -> list[str]:
+def _warn_vertical(lines: list[Counts]) -> list[str]:
     """Warn if a line has vertical segments, since the terrain has one height per position."""
-    upright = []
+    vertical = []
     for line in lines:
         step = np.diff(line, axis=0)
-        upright.append(line[:-1][(step[:, :2] == 0).all(axis=1) & (step[:, 2] != 0)])
-    starts = np.concatenate(upright)
+        vertical.append(line[:-1][(step[:, :2] == 0).all(axis=1) & (step[:, 2] != 0)])
+    starts = np.concatenate(vertical)
     if not len(starts):
         return []
     x, y, _ = (value / COUNTS_PER_UNIT for value in starts[0].tolist())
@@ -92,15 +92,18 @@ def _read(
     needs_z: bool,
     notes: list[str],
     warnings: list[str],
-    every: bool = False,
+    all_layers: bool = False,
 ) -> Features:
-    """Read the features of a file in the CRS of the run. With ``every``, read all its layers."""
-    every |= needs_z
+    """Read the features of a file in the CRS of the run.
+
+    All layers are read with ``all_layers``, or if the features need heights (``needs_z``).
+    """
+    all_layers |= needs_z
     wkt = plan.meta.frame.crs_wkt
     if plan.config.in_process:
-        features = read_in_crs(path, kind, wkt, every, needs_z)
+        features = read_in_crs(path, kind, wkt, all_layers, needs_z)
     else:
-        features = call_isolated(read_in_crs, path, kind, wkt, every, needs_z, paths=(path,))
+        features = call_isolated(read_in_crs, path, kind, wkt, all_layers, needs_z, paths=(path,))
     notes += features.notes
     x0, y0, x1, y1 = (v / COUNTS_PER_UNIT for v in plan.extent.to_json())
     warnings += warn_outside(path, features, (x0, y0, x1, y1))

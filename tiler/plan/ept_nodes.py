@@ -30,10 +30,11 @@ from tiler.inputs import (
 from tiler.plan.area import area_of
 from tiler.plan.model import Plan
 
-_CARELESS = 1.0
-"""Tolerance, in units of the CRS, by which points may lie outside their node: some writers round inaccurately."""
+_TOLERANCE = 1.0
+"""Distance, in units of the CRS, by which points may lie outside their node: some writers round inaccurately."""
 
-Told = str | None
+Contradiction = str | None
+"""Text about a contradiction, or None if there is none."""
 
 NEAR_M = 1000
 """Distance in metres around the area within which nodes are read, in addition to ``--max-edge`` and ``--halo``.
@@ -44,24 +45,24 @@ The plan reduces the selection once the margin of the method is known.
 
 @dataclass(frozen=True)
 class Near:
-    """Predicate for boxes within ``reach`` counts of an area."""
+    """Predicate for boxes within ``margin`` counts of an area."""
 
     area: Area
-    reach: int
+    margin: int
 
     def __call__(self, box: tuple[float, float, float, float]) -> bool:
         """Return whether a box in units of the CRS lies near the area."""
-        return self.area.touches(bounds_in_counts(box).pad(self.reach))
+        return self.area.touches(bounds_in_counts(box).pad(self.margin))
 
 
-class TilesOfRun:
+class EptInputs:
     """EPT data sets among the inputs of a run, with the nodes that are read."""
 
     def __init__(self, config: RunConfig) -> None:
         self._config = config
-        self._found: list[tuple[EptDataset, dict[Path, int]]] = []
+        self._selected: list[tuple[EptDataset, dict[Path, int]]] = []
 
-    def wanted(self, tiles: EptDataset) -> Near | None:
+    def node_filter(self, tiles: EptDataset) -> Near | None:
         """Return a predicate for nodes near the area of the run, or None if there is no area."""
         area = area_of(self._config, tiles.wkt, [])
         if area is None:
@@ -69,21 +70,21 @@ class TilesOfRun:
         unit = None
         if tiles.wkt is not None:
             unit = describe(CRS.from_wkt(tiles.wkt)).horizontal
-        return Near(area, math.ceil(_reach_m(self._config) / (unit or 1) * COUNTS_PER_UNIT))
+        return Near(area, math.ceil(_margin_m(self._config) / (unit or 1) * COUNTS_PER_UNIT))
 
-    def listed(self, tiles: EptDataset, counts: dict[Path, int]) -> None:
+    def record(self, tiles: EptDataset, counts: dict[Path, int]) -> None:
         """Record the files of the nodes that are read, with their numbers of points in the hierarchy."""
-        self._found.append((tiles, counts))
+        self._selected.append((tiles, counts))
 
     def with_crs(self, sources: Sequence[SourceInfo], notes: list[str]) -> list[SourceInfo]:
         """Return the sources, with the CRS of ``ept.json`` for nodes without one.
 
         Contradictions are appended to the notes.
         """
-        whole = self._config.bounds is None and self._config.aoi is None
+        all_nodes = self._config.bounds is None and self._config.aoi is None
         known: dict[Path, Georeference] = {}
-        for tiles, counts in self._found:
-            notes += contradictions(tiles, counts, [s for s in sources if s.path in counts], whole)
+        for tiles, counts in self._selected:
+            notes += contradictions(tiles, counts, [s for s in sources if s.path in counts], all_nodes)
             if tiles.wkt is not None:
                 known |= dict.fromkeys(counts, describe(CRS.from_wkt(tiles.wkt)))
         sources_with_crs = []
@@ -96,22 +97,22 @@ class TilesOfRun:
 
 def validate_distances(plan: Plan, inputs: Sequence[str]) -> None:
     """Raise ConfigError if a run needs points farther away than EPT nodes were considered."""
-    reach_m = _reach_m(plan.config)
+    margin_m = _margin_m(plan.config)
     if plan.area is None or not any(map(is_ept, inputs)):
         return
-    if plan.margin > plan.meta.frame.counts(reach_m):
+    if plan.margin > plan.meta.frame.counts(margin_m):
         raise ConfigError(
-            f"--halo: nodes of ept.json are read up to {float(reach_m):g} m around the area, but this run needs points "
-            "farther away; use a smaller --halo, or leave out --bounds"
+            f"--halo: nodes of ept.json are read up to {float(margin_m):g} m around the area, but this run needs "
+            "points farther away; use a smaller --halo, or leave out --bounds"
         )
 
 
-def _reach_m(config: RunConfig) -> Fraction:
+def _margin_m(config: RunConfig) -> Fraction:
     return NEAR_M + Fraction(config.max_edge) + Fraction(config.halo or 0)
 
 
 def contradictions(
-    tiles: EptDataset, counts: Mapping[Path, int], sources: Sequence[SourceInfo], whole: bool
+    tiles: EptDataset, counts: Mapping[Path, int], sources: Sequence[SourceInfo], all_nodes: bool
 ) -> Iterator[str]:
     """Yield a line per kind of contradiction, with the first file that shows it.
 
@@ -122,23 +123,23 @@ def contradictions(
         Number of points of each requested file, from the hierarchy.
     sources : sequence of SourceInfo
         Files that could be read.
-    whole : bool
+    all_nodes : bool
         Whether all nodes were requested.
     """
-    if whole:
+    if all_nodes:
         yield from tiles.other_total(sum(counts.values()))
-    same: dict[str, bool] = {}
-    kinds: tuple[Callable[[SourceInfo], Told], ...] = (
-        lambda source: _points(counts, source),
-        lambda source: _place(tiles, source),
-        lambda source: _crs(tiles, source, same),
-        lambda source: _scales(tiles, source),
-        lambda source: _colours(tiles, source),
+    same_crs: dict[str, bool] = {}
+    checks: tuple[Callable[[SourceInfo], Contradiction], ...] = (
+        lambda source: _check_points(counts, source),
+        lambda source: _check_bounds(tiles, source),
+        lambda source: _check_crs(tiles, source, same_crs),
+        lambda source: _check_scales(tiles, source),
+        lambda source: _check_colours(tiles, source),
     )
-    for told in kinds:
+    for check in checks:
         faults = []
         for source in sources:
-            text = told(source)
+            text = check(source)
             if text is not None:
                 faults.append((source.path, text))
         if faults:
@@ -147,20 +148,20 @@ def contradictions(
             yield f"{tiles.text}: {text} in {path.name}{more}; the files are used; create it again"
 
 
-def _points(counts: Mapping[Path, int], source: SourceInfo) -> Told:
-    said = counts[source.path]
-    if said == source.points:
+def _check_points(counts: Mapping[Path, int], source: SourceInfo) -> Contradiction:
+    listed = counts[source.path]
+    if listed == source.points:
         return None
-    return f"its hierarchy lists {said} points, but there are {source.points}"
+    return f"its hierarchy lists {listed} points, but there are {source.points}"
 
 
-def _place(tiles: EptDataset, source: SourceInfo) -> Told:
+def _check_bounds(tiles: EptDataset, source: SourceInfo) -> Contradiction:
     key = key_of(source.path)
     if source.bounds is None or key is None:
         return None
     x0, y0, _, x1, y1, _ = source.bounds
     west, south, east, north = tiles.box(key)
-    if min(x0 - west, y0 - south, east - x1, north - y1) >= -_CARELESS:
+    if min(x0 - west, y0 - south, east - x1, north - y1) >= -_TOLERANCE:
         return None
     return (
         f"its bounds place the node in {west:.10g} {south:.10g} {east:.10g} {north:.10g}, "
@@ -168,26 +169,27 @@ def _place(tiles: EptDataset, source: SourceInfo) -> Told:
     )
 
 
-def _crs(tiles: EptDataset, source: SourceInfo, same: dict[str, bool]) -> Told:
+def _check_crs(tiles: EptDataset, source: SourceInfo, same_crs: dict[str, bool]) -> Contradiction:
+    """Compare the CRS of a file with that of ``ept.json``. ``same_crs`` keeps the results by the WKT of files."""
     wkt = source.georeference.wkt
     if tiles.wkt is None or wkt is None:
         return None
-    if wkt not in same:
+    if wkt not in same_crs:
         file_crs, _ = split(CRS.from_wkt(wkt))
-        said, _ = split(CRS.from_wkt(tiles.wkt))
-        same[wkt] = file_crs is None or said is None or same_horizontal(said, file_crs)
-    if same[wkt]:
+        ept_crs, _ = split(CRS.from_wkt(tiles.wkt))
+        same_crs[wkt] = file_crs is None or ept_crs is None or same_horizontal(ept_crs, file_crs)
+    if same_crs[wkt]:
         return None
     return f"its srs is {CRS.from_wkt(tiles.wkt).name}, but the CRS is {source.georeference.name}"
 
 
-def _scales(tiles: EptDataset, source: SourceInfo) -> Told:
+def _check_scales(tiles: EptDataset, source: SourceInfo) -> Contradiction:
     if tiles.scales in (None, source.scales):
         return None
     return f"its schema has scales {tiles.scales}, but they are {source.scales}"
 
 
-def _colours(tiles: EptDataset, source: SourceInfo) -> Told:
+def _check_colours(tiles: EptDataset, source: SourceInfo) -> Contradiction:
     if tiles.has_rgb in (None, source.has_rgb):
         return None
     if tiles.has_rgb:

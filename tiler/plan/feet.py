@@ -1,4 +1,4 @@
-"""Settings of a run on clouds in feet: the choice of the foot, and lengths without a unit."""
+"""Settings of a run on clouds in feet: international or US survey feet, and lengths without a unit."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from tiler.config import RunConfig
 from tiler.core.units import FOOT, METRE, US_SURVEY_FOOT, BareLength, FeetLength, Units
 from tiler.core.units_text import number_text, short_unit
 
-OF_HEIGHTS = ("contour_interval", "sigma", "spike")
+VERTICAL_SETTINGS = ("contour_interval", "sigma", "spike")
 """Settings that are vertical lengths."""
 
 
-def in_feet_of(config: RunConfig, units: Units) -> RunConfig:
-    """Return the settings, with lengths in ``ft`` read as US survey feet if the CRS uses these.
+def with_survey_feet(config: RunConfig, units: Units) -> RunConfig:
+    """Return the settings, with lengths in ``ft`` read as US survey feet if the CRS uses this foot.
 
     The US survey foot is 2 millionths longer than the international foot. Otherwise a sheet of 1500 units of the CRS
     would not be a whole number of pixels of 3 ft.
@@ -32,10 +32,11 @@ def bare_lengths(config: RunConfig, units: Units) -> list[str]:
     texts = []
     for name, value, unit in _lengths(config, units):
         if isinstance(value, BareLength) and unit != METRE and value:
-            option, number = f"--{name.replace('_', '-')}", f"{float(value):g}"
-            feet = f"{number_text(float(value / unit))} {short_unit(unit)}"
+            option = f"--{name.replace('_', '-')}"
+            number = f"{float(value):g}"
+            in_unit = f"{number_text(float(value / unit))} {short_unit(unit)}"
             remedy = f"; give {number}ft for feet" if unit in (FOOT, US_SURVEY_FOOT) else ""
-            texts.append(f"{option} {number} is {number} m = {feet}{remedy}")
+            texts.append(f"{option} {number} is {number} m = {in_unit}{remedy}")
     return texts
 
 
@@ -44,4 +45,4 @@ def _lengths(config: RunConfig, units: Units) -> Iterator[tuple[str, Fraction, F
     for spec in fields(config):
         value = getattr(config, spec.name)
         if spec.metadata["kind"] == "length" and value is not None:
-            yield spec.name, value, units.vertical if spec.name in OF_HEIGHTS else units.horizontal
+            yield spec.name, value, units.vertical if spec.name in VERTICAL_SETTINGS else units.horizontal

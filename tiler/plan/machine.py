@@ -52,8 +52,8 @@ def fair_share(workers: int) -> int:
 
 def _container_limits() -> Iterator[int]:
     """Yield the memory limits of the control groups of this process, in bytes."""
-    for group, newer in _control_groups("memory"):
-        name = "memory.max" if newer else "memory.limit_in_bytes"
+    for group, is_version_2 in _control_groups("memory"):
+        name = "memory.max" if is_version_2 else "memory.limit_in_bytes"
         # The text is "max" if there is no limit. The folder of the group may not exist in a container.
         with suppress(OSError, ValueError):
             yield int((group / name).read_text("ascii"))
@@ -61,21 +61,22 @@ def _container_limits() -> Iterator[int]:
 
 def _container_cores() -> Iterator[int]:
     """Yield the numbers of cores, rounded up, to which the control groups limit this process."""
-    for group, newer in _control_groups("cpu"):
-        names = ("cpu.max",) if newer else ("cpu.cfs_quota_us", "cpu.cfs_period_us")
+    for group, is_version_2 in _control_groups("cpu"):
+        names = ("cpu.max",) if is_version_2 else ("cpu.cfs_quota_us", "cpu.cfs_period_us")
         with suppress(OSError, ValueError):
             quota, period = " ".join((group / name).read_text("ascii") for name in names).split()
-            if int(quota) > 0:  # -1: no limit
+            if int(quota) > 0:  # Without a limit, the quota is -1.
                 yield math.ceil(int(quota) / int(period))
 
 
 def _control_groups(controller: str) -> Iterator[tuple[Path, bool]]:
-    """Yield the folders of this process's control groups and their parents, True for version 2."""
+    """Yield the folders of this process's control groups and their parents, and whether each is of version 2."""
     try:
         lines = GROUPS.read_text(encoding="ascii").splitlines()
     except OSError:
         return
     for line in lines:
+        # Groups of version 2 list no controllers.
         _, controllers, path = line.split(":", 2)
         if controllers and controller not in controllers.split(","):
             continue

@@ -10,7 +10,7 @@ from tiler.config import RunConfig
 from tiler.errors import ConfigError
 from tiler.inputs import SourceInfo
 
-NOTICEABLE = 0.01
+MIN_SHARE = 0.01
 """Smallest share of the area that clouds of one writer must cover for their kind to count."""
 NAMES = {LIDAR: "a LiDAR cloud", DIM: "a photogrammetric cloud"}
 
@@ -36,20 +36,21 @@ def validate_single_kind(sources: Sequence[SourceInfo], config: RunConfig) -> No
     whole = sum(map(_area, sources))
     findings: dict[str, tuple[Finding, SourceInfo]] = {}
     for files in writers.values():
-        made = decided_by(evidence_of(files))
-        if made is not None and sum(map(_area, files)) >= NOTICEABLE * whole:
-            findings.setdefault(made.kind, (made, files[0]))
+        finding = decided_by(evidence_of(files))
+        if finding is not None and sum(map(_area, files)) >= MIN_SHARE * whole:
+            findings.setdefault(finding.kind, (finding, files[0]))
     if len(findings) < 2:
         return
     raise ConfigError(
-        f"{_told(findings.values())}: a run needs clouds of one kind; run them separately, or use --kind als or dim"
+        f"{_in_words(findings.values())}: a run needs clouds of one kind; run them separately, or use --kind als or dim"
     )
 
 
-def _told(found: Iterable[tuple[Finding, SourceInfo]]) -> str:
+def _in_words(findings: Iterable[tuple[Finding, SourceInfo]]) -> str:
     texts = []
-    for made, source in found:
-        texts.append(f"{source.path} is {NAMES[made.kind]} ({100 * (made.sure or 0):.0f} % sure: {made.why})")
+    for finding, source in findings:
+        certainty = f"{100 * (finding.sure or 0):.0f} % sure"
+        texts.append(f"{source.path} is {NAMES[finding.kind]} ({certainty}: {finding.why})")
     return " and ".join(texts)
 
 

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from functools import cached_property, partial
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -36,14 +37,14 @@ from tiler.plan.density_map import DensityMap
 from tiler.plan.disk import sparse_raster_remedy, sparse_raster_warning
 from tiler.plan.distant_files import LeftOut, files_beyond_frame, outlying_files
 from tiler.plan.doubtful import warnings_of
-from tiler.plan.drawings import with_drawings
-from tiler.plan.ept_nodes import TilesOfRun, validate_distances
+from tiler.plan.drawings import with_user_features
+from tiler.plan.ept_nodes import EptInputs, validate_distances
 from tiler.plan.equivalents import EQUIVALENTS
-from tiler.plan.feet import bare_lengths, in_feet_of
-from tiler.plan.halos import own_halo, planned_passes
+from tiler.plan.feet import bare_lengths, with_survey_feet
+from tiler.plan.halos import default_halo_m, planned_passes
 from tiler.plan.made_by import evidence_of, validate_single_kind
 from tiler.plan.memory import fine_cell_m
-from tiler.plan.model import KEEP, Plan, known_kind, likely_of, steps_of
+from tiler.plan.model import KEEP, Plan, expected_passes, known_kind, steps_of
 from tiler.plan.validation import (
     validate,
     validate_output_paths,
@@ -54,11 +55,11 @@ from tiler.plan.validation import (
 from tiler.schedule import FORKS, ChildPool
 from tiler.store import StoreMeta
 
-FILES_OF_A_READER = 2 if FORKS else 16
+FILES_PER_READER = 2 if FORKS else 16
 """Number of inputs per reading process. Starting a process takes as long as inspecting this many inputs."""
-FAR_READERS = 8
-"""Maximum number of processes that inspect objects at URLs. It may exceed the number of cores, because the processes
-mostly wait for responses."""
+MAX_URL_READERS = 8
+"""Maximum number of processes that inspect objects at URLs. There may be more of them than cores, because they mostly
+wait for responses."""
 
 
 def make_plan(
@@ -90,37 +91,38 @@ def make_plan(
     parameters, defaults = _method(config)
     notes: list[str] = []
     folder = None if out is None or is_url(out) else Path(out)
-    tiles = TilesOfRun(config)
-    paths = find_inputs(inputs, folder, notes.append, False, tiles.wanted, tiles.listed, config.in_process)
+    ept = EptInputs(config)
+    paths = find_inputs(inputs, folder, notes.append, False, ept.node_filter, ept.record, config.in_process)
     if out is not None:
         validate_output_paths(config, str(out), paths)
     sources, unreadable = _inspect_all(paths, config, known)
-    sources = tiles.with_crs(sources, notes)
-    agreement = resolve_common_crs(sources, config)
-    notes += agreement.notes
-    config = in_feet_of(config, agreement.units)
-    notes += bare_lengths(config, agreement.units)
-    notes += [f"{s.path}: {text}" for s in sources for text in s.notes]
+    sources = ept.with_crs(sources, notes)
+    crs = resolve_common_crs(sources, config)
+    notes += crs.notes
+    config = with_survey_feet(config, crs.units)
+    notes += bare_lengths(config, crs.units)
+    for source in sources:
+        notes += [f"{source.path}: {text}" for text in source.notes]
     if not _filled(sources):
         raise InputError(f"{_names(sources)}: no points to make a terrain from; give clouds with points")
-    area = area_of(config, agreement.wkt, notes)
-    inspected = _InspectedInputs(inputs, sources, unreadable, agreement, area, notes)
-    metres = float(agreement.units.horizontal)
-    inspected = _without(inspected, files_beyond_frame(_filled(sources), area, agreement.wkt, metres), config)
-    plan = _settled(inspected, config, parameters, defaults)
+    area = area_of(config, crs.wkt, notes)
+    inspected = _InspectedInputs(inputs, sources, unreadable, crs, area, notes)
+    metres = float(crs.units.horizontal)
+    inspected = _without(inspected, files_beyond_frame(_filled(sources), area, crs.wkt, metres), config)
+    plan = _plan_for(inspected, config, parameters, defaults)
     validate_resolution(plan)  # This comes first, so that bad pixels are not reported as a large raster.
     validate_pixel_count(plan, folder)
     while remedy := sparse_raster_remedy(plan, folder):
-        inspected = _without(inspected, outlying_files(plan.filled, agreement.wkt, metres, remedy), config)
-        plan = _settled(inspected, config, parameters, defaults)
+        inspected = _without(inspected, outlying_files(plan.filled, crs.wkt, metres, remedy), config)
+        plan = _plan_for(inspected, config, parameters, defaults)
     validate_distances(plan, inputs)
-    plan = with_drawings(plan)
+    plan = with_user_features(plan)
 
-    def changed(**values: Any) -> Plan:
-        other = _settled(inspected, config.updated(**values), parameters, defaults)
+    def replan(**values: Any) -> Plan:
+        other = _plan_for(inspected, config.updated(**values), parameters, defaults)
         return replace(other, edits=plan.edits, lines=plan.lines, waters=plan.waters)
 
-    validate(plan, folder, changed)
+    validate(plan, folder, replan)
     if out is not None:
         validate_targets(plan, str(out), paths)
     return plan
@@ -133,7 +135,7 @@ class _InspectedInputs:
     inputs: Sequence[str]
     sources: Sequence[SourceInfo]
     unreadable: Sequence[tuple[str, str]]
-    agreement: CommonCrs
+    crs: CommonCrs
     area: Area | None
     notes: Sequence[str]
 
@@ -144,16 +146,17 @@ class _InspectedInputs:
 
     @cached_property
     def density_map(self) -> DensityMap:
-        """Density map of their points."""
-        metres = float(self.agreement.units.horizontal)
-        return DensityMap((patch for s in self.filled for patch in s.patches), metres)
+        """Density map of the sources' points."""
+        patches = chain.from_iterable(source.patches for source in self.filled)
+        return DensityMap(patches, float(self.crs.units.horizontal))
 
     @cached_property
     def covered(self) -> tuple[float, tuple[str, ...]]:
-        """Area in m2 that their points cover, and the notes on how it was determined."""
+        """Area in m2 that the sources' points cover, and the notes on how it was determined."""
         notes: list[str] = []
         bounds = [s.bounds for s in self.filled if s.bounds is not None]
-        points, metres = sum(s.points for s in self.filled), float(self.agreement.units.horizontal)
+        points = sum(s.points for s in self.filled)
+        metres = float(self.crs.units.horizontal)
         return sizes.covered_m2(bounds, points, self.density_map, metres, notes), tuple(notes)
 
 
@@ -161,27 +164,31 @@ def _filled(sources: Sequence[SourceInfo]) -> list[SourceInfo]:
     return [s for s in sources if s.points and s.bounds is not None]
 
 
-def _without(found: _InspectedInputs, far: LeftOut, config: RunConfig) -> _InspectedInputs:
+def _without(inspected: _InspectedInputs, far: LeftOut, config: RunConfig) -> _InspectedInputs:
     """Remove the files that lie too far away.
 
     Raise InputError if the run stops on errors or no points would be left.
     """
     if not far:
-        return found
-    gone = {source.path: f"{source.path}: {reason}" for source, reason in far}
-    left = [source for source in found.sources if source.path not in gone]
-    if config.on_error == "stop" or not _filled(left):
-        raise InputError(next(iter(gone.values())))
-    unreadable = [*found.unreadable, *((str(path), reason) for path, reason in gone.items())]
-    return replace(found, sources=left, unreadable=unreadable)
+        return inspected
+    reasons = {source.path: f"{source.path}: {reason}" for source, reason in far}
+    kept = [source for source in inspected.sources if source.path not in reasons]
+    if config.on_error == "stop" or not _filled(kept):
+        raise InputError(next(iter(reasons.values())))
+    unreadable = [*inspected.unreadable, *((str(path), reason) for path, reason in reasons.items())]
+    return replace(inspected, sources=kept, unreadable=unreadable)
 
 
-def _settled(found: _InspectedInputs, config: RunConfig, parameters: dict[str, Any], defaults: Any) -> Plan:
+def _plan_for(
+    inspected: _InspectedInputs, config: RunConfig, parameters: dict[str, Any], defaults: Any
+) -> Plan:
     """Return the plan for the inspected files. Memory, disk and sizes are validated later."""
-    covered, decided = found.covered
-    notes, agreement, filled = [*found.notes, *decided], found.agreement, found.filled
-    extent = sizes.hull_of(filled)
-    frame = CoordFrame(agreement.units, sizes.origin_of(extent), agreement.wkt)
+    covered, area_notes = inspected.covered
+    notes = [*inspected.notes, *area_notes]
+    filled = inspected.filled
+    units = inspected.crs.units
+    extent = sizes.union_bounds(filled)
+    frame = CoordFrame(units, sizes.origin_of(extent), inspected.crs.wkt)
     points = sum(s.points for s in filled)
     density = points / covered
     workers = config.workers or machine.default_workers()
@@ -191,8 +198,8 @@ def _settled(found: _InspectedInputs, config: RunConfig, parameters: dict[str, A
             f"decided: {workers} workers for {machine.cores()} cores, because the memory is {mib:,} MiB (--workers)"
         )
     memory = config.memory or machine.fair_share(workers)
-    bucket = sizes.bucket_m(density, found.density_map, memory)
-    if found.area is not None and any(is_url(s.path) and s.octree is not None for s in filled):
+    bucket = sizes.bucket_m(density, inspected.density_map, memory)
+    if inspected.area is not None and any(is_url(s.path) and s.octree is not None for s in filled):
         bucket = min(bucket, sizes.FETCHED_BUCKET_M)
     cell = defaults.candidate_cell_m if defaults else 0.0
     colours = defaults is not None and "rgb" in METHODS[config.method].needs
@@ -213,22 +220,41 @@ def _settled(found: _InspectedInputs, config: RunConfig, parameters: dict[str, A
     kind = known_kind(config, known, evidence)
     passes = planned_passes(defaults, config, kind, notes) if defaults else ()
     steps = steps_of(passes, kind)
-    tile = config.tile_size or sizes.tile_m(memory, density, cell, likely_of(steps, kind, density), meta)
+    tile = config.tile_size or sizes.tile_m(
+        memory, density, cell, expected_passes(steps, kind, density), meta
+    )
+    resolution = sizes.resolution_of(config, density, kind, units.horizontal, notes)
     plan = Plan(
-        config, tuple(found.sources), tuple(found.unreadable), meta, found.area, parameters,
-        sizes.resolution_of(config, density, kind, agreement.units.horizontal, notes), tile, passes, memory, memory,
-        workers, cell, points, covered, extent, found.density_map, None,
-        output_names(found.inputs, found.sources, CLOUD_SUFFIXES[config.classified]), tuple(notes),
-        statistics=known, tile_workers=0 if config.tile_size else workers, evidence=evidence,
-    )  # fmt: skip
-    if known is None and plan.asks_kind:
+        config=config,
+        sources=tuple(inspected.sources),
+        unreadable=tuple(inspected.unreadable),
+        meta=meta,
+        area=inspected.area,
+        parameters=parameters,
+        resolution=resolution,
+        tile=tile,
+        passes=passes,
+        memory=memory,
+        tile_memory=memory,
+        workers=workers,
+        candidate_cell_m=cell,
+        points=points,
+        area_m2=covered,
+        extent=extent,
+        density_map=inspected.density_map,
+        names=output_names(inspected.inputs, inspected.sources, CLOUD_SUFFIXES[config.classified]),
+        notes=tuple(notes),
+        statistics=known,
+        tile_workers=0 if config.tile_size else workers,
+        evidence=evidence,
+    )
+    if known is None and plan.depends_on_kind:
         validate_single_kind(filled, config)
-    made, unit = decided_by(evidence) if evidence else None, agreement.units.horizontal
-    advised = advice.before(config, made, density, own_halo(defaults), unit)
+    finding = decided_by(evidence) if evidence else None
+    advised = advice.preflight_warnings(config, finding, density, default_halo_m(defaults), units.horizontal)
     plan = part_of(replace(plan, warnings=(*warnings_of(plan), *advised)))
     text = sparse_raster_warning(plan)
     warnings = plan.warnings if text is None else (*plan.warnings, text)
-    units = agreement.units
     return replace(
         plan,
         notes=tuple(in_unit_of_crs(text, units) for text in plan.notes),
@@ -243,17 +269,26 @@ def output_names(
 
     Raise ConfigError if two files would have the same path.
     """
-    # A URL is a folder or a single object. The relative path of a single object would be empty.
-    named = [(as_path(i), is_list(i) and not Path(i).is_dir()) for i in inputs]
-    folders = [p.parent if virtual else p for p, virtual in named if virtual or is_url(p) or p.is_dir()]
+    folders = []
+    for text in inputs:
+        path = as_path(text)
+        if is_list(text) and not Path(text).is_dir():
+            folders.append(path.parent)
+        elif is_url(path) or path.is_dir():
+            folders.append(path)
     names: dict[Path, Path] = {}
     taken: dict[str, Path] = {}
     for source in sources:
-        same = [f for f in folders if type(f) is type(source.path) and f != source.path]
-        below = [Path(str(source.path.relative_to(f))) for f in same if source.path.is_relative_to(f)]
-        name = below[0] if below else Path(source.path.name)
+        name = Path(source.path.name)
+        for folder in folders:
+            # A URL may be a folder or the source itself, whose relative path would be empty.
+            same_kind = type(folder) is type(source.path)
+            if same_kind and folder != source.path and source.path.is_relative_to(folder):
+                name = Path(str(source.path.relative_to(folder)))
+                break
         stem = name.name[: -len(name.suffix)]
-        stem = stem.removesuffix(".copc") if source.copc or suffix == COPC_SUFFIX else stem
+        if source.copc or suffix == COPC_SUFFIX:
+            stem = stem.removesuffix(".copc")
         name = name.with_name(f"{stem}{suffix}")
         if str(name).lower() in taken:
             raise ConfigError(
@@ -266,7 +301,7 @@ def output_names(
 
 
 def _method(config: RunConfig) -> tuple[dict[str, Any], Any]:
-    """Return the parameters as plain values and as dataclass, or ({}, None) for `keep`."""
+    """Return the parameters of the method, as plain values and as a dataclass, or ({}, None) for `keep`."""
     if config.method == KEEP:
         if config.parameters:
             raise ConfigError(f"--set {config.parameters[0][0]}: method keep has no parameters; leave it out")
@@ -292,20 +327,21 @@ def _names(sources: Sequence[SourceInfo]) -> str:
 def _inspect_all(
     paths: Sequence[Path], config: RunConfig, known: Sequence[SourceInfo]
 ) -> tuple[list[SourceInfo], list[tuple[str, str]]]:
-    given = {str(source.path): source for source in known}
-    if given and all(str(path) in given for path in paths):
-        return [given[str(path)] for path in paths], []
+    """Return the files that can be read, and path and reason of each other file."""
+    known_by_path = {str(source.path): source for source in known}
+    if known_by_path and all(str(path) in known_by_path for path in paths):
+        return [known_by_path[str(path)] for path in paths], []
     sources: list[SourceInfo] = []
     unreadable: list[tuple[str, str]] = []
-    with ChildPool(_readers(paths, config)) as guards:
-        looks: Iterable[Callable[[], SourceInfo]] = (
-            (partial(inspect, path, config.salvage) for path in paths)
-            if config.in_process
-            else guards.each(partial(inspect_in_child, salvage=config.salvage), paths)
-        )
-        for path, look in zip(paths, looks, strict=True):
+    with ChildPool(_readers(paths, config)) as children:
+        results: Iterable[Callable[[], SourceInfo]]
+        if config.in_process:
+            results = (partial(inspect, path, config.salvage) for path in paths)
+        else:
+            results = children.each(partial(inspect_in_child, salvage=config.salvage), paths)
+        for path, result in zip(paths, results, strict=True):
             try:
-                sources.append(look())
+                sources.append(result())
             except InputError as error:
                 if config.on_error == "stop" or len(paths) == 1:
                     raise
@@ -318,9 +354,10 @@ def _inspect_all(
 def _readers(paths: Sequence[Path], config: RunConfig) -> int:
     """Return the number of processes that inspect the inputs.
 
-    Each has at least `FILES_OF_A_READER` files, except the last, because starting a process takes time.
+    Each process except the last has at least `FILES_PER_READER` inputs, because starting a process takes time.
     """
-    far = sum(is_url(path) for path in paths)
+    n_urls = sum(is_url(path) for path in paths)
     workers = config.workers or machine.default_workers()
-    near = min(workers, math.ceil((len(paths) - far) / FILES_OF_A_READER))
-    return max(near, min(FAR_READERS, math.ceil(far / FILES_OF_A_READER)), 1)
+    for_files = min(workers, math.ceil((len(paths) - n_urls) / FILES_PER_READER))
+    for_urls = min(MAX_URL_READERS, math.ceil(n_urls / FILES_PER_READER))
+    return max(for_files, for_urls, 1)

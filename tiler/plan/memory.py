@@ -25,8 +25,8 @@ READ_BYTES = 60
 VERTEX_BYTES = 200
 """Bytes per candidate that may become a vertex: its columns while it is tested, and its share of the TIN.
 
-It also counts per cell of a raster. 35 bytes per cell were measured while large objects are found, and 180 while the
-surface is made.
+The same number of bytes is assumed per cell of a raster. 35 bytes per cell were measured while large objects are found,
+and 180 while the surface is made.
 """
 BUCKET_POINT_BYTES = 200
 """Bytes per point while its bucket is labelled."""
@@ -37,11 +37,11 @@ HELD_SHARE = 16
 ASSEMBLY_POINT_BYTES = 800
 """Bytes per point while its bucket is assembled: fragments, keys and their order."""
 SPOOL_POINT_BYTES = 160
-"""Bytes per point while its piece is decoded and sorted."""
+"""Bytes per point while a part of a file is decoded and sorted."""
 GROUND_BYTES = 200
 """Bytes per ground point in a block's window: coordinates and the TIN (123 measured on a city)."""
 PIECE_BYTES = 160
-"""Bytes per piece of a breakline in the run."""
+"""Bytes per piece of a breakline, for all breaklines of the run. Pieces are half a pixel long or longer."""
 NEAR_PIECE_BYTES = 650
 """Further bytes per piece of a breakline in a block's window, which is a vertex of the TIN (460 measured)."""
 JOINED_BYTES = 1 << 30
@@ -60,35 +60,35 @@ EXPORT_POINTS = 1 << 27
 
 @dataclass(frozen=True)
 class PlannedPass:
-    """Pass of the method, with the first halo of its tiles."""
+    """Pass of the method, with the first halo of its tiles in metres."""
 
-    work: Pass
+    pass_: Pass
     halo_m: float
 
     @property
     def name(self) -> str:
         """Name of the pass."""
-        return self.work.name
+        return self.pass_.name
 
     @property
     def title(self) -> str:
         """Short description of the pass, or else its name."""
-        return self.work.title or self.work.name
+        return self.pass_.title or self.pass_.name
 
     @property
     def kind(self) -> str | None:
         """Kind of the clouds that the pass is for, or None for all kinds."""
-        return self.work.kind
+        return self.pass_.kind
 
     @property
     def sometimes(self) -> bool:
         """Whether the pass may be skipped for some clouds."""
-        return type(self.work).applies is not Pass.applies
+        return type(self.pass_).applies is not Pass.applies
 
     @property
     def on_candidates(self) -> bool:
         """Whether the pass uses only one candidate per cell and makes no raster of its window."""
-        return not (self.work.every_point or self.work.elected or self.work.raster_cell_m)
+        return not (self.pass_.every_point or self.pass_.elected or self.pass_.raster_cell_m)
 
 
 def breakline_bytes(lines: Sequence[npt.NDArray[np.int64]], pixel: float, window: float) -> int:
@@ -113,11 +113,11 @@ def breakline_bytes(lines: Sequence[npt.NDArray[np.int64]], pixel: float, window
 
 
 def _most_in_a_window(squares: npt.NDArray[np.float64], pieces: npt.NDArray[np.float64]) -> float:
-    """Return the largest number of pieces in 2 x 2 neighbouring squares, since no window intersects more."""
+    """Return the largest number of pieces in 2 x 2 neighbouring squares, since no window intersects more squares."""
     occupied, square_index = np.unique(squares, axis=0, return_inverse=True)
-    held = np.bincount(square_index.ravel(), pieces)
+    counts = np.bincount(square_index.ravel(), pieces)
     windows: dict[tuple[int, int], float] = defaultdict(float)
-    for (column, row), count in zip(occupied.tolist(), held.tolist(), strict=True):
+    for (column, row), count in zip(occupied.tolist(), counts.tolist(), strict=True):
         for west, south in ((0, 0), (1, 0), (0, 1), (1, 1)):
             windows[column - west, row - south] += count
     return max(windows.values())
@@ -143,8 +143,8 @@ def nested(cell_m: float, fine_m: Fraction) -> bool:
 def filter_bytes(points: float, area_m2: float, cell_m: float, step: PlannedPass, fine_m: Fraction) -> float:
     """Return the bytes that a window of a pass needs above `BASE_BYTES`.
 
-    The number of elected points is not known yet, so one per thinning cell counts, the maximum. A raster has all cells
-    of the window, including cells without points.
+    The number of elected points is not known yet, so the maximum is assumed: one point per thinning cell. A raster has
+    all cells of the window, including cells without points.
 
     Parameters
     ----------
@@ -161,12 +161,12 @@ def filter_bytes(points: float, area_m2: float, cell_m: float, step: PlannedPass
     vertices = read = points
     if cell_m > 0:
         vertices = min(points, area_m2 / cell_m**2)
-    if step.work.elected:
+    if step.pass_.elected:
         read = vertices
-    elif not step.work.every_point and nested(cell_m, fine_m):
+    elif not step.pass_.every_point and nested(cell_m, fine_m):
         read = min(points, area_m2 / float(fine_m) ** 2)
-    if step.work.raster_cell_m:
-        vertices = area_m2 / step.work.raster_cell_m**2
+    if step.pass_.raster_cell_m:
+        vertices = area_m2 / step.pass_.raster_cell_m**2
     return read * READ_BYTES + vertices * VERTEX_BYTES
 
 

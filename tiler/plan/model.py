@@ -33,8 +33,8 @@ from tiler.plan.memory import (
 from tiler.store import StoreMeta
 
 BRIDGE_REACH_M = 300
-"""Distance around an area within which points are read for bridges across its border, the length of the longest
-bridge."""
+"""Distance around an area within which points are read for bridges across the border of the area. It is the length of
+the longest bridge."""
 KEEP = "keep"
 """Name of the method that keeps the classes of the input."""
 
@@ -44,10 +44,9 @@ MAX_GROUND = 4_000_000
 """Maximum number of points in the window of a part of a block. The surface of denser clouds is thinned to one point per
 cell of a quarter pixel."""
 SURFACE_SHARE = 2
-"""Number of cells along a pixel's side, each with one point of the surface, if the surface is a percentile of the
-heights."""
+"""Number of cells along a pixel's side if the surface is a percentile of the heights. Each cell gives one point."""
 THIN_SHARE = 4
-"""Number of cells along a pixel's side, each with one ground point, if ground points are thinned to save memory."""
+"""Number of cells along a pixel's side if ground points are thinned to save memory. Each cell gives one point."""
 PART = 128
 """Side, in pixels, of the parts into which a block with many points is divided."""
 
@@ -76,7 +75,9 @@ def known_kind(
     return None
 
 
-def likely_of(steps: Iterable[PlannedPass], kind: str | None, density: float) -> tuple[PlannedPass, ...]:
+def expected_passes(
+    steps: Iterable[PlannedPass], kind: str | None, density: float
+) -> tuple[PlannedPass, ...]:
     """Return the passes for which the plan reserves memory.
 
     If the kind is unknown and the density is low, passes for photogrammetric clouds are left out.
@@ -116,7 +117,7 @@ class Plan:
     names : dict of Path to Path
         Path of the classified file of each source, relative to OUT/classified.
     passes : tuple of PlannedPass
-        All passes of the method, by number; `steps` are those that the run may do.
+        All passes of the method, by number. `steps` are the passes that the run may do.
     statistics : dict or None
         State after each pass, by its name, of the earlier run given by ``--statistics``.
     edits : tuple of Edit
@@ -126,8 +127,7 @@ class Plan:
     waters : tuple of Water
         Bodies of water in the file given by ``--water``, with heights if it has them.
     tile_workers : int
-        `workers` of the first run on the store, from which the number of tiles follows; 0 if the user chose a tile
-        size.
+        `workers` of the first run on the store, which determine the number of tiles; 0 if the user chose a tile size.
     evidence : Evidence or None
         Evidence in the fields of the points on the source of the clouds; None for the method `keep`.
     """
@@ -181,13 +181,13 @@ class Plan:
         return known_kind(self.config, self.statistics, self.evidence)
 
     @property
-    def made(self) -> Finding | None:
+    def finding(self) -> Finding | None:
         """Source of the clouds with confidence and reasons, if the fields of the points decide it.
 
         None if they do not decide it, if the method treats all kinds alike, or if the user or an earlier run gives the
         kind.
         """
-        if self.evidence is None or not self.asks_kind or self.kind is None:
+        if self.evidence is None or not self.depends_on_kind or self.kind is None:
             return None
         if self.statistics is not None or self.config.source_kind is not None:
             return None
@@ -203,12 +203,12 @@ class Plan:
         return stage_title(stage, [step.title for step in self.passes])
 
     @property
-    def likely(self) -> tuple[PlannedPass, ...]:
+    def expected_passes(self) -> tuple[PlannedPass, ...]:
         """Passes for which the plan reserves memory."""
-        return likely_of(self.steps, self.kind, self.density)
+        return expected_passes(self.steps, self.kind, self.density)
 
     @property
-    def asks_kind(self) -> bool:
+    def depends_on_kind(self) -> bool:
         """Whether the method treats kinds of clouds differently."""
         return any(step.kind for step in self.passes)
 
@@ -232,10 +232,11 @@ class Plan:
         bounds, metres = self.extent, float(self.meta.frame.metres_xy)
         return (bounds.x1 - bounds.x0) * metres, (bounds.y1 - bounds.y0) * metres
 
-    def wanted_tiles(self, candidates: int) -> int:
+    def n_joined_tiles(self, candidates: int) -> int:
         """Return the number of joined tiles of a pass.
 
-        It is one per worker, rounded up to a power of two, or fewer if tiles would have less than `MIN_CANDIDATES`.
+        There is one tile per worker, rounded up to a power of two, or fewer if tiles would have less than
+        `MIN_CANDIDATES`.
         """
         return min(1 << (self.tile_workers - 1).bit_length(), max(candidates // MIN_CANDIDATES, 1))
 
@@ -246,13 +247,13 @@ class Plan:
 
     @property
     def on_candidates(self) -> bool:
-        """Whether the method's cells are whole numbers of the store's, so that candidates suffice."""
+        """Whether the method needs only candidates, as each of its cells is a whole number of the store's cells."""
         return nested(self.candidate_cell_m, self.fine_m)
 
     def joins(self, step: PlannedPass) -> bool:
         """Return whether a pass gets the largest tiles that fit into memory and occupy all workers.
 
-        It does if candidates suffice for the pass and the user did not choose a tile size.
+        This is the case if candidates suffice for the pass and the user did not choose a tile size.
         """
         return self.tile_workers > 0 and step.on_candidates and self.on_candidates
 
@@ -266,10 +267,10 @@ class Plan:
     def margin(self) -> int:
         """Distance around the area within which points are read, in counts.
 
-        It is the largest of the halos with which passes start, the distance over which labels and bridges are decided,
-        and the halo of a block.
+        It is the largest of three distances: the halos with which passes start, the distance over which labels and
+        bridges are decided, and the halo of a block of the terrain.
         """
-        labels = max((Fraction(step.work.label_margin_m) for step in self.steps), default=Fraction(0))
+        labels = max((Fraction(step.pass_.label_margin_m) for step in self.steps), default=Fraction(0))
         if self.config.bridges == "remove":
             labels += BRIDGE_REACH_M
         return math.ceil(self.meta.frame.counts(max(Fraction(self.halo_m), self.grid_halo, labels)))
@@ -293,13 +294,13 @@ class Plan:
     def thin_ground(self) -> bool:
         """Whether the surface is made of one ground point per cell of a quarter of a pixel's side.
 
-        It is if a part of a block would have more than `MAX_GROUND` points, either with the mean density or, for the
-        smallest part, in the fullest place.
+        This is the case if a part of a block would have more than `MAX_GROUND` points with the mean density, or if the
+        smallest part would have more in the densest place.
         """
         if self.thin is not None:
             return self.thin
         mean = self.density * self._part_side_m(PART) ** 2
-        return max(mean, self.density_map.fullest(self._part_side_m(MIN_PART))) > MAX_GROUND
+        return max(mean, self.density_map.max_points(self._part_side_m(MIN_PART))) > MAX_GROUND
 
     @property
     def surface_share(self) -> int | None:
@@ -318,10 +319,10 @@ class Plan:
         return pixels * float(self.resolution) + 2 * float(self.grid_halo)
 
     @property
-    def fullest_part(self) -> float:
-        """Approximate number of points in the smallest part of a block, in the fullest place."""
+    def max_part_points(self) -> float:
+        """Approximate number of points in the smallest part of a block, in the densest place."""
         side = self._part_side_m(MIN_PART)
-        points = max(self.density * side**2, self.density_map.fullest(side))
+        points = max(self.density * side**2, self.density_map.max_points(side))
         if self.surface_share is None:
             return points
         return min(points, (side * self.surface_share / float(self.resolution)) ** 2)
@@ -338,19 +339,19 @@ class Plan:
 
     @property
     def tiles(self) -> int:
-        """Approximate number of filter tiles: the area that the points cover divided by that of a tile."""
+        """Approximate number of filter tiles: the area that the points cover, divided by the area of a tile."""
         return max(math.ceil(self.area_m2 / float(self.tile) ** 2), 1)
 
     @property
     def max_bucket_points(self) -> float:
-        """Approximate number of points in the fullest bucket."""
-        return max(self.density * self.bucket_m**2, self.density_map.fullest(self.bucket_m))
+        """Approximate number of points in the densest bucket."""
+        return max(self.density * self.bucket_m**2, self.density_map.max_points(self.bucket_m))
 
     def max_window_points(self) -> int:
-        """Estimate the number of points in the fullest window of a filter tile with its halo."""
+        """Estimate the number of points in the densest window of a filter tile with its halo."""
         side = float(self.tile) + 2 * self.halo_m
         mean = min(self.density * side**2, self.points)
-        return int(max(mean, self.density_map.fullest(side)))
+        return int(max(mean, self.density_map.max_points(side)))
 
     @cached_property
     def line_bytes(self) -> int:

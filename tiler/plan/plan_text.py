@@ -37,7 +37,7 @@ def plan_json(plan: Plan) -> dict[str, Any]:
         "metres_per_unit": {"horizontal": float(frame.units.horizontal), "vertical": float(frame.units.vertical)},
         "area": _area_facts(plan), "extent": [v / COUNTS_PER_UNIT for v in plan.extent.to_json()],
         "method": plan.config.method, "parameters": plan.parameters, "passes": len(plan.steps), "kind": plan.kind,
-        "kind_sure": plan.made and plan.made.sure, "kind_why": plan.made and plan.made.why,
+        "kind_sure": plan.finding and plan.finding.sure, "kind_why": plan.finding and plan.finding.why,
         "halos_m": {step.name: step.halo_m for step in plan.steps},
         "resolution_m": float(plan.resolution), "tile_m": float(plan.tile), "bucket_m": plan.bucket_m,
         "halo_m": plan.halo_m, "tiles": plan.tiles, "overlap_work": overlap_of(plan, plan.steps),
@@ -52,18 +52,18 @@ def plan_json(plan: Plan) -> dict[str, Any]:
 def plan_lines(plan: Plan) -> list[str]:
     """Return the plan as lines of text."""
     frame, memory, disk = plan.meta.frame, projected_memory(plan), projected_disk(plan)
-    worst = max(memory, key=lambda k: memory[k])
+    largest = max(memory, key=lambda stage: memory[stage])
     west, south = plan.extent.x0 / COUNTS_PER_UNIT, plan.extent.y0 / COUNTS_PER_UNIT
-    wide, high = plan.sides_m
+    width_m, height_m = plan.sides_m
     seconds, measured = projected_seconds(plan)
     unit = frame.units.horizontal
     lines = [
         f"inputs      {counted(len(plan.sources), 'file')}, {counted(plan.points, 'point')}, {plan.density:.3g} per m2",
-        f"extent      {wide / float(unit):,.0f} x {high / float(unit):,.0f} {short_unit(unit)} from "
+        f"extent      {width_m / float(unit):,.0f} x {height_m / float(unit):,.0f} {short_unit(unit)} from "
         f"({west:,.1f}, {south:,.1f})",
         f"CRS         {crs_name(frame.crs_wkt)}; x, y in {unit_label(frame.units.horizontal)}, "
         f"z in {unit_label(frame.units.vertical)}",
-        *(f"made by     {in_words(made)}" for made in [plan.made] if made is not None),
+        *([] if plan.finding is None else [f"made by     {in_words(plan.finding)}"]),
         f"method      {plan.config.method}" + _passes_in_words(plan),
         f"DTM         pixels of {length_text(plan.resolution, unit)}, "
         f"nodata beyond facets of {length_text(plan.config.max_edge, unit)}",
@@ -74,7 +74,7 @@ def plan_lines(plan: Plan) -> list[str]:
         + ("; larger tiles for passes on one point per cell" if any(map(plan.joins, plan.steps)) else ""),
         "memory      "
         + ", ".join(f"{stage} {size / 2**20:,.0f}" for stage, size in memory.items() if size)
-        + f" MiB: a worker needs {memory[worst] / 2**20:,.0f} MiB at most ({worst}), "
+        + f" MiB: a worker needs {memory[largest] / 2**20:,.0f} MiB at most ({largest}), "
         f"{plan.memory / 2**20:,.0f} MiB allowed, {plan.workers} workers",
         f"disk        about {sum(disk.values()) / 1e9:.2f} GB: "
         + ", ".join(f"{name} {size / 1e9:.2f}" for name, size in disk.items() if size),
@@ -140,10 +140,12 @@ def _passes_in_words(plan: Plan) -> str:
     steps = plan.steps
     if len(steps) < 2:
         return ", 1 pass" if steps else ""
-    some = any(step.sometimes and (step.kind is None or plan.kinds) for step in steps)
-    text = f", {len(steps)} passes" + (", some of them only for some clouds" if some else "")
+    text = f", {len(steps)} passes"
+    if any(step.sometimes and (step.kind is None or plan.kinds) for step in steps):
+        text += ", some of them only for some clouds"
     unit = plan.meta.frame.units.horizontal
-    return text + ": " + ", ".join(f"{step.title} (halo {length_text(step.halo_m, unit)})" for step in steps)
+    halos = [f"{step.title} (halo {length_text(step.halo_m, unit)})" for step in steps]
+    return f"{text}: {', '.join(halos)}"
 
 
 def crs_name(wkt: str | None) -> str:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 
-from tiler.plan.halos import widened
+from tiler.plan.halos import widest_halo
 from tiler.plan.memory import (
     BASE_BYTES,
     EXPORT_BYTES,
@@ -22,11 +22,11 @@ from tiler.plan.model import PIECE_POINTS, Plan
 
 def projected_memory(plan: Plan) -> dict[str, int]:
     """Estimate the peak bytes of a worker by stage."""
-    ground = int(min(plan.points, max(plan.block_points, plan.fullest_part))) * GROUND_BYTES
+    ground = int(min(plan.points, max(plan.block_points, plan.max_part_points))) * GROUND_BYTES
     largest = min(max(source.points for source in plan.sources), EXPORT_POINTS)
     return {
         "ingest": ingest_bytes(PIECE_POINTS, plan.max_bucket_points),
-        "filter": max((_pass_bytes(plan, step) for step in plan.likely), default=0),
+        "filter": max((_pass_bytes(plan, step) for step in plan.expected_passes), default=0),
         "grid": BASE_BYTES + ground + plan.line_bytes,
         "export": BASE_BYTES + EXPORT_BYTES + largest,
     }
@@ -35,44 +35,45 @@ def projected_memory(plan: Plan) -> dict[str, int]:
 def _pass_bytes(plan: Plan, step: PlannedPass) -> int:
     """Estimate the peak bytes of a worker in a pass.
 
-    A tile of mean density may get the widest halo. The fullest tile is divided until it fits or is one bucket.
+    A tile of mean density may get the widest halo. The densest tile is divided until it fits or is one bucket.
     """
     if plan.joins(step):
-        side, mean = math.sqrt(plan.area_m2), 0
+        side = math.sqrt(plan.area_m2)
+        mean_tile = 0
     else:
         side = float(plan.tile)
-        mean = filter_peak(plan, step, side, widest_halo_m(plan, step))
-    whole = filter_peak(plan, step, side, step.halo_m, crowded=True)
-    least = filter_peak(plan, step, plan.bucket_m, step.halo_m, crowded=True)
-    return min(max(mean, whole), max(plan.tile_memory_of(step), least))
+        mean_tile = filter_peak(plan, step, side, widest_halo_m(plan, step))
+    densest_tile = filter_peak(plan, step, side, step.halo_m, densest=True)
+    densest_bucket = filter_peak(plan, step, plan.bucket_m, step.halo_m, densest=True)
+    return min(max(mean_tile, densest_tile), max(plan.tile_memory_of(step), densest_bucket))
 
 
-def filter_peak(plan: Plan, step: PlannedPass, side_m: float, halo_m: float, crowded: bool = False) -> int:
+def filter_peak(plan: Plan, step: PlannedPass, side_m: float, halo_m: float, densest: bool = False) -> int:
     """Estimate the peak bytes of a worker with a tile of a side and halo, in metres.
 
-    The tile has the mean density, or with ``crowded`` it lies in the fullest place.
+    The tile has the mean density, or with ``densest`` it lies in the densest place.
     """
     side = side_m + 2 * halo_m
-    bucket_m = plan.bucket_m + 2 * step.work.label_margin_m
+    bucket_m = plan.bucket_m + 2 * step.pass_.label_margin_m
     area = min(side**2, plan.area_m2)
     points = plan.density * area
     bucket = plan.density * bucket_m**2
-    if crowded:
-        points = max(points, plan.density_map.fullest(side))
-        bucket = max(bucket, plan.density_map.fullest(bucket_m))
-    if step.work.raster_cell_m:
+    if densest:
+        points = max(points, plan.density_map.max_points(side))
+        bucket = max(bucket, plan.density_map.max_points(bucket_m))
+    if step.pass_.raster_cell_m:
         area = min(side**2, math.prod(plan.sides_m))
     window = filter_bytes(points, area, plan.candidate_cell_m, step, plan.fine_m)
-    held = 0
-    if step.work.label_margin_m:
-        held = held_bytes(plan.memory)
-    return int(BASE_BYTES + window + bucket_bytes(bucket) + held)
+    kept_buckets = 0
+    if step.pass_.label_margin_m:
+        kept_buckets = held_bytes(plan.memory)
+    return int(BASE_BYTES + window + bucket_bytes(bucket) + kept_buckets)
 
 
 def widest_halo_m(plan: Plan, step: PlannedPass) -> float:
     """Return the widest halo, in metres, of a tile with mean density and uncertified labels."""
     side, memory = float(plan.tile), plan.tile_memory
-    return widened(step, step.halo_m, lambda halo: filter_peak(plan, step, side, halo) <= memory)
+    return widest_halo(step, step.halo_m, lambda halo: filter_peak(plan, step, side, halo) <= memory)
 
 
 def overlap_of(plan: Plan, steps: Iterable[PlannedPass]) -> float:
@@ -85,10 +86,10 @@ def overlap_of(plan: Plan, steps: Iterable[PlannedPass]) -> float:
 
 def _overlap(plan: Plan, step: PlannedPass) -> float:
     overlap = 1.0
-    for side, most in zip(_tile_sides_m(plan, step), plan.sides_m, strict=True):
+    for side, survey_side in zip(_tile_sides_m(plan, step), plan.sides_m, strict=True):
         padded = side + 2 * step.halo_m
         if plan.joins(step):
-            padded = min(padded, most)
+            padded = min(padded, survey_side)
         overlap *= padded / side
     return overlap
 
@@ -98,7 +99,7 @@ def _tile_sides_m(plan: Plan, step: PlannedPass) -> tuple[float, float]:
     if not plan.joins(step):
         return float(plan.tile), float(plan.tile)
     sides = list(plan.sides_m)
-    n_tiles = plan.wanted_tiles(plan.points)
+    n_tiles = plan.n_joined_tiles(plan.points)
     while max(sides) > plan.bucket_m:
         peak = filter_peak(plan, step, math.sqrt(math.prod(sides)), step.halo_m)
         if n_tiles <= 1 and peak <= plan.tile_memory_of(step):

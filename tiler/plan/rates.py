@@ -7,6 +7,7 @@ import os
 import re
 from collections.abc import Iterable, Mapping
 from contextlib import suppress
+from itertools import chain
 from pathlib import Path
 from typing import Any
 
@@ -42,7 +43,7 @@ def remember(plan: Plan, stages: Mapping[str, Mapping[str, Any]]) -> None:
     ----------
     plan : Plan
     stages : mapping
-        ``tasks``, ``computed`` (the number of these done in this run) and ``seconds`` of each stage by name, as in
+        Name of each stage -> ``tasks``, ``computed`` (the number of tasks done in this run) and ``seconds``, as in
         ``run.json``.
     """
     if plan.points < MIN_POINTS or plan.config.scheduler is not None:
@@ -50,8 +51,11 @@ def remember(plan: Plan, stages: Mapping[str, Mapping[str, Any]]) -> None:
     known = _read()
     for stage, record in stages.items():
         if record["computed"] and record["computed"] == record["tasks"]:
-            rate, name = record["seconds"] * plan.workers / plan.points * 1e6, _name(plan, stage)
-            known[name] = rate if name not in known else (1 - _NEWEST) * known[name] + _NEWEST * rate
+            rate = record["seconds"] * plan.workers / plan.points * 1e6
+            name = _name(plan, stage)
+            if name in known:
+                rate = (1 - _NEWEST) * known[name] + _NEWEST * rate
+            known[name] = rate
     path = _path()
     partial = path.with_name(f"{path.name}.{os.getpid()}.partial")
     with suppress(OSError):
@@ -65,7 +69,8 @@ def remember(plan: Plan, stages: Mapping[str, Mapping[str, Any]]) -> None:
 def projected_seconds(plan: Plan) -> tuple[float, bool]:
     """Estimate the seconds of the whole job, and return whether all rates are from earlier runs here."""
     products = dict.fromkeys(("dtm", *plan.config.exported))
-    stages, known = stage_seconds(plan, [f"grid-{name}" for name in products]), _read()
+    stages = stage_seconds(plan, [f"grid-{name}" for name in products])
+    known = _read()
     return sum(stages.values()), all(_name(plan, stage) in known for stage in stages)
 
 
@@ -82,18 +87,20 @@ def stage_seconds(plan: Plan, rasters: Iterable[str], until: str = "export") -> 
     """
     known = _read()
     filters = {f"filter{number}": step for number, step in enumerate(plan.passes) if step in plan.steps}
-    # If earlier runs did some of the passes that do not always apply, only these passes count.
+    # If earlier runs did some of the passes that do not always apply, the others of these passes do not count.
     did = [stage for stage, step in filters.items() if step.sometimes and _name(plan, stage) in known]
-    filters = {s: step for s, step in filters.items() if s in did or not (did and step.sometimes)}
+    if did:
+        filters = {stage: step for stage, step in filters.items() if stage in did or not step.sometimes}
     if plan.kinds:  # The kind is not known yet, so the passes of the slowest kind count.
-        costs = {
-            k: sum(_rate(plan, known, s) for s, step in filters.items() if step.kind == k) for k in plan.kinds
-        }
-        dearest = max(costs, key=lambda kind: costs[kind])
-        filters = {s: step for s, step in filters.items() if step.kind in (None, dearest)}
+        costs = dict.fromkeys(plan.kinds, 0.0)
+        for stage, step in filters.items():
+            if step.kind in costs:
+                costs[step.kind] += _rate(plan, known, stage)
+        slowest = max(costs, key=lambda kind: costs[kind])
+        filters = {stage: step for stage, step in filters.items() if step.kind in (None, slowest)}
     parts = {"ingest": ["spool", "assemble"], "filter": filters, "grid": rasters, "export": ["export"]}
     names = list(parts)
-    stages = [stage for name in names[: names.index(until) + 1] for stage in parts[name]]
+    stages = chain.from_iterable(parts[name] for name in names[: names.index(until) + 1])
     return {stage: _rate(plan, known, stage) * plan.points / 1e6 / plan.workers for stage in stages}
 
 

@@ -20,14 +20,17 @@ from tiler.plan.memory import ASSEMBLY_POINT_BYTES, BASE_BYTES, PlannedPass, fil
 from tiler.store import StoreMeta
 
 BUCKET_POINTS = 100_000
+"""Approximate mean number of points in a bucket."""
 BUCKETS_M = (8, 16, 32, 64, 128, 256, 512, 1024)
+"""Possible sides of a bucket, in metres."""
 FETCHED_BUCKET_M = 32
 """Largest bucket in metres if only a part of a file at a URL is fetched. Buckets at the edge are fetched completely."""
 TILE_M = 512
+"""Largest side of a tile in metres, unless the cloud is sparse."""
 TILE_POINTS = 500_000
-"""Approximate number of points in a tile of a sparse cloud. Fewer points are not worth a task. The side of the tile is
-at most `SPARSE_TILE_M`."""
+"""Approximate number of points in a tile of a sparse cloud. Fewer points are not worth a task."""
 SPARSE_TILE_M = 4096
+"""Largest side of a tile of a sparse cloud, in metres."""
 
 FINE_PIXELS_M = (Fraction(1, 10), Fraction(1, 4), Fraction(1, 2))
 """Default pixels of dense photogrammetric clouds, in metres."""
@@ -37,7 +40,7 @@ USUAL_FT = Fraction(2)
 """Pixel, in the unit of the CRS, that replaces the pixel of 1 m if that unit is not the metre."""
 MATCHED_POINTS = 9.0
 """Minimum mean number of points per pixel of a photogrammetric cloud. The mean of several heights is more accurate than
-one height, and smaller pixels would not show more relief."""
+a single height, and smaller pixels would not show more relief."""
 MOSTLY_VOID = 0.5
 """Share of the files' bounds that a sample of the points must cover for the bounds to count as the area. Otherwise the
 area that the sample covers counts, although it is rough."""
@@ -88,7 +91,7 @@ def _area_of_union(boxes: Sequence[Sequence[float]]) -> float:
     return float(shapely.union_all(shapely.box(*np.array(boxes).T)).area)
 
 
-def hull_of(sources: Iterable[SourceInfo]) -> Bounds:
+def union_bounds(sources: Iterable[SourceInfo]) -> Bounds:
     """Return the smallest bounds that contain some sources. Each source must have points."""
     return reduce(Bounds.union, map(bounds_of, sources))
 
@@ -103,7 +106,7 @@ def bounds_of(source: SourceInfo) -> Bounds:
 
 
 def origin_of(extent: Bounds) -> tuple[int, int]:
-    """Return the middle of the extent, rounded, so that int32 counts extend equally far to all sides."""
+    """Return the rounded middle of the extent, from which int32 counts extend equally far to all sides."""
     step = 1000 * COUNTS_PER_UNIT
     return (extent.x0 + extent.x1) // 2 // step * step, (extent.y0 + extent.y1) // 2 // step * step
 
@@ -111,12 +114,12 @@ def origin_of(extent: Bounds) -> tuple[int, int]:
 def bucket_m(density: float, density_map: DensityMap, memory: int) -> int:
     """Return the side of a bucket in metres.
 
-    A bucket has about `BUCKET_POINTS` points on average, and in the fullest place no more than fit into memory.
+    A bucket has about `BUCKET_POINTS` points on average, and in the densest place no more points than fit into memory.
     """
     side = math.sqrt(BUCKET_POINTS / density)
     preferred_m = min(BUCKETS_M, key=lambda b: abs(math.log(b / side)))
-    most = (memory - BASE_BYTES) / ASSEMBLY_POINT_BYTES
-    fitting = [b for b in BUCKETS_M if b <= preferred_m and density_map.fullest(b) <= most]
+    max_points = (memory - BASE_BYTES) / ASSEMBLY_POINT_BYTES
+    fitting = [b for b in BUCKETS_M if b <= preferred_m and density_map.max_points(b) <= max_points]
     return max(fitting, default=BUCKETS_M[0])
 
 
@@ -125,28 +128,28 @@ def tile_m(
 ) -> Fraction:
     """Return the side in metres of the largest tile that fits into three quarters of the memory.
 
-    It is at most `TILE_M`, or in sparse clouds the side of a tile of `TILE_POINTS`. Passes on every point count only if
-    there are no other passes: their halos are small, and their tiles are divided if they do not fit. The other passes
-    have halos of hundreds of metres, so small tiles would multiply their work.
+    The side is at most `TILE_M`, or in sparse clouds the side of a tile of `TILE_POINTS`. Passes that read every point
+    are ignored if there are other passes: their halos are small, so their tiles can be divided if they do not fit.
+    Other passes have halos of hundreds of metres, so small tiles would multiply their work.
     """
     passes = tuple(passes)
-    passes = tuple(step for step in passes if not step.work.every_point) or passes
+    passes = tuple(step for step in passes if not step.pass_.every_point) or passes
     budget = max(memory - BASE_BYTES, memory // 4) * 3 / 4
     fine_m = meta.fine.size * meta.frame.metres_xy
     sides = [
         math.sqrt(budget / filter_bytes(density, 1.0, cell_m, step, fine_m)) - 2 * step.halo_m
         for step in passes
     ]
-    most = min(max(TILE_M, math.sqrt(TILE_POINTS / density)), SPARSE_TILE_M)
-    side = min(sides, default=most)
+    max_side = min(max(TILE_M, math.sqrt(TILE_POINTS / density)), SPARSE_TILE_M)
+    side = min([max_side, *sides])
     bucket = meta.bucket.size * meta.frame.metres_xy
-    return max(min(Fraction(most), Fraction(max(side, 0.0))) // bucket, 1) * bucket
+    return max(Fraction(max(side, 0.0)) // bucket, 1) * bucket
 
 
 def resolution_of(
     config: RunConfig, density: float, kind: str | None, unit: Fraction, notes: list[str]
 ) -> Fraction:
-    """Return the side of a pixel in metres: that given by the user, or else a default.
+    """Return the side of a pixel in metres, as given by the user, or else a default.
 
     The default is 1 m, or about the mean spacing of the points if that is coarser, up to ``--max-edge``. For
     photogrammetric clouds it is the finest of `FINE_PIXELS_M` with at least `MATCHED_POINTS` points. If the unit is
@@ -168,26 +171,27 @@ def resolution_of(
     if config.resolution is not None:
         return config.resolution
     spacing = 1 / math.sqrt(density)
-    if kind == DIM and (fine := _finest_pixel(density, unit)) is not None:
-        held = density * float(fine) ** 2
+    finest = _finest_pixel(density, unit) if kind == DIM else None
+    if finest is not None:
+        n_points = density * float(finest) ** 2
         notes.append(
-            f"decided: pixels of {length_text(fine, unit)}, which contain about {held:.0f} points each, "
+            f"decided: pixels of {length_text(finest, unit)}, which contain about {n_points:.0f} points each, "
             "because image matching smooths smaller details (--resolution)"
         )
-        return fine
+        return finest
     if spacing <= 1.05:
         return Fraction(1) if unit == 1 else USUAL_FT * unit
     if spacing > config.max_edge:
-        edge, apart = length_text(config.max_edge, unit), length_text(round(spacing, 2), unit)
         notes.append(
-            f"decided: pixels of {edge}, although points are {apart} apart, because facets with edges above "
+            f"decided: pixels of {length_text(config.max_edge, unit)}, although points are "
+            f"{length_text(round(spacing, 2), unit)} apart, because facets with edges above "
             f"--max-edge {float(config.max_edge):g}m have no heights; set --resolution and --max-edge"
         )
         return config.max_edge
     resolution = Fraction(math.ceil(2 * spacing), 2)
     if unit != 1:
-        rounder = next((side * unit for side in PIXELS_FT if side * unit >= spacing), None)
-        resolution = math.ceil(spacing / unit / 10) * 10 * unit if rounder is None else rounder
+        multiple_of_10 = math.ceil(spacing / unit / 10) * 10 * unit
+        resolution = next((side * unit for side in PIXELS_FT if side * unit >= spacing), multiple_of_10)
     notes.append(
         f"decided: pixels of {length_text(resolution, unit)}, because the points are "
         f"{length_text(round(spacing, 2), unit)} apart (--resolution)"

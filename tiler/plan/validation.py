@@ -45,7 +45,7 @@ from tiler.plan.model import Plan
 from tiler.plan.projection import projected_memory
 from tiler.plan.sizes import resolution_of
 
-Changed = Callable[..., Plan]
+Replan = Callable[..., Plan]
 """Function that makes a plan with other values of settings, given by name."""
 
 MAX_DENOMINATOR = 511
@@ -53,32 +53,32 @@ MAX_DENOMINATOR = 511
 MAX_PIXEL = 1 << 26
 """Side of a pixel in counts below which gridding is exact in int64."""
 
-NAMED = 5
+MAX_LISTED = 5
 """Maximum number of files listed in an error. The others are counted."""
 
 
-def read_besides(config: RunConfig) -> list[str]:
+FILE_SUFFIXES = (".tif", ".tiff", ".vrt", ".las", ".laz", ".gpkg", ".asc", ".img", ".png", ".html", ".json")
+"""Endings of file names. A user who gives an OUT with such an ending probably means the terrain model."""
+
+
+def other_inputs(config: RunConfig) -> list[str]:
     """Return the files that a run reads in addition to its clouds."""
     names = (config.aoi, config.edits, config.water_file)
     return [*(name for name in names if name is not None), *config.breaklines]
 
 
-FILES = (".tif", ".tiff", ".vrt", ".las", ".laz", ".gpkg", ".asc", ".img", ".png", ".html", ".json")
-"""Endings of file names. An OUT with such an ending was probably meant as the terrain model."""
-
-
 def validate_output_paths(config: RunConfig, products: str, paths: Sequence[Path]) -> None:
     """Raise ConfigError if OUT, store and inputs conflict, or if OUT has a file's name."""
-    name, folder = os.path.splitext(products)[1].lower(), os.path.isdir(products)
-    if name in FILES and not folder:
+    stem, suffix = os.path.splitext(products)
+    if suffix.lower() in FILE_SUFFIXES and not os.path.isdir(products):
         raise ConfigError(
             f"-o {products}: has the name of a file, but is the folder of all results; use -o "
-            f"{os.path.splitext(products)[0]}, which will contain dtm.tif"
+            f"{stem}, which will contain dtm.tif"
         )
     for name in (CLASSIFIED, OUTDATED):
         check_folder("-o", joined(products, name), paths)
     store = config.store or joined(products, STORE)
-    check_folder("--store", store, [products, *paths, *read_besides(config)])
+    check_folder("--store", store, [products, *paths, *other_inputs(config)])
     for name in (CLASSIFIED, OUTDATED, *config.exported):
         check_folder("-o", joined(products, name), [store])
 
@@ -88,23 +88,22 @@ def validate_targets(plan: Plan, products: str, paths: Sequence[Path]) -> None:
     out = local_folder(products)
     file_names = _targets(plan)
     locations = [joined(products, name) for name in file_names]
-    locations += [
-        joined(location, name) for location in (str(out), products) for name in (RUN, EVENTS, REPORT)
-    ]
-    reads: list[str | Path] = [*paths, *read_besides(plan.config)]
+    for folder in (str(out), products):
+        locations += [joined(folder, name) for name in (RUN, EVENTS, REPORT)]
+    reads: list[str | Path] = [*paths, *other_inputs(plan.config)]
     check_targets([Target("-o", location) for location in locations], reads)
     if plan.config.force:
         return
-    starts = {}
+    sheet_prefixes = {}
     if plan.config.sheets is not None:
         names = (*plan.config.exported, SHEET_ITEMS)
-        starts = {name: name_prefix(plan.config.sheet_name, name) for name in names}
-    foreign_paths = foreign_files(out, products, file_names, starts)
+        sheet_prefixes = {name: name_prefix(plan.config.sheet_name, name) for name in names}
+    foreign_paths = foreign_files(out, products, file_names, sheet_prefixes)
     if foreign_paths:
-        more = f" and {len(foreign_paths) - NAMED:,} more" if len(foreign_paths) > NAMED else ""
+        more = f" and {len(foreign_paths) - MAX_LISTED:,} more" if len(foreign_paths) > MAX_LISTED else ""
         raise ConfigError(
-            f"-o {products}: {', '.join(foreign_paths[:NAMED])}{more}: already exists and was not written by a run in "
-            "this folder; use another -o, or --force to replace them"
+            f"-o {products}: {', '.join(foreign_paths[:MAX_LISTED])}{more}: already exists and was not written by a "
+            "run in this folder; use another -o, or --force to replace them"
         )
 
 
@@ -150,10 +149,10 @@ def validate_resolution(plan: Plan) -> None:
             "is not a simple fraction; give it in the unit of the CRS",
         )
     if pixel >= MAX_PIXEL:
-        most = float(MAX_PIXEL * plan.meta.frame.metres_xy)
+        limit_m = float(MAX_PIXEL * plan.meta.frame.metres_xy)
         raise _error(
             plan,
-            f"--resolution {float(plan.resolution):g} m: pixels must be below {most:.0f} m; use smaller pixels",
+            f"--resolution {float(plan.resolution):g} m: pixels must be below {limit_m:.0f} m; use smaller pixels",
         )
 
 
@@ -179,7 +178,7 @@ def _usual_pixel(plan: Plan) -> Plan | None:
     return replace(plan, resolution=usual)
 
 
-def validate(plan: Plan, out: Path | None, changed: Changed) -> None:
+def validate(plan: Plan, out: Path | None, replan: Replan) -> None:
     """Raise ConfigError if a run would fail because of memory, disk, resolution, sheets or names.
 
     Parameters
@@ -187,10 +186,10 @@ def validate(plan: Plan, out: Path | None, changed: Changed) -> None:
     plan : Plan
     out : Path or None
         Folder whose disk is checked.
-    changed : callable
+    replan : callable
         Function that makes the plan for other values of settings, given by name, to find values that suffice.
     """
-    _validate_memory(plan, changed)
+    _validate_memory(plan, replan)
     validate_resolution(plan)
     sheets = plan.config.sheets
     if sheets is not None and (sheets / plan.resolution).denominator != 1:
@@ -225,37 +224,38 @@ def _validate_name_lengths(plan: Plan) -> None:
             )
 
 
-def _validate_memory(plan: Plan, changed: Changed) -> None:
+def _validate_memory(plan: Plan, replan: Replan) -> None:
     memory = projected_memory(plan)
-    worst = max(memory, key=lambda k: memory[k])
-    if memory[worst] > plan.memory:
+    stage = max(memory, key=lambda name: memory[name])
+    need = memory[stage]
+    if need > plan.memory:
         raise ConfigError(
-            f"{worst} needs {memory[worst] / 2**20:,.0f} MiB per worker, but {plan.memory / 2**20:,.0f} MiB are "
-            f"allowed; use --memory {enough_memory(plan, changed) >> 20}MiB{_instead(plan, worst, changed)}"
+            f"{stage} needs {need / 2**20:,.0f} MiB per worker, but {plan.memory / 2**20:,.0f} MiB are "
+            f"allowed; use --memory {enough_memory(plan, replan) >> 20}MiB{_instead(plan, stage, replan)}"
         )
     workers, machine = plan.config.workers or 1, memory_bytes()
-    if plan.config.scheduler is None and workers * memory[worst] > max(machine, memory[worst]):
+    if plan.config.scheduler is None and workers * need > max(machine, need):
         raise ConfigError(
-            f"--workers {workers}: each needs {memory[worst] / 2**20:,.0f} MiB ({worst}), but this machine has "
-            f"{machine / 2**20:,.0f} MiB; use --workers {max(machine // memory[worst], 1)}"
+            f"--workers {workers}: each needs {need / 2**20:,.0f} MiB ({stage}), but this machine has "
+            f"{machine / 2**20:,.0f} MiB; use --workers {max(machine // need, 1)}"
         )
 
 
-def enough_memory(plan: Plan, changed: Changed) -> int:
-    """Return memory that suffices for a worker, a whole number of MiB in bytes.
+def enough_memory(plan: Plan, replan: Replan) -> int:
+    """Return the bytes of memory that suffice for a worker, a whole number of MiB.
 
-    More memory makes tiles larger, which then need more. So the search is repeated until the memory suffices.
+    With more memory, tiles become larger and then need more memory. So the search is repeated until it suffices.
     """
     required_bytes = max(projected_memory(plan).values())
     while True:
         allowed = -(-required_bytes >> 20) << 20
-        needed = max(projected_memory(changed(memory=allowed)).values())
+        needed = max(projected_memory(replan(memory=allowed)).values())
         if needed <= allowed:
             return allowed
         required_bytes = max(needed, int(1.01 * allowed))
 
 
-def _instead(plan: Plan, stage: str, changed: Changed) -> str:
+def _instead(plan: Plan, stage: str, replan: Replan) -> str:
     """Recommend a setting other than more memory with which a stage fits, or return ""."""
     if stage == "grid" and plan.grid_halo > plan.resolution:
         return " or a smaller --max-edge"
@@ -263,11 +263,12 @@ def _instead(plan: Plan, stage: str, changed: Changed) -> str:
         return ""
 
     def suffices(**values: Fraction) -> bool:
-        other = changed(memory=plan.memory, **values)
+        other = replan(memory=plan.memory, **values)
         return max(projected_memory(other).values()) <= plan.memory
 
     unit = plan.meta.frame.units.horizontal
-    side, bucket = Fraction(plan.tile), Fraction(plan.bucket_m)
+    side = Fraction(plan.tile)
+    bucket = Fraction(plan.bucket_m)
     smallest = whole_length(bucket, unit, math.ceil)
     while side >= bucket:
         tile = whole_length(side, unit, math.ceil)
@@ -302,8 +303,8 @@ def _validate_disk(plan: Plan, out: Path) -> None:
         remedy = "free some space, or use --store on another disk or fewer --products"
         usual = _usual_pixel(plan)
         if usual is not None and needed_bytes(usual) <= free:
-            coarser, asked = _option(plan, usual.resolution), _option(plan, plan.resolution)
-            remedy = f"use --resolution {coarser} instead of {asked}, or free some space"
+            coarser, present = _option(plan, usual.resolution), _option(plan, plan.resolution)
+            remedy = f"use --resolution {coarser} instead of {present}, or free some space"
         raise ConfigError(
             f"{out}: needs about {need / 1e6:,.0f} MB, but {free / 1e6:,.0f} MB are free; {remedy}"
         )

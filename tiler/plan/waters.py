@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from tiler.core.area import Area
 from tiler.core.frame import COUNTS_PER_UNIT, INT32_LIMIT
 from tiler.core.lattice import Bounds
 from tiler.core.water import KINDS, LAKE, RIVER, Water, lengths_along, lifted_line
@@ -22,8 +23,8 @@ DRAWN_WATER = replace(
 """Features read from a file of water: polygons, lines, and the points of the layer ``reaches``. The layer
 ``breaklines``, which a run writes for other programs, is left out."""
 LEVEL = "level"
-"""Name of the column of the height of the water, in the unit of the heights. The other height columns are used if it is
-missing or empty."""
+"""Name of the column with the height of the water, in the unit of the heights. If it is missing or empty, the other
+height columns are used."""
 SAME_COUNTS = 2
 """Maximum height difference in counts with which a station and a line agree."""
 
@@ -53,15 +54,16 @@ def waters_of(features: Sequence[Feature], extent: Bounds) -> list[Water]:
             f"{file_text}: has lines but no polygons; add polygons of the water that the lines flow through"
         )
     lines = _merged([f for f in features if f.geometry.geom_type in LINES.types])
-    given, open_ones = list[tuple[Feature, int]](), dict[str, list[Feature]]()
+    with_level: list[tuple[Feature, int]] = []
+    without_level: dict[str, list[Feature]] = {}
     for feature in polygons:
         level = _level(feature)
         if level is None:
-            open_ones.setdefault(_kind(feature, lines), []).append(feature)
+            without_level.setdefault(_kind(feature, lines), []).append(feature)
         else:
-            given.append((feature, level))
-    bodies = [Water(0, kind, *rest) for kind, *rest in _without_level(open_ones)]
-    for feature, level in given:
+            with_level.append((feature, level))
+    bodies = [Water(0, kind, area) for kind, area in _joined_polygons(without_level)]
+    for feature, level in with_level:
         kind = _kind(feature, lines)
         bodies.append(Water(0, kind, area_in_counts(feature.place, [feature]), level))
     bodies = [_with_line(body, lines) for body in bodies if body.area.bounds.overlaps(extent)]
@@ -70,16 +72,16 @@ def waters_of(features: Sequence[Feature], extent: Bounds) -> list[Water]:
     return [Water(n, b.kind, b.area, b.level, b.flow) for n, b in enumerate(bodies, start=1)]
 
 
-def _without_level(features: dict[str, list[Feature]]) -> list[tuple[Any, ...]]:
-    """Return the kind and the area of each body formed by polygons without a level."""
+def _joined_polygons(features_by_kind: dict[str, list[Feature]]) -> list[tuple[str, Area]]:
+    """Join adjacent polygons of one kind. Return the kind and the area of each body."""
     import shapely
 
     kinds_and_areas = []
-    for kind, of_kind in sorted(features.items()):
-        whole = shapely.union_all([f.geometry for f in of_kind])
+    for kind, features in sorted(features_by_kind.items()):
+        whole = shapely.union_all([feature.geometry for feature in features])
         for part in shapely.get_parts(whole):
             if part.geom_type == "Polygon" and part.area > 0:
-                kinds_and_areas.append((kind, area_in_counts(of_kind[0].place, [Feature("", part, {})])))
+                kinds_and_areas.append((kind, area_in_counts(features[0].place, [Feature("", part, {})])))
     return kinds_and_areas
 
 
@@ -90,13 +92,13 @@ def _kind(feature: Feature, lines: Sequence[Any]) -> str:
     """
     import shapely
 
-    said = feature.attributes.get("kind")
-    if said is None or said == "":
+    value = feature.attributes.get("kind")
+    if value is None or value == "":
         return RIVER if any(shapely.intersection(line, feature.geometry).length for line in lines) else LAKE
-    kind = KINDS.get(said.strip().lower()) if isinstance(said, str) else None
+    kind = KINDS.get(value.strip().lower()) if isinstance(value, str) else None
     if kind is None:
         raise InputError(
-            f"{feature.place}: its kind is {said!r}; give {LAKE} or {RIVER} in the column `kind`, or leave it empty"
+            f"{feature.place}: its kind is {value!r}; give {LAKE} or {RIVER} in the column `kind`, or leave it empty"
         )
     return kind
 
@@ -118,7 +120,7 @@ def _level(feature: Feature) -> int | None:
 
 
 def _merged(features: Sequence[Feature]) -> list[Any]:
-    """Return the flow lines. Lines with heights are directed downhill, and lines without heights are merged.
+    """Return the flow lines. Lines with heights are turned downhill, and lines without heights are merged.
 
     Raise InputError if the heights of a line rise and fall, or are too large.
     """
@@ -138,10 +140,9 @@ def _merged(features: Sequence[Feature]) -> list[Any]:
                     "it in 2D"
                 )
             sloping_lines.append(shapely.reverse(line) if z[-1] > z[0] else line)
-    return [
-        *sloping_lines,
-        *(shapely.get_parts(shapely.line_merge(shapely.MultiLineString(flat))) if flat else ()),
-    ]
+    if not flat:
+        return sloping_lines
+    return [*sloping_lines, *shapely.get_parts(shapely.line_merge(shapely.MultiLineString(flat)))]
 
 
 def _with_line(body: Water, lines: Sequence[Any]) -> Water:
@@ -154,8 +155,8 @@ def _with_line(body: Water, lines: Sequence[Any]) -> Water:
     inside = [line for line in lines if shapely.intersection(line, shape).length]
     if not inside:
         return body
-    most = max(inside, key=lambda line: (bool(line.has_z), shapely.intersection(line, shape).length))
-    vertices: npt.NDArray[np.float64] = shapely.get_coordinates(most, include_z=bool(most.has_z))
+    longest = max(inside, key=lambda line: (bool(line.has_z), shapely.intersection(line, shape).length))
+    vertices: npt.NDArray[np.float64] = shapely.get_coordinates(longest, include_z=bool(longest.has_z))
     flow = np.rint(vertices * COUNTS_PER_UNIT).astype(np.int64)
     return Water(body.number, RIVER, body.area, None, flow)
 
@@ -167,7 +168,7 @@ def _polygon(rings: Sequence[npt.NDArray[np.int64]]) -> Any:
 
 
 def _with_stations(bodies: list[Water], stations: Sequence[Feature]) -> list[Water]:
-    """Return the bodies, after each station has changed the levels of the river line nearest to it.
+    """Return the bodies of water. Stations change the levels of the river whose line is nearest.
 
     Raise InputError if levels along a line rise and fall.
     """
@@ -177,18 +178,18 @@ def _with_stations(bodies: list[Water], stations: Sequence[Feature]) -> list[Wat
     if not rivers or not stations:
         return bodies
     lines = [shapely.LineString(_flow(bodies[i])[:, :2] / COUNTS_PER_UNIT) for i in rivers]
-    of_river: dict[int, list[Feature]] = {}
+    stations_by_river: dict[int, list[Feature]] = {}
     for station in stations:
         nearest = int(np.argmin([shapely.distance(line, station.geometry) for line in lines]))
-        of_river.setdefault(nearest, []).append(station)
+        stations_by_river.setdefault(nearest, []).append(station)
     new_bodies = list(bodies)
-    for nearest, river_stations in of_river.items():
+    for nearest, river_stations in stations_by_river.items():
         new_bodies[rivers[nearest]] = _at_stations(bodies[rivers[nearest]], lines[nearest], river_stations)
     return new_bodies
 
 
 def _at_stations(body: Water, line: Any, stations: Sequence[Feature]) -> Water:
-    """Return a river at the levels of its stations. Between them it keeps the steps of its line."""
+    """Return a river with the levels of its stations. Between stations, steps in the heights of its line remain."""
     import shapely
 
     levels = [_level(station) for station in stations]
@@ -196,8 +197,9 @@ def _at_stations(body: Water, line: Any, stations: Sequence[Feature]) -> Water:
     if not known:
         return body
     along = np.array([shapely.line_locate_point(line, s.geometry) * COUNTS_PER_UNIT for s, _ in known])
+    station_levels = np.array([level for _, level in known], np.float64)
     order = np.argsort(along, kind="stable")
-    along, station_levels = along[order], np.array([level for _, level in known], np.float64)[order]
+    along, station_levels = along[order], station_levels[order]
     flow = _flow(body)
     if flow.shape[1] == 2:
         lifted = lifted_line(flow, along, station_levels)
@@ -206,7 +208,7 @@ def _at_stations(body: Water, line: Any, stations: Sequence[Feature]) -> Water:
         change = station_levels - np.rint(np.interp(along, lengths, flow[:, 2]))
         if (np.abs(change) <= SAME_COUNTS).all():
             return body
-        lifted = lifted_line(flow, *_sums(lengths, flow[:, 2], along, change))
+        lifted = lifted_line(flow, *_changed_heights(lengths, flow[:, 2], along, change))
     if (np.diff(lifted[:, 2]) > 0).any():
         if (np.diff(lifted[:, 2]) < 0).any():
             file_text = known[int(order[0])][0].place.rpartition(",")[0]
@@ -217,7 +219,7 @@ def _at_stations(body: Water, line: Any, stations: Sequence[Feature]) -> Water:
     return replace(body, level=None, flow=lifted)
 
 
-def _sums(
+def _changed_heights(
     lengths: npt.NDArray[Any], z: npt.NDArray[Any], along: npt.NDArray[Any], change: npt.NDArray[Any]
 ) -> tuple[npt.NDArray[Any], npt.NDArray[Any]]:
     """Return positions along a line in counts, and its heights there with the interpolated changes."""

@@ -104,9 +104,9 @@ class Auto(AutoParameters):
         cell = self.thin_cell_m
         return (
             SurveyPass(params=self),
-            SeedPass(self, reach_m=(self.seed_reach + 1) * cell),
+            SeedPass(self, influence_radius_m=(self.seed_reach + 1) * cell),
             DensifyPass(self),
-            RefinePass(self, reach_m=(self.refine_reach + 1) * cell),
+            RefinePass(self, influence_radius_m=(self.refine_reach + 1) * cell),
             *(
                 self._roof_pass(*steps)
                 for steps in zip(ROOF_PASSES, (0.0, *ROOF_STEPS_M), ROOF_STEPS_M, strict=False)
@@ -153,7 +153,7 @@ class SeedPass(LidarPass):
     params: Auto
     name: str = "seeds"
     title = "find the first ground"
-    reach_m: float | None = None
+    influence_radius_m: float | None = None
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> CellCodes:
         """Open the minimum raster with growing disks."""
@@ -205,7 +205,7 @@ class RefinePass(LidarPass):
     name: str = "refine"
     title = "take out low objects"
     columns: tuple[str, ...] = ("labels",)
-    reach_m: float | None = None
+    influence_radius_m: float | None = None
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> CellCodes:
         """Subtract the ground's mean and find the cells that rise from it, twice."""
@@ -238,7 +238,7 @@ class RoofPass(LidarPass):
     step_m: float
     name: str
     title: str
-    reach_m: float | None
+    influence_radius_m: float | None
     columns: tuple[str, ...] = ("labels",)
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> CellCodes:

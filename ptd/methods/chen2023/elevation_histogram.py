@@ -14,7 +14,7 @@ import numpy.typing as npt
 
 from ptd.cells import Int32, lowest_per_cell
 from ptd.frame import CellLattice, Scale, Window
-from ptd.passes import Pass, Points, State, StatisticsModel, noted
+from ptd.passes import Pass, Points, State, StatisticsModel, add_notes
 
 BIN_M = 1.0
 Bool = npt.NDArray[np.bool_]
@@ -118,7 +118,7 @@ class ElevationsPass(Pass):
         """Count the candidates of the core. Bins and counts are pairs, because names in JSON are texts."""
         x, y, z = points.columns()
         keep = lowest_per_cell(x, y, z, CellLattice.of(self.cell_m, scale))
-        keep = keep[core.has(x[keep], y[keep])]
+        keep = keep[core.contains(x[keep], y[keep])]
         return StatisticsModel(
             {"elevations": sorted(histogram(z[keep], scale).items())}, {"candidates": keep.size}
         )
@@ -138,4 +138,4 @@ class ElevationsPass(Pass):
             for n, side, level in cut
             if n
         )
-        return {**state, "tails": [tails.low_bin, tails.high_bin], "notes": noted(state, *notes)}
+        return {**state, "tails": [tails.low_bin, tails.high_bin], "notes": add_notes(state, *notes)}

@@ -61,7 +61,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ptd.cells import Xyz, lowest_per_cell, positions
+from ptd.cells import Xyz, lowest_per_cell, position_keys
 from ptd.frame import CellLattice, Scale, Window
 from ptd.ground.certificates import UncertifiedRegion
 from ptd.ground.densify import REFUSED, VERTEX, densify
@@ -172,10 +172,10 @@ class ChenModel(TinLabels):
         """Step 4: return the seeds that are noise. Positions where that is uncertain become uncertified."""
         vx, vy = (np.ascontiguousarray(tin.vertices[:, axis]) for axis in (0, 1))
         # Seeds share no position with one another, nor with the ring, which lies in cells without seeds.
-        real = np.isin(positions(vx, vy), positions(ring[:, 0], ring[:, 1]), invert=True)
+        real = np.isin(position_keys(vx, vy), position_keys(ring[:, 0], ring[:, 1]), invert=True)
         noise, unsure = noisy_seeds(tin, real, self.params.clusters(self._scale), doubt.triangles(tin))
         doubt.add_points(vx, vy, unsure)
-        return seeds[np.isin(positions(x[seeds], y[seeds]), positions(vx[noise], vy[noise]))]
+        return seeds[np.isin(position_keys(x[seeds], y[seeds]), position_keys(vx[noise], vy[noise]))]
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
         """Label the points of the window, and return a mask of the uncertified labels too."""

@@ -191,7 +191,7 @@ def potential_seeds(
     seeds, unsure = np.zeros(x.size, np.bool_), np.zeros(x.size, np.bool_)
     if not x.size:
         return seeds, unsure
-    columns, rows = cells.places(x, y)
+    columns, rows = cells.cell_indices(x, y)
     rim, order = 2 * opening.reach, np.argsort(rows, kind="stable")
     for part, inner in blocks(x[order], y[order], cells, rim, BLOCK_CELLS):
         near = order[part]

@@ -224,6 +224,12 @@ class Facades:
         road_points = road_points[road_points >= 0]
         road_points = road_points[np.sort(np.unique(road_points, return_index=True)[1])]
         kept: Int32 = road_points[
-            _flat(Xyz(x, y, z), table, road_points, self.index.places(x[road_points], y[road_points]), rule)
+            _flat(
+                Xyz(x, y, z),
+                table,
+                road_points,
+                self.index.cell_indices(x[road_points], y[road_points]),
+                rule,
+            )
         ]
         return kept

@@ -17,7 +17,7 @@ from ptd.methods.dong2017.distance_threshold import second_difference_jump
 from ptd.methods.dong2017.growth import Growth, Stage, picks
 from ptd.methods.dong2017.params import Dong2017Parameters
 from ptd.methods.dong2017.seed_passes import VEGETATION
-from ptd.passes import MethodRefusal, Pass, Points, State, StatisticsModel, UInt8, noted
+from ptd.passes import MethodRefusal, Pass, Points, State, StatisticsModel, UInt8, add_notes
 from ptd.tin.mesh import Tin
 
 PLANE = Bins(0.025, 120, 0.01, 60)
@@ -36,7 +36,7 @@ class FirstMeasurement(Pass):
 
     params: Dong2017Parameters
     widest_m: float
-    reach_m: float | None
+    influence_radius_m: float | None
     name: str = "measure-first"
     title = "measure distances to the seeds"
     columns: tuple[str, ...] = ("labels",)
@@ -73,7 +73,7 @@ class FirstGround(Pass):
     """Step 5: label the points within the first thresholds of the seeds' TIN."""
 
     stage: Stage
-    reach_m: float | None
+    influence_radius_m: float | None
     name: str = "first"
     title = "find the first ground"
     columns: tuple[str, ...] = ("labels",)
@@ -92,7 +92,7 @@ class Measurement(Pass):
     spacing_m: float
     name: str
     title: str
-    reach_m: float | None
+    influence_radius_m: float | None
     columns: tuple[str, ...] = ("labels",)
     every_point: bool = True
     gives_labels: bool = False
@@ -150,7 +150,7 @@ class FinalGrowth(Growth):
 
 
 def _measured(trial: Trial, points: Points, core: Window, which: Bool) -> StatisticsModel:
-    counts = trial.count(*points.columns(), which & core.has(points.xyz[0], points.xyz[1]), PLANE)
+    counts = trial.count(*points.columns(), which & core.contains(points.xyz[0], points.xyz[1]), PLANE)
     return StatisticsModel({"plane": counts.tolist()}, {"measured": int(counts.sum())})
 
 
@@ -183,4 +183,4 @@ def _with_threshold(state: State, where: str, found: Threshold, denser: bool = T
             odd.append("angle does not grow")
         if odd:
             note += f" ({' and '.join(odd)}, unlike in the paper)"
-    return {**state, "threshold": found._asdict(), "notes": noted(state, note)}
+    return {**state, "threshold": found._asdict(), "notes": add_notes(state, note)}

@@ -76,5 +76,5 @@ def on_podium(
         return np.zeros(0, np.bool_)
     index = CellIndex(x, y, CellLattice.of(radius_m, scale))
     noise = NOISE_QUANTILE * math.sqrt(2.0) * scale.counts(sigma_m)
-    places, radius = index.places(x, y), scale.counts(radius_m)
+    places, radius = index.cell_indices(x, y), scale.counts(radius_m)
     return _overhung(Xyz(x, y, z), index.table, places, radius, slope, noise, scale.z_ratio)

@@ -52,5 +52,5 @@ class SeedCells(CellModel):
         return labels, np.zeros(len(points), np.bool_)
 
     def _keys(self, xyz: Int32) -> Int64:
-        columns, rows = self._cells.places(xyz[0], xyz[1])
+        columns, rows = self._cells.cell_indices(xyz[0], xyz[1])
         return columns * 2**32 + rows

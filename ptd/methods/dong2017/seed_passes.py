@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ptd.cells import Int32, lowest_per_cell, positions
+from ptd.cells import Int32, lowest_per_cell, position_keys
 from ptd.frame import CellLattice, Scale, Window
 from ptd.ground import noise_sums, roughness
 from ptd.ground.distance_angle import Bool
@@ -20,7 +20,7 @@ from ptd.methods.dong2017.facades import FacadeRule, Facades, density_of, facade
 from ptd.methods.dong2017.greenness import BINS, COLOURLESS, gli_bins, green_from, index_of_bin
 from ptd.methods.dong2017.params import Dong2017Parameters
 from ptd.methods.dong2017.podiums import on_podium
-from ptd.passes import MethodRefusal, Model, Pass, Points, State, StatisticsModel, UInt8, noted
+from ptd.passes import MethodRefusal, Model, Pass, Points, State, StatisticsModel, UInt8, add_notes
 
 VEGETATION = 5
 """Label of vegetation between passes. Seeds are `GROUND`, all other points `UNCLASSIFIED`."""
@@ -31,7 +31,7 @@ class ColourPass(Pass):
     """Step 1, and the figures that facades need: greenness, density and noise of the run."""
 
     params: Dong2017Parameters
-    reach_m: float | None
+    influence_radius_m: float | None
     name: str = "colours"
     title = "measure greenness, density and noise"
     columns: tuple[str, ...] = ("rgb",)
@@ -40,7 +40,7 @@ class ColourPass(Pass):
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Model:
         """Count greenness and points per cell, and measure planar patches."""
-        is_in_core = core.has(points.xyz[0], points.xyz[1])
+        is_in_core = core.contains(points.xyz[0], points.xyz[1])
         bins = gli_bins(_rgb(points))
         counts = np.bincount(bins[is_in_core & (bins != COLOURLESS)], minlength=BINS)
         x, y, _ = points.columns()
@@ -80,7 +80,7 @@ class ColourPass(Pass):
             "green_from": green,
             "density_m2": density,
             "sigma_m": sigma,
-            "notes": noted(state, vegetation, f"noise {sigma:g} m ({origin}), {density:.1f} points/m2"),
+            "notes": add_notes(state, vegetation, f"noise {sigma:g} m ({origin}), {density:.1f} points/m2"),
         }
 
 
@@ -89,7 +89,7 @@ class SeedPass(Pass):
     """Steps 2 to 4: label vegetation and seeds, which lie beside facades and not on podiums."""
 
     params: Dong2017Parameters
-    reach_m: float | None
+    influence_radius_m: float | None
     name: str = "seeds"
     title = "find seeds beside facades"
     columns: tuple[str, ...] = ("rgb",)
@@ -120,7 +120,7 @@ class SeedPass(Pass):
         note = (
             f"facades: {total['facade_points']:,} points in dense cells; {total['seeds']:,} seeds beside them"
         )
-        return {**state, "seeds": total["seeds"], "notes": noted(state, note)}
+        return {**state, "seeds": total["seeds"], "notes": add_notes(state, note)}
 
 
 class SeedModel(Model):
@@ -140,10 +140,10 @@ class SeedModel(Model):
             )
             facades = Facades(x, y, z, CellLattice.of(params.facade_cell_m, scale), least)
             inside = facades.points()
-            self._facade_points = int(core.has(x[inside], y[inside]).sum())
+            self._facade_points = int(core.contains(x[inside], y[inside]).sum())
             chosen = _seeds(params, facades, scale, state["sigma_m"])
         self._seeds = np.unique(np.stack([x, y, z])[:, chosen], axis=1)
-        self._own = int(core.has(x[chosen], y[chosen]).sum())
+        self._own = int(core.contains(x[chosen], y[chosen]).sum())
         self.stats = {
             "seeds": self._seeds.shape[1],
             "facade_cells": int(facades.holds.sum()) if x.size else 0,
@@ -153,12 +153,12 @@ class SeedModel(Model):
         """Label vegetation and seeds."""
         x, y, _ = points.columns()
         labels = np.full(x.size, UNCLASSIFIED, np.uint8)
-        seed_positions = positions(
+        seed_positions = position_keys(
             *self._seeds[:2]
         )  # Each position holds one seed, because each cell gives one.
         order = np.argsort(seed_positions)
-        at = np.flatnonzero(np.isin(positions(x, y), seed_positions))
-        seed = order[np.searchsorted(seed_positions, positions(x[at], y[at]), sorter=order)]
+        at = np.flatnonzero(np.isin(position_keys(x, y), seed_positions))
+        seed = order[np.searchsorted(seed_positions, position_keys(x[at], y[at]), sorter=order)]
         labels[at[points.xyz[2, at] == self._seeds[2, seed]]] = GROUND
         labels[_green(points, self.green)] = VEGETATION
         return labels, np.zeros(len(points), np.bool_)
@@ -206,7 +206,7 @@ def _points_by_count(x: Int32, y: Int32, cells: CellLattice, own: Bool) -> list[
     """Pairs of a number and the core's points in cells with that number of points, in ascending order."""
     if not x.size:
         return []
-    columns, rows = cells.places(x, y)
+    columns, rows = cells.cell_indices(x, y)
     keys = (rows - rows.min()) * (int(columns.max() - columns.min()) + 1) + columns - columns.min()
     _, slot, counts = np.unique(keys, return_inverse=True, return_counts=True)
     points_per_cell, points = np.unique(counts[slot[own]], return_counts=True)

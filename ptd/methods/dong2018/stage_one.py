@@ -19,7 +19,7 @@ from ptd.methods.classic import ClassicPass, thinned
 from ptd.methods.dong2018 import pits
 from ptd.methods.dong2018.params import Dong2018Parameters
 from ptd.params import DECIMALS
-from ptd.passes import MethodRefusal, Model, Pass, Points, State, StatisticsModel, UInt8, noted
+from ptd.passes import MethodRefusal, Model, Pass, Points, State, StatisticsModel, UInt8, add_notes
 
 SPARSE_M2 = 1.0
 """Points per square metre below which no plausible noise has an effect."""
@@ -107,7 +107,7 @@ def _thin_cell(threshold_m2: float) -> float:
 
 def with_notes(state: State, figures: dict[str, Any], *lines: str) -> dict[str, Any]:
     """The state with more figures, and with notes about them."""
-    return {**state, **figures, "notes": noted(state, *(f"dong2018: {line}" for line in lines))}
+    return {**state, **figures, "notes": add_notes(state, *(f"dong2018: {line}" for line in lines))}
 
 
 def even_edge_m(density_m2: float) -> float:

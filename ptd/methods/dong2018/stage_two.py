@@ -44,7 +44,7 @@ class MeasurePass(Pass):
         labels = points.known_labels()
         ground = _is_ground(labels)
         even = EvenTin(x, y, z, ground, self.scale_m, window, scale)
-        is_in_core = core.has(x, y)
+        is_in_core = core.contains(x, y)
         counts = even.histogram(x, y, z, is_in_core & even.left_out)
         bins = np.flatnonzero(counts)
         partial = {

@@ -21,7 +21,7 @@ from ptd.methods.ridge2016.params import Ridge2016Parameters
 from ptd.methods.ridge2016.seeds import Prepared
 from ptd.methods.ridge2016.sorted_cells import places_in_stacks
 from ptd.methods.ridge2016.thinned_densification import GrowthCounter
-from ptd.passes import Pass, Points, State, UInt8, noted
+from ptd.passes import Pass, Points, State, UInt8, add_notes
 from ptd.tin.mesh import Tin
 
 SEED = 8
@@ -58,7 +58,7 @@ class GrowthPass(Pass):
             unsure = [a + b for a, b in zip(unsure, part["unsure"], strict=True)]
         last, note = last_round(points, gained, unsure, self.params.growth)
         figures = {"rounds": last, "points": points, "gained": gained[:last], "unsure": unsure[:last]}
-        return {**state, "ridge2016": figures, "notes": noted(state, note)}
+        return {**state, "ridge2016": figures, "notes": add_notes(state, note)}
 
 
 def max_growth(points: int, growth: float) -> Fraction:
@@ -98,7 +98,7 @@ class GrowthModel(TinLabels):
         self, params: Ridge2016Parameters, points: Points, window: Window, core: Window, scale: Scale
     ) -> None:
         super().__init__(window.closed, {"points": len(points), "rounds": 0})
-        self._points = int(core.has(points.xyz[0], points.xyz[1]).sum())
+        self._points = int(core.contains(points.xyz[0], points.xyz[1]).sum())
         self._gained = np.zeros(params.rounds, np.int64)
         self._unsure = np.zeros(params.rounds, np.int64)
         self._prepared: Prepared | None = None
@@ -115,7 +115,7 @@ class GrowthModel(TinLabels):
 
     def _count(self, prepared: Prepared, core: Window, enough: int) -> int:
         s = prepared.stacks
-        is_in_core = core.has(s.x, s.y)
+        is_in_core = core.contains(s.x, s.y)
         seed = np.zeros(is_in_core.size, np.bool_)
         seed[prepared.seeds] = True
         tally = GrowthCounter(

@@ -7,7 +7,7 @@ from collections.abc import Iterator
 import numpy as np
 import numpy.typing as npt
 
-from ptd.cells import lowest_per_cell, positions
+from ptd.cells import lowest_per_cell, position_keys
 from ptd.frame import CellLattice, Scale, Window
 from ptd.ground.certificates import UncertifiedRegion
 from ptd.ground.outliers import LowNoise, low_outliers
@@ -82,8 +82,8 @@ class Prepared:
         """TIN of seeds and virtual seeds, and a mask of its vertices that are not virtual."""
         s, v = self.stacks, self.virtual
         tin = Tin.build(*(np.concatenate([c[seeds], v[:, k]]) for k, c in enumerate((s.x, s.y, s.z))))
-        virtual = positions(v[:, 0], v[:, 1])
-        return tin, np.isin(positions(*tin.vertices.T[:2]), virtual, invert=True)
+        virtual = position_keys(v[:, 0], v[:, 1])
+        return tin, np.isin(position_keys(*tin.vertices.T[:2]), virtual, invert=True)
 
     def _ridge_points(self, p: Ridge2016Parameters, seeds: Int32, scale: Scale) -> Int32:
         side_m = p.ridge_side * p.max_building_size_m
@@ -95,5 +95,5 @@ class Prepared:
         length = scale.counts(p.max_building_size_m)
         least = scale.counts_z(p.seed_residual_m)
         wrong = conicoid_outliers(tin, data, length, p.seed_confidence, least, self.doubt)
-        dropped = positions(*tin.vertices[wrong].T[:2])
-        return seeds[np.isin(positions(self.stacks.x[seeds], self.stacks.y[seeds]), dropped, invert=True)]
+        dropped = position_keys(*tin.vertices[wrong].T[:2])
+        return seeds[np.isin(position_keys(self.stacks.x[seeds], self.stacks.y[seeds]), dropped, invert=True)]

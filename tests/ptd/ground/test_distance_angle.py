@@ -112,7 +112,7 @@ def test_what_passes_without_doubt_passes_whatever_lies_beyond_the_window() -> N
         widest = float(rng.uniform(0.5, 8.0))
         trial = Trial(Tin.build(*vertices), SCALE, widest)
         truth, _ = trial.test(*tests, np.ones(300, bool), threshold, SURE)
-        inside = [window.has(c[0], c[1]) for c in (vertices, tests)]
+        inside = [window.contains(c[0], c[1]) for c in (vertices, tests)]
         doubt = UncertifiedRegion(window, window, (0, 0, side, side), SCALE)
         trial = Trial(Tin.build(*vertices[:, inside[0]]), SCALE, widest, doubt)
         own = tests[:, inside[1]]

@@ -59,7 +59,7 @@ def test_tiles_and_order_change_nothing() -> None:
         for south in range(0, 140_000, step):
             core = Window(west, south, west + step, south + step)
             seen = Window(core.west - reach, core.south - reach, core.east + reach, core.north + reach)
-            partials += measure_places(xyz[:, seen.has(xyz[0], xyz[1])][:, ::-1], core, MM)
+            partials += measure_places(xyz[:, seen.contains(xyz[0], xyz[1])][:, ::-1], core, MM)
     assert by_place(partials) == whole
     assert by_place(reversed(partials)) == whole
 

@@ -146,7 +146,7 @@ def test_tiles_and_order_change_nothing(origin) -> None:
         for south in range(0, 90_001, step):
             core = Window(west, south, west + step, south + step)
             window = Window(core.west - reach, core.south - reach, core.east + reach, core.north + reach)
-            part = xyz[:, window.has(xyz[0], xyz[1])]
+            part = xyz[:, window.contains(xyz[0], xyz[1])]
             partials.append(measure(part[:, rng.permutation(part.shape[1])], window, core, scale))
     assert merge(partials) == whole
     assert merge(reversed(partials)) == whole

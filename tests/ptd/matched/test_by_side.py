@@ -39,7 +39,7 @@ def test_sides_follow_the_density_and_both_are_made_where_they_meet() -> None:
 
 
 def test_cells_are_made_as_far_as_the_passes_after_them_see() -> None:
-    reach = sum(step.reach_m or 0.0 for step in Auto().passes if step.elected)
+    reach = sum(step.influence_radius_m or 0.0 for step in Auto().passes if step.elected)
     assert isinstance(Auto().passes[-1], SurfacePass)
     assert reach <= SIDES_AROUND * PLACE_M
 

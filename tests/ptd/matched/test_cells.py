@@ -119,9 +119,9 @@ def test_bounds_see_two_cells_and_no_farther() -> None:
     xyz = rng.integers(0, (12_000, 12_000, 900), (3000, 3)).T.astype(np.int32)
     bounds, seen = Window(3500, 4200, 8499, 8000), Window(1500, 2200, 10_499, 10_000)
     whole = cell_heights(xyz, EVERYTHING, MM, SIGMA_M)
-    part = cell_heights(xyz[:, seen.has(xyz[0], xyz[1])], bounds, MM, SIGMA_M)
+    part = cell_heights(xyz[:, seen.contains(xyz[0], xyz[1])], bounds, MM, SIGMA_M)
     assert part.shape[1] == 5 * 4  # the western border holds its centre, the eastern does not
-    assert np.array_equal(part, whole[:, bounds.has(whole[0], whole[1])])
+    assert np.array_equal(part, whole[:, bounds.contains(whole[0], whole[1])])
 
 
 def test_rasters_hold_their_cells_amid_a_margin_and_are_aligned() -> None:

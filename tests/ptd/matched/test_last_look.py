@@ -43,7 +43,7 @@ def slow_window(heights: Heights, near: np.ndarray) -> list[int]:
 
 
 def slow_features(heights: Heights, cell: np.ndarray, around: Around, scale: Scale) -> dict[int, list[int]]:
-    columns, rows = CellLattice.of(0.25, scale).places(heights.x, heights.y)
+    columns, rows = CellLattice.of(0.25, scale).cell_indices(heights.x, heights.y)
     found = {}
     for k in range(heights.x.size):
         ground, v = heights.labels[k] == GROUND, int(heights.voted[k])

@@ -68,7 +68,7 @@ def short_sighted(monkeypatch: pytest.MonkeyPatch) -> NearGroundPass:
     monkeypatch.setattr(surface, "NOISE_M", 2.0)
     monkeypatch.setattr(surface, "EXTENDED_M", (1.0, 2.0))
     reach_m = facets.reach_m() + surface.noise_reach_cells(1.0) + 3.0
-    return replace(NearGroundPass(), reach_m=reach_m)
+    return replace(NearGroundPass(), influence_radius_m=reach_m)
 
 
 @pytest.mark.parametrize("seed", range(6))
@@ -83,14 +83,14 @@ def test_nothing_beyond_the_reach_has_a_part(seed: int, short_sighted: NearGroun
     cells = np.stack([1000 * column + 500, 1000 * row + 500, z]).astype(np.int32)
     labels = np.where(rng.random(row.size) < rng.choice([0.1, 0.4, 0.9]), 2, 1).astype(np.uint8)
     core = Window(40_000, 44_000, 66_000, 61_000)
-    reach = round(1000 * (short_sighted.reach_m or 0.0))
+    reach = round(1000 * (short_sighted.influence_radius_m or 0.0))
     window = Window(core.west - reach, core.south - reach, core.east + reach, core.north + reach)
-    seen = window.has(cells[0], cells[1])
+    seen = window.contains(cells[0], cells[1])
     assert seen.mean() < 0.75
     x, y = rng.integers(38_000, 68_000, (2, 20_000))
     height = 100 * x // 1000 + rng.normal(0, 500, x.size).astype(int)
     points = Points(np.stack([x, y, height]).astype(np.int32))
-    own = core.has(points.xyz[0], points.xyz[1])
+    own = core.contains(points.xyz[0], points.xyz[1])
     state = {"survey": {"kind": "dim", "cell_m": 1.0}, "places": alike(cell_sigma_m=0.08)}
 
     def found(which: np.ndarray) -> np.ndarray:

@@ -50,16 +50,16 @@ def short_sighted(monkeypatch: pytest.MonkeyPatch) -> type[Auto]:
         side * (objects.reach_cells(side) + replace(surface.STIFF, cell_m=side).reach + 1)
         for side in passes.SIDES_M
     )
-    later = [replace(step, reach_m=seen) for step in passes.PASSES[1:3]]
+    later = [replace(step, influence_radius_m=seen) for step in passes.PASSES[1:3]]
     beyond = max(side * (surface.reach_cells(side) + canopy.reach_cells(side) + 3) for side in passes.SIDES_M)
-    later.append(replace(passes.PASSES[3], reach_m=beyond))
+    later.append(replace(passes.PASSES[3], influence_radius_m=beyond))
     monkeypatch.setattr(islands, "MAX_WIDTH_M", 6.0)
     monkeypatch.setattr(islands, "VIEW_M", 8.0)
     reach_m = max(
         side * (surface.reach_cells(side) + islands.reach_cells(side) + last_look.reach_cells(side))
         for side in passes.SIDES_M
     )
-    last = replace(passes.PASSES[4], reach_m=reach_m)
+    last = replace(passes.PASSES[4], influence_radius_m=reach_m)
 
     class ShortSighted(Auto):
         passes = (Auto().passes[0], passes.PASSES[0], *later, last)

@@ -14,7 +14,7 @@ from tiler.core.lattice import Lattice
 from tiler.core.raster import NODATA, RasterSpec
 from tiler.core.water import LAKE, Water, Waters
 from tiler.grid.centreline import area_of
-from tiler.grid.crowns import crowns_told, look_for_crowns
+from tiler.grid.crowns import crown_advice, crowns_in_block
 from tiler.grid.roofs import pooled, roofs_in_terrain
 from tiler.store import TileStore
 
@@ -69,14 +69,14 @@ def test_crowns_in_the_terrain_of_a_store(pixels: int, small_store: TileStore) -
     for block in spec.blocks(512):
         part = heights[block.row : block.row + block.height, block.col : block.col + block.width]
         small_store.write_block("dtm", block, part)
-    looked = [look_for_crowns(small_store, "dtm", spec, block) for block in spec.blocks(512)]
-    told = crowns_told(looked, spec)
+    looked = [crowns_in_block(small_store, "dtm", spec, block) for block in spec.blocks(512)]
+    told = crown_advice(looked, spec)
     assert told is not None
     text = told.text
     assert f"x {told.x:.0f}, y {told.y:.0f}" in text
     share = int(text.split(" %")[0])
     assert 25 < share <= 50
-    y = float(text.split(", y ")[1].split(":")[0])
+    y = float(text.split(", y ")[1].split(";")[0])
     assert 5_400_000 / pixels - 120 < y < 5_400_000 / pixels
-    assert crowns_told([Crowns(900, looked[0].found[:20])], spec) is None
-    assert crowns_told([Crowns(15, looked[0].found[:9])], spec) is None  # too few
+    assert crown_advice([Crowns(900, looked[0].found[:20])], spec) is None
+    assert crown_advice([Crowns(15, looked[0].found[:9])], spec) is None  # too few

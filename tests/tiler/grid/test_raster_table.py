@@ -7,18 +7,18 @@ import pytest
 from tiler.config import RunConfig
 from tiler.core.products import PRODUCTS
 from tiler.grid.tasks.gridding import Grid
-from tiler.grid.tasks.raster_table import final, raster_table, wanted
+from tiler.grid.tasks.raster_table import final_raster, raster_table, required_rasters
 
 
 @pytest.mark.parametrize("voids", ["leave", "fill", "mark"])
 def test_each_raster_comes_after_its_inputs_and_only_once(voids: str) -> None:
     config = RunConfig.from_mapping({"products": list(PRODUCTS), "voids": voids})
-    order = [raster.name for raster in wanted(config)]
+    order = [raster.name for raster in required_rasters(config)]
     assert order[0] == "dtm"
     assert len(order) == len(set(order))
-    for raster in wanted(config):
+    for raster in required_rasters(config):
         assert all(order.index(source) < order.index(raster.name) for source in raster.inputs)
-    assert {final(product, config) for product in PRODUCTS} <= set(order)
+    assert {final_raster(product, config) for product in PRODUCTS} <= set(order)
 
 
 def test_nothing_is_made_that_no_product_needs() -> None:
@@ -26,7 +26,7 @@ def test_nothing_is_made_that_no_product_needs() -> None:
         products: list[str], voids: str = "leave", outline: str = "hull", water: str = "none"
     ) -> list[str]:
         settings = {"products": products, "voids": voids, "outline": outline, "water": water}
-        return [raster.name for raster in wanted(RunConfig.from_mapping(settings))]
+        return [raster.name for raster in required_rasters(RunConfig.from_mapping(settings))]
 
     assert names(["slope"]) == ["dtm", "slope"]
     survey = ["occupancy", "survey-open", "survey"]

@@ -13,7 +13,7 @@ from tests.scenes.records import bucket_record
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.raster import Block, RasterSpec
 from tiler.grid import GridBlock, GroundSelection, grid_block
-from tiler.grid.tasks.shared_tins import joined_blocks
+from tiler.grid.tasks.shared_tins import join_blocks
 from tiler.runs.stage_runner import _outcomes
 from tiler.schedule import Outcome, SerialExecutor, Task
 
@@ -47,7 +47,7 @@ def keys(found: list[Task]) -> list[list[str]]:
 @pytest.mark.parametrize(("workers", "most"), [(1, 10**7), (2, 10**7), (3, 10**7), (2, 2_000_000), (2, 1)])
 def test_each_block_is_made_once_and_what_is_joined_fits(workers: int, most: int) -> None:
     every = tasks()
-    found = joined_blocks(plan(most), RECORDS, every, workers)
+    found = join_blocks(plan(most), RECORDS, every, workers)
     assert Counter(key for group in keys(found) for key in group) == Counter(task.key for task in every)
     assert len({task.key for task in found}) == len(found) >= workers
     for task in found:
@@ -59,21 +59,21 @@ def test_each_block_is_made_once_and_what_is_joined_fits(workers: int, most: int
 
 
 def test_two_workers_share_the_work_along_the_line_that_halves_it() -> None:
-    one, two = keys(joined_blocks(plan(), RECORDS, tasks(), 2))
+    one, two = keys(join_blocks(plan(), RECORDS, tasks(), 2))
     west = [key for key in one + two if key.endswith("c0000000")]
     assert sorted((one, two), key=len) == [west, [key for key in one + two if key not in west]]
 
 
 def test_blocks_far_apart_and_other_interpolations_stay_alone() -> None:
     far = [Block(0, 0, 512, 512), Block(1024, 1024, 512, 76)]
-    assert len(joined_blocks(plan(), RECORDS, tasks(far), 1)) == 2
+    assert len(join_blocks(plan(), RECORDS, tasks(far), 1)) == 2
     for how in ("natural", "idw"):
-        assert len(joined_blocks(plan(interpolation=how), RECORDS, tasks(), 2)) == 9
+        assert len(join_blocks(plan(interpolation=how), RECORDS, tasks(), 2)) == 9
 
 
 def test_a_task_has_no_more_pixels_than_the_memory_is_planned_for(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("tiler.grid.tasks.shared_tins.MAX_PIXELS", 2 * 512 * 512)
-    assert len(joined_blocks(plan(), RECORDS, tasks(), 1)) >= 3
+    assert len(join_blocks(plan(), RECORDS, tasks(), 1)) >= 3
 
 
 def perform(_: str, task: Task) -> Outcome:
@@ -90,7 +90,7 @@ def test_what_fails_together_is_done_one_by_one(monkeypatch: pytest.MonkeyPatch)
     job = SimpleNamespace(store=SimpleNamespace(url=""), executors=executors)
 
     def join(todo: list[Task], workers: int) -> list[Task]:
-        return joined_blocks(plan(), RECORDS, todo, workers)
+        return join_blocks(plan(), RECORDS, todo, workers)
 
     found = list(_outcomes(job, every, False, join))  # type: ignore[arg-type]
     assert not any(outcome.task.parts for outcome in found)
@@ -102,7 +102,7 @@ def test_what_fails_together_is_done_one_by_one(monkeypatch: pytest.MonkeyPatch)
 
 
 def test_the_time_of_a_task_is_that_of_its_parts() -> None:
-    (joined,) = joined_blocks(plan(), RECORDS, tasks(), 1)
+    (joined,) = join_blocks(plan(), RECORDS, tasks(), 1)
     records = [{"n": i} for i in range(9)]
     outcomes = Outcome(joined, {"parts": records}, seconds=18.0).of_parts()
     assert [outcome.record for outcome in outcomes] == records

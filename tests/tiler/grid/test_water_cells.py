@@ -15,9 +15,9 @@ from tiler.grid.water_cells import (
     Rim,
     Size,
     WaterCells,
-    judged,
     rim_of,
     water_areas,
+    water_confidence,
 )
 from tiler.grid.water_extent import (
     close_bridge_gaps,
@@ -68,7 +68,7 @@ def bodies(given: WaterCells, trusted: bool = True, pieces: int = 1) -> list[tup
         for part in range(pieces):
             counted = np.repeat((strip == part)[:, None], SIDE, axis=1)
             rim = rim.plus(rim_of(given, mine, others, counted))
-        sure = judged(size, rim)
+        sure = water_confidence(size, rim)
         if sure is not None:
             result.append((mine, sure))
     return result
@@ -93,7 +93,7 @@ def test_water_between_rising_banks_is_found(ground: np.ndarray, wet: np.ndarray
 def test_the_land_around_may_be_compared_in_pieces(left: float, monkeypatch: pytest.MonkeyPatch) -> None:
     given = cells(VALLEY, RIVER, left)
     whole = [(body.tolist(), sure) for body, sure in bodies(given)]
-    monkeypatch.setattr(water_cells, "PLACES_PER_BATCH", 7)
+    monkeypatch.setattr(water_cells, "CELLS_PER_BATCH", 7)
     monkeypatch.setattr(reach, "STRIP_ROWS", 9)
     assert whole
     assert [(body.tolist(), sure) for body, sure in bodies(given, pieces=5)] == whole
@@ -221,5 +221,5 @@ def test_the_crest_of_a_dam_falls_to_the_water_beside_it():
     given, every = cells(ground, water), np.ones(crest.shape, np.bool_)
     alone = rim_of(given, crest, np.zeros_like(crest), every)
     beside = rim_of(given, crest, np.zeros_like(crest), every, water)
-    assert judged(Size(), alone) is not None
-    assert judged(Size(), beside) is None
+    assert water_confidence(Size(), alone) is not None
+    assert water_confidence(Size(), beside) is None

@@ -32,7 +32,7 @@ def beside(depth: np.ndarray) -> Beside:
 def joined(depth: np.ndarray) -> np.ndarray:
     """Mask of the raster with the pixels that join the water."""
     pixels, found = beside(depth), np.zeros(SHAPE, np.bool_)
-    found[tuple(pixels.places[:, pockets(BODY, pixels, NOISE)])] = True
+    found[tuple(pixels.pixels[:, pockets(BODY, pixels, NOISE)])] = True
     return found
 
 

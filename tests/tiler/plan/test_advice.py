@@ -12,7 +12,7 @@ from tests.tiler.conftest import MakeCloud
 from tiler.config import RunConfig
 from tiler.core.lattice import Bounds
 from tiler.plan import make_plan
-from tiler.plan.advice import before
+from tiler.plan.advice import preflight_warnings
 from tiler.plan.doubtful import warnings_of
 
 MATCHED, LASER = Finding("dim", 0.9, "colours"), Finding("lidar", 0.9, "returns")
@@ -41,7 +41,7 @@ MATCHED, LASER = Finding("dim", 0.9, "colours"), Finding("lidar", 0.9, "returns"
 )
 def test_choices(made: Finding | None, settings: dict[str, Any], density: float, words: list[str]) -> None:
     config = RunConfig.from_mapping({"method": "classic", **settings})
-    found = list(before(config, made, density, 100.0))
+    found = list(preflight_warnings(config, made, density, 100.0))
     assert len(found) == bool(words)
     for word in words:
         assert word in found[0]

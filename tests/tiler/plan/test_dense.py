@@ -42,8 +42,8 @@ def test_one_dense_place_is_enough_to_thin(wide: Path, spot: Path, monkeypatch: 
     alone, both = planned(wide), planned(wide, spot)
     assert not alone.thin_ground
     assert both.thin_ground
-    assert alone.fullest_part < 3 * 52**2
-    assert 10_000 < both.fullest_part <= (4 * 52.0) ** 2
+    assert alone.max_part_points < 3 * 52**2
+    assert 10_000 < both.max_part_points <= (4 * 52.0) ** 2
 
 
 def test_candidates_are_those_of_the_method(wide: Path) -> None:
@@ -57,9 +57,9 @@ def test_ground_beside_objects_is_left_out_before_it_is_thinned(spot: Path) -> N
     """A drone's cloud at a quarter metre: what a part holds is bounded by its cells, not by the points."""
     plan = planned(spot, surface="median", erode="0.5", resolution="0.02", max_edge="0.5")
     cells = (32 * 0.02 + 2 * 0.505) / 0.01
-    assert plan.fullest_part <= cells**2
+    assert plan.max_part_points <= cells**2
     dense = planned(spot, surface="median", erode="0.5", resolution="0.5", max_edge="0.5")
-    assert dense.fullest_part == pytest.approx((2 * (32 * 0.5 + 2 * 0.505) / 0.5) ** 2)
+    assert dense.max_part_points == pytest.approx((2 * (32 * 0.5 + 2 * 0.505) / 0.5) ** 2)
 
 
 def test_a_resolution_that_is_no_exact_one_is_refused_as_such(spot: Path) -> None:

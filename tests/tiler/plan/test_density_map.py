@@ -49,9 +49,9 @@ def in_lines(cloud: Array) -> Array:
 @pytest.mark.parametrize("order", [lambda c: c, lambda c: in_tiles(c, 20.0), in_lines])
 def test_an_even_cloud_is_even_in_any_order(order: Any) -> None:
     density_map = map_of(order(square(4.0, 300.0)))
-    assert 0.5 < density_map.fullest(64) / (4.0 * 64**2) < 2.2, "patches may overlap"
-    assert density_map.fullest(200) == pytest.approx(4.0 * 200**2, rel=0.5)
-    assert density_map.fullest(1000) == pytest.approx(4.0 * 300**2)
+    assert 0.5 < density_map.max_points(64) / (4.0 * 64**2) < 2.2, "patches may overlap"
+    assert density_map.max_points(200) == pytest.approx(4.0 * 200**2, rel=0.5)
+    assert density_map.max_points(1000) == pytest.approx(4.0 * 300**2)
 
 
 def test_a_diagonal_strip_is_not_thinned_out_over_its_bounds() -> None:
@@ -61,22 +61,22 @@ def test_a_diagonal_strip_is_not_thinned_out_over_its_bounds() -> None:
     density_map = map_of(strip)
     mean = 800_000 / np.prod(np.ptp(strip, axis=1))
     assert mean < 0.5
-    assert 1.0 < density_map.fullest(100) / 100**2 < 8.0
+    assert 1.0 < density_map.max_points(100) / 100**2 < 8.0
 
 
 def test_strips_that_cross_add_up() -> None:
     patches = [DensityPatch(0, 0, 1000, 1000, 1e6)] * 20 + [DensityPatch(5000, 0, 6000, 1000, 1e6)]
     density_map = DensityMap(patches, 1.0)
-    assert density_map.fullest(100) == pytest.approx(20 * 100**2, rel=0.05)
-    assert density_map.fullest(10) == pytest.approx(20 * 10**2, rel=0.05)
+    assert density_map.max_points(100) == pytest.approx(20 * 100**2, rel=0.05)
+    assert density_map.max_points(10) == pytest.approx(20 * 10**2, rel=0.05)
     half_metres = DensityMap(patches, 0.5)
-    assert half_metres.fullest(50) == pytest.approx(20 * 100**2, rel=0.05)
+    assert half_metres.max_points(50) == pytest.approx(20 * 100**2, rel=0.05)
 
 
 def test_a_map_of_a_country_stays_small() -> None:
     patches = [DensityPatch(x, y, x + 5e4, y + 5e4, 1e10) for x in (0, 5e4) for y in (0, 5e4, 1e5)]
     density_map = DensityMap(patches, 1.0)
-    assert density_map.fullest(512) == pytest.approx(4 * 512**2, rel=0.05)
+    assert density_map.max_points(512) == pytest.approx(4 * 512**2, rel=0.05)
 
 
 @pytest.mark.parametrize(
@@ -87,12 +87,12 @@ def test_points_on_a_spot_or_a_line(points: Array) -> None:
     (patch,) = find_patches([points], points.shape[1], [0, 0, 10, 10])
     assert patch.points == points.shape[1]
     assert 0 <= patch.x0 <= patch.x1 <= 10
-    assert DensityMap([patch], 1.0).fullest(64) == pytest.approx(points.shape[1])
+    assert DensityMap([patch], 1.0).max_points(64) == pytest.approx(points.shape[1])
 
 
 def test_without_points_nothing_is_dense() -> None:
     assert find_patches([], 0, [0, 0, 0, 0]) == ()
-    assert DensityMap([], 1.0).fullest(100) == 0
+    assert DensityMap([], 1.0).max_points(100) == 0
     outside = np.full((2, 5), 99.0)
     assert find_patches([outside], 7, [0, 0, 10, 10]) == (DensityPatch(0, 0, 10, 10, 7),)
 
@@ -100,7 +100,7 @@ def test_without_points_nothing_is_dense() -> None:
 def test_a_long_line_has_few_cells() -> None:
     """In kilometres: 16 million cells of 64 m along it, next to no area."""
     density_map = DensityMap([DensityPatch(0.0, 0.0, 1e6, 1.0, 1000.0)], 1000.0)
-    assert 900 < density_map.fullest(1e9) < 1001
+    assert 900 < density_map.max_points(1e9) < 1001
 
 
 def box_of(cloud: Array) -> tuple[float, ...]:
@@ -149,7 +149,7 @@ def test_a_random_order_shows_where_nothing_is(files: int) -> None:
     cloud = cloud[:, np.abs(cloud[0] - cloud[1]) < 45]
     parts = [cloud[:, number::files] for number in range(files)]
     density_map = DensityMap([patch for part in parts for patch in patches_of(part)], 1.0)
-    assert density_map.fullest(2000) == pytest.approx(cloud.shape[1])
+    assert density_map.max_points(2000) == pytest.approx(cloud.shape[1])
     covered = covered_m2([box_of(part) for part in parts], cloud.shape[1], density_map, 1.0, [])
     assert covered < 0.35 * 640**2
     assert len(patches_of(parts[0])) < 100

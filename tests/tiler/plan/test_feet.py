@@ -8,7 +8,7 @@ import pytest
 
 from tiler.config import RunConfig
 from tiler.core.units import FOOT, METRE, US_SURVEY_FOOT, Units
-from tiler.plan.feet import bare_lengths, in_feet_of
+from tiler.plan.feet import bare_lengths, with_survey_feet
 
 SURVEY_FEET = Units(US_SURVEY_FOOT, US_SURVEY_FOOT)
 
@@ -34,9 +34,9 @@ def test_feet_are_those_of_the_crs() -> None:
     config = RunConfig.from_mapping(
         {"resolution": "2ft", "sheets": "500ft", "max_edge": "30", "contour_interval": "5ft"}
     )
-    of_survey = in_feet_of(config, SURVEY_FEET)
+    of_survey = with_survey_feet(config, SURVEY_FEET)
     assert (of_survey.sheets, of_survey.resolution) == (500 * US_SURVEY_FOOT, 2 * US_SURVEY_FOOT)
     assert of_survey.contour_interval == 5 * US_SURVEY_FOOT
     assert of_survey.max_edge == 30
-    assert in_feet_of(config, Units(FOOT, FOOT)).sheets == Fraction(1524, 10)
-    assert in_feet_of(config, Units()) == config
+    assert with_survey_feet(config, Units(FOOT, FOOT)).sheets == Fraction(1524, 10)
+    assert with_survey_feet(config, Units()) == config

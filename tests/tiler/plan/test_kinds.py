@@ -62,7 +62,7 @@ def test_rasters_of_windows_take_room_over_voids(make_cloud: MakeCloud) -> None:
     small = replace(plan, tile_memory=BASE_BYTES + round(cells * VERTEX_BYTES))
     assert len(list(tiles_of(small, records, surface))) == 2
     assert len(list(tiles_of(replace(plan, tile_memory=4 * small.tile_memory), records, surface))) == 1
-    without = replace(surface, work=replace(surface.work, raster_cell_m=0.0))  # type: ignore[type-var]
+    without = replace(surface, pass_=replace(surface.pass_, raster_cell_m=0.0))  # type: ignore[type-var]
     assert len(list(tiles_of(small, records, without))) == 1
 
 

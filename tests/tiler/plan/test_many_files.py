@@ -11,7 +11,7 @@ from tiler.config import RunConfig
 from tiler.errors import InputError
 from tiler.io.locations import as_path
 from tiler.plan import make_plan, plan_json
-from tiler.plan.make import FAR_READERS, FILES_OF_A_READER, _readers
+from tiler.plan.make import FILES_PER_READER, MAX_URL_READERS, _readers
 
 
 @pytest.fixture
@@ -47,5 +47,5 @@ def test_a_reader_is_started_where_it_pays() -> None:
     def readers(near: int, far: int = 0) -> int:
         return _readers([Path("x.las")] * near + [as_path("memory://x/y.las")] * far, config)
 
-    assert [readers(n) for n in (1, FILES_OF_A_READER, FILES_OF_A_READER + 1, 10_000)] == [1, 1, 2, 4]
-    assert [readers(0, n) for n in (1, FILES_OF_A_READER + 1, 10_000)] == [1, 2, FAR_READERS]
+    assert [readers(n) for n in (1, FILES_PER_READER, FILES_PER_READER + 1, 10_000)] == [1, 1, 2, 4]
+    assert [readers(0, n) for n in (1, FILES_PER_READER + 1, 10_000)] == [1, 2, MAX_URL_READERS]

@@ -22,7 +22,7 @@ from tiler.export import (
 )
 from tiler.export.work import VectorFile
 from tiler.grid.tasks.gridding import GridContext
-from tiler.grid.tasks.raster_table import final
+from tiler.grid.tasks.raster_table import final_raster
 from tiler.io.result_folder import BRIDGES, OUTLINE, WATER
 from tiler.schedule import Task, Work, digest_of
 from tiler.version import __version__
@@ -39,7 +39,7 @@ def vector_tasks(g: GridContext, out: str, noise_m: float) -> Iterator[Task]:
     ``noise_m`` is the standard deviation of the heights of ground in metres, or 0 if it is not known.
     """
     plan, config = g.plan, g.plan.config
-    terrain, interval = final("dtm", config), config.contour_interval
+    terrain, interval = final_raster("dtm", config), config.contour_interval
     common: dict[str, Any] = {
         "raster": terrain,
         "spec": g.spec,

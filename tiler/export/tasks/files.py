@@ -33,7 +33,7 @@ from tiler.export.tasks.sheets import name_of
 from tiler.export.work import SheetFile
 from tiler.filter import LABELS
 from tiler.grid.tasks.gridding import GridContext
-from tiler.grid.tasks.raster_table import MODELS, final, raster_table
+from tiler.grid.tasks.raster_table import MODELS, final_raster, raster_table
 from tiler.ingest.tasks.points import Source, by_source
 from tiler.inputs import SourceInfo, header_bounds, window_pieces
 from tiler.io.locations import is_url, joined, location
@@ -67,7 +67,7 @@ def cog_tasks(g: GridContext, inputs: Inputs, whole_inputs: str, out: str) -> It
     cut = [(sheet, _digest(inputs, sheet.cells)) for sheet in g.sheets]
     rasters = raster_table(g.plan.config)
     for name in g.plan.config.exported:
-        raster = final(name, g.plan.config)
+        raster = final_raster(name, g.plan.config)
         whole = WriteCog(
             product=name,
             out=out,

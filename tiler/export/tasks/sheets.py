@@ -14,7 +14,7 @@ from tiler.core.words import counted
 from tiler.errors import ProcessingError
 from tiler.export import FindSheets, find_sheets
 from tiler.grid.tasks.gridding import GridContext, Sheet
-from tiler.grid.tasks.raster_table import MODELS, final
+from tiler.grid.tasks.raster_table import MODELS, final_raster
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage
 from tiler.schedule import Task, digest_of
@@ -44,7 +44,9 @@ def cut(job: Job, g: GridContext) -> list[Sheet]:
 
 def height_tasks(g: GridContext) -> Iterator[Task]:
     """Yield one task per block of the models that has a height."""
-    rasters = tuple(name for name in (final(model, g.plan.config) for model in MODELS) if name in g.made)
+    rasters = tuple(
+        name for name in (final_raster(model, g.plan.config) for model in MODELS) if name in g.made
+    )
     side, area = _pixels(g), g.plan.area_key
     keys = {key for name in rasters for key, (_, record) in g.made[name].items() if record["filled"]}
     for key in sorted(keys):

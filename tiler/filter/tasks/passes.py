@@ -1,7 +1,7 @@
 """Tasks of filter tiles, with the digest of everything on which their results depend.
 
-A task is done if the store has a commit with its digest. So a change of a parameter, an input or a neighbour makes only
-those tasks new that it can affect, and all other tasks stay done.
+A task is done if the store has a commit with its digest. So a change of a parameter, an input or a neighbour only
+repeats the tasks that it can affect.
 """
 
 from __future__ import annotations
@@ -29,14 +29,15 @@ from tiler.version import __version__
 
 @dataclass(frozen=True)
 class PassInputs:
-    """Results of earlier passes for the next pass: names in the store, and digests of their contents by bucket.
+    """Results of earlier passes for the next pass: their names in the store, and their digests by bucket.
 
     Attributes
     ----------
     labels, elected, elected_labels : str or None
-        Names in the store of the last labels of points, of the elected points, and of the last labels of these.
+        Names in the store of the latest labels of points, of the elected points, and of the latest labels of elected
+        points.
     of_candidates : bool
-        Whether the last labels of points are those of candidates.
+        Whether only candidates have these labels of points.
     digests, elected_digests : mapping of Cell to str
         Digests of a bucket's contents with the labels of its points, and of its elected points with their labels.
     n_elected : mapping of Cell to int
@@ -52,11 +53,17 @@ class PassInputs:
     n_elected: Mapping[Cell, int] = field(default_factory=dict)
 
     def after(
-        self, number: int, step: Pass, last: bool, few: bool, assembled: IngestResult, done: Commits
+        self,
+        number: int,
+        step: Pass,
+        is_last: bool,
+        candidates_only: bool,
+        assembled: IngestResult,
+        done: Commits,
     ) -> PassInputs:
         """Return the results after a finished pass that elects points or gives labels.
 
-        ``last`` is set if its labels are the last ones, and ``few`` if they are only those of candidates.
+        See `labels_given` for ``is_last`` and ``candidates_only``.
         """
         if step.elects:
             counts = dict.fromkeys(assembled.records, 0)
@@ -65,8 +72,8 @@ class PassInputs:
                 counts |= dict(zip(cells, tile.elected_points or (), strict=True))
             digests = _content_digests(assembled, ((tile, tile.elected) for tile in tile_records(done)))
             if step.gives_labels:
-                of_labels = label_digests(assembled, done)
-                digests = {cell: digest_of(digest, of_labels[cell]) for cell, digest in digests.items()}
+                with_labels = label_digests(assembled, done)
+                digests = {cell: digest_of(digest, with_labels[cell]) for cell, digest in digests.items()}
             return replace(
                 self,
                 elected=elected_name(number),
@@ -75,14 +82,14 @@ class PassInputs:
                 n_elected=counts,
             )
         digests = label_digests(assembled, done)
-        if step.elected and not last:
+        if step.elected and not is_last:
             both = {cell: digest_of(digest, self.elected_digests[cell]) for cell, digest in digests.items()}
             return replace(self, elected_labels=labels_name(number), elected_digests=both)
-        return replace(self, labels=labels_name(number), of_candidates=few, digests=digests)
+        return replace(self, labels=labels_name(number), of_candidates=candidates_only, digests=digests)
 
 
 def labels_name(number: int) -> str:
-    """Return the name in the store of the labels of a pass that is not the last one."""
+    """Return the name in the store of the labels of a pass that is not the last pass."""
     return f"{LABELS}-{number}"
 
 
@@ -92,62 +99,66 @@ def elected_name(number: int) -> str:
 
 
 def labels_given(plan: Plan, number: int, state: Mapping[str, Any]) -> tuple[bool, bool]:
-    """Return whether the labels of a pass are the last ones, and whether they are only those of candidates."""
+    """Return whether the labels of a pass are final, and whether only candidates get them."""
     params = METHODS[plan.config.method].params(**plan.parameters)
     step = params.passes[number]
     if not step.gives_labels:
         return False, False
     later = later_passes(params.passes, number, state)
-    few = not (step.elected or step.elects or step.label_margin_m) and plan.on_candidates
-    return not later, few and read_at_candidates(later)
+    can_skip_others = not (step.elected or step.elects or step.label_margin_m) and plan.on_candidates
+    return not later, can_skip_others and read_at_candidates(later)
 
 
 def filter_tasks(
-    plan: Plan, assembled: IngestResult, number: int, state: Mapping[str, Any], before: PassInputs
+    plan: Plan, assembled: IngestResult, number: int, state: Mapping[str, Any], inputs: PassInputs
 ) -> Iterator[Task]:
-    """Yield a task for each tile of a pass."""
+    """Yield a task for each tile of the pass with a number.
+
+    ``state`` and ``inputs`` are the state and the results after the earlier passes.
+    """
     frame = plan.meta.frame
     params = METHODS[plan.config.method].params(**plan.parameters)
     step = params.passes[number]
-    last, few = labels_given(plan, number, state)
-    if step.elected and before.elected is None:
-        raise ValueError(f"pass {step.name} works on elected points, and no pass before it elected any")
-    beyond = math.ceil(frame.counts(Fraction(influence_margin_m(step, params))))
-    margin = math.ceil(frame.counts(Fraction(repr(float(step.label_margin_m)))))
-    reads = "labels" in step.columns
+    is_last, candidates_only = labels_given(plan, number, state)
+    if step.elected and inputs.elected is None:
+        raise ValueError(f"pass {step.name} works on elected points, but no earlier pass elected any")
+    influence_margin = math.ceil(frame.counts(Fraction(influence_margin_m(step, params))))
+    label_margin = math.ceil(frame.counts(Fraction(repr(float(step.label_margin_m)))))
+    reads_labels = "labels" in step.columns
     records = {
-        cell: BucketPoints(record.n, record.n_candidates, before.n_elected.get(cell, 0))
+        cell: BucketPoints(record.n, record.n_candidates, inputs.n_elected.get(cell, 0))
         for cell, record in assembled.records.items()
     }
     scale = Scale(frame.metres_xy, frame.metres_z, frame.origin)
     for tile in tiles_of(plan, records, plan.passes[number]):
-        sight = plan.meta.bucket.hull(tile.cells).pad(max(tile.max_halo + beyond, margin))
+        margin = max(tile.max_halo + influence_margin, label_margin)
+        influence = plan.meta.bucket.hull(tile.cells).pad(margin)
         work = FilterTile(
             plan.config.method,
             plan.parameters,
             number,
-            step.local(state, local_window(sight, frame.origin), scale),
+            step.local(state, local_window(influence, frame.origin), scale),
             tile.cells,
             tile.halo,
             tile.max_halo,
             plan.config.keep_classes,
             skip_flags(plan),
-            labels_in=before.labels if reads else None,
-            labels_out=LABELS if last else labels_name(number),
-            elected_in=before.elected if step.elected else None,
-            elected_labels_in=before.elected_labels if step.elected and reads else None,
+            labels_in=inputs.labels if reads_labels else None,
+            labels_out=LABELS if is_last else labels_name(number),
+            elected_in=inputs.elected if step.elected else None,
+            elected_labels_in=inputs.elected_labels if step.elected and reads_labels else None,
             elected_out=elected_name(number) if step.elects else None,
-            of_elected=step.elected and not last,
-            of_candidates=few,
-            in_of_candidates=reads and before.of_candidates,
+            of_elected=step.elected and not is_last,
+            of_candidates=candidates_only,
+            in_of_candidates=reads_labels and inputs.of_candidates,
             held_bytes=held_bytes(plan.memory),
         )
-        digests = before.digests if reads else assembled.digests
-        near = plan.meta.bucket.among(sight, digests)
-        seen = [[c.ix, c.iy, digests[c]] for c in near]
-        made = [before.elected_digests[c] for c in near] if step.elected else []
+        digests = inputs.digests if reads_labels else assembled.digests
+        near = plan.meta.bucket.among(influence, digests)
+        bucket_digests = [[c.ix, c.iy, digests[c]] for c in near]
+        elected_digests = [inputs.elected_digests[c] for c in near] if step.elected else []
         points = sum(assembled.records[c].n for c in tile.cells)
-        digest = digest_of(__version__, work, seen, made)
+        digest = digest_of(__version__, work, bucket_digests, elected_digests)
         yield Task(f"filter{number}", f"t{tile.name}", digest, filter_tile, work, points)
 
 
@@ -157,14 +168,20 @@ def tile_records(filtered: Commits) -> Iterator[TileRecord]:
 
 
 def label_digests(assembled: IngestResult, filtered: Commits) -> dict[Cell, str]:
-    """Return the digest of each bucket's contents and of the labels that a pass gave it, if its tile succeeded."""
+    """Return a digest for each bucket, of its contents and of the labels that a pass gave its points.
+
+    Buckets of tiles that failed have no labels.
+    """
     return _content_digests(assembled, ((tile, tile.labels) for tile in tile_records(filtered)))
 
 
 def _content_digests(
     assembled: IngestResult, results: Iterable[tuple[TileRecord, str | None]]
 ) -> dict[Cell, str]:
-    """Return the digest of each bucket's contents and of the digest of its tile in ``results``."""
+    """Return a digest for each bucket, of its contents and of the result of its tile.
+
+    ``results`` are the records of tiles, each with the digest of its result.
+    """
     by_bucket: dict[Cell, str | None] = dict.fromkeys(assembled.records, "none")
     for tile, digest in results:
         by_bucket |= {Cell(*cell): digest for cell in tile.cells}

@@ -1,11 +1,11 @@
 """Division of the survey into filter tiles: sets of buckets with a window that fits the memory of a worker.
 
-The tiles of a lattice, quartered where they do not fit, serve passes that read every point or elected points, and all
-passes if the user asked for a tile size. Passes on candidates (one in each fine cell) get larger tiles, as their halos
-cost little: the survey is halved until each tile fits and each worker has one.
+Passes that read every point or elected points get the tiles of a lattice. Tiles that do not fit are quartered. If the
+user chose a tile size, all passes get these tiles. Otherwise passes on candidates (one in each fine cell) get larger
+tiles, as their halos cost little: the survey is halved until each tile fits and each worker has a tile.
 
-The cuts depend only on the number of points in the windows, which is known once the buckets are assembled, and on the
-memory of the first run on the store. Later runs with another memory find the same tiles.
+The tiles depend only on the number of points in the windows, which is known once the buckets are assembled, and on the
+memory of the first run on the store. Later runs with another memory get the same tiles.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from typing import NamedTuple
 from ptd.tin.mesh import MAX_EXTENT
 from tiler.core.lattice import Cell, Lattice
 from tiler.plan import Plan, PlannedPass
-from tiler.plan.halos import MAX_HALO_FACTOR, widened
+from tiler.plan.halos import MAX_HALO_FACTOR, widest_halo
 from tiler.plan.memory import BASE_BYTES, bucket_bytes, filter_bytes, held_bytes
 from tiler.plan.sizes import SPARSE_TILE_M
 
@@ -29,17 +29,17 @@ MAX_WINDOW = MAX_EXTENT // 2
 """Longest side of a window in counts for which a TIN is exact even if the method widens the window."""
 
 NEAR_HALF = 0.1
-"""Largest deviation from half of the points for the parts of a tile that is too large, as a share."""
+"""Largest deviation from half of the points, as a share, for the halves of a tile that is too large."""
 
 EQUAL_HALF = 0.05
-"""Largest deviation for tiles that are divided among workers, as the slowest tile decides the total time."""
+"""Largest deviation for tiles that are halved to occupy all workers, as the slowest tile determines the total time."""
 
 ROUNDEST = 1 << 62
-"""Power of two that counts as the largest divisor of the line 0, see `_halves`."""
+"""Power of two that counts as the divisor of the line 0, see `_halves`. It is larger than any other."""
 
 
 class BucketPoints(NamedTuple):
-    """Numbers of points of a bucket: all, candidates, and those that a pass elected."""
+    """Numbers of points of a bucket: all points, candidates, and points that a pass elected."""
 
     n: int
     n_candidates: int
@@ -56,7 +56,7 @@ class Tile:
     Attributes
     ----------
     name : str
-        Name of the tile's cell of the tile lattice. A part of a divided tile adds its level and place.
+        Name of the tile's cell in the lattice of tiles. Names of quarters also have a level and a cell at that level.
     cells : tuple of Cell
         Sorted buckets whose centres lie in the tile.
     halo, max_halo : int
@@ -72,8 +72,9 @@ class Tile:
 def tiles_of(plan: Plan, records: Records, step: PlannedPass) -> Iterator[Tile]:
     """Yield the tiles of a pass, from the west."""
     if plan.joins(step):
-        held = sum(record.n_candidates for record in records.values())
-        yield from _halved(plan, records, step, sorted(records), plan.wanted_tiles(held))
+        n_candidates = sum(record.n_candidates for record in records.values())
+        n_tiles = plan.n_joined_tiles(n_candidates)
+        yield from _halved(plan, records, step, sorted(records), n_tiles)
         return
     size = plan.meta.frame.counts(plan.tile)
     groups = _by_centre(plan.meta.bucket, records, size)
@@ -82,20 +83,23 @@ def tiles_of(plan: Plan, records: Records, step: PlannedPass) -> Iterator[Tile]:
 
 
 def _halved(
-    plan: Plan, records: Records, step: PlannedPass, cells: Sequence[Cell], wanted: int
+    plan: Plan, records: Records, step: PlannedPass, cells: Sequence[Cell], n_tiles: int
 ) -> Iterator[Tile]:
-    """Yield a tile, halved while more tiles are needed or its window is too wide or has too many points."""
+    """Yield the tiles of some buckets: one tile, or the tiles of both halves.
+
+    Buckets are halved if ``n_tiles`` is above 1, or if the tile or its window is too wide or has too many points.
+    """
     halo = _halo(plan, step)
-    across = plan.meta.bucket.hull(cells)
-    wide = max(across.x1 - across.x0, across.y1 - across.y0) > plan.meta.frame.counts(Fraction(SPARSE_TILE_M))
-    large = (
-        wide
+    bounds = plan.meta.bucket.hull(cells)
+    side = max(bounds.x1 - bounds.x0, bounds.y1 - bounds.y0)
+    too_large = (
+        side > plan.meta.frame.counts(Fraction(SPARSE_TILE_M))
         or _too_wide(plan, cells, halo)
         or _bytes(plan, records, step, cells, halo) > plan.tile_memory_of(step)
     )
-    if len(cells) > 1 and (large or wanted > 1):
-        for half in _halves(records, cells, NEAR_HALF if large else EQUAL_HALF):
-            yield from _halved(plan, records, step, half, wanted // 2)
+    if len(cells) > 1 and (too_large or n_tiles > 1):
+        for half in _halves(records, cells, NEAR_HALF if too_large else EQUAL_HALF):
+            yield from _halved(plan, records, step, half, n_tiles // 2)
         return
     columns = [cell.ix for cell in cells]
     rows = [cell.iy for cell in cells]
@@ -104,31 +108,33 @@ def _halved(
     yield Tile(name, tuple(sorted(cells)), halo, _widest(plan, records, step, cells, halo))
 
 
-def _halves(records: Records, cells: Sequence[Cell], near: float) -> list[list[Cell]]:
+def _halves(records: Records, cells: Sequence[Cell], tolerance: float) -> list[list[Cell]]:
     """Divide buckets by a line across the longer side.
 
-    Candidate lines leave half of the points on each side, within ``near`` of all points. The line with the roundest
-    number wins (the one divisible by the highest power of two), so that a survey that grows keeps most of its tiles. If
-    there is no such line, the line nearest to half wins.
+    A line is suitable if each side has half of the points, with a deviation of at most ``tolerance`` of all points. Of
+    the suitable lines, the line whose number is divisible by the highest power of two is chosen, so that a survey that
+    grows keeps most of its tiles. If no line is suitable, the line with the smallest deviation is chosen.
     """
     columns = [cell.ix for cell in cells]
     rows = [cell.iy for cell in cells]
     axis = "ix" if max(columns) - min(columns) >= max(rows) - min(rows) else "iy"
-    held: Counter[int] = Counter()
+    points_of_line: Counter[int] = Counter()
     for cell in cells:
-        held[getattr(cell, axis)] += records[cell].n_candidates + 1
-    lines = []
-    below = 0
-    total = held.total()
-    for previous_line, line in pairwise(sorted(held)):
-        below += held[previous_line]
-        off = abs(below / total - 0.5)
-        round_to = (line & -line or ROUNDEST) if off <= near else 0
-        lines.append((off > near, -round_to, off, line))
-    cut = min(lines)[-1]
-    west = [cell for cell in cells if getattr(cell, axis) < cut]
-    east = [cell for cell in cells if getattr(cell, axis) >= cut]
-    return [west, east]
+        points_of_line[getattr(cell, axis)] += records[cell].n_candidates + 1
+    ranked = []
+    before = 0
+    total = points_of_line.total()
+    for previous_line, line in pairwise(sorted(points_of_line)):
+        before += points_of_line[previous_line]
+        deviation = abs(before / total - 0.5)
+        divisor = 0
+        if deviation <= tolerance:
+            divisor = line & -line or ROUNDEST
+        ranked.append((-divisor, deviation, line))
+    cut = min(ranked)[-1]
+    first = [cell for cell in cells if getattr(cell, axis) < cut]
+    second = [cell for cell in cells if getattr(cell, axis) >= cut]
+    return [first, second]
 
 
 def _fitting(
@@ -147,8 +153,8 @@ def _fitting(
         quarters = _by_centre(plan.meta.bucket, cells, size / 2)
         root = name.split(".")[0]
         for quarter in sorted(quarters):
-            below = f"{root}.{level + 1}{quarter.name}"
-            yield from _fitting(plan, records, step, quarters[quarter], below, size / 2, level + 1)
+            quarter_name = f"{root}.{level + 1}{quarter.name}"
+            yield from _fitting(plan, records, step, quarters[quarter], quarter_name, size / 2, level + 1)
         return
     yield Tile(name, tuple(sorted(cells)), halo, _widest(plan, records, step, cells, halo))
 
@@ -163,12 +169,12 @@ def _too_wide(plan: Plan, cells: Sequence[Cell], halo: int) -> bool:
 
 
 def _widest(plan: Plan, records: Records, step: PlannedPass, cells: Sequence[Cell], halo: int) -> int:
-    most = plan.tile_memory_of(step)
-    return widened(step, halo, lambda wider: _bytes(plan, records, step, cells, wider) <= most)
+    memory = plan.tile_memory_of(step)
+    return widest_halo(step, halo, lambda wider: _bytes(plan, records, step, cells, wider) <= memory)
 
 
 def _by_centre(lattice: Lattice, cells: Iterable[Cell], size: Fraction) -> dict[Cell, list[Cell]]:
-    """Group buckets by the cell of ``size`` counts that contains their centre."""
+    """Group buckets by cells with a side of ``size`` counts. A bucket belongs to the cell with its centre."""
     cells_by_centre: dict[Cell, list[Cell]] = defaultdict(list)
     half = Fraction(1, 2)
     for cell in cells:
@@ -183,23 +189,24 @@ def _bytes(plan: Plan, records: Records, step: PlannedPass, cells: Sequence[Cell
     lattice = plan.meta.bucket
     window = lattice.hull(cells).pad(halo)
     near = lattice.among(window, records)
-    if step.work.elected:
-        held = [records[cell].n_elected for cell in near]
-    elif plan.on_candidates and not step.work.every_point:
-        held = [records[cell].n_candidates for cell in near]
+    if step.pass_.elected:
+        points = sum(records[cell].n_elected for cell in near)
+    elif plan.on_candidates and not step.pass_.every_point:
+        points = sum(records[cell].n_candidates for cell in near)
     else:
-        held = [records[cell].n for cell in near]
-    area = len(held) * plan.bucket_m**2
-    bucket = float(max(records[cell].n for cell in cells))
-    kept = 0
-    if step.work.label_margin_m:
-        bucket *= (1 + 2 * step.work.label_margin_m / plan.bucket_m) ** 2
-        kept = held_bytes(plan.tile_memory)
-    if step.work.raster_cell_m:
-        across = lattice.hull(near).intersection(window).area() * float(plan.meta.frame.metres_xy) ** 2
-        window_bytes = filter_bytes(sum(held), across, 0.0, step, plan.fine_m)
-    elif step.work.elected:  # the number of elected points is known
-        window_bytes = filter_bytes(sum(held), area, 0.0, step, plan.fine_m)
-    else:
-        window_bytes = filter_bytes(sum(held), area, plan.candidate_cell_m, step, plan.fine_m)
-    return int(BASE_BYTES + window_bytes + bucket_bytes(bucket) + kept)
+        points = sum(records[cell].n for cell in near)
+    area_m2 = len(near) * plan.bucket_m**2
+    bucket_points = float(max(records[cell].n for cell in cells))
+    kept_bytes = 0
+    if step.pass_.label_margin_m:
+        bucket_points *= (1 + 2 * step.pass_.label_margin_m / plan.bucket_m) ** 2
+        kept_bytes = held_bytes(plan.tile_memory)
+    cell_m = plan.candidate_cell_m
+    if step.pass_.raster_cell_m:
+        # A raster also has cells in buckets without points.
+        area_m2 = lattice.hull(near).intersection(window).area() * float(plan.meta.frame.metres_xy) ** 2
+        cell_m = 0.0
+    elif step.pass_.elected:
+        cell_m = 0.0  # The number of elected points is known, so no maximum is assumed.
+    window_bytes = filter_bytes(points, area_m2, cell_m, step, plan.fine_m)
+    return int(BASE_BYTES + window_bytes + bucket_bytes(bucket_points) + kept_bytes)

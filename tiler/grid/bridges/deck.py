@@ -1,4 +1,4 @@
-"""Detection of the deck of a bridge: it stands free, and a road goes on at both ends.
+"""Detection of bridge decks, which have lower ground on both sides and a road at both ends.
 
 Precision is more important than recall, so each of these conditions has to be true:
 
@@ -43,10 +43,10 @@ STRAIGHT = 0.02
 """Slope of a deck's edges relative to its direction below which the direction is not adjusted."""
 ROAD_SLICES = 3
 """Number of slices beyond an end in which the road has to go on."""
-MIN_ROAD_SLICES, MOSTLY_ROAD = 3, 0.5
+MIN_ROAD_POINTS, MIN_ROAD_SHARE = 3, 0.5
 """Least number of ground points of the road in these slices, and their least share of all points in them."""
 INNER_M = 0.7
-"""Distance within a deck's edges from which a point counts as beneath the deck."""
+"""Least distance from the edges of a deck of a point that counts as beneath the deck."""
 WIDER_M = 0.3
 """Distance by which the outline of a deck is wider than its points, on each side."""
 ALIKE, ALIKE_M = 0.35, 0.7
@@ -83,11 +83,12 @@ class Deck:
 
 @dataclass(frozen=True)
 class _View:
-    """Points in the coordinates of a deck: s along it, t across it, height above its surface, and its slices.
+    """Points in the coordinates of a deck, and the slices of the deck.
 
     Attributes
     ----------
     s, t, off : float64 (n,)
+        Positions along and across the deck, and heights above its surface.
     surface : (float, float, float, float)
     starts : float64 (slices,)
         Start of each slice along s.
@@ -122,41 +123,51 @@ def find_deck(
         Spacing of the points.
     """
     centre = np.median(xyz[seeds, :2], axis=0)
-    along, turns = np.array((-across[1], across[0])), 0
+    along = np.array((-across[1], across[0]))
+    turns = 0
     while True:
-        view = _seen(xyz, seeds, centre, along, spacing_m)
+        view = _view(xyz, seeds, centre, along, spacing_m)
         if view is None:
             return None, "not smooth"
-        free = _longest(view.sides.both_free())
+        free = _longest_run(view.sides.both_free())
         if free is None:
             return None, "no part stands free on both sides"
         slope = _slope(view, free)
         if turns == MAX_TURNS or abs(slope) < STRAIGHT:
             break
-        along, turns = along + slope * np.array((-along[1], along[0])), turns + 1
+        along = along + slope * np.array((-along[1], along[0]))
         along = along / np.hypot(*along)
+        turns += 1
     edges = view.sides.edge[free]
-    long, wide = len(free) * view.width, float(np.median(edges[:, 1] - edges[:, 0]))
+    length = len(free) * view.width
+    width = float(np.median(edges[:, 1] - edges[:, 0]))
     levels = np.median(view.sides.level[free], axis=0)
-    why = _wrong_size(long, wide, len(free)) or _wrong_levels(levels)
-    for end, step in ((int(free[-1]), 1), (int(free[0]), -1)):
-        why = why or _wrong_end(view, ground, edges, end, step, float(-levels.max()))
-    if why:
-        return None, why
+    clearance = float(-levels.max())
+    reason = (
+        _wrong_size(length, width, len(free))
+        or _wrong_levels(levels)
+        or _wrong_end(view, ground, edges, int(free[-1]), 1, clearance)
+        or _wrong_end(view, ground, edges, int(free[0]), -1, clearance)
+    )
+    if reason:
+        return None, reason
     ring = _ring(view, free) @ np.array((along, (-along[1], along[0]))) + centre
-    position, direction = (float(centre[0]), float(centre[1])), (float(along[0]), float(along[1]))
+    position = (float(centre[0]), float(centre[1]))
+    direction = (float(along[0]), float(along[1]))
     below = _beneath(view, free, edges)
-    return Deck(ring, position, direction, view.surface, long, wide, float(-levels.max()), below), ""
+    return Deck(ring, position, direction, view.surface, length, width, clearance, below), ""
 
 
-def _seen(xyz: Floats, seeds: Bools, centre: Floats, along: Floats, spacing: float) -> _View | None:
+def _view(xyz: Floats, seeds: Bools, centre: Floats, along: Floats, spacing: float) -> _View | None:
     """Return the points in the coordinates of a deck, or None if its seeds do not form a surface."""
     s, t = _rotated(xyz[:, :2] - centre, along)
     surface = _fitted(s, t, xyz[:, 2], seeds)
     if surface is None:
         return None
-    off, width = xyz[:, 2] - _height(surface, s, t), max(MIN_SLICE_M, 2.5 * spacing)
-    first, last = s[seeds].min() - 2 * END_M, s[seeds].max() + 2 * END_M
+    off = xyz[:, 2] - _height(surface, s, t)
+    width = max(MIN_SLICE_M, 2.5 * spacing)
+    first = s[seeds].min() - 2 * END_M
+    last = s[seeds].max() + 2 * END_M
     numbers = np.arange(np.floor(first / width), np.ceil(last / width))
     return _View(s, t, off, surface, numbers * width, width, sides_of(s, t, off, numbers, width, spacing))
 
@@ -168,41 +179,43 @@ def _slope(view: _View, free: Ints) -> float:
     return float(np.mean([np.polyfit(view.starts[free], view.sides.edge[free, k], 1)[0] for k in (0, 1)]))
 
 
-def _wrong_size(long: float, wide: float, slices: int) -> str:
-    shortest = max(MIN_LENGTH_M, SLIMNESS * wide)
-    if MIN_WIDTH_M <= wide <= MAX_WIDTH_M and shortest <= long <= MAX_LENGTH_M and slices >= MIN_SLICES:
-        return ""
-    return f"{long:.0f} m by {wide:.0f} m"
+def _wrong_size(length: float, width: float, n_slices: int) -> str:
+    """Return the size of the free part if it is wrong for a deck, or an empty text."""
+    min_length = max(MIN_LENGTH_M, SLIMNESS * width)
+    fits = MIN_WIDTH_M <= width <= MAX_WIDTH_M and min_length <= length <= MAX_LENGTH_M
+    return "" if fits and n_slices >= MIN_SLICES else f"{length:.0f} m by {width:.0f} m"
 
 
 def _wrong_levels(levels: Floats) -> str:
-    clearance, differ = float(-levels.max()), float(abs(levels[0] - levels[1]))
+    """Return why the levels of the ground next to both sides are wrong for a deck, or an empty text."""
+    clearance = float(-levels.max())
+    difference = float(abs(levels[0] - levels[1]))
     if clearance < CLEARANCE_M:
         return f"clearance {clearance:.1f} m"
-    return f"sides differ by {differ:.1f} m" if differ > max(ALIKE_M, ALIKE * clearance) else ""
+    return f"sides differ by {difference:.1f} m" if difference > max(ALIKE_M, ALIKE * clearance) else ""
 
 
 def _wrong_end(view: _View, ground: Bools, edges: Floats, end: int, step: int, clearance: float) -> str:
-    """Check one end of the free part: the ground next to it has to rise there, and the road has to go on.
+    """Check that the ground next to the deck rises beyond the slice ``end``, and that the road continues.
 
-    Return what is wrong, or an empty text.
+    Slices beyond the end have higher numbers if ``step`` is 1, and lower numbers if it is -1. Return the reason why
+    this is not the end of a deck, or an empty text.
     """
     n_slices = int(np.ceil(END_M / view.width))
-    near = np.array(
-        [i for k in range(1, n_slices + 1) if 0 <= (i := end + step * k) < len(view.starts)], np.intp
-    )
+    near = end + step * np.arange(1, n_slices + 1)
+    near = near[(near >= 0) & (near < len(view.starts))]
     # The ground is halfway up, or it is as high as the deck and extends beyond the edge.
     up = view.sides.level[near] > -0.5 * clearance
     up |= (view.sides.edge[near] - np.median(edges, axis=0)) * (-1, 1) > BESIDE_M / 2
     if not up.any(axis=0).all():
-        return "the ground beside does not come up at an end"
-    begins = view.starts[near[:ROAD_SLICES]]
-    box = (view.s >= begins.min()) & (view.s < begins.max() + view.width)
+        return "the ground next to the deck does not rise at an end"
+    road_starts = view.starts[near[:ROAD_SLICES]]
+    box = (view.s >= road_starts.min()) & (view.s < road_starts.max() + view.width)
     box &= (view.t > np.median(edges[:, 0])) & (view.t < np.median(edges[:, 1]))
-    road = int((box & ground & (np.abs(view.off) < 2 * TOLERANCE_M)).sum())
-    if road >= max(MIN_ROAD_SLICES, MOSTLY_ROAD * int(box.sum())):
+    n_road = int((box & ground & (np.abs(view.off) < 2 * TOLERANCE_M)).sum())
+    if n_road >= max(MIN_ROAD_POINTS, MIN_ROAD_SHARE * int(box.sum())):
         return ""
-    return "no road goes on at an end"
+    return "the road does not continue at an end"
 
 
 def _beneath(view: _View, free: Ints, edges: Floats) -> int:
@@ -233,9 +246,9 @@ def _height(surface: Surface, s: Floats, t: Floats) -> Floats:
 
 def _fitted(s: Floats, t: Floats, z: Floats, seeds: Bools) -> Surface | None:
     """Fit a surface to the seeds, without outliers. Return None if too few seeds are near it."""
-    rows = np.flatnonzero(seeds)
-    median = np.median(z[rows])
-    rows = rows[np.abs(z[rows] - median) < max(1.5, 2 * float(np.median(np.abs(z[rows] - median))))]
+    all_rows = np.flatnonzero(seeds)
+    deviations = np.abs(z[all_rows] - np.median(z[all_rows]))
+    rows = all_rows[deviations < max(1.5, 2 * float(np.median(deviations)))]
     surface = None
     for limit in (2.0, 1.0, 0.5, TOLERANCE_M):
         if len(rows) < 12:
@@ -243,18 +256,20 @@ def _fitted(s: Floats, t: Floats, z: Floats, seeds: Bools) -> Surface | None:
         terms = np.column_stack((np.ones(len(rows)), s[rows], s[rows] ** 2, t[rows]))
         solved = np.linalg.lstsq(terms, z[rows], rcond=None)[0]
         surface = (float(solved[0]), float(solved[1]), float(solved[2]), float(solved[3]))
-        every = np.flatnonzero(seeds)
-        rows = every[np.abs(z[every] - _height(surface, s[every], t[every])) < limit]
+        rows = all_rows[np.abs(z[all_rows] - _height(surface, s[all_rows], t[all_rows])) < limit]
     return surface if len(rows) > 0.4 * seeds.sum() else None
 
 
-def _longest(free: Bools) -> Ints | None:
-    """Return the indices of True in the longest run, or None. A single False does not end a run."""
+def _longest_run(free: Bools) -> Ints | None:
+    """Return the indices of the longest run of free slices, or None if it has fewer than two.
+
+    A single slice that is not free does not end a run, but it is left out.
+    """
     closed = free.copy()
     closed[1:-1] |= free[:-2] & free[2:]
-    steps = np.flatnonzero(np.diff(closed, prepend=False, append=False)).reshape(-1, 2)
-    if not len(steps):
+    runs = np.flatnonzero(np.diff(closed, prepend=False, append=False)).reshape(-1, 2)
+    if not len(runs):
         return None
-    start, stop = steps[np.argmax(steps[:, 1] - steps[:, 0])]
+    start, stop = runs[np.argmax(runs[:, 1] - runs[:, 0])]
     rows = np.arange(start, stop)
     return rows[free[rows]] if free[rows].sum() >= 2 else None

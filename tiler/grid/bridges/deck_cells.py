@@ -1,4 +1,4 @@
-"""Coarse cells that may be a bridge deck: narrow, drops on both sides, roads at both ends.
+"""Search for coarse cells that may be a bridge deck: narrow, with drops on both sides and roads at both ends.
 
 The result depends only on cells within `REACH_M` of a cell.
 """
@@ -24,7 +24,7 @@ CLEAR_M = 1.8
 STEP_M = 0.5
 """Largest height difference between neighbouring cells of a deck."""
 MAX_WIDTH_M, MAX_LENGTH_M, VOID_M = 40.0, 60.0, 40.0
-"""Largest width of a deck, largest distance along it to ground, and largest distance across water to a bank."""
+"""Largest width of a deck, largest distance along a deck to ground, and largest distance across water to a bank."""
 REACH_M = MAX_WIDTH_M + MAX_LENGTH_M + VOID_M
 
 
@@ -65,32 +65,34 @@ class DeckCells:
 
 
 def deck_cells(cells: DeckCells) -> tuple[Ints, Ints, Ints]:
-    """Return rows, columns and numbers of the direction across the deck, for the cells that may be decks."""
+    """Return the cells that may be decks: rows, columns, and the number of the direction across the deck."""
     spans = [_spans(cells, direction) for direction in range(DIRECTIONS)]
     marked = np.zeros(cells.top.shape, np.bool_)
     for rows, cols, _ in spans:
         marked[rows, cols] = True
     good_cells = [np.empty((3, 0), np.int64)]
-    for direction, (rows, cols, middle) in enumerate(spans):
-        ends = np.ones(int(middle.max(initial=-1)) + 1, np.bool_)
-        first = np.unique(middle, return_index=True)[1]
+    for direction, (rows, cols, number) in enumerate(spans):
+        # The first cell of each span is its middle.
+        middle = np.unique(number, return_index=True)[1]
+        has_roads = np.ones(int(number.max(initial=-1)) + 1, np.bool_)
         for sign in (1, -1):
-            ends &= _road_goes_on(cells, marked, rows[first], cols[first], direction, sign)
-        good = ends[middle]
+            has_roads &= _road_goes_on(cells, marked, rows[middle], cols[middle], direction, sign)
+        good = has_roads[number]
         good_cells.append(np.stack((rows[good], cols[good], np.full(int(good.sum()), direction))))
     rows, cols, directions = np.concatenate(good_cells, axis=1)
     return rows, cols, directions
 
 
 def along(direction: int, steps: int) -> tuple[int, int]:
-    """Return the rows down and columns to the right for a number of steps in a direction."""
+    """Convert a number of steps in a direction to rows down and columns to the right."""
     angle = math.pi * direction / DIRECTIONS
     return -round(steps * math.sin(angle)), round(steps * math.cos(angle))
 
 
 def _drops(cells: DeckCells, rows: Ints, cols: Ints, height: Floats, direction: int, sign: int) -> Bools:
-    """Return whether the ground next to cells, or the first point beyond water, is lower by `CLEAR_M`."""
-    has_drop, waiting = np.zeros(len(rows), np.bool_), np.ones(len(rows), np.bool_)
+    """Return a mask of the cells next to which the ground, or the first point beyond water, is `CLEAR_M` lower."""
+    has_drop = np.zeros(len(rows), np.bool_)
+    waiting = np.ones(len(rows), np.bool_)
     for step in range(1, cells.steps(VOID_M) + 1):
         down, right = along(direction, sign * step)
         low = cells.at(cells.low, rows + down, cols + right)
@@ -103,7 +105,10 @@ def _drops(cells: DeckCells, rows: Ints, cols: Ints, height: Floats, direction: 
 
 
 def _spans(cells: DeckCells, direction: int) -> tuple[Ints, Ints, Ints]:
-    """Return rows, columns and span numbers of the cells between two drops. The middle cell of a span comes first."""
+    """Return rows, columns and span numbers of the cells between two drops.
+
+    A span is a line of cells across a deck, from one drop to the other. Its middle cell comes first.
+    """
     rows, cols = (axis.astype(np.int64) for axis in np.nonzero(~np.isnan(cells.top)))
     edge = _drops(cells, rows, cols, cells.top[rows, cols], direction, 1)
     rows, cols = rows[edge], cols[edge]
@@ -117,11 +122,9 @@ def _spans(cells: DeckCells, direction: int) -> tuple[Ints, Ints, Ints]:
         rows, cols = start_rows + down, start_cols + right
         here = cells.at(cells.top, rows, cols)
         gap = np.isnan(here) & cells.inside(rows, cols)
-        go_on = (
-            ~ended & (gap | (np.abs(here - previous_top) <= STEP_M))
-            if step
-            else gap | (np.abs(here - previous_top) <= STEP_M)
-        )
+        go_on = gap | (np.abs(here - previous_top) <= STEP_M)
+        if step:
+            go_on &= ~ended
         previous_top = np.where(gap, previous_top, here)[go_on]
         rows, cols, start_rows, start_cols = rows[go_on], cols[go_on], start_rows[go_on], start_cols[go_on]
     first_rows, first_cols, steps = np.concatenate(spans, axis=1)
@@ -131,33 +134,35 @@ def _spans(cells: DeckCells, direction: int) -> tuple[Ints, Ints, Ints]:
         has = np.flatnonzero(steps >= step)
         middle = (step == steps[has] // 2).astype(np.int64)
         span_cells.append(np.stack((has, 1 - middle, first_rows[has] + down, first_cols[has] + right)))
-    number, _, rows, cols = (whole := np.concatenate(span_cells, axis=1))[:, np.lexsort((whole[1], whole[0]))]
-    return rows, cols, number
+    number, not_middle, rows, cols = np.concatenate(span_cells, axis=1)
+    order = np.lexsort((not_middle, number))
+    return rows[order], cols[order], number[order]
 
 
 def _road_goes_on(
     cells: DeckCells, marked: Bools, rows: Ints, cols: Ints, direction: int, sign: int
 ) -> Bools:
-    """Return whether a way along a deck leads without a step to ground that is not a deck, for each cell."""
+    """Return a mask of the cells from which ground beyond the deck can be reached without a step in height.
+
+    The path is straight, at right angles to the direction ``direction`` across the deck.
+    """
     goes_on = np.zeros(len(rows), np.bool_)
-    ways, previous_top, gaps = (
-        np.arange(len(rows)),
-        cells.at(cells.top, rows, cols),
-        np.zeros(len(rows), np.int64),
-    )
+    paths = np.arange(len(rows))
+    previous_top = cells.at(cells.top, rows, cols)
+    gaps = np.zeros(len(rows), np.int64)
     arrived = np.zeros(len(rows), np.int64)
     turn = direction + sign * DIRECTIONS // 2
     for step in range(1, cells.steps(MAX_LENGTH_M) + 1):
         down, right = along(turn, step)
-        r, c = rows[ways] + down, cols[ways] + right
+        r, c = rows[paths] + down, cols[paths] + right
         here, inside = cells.at(cells.top, r, c), cells.inside(r, c)
         unknown = np.isnan(here)
         gaps = np.where(unknown, gaps + 1, 0)
-        road = np.zeros(len(ways), np.bool_)
+        road = np.zeros(len(paths), np.bool_)
         road[inside] = cells.ground[r[inside], c[inside]] & ~marked[r[inside], c[inside]]
         arrived = np.where(unknown, arrived, np.where(road, arrived + 1, 0))
-        goes_on[ways[arrived >= 2]] = True
+        goes_on[paths[arrived >= 2]] = True
         go_on = inside & (arrived < 2) & np.where(unknown, gaps <= 2, np.abs(here - previous_top) <= STEP_M)
         previous_top = np.where(unknown, previous_top, here)[go_on]
-        ways, gaps, arrived = ways[go_on], gaps[go_on], arrived[go_on]
+        paths, gaps, arrived = paths[go_on], gaps[go_on], arrived[go_on]
     return goes_on

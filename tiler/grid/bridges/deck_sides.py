@@ -17,14 +17,24 @@ TOLERANCE_M = 0.3
 BESIDE_M = 4.0
 """Distance from an edge within which the ground has to be lower."""
 FARTHER_M = 40.0
-"""Largest distance from an edge to the next point beyond it, as water next to a deck may not return pulses."""
+"""Largest distance from an edge to the next lower point. Water in between may not return pulses."""
 BETWEEN = 0.34
 """Largest share of the points next to an edge that may lie between the deck and the ground below it."""
 
 
 @dataclass(frozen=True)
 class DeckEdges:
-    """Edge, freedom and height next to the deck for each slice and side: arrays (slices, 2)."""
+    """Edges of a deck: arrays (slices, 2), for both sides of each slice.
+
+    Attributes
+    ----------
+    edge : float64
+        Position of the edge across the deck.
+    free : bool
+        Whether the ground next to the edge is lower, with few points in between.
+    level : float64
+        Height of the ground next to the edge above the surface of the deck, or NaN if it is unknown.
+    """
 
     edge: Floats
     free: Bools
@@ -43,7 +53,9 @@ def sides_of(s: Floats, t: Floats, off: Floats, bins: Floats, width: float, spac
     spacing is ``spacing``.
     """
     n = len(bins)
-    edge, free, level = np.full((n, 2), np.nan), np.zeros((n, 2), np.bool_), np.full((n, 2), np.nan)
+    edge = np.full((n, 2), np.nan)
+    free = np.zeros((n, 2), np.bool_)
+    level = np.full((n, 2), np.nan)
     number = np.floor(s / width) - bins[0]
     order = np.argsort(number, kind="stable")
     starts = np.searchsorted(number[order], np.arange(n + 1))
@@ -66,11 +78,16 @@ def _around_zero(t: Floats, gap: float) -> tuple[float, float] | None:
         return None
     groups = np.split(t, np.flatnonzero(np.diff(t) > gap) + 1)
     best = min(groups, key=lambda g: max(g[0], -g[-1], 0.0))
-    return None if max(best[0], -best[-1]) > gap or len(best) < 2 else (float(best[0]), float(best[-1]))
+    if max(best[0], -best[-1]) > gap or len(best) < 2:
+        return None
+    return float(best[0]), float(best[-1])
 
 
 def _beside(away: Floats, off: Floats) -> tuple[bool, float]:
-    """Return whether the ground next to an edge is lower, with few points in between, and its height ``off``."""
+    """Return whether an edge is free, and the level of the ground next to it (see `DeckEdges`).
+
+    ``away`` and ``off`` are the distances of points beyond the edge, and their heights above the surface of the deck.
+    """
     near = (away > 0.2) & (away < BESIDE_M) & (off < TOLERANCE_M)
     lower = off[near & (off < -DROP_M)]
     if not len(lower):

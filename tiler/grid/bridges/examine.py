@@ -1,4 +1,4 @@
-"""Decks of bridges among the points of a run: first the candidate cells of each block, then each candidate."""
+"""Tasks that search for bridge decks: find the candidate cells of each block, then examine each candidate."""
 
 from __future__ import annotations
 
@@ -22,7 +22,8 @@ from tiler.store import TileStore, open_store
 
 Bools = npt.NDArray[np.bool_]
 Counts = npt.NDArray[np.int64]
-PlaceCells = tuple[tuple[int, int, int], ...]
+CandidateCells = tuple[tuple[int, int, int], ...]
+"""Row, column and direction across (see `deck_cells`) of each cell of a candidate."""
 
 AROUND_M = 45.0
 """Distance from a candidate within which points are examined."""
@@ -30,7 +31,7 @@ VOXEL_M = (0.25, 0.25, 0.1)
 """Sides of the voxels that replace points, so that neither their density nor their order matters."""
 LOWEST = -(1 << 31)
 """Height in counts below which no point lies."""
-FEWEST = 12
+MIN_POINTS = 12
 """Least number of points of a deck."""
 MAX_DIRECTIONS = 3
 """Largest number of directions across a deck that are tried. The directions of most cells come first."""
@@ -38,7 +39,7 @@ MAX_DIRECTIONS = 3
 
 @dataclass(frozen=True, kw_only=True)
 class FindDeckCells(BlockWork):
-    """Arguments of `find_deck_cells`: a block of coarse cells, and the ground without edits as ``rule``."""
+    """Arguments of `find_deck_cells`: a block of coarse cells, and the rule for ground points, without edits."""
 
     rule: GroundSelection
 
@@ -52,13 +53,13 @@ class ExamineDecks:
     rule : GroundSelection
     spec : RasterSpec
         Raster of the coarse cells.
-    places : tuple of tuples of (row, column, direction)
-        Cells of each candidate, see `tiler.grid.bridges.deck_cells.deck_cells`.
+    places : tuple of CandidateCells
+        Cells of each candidate.
     """
 
     rule: GroundSelection
     spec: RasterSpec
-    places: tuple[tuple[tuple[int, int, int], ...], ...]
+    places: tuple[CandidateCells, ...]
 
 
 def find_deck_cells(store_url: str, work: FindDeckCells) -> dict[str, Any]:
@@ -73,7 +74,8 @@ def find_deck_cells(store_url: str, work: FindDeckCells) -> dict[str, Any]:
     size_m = float(spec.lattice.size * store.meta.frame.metres_xy)
     pad = math.ceil(REACH_M / size_m)
     shape = (block.height + 2 * pad, block.width + 2 * pad)
-    low, top = np.full(shape, np.inf, np.float32), np.full(shape, -np.inf, np.float32)
+    low = np.full(shape, np.inf, np.float32)
+    top = np.full(shape, -np.inf, np.float32)
     window = Block(block.row - pad, block.col - pad, *shape)
     bounds = spec.block_bounds(window)
     for cell in store.buckets_within(bounds):
@@ -100,60 +102,62 @@ def examine_decks(store_url: str, work: ExamineDecks) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``decks``: ``ring``, ``surface`` (as of `tiler.core.edits.DeckSurface`, without its limits), ``length_m``,
-        ``width_m``, ``clearance_m`` and ``below`` of each deck; ``reasons``: why each other candidate is not a deck.
+        ``decks``: ``ring``, ``surface`` (the fields of `tiler.core.edits.DeckSurface` up to its limits), ``length_m``,
+        ``width_m``, ``clearance_m`` and ``below`` of each deck. ``reasons``: why each other candidate is not a deck.
     """
     store, spec = open_store(store_url), work.spec
     frame = store.meta.frame
     metres = np.array((frame.metres_xy, frame.metres_xy, frame.metres_z), np.float64)
-    bounds = [examined(spec, cells, float(frame.metres_xy)) for cells in work.places]
+    bounds = [examined_bounds(spec, cells, float(frame.metres_xy)) for cells in work.places]
     xyz, ground = _voxels(store, work.rule, reduce(Bounds.union, bounds), metres)
     decks, reasons = [], []
     for cells, window in zip(work.places, bounds, strict=True):
         x, y = xyz[:, 0], xyz[:, 1]
         inside = (x >= window.x0) & (x < window.x1) & (y >= window.y0) & (y < window.y1)
-        deck, why = _examine(spec, cells, window, xyz[inside], ground[inside], metres)
-        reasons += [why] if deck is None else []
-        decks += [] if deck is None else [deck]
+        deck, reason = _examine(spec, cells, window, xyz[inside], ground[inside], metres)
+        if deck is None:
+            reasons.append(reason)
+        else:
+            decks.append(deck)
     return {"decks": decks, "reasons": reasons}
 
 
 def _examine(
-    spec: RasterSpec, cells: PlaceCells, window: Bounds, counts: Counts, ground: Bools, metres: Any
+    spec: RasterSpec, cells: CandidateCells, window: Bounds, counts: Counts, ground: Bools, metres: Any
 ) -> tuple[dict[str, Any] | None, str]:
     """Find a deck among the points of a window. Return it, or None and the reason why there is none."""
-    if len(counts) < FEWEST:
+    if len(counts) < MIN_POINTS:
         return None, "too few points"
-    rows, cols = (
-        spec.north - 1 - spec.lattice.index(counts[:, 1]),
-        spec.lattice.index(counts[:, 0]) - spec.west,
-    )
+    rows = spec.north - 1 - spec.lattice.index(counts[:, 1])
+    cols = spec.lattice.index(counts[:, 0]) - spec.west
     top, left = int(rows.min()), int(cols.min())
-    rows, cols, shape = rows - top, cols - left, (int(rows.max()) - top + 1, int(cols.max()) - left + 1)
+    rows, cols = rows - top, cols - left
+    shape = (int(rows.max()) + 1, int(cols.max()) + 1)
     occupied = np.zeros(shape, np.bool_)
     occupied[rows, cols] = True
     side = float(spec.lattice.size) * float(metres[0])
     spacing = side * math.sqrt(int(occupied.sum()) / len(counts))
     corner = np.array((window.x0, window.y0, 0.0))
     xyz = (counts - corner) * metres
-    cell_array, why = np.array(cells), "too few points"
+    cell_array = np.array(cells)
+    reason = "too few points"
     votes = np.bincount(cell_array[:, 2], minlength=DIRECTIONS)
     for direction in np.argsort(-votes, kind="stable")[:MAX_DIRECTIONS].tolist():
         mask = np.zeros(shape, np.bool_)
         cells_of_direction = cell_array[cell_array[:, 2] == direction, :2] - (top, left)
-        there = ((cells_of_direction >= 0) & (cells_of_direction < shape)).all(axis=1)
-        mask[cells_of_direction[there, 0], cells_of_direction[there, 1]] = True
+        inside = ((cells_of_direction >= 0) & (cells_of_direction < shape)).all(axis=1)
+        mask[cells_of_direction[inside, 0], cells_of_direction[inside, 1]] = True
         seeds = mask[rows, cols]
-        if seeds.sum() < FEWEST:
+        if seeds.sum() < MIN_POINTS:
             continue
         angle = math.pi * direction / DIRECTIONS
-        deck, why = find_deck(xyz, ground, seeds, (math.cos(angle), math.sin(angle)), spacing)
+        deck, reason = find_deck(xyz, ground, seeds, (math.cos(angle), math.sin(angle)), spacing)
         if deck is not None:
             return _record(deck, metres, corner), ""
-    return None, why
+    return None, reason
 
 
-def examined(spec: RasterSpec, cells: PlaceCells, metres: float) -> Bounds:
+def examined_bounds(spec: RasterSpec, cells: CandidateCells, metres: float) -> Bounds:
     """Return the bounds in counts of the points that are examined for a candidate."""
     rows, cols, _ = np.array(cells).T
     top, left = int(rows.min()), int(cols.min())
@@ -162,23 +166,25 @@ def examined(spec: RasterSpec, cells: PlaceCells, metres: float) -> Bounds:
 
 
 def _voxels(store: TileStore, rule: GroundSelection, bounds: Bounds, metres: Any) -> tuple[Counts, Bools]:
-    """Return the centres of occupied voxels within bounds, counts (n, 3), and whether each has a ground point."""
+    """Return the centres (n, 3) in counts of the occupied voxels within bounds, and whether each has a ground point."""
     steps = np.maximum(np.round(np.array(VOXEL_M) / metres), 1).astype(np.int64)
     first = np.array((bounds.x0 // steps[0], bounds.y0 // steps[1], LOWEST // steps[2]))
-    high = bounds.y1 // steps[1] - first[1] + 1
-    deep = 2 * -first[2]
+    n_y = bounds.y1 // steps[1] - first[1] + 1
+    n_z = 2 * -first[2]
     parts = [np.empty(0, np.int64)]
     for cell in store.buckets_within(bounds):
         points, chosen, is_ground = _points(store, rule, cell, bounds)
         ox, oy = store.meta.frame.origin
         x, y, z = points.xyz[:, chosen].astype(np.int64) + np.array(((ox,), (oy,), (0,)))
-        column = (x // steps[0] - first[0]) * high + y // steps[1] - first[1]
-        # Ground comes first in a voxel that has ground and other points.
-        parts.append(np.unique((column * deep + z // steps[2] - first[2]) * 2 + ~is_ground[chosen]))
+        column = (x // steps[0] - first[0]) * n_y + y // steps[1] - first[1]
+        voxel = column * n_z + z // steps[2] - first[2]
+        # The lowest bit sorts ground before other points of the same voxel.
+        parts.append(np.unique(voxel * 2 + ~is_ground[chosen]))
     keys = np.unique(np.concatenate(parts))
     voxels, rows = np.unique(keys // 2, return_index=True)
-    column, iz = np.divmod(voxels, deep)
-    centres = (np.stack((*np.divmod(column, high), iz), axis=1) + first) * steps + steps // 2
+    column, iz = np.divmod(voxels, n_z)
+    ix, iy = np.divmod(column, n_y)
+    centres = (np.stack((ix, iy, iz), axis=1) + first) * steps + steps // 2
     return centres, keys[rows] % 2 == 0
 
 

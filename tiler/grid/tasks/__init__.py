@@ -1,1 +1,1 @@
-"""Tasks of the stage grid, and the facts from their records."""
+"""Tasks of the stage grid, and the entries of run.json that follow from their records."""

@@ -9,7 +9,7 @@ from ptd.matched.crowns import Crowns
 from tiler.core.raster import RasterSpec
 from tiler.errors import CorruptStoreError, ProcessingError
 from tiler.filter.tasks.labelled import Labelled
-from tiler.grid.crowns import FindCrowns, crowns_told, find_crowns
+from tiler.grid.crowns import FindCrowns, crown_advice, find_crowns
 from tiler.grid.roofs import Advice, FindRoofs, find_roofs
 from tiler.observe.events import Warned
 from tiler.runs.job import Job
@@ -18,7 +18,7 @@ from tiler.schedule.worker import compute
 from tiler.store import Commits
 
 CROWN_BLOCKS = 16
-"""Number of blocks in which one task searches for crowns, at most half a second each."""
+"""Number of blocks in which one task searches for crowns. A block takes at most half a second."""
 
 
 def advise(job: Job, labelled: Labelled, spec: RasterSpec, made: Commits, waters: str | None) -> None:
@@ -29,21 +29,23 @@ def advise(job: Job, labelled: Labelled, spec: RasterSpec, made: Commits, waters
     building = job.plan.parameters.get("max_building_size_m")
     # A method that searches for canopy itself has already warned about it.
     crowns = labelled.matched and CanopyPass.name not in labelled.statistics
-    asked = [building, crowns, waters]
     if not (building or crowns):
         return
+    inputs = [building, crowns, waters]
     advice_state = job.store.get_state("advice")
     if (
         job.record.stages["grid-dtm"]["computed"]
         or not advice_state
-        or advice_state.get("asked") != asked
+        or advice_state.get("asked") != inputs
         or "at" not in advice_state
     ):
         filled = tuple(key for key, (_, record) in made.items() if record["filled"])
-        looked = [_roofs(job, spec, filled, waters) if building is not None else None]
-        looked.append(_crowns(job, spec, filled) if crowns else None)
-        given = [advice for advice in looked if advice is not None]
-        advice_state = {"asked": asked, "texts": [a.text for a in given], "at": [[a.x, a.y] for a in given]}
+        flaws = [_roofs(job, spec, filled, waters) if building is not None else None]
+        flaws.append(_crowns(job, spec, filled) if crowns else None)
+        advices = [advice for advice in flaws if advice is not None]
+        texts = [advice.text for advice in advices]
+        positions = [[advice.x, advice.y] for advice in advices]
+        advice_state = {"asked": inputs, "texts": texts, "at": positions}
         job.store.put_state("advice", advice_state)
     job.facts["advice"], job.facts["advice_at"] = advice_state["texts"], advice_state["at"]
     for line in advice_state["texts"]:
@@ -54,17 +56,18 @@ def _roofs(job: Job, spec: RasterSpec, filled: tuple[str, ...], waters: str | No
     parameters = job.plan.parameters
     building_m, roof_m = parameters["max_building_size_m"], parameters.get("roof_size_m")
     work = FindRoofs(spec, filled, building_m, roof_m, waters)
-    (record,) = _looked(job, [Task("advice", "roofs", digest_of(work), find_roofs, work)])
+    (record,) = _run_tasks(job, [Task("advice", "roofs", digest_of(work), find_roofs, work)])
     return None if record["advice"] is None else Advice(*record["advice"])
 
 
 def _crowns(job: Job, spec: RasterSpec, filled: tuple[str, ...]) -> Advice | None:
     works = [FindCrowns(spec, filled[i : i + CROWN_BLOCKS]) for i in range(0, len(filled), CROWN_BLOCKS)]
     tasks = [Task("advice", f"crowns{i:06d}", digest_of(w), find_crowns, w) for i, w in enumerate(works)]
-    return crowns_told((Crowns(r["looked_at"], r["found"]) for r in _looked(job, tasks)), spec)
+    parts = [Crowns(record["looked_at"], record["found"]) for record in _run_tasks(job, tasks)]
+    return crown_advice(parts, spec)
 
 
-def _looked(job: Job, tasks: list[Task]) -> list[dict[str, Any]]:
+def _run_tasks(job: Job, tasks: list[Task]) -> list[dict[str, Any]]:
     """Run tasks on workers, and return their records in the order of the tasks."""
     records: dict[str, dict[str, Any]] = {}
     for outcome in job.executors.choose().run(compute, job.store.url, tasks):

@@ -1,4 +1,4 @@
-"""Bridges of a run: decks that the filter left in the terrain, which are removed by edits."""
+"""Search for the bridges of a run: decks that the filter left in the terrain, which are removed by edits."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from tiler.core.lattice import Bounds, Cell
 from tiler.core.raster import BLOCK_PIXELS
 from tiler.core.units_text import length_text
 from tiler.core.words import counted
-from tiler.grid import ExamineDecks, FindDeckCells, examine_decks, examined, find_deck_cells
+from tiler.grid import ExamineDecks, FindDeckCells, examine_decks, examined_bounds, find_deck_cells
 from tiler.grid.bridges.deck_cells import DROP_M, REACH_M
-from tiler.grid.bridges.examine import PlaceCells
+from tiler.grid.bridges.examine import CandidateCells
 from tiler.grid.pieces import components
 from tiler.grid.tasks.gridding import GridContext
 from tiler.ingest.tasks.assembled import IngestResult
@@ -34,8 +34,8 @@ from tiler.version import __version__
 REMOVE = "remove"
 CELLS, DECKS = "deck-cells", "decks"
 """Names of the stages."""
-MAX_WIDTH_M = 600.0
-"""Largest extent of a candidate. A larger one is not a bridge, and has too many points for one task."""
+MAX_EXTENT_M = 600.0
+"""Largest extent of a candidate. Larger areas are not bridges, and have too many points for one task."""
 TOUCHING = 1.5
 """Largest distance between the centres of touching cells: longer than a diagonal, shorter than two cells."""
 MAX_REPORTED = 5
@@ -43,7 +43,7 @@ MAX_REPORTED = 5
 MIN_CELLS = 4
 """Least number of cells of a candidate."""
 ABOVE_M = 0.6
-"""Largest height of a deck's points above its surface. Points below it belong to the nearer of deck and ground."""
+"""Largest height of a deck's points above its surface."""
 
 
 def find_bridges(
@@ -58,24 +58,26 @@ def find_bridges(
     g = GridContext(job.plan, assembled, labels)
     cells = run_stage(job, CELLS, _cell_tasks(g))
     made = run_stage(job, DECKS, _deck_tasks(g, cells))
-    records = _apart([deck for _, (_, record) in sorted(made.items()) for deck in record["decks"]])
-    job.facts["bridges"] = [_fact(record) for record in records]
-    job.note(_told(records, job.plan.meta.frame))
+    decks: list[dict[str, Any]] = []
+    for _, (_, record) in sorted(made.items()):
+        decks += record["decks"]
+    decks = _without_parts(decks)
+    job.facts["bridges"] = [_fact(deck) for deck in decks]
+    job.note(_note(decks, job.plan.meta.frame))
     metres_z = float(job.plan.meta.frame.metres_z)
-    edits = tuple(_edit(-number, record, metres_z) for number, record in enumerate(records, start=1))
-    return edits, tuple(_drawn(record) for record in records)
+    edits = tuple(_edit(-number, deck, metres_z) for number, deck in enumerate(decks, start=1))
+    return edits, tuple(_outline(deck) for deck in decks)
 
 
-def _told(records: Sequence[Mapping[str, Any]], frame: CoordFrame) -> str:
+def _note(records: Sequence[Mapping[str, Any]], frame: CoordFrame) -> str:
     """Return a line about the bridges that were found."""
     if not records:
         return "no bridge was found above the ground, so none was removed from the terrain (--bridges remove)"
     texts = []
     for record in records[:MAX_REPORTED]:
         x, y = np.mean(record["ring"], axis=0) / COUNTS_PER_UNIT
-        long, wide = (
-            length_text(round(record[f"{name}_m"]), frame.units.horizontal) for name in ("length", "width")
-        )
+        long = length_text(round(record["length_m"]), frame.units.horizontal)
+        wide = length_text(round(record["width_m"]), frame.units.horizontal)
         texts.append(f"{long} long and {wide} wide at x {x:.0f}, y {y:.0f}")
     more = f", and {len(records) - MAX_REPORTED} more" if len(records) > MAX_REPORTED else ""
     bridges_text = counted(len(records), "bridge")
@@ -89,32 +91,35 @@ def _cell_tasks(g: GridContext) -> Iterator[Task]:
     for block, buckets in spec.blocks_near(lattice, g.labels, BLOCK_PIXELS).items():
         work = FindDeckCells(name=CELLS, spec=spec, block=block, rule=rule)
         near = lattice.among(spec.block_bounds(block).pad(margin), g.labels)
-        digest = digest_of(__version__, work, g.seen(near))
-        yield Task(CELLS, block.name, digest, find_deck_cells, work, g.points(buckets))
+        digest = digest_of(__version__, work, g.label_digests(near))
+        yield Task(CELLS, block.name, digest, find_deck_cells, work, g.n_points(buckets))
 
 
-def _deck_tasks(g: GridContext, found: Commits) -> Iterator[Task]:
+def _deck_tasks(g: GridContext, deck_cells: Commits) -> Iterator[Task]:
     """Yield a task for the candidates of each bucket: groups of touching cells that may be decks."""
     spec, rule, lattice = g.coarse, g.rule, g.plan.meta.bucket
     metres = float(g.plan.meta.frame.metres_xy)
-    groups: dict[Cell, list[PlaceCells]] = defaultdict(list)
-    for cells in _places(found):
-        bounds = examined(spec, cells, metres)
-        if (
-            len(cells) >= MIN_CELLS
-            and max(bounds.x1 - bounds.x0, bounds.y1 - bounds.y0) * metres <= MAX_WIDTH_M
-        ):
+    groups: dict[Cell, list[CandidateCells]] = defaultdict(list)
+    for cells in _candidates(deck_cells):
+        bounds = examined_bounds(spec, cells, metres)
+        extent_m = max(bounds.x1 - bounds.x0, bounds.y1 - bounds.y0) * metres
+        if len(cells) >= MIN_CELLS and extent_m <= MAX_EXTENT_M:
             groups[next(lattice.cells(bounds))].append(cells)
     for cell, candidates in sorted(groups.items()):
         work = ExamineDecks(rule, spec, tuple(candidates))
-        near = lattice.among(reduce(Bounds.union, (examined(spec, c, metres) for c in candidates)), g.labels)
-        digest = digest_of(__version__, work, g.seen(near))
-        yield Task(DECKS, cell.name, digest, examine_decks, work, g.points(near))
+        near = lattice.among(
+            reduce(Bounds.union, (examined_bounds(spec, c, metres) for c in candidates)), g.labels
+        )
+        digest = digest_of(__version__, work, g.label_digests(near))
+        yield Task(DECKS, cell.name, digest, examine_decks, work, g.n_points(near))
 
 
-def _places(found: Commits) -> Iterator[PlaceCells]:
+def _candidates(deck_cells: Commits) -> Iterator[CandidateCells]:
     """Yield groups of touching cells, across blocks, in the order of rows and columns."""
-    cells = sorted({tuple(cell) for _, record in found.values() for cell in record["cells"]})
+    distinct: set[tuple[int, ...]] = set()
+    for _, record in deck_cells.values():
+        distinct.update(map(tuple, record["cells"]))
+    cells = sorted(distinct)
     if not cells:
         return
     tree = scipy.spatial.cKDTree([cell[:2] for cell in cells])
@@ -122,8 +127,8 @@ def _places(found: Commits) -> Iterator[PlaceCells]:
         yield tuple((int(r), int(c), int(d)) for r, c, d in (cells[i] for i in group))
 
 
-def _apart(records: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Drop decks that lie mostly within larger ones, as two candidates may be parts of the same bridge."""
+def _without_parts(records: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+    """Return the decks without those that lie mostly within larger decks and are probably parts of them."""
     kept: list[tuple[Any, dict[str, Any]]] = []
     for record in sorted(records, key=lambda r: (-r["length_m"] * r["width_m"], r["ring"])):
         shape = shapely.make_valid(shapely.Polygon(record["ring"]))
@@ -133,13 +138,14 @@ def _apart(records: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _edit(number: int, record: Mapping[str, Any], metres_z: float) -> Edit:
+    # Up to half the clearance, at most `DROP_M`, points below the surface belong to the deck.
     low = min(record["clearance_m"] / 2, DROP_M)
     surface = DeckSurface(*(float(v) for v in (*record["surface"], low / metres_z, ABOVE_M / metres_z)))
     return Edit(number, DECK, Area(((np.array(record["ring"], np.int64),),)), deck=surface)
 
 
-def _drawn(record: Mapping[str, Any]) -> DrawnDeck:
-    coordinates = tuple(int(v) for vertex in record["ring"] for v in vertex)
+def _outline(record: Mapping[str, Any]) -> DrawnDeck:
+    coordinates = tuple(np.array(record["ring"]).ravel().tolist())
     return coordinates, record["length_m"], record["width_m"], record["clearance_m"], record["below"]
 
 

@@ -1,6 +1,6 @@
 """User features of a run: edits of points and heights, and breaklines.
 
-They change only the digests of the buckets and blocks that they touch, so that only these are processed again.
+They change only the digests of the buckets and blocks that they intersect, so that only these are processed again.
 """
 
 from __future__ import annotations
@@ -57,20 +57,21 @@ class Corrections:
     line_digests: Mapping[Cell, str] | None = None
     decks: tuple[DrawnDeck, ...] = ()
 
-    def of_raster(self, plan: Plan, name: str, task: Task) -> Task:
-        """Add edits and breaklines to a task of a raster, and the digests of those that touch its block."""
+    def add_to_task(self, plan: Plan, name: str, task: Task) -> Task:
+        """Return a task of a raster with the edits and breaklines, and with those near its block in its digest."""
         bounds = task.arguments.place(plan.meta.bucket) if isinstance(task.arguments, Placed) else None
         if bounds is None:
             return task
-        seen: list[Any] = []
+        digests: list[Any] = []
         if self.edits is not None:
             task = _with_edits(task, self.edits.key)
-            actions = ACTIONS if name == COUNTS_HOLES else OF_PIXELS
-            seen += self.edits.digest(bounds, actions) if name in EDITED else []
+            if name in EDITED:
+                actions = ACTIONS if name == COUNTS_HOLES else OF_PIXELS
+                digests += self.edits.digest(bounds, actions)
         if self.lines is not None and name in FOLLOWS_LINES:
             task = replace(task, arguments=replace(task.arguments, breaklines=self.lines.key))
-            seen += self._lines_near(plan, bounds)
-        return replace(task, digest=digest_of(task.digest, seen)) if seen else task
+            digests += self._lines_near(plan, bounds)
+        return replace(task, digest=digest_of(task.digest, digests)) if digests else task
 
     def _lines_near(self, plan: Plan, bounds: Bounds) -> list[Any]:
         """Return the buckets whose breaklines can change a block through a facet, with their digests."""
@@ -82,7 +83,7 @@ class Corrections:
 
 
 def _with_edits(task: Task, key: str) -> Task:
-    """Add the key of the edits to a task. Its digest includes only edits that touch it, not this key."""
+    """Return a task with the key of the edits, which its digest does not include."""
     work = task.arguments
     if isinstance(work, PointsBlock):
         return replace(task, arguments=replace(work, rule=replace(work.rule, edits=key)))
@@ -94,12 +95,12 @@ def _with_edits(task: Task, key: str) -> Task:
 def correct(job: Job, assembled: IngestResult, labelled: Labelled) -> tuple[Labelled, Corrections]:
     """Apply the user features of the plan and the bridges. Return the edited labels, and the `Corrections`."""
     plan, labels, corrections = job.plan, labelled.digests, Corrections()
-    decks, shapes = find_bridges(job, assembled, labels)
-    if decks or plan.edits:
+    deck_edits, decks = find_bridges(job, assembled, labels)
+    if deck_edits or plan.edits:
         cell = Lattice(plan.meta.frame.counts(plan.resolution))
-        edits = Edits((*decks, *_surveyed(job, assembled, labels, cell)), cell)
+        edits = Edits((*deck_edits, *_user_edits(job, assembled, labels, cell)), cell)
         job.store.put_edits(edits)
-        corrections = replace(corrections, edits=edits, decks=shapes)
+        corrections = replace(corrections, edits=edits, decks=decks)
         labelled = replace(labelled, digests=_labels(plan, edits, labels))
     if plan.lines:
         pixel = plan.meta.frame.counts(plan.resolution)
@@ -112,22 +113,22 @@ def correct(job: Job, assembled: IngestResult, labelled: Labelled) -> tuple[Labe
 
 
 def _labels(plan: Plan, edits: Edits, labels: Mapping[Cell, str]) -> dict[Cell, str]:
-    """Return the digests of labels, changed for each bucket that an edit touches."""
+    """Return the digests of labels, changed for each bucket that an edit intersects."""
     digests = dict(labels)
     for cell, near in edits.by_cell(plan.meta.bucket, labels).items():
         digests[cell] = digest_of(digests[cell], [edit.digest for edit in near], str(plan.resolution))
     return digests
 
 
-def _surveyed(
+def _user_edits(
     job: Job, assembled: IngestResult, labels: Mapping[Cell, str], cell: Lattice
 ) -> tuple[Edit, ...]:
-    """Return the user's edits, after counting their points."""
+    """Count the points inside the user's edits. Return the edits, with `lowest` set according to the counts."""
     if not job.plan.edits:
         return ()
-    drawn_ones = Edits(job.plan.edits, cell)
-    job.store.put_edits(drawn_ones)
-    tasks = list(_survey_tasks(job.plan, drawn_ones, assembled, labels))
+    user_edits = Edits(job.plan.edits, cell)
+    job.store.put_edits(user_edits)
+    tasks = list(_count_tasks(job.plan, user_edits, assembled, labels))
     made = run_stage(job, "edits", tasks)
     if len(made) < len(tasks):
         raise ProcessingError(f"--edits: could not be applied: {job.record.first_error('edits')}")
@@ -135,30 +136,33 @@ def _surveyed(
     for _, record in made.values():
         for number, *of_bucket in record["edits"]:
             counts[number] += of_bucket
-    lowest_alone = ground_rule(job.plan).labels is None
-    edits = tuple(
-        replace(e, lowest=e.action == TO_GROUND and (lowest_alone or not counts[e.number][-1]))
-        for e in job.plan.edits
-    )
+    has_no_labels = ground_rule(job.plan).labels is None
+    edits = []
+    for edit in job.plan.edits:
+        has_no_ground = has_no_labels or not counts[edit.number][-1]
+        edits.append(replace(edit, lowest=edit.action == TO_GROUND and has_no_ground))
     job.facts["edits"] = [_fact(edit, counts[edit.number].tolist()) for edit in edits]
     add_rings(job.facts["edits"], [edit.area for edit in edits])
-    return edits
+    return tuple(edits)
 
 
-def _survey_tasks(
+def _count_tasks(
     plan: Plan, edits: Edits, assembled: IngestResult, labels: Mapping[Cell, str]
 ) -> Iterator[Task]:
-    """Yield a task for each bucket that an edit of points touches."""
+    """Yield a task for each bucket that an edit of points intersects."""
     rule = ground_rule(plan)
     for cell, near in edits.by_cell(plan.meta.bucket, labels).items():
-        seen = [[edit.number, *edit.digest] for edit in near]
-        digest = digest_of(__version__, rule, edits.cell, cell, labels[cell], seen)
+        edit_digests = [[edit.number, *edit.digest] for edit in near]
+        digest = digest_of(__version__, rule, edits.cell, cell, labels[cell], edit_digests)
         work = SurveyEdits(rule, edits.key, cell)
         yield Task("edits", cell.name, digest, survey_edits, work, assembled.records[cell].n)
 
 
 def _fact(edit: Edit, counts: Sequence[int]) -> dict[str, Any]:
-    """Return the entry of run.json for an edit, from sums of `survey_edits`. Pixels are added with the terrain."""
+    """Return the entry of run.json for an edit, from sums of `survey_edits`.
+
+    `report_edited_pixels` adds the number of pixels.
+    """
     bounds = [v / COUNTS_PER_UNIT for v in edit.area.bounds.to_json()]
     fact: dict[str, Any] = {"number": edit.number, "action": edit.action, "bounds": bounds}
     if edit.action in OF_POINTS:
@@ -179,14 +183,14 @@ def report_edited_pixels(job: Job, terrain: Commits) -> None:
         if fact["action"] in OF_PIXELS:
             fact["pixels"] = counts.get(fact["number"], 0)
         fact["changed"] = _changed(fact)
-    nothing = [fact for fact in job.facts.get("edits", ()) if not fact["changed"]]
-    if nothing:
-        names = ", ".join(f"feature {fact['number']} ({fact['action']})" for fact in nothing[:5])
-        more = f" and {len(nothing) - 5} more" if len(nothing) > 5 else ""
+    unchanged = [fact for fact in job.facts.get("edits", ()) if not fact["changed"]]
+    if unchanged:
+        names = ", ".join(f"feature {fact['number']} ({fact['action']})" for fact in unchanged[:5])
+        more = f" and {len(unchanged) - 5} more" if len(unchanged) > 5 else ""
         job.note(f"--edits: {names}{more}: changed nothing")
 
 
 def _changed(fact: Mapping[str, Any]) -> bool:
-    return bool(
-        fact["pixels"] if fact["action"] in OF_PIXELS else fact["ground_before"] != fact["ground_after"]
-    )
+    if fact["action"] in OF_PIXELS:
+        return bool(fact["pixels"])
+    return bool(fact["ground_before"] != fact["ground_after"])

@@ -27,9 +27,15 @@ from tiler.store import Commits
 from tiler.version import __version__
 
 COARSE_CELL_M = 2
-"""Side of a coarse cell, unless `--max-edge` is small. It is the same for all usual pixels, to find the same water."""
+"""Side of a coarse cell, unless `--max-edge` is small or pixels are large.
+
+It is the same for all smaller pixels, so that the choice of the pixel does not change which water is found.
+"""
 MAX_USUAL_PIXEL_M = 10
-"""Largest pixel with cells of that side. Larger pixels are cells themselves: their points are too sparse for water."""
+"""Largest pixel with coarse cells of `COARSE_CELL_M`.
+
+Larger pixels are coarse cells themselves, because their points are too sparse to find water.
+"""
 GAP_M = 20
 """Largest width of gaps that belong to every survey: shadows of buildings, gaps between strips."""
 ERODE_RISE_M = 1
@@ -78,25 +84,25 @@ class RasterStep:
         Name in the store. The stage that makes the raster is ``grid-<name>``.
     inputs : tuple of str
         Names of the rasters from which it is made, in the order that ``tasks`` expects.
-    work : Work
+    function : Work
         Function that makes a block, or the whole raster.
     grid : Grid
     tasks : callable
-        Function ``tasks(raster, gridding)`` that yields its tasks, with the digests of their inputs.
+        Function ``tasks(raster, g)`` that yields the tasks of the raster, with the digests of their inputs.
     fill : float
-        Value of blocks that were not written.
+        Value of pixels in blocks that were not written.
     """
 
     name: str
     inputs: tuple[str, ...]
-    work: Work
+    function: Work
     grid: Grid
     tasks: Callable[[RasterStep, GridContext], Iterator[Task]]
     fill: float = 0.0
 
     @property
     def stage(self) -> str:
-        """Name of the stage of its tasks."""
+        """Name of the stage that makes the raster."""
         return f"grid-{self.name}"
 
 
@@ -111,24 +117,28 @@ class Sheet:
 
 @dataclass
 class GridContext:
-    """Inputs and results of the stage grid. ``made`` maps names of rasters to the commits of their blocks.
+    """Inputs and results of the stage grid.
 
     Attributes
     ----------
+    labels : mapping of Cell to str
+        Digest of the contents and labels of each bucket.
     holes : sequence of Bounds
-        Bounds of tiles that failed. Heights there, if any, come from points around them.
+        Bounds of tiles that failed. Heights there, if any, come from points around the tiles.
+    made : dict of str to Commits
+        Commits of the blocks of each raster that was made.
     decks : sequence of DrawnDeck
         Decks of bridges that are left out of the terrain.
     waters : Waters
-        Bodies of water, once the terrain around them is made.
-    trusted : bool
+        Bodies of water. They are set after the terrain around them is made.
+    returns_show_water : bool
         Whether few returns are a sign of water: true for LiDAR, false for photogrammetric clouds with their gaps.
     kind : str or None
         Source of the clouds as methods name it; None if it is not known.
     canopy : CanopyCells or None
         Cells among which the filter found a closed canopy.
     sheets : sequence of Sheet
-        Squares of the products, once the models are made.
+        Squares of the products. They are set after the models are made.
     """
 
     plan: Plan
@@ -138,7 +148,7 @@ class GridContext:
     made: dict[str, Commits] = field(default_factory=dict)
     decks: Sequence[DrawnDeck] = ()
     waters: Waters = field(default_factory=lambda: Waters(()))
-    trusted: bool = True
+    returns_show_water: bool = True
     kind: str | None = None
     canopy: CanopyCells | None = None
     sheets: Sequence[Sheet] = ()
@@ -154,53 +164,54 @@ class GridContext:
         """Name of the bodies of water in the store, or None if there are none."""
         return self.waters.key if self.waters.bodies else None
 
-    def seen(self, cells: Iterable[Cell]) -> list[list[Any]]:
-        """Return the label digests of buckets, for digests of tasks that read their points and labels."""
+    def label_digests(self, cells: Iterable[Cell]) -> list[list[Any]]:
+        """Return column, row and label digest of some buckets, for digests of tasks that read them."""
         return [[cell.ix, cell.iy, self.labels[cell]] for cell in cells]
 
-    def points(self, cells: Iterable[Cell]) -> int:
+    def n_points(self, cells: Iterable[Cell]) -> int:
         """Return the number of points of some buckets."""
         return sum(self.assembled.records[cell].n for cell in cells)
 
     def checksums(self, raster: str, blocks: Iterable[str] | None = None) -> list[list[str]]:
-        """Return name and checksum of each block of a raster, or of those of ``blocks`` that were made."""
+        """Return name and checksum of the finished blocks of a raster, or only of those in ``blocks``."""
         made = self.made[raster]
         names = sorted(made) if blocks is None else (name for name in blocks if name in made)
         return [[name, made[name][1]["checksum"]] for name in names]
 
     def records(self, raster: str) -> dict[Place, dict[str, Any]]:
-        """Return the record of each block of a raster of coarse cells by its place, from the north-west."""
-        spec = self.coarse
-        named = (
-            (spec.block_named(name, BLOCK_PIXELS), record) for name, (_, record) in self.made[raster].items()
-        )
-        return {(block.row, block.col): record for block, record in named}
+        """Return the record of each block of a raster of coarse cells by its `Place`, from the north-west."""
+        records = {}
+        for name, (_, record) in self.made[raster].items():
+            block = self.coarse.block_named(name, BLOCK_PIXELS)
+            records[block.row, block.col] = record
+        return records
 
     def areas(self, raster: str, corners: bool = False) -> Joined:
         """Return the connected areas of a raster of labels."""
         if raster not in self._areas:
             records = self.records(raster)
-            sides = {first_cell: record["sides"] for first_cell, record in records.items()}
-            counts = {first_cell: record["labels"] for first_cell, record in records.items()}
+            sides = {place: record["sides"] for place, record in records.items()}
+            counts = {place: record["labels"] for place, record in records.items()}
             self._areas[raster] = join_pieces(sides, counts, corners)
         return self._areas[raster]
 
-    def beneath(self, raster: str, block: Block) -> list[list[str]]:
+    def coarse_checksums(self, raster: str, block: Block) -> list[list[str]]:
         """Return the checksums of the blocks of a coarse raster that overlap a block of the products."""
         under = self.coarse.blocks_within(self.spec.block_bounds(block), BLOCK_PIXELS)
         return self.checksums(raster, [other.name for other in under])
 
-    def block_task(self, raster: RasterStep, work: BlockWork, seen: list[Any]) -> Task:
-        """Return the task of one block of a raster. Its digest includes ``seen`` besides its arguments."""
-        points = work.block.height * work.block.width
-        return Task(
-            raster.stage, work.block.name, digest_of(__version__, work, seen), raster.work, work, points
-        )
+    def block_task(self, raster: RasterStep, work: BlockWork, inputs: list[Any]) -> Task:
+        """Return the task of one block of a raster. ``inputs`` are digests of the data that it reads."""
+        pixels = work.block.height * work.block.width
+        digest = digest_of(__version__, work, inputs)
+        return Task(raster.stage, work.block.name, digest, raster.function, work, pixels)
 
     @property
     def water_is_sought(self) -> bool:
         """Whether water can be distinguished from land, by few returns or by the input's class."""
-        return self.trusted or any(record["water"] for record in self.records("occupancy").values())
+        return self.returns_show_water or any(
+            record["water"] for record in self.records("occupancy").values()
+        )
 
     @property
     def spec(self) -> RasterSpec:
@@ -226,5 +237,5 @@ class GridContext:
         return self.plan.resolution > self.coarse_m
 
     def spec_of(self, raster: RasterStep) -> RasterSpec:
-        """Return the pixels or cells of a raster."""
+        """Return the grid of a raster: pixels or coarse cells."""
         return self.coarse if raster.grid is Grid.COARSE else self.spec

@@ -73,67 +73,80 @@ MODELS = ("dtm", "dsm")
 """Products whose voids can be filled."""
 
 
-def final(product: str, config: RunConfig) -> str:
+def final_raster(product: str, config: RunConfig) -> str:
     """Return the name of the raster that holds a product as it is delivered."""
     if product in _outlined(config):
         return f"{product}-outlined"
-    return filled(product, config)
+    return filled_raster(product, config)
 
 
 def _outlined(config: RunConfig) -> tuple[str, ...]:
-    """Return the models that end at the outline, or (only the terrain) that have water or end at canopies."""
+    """Return the models from which a raster ``<name>-outlined`` is made.
+
+    These are all models with ``--outline survey``, or else only the terrain if it has water or ends at canopies.
+    """
     if config.outline == "survey":
         return MODELS
     return () if config.water == NO_WATER and config.canopy != VOID_CANOPY else ("dtm",)
 
 
-def filled(product: str, config: RunConfig) -> str:
-    """Return the name of the raster that holds a product, with its voids filled if the settings say so."""
+def filled_raster(product: str, config: RunConfig) -> str:
+    """Return the name of the raster that holds a product, with filled voids unless ``--voids`` is ``leave``."""
     return f"{product}-filled" if product in MODELS and config.voids != "leave" else product
 
 
 def raster_table(config: RunConfig) -> dict[str, RasterStep]:
     """Return all rasters that these settings allow, by name."""
-    dtm, dsm = final("dtm", config), final("dsm", config)
+    dtm, dsm = final_raster("dtm", config), final_raster("dsm", config)
     rows = [
-        RasterStep("dtm", (), grid_block, Grid.PIXELS, terrain_tasks, _fill("dtm")),
-        RasterStep("dsm", (dtm,), surface_block, Grid.PIXELS, surface_tasks, _fill("dsm")),
-        RasterStep("ndsm", (dsm, dtm), derive_block, Grid.PIXELS, derived_tasks, _fill("ndsm")),
-        RasterStep("hillshade", (dtm,), derive_block, Grid.PIXELS, derived_tasks, _fill("hillshade")),
-        RasterStep("slope", (dtm,), derive_block, Grid.PIXELS, derived_tasks, _fill("slope")),
-        RasterStep("density", (), density_block, Grid.PIXELS, point_tasks, _fill("density")),
+        RasterStep("dtm", (), grid_block, Grid.PIXELS, terrain_tasks, _nodata("dtm")),
+        RasterStep("dsm", (dtm,), surface_block, Grid.PIXELS, surface_tasks, _nodata("dsm")),
+        RasterStep("ndsm", (dsm, dtm), derive_block, Grid.PIXELS, derived_tasks, _nodata("ndsm")),
+        RasterStep("hillshade", (dtm,), derive_block, Grid.PIXELS, derived_tasks, _nodata("hillshade")),
+        RasterStep("slope", (dtm,), derive_block, Grid.PIXELS, derived_tasks, _nodata("slope")),
+        RasterStep("density", (), density_block, Grid.PIXELS, point_tasks, _nodata("density")),
         RasterStep("distance", (), distance_block, Grid.PIXELS, distance_tasks, float(config.max_edge)),
         RasterStep("occupancy", (), occupancy_block, Grid.COARSE, point_tasks),
         RasterStep("survey-open", ("occupancy",), close_block, Grid.COARSE, survey_gaps, NO_PIECE),
         RasterStep("survey", ("survey-open",), survey_block, Grid.COARSE, survey_tasks),
         RasterStep(CANOPY, (), canopy_block, Grid.PIXELS, canopy_tasks),
         RasterStep(
-            "mask", ("dtm", dtm, "survey", CANOPY), mask_block, Grid.PIXELS, mask_tasks, _fill("mask")
+            "mask", ("dtm", dtm, "survey", CANOPY), mask_block, Grid.PIXELS, mask_tasks, _nodata("mask")
         ),
-        RasterStep("sigma", (dtm, "mask"), sigma_block, Grid.PIXELS, sigma_tasks, _fill("sigma")),
+        RasterStep("sigma", (dtm, "mask"), sigma_block, Grid.PIXELS, sigma_tasks, _nodata("sigma")),
     ]
     for model in MODELS if config.voids != "leave" else ():
         voids = f"{model}-voids"
         rows += [
             RasterStep(voids, (model, "survey"), find_voids, Grid.COARSE, voids_tasks),
             RasterStep(
-                filled(model, config),
+                filled_raster(model, config),
                 (model, "survey", voids),
                 fill_block,
                 Grid.PIXELS,
                 fill_tasks,
-                _fill(model),
+                _nodata(model),
             ),
         ]
-    sought = config.water == AUTO_WATER
-    rows += _water_rows() if sought else []
+    finds_water = config.water == AUTO_WATER
+    if finds_water:
+        rows += _water_rows()
     for model in _outlined(config):
-        cut, whole = final(model, config), filled(model, config)
-        inputs = [whole, "survey"]
-        if model == "dtm":
-            inputs += ["water-cells"] if sought else []
-            inputs += [CANOPY] if config.canopy == VOID_CANOPY else []
-        rows.append(RasterStep(cut, tuple(inputs), outline_block, Grid.PIXELS, outline_tasks, _fill(model)))
+        inputs = [filled_raster(model, config), "survey"]
+        if model == "dtm" and finds_water:
+            inputs.append("water-cells")
+        if model == "dtm" and config.canopy == VOID_CANOPY:
+            inputs.append(CANOPY)
+        rows.append(
+            RasterStep(
+                final_raster(model, config),
+                tuple(inputs),
+                outline_block,
+                Grid.PIXELS,
+                outline_tasks,
+                _nodata(model),
+            )
+        )
     return {row.name: row for row in rows}
 
 
@@ -178,15 +191,16 @@ def _water_rows() -> list[RasterStep]:
     ]
 
 
-def _fill(product: str) -> float:
-    """Return the nodata value of a product, or 0 if all its pixels have a value."""
+def _nodata(product: str) -> float:
+    """Return the nodata value of a product, or 0 if all pixels of the product have a value."""
     nodata = PRODUCTS[product].nodata
     return 0.0 if nodata is None else nodata
 
 
-def wanted(config: RunConfig) -> list[RasterStep]:
+def required_rasters(config: RunConfig) -> list[RasterStep]:
     """Return the rasters to make, each after its inputs, the terrain first."""
-    table, steps = raster_table(config), dict[str, RasterStep]()
+    table = raster_table(config)
+    steps: dict[str, RasterStep] = {}
 
     def add(name: str) -> None:
         for source in table[name].inputs:
@@ -194,5 +208,5 @@ def wanted(config: RunConfig) -> list[RasterStep]:
         steps.setdefault(name, table[name])
 
     for product in ("dtm", *(name for name in PRODUCTS if name in config.exported)):
-        add(final(product, config))
+        add(final_raster(product, config))
     return list(steps.values())

@@ -27,6 +27,7 @@ from tiler.grid import (
     reach_of,
     reach_pixels,
 )
+from tiler.grid.pieces import around
 from tiler.grid.tasks.gridding import GridContext, RasterStep
 from tiler.grid.tasks.survey import surveyed_blocks
 from tiler.schedule import Task, digest_of
@@ -53,7 +54,7 @@ def terrain_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
 
 
 def coarse_terrain_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
-    """Yield a task for each block of the terrain in coarse cells, if pixels are larger than these."""
+    """Yield a task for each block of the terrain in coarse cells, if these find water and pixels are larger."""
     return terrain_tasks(raster, g) if g.water_is_sought and g.has_large_pixels else iter(())
 
 
@@ -86,24 +87,25 @@ def _tin(g: GridContext) -> dict[str, Any]:
 
 
 def _block_tasks(
-    raster: RasterStep, g: GridContext, make: Callable[..., PointsBlock], reach: int
+    raster: RasterStep, g: GridContext, make: Callable[..., PointsBlock], margin: int
 ) -> Iterator[Task]:
-    """Yield a task for each block within ``reach`` counts of points. It reads the same block of the inputs.
+    """Yield a task for each block within ``margin`` counts of points.
 
-    The function ``make`` is passed name, spec, block and rule.
+    A task reads the points near its block, and the same block of the input rasters. The function ``make`` makes the
+    arguments of a task from name, spec, block and rule.
     """
     spec, rule = g.spec_of(raster), g.rule
-    for block, near in _near(g, spec, reach).items():
+    for block, near in _near(g, spec, margin).items():
         work = make(name=raster.name, spec=spec, block=block, rule=rule)
-        under = [g.checksums(name, [block.name]) for name in raster.inputs]
-        digest = digest_of(__version__, work, g.seen(near), under)
-        yield Task(raster.stage, block.name, digest, raster.work, work, g.points(near))
+        inputs = [g.checksums(name, [block.name]) for name in raster.inputs]
+        digest = digest_of(__version__, work, g.label_digests(near), inputs)
+        yield Task(raster.stage, block.name, digest, raster.function, work, g.n_points(near))
 
 
-def _near(g: GridContext, spec: RasterSpec, reach: int = 0) -> dict[Block, list[Cell]]:
-    """Return the blocks within ``reach`` counts (plus `--erode`) of buckets, each with these buckets."""
-    reach += math.ceil(g.plan.meta.frame.counts(g.plan.config.erosion))
-    return spec.blocks_near(g.plan.meta.bucket, g.labels, BLOCK_PIXELS, reach)
+def _near(g: GridContext, spec: RasterSpec, margin: int = 0) -> dict[Block, list[Cell]]:
+    """Return the blocks within ``margin`` counts (plus `--erode`) of buckets, each with the buckets near it."""
+    margin += math.ceil(g.plan.meta.frame.counts(g.plan.config.erosion))
+    return spec.blocks_near(g.plan.meta.bucket, g.labels, BLOCK_PIXELS, margin)
 
 
 def canopy_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
@@ -117,8 +119,8 @@ def canopy_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
             side=canopy.side,
         )  # fmt: skip
         cells = [canopy.digests[cell] for cell in near]
-        digest = digest_of(__version__, work, g.seen(near), cells)
-        yield Task(raster.stage, block.name, digest, raster.work, work, g.points(near))
+        digest = digest_of(__version__, work, g.label_digests(near), cells)
+        yield Task(raster.stage, block.name, digest, raster.function, work, g.n_points(near))
 
 
 def outline_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
@@ -128,10 +130,11 @@ def outline_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
     waters = g.waters if raster.name.startswith("dtm") else Waters(())
     keys = {*g.made[model]}
     if raster.name.startswith("dtm"):
-        keys |= {block.name for block in surveyed_blocks(g, survey)}  # blocks without heights are voids
+        # Blocks inside the survey without heights are voids.
+        keys |= {block.name for block in surveyed_blocks(g, survey)}
     for key in sorted(keys):
         block = g.spec.block_named(key, BLOCK_PIXELS)
-        wet = waters.digest(g.spec.block_bounds(block))
+        water_digest = waters.digest(g.spec.block_bounds(block))
         work = OutlineBlock(
             name=raster.name,
             spec=g.spec,
@@ -141,15 +144,19 @@ def outline_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
             coarse=g.coarse,
             cut=g.plan.config.outline == "survey",
             canopy=canopy,
-            waters=waters.key if wet else None,
+            waters=waters.key if water_digest else None,
             finds_water=g.plan.config.water == AUTO_WATER,
             area=g.plan.area_key,
         )
-        hidden = g.checksums(CANOPY, [key]) if canopy else []
         digest = digest_of(
-            __version__, work, g.checksums(model, [key]), g.beneath(survey, block), wet, hidden
+            __version__,
+            work,
+            g.checksums(model, [key]),
+            g.coarse_checksums(survey, block),
+            water_digest,
+            g.checksums(CANOPY, [key]) if canopy else [],
         )
-        yield Task(raster.stage, key, digest, raster.work, work, block.height * block.width)
+        yield Task(raster.stage, key, digest, raster.function, work, block.height * block.width)
 
 
 def mask_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
@@ -162,7 +169,7 @@ def mask_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
         for block in spec.blocks_within(hole, BLOCK_PIXELS):
             holes[block].append(hole)
     inside = surveyed_blocks(g, survey)
-    made = (spec.block_named(key, BLOCK_PIXELS) for name in (dtm, heights) for key in g.made[name])
+    made = [spec.block_named(key, BLOCK_PIXELS) for key in (*g.made[dtm], *g.made[heights])]
     for block in sorted({*near, *holes, *inside, *made}, key=north_west):
         work = MaskBlock(
             name=raster.name,
@@ -178,16 +185,19 @@ def mask_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
             area=g.plan.area_key,
             waters=g.water_key,
         )
-        wet = g.waters.digest(spec.block_bounds(block))
-        rasters = [g.checksums(name, [block.name]) for name in (dtm, heights, canopy)]
         digest = digest_of(
-            __version__, work, g.beneath(survey, block), rasters, g.seen(near.get(block, [])), wet
+            __version__,
+            work,
+            g.coarse_checksums(survey, block),
+            [g.checksums(name, [block.name]) for name in (dtm, heights, canopy)],
+            g.label_digests(near.get(block, [])),
+            g.waters.digest(spec.block_bounds(block)),
         )
-        yield Task(raster.stage, block.name, digest, raster.work, work, block.height * block.width)
+        yield Task(raster.stage, block.name, digest, raster.function, work, block.height * block.width)
 
 
 def derived_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
-    """Yield a task for each block that all inputs have. It also reads one pixel of the blocks around."""
+    """Yield a task for each block that all inputs have. A task also reads the pixels next to its block."""
     spec = g.spec
     keys = set.intersection(*(set(g.made[source]) for source in raster.inputs))
     for block in sorted((spec.block_named(key, BLOCK_PIXELS) for key in keys), key=north_west):
@@ -195,11 +205,11 @@ def derived_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
         digest = digest_of(
             __version__, work, [g.checksums(source, _around(block)) for source in raster.inputs]
         )
-        yield Task(raster.stage, block.name, digest, raster.work, work, block.height * block.width)
+        yield Task(raster.stage, block.name, digest, raster.function, work, block.height * block.width)
 
 
 def sigma_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
-    """Yield a task for each block of the terrain. It also reads points and pixels around the block."""
+    """Yield a task for each block of the terrain. A task also reads points and pixels around its block."""
     spec, frame = g.spec, g.plan.meta.frame
     terrain, mask = raster.inputs
     cap = frame.counts(g.plan.config.max_edge)
@@ -209,12 +219,11 @@ def sigma_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
         work = SigmaBlock(
             name=raster.name, spec=spec, block=block, rule=g.rule, terrain=terrain, mask=mask, kind=g.kind, cap=cap
         )  # fmt: skip
-        under = [g.checksums(terrain, _around(block)), g.checksums(mask, [key])]
-        digest = digest_of(__version__, work, g.seen(near.get(block, [])), under)
-        yield Task(raster.stage, key, digest, raster.work, work, g.points(near.get(block, [])))
+        inputs = [g.checksums(terrain, _around(block)), g.checksums(mask, [key])]
+        digest = digest_of(__version__, work, g.label_digests(near.get(block, [])), inputs)
+        yield Task(raster.stage, key, digest, raster.function, work, g.n_points(near.get(block, [])))
 
 
 def _around(block: Block) -> list[str]:
     """Return the names of a block and of its eight neighbours, even if some do not exist."""
-    steps = (-BLOCK_PIXELS, 0, BLOCK_PIXELS)
-    return [Block(block.row + down, block.col + right, 0, 0).name for down in steps for right in steps]
+    return [Block(row, col, 0, 0).name for row, col in around(block.row, block.col)]

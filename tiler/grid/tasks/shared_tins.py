@@ -1,6 +1,6 @@
-"""Joining of blocks of the terrain to tasks with one TIN each.
+"""Joining of several blocks of the terrain into one task with one TIN.
 
-A TIN also includes the points around its blocks, so a few large TINs triangulate fewer points than many small ones.
+A TIN also includes the points around its blocks, so a few large TINs triangulate fewer points than many small TINs.
 Pixels, digests and commits of a block do not depend on the joining, so finished blocks remain valid.
 """
 
@@ -26,7 +26,7 @@ MAX_PIXELS = 16 * BLOCK_PIXELS**2
 TASKS_PER_WORKER = 4
 """Tasks per worker up to which tasks are divided, so that workers do not wait for others."""
 WORTH_DIVIDING = 0.95
-"""Share to which dividing must shorten the time of the worker that finishes last."""
+"""Ratio of the finishing times after and before groups are divided, above which dividing is not worthwhile."""
 
 Records = Mapping[Cell, BucketRecord]
 Ints = npt.NDArray[np.int64]
@@ -34,7 +34,7 @@ Ints = npt.NDArray[np.int64]
 
 @dataclass(frozen=True)
 class _Group:
-    """Indices of the blocks of a task and of the buckets of its window, and the numbers of points and pixels."""
+    """Blocks of a task and buckets of its window, as indices, and the numbers of points and pixels."""
 
     blocks: Ints
     buckets: Ints
@@ -43,16 +43,16 @@ class _Group:
 
     @property
     def cost(self) -> int:
-        """Number of points and a quarter of the pixels, as a pixel takes less time than a vertex."""
+        """Number of points plus a quarter of the pixels, as a pixel takes less time than a vertex."""
         return self.points + self.pixels // 4
 
 
-def joined_blocks(plan: Plan, records: Records, tasks: Sequence[Task], workers: int) -> list[Task]:
+def join_blocks(plan: Plan, records: Records, tasks: Sequence[Task], workers: int) -> list[Task]:
     """Join tasks of single blocks of the terrain into few tasks with one TIN each, the largest first.
 
-    The number of tasks is as small as the memory of a worker and a balanced load of all workers allow. Blocks with
-    other interpolations are not joined: natural neighbours at the hull depend on the window, and IDW takes much memory
-    per pixel.
+    The number of tasks is as small as the memory of a worker and a balanced load of all workers allow. Only blocks
+    with linear interpolation are joined: natural neighbours at the hull depend on the window, and IDW takes much
+    memory per pixel.
 
     Parameters
     ----------
@@ -65,8 +65,9 @@ def joined_blocks(plan: Plan, records: Records, tasks: Sequence[Task], workers: 
     """
     if len(tasks) < 2 or plan.config.interpolation != "linear":
         return list(tasks)
-    survey = _Survey(plan, records, [task.arguments for task in tasks])
-    groups = _balanced(survey, _fitting(survey, min(plan.block_points, TIN_BYTES // GROUND_BYTES)), workers)
+    layout = _Layout(plan, records, [task.arguments for task in tasks])
+    groups = _fitting(layout, min(plan.block_points, TIN_BYTES // GROUND_BYTES))
+    groups = _balanced(layout, groups, workers)
     groups.sort(key=lambda group: -group.cost)
     return [_joined([tasks[i] for i in group.blocks]) for group in groups]
 
@@ -80,32 +81,33 @@ def _joined(parts: Sequence[Task]) -> Task:
     return Task(first.stage, name, "", grid_blocks, blocks, points, tuple(parts))
 
 
-def _fitting(survey: _Survey, most: int) -> list[_Group]:
-    """Divide the blocks into groups of at most ``most`` points, or of one block.
+def _fitting(layout: _Layout, max_points: int) -> list[_Group]:
+    """Divide the blocks into groups of at most ``max_points`` points, or of one block.
 
     A group is also divided if its halves together cost less than the group.
     """
-    groups, todo = [], [survey.whole()]
+    groups = []
+    todo = [layout.whole()]
     while todo:
         group = todo.pop()
-        halves = survey.halves(group)
-        if halves and (_too_large(group, most) or _total(halves) < group.cost):
+        halves = layout.halves(group)
+        if halves and (_too_large(group, max_points) or _total_cost(halves) < group.cost):
             todo += halves
         else:
             groups.append(group)
     return groups
 
 
-def _too_large(group: _Group, most: int) -> bool:
-    return group.points > most or group.pixels > MAX_PIXELS
+def _too_large(group: _Group, max_points: int) -> bool:
+    return group.points > max_points or group.pixels > MAX_PIXELS
 
 
-def _balanced(survey: _Survey, groups: list[_Group], workers: int) -> list[_Group]:
-    """Divide groups further if all workers then finish earlier, although more points are triangulated twice."""
+def _balanced(layout: _Layout, groups: list[_Group], workers: int) -> list[_Group]:
+    """Divide groups further if the last worker then finishes earlier, although more points are triangulated twice."""
     best, earliest = groups, _makespan(groups, workers)
     while len(groups) < TASKS_PER_WORKER * workers:
         *rest, largest = sorted(groups, key=lambda group: (len(group.blocks) > 1, group.cost))
-        halves = survey.halves(largest)
+        halves = layout.halves(largest)
         if not halves:
             break
         groups = [*rest, *halves]
@@ -114,7 +116,7 @@ def _balanced(survey: _Survey, groups: list[_Group], workers: int) -> list[_Grou
     return best
 
 
-def _total(groups: Iterable[_Group]) -> int:
+def _total_cost(groups: Iterable[_Group]) -> int:
     return sum(group.cost for group in groups)
 
 
@@ -126,11 +128,13 @@ def _makespan(groups: Sequence[_Group], workers: int) -> int:
     return max(ends)
 
 
-class _Survey:
-    """Blocks to make, and points of all buckets."""
+class _Layout:
+    """Positions of the blocks to make, and positions and numbers of points of all buckets."""
 
     def __init__(self, plan: Plan, records: Records, works: Sequence[GridBlock]) -> None:
-        self._spec, self._halo, self._buckets = works[0].spec, works[0].halo, plan.meta.bucket
+        self._spec = works[0].spec
+        self._halo = works[0].halo
+        self._buckets = plan.meta.bucket
         blocks = [work.block for work in works]
         self._start = np.array([(b.row, b.col) for b in blocks])
         self._stop = np.array([(b.row + b.height, b.col + b.width) for b in blocks])
@@ -144,22 +148,27 @@ class _Survey:
         return self._group(np.arange(len(self._start)), np.arange(len(self._cells)))
 
     def halves(self, group: _Group) -> list[_Group]:
-        """Divide a group by the line with the cheapest larger part. Return an empty list for a single block."""
+        """Divide a group in two so that the cost of the more expensive half is as small as possible.
+
+        Return an empty list for a single block.
+        """
         divisions: list[tuple[int, int, int, list[_Group]]] = []
         for axis in (0, 1):
             starts = self._start[group.blocks, axis]
             for line in np.unique(starts)[1:]:
                 sides = (group.blocks[starts < line], group.blocks[starts >= line])
                 pair = [self._group(side, group.buckets) for side in sides]
-                divisions.append((max(half.cost for half in pair), _total(pair), len(divisions), pair))
+                divisions.append((max(half.cost for half in pair), _total_cost(pair), len(divisions), pair))
         return min(divisions)[-1] if divisions else []
 
     def _group(self, blocks: Ints, buckets: Ints) -> _Group:
-        """Return the group of some blocks. Only the given buckets can be in its window."""
+        """Return the group of some blocks. All buckets of its window must be among ``buckets``."""
         row, col = self._start[blocks].min(axis=0).tolist()
         height, width = (self._stop[blocks].max(axis=0) - (row, col)).tolist()
         window = self._spec.block_bounds(Block(row, col, height, width)).pad(self._halo)
-        index, cells = self._buckets.index_of, self._cells[buckets]
-        low, high = (index(window.x0), index(window.y0)), (index(window.x1 - 1), index(window.y1 - 1))
-        near = buckets[((cells >= low) & (cells <= high)).all(axis=1)]
+        index = self._buckets.index_of
+        first = (index(window.x0), index(window.y0))
+        last = (index(window.x1 - 1), index(window.y1 - 1))
+        cells = self._cells[buckets]
+        near = buckets[((cells >= first) & (cells <= last)).all(axis=1)]
         return _Group(blocks, near, int(self._points[near].sum()), height * width)

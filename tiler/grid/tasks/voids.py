@@ -1,9 +1,10 @@
-"""Facts in run.json on the pixels inside the survey that have no height."""
+"""Entries in run.json about the pixels inside the survey that have no height."""
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -16,7 +17,7 @@ from tiler.runs.job import Job
 from tiler.store import Commits
 
 MAX_LISTED = 1000
-"""Largest number of voids in run.json, which lists the largest voids."""
+"""Maximum number of voids that run.json lists. Smaller voids are left out."""
 TOUCHING = 1.5
 """Largest distance between the centres of touching cells: longer than a diagonal, shorter than two cells."""
 
@@ -24,14 +25,15 @@ TOUCHING = 1.5
 def report_voids(job: Job, spec: RasterSpec, outlined: Commits) -> None:
     """Add to run.json the voids of the delivered terrain, and the holes inside each edit."""
     records = [record for _, record in outlined.values()]
-    inside: Counter[int] = Counter()
+    n_holes: Counter[int] = Counter()
     for record in records:
-        inside.update(dict(map(tuple, record["edit_holes"])))
+        for edit, number in record["edit_holes"]:
+            n_holes[edit] += number
     for fact in job.facts.get("edits", ()):
-        fact["holes"] = inside[fact["number"]]
-    voids_in_pixels = voids_of((cell for record in records for cell in record["holes"]), spec)
-    square = float(job.plan.resolution) ** 2
-    voids = [{**void, "area_m2": void["pixels"] * square} for void in voids_in_pixels]
+        fact["holes"] = n_holes[fact["number"]]
+    cells = chain.from_iterable(record["holes"] for record in records)
+    pixel_m2 = float(job.plan.resolution) ** 2
+    voids = [{**void, "area_m2": void["pixels"] * pixel_m2} for void in voids_of(cells, spec)]
     job.facts["voids"] = {
         "surveyed_pixels": sum(record["surveyed"] for record in records),
         "pixels": sum(void["pixels"] for void in voids),
@@ -42,17 +44,22 @@ def report_voids(job: Job, spec: RasterSpec, outlined: Commits) -> None:
 
 
 def voids_of(cells: Iterable[list[int]], spec: RasterSpec) -> list[dict[str, Any]]:
-    """Merge holes whose cells touch. Return voids with ``pixels`` and CRS ``bounds``, the largest first."""
+    """Merge the holes of cells that touch (see `tiler.grid.holes.hole_cells`) into voids.
+
+    Return voids with ``pixels`` and ``bounds`` in units of the CRS, the largest first.
+    """
     table = np.array(list(cells), np.int64).reshape(-1, 5)
     if not len(table):
         return []
-    pairs = scipy.spatial.cKDTree(table[:, 1:3] // CELL_PIXELS).query_pairs(TOUCHING, output_type="ndarray")
+    n_holes, first_pixel, last_pixel = table[:, 0], table[:, 1:3], table[:, 3:]
+    pairs = scipy.spatial.cKDTree(first_pixel // CELL_PIXELS).query_pairs(TOUCHING, output_type="ndarray")
     graph = scipy.sparse.coo_array((np.ones(len(pairs)), pairs.T), (len(table), len(table)))
     count, number = scipy.sparse.csgraph.connected_components(graph, directed=False)
-    pixels = np.bincount(number, table[:, 0], count).astype(np.int64)
-    first, last = np.full((count, 2), np.iinfo(np.int64).max), np.zeros((count, 2), np.int64)
-    np.minimum.at(first, number, table[:, 1:3])
-    np.maximum.at(last, number, table[:, 3:])
+    pixels = np.bincount(number, n_holes, count).astype(np.int64)
+    first = np.full((count, 2), np.iinfo(np.int64).max)
+    last = np.zeros((count, 2), np.int64)
+    np.minimum.at(first, number, first_pixel)
+    np.maximum.at(last, number, last_pixel)
     order = np.lexsort((first[:, 1], first[:, 0], -pixels))
     return [{"pixels": int(pixels[i]), "bounds": _bounds(spec, first[i], last[i])} for i in order]
 

@@ -1,4 +1,4 @@
-"""Water of a run: bodies from a file or from the data, and their levels."""
+"""Tasks and decisions on the water of a run: bodies from a file or from the data, and their levels."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from tiler.core.water import LAKE, Water, Waters, lengths_along
 from tiler.core.words import counted
 from tiler.grid import DescribeBody, LevelWater, Sources, describe_body, level_water
 from tiler.grid.tasks.gridding import GridContext
-from tiler.grid.tasks.survey import names_of, near_places
+from tiler.grid.tasks.survey import block_names, near_places
 from tiler.grid.tasks.water_facts import report_levels
 from tiler.grid.tasks.water_search import area_sums
 from tiler.grid.water_find import MIN_LENGTH
@@ -30,39 +30,45 @@ CELLS, CROWNS = "water-cells", "water-crowns"
 """Rasters of the labels of water, and of the crowns near it."""
 SOURCES = ("occupancy", "water-ground", "domain")
 """Rasters for the search for water."""
-STEEPEST = 1 / 30
+MAX_SLOPE = 1 / 30
 """Largest fall of a river relative to its length."""
-SHORE_REACH = POCKET_PIXELS + 2
+SHORE_MARGIN = POCKET_PIXELS + 2
 """Margin around a body of water, in pixels, on which its level may depend."""
 
 
 def find_waters(job: Job, g: GridContext) -> Waters:
     """Find the bodies of water and their levels, and put them into the store for the tasks."""
     auto = g.plan.config.water == AUTO_WATER
-    bodies = _found(job, g) if auto else g.plan.waters
+    bodies = _bodies_in_data(job, g) if auto else g.plan.waters
     tasks = list(level_tasks(g, bodies))
     made = run_stage(job, STAGE, tasks) if tasks else {}
-    levelled, records = [], dict[int, dict[str, Any]]()
+    levelled: list[Water] = []
+    records: dict[int, dict[str, Any]] = {}
     for body in bodies:
-        record = records[body.number] = made.get(_key(body), (None, {}))[1]
+        _, record = made.get(_key(body), (None, {}))
+        records[body.number] = record
         if body.levelled:
             levelled.append(body)
         elif record.get("body"):
             levelled.append(Water.from_json(record["body"]))
-    left = {b.number for b in bodies} - {b.number for b in levelled}
-    if left and not auto:
-        names = ", ".join(map(str, sorted(left)))
+    without_level = {b.number for b in bodies} - {b.number for b in levelled}
+    if without_level and not auto:
+        names = ", ".join(map(str, sorted(without_level)))
         job.note(f"--water: no terrain along the shore of body {names}: it is left out; give it a `level`")
-    waters = Waters(tuple(b for b in levelled if not auto or _gentle(g, b)))
+    waters = Waters(tuple(b for b in levelled if not auto or _is_gentle(g, b)))
     if auto and waters.bodies:
-        lakes = sum(b.kind == LAKE for b in waters.bodies)
-        rivers = counted(len(waters.bodies) - lakes, "river or canal", "rivers or canals")
-        counts = [counted(lakes, "lake")] * (lakes > 0) + [rivers] * (lakes < len(waters.bodies))
+        n_lakes = sum(b.kind == LAKE for b in waters.bodies)
+        n_rivers = len(waters.bodies) - n_lakes
+        counts = []
+        if n_lakes:
+            counts.append(counted(n_lakes, "lake"))
+        if n_rivers:
+            counts.append(counted(n_rivers, "river or canal", "rivers or canals"))
         job.note(
             f"decided: found {' and '.join(counts)} and flattened the terrain there (edit {WATER} and give it with "
             "--water to change this, or use --water none)"
         )
-    if auto and not g.trusted:
+    if auto and not g.returns_show_water:
         job.note(
             "decided: only class 9 of the input is water, as holes and false heights of a photogrammetric cloud may be "
             "anywhere (give drawn water with --water FILE)"
@@ -72,7 +78,7 @@ def find_waters(job: Job, g: GridContext) -> Waters:
     return waters
 
 
-def _found(job: Job, g: GridContext) -> tuple[Water, ...]:
+def _bodies_in_data(job: Job, g: GridContext) -> tuple[Water, ...]:
     """Return the bodies of water in the data, without levels, from the north-west."""
     tasks = list(_body_tasks(g))
     made = run_stage(job, FINDING, tasks) if tasks else {}
@@ -86,38 +92,39 @@ def _body_tasks(g: GridContext) -> Iterator[Task]:
     config, coarse = g.plan.config, g.coarse
     min_m2 = min(config.water_min_lake, MIN_LENGTH * config.water_min_river_width**2)
     joined = g.areas(CELLS)
-    for name, (cells, known, hundredths) in area_sums(joined, g.records(CELLS)).items():
-        if cells * g.coarse_m**2 < min_m2:
+    for name, (n_cells, n_known, hundredths) in area_sums(joined, g.records(CELLS)).items():
+        if n_cells * g.coarse_m**2 < min_m2:
             continue
         pieces = joined.areas[name]
         places = sorted({(piece.row, piece.col) for piece in pieces})
+        confidence = round(hundredths / 100 / max(n_known, 1), 2)  # The sum is in hundredths.
         work = DescribeBody(
-            pieces, CELLS, CROWNS, Sources(*SOURCES), coarse, sure=round(hundredths / 100 / max(known, 1), 2),
+            pieces, CELLS, CROWNS, Sources(*SOURCES), coarse, sure=confidence,
             lake_m2=float(config.water_min_lake), river_width_m=float(config.water_min_river_width),
             island_m2=float(config.water_min_island),
         )  # fmt: skip
-        near = names_of(near_places(coarse, places))
+        near = block_names(near_places(coarse, places))
         digest = digest_of(
             __version__, work, *(g.checksums(name, near) for name in (CELLS, CROWNS, *SOURCES))
         )
-        key = f"{names_of(places)[0]}a{name.label}"
-        yield Task(FINDING, key, digest, describe_body, work, cells)
+        key = f"{block_names(places)[0]}a{name.label}"
+        yield Task(FINDING, key, digest, describe_body, work, n_cells)
 
 
-def _gentle(g: GridContext, body: Water) -> bool:
-    """Return whether a body falls no more steeply than rivers do, which excludes ravines without returns."""
+def _is_gentle(g: GridContext, body: Water) -> bool:
+    """Return whether a body falls no more steeply than rivers do. Ravines without returns are steeper."""
     high, low = body.range
     if body.flow is None or high == low:
         return True
     units = g.plan.meta.frame.units
     length = lengths_along(body.flow)[-1] / COUNTS_PER_UNIT * float(units.horizontal)
-    return bool((high - low) * float(units.vertical) <= STEEPEST * length)
+    return bool((high - low) * float(units.vertical) <= MAX_SLOPE * length)
 
 
 def level_tasks(g: GridContext, bodies: tuple[Water, ...]) -> Iterator[Task]:
     """Yield a task for each body without a level."""
     spec = g.spec
-    pad = int(SHORE_REACH * spec.lattice.size) + 1
+    pad = int(SHORE_MARGIN * spec.lattice.size) + 1
     auto = g.plan.config.water == AUTO_WATER
     index = AreaIndex([body.area for body in bodies])
     for body in bodies:
@@ -125,15 +132,15 @@ def level_tasks(g: GridContext, bodies: tuple[Water, ...]) -> Iterator[Task]:
             continue
         near = body.area.bounds.pad(pad)
         other_areas = tuple(bodies[i].area for i in index.overlapping(near) if bodies[i] is not body)
-        seen_cells = (*SOURCES[:2], CROWNS)
-        cells = seen_cells if all(name in g.made for name in seen_cells) else None
+        names = (*SOURCES[:2], CROWNS)
+        cells = names if all(name in g.made for name in names) else None
         work = LevelWater(body, other_areas, "dtm", spec, cells, g.coarse, joins_pockets=auto)
-        seen = [g.checksums("dtm", (block.name for block in spec.blocks_within(near, BLOCK_PIXELS)))]
+        inputs = [g.checksums("dtm", (block.name for block in spec.blocks_within(near, BLOCK_PIXELS)))]
         if cells is not None:
-            under = [block.name for block in g.coarse.blocks_within(near, BLOCK_PIXELS)]
-            seen += [g.checksums(name, under) for name in cells]
+            blocks = [block.name for block in g.coarse.blocks_within(near, BLOCK_PIXELS)]
+            inputs += [g.checksums(name, blocks) for name in cells]
         digest = digest_of(
-            __version__, body.digest, body.number, auto, [other.key for other in other_areas], spec, seen
+            __version__, body.digest, body.number, auto, [other.key for other in other_areas], spec, inputs
         )
         yield Task(STAGE, _key(body), digest, level_water, work)
 

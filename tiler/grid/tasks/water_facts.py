@@ -1,4 +1,4 @@
-"""Facts on water for run.json, the log and the report."""
+"""Entries about water in run.json and the log."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from tiler.observe.events import Warned
 from tiler.runs.job import Job
 from tiler.store import Commits
 
-SURE = 0.8
-"""Confidence below which a body causes a warning."""
+MIN_CONFIDENCE = 0.8
+"""Confidence below which a body of water causes a warning."""
 MAX_FLOATING = 0.005
 """Largest share of the shore that may lie below the level of the water without a warning."""
 
 
 def report_levels(job: Job, waters: Waters, records: Mapping[int, Mapping[str, Any]]) -> None:
-    """Note the rivers that are level for lack of evidence, and warn about bodies that need to be checked.
+    """Note the rivers whose levels are known at too few positions, and warn about bodies that need to be checked.
 
     Parameters
     ----------
@@ -48,12 +48,12 @@ def report_levels(job: Job, waters: Waters, records: Mapping[int, Mapping[str, A
 def _doubts(body: Water, record: Mapping[str, Any], unit: Fraction) -> list[dict[str, Any]]:
     """Return warnings about a body of water, each with a text and a position (x, y)."""
     doubts: list[tuple[str, tuple[float, float]]] = []
-    if body.sure is not None and body.sure < SURE:
+    if body.sure is not None and body.sure < MIN_CONFIDENCE:
         text = (
             f"{_named(body)} is water with {body.sure:.0%} certainty; check it, and if it is not water delete it from "
             "water.gpkg and give that file with --water"
         )
-        doubts.append((text, _place(body)))
+        doubts.append((text, _first_vertex(body)))
     share, lowest = record.get("floating", (0.0, None))
     if share > MAX_FLOATING and lowest is not None:
         x, y = (value / COUNTS_PER_UNIT for value in lowest)
@@ -65,21 +65,21 @@ def _doubts(body: Water, record: Mapping[str, Any], unit: Fraction) -> list[dict
         doubts.append((text, (x, y)))
     if record.get("uneven"):
         text = (
-            f"{_named(body)}: its returns differ by more than waves do, as those of strips flown at two levels; the "
-            "lower level is used (to change it, set `level` in water.gpkg and give the file with --water)"
+            f"{_named(body)}: its returns differ in height by more than waves, as if from two strips; the lower level "
+            "is used (to change it, set `level` in water.gpkg and give it with --water)"
         )
-        doubts.append((text, _place(body)))
+        doubts.append((text, _first_vertex(body)))
     return [{"text": text, "place": list(position)} for text, position in doubts]
 
 
-def _place(body: Water) -> tuple[float, float]:
+def _first_vertex(body: Water) -> tuple[float, float]:
     """Return the first vertex of the outline of a body in units of the CRS."""
     x, y = body.area.polygons[0][0][0].tolist()
     return x / COUNTS_PER_UNIT, y / COUNTS_PER_UNIT
 
 
 def _named(body: Water) -> str:
-    x, y = _place(body)
+    x, y = _first_vertex(body)
     return f"{body.kind} {body.number} at ({x:.1f}, {y:.1f})"
 
 
@@ -89,13 +89,13 @@ def report_waters(job: Job, waters: Waters, terrain: Commits) -> None:
     for _, record in terrain.values():
         for area, count in record.get("water", ()):
             pixels[area] = pixels.get(area, 0) + count
-    square = float(job.plan.resolution) ** 2
-    body_facts = [_fact(body, pixels.get(body.area.key, 0), square) for body in waters.bodies]
+    pixel_m2 = float(job.plan.resolution) ** 2
+    body_facts = [_fact(body, pixels.get(body.area.key, 0), pixel_m2) for body in waters.bodies]
     add_rings(body_facts, [body.area for body in waters.bodies])
     job.facts["water"] = body_facts
 
 
-def _fact(body: Water, pixels: int, square: float) -> dict[str, Any]:
+def _fact(body: Water, pixels: int, pixel_m2: float) -> dict[str, Any]:
     high, low = body.range
     return {
         "number": body.number,
@@ -103,7 +103,7 @@ def _fact(body: Water, pixels: int, square: float) -> dict[str, Any]:
         "level": high,
         "level_end": low,
         "pixels": pixels,
-        "area_m2": pixels * square,
+        "area_m2": pixels * pixel_m2,
         "sure": body.sure,
         "bounds": [v / COUNTS_PER_UNIT for v in body.area.bounds.to_json()],
         "stations": _stations(body),
@@ -111,7 +111,10 @@ def _fact(body: Water, pixels: int, square: float) -> dict[str, Any]:
 
 
 def _stations(body: Water) -> list[dict[str, Any]]:
-    """Return the stations of a river in units of the CRS: ``along`` from the first, ``level``, ``seen``, banks."""
+    """Return the stations of a river, in units of the CRS.
+
+    ``along`` is the distance from the first station. See `Station` for the other keys.
+    """
     import numpy as np
 
     if not body.stations:

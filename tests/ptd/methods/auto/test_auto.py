@@ -221,7 +221,7 @@ def test_reaches_are_those_of_the_rules() -> None:
     assert Auto().seed_reach == 2 * 18 + 2 * 9 + 5
     assert Auto().refine_reach == 20 + 2 * 6 + 15 + 2 * 6
     assert Auto().roof_reach == 2 * (100 + 12 + 1 + 1)
-    assert {step.name: step.reach_m for step in Auto().passes} == {
+    assert {step.name: step.influence_radius_m for step in Auto().passes} == {
         "survey": 24.0,
         "seeds": 60.0,
         "densify": None,
