@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -23,17 +24,23 @@ from tiler.grid.density import pixel_indices
 from tiler.grid.ground import GroundSelection, read_ground, read_objects
 from tiler.grid.reach import Floats, box_around, within
 from tiler.grid.water_cells import WaterCells
+from tiler.grid.water_search import ground_in
 from tiler.grid.work import BlockWork
 from tiler.store import TileStore, open_store, read_cells
 
-OPEN, HIDDEN = 1, 2
-"""Values of cells with plants, and with or without ground beneath them."""
+OPEN, HIDDEN, REED = 1, 2, 4
+"""Values of cells with plants, and with or without ground beneath them; `REED` is added for low plants."""
 CROWN_M = 14.0
 """Largest distance from water that was found to cells beneath crowns that are water."""
 MIN_POINTS = 4
 """Least number of points of a cell from which its roughness is known."""
 ROUGH_M = 0.4
 """Least RMS distance of a crown's points from a plane through those of a cell. Roofs, decks and boats are smoother."""
+REED_ROUGH_M, REED_M = 0.2, 3.0
+"""Least roughness of reed, and its largest height above the terrain.
+
+Boats and pontoons are smoother. Trees are higher.
+"""
 MIN_OPEN = 0.3
 """Least share of the cells with plants around a cell that have ground, so that a lack of ground is a sign of water."""
 AMONG_M = 8.0
@@ -54,18 +61,19 @@ class CrownsBlock(BlockWork):
     ----------
     sure : tuple of str
         Rasters of the confidence that each cell is water.
-    occupancy : str
-        Raster of the points in each cell.
+    occupancy, ground : str
+        Rasters of the points in each cell, and of the heights of the terrain.
     rule : GroundSelection
     """
 
     sure: tuple[str, ...]
     occupancy: str
+    ground: str
     rule: GroundSelection
 
 
 def crowns_block(store_url: str, work: CrownsBlock) -> dict[str, Any]:
-    """Write `OPEN` or `HIDDEN` for the cells of a block with plants near water, 0 elsewhere.
+    """Write `OPEN` or `HIDDEN` and `REED` for the cells of a block with plants near water, 0 elsewhere.
 
     This is a `tiler.schedule.task.Work`. Only buckets with points near water are read.
 
@@ -94,27 +102,71 @@ def crowns_margin(size_m: float) -> int:
 def _crowns(store: TileStore, work: CrownsBlock, window: Block, wanted: Bools) -> npt.NDArray[np.int64]:
     """Return the value of each cell of a window, see `crowns_block`. Only wanted cells are right."""
     frame, spec = store.meta.frame, work.spec
-    has_ground = np.zeros(wanted.size, np.bool_)
-    objects, object_cells = [np.empty((3, 0), np.int32)], [np.empty(0, np.int64)]
+    point_cells, are_objects = [np.empty(0, np.int64)], [np.empty(0, np.bool_)]
+    counts = [np.empty((3, 0), np.int32)]
     for cell in store.buckets_within(spec.block_bounds(window)):
         bounds = store.meta.bucket.bounds(cell).intersection(spec.block_bounds(window))
         part = spec.part(window, bounds)
         top, left = part.row - window.row, part.col - window.col
         if not wanted[top : top + part.height, left : left + part.width].any():
             continue
-        ground = read_ground(store, work.rule, bounds).xyz
-        has_ground[pixel_indices(ground, frame.origin, spec, window)] = True
-        points = read_objects(store, work.rule, bounds)
-        cells = pixel_indices(points, frame.origin, spec, window)
-        chosen = wanted.ravel()[cells]
-        objects.append(points[:, chosen])
-        object_cells.append(cells[chosen])
-    xyz, cells = np.concatenate(objects, axis=1), np.concatenate(object_cells)
-    rough = roughness(xyz, cells, wanted.size) * float(frame.metres_z)
-    plants = _mostly(rough.reshape(wanted.shape) > ROUGH_M, ~np.isnan(rough).reshape(wanted.shape))
-    has_objects = np.bincount(cells, minlength=wanted.size) > 0
-    kinds = np.where(has_ground, OPEN, HIDDEN).reshape(wanted.shape)
-    return np.where(plants & has_objects.reshape(wanted.shape), kinds, 0)
+        ground, objects = read_ground(store, work.rule, bounds).xyz, read_objects(store, work.rule, bounds)
+        for xyz, is_object in ((ground, False), (objects, True)):
+            cells = pixel_indices(xyz, frame.origin, spec, window)
+            chosen = wanted.ravel()[cells]
+            point_cells.append(cells[chosen])
+            are_objects.append(np.full(int(chosen.sum()), is_object))
+            counts.append(xyz[:, chosen])
+    xyz, cells = np.concatenate(counts, axis=1), np.concatenate(point_cells)
+    terrain = ground_in(store, work.ground, spec, window)
+    return plant_kinds(xyz, cells, np.concatenate(are_objects), terrain, frame.metres_z)
+
+
+def plant_kinds(
+    xyz: npt.NDArray[np.int32],
+    cells: npt.NDArray[np.int64],
+    objects: Bools,
+    terrain: Floats,
+    metres_z: Fraction,
+) -> npt.NDArray[np.int64]:
+    """Return the value of each cell, int64 (h, w), see `crowns_block`.
+
+    Parameters
+    ----------
+    xyz : int32 (3, n)
+        Points in counts.
+    cells : int64 (n,)
+        Number of each point's cell, from 0.
+    objects : bool (n,)
+        Whether a point is not ground.
+    terrain : float64 (h, w)
+        Height of the terrain in metres, NaN for none.
+    metres_z : Fraction
+        Metres per vertical count.
+    """
+    scale = float(metres_z)
+
+    def rough_cells(chosen: Bools, least: float) -> Bools:
+        """Return a mask of the cells that have objects and are mostly rough, by some of the points."""
+        rough = (roughness(xyz[:, chosen], cells[chosen], terrain.size) * scale).reshape(terrain.shape)
+        return _mostly(rough > least, ~np.isnan(rough)) & has_objects
+
+    has_ground, has_objects = (
+        (np.bincount(cells[chosen], minlength=terrain.size) > 0).reshape(terrain.shape)
+        for chosen in (~objects, objects)
+    )
+    tops = np.full(terrain.size, -np.inf)
+    np.maximum.at(tops, cells, xyz[2] * scale)
+    # Reed may be so low that its lowest points count as ground.
+    reed = rough_cells(np.ones_like(objects), REED_ROUGH_M)
+    reed &= tops.reshape(terrain.shape) - terrain <= REED_M
+    kinds = np.where(has_ground, OPEN, HIDDEN)
+    return np.where(rough_cells(objects, ROUGH_M), kinds, 0) + np.where(reed, REED, 0)
+
+
+def is_hidden(crowns: npt.NDArray[Any]) -> Bools:
+    """Return a mask of the cells with crowns and without ground, from the values of `crowns_block`."""
+    return np.asarray(crowns % REED == HIDDEN)
 
 
 def roughness(xyz: npt.NDArray[np.int32], cells: npt.NDArray[np.int64], size: int) -> Floats:
@@ -186,29 +238,29 @@ def beneath_crowns(cells: WaterCells, crowns: npt.NDArray[Any], wet: Bools, leve
     level : float64, shape of the cells
         Level of the water near each cell in metres.
     """
-    hidden = (crowns == HIDDEN) & ~wet & cells.domain
+    hidden = is_hidden(crowns) & ~wet & cells.domain
     hidden &= _open_share(crowns, round(4 * CROWN_M / cells.size)) >= MIN_OPEN
-    bank = (crowns != HIDDEN) & ~wet & (cells.returns > 0) & ~np.isnan(cells.ground)
+    bank = ~is_hidden(crowns) & ~wet & (cells.returns > 0) & ~np.isnan(cells.ground)
     if not hidden.any() or not bank.any():
         return np.zeros_like(hidden)
     radius = AMONG_M / cells.size
     hidden &= within(~within(bank, radius), radius)
-    hidden = _connected(hidden, wet, math.ceil(CROWN_M / cells.size))
+    hidden = connected(hidden, wet, math.ceil(CROWN_M / cells.size))
     height, slope = continued_bank(np.argwhere(hidden), np.argwhere(bank), (cells.ground - level)[bank])
     hidden[hidden] = (height <= LOW_M) | (slope <= FLAT * cells.size)
-    return _connected(hidden, wet, math.ceil(CROWN_M / cells.size))
+    return connected(hidden, wet, math.ceil(CROWN_M / cells.size))
 
 
 def _open_share(crowns: npt.NDArray[Any], side: int) -> Floats:
     """Return the share of the cells with plants around each cell that have ground; the squares have an odd side."""
     has_ground, has_plants = (
         scipy.ndimage.uniform_filter(mask.astype(np.float64), side // 2 * 2 + 1, mode="constant")
-        for mask in (crowns == OPEN, crowns > 0)
+        for mask in (crowns % REED == OPEN, crowns % REED > 0)
     )
-    return np.divide(has_ground, has_plants, out=np.zeros(crowns.shape), where=crowns > 0)
+    return np.divide(has_ground, has_plants, out=np.zeros(crowns.shape), where=crowns % REED > 0)
 
 
-def _connected(hidden: Bools, wet: Bools, reach: int) -> Bools:
+def connected(hidden: Bools, wet: Bools, reach: int) -> Bools:
     """Return the cells that are connected with water over at most ``reach`` cells."""
     whole = hidden | wet
     joined_mask = np.zeros_like(hidden)

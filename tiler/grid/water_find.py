@@ -19,8 +19,9 @@ from tiler.grid.centreline import area_of
 from tiler.grid.coarse import Bools, padded
 from tiler.grid.pieces import Piece, cells_of, components
 from tiler.grid.reach import box_around
-from tiler.grid.water_crowns import HIDDEN
+from tiler.grid.water_crowns import REED, is_hidden
 from tiler.grid.water_extent import SPECK_CELLS, smoothed, water_heights
+from tiler.grid.water_reed import without_bank
 from tiler.grid.water_search import Sources, inner_window, read_search_cells
 from tiler.grid.water_shore import MAX_DEPTH_M, REACH_CELLS, depths, shore_polygons
 from tiler.store import TileStore, open_store, read_cells
@@ -174,9 +175,10 @@ def _polygons(store: TileStore, work: DescribeBody, block: Block) -> list[Any]:
     wet = cells_of(store, work.water, work.coarse, window, work.pieces)
     box = box_around(wet, REACH_CELLS)
     cells = read_search_cells(store, work.sources, work.coarse, window, 1).cut(box)
-    beneath = (read_cells(store, work.crowns, work.coarse, window) == HIDDEN)[box] & wet[box]
+    crowns = read_cells(store, work.crowns, work.coarse, window)[box]
     smooth = smoothed(cells.ground)
-    level = water_heights(cells.with_ground(smooth), wet[box] & ~beneath)
+    level = water_heights(cells.with_ground(smooth), wet[box] & ~is_hidden(crowns) & (crowns < REED))
+    beneath = wet[box] & (is_hidden(crowns) if level is None else without_bank(crowns, smooth - level))
     field = np.full(wet.shape, MAX_DEPTH_M)
     field[box] = depths(cells.with_ground(np.where(beneath, np.nan, smooth)), wet[box], level)
     cut = inner_window(padded(block, 1), REACH_CELLS - 1)

@@ -129,7 +129,7 @@ def sure_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
 
 def crowns_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
     """Yield a task for each block near water, if laser pulses pass through crowns."""
-    sure, planes, occupancy = raster.inputs
+    sure, planes, occupancy, ground = raster.inputs
     for place in _near_water(g, sure, planes) if g.trusted else []:
         block = g.coarse.block_at(*place, BLOCK_PIXELS)
         work = CrownsBlock(
@@ -138,6 +138,7 @@ def crowns_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
             block=block,
             sure=(sure, planes),
             occupancy=occupancy,
+            ground=ground,
             rule=g.rule,
         )
         cell = int(g.coarse.lattice.size) + 1
