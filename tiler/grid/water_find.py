@@ -17,8 +17,18 @@ from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec
 from tiler.core.water import LAKE, RIVER, Water
 from tiler.grid.centreline import area_of
 from tiler.grid.coarse import Bools, padded
+from tiler.grid.ground import GroundSelection
 from tiler.grid.pieces import Piece, cells_of, components
 from tiler.grid.reach import box_around
+from tiler.grid.water_banks import (
+    BANK_MARGIN,
+    NOTHING_SEEN,
+    SeenGround,
+    Shore,
+    dense_quays,
+    highest_near,
+    seen_at_shore,
+)
 from tiler.grid.water_crowns import REED, is_hidden
 from tiler.grid.water_extent import SPECK_CELLS, smoothed, water_heights
 from tiler.grid.water_reed import without_bank
@@ -49,6 +59,7 @@ class DescribeBody:
     water, crowns : str
         Rasters of the labels of water, and of the plants near it.
     sources : Sources
+    rule : GroundSelection
     coarse : RasterSpec
         Raster of the coarse cells.
     sure : float
@@ -61,6 +72,7 @@ class DescribeBody:
     water: str
     crowns: str
     sources: Sources
+    rule: GroundSelection
     coarse: RasterSpec
     sure: float
     lake_m2: float
@@ -81,9 +93,12 @@ def describe_body(store_url: str, work: DescribeBody) -> dict[str, Any]:
     store, coarse = open_store(store_url), work.coarse
     size_m = float(coarse.lattice.size * store.meta.frame.metres_xy)
     polygons: list[Any] = []
+    seen: list[SeenGround] = []
     ends, faces, cells = [np.empty((0, 2), np.int64)], 0, 0
     for block, body_mask in _blocks(store, work):
-        polygons += _polygons(store, work, block)
+        shapes, seen_ground = _shapes(store, work, block)
+        polygons += shapes
+        seen.append(seen_ground)
         beyond = read_cells(store, work.sources.domain, coarse, padded(block, 1), float(BEYOND)) == BEYOND
         leaving_mask, sides = _leaving(body_mask, beyond)
         ends.append(np.argwhere(leaving_mask) + (block.row, block.col))
@@ -100,7 +115,11 @@ def describe_body(store_url: str, work: DescribeBody) -> dict[str, Any]:
     area_m2 = cells * size_m**2
     kind, width_m = _kind(area_m2, length_m, size_m, len(exits))
     small = area_m2 < work.lake_m2 if kind == LAKE else width_m < work.river_width_m
-    body = None if small else Water(0, kind, _area(whole, side), None, None, work.sure).to_json()
+    # The kind follows from the shore between coarse cells, as detail would make a shore longer and a river narrower.
+    water = shapely.union_all([whole, *(ground.wet for ground in seen)])
+    water = shapely.difference(water, shapely.union_all([ground.dry for ground in seen]))
+    water = _without_specks(_without_islands(water, SPECK_CELLS * side**2), SPECK_CELLS * side**2)
+    body = None if small else Water(0, kind, _area(water, side), None, None, work.sure).to_json()
     return {"body": body}
 
 
@@ -169,8 +188,11 @@ def _kind(area_m2: float, shore_m: float, size_m: float, exits: int) -> tuple[st
     return (RIVER if river else LAKE), 2 * area_m2 / length
 
 
-def _polygons(store: TileStore, work: DescribeBody, block: Block) -> list[Any]:
-    """Return polygons of the water of a block in absolute counts. They overlap those of neighbouring blocks."""
+def _shapes(store: TileStore, work: DescribeBody, block: Block) -> tuple[list[Any], SeenGround]:
+    """Return polygons of the water of a block in absolute counts, and what was seen at its shore.
+
+    The shapes overlap those of neighbouring blocks.
+    """
     window = padded(block, REACH_CELLS)
     wet = cells_of(store, work.water, work.coarse, window, work.pieces)
     box = box_around(wet, REACH_CELLS)
@@ -182,7 +204,24 @@ def _polygons(store: TileStore, work: DescribeBody, block: Block) -> list[Any]:
     field = np.full(wet.shape, MAX_DEPTH_M)
     field[box] = depths(cells.with_ground(np.where(beneath, np.nan, smooth)), wet[box], level)
     cut = inner_window(padded(block, 1), REACH_CELLS - 1)
-    return shore_polygons(field[cut], work.coarse, padded(block, 1))
+    polygons = shore_polygons(field[cut], work.coarse, padded(block, 1))
+    if level is None:
+        return polygons, NOTHING_SEEN
+    levels, is_upright = np.full(wet.shape, np.nan), np.zeros(wet.shape, np.bool_)
+    levels[box] = np.where(beneath, np.nan, highest_near(level))
+    is_upright[box] = dense_quays(cells.with_ground(smooth), wet[box], level)
+    cut = inner_window(padded(block, BANK_MARGIN), REACH_CELLS - BANK_MARGIN)
+    shore = Shore(field[cut], levels[cut], is_upright[cut])
+    return polygons, seen_at_shore(store, work.rule, work.coarse, padded(block, BANK_MARGIN), shore)
+
+
+def _without_specks(whole: Any, least: float) -> Any:
+    """Return a shape without its parts of an area below ``least``, except the largest one."""
+    import shapely
+
+    parts = shapely.get_parts(whole)
+    areas = shapely.area(parts)
+    return shapely.union_all(parts[(areas >= least) | (areas == areas.max(initial=0.0))])
 
 
 def _without_islands(whole: Any, least: float) -> Any:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -82,18 +83,31 @@ def _cut_cells(cells: WaterCells, above: Floats, wet: Bools) -> Bools:
     The water returns little, so such a cell has less than half as many returns as the next two cells of the bank.
     """
     land_returns = np.where(wet, 0.0, cells.returns)
-    bank = np.where(wet, np.nan, above)
     is_cut = np.zeros_like(wet)
+    for axis, step, upright in _upright_sides(above, wet, cells.size):
+        returns, next_returns = (np.roll(land_returns, n * step, axis) for n in (1, 2))
+        few = cells.returns < CUT_SHARE * (returns + next_returns) / 2
+        is_cut |= upright & few & (np.minimum(returns, next_returns) > 0)
+    return is_cut
+
+
+def quays(cells: WaterCells, wet: Bools, level: Floats) -> Bools:
+    """Return a mask of the outermost cells of high, level banks. Parameters are those of `depths`."""
+    is_quay = np.zeros_like(wet)
+    for _, _, upright in _upright_sides(cells.ground - level, wet, cells.size):
+        is_quay |= upright
+    return is_quay
+
+
+def _upright_sides(above: Floats, wet: Bools, size: float) -> Iterator[tuple[int, int, Bools]]:
+    """Yield an axis, a step, and a mask of the cells beside water on this side with a high, level bank behind them."""
+    bank = np.where(wet, np.nan, above)
     for axis, step in SIDES:
-        (returns, heights), (next_returns, next_heights) = (
-            (np.roll(land_returns, n * step, axis), np.roll(bank, n * step, axis)) for n in (1, 2)
-        )
+        heights, next_heights = (np.roll(bank, n * step, axis) for n in (1, 2))
         with np.errstate(invalid="ignore"):
             upright = np.minimum(heights, next_heights) >= UPRIGHT_M
-            upright &= np.abs(heights - next_heights) <= MAX_QUAY_SLOPE * cells.size
-        few = cells.returns < CUT_SHARE * (returns + next_returns) / 2
-        is_cut |= np.roll(wet, -step, axis) & upright & few & (np.minimum(returns, next_returns) > 0)
-    return is_cut & ~wet
+            upright &= np.abs(heights - next_heights) <= MAX_QUAY_SLOPE * size
+        yield axis, step, upright & np.roll(wet, -step, axis) & ~wet
 
 
 def _gone_on(above: Floats, wet: Bools) -> tuple[Floats, Floats]:
