@@ -34,6 +34,7 @@ from tiler.grid.water_extent import SPECK_CELLS, smoothed, water_heights
 from tiler.grid.water_reed import without_bank
 from tiler.grid.water_search import Sources, inner_window, read_search_cells
 from tiler.grid.water_shore import MAX_DEPTH_M, REACH_CELLS, depths, shore_polygons
+from tiler.grid.water_strips import bank_rises, lower_level
 from tiler.store import TileStore, open_store, read_cells
 
 ROUND = 1 / 3
@@ -92,13 +93,8 @@ def describe_body(store_url: str, work: DescribeBody) -> dict[str, Any]:
 
     store, coarse = open_store(store_url), work.coarse
     size_m = float(coarse.lattice.size * store.meta.frame.metres_xy)
-    polygons: list[Any] = []
-    seen: list[SeenGround] = []
     ends, faces, cells = [np.empty((0, 2), np.int64)], 0, 0
     for block, body_mask in _blocks(store, work):
-        shapes, seen_ground = _shapes(store, work, block)
-        polygons += shapes
-        seen.append(seen_ground)
         beyond = read_cells(store, work.sources.domain, coarse, padded(block, 1), float(BEYOND)) == BEYOND
         leaving_mask, sides = _leaving(body_mask, beyond)
         ends.append(np.argwhere(leaving_mask) + (block.row, block.col))
@@ -106,21 +102,66 @@ def describe_body(store_url: str, work: DescribeBody) -> dict[str, Any]:
         cells += int(body_mask[1:-1, 1:-1].sum())
     side = float(coarse.lattice.size)
     exits = _exits(np.concatenate(ends))
-    found = _without_islands(shapely.union_all(polygons), work.island_m2 * (side / size_m) ** 2)
     bays = _bays(store, work, exits, MAX_BAY_M / size_m)
-    # Land that only a bay encloses stays, unless it is a speck.
-    whole = _without_islands(shapely.union(found, bays), SPECK_CELLS * side**2)
+    whole, seen = _whole(store, work, bays, None)
     shore = shapely.get_exterior_ring(shapely.get_parts(whole))
     length_m = (float(shapely.length(shore).sum()) / side - faces) * size_m
     area_m2 = cells * size_m**2
     kind, width_m = _kind(area_m2, length_m, size_m, len(exits))
     small = area_m2 < work.lake_m2 if kind == LAKE else width_m < work.river_width_m
-    # The kind follows from the shore between coarse cells, as detail would make a shore longer and a river narrower.
+    body = None
+    if not small:
+        lowest = _lower_level(store, work) if kind == LAKE else None
+        if lowest is not None:
+            whole, seen = _whole(store, work, bays, lowest)
+        # The kind follows from the shore between coarse cells, as detail would make a shore longer.
+        body = Water(0, kind, _area(_detailed(whole, seen, side), side), None, None, work.sure).to_json()
+    return {"body": body}
+
+
+def _whole(
+    store: TileStore, work: DescribeBody, bays: Any, lowest: float | None
+) -> tuple[Any, list[SeenGround]]:
+    """Return the shape of a body by its coarse cells, and what was seen at its shore.
+
+    The level is at most ``lowest`` metres, unless that is None.
+    """
+    import shapely
+
+    side = float(work.coarse.lattice.size)
+    least = work.island_m2 / float(store.meta.frame.metres_xy) ** 2
+    polygons: list[Any] = []
+    seen = []
+    for block, _ in _blocks(store, work):
+        shapes, seen_ground = _shapes(store, work, block, lowest)
+        polygons += shapes
+        seen.append(seen_ground)
+    found = _without_islands(shapely.union_all(polygons), least)
+    # Land that only a bay encloses stays, unless it is a speck.
+    return _without_islands(shapely.union(found, bays), SPECK_CELLS * side**2), seen
+
+
+def _detailed(whole: Any, seen: list[SeenGround], side: float) -> Any:
+    """Return the shape of a body with what was seen at its shore, without specks."""
+    import shapely
+
     water = shapely.union_all([whole, *(ground.wet for ground in seen)])
     water = shapely.difference(water, shapely.union_all([ground.dry for ground in seen]))
-    water = _without_specks(_without_islands(water, SPECK_CELLS * side**2), SPECK_CELLS * side**2)
-    body = None if small else Water(0, kind, _area(water, side), None, None, work.sure).to_json()
-    return {"body": body}
+    return _without_specks(_without_islands(water, SPECK_CELLS * side**2), SPECK_CELLS * side**2)
+
+
+def _lower_level(store: TileStore, work: DescribeBody) -> float | None:
+    """Return the lower level of a lake that two strips show at two levels, or None."""
+    heights, rises = [np.empty(0)], [np.empty(0)]
+    for block, body_mask in _blocks(store, work):
+        wet = np.pad(body_mask, 2)
+        window = padded(block, 3)
+        cells = read_search_cells(store, work.sources, work.coarse, window, 1)
+        crowns = read_cells(store, work.crowns, work.coarse, window)
+        seen = (cells.returns > 0) & (crowns == 0) & ~np.isnan(cells.ground)
+        heights.append(cells.ground[seen & scipy.ndimage.binary_erosion(wet, np.ones((3, 3), np.bool_))])
+        rises.append(bank_rises(cells.ground, wet))
+    return lower_level(np.concatenate(heights), np.concatenate(rises))
 
 
 def _blocks(store: TileStore, work: DescribeBody) -> Iterator[tuple[Block, Bools]]:
@@ -188,7 +229,9 @@ def _kind(area_m2: float, shore_m: float, size_m: float, exits: int) -> tuple[st
     return (RIVER if river else LAKE), 2 * area_m2 / length
 
 
-def _shapes(store: TileStore, work: DescribeBody, block: Block) -> tuple[list[Any], SeenGround]:
+def _shapes(
+    store: TileStore, work: DescribeBody, block: Block, lowest: float | None
+) -> tuple[list[Any], SeenGround]:
     """Return polygons of the water of a block in absolute counts, and what was seen at its shore.
 
     The shapes overlap those of neighbouring blocks.
@@ -202,7 +245,9 @@ def _shapes(store: TileStore, work: DescribeBody, block: Block) -> tuple[list[An
     level = water_heights(cells.with_ground(smooth), wet[box] & ~is_hidden(crowns) & (crowns < REED))
     beneath = wet[box] & (is_hidden(crowns) if level is None else without_bank(crowns, smooth - level))
     field = np.full(wet.shape, MAX_DEPTH_M)
-    field[box] = depths(cells.with_ground(np.where(beneath, np.nan, smooth)), wet[box], level)
+    bank = cells.with_ground(np.where(beneath, np.nan, smooth))
+    final = level if level is None or lowest is None else np.minimum(level, lowest)
+    field[box] = depths(bank, wet[box], final, lowest is not None)
     cut = inner_window(padded(block, 1), REACH_CELLS - 1)
     polygons = shore_polygons(field[cut], work.coarse, padded(block, 1))
     if level is None:

@@ -33,7 +33,7 @@ SIDES = ((0, 1), (0, -1), (1, 1), (1, -1))
 AROUND = np.ones((3, 3), np.bool_)
 
 
-def depths(cells: WaterCells, wet: Bools, level: Floats | None) -> Floats:
+def depths(cells: WaterCells, wet: Bools, level: Floats | None, is_lowered: bool = False) -> Floats:
     """Return heights of the bank above the water, extrapolated below it into its outermost cells.
 
     Heights are positive on land and negative in water, so the line at 0 is the shore. Without ground heights the shore
@@ -46,12 +46,17 @@ def depths(cells: WaterCells, wet: Bools, level: Floats | None) -> Floats:
     wet : bool, shape of the cells
     level : float64, shape of the cells
         Level of the water near each cell in metres, see `tiler.grid.water_extent.water_heights`; None if not known.
+    is_lowered : bool
+        Whether the level is below the water that was seen, so that the slope of the bank goes on below it.
     """
     if level is None:
         return np.where(wet, -MAX_DEPTH_M, MAX_DEPTH_M)
     above = cells.ground - level
     for _ in range(BANK_CELLS):
-        wet = wet & ~_banks(above, wet, cells.returns > 0)
+        banks, heights = _banks(above, wet, cells.returns > 0)
+        if is_lowered:
+            above[banks] = heights[banks]
+        wet = wet & ~banks
     mostly_wet = _cut_cells(cells, above, wet)
     wet = wet | mostly_wet
     above[mostly_wet] = np.nan
@@ -66,15 +71,16 @@ def depths(cells: WaterCells, wet: Bools, level: Floats | None) -> Floats:
     return bank_heights
 
 
-def _banks(above: Floats, wet: Bools, seen: Bools) -> Bools:
-    """Return a mask of the outermost cells of the water that are bank.
+def _banks(above: Floats, wet: Bools, seen: Bools) -> tuple[Bools, Floats]:
+    """Return a mask of the outermost cells of the water that are bank, and the heights of the bank there.
 
     Both their own ground and the extrapolated bank lie above the water. The ground alone does not show this, as a cell
     that the shore cuts has a mean height at or above that of the bank at its middle.
     """
     _, gone_on = _gone_on(above, wet)
     with np.errstate(invalid="ignore"):
-        return wet & seen & (np.minimum(above, gone_on) > MIN_DEPTH_M)
+        heights = np.minimum(above, gone_on)
+        return wet & seen & (heights > MIN_DEPTH_M), heights
 
 
 def _cut_cells(cells: WaterCells, above: Floats, wet: Bools) -> Bools:
