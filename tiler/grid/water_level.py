@@ -22,7 +22,7 @@ from tiler.core.water import RIVER, Counts, Water
 from tiler.grid.centreline import centreline, mean_width, polygon_of
 from tiler.grid.coarse import padded
 from tiler.grid.profile import MIN_PIXELS, SMOOTH_M, Profile, Scale, bank_level, profile_along, water_level
-from tiler.grid.water_crowns import is_hidden
+from tiler.grid.water_crowns import REED, is_hidden
 from tiler.grid.water_pockets import POCKET_PIXELS, Beside, pockets, with_pixels
 from tiler.store import TileStore, open_store
 
@@ -177,7 +177,8 @@ def _seen(store: TileStore, work: LevelWater, points: str, ground: str, crowns: 
         some[(coarse.north - 1 - part.row) % step :: step, -(coarse.west + part.col) % step :: step] = True
         heights = store.read_block(ground, part)
         seen &= some & (store.read_block(points, part) != 0) & (heights != np.float32(NODATA))
-        seen &= ~is_hidden(store.read_block(crowns, part))
+        plants = store.read_block(crowns, part)
+        seen &= ~is_hidden(plants) & (plants < REED)
         x, y = coarse.centres(part)
         z = np.rint(heights.astype(np.float64) * COUNTS_PER_UNIT).astype(np.int64)
         cell_points.append(np.stack((x, y, z))[:, seen])

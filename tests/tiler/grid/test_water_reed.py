@@ -7,9 +7,15 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
+from tiler.core.area import Area
+from tiler.core.lattice import Bounds, Lattice
+from tiler.core.raster import BLOCK_PIXELS, RasterSpec
+from tiler.core.water import LAKE, Water
 from tiler.grid.water_cells import WaterCells
 from tiler.grid.water_crowns import HIDDEN, OPEN, REED, plant_kinds
+from tiler.grid.water_level import LevelWater, heights_of
 from tiler.grid.water_reed import among_reed, without_bank
+from tiler.store import TileStore
 
 ROWS, COLUMNS = np.mgrid[0:60, 0:60]
 SHORE, WIDE = 30, 3
@@ -78,3 +84,27 @@ def test_reed_is_low_and_rough_and_its_lowest_points_may_be_ground(
     kinds = plant_kinds(xyz, y // 2000 * 20 + x // 2000, objects, np.full((20, 20), 0.4), Fraction(1, 1000))
     assert ((kinds >= REED).mean() > 0.9) == is_reed
     assert ((kinds >= REED).mean() < 0.1) != is_reed
+
+
+def test_returns_of_reed_give_no_level(small_store: TileStore) -> None:
+    """Reed stands 0.5 m above the water over half of a lake of 40 by 40 cells."""
+    cell = 2000
+    spec = RasterSpec(Lattice(Fraction(cell)), 0, BLOCK_PIXELS, BLOCK_PIXELS, BLOCK_PIXELS)
+    block = spec.block_at(0, 0, BLOCK_PIXELS)
+    reed = np.tile(np.arange(BLOCK_PIXELS) < 120, (BLOCK_PIXELS, 1))
+    rasters = {
+        "dtm": np.full(reed.shape, 12.0),
+        "occupancy": np.full(reed.shape, 8.0),
+        "ground": np.where(reed, 10.5, 10.0),
+        "crowns": np.where(reed, REED, 0),
+    }
+    for name, values in rasters.items():
+        small_store.create_raster(name, *values.shape, 0.0)
+        small_store.write_block(name, block, values.astype(np.float32))
+    top = (BLOCK_PIXELS - 100) * cell
+    area = Area.rectangle(Bounds(100 * cell, top - 40 * cell, 140 * cell, top))
+    seen = ("occupancy", "ground", "crowns")
+    work = LevelWater(Water(1, LAKE, area), (), "dtm", spec, seen, spec, joins_pockets=False)
+    _, within = heights_of(small_store, work)
+    assert within.shape[1] > 500
+    assert set(within[2].tolist()) == {10_000}
