@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -24,11 +25,12 @@ from tiler.grid.density import pixel_indices
 from tiler.grid.ground import GroundSelection, read_ground, read_objects
 from tiler.grid.reach import Floats, box_around, within
 from tiler.grid.water_cells import WaterCells
+from tiler.grid.water_search import ground_in
 from tiler.grid.work import BlockWork
 from tiler.store import TileStore, open_store, read_cells
 
-OPEN, HIDDEN = 1, 2
-"""Values of cells with plants, and with or without ground beneath them."""
+OPEN, HIDDEN, REED = 1, 2, 4
+"""Values of cells with plants, and with or without ground beneath them; `REED` is added for low plants."""
 CROWN_M = 14.0
 """Largest distance by which water extends beneath crowns."""
 MIN_POINTS = 4
@@ -36,6 +38,11 @@ MIN_POINTS = 4
 ROUGH_M = 0.4
 """Least RMS distance of points of a crown from the plane through the points of their cell. Roofs, decks and boats are
 smoother."""
+REED_ROUGH_M, REED_M = 0.2, 3.0
+"""Least roughness of reed, and its largest height above the terrain.
+
+Boats and pontoons are smoother. Trees are higher.
+"""
 MIN_OPEN = 0.3
 """Least share of the cells with plants around a cell that have ground. With a lower share, a lack of ground is not a
 sign of water."""
@@ -57,18 +64,19 @@ class CrownsBlock(BlockWork):
     ----------
     sure : tuple of str
         Rasters of the confidence that each cell is water.
-    occupancy : str
-        Raster of the points in each cell.
+    occupancy, ground : str
+        Rasters of the points in each cell, and of the heights of the terrain.
     rule : GroundSelection
     """
 
     sure: tuple[str, ...]
     occupancy: str
+    ground: str
     rule: GroundSelection
 
 
 def crowns_block(store_url: str, work: CrownsBlock) -> dict[str, Any]:
-    """Write `OPEN` or `HIDDEN` for the cells of a block with plants near water, 0 elsewhere.
+    """Write `OPEN` or `HIDDEN` and `REED` for the cells of a block with plants near water, 0 elsewhere.
 
     This is a `tiler.schedule.task.Work`. Only buckets with points near water are read.
 
@@ -100,27 +108,71 @@ def _crowns(store: TileStore, work: CrownsBlock, window: Block, examined: Bools)
     The values of cells that are not ``examined`` may be wrong.
     """
     frame, spec = store.meta.frame, work.spec
-    has_ground = np.zeros(examined.size, np.bool_)
-    objects, object_cells = [np.empty((3, 0), np.int32)], [np.empty(0, np.int64)]
+    point_cells, are_objects = [np.empty(0, np.int64)], [np.empty(0, np.bool_)]
+    counts = [np.empty((3, 0), np.int32)]
     for cell in store.buckets_within(spec.block_bounds(window)):
         bounds = store.meta.bucket.bounds(cell).intersection(spec.block_bounds(window))
         part = spec.part(window, bounds)
         top, left = part.row - window.row, part.col - window.col
         if not examined[top : top + part.height, left : left + part.width].any():
             continue
-        ground = read_ground(store, work.rule, bounds).xyz
-        has_ground[pixel_indices(ground, frame.origin, spec, window)] = True
-        points = read_objects(store, work.rule, bounds)
-        cells = pixel_indices(points, frame.origin, spec, window)
-        chosen = examined.ravel()[cells]
-        objects.append(points[:, chosen])
-        object_cells.append(cells[chosen])
-    xyz, cells = np.concatenate(objects, axis=1), np.concatenate(object_cells)
-    rough = (roughness(xyz, cells, examined.size) * float(frame.metres_z)).reshape(examined.shape)
-    plants = _mostly(rough > ROUGH_M, ~np.isnan(rough))
-    has_objects = np.bincount(cells, minlength=examined.size) > 0
-    kinds = np.where(has_ground, OPEN, HIDDEN).reshape(examined.shape)
-    return np.where(plants & has_objects.reshape(examined.shape), kinds, 0)
+        ground, objects = read_ground(store, work.rule, bounds).xyz, read_objects(store, work.rule, bounds)
+        for xyz, is_object in ((ground, False), (objects, True)):
+            cells = pixel_indices(xyz, frame.origin, spec, window)
+            chosen = examined.ravel()[cells]
+            point_cells.append(cells[chosen])
+            are_objects.append(np.full(int(chosen.sum()), is_object))
+            counts.append(xyz[:, chosen])
+    xyz, cells = np.concatenate(counts, axis=1), np.concatenate(point_cells)
+    terrain = ground_in(store, work.ground, spec, window)
+    return plant_kinds(xyz, cells, np.concatenate(are_objects), terrain, frame.metres_z)
+
+
+def plant_kinds(
+    xyz: npt.NDArray[np.int32],
+    cells: npt.NDArray[np.int64],
+    objects: Bools,
+    terrain: Floats,
+    metres_z: Fraction,
+) -> npt.NDArray[np.int64]:
+    """Return the value of each cell, int64 (h, w), see `crowns_block`.
+
+    Parameters
+    ----------
+    xyz : int32 (3, n)
+        Points in counts.
+    cells : int64 (n,)
+        Number of each point's cell, from 0.
+    objects : bool (n,)
+        Whether a point is not ground.
+    terrain : float64 (h, w)
+        Height of the terrain in metres, NaN for none.
+    metres_z : Fraction
+        Metres per vertical count.
+    """
+    scale = float(metres_z)
+
+    def rough_cells(chosen: Bools, least: float) -> Bools:
+        """Return a mask of the cells that have objects and are mostly rough, by some of the points."""
+        rough = (roughness(xyz[:, chosen], cells[chosen], terrain.size) * scale).reshape(terrain.shape)
+        return _mostly(rough > least, ~np.isnan(rough)) & has_objects
+
+    has_ground, has_objects = (
+        (np.bincount(cells[chosen], minlength=terrain.size) > 0).reshape(terrain.shape)
+        for chosen in (~objects, objects)
+    )
+    tops = np.full(terrain.size, -np.inf)
+    np.maximum.at(tops, cells, xyz[2] * scale)
+    # Reed may be so low that its lowest points count as ground.
+    reed = rough_cells(np.ones_like(objects), REED_ROUGH_M)
+    reed &= tops.reshape(terrain.shape) - terrain <= REED_M
+    kinds = np.where(has_ground, OPEN, HIDDEN)
+    return np.where(rough_cells(objects, ROUGH_M), kinds, 0) + np.where(reed, REED, 0)
+
+
+def is_hidden(crowns: npt.NDArray[Any]) -> Bools:
+    """Return a mask of the cells with crowns and without ground, from the values of `crowns_block`."""
+    return np.asarray(crowns % REED == HIDDEN)
 
 
 def roughness(xyz: npt.NDArray[np.int32], cells: npt.NDArray[np.int64], size: int) -> Floats:
@@ -190,17 +242,17 @@ def beneath_crowns(cells: WaterCells, crowns: npt.NDArray[Any], wet: Bools, leve
     level : float64, shape of the cells
         Level of the water near each cell in metres.
     """
-    hidden = (crowns == HIDDEN) & ~wet & cells.domain
+    hidden = is_hidden(crowns) & ~wet & cells.domain
     hidden &= _open_share(crowns, round(4 * CROWN_M / cells.size)) >= MIN_OPEN
-    bank = (crowns != HIDDEN) & ~wet & (cells.returns > 0) & ~np.isnan(cells.ground)
+    bank = ~is_hidden(crowns) & ~wet & (cells.returns > 0) & ~np.isnan(cells.ground)
     if not hidden.any() or not bank.any():
         return np.zeros_like(hidden)
     radius = AMONG_M / cells.size
     hidden &= within(~within(bank, radius), radius)
-    hidden = _connected(hidden, wet, math.ceil(CROWN_M / cells.size))
+    hidden = connected(hidden, wet, math.ceil(CROWN_M / cells.size))
     height, slope = continued_bank(np.argwhere(hidden), np.argwhere(bank), (cells.ground - level)[bank])
     hidden[hidden] = (height <= LOW_M) | (slope <= MAX_QUAY_SLOPE * cells.size)
-    return _connected(hidden, wet, math.ceil(CROWN_M / cells.size))
+    return connected(hidden, wet, math.ceil(CROWN_M / cells.size))
 
 
 def _open_share(crowns: npt.NDArray[Any], side: int) -> Floats:
@@ -209,18 +261,20 @@ def _open_share(crowns: npt.NDArray[Any], side: int) -> Floats:
     The square has ``side`` rows, or one more if that is even.
     """
     odd_side = side // 2 * 2 + 1
-    has_ground = scipy.ndimage.uniform_filter((crowns == OPEN).astype(np.float64), odd_side, mode="constant")
-    has_plants = scipy.ndimage.uniform_filter((crowns > 0).astype(np.float64), odd_side, mode="constant")
-    return np.divide(has_ground, has_plants, out=np.zeros(crowns.shape), where=crowns > 0)
+    has_ground, has_plants = (
+        scipy.ndimage.uniform_filter(mask.astype(np.float64), odd_side, mode="constant")
+        for mask in (crowns % REED == OPEN, crowns % REED > 0)
+    )
+    return np.divide(has_ground, has_plants, out=np.zeros(crowns.shape), where=crowns % REED > 0)
 
 
-def _connected(hidden: Bools, wet: Bools, max_steps: int) -> Bools:
+def connected(hidden: Bools, wet: Bools, max_steps: int) -> Bools:
     """Return a mask of the hidden cells that are connected with water by at most ``max_steps`` steps."""
     whole = hidden | wet
-    connected = np.zeros_like(hidden)
+    is_connected = np.zeros_like(hidden)
     box = box_around(whole, 0)
-    connected[box] = scipy.ndimage.binary_dilation(wet[box], iterations=max_steps, mask=whole[box])
-    return connected & ~wet
+    is_connected[box] = scipy.ndimage.binary_dilation(wet[box], iterations=max_steps, mask=whole[box])
+    return is_connected & ~wet
 
 
 def continued_bank(

@@ -17,12 +17,24 @@ from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec
 from tiler.core.water import LAKE, RIVER, Water
 from tiler.grid.centreline import area_of
 from tiler.grid.coarse import Bools, padded
+from tiler.grid.ground import GroundSelection
 from tiler.grid.pieces import Piece, cells_of, components
 from tiler.grid.reach import box_around
-from tiler.grid.water_crowns import HIDDEN
+from tiler.grid.water_banks import (
+    BANK_MARGIN,
+    NOTHING_SEEN,
+    SeenGround,
+    Shore,
+    dense_quays,
+    highest_near,
+    seen_at_shore,
+)
+from tiler.grid.water_crowns import REED, is_hidden
 from tiler.grid.water_extent import SPECK_CELLS, smoothed, water_heights
+from tiler.grid.water_reed import without_bank
 from tiler.grid.water_search import Sources, inner_window, read_search_cells
 from tiler.grid.water_shore import MAX_DEPTH_M, REACH_CELLS, depths, shore_polygons
+from tiler.grid.water_strips import bank_rises, lower_level
 from tiler.store import TileStore, open_store, read_cells
 
 ROUND = 1 / 3
@@ -48,6 +60,7 @@ class DescribeBody:
     water, crowns : str
         Rasters of the labels of water, and of the plants near it.
     sources : Sources
+    rule : GroundSelection
     coarse : RasterSpec
         Raster of the coarse cells.
     sure : float
@@ -60,6 +73,7 @@ class DescribeBody:
     water: str
     crowns: str
     sources: Sources
+    rule: GroundSelection
     coarse: RasterSpec
     sure: float
     lake_m2: float
@@ -79,11 +93,9 @@ def describe_body(store_url: str, work: DescribeBody) -> dict[str, Any]:
 
     store, coarse = open_store(store_url), work.coarse
     size_m = float(coarse.lattice.size * store.meta.frame.metres_xy)
-    polygons: list[Any] = []
     border_cells = [np.empty((0, 2), np.int64)]
     n_border_sides, n_cells = 0, 0
     for block, body_mask in _blocks(store, work):
-        polygons += _polygons(store, work, block)
         beyond = read_cells(store, work.sources.domain, coarse, padded(block, 1), float(BEYOND)) == BEYOND
         border_mask, n_sides = _survey_border(body_mask, beyond)
         border_cells.append(np.argwhere(border_mask) + (block.row, block.col))
@@ -91,17 +103,66 @@ def describe_body(store_url: str, work: DescribeBody) -> dict[str, Any]:
         n_cells += int(body_mask[1:-1, 1:-1].sum())
     side = float(coarse.lattice.size)
     exits = _exits(np.concatenate(border_cells))
-    water = _without_islands(shapely.union_all(polygons), work.island_m2 * (side / size_m) ** 2)
     bays = _bays(store, work, exits, MAX_BAY_M / size_m)
-    # Land that only a bay encloses stays, unless it is a speck.
-    whole = _without_islands(shapely.union(water, bays), SPECK_CELLS * side**2)
+    whole, seen = _whole(store, work, bays, None)
     outline = shapely.get_exterior_ring(shapely.get_parts(whole))
     length_m = (float(shapely.length(outline).sum()) / side - n_border_sides) * size_m
     area_m2 = n_cells * size_m**2
     kind, width_m = _kind(area_m2, length_m, size_m, len(exits))
     small = area_m2 < work.lake_m2 if kind == LAKE else width_m < work.river_width_m
-    body = None if small else Water(0, kind, _area(whole, side), None, None, work.sure).to_json()
+    body = None
+    if not small:
+        lowest = _lower_level(store, work) if kind == LAKE else None
+        if lowest is not None:
+            whole, seen = _whole(store, work, bays, lowest)
+        # The kind follows from the shore between coarse cells, as detail would make a shore longer.
+        body = Water(0, kind, _area(_detailed(whole, seen, side), side), None, None, work.sure).to_json()
     return {"body": body}
+
+
+def _whole(
+    store: TileStore, work: DescribeBody, bays: Any, lowest: float | None
+) -> tuple[Any, list[SeenGround]]:
+    """Return the shape of a body by its coarse cells, and what was seen at its shore.
+
+    The level is at most ``lowest`` metres, unless that is None.
+    """
+    import shapely
+
+    side = float(work.coarse.lattice.size)
+    min_area = work.island_m2 / float(store.meta.frame.metres_xy) ** 2
+    polygons: list[Any] = []
+    seen = []
+    for block, _ in _blocks(store, work):
+        shapes, seen_ground = _shapes(store, work, block, lowest)
+        polygons += shapes
+        seen.append(seen_ground)
+    water = _without_islands(shapely.union_all(polygons), min_area)
+    # Land that only a bay encloses stays, unless it is a speck.
+    return _without_islands(shapely.union(water, bays), SPECK_CELLS * side**2), seen
+
+
+def _detailed(whole: Any, seen: list[SeenGround], side: float) -> Any:
+    """Return the shape of a body with what was seen at its shore, without specks."""
+    import shapely
+
+    water = shapely.union_all([whole, *(ground.wet for ground in seen)])
+    water = shapely.difference(water, shapely.union_all([ground.dry for ground in seen]))
+    return _without_specks(_without_islands(water, SPECK_CELLS * side**2), SPECK_CELLS * side**2)
+
+
+def _lower_level(store: TileStore, work: DescribeBody) -> float | None:
+    """Return the lower level of a lake that two strips show at two levels, or None."""
+    heights, rises = [np.empty(0)], [np.empty(0)]
+    for block, body_mask in _blocks(store, work):
+        wet = np.pad(body_mask, 2)
+        window = padded(block, 3)
+        cells = read_search_cells(store, work.sources, work.coarse, window, 1)
+        crowns = read_cells(store, work.crowns, work.coarse, window)
+        seen = (cells.returns > 0) & (crowns == 0) & ~np.isnan(cells.ground)
+        heights.append(cells.ground[seen & scipy.ndimage.binary_erosion(wet, np.ones((3, 3), np.bool_))])
+        rises.append(bank_rises(cells.ground, wet))
+    return lower_level(np.concatenate(heights), np.concatenate(rises))
 
 
 def _blocks(store: TileStore, work: DescribeBody) -> Iterator[tuple[Block, Bools]]:
@@ -171,19 +232,44 @@ def _kind(area_m2: float, shore_m: float, size_m: float, n_exits: int) -> tuple[
     return (RIVER if is_river else LAKE), 2 * area_m2 / length
 
 
-def _polygons(store: TileStore, work: DescribeBody, block: Block) -> list[Any]:
-    """Return polygons of the water of a block in absolute counts. They overlap those of neighbouring blocks."""
+def _shapes(
+    store: TileStore, work: DescribeBody, block: Block, lowest: float | None
+) -> tuple[list[Any], SeenGround]:
+    """Return polygons of the water of a block in absolute counts, and what was seen at its shore.
+
+    The shapes overlap those of neighbouring blocks.
+    """
     window = padded(block, REACH_CELLS)
     wet = cells_of(store, work.water, work.coarse, window, work.pieces)
     box = box_around(wet, REACH_CELLS)
     cells = read_search_cells(store, work.sources, work.coarse, window, 1).cut(box)
-    beneath = (read_cells(store, work.crowns, work.coarse, window) == HIDDEN)[box] & wet[box]
+    crowns = read_cells(store, work.crowns, work.coarse, window)[box]
     smooth = smoothed(cells.ground)
-    level = water_heights(cells.with_ground(smooth), wet[box] & ~beneath)
+    level = water_heights(cells.with_ground(smooth), wet[box] & ~is_hidden(crowns) & (crowns < REED))
+    beneath = wet[box] & (is_hidden(crowns) if level is None else without_bank(crowns, smooth - level))
     field = np.full(wet.shape, MAX_DEPTH_M)
-    field[box] = depths(cells.with_ground(np.where(beneath, np.nan, smooth)), wet[box], level)
+    bank = cells.with_ground(np.where(beneath, np.nan, smooth))
+    final = level if level is None or lowest is None else np.minimum(level, lowest)
+    field[box] = depths(bank, wet[box], final, lowest is not None)
     cut = inner_window(padded(block, 1), REACH_CELLS - 1)
-    return shore_polygons(field[cut], work.coarse, padded(block, 1))
+    polygons = shore_polygons(field[cut], work.coarse, padded(block, 1))
+    if level is None:
+        return polygons, NOTHING_SEEN
+    levels, is_upright = np.full(wet.shape, np.nan), np.zeros(wet.shape, np.bool_)
+    levels[box] = np.where(beneath, np.nan, highest_near(level))
+    is_upright[box] = dense_quays(cells.with_ground(smooth), wet[box], level)
+    cut = inner_window(padded(block, BANK_MARGIN), REACH_CELLS - BANK_MARGIN)
+    shore = Shore(field[cut], levels[cut], is_upright[cut])
+    return polygons, seen_at_shore(store, work.rule, work.coarse, padded(block, BANK_MARGIN), shore)
+
+
+def _without_specks(shape: Any, min_area: float) -> Any:
+    """Return a shape without parts that have an area below ``min_area``, except the largest one."""
+    import shapely
+
+    parts = shapely.get_parts(shape)
+    areas = shapely.area(parts)
+    return shapely.union_all(parts[(areas >= min_area) | (areas == areas.max(initial=0.0))])
 
 
 def _without_islands(shape: Any, min_area: float) -> Any:

@@ -14,7 +14,7 @@ from tiler.grid.checksum import checksum
 from tiler.grid.coarse import Bools, padded
 from tiler.grid.pieces import label_block
 from tiler.grid.reach import box_around
-from tiler.grid.water_crowns import HIDDEN, beneath_crowns
+from tiler.grid.water_crowns import beneath_crowns
 from tiler.grid.water_extent import (
     BRIDGE_M,
     close_bridge_gaps,
@@ -25,6 +25,7 @@ from tiler.grid.water_extent import (
     without_border_islands,
     without_islands,
 )
+from tiler.grid.water_reed import among_reed, without_bank
 from tiler.grid.water_search import SMOOTHING_CELLS, Sources, inner_window, read_search_cells
 from tiler.grid.work import BlockWork
 from tiler.store import TileStore, open_store, read_cells
@@ -129,7 +130,9 @@ def _finished(store: TileStore, work: FinishWater, water: Bools, window: Block, 
     if level is not None:
         crowns = read_cells(store, work.crowns, work.spec, window)
         water = water | beneath_crowns(smooth, crowns, water, level)
-        smooth = smooth.with_ground(np.where(water & (crowns == HIDDEN), np.nan, smooth.ground))
+        water |= among_reed(smooth, crowns, water, level)
+        beneath = water & without_bank(crowns, smooth.ground - level)
+        smooth = smooth.with_ground(np.where(beneath, np.nan, smooth.ground))
         water = shore_area(smooth, water, level, math.ceil(SHORE_M / size_m))
     min_island = DRY_SHARE * work.island_m2 / size_m**2
     below_deck = _below_decks(work, window, DECK_EDGE_M / size_m)

@@ -23,7 +23,7 @@ from tiler.core.water import RIVER, Counts, Water
 from tiler.grid.centreline import centreline, mean_width, polygon_of
 from tiler.grid.coarse import padded
 from tiler.grid.profile import MIN_PIXELS, SMOOTH_M, Profile, Scale, bank_level, profile_along, water_level
-from tiler.grid.water_crowns import HIDDEN
+from tiler.grid.water_crowns import REED, is_hidden
 from tiler.grid.water_pockets import POCKET_PIXELS, Beside, pockets, with_pixels
 from tiler.store import TileStore, open_store
 
@@ -194,7 +194,8 @@ def _coarse_heights(store: TileStore, work: LevelWater, points: str, ground: str
         heights = store.read_block(ground, part)
         used &= _sample(coarse, part, step)
         used &= (store.read_block(points, part) != 0) & (heights != np.float32(NODATA))
-        used &= store.read_block(crowns, part) != HIDDEN
+        plants = store.read_block(crowns, part)
+        used &= ~is_hidden(plants) & (plants < REED)
         x, y = coarse.centres(part)
         z = np.rint(heights.astype(np.float64) * COUNTS_PER_UNIT).astype(np.int64)
         xyz_parts.append(np.stack((x, y, z))[:, used])

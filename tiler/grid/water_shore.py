@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -32,7 +33,7 @@ SIDES = ((0, 1), (0, -1), (1, 1), (1, -1))
 AROUND = np.ones((3, 3), np.bool_)
 
 
-def depths(cells: WaterCells, wet: Bools, level: Floats | None) -> Floats:
+def depths(cells: WaterCells, wet: Bools, level: Floats | None, is_lowered: bool = False) -> Floats:
     """Return heights relative to the level of the water, whose zero line is the shore.
 
     On land they are heights of the bank. In the outermost cells of the water they are extrapolated from the bank and
@@ -45,12 +46,17 @@ def depths(cells: WaterCells, wet: Bools, level: Floats | None) -> Floats:
     wet : bool, shape of the cells
     level : float64, shape of the cells
         Level of the water near each cell in metres, see `tiler.grid.water_extent.water_heights`; None if not known.
+    is_lowered : bool
+        Whether the level is below the water that was seen, so that the slope of the bank goes on below it.
     """
     if level is None:
         return np.where(wet, -MAX_DEPTH_M, MAX_DEPTH_M)
     above = cells.ground - level
     for _ in range(BANK_CELLS):
-        wet = wet & ~_banks(above, wet, cells.returns > 0)
+        banks, heights = _banks(above, wet, cells.returns > 0)
+        if is_lowered:
+            above[banks] = heights[banks]
+        wet = wet & ~banks
     mostly_wet = _cut_cells(cells, above, wet)
     wet = wet | mostly_wet
     above[mostly_wet] = np.nan
@@ -66,15 +72,16 @@ def depths(cells: WaterCells, wet: Bools, level: Floats | None) -> Floats:
     return bank_heights
 
 
-def _banks(above: Floats, wet: Bools, has_returns: Bools) -> Bools:
-    """Return a mask of the outermost cells of the water that are bank.
+def _banks(above: Floats, wet: Bools, has_returns: Bools) -> tuple[Bools, Floats]:
+    """Return a mask of the outermost cells of the water that are bank, and the heights of the bank there.
 
     In these cells, both the ground and the extrapolated bank lie above the water. The height of the ground is not
     enough, as the mean height of a cell that the shore cuts may be above the water although its middle is not.
     """
     _, extrapolated_m = _extrapolated_bank(above, wet)
     with np.errstate(invalid="ignore"):
-        return wet & has_returns & (np.minimum(above, extrapolated_m) > MIN_DEPTH_M)
+        heights = np.minimum(above, extrapolated_m)
+        return wet & has_returns & (heights > MIN_DEPTH_M), heights
 
 
 def _cut_cells(cells: WaterCells, above: Floats, wet: Bools) -> Bools:
@@ -83,17 +90,31 @@ def _cut_cells(cells: WaterCells, above: Floats, wet: Bools) -> Bools:
     The water returns little, so such a cell has less than half as many returns as the next two cells of the bank.
     """
     land_returns = np.where(wet, 0.0, cells.returns)
-    bank = np.where(wet, np.nan, above)
     is_cut = np.zeros_like(wet)
-    for axis, step in SIDES:
+    for axis, step, upright in _upright_sides(above, wet, cells.size):
         returns, next_returns = (np.roll(land_returns, n * step, axis) for n in (1, 2))
+        few = cells.returns < CUT_SHARE * (returns + next_returns) / 2
+        is_cut |= upright & few & (np.minimum(returns, next_returns) > 0)
+    return is_cut
+
+
+def quays(cells: WaterCells, wet: Bools, level: Floats) -> Bools:
+    """Return a mask of the outermost cells of high, level banks. Parameters are those of `depths`."""
+    is_quay = np.zeros_like(wet)
+    for _, _, upright in _upright_sides(cells.ground - level, wet, cells.size):
+        is_quay |= upright
+    return is_quay
+
+
+def _upright_sides(above: Floats, wet: Bools, size: float) -> Iterator[tuple[int, int, Bools]]:
+    """Yield an axis, a step, and a mask of the cells beside water on this side with a high, level bank behind them."""
+    bank = np.where(wet, np.nan, above)
+    for axis, step in SIDES:
         heights, next_heights = (np.roll(bank, n * step, axis) for n in (1, 2))
         with np.errstate(invalid="ignore"):
             upright = np.minimum(heights, next_heights) >= UPRIGHT_M
-            upright &= np.abs(heights - next_heights) <= MAX_QUAY_SLOPE * cells.size
-        few = cells.returns < CUT_SHARE * (returns + next_returns) / 2
-        is_cut |= np.roll(wet, -step, axis) & upright & few & (np.minimum(returns, next_returns) > 0)
-    return is_cut & ~wet
+            upright &= np.abs(heights - next_heights) <= MAX_QUAY_SLOPE * size
+        yield axis, step, upright & np.roll(wet, -step, axis) & ~wet
 
 
 def _extrapolated_bank(above: Floats, wet: Bools) -> tuple[Floats, Floats]:

@@ -12,6 +12,7 @@ from tiler.core.lattice import Lattice
 from tiler.core.products import BEYOND, SURVEYED
 from tiler.core.raster import BLOCK_PIXELS, RasterSpec
 from tiler.core.water import Water
+from tiler.grid import GroundSelection
 from tiler.grid.centreline import polygon_of
 from tiler.grid.pieces import Piece
 from tiler.grid.water_find import DescribeBody, describe_body
@@ -41,7 +42,8 @@ def body(store: TileStore, wet: np.ndarray, surveyed: np.ndarray) -> shapely.Geo
         store.create_raster(name, *values.shape, 0.0)
         store.write_block(name, block, values.astype(np.float32))
     sources = Sources("occupancy", "ground", "domain")
-    work = DescribeBody((Piece(0, 0, 1),), "water", "crowns", sources, spec, 0.95, 100.0, 15.0, 1000.0)
+    rule = GroundSelection("final")
+    work = DescribeBody((Piece(0, 0, 1),), "water", "crowns", sources, rule, spec, 0.95, 100.0, 15.0, 1000.0)
     found = describe_body(store.url, work)["body"]
     polygon = polygon_of(Water.from_json(found).area)
     return shapely.transform(

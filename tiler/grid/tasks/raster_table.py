@@ -176,7 +176,7 @@ def _water_rows() -> list[RasterStep]:
         ),
         RasterStep(
             "water-crowns",
-            ("water-sure", "water-plane-sure", "occupancy"),
+            ("water-sure", "water-plane-sure", "occupancy", "water-ground"),
             crowns_block,
             Grid.COARSE,
             crowns_tasks,

@@ -9,14 +9,17 @@ from typing import Any
 from tiler.config import AUTO_WATER
 from tiler.core.area_index import AreaIndex
 from tiler.core.frame import COUNTS_PER_UNIT
+from tiler.core.lattice import Cell, row_by_row
 from tiler.core.raster import BLOCK_PIXELS
 from tiler.core.water import LAKE, Water, Waters, lengths_along
 from tiler.core.words import counted
 from tiler.grid import DescribeBody, LevelWater, Sources, describe_body, level_water
-from tiler.grid.tasks.gridding import GridContext
+from tiler.grid.coarse import padded
+from tiler.grid.tasks.gridding import GridContext, Place
 from tiler.grid.tasks.survey import block_names, near_places
 from tiler.grid.tasks.water_facts import report_levels
 from tiler.grid.tasks.water_search import area_sums
+from tiler.grid.water_banks import BANK_MARGIN
 from tiler.grid.water_find import MIN_LENGTH
 from tiler.grid.water_pockets import POCKET_PIXELS
 from tiler.io.result_folder import WATER
@@ -99,16 +102,23 @@ def _body_tasks(g: GridContext) -> Iterator[Task]:
         places = sorted({(piece.row, piece.col) for piece in pieces})
         confidence = round(hundredths / 100 / max(n_known, 1), 2)  # The sum is in hundredths.
         work = DescribeBody(
-            pieces, CELLS, CROWNS, Sources(*SOURCES), coarse, sure=confidence,
+            pieces, CELLS, CROWNS, Sources(*SOURCES), g.rule, coarse, sure=confidence,
             lake_m2=float(config.water_min_lake), river_width_m=float(config.water_min_river_width),
             island_m2=float(config.water_min_island),
         )  # fmt: skip
         near = block_names(near_places(coarse, places))
-        digest = digest_of(
-            __version__, work, *(g.checksums(name, near) for name in (CELLS, CROWNS, *SOURCES))
-        )
+        rasters = [g.checksums(raster, near) for raster in (CELLS, CROWNS, *SOURCES)]
+        digest = digest_of(__version__, work, *rasters, g.label_digests(_buckets_near(g, places)))
         key = f"{block_names(places)[0]}a{name.label}"
         yield Task(FINDING, key, digest, describe_body, work, n_cells)
+
+
+def _buckets_near(g: GridContext, places: list[Place]) -> list[Cell]:
+    """Return the buckets of the points in blocks of coarse cells and near them."""
+    buckets, coarse = g.plan.meta.bucket, g.coarse
+    blocks = [padded(coarse.block_at(*place, BLOCK_PIXELS), BANK_MARGIN) for place in places]
+    cells = {cell for block in blocks for cell in buckets.among(coarse.block_bounds(block), g.labels)}
+    return sorted(cells, key=row_by_row)
 
 
 def _is_gentle(g: GridContext, body: Water) -> bool:

@@ -133,7 +133,7 @@ def crowns_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
     """Yield a task for each block near water in LiDAR clouds, whose pulses pass through crowns."""
     if not g.returns_show_water:
         return
-    sure, planes, occupancy = raster.inputs
+    sure, planes, occupancy, ground = raster.inputs
     for place in _near_water(g, sure, planes):
         block = g.coarse.block_at(*place, BLOCK_PIXELS)
         work = CrownsBlock(
@@ -142,6 +142,7 @@ def crowns_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
             block=block,
             sure=(sure, planes),
             occupancy=occupancy,
+            ground=ground,
             rule=g.rule,
         )
         cell = int(g.coarse.lattice.size) + 1

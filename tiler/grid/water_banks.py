@@ -1,0 +1,229 @@
+"""Ground that was seen at the shore, in cells finer than those in which water is found.
+
+The shore runs between the middles of coarse cells. At an upright bank, a cell has both bank and water, so the shore may
+lie on ground high above the water, or exclude water at the foot of a quay. In fine cells, such ground is land if it is
+connected with the bank. Fine cells of a quay without points, or with ground at the level, are water.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+import numpy.typing as npt
+import scipy
+
+from tiler.core.lattice import Lattice
+from tiler.core.raster import Block, RasterSpec
+from tiler.grid.coarse import Bools, padded
+from tiler.grid.density import pixel_indices
+from tiler.grid.ground import GroundSelection, read_ground, read_objects
+from tiler.grid.reach import Floats, within
+from tiler.grid.water_cells import WaterCells
+from tiler.grid.water_extent import LEVEL_M
+from tiler.grid.water_search import inner_window
+from tiler.grid.water_shore import quays, shore_polygons
+from tiler.store import TileStore
+
+FINER = 2
+"""Number of fine cells along a side of a coarse cell. With 2 points per m2, six of seven cells of 1 m2 have a point."""
+HIGH_M = 0.3
+"""Least height above the water of seen ground that is land. Returns of broken water are up to 0.3 m above it."""
+REACH_CELLS = 4
+"""Largest distance of such ground from the land of the coarse cells, in fine cells."""
+BANK_MARGIN = math.ceil(2 * REACH_CELLS / FINER)
+"""Margin around a block in coarse cells on which the fine cells at its shores depend."""
+ENOUGH_POINTS = 5
+"""Least mean number of points of the fine cells of land, so that an empty one is water. By chance 1 % are empty."""
+NEAR_SIDE = 11
+"""Side in coarse cells of the square in which the level and the number of points of the land are compared."""
+AROUND = np.ones((3, 3), np.bool_)
+
+
+class Shore(NamedTuple):
+    """Coarse cells of a window, in arrays of its shape.
+
+    Attributes
+    ----------
+    field : float64
+        Heights above the water in metres, negative in the water, see `tiler.grid.water_shore.depths`.
+    level : float64
+        Level of the water near each cell in metres, NaN where the ground is not that of a bank.
+    is_quay : bool
+        Mask of the cells at upright banks with many points.
+    """
+
+    field: Floats
+    level: Floats
+    is_quay: Bools
+
+
+class SeenGround(NamedTuple):
+    """Shapes at a shore in absolute counts.
+
+    Attributes
+    ----------
+    dry, wet : shapely.Geometry
+        Parts of the water of the coarse cells that are land, and parts of the land that are water.
+    """
+
+    dry: Any
+    wet: Any
+
+
+NOTHING_SEEN = SeenGround(None, None)
+
+
+def seen_at_shore(
+    store: TileStore, rule: GroundSelection, coarse: RasterSpec, window: Block, shore: Shore
+) -> SeenGround:
+    """Return the shapes by which the points at a shore change the water of the coarse cells.
+
+    Parameters
+    ----------
+    store : TileStore
+    rule : GroundSelection
+    coarse : RasterSpec
+        Raster of the coarse cells.
+    window : Block
+        Block with a margin of `BANK_MARGIN` coarse cells.
+    shore : Shore
+    """
+    fine, fine_window = finer_raster(coarse), finer_window(window)
+    field = finer_field(shore.field)
+    ground, has_points = seen_cells(store, rule, fine, fine_window, _near_shore(field, REACH_CELLS))
+    above = ground - each_finer(shore.level)
+    banks = seen_banks(field, above)
+    water = seen_water(field, each_finer(shore.is_quay), above, has_points)
+    return SeenGround(
+        _shape(banks, field >= 0, fine, fine_window), _shape(water, field < 0, fine, fine_window)
+    )
+
+
+def _shape(cells: Bools, among: Bools, fine: RasterSpec, window: Block) -> Any:
+    """Return the shape of some cells of a window and their neighbours of ``among``, which leave no gap to these."""
+    import shapely
+
+    neighbours = among & scipy.ndimage.binary_dilation(cells, AROUND)
+    field = np.where(cells | neighbours, -1.0, 1.0)
+    margin = FINER * (BANK_MARGIN - 1) - 1
+    inner = padded(window, -margin)
+    return shapely.union_all(shore_polygons(field[inner_window(inner, margin)], fine, inner))
+
+
+def highest_near(level: Floats) -> Floats:
+    """Return the highest level in the square around each cell, as returns from below the surface lower the level."""
+    highest: Floats = scipy.ndimage.maximum_filter(level, NEAR_SIDE)
+    return highest
+
+
+def dense_quays(cells: WaterCells, wet: Bools, level: Floats) -> Bools:
+    """Return a mask of the cells at upright banks whose land has many points, see `tiler.grid.water_shore.depths`."""
+    points, land = (
+        np.rint(scipy.ndimage.uniform_filter(values.astype(np.float64), NEAR_SIDE) * NEAR_SIDE**2)
+        for values in (np.where(wet, 0.0, cells.returns), ~wet)
+    )
+    is_dense = points >= FINER**2 * ENOUGH_POINTS * land
+    return np.asarray(is_dense & within(quays(cells, wet, level), math.sqrt(2)))
+
+
+def finer_raster(coarse: RasterSpec) -> RasterSpec:
+    """Return the raster of the fine cells."""
+    lattice = Lattice(coarse.lattice.size / FINER)
+    return RasterSpec(
+        lattice, coarse.west * FINER, coarse.north * FINER, coarse.height * FINER, coarse.width * FINER
+    )
+
+
+def finer_window(window: Block) -> Block:
+    """Return the fine cells of a window of coarse cells."""
+    return Block(window.row * FINER, window.col * FINER, window.height * FINER, window.width * FINER)
+
+
+def finer_field(field: Floats) -> Floats:
+    """Interpolate a field linearly between the middles of coarse cells, float64 (2 h, 2 w)."""
+    for axis in (0, 1):
+        cells = np.moveaxis(field, axis, 0)
+        cells = np.concatenate((cells[:1], cells, cells[-1:]))
+        halves = [0.75 * cells[1:-1] + 0.25 * beside for beside in (cells[:-2], cells[2:])]
+        both = np.stack(halves, axis=1).reshape(-1, cells.shape[1])
+        field = np.moveaxis(both, 0, axis)
+    return field
+
+
+def each_finer(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Repeat the values of coarse cells in their fine cells."""
+    return values.repeat(FINER, axis=0).repeat(FINER, axis=1)
+
+
+def _near_shore(field: Floats, radius: int) -> Bools:
+    """Return a mask of the cells within ``radius`` cells, also diagonal ones, of both land and water."""
+    side = 2 * radius + 1
+    lowest = scipy.ndimage.minimum_filter(field, side)
+    highest = scipy.ndimage.maximum_filter(field, side)
+    return np.asarray((lowest < 0) & (highest >= 0))
+
+
+def seen_cells(
+    store: TileStore, rule: GroundSelection, fine: RasterSpec, window: Block, wanted: Bools
+) -> tuple[Floats, Bools]:
+    """Return the mean height of the ground points of each cell in metres, and a mask of the cells with any points.
+
+    Heights are NaN for cells without ground points. Only buckets with ``wanted`` cells are read.
+    """
+    frame, bounds = store.meta.frame, fine.block_bounds(window)
+    total, number, objects = np.zeros((3, wanted.size))
+    for cell in store.buckets_within(bounds):
+        inside = store.meta.bucket.bounds(cell).intersection(bounds)
+        part = fine.part(window, inside)
+        top, left = part.row - window.row, part.col - window.col
+        if not wanted[top : top + part.height, left : left + part.width].any():
+            continue
+        ground = read_ground(store, rule, inside).xyz
+        cells = pixel_indices(ground, frame.origin, fine, window)
+        total += np.bincount(cells, ground[2].astype(np.float64), wanted.size)
+        number += np.bincount(cells, minlength=wanted.size)
+        others = pixel_indices(read_objects(store, rule, inside), frame.origin, fine, window)
+        objects += np.bincount(others, minlength=wanted.size)
+    heights = np.full(wanted.size, np.nan)
+    np.divide(total, number, out=heights, where=number > 0)
+    return (heights * float(frame.metres_z)).reshape(wanted.shape), (number + objects > 0).reshape(
+        wanted.shape
+    )
+
+
+def seen_banks(field: Floats, above: Floats) -> Bools:
+    """Return a mask of the cells of water with high ground that is connected with the land.
+
+    Parameters
+    ----------
+    field : float64 (h, w)
+        Heights of the land above the water in metres, negative in it.
+    above : float64 (h, w)
+        Mean height of the seen ground above the water in metres, NaN for none.
+    """
+    land, high = field >= 0, above > HIGH_M
+    return _spread(land, high, REACH_CELLS)
+
+
+def seen_water(field: Floats, upright: Bools, above: Floats, has_points: Bools) -> Bools:
+    """Return a mask of the cells of upright banks that are connected with the water and no land.
+
+    They have no points, as water returns little, or ground about as high as the water.
+
+    Parameters
+    ----------
+    field, above : float64 (h, w)
+        See `seen_banks`.
+    upright : bool (h, w)
+        Mask of the cells at a high bank that has enough points elsewhere.
+    has_points : bool (h, w)
+        Mask of the cells with points.
+    """
+    return _spread(field < 0, upright & (~has_points | (above <= LEVEL_M)), FINER)
+
+
+def _spread(start: Bools, over: Bools, reach: int) -> Bools:
+    """Return a mask of the cells of ``over`` that are connected with ``start`` over at most ``reach`` cells."""
+    return np.asarray(scipy.ndimage.binary_dilation(start, AROUND, reach, mask=start | over) & ~start)

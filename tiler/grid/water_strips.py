@@ -1,0 +1,48 @@
+"""Lower level of a lake that two strips show at two levels.
+
+The terrain has one level, the lower one. So the shore of the higher strip is too far out on the bank. It is drawn again
+where the bank, continued, reaches the lower level, if this lies within the outermost cells of the water.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from tiler.grid.coarse import Bools
+from tiler.grid.profile import MIN_PIXELS, SMOOTH_M
+from tiler.grid.reach import Floats
+from tiler.grid.water_shore import BANK_CELLS, SIDES
+
+
+def bank_rises(ground: Floats, wet: Bools) -> Floats:
+    """Return the rises in metres from the outermost cells of land to the next ones, float64 (n,).
+
+    Parameters
+    ----------
+    ground : float64 (h, w)
+        Heights of the terrain in metres, NaN for none.
+    wet : bool (h, w)
+        Mask of the water, which has a margin of three cells without water.
+    """
+    bank = np.where(wet, np.nan, ground)
+    rises = [np.roll(bank, 2 * step, axis)[wet] - np.roll(bank, step, axis)[wet] for axis, step in SIDES]
+    joined: Floats = np.concatenate(rises)
+    return joined[~np.isnan(joined)]
+
+
+def lower_level(heights: Floats, rises: Floats) -> float | None:
+    """Return the lower level of a lake in metres, or None if it has one level or its bank is too flat.
+
+    Parameters
+    ----------
+    heights : float64 (n,)
+        Heights of the returns of the water in metres.
+    rises : float64 (n,)
+        Result of `bank_rises`.
+    """
+    if min(len(heights), len(rises)) < MIN_PIXELS:
+        return None
+    low, high = np.percentile(heights, (25, 75))
+    if not SMOOTH_M < high - low <= BANK_CELLS * np.median(rises):
+        return None
+    return float(low)
