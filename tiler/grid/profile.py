@@ -28,8 +28,8 @@ BANK_WEIGHT = 0.05
 """Weight of a pixel of a bank. A pixel of the water itself has weight 1."""
 NEAR_STATIONS = 3
 """Distance, in stations, from a station with returns of the water within which banks are not used."""
-LEVEL_M = 0.05
-"""Total fall below which a river is level."""
+LEVEL_M = 0.1
+"""Total fall below which a river is level: a tenth of a metre between its ends is within the errors of both."""
 STEP_M = 0.4
 """Least fall between two stations that is a step at one position, if it is also steeper than `STEEPEST`."""
 STEEPEST = 1 / 30
