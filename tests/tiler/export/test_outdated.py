@@ -23,14 +23,30 @@ def files(out: Path) -> set[str]:
     return {str(path.relative_to(out)) for path in out.rglob("*") if path.is_file()}
 
 
-def job_in(out: Path, earlier: dict[str, str], **settings: Any) -> Any:
-    """What stood for a run whose OUT holds the files of earlier ones: path -> what they were made of."""
+def by_key(*paths: str) -> dict[str, str]:
+    """Files that a run writes, by the keys of their tasks."""
+    return {path: path for path in paths}
+
+
+def job_in(
+    out: Path, earlier: dict[str, str], stored: tuple[str, ...] = ("dtm.tif", "mask.tif"), **settings: Any
+) -> Any:
+    """What stood for a run whose OUT holds the files of earlier ones: path -> what they were made of.
+
+    The store knows the tasks ``stored``.
+    """
     config = SimpleNamespace(**{"force": False, "verify": False, **settings})
     facts = {"earlier_outputs": earlier, "digests": {path: f"digest of {path}" for path in earlier}}
     notes: list[str] = []
     plan = SimpleNamespace(config=config)
     return SimpleNamespace(
-        products=str(out), plan=plan, facts=facts, notes=notes, note=notes.append, save=notes.append
+        products=str(out),
+        plan=plan,
+        facts=facts,
+        notes=notes,
+        note=notes.append,
+        save=notes.append,
+        store=SimpleNamespace(committed=lambda stage: dict.fromkeys(stored)),
     )
 
 
@@ -38,7 +54,7 @@ def test_what_holds_stays_and_what_does_not_is_moved(tmp_path: Path) -> None:
     write(tmp_path, "slope.tif", "dsm/dsm_0_0.tif", "dtm.tif", "mine.txt")
     earlier = {"slope.tif": "now", "dsm/dsm_0_0.tif": "before", "dtm.tif": "before", "gone.tif": "now"}
     job = job_in(tmp_path, earlier)
-    archive_outdated(job, ["dtm.tif", "mask.tif"], "now")
+    archive_outdated(job, by_key("dtm.tif", "mask.tif"), "now")
     assert files(tmp_path) == {"slope.tif", "outdated/dsm/dsm_0_0.tif", "dtm.tif", "mine.txt"}
     assert (tmp_path / "outdated/dsm/dsm_0_0.tif").read_text() == "content of dsm/dsm_0_0.tif"
     assert not (tmp_path / "dsm").exists()
@@ -57,9 +73,9 @@ def test_what_holds_stays_and_what_does_not_is_moved(tmp_path: Path) -> None:
 def test_a_wanted_file_that_no_run_made_is_refused(tmp_path: Path) -> None:
     write(tmp_path, "dtm.tif")
     with pytest.raises(ConfigError, match=r"dtm\.tif: already exists and was not written by a run"):
-        archive_outdated(job_in(tmp_path, {}), ["dtm.tif", "mask.tif"], "now")
-    archive_outdated(job_in(tmp_path, {}, force=True), ["dtm.tif"], "now")
-    archive_outdated(job_in(tmp_path, {"dtm.tif": "before"}), ["dtm.tif"], "now")
+        archive_outdated(job_in(tmp_path, {}), by_key("dtm.tif", "mask.tif"), "now")
+    archive_outdated(job_in(tmp_path, {}, force=True), by_key("dtm.tif"), "now")
+    archive_outdated(job_in(tmp_path, {"dtm.tif": "before"}), by_key("dtm.tif"), "now")
     assert files(tmp_path) == {"dtm.tif"}
 
 
@@ -69,23 +85,38 @@ def test_paths_that_lead_out_of_the_folder_move_nothing(tmp_path: Path) -> None:
     (out / "link").symlink_to(tmp_path / "elsewhere")
     before = files(tmp_path)
     paths = ["../secret.tif", str(tmp_path / "secret.tif"), "link/a.tif", "folder"]
-    archive_outdated(job_in(out, dict.fromkeys(paths, "before")), [], "now")
+    archive_outdated(job_in(out, dict.fromkeys(paths, "before")), {}, "now")
     assert files(tmp_path) == before
+
+
+def contents(job: Any, stage: str, found: Any, writes_out: bool) -> Any:
+    """Content of files, of which dsm.tif has changed."""
+    for place, _, _ in found:
+        name = Path(place).name
+        yield place, {"content": "other bytes" if name == "dsm.tif" else f"digest of {name}"}
+
+
+@pytest.mark.parametrize(("stored", "is_moved"), [((), True), (("dsm.tif",), False)])
+def test_a_changed_file_that_a_new_store_does_not_know_is_moved(
+    stored: tuple[str, ...], is_moved: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Those that the store knows are compared with its records when their tasks begin."""
+    write(tmp_path, "slope.tif", "dsm.tif")
+    monkeypatch.setattr(outdated, "contents", contents)
+    job = job_in(tmp_path, {"slope.tif": "now", "dsm.tif": "now"}, stored)
+    archive_outdated(job, by_key("slope.tif", "dsm.tif"), "now")
+    assert files(tmp_path) == {"slope.tif", "outdated/dsm.tif" if is_moved else "dsm.tif"}
+    told = "dsm.tif: changed since a run wrote them; moved to outdated/ and made again"
+    assert (told in job.notes) == is_moved
 
 
 def test_a_damaged_file_that_is_not_made_again_is_moved(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     write(tmp_path, "slope.tif", "dsm.tif")
-
-    def contents(job: Any, stage: str, found: Any, writes_out: bool) -> Any:
-        for place, _, _ in found:
-            name = Path(place).name
-            yield place, {"content": "other bytes" if name == "dsm.tif" else f"digest of {name}"}
-
     monkeypatch.setattr(outdated, "contents", contents)
     job = job_in(tmp_path, {"slope.tif": "now", "dsm.tif": "now"}, verify=True)
-    archive_outdated(job, ["dtm.tif"], "now")
+    archive_outdated(job, by_key("dtm.tif"), "now")
     assert files(tmp_path) == {"slope.tif", "outdated/dsm.tif"}
     assert list(job.facts["made_of"]) == ["slope.tif"]
     assert job.notes[0].startswith("dsm.tif: changed since a run wrote it; moved to outdated/")

@@ -84,7 +84,7 @@ def _archive_changed(job: Job, written: Mapping[str, str]) -> None:
     `invalidate_changed_outputs` moves those that the store knows.
     """
     known = {key for stage in WRITING for key in job.store.committed(stage)}
-    changed = sorted(_damaged(job, [path for key, path in written.items() if key not in known]))
+    changed = sorted(_damaged(job, {path for key, path in written.items() if key not in known}))
     if changed:
         job.note(_changed_text(changed, move_aside(job.products, changed)))
 
