@@ -58,6 +58,7 @@ def grid(job: Job, assembled: IngestResult, labelled: Labelled, corrections: Cor
         job.plan, assembled, labelled.digests, _holes(job), decks=corrections.decks,
         returns_show_water=not labelled.matched, kind=labelled.kind,
         canopy=canopy_cells(job, assembled, labelled),
+        edits=None if corrections.edits is None else corrections.edits.key,
     )  # fmt: skip
     for raster in required_rasters(job.plan.config):
         name = raster.name

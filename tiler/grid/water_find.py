@@ -148,20 +148,23 @@ def _detailed(whole: Any, seen: list[SeenGround], side: float) -> Any:
 
     water = shapely.union_all([whole, *(ground.wet for ground in seen)])
     water = shapely.difference(water, shapely.union_all([ground.dry for ground in seen]))
-    return _without_specks(_without_islands(water, SPECK_CELLS * side**2), SPECK_CELLS * side**2)
+    detailed = _without_specks(_without_islands(water, SPECK_CELLS * side**2), SPECK_CELLS * side**2)
+    return whole if shapely.is_empty(detailed) else detailed
 
 
 def _lower_level(store: TileStore, work: DescribeBody) -> float | None:
     """Return the lower level of a lake that two strips show at two levels, or None."""
     heights, rises = [np.empty(0)], [np.empty(0)]
     for block, body_mask in _blocks(store, work):
-        wet = np.pad(body_mask, 2)
         window = padded(block, 3)
+        wet = cells_of(store, work.water, work.coarse, window, work.pieces)
+        own = np.pad(body_mask, 2)
         cells = read_search_cells(store, work.sources, work.coarse, window, 1)
         crowns = read_cells(store, work.crowns, work.coarse, window)
         seen = (cells.returns > 0) & (crowns == 0) & ~np.isnan(cells.ground)
-        heights.append(cells.ground[seen & scipy.ndimage.binary_erosion(wet, np.ones((3, 3), np.bool_))])
-        rises.append(bank_rises(cells.ground, wet))
+        seen &= scipy.ndimage.binary_erosion(wet, np.ones((3, 3), np.bool_))
+        heights.append(cells.ground[own & seen])
+        rises.append(bank_rises(cells.ground, wet, own))
     return lower_level(np.concatenate(heights), np.concatenate(rises))
 
 

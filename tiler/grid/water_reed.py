@@ -37,6 +37,7 @@ def among_reed(cells: WaterCells, crowns: npt.NDArray[Any], wet: Bools, level: F
     reed = connected(reed & ~wet & cells.domain, wet, reach)
     bank = ~is_reed & ~hidden & ~wet & ~beside & (cells.returns > 0) & ~np.isnan(cells.ground)
     bank &= within(reed, CROWN_M / cells.size)
+    reed &= within(bank, CROWN_M / cells.size)  # A bank elsewhere says nothing about this reed.
     if not reed.any() or not bank.any():
         return np.zeros_like(reed)
     height, slope = continued_bank(np.argwhere(reed), np.argwhere(bank), (cells.ground - level)[bank])

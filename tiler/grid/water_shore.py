@@ -13,7 +13,7 @@ from tiler.grid.coarse import Bools
 from tiler.grid.reach import Floats
 from tiler.grid.water_cells import WaterCells
 
-REACH_CELLS = 24
+REACH_CELLS = 40
 """Margin around a block, in cells, on which the level of its water depends."""
 MAX_DEPTH_M, MIN_DEPTH_M = 2.0, 0.02
 """Largest and smallest height above or below the level in metres. Other heights are clipped to these limits."""

@@ -14,7 +14,7 @@ from tiler.grid.reach import Floats
 from tiler.grid.water_shore import BANK_CELLS, SIDES
 
 
-def bank_rises(ground: Floats, wet: Bools) -> Floats:
+def bank_rises(ground: Floats, wet: Bools, own: Bools) -> Floats:
     """Return the rises in metres from the outermost cells of land to the next ones, float64 (n,).
 
     Parameters
@@ -22,10 +22,12 @@ def bank_rises(ground: Floats, wet: Bools) -> Floats:
     ground : float64 (h, w)
         Heights of the terrain in metres, NaN for none.
     wet : bool (h, w)
-        Mask of the water, which has a margin of three cells without water.
+        Mask of the water.
+    own : bool (h, w)
+        Mask of the cells of water next to which rises are measured, at least three cells from the border.
     """
     bank = np.where(wet, np.nan, ground)
-    rises = [np.roll(bank, 2 * step, axis)[wet] - np.roll(bank, step, axis)[wet] for axis, step in SIDES]
+    rises = [np.roll(bank, 2 * step, axis)[own] - np.roll(bank, step, axis)[own] for axis, step in SIDES]
     joined: Floats = np.concatenate(rises)
     return joined[~np.isnan(joined)]
 

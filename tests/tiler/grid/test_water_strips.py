@@ -32,9 +32,17 @@ def test_the_lower_level_counts_if_the_bank_is_steep_enough(
 ) -> None:
     wet = (np.abs(ROWS - 30) < 20) & (np.abs(COLUMNS - 30) < 20)
     distance = np.maximum(np.abs(ROWS - 30), np.abs(COLUMNS - 30)) - 20.0
-    rises = bank_rises(94.0 + rise * distance, wet)
+    rises = bank_rises(94.0 + rise * distance, wet, wet)
     np.testing.assert_allclose(rises, rise)
     assert lower_level(two_levels(apart), rises) == level
+
+
+def test_the_border_of_a_block_is_no_bank() -> None:
+    """Rises next to the water of both halves are those of the whole."""
+    wet = (np.abs(ROWS - 30) < 20) & (np.abs(COLUMNS - 30) < 20)
+    ground = np.where(wet, 94.0, 94.0 + 0.01 * ROWS + 0.03 * COLUMNS)
+    parts = [bank_rises(ground, wet, wet & half) for half in (COLUMNS < 30, COLUMNS >= 30)]
+    np.testing.assert_array_equal(np.sort(np.concatenate(parts)), np.sort(bank_rises(ground, wet, wet)))
 
 
 def test_too_few_heights_show_no_lower_level() -> None:

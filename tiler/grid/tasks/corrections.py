@@ -19,7 +19,7 @@ from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.map_lines import add_rings, drawn
 from tiler.errors import ProcessingError
 from tiler.filter.tasks.labelled import Labelled
-from tiler.grid import FillBlock, OutlineBlock, PointsBlock, SurveyEdits, full_halo, survey_edits
+from tiler.grid import FillBlock, OutlineBlock, SurveyEdits, full_halo, survey_edits
 from tiler.grid.tasks.bridges import find_bridges
 from tiler.grid.tasks.gridding import ground_rule
 from tiler.ingest.tasks.assembled import IngestResult
@@ -85,8 +85,6 @@ class Corrections:
 def _with_edits(task: Task, key: str) -> Task:
     """Return a task with the key of the edits, which its digest does not include."""
     work = task.arguments
-    if isinstance(work, PointsBlock):
-        return replace(task, arguments=replace(work, rule=replace(work.rule, edits=key)))
     if isinstance(work, FillBlock | OutlineBlock):
         return replace(task, arguments=replace(work, edits=key))
     return task

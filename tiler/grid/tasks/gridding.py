@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from enum import Enum
 from fractions import Fraction
 from typing import Any
@@ -137,6 +137,8 @@ class GridContext:
         Source of the clouds as methods name it; None if it is not known.
     canopy : CanopyCells or None
         Cells among which the filter found a closed canopy.
+    edits : str or None
+        Key in the store of the edits of points and heights.
     sheets : sequence of Sheet
         Squares of the products. They are set after the models are made.
     """
@@ -151,13 +153,14 @@ class GridContext:
     returns_show_water: bool = True
     kind: str | None = None
     canopy: CanopyCells | None = None
+    edits: str | None = None
     sheets: Sequence[Sheet] = ()
     _areas: dict[str, Joined] = field(default_factory=dict)
 
     @property
     def rule(self) -> GroundSelection:
-        """Rule for the points that are ground."""
-        return ground_rule(self.plan)
+        """Rule for the points that are ground, with the edits."""
+        return replace(ground_rule(self.plan), edits=self.edits)
 
     @property
     def water_key(self) -> str | None:
