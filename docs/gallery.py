@@ -39,7 +39,10 @@ def make_pictures(docs: Path) -> None:
                 check=True,
             )
         for name in names:
-            shutil.copy(Path(folder) / name, target / name)
+            # Two builds at the same time make the same pictures; each appears when it is whole.
+            part = target / f"{name}.{os.getpid()}"
+            shutil.copy(Path(folder) / name, part)
+            part.replace(target / name)
 
 
 def _is_newer(picture: Path, source: Path) -> bool:
