@@ -59,7 +59,7 @@ def test_a_small_run_stays_within_what_was_projected(city_file: Path, tmp_path: 
 @pytest.mark.slow
 @pytest.mark.parametrize(("density", "tile"), [(4.0, "600"), (16.0, "256")])
 def test_a_million_points_stay_within_what_was_projected(density: float, tile: str, tmp_path: Path) -> None:
-    side = (1.6e6 / density) ** 0.5
+    side = (1e6 / density) ** 0.5
     path = clouds.write(tmp_path / "city.laz", repeated(clouds.city(side / 2, density, seed=4), side / 2, 2))
     assert_within(measured_run(path, tmp_path / "out", tile_size=tile, halo=80, memory="2GiB"))
 

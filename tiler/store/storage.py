@@ -18,7 +18,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from zarr.abc.store import Store
+from zarr.abc.store import OffsetByteRequest, Store
 from zarr.core.buffer import default_buffer_prototype
 from zarr.core.sync import sync
 from zarr.storage import FsspecStore, LocalStore
@@ -37,6 +37,8 @@ from tiler.redaction import stored
 from tiler.store import layout
 
 _REQUESTS_AT_ONCE = 64
+_FROM_START = OffsetByteRequest(0)
+"""Range of a whole object. Without a range, s3fs asks for the size first, and lists the key if there is no object."""
 _NO_HARD_LINKS = (errno.EPERM, errno.ENOTSUP, errno.EOPNOTSUPP, errno.ENOSYS)
 """Errors of file systems without hard links, as on memory sticks and some network shares."""
 
@@ -107,7 +109,7 @@ class Storage:
 
         async def one(key: str) -> bytes | None:
             async with gate:
-                buffer = await self.zarr_store.get(key, prototype)
+                buffer = await self.zarr_store.get(key, prototype, _FROM_START)
             return None if buffer is None else buffer.to_bytes()
 
         async def every() -> list[bytes | None]:

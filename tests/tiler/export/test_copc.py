@@ -158,7 +158,10 @@ def test_its_crs_is_wkt_whatever_the_source_has(make_cloud: Any, memory_store: A
 
 @pytest.mark.slow
 def test_each_point_of_a_town_comes_back(shared_data: Path, memory_store: Any, tmp_path: Path) -> None:
-    path, out = shared_data / "autzen" / "autzen_en.laz", tmp_path / "a.copc.laz"
+    path, out = tmp_path / "third.laz", tmp_path / "a.copc.laz"
+    town = laspy.read(shared_data / "autzen" / "autzen_en.laz")
+    town.points = town.points[np.arange(0, len(town.points), 3)]
+    town.write(path)
     export(path, out, (), copc=True)
     with laspy.CopcReader.open(str(out)) as reader:
         by_level = [reader.query(level=level) for level in range(5)]
