@@ -1,7 +1,8 @@
-"""Lower level of a lake that two strips show at two levels.
+"""Lower level of a lake with two levels, because two flight strips were flown at different levels.
 
-The terrain has one level, the lower one. So the shore of the higher strip is too far out on the bank. It is drawn again
-where the bank, continued, reaches the lower level, if this lies within the outermost cells of the water.
+The lake gets the lower level. At this level, the shore that was found is partly too high on the bank. So the bank is
+continued below the higher level, and the shore lies where the bank reaches the lower level. This is done only if that
+line lies in the outermost cells of the water.
 """
 
 from __future__ import annotations
@@ -15,16 +16,16 @@ from tiler.grid.water_shore import BANK_CELLS, SIDES
 
 
 def bank_rises(ground: Floats, wet: Bools, own: Bools) -> Floats:
-    """Return the rises in metres from the outermost cells of land to the next ones, float64 (n,).
+    """Return the rises in metres from the land at the shore to the next cells behind it, float64 (n,).
 
     Parameters
     ----------
     ground : float64 (h, w)
-        Heights of the terrain in metres, NaN for none.
+        Heights of the terrain in metres, NaN if there are none.
     wet : bool (h, w)
         Mask of the water.
     own : bool (h, w)
-        Mask of the cells of water next to which rises are measured, at least three cells from the border.
+        Mask of the cells of water at whose sides rises are measured, at least three cells from the border of the array.
     """
     bank = np.where(wet, np.nan, ground)
     rises = [np.roll(bank, 2 * step, axis)[own] - np.roll(bank, step, axis)[own] for axis, step in SIDES]
