@@ -28,7 +28,10 @@ KEEP = 0
 """Label of a point that does not take part in filtering and keeps the class of its source."""
 
 REACH_CELLS = 4
-"""A window is open on a side if there is no bucket within this many cells of the method's lattice beyond it."""
+"""A side of a window is open if no bucket lies within this many cells beyond the side.
+
+The cells are those of the method's lattice.
+"""
 
 
 def influence_margin_m(step: Pass, params: Any) -> float:

@@ -77,8 +77,8 @@ class PassInputs:
                 counts |= dict(zip(cells, tile.elected_points or (), strict=True))
             digests = _content_digests(assembled, ((tile, tile.elected) for tile in tile_records(done)))
             if step.gives_labels:
-                with_labels = label_digests(assembled, done)
-                digests = {cell: digest_of(digest, with_labels[cell]) for cell, digest in digests.items()}
+                labels = label_digests(assembled, done)
+                digests = {cell: digest_of(digest, labels[cell]) for cell, digest in digests.items()}
             return replace(
                 self,
                 elected=elected_name(number),
@@ -87,7 +87,7 @@ class PassInputs:
                 n_elected=counts,
             )
         digests = label_digests(assembled, done)
-        if step.elected and not is_last:
+        if step.elected and not is_last:  # The pass has labelled elected points, not points of the cloud.
             both = {cell: digest_of(digest, self.elected_digests[cell]) for cell, digest in digests.items()}
             return replace(self, elected_labels=labels_name(number), elected_digests=both)
         return replace(self, labels=labels_name(number), of_candidates=candidates_only, digests=digests)

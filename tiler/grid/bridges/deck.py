@@ -48,7 +48,7 @@ MAX_TURNS = 2
 STRAIGHT = 0.02
 """The direction of a deck is not adjusted if the slope of its edges relative to the direction is below this."""
 ROAD_SLICES = 3
-"""The road has to go on in this many slices beyond each end of the free part."""
+"""The road is searched in this many slices beyond each end of the free part."""
 MIN_ROAD_POINTS = 3
 """The road goes on if at least this many points in those slices are ground as high as the deck."""
 MIN_ROAD_SHARE = 0.5
@@ -58,9 +58,9 @@ INNER_M = 0.7
 WIDER_M = 0.3
 """The outline of a deck is this much wider on each side than its points, in metres."""
 ALIKE = 0.35
-"""The ground on the two sides may differ in height by this share of the clearance."""
+"""The ground on the two sides may differ in height by this share of the clearance, or by `ALIKE_M` if that is more."""
 ALIKE_M = 0.7
-"""The ground on the two sides may always differ in height by this much, in metres."""
+"""Height difference between the two sides that is always allowed, in metres."""
 
 
 @dataclass(frozen=True)

@@ -127,6 +127,7 @@ def _spans(cells: DeckCells, direction: int) -> tuple[Ints, Ints, Ints]:
 
     A span is a line of cells across a deck, from one drop to the other. The middle cell of a span comes first.
     """
+    # A span starts at a cell with a drop in the direction. It goes on against the direction to the next drop.
     rows, cols = (axis.astype(np.int64) for axis in np.nonzero(~np.isnan(cells.top)))
     edge = _drops(cells, rows, cols, cells.top[rows, cols], direction, 1)
     rows, cols = rows[edge], cols[edge]
@@ -146,6 +147,7 @@ def _spans(cells: DeckCells, direction: int) -> tuple[Ints, Ints, Ints]:
         previous_top = np.where(gap, previous_top, here)[go_on]
         rows, cols = rows[go_on], cols[go_on]
         start_rows, start_cols = start_rows[go_on], start_cols[go_on]
+    # For each span: its first cell, and the number of steps to its last cell.
     first_rows, first_cols, last_step = np.concatenate(spans, axis=1)
     span_cells = []
     for step in range(cells.steps(MAX_WIDTH_M) + 1):
@@ -162,11 +164,12 @@ def _spans(cells: DeckCells, direction: int) -> tuple[Ints, Ints, Ints]:
 def _has_road(cells: DeckCells, marked: Bools, rows: Ints, cols: Ints, direction: int, sign: int) -> Bools:
     """Return a mask of the cells from which a straight path along the deck leads to a road.
 
-    A road is two successive cells of ground that are not ``marked`` as deck. The path has no steps above `STEP_M`, and
-    at most two successive cells without points. ``direction`` points across the deck. ``sign`` selects the end.
+    A road is two successive cells of ground that are not ``marked`` as deck; there may be cells without points between
+    them. The path has no steps above `STEP_M`, and at most two successive cells without points. ``direction`` points
+    across the deck. ``sign`` selects the end of the deck.
     """
     has_road = np.zeros(len(rows), np.bool_)
-    paths = np.arange(len(rows))
+    paths = np.arange(len(rows))  # Indices of the cells whose paths still go on.
     previous_top = cells.at(cells.top, rows, cols)
     gaps = np.zeros(len(rows), np.int64)
     n_road = np.zeros(len(rows), np.int64)

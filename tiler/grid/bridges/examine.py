@@ -35,7 +35,7 @@ The centres of voxels replace the points, so that neither the density nor the or
 LOWEST = -(1 << 31)
 """All points are at least this high, in counts. Their heights are below ``-LOWEST``."""
 MIN_POINTS = 12
-"""The cells of a candidate have to have at least this many points."""
+"""A candidate needs at least this many points in its cells."""
 MAX_DIRECTIONS = 3
 """At most this many directions of a candidate are tried, the direction of the most cells first."""
 
@@ -69,7 +69,7 @@ class ExamineDecks:
 
 
 def find_deck_cells(store_url: str, work: FindDeckCells) -> dict[str, Any]:
-    """Find the cells of a block that may be decks. This is a `tiler.schedule.task.Work`.
+    """Find the cells of a block that may be part of a deck. This is a `tiler.schedule.task.Work`.
 
     Returns
     -------
