@@ -31,7 +31,7 @@ With fewer returns, a cell may be empty by chance.
 SPARSE = 0.6
 """A flat cell has few returns if the mean around the cell is below this share of the median in the region.
 
-Mean and median are numbers of returns of cells with returns.
+Mean and median are numbers of returns per cell, of cells with returns.
 """
 SPARSE_CELLS = 5
 """The mean around a cell is computed in a square of this side, in cells."""
@@ -98,6 +98,7 @@ class WaterCells:
         pads = [(0, side % 2) for side in self.returns.shape]
 
         def fours(values: npt.NDArray[Any], fill: Any) -> npt.NDArray[Any]:
+            """Return the four values of each square, along a third axis."""
             padded = np.pad(values, pads, constant_values=fill)
             rows, cols = padded.shape
             return padded.reshape(rows // 2, 2, cols // 2, 2).swapaxes(1, 2).reshape(rows // 2, cols // 2, 4)

@@ -95,6 +95,7 @@ def crowns_block(store_url: str, work: CrownsBlock) -> dict[str, Any]:
     size_m = float(spec.lattice.size * store.meta.frame.metres_xy)
     margin = crowns_margin(size_m)
     sure = np.max([read_cells(store, name, spec, padded(work.block, margin)) for name in work.sure], axis=0)
+    # The window has a margin of one cell, because `plant_kinds` compares each cell with its neighbours.
     near_water = within(sure > 0, CROWN_M / size_m)[margin - 1 : 1 - margin, margin - 1 : 1 - margin]
     window = padded(work.block, 1)
     examined = near_water & (read_cells(store, work.occupancy, spec, window) != 0)
@@ -122,7 +123,8 @@ def _crowns(store: TileStore, work: CrownsBlock, window: Block, examined: Bools)
         top, left = part.row - window.row, part.col - window.col
         if not examined[top : top + part.height, left : left + part.width].any():
             continue
-        ground, objects = read_ground(store, work.rule, bounds).xyz, read_objects(store, work.rule, bounds)
+        ground = read_ground(store, work.rule, bounds).xyz
+        objects = read_objects(store, work.rule, bounds)
         for xyz, is_object in ((ground, False), (objects, True)):
             cells = pixel_indices(xyz, frame.origin, spec, window)
             chosen = examined.ravel()[cells]

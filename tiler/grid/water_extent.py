@@ -140,9 +140,9 @@ def without_islands(water: Bools, min_cells: float) -> Bools:
 def without_border_islands(cells: WaterCells, water: Bools, level: Floats, min_cells: float) -> Bools:
     """Fill flat land of fewer than ``min_cells`` cells between water and the border of the survey.
 
-    Flat land is at most `TIDE_M` above the water. It is filled if it is a speck, or if at least as many sides of its
-    cells face the water as face the border. Such land is mostly water with returns, for example from a flight at a
-    higher tide. Land that touches the border of the array stays.
+    Flat land is at most `TIDE_M` above the water, and its heights differ little (`SPREAD_M`). It is filled if it is a
+    speck, or if at least as many sides of its cells face the water as face the border. Such land is mostly water with
+    returns, for example from a flight at a higher tide. Land that touches the border of the array stays.
     """
     labels, _, inside = _land(water | ~cells.domain)
 

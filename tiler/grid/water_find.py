@@ -115,6 +115,7 @@ def describe_body(store_url: str, work: DescribeBody) -> dict[str, Any]:
     bays = _bays(store, work, exits, MAX_BAY_M / size_m)
     whole, seen = _whole(store, work, bays, None)
     outline = shapely.get_exterior_ring(shapely.get_parts(whole))
+    # Where water leaves the survey, the outline of its cells is not shore.
     length_m = (float(shapely.length(outline).sum()) / side - n_border_sides) * size_m
     area_m2 = n_cells * size_m**2
     kind, width_m = _kind(area_m2, length_m, size_m, len(exits))
@@ -168,13 +169,13 @@ def _lower_level(store: TileStore, work: DescribeBody) -> float | None:
     for block, body_mask in _blocks(store, work):
         window = padded(block, 3)
         wet = cells_of(store, work.water, work.coarse, window, work.pieces)
-        own = np.pad(body_mask, 2)
+        in_block = np.pad(body_mask, 2)
         cells = read_search_cells(store, work.sources, work.coarse, window, 1)
         crowns = read_cells(store, work.crowns, work.coarse, window)
         seen = (cells.returns > 0) & (crowns == 0) & ~np.isnan(cells.ground)
         seen &= scipy.ndimage.binary_erosion(wet, np.ones((3, 3), np.bool_))
-        heights.append(cells.ground[own & seen])
-        rises.append(bank_rises(cells.ground, wet, own))
+        heights.append(cells.ground[in_block & seen])
+        rises.append(bank_rises(cells.ground, wet, in_block))
     return lower_level(np.concatenate(heights), np.concatenate(rises))
 
 
@@ -232,7 +233,12 @@ def _bays(store: TileStore, work: DescribeBody, exits: list[npt.NDArray[np.int64
         land.append(shapely.box(col - 0.5, row - 0.5, col + 0.5, row + 0.5))
     bays = shapely.difference(bays, shapely.union_all(np.concatenate(land)))
     west, north = coarse.west + 0.5, coarse.north - 0.5
-    return shapely.transform(bays, lambda at: np.stack((west + at[:, 0], north - at[:, 1]), axis=1) * side)
+
+    def to_counts(cells: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Convert columns and rows (n, 2) to x and y in absolute counts."""
+        return np.stack((west + cells[:, 0], north - cells[:, 1]), axis=1) * side
+
+    return shapely.transform(bays, to_counts)
 
 
 def _kind(area_m2: float, shore_m: float, size_m: float, n_exits: int) -> tuple[str, float]:
@@ -269,8 +275,9 @@ def _shapes(
     polygons = shore_polygons(field[cut], work.coarse, padded(block, 1))
     if level is None:
         return polygons, NOTHING_SEEN
-    levels, is_upright = np.full(wet.shape, np.nan), np.zeros(wet.shape, np.bool_)
+    levels = np.full(wet.shape, np.nan)
     levels[box] = np.where(beneath, np.nan, highest_near(level))
+    is_upright = np.zeros(wet.shape, np.bool_)
     is_upright[box] = dense_quays(cells.with_ground(smooth), wet[box], level)
     cut = inner_window(padded(block, BANK_MARGIN), REACH_CELLS - BANK_MARGIN)
     shore = Shore(field[cut], levels[cut], is_upright[cut])
@@ -302,4 +309,5 @@ def _area(shape: Any, side: float) -> Area:
     import shapely
 
     # Vertices on straight lines are removed first, so that they do not influence the result.
-    return area_of(shapely.simplify(shapely.normalize(shapely.simplify(shape, 0.0)), SIMPLER * side))
+    shape = shapely.normalize(shapely.simplify(shape, 0.0))
+    return area_of(shapely.simplify(shape, SIMPLER * side))

@@ -150,6 +150,7 @@ def heights_of(store: TileStore, work: LevelWater) -> tuple[Beside, Counts]:
         for other in work.others:
             beside &= ~spec.inside(window, other)
         heights = store.read_block(work.heights, window)
+        # Windows overlap, so only the pixels of the block itself are used.
         known = np.zeros_like(beside)
         top, left = block.row - window.row, block.col - window.col
         known[top : top + block.height, left : left + block.width] = True

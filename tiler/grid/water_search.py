@@ -288,6 +288,7 @@ def areas_around(
     selected_names = names if selected is None else selected
     area_mask = np.array([False, *(name in selected_names for name in names)])[numbers]
     pad = math.ceil(margin_m / float(work.spec.lattice.size * store.meta.frame.metres_xy)) + 1
+    # Windows are aligned, so that squares of cells that are merged are the same in all windows.
     rows, cols = (
         slice(s.start // ALIGNED * ALIGNED, -(-s.stop // ALIGNED) * ALIGNED)
         for s in box_around(area_mask, pad + SMOOTHING_CELLS)

@@ -15,7 +15,7 @@ from tiler.grid.reach import Floats
 from tiler.grid.water_shore import BANK_CELLS, SIDES
 
 
-def bank_rises(ground: Floats, wet: Bools, own: Bools) -> Floats:
+def bank_rises(ground: Floats, wet: Bools, measured: Bools) -> Floats:
     """Return the rises in metres from the land at the shore to the next cells behind it, float64 (n,).
 
     Parameters
@@ -24,13 +24,16 @@ def bank_rises(ground: Floats, wet: Bools, own: Bools) -> Floats:
         Heights of the terrain in metres, NaN if there are none.
     wet : bool (h, w)
         Mask of the water.
-    own : bool (h, w)
+    measured : bool (h, w)
         Mask of the cells of water at whose sides rises are measured, at least three cells from the border of the array.
     """
     bank = np.where(wet, np.nan, ground)
-    rises = [np.roll(bank, 2 * step, axis)[own] - np.roll(bank, step, axis)[own] for axis, step in SIDES]
-    joined: Floats = np.concatenate(rises)
-    return joined[~np.isnan(joined)]
+    rises_by_side = []
+    for axis, step in SIDES:
+        next_heights = np.roll(bank, 2 * step, axis)
+        rises_by_side.append((next_heights - np.roll(bank, step, axis))[measured])
+    rises: Floats = np.concatenate(rises_by_side)
+    return rises[~np.isnan(rises)]
 
 
 def lower_level(heights: Floats, rises: Floats) -> float | None:
