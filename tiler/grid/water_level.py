@@ -36,7 +36,7 @@ STATION_PIXELS = 10
 NOISE_M = 0.1
 """Ground of the shore may lie this far below the level because of noise, in metres."""
 MAX_WATER_HEIGHTS = 50_000
-"""At most about this many heights of the water are used."""
+"""About this many heights of the water are used, if there are more."""
 
 
 @dataclass(frozen=True)

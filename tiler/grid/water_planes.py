@@ -1,10 +1,10 @@
 """Planes of water: level areas with any number of returns, surrounded by rising land.
 
 Water with waves, below weirs and at fords, has as many returns as land, and crowns over its banks hide its shore. But
-such water is level over tens of metres, unlike land. A plane is a connected area of level ground. It is water if the
-land around it rises, as around areas of few returns (`tiler.grid.water_cells`), and if it is evident: much of the plane
-has few returns, or some of it is water by the input. A plane that is not evident is water only near a plane of evident
-water, for example on the other side of a dam.
+such water is level over tens of metres, unlike land. A plane is a connected area of level ground. A plane is water if
+the land around it rises (as around candidates, `tiler.grid.water_cells`) and if it is evident. In an evident plane,
+many cells have few returns, or some cells are water by the input. A plane that is not evident is water only near an
+evident plane of water, for example on the other side of a dam.
 """
 
 from __future__ import annotations

@@ -34,7 +34,10 @@ from tiler.store import TileStore, open_store, read_cells
 MARGIN = 64
 """Width of the margin around a block, in coarse cells."""
 ALIGNED = 16
-"""At most this many cells are merged along a side. Windows begin and end at multiples of it, in coarse cells."""
+"""Windows begin and end at multiples of this, in coarse cells.
+
+At most this many cells are merged along a side.
+"""
 BESIDE_M = RING_M[1] + 2
 """Cells up to this distance from an area are read to count the land around the area, in metres."""
 SMOOTHING_CELLS = 8

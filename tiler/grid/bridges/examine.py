@@ -37,7 +37,7 @@ LOWEST = -(1 << 31)
 MIN_POINTS = 12
 """A candidate needs at least this many points in its cells."""
 MAX_DIRECTIONS = 3
-"""At most this many directions of a candidate are tried, the direction of the most cells first."""
+"""Number of directions of a candidate that are tried, the direction of the most cells first."""
 
 
 @dataclass(frozen=True, kw_only=True)

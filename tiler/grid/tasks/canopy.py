@@ -32,7 +32,7 @@ MAX_POSITIONS = 3
 """The warning has the positions of at most this many blocks, which are the blocks with the most canopy."""
 HIDES = "a closed canopy (crowns, or tall rough roofs side by side) hides the ground"
 MIN_MAPPED_SHARE = 0.5
-"""The map of the report shows the blocks of which canopy covers at least this share."""
+"""The map of the report shows blocks if canopy covers at least this share of the block."""
 
 
 @dataclass(frozen=True)

@@ -86,7 +86,7 @@ class Corrections:
 
 
 def _with_edits(task: Task, key: str) -> Task:
-    """Return a task with the key of the edits, which is not part of its digest."""
+    """Return a task with the key of the edits if the task takes the key. The key does not change the digest."""
     work = task.arguments
     if isinstance(work, FillBlock | OutlineBlock):
         return replace(task, arguments=replace(work, edits=key))

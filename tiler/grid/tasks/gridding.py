@@ -39,7 +39,7 @@ Points are then too sparse to find water.
 GAP_M = 20
 """Gaps up to this width, in metres, belong to every survey: shadows of buildings, gaps between flight strips."""
 ERODE_RISE_M = 1
-"""With ``--erode``, ground points are left out near objects that are at least this much higher, in metres."""
+"""Objects at least this much higher than a ground point near them exclude the point (``--erode``), in metres."""
 Place = tuple[int, int]
 """First row and column of a block."""
 
@@ -202,7 +202,7 @@ class GridContext:
         return records
 
     def areas(self, raster: str, corners: bool = False) -> Joined:
-        """Return the connected areas of a raster of labels."""
+        """Return the connected areas of a raster of labels. ``corners``: cells may be connected by a corner."""
         if raster not in self._areas:
             records = self.records(raster)
             sides = {place: record["sides"] for place, record in records.items()}

@@ -66,7 +66,7 @@ def point_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
 
 
 def distance_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
-    """Yield a task for each block with pixels whose distance to points may be below the largest distance (``cap``)."""
+    """Yield a task for each block that may have pixels within ``--max-edge`` of points. Distances are cut there."""
     cap = g.plan.meta.frame.counts(g.plan.config.max_edge)
     return _block_tasks(raster, g, partial(DistanceBlock, cap=cap), math.ceil(cap) + 1)
 
