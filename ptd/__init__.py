@@ -1,10 +1,10 @@
 """Ground filters by progressive TIN densification: arrays in, arrays out.
 
-Vocabulary: a *count* is the integer unit of coordinates (`ptd.frame.Scale` gives its metres). A *candidate* is a
-point that may become a vertex. *Seeds* are the vertices of the first TIN. A *round* tests all candidates against
-one TIN and inserts the candidates that pass the test. A *window* is a rectangle in which all points are known. A
-decision is *uncertified* (*marked*) if points beyond the window could change it. A *pass* is a step of a method that
-runs on every tile. The next pass may use statistics of the whole run.
+Vocabulary: a *count* is the integer unit of coordinates (`ptd.frame.Scale` has its length in metres). A *candidate* is
+a point that may become a vertex. *Seeds* are the vertices of the first TIN. A *round* tests all candidates against one
+TIN and inserts the candidates that pass the test. A *window* is a rectangle in which all points are known. A decision
+is *uncertified* (*marked*) if points beyond the window could change it. A *pass* is a step of a method that runs on
+every tile. The next pass may use statistics of the whole run.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _HOMES = {"Evidence": "ptd.matched.evidence"}
 
 
 def __getattr__(name: str) -> Any:
-    """Load `classify` when it is first used, so that importing a part of the package stays cheap."""
+    """Load a public name when it is first used, so that importing a part of the package stays cheap."""
     if name in __all__:
         return getattr(import_module(_HOMES.get(name, "ptd.api")), name)
     raise AttributeError(f"module 'ptd' has no attribute {name!r}")

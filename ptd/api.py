@@ -23,19 +23,19 @@ from ptd.places import PLACES
 
 COUNTS_PER_METRE = 1000
 BLOCK_POINTS = 8192
-"""Number of points that are rounded at once, so that intermediate arrays stay in the processor's cache."""
+"""This many points are rounded at once, so that intermediate arrays stay in the processor's cache."""
 MIN_SIGMA_M = 1e-6
 MAX_SIGMA_M = 1e3
 MAX_SHOWN = 12
-"""Largest number of values of a list that a notebook shows. Of longer lists it shows the number of values."""
+"""A notebook shows at most this many values of a list. For longer lists, it shows the number of values."""
 MAX_EXTENT_M = 60_000.0
-"""Largest extent, as in-circle tests are exact for differences below 2**26 counts."""
+"""A cloud extends at most this far, because in-circle tests are exact for differences below 2**26 counts."""
 MAX_DISTANCE_M = 9e12
-"""Largest x or y, positive or negative, as counts are exact in float64 below 2**53."""
+"""x and y are at most this far from 0, because counts are exact in float64 below 2**53."""
 MAX_HEIGHT_M = 2_000_000.0
-"""Largest height above or below 0, as heights are int32 counts."""
+"""Heights are at most this far above or below 0, because heights are int32 counts."""
 MAX_CELLS = 1 << 27
-"""Largest number of cells of a raster of the whole extent. A cell takes about 35 bytes."""
+"""A raster of the whole extent has at most this many cells. A cell takes about 35 bytes."""
 
 CLASS_NAMES = {1: "unclassified", 2: "ground", 7: "low noise"}
 
@@ -49,7 +49,7 @@ class Result:
     classification : uint8 [n]
         ASPRS: 1 unclassified, 2 ground, 7 low noise.
     decisions : dict
-        Method, effective parameters, and the run-wide statistics behind the labels.
+        Method, effective parameters, and the statistics of the cloud on which the labels depend.
     stats : dict
         Statistics of each pass by name: candidates, vertices, rounds, outliers.
     """
@@ -79,7 +79,7 @@ class Result:
 
 
 def _flat(values: Mapping[str, Any], prefix: str = "") -> list[tuple[str, str]]:
-    """Return nested values as pairs of name and text. Of long lists and of the table of places, give the length."""
+    """Return nested values as pairs of name and text, with the lengths of long lists and of the table of places."""
     pairs = []
     for name, value in values.items():
         if name == PLACES:
@@ -101,7 +101,7 @@ def _text(value: Any) -> str:
 
 
 def _table(headings: tuple[str, str], rows: list[tuple[str, str]]) -> str:
-    """Return the HTML of a table, or an empty text without rows."""
+    """Return the HTML of a table, or an empty text if there are no rows."""
     if not rows:
         return ""
     head = "".join(f"<th>{escape(heading)}</th>" for heading in headings)
@@ -131,13 +131,13 @@ def classify(
     method : str
         A name in `ptd.methods.METHODS`.
     params : dataclass, optional
-        Parameters of that method; its defaults if left out.
+        Parameters of the method; the defaults of the method if left out.
     rgb : uint16 [n, 3], optional
-        Red, green, blue of any range.
+        Red, green and blue, in any range of values.
     returns : uint8 [n, 2], optional
         Return number and number of returns.
     sigma : float, optional
-        Noise of heights in metres; estimated by the methods that need it if left out.
+        Noise of heights in metres; if left out, estimated by the methods that need it.
     kind : {"lidar", "dim"}, optional
         Origin of the cloud, a laser scanner or image matching; decided from the data if left out.
     evidence : Evidence, optional
@@ -153,7 +153,8 @@ def classify(
         photogrammetric cloud), or has x or y beyond 9e12 m or heights beyond 2000 km.
         If the method or the kind is unknown, or the parameters belong to another method.
         If `sigma` is not from 1e-6 to 1000 m.
-        If a column has another length or values that its type cannot hold, or is missing although the method needs it.
+        If `rgb` or `returns` has a wrong shape or values that its type cannot hold, or is missing although the method
+        needs it.
         If the method cannot work on the cloud (`ptd.passes.MethodRefusal`).
 
     Examples
@@ -213,6 +214,7 @@ def do_passes(
     for number, step in enumerate(params.passes):
         if not step.applies(state):
             continue
+        # A raster of a later pass that is too large is reported before the work of this pass.
         for other in params.passes[number:]:
             if other.raster_cell_m and other.applies(state):
                 _validate_raster_size(counts, other.raster_cell_m, scale)
@@ -248,10 +250,12 @@ class _Cloud:
         All points.
     cell : CellLattice or None
         Cells with one candidate each; None if the method has no cells.
-    candidates, index : Points and int32 [n], or None
-        Candidates, and their indices among all points; None before the first pass that needs them.
+    candidates : Points or None
+        Candidates; None before the first pass that needs candidates.
+    index : int32 [n] or None
+        Index of each candidate among all points.
     elected : Points or None
-        Points that the last electing pass elected.
+        Points that the last electing pass made.
     """
 
     everything: Points
@@ -261,7 +265,7 @@ class _Cloud:
     elected: Points | None = None
 
     def points_for(self, step: Pass) -> Points:
-        """Return the points that `Pass.fit` gets."""
+        """Return the points that `Pass.fit` is passed."""
         if step.elected:
             if self.elected is None:
                 raise ValueError(f"pass {step.name} works on elected points, but no earlier pass elected any")
@@ -274,14 +278,17 @@ class _Cloud:
         return self.candidates
 
     def elect(self, xyz: Int32, model: Model | None) -> None:
-        """Replace the elected points, and label them by the model if there is one."""
+        """Replace the elected points by new ones. If there is a model, it labels the new points."""
         labels = np.zeros(xyz.shape[1], np.uint8)
         if model is not None:
             labels, _ = model.label(Points(xyz))
         self.elected = Points(xyz, labels)
 
     def label(self, step: Pass, model: Model, later: list[Pass]) -> None:
-        """Label the points of the pass. `later` lists the following passes that apply."""
+        """Label points by the model of a pass. `later` lists the following passes that apply.
+
+        If later passes read labels only at elected points or only at candidates, other points are not labelled.
+        """
 
         def labelled(points: Points) -> Points:
             return replace(points, labels=model.label(_with_columns_of(step, points))[0])
@@ -320,7 +327,7 @@ def _column(name: str, values: npt.ArrayLike | None, n: int, width: int, dtype: 
 
 
 def _counts(points: npt.NDArray[np.float64]) -> tuple[npt.NDArray[np.int32], Scale]:
-    """Convert coordinates in metres to local counts of a millimetre, int32 [3, n], and return these and their scale."""
+    """Convert coordinates in metres to local counts of a millimetre. Return counts, int32 [3, n], and their scale."""
     if len(points) == 0:
         return np.zeros((3, 0), np.int32), Scale()
     low = np.full(3, np.inf)

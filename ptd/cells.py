@@ -24,15 +24,15 @@ class Xyz(NamedTuple):
 
 
 DENSE_CELLS_PER_POINT = 16
-"""Largest number of cells per point for which a raster of cells is made. Points of sparser clouds are sorted."""
+"""A raster of cells is made if it has at most this many cells per point. Otherwise the points are sorted."""
 
 
 @kernel
 def quotient(value: int, divisor: int, inverse: float) -> int:
     """Return the floor of ``value / divisor``, given ``inverse``, which is 1 / divisor. The divisor is above 0.
 
-    This is several times faster than a division. It is exact for quotients below 2**50, as the product with the inverse
-    is at most one off and is corrected.
+    This is several times faster than a division. The result is exact for quotients below 2**50: the product with the
+    inverse is wrong by at most one, and is corrected.
     """
     floor = math.floor(float(value) * inverse)
     rest = value - floor * divisor
@@ -65,7 +65,10 @@ def keys_in(x: Int32, y: Int32, cells: CellLattice, col0: int, row0: int, width:
 
 @kernel
 def is_lower(x: Int32, y: Int32, z: Int32, i: int, j: int) -> bool:
-    """Return whether point i is lower than point j. Of equally high points, the lower has the smaller x, or then y."""
+    """Return whether point i is lower than point j.
+
+    Of equally high points, the point with the smaller x counts as lower. If x is equal as well, y decides.
+    """
     if z[i] != z[j]:
         return bool(z[i] < z[j])
     if x[i] != x[j]:
@@ -107,7 +110,7 @@ def _lowest_sorted(x: Int32, y: Int32, z: Int32, keys: Int64, order: Int64) -> I
 def lowest_per_cell(x: Int32, y: Int32, z: Int32, cells: CellLattice) -> Int32:
     """Find the lowest point of each occupied cell, in row-major order of the cells.
 
-    Of several lowest points, the one with the smallest x, then y, is chosen, so the order of the points has no effect.
+    If several points are equally low, x and y decide (see `is_lower`), so the order of the points has no effect.
 
     Parameters
     ----------
@@ -126,7 +129,9 @@ def lowest_per_cell(x: Int32, y: Int32, z: Int32, cells: CellLattice) -> Int32:
     width = cells.column(int(x.max())) - col0 + 1
     n_cells = width * (cells.row(int(y.max())) - row0 + 1)
     keys = keys_in(x, y, cells, col0, row0, width)
-    if np.all(keys[1:] > keys[:-1]):  # The points are the result of an earlier call.
+    if np.all(
+        keys[1:] > keys[:-1]
+    ):  # The cells are in order and have one point each, as after an earlier call.
         return np.arange(x.size, dtype=np.int32)
     if n_cells <= DENSE_CELLS_PER_POINT * x.size + 1024:
         lowest = lowest_by_key(x, y, z, keys, n_cells)
@@ -179,7 +184,7 @@ def _occupied_raster(keys: Int64, n_cells: int) -> tuple[Int64, Int64]:
 
 
 class CellTable(NamedTuple):
-    """Points listed by cell, for kernels.
+    """Points sorted by cell, as an argument of kernels.
 
     Attributes
     ----------
@@ -204,7 +209,7 @@ class CellTable(NamedTuple):
 
 
 class CellIndex:
-    """Points listed by cell, for searches among neighbours. Memory grows with the points, not with the extent.
+    """Points sorted by cell, for searches in neighbouring cells. Memory grows with the points, not with the extent.
 
     Attributes
     ----------
@@ -239,14 +244,14 @@ class CellIndex:
         return columns - self.col0, rows - self.row0
 
     def find(self, x: Int32, y: Int32) -> Int32:
-        """Return the index into the table's `keys` of the cell of each position, -1 for empty cells: int32 [n]."""
+        """Return for each position the index of its cell into `CellTable.keys`, -1 for empty cells: int32 [n]."""
         c = self.cells
         return _find(x, y, c.p, c.q, c.origin_x, c.origin_y, self.col0, self.row0, self.table)
 
 
 @kernel
 def find_slot(slots: Int32, keys: Int64, width: int, height: int, column: int, row: int) -> int:
-    """Return the same index as `slot_of`, given the fields of the table, which is faster in inner loops."""
+    """Return the result of `slot_of`. It is faster in inner loops to pass the fields of the table than the table."""
     if column < 0 or row < 0 or column >= width or row >= height:
         return -1
     key = row * width + column
@@ -258,7 +263,7 @@ def find_slot(slots: Int32, keys: Int64, width: int, height: int, column: int, r
 
 @inlined
 def slot_of(table: CellTable, column: int, row: int) -> int:
-    """Return the index of a cell among the table's occupied cells, or -1 if the cell is empty or outside."""
+    """Return the index of a cell into `CellTable.keys`, or -1 if the cell is empty or outside."""
     return find_slot(table.slots, table.keys, table.width, table.height, column, row)
 
 

@@ -1,4 +1,4 @@
-"""Integer coordinates (counts): their scale in metres, square cells on them, and the window of known points."""
+"""Integer coordinates (counts): their scale in metres, lattices of square cells, and windows of known points."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 
 OPEN = 2**40
-"""A count beyond any coordinate. There are no points beyond a side of a window at this count."""
+"""Coordinate of an open side of a window, in counts. It is larger than the coordinates of all points."""
 
 
 @dataclass(frozen=True)
@@ -18,10 +18,12 @@ class Scale:
 
     Attributes
     ----------
-    metres_xy, metres_z : Fraction
-        Metres in one horizontal and one vertical count.
+    metres_xy : Fraction
+        Metres in one horizontal count.
+    metres_z : Fraction
+        Metres in one vertical count.
     origin : (int, int)
-        Absolute counts of local (0, 0). Lattices are anchored at absolute count 0.
+        Absolute counts of the local position (0, 0). Lattices are anchored at absolute count 0.
     """
 
     metres_xy: Fraction = Fraction(1, 1000)
@@ -44,7 +46,7 @@ class Scale:
 
 @dataclass(frozen=True)
 class CellLattice:
-    """A lattice of square cells of ``p / q`` counts anchored at absolute count 0, for positions in local counts.
+    """Lattice of square cells with a side of ``p / q`` counts, anchored at absolute count 0. Positions are local.
 
     Local count ``x`` lies in column ``((x + origin_x) * q) // p``.
     """
@@ -79,7 +81,10 @@ class CellLattice:
     def corners(
         self, columns: npt.NDArray[np.int64], rows: npt.NDArray[np.int64]
     ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-        """Return the western and southern edges of cells, in local counts: int64 [n] each."""
+        """Return the western edges of columns and the southern edges of rows, in local counts: int64 [n] each.
+
+        An edge is the first count within the column or row.
+        """
         west: npt.NDArray[np.int64] = -((-columns * self.p) // self.q) - self.origin_x
         south: npt.NDArray[np.int64] = -((-rows * self.p) // self.q) - self.origin_y
         return west, south

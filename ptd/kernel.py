@@ -1,11 +1,12 @@
 """Compiling numeric functions (kernels) with numba, and the folder where their machine code is kept.
 
-Kernels compile once per machine and version. numba's cache checks only the source file of a kernel, so after an upgrade
-it would reuse old code of the kernels that this kernel calls. Therefore the folder's name contains a digest of the
-package's location and of all its sources. The folder is in ``NUMBA_CACHE_DIR`` if that is set, otherwise in the user's
-cache folder or in a folder of the user among the temporary files. If none of these can be written, each process
-compiles for itself. A folder in ``NUMBA_CACHE_DIR`` that belongs to root, and that only root can write, is copied. So
-every user can use the compiled kernels of a container image.
+Kernels compile once per machine and version. The name of the folder contains a digest of the location and of all
+sources of the package. Without this digest, old code could be used after an upgrade: numba checks only the source file
+of a kernel, not the sources of the kernels that it calls.
+
+The folder is in ``NUMBA_CACHE_DIR`` if that is set, otherwise in the user's cache folder, or in a folder of the user
+among the temporary files. If none of these can be written, each process compiles for itself. If one of them has code
+that only root can have written, such as code in a container image, the code is copied to the folder of the user.
 """
 
 import functools
@@ -26,7 +27,7 @@ from numba.core import config as numba_config
 __all__ = ["as_int64", "cache_folder", "compiled_count", "inlined", "kernel"]
 
 config: Any = numba_config  # The variables of this module are made at run time, so they have no types.
-# numba would read a file of settings in the current folder. A file that came with the clouds must not change results.
+# numba would read a file of settings in the current folder. A file next to the clouds must not change results.
 config._config_fname = os.devnull
 config.reload_config()
 
@@ -36,7 +37,7 @@ _Result = TypeVar("_Result")
 
 @functools.cache
 def cache_folder() -> Path | None:
-    """Return the folder of this version's machine code, made if necessary, or None if no folder can be written."""
+    """Return the folder of the machine code of this version, or None if no folder can be written."""
     package = Path(__file__).resolve().parent
     # numba separates installations by location. Without the location in the digest, a second installation would share
     # this folder but could not use its code.
@@ -70,7 +71,7 @@ _ROOT = 0
 
 
 def _trusted(path: Path) -> bool:
-    """Return whether a path belongs to root and only root can replace it, as required of code that is run."""
+    """Return whether only root can change a path: root owns it and its parents, and only root can write them."""
     try:
         real = path.resolve(strict=True)
         stats = [part.stat() for part in (real, *real.parents)]
@@ -80,7 +81,7 @@ def _trusted(path: Path) -> bool:
 
 
 def _copy_cache(shared: Path, folder: Path) -> None:
-    """Copy a cache completely or not at all, even if other processes do so at the same time."""
+    """Copy a cache completely or not at all, even if other processes copy it at the same time."""
     with suppress(OSError):
         folder.parent.mkdir(mode=0o700, parents=True, exist_ok=True)
         with tempfile.TemporaryDirectory(dir=folder.parent) as scratch:
@@ -95,7 +96,7 @@ def _untrusted(folder: str, names: list[str]) -> list[str]:
 
 
 def _usable(folder: Path) -> bool:
-    """Return whether a folder exists or can be made, belongs to the user (as it contains code), and can be written."""
+    """Return whether a folder belongs to the user and can be written. Make the folder if it does not exist."""
     try:
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         is_own = not hasattr(os, "getuid") or folder.stat().st_uid == os.getuid()
@@ -140,5 +141,5 @@ def inlined(function: Callable[_Parameters, _Result]) -> Callable[_Parameters, _
 
 @kernel
 def as_int64(value: SupportsInt) -> int:
-    """Convert a value to int64, so that kernels are not compiled a second time for int32."""
+    """Convert a value to int64. Kernels are then not compiled a second time for int32."""
     return np.int64(value)  # type: ignore[return-value]

@@ -9,8 +9,11 @@ from typing import Any, TypeVar
 UNIT_SUFFIXES = ("_m", "_deg")
 
 DECIMALS = 6
-"""Largest number of decimals of a length in metres. Cells are exact fractions of counts, and positions among them must
-fit int64."""
+"""Lengths in metres have at most this many decimals.
+
+The side of a cell is an exact fraction of counts. With more decimals, products with the terms of the fraction could
+exceed int64.
+"""
 
 
 def parameter(
@@ -27,7 +30,7 @@ def parameter(
 
 
 def like(cls: type[Any], name: str, default: float | int | bool | None = None) -> Any:
-    """Return the field of another method's dataclass, optionally with another default."""
+    """Return a field of the parameters of another method, optionally with another default."""
     spec = next(spec for spec in fields(cls) if spec.name == name)
     value: Any = default
     if default is None:
@@ -51,6 +54,7 @@ def check(params: Any) -> None:
         low, high = spec.metadata["minimum"], spec.metadata["maximum"]
         if not _is_of_kind(value, spec.default):
             raise ValueError(f"{spec.name} {value!r}: must be {_kind(spec.default)}")
+        # The negated comparisons also refuse NaN.
         below = low is not None and not value >= low
         if below or (high is not None and not value <= high):
             unit = f" {spec.metadata['unit']}".rstrip()
@@ -109,5 +113,5 @@ def _parse_value(name: str, text: str, default: Any) -> Any:
 
 
 def to_json(params: Any) -> dict[str, Any]:
-    """Return plain values by name, in the order of the fields."""
+    """Return the values of parameters by name, in the order of the fields."""
     return dataclasses.asdict(params)

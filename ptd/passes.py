@@ -22,14 +22,18 @@ Int32 = npt.NDArray[np.int32]
 UInt8 = npt.NDArray[np.uint8]
 UInt16 = npt.NDArray[np.uint16]
 State = Mapping[str, Any]
-"""JSON-able results of the passes for the whole run. The first state is ``{"run": RunHints as dict}``. ``notes`` is a
-list of lines on decisions from the data, to which `Pass.reduce` may add. ``places`` is the table of the figures of each
-place (`ptd.places`). The arguments of a task have only the part of the state that its window needs (`Pass.local`)."""
+"""Results of the passes for the whole run, by name, as values that JSON can hold.
+
+The first state has only ``run``, which is a `RunHints` as a dict. ``notes`` is a list of lines on decisions from the
+data; `Pass.reduce` may add lines. ``places`` is the table of the figures of each place (`ptd.places`). The arguments of
+a task have only the part of the state that the window of the task needs (`Pass.local`).
+"""
 
 READ_NAMES = {"run": ("sigma_m", "kind"), "survey": ("kind",), "canopy": ()}
-"""Names of values that passes read, for some entries of a state. Other values in these entries are only for display,
-and change with each added file."""
+"""Names of the values that passes read from these entries of a state.
 
+`Pass.local` leaves out the other values of these entries: they are only for display, and change with each added file.
+"""
 
 KINDS = ("lidar", "dim")
 """Origins of a cloud: laser scanning, or image matching."""
@@ -60,7 +64,7 @@ class RunHints:
     why : str or None
         Evidence for the kind, in words.
     evidence : dict or None
-        `ptd.Evidence` as plain values, if this evidence is not enough to decide the kind.
+        `ptd.Evidence` as plain values, if the evidence is not enough to decide the kind.
     """
 
     sigma_m: float | None = None
@@ -100,13 +104,13 @@ class Points:
         return x, y, z
 
     def known_labels(self) -> UInt8:
-        """Return the labels, which the pass must have named in its columns."""
+        """Return the labels. Raise ValueError if the pass does not name ``labels`` in its columns."""
         if self.labels is None:
             raise ValueError("the pass was given no labels")
         return self.labels
 
     def take(self, index: npt.NDArray[Any] | slice) -> Points:
-        """Return the points that an index, a mask or a slice selects, in its order."""
+        """Return the points that an index, a mask or a slice selects, in the order of the index."""
 
         def taken(column: Any) -> Any:
             if column is None:
@@ -119,7 +123,7 @@ class Points:
 
 
 def joined(parts: Sequence[Points]) -> Points:
-    """Concatenate parts (at least one). Only columns that all parts have are kept."""
+    """Concatenate at least one part. Columns that a part lacks are left out."""
 
     def column(name: str) -> Any:
         columns = [getattr(part, name) for part in parts]
@@ -141,29 +145,31 @@ class Model(ABC):
 
     @abstractmethod
     def label(self, points: Points) -> tuple[UInt8, npt.NDArray[np.bool_]]:
-        """Return labels (uint8 [n], below 128) and a mask of uncertified labels (bool [n]) of points of the window.
+        """Return labels (uint8 [n], below 128) of points of the window, and a mask of uncertified labels (bool [n]).
 
-        Labels of the last pass are ASPRS classes. The method defines the labels of earlier passes. This method is not
-        called if the pass gives no labels. With `Pass.label_margin_m`, the points to label are followed by other
-        points, whose labels are ignored.
+        Labels of the last pass are ASPRS classes. The method defines the labels of earlier passes. If the pass gives no
+        labels, `label` is not called. With `Pass.label_margin_m`, other points follow the points to label, and the
+        labels of these other points are ignored.
         """
 
     def elect(self, bounds: Window) -> Int32:
-        """Return the elected points whose x and y lie within half-open bounds: int32 [3, m], local counts.
+        """Return the points that the pass elects within half-open bounds: int32 [3, m], local counts.
 
-        This method is called for parts of the core, only if the pass elects. The points and their order must depend
-        only on their surroundings, not on the window or the bounds. In a tiled run the bounds are those of a bucket,
-        which has room for at most as many elected points as it has points. One elected point per cell always fits if
-        each cell lies in one bucket, that is, if 8 m is a multiple of its side.
+        `elect` is called only if `Pass.elects` is true, for parts of the core. The elected points and their order must
+        depend only on the points of the cloud near them, not on the window or the bounds.
+
+        In a tiled run, the bounds are those of a bucket. A bucket can store at most as many elected points as it has
+        points. One elected point per cell always fits if no cell lies in two buckets, that is, if 8 m is a multiple of
+        the side of a cell.
         """
         raise NotImplementedError("the pass elects no points")
 
     def partial(self) -> dict[str, Any]:
-        """Return the core's part of the run's statistics, JSON-able. Each point lies in one core."""
+        """Return what the core adds to the statistics of the run, as JSON-able values. Each point lies in one core."""
         return {}
 
     def uncertain(self) -> int:
-        """Return the number of core points that `partial` may count wrongly, as points beyond the window are unknown.
+        """Return how many core points `partial` may count wrongly, because points beyond the window are unknown.
 
         A core with such points is repeated with a wider halo, like one with uncertified labels.
         """
@@ -176,7 +182,7 @@ class StatisticsModel(Model):
     Parameters
     ----------
     partial : dict
-        The core's part of the statistics, see `Model.partial`.
+        See `Model.partial`.
     stats : dict, optional
     """
 
@@ -188,7 +194,7 @@ class StatisticsModel(Model):
         raise NotImplementedError("the pass gives no labels")
 
     def partial(self) -> dict[str, Any]:
-        """Return the core's part of the statistics."""
+        """Return what the core adds to the statistics of the run."""
         return self._partial
 
 
@@ -206,29 +212,30 @@ class Pass(ABC):
     every_point : bool
         Whether `fit` is passed all points of the window instead of one candidate per cell of `candidate_cell_m`.
     gives_labels : bool
-        Whether the pass labels points; otherwise it only computes statistics. The last pass of a method gives labels.
+        Whether the pass labels points. Other passes only compute statistics. The last pass of a method gives labels.
     halo_m : float or None
-        Width of the halo in metres that usually suffices. None: that of the method.
+        Width of the halo in metres that usually suffices. None: the width that the method gives.
     influence_radius_m : float or None
-        Distance from a position in metres beyond which nothing can change the result there. With exactly this margin
-        around the core, a window gives the same result as the whole cloud. 0: the core suffices. None: there is no such
-        distance, so halos may become wider and windows may have open sides.
+        Points farther than this from a position, in metres, cannot change the result at the position. So a core with a
+        halo of this width gives the same result as the whole cloud. 0: the core suffices. None: there is no such
+        distance. Then halos may become wider, and windows may have open sides.
     elects : bool
-        Whether the pass makes new points (`Model.elect`), for example one per cell, for later passes that are
-        `elected`. If the pass also gives labels, `Model.label` labels these points and is passed only their xyz. The
-        next pass that elects replaces them.
+        Whether the pass elects points: `Model.elect` makes new points, for example one per cell. Later passes with
+        `elected` read these points, until another pass elects points. If the electing pass also gives labels,
+        `Model.label` labels the elected points and is passed only their xyz.
     elected : bool
-        Whether `fit` is passed the elected points of the window instead of points of the cloud. Their labels, if named
-        in `columns`, are those of the last pass that labelled them, or 0. `Model.label` also labels elected points. But
-        if no later pass applies, it is passed all points of the cloud with their labels, and labels these.
+        Whether the pass reads elected points: `fit` is passed the elected points of the window instead of points of the
+        cloud. Their column ``labels`` is that of the last pass that labelled elected points, or 0. `Model.label` labels
+        elected points as well, unless no later pass applies. In that case it labels all points of the cloud, and is
+        passed the labels of these points.
     label_margin_m : float
-        Width in metres of the margin of points that `Model.label` needs. It is passed the points to label first, and
-        then, in any order, all other points of the filter within this distance of their bounding box.
+        Width in metres of the margin of points that `Model.label` needs. The points to label come first. They are
+        followed, in any order, by all other points of the filter within this distance of their bounding box.
     kind : {"lidar", "dim"} or None
         Origin of the clouds to which the pass applies. None: all clouds.
     raster_cell_m : float
-        Side of the cells of a raster that the pass makes of the whole window, and that determines its memory. 0: the
-        pass makes no such raster, and the points determine its memory.
+        Side of the cells of a raster of the whole window, if the pass makes one that determines its memory. 0: the
+        number of points determines its memory.
     by_place : bool
         Whether `fit` reads the table of places in the state.
     """
@@ -248,23 +255,23 @@ class Pass(ABC):
     by_place: bool = False
 
     def applies(self, state: State) -> bool:
-        """Return whether the pass is done, given the state after the earlier passes.
+        """Return whether the pass is run, given the state after the earlier passes.
 
-        The result may depend on the statistics of an earlier pass, such as the survey. That pass must come before all
-        passes that give labels or elect, as these need to know which later passes apply. So no other pass may change
-        the result. Of the passes that apply, the last labels all points.
+        The result may depend on an earlier pass that only computes statistics, such as the survey. It must not depend
+        on any pass that gives labels or elects points, because such a pass needs to know which later passes apply. The
+        last pass that applies labels all points.
         """
         return True
 
     @abstractmethod
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Model:
-        """Make the model of a window from its points, which may be in any order.
+        """Make the model of a window from the points of the window, in any order.
 
         `Model.partial` counts only points of the core.
         """
 
     def local(self, state: State, window: Window, scale: Scale) -> dict[str, Any]:
-        """Return the part of a state that `fit` needs for a window, so that distant files do not change it."""
+        """Return the part of a state that `fit` needs for a window. Distant files do not change this part."""
         part = {name: value for name, value in state.items() if name not in ("notes", places.PLACES)}
         for name, keys in READ_NAMES.items():
             if name in part:
@@ -302,10 +309,13 @@ class Method:
     ----------
     name, summary : str
     params : type
-        Frozen dataclass of `ptd.params.parameter` fields, which have the defaults. Its properties are ``passes`` (tuple
-        of `Pass`), ``halo_m`` (width of the halo that usually suffices), ``align_m`` (side of the lattice cells to
-        which windows are widened), ``margin_m`` (further widening) and ``candidate_cell_m`` (side of the cells with one
-        candidate each; 0: every point is a candidate). All are in metres.
+        Frozen dataclass of `ptd.params.parameter` fields with defaults, and with these properties (lengths in metres):
+
+        - ``passes``: tuple of `Pass`.
+        - ``halo_m``: width of the halo that usually suffices.
+        - ``align_m``: side of the lattice cells to which windows are widened.
+        - ``margin_m``: width by which windows are widened further.
+        - ``candidate_cell_m``: side of the cells with one candidate each, or 0 if every point is a candidate.
     needs : tuple of str
         Columns that the method requires, such as ``rgb``.
     """

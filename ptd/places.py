@@ -1,9 +1,10 @@
-"""Figures that differ from place to place: places are squares of 256 m on a lattice anchored at CRS coordinate 0.
+"""Figures that differ from place to place, such as the noise of heights.
 
-The state of a run contains a table of the figures under `PLACES`: keys are places as "column,row", values are the
-figures at the middles of the places. Between middles a figure is interpolated bilinearly (`Field`), so the figure at a
-point depends only on the four middles around it. The table of a country has a million entries, so a task gets only the
-entries around its window (`near`).
+A place is a square of 256 m, on a lattice anchored at coordinate 0 of the CRS. The state of a run contains a table
+under the name `PLACES`. The keys of the table are places as "column,row", and its values are the figures at the middles
+of the places. Between middles, a figure is interpolated bilinearly (`Field`). So the figure at a point depends only on
+the four middles around the point. The table of a country has a million entries. So a task is passed only the entries
+around its window (`near`).
 """
 
 from __future__ import annotations
@@ -19,7 +20,7 @@ from ptd.frame import OPEN, CellLattice, Scale, Window
 from ptd.kernel import as_int64, kernel
 
 PLACE_M = 256.0
-"""Side of a place in metres. A place has some hundred planar patches, and is not wider than a flight strip."""
+"""Side of a place in metres. A place has some hundred planar patches, and is no wider than a flight strip."""
 PLACES = "places"
 """Name of the table in the state of a run."""
 
@@ -57,7 +58,7 @@ def near(table: Table, window: Window, scale: Scale) -> dict[str, Figures]:
 
 
 class Field(NamedTuple):
-    """Figure by place, bilinear between the middles of places, as an argument of kernels.
+    """One figure of all places, interpolated bilinearly between the middles of places, as an argument of kernels.
 
     Attributes
     ----------
@@ -101,10 +102,10 @@ def field(table: Table, figure: int, scale: Scale, otherwise: float) -> Field:
     ----------
     table : mapping
     figure : int
-        Index of the figure among those of a place.
+        Index of the figure in the values of the table.
     scale : Scale
     otherwise : float
-        Value at places that the table does not contain. Figures at points of the run do not depend on these places.
+        Value at places that are not in the table. This value does not change figures at points of the run.
     """
     known: dict[tuple[int, int], float] = {}
     for name, figures in table.items():
@@ -127,17 +128,19 @@ def field(table: Table, figure: int, scale: Scale, otherwise: float) -> Field:
 
 
 def as_field(figure: float | Field) -> Field:
-    """Return a figure by place unchanged. A number becomes a figure that is the same everywhere."""
+    """Return a `Field` unchanged. Convert a number to a figure that is the same everywhere."""
     return figure if isinstance(figure, Field) else everywhere(figure)
 
 
 @kernel
 def _between(position: int, p: int, q: int, first: int, n: int) -> tuple[int, float]:
-    """Return the index of the middle before a position, and the fraction of the way to the next middle, 0 to 1.
+    """Return the index of the last middle before a position, and the fraction of the way to the next middle, 0 to 1.
 
-    The position is in absolute counts.
+    The position is in absolute counts. ``first`` is the number of the place with the index 0, and ``n`` is the number
+    of places.
     """
-    scaled = 2 * q * position - p  # With this scale, the middle of place k lies at 2 k p.
+    # The distance from the middle of place 0, in units of 1 / (2 q) counts. In these units a place has the side 2 p.
+    scaled = 2 * q * position - p
     place = scaled // (2 * p)
     index = place - first
     if index < 0:
@@ -198,9 +201,9 @@ def _raster_of(field: Field, x: Int64, y: Int64) -> Float64:
 def on_cells(
     figure: float | Field, cells: CellLattice, row: int, column: int, shape: tuple[int, ...]
 ) -> Float64:
-    """Return the figure at the middles of a raster's cells: float64 [rows, columns].
+    """Return the figure at the middles of the cells of a raster: float64 [rows, columns].
 
-    ``row`` and ``column`` are those of the raster's first cell.
+    ``row`` and ``column`` are the row and column of the first cell of the raster.
     """
     field = as_field(figure)
     if field.even:
@@ -213,6 +216,6 @@ def on_cells(
 
 
 def span(values: Sequence[float], digits: int, unit: str = "") -> str:
-    """Return the smallest and largest of some values in words, or one number if both look the same."""
+    """Return the smallest and the largest value as a text, or one number if they are equal after rounding."""
     low, high = (f"{value:.{digits}g}" for value in (min(values), max(values)))
     return f"{low}{unit}" if low == high else f"{low} to {high}{unit}"

@@ -1,7 +1,7 @@
-"""Compilation of the kernels once per machine, before workers start, since otherwise each worker would compile them.
+"""Compilation of kernels before workers start. Otherwise each worker would compile the kernels.
 
-`ptd.kernel` describes where the machine code is kept. For each method whose kernels are compiled, there is a file next
-to the code, the mark.
+`ptd.kernel` describes the folder of the machine code. An empty file in this folder, called a mark, shows that all
+kernels of a method or of an interpolation are compiled.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from ptd.kernel import cache_folder
 Float64 = npt.NDArray[np.float64]
 
 GARBAGE_OBJECTS = 100_000
-"""Objects between two garbage collections. The default of 700 costs the compiler a tenth of its time."""
+"""Garbage is collected after this many new objects. With the default of 700, it takes a tenth of the time."""
 
 
 def _scene() -> tuple[Float64, npt.NDArray[np.uint16]]:
@@ -48,9 +48,9 @@ def _scene() -> tuple[Float64, npt.NDArray[np.uint16]]:
 
 
 def has_kinds(method: str) -> bool:
-    """Return whether a method has passes that do not always apply.
+    """Return whether a method has different passes, and so different kernels, for LiDAR and photogrammetric clouds.
 
-    Passes for LiDAR and for photogrammetric clouds have different kernels.
+    Such passes override `Pass.applies`.
     """
     from ptd.methods import METHODS
     from ptd.passes import Pass
@@ -65,7 +65,7 @@ def warm_filters(method: str, notify: Callable[[], None], kind: str | None = Non
     ----------
     method : str
     notify : callable
-        Function that is called before the compilation, which takes long.
+        Function that is called before the compilation, because the compilation takes long.
     kind : {"lidar", "dim"} or None
         Kind of the cloud, if the method has passes for only one kind. None: both kinds.
     """
@@ -76,8 +76,8 @@ def warm_filters(method: str, notify: Callable[[], None], kind: str | None = Non
     def run_passes(cloud_kind: str | None) -> None:
         xyz, rgb = _scene()
         counts = np.ascontiguousarray((1000 * xyz).T.astype(np.int32))
-        # Multiple returns show that the cloud is LiDAR. `RunHints` does not give the kind, so that the passes that
-        # decide it are compiled as well.
+        # Multiple returns show that the cloud is LiDAR. `RunHints` does not give the kind, so the passes that decide
+        # the kind are compiled as well.
         returns = np.ones((2, len(xyz)), np.uint8)
         if cloud_kind == KINDS[0]:
             returns += 1
@@ -93,7 +93,7 @@ def warm_filters(method: str, notify: Callable[[], None], kind: str | None = Non
 
 
 def filters_name(method: str, kind: str | None) -> str:
-    """Return the name of the mark for a method's kernels, with ``kind`` if the method has passes for it."""
+    """Return the name of the mark for the kernels of a method, and of a kind if kinds have different kernels."""
     if kind and has_kinds(method):
         return f"{method}-{kind}"
     return method
@@ -111,12 +111,12 @@ def is_compiled(name: str) -> bool:
 
 
 def why_not_compiled(name: str) -> str:
-    """Return in words why the kernels with the mark ``name`` are not compiled yet."""
+    """Return a text that explains why the kernels with the mark ``name`` are not compiled yet."""
     folder = cache_folder()
     if folder is None:
         return "no folder for machine code can be written, so each process compiles for itself"
     if any(folder.glob("*.compiled")):
-        return f"the first run here that needs those of {name}; each kind of cloud and method needs different ones"
+        return f"the first run here that needs those of {name}; each method and kind of cloud has its own"
     if any(other != folder for other in folder.parent.iterdir()):
         return f"those in {folder.parent} are of another version or installation of tiler or numba"
     return f"the first run that keeps its machine code in {folder.parent}"

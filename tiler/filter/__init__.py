@@ -1,4 +1,4 @@
-"""Filter of tiles: one pass of a method on a core and a halo, which grows while labels are uncertified."""
+"""Filtering of tiles: a pass of a method runs on a core and a halo, which grows while labels are uncertified."""
 
 from tiler.filter.tile import LABELS, filter_tile, influence_margin_m, local_window
 from tiler.filter.work import FilterTile

@@ -1,4 +1,4 @@
-"""Reading of the points of a tile from the store: the points of a window, and the points to label, by bucket."""
+"""Reading of the points of a tile from the store: all points of a window, and the points to label in a bucket."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class Bucket:
 
 
 class TileReader:
-    """Reader of the points of a tile. It keeps buckets in memory for later requests.
+    """Reader of the points of a tile. Buckets stay in memory for later requests.
 
     Parameters
     ----------
@@ -67,9 +67,10 @@ class TileReader:
     def window(self, bounds: Bounds, cell_m: float) -> tuple[Points, bool]:
         """Read the points of a window for a pass. Return the points, and whether one has an uncertified label.
 
-        A pass on elected points gets the elected points. Another pass gets the store's candidates if the method's
-        cells consist of whole fine cells and the pass does not need every point. Otherwise it gets all points that take
-        part in filtering.
+        - A pass on elected points is passed elected points.
+        - A pass that needs every point is passed all points that take part in filtering.
+        - Any other pass is passed the candidates of the store. They suffice if the cells of the method, with a side of
+          ``cell_m``, consist of whole fine cells of the store. Otherwise it is passed all points as well.
         """
         slices_by_cell: dict[Cell, slice] = {}
         self._window = None  # This frees memory for the new window.
@@ -90,7 +91,7 @@ class TileReader:
         return points, _any_uncertified(block)
 
     def bucket(self, cell: Cell) -> Bucket:
-        """Return the points of a bucket, in the core or next to it, that the pass labels or reads."""
+        """Return the points of a bucket that the pass labels, or reads as the margin of another bucket."""
         if self._window is not None:
             points, slices_by_cell = self._window
             points = points.take(slices_by_cell.get(cell, slice(0, 0)))
@@ -108,11 +109,11 @@ class TileReader:
         return bucket
 
     def points_around(self, cell: Cell) -> tuple[list[Points], bool]:
-        """Return the points within `label_margin_m` around a bucket, and whether a label is uncertified."""
+        """Return the points within `Pass.label_margin_m` around a bucket, and whether a label is uncertified."""
         if not self._margin:
             return [], False
         lattice, (ox, oy) = self._store.meta.bucket, self._store.meta.frame.origin
-        if self._near is None:  # One read of the index is enough for all buckets.
+        if self._near is None:  # The index is read only once for all buckets.
             self._near = self._store.buckets_within(lattice.hull(self._work.cells).pad(self._margin))
         bounds = lattice.bounds(cell).pad(self._margin)
         parts = []
@@ -138,6 +139,7 @@ class TileReader:
         if not candidates_only:  # All candidates take part, so their classes and flags are not needed.
             columns = (*columns, "classification", "flags")
         block = self._store.read_bucket(cell, columns, candidates_only)
+        # All points cannot be read with labels if only candidates have labels.
         if self._labels is not None and (candidates_only or not self._work.in_of_candidates):
             labels = self._store.read_labels(self._labels, cell, candidates_only)
             block = dataclasses.replace(block, labels=labels)
@@ -154,7 +156,7 @@ class TileReader:
     def _as_points(self, block: PointBlock) -> Points:
         labels = None if block.labels is None else block.labels & ~np.uint8(UNCERTIFIED_BIT)
         if labels is None and "labels" in self._step.columns:
-            labels = np.zeros(len(block), np.uint8)  # No earlier pass has labelled the points.
+            labels = np.zeros(len(block), np.uint8)  # The points have no labels yet.
         return Points(block.xyz, labels, block.rgb, block.returns)
 
     def _participating(self, block: PointBlock) -> npt.NDArray[np.bool_]:

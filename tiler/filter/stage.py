@@ -1,4 +1,4 @@
-"""Stage filter of a run: the passes of the method one after the other, and the state that they share."""
+"""Stage filter of a run: the passes of the method, one after the other."""
 
 from __future__ import annotations
 
@@ -33,7 +33,8 @@ def filter_points(job: Job, assembled: IngestResult) -> Labelled:
     if job.plan.config.method == KEEP:
         return Labelled.of(job.plan.config, assembled.digests, {})
     passes = METHODS[job.plan.config.method].params(**job.plan.parameters).passes
-    # An earlier run may have used a method with more passes. Passes of this method may overwrite their labels.
+    # An earlier run may have used a method with more passes. The commits of the additional passes are removed, because
+    # the labels of those passes may be overwritten.
     max_passes = max(job.store.get_state("passes") or 0, len(passes))
     job.store.put_state("passes", max_passes)
     for number in range(len(passes), max_passes):
@@ -44,13 +45,13 @@ def filter_points(job: Job, assembled: IngestResult) -> Labelled:
     state: dict[str, Any] = {"run": dataclasses.asdict(facts)}
     pass_inputs = PassInputs(assembled.digests)
     statistics = job.facts["statistics"] = {}
-    has_written, last = False, ""
+    has_written, last_pass = False, ""
     for number, step in enumerate(passes):
         if not step.applies(state):
             continue
-        if last:
+        if last_pass:
             raise ValueError(
-                f"method {config.method}: {step.name} applies, although {last} gave the final labels"
+                f"method {config.method}: {step.name} applies, although {last_pass} gave the final labels"
             )
         if (step.elects or step.gives_labels) and not has_written:
             has_written = True
@@ -70,7 +71,7 @@ def filter_points(job: Job, assembled: IngestResult) -> Labelled:
                 if task.key not in filtered:
                     _leave_out(job, task, step, pass_inputs)
             pass_inputs = pass_inputs.after(number, step, is_last, candidates_only, assembled, filtered)
-            last = step.name if is_last else ""
+            last_pass = step.name if is_last else ""
         if step.gives_labels:
             job.facts["filter"] = _filter_facts(job, list(tile_records(filtered)), len(tasks))
         partials = (tile.partial for tile in tile_records(filtered))
@@ -88,41 +89,44 @@ def filter_points(job: Job, assembled: IngestResult) -> Labelled:
 
 
 def _clear_passed_over(job: Job, passes: Sequence[Pass], state: State) -> None:
-    """Clear the commits of passes that do not apply in this run, as other passes may overwrite their results."""
+    """Remove the commits of passes that do not apply in this run, because their results may be overwritten."""
     for number, step in enumerate(passes):
         if not step.applies(state):
             job.store.clear(f"filter{number}")
 
 
 def _without_known_places(state_after: Mapping[str, Any], state: State) -> dict[str, Any]:
-    """Drop the table of places if the state before the pass has it, because a country has a million places."""
+    """Return the state after a pass without the table of places if the state before the pass has the table.
+
+    So the table is stored only once: it may have a million places.
+    """
     return {name: value for name, value in state_after.items() if name != PLACES or name not in state}
 
 
 def _known_state(job: Job, step: Pass, state: State) -> dict[str, Any]:
-    """Return the state after a pass from the run given by ``--statistics``."""
+    """Return the state after a pass as recorded by the run that ``--statistics`` gives."""
     state_after: dict[str, Any] | None = (job.plan.statistics or {}).get(step.name)
     if state_after is None:
         raise ConfigError(
-            f"--statistics {job.plan.config.statistics}: that run did not do the pass {step.name}; use the same --kind"
+            f"--statistics {job.plan.config.statistics}: has no results of the pass {step.name}; use the same --kind"
         )
     if step.name == SurveyPass.name and PLACES not in state_after:
         raise ConfigError(
-            f"--statistics {job.plan.config.statistics}: an earlier version wrote it, without the figures of places; "
-            "run it again with this version"
+            f"--statistics {job.plan.config.statistics}: was written by an earlier version, which did not measure "
+            "each place; repeat that run with this version"
         )
     if PLACES in state:
         state_after = {PLACES: state[PLACES], **state_after}
     kind = job.plan.config.source_kind
     if kind is not None and state_after.get("run", {}).get("kind") != kind:
         job.note(
-            f"--statistics: the kind of the clouds is that of that run; --kind {job.plan.config.kind} is not used"
+            f"--statistics: the kind of the clouds is taken from there; --kind {job.plan.config.kind} is not used"
         )
     return state_after
 
 
 def _reduced(job: Job, step: Pass, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
-    """Return the state after a pass, and report its new notes."""
+    """Return the state after a pass. Write the notes that the pass added to the log."""
     try:
         state_after = step.reduce(partials, state)
     except MethodRefusal as error:
@@ -134,7 +138,7 @@ def _reduced(job: Job, step: Pass, partials: Iterable[dict[str, Any]], state: St
 
 
 def _warn_of_uncertain_kind(job: Job, survey: Mapping[str, Any]) -> None:
-    """Warn if the source of the clouds is uncertain, as all passes after the survey depend on it."""
+    """Warn if the kind of the clouds is uncertain, because all later passes depend on the kind."""
     sure = survey.get("sure")
     if sure is None or sure >= SURE:
         return
@@ -146,7 +150,7 @@ def _warn_of_uncertain_kind(job: Job, survey: Mapping[str, Any]) -> None:
 
 
 def _leave_out(job: Job, task: Task, step: Pass, inputs: PassInputs) -> None:
-    """Write empty results for the core of a tile that failed, to replace the results of an earlier run."""
+    """Write empty results for a tile that failed, so that no results of an earlier run remain."""
     work: FilterTile = task.arguments
     buckets = job.store.buckets_within(job.plan.meta.bucket.hull(work.cells))
     for cell in work.cells:

@@ -1,4 +1,4 @@
-"""Filtering of a tile of a pass: read core and halo, fit the model, label the core or elect points in it."""
+"""Filtering of one tile in one pass: fit a model to core and halo, then label or elect points in the core."""
 
 from __future__ import annotations
 
@@ -11,8 +11,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from ptd.frame import OPEN, Scale
-from ptd.frame import Window as Known
+from ptd.frame import OPEN, Scale, Window
 from ptd.methods import METHODS
 from ptd.passes import Model, Pass, Points, joined
 from tiler.core.classes import GROUND, LOW_NOISE, UNCERTIFIED_BIT, UNCLASSIFIED
@@ -29,7 +28,10 @@ KEEP = 0
 """Label of a point that does not take part in filtering and keeps the class of its source."""
 
 REACH_CELLS = 4
-"""Distance beyond a window, in cells of the method's lattice, within which a bucket shows that the data continue."""
+"""A side of a window is open if no bucket lies within this many cells beyond the side.
+
+The cells are those of the method's lattice.
+"""
 
 
 def influence_margin_m(step: Pass, params: Any) -> float:
@@ -46,17 +48,12 @@ def filter_tile(store_url: str, work: FilterTile) -> dict[str, Any]:
     """Filter one tile.
 
     A core with uncertified labels or statistics is repeated with twice the halo, up to ``max_halo``. Labels that stay
-    uncertified keep bit 7 and are counted. The window of a pass with a fixed radius is exactly core and halo. The
-    window of any other pass is extended to the method's lattice, and is open on sides where the data end.
+    uncertified keep bit 7 and are counted.
 
     Returns
     -------
     dict
-        ``cells``; ``points``, ``ground``, ``low_noise``, ``unclassified``, ``kept`` (of the core), ``marked``
-        (uncertified), ``tries``, ``halo`` (counts), ``window_points`` (points of the last window), ``core_area``,
-        ``window_area`` (square counts, all tries), ``labels`` (digest), ``partial`` (for the pass's reduction),
-        ``stats`` of the model. A pass that elects also has ``elected`` (digest) and ``elected_points`` (number for each
-        cell).
+        `TileRecord` as JSON.
     """
     store = open_store(store_url)
     params = METHODS[work.method].params(**work.parameters)
@@ -84,7 +81,7 @@ def filter_tile(store_url: str, work: FilterTile) -> dict[str, Any]:
             break
         halo = min(2 * halo, work.max_halo)
         del points, model  # This frees memory for the wider window.
-    if inputs_uncertified:  # Uncertified labels of the earlier pass may have changed the labels.
+    if inputs_uncertified:  # Uncertified labels of an earlier pass may have changed any of these labels.
         labels = {
             cell: cell_labels | (cell_labels > 0) * np.uint8(UNCERTIFIED_BIT)
             for cell, cell_labels in labels.items()
@@ -147,9 +144,9 @@ def _label_elected(store: TileStore, cell: Cell, model: Model) -> npt.NDArray[np
 def _elect(
     store: TileStore, cells: Sequence[Cell], model: Model, name: str | None
 ) -> tuple[str | None, list[int] | None]:
-    """Write the points that a pass elects in the buckets. Return their digest, and their number per bucket.
+    """Write the points that a pass elects in buckets. Return the digest of the points, and their number per bucket.
 
-    Both are None if the pass elects no points.
+    Digest and numbers are None if the pass elects no points.
     """
     if name is None:
         return None, None
@@ -161,8 +158,12 @@ def _elect(
     return digest_of_arrays(elected_by_cell.values()), numbers
 
 
-def _window(store: TileStore, padded: Bounds, step: Pass, params: Any) -> tuple[Bounds, Known]:
-    """Return the bounds of the points that a pass reads for a padded core, and the window that it knows completely."""
+def _window(store: TileStore, padded: Bounds, step: Pass, params: Any) -> tuple[Bounds, Window]:
+    """Return the bounds of the points that a pass reads, and the same window in local counts with its open sides.
+
+    ``padded`` is core and halo, which is the whole window of a pass with a fixed radius. For other passes the window is
+    widened to the method's lattice.
+    """
     if step.influence_radius_m is not None:
         return padded, _local(padded, store)
     align = Lattice(store.meta.frame.counts(Fraction(repr(float(params.align_m)))))
@@ -171,23 +172,23 @@ def _window(store: TileStore, padded: Bounds, step: Pass, params: Any) -> tuple[
     return window, _known_window(store, window, margin=math.ceil(REACH_CELLS * align.size))
 
 
-def _known_window(store: TileStore, window: Bounds, margin: int) -> Known:
+def _known_window(store: TileStore, window: Bounds, margin: int) -> Window:
     """Return the window in local counts. A side is open if there are no points within ``margin`` beyond it.
 
-    Points farther away do not matter, because the method adds a ring of virtual points around the data. So the relevant
-    circumcircles do not extend beyond the margin.
+    Points farther away cannot change the result. The method surrounds the data with virtual points, which keep the
+    circumcircles of the TIN within the margin.
     """
     padded = window.pad(margin)
 
-    def empty(strip: Bounds) -> bool:
-        return not store.buckets_within(strip)
+    def empty(beyond: Bounds) -> bool:
+        return not store.buckets_within(beyond)
 
     ox, oy = store.meta.frame.origin
     west = empty(Bounds(padded.x0, padded.y0, window.x0, padded.y1))
     east = empty(Bounds(window.x1, padded.y0, padded.x1, padded.y1))
     south = empty(Bounds(padded.x0, padded.y0, padded.x1, window.y0))
     north = empty(Bounds(padded.x0, window.y1, padded.x1, padded.y1))
-    return Known(
+    return Window(
         -OPEN if west else window.x0 - ox,
         -OPEN if south else window.y0 - oy,
         OPEN if east else window.x1 - ox,
@@ -195,18 +196,18 @@ def _known_window(store: TileStore, window: Bounds, margin: int) -> Known:
     )
 
 
-def _local(bounds: Bounds, store: TileStore) -> Known:
+def _local(bounds: Bounds, store: TileStore) -> Window:
     return local_window(bounds, store.meta.frame.origin)
 
 
-def local_window(bounds: Bounds, origin: tuple[int, int]) -> Known:
-    """Convert bounds from absolute counts to local counts of a frame with the given origin."""
+def local_window(bounds: Bounds, origin: tuple[int, int]) -> Window:
+    """Convert bounds from absolute counts to local counts, which start at the origin."""
     ox, oy = origin
-    return Known(bounds.x0 - ox, bounds.y0 - oy, bounds.x1 - ox, bounds.y1 - oy)
+    return Window(bounds.x0 - ox, bounds.y0 - oy, bounds.x1 - ox, bounds.y1 - oy)
 
 
 def digest_of_arrays(columns: Iterable[npt.NDArray[Any]]) -> str:
-    """Return the digest of the values of arrays, in order."""
+    """Return one digest of the values of all arrays."""
     digest = hashlib.blake2b(digest_size=16)
     for column in columns:
         digest.update(column.tobytes())

@@ -1,4 +1,4 @@
-"""Arguments of the task of a tile: the pass, the buckets that it labels, and names of inputs and outputs."""
+"""Arguments of the task that filters a tile in one pass."""
 
 from __future__ import annotations
 
@@ -29,17 +29,24 @@ class FilterTile:
         First and largest halo in counts.
     keep_classes, skip_flags : tuple of int, int
         Classes and flags of points that are excluded, see `tiler.core.classes.participates`.
-    labels_in, labels_out : str or None
-        Names in the store of the labels of the earlier pass and of this pass.
-    elected_in, elected_labels_in, elected_out : str or None
-        Names in the store of the points that an earlier pass elected, of their labels, and of the points that this pass
-        elects.
+    labels_in : str or None
+        Name in the store of the labels that this pass reads; None if it reads none.
+    labels_out : str
+        Name in the store of the labels that this pass writes.
+    elected_in : str or None
+        Name in the store of the elected points that this pass reads (see `ptd.passes.Pass.elected`).
+    elected_labels_in : str or None
+        Name in the store of the labels of these elected points.
+    elected_out : str or None
+        Name in the store of the points that this pass elects.
     of_elected : bool
-        Whether this pass labels elected points.
-    of_candidates, in_of_candidates : bool
-        Whether this pass, and the earlier pass, label only candidates, since later passes read only their labels.
+        Whether this pass labels the elected points that it reads, instead of points of the cloud.
+    of_candidates : bool
+        Whether this pass labels only candidates, because later passes do not read other labels.
+    in_of_candidates : bool
+        Whether ``labels_in`` has labels only of candidates.
     held_bytes : int
-        Largest size of the buckets that are kept in memory for their neighbours, in bytes.
+        Limit of the bytes of buckets that are kept in memory because they are also read as margins of other buckets.
     """
 
     method: str

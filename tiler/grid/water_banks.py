@@ -1,8 +1,8 @@
-"""Ground that was seen at the shore, in cells finer than those in which water is found.
+"""Correction of the shore by points, in cells that are finer than the coarse cells in which water is found.
 
-The shore runs between the middles of coarse cells. At an upright bank, a cell has both bank and water, so the shore may
-lie on ground high above the water, or exclude water at the foot of a quay. In fine cells, such ground is land if it is
-connected with the bank. Fine cells of a quay without points, or with ground at the level, are water.
+The shore runs between the middles of coarse cells. At an upright bank, a coarse cell has both bank and water. So the
+water may include ground high above the level, or lack water at the foot of a quay. In fine cells, high ground is land
+if it is connected with the bank. Fine cells of a quay are water if they have no points, or ground at the level.
 """
 
 from __future__ import annotations
@@ -27,29 +27,35 @@ from tiler.grid.water_shore import quays, shore_polygons
 from tiler.store import TileStore
 
 FINER = 2
-"""Number of fine cells along a side of a coarse cell. With 2 points per m2, six of seven cells of 1 m2 have a point."""
+"""A coarse cell has this many fine cells along its side.
+
+With 2 points per m2, six of seven cells of 1 m2 have a point.
+"""
 HIGH_M = 0.3
-"""Least height above the water of seen ground that is land. Returns of broken water are up to 0.3 m above it."""
+"""Ground in a fine cell is land if it is more than this above the water, in metres. Broken water is lower."""
 REACH_CELLS = 4
-"""Largest distance of such ground from the land of the coarse cells, in fine cells."""
+"""Such ground is land only up to this distance from the land of the coarse cells, in fine cells."""
 BANK_MARGIN = math.ceil(2 * REACH_CELLS / FINER)
-"""Margin around a block in coarse cells on which the fine cells at its shores depend."""
+"""The fine cells of a block depend on cells up to this distance from the block, in coarse cells."""
 ENOUGH_POINTS = 5
-"""Least mean number of points of the fine cells of land, so that an empty one is water. By chance 1 % are empty."""
+"""A fine cell without points is water only if fine cells of the land near it have this many points on average.
+
+By chance, 1 % of such cells are empty.
+"""
 NEAR_SIDE = 11
-"""Side in coarse cells of the square in which the level and the number of points of the land are compared."""
+"""The highest level and the mean number of points of land near a cell come from a square of this side, in cells."""
 AROUND = np.ones((3, 3), np.bool_)
 
 
 class Shore(NamedTuple):
-    """Coarse cells of a window, in arrays of its shape.
+    """Water and its surroundings in the coarse cells of a window, in arrays of the shape of the window.
 
     Attributes
     ----------
     field : float64
         Heights above the water in metres, negative in the water, see `tiler.grid.water_shore.depths`.
     level : float64
-        Level of the water near each cell in metres, NaN where the ground is not that of a bank.
+        Level of the water near each cell in metres, NaN for cells whose ground is not a bank.
     is_quay : bool
         Mask of the cells at upright banks with many points.
     """
@@ -60,12 +66,14 @@ class Shore(NamedTuple):
 
 
 class SeenGround(NamedTuple):
-    """Shapes at a shore in absolute counts.
+    """Corrections of a shore, as shapes in absolute counts.
 
     Attributes
     ----------
-    dry, wet : shapely.Geometry
-        Parts of the water of the coarse cells that are land, and parts of the land that are water.
+    dry : shapely.Geometry or None
+        Part of the water that is land.
+    wet : shapely.Geometry or None
+        Part of the land that is water.
     """
 
     dry: Any
@@ -78,7 +86,7 @@ NOTHING_SEEN = SeenGround(None, None)
 def seen_at_shore(
     store: TileStore, rule: GroundSelection, coarse: RasterSpec, window: Block, shore: Shore
 ) -> SeenGround:
-    """Return the shapes by which the points at a shore change the water of the coarse cells.
+    """Return the corrections of the shore of the coarse cells, from the points at the shore.
 
     Parameters
     ----------
@@ -96,35 +104,45 @@ def seen_at_shore(
     above = ground - each_finer(shore.level)
     banks = seen_banks(field, above)
     water = seen_water(field, each_finer(shore.is_quay), above, has_points)
-    return SeenGround(
-        _shape(banks, field >= 0, fine, fine_window), _shape(water, field < 0, fine, fine_window)
-    )
+    dry = _shape(banks, field >= 0, fine, fine_window)
+    wet = _shape(water, field < 0, fine, fine_window)
+    return SeenGround(dry, wet)
 
 
 def _shape(cells: Bools, among: Bools, fine: RasterSpec, window: Block) -> Any:
-    """Return the shape of some cells of a window and their neighbours of ``among``, which leave no gap to these."""
+    """Return the shape of some cells of a window, in absolute counts.
+
+    Their neighbours in the mask ``among`` are included, so that there is no gap between the shape and these neighbours.
+    """
     import shapely
 
     neighbours = among & scipy.ndimage.binary_dilation(cells, AROUND)
     field = np.where(cells | neighbours, -1.0, 1.0)
+    # The shape extends one coarse cell and one fine cell beyond the block.
     margin = FINER * (BANK_MARGIN - 1) - 1
     inner = padded(window, -margin)
     return shapely.union_all(shore_polygons(field[inner_window(inner, margin)], fine, inner))
 
 
 def highest_near(level: Floats) -> Floats:
-    """Return the highest level in the square around each cell, as returns from below the surface lower the level."""
+    """Return the highest level in the square around each cell. Returns from below the surface lower some levels."""
     highest: Floats = scipy.ndimage.maximum_filter(level, NEAR_SIDE)
     return highest
 
 
 def dense_quays(cells: WaterCells, wet: Bools, level: Floats) -> Bools:
-    """Return a mask of the cells at upright banks whose land has many points, see `tiler.grid.water_shore.depths`."""
-    points, land = (
-        np.rint(scipy.ndimage.uniform_filter(values.astype(np.float64), NEAR_SIDE) * NEAR_SIDE**2)
-        for values in (np.where(wet, 0.0, cells.returns), ~wet)
-    )
-    is_dense = points >= FINER**2 * ENOUGH_POINTS * land
+    """Return a mask of the cells at upright banks near which fine cells of land have `ENOUGH_POINTS` on average.
+
+    Parameters are those of `tiler.grid.water_shore.depths`.
+    """
+
+    def total(values: npt.NDArray[Any]) -> Floats:
+        """Return the sum of whole numbers in the square around each cell."""
+        mean = scipy.ndimage.uniform_filter(values.astype(np.float64), NEAR_SIDE)
+        return np.asarray(np.rint(mean * NEAR_SIDE**2))
+
+    n_points = total(np.where(wet, 0.0, cells.returns))
+    is_dense = n_points >= FINER**2 * ENOUGH_POINTS * total(~wet)
     return np.asarray(is_dense & within(quays(cells, wet, level), math.sqrt(2)))
 
 
@@ -158,7 +176,7 @@ def each_finer(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
 
 
 def _near_shore(field: Floats, radius: int) -> Bools:
-    """Return a mask of the cells within ``radius`` cells, also diagonal ones, of both land and water."""
+    """Return a mask of the cells that have both land and water within ``radius`` cells, also diagonally."""
     side = 2 * radius + 1
     lowest = scipy.ndimage.minimum_filter(field, side)
     highest = scipy.ndimage.maximum_filter(field, side)
@@ -166,31 +184,31 @@ def _near_shore(field: Floats, radius: int) -> Bools:
 
 
 def seen_cells(
-    store: TileStore, rule: GroundSelection, fine: RasterSpec, window: Block, wanted: Bools
+    store: TileStore, rule: GroundSelection, fine: RasterSpec, window: Block, selected: Bools
 ) -> tuple[Floats, Bools]:
-    """Return the mean height of the ground points of each cell in metres, and a mask of the cells with any points.
+    """Return the mean height of the ground points of each cell in metres, and a mask of the cells with points.
 
-    Heights are NaN for cells without ground points. Only buckets with ``wanted`` cells are read.
+    Heights are NaN for cells without ground points. Points of objects also count for the mask. Only buckets with
+    ``selected`` cells are read, so the results for other cells may be incomplete.
     """
     frame, bounds = store.meta.frame, fine.block_bounds(window)
-    total, number, objects = np.zeros((3, wanted.size))
+    total, number, objects = np.zeros((3, selected.size))
     for cell in store.buckets_within(bounds):
         inside = store.meta.bucket.bounds(cell).intersection(bounds)
         part = fine.part(window, inside)
         top, left = part.row - window.row, part.col - window.col
-        if not wanted[top : top + part.height, left : left + part.width].any():
+        if not selected[top : top + part.height, left : left + part.width].any():
             continue
         ground = read_ground(store, rule, inside).xyz
         cells = pixel_indices(ground, frame.origin, fine, window)
-        total += np.bincount(cells, ground[2].astype(np.float64), wanted.size)
-        number += np.bincount(cells, minlength=wanted.size)
+        total += np.bincount(cells, ground[2].astype(np.float64), selected.size)
+        number += np.bincount(cells, minlength=selected.size)
         others = pixel_indices(read_objects(store, rule, inside), frame.origin, fine, window)
-        objects += np.bincount(others, minlength=wanted.size)
-    heights = np.full(wanted.size, np.nan)
+        objects += np.bincount(others, minlength=selected.size)
+    heights = np.full(selected.size, np.nan)
     np.divide(total, number, out=heights, where=number > 0)
-    return (heights * float(frame.metres_z)).reshape(wanted.shape), (number + objects > 0).reshape(
-        wanted.shape
-    )
+    heights_m = (heights * float(frame.metres_z)).reshape(selected.shape)
+    return heights_m, (number + objects > 0).reshape(selected.shape)
 
 
 def seen_banks(field: Floats, above: Floats) -> Bools:
@@ -199,25 +217,25 @@ def seen_banks(field: Floats, above: Floats) -> Bools:
     Parameters
     ----------
     field : float64 (h, w)
-        Heights of the land above the water in metres, negative in it.
+        Heights above the water in metres, negative in the water.
     above : float64 (h, w)
-        Mean height of the seen ground above the water in metres, NaN for none.
+        Mean height of the ground points above the water in metres, NaN if there are none.
     """
     land, high = field >= 0, above > HIGH_M
     return _spread(land, high, REACH_CELLS)
 
 
 def seen_water(field: Floats, upright: Bools, above: Floats, has_points: Bools) -> Bools:
-    """Return a mask of the cells of upright banks that are connected with the water and no land.
+    """Return a mask of the cells at upright banks that are water and connected with the water.
 
-    They have no points, as water returns little, or ground about as high as the water.
+    They have no points, because water returns few pulses, or they have ground about as high as the water.
 
     Parameters
     ----------
     field, above : float64 (h, w)
         See `seen_banks`.
     upright : bool (h, w)
-        Mask of the cells at a high bank that has enough points elsewhere.
+        Mask of the cells at upright banks whose land has many points, see `dense_quays`.
     has_points : bool (h, w)
         Mask of the cells with points.
     """
@@ -225,5 +243,5 @@ def seen_water(field: Floats, upright: Bools, above: Floats, has_points: Bools) 
 
 
 def _spread(start: Bools, over: Bools, reach: int) -> Bools:
-    """Return a mask of the cells of ``over`` that are connected with ``start`` over at most ``reach`` cells."""
+    """Return a mask of the cells of ``over`` that are connected with ``start`` by at most ``reach`` steps."""
     return np.asarray(scipy.ndimage.binary_dilation(start, AROUND, reach, mask=start | over) & ~start)

@@ -1,10 +1,11 @@
-"""Candidates for water, and the decision which of them are water.
+"""Candidates for water, and the decision which candidates are water.
 
-Laser scanners get few returns from water, often none, and these returns are at one height. The same is true of shadows
-of buildings, gaps between strips, wet asphalt and dark lawns, but only water is lower than everything around it. So a
-candidate is a connected area of void or sparse flat cells, or of cells that are water by the input. It is water if the
-ground some metres from its shore is higher than the shore almost all around, and lower almost nowhere. The land around
-an area is counted block by block and added up, so that large areas need not be in memory.
+Laser scanners get few returns from water, often none, and returns of water are at one height. The same is true of
+shadows of buildings, gaps between flight strips, wet asphalt and dark lawns, but only water is lower than everything
+around it. So a candidate is a connected area of cells that are empty, or flat with few returns, or water by the input.
+A candidate is water if the ground some metres from its shore is higher than the shore almost all around, and lower
+almost nowhere. The land around an area is counted block by block and added up, so that large areas need not be in
+memory.
 """
 
 from __future__ import annotations
@@ -23,36 +24,49 @@ Bools = npt.NDArray[np.bool_]
 Floats = npt.NDArray[np.float64]
 
 ENOUGH_RETURNS = 8
-"""Least median of the returns in cells with returns. With fewer returns, a cell may be empty by chance."""
+"""Cells are merged until the median number of returns, of the cells with returns, is at least this.
+
+With fewer returns, a cell may be empty by chance.
+"""
 SPARSE = 0.6
-"""Share of the median number of returns below which the mean number around a cell counts as few returns."""
+"""A flat cell has few returns if the mean around the cell is below this share of the median in the region.
+
+Mean and median are numbers of returns per cell, of cells with returns.
+"""
 SPARSE_CELLS = 5
-"""Side of the square around a cell in which this mean is computed, in cells."""
+"""The mean around a cell is computed in a square of this side, in cells."""
 FLAT_M = 0.35
-"""Largest difference of height between neighbouring cells of water, noise included."""
+"""A cell is flat if the heights of the cell and its eight neighbours differ by less than this, in metres."""
 MIN_WIDTH_M = 6
-"""Least width of a candidate, which excludes shadows and hedges."""
+"""Narrower parts of candidates are left out, in metres. This excludes shadows and hedges."""
 
 SHORE_M = 3.0
-"""Width of the shore."""
+"""The shore of an area consists of cells up to this distance from the area, in metres."""
 RING_M = (7.0, 13.0)
-"""Distances from the water between which cells form the ring. The land there has to be higher than the shore."""
+"""The ring of an area consists of cells between these distances from the area, in metres.
+
+The ring of water is higher than the shore.
+"""
 N_NEAREST = 20
-"""Number of the nearest cells of the shore with which a cell of the ring is compared."""
+"""A cell of the ring is compared with this many cells of the shore, the nearest ones."""
 LOW_PERCENT = 20
-"""Percentile of the heights of these cells of the shore with which the height of the cell is compared."""
+"""The height of a cell of the ring is compared with this percentile of the heights of its nearest shore cells."""
 CELLS_PER_BATCH = 1 << 14
-"""Number of cells of the ring that are compared in one batch, with about 600 bytes each."""
-RISE_M, FALL_M = 0.3, 0.2
-"""Least difference of height by which a cell of the ring is above, or below, the shore."""
-MIN_RISING, MAX_FALLING = 0.6, 0.05
-"""Least share of the ring above the shore, and largest share below it, for water."""
+"""This many cells of the ring are compared in one batch. Each takes about 600 bytes."""
+RISE_M = 0.3
+"""A cell of the ring rises if it is more than this above the shore, in metres."""
+FALL_M = 0.2
+"""A cell of the ring falls if it is more than this below the shore, in metres."""
+MIN_RISING = 0.6
+"""An area is water only if at least this share of its ring rises."""
+MAX_FALLING = 0.05
+"""An area is water only if at most this share of its ring falls."""
 MIN_KNOWN = 0.4
-"""Least share of the shore with ground heights from which an area can be classified."""
+"""An area can be classified only if at least this share of its shore has heights and returns."""
 MIN_CELLS = 20
-"""Least number of cells of shore and of ring from which an area can be classified."""
+"""An area can be classified only if shore and ring each have at least this many cells with heights and returns."""
 GIVEN_SHARE = 0.03
-"""Least share of cells of class water that makes a candidate water, unless much of its ring is lower than its shore."""
+"""An area is water if at least this share of its cells is water by the input, unless much of its ring falls."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,9 +80,9 @@ class WaterCells:
     given : bool
         Whether most points of a cell are water by the input.
     ground : float64
-        Height of the terrain in metres; NaN for none.
+        Height of the terrain in metres, NaN if there is none.
     domain : bool
-        Cells of the survey, and of gaps that could be water.
+        Whether a cell lies in the survey, or in a gap of the survey that may be water.
     size : float
         Side of a cell in metres.
     """
@@ -84,6 +98,7 @@ class WaterCells:
         pads = [(0, side % 2) for side in self.returns.shape]
 
         def fours(values: npt.NDArray[Any], fill: Any) -> npt.NDArray[Any]:
+            """Return the four values of each square, along a third axis."""
             padded = np.pad(values, pads, constant_values=fill)
             rows, cols = padded.shape
             return padded.reshape(rows // 2, 2, cols // 2, 2).swapaxes(1, 2).reshape(rows // 2, cols // 2, 4)
@@ -99,7 +114,7 @@ class WaterCells:
         )  # fmt: skip
 
     def finer(self, times: int) -> WaterCells:
-        """Divide each cell into ``times`` by ``times`` cells with its values."""
+        """Divide each cell into ``times`` by ``times`` cells with the same values."""
 
         def repeated(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
             return values.repeat(times, axis=0).repeat(times, axis=1)
@@ -129,11 +144,13 @@ class Rim(NamedTuple):
     beside : int
         Cells of the domain next to the area.
     shore : int
-        Cells next to the area with a height and returns.
+        Cells of the shore with a height and returns.
     ring : int
-        Cells with a height and returns between the distances `RING_M`.
-    rising, falling : int
-        Cells of the ring that are above, and below, the shore.
+        Cells of the ring with a height and returns.
+    rising : int
+        Cells of the ring that are above the shore.
+    falling : int
+        Cells of the ring that are below the shore.
     """
 
     beside: int = 0
@@ -148,22 +165,22 @@ class Rim(NamedTuple):
 
     @property
     def known(self) -> bool:
-        """Whether enough of the land is known to classify the area."""
+        """Whether enough cells of the land have heights and returns to classify the area."""
         return min(self.shore, self.ring) >= MIN_CELLS and self.shore >= MIN_KNOWN * self.beside
 
     @property
     def rises(self) -> float:
-        """Share of the ring that is above the shore."""
+        """Share of the ring that rises."""
         return self.rising / self.ring
 
     @property
     def falls(self) -> float:
-        """Share of the ring that is below the shore."""
+        """Share of the ring that falls."""
         return self.falling / self.ring
 
     @property
     def sure(self) -> float:
-        """Confidence that the area is water, if enough of the ring rises."""
+        """Confidence that the area is water, for areas with enough of the ring rising."""
         return round(0.5 + 0.45 * (self.rises - MIN_RISING) / (1 - MIN_RISING) - 2 * self.falls, 2)
 
 
@@ -175,7 +192,7 @@ class Size(NamedTuple):
 
     @property
     def is_given(self) -> bool:
-        """Whether enough of the area is water by the input."""
+        """Whether the area has cells that are water by the input, at least `GIVEN_SHARE` of its cells."""
         return 0 < self.given >= GIVEN_SHARE * self.cells
 
 
@@ -187,8 +204,8 @@ def water_areas(cells: WaterCells, usual: float | None) -> Bools:
     cells : WaterCells
         Cells of a size at which a cell without returns is significant.
     usual : float or None
-        Median of the numbers of returns, of the cells with returns in this region. None: only the input's class
-        decides, as in photogrammetric clouds, in which few returns are not a sign of water.
+        Median number of returns in the region, of the cells with returns. None if few returns are not a sign of water,
+        as in photogrammetric clouds. Then only the class of the input decides.
     """
     candidates = cells.given
     if usual is not None:
@@ -199,12 +216,12 @@ def water_areas(cells: WaterCells, usual: float | None) -> Bools:
 
 
 def flat_cells(cells: WaterCells) -> Bools:
-    """Return a mask of the cells with as little relief as water."""
+    """Return a mask of the flat cells, see `FLAT_M`."""
     return _relief(cells.ground) < FLAT_M
 
 
 def sparse_cells(cells: WaterCells, flat: Bools, usual: float) -> Bools:
-    """Return a mask of the cells of the survey that have no returns, or are flat with few returns around them."""
+    """Return a mask of the cells of the domain that have no returns, or are flat with few returns around them."""
     has_returns = cells.returns > 0
     returns = scipy.ndimage.uniform_filter(cells.returns.astype(np.float64), SPARSE_CELLS)
     share = scipy.ndimage.uniform_filter(has_returns.astype(np.float64), SPARSE_CELLS)
@@ -212,7 +229,7 @@ def sparse_cells(cells: WaterCells, flat: Bools, usual: float) -> Bools:
 
 
 def water_confidence(size: Size, rim: Rim) -> float | None:
-    """Return the confidence that an area is water, which follows from the land around it, or None if it is not."""
+    """Return the confidence that an area is water, from the input and the land around it, or None if it is land."""
     if size.is_given:
         return None if rim.known and rim.falls >= 5 * MAX_FALLING else 0.95
     if not rim.known or rim.rises < MIN_RISING or rim.falls > MAX_FALLING:
@@ -226,12 +243,14 @@ def rim_of(cells: WaterCells, area: Bools, others: Bools, counted: Bools, water:
     Parameters
     ----------
     cells : WaterCells
-    area, others : bool, shape of the cells
-        Masks of the area, and of other candidates, which do not count as land.
-    counted : bool
-        Mask of the cells that are counted. Other cells are only compared with them.
+    area : bool, shape of the cells
+        Mask of the area.
+    others : bool, shape of the cells
+        Mask of cells that do not count as land, such as other candidates.
+    counted : bool, shape of the cells
+        Mask of the cells that are counted. Cells of the ring are also compared with shore cells outside of the mask.
     water : bool, shape of the cells, optional
-        Mask of cells that count in the ring even without returns, so that the ring of a dam falls to the water.
+        Mask of cells that count in the ring even without returns. So the ring of a dam falls to the water.
     """
     distance = distances(area, RING_M[1] / cells.size + 1)
     distance *= cells.size
@@ -241,7 +260,8 @@ def rim_of(cells: WaterCells, area: Bools, others: Bools, counted: Bools, water:
     shore = beside & land & has_returns
     ring = (distance > RING_M[0]) & (distance <= RING_M[1]) & land & counted
     ring &= has_returns if water is None else has_returns | water
-    counts = Rim(int((beside & cells.domain & counted).sum()), int((shore & counted).sum()), int(ring.sum()))
+    n_beside = int((beside & cells.domain & counted).sum())
+    counts = Rim(n_beside, int((shore & counted).sum()), int(ring.sum()))
     if not shore.any() or not counts.ring:
         return counts
     rise = cells.ground[ring] - _low_shore(cells.ground, shore, np.argwhere(ring))
@@ -249,9 +269,9 @@ def rim_of(cells: WaterCells, area: Bools, others: Bools, counted: Bools, water:
 
 
 def _low_shore(ground: Floats, shore: Bools, cells: npt.NDArray[np.int64]) -> Floats:
-    """Return a low percentile of the heights of the shore near each cell, float64 (n,).
+    """Return a low percentile of the heights of the shore near some cells, float64 (n,).
 
-    ``cells`` are rows and columns, int64 (n, 2).
+    ``cells`` are rows and columns of these cells, int64 (n, 2).
     """
     heights = ground[shore]
     tree = scipy.spatial.cKDTree(np.argwhere(shore))

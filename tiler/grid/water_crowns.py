@@ -1,10 +1,10 @@
 """Crowns that hang over water, and the water beneath them.
 
-A laser scanner gets returns from a crown over water, and hardly any from the water below. The terrain there is
-interpolated from the bank, so water would end where crowns begin. Over land, some pulses pass through a crown and reach
-the ground. So connected cells with plants and without ground, next to water and not between cells with ground, are
-water. The slope of a bank is continued beneath the crowns, and water ends where the continued bank rises above the
-level.
+A laser scanner gets returns from a crown over water, and hardly any from the water below. The terrain beneath such
+crowns is interpolated from the bank, so water would end where crowns begin. Over land, some pulses pass through a crown
+and reach the ground. So cells with crowns and without ground are water if they are connected with open water and do not
+lie between cells with ground. The slope of the bank is continued beneath the crowns, and water ends where the continued
+bank rises above the level.
 """
 
 from __future__ import annotations
@@ -29,31 +29,35 @@ from tiler.grid.water_search import ground_in
 from tiler.grid.work import BlockWork
 from tiler.store import TileStore, open_store, read_cells
 
-OPEN, HIDDEN, REED = 1, 2, 4
-"""Values of cells with plants, and with or without ground beneath them; `REED` is added for low plants."""
+OPEN = 1
+"""Value of a cell with a crown and with ground."""
+HIDDEN = 2
+"""Value of a cell with a crown and without ground."""
+REED = 4
+"""Value of a cell with reed. The value of a cell with both a crown and reed is the sum."""
 CROWN_M = 14.0
-"""Largest distance by which water extends beneath crowns."""
+"""Water extends at most this far beneath crowns, in metres."""
 MIN_POINTS = 4
-"""Least number of points of a cell from which its roughness is known."""
+"""The roughness of a cell is known only if the cell has at least this many points."""
 ROUGH_M = 0.4
-"""Least RMS distance of points of a crown from the plane through the points of their cell. Roofs, decks and boats are
-smoother."""
-REED_ROUGH_M, REED_M = 0.2, 3.0
-"""Least roughness of reed, and its largest height above the terrain.
+"""Cells of a crown are rougher than this, in metres. Roofs, decks and boats are smoother.
 
-Boats and pontoons are smoother. Trees are higher.
+The roughness of a cell is the RMS distance of its points from the plane through them.
 """
+REED_ROUGH_M = 0.2
+"""Cells of reed are rougher than this, in metres. Boats and pontoons are smoother."""
+REED_M = 3.0
+"""Reed is at most this high above the terrain, in metres. Trees are higher."""
 MIN_OPEN = 0.3
-"""Least share of the cells with plants around a cell that have ground. With a lower share, a lack of ground is not a
-sign of water."""
+"""A lack of ground is a sign of water only if at least this share of the cells with crowns nearby have ground."""
 AMONG_M = 8.0
-"""Half the width of gaps between cells with ground up to which cells without ground are land."""
+"""Hidden cells in a gap between cells with ground are land if the gap is narrower than twice this, in metres."""
 BANK_CELLS = 20
-"""Number of the nearest cells of the bank with ground whose plane is continued beneath crowns."""
+"""The bank is continued by a plane through this many of its cells with ground, the nearest ones."""
 MAX_QUAY_SLOPE = 0.15
-"""Steepest slope of land that ends at an upright bank, as at a quay. All hidden cells next to such land are water."""
+"""Land that is at most this steep ends at an upright bank, as at a quay. All hidden cells next to it are water."""
 LOW_M = 0.15
-"""Height of the continued bank above the water up to which a cell is water."""
+"""A hidden cell is water if the continued bank is at most this high above the water there, in metres."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,8 +68,10 @@ class CrownsBlock(BlockWork):
     ----------
     sure : tuple of str
         Rasters of the confidence that each cell is water.
-    occupancy, ground : str
-        Rasters of the points in each cell, and of the heights of the terrain.
+    occupancy : str
+        Raster of the number of points in each cell.
+    ground : str
+        Raster of the heights of the terrain.
     rule : GroundSelection
     """
 
@@ -76,9 +82,9 @@ class CrownsBlock(BlockWork):
 
 
 def crowns_block(store_url: str, work: CrownsBlock) -> dict[str, Any]:
-    """Write `OPEN` or `HIDDEN` and `REED` for the cells of a block with plants near water, 0 elsewhere.
+    """Write the kinds of plants in the cells of a block that are near water. This is a `tiler.schedule.task.Work`.
 
-    This is a `tiler.schedule.task.Work`. Only buckets with points near water are read.
+    The value of a cell is `OPEN` or `HIDDEN` for a crown, `REED` for reed, or the sum for both; otherwise 0.
 
     Returns
     -------
@@ -89,6 +95,7 @@ def crowns_block(store_url: str, work: CrownsBlock) -> dict[str, Any]:
     size_m = float(spec.lattice.size * store.meta.frame.metres_xy)
     margin = crowns_margin(size_m)
     sure = np.max([read_cells(store, name, spec, padded(work.block, margin)) for name in work.sure], axis=0)
+    # The window has a margin of one cell, because `plant_kinds` compares each cell with its neighbours.
     near_water = within(sure > 0, CROWN_M / size_m)[margin - 1 : 1 - margin, margin - 1 : 1 - margin]
     window = padded(work.block, 1)
     examined = near_water & (read_cells(store, work.occupancy, spec, window) != 0)
@@ -105,7 +112,7 @@ def crowns_margin(size_m: float) -> int:
 def _crowns(store: TileStore, work: CrownsBlock, window: Block, examined: Bools) -> npt.NDArray[np.int64]:
     """Return the value of each cell of a window, see `crowns_block`.
 
-    The values of cells that are not ``examined`` may be wrong.
+    Only the values of ``examined`` cells are right, because only buckets with such cells are read.
     """
     frame, spec = store.meta.frame, work.spec
     point_cells, are_objects = [np.empty(0, np.int64)], [np.empty(0, np.bool_)]
@@ -116,7 +123,8 @@ def _crowns(store: TileStore, work: CrownsBlock, window: Block, examined: Bools)
         top, left = part.row - window.row, part.col - window.col
         if not examined[top : top + part.height, left : left + part.width].any():
             continue
-        ground, objects = read_ground(store, work.rule, bounds).xyz, read_objects(store, work.rule, bounds)
+        ground = read_ground(store, work.rule, bounds).xyz
+        objects = read_objects(store, work.rule, bounds)
         for xyz, is_object in ((ground, False), (objects, True)):
             cells = pixel_indices(xyz, frame.origin, spec, window)
             chosen = examined.ravel()[cells]
@@ -144,23 +152,29 @@ def plant_kinds(
     cells : int64 (n,)
         Number of each point's cell, from 0.
     objects : bool (n,)
-        Whether a point is not ground.
+        Mask of the points that are not ground.
     terrain : float64 (h, w)
-        Height of the terrain in metres, NaN for none.
+        Height of the terrain in metres, NaN if there is none.
     metres_z : Fraction
         Metres per vertical count.
     """
     scale = float(metres_z)
 
-    def rough_cells(chosen: Bools, least: float) -> Bools:
-        """Return a mask of the cells that have objects and are mostly rough, by some of the points."""
-        rough = (roughness(xyz[:, chosen], cells[chosen], terrain.size) * scale).reshape(terrain.shape)
-        return _mostly(rough > least, ~np.isnan(rough)) & has_objects
+    def cells_with(chosen: Bools) -> Bools:
+        """Return a mask of the cells with chosen points."""
+        return (np.bincount(cells[chosen], minlength=terrain.size) > 0).reshape(terrain.shape)
 
-    has_ground, has_objects = (
-        (np.bincount(cells[chosen], minlength=terrain.size) > 0).reshape(terrain.shape)
-        for chosen in (~objects, objects)
-    )
+    has_ground = cells_with(~objects)
+    has_objects = cells_with(objects)
+
+    def rough_cells(chosen: Bools, limit: float) -> Bools:
+        """Return a mask of the cells with objects in whose surroundings most cells are rougher than a limit.
+
+        Roughness is measured with the chosen points.
+        """
+        rough = (roughness(xyz[:, chosen], cells[chosen], terrain.size) * scale).reshape(terrain.shape)
+        return _mostly(rough > limit, ~np.isnan(rough)) & has_objects
+
     tops = np.full(terrain.size, -np.inf)
     np.maximum.at(tops, cells, xyz[2] * scale)
     # Reed may be so low that its lowest points count as ground.
@@ -176,10 +190,10 @@ def is_hidden(crowns: npt.NDArray[Any]) -> Bools:
 
 
 def roughness(xyz: npt.NDArray[np.int32], cells: npt.NDArray[np.int64], size: int) -> Floats:
-    """Return the RMS of the vertical distances of the points of each cell from their plane, float64 (size,).
+    """Return the RMS vertical distance of the points of each cell from the plane through them, float64 (size,).
 
-    The RMS is in vertical counts. It is NaN for cells with fewer than `MIN_POINTS` points or with points on a line. The
-    terms of sums are integers, so the order of points does not matter.
+    The RMS is in vertical counts. It is NaN for cells with fewer than `MIN_POINTS` points, or if the points lie on a
+    line. Only integers are added, so the order of the points does not matter.
 
     Parameters
     ----------
@@ -202,16 +216,12 @@ def roughness(xyz: npt.NDArray[np.int32], cells: npt.NDArray[np.int64], size: in
     number = np.bincount(cells, minlength=size).astype(np.float64)
     n = np.maximum(number, 1.0)
     mean_x, mean_y, mean_z = total(x) / n, total(y) / n, total(z) / n
-    xx, xy, yy = (
-        total(x * x) / n - mean_x**2,
-        total(x * y) / n - mean_x * mean_y,
-        total(y * y) / n - mean_y**2,
-    )
-    xz, yz, zz = (
-        total(x * z) / n - mean_x * mean_z,
-        total(y * z) / n - mean_y * mean_z,
-        total(z * z) / n - mean_z**2,
-    )
+    xx = total(x * x) / n - mean_x**2
+    xy = total(x * y) / n - mean_x * mean_y
+    yy = total(y * y) / n - mean_y**2
+    xz = total(x * z) / n - mean_x * mean_z
+    yz = total(y * z) / n - mean_y * mean_z
+    zz = total(z * z) / n - mean_z**2
     determinant = xx * yy - xy * xy
     has_plane = (number >= MIN_POINTS) & (determinant > 1e-6 * xx * yy)
     explained = np.divide(
@@ -221,7 +231,7 @@ def roughness(xyz: npt.NDArray[np.int32], cells: npt.NDArray[np.int64], size: in
 
 
 def _mostly(chosen: Bools, known: Bools) -> Bools:
-    """Return a mask of the cells in whose squares of 3 by 3 cells more than half of the known cells are chosen."""
+    """Return a mask of the cells for which more than half of the known cells around are chosen, in 3 by 3 cells."""
     square = np.ones((3, 3), np.int64)
     n_chosen = scipy.ndimage.convolve((chosen & known).astype(np.int64), square, mode="constant")
     n_known = scipy.ndimage.convolve(known.astype(np.int64), square, mode="constant")
@@ -236,9 +246,9 @@ def beneath_crowns(cells: WaterCells, crowns: npt.NDArray[Any], wet: Bools, leve
     cells : WaterCells
         Cells with smoothed heights.
     crowns : float, shape of the cells
-        Plants, see `crowns_block`.
+        Values of plants, see `crowns_block`.
     wet : bool, shape of the cells
-        Mask of the cells of water.
+        Mask of the water.
     level : float64, shape of the cells
         Level of the water near each cell in metres.
     """
@@ -248,6 +258,7 @@ def beneath_crowns(cells: WaterCells, crowns: npt.NDArray[Any], wet: Bools, leve
     if not hidden.any() or not bank.any():
         return np.zeros_like(hidden)
     radius = AMONG_M / cells.size
+    # Cells in narrow gaps between cells of the bank are land.
     hidden &= within(~within(bank, radius), radius)
     hidden = connected(hidden, wet, math.ceil(CROWN_M / cells.size))
     height, slope = continued_bank(np.argwhere(hidden), np.argwhere(bank), (cells.ground - level)[bank])
@@ -256,20 +267,23 @@ def beneath_crowns(cells: WaterCells, crowns: npt.NDArray[Any], wet: Bools, leve
 
 
 def _open_share(crowns: npt.NDArray[Any], side: int) -> Floats:
-    """Return the share of cells with ground among the cells with plants in a square around each cell.
+    """Return the share of cells with ground among the cells with crowns, in a square around each cell.
 
-    The square has ``side`` rows, or one more if that is even.
+    The square has ``side`` rows and columns, or one more if that is even.
     """
     odd_side = side // 2 * 2 + 1
-    has_ground, has_plants = (
-        scipy.ndimage.uniform_filter(mask.astype(np.float64), odd_side, mode="constant")
-        for mask in (crowns % REED == OPEN, crowns % REED > 0)
-    )
-    return np.divide(has_ground, has_plants, out=np.zeros(crowns.shape), where=crowns % REED > 0)
+
+    def share(mask: Bools) -> Floats:
+        """Return the share of the cells of a mask in the square around each cell."""
+        return np.asarray(scipy.ndimage.uniform_filter(mask.astype(np.float64), odd_side, mode="constant"))
+
+    has_crown = crowns % REED > 0
+    open_share = share(crowns % REED == OPEN)
+    return np.divide(open_share, share(has_crown), out=np.zeros(crowns.shape), where=has_crown)
 
 
 def connected(hidden: Bools, wet: Bools, max_steps: int) -> Bools:
-    """Return a mask of the hidden cells that are connected with water by at most ``max_steps`` steps."""
+    """Return a mask of the hidden cells that are connected with water by at most ``max_steps`` steps to a neighbour."""
     whole = hidden | wet
     is_connected = np.zeros_like(hidden)
     box = box_around(whole, 0)
@@ -280,21 +294,21 @@ def connected(hidden: Bools, wet: Bools, max_steps: int) -> Bools:
 def continued_bank(
     cells: npt.NDArray[np.int64], bank: npt.NDArray[np.int64], above: Floats
 ) -> tuple[Floats, Floats]:
-    """Continue planes through the nearest cells of the bank to other cells.
+    """Continue the bank to other cells, for each by a plane through the nearest cells of the bank.
 
     Parameters
     ----------
     cells : int64 (n, 2)
-        Row and column of the other cells.
+        Row and column of the cells to which the bank is continued.
     bank : int64 (m, 2)
         Row and column of the cells of the bank.
     above : float64 (m,)
-        Height of the bank's cells above the water in metres.
+        Height of the cells of the bank above the water in metres.
 
     Returns
     -------
     height : float64 (n,)
-        Height above the water of the plane at each cell.
+        Height of the plane above the water at each cell, in metres.
     slope : float64 (n,)
         Slope of the plane in metres per cell.
     """

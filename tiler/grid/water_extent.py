@@ -14,27 +14,36 @@ from tiler.grid.reach import Floats, box_around, within
 from tiler.grid.water_cells import WaterCells
 
 LEVEL_M = 0.15
-"""Height of the ground above the water up to which water extends."""
+"""Water extends over ground that is at most this high above the water, in metres."""
 BELOW_M = 0.4
-"""Depth below the water at which ground is not part of it, such as the foot of a dam or other water."""
+"""Water does not extend over ground that is deeper than this below the water, in metres.
+
+Such ground is the foot of a dam, or other water.
+"""
 DEEP_CELLS = 5
-"""Side in cells of the smallest square of such ground. Smaller pits come from low returns."""
-LEVEL_CELLS, LEVEL_STEP_M = 5, 0.001
-"""Side in cells of the square whose mean height is the water level, and the unit to which heights are rounded."""
+"""Ground is that deep only in squares of at least this side, in cells. Smaller pits come from low returns."""
+LEVEL_CELLS = 5
+"""The level of water is the mean height in a square of this side, in cells."""
+LEVEL_STEP_M = 0.001
+"""Heights are rounded to multiples of this before they are added up, in metres."""
 OUTER_CELLS = 2
-"""Width in cells of the edge of the water that may be bank."""
+"""The outermost cells of water may be bank: a border of this width, in cells."""
 NEAR_CELLS = 10
-"""Distance from inner cells within which cells at the edge do not contribute to the level."""
-BRIDGE_M, UNDER_BRIDGE_M = 14.0, 0.5
-"""Widest bridge under which water extends, and largest height of the terrain there above the shores."""
-TIDE_M, SPREAD_M = 0.7, 0.2
-"""Height above the water, and standard deviation of the heights, of land at the border that may be water."""
+"""Outermost cells do not contribute to the level if there are inner cells within this distance, in cells."""
+BRIDGE_M = 14.0
+"""Water extends under bridges up to this width, in metres."""
+UNDER_BRIDGE_M = 0.5
+"""Terrain under a bridge is at most this high above the shores next to it, in metres."""
+TIDE_M = 0.7
+"""Land at the border of the survey may be water if it is at most this high above the water, in metres."""
+SPREAD_M = 0.2
+"""Land at the border of the survey may be water if the standard deviation of its heights is at most this, in metres."""
 SPECK_CELLS = 4
-"""Largest number of cells of a speck."""
+"""A speck has at most this many cells."""
 
 
 def smoothed(ground: Floats) -> Floats:
-    """Remove pits and peaks of one or two cells, by the median of three along rows and columns, twice."""
+    """Remove pits and peaks of one or two cells: take the median of three cells along rows and columns, twice."""
     known = ~np.isnan(ground)
     box = box_around(known, 0)
     part = ground[box]
@@ -68,9 +77,9 @@ def water_heights(cells: WaterCells, wet: Bools) -> Floats | None:
 
 
 def shore_area(cells: WaterCells, water: Bools, level: Floats | None, max_steps: int) -> Bools:
-    """Extend water over connected cells that are as low as its level near them.
+    """Extend water by up to ``max_steps`` cells, over connected cells that are as low as the level of the water.
 
-    Cells may be up to ``max_steps`` away. Without a level, water is not extended.
+    ``level`` is the level near each cell. If it is None, water is not extended.
     """
     extended_water = water.copy()
     if level is None:
@@ -90,9 +99,9 @@ def close_bridge_gaps(
 ) -> Bools:
     """Close gaps in water under bridges: below known decks, and where the terrain is about as low as the shores.
 
-    A bridge is connected with the bank, so land that water encloses is an island and stays, up to ``longest_island``
-    rows and columns; see `without_islands`. Longer land is never an island here, because the border of the array may
-    cut it.
+    Land that water encloses is not a bridge, because bridges are connected with the bank. Such land is an island and
+    stays, if it has at most ``longest_island`` rows and columns. Longer land may be cut by the border of the array, so
+    it does not count as an island.
     """
     pad = math.ceil(BRIDGE_M / size_m)
     padded = np.pad(water, pad)
@@ -117,6 +126,7 @@ def remove_narrow_parts(water: Bools, width: float, beyond: Bools) -> Bools:
     Cells ``beyond`` the survey count as water, because water may continue there.
     """
     radius = max(width / 2 - 0.5, 1.0)
+    # Water at exactly this radius from land is wide enough.
     inner = ~within(~np.pad(water | beyond, 1), math.nextafter(radius, 0.0))[1:-1, 1:-1]
     return water & within(inner, width / 2 + 1)
 
@@ -130,14 +140,14 @@ def without_islands(water: Bools, min_cells: float) -> Bools:
 def without_border_islands(cells: WaterCells, water: Bools, level: Floats, min_cells: float) -> Bools:
     """Fill flat land of fewer than ``min_cells`` cells between water and the border of the survey.
 
-    Land is filled if it is at most `TIDE_M` above the water, and is a speck or has at least as many sides to the water
-    as to the border. Such land is mostly water with returns, for example from a strip flown at a higher tide. Land that
-    touches the border of the array stays.
+    Flat land is at most `TIDE_M` above the water, and its heights differ little (`SPREAD_M`). It is filled if it is a
+    speck, or if at least as many sides of its cells face the water as face the border. Such land is mostly water with
+    returns, for example from a flight at a higher tide. Land that touches the border of the array stays.
     """
     labels, _, inside = _land(water | ~cells.domain)
 
     def total(weights: npt.NDArray[Any], mask: Any = ...) -> npt.NDArray[Any]:
-        """Return the sums of weights over the pieces of land."""
+        """Return the sum of weights for each piece of land."""
         return np.bincount(labels[mask].ravel(), weights[mask].ravel(), len(inside))
 
     sizes = total(labels > 0)
@@ -157,7 +167,7 @@ def without_border_islands(cells: WaterCells, water: Bools, level: Floats, min_c
 
 
 def _sides(cells: Bools) -> npt.NDArray[np.float64]:
-    """Return the number of the four neighbours of each cell that are in the mask ``cells``."""
+    """Return for each cell how many of its four neighbours are in the mask ``cells``."""
     padded = np.pad(cells, 1).astype(np.float64)
     return padded[:-2, 1:-1] + padded[2:, 1:-1] + padded[1:-1, :-2] + padded[1:-1, 2:]
 

@@ -1,4 +1,4 @@
-"""Making of the polygon of a body of water from its coarse cells, and choice of its kind, lake or river."""
+"""Polygon of a body of water, made from its coarse cells, and its kind (lake or river)."""
 
 from __future__ import annotations
 
@@ -38,15 +38,18 @@ from tiler.grid.water_strips import bank_rises, lower_level
 from tiler.store import TileStore, open_store, read_cells
 
 ROUND = 1 / 3
-"""Least roundness of a lake, 4 pi area / (shore length)^2, which is 1 for a disk. Water below it is a river."""
+"""Water is a lake if it is at least this round, and otherwise a river.
+
+Roundness is 4 pi area / (shore length)^2, which is 1 for a disk.
+"""
 MIN_LENGTH = 3
-"""Least ratio of length to width of a river."""
+"""A river is at least this many times as long as it is wide."""
 SIMPLER = 0.15
-"""Largest distance in cells of a simplified polygon from its shore."""
+"""A simplified polygon is at most this far from the shore, in cells."""
 ONE_EXIT = 5
-"""Largest distance, in cells, between cells at the survey's border that belong to one exit."""
+"""Cells of water at the border of the survey belong to the same exit if they are at most this far apart, in cells."""
 MAX_BAY_M = 100.0
-"""Widest bay of the survey's border that is filled with water."""
+"""Bays of the border of the survey up to this width are filled with water, in metres."""
 
 
 @dataclass(frozen=True)
@@ -57,16 +60,22 @@ class DescribeBody:
     ----------
     pieces : tuple of Piece
         Pieces of the body of water.
-    water, crowns : str
-        Rasters of the labels of water, and of the plants near it.
+    water : str
+        Raster of the labels of water.
+    crowns : str
+        Raster of the plants near water.
     sources : Sources
     rule : GroundSelection
     coarse : RasterSpec
         Raster of the coarse cells.
     sure : float
         Confidence that this is water.
-    lake_m2, river_width_m, island_m2 : float
-        Least area of a lake, width of a river and area of an island to keep.
+    lake_m2 : float
+        Least area of a lake.
+    river_width_m : float
+        Least width of a river.
+    island_m2 : float
+        Least area of an island to keep.
     """
 
     pieces: tuple[Piece, ...]
@@ -106,6 +115,7 @@ def describe_body(store_url: str, work: DescribeBody) -> dict[str, Any]:
     bays = _bays(store, work, exits, MAX_BAY_M / size_m)
     whole, seen = _whole(store, work, bays, None)
     outline = shapely.get_exterior_ring(shapely.get_parts(whole))
+    # Where water leaves the survey, the outline of its cells is not shore.
     length_m = (float(shapely.length(outline).sum()) / side - n_border_sides) * size_m
     area_m2 = n_cells * size_m**2
     kind, width_m = _kind(area_m2, length_m, size_m, len(exits))
@@ -115,7 +125,7 @@ def describe_body(store_url: str, work: DescribeBody) -> dict[str, Any]:
         lowest = _lower_level(store, work) if kind == LAKE else None
         if lowest is not None:
             whole, seen = _whole(store, work, bays, lowest)
-        # The kind follows from the shore between coarse cells, as detail would make a shore longer.
+        # The details of the shore are added after the kind is decided, because they make the shore longer.
         body = Water(0, kind, _area(_detailed(whole, seen, side), side), None, None, work.sure).to_json()
     return {"body": body}
 
@@ -123,9 +133,9 @@ def describe_body(store_url: str, work: DescribeBody) -> dict[str, Any]:
 def _whole(
     store: TileStore, work: DescribeBody, bays: Any, lowest: float | None
 ) -> tuple[Any, list[SeenGround]]:
-    """Return the shape of a body by its coarse cells, and what was seen at its shore.
+    """Return the shape of a body in coarse cells, and the corrections of its shore.
 
-    The level is at most ``lowest`` metres, unless that is None.
+    If ``lowest`` is not None, levels above ``lowest`` metres are lowered to it.
     """
     import shapely
 
@@ -138,12 +148,13 @@ def _whole(
         polygons += shapes
         seen.append(seen_ground)
     water = _without_islands(shapely.union_all(polygons), min_area)
-    # Land that only a bay encloses stays, unless it is a speck.
+    # Islands are removed before bays are added. So land that only water and a bay together enclose stays, unless it is
+    # a speck.
     return _without_islands(shapely.union(water, bays), SPECK_CELLS * side**2), seen
 
 
 def _detailed(whole: Any, seen: list[SeenGround], side: float) -> Any:
-    """Return the shape of a body with what was seen at its shore, without specks."""
+    """Return the shape of a body with the corrections of its shore, without specks."""
     import shapely
 
     water = shapely.union_all([whole, *(ground.wet for ground in seen)])
@@ -153,18 +164,18 @@ def _detailed(whole: Any, seen: list[SeenGround], side: float) -> Any:
 
 
 def _lower_level(store: TileStore, work: DescribeBody) -> float | None:
-    """Return the lower level of a lake that two strips show at two levels, or None."""
+    """Return the lower level of a lake with two levels in metres, or None (see `tiler.grid.water_strips`)."""
     heights, rises = [np.empty(0)], [np.empty(0)]
     for block, body_mask in _blocks(store, work):
         window = padded(block, 3)
         wet = cells_of(store, work.water, work.coarse, window, work.pieces)
-        own = np.pad(body_mask, 2)
+        in_block = np.pad(body_mask, 2)
         cells = read_search_cells(store, work.sources, work.coarse, window, 1)
         crowns = read_cells(store, work.crowns, work.coarse, window)
         seen = (cells.returns > 0) & (crowns == 0) & ~np.isnan(cells.ground)
         seen &= scipy.ndimage.binary_erosion(wet, np.ones((3, 3), np.bool_))
-        heights.append(cells.ground[own & seen])
-        rises.append(bank_rises(cells.ground, wet, own))
+        heights.append(cells.ground[in_block & seen])
+        rises.append(bank_rises(cells.ground, wet, in_block))
     return lower_level(np.concatenate(heights), np.concatenate(rises))
 
 
@@ -176,7 +187,7 @@ def _blocks(store: TileStore, work: DescribeBody) -> Iterator[tuple[Block, Bools
 
 
 def _survey_border(body: Bools, beyond: Bools) -> tuple[Bools, int]:
-    """Return a mask of the water's cells at the border of the survey, and the number of their sides at the border."""
+    """Return a mask of the cells of water at the border of the survey, and the number of their sides on the border."""
     border_mask = np.zeros_like(body)
     n_sides = 0
     for axis, step in ((0, 1), (0, -1), (1, 1), (1, -1)):
@@ -187,7 +198,7 @@ def _survey_border(body: Bools, beyond: Bools) -> tuple[Bools, int]:
 
 
 def _exits(cells: npt.NDArray[np.int64]) -> list[npt.NDArray[np.int64]]:
-    """Group the water's cells at the border of the survey, int64 (n, 2), into separate exits."""
+    """Group the cells of water at the border of the survey, int64 (n, 2), into exits."""
     if not len(cells):
         return []
     near = scipy.spatial.cKDTree(cells).query_pairs(ONE_EXIT, p=math.inf)
@@ -195,10 +206,10 @@ def _exits(cells: npt.NDArray[np.int64]) -> list[npt.NDArray[np.int64]]:
 
 
 def _bays(store: TileStore, work: DescribeBody, exits: list[npt.NDArray[np.int64]], max_width: float) -> Any:
-    """Return the bays of the survey's border at the exits of the water, as a shape in absolute counts.
+    """Return the bays of the border of the survey at the exits of the water, as a shape in absolute counts.
 
-    A bay consists of triangles between corners of cells of one exit, with edges of at most ``max_width`` cells. Land is
-    cut out of it.
+    A bay consists of triangles between the corners of the cells of one exit, without land. Triangles with edges longer
+    than ``max_width`` cells are left out.
     """
     import shapely
 
@@ -222,13 +233,18 @@ def _bays(store: TileStore, work: DescribeBody, exits: list[npt.NDArray[np.int64
         land.append(shapely.box(col - 0.5, row - 0.5, col + 0.5, row + 0.5))
     bays = shapely.difference(bays, shapely.union_all(np.concatenate(land)))
     west, north = coarse.west + 0.5, coarse.north - 0.5
-    return shapely.transform(bays, lambda at: np.stack((west + at[:, 0], north - at[:, 1]), axis=1) * side)
+
+    def to_counts(cells: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+        """Convert columns and rows (n, 2) to x and y in absolute counts."""
+        return np.stack((west + cells[:, 0], north - cells[:, 1]), axis=1) * side
+
+    return shapely.transform(bays, to_counts)
 
 
 def _kind(area_m2: float, shore_m: float, size_m: float, n_exits: int) -> tuple[str, float]:
     """Return the kind, lake or river, and the mean width in metres.
 
-    A river has a long shore for its area, or leaves the survey at two or more positions.
+    A river has a long shore for its area, or it leaves the survey at two or more exits.
     """
     length = max(shore_m, size_m)
     is_river = n_exits > 1 or 4 * math.pi * area_m2 / length**2 < ROUND
@@ -238,9 +254,9 @@ def _kind(area_m2: float, shore_m: float, size_m: float, n_exits: int) -> tuple[
 def _shapes(
     store: TileStore, work: DescribeBody, block: Block, lowest: float | None
 ) -> tuple[list[Any], SeenGround]:
-    """Return polygons of the water of a block in absolute counts, and what was seen at its shore.
+    """Return polygons of the water of a block in absolute counts, and the corrections of its shore.
 
-    The shapes overlap those of neighbouring blocks.
+    Polygons and corrections overlap with those of neighbouring blocks.
     """
     window = padded(block, REACH_CELLS)
     wet = cells_of(store, work.water, work.coarse, window, work.pieces)
@@ -249,6 +265,7 @@ def _shapes(
     crowns = read_cells(store, work.crowns, work.coarse, window)[box]
     smooth = smoothed(cells.ground)
     level = water_heights(cells.with_ground(smooth), wet[box] & ~is_hidden(crowns) & (crowns < REED))
+    # The ground heights of these cells are not heights of the bank.
     beneath = wet[box] & (is_hidden(crowns) if level is None else without_bank(crowns, smooth - level))
     field = np.full(wet.shape, MAX_DEPTH_M)
     bank = cells.with_ground(np.where(beneath, np.nan, smooth))
@@ -258,8 +275,9 @@ def _shapes(
     polygons = shore_polygons(field[cut], work.coarse, padded(block, 1))
     if level is None:
         return polygons, NOTHING_SEEN
-    levels, is_upright = np.full(wet.shape, np.nan), np.zeros(wet.shape, np.bool_)
+    levels = np.full(wet.shape, np.nan)
     levels[box] = np.where(beneath, np.nan, highest_near(level))
+    is_upright = np.zeros(wet.shape, np.bool_)
     is_upright[box] = dense_quays(cells.with_ground(smooth), wet[box], level)
     cut = inner_window(padded(block, BANK_MARGIN), REACH_CELLS - BANK_MARGIN)
     shore = Shore(field[cut], levels[cut], is_upright[cut])
@@ -291,4 +309,5 @@ def _area(shape: Any, side: float) -> Area:
     import shapely
 
     # Vertices on straight lines are removed first, so that they do not influence the result.
-    return area_of(shapely.simplify(shapely.normalize(shapely.simplify(shape, 0.0)), SIMPLER * side))
+    shape = shapely.normalize(shapely.simplify(shape, 0.0))
+    return area_of(shapely.simplify(shape, SIMPLER * side))

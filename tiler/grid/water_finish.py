@@ -31,17 +31,17 @@ from tiler.grid.work import BlockWork
 from tiler.store import TileStore, open_store, read_cells
 
 SHORE_M = 20.0
-"""Distance by which water extends over low ground next to it."""
+"""Water extends over low ground up to this distance, in metres."""
 MAX_ISLAND_CELLS = 128
-"""Upper limit, in coarse cells, of the length of the islands for which windows have a margin."""
+"""Windows have a margin for islands up to this length, in coarse cells."""
 
 DECK_EDGE_M = 4.0
-"""Width of the strip next to a deck in which remains of the deck may be terrain."""
+"""The terrain may have remains of a deck up to this distance from the deck, in metres."""
 DRY_SHARE = 0.25
-"""Share of the least area of an island that has to be clearly above the water.
+"""An island stays if this share of the least area of an island is clearly above the water.
 
-Flat parts of an island become water here. Its whole area is known only after its shore is drawn, see
-`tiler.grid.water_find`.
+Flat parts of an island become water in this step. The whole area of an island is known only after its shore is drawn
+(`tiler.grid.water_find`).
 """
 
 
@@ -56,8 +56,10 @@ class FinishWater(BlockWork):
     crowns : str
         Raster of the plants near water.
     sources : Sources
-    river_width_m, island_m2 : float
-        Least width of a river and least area of an island to keep.
+    river_width_m : float
+        Least width of a river.
+    island_m2 : float
+        Least area of an island to keep.
     decks : tuple of tuple of int
         Outlines of the bridges near the block that were removed from the terrain: x, y, x, y, ... in absolute counts.
     """
@@ -71,13 +73,13 @@ class FinishWater(BlockWork):
 
 
 def finish_margin(work: FinishWater, size_m: float) -> int:
-    """Return the margin around a block, in coarse cells, on which its final water depends."""
+    """Return the width in coarse cells of the margin around a block that can change the water of the block."""
     base_margin = math.ceil(SHORE_M / size_m) + math.ceil(2 * BRIDGE_M / size_m)
     return base_margin + math.ceil(2 * work.river_width_m / size_m) + 2 + _longest_island(work, size_m)
 
 
 def _longest_island(work: FinishWater, size_m: float) -> int:
-    """Return the length in cells of the longest island that may be kept and always lies completely in a window."""
+    """Return the length in cells of the longest island that is certain to lie completely in a window."""
     return min(math.ceil(work.island_m2 / size_m**2), MAX_ISLAND_CELLS)
 
 
@@ -87,9 +89,9 @@ def finish_water(store_url: str, work: FinishWater) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``sides`` and ``labels`` (number of labels), see `tiler.grid.pieces`; ``sizes``: for each label the number of
-        cells, the number of cells with a confidence, as others were added here, and the sum of the confidences in
-        hundredths; ``filled``; ``checksum``.
+        ``sides`` and ``labels`` (number of labels), see `tiler.grid.pieces`; ``sizes``: for each label, the number of
+        cells, the number of cells with a confidence, and the sum of the confidences in hundredths; ``filled``;
+        ``checksum``. Cells that this step adds have no confidence.
     """
     store, block, spec = open_store(store_url), work.block, work.spec
     size_m = float(spec.lattice.size * store.meta.frame.metres_xy)
@@ -98,9 +100,9 @@ def finish_water(store_url: str, work: FinishWater) -> dict[str, Any]:
     water = sure > 0
     if water.any():
         rows, cols = box_around(water, math.ceil((SHORE_M + BRIDGE_M) / size_m) + SMOOTHING_CELLS)
-        part = water[rows, cols]
-        window = Block(block.row - margin + rows.start, block.col - margin + cols.start, *part.shape)
-        water[rows, cols] = _finished(store, work, part, window, size_m)
+        near = water[rows, cols]
+        window = Block(block.row - margin + rows.start, block.col - margin + cols.start, *near.shape)
+        water[rows, cols] = _finished(store, work, near, window, size_m)
     inner = inner_window(block, margin)
     labels, sides = label_block(water[inner], corners=False)
     values = labels.astype(np.float32)

@@ -1,4 +1,4 @@
-"""Heights of coarse cells for the search for water: of the terrain, or of points that the input classifies as water."""
+"""Heights of coarse cells for the search for water, from the terrain or from points of class water."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ from tiler.store import TileStore, coarse_cells, open_store, read_cells
 Floats = npt.NDArray[np.float64]
 
 NEAR_CELLS = 8
-"""Largest distance in cells at which a cell with returns decides whether a cell without returns is water."""
+"""A cell without returns is water if the nearest cell with returns is water and at most this far away, in cells."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class GroundCells(BlockWork):
-    """Arguments of `ground_cells`: mean heights of the terrain, or of the input's water, in coarse cells.
+    """Arguments of `ground_cells`.
 
     Attributes
     ----------
@@ -36,7 +36,7 @@ class GroundCells(BlockWork):
     pixels : RasterSpec
         Raster of the terrain's pixels.
     occupancy : str or None
-        Raster of the points in each cell; None if the input has no water near the block.
+        Raster of the number of points in each cell; None if the input has no points of class water near the block.
     rule : GroundSelection
     """
 
@@ -47,9 +47,10 @@ class GroundCells(BlockWork):
 
 
 def ground_cells(store_url: str, work: GroundCells) -> dict[str, Any]:
-    """Write the mean heights in a block in units of the CRS. This is a `tiler.schedule.task.Work`.
+    """Write the mean height of each cell of a block in units of the CRS. This is a `tiler.schedule.task.Work`.
 
-    Heights are added up as whole counts, so that their sum does not depend on the order of pixels or points.
+    In cells that are water by the input, heights are those of the points of class water. In other cells, heights are
+    those of the terrain. Only whole counts are added, so that sums do not depend on the order of pixels or points.
 
     Returns
     -------
@@ -79,16 +80,16 @@ def ground_cells(store_url: str, work: GroundCells) -> dict[str, Any]:
 
 
 def _means(total: Floats, number: npt.NDArray[np.int64]) -> Floats:
-    """Convert sums and numbers of heights in counts to means in units of the CRS, `NODATA` without heights."""
+    """Convert sums of heights in counts to means in units of the CRS, `NODATA` for cells without heights."""
     means = np.full(total.shape, NODATA)
     np.divide(total, number * COUNTS_PER_UNIT, out=means, where=number > 0)
     return means
 
 
 def _water_class_heights(store: TileStore, work: GroundCells, occupancy: str) -> Floats:
-    """Return the mean height of the points of class water in each cell of a block, `NODATA` elsewhere.
+    """Return the mean height of the points of class water for each cell that is water by the input, or `NODATA`.
 
-    Cells without returns get the height of the nearest cell with returns, if that is water.
+    A cell without returns is water if the nearest cell with returns is water and near. It gets the height of that cell.
     """
     window = padded(work.block, NEAR_CELLS)
     returns = read_cells(store, occupancy, work.spec, window)
@@ -107,6 +108,7 @@ def _water_class_heights(store: TileStore, work: GroundCells, occupancy: str) ->
     heights = np.full(returns.shape, NODATA)
     if (returns != 0).any():
         distance, near = scipy.ndimage.distance_transform_edt(returns == 0, return_indices=True)
+        # The number of returns is negative in cells that are water by the input.
         water = (returns[tuple(near)] < 0) & (distance <= NEAR_CELLS)
         heights[water] = mean[tuple(near)][water]
     return heights[NEAR_CELLS:-NEAR_CELLS, NEAR_CELLS:-NEAR_CELLS]

@@ -1,7 +1,7 @@
 """Level of a lake or river, from the terrain along its shore and from the heights of the water itself.
 
 The level is estimated from the returns of the water if their heights are smooth. Otherwise it is a low percentile of
-the heights of the shore. A lake has one level. A river has a level at each position of its line
+the heights of the shore. A lake has one level. A river has a level at each position along its centreline
 (`tiler.grid.profile`).
 """
 
@@ -30,13 +30,13 @@ from tiler.store import TileStore, open_store
 Floats = npt.NDArray[np.float64]
 
 SHORE_PIXELS = 2
-"""Width in pixels of the strip along the water whose heights are used."""
+"""Pixels up to this distance from the water are its shore, in pixels."""
 STATION_PIXELS = 10
-"""Least distance in pixels between the stations of a river."""
+"""The stations of a river are at least this far apart, in pixels."""
 NOISE_M = 0.1
-"""Depth below the level up to which ground of the shore may lie because of noise."""
+"""Ground of the shore may lie this far below the level because of noise, in metres."""
 MAX_WATER_HEIGHTS = 50_000
-"""Approximate largest number of heights of the water that are used."""
+"""About this many heights of the water are used, if there are more."""
 
 
 @dataclass(frozen=True)
@@ -53,12 +53,12 @@ class LevelWater:
     spec : RasterSpec
         Raster of the terrain's pixels.
     cells : (str, str, str) or None
-        Rasters of coarse cells: the number of points, the height, and the plants over water. The heights of the water
-        are those of coarse cells, or of the terrain if this is None.
+        Rasters of coarse cells: the number of points, the height, and the plants over water. If this is None, the
+        heights of the water are taken from the terrain instead of coarse cells.
     coarse : RasterSpec
         Raster of the coarse cells.
     joins_pockets : bool
-        Whether pockets of low terrain next to the water become part of it. False if the user has drawn the shore.
+        Whether pockets of low terrain next to the water become water. False if the user has drawn the shore.
     """
 
     body: Water
@@ -80,7 +80,7 @@ def level_water(store_url: str, work: LevelWater) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``shore``: number of pixels with a height along the water; ``body``: the water with its level (see
+        ``shore``: number of pixels of the shore with a height; ``body``: the water with its level (see
         `Water.to_json`), None if shore and water have too few heights; ``floating``: share of the shore that lies more
         than `NOISE_M` below the level, and its lowest position as counts x, y, None if the share is 0; ``uneven``:
         whether the body has one level although its heights differ by more than waves.
@@ -119,9 +119,9 @@ def level_water(store_url: str, work: LevelWater) -> dict[str, Any]:
 
 
 def _floating(body: Water | None, shore: Counts, noise: float) -> tuple[float, list[int] | None]:
-    """Return the share of the shore that lies below the level by more than ``noise`` counts.
+    """Return the share of the shore that lies more than ``noise`` counts below the level, and its lowest position.
 
-    Also return the lowest position of the shore, or None if the share is 0.
+    The position is None if the share is 0.
     """
     if body is None or not shore.shape[1]:
         return 0.0, None
@@ -131,7 +131,7 @@ def _floating(body: Water | None, shore: Counts, noise: float) -> tuple[float, l
 
 
 def heights_of(store: TileStore, work: LevelWater) -> tuple[Beside, Counts]:
-    """Return the pixels next to the water, and absolute counts x, y, z of a sample of the water, int64 (3, n)."""
+    """Return the pixels next to the water, and a sample of the water in absolute counts x, y, z, int64 (3, n)."""
     spec, area = work.spec, work.body.area
     pixels = polygon_of(area).area / float(spec.lattice.size) ** 2
     step = math.ceil(math.sqrt(max(pixels / MAX_WATER_HEIGHTS, 1.0)))
@@ -150,6 +150,7 @@ def heights_of(store: TileStore, work: LevelWater) -> tuple[Beside, Counts]:
         for other in work.others:
             beside &= ~spec.inside(window, other)
         heights = store.read_block(work.heights, window)
+        # Windows overlap, so only the pixels of the block itself are used.
         known = np.zeros_like(beside)
         top, left = block.row - window.row, block.col - window.col
         known[top : top + block.height, left : left + block.width] = True
@@ -171,14 +172,15 @@ def heights_of(store: TileStore, work: LevelWater) -> tuple[Beside, Counts]:
 def _sample(spec: RasterSpec, window: Block, step: int) -> npt.NDArray[np.bool_]:
     """Return a mask of every ``step``-th pixel along rows and columns, on a lattice that is the same in all windows."""
     mask = np.zeros((window.height, window.width), np.bool_)
+    # The rows and columns of these pixels in the lattice are multiples of ``step``.
     mask[(spec.north - 1 - window.row) % step :: step, -(spec.west + window.col) % step :: step] = True
     return mask
 
 
 def _coarse_heights(store: TileStore, work: LevelWater, points: str, ground: str, crowns: str) -> Counts:
-    """Return absolute counts x, y, z of a sample of the coarse cells of the water, int64 (3, n).
+    """Return a sample of the coarse cells of the water in absolute counts x, y, z, int64 (3, n).
 
-    The cells have returns, are not at the shore and are not beneath crowns.
+    The cells have returns, are not at the shore, and are not covered by crowns or reed.
     """
     coarse, area = work.coarse, work.body.area
     xyz_parts = [np.empty((3, 0), np.int64)]
@@ -203,7 +205,7 @@ def _coarse_heights(store: TileStore, work: LevelWater, points: str, ground: str
 
 
 def _padded(spec: RasterSpec, block: Block, margin: int) -> Block:
-    """Return a block and the pixels around it within the raster."""
+    """Return a block with a margin, cut at the border of the raster."""
     top, left = max(block.row - margin, 0), max(block.col - margin, 0)
     bottom = min(block.row + block.height + margin, spec.height)
     right = min(block.col + block.width + margin, spec.width)
@@ -211,7 +213,7 @@ def _padded(spec: RasterSpec, block: Block, margin: int) -> Block:
 
 
 def _profile(body: Water, shore: Counts, water: Counts, min_spacing: float, scale: Scale) -> Profile | None:
-    """Return the profile of a river, or None if it is too small for a line."""
+    """Return the profile of a river, or None if the river is too small for a centreline."""
     shape = polygon_of(body.area)
     line = centreline(shape) if body.flow is None else body.flow[:, :2].astype(np.float64)
     if line is None or len(line) < 2:

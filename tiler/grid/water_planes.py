@@ -1,10 +1,10 @@
 """Planes of water: level areas with any number of returns, surrounded by rising land.
 
 Water with waves, below weirs and at fords, has as many returns as land, and crowns over its banks hide its shore. But
-it is level over tens of metres, unlike land. A plane is a connected area of level ground. It is water if the land
-around it rises, as around areas of few returns (`tiler.grid.water_cells`), and if there is further evidence. This is
-few returns in much of the plane, or water by the input in some of it. A plane without such evidence is water only next
-to a plane with it, perhaps on the other side of a dam.
+such water is level over tens of metres, unlike land. A plane is a connected area of level ground. A plane is water if
+the land around it rises (as around candidates, `tiler.grid.water_cells`) and if it is evident. In an evident plane,
+many cells have few returns, or some cells are water by the input. A plane that is not evident is water only near an
+evident plane of water, for example on the other side of a dam.
 """
 
 from __future__ import annotations
@@ -42,22 +42,37 @@ from tiler.grid.water_search import (
 from tiler.store import open_store
 
 LEVEL_CELLS = 3
-"""Side in cells of the square in which smoothed heights are compared."""
+"""Smoothed heights are compared in squares of this side, in cells."""
 RELIEF_M = 0.08
-"""Largest difference of height of water in that square, due to waves and a fall of up to 1 %."""
+"""A square is level if its heights differ by less than this, in metres.
+
+Waves and a fall of up to 1 % cause such differences on water.
+"""
 SHORE_CELLS = 5
-"""Largest distance in cells from a plane to its shore. Smoothing and the slope of the bank separate them."""
+"""The shore is at most this far from the plane, in cells. Smoothing and the slope of the bank keep them apart."""
 SPARSE_SHARE = 0.5
-"""Least share of cells with few returns for which a plane may be water by itself."""
+"""A plane is evident if at least this share of its cells has few returns."""
 DAM_M = 40.0
-"""Largest distance to evident water of a plane that may be water only next to it. A dam may lie in between."""
+"""A plane that is not evident may be water up to this distance from evident planes, in metres.
+
+A dam may lie in between.
+"""
 BESIDE_M = DAM_M + 20
-"""Distance from a plane within which cells are examined."""
+"""Cells up to this distance from a plane are read, in metres."""
 AROUND = np.ones((3, 3), np.bool_)
 
 
 class Plane(NamedTuple):
-    """Numbers of cells of a plane, added up over blocks: all, water by the input, and cells with few returns."""
+    """Numbers of cells of a plane, added up over blocks.
+
+    Attributes
+    ----------
+    cells : int
+    given : int
+        Cells that are water by the input.
+    sparse : int
+        Cells with few returns.
+    """
 
     cells: int = 0
     given: int = 0
@@ -65,7 +80,7 @@ class Plane(NamedTuple):
 
     @property
     def is_evident(self) -> bool:
-        """Whether the plane may be water by itself."""
+        """Whether the plane may be water without evident planes near it."""
         return self.sparse >= SPARSE_SHARE * self.cells or self.given >= GIVEN_SHARE * self.cells
 
 
@@ -76,10 +91,10 @@ class CountPlaneRims(AreasWork):
     Attributes
     ----------
     evident : tuple of Piece
-        Planes that may be water by themselves. They do not count as land around each other.
+        Evident planes. They do not count as land around each other.
     others : tuple of Piece
-        Planes that may be water next to evident planes. All cells around them count as land, even water. So the crest
-        of a dam, which is level, falls to the water on both sides and is not water.
+        Planes that may be water only near evident planes. All cells around them count as land, even water. So the crest
+        of a dam is not water: it is level, but its ring falls to the water on both sides.
     """
 
     evident: tuple[Piece, ...]
@@ -88,13 +103,19 @@ class CountPlaneRims(AreasWork):
 
 @dataclass(frozen=True, kw_only=True)
 class KeepPlanes(AreasWork):
-    """Arguments of `keep_planes`: the planes that are water as ``kept``, with confidences."""
+    """Arguments of `keep_planes`.
+
+    Attributes
+    ----------
+    kept : tuple of (Piece, float)
+        Planes that are water, with confidences.
+    """
 
     kept: tuple[tuple[Piece, float], ...]
 
 
 def plane_cells(ground: Floats, domain: Bools) -> Bools:
-    """Return a mask of the cells whose smoothed heights are as level as water, without arms that are one cell wide."""
+    """Return a mask of the cells whose smoothed heights are as level as water, without parts narrower than 3 cells."""
     unknown = np.isnan(ground)
     high = scipy.ndimage.maximum_filter(np.where(unknown, np.inf, ground), LEVEL_CELLS)
     low = scipy.ndimage.minimum_filter(np.where(unknown, -np.inf, ground), LEVEL_CELLS)
@@ -148,9 +169,9 @@ def count_plane_rims(store_url: str, work: CountPlaneRims) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``rims``: name of each plane, and the `tiler.grid.water_cells.Rim` around the plane and its shore. An evident
-        plane has a second rim, in which no plane that may be water counts as land. ``beside``: pairs of a plane and an
-        evident plane near it.
+        ``rims``: name of each plane, and its `tiler.grid.water_cells.Rim`. In the rim of an evident plane, other
+        evident planes do not count as land. An evident plane also has a second rim, in which ``others`` do not count as
+        land either. ``beside``: pairs of a plane and an evident plane near it.
     """
     evident = set(work.evident)
     planes = {*work.evident, *work.others}
@@ -169,25 +190,25 @@ def count_plane_rims(store_url: str, work: CountPlaneRims) -> dict[str, Any]:
         evident_water = is_evident[numbers] & ~water
         if name in evident:
             any_water = is_plane[numbers] & ~water
-            rims = [_rim(cells, water, others, counted) for others in (evident_water, any_water)]
+            rims = [_rim(cells, water, not_land, counted) for not_land in (evident_water, any_water)]
         else:
             rims = [rim_of(cells, water, np.zeros_like(water), counted, evident_water)]
-        if any(map(any, rims)):
-            named_rims.append([list(name), *map(list, rims)])
+        if any(any(rim) for rim in rims):
+            named_rims.append([list(name), *(list(rim) for rim in rims)])
         is_near = distances(plane_mask, DAM_M / cells.size + 1) * cells.size <= DAM_M
         for other in np.unique(numbers[evident_water & counted & is_near]):
             beside.append([list(name), list(near.names[other - 1])])
     return {"rims": named_rims, "beside": beside}
 
 
-def _rim(cells: WaterCells, water: Bools, others: Bools, counted: Bools) -> Rim:
-    """Count the land around a plane and its shore, without other planes and their shores."""
-    others_with_shores = scipy.ndimage.binary_dilation(others, AROUND, iterations=SHORE_CELLS) & ~water
-    return rim_of(cells, water, others_with_shores, counted)
+def _rim(cells: WaterCells, water: Bools, not_land: Bools, counted: Bools) -> Rim:
+    """Count the land around a plane and its shore. Cells of ``not_land`` and their shores do not count as land."""
+    with_shores = scipy.ndimage.binary_dilation(not_land, AROUND, iterations=SHORE_CELLS) & ~water
+    return rim_of(cells, water, with_shores, counted)
 
 
 def keep_planes(store_url: str, work: KeepPlanes) -> dict[str, Any]:
-    """Write the confidence that each cell belongs to a plane of water or its shore, 0 elsewhere.
+    """Write the confidence that each cell is part of a plane of water with its shore, or 0.
 
     This is a `tiler.schedule.task.Work`.
 
@@ -209,7 +230,7 @@ def keep_planes(store_url: str, work: KeepPlanes) -> dict[str, Any]:
 
 
 def _planes(store_url: str, work: AreasWork, selected: Collection[Piece]) -> AreasAround:
-    """Return the planes in and around a block, with smoothed heights in cells near the selected planes."""
+    """Return the planes in and around a block, with smoothed heights of the cells near the selected planes."""
     store = open_store(store_url)
     near = areas_around(store, work, selected, BESIDE_M)
     ground = ground_in(store, work.sources.ground, work.spec, near.window)

@@ -18,12 +18,12 @@ from tiler.core.water import Counts, Water
 from tiler.grid.centreline import area_of, polygon_of
 
 POCKET_PIXELS = 6
-"""Distance in pixels from the water within which terrain must close off a pocket."""
+"""A pocket has to be closed off by terrain within this distance from the water, in pixels."""
 
 OVERLAP = 0.9
-"""Half of the side of a pixel's polygon, in pixels.
+"""Half the side of the square that is added to the water for a pixel, in pixels.
 
-The shore may lie anywhere between the centres of two pixels. So polygons are larger than their pixels, to leave no gap.
+The squares are larger than the pixels, because the shore may lie anywhere between the centres of two pixels.
 """
 
 
@@ -37,7 +37,7 @@ class Beside(NamedTuple):
     pixels : int64 (2, n)
         Rows and columns in the raster.
     distance : int64 (n,)
-        Number of steps to the water, straight or diagonal, at least 1.
+        Number of straight or diagonal steps to the water, at least 1.
     """
 
     xyz: Counts
@@ -54,7 +54,7 @@ def pockets(body: Water, beside: Beside, noise: float) -> npt.NDArray[np.bool_]:
         Body with its level.
     beside : Beside
     noise : float
-        Depth in counts below the level that the deepest pixel of a pocket must exceed.
+        The deepest pixel of a pocket is deeper than this below the level, in counts.
     """
     x, y, z = beside.xyz
     depth = body.heights(x, y) - z
@@ -74,7 +74,7 @@ def pockets(body: Water, beside: Beside, noise: float) -> npt.NDArray[np.bool_]:
 
 
 def with_pixels(body: Water, centres: Counts, pixel: float) -> Water:
-    """Return a body with additional pixels, given their centres, int64 (2, n), and their side in counts."""
+    """Return a body with additional pixels. ``centres`` (2, n) and the side ``pixel`` of a pixel are in counts."""
     import shapely
 
     x, y = centres

@@ -1,8 +1,9 @@
 """Water in reed, through which no pulse reaches the water.
 
-Reed is low, stands in the water, and is connected with open water. Its lowest points may count as ground, so the water
-would end where reed begins. As beneath crowns, the slope of the bank behind the reed is continued, and the water ends
-where it reaches the level. Plants behind which the bank is flat, and plants far from water, stay land.
+Reed is low, stands in the water, and is connected with open water. The lowest points of reed may count as ground, so
+the water would end where reed begins. As beneath crowns, the slope of the bank behind the reed is continued, and the
+water ends where the continued bank reaches the level. Low plants stay land if the bank behind them is flat, or if they
+are far from water.
 """
 
 from __future__ import annotations
@@ -19,25 +20,28 @@ from tiler.grid.water_cells import WaterCells
 from tiler.grid.water_crowns import CROWN_M, LOW_M, REED, connected, continued_bank, is_hidden
 
 BESIDE = 1.5
-"""Distance in cells to all neighbours of a cell. Cells beside both reed and water are partly reed."""
+"""Cells are next to each other if their centres are at most this far apart, in cells. Diagonal neighbours are, too."""
 MIN_REED_SLOPE = 0.05
-"""Least slope of a bank behind reed. The position at which a flatter one reaches the level is not known well."""
+"""The bank behind reed is steeper than this.
+
+It is not known well where a flatter bank reaches the level.
+"""
 
 
 def among_reed(cells: WaterCells, crowns: npt.NDArray[Any], wet: Bools, level: Floats) -> Bools:
     """Return a mask of the cells with reed that are water.
 
-    Pulses do not reach the water in reed, and the lowest points of the reed may count as ground. So reed that is
-    connected with water is water up to the position at which the slope of the bank behind it reaches the level.
-    Parameters are those of `beneath_crowns`.
+    Reed that is connected with water is water up to the line at which the continued bank reaches the level. Parameters
+    are those of `tiler.grid.water_crowns.beneath_crowns`.
     """
     reach = math.ceil(CROWN_M / cells.size)
     is_reed, hidden, beside = crowns >= REED, is_hidden(crowns), within(wet, BESIDE)
+    # Cells next to reed are partly reed if they are hidden or next to water.
     reed = is_reed | (within(is_reed, BESIDE) & (hidden | beside))
     reed = connected(reed & ~wet & cells.domain, wet, reach)
     bank = ~is_reed & ~hidden & ~wet & ~beside & (cells.returns > 0) & ~np.isnan(cells.ground)
     bank &= within(reed, CROWN_M / cells.size)
-    reed &= within(bank, CROWN_M / cells.size)  # A bank elsewhere says nothing about this reed.
+    reed &= within(bank, CROWN_M / cells.size)  # Reed without a bank nearby cannot be decided.
     if not reed.any() or not bank.any():
         return np.zeros_like(reed)
     height, slope = continued_bank(np.argwhere(reed), np.argwhere(bank), (cells.ground - level)[bank])
@@ -46,12 +50,14 @@ def among_reed(cells: WaterCells, crowns: npt.NDArray[Any], wet: Bools, level: F
 
 
 def without_bank(crowns: npt.NDArray[Any], above: Floats) -> Bools:
-    """Return a mask of the cells whose ground, if they are water, is not that of a bank.
+    """Return a mask of the cells whose ground height is not the height of a bank, for cells that are water.
+
+    These are hidden cells, and cells of reed whose ground is above the water.
 
     Parameters
     ----------
     crowns : float (h, w)
-        Plants, see `crowns_block`.
+        Values of plants, see `tiler.grid.water_crowns.crowns_block`.
     above : float64 (h, w)
         Height of the ground above the water in metres.
     """

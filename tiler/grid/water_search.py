@@ -1,7 +1,7 @@
-"""Search for the water of a run: candidates, the land around them, and the candidates that are water.
+"""Search for water in three steps: find candidates, count the land around them, keep the candidates that are water.
 
-Each step reads the rasters of earlier steps with a margin and writes one block. Between steps, the coordinator joins
-the areas of all blocks (`tiler.grid.tasks.water_search`).
+A task of a step reads the rasters of earlier steps in a block and its margin, and writes the block. Between two steps,
+the areas of all blocks are joined (`tiler.grid.tasks.water_search`).
 """
 
 from __future__ import annotations
@@ -31,12 +31,17 @@ from tiler.grid.water_cells import (
 from tiler.grid.work import BlockWork
 from tiler.store import TileStore, open_store, read_cells
 
-MARGIN, ALIGNED = 64, 16
-"""Margin around a block in coarse cells, and largest number of cells that are merged along a side."""
+MARGIN = 64
+"""Width of the margin around a block, in coarse cells."""
+ALIGNED = 16
+"""Windows begin and end at multiples of this, in coarse cells.
+
+At most this many cells are merged along a side.
+"""
 BESIDE_M = RING_M[1] + 2
-"""Distance in metres from an area within which land is compared with it."""
+"""Cells up to this distance from an area are read to count the land around the area, in metres."""
 SMOOTHING_CELLS = 8
-"""Distance in cells within which cells change the smoothed height of a cell."""
+"""Cells farther away than this, in cells, do not change the smoothed height of a cell."""
 Window = tuple[slice, slice]
 
 
@@ -46,8 +51,12 @@ class Sources:
 
     Attributes
     ----------
-    occupancy, ground, domain : str
-        Points in each cell; heights of the terrain; the survey with all gaps that could be water.
+    occupancy : str
+        Number of points in each cell.
+    ground : str
+        Heights of the terrain.
+    domain : str
+        Cells of the survey, and of the gaps that may be water.
     """
 
     occupancy: str
@@ -63,7 +72,7 @@ class FindAreas(BlockWork):
     ----------
     sources : Sources
     times : int
-        Number of cells merged along a side, so that a merged cell without returns is significant.
+        Number of cells that are merged along a side. A merged cell is so large that it is not empty by chance.
     usual : float or None
         Usual number of returns, see `tiler.grid.water_cells.water_areas`.
     """
@@ -81,6 +90,7 @@ class AreasWork(BlockWork):
     ----------
     sources : Sources
     times : int
+        See `FindAreas`.
     areas : str
         Raster of the labels of candidates.
     joins : tuple of (Piece, Piece)
@@ -100,7 +110,13 @@ class CountRims(AreasWork):
 
 @dataclass(frozen=True, kw_only=True)
 class KeepAreas(AreasWork):
-    """Arguments of `keep_areas`: the areas that are water as ``kept``, with confidences."""
+    """Arguments of `keep_areas`.
+
+    Attributes
+    ----------
+    kept : tuple of (Piece, float)
+        Areas that are water, with confidences.
+    """
 
     kept: tuple[tuple[Piece, float], ...]
 
@@ -168,12 +184,12 @@ def keep_areas(store_url: str, work: KeepAreas) -> dict[str, Any]:
 
 
 def inner_window(block: Block, margin: int) -> Window:
-    """Return the part of a block with a margin that is the block itself."""
+    """Return the rows and columns of a block in an array of the block and a margin."""
     return slice(margin, margin + block.height), slice(margin, margin + block.width)
 
 
 def ground_in(store: TileStore, name: str, spec: RasterSpec, window: Block) -> Floats:
-    """Read the heights of the terrain in a window in metres, NaN where the terrain has none."""
+    """Read the heights of the terrain in a window in metres, NaN for cells without a height."""
     heights = read_cells(store, name, spec, window, NODATA).astype(np.float64)
     heights[heights == NODATA] = np.nan
     heights *= float(store.meta.frame.units.vertical)
@@ -197,7 +213,7 @@ def read_search_cells(
 
 @dataclass(frozen=True)
 class AreasAround:
-    """Areas in and around a block, in a window of all cells that are needed to count the land around them.
+    """Areas in and around a block. The window includes the cells that are needed to count the land around the areas.
 
     Attributes
     ----------
@@ -228,7 +244,10 @@ class AreasAround:
         return block_mask
 
     def _common_part(self, origin: Block) -> Window:
-        """Return the cells that window and block have in common, as a part of ``origin``, which is one of them."""
+        """Return the rows and columns that window and block have in common, counted from the first of ``origin``.
+
+        ``origin`` is the window or the block.
+        """
         top = max(self.window.row, self.block.row)
         left = max(self.window.col, self.block.col)
         bottom = min(self.window.row + self.window.height, self.block.row + self.block.height)
@@ -240,15 +259,15 @@ class AreasAround:
         )
 
     def block_values(self, values: npt.NDArray[np.float32]) -> npt.NDArray[np.float32]:
-        """Convert values of the window's cells to values of the block's cells, 0 beyond the window."""
+        """Return the values of the cells of the block from values of the window. Cells beyond the window are 0."""
         block_values = np.zeros((self.block.height, self.block.width), np.float32)
         block_values[self._common_part(self.block)] = values[self._common_part(self.window)]
         return block_values
 
     def windows(self, selected: Collection[Piece] | None) -> Iterator[tuple[int, Window]]:
-        """Yield the number and the padded window of each selected area whose padded window overlaps the block.
+        """Yield the number of each selected area, and the window of the area padded by `pad`.
 
-        None selects all areas.
+        Areas are left out if that window does not overlap the block. None selects all areas.
         """
         names = self.names if selected is None else selected
         for number, window in enumerate(scipy.ndimage.find_objects(self.numbers), start=1):
@@ -272,6 +291,7 @@ def areas_around(
     selected_names = names if selected is None else selected
     area_mask = np.array([False, *(name in selected_names for name in names)])[numbers]
     pad = math.ceil(margin_m / float(work.spec.lattice.size * store.meta.frame.metres_xy)) + 1
+    # Windows are aligned, so that squares of cells that are merged are the same in all windows.
     rows, cols = (
         slice(s.start // ALIGNED * ALIGNED, -(-s.stop // ALIGNED) * ALIGNED)
         for s in box_around(area_mask, pad + SMOOTHING_CELLS)

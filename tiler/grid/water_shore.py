@@ -1,4 +1,4 @@
-"""Shore of a body of water, finer than its coarse cells: the line where its level meets the ground of the bank."""
+"""Shore of a body of water between coarse cells: the line at which the ground of the bank reaches the level."""
 
 from __future__ import annotations
 
@@ -14,40 +14,46 @@ from tiler.grid.reach import Floats
 from tiler.grid.water_cells import WaterCells
 
 REACH_CELLS = 40
-"""Margin around a block, in cells, on which the level of its water depends."""
-MAX_DEPTH_M, MIN_DEPTH_M = 2.0, 0.02
-"""Largest and smallest height above or below the level in metres. Other heights are clipped to these limits."""
+"""The level of the water in a block depends on cells up to this distance from the block, in cells."""
+MAX_DEPTH_M = 2.0
+"""Heights relative to the level are clipped to at most this, above and below the level, in metres."""
+MIN_DEPTH_M = 0.02
+"""Heights relative to the level are clipped to at least this, above and below the level, in metres."""
 BANK_CELLS = 2
-"""Width in cells of the edge of the water that may be bank.
+"""The outermost cells of the water may be bank: a border of this width, in cells.
 
 Gravel that rises by 4 % has two cells below `tiler.grid.water_extent.LEVEL_M`.
 """
 UPRIGHT_M = 0.4
-"""Least height above the water of a bank that may be upright. Lower banks have a slope that is not known well."""
+"""A bank is upright only if it is at least this high above the water, in metres.
+
+The slope of lower banks is not known well.
+"""
 MAX_QUAY_SLOPE = 0.15
-"""Steepest slope of the land behind an upright bank."""
+"""The land behind an upright bank is at most this steep."""
 CUT_SHARE = 0.5
-"""Share of the returns of the next cells of the bank, below which an outermost cell of the bank is mostly water."""
+"""A cell at an upright bank is mostly water if it has less than this share of the returns of the land behind it."""
 SIDES = ((0, 1), (0, -1), (1, 1), (1, -1))
-"""Axis and step by which `np.roll` moves each of the four neighbours of a cell onto the cell."""
+"""The four sides of a cell: axis and step with which `np.roll` moves the neighbour on this side onto the cell."""
 AROUND = np.ones((3, 3), np.bool_)
 
 
 def depths(cells: WaterCells, wet: Bools, level: Floats | None, is_lowered: bool = False) -> Floats:
-    """Return heights relative to the level of the water, whose zero line is the shore.
+    """Return a field of heights relative to the level of the water. Its zero line is the shore.
 
-    On land they are heights of the bank. In the outermost cells of the water they are extrapolated from the bank and
-    negative. Without ground heights the shore lies halfway between cells.
+    On land, the field has the height of the bank. In the outermost cells of the water, it has the height of the bank
+    extrapolated below the level. If there are no heights, the shore lies halfway between cells.
 
     Parameters
     ----------
     cells : WaterCells
         Cells with smoothed heights, in a window with a margin of at least `REACH_CELLS`.
     wet : bool, shape of the cells
+        Mask of the water.
     level : float64, shape of the cells
         Level of the water near each cell in metres, see `tiler.grid.water_extent.water_heights`; None if not known.
     is_lowered : bool
-        Whether the level is below the water that was seen, so that the slope of the bank goes on below it.
+        Whether the level is below the returns of the water. Then the bank continues below these returns.
     """
     if level is None:
         return np.where(wet, -MAX_DEPTH_M, MAX_DEPTH_M)
@@ -65,7 +71,7 @@ def depths(cells: WaterCells, wet: Bools, level: Floats | None, is_lowered: bool
     bank_heights[beside] = np.clip(above[beside], MIN_DEPTH_M, MAX_DEPTH_M)
     beside_m, extrapolated_m = _extrapolated_bank(above, wet)
     outermost = ~np.isnan(extrapolated_m)
-    # A high bank that hardly falls towards the water ends upright, so the shore is halfway between the cells.
+    # A high bank that hardly falls towards the water is upright, so the shore lies halfway between the cells.
     is_upright = (extrapolated_m > beside_m / 2) & (beside_m > UPRIGHT_M)
     depth = np.where(is_upright, -beside_m, extrapolated_m)
     bank_heights[outermost] = np.clip(depth[outermost], -MAX_DEPTH_M, -MIN_DEPTH_M)
@@ -75,8 +81,8 @@ def depths(cells: WaterCells, wet: Bools, level: Floats | None, is_lowered: bool
 def _banks(above: Floats, wet: Bools, has_returns: Bools) -> tuple[Bools, Floats]:
     """Return a mask of the outermost cells of the water that are bank, and the heights of the bank there.
 
-    In these cells, both the ground and the extrapolated bank lie above the water. The height of the ground is not
-    enough, as the mean height of a cell that the shore cuts may be above the water although its middle is not.
+    In these cells, both the ground and the extrapolated bank are above the water. The ground alone is not enough: in a
+    cell on the shore, the mean height may be above the water although the height in the middle is not.
     """
     _, extrapolated_m = _extrapolated_bank(above, wet)
     with np.errstate(invalid="ignore"):
@@ -87,7 +93,7 @@ def _banks(above: Floats, wet: Bools, has_returns: Bools) -> tuple[Bools, Floats
 def _cut_cells(cells: WaterCells, above: Floats, wet: Bools) -> Bools:
     """Return a mask of the outermost cells of a high, level bank that are mostly water, as at a quay.
 
-    The water returns little, so such a cell has less than half as many returns as the next two cells of the bank.
+    Water returns few pulses. So such a cell has few returns compared to the mean of the next two cells of the bank.
     """
     land_returns = np.where(wet, 0.0, cells.returns)
     is_cut = np.zeros_like(wet)
@@ -99,7 +105,7 @@ def _cut_cells(cells: WaterCells, above: Floats, wet: Bools) -> Bools:
 
 
 def quays(cells: WaterCells, wet: Bools, level: Floats) -> Bools:
-    """Return a mask of the outermost cells of high, level banks. Parameters are those of `depths`."""
+    """Return a mask of the outermost cells of upright banks. Parameters are those of `depths`."""
     is_quay = np.zeros_like(wet)
     for _, _, upright in _upright_sides(cells.ground - level, wet, cells.size):
         is_quay |= upright
@@ -107,7 +113,10 @@ def quays(cells: WaterCells, wet: Bools, level: Floats) -> Bools:
 
 
 def _upright_sides(above: Floats, wet: Bools, size: float) -> Iterator[tuple[int, int, Bools]]:
-    """Yield an axis, a step, and a mask of the cells beside water on this side with a high, level bank behind them."""
+    """Yield axis and step of each side (`SIDES`), and a mask of the cells with an upright bank on that side.
+
+    The next two cells on that side are high, level bank. The next cell on the opposite side is water.
+    """
     bank = np.where(wet, np.nan, above)
     for axis, step in SIDES:
         heights, next_heights = (np.roll(bank, n * step, axis) for n in (1, 2))
@@ -118,9 +127,10 @@ def _upright_sides(above: Floats, wet: Bools, size: float) -> Iterator[tuple[int
 
 
 def _extrapolated_bank(above: Floats, wet: Bools) -> tuple[Floats, Floats]:
-    """Return the height above the water of the bank next to each cell of water, and of the bank extrapolated into it.
+    """Return two heights above the water for each of its outermost cells, NaN for all other cells.
 
-    Both are NaN except in the outermost cells of the water.
+    The first is the height of the bank next to the cell. The second is the height in the cell itself, extrapolated from
+    the two next cells of the bank. Both are means over the sides with bank.
     """
     bank = np.where(wet, np.nan, above)
     totals = np.zeros((2, *wet.shape))
@@ -138,7 +148,7 @@ def _extrapolated_bank(above: Floats, wet: Bools) -> tuple[Floats, Floats]:
 
 
 def shore_polygons(field: Floats, coarse: RasterSpec, window: Block) -> list[Any]:
-    """Return polygons in absolute counts in which the result of `depths` for a window is below 0."""
+    """Return polygons in absolute counts of the water of a window, where the ``field`` of `depths` is below 0."""
     import shapely
     from contourpy import FillType, contour_generator
 

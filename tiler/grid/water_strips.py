@@ -1,7 +1,8 @@
-"""Lower level of a lake that two strips show at two levels.
+"""Lower level of a lake with two levels, because two flight strips were flown at different levels.
 
-The terrain has one level, the lower one. So the shore of the higher strip is too far out on the bank. It is drawn again
-where the bank, continued, reaches the lower level, if this lies within the outermost cells of the water.
+The lake gets the lower level. At this level, the shore that was found is partly too high on the bank. So the bank is
+continued below the higher level, and the shore lies where the bank reaches the lower level. This is done only if that
+line lies in the outermost cells of the water.
 """
 
 from __future__ import annotations
@@ -14,22 +15,25 @@ from tiler.grid.reach import Floats
 from tiler.grid.water_shore import BANK_CELLS, SIDES
 
 
-def bank_rises(ground: Floats, wet: Bools, own: Bools) -> Floats:
-    """Return the rises in metres from the outermost cells of land to the next ones, float64 (n,).
+def bank_rises(ground: Floats, wet: Bools, measured: Bools) -> Floats:
+    """Return the rises in metres from the land at the shore to the next cells behind it, float64 (n,).
 
     Parameters
     ----------
     ground : float64 (h, w)
-        Heights of the terrain in metres, NaN for none.
+        Heights of the terrain in metres, NaN if there are none.
     wet : bool (h, w)
         Mask of the water.
-    own : bool (h, w)
-        Mask of the cells of water next to which rises are measured, at least three cells from the border.
+    measured : bool (h, w)
+        Mask of the cells of water at whose sides rises are measured, at least three cells from the border of the array.
     """
     bank = np.where(wet, np.nan, ground)
-    rises = [np.roll(bank, 2 * step, axis)[own] - np.roll(bank, step, axis)[own] for axis, step in SIDES]
-    joined: Floats = np.concatenate(rises)
-    return joined[~np.isnan(joined)]
+    rises_by_side = []
+    for axis, step in SIDES:
+        next_heights = np.roll(bank, 2 * step, axis)
+        rises_by_side.append((next_heights - np.roll(bank, step, axis))[measured])
+    rises: Floats = np.concatenate(rises_by_side)
+    return rises[~np.isnan(rises)]
 
 
 def lower_level(heights: Floats, rises: Floats) -> float | None:

@@ -11,7 +11,7 @@ from tiler.config import RunConfig
 from tiler.core.lattice import Cell
 
 MATCHED = "dim"
-"""Kind of photogrammetric clouds, which have holes and noise anywhere, also on water."""
+"""Kind of photogrammetric clouds."""
 
 
 @dataclass(frozen=True)
@@ -39,7 +39,7 @@ class Labelled:
     def of(
         cls, config: RunConfig, digests: Mapping[Cell, str], statistics: Mapping[str, Mapping[str, Any]]
     ) -> Labelled:
-        """Make the result from the states of the passes. The user's noise overrides the measured noise."""
+        """Make the result from the states of the passes. The noise set by the user overrides the measured noise."""
         survey = statistics.get(SurveyPass.name, {}).get("survey", {})
         noise = config.sigma or survey.get("sigma_m") or 0.0
         return cls(digests, statistics, survey.get("kind", config.source_kind), float(noise))

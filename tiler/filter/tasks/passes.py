@@ -1,7 +1,7 @@
 """Tasks of filter tiles, with the digest of everything on which their results depend.
 
-A task is done if the store has a commit with its digest. So a change of a parameter, an input or a neighbour only
-repeats the tasks that it can affect.
+A task is up to date if the store has a commit with its digest. So a change of a parameter, an input file or a
+neighbouring bucket repeats only the tasks whose results it can change.
 """
 
 from __future__ import annotations
@@ -29,19 +29,24 @@ from tiler.version import __version__
 
 @dataclass(frozen=True)
 class PassInputs:
-    """Results of earlier passes for the next pass: their names in the store, and their digests by bucket.
+    """Results of earlier passes that the next pass can read.
 
     Attributes
     ----------
-    labels, elected, elected_labels : str or None
-        Names in the store of the latest labels of points, of the elected points, and of the latest labels of elected
-        points.
+    digests : mapping of Cell to str
+        Digest of each bucket's contents and of the latest labels of its points.
+    labels : str or None
+        Name in the store of the latest labels of the points of the cloud.
     of_candidates : bool
-        Whether only candidates have these labels of points.
-    digests, elected_digests : mapping of Cell to str
-        Digests of a bucket's contents with the labels of its points, and of its elected points with their labels.
+        Whether ``labels`` has labels only of candidates.
+    elected : str or None
+        Name in the store of the points that the latest electing pass made (see `ptd.passes.Pass.elects`).
+    elected_labels : str or None
+        Name in the store of the latest labels of elected points.
+    elected_digests : mapping of Cell to str
+        Digest of each bucket's elected points and of their latest labels.
     n_elected : mapping of Cell to int
-        Number of elected points of a bucket, 0 if its tile failed.
+        Number of each bucket's elected points, 0 if its tile failed.
     """
 
     digests: Mapping[Cell, str]
@@ -72,8 +77,8 @@ class PassInputs:
                 counts |= dict(zip(cells, tile.elected_points or (), strict=True))
             digests = _content_digests(assembled, ((tile, tile.elected) for tile in tile_records(done)))
             if step.gives_labels:
-                with_labels = label_digests(assembled, done)
-                digests = {cell: digest_of(digest, with_labels[cell]) for cell, digest in digests.items()}
+                labels = label_digests(assembled, done)
+                digests = {cell: digest_of(digest, labels[cell]) for cell, digest in digests.items()}
             return replace(
                 self,
                 elected=elected_name(number),
@@ -82,7 +87,7 @@ class PassInputs:
                 n_elected=counts,
             )
         digests = label_digests(assembled, done)
-        if step.elected and not is_last:
+        if step.elected and not is_last:  # The pass has labelled elected points, not points of the cloud.
             both = {cell: digest_of(digest, self.elected_digests[cell]) for cell, digest in digests.items()}
             return replace(self, elected_labels=labels_name(number), elected_digests=both)
         return replace(self, labels=labels_name(number), of_candidates=candidates_only, digests=digests)
@@ -99,20 +104,21 @@ def elected_name(number: int) -> str:
 
 
 def labels_given(plan: Plan, number: int, state: Mapping[str, Any]) -> tuple[bool, bool]:
-    """Return whether the labels of a pass are final, and whether only candidates get them."""
+    """Return whether the labels of a pass are final, and whether the pass labels only candidates."""
     params = METHODS[plan.config.method].params(**plan.parameters)
     step = params.passes[number]
     if not step.gives_labels:
         return False, False
     later = later_passes(params.passes, number, state)
-    can_skip_others = not (step.elected or step.elects or step.label_margin_m) and plan.on_candidates
+    labels_cloud = not (step.elected or step.elects)
+    can_skip_others = labels_cloud and not step.label_margin_m and plan.on_candidates
     return not later, can_skip_others and read_at_candidates(later)
 
 
 def filter_tasks(
     plan: Plan, assembled: IngestResult, number: int, state: Mapping[str, Any], inputs: PassInputs
 ) -> Iterator[Task]:
-    """Yield a task for each tile of the pass with a number.
+    """Yield a task for each tile of the pass ``number``.
 
     ``state`` and ``inputs`` are the state and the results after the earlier passes.
     """
@@ -168,9 +174,9 @@ def tile_records(filtered: Commits) -> Iterator[TileRecord]:
 
 
 def label_digests(assembled: IngestResult, filtered: Commits) -> dict[Cell, str]:
-    """Return a digest for each bucket, of its contents and of the labels that a pass gave its points.
+    """Return a digest for each bucket, of its contents and of the labels of its tile.
 
-    Buckets of tiles that failed have no labels.
+    The digest of a bucket whose tile failed stands for a bucket without labels.
     """
     return _content_digests(assembled, ((tile, tile.labels) for tile in tile_records(filtered)))
 

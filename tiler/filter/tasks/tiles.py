@@ -1,11 +1,14 @@
-"""Division of the survey into filter tiles: sets of buckets with a window that fits the memory of a worker.
+"""Division of the survey into filter tiles: sets of buckets with a window that fits into the memory of a worker.
 
-Passes that read every point or elected points get the tiles of a lattice. Tiles that do not fit are quartered. If the
-user chose a tile size, all passes get these tiles. Otherwise passes on candidates (one in each fine cell) get larger
-tiles, as their halos cost little: the survey is halved until each tile fits and each worker has a tile.
+The survey is divided in one of two ways:
 
-The tiles depend only on the number of points in the windows, which is known once the buckets are assembled, and on the
-memory of the first run on the store. Later runs with another memory get the same tiles.
+- The tiles are the cells of a lattice, and cells that do not fit are quartered. All passes use these tiles if the user
+  chose a tile size. Otherwise only passes that read every point or elected points use them.
+- The survey is halved until each tile fits and each worker has a tile. Passes on candidates (one point per fine cell)
+  use these tiles. They are larger, because a halo of candidates costs little.
+
+The tiles depend on the numbers of points in the buckets. They also depend on the memory of the first run on the store,
+but not on the memory of later runs, so that the tiles stay the same.
 """
 
 from __future__ import annotations
@@ -26,16 +29,28 @@ from tiler.plan.memory import BASE_BYTES, bucket_bytes, filter_bytes, held_bytes
 from tiler.plan.sizes import SPARSE_TILE_M
 
 MAX_WINDOW = MAX_EXTENT // 2
-"""Longest side of a window in counts for which a TIN is exact even if the method widens the window."""
+"""The side of a window, before the method widens the window, is at most this long in counts.
+
+A TIN is exact up to `MAX_EXTENT`.
+"""
 
 NEAR_HALF = 0.1
-"""Largest deviation from half of the points, as a share, for the halves of a tile that is too large."""
+"""A tile that is too large is divided into halves, each with half of the points.
+
+The halves may differ from that by this share of all points.
+"""
 
 EQUAL_HALF = 0.05
-"""Largest deviation for tiles that are halved to occupy all workers, as the slowest tile determines the total time."""
+"""The share for tiles that are halved only to occupy all workers.
 
-ROUNDEST = 1 << 62
-"""Power of two that counts as the divisor of the line 0, see `_halves`. It is larger than any other."""
+It is smaller than `NEAR_HALF`, because the slowest tile determines the total time.
+"""
+
+DIVISOR_OF_ZERO = 1 << 62
+"""Power of two that counts as the largest divisor of the number 0, see `_halves`.
+
+Any power of two divides 0, so this is larger than the divisors of all other numbers.
+"""
 
 
 class BucketPoints(NamedTuple):
@@ -56,7 +71,8 @@ class Tile:
     Attributes
     ----------
     name : str
-        Name of the tile's cell in the lattice of tiles. Names of quarters also have a level and a cell at that level.
+        Name of the tile's cell in the lattice of tiles, with level and cell of a quarter. In a survey that is halved:
+        name of the south-west bucket of the tile's rectangle, with its numbers of columns and rows.
     cells : tuple of Cell
         Sorted buckets whose centres lie in the tile.
     halo, max_halo : int
@@ -87,7 +103,8 @@ def _halved(
 ) -> Iterator[Tile]:
     """Yield the tiles of some buckets: one tile, or the tiles of both halves.
 
-    Buckets are halved if ``n_tiles`` is above 1, or if the tile or its window is too wide or has too many points.
+    Buckets are halved if ``n_tiles`` is above 1, if the tile or its window is too wide, or if the window needs too much
+    memory.
     """
     halo = _halo(plan, step)
     bounds = plan.meta.bucket.hull(cells)
@@ -129,7 +146,8 @@ def _halves(records: Records, cells: Sequence[Cell], tolerance: float) -> list[l
         deviation = abs(before / total - 0.5)
         divisor = 0
         if deviation <= tolerance:
-            divisor = line & -line or ROUNDEST
+            # The largest power of two that divides the number of the line.
+            divisor = line & -line or DIVISOR_OF_ZERO
         ranked.append((-divisor, deviation, line))
     cut = min(ranked)[-1]
     first = [cell for cell in cells if getattr(cell, axis) < cut]
@@ -146,7 +164,10 @@ def _fitting(
     size: Fraction,
     level: int,
 ) -> Iterator[Tile]:
-    """Yield a tile, quartered while its window is too wide or has too many points. Buckets stay whole."""
+    """Yield a tile, or the tiles of its quarters if its window is too wide or needs too much memory.
+
+    A bucket belongs to the quarter with its centre.
+    """
     halo = _halo(plan, step)
     too_full = _bytes(plan, records, step, cells, halo) > plan.tile_memory
     if len(cells) > 1 and (too_full or _too_wide(plan, cells, halo)):
@@ -207,6 +228,7 @@ def _bytes(plan: Plan, records: Records, step: PlannedPass, cells: Sequence[Cell
         area_m2 = lattice.hull(near).intersection(window).area() * float(plan.meta.frame.metres_xy) ** 2
         cell_m = 0.0
     elif step.pass_.elected:
-        cell_m = 0.0  # The number of elected points is known, so no maximum is assumed.
+        # Without a cell, `filter_bytes` uses the known number of points instead of the largest possible number.
+        cell_m = 0.0
     window_bytes = filter_bytes(points, area_m2, cell_m, step, plan.fine_m)
     return int(BASE_BYTES + window_bytes + bucket_bytes(bucket_points) + kept_bytes)

@@ -6,7 +6,10 @@ Precision is more important than recall, so each of these conditions has to be t
   An embankment, or the bank of a ditch, has points on its slopes.
 - The ground is about equally low on both sides. At a retaining wall, a dam or a quay the sides differ.
 - The ground next to the deck rises at both ends, more steeply than a ramp, since the gap under the bridge ends there.
-- Ground goes on at both ends as a continuation of the deck.
+- The road goes on at both ends: there are ground points as high as the deck.
+
+A deck is examined in slices, which are parts of equal length along the deck. The free part of a deck consists of the
+slices with lower ground on both sides.
 """
 
 from __future__ import annotations
@@ -21,36 +24,43 @@ from tiler.grid.bridges.deck_sides import BESIDE_M, TOLERANCE_M, Bools, DeckEdge
 
 Ints = npt.NDArray[np.intp]
 Surface = tuple[float, float, float, float]
-"""Coefficients of height = a + b s + c s^2 + d t, with s along a deck and t across it."""
+"""Coefficients of height = a + b s + c s^2 + d t in metres, with s along a deck and t across it."""
 
 END_M = 12.0
-"""Distance beyond each end of the free part within which the ground next to the deck has to rise."""
+"""The ground next to the deck has to rise within this distance beyond each end of the free part, in metres."""
 MIN_LENGTH_M, MAX_LENGTH_M = 5.0, 300.0
-"""Limits of the length of the free part."""
+"""The length of the free part is within these limits, in metres."""
 MIN_WIDTH_M = 2.0
-"""Least width of the free part."""
+"""The free part is at least this wide, in metres."""
 SLIMNESS = 1.0
-"""Least ratio of length to width of the free part."""
+"""The length of the free part is at least this multiple of its width."""
 MIN_SLICES = 4
-"""Least number of slices of the free part."""
+"""The free part has at least this many slices."""
 CLEARANCE_M = 2.0
-"""Least height of a deck above the ground next to it: lower ones look like terraces, or banks with plants."""
+"""A deck is at least this high above the ground next to it, in metres.
+
+Lower areas look like terraces, or banks with plants.
+"""
 MIN_SLICE_M = 1.5
-"""Least length of a slice."""
+"""A slice is at least this long, in metres. It is longer if the points are sparse."""
 MAX_TURNS = 2
-"""Largest number of times that the direction of a deck is adjusted."""
+"""The direction of a deck is adjusted at most this many times."""
 STRAIGHT = 0.02
-"""Slope of a deck's edges relative to its direction below which the direction is not adjusted."""
+"""The direction of a deck is not adjusted if the slope of its edges relative to the direction is below this."""
 ROAD_SLICES = 3
-"""Number of slices beyond an end in which the road has to go on."""
-MIN_ROAD_POINTS, MIN_ROAD_SHARE = 3, 0.5
-"""Least number of ground points of the road in these slices, and their least share of all points in them."""
+"""The road is searched in this many slices beyond each end of the free part."""
+MIN_ROAD_POINTS = 3
+"""The road goes on if at least this many points in those slices are ground as high as the deck."""
+MIN_ROAD_SHARE = 0.5
+"""The road goes on if at least this share of the points in those slices is ground as high as the deck."""
 INNER_M = 0.7
-"""Least distance from the edges of a deck of a point that counts as beneath the deck."""
+"""A point beneath the deck is counted only if it is this far inside both edges, in metres."""
 WIDER_M = 0.3
-"""Distance by which the outline of a deck is wider than its points, on each side."""
-ALIKE, ALIKE_M = 0.35, 0.7
-"""Largest height difference of the two sides: share of the clearance, and metres. The larger limit counts."""
+"""The outline of a deck is this much wider on each side than its points, in metres."""
+ALIKE = 0.35
+"""The ground on the two sides may differ in height by this share of the clearance, or by `ALIKE_M` if that is more."""
+ALIKE_M = 0.7
+"""Height difference between the two sides that is always allowed, in metres."""
 
 
 @dataclass(frozen=True)
@@ -61,12 +71,17 @@ class Deck:
     ----------
     ring : float64 (n, 2)
         Corners of the outline.
-    centre, along : (float, float)
-        Position where s and t are 0, and the unit vector of s. The t axis points to the left of it.
+    centre : (float, float)
+        Position where s and t are 0.
+    along : (float, float)
+        Unit vector of the s axis. The t axis points to the left of the s axis.
     surface : (float, float, float, float)
-        Coefficients of height = a + b s + c s^2 + d t.
-    length_m, width_m, clearance_m : float
-        Length and mean width of the free part, and median of its height above the ground next to it.
+        See `Surface`.
+    length_m : float
+    width_m : float
+        Median of the widths of the slices.
+    clearance_m : float
+        Height above the ground next to the deck: the median over the slices, on the side where the ground is higher.
     below : int
         Number of points beneath the free part.
     """
@@ -88,12 +103,13 @@ class _View:
     Attributes
     ----------
     s, t, off : float64 (n,)
-        Positions along and across the deck, and heights above its surface.
+        Positions of the points along and across the deck, and heights above its surface, in metres.
     surface : (float, float, float, float)
+        See `Surface`.
     starts : float64 (slices,)
-        Start of each slice along s.
-    width : float
-        Width of a slice along s.
+        Value of s at the start of each slice.
+    slice_m : float
+        Length of a slice along the deck.
     sides : DeckEdges
     """
 
@@ -102,7 +118,7 @@ class _View:
     off: Floats
     surface: Surface
     starts: Floats
-    width: float
+    slice_m: float
     sides: DeckEdges
 
 
@@ -114,11 +130,13 @@ def find_deck(
     Parameters
     ----------
     xyz : float64 (n, 3)
-        Points of a candidate and around it, without noise, in metres.
-    ground, seeds : bool (n,)
-        Masks of the ground points, and of the points in the candidate's cells.
+        Points in and around the cells of a candidate, without noise, in metres.
+    ground : bool (n,)
+        Mask of the ground points.
+    seeds : bool (n,)
+        Mask of the points in the cells of the candidate.
     across : (float, float)
-        Unit vector across the deck, roughly.
+        Unit vector that points roughly across the deck.
     spacing_m : float
         Spacing of the points.
     """
@@ -139,7 +157,7 @@ def find_deck(
         along = along / np.hypot(*along)
         turns += 1
     edges = view.sides.edge[free]
-    length = len(free) * view.width
+    length = len(free) * view.slice_m
     width = float(np.median(edges[:, 1] - edges[:, 0]))
     levels = np.median(view.sides.level[free], axis=0)
     clearance = float(-levels.max())
@@ -159,35 +177,40 @@ def find_deck(
 
 
 def _view(xyz: Floats, seeds: Bools, centre: Floats, along: Floats, spacing: float) -> _View | None:
-    """Return the points in the coordinates of a deck, or None if its seeds do not form a surface."""
+    """Return the points in the coordinates of a deck, or None if the seeds do not form a surface."""
     s, t = _rotated(xyz[:, :2] - centre, along)
     surface = _fitted(s, t, xyz[:, 2], seeds)
     if surface is None:
         return None
     off = xyz[:, 2] - _height(surface, s, t)
-    width = max(MIN_SLICE_M, 2.5 * spacing)
+    slice_m = max(MIN_SLICE_M, 2.5 * spacing)
     first = s[seeds].min() - 2 * END_M
     last = s[seeds].max() + 2 * END_M
-    numbers = np.arange(np.floor(first / width), np.ceil(last / width))
-    return _View(s, t, off, surface, numbers * width, width, sides_of(s, t, off, numbers, width, spacing))
+    numbers = np.arange(np.floor(first / slice_m), np.ceil(last / slice_m))
+    sides = sides_of(s, t, off, numbers, slice_m, spacing)
+    return _View(s, t, off, surface, numbers * slice_m, slice_m, sides)
 
 
 def _slope(view: _View, free: Ints) -> float:
-    """Return the slope of the edges of a free part relative to its direction."""
+    """Return the mean slope of both edges of a free part relative to the s axis, or 0 for less than three slices."""
     if len(free) < 3:
         return 0.0
-    return float(np.mean([np.polyfit(view.starts[free], view.sides.edge[free, k], 1)[0] for k in (0, 1)]))
+    slopes = []
+    for side in (0, 1):
+        slope, _ = np.polyfit(view.starts[free], view.sides.edge[free, side], 1)
+        slopes.append(slope)
+    return float(np.mean(slopes))
 
 
 def _wrong_size(length: float, width: float, n_slices: int) -> str:
-    """Return the size of the free part if it is wrong for a deck, or an empty text."""
+    """Return the size of the free part as a text if the size is wrong for a deck, or an empty text."""
     min_length = max(MIN_LENGTH_M, SLIMNESS * width)
     fits = MIN_WIDTH_M <= width <= MAX_WIDTH_M and min_length <= length <= MAX_LENGTH_M
     return "" if fits and n_slices >= MIN_SLICES else f"{length:.0f} m by {width:.0f} m"
 
 
 def _wrong_levels(levels: Floats) -> str:
-    """Return why the levels of the ground next to both sides are wrong for a deck, or an empty text."""
+    """Return why a deck cannot have these heights of the ground on its two sides, or an empty text if it can."""
     clearance = float(-levels.max())
     difference = float(abs(levels[0] - levels[1]))
     if clearance < CLEARANCE_M:
@@ -201,16 +224,17 @@ def _wrong_end(view: _View, ground: Bools, edges: Floats, end: int, step: int, c
     Slices beyond the end have higher numbers if ``step`` is 1, and lower numbers if it is -1. Return the reason why
     this is not the end of a deck, or an empty text.
     """
-    n_slices = int(np.ceil(END_M / view.width))
+    n_slices = int(np.ceil(END_M / view.slice_m))
     near = end + step * np.arange(1, n_slices + 1)
     near = near[(near >= 0) & (near < len(view.starts))]
-    # The ground is halfway up, or it is as high as the deck and extends beyond the edge.
+    # The ground has risen if it is less than half the clearance below the deck. It has also risen if points as high as
+    # the deck lie well beyond the edges of the free part.
     up = view.sides.level[near] > -0.5 * clearance
     up |= (view.sides.edge[near] - np.median(edges, axis=0)) * (-1, 1) > BESIDE_M / 2
     if not up.any(axis=0).all():
         return "the ground next to the deck does not rise at an end"
     road_starts = view.starts[near[:ROAD_SLICES]]
-    box = (view.s >= road_starts.min()) & (view.s < road_starts.max() + view.width)
+    box = (view.s >= road_starts.min()) & (view.s < road_starts.max() + view.slice_m)
     box &= (view.t > np.median(edges[:, 0])) & (view.t < np.median(edges[:, 1]))
     n_road = int((box & ground & (np.abs(view.off) < 2 * TOLERANCE_M)).sum())
     if n_road >= max(MIN_ROAD_POINTS, MIN_ROAD_SHARE * int(box.sum())):
@@ -219,18 +243,22 @@ def _wrong_end(view: _View, ground: Bools, edges: Floats, end: int, step: int, c
 
 
 def _beneath(view: _View, free: Ints, edges: Floats) -> int:
-    """Count the points beneath the free part of a deck, well within its edges."""
+    """Count the points beneath the free part of a deck, at least `INNER_M` inside its edges."""
     inner = (view.t > np.median(edges[:, 0]) + INNER_M) & (view.t < np.median(edges[:, 1]) - INNER_M)
-    inner &= (view.s >= view.starts[free[0]]) & (view.s < view.starts[free[-1]] + view.width)
+    inner &= (view.s >= view.starts[free[0]]) & (view.s < view.starts[free[-1]] + view.slice_m)
     return int((inner & (view.off < -DROP_M)).sum())
 
 
 def _ring(view: _View, free: Ints) -> Floats:
-    """Return the outline (s, t) of the free part, `WIDER_M` wider on each side than its points."""
-    middles = view.starts[free] + view.width / 2
-    middles[0], middles[-1] = view.starts[free[0]], view.starts[free[-1]] + view.width
-    right = np.column_stack((middles, view.sides.edge[free, 0] - WIDER_M))
-    left = np.column_stack((middles, view.sides.edge[free, 1] + WIDER_M))
+    """Return the corners (s, t) of the outline of the free part, `WIDER_M` wider on each side than its points.
+
+    The outline has a corner at the middle of each slice, but at the outer ends of the first and the last slice.
+    """
+    s = view.starts[free] + view.slice_m / 2
+    s[0] = view.starts[free[0]]
+    s[-1] = view.starts[free[-1]] + view.slice_m
+    right = np.column_stack((s, view.sides.edge[free, 0] - WIDER_M))
+    left = np.column_stack((s, view.sides.edge[free, 1] + WIDER_M))
     return np.concatenate((right, left[::-1]))
 
 
@@ -245,7 +273,7 @@ def _height(surface: Surface, s: Floats, t: Floats) -> Floats:
 
 
 def _fitted(s: Floats, t: Floats, z: Floats, seeds: Bools) -> Surface | None:
-    """Fit a surface to the seeds, without outliers. Return None if too few seeds are near it."""
+    """Fit a surface to the seeds, without outliers. Return None if too few seeds are near the surface."""
     all_rows = np.flatnonzero(seeds)
     deviations = np.abs(z[all_rows] - np.median(z[all_rows]))
     rows = all_rows[deviations < max(1.5, 2 * float(np.median(deviations)))]
@@ -261,9 +289,9 @@ def _fitted(s: Floats, t: Floats, z: Floats, seeds: Bools) -> Surface | None:
 
 
 def _longest_run(free: Bools) -> Ints | None:
-    """Return the indices of the longest run of free slices, or None if it has fewer than two.
+    """Return the indices of the free slices of the longest run, or None if there are fewer than two.
 
-    A single slice that is not free does not end a run, but it is left out.
+    A single slice that is not free does not end a run.
     """
     closed = free.copy()
     closed[1:-1] |= free[:-2] & free[2:]

@@ -1,6 +1,6 @@
-"""Search for coarse cells that may be a bridge deck: narrow, with drops on both sides and roads at both ends.
+"""Search for coarse cells that may be part of a bridge deck.
 
-The result depends only on cells within `REACH_M` of a cell.
+A deck is narrow, the ground drops on both sides of it, and a road continues at both ends.
 """
 
 from __future__ import annotations
@@ -16,16 +16,27 @@ Bools = npt.NDArray[np.bool_]
 Ints = npt.NDArray[np.int64]
 
 DIRECTIONS = 8
-"""Number of directions across a deck that are tried, from east by north to west."""
+"""Number of directions that are tried as the direction across a deck.
+
+Direction 0 points east. The others follow counterclockwise at equal angles, up to but not including west.
+"""
 DROP_M = 1.0
-"""Least height of the free part of a deck above the ground next to it."""
-CLEAR_M = 1.8
-"""Least height of a cell above the ground next to it at which the cell may be part of a deck."""
+"""A point counts as lower than a deck only if it is more than this far below the surface of the deck, in metres."""
+MIN_CELL_DROP_M = 1.8
+"""Cells at the edge of a deck have lower cells next to them, by at least this height difference in metres.
+
+The points of a deck are tested more strictly later (`tiler.grid.bridges.deck.CLEARANCE_M`).
+"""
 STEP_M = 0.5
-"""Largest height difference between neighbouring cells of a deck."""
-MAX_WIDTH_M, MAX_LENGTH_M, VOID_M = 40.0, 60.0, 40.0
-"""Largest width of a deck, largest distance along a deck to ground, and largest distance across water to a bank."""
-REACH_M = MAX_WIDTH_M + MAX_LENGTH_M + VOID_M
+"""A deck or a road continues in the next cell if the heights of the cells differ by at most this, in metres."""
+MAX_WIDTH_M = 40.0
+"""Wider areas are not decks, in metres."""
+MAX_ROAD_DISTANCE_M = 60.0
+"""A cell is part of a deck only if a road begins within this distance in both directions along the deck, in metres."""
+VOID_M = 40.0
+"""Ground next to a deck is searched up to this distance, as there may be water without points, in metres."""
+REACH_M = MAX_WIDTH_M + MAX_ROAD_DISTANCE_M + VOID_M
+"""Cells farther away than this cannot change the result for a cell, in metres."""
 
 
 @dataclass(frozen=True)
@@ -34,11 +45,14 @@ class DeckCells:
 
     Attributes
     ----------
-    top, low : float32 (h, w)
-        Highest ground point of each cell (its lowest point if there is no ground point), and its lowest point.
+    top : float32 (h, w)
+        Height of the highest ground point of each cell, or of the lowest point if the cell has no ground point.
+    low : float32 (h, w)
+        Height of the lowest point of each cell.
     ground : bool (h, w)
         Whether a ground point lies in the cell.
     size_m : float
+        Side of a cell.
     """
 
     top: Floats
@@ -65,7 +79,7 @@ class DeckCells:
 
 
 def deck_cells(cells: DeckCells) -> tuple[Ints, Ints, Ints]:
-    """Return the cells that may be decks: rows, columns, and the number of the direction across the deck."""
+    """Return rows, columns and directions of the cells that may be part of a deck with that direction across it."""
     spans = [_spans(cells, direction) for direction in range(DIRECTIONS)]
     marked = np.zeros(cells.top.shape, np.bool_)
     for rows, cols, _ in spans:
@@ -76,28 +90,32 @@ def deck_cells(cells: DeckCells) -> tuple[Ints, Ints, Ints]:
         middle = np.unique(number, return_index=True)[1]
         has_roads = np.ones(int(number.max(initial=-1)) + 1, np.bool_)
         for sign in (1, -1):
-            has_roads &= _road_goes_on(cells, marked, rows[middle], cols[middle], direction, sign)
+            has_roads &= _has_road(cells, marked, rows[middle], cols[middle], direction, sign)
         good = has_roads[number]
         good_cells.append(np.stack((rows[good], cols[good], np.full(int(good.sum()), direction))))
     rows, cols, directions = np.concatenate(good_cells, axis=1)
     return rows, cols, directions
 
 
-def along(direction: int, steps: int) -> tuple[int, int]:
-    """Convert a number of steps in a direction to rows down and columns to the right."""
+def _offset(direction: int, steps: int) -> tuple[int, int]:
+    """Return how many rows down and columns to the right a number of steps in a direction leads."""
     angle = math.pi * direction / DIRECTIONS
     return -round(steps * math.sin(angle)), round(steps * math.cos(angle))
 
 
 def _drops(cells: DeckCells, rows: Ints, cols: Ints, height: Floats, direction: int, sign: int) -> Bools:
-    """Return a mask of the cells next to which the ground, or the first point beyond water, is `CLEAR_M` lower."""
+    """Return a mask of the cells with a drop next to them, in a direction or (``sign`` -1) against it.
+
+    There is a drop if the next cell with points lies `MIN_CELL_DROP_M` below ``height``. Cells without points, such as
+    water, are skipped up to `VOID_M`.
+    """
     has_drop = np.zeros(len(rows), np.bool_)
     waiting = np.ones(len(rows), np.bool_)
     for step in range(1, cells.steps(VOID_M) + 1):
-        down, right = along(direction, sign * step)
+        down, right = _offset(direction, sign * step)
         low = cells.at(cells.low, rows + down, cols + right)
-        has_drop |= waiting & (low <= height - CLEAR_M)
-        # A cell at the edge has points of the deck and of the ground, so one more cell is examined.
+        has_drop |= waiting & (low <= height - MIN_CELL_DROP_M)
+        # The first cell may have points of the deck as well as of the ground, so the second cell is always examined.
         waiting &= ~has_drop & (np.isnan(low) | (step == 1))
         if not waiting.any():
             break
@@ -105,10 +123,11 @@ def _drops(cells: DeckCells, rows: Ints, cols: Ints, height: Floats, direction: 
 
 
 def _spans(cells: DeckCells, direction: int) -> tuple[Ints, Ints, Ints]:
-    """Return rows, columns and span numbers of the cells between two drops.
+    """Return the cells of all spans in a direction: rows, columns and numbers of the spans.
 
-    A span is a line of cells across a deck, from one drop to the other. Its middle cell comes first.
+    A span is a line of cells across a deck, from one drop to the other. The middle cell of a span comes first.
     """
+    # A span starts at a cell with a drop in the direction. It goes on against the direction to the next drop.
     rows, cols = (axis.astype(np.int64) for axis in np.nonzero(~np.isnan(cells.top)))
     edge = _drops(cells, rows, cols, cells.top[rows, cols], direction, 1)
     rows, cols = rows[edge], cols[edge]
@@ -118,7 +137,7 @@ def _spans(cells: DeckCells, direction: int) -> tuple[Ints, Ints, Ints]:
         ended = _drops(cells, rows, cols, previous_top, direction, -1)
         if step:
             spans.append(np.stack((start_rows[ended], start_cols[ended], np.full(int(ended.sum()), step))))
-        down, right = along(direction, -(step + 1))
+        down, right = _offset(direction, -(step + 1))
         rows, cols = start_rows + down, start_cols + right
         here = cells.at(cells.top, rows, cols)
         gap = np.isnan(here) & cells.inside(rows, cols)
@@ -126,43 +145,47 @@ def _spans(cells: DeckCells, direction: int) -> tuple[Ints, Ints, Ints]:
         if step:
             go_on &= ~ended
         previous_top = np.where(gap, previous_top, here)[go_on]
-        rows, cols, start_rows, start_cols = rows[go_on], cols[go_on], start_rows[go_on], start_cols[go_on]
-    first_rows, first_cols, steps = np.concatenate(spans, axis=1)
+        rows, cols = rows[go_on], cols[go_on]
+        start_rows, start_cols = start_rows[go_on], start_cols[go_on]
+    # For each span: its first cell, and the number of steps to its last cell.
+    first_rows, first_cols, last_step = np.concatenate(spans, axis=1)
     span_cells = []
     for step in range(cells.steps(MAX_WIDTH_M) + 1):
-        down, right = along(direction, -step)
-        has = np.flatnonzero(steps >= step)
-        middle = (step == steps[has] // 2).astype(np.int64)
-        span_cells.append(np.stack((has, 1 - middle, first_rows[has] + down, first_cols[has] + right)))
+        down, right = _offset(direction, -step)
+        spans_here = np.flatnonzero(last_step >= step)
+        not_middle = (step != last_step[spans_here] // 2).astype(np.int64)
+        rows, cols = first_rows[spans_here] + down, first_cols[spans_here] + right
+        span_cells.append(np.stack((spans_here, not_middle, rows, cols)))
     number, not_middle, rows, cols = np.concatenate(span_cells, axis=1)
     order = np.lexsort((not_middle, number))
     return rows[order], cols[order], number[order]
 
 
-def _road_goes_on(
-    cells: DeckCells, marked: Bools, rows: Ints, cols: Ints, direction: int, sign: int
-) -> Bools:
-    """Return a mask of the cells from which ground beyond the deck can be reached without a step in height.
+def _has_road(cells: DeckCells, marked: Bools, rows: Ints, cols: Ints, direction: int, sign: int) -> Bools:
+    """Return a mask of the cells from which a straight path along the deck leads to a road.
 
-    The path is straight, at right angles to the direction ``direction`` across the deck.
+    A road is two successive cells of ground that are not ``marked`` as deck; there may be cells without points between
+    them. The path has no steps above `STEP_M`, and at most two successive cells without points. ``direction`` points
+    across the deck. ``sign`` selects the end of the deck.
     """
-    goes_on = np.zeros(len(rows), np.bool_)
-    paths = np.arange(len(rows))
+    has_road = np.zeros(len(rows), np.bool_)
+    paths = np.arange(len(rows))  # Indices of the cells whose paths still go on.
     previous_top = cells.at(cells.top, rows, cols)
     gaps = np.zeros(len(rows), np.int64)
-    arrived = np.zeros(len(rows), np.int64)
-    turn = direction + sign * DIRECTIONS // 2
-    for step in range(1, cells.steps(MAX_LENGTH_M) + 1):
-        down, right = along(turn, step)
+    n_road = np.zeros(len(rows), np.int64)
+    along = direction + sign * DIRECTIONS // 2
+    for step in range(1, cells.steps(MAX_ROAD_DISTANCE_M) + 1):
+        down, right = _offset(along, step)
         r, c = rows[paths] + down, cols[paths] + right
         here, inside = cells.at(cells.top, r, c), cells.inside(r, c)
         unknown = np.isnan(here)
         gaps = np.where(unknown, gaps + 1, 0)
         road = np.zeros(len(paths), np.bool_)
         road[inside] = cells.ground[r[inside], c[inside]] & ~marked[r[inside], c[inside]]
-        arrived = np.where(unknown, arrived, np.where(road, arrived + 1, 0))
-        goes_on[paths[arrived >= 2]] = True
-        go_on = inside & (arrived < 2) & np.where(unknown, gaps <= 2, np.abs(here - previous_top) <= STEP_M)
+        n_road = np.where(unknown, n_road, np.where(road, n_road + 1, 0))
+        has_road[paths[n_road >= 2]] = True
+        passable = np.where(unknown, gaps <= 2, np.abs(here - previous_top) <= STEP_M)
+        go_on = inside & (n_road < 2) & passable
         previous_top = np.where(unknown, previous_top, here)[go_on]
-        paths, gaps, arrived = paths[go_on], gaps[go_on], arrived[go_on]
-    return goes_on
+        paths, gaps, n_road = paths[go_on], gaps[go_on], n_road[go_on]
+    return has_road

@@ -13,18 +13,24 @@ Floats = npt.NDArray[np.float64]
 Bools = npt.NDArray[np.bool_]
 
 TOLERANCE_M = 0.3
-"""Largest distance of the points of a deck from its surface."""
+"""Points of a deck are at most this far from its surface, in metres."""
 BESIDE_M = 4.0
-"""Distance from an edge within which the ground has to be lower."""
+"""Points up to this distance beyond an edge are next to the edge, in metres."""
 FARTHER_M = 40.0
-"""Largest distance from an edge to the next lower point. Water in between may not return pulses."""
+"""If there are no points next to an edge, ground is searched up to this distance: water may not return pulses."""
+MAX_ABOVE_M = 4.0
+"""In that search, points higher than this above the deck do not count as ground, in metres."""
+EDGE_M = 0.2
+"""Points nearer to an edge than this do not count as next to the edge, in metres."""
+LOW = 0.6
+"""A point next to an edge counts as low if it is below this share of the drop to the ground."""
 BETWEEN = 0.34
-"""Largest share of the points next to an edge that may lie between the deck and the ground below it."""
+"""An edge is free if at most this share of the points next to the edge is not low."""
 
 
 @dataclass(frozen=True)
 class DeckEdges:
-    """Edges of a deck: arrays (slices, 2), for both sides of each slice.
+    """Edges of a deck in metres: arrays (slices, 2), for both sides of each slice.
 
     Attributes
     ----------
@@ -33,7 +39,7 @@ class DeckEdges:
     free : bool
         Whether the ground next to the edge is lower, with few points in between.
     level : float64
-        Height of the ground next to the edge above the surface of the deck, or NaN if it is unknown.
+        Height of the ground next to the edge, relative to the deck (below 0 for lower ground). NaN if it is unknown.
     """
 
     edge: Floats
@@ -41,65 +47,78 @@ class DeckEdges:
     level: Floats
 
     def both_free(self) -> Bools:
-        """Return a mask of the slices that stand free on both sides."""
+        """Return a mask of the slices with two free edges."""
         is_free: Bools = self.free[:, 0] & self.free[:, 1]
         return is_free
 
 
-def sides_of(s: Floats, t: Floats, off: Floats, bins: Floats, width: float, spacing: float) -> DeckEdges:
-    """Find the edges of a deck in slices of ``width`` with the numbers ``bins``, and the heights next to them.
+def sides_of(s: Floats, t: Floats, off: Floats, numbers: Floats, slice_m: float, spacing: float) -> DeckEdges:
+    """Find the edges of a deck, and the heights next to the edges, in each slice.
 
-    All points have the coordinates ``s`` along the deck, ``t`` across it and ``off`` above its surface. Their
-    spacing is ``spacing``.
+    All lengths are in metres.
+
+    Parameters
+    ----------
+    s, t, off : float64 (n,)
+        Positions of points along and across the deck, and heights above its surface.
+    numbers : float64 (slices,)
+        Consecutive numbers of the slices. A slice starts at its number times ``slice_m`` along the deck.
+    slice_m : float
+        Length of a slice along the deck.
+    spacing : float
+        Spacing of the points.
     """
-    n = len(bins)
+    n = len(numbers)
     edge = np.full((n, 2), np.nan)
     free = np.zeros((n, 2), np.bool_)
     level = np.full((n, 2), np.nan)
-    number = np.floor(s / width) - bins[0]
-    order = np.argsort(number, kind="stable")
-    starts = np.searchsorted(number[order], np.arange(n + 1))
+    slice_of = np.floor(s / slice_m) - numbers[0]
+    order = np.argsort(slice_of, kind="stable")
+    starts = np.searchsorted(slice_of[order], np.arange(n + 1))
     for i in range(n):
         rows = order[starts[i] : starts[i + 1]]
         deck = np.sort(t[rows][np.abs(off[rows]) < TOLERANCE_M])
-        cluster = _around_zero(deck, max(1.5, 4 * spacing))
-        if cluster is None:
+        both_edges = _group_around_zero(deck, max(1.5, 4 * spacing))
+        if both_edges is None:
             continue
-        edge[i] = cluster
+        edge[i] = both_edges
         for k, sign in enumerate((-1, 1)):
             away = sign * (t[rows] - edge[i, k])
             free[i, k], level[i, k] = _beside(away, off[rows])
     return DeckEdges(edge, free, level)
 
 
-def _around_zero(t: Floats, gap: float) -> tuple[float, float] | None:
-    """Return the first and last value of the group around 0 without gaps wider than ``gap``, or None."""
+def _group_around_zero(t: Floats, gap: float) -> tuple[float, float] | None:
+    """Return the first and last value of the group around 0 in sorted values, or None if there is no such group.
+
+    Gaps wider than ``gap`` separate groups. The group has to have two values, and to come within ``gap`` of 0.
+    """
     if len(t) < 2:
         return None
     groups = np.split(t, np.flatnonzero(np.diff(t) > gap) + 1)
-    best = min(groups, key=lambda g: max(g[0], -g[-1], 0.0))
-    if max(best[0], -best[-1]) > gap or len(best) < 2:
+    nearest = min(groups, key=lambda g: max(g[0], -g[-1], 0.0))
+    if max(nearest[0], -nearest[-1]) > gap or len(nearest) < 2:
         return None
-    return float(best[0]), float(best[-1])
+    return float(nearest[0]), float(nearest[-1])
 
 
 def _beside(away: Floats, off: Floats) -> tuple[bool, float]:
     """Return whether an edge is free, and the level of the ground next to it (see `DeckEdges`).
 
-    ``away`` and ``off`` are the distances of points beyond the edge, and their heights above the surface of the deck.
+    ``away`` is the distance of points beyond the edge, and ``off`` is their height above the surface of the deck.
     """
-    near = (away > 0.2) & (away < BESIDE_M) & (off < TOLERANCE_M)
+    near = (away > EDGE_M) & (away < BESIDE_M) & (off < TOLERANCE_M)
     lower = off[near & (off < -DROP_M)]
     if not len(lower):
         if near.sum() > 2:
             return False, float(np.median(off[near]))
-        beyond = np.flatnonzero((away >= BESIDE_M) & (away < FARTHER_M) & (off < 4.0))
+        beyond = np.flatnonzero((away >= BESIDE_M) & (away < FARTHER_M) & (off < MAX_ABOVE_M))
         if not len(beyond):
             return False, float("nan")
         nearest = beyond[np.argsort(away[beyond], kind="stable")[:3]]
         level = float(np.median(off[nearest]))
         return level < -DROP_M, level
     level = float(np.median(lower))
-    low = near & (off < 0.6 * level)
+    low = near & (off < LOW * level)
     between = near & ~low
     return bool(between.sum() <= BETWEEN * near.sum()), level

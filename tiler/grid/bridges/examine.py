@@ -23,23 +23,29 @@ from tiler.store import TileStore, open_store
 Bools = npt.NDArray[np.bool_]
 Counts = npt.NDArray[np.int64]
 CandidateCells = tuple[tuple[int, int, int], ...]
-"""Row, column and direction across (see `deck_cells`) of each cell of a candidate."""
+"""Row, column and direction of each cell of a candidate (see `deck_cells`)."""
 
-AROUND_M = 45.0
-"""Distance from a candidate within which points are examined."""
+EXAMINED_M = 45.0
+"""Points up to this distance from a candidate are examined, in metres."""
 VOXEL_M = (0.25, 0.25, 0.1)
-"""Sides of the voxels that replace points, so that neither their density nor their order matters."""
+"""Sides of a voxel in metres.
+
+The centres of voxels replace the points, so that neither the density nor the order of the points matters.
+"""
 LOWEST = -(1 << 31)
-"""Height in counts below which no point lies."""
+"""All points are at least this high, in counts. Their heights are below ``-LOWEST``."""
 MIN_POINTS = 12
-"""Least number of points of a deck."""
+"""A candidate needs at least this many points in its cells."""
 MAX_DIRECTIONS = 3
-"""Largest number of directions across a deck that are tried. The directions of most cells come first."""
+"""Number of directions of a candidate that are tried, the direction of the most cells first."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class FindDeckCells(BlockWork):
-    """Arguments of `find_deck_cells`: a block of coarse cells, and the rule for ground points, without edits."""
+    """Arguments of `find_deck_cells`: a block of coarse cells, and the rule for ground points.
+
+    The rule has no edits, because the search for decks precedes all edits.
+    """
 
     rule: GroundSelection
 
@@ -63,12 +69,12 @@ class ExamineDecks:
 
 
 def find_deck_cells(store_url: str, work: FindDeckCells) -> dict[str, Any]:
-    """Find the cells of a block that may be decks. This is a `tiler.schedule.task.Work`.
+    """Find the cells of a block that may be part of a deck. This is a `tiler.schedule.task.Work`.
 
     Returns
     -------
     dict
-        ``cells``: row, column and direction across for each cell.
+        ``cells``: the `CandidateCells` of the block.
     """
     store, spec, block = open_store(store_url), work.spec, work.block
     size_m = float(spec.lattice.size * store.meta.frame.metres_xy)
@@ -78,8 +84,8 @@ def find_deck_cells(store_url: str, work: FindDeckCells) -> dict[str, Any]:
     top = np.full(shape, -np.inf, np.float32)
     window = Block(block.row - pad, block.col - pad, *shape)
     bounds = spec.block_bounds(window)
-    for cell in store.buckets_within(bounds):
-        points, chosen, is_ground = _points(store, work.rule, cell, bounds)
+    for bucket in store.buckets_within(bounds):
+        points, chosen, is_ground = _points(store, work.rule, bucket, bounds)
         cell_indices = _cells(points, chosen, store, spec, window)
         z = (points.xyz[2][chosen] * float(store.meta.frame.metres_z)).astype(np.float32)
         np.minimum.at(low, cell_indices, z)
@@ -102,8 +108,7 @@ def examine_decks(store_url: str, work: ExamineDecks) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``decks``: ``ring``, ``surface`` (the fields of `tiler.core.edits.DeckSurface` up to its limits), ``length_m``,
-        ``width_m``, ``clearance_m`` and ``below`` of each deck. ``reasons``: why each other candidate is not a deck.
+        ``decks``: the record of each deck (see `_record`). ``reasons``: why each other candidate is not a deck.
     """
     store, spec = open_store(store_url), work.spec
     frame = store.meta.frame
@@ -123,22 +128,25 @@ def examine_decks(store_url: str, work: ExamineDecks) -> dict[str, Any]:
 
 
 def _examine(
-    spec: RasterSpec, cells: CandidateCells, window: Bounds, counts: Counts, ground: Bools, metres: Any
+    spec: RasterSpec, cells: CandidateCells, window: Bounds, points: Counts, ground: Bools, metres: Any
 ) -> tuple[dict[str, Any] | None, str]:
-    """Find a deck among the points of a window. Return it, or None and the reason why there is none."""
-    if len(counts) < MIN_POINTS:
+    """Find a deck among the points of a window. Return its record, or None and the reason why there is none.
+
+    ``points`` (n, 3) are in counts. ``metres`` (3,) is the length of a count along each axis.
+    """
+    if len(points) < MIN_POINTS:
         return None, "too few points"
-    rows = spec.north - 1 - spec.lattice.index(counts[:, 1])
-    cols = spec.lattice.index(counts[:, 0]) - spec.west
+    rows = spec.north - 1 - spec.lattice.index(points[:, 1])
+    cols = spec.lattice.index(points[:, 0]) - spec.west
     top, left = int(rows.min()), int(cols.min())
     rows, cols = rows - top, cols - left
     shape = (int(rows.max()) + 1, int(cols.max()) + 1)
     occupied = np.zeros(shape, np.bool_)
     occupied[rows, cols] = True
-    side = float(spec.lattice.size) * float(metres[0])
-    spacing = side * math.sqrt(int(occupied.sum()) / len(counts))
+    cell_m = float(spec.lattice.size) * float(metres[0])
+    spacing = cell_m * math.sqrt(int(occupied.sum()) / len(points))
     corner = np.array((window.x0, window.y0, 0.0))
-    xyz = (counts - corner) * metres
+    xyz = (points - corner) * metres
     cell_array = np.array(cells)
     reason = "too few points"
     votes = np.bincount(cell_array[:, 2], minlength=DIRECTIONS)
@@ -162,18 +170,21 @@ def examined_bounds(spec: RasterSpec, cells: CandidateCells, metres: float) -> B
     rows, cols, _ = np.array(cells).T
     top, left = int(rows.min()), int(cols.min())
     block = Block(top, left, int(rows.max()) - top + 1, int(cols.max()) - left + 1)
-    return spec.block_bounds(block).pad(math.ceil(AROUND_M / metres))
+    return spec.block_bounds(block).pad(math.ceil(EXAMINED_M / metres))
 
 
 def _voxels(store: TileStore, rule: GroundSelection, bounds: Bounds, metres: Any) -> tuple[Counts, Bools]:
-    """Return the centres (n, 3) in counts of the occupied voxels within bounds, and whether each has a ground point."""
+    """Return the centres of the voxels with points, (n, 3) in counts, and a mask of the voxels with ground points.
+
+    Each voxel gets a number, so that the voxels of all buckets can be sorted.
+    """
     steps = np.maximum(np.round(np.array(VOXEL_M) / metres), 1).astype(np.int64)
     first = np.array((bounds.x0 // steps[0], bounds.y0 // steps[1], LOWEST // steps[2]))
     n_y = bounds.y1 // steps[1] - first[1] + 1
     n_z = 2 * -first[2]
     parts = [np.empty(0, np.int64)]
-    for cell in store.buckets_within(bounds):
-        points, chosen, is_ground = _points(store, rule, cell, bounds)
+    for bucket in store.buckets_within(bounds):
+        points, chosen, is_ground = _points(store, rule, bucket, bounds)
         ox, oy = store.meta.frame.origin
         x, y, z = points.xyz[:, chosen].astype(np.int64) + np.array(((ox,), (oy,), (0,)))
         column = (x // steps[0] - first[0]) * n_y + y // steps[1] - first[1]
@@ -189,28 +200,32 @@ def _voxels(store: TileStore, rule: GroundSelection, bounds: Bounds, metres: Any
 
 
 def _points(
-    store: TileStore, rule: GroundSelection, cell: Any, bounds: Bounds
+    store: TileStore, rule: GroundSelection, bucket: Any, bounds: Bounds
 ) -> tuple[PointBlock, Bools, Bools]:
-    """Return the points of a bucket, and masks of its surface points in ``bounds`` and of its ground points."""
-    points, chosen = surface_points(store, rule, cell)
+    """Return the points of a bucket, a mask of its surface points in ``bounds``, and a mask of its ground points."""
+    points, chosen = surface_points(store, rule, bucket)
     chosen &= points.inside(bounds, store.meta.frame.origin)
     if rule.labels is None:
-        return points, chosen, read_classes(store, rule, cell)[2]
-    labels = store.read_labels(rule.labels, cell) & ~np.uint8(UNCERTIFIED_BIT)
+        return points, chosen, read_classes(store, rule, bucket)[2]
+    labels = store.read_labels(rule.labels, bucket) & ~np.uint8(UNCERTIFIED_BIT)
     return points, chosen, rule.is_ground()[labels]
 
 
 def _cells(
     points: PointBlock, chosen: Bools, store: TileStore, spec: RasterSpec, window: Block
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Return rows and columns of the cells of points, relative to a window that may extend beyond the raster."""
+    """Return row and column of the cell of each point, counted from the first row and column of a window."""
     x, y = (points.xyz[axis][chosen].astype(np.int64) + store.meta.frame.origin[axis] for axis in (0, 1))
     rows = spec.north - 1 - spec.lattice.index(y) - window.row
     return rows, spec.lattice.index(x) - spec.west - window.col
 
 
 def _record(deck: Deck, metres: Any, corner: Any) -> dict[str, Any]:
-    """Return the record of a deck: outline and surface in counts, sizes in metres."""
+    """Return the record of a deck: outline (``ring``) and ``surface`` in counts, sizes in metres.
+
+    ``surface`` has the first eight fields of `tiler.core.edits.DeckSurface`, without ``low`` and ``high``.
+    ``corner`` is the position in counts of the origin of the deck.
+    """
     ring = np.rint(deck.ring / metres[:2] + corner[:2]).astype(np.int64)
     (x, y), (a, b, c, d) = deck.centre, deck.surface
     flat, high = float(metres[0]), float(metres[2])

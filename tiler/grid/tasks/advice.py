@@ -18,7 +18,7 @@ from tiler.schedule.worker import compute
 from tiler.store import Commits
 
 CROWN_BLOCKS = 16
-"""Number of blocks in which one task searches for crowns. A block takes at most half a second."""
+"""One task searches for crowns in this many blocks. A block takes at most half a second."""
 
 
 def advise(job: Job, labelled: Labelled, spec: RasterSpec, made: Commits, waters: str | None) -> None:
@@ -27,12 +27,13 @@ def advise(job: Job, labelled: Labelled, spec: RasterSpec, made: Commits, waters
     ``waters`` is the key of the bodies of water in the store, if there are any.
     """
     building = job.plan.parameters.get("max_building_size_m")
-    # A method that searches for canopy itself has already warned about it.
-    crowns = labelled.matched and CanopyPass.name not in labelled.statistics
-    if not (building or crowns):
+    # If the filter has searched for canopies, there is a warning about crowns already.
+    checks_crowns = labelled.matched and CanopyPass.name not in labelled.statistics
+    if not (building or checks_crowns):
         return
-    inputs = [building, crowns, waters]
+    inputs = [building, checks_crowns, waters]
     advice_state = job.store.get_state("advice")
+    # The search is repeated if the terrain or the inputs changed, or if an earlier version stored no positions.
     if (
         job.record.stages["grid-dtm"]["computed"]
         or not advice_state
@@ -40,9 +41,9 @@ def advise(job: Job, labelled: Labelled, spec: RasterSpec, made: Commits, waters
         or "at" not in advice_state
     ):
         filled = tuple(key for key, (_, record) in made.items() if record["filled"])
-        flaws = [_roofs(job, spec, filled, waters) if building is not None else None]
-        flaws.append(_crowns(job, spec, filled) if crowns else None)
-        advices = [advice for advice in flaws if advice is not None]
+        found = [_roofs(job, spec, filled, waters) if building is not None else None]
+        found.append(_crowns(job, spec, filled) if checks_crowns else None)
+        advices = [advice for advice in found if advice is not None]
         texts = [advice.text for advice in advices]
         positions = [[advice.x, advice.y] for advice in advices]
         advice_state = {"asked": inputs, "texts": texts, "at": positions}

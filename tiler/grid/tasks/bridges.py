@@ -32,26 +32,30 @@ from tiler.store import Commits
 from tiler.version import __version__
 
 REMOVE = "remove"
+"""Value of ``--bridges`` with which bridges are searched."""
 CELLS, DECKS = "deck-cells", "decks"
-"""Names of the stages."""
+"""Names of the stages: search for cells that may be part of a deck, and examination of candidates."""
 MAX_EXTENT_M = 600.0
-"""Largest extent of a candidate. Larger areas are not bridges, and have too many points for one task."""
+"""Candidates that extend farther than this are left out, in metres.
+
+They are not bridges, and have too many points for one task.
+"""
 TOUCHING = 1.5
-"""Largest distance between the centres of touching cells: longer than a diagonal, shorter than two cells."""
+"""Cells touch if their centres are at most this far apart, in cells. Diagonal neighbours touch, too."""
 MAX_REPORTED = 5
-"""Number of bridges whose sizes and positions are in the log. The report lists all."""
+"""The log has the sizes and positions of at most this many bridges. The report has all."""
 MIN_CELLS = 4
-"""Least number of cells of a candidate."""
-ABOVE_M = 0.6
-"""Largest height of a deck's points above its surface."""
+"""A candidate has at least this many cells."""
+MAX_ABOVE_M = 0.6
+"""Points up to this height above the surface of a deck belong to the deck, in metres."""
 
 
 def find_bridges(
     job: Job, assembled: IngestResult, labels: Mapping[Cell, str]
 ) -> tuple[tuple[Edit, ...], tuple[DrawnDeck, ...]]:
-    """Find the decks in the terrain. Return edits of their points, and their outlines for output.
+    """Find the decks in the terrain. Return edits that remove the decks, and the outlines of the decks for output.
 
-    Both are empty if bridges stay in the terrain.
+    Edits and outlines are empty if bridges stay in the terrain.
     """
     if job.plan.config.bridges != REMOVE:
         return (), ()
@@ -59,7 +63,8 @@ def find_bridges(
     cells = run_stage(job, CELLS, _cell_tasks(g))
     made = run_stage(job, DECKS, _deck_tasks(g, cells))
     decks: list[dict[str, Any]] = []
-    for _, (_, record) in sorted(made.items()):
+    for name in sorted(made):
+        _, record = made[name]
         decks += record["decks"]
     decks = _without_parts(decks)
     job.facts["bridges"] = [_fact(deck) for deck in decks]
@@ -70,7 +75,7 @@ def find_bridges(
 
 
 def _note(records: Sequence[Mapping[str, Any]], frame: CoordFrame) -> str:
-    """Return a line about the bridges that were found."""
+    """Return a line for the log about the bridges that were found."""
     if not records:
         return "no bridge was found above the ground, so none was removed from the terrain (--bridges remove)"
     texts = []
@@ -85,7 +90,7 @@ def _note(records: Sequence[Mapping[str, Any]], frame: CoordFrame) -> str:
 
 
 def _cell_tasks(g: GridContext) -> Iterator[Task]:
-    """Yield a task for each block of coarse cells with points."""
+    """Yield a task for each block of coarse cells that has points."""
     spec, rule, lattice = g.coarse, g.rule, g.plan.meta.bucket
     margin = math.ceil((REACH_M + float(g.coarse_m)) / float(g.plan.meta.frame.metres_xy))
     for block, buckets in spec.blocks_near(lattice, g.labels, BLOCK_PIXELS).items():
@@ -96,7 +101,10 @@ def _cell_tasks(g: GridContext) -> Iterator[Task]:
 
 
 def _deck_tasks(g: GridContext, deck_cells: Commits) -> Iterator[Task]:
-    """Yield a task for the candidates of each bucket: groups of touching cells that may be decks."""
+    """Yield a task for each bucket with candidates.
+
+    A candidate belongs to the bucket at the south-west corner of the area that is examined for it.
+    """
     spec, rule, lattice = g.coarse, g.rule, g.plan.meta.bucket
     metres = float(g.plan.meta.frame.metres_xy)
     groups: dict[Cell, list[CandidateCells]] = defaultdict(list)
@@ -107,15 +115,14 @@ def _deck_tasks(g: GridContext, deck_cells: Commits) -> Iterator[Task]:
             groups[next(lattice.cells(bounds))].append(cells)
     for cell, candidates in sorted(groups.items()):
         work = ExamineDecks(rule, spec, tuple(candidates))
-        near = lattice.among(
-            reduce(Bounds.union, (examined_bounds(spec, c, metres) for c in candidates)), g.labels
-        )
+        examined = [examined_bounds(spec, cells, metres) for cells in candidates]
+        near = lattice.among(reduce(Bounds.union, examined), g.labels)
         digest = digest_of(__version__, work, g.label_digests(near))
         yield Task(DECKS, cell.name, digest, examine_decks, work, g.n_points(near))
 
 
 def _candidates(deck_cells: Commits) -> Iterator[CandidateCells]:
-    """Yield groups of touching cells, across blocks, in the order of rows and columns."""
+    """Yield groups of touching cells in the order of rows and columns. Cells of different blocks can form a group."""
     distinct: set[tuple[int, ...]] = set()
     for _, record in deck_cells.values():
         distinct.update(map(tuple, record["cells"]))
@@ -124,11 +131,15 @@ def _candidates(deck_cells: Commits) -> Iterator[CandidateCells]:
         return
     tree = scipy.spatial.cKDTree([cell[:2] for cell in cells])
     for group in components(range(len(cells)), tree.query_pairs(TOUCHING)):
-        yield tuple((int(r), int(c), int(d)) for r, c, d in (cells[i] for i in group))
+        candidate = []
+        for i in group:
+            row, col, direction = cells[i]
+            candidate.append((int(row), int(col), int(direction)))
+        yield tuple(candidate)
 
 
 def _without_parts(records: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
-    """Return the decks without those that lie mostly within larger decks and are probably parts of them."""
+    """Return the decks, without decks that lie mostly within a larger deck and are probably a part of it."""
     kept: list[tuple[Any, dict[str, Any]]] = []
     for record in sorted(records, key=lambda r: (-r["length_m"] * r["width_m"], r["ring"])):
         shape = shapely.make_valid(shapely.Polygon(record["ring"]))
@@ -138,10 +149,13 @@ def _without_parts(records: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 
 
 def _edit(number: int, record: Mapping[str, Any], metres_z: float) -> Edit:
-    # Up to half the clearance, at most `DROP_M`, points below the surface belong to the deck.
+    """Return the edit that removes a deck: the points inside its outline and near its surface."""
+    # Points that lie lower than this below the surface may be ground under the bridge.
     low = min(record["clearance_m"] / 2, DROP_M)
-    surface = DeckSurface(*(float(v) for v in (*record["surface"], low / metres_z, ABOVE_M / metres_z)))
-    return Edit(number, DECK, Area(((np.array(record["ring"], np.int64),),)), deck=surface)
+    values = (*record["surface"], low / metres_z, MAX_ABOVE_M / metres_z)
+    surface = DeckSurface(*(float(value) for value in values))
+    outline = np.array(record["ring"], np.int64)
+    return Edit(number, DECK, Area(((outline,),)), deck=surface)
 
 
 def _outline(record: Mapping[str, Any]) -> DrawnDeck:

@@ -1,4 +1,4 @@
-"""Closed canopy in a run: the cells for its raster, its entries in run.json, and a warning."""
+"""Closed canopy in a run: the cells for the raster ``canopy``, the entries in run.json, and a warning."""
 
 from __future__ import annotations
 
@@ -27,26 +27,28 @@ from tiler.runs.job import Job
 from tiler.store import Commits
 
 MIN_WARNED_SHARE = 0.1
-"""Least share of canopy in the area for a warning."""
+"""A canopy causes a warning if it covers at least this share of the area."""
 MAX_POSITIONS = 3
-"""Number of positions in the warning, those with the most canopy."""
+"""The warning has the positions of at most this many blocks, which are the blocks with the most canopy."""
 HIDES = "a closed canopy (crowns, or tall rough roofs side by side) hides the ground"
 MIN_MAPPED_SHARE = 0.5
-"""Least share of canopy in a block that the report's map shows."""
+"""The map of the report shows blocks if canopy covers at least this share of the block."""
 
 
 @dataclass(frozen=True)
 class CanopyCells:
-    """Cells of the photogrammetric cloud, and the codes that mark canopy among them.
+    """Robust cells of a photogrammetric cloud. The label of a cell says whether it lies under a canopy.
 
     Attributes
     ----------
-    elected, labels : str
-        Names in the store of the cells and of their codes.
+    elected : str
+        Name of the cells in the store, as elected points.
+    labels : str
+        Name of the labels of the cells in the store.
     side : Fraction
-        Side of a cell in counts where points are dense. Elsewhere the side of a cell is twice as long.
+        Side of a cell in counts in areas with dense points. In other areas the side is twice as long.
     digests : mapping of Cell to str
-        Digest of the cells and codes of each bucket.
+        Digest of the cells and labels of each bucket.
     """
 
     elected: str
@@ -56,9 +58,9 @@ class CanopyCells:
 
 
 def canopy_cells(job: Job, assembled: IngestResult, labelled: Labelled) -> CanopyCells | None:
-    """Return the cells among which the filter found a canopy, or None if it found none or did not search.
+    """Return the cells in which the filter found a canopy, or None if it found none or did not search for canopies.
 
-    Add the result to run.json as ``canopy`` and warn about it.
+    Add the result to run.json as ``canopy``, and warn about a large canopy.
     """
     state = labelled.statistics.get(CanopyPass.name)
     if state is None:
@@ -69,6 +71,7 @@ def canopy_cells(job: Job, assembled: IngestResult, labelled: Labelled) -> Canop
         return None
     passes = METHODS[job.plan.config.method].params(**job.plan.parameters).passes
     number = next(n for n, step in enumerate(passes) if step.name == CanopyPass.name)
+    # The cells are the points that the last electing pass before the search made.
     electing = max(n for n, step in enumerate(passes[:number]) if step.elects and step.applies(state))
     made = job.store.committed(f"filter{number}")
     _report(job, share, made)
@@ -93,11 +96,11 @@ def _report(job: Job, share: float, made: Commits) -> None:
     job.facts["canopy_doubts"] = [_doubt(block, blocks[block] / BLOCK_M**2, unit) for block in fullest]
     around = " and ".join(f"x {x:.0f}, y {y:.0f}" for x, y in centres)
     effect = (
-        "the terrain there is bridged up to --max-edge from the ground around it (mask 6; --voids fill also bridges "
-        "wider gaps, --canopy void leaves it without heights)"
+        "the terrain there is bridged from the ground around the canopy, up to --max-edge (mask 6; use --voids fill to "
+        "bridge wider gaps as well, or --canopy void for a terrain without heights there)"
     )
     if job.plan.config.canopy == VOID_CANOPY:
-        effect = "the terrain has no heights there (--canopy fill bridges it from the ground around it)"
+        effect = "the terrain has no heights there (use --canopy fill to bridge it from the ground around the canopy)"
     hidden = f"{HIDES} in {percent(share)} % of the area, most of all around {around}"
     job.listener(Warned(f"{hidden}: {effect}"))
 
@@ -111,7 +114,10 @@ def _doubt(block: tuple[int, int], share: float, unit: float) -> dict[str, Any]:
 
 
 def _rings(blocks: Mapping[tuple[int, int], int], unit: float) -> list[list[float]]:
-    """Return rings in units of the CRS around the blocks that are mostly canopy, for the map."""
+    """Return rings in units of the CRS around the blocks that are mostly canopy, for the map.
+
+    If there are no such blocks, the rings surround the blocks with the most canopy.
+    """
     min_m2 = min(MIN_MAPPED_SHARE * BLOCK_M**2, max(blocks.values()))
     mapped = np.array([block for block, area_m2 in blocks.items() if area_m2 >= min_m2], np.float64)
     side = BLOCK_M / unit

@@ -1,6 +1,6 @@
 """User features of a run: edits of points and heights, and breaklines.
 
-They change only the digests of the buckets and blocks that they intersect, so that only these are processed again.
+A feature changes only the digests of the buckets and blocks that it can affect, so that no others are processed again.
 """
 
 from __future__ import annotations
@@ -32,8 +32,8 @@ from tiler.version import __version__
 
 EDITED = ("dtm", "dtm-filled", "dtm-outlined", "water-terrain")
 """Rasters whose heights edits can set."""
-COUNTS_HOLES = "dtm-outlined"
-"""Raster whose records count the holes inside each edit, including edits of points."""
+HOLES_COUNTED_IN = "dtm-outlined"
+"""Raster whose records count the holes inside each edit. It depends on the outlines of all edits, also of points."""
 FOLLOWS_LINES = ("dtm", "water-terrain")
 """Rasters whose TIN includes breaklines."""
 
@@ -47,9 +47,9 @@ class Corrections:
     edits : Edits or None
     lines : Breaklines or None
     line_digests : mapping of Cell to str
-        Digest of the breaklines in each bucket of the lattice, even if the bucket has no points.
+        Digest of the breaklines in each bucket, even if the bucket has no points.
     decks : tuple of DrawnDeck
-        Decks of bridges that are left out. Edits remove their points.
+        Decks of bridges. ``edits`` remove the points of these decks from the terrain.
     """
 
     edits: Edits | None = None
@@ -58,7 +58,10 @@ class Corrections:
     decks: tuple[DrawnDeck, ...] = ()
 
     def add_to_task(self, plan: Plan, name: str, task: Task) -> Task:
-        """Return a task of a raster with the edits and breaklines, and with those near its block in its digest."""
+        """Return a task of the raster ``name`` with the edits and breaklines.
+
+        The digest of the task includes the edits and breaklines that can change its block.
+        """
         bounds = task.arguments.place(plan.meta.bucket) if isinstance(task.arguments, Placed) else None
         if bounds is None:
             return task
@@ -66,7 +69,7 @@ class Corrections:
         if self.edits is not None:
             task = _with_edits(task, self.edits.key)
             if name in EDITED:
-                actions = ACTIONS if name == COUNTS_HOLES else OF_PIXELS
+                actions = ACTIONS if name == HOLES_COUNTED_IN else OF_PIXELS
                 digests += self.edits.digest(bounds, actions)
         if self.lines is not None and name in FOLLOWS_LINES:
             task = replace(task, arguments=replace(task.arguments, breaklines=self.lines.key))
@@ -74,7 +77,7 @@ class Corrections:
         return replace(task, digest=digest_of(task.digest, digests)) if digests else task
 
     def _lines_near(self, plan: Plan, bounds: Bounds) -> list[Any]:
-        """Return the buckets whose breaklines can change a block through a facet, with their digests."""
+        """Return column, row and digest of the buckets whose breaklines can change the facets of a block."""
         digests = self.line_digests or {}
         facet_reach = full_halo(plan.meta.frame.counts(plan.config.max_edge))
         facet_reach += math.ceil(3 * plan.meta.frame.counts(plan.resolution))
@@ -83,7 +86,7 @@ class Corrections:
 
 
 def _with_edits(task: Task, key: str) -> Task:
-    """Return a task with the key of the edits, which its digest does not include."""
+    """Return a task with the key of the edits if the task takes the key. The key does not change the digest."""
     work = task.arguments
     if isinstance(work, FillBlock | OutlineBlock):
         return replace(task, arguments=replace(work, edits=key))
@@ -91,27 +94,33 @@ def _with_edits(task: Task, key: str) -> Task:
 
 
 def correct(job: Job, assembled: IngestResult, labelled: Labelled) -> tuple[Labelled, Corrections]:
-    """Apply the user features of the plan and the bridges. Return the edited labels, and the `Corrections`."""
+    """Find bridges, and put the edits and breaklines of the run into the store.
+
+    Return the labels with digests that include the edits, and the `Corrections`.
+    """
     plan, labels, corrections = job.plan, labelled.digests, Corrections()
+    pixels = Lattice(plan.meta.frame.counts(plan.resolution))
     deck_edits, decks = find_bridges(job, assembled, labels)
     if deck_edits or plan.edits:
-        cell = Lattice(plan.meta.frame.counts(plan.resolution))
-        edits = Edits((*deck_edits, *_user_edits(job, assembled, labels, cell)), cell)
+        edits = Edits((*deck_edits, *_user_edits(job, assembled, labels, pixels)), pixels)
         job.store.put_edits(edits)
         corrections = replace(corrections, edits=edits, decks=decks)
         labelled = replace(labelled, digests=_labels(plan, edits, labels))
     if plan.lines:
-        pixel = plan.meta.frame.counts(plan.resolution)
-        lines = Breaklines.of(plan.lines, pixel, plan.meta.frame.counts(MIN_LENGTH_M), assembled.bounds)
+        min_length = plan.meta.frame.counts(MIN_LENGTH_M)
+        lines = Breaklines.of(plan.lines, pixels.size, min_length, assembled.bounds)
         job.store.put_breaklines(lines)
-        vertices, on_map = len(lines.vertices), drawn(plan.lines)
-        job.facts["breaklines"] = {"lines": len(plan.lines), "vertices": vertices, "drawn": on_map}
+        job.facts["breaklines"] = {
+            "lines": len(plan.lines),
+            "vertices": len(lines.vertices),
+            "drawn": drawn(plan.lines),
+        }
         corrections = replace(corrections, lines=lines, line_digests=lines.digests(plan.meta.bucket))
     return labelled, corrections
 
 
 def _labels(plan: Plan, edits: Edits, labels: Mapping[Cell, str]) -> dict[Cell, str]:
-    """Return the digests of labels, changed for each bucket that an edit intersects."""
+    """Return the digests of labels. If an edit intersects a bucket, its digest includes the edit."""
     digests = dict(labels)
     for cell, near in edits.by_cell(plan.meta.bucket, labels).items():
         digests[cell] = digest_of(digests[cell], [edit.digest for edit in near], str(plan.resolution))
@@ -119,12 +128,16 @@ def _labels(plan: Plan, edits: Edits, labels: Mapping[Cell, str]) -> dict[Cell, 
 
 
 def _user_edits(
-    job: Job, assembled: IngestResult, labels: Mapping[Cell, str], cell: Lattice
+    job: Job, assembled: IngestResult, labels: Mapping[Cell, str], pixels: Lattice
 ) -> tuple[Edit, ...]:
-    """Count the points inside the user's edits. Return the edits, with `lowest` set according to the counts."""
+    """Count the points inside the user's edits for run.json. Return the edits.
+
+    An edit to ground applies to points with a class of ground in the input. If there are none, or if the terrain is
+    made from the classes of the input anyway, the edit applies to the lowest points instead (`Edit.lowest`).
+    """
     if not job.plan.edits:
         return ()
-    user_edits = Edits(job.plan.edits, cell)
+    user_edits = Edits(job.plan.edits, pixels)
     job.store.put_edits(user_edits)
     tasks = list(_count_tasks(job.plan, user_edits, assembled, labels))
     made = run_stage(job, "edits", tasks)
@@ -132,8 +145,8 @@ def _user_edits(
         raise ProcessingError(f"--edits: could not be applied: {job.record.first_error('edits')}")
     counts = {edit.number: np.zeros(5, np.int64) for edit in job.plan.edits}
     for _, record in made.values():
-        for number, *of_bucket in record["edits"]:
-            counts[number] += of_bucket
+        for number, *bucket_counts in record["edits"]:
+            counts[number] += bucket_counts
     has_no_labels = ground_rule(job.plan).labels is None
     edits = []
     for edit in job.plan.edits:
@@ -157,7 +170,7 @@ def _count_tasks(
 
 
 def _fact(edit: Edit, counts: Sequence[int]) -> dict[str, Any]:
-    """Return the entry of run.json for an edit, from sums of `survey_edits`.
+    """Return the entry of run.json for an edit. ``counts`` are the sums of the five counts of `survey_edits`.
 
     `report_edited_pixels` adds the number of pixels.
     """

@@ -27,27 +27,28 @@ from tiler.store import Commits
 from tiler.version import __version__
 
 COARSE_CELL_M = 2
-"""Side of a coarse cell, unless `--max-edge` is small or pixels are large.
+"""Side of a coarse cell in metres, unless ``--max-edge`` is small or pixels are large.
 
-It is the same for all smaller pixels, so that the choice of the pixel does not change which water is found.
+The side does not depend on the size of smaller pixels, so that their size does not change which water is found.
 """
 MAX_USUAL_PIXEL_M = 10
-"""Largest pixel with coarse cells of `COARSE_CELL_M`.
+"""Pixels larger than this, in metres, are the coarse cells themselves.
 
-Larger pixels are coarse cells themselves, because their points are too sparse to find water.
+Points are then too sparse to find water.
 """
 GAP_M = 20
-"""Largest width of gaps that belong to every survey: shadows of buildings, gaps between strips."""
+"""Gaps up to this width, in metres, belong to every survey: shadows of buildings, gaps between flight strips."""
 ERODE_RISE_M = 1
-"""Least height of an object above a ground point near it, for `--erode`."""
+"""Objects at least this much higher than a ground point near them exclude the point (``--erode``), in metres."""
 Place = tuple[int, int]
 """First row and column of a block."""
 
 
 def raster_spec(plan: Plan, assembled: IngestResult) -> RasterSpec:
-    """Return the pixel grid of the stored points within the area, at multiples of the resolution.
+    """Return the pixel grid around the stored points, or around their part in the area of the run.
 
-    Points on the outer edge of the last pixels do not add pixels.
+    The edges of pixels lie at multiples of the resolution. Points exactly on the outer edge of the grid do not add
+    pixels.
     """
     extent = assembled.bounds
     if plan.area is not None:
@@ -108,7 +109,17 @@ class RasterStep:
 
 @dataclass(frozen=True)
 class Sheet:
-    """Square of the products: its south-west corner, pixels and buckets."""
+    """Square into which the products are divided.
+
+    Attributes
+    ----------
+    corner : (float, float)
+        South-west corner in units of the CRS.
+    spec : RasterSpec
+        Pixels of the square.
+    cells : list of Cell
+        Buckets with points of the square.
+    """
 
     corner: tuple[float, float]
     spec: RasterSpec
@@ -132,11 +143,12 @@ class GridContext:
     waters : Waters
         Bodies of water. They are set after the terrain around them is made.
     returns_show_water : bool
-        Whether few returns are a sign of water: true for LiDAR, false for photogrammetric clouds with their gaps.
+        Whether few returns are a sign of water: true for LiDAR, false for photogrammetric clouds, which have gaps
+        anywhere.
     kind : str or None
-        Source of the clouds as methods name it; None if it is not known.
+        Kind of the clouds (`ptd.passes.KINDS`); None if it is not known.
     canopy : CanopyCells or None
-        Cells among which the filter found a closed canopy.
+        Cells in which the filter found a closed canopy, if there is any.
     edits : str or None
         Key in the store of the edits of points and heights.
     sheets : sequence of Sheet
@@ -176,13 +188,13 @@ class GridContext:
         return sum(self.assembled.records[cell].n for cell in cells)
 
     def checksums(self, raster: str, blocks: Iterable[str] | None = None) -> list[list[str]]:
-        """Return name and checksum of the finished blocks of a raster, or only of those in ``blocks``."""
+        """Return name and checksum of all finished blocks of a raster, or of the finished blocks among ``blocks``."""
         made = self.made[raster]
         names = sorted(made) if blocks is None else (name for name in blocks if name in made)
         return [[name, made[name][1]["checksum"]] for name in names]
 
     def records(self, raster: str) -> dict[Place, dict[str, Any]]:
-        """Return the record of each block of a raster of coarse cells by its `Place`, from the north-west."""
+        """Return the record of each finished block of a raster of coarse cells, by place."""
         records = {}
         for name, (_, record) in self.made[raster].items():
             block = self.coarse.block_named(name, BLOCK_PIXELS)
@@ -190,7 +202,7 @@ class GridContext:
         return records
 
     def areas(self, raster: str, corners: bool = False) -> Joined:
-        """Return the connected areas of a raster of labels."""
+        """Return the connected areas of a raster of labels. ``corners``: cells may be connected by a corner."""
         if raster not in self._areas:
             records = self.records(raster)
             sides = {place: record["sides"] for place, record in records.items()}
@@ -204,14 +216,14 @@ class GridContext:
         return self.checksums(raster, [other.name for other in under])
 
     def block_task(self, raster: RasterStep, work: BlockWork, inputs: list[Any]) -> Task:
-        """Return the task of one block of a raster. ``inputs`` are digests of the data that it reads."""
+        """Return the task of one block of a raster. ``inputs`` are digests of the data that the task reads."""
         pixels = work.block.height * work.block.width
         digest = digest_of(__version__, work, inputs)
         return Task(raster.stage, work.block.name, digest, raster.function, work, pixels)
 
     @property
     def water_is_sought(self) -> bool:
-        """Whether water can be distinguished from land, by few returns or by the input's class."""
+        """Whether water can be distinguished from land, by few returns or by the class of water in the input."""
         return self.returns_show_water or any(
             record["water"] for record in self.records("occupancy").values()
         )

@@ -1,15 +1,20 @@
-"""All rasters that a run can make, one row each. Their order follows from their inputs.
+"""Table of all rasters that a run can make. A raster is made after the rasters that are its inputs.
 
 Besides the products there are rasters that are only in the store. Rasters of coarse cells:
 
-- ``occupancy``;
-- ``survey-open`` and ``survey`` (see `tiler.grid.coverage`), and ``domain-open`` and ``domain`` with wider gaps;
-- ``water-...``, the steps of the search for water (`tiler.grid.water_search`, `tiler.grid.water_finish`), where
-  ``water-rims`` and ``water-plane-rims`` have only records;
-- ``<name>-voids`` for a model whose voids are filled.
+- ``occupancy``: the number of points of each cell.
+- ``survey-open`` and ``survey``: the extent of the survey (see `tiler.grid.coverage`).
+- ``domain-open`` and ``domain``: the same with wider gaps, which may be water.
+- ``water-...``: the steps of the search for water (`tiler.grid.water_search`, `tiler.grid.water_finish`).
+  ``water-sure`` and ``water-plane-sure`` are confidences. ``water-rims`` and ``water-plane-rims`` are records of blocks
+  without cells.
+- ``<name>-voids``: the voids of a model that are to be filled.
 
-Rasters of pixels: ``<name>-filled``; ``<name>-outlined``, the model within the survey, with level water; ``canopy``,
-the pixels in which crowns hide the ground.
+Rasters of pixels:
+
+- ``<name>-filled``: a model with filled voids.
+- ``<name>-outlined``: a model that ends at the outline of the survey, with level water.
+- ``canopy``: the pixels in which crowns hide the ground.
 """
 
 from __future__ import annotations
@@ -74,7 +79,7 @@ MODELS = ("dtm", "dsm")
 
 
 def final_raster(product: str, config: RunConfig) -> str:
-    """Return the name of the raster that holds a product as it is delivered."""
+    """Return the name of the raster that is delivered as a product."""
     if product in _outlined(config):
         return f"{product}-outlined"
     return filled_raster(product, config)
@@ -83,7 +88,8 @@ def final_raster(product: str, config: RunConfig) -> str:
 def _outlined(config: RunConfig) -> tuple[str, ...]:
     """Return the models from which a raster ``<name>-outlined`` is made.
 
-    These are all models with ``--outline survey``, or else only the terrain if it has water or ends at canopies.
+    With ``--outline survey``, all models end at the outline of the survey. Otherwise only the terrain may need this
+    raster, for level water or for canopies without heights.
     """
     if config.outline == "survey":
         return MODELS
@@ -91,7 +97,7 @@ def _outlined(config: RunConfig) -> tuple[str, ...]:
 
 
 def filled_raster(product: str, config: RunConfig) -> str:
-    """Return the name of the raster that holds a product, with filled voids unless ``--voids`` is ``leave``."""
+    """Return the name of the raster of a product with filled voids, or of the product if no voids are filled."""
     return f"{product}-filled" if product in MODELS and config.voids != "leave" else product
 
 
@@ -198,13 +204,13 @@ def _nodata(product: str) -> float:
 
 
 def required_rasters(config: RunConfig) -> list[RasterStep]:
-    """Return the rasters to make, each after its inputs, the terrain first."""
+    """Return the rasters to make, each after its inputs. The terrain and its inputs come first."""
     table = raster_table(config)
     steps: dict[str, RasterStep] = {}
 
     def add(name: str) -> None:
-        for source in table[name].inputs:
-            add(source)
+        for input_name in table[name].inputs:
+            add(input_name)
         steps.setdefault(name, table[name])
 
     for product in ("dtm", *(name for name in PRODUCTS if name in config.exported)):

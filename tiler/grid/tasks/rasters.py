@@ -1,4 +1,4 @@
-"""Division of each raster into tasks, and the digests of their inputs (see `tiler.filter.tasks`)."""
+"""Division of each raster into tasks, one per block, with digests of the inputs of the tasks."""
 
 from __future__ import annotations
 
@@ -39,22 +39,24 @@ CANOPY = "canopy"
 
 def terrain_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
     """Yield a task for each block that a facet of the terrain could reach."""
-    plan, frame, share = g.plan, g.plan.meta.frame, g.plan.surface_share
+    plan, frame = g.plan, g.plan.meta.frame
     widest = full_halo(frame.counts(plan.config.max_edge))
+    share = plan.surface_share
+    thinning_cells = None if share is None else Lattice(frame.counts(plan.resolution / share))
     make = partial(
         GridBlock,
         **_tin(g),
         max_halo=widest,
         interpolation=plan.config.interpolation,
         percent=plan.config.surface_percent,
-        thin=None if share is None else Lattice(frame.counts(plan.resolution / share)),
+        thin=thinning_cells,
         max_points=plan.block_points,
     )
     return _block_tasks(raster, g, make, widest)
 
 
 def coarse_terrain_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
-    """Yield a task for each block of the terrain in coarse cells, if these find water and pixels are larger."""
+    """Yield the tasks of the terrain in coarse cells. Only the search for water needs it, if pixels are larger."""
     return terrain_tasks(raster, g) if g.water_is_sought and g.has_large_pixels else iter(())
 
 
@@ -64,24 +66,26 @@ def point_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
 
 
 def distance_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
-    """Yield a task for each block that is nearer to points than the cap of the distance."""
+    """Yield a task for each block that may have pixels within ``--max-edge`` of points. Distances are cut there."""
     cap = g.plan.meta.frame.counts(g.plan.config.max_edge)
     return _block_tasks(raster, g, partial(DistanceBlock, cap=cap), math.ceil(cap) + 1)
 
 
 def surface_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
     """Yield a task for each block that a facet of the surface could reach, with the terrain as lower limit."""
-    plan, frame, pixels = g.plan, g.plan.meta.frame, reach_pixels(g.plan.resolution)
+    plan, frame = g.plan, g.plan.meta.frame
+    reach = reach_pixels(plan.resolution)
     (terrain,) = raster.inputs
     spike = plan.config.spike / frame.metres_z
-    make = partial(SurfaceBlock, **_tin(g), spike=spike, reach=pixels, terrain=terrain)
-    widest = full_halo(frame.counts(plan.config.max_edge))
-    return _block_tasks(raster, g, make, widest + math.ceil((pixels + 1) * frame.counts(plan.resolution)))
+    make = partial(SurfaceBlock, **_tin(g), spike=spike, reach=reach, terrain=terrain)
+    margin = full_halo(frame.counts(plan.config.max_edge))
+    margin += math.ceil((reach + 1) * frame.counts(plan.resolution))
+    return _block_tasks(raster, g, make, margin)
 
 
 def _tin(g: GridContext) -> dict[str, Any]:
     """Return the common arguments of all blocks on a TIN."""
-    counts, plan = g.plan.meta.frame.counts, g.plan
+    plan, counts = g.plan, g.plan.meta.frame.counts
     halo = math.ceil(counts(plan.grid_halo))
     return {"data": g.assembled.bounds, "max_edge": counts(plan.config.max_edge), "halo": halo}
 
@@ -91,8 +95,8 @@ def _block_tasks(
 ) -> Iterator[Task]:
     """Yield a task for each block within ``margin`` counts of points.
 
-    A task reads the points near its block, and the same block of the input rasters. The function ``make`` makes the
-    arguments of a task from name, spec, block and rule.
+    A task reads the points near its block, and the same block of the input rasters. The function ``make`` returns the
+    arguments of a task for name, spec, block and rule.
     """
     spec, rule = g.spec_of(raster), g.rule
     for block, near in _near(g, spec, margin).items():
@@ -103,7 +107,7 @@ def _block_tasks(
 
 
 def _near(g: GridContext, spec: RasterSpec, margin: int = 0) -> dict[Block, list[Cell]]:
-    """Return the blocks within ``margin`` counts (plus `--erode`) of buckets, each with the buckets near it."""
+    """Return the blocks with buckets within ``margin`` counts (plus ``--erode``), each with these buckets."""
     margin += math.ceil(g.plan.meta.frame.counts(g.plan.config.erosion))
     return spec.blocks_near(g.plan.meta.bucket, g.labels, BLOCK_PIXELS, margin)
 
@@ -118,8 +122,8 @@ def canopy_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
             name=raster.name, spec=g.spec, block=block, rule=g.rule, elected=canopy.elected, labels=canopy.labels,
             side=canopy.side,
         )  # fmt: skip
-        cells = [canopy.digests[cell] for cell in near]
-        digest = digest_of(__version__, work, g.label_digests(near), cells)
+        canopy_digests = [canopy.digests[cell] for cell in near]
+        digest = digest_of(__version__, work, g.label_digests(near), canopy_digests)
         yield Task(raster.stage, block.name, digest, raster.function, work, g.n_points(near))
 
 
@@ -160,16 +164,16 @@ def outline_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
 
 
 def mask_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
-    """Yield a task for each block with heights, within the survey, or with a tile that failed."""
+    """Yield a task for each block with points or heights, within the survey, or within a tile that failed."""
     spec, coarse, rule = g.spec, g.coarse, g.rule
-    dtm, heights, survey, canopy = raster.inputs
+    dtm, delivered, survey, canopy = raster.inputs
     near = _near(g, spec)
     holes: dict[Block, list[Bounds]] = defaultdict(list)
     for hole in g.holes:
         for block in spec.blocks_within(hole, BLOCK_PIXELS):
             holes[block].append(hole)
     inside = surveyed_blocks(g, survey)
-    made = [spec.block_named(key, BLOCK_PIXELS) for key in (*g.made[dtm], *g.made[heights])]
+    made = [spec.block_named(key, BLOCK_PIXELS) for key in (*g.made[dtm], *g.made[delivered])]
     for block in sorted({*near, *holes, *inside, *made}, key=north_west):
         work = MaskBlock(
             name=raster.name,
@@ -177,7 +181,7 @@ def mask_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
             block=block,
             rule=rule,
             dtm=dtm,
-            filled=heights,
+            filled=delivered,
             survey=survey,
             coarse=coarse,
             canopy=canopy if g.made[canopy] else None,
@@ -189,7 +193,7 @@ def mask_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
             __version__,
             work,
             g.coarse_checksums(survey, block),
-            [g.checksums(name, [block.name]) for name in (dtm, heights, canopy)],
+            [g.checksums(name, [block.name]) for name in (dtm, delivered, canopy)],
             g.label_digests(near.get(block, [])),
             g.waters.digest(spec.block_bounds(block)),
         )
@@ -199,12 +203,11 @@ def mask_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
 def derived_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
     """Yield a task for each block that all inputs have. A task also reads the pixels next to its block."""
     spec = g.spec
-    keys = set.intersection(*(set(g.made[source]) for source in raster.inputs))
+    keys = set.intersection(*(set(g.made[name]) for name in raster.inputs))
     for block in sorted((spec.block_named(key, BLOCK_PIXELS) for key in keys), key=north_west):
         work = DeriveBlock(name=raster.name, spec=spec, block=block, sources=raster.inputs, fill=raster.fill)
-        digest = digest_of(
-            __version__, work, [g.checksums(source, _around(block)) for source in raster.inputs]
-        )
+        inputs = [g.checksums(name, _around(block)) for name in raster.inputs]
+        digest = digest_of(__version__, work, inputs)
         yield Task(raster.stage, block.name, digest, raster.function, work, block.height * block.width)
 
 

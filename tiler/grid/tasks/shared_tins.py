@@ -1,7 +1,7 @@
-"""Joining of several blocks of the terrain into one task with one TIN.
+"""Grouping of blocks of the terrain into tasks that make one TIN for several blocks.
 
 A TIN also includes the points around its blocks, so a few large TINs triangulate fewer points than many small TINs.
-Pixels, digests and commits of a block do not depend on the joining, so finished blocks remain valid.
+Pixels, digests and commits of a block do not depend on its group, so finished blocks remain valid.
 """
 
 from __future__ import annotations
@@ -22,11 +22,11 @@ from tiler.plan.memory import GROUND_BYTES, TIN_BYTES
 from tiler.schedule import Task
 
 MAX_PIXELS = 16 * BLOCK_PIXELS**2
-"""Largest number of pixels of a task. They take 13 bytes each, which is little compared to the memory of a worker."""
+"""A task has at most this many pixels. They take 13 bytes each, little compared to the memory of a worker."""
 TASKS_PER_WORKER = 4
-"""Tasks per worker up to which tasks are divided, so that workers do not wait for others."""
+"""Tasks are divided until there are this many per worker, if that makes all workers finish earlier."""
 WORTH_DIVIDING = 0.95
-"""Ratio of the finishing times after and before groups are divided, above which dividing is not worthwhile."""
+"""Divided groups are used only if all workers then finish within this share of the time without dividing."""
 
 Records = Mapping[Cell, BucketRecord]
 Ints = npt.NDArray[np.int64]
@@ -34,7 +34,19 @@ Ints = npt.NDArray[np.int64]
 
 @dataclass(frozen=True)
 class _Group:
-    """Blocks of a task and buckets of its window, as indices, and the numbers of points and pixels."""
+    """Blocks of a task.
+
+    Attributes
+    ----------
+    blocks : int64 (n,)
+        Indices of the blocks.
+    buckets : int64 (m,)
+        Indices of the buckets in the window of the task.
+    points : int
+        Largest possible number of points in these buckets.
+    pixels : int
+        Number of pixels of the rectangle around the blocks.
+    """
 
     blocks: Ints
     buckets: Ints
@@ -50,9 +62,9 @@ class _Group:
 def join_blocks(plan: Plan, records: Records, tasks: Sequence[Task], workers: int) -> list[Task]:
     """Join tasks of single blocks of the terrain into few tasks with one TIN each, the largest first.
 
-    The number of tasks is as small as the memory of a worker and a balanced load of all workers allow. Only blocks
-    with linear interpolation are joined: natural neighbours at the hull depend on the window, and IDW takes much
-    memory per pixel.
+    There are only as many tasks as the memory of a worker and a balanced load of all workers require. Only blocks with
+    linear interpolation are joined. Natural neighbours at the hull depend on the window, and IDW takes much memory per
+    pixel.
 
     Parameters
     ----------
@@ -82,9 +94,9 @@ def _joined(parts: Sequence[Task]) -> Task:
 
 
 def _fitting(layout: _Layout, max_points: int) -> list[_Group]:
-    """Divide the blocks into groups of at most ``max_points`` points, or of one block.
+    """Divide the blocks into groups of at most ``max_points`` points and `MAX_PIXELS` pixels, or of one block.
 
-    A group is also divided if its halves together cost less than the group.
+    A group is also divided if its two halves together cost less than the group.
     """
     groups = []
     todo = [layout.whole()]
@@ -103,9 +115,10 @@ def _too_large(group: _Group, max_points: int) -> bool:
 
 
 def _balanced(layout: _Layout, groups: list[_Group], workers: int) -> list[_Group]:
-    """Divide groups further if the last worker then finishes earlier, although more points are triangulated twice."""
+    """Divide groups further if all workers then finish earlier, although more points are triangulated twice."""
     best, earliest = groups, _makespan(groups, workers)
     while len(groups) < TASKS_PER_WORKER * workers:
+        # Groups of one block cannot be divided, so they come first.
         *rest, largest = sorted(groups, key=lambda group: (len(group.blocks) > 1, group.cost))
         halves = layout.halves(largest)
         if not halves:
@@ -121,7 +134,7 @@ def _total_cost(groups: Iterable[_Group]) -> int:
 
 
 def _makespan(groups: Sequence[_Group], workers: int) -> int:
-    """Return the cost for the worker that finishes last, if workers take the largest remaining group in turn."""
+    """Return the total cost of the worker that finishes last, if each free worker takes the largest remaining group."""
     ends = [0] * workers
     for cost in sorted((group.cost for group in groups), reverse=True):
         heapq.heapreplace(ends, ends[0] + cost)
@@ -129,7 +142,7 @@ def _makespan(groups: Sequence[_Group], workers: int) -> int:
 
 
 class _Layout:
-    """Positions of the blocks to make, and positions and numbers of points of all buckets."""
+    """Positions of all blocks and buckets, and numbers of points of the buckets."""
 
     def __init__(self, plan: Plan, records: Records, works: Sequence[GridBlock]) -> None:
         self._spec = works[0].spec
@@ -148,7 +161,7 @@ class _Layout:
         return self._group(np.arange(len(self._start)), np.arange(len(self._cells)))
 
     def halves(self, group: _Group) -> list[_Group]:
-        """Divide a group in two so that the cost of the more expensive half is as small as possible.
+        """Divide a group in two, so that the more expensive half costs as little as possible.
 
         Return an empty list for a single block.
         """

@@ -24,9 +24,9 @@ class Gap(NamedTuple):
     kind : str
         ``gap``, or ``outside`` for the area around all blocks.
     row : int
-        First row of the blocks.
+        Row of the missing blocks (see `Place`).
     first, last : int
-        First columns of the first and of the last missing block.
+        Columns of the first and of the last missing block.
     """
 
     kind: str
@@ -38,23 +38,23 @@ class Gap(NamedTuple):
 BEYOND_ALL = Gap("outside", 0, 0, 0)
 """Area around all blocks."""
 SIDES = {"north": (-1, 0), "south": (1, 0), "west": (0, -1), "east": (0, 1)}
-"""Rows and columns, in blocks, from a block to its neighbour at each side."""
+"""Number of blocks down and to the right from a block to its neighbour at each side."""
 
 
 def survey_gaps(raster: RasterStep, g: GridContext) -> Iterator[Task]:
-    """Yield a task for each block that a gap of the survey could reach."""
+    """Yield a task for each block that gaps of the survey can extend into."""
     return _close_tasks(raster, g, float(GAP_M / g.coarse_m))
 
 
 def domain_gaps(raster: RasterStep, g: GridContext) -> Iterator[Task]:
-    """Yield the tasks of `survey_gaps` for gaps up to `--max-edge`, which could be water."""
+    """Yield the tasks for gaps up to ``--max-edge``, which may be water."""
     if not g.water_is_sought:
         return iter(())
     return _close_tasks(raster, g, float(g.plan.config.max_edge / g.coarse_m))
 
 
 def _close_tasks(raster: RasterStep, g: GridContext, gap: float) -> Iterator[Task]:
-    """Yield the tasks that close gaps up to ``gap`` cells, or up to `--max-edge` where points are sparse."""
+    """Yield the tasks that close gaps up to ``gap`` cells, or up to ``--max-edge`` where points are sparse."""
     coarse = g.coarse
     (occupancy,) = raster.inputs
     max_gap = float(g.plan.config.max_edge / g.coarse_m)
@@ -70,7 +70,7 @@ def _close_tasks(raster: RasterStep, g: GridContext, gap: float) -> Iterator[Tas
 
 
 def near_places(coarse: RasterSpec, places: Iterable[Place], n_blocks: int = 1) -> list[Place]:
-    """Return the places of blocks and of their neighbours up to ``n_blocks`` away, from the north-west.
+    """Return the places of blocks, and of other blocks up to ``n_blocks`` away, from the north-west.
 
     Places outside the raster are left out.
     """
@@ -87,7 +87,7 @@ def block_names(places: Iterable[Place]) -> list[str]:
 
 
 def survey_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
-    """Yield a task for each block of the input, and for each other block that the survey encloses."""
+    """Yield a task for each block of the raster of open areas, and for each missing block that the survey encloses."""
     coarse, (opened,) = g.coarse, raster.inputs
     records = g.records(opened)
     outside, empty = outside_of({place: record["sides"] for place, record in records.items()})
@@ -104,20 +104,20 @@ def survey_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
 def outside_of(
     blocks: Mapping[Place, Mapping[str, Side]],
 ) -> tuple[dict[Place, list[Piece]], set[Place]]:
-    """Find the open areas that are connected with the outside of a survey, and the missing blocks that are not.
+    """Find the open areas that are connected with the outside of a survey, and the missing blocks that it encloses.
 
     Parameters
     ----------
     blocks : mapping
-        Place of each block with a raster of open areas -> labels of the open areas along its sides. A missing block is
+        For the place of each existing block, the labels of the open areas along its sides. A missing block is
         completely open.
 
     Returns
     -------
     outside : dict
-        Place of a block -> its open areas that are connected with the outside.
+        For the place of a block, its open areas that are connected with the outside.
     empty : set
-        Places of the missing blocks that are enclosed by the given blocks.
+        Places of the missing blocks that the survey encloses.
     """
     columns: dict[int, list[int]] = defaultdict(list)
     for row, col in sorted(blocks):
@@ -128,8 +128,8 @@ def outside_of(
         for side, (down, right) in SIDES.items():
             neighbour = (row + down * BLOCK_PIXELS, col + right * BLOCK_PIXELS)
             if neighbour not in blocks:
-                other = _gap_at(gaps, *neighbour)
-                pairs += [(Piece(row, col, label), other) for label in _labels(sides[side])]
+                gap = _gap_at(gaps, *neighbour)
+                pairs += [(Piece(row, col, label), gap) for label in _labels(sides[side])]
     all_gaps = list(chain.from_iterable(gaps.values()))
     for gap in all_gaps:
         for row in (gap.row - BLOCK_PIXELS, gap.row + BLOCK_PIXELS):
@@ -147,6 +147,7 @@ def outside_of(
 
 
 def _labels(side: Side) -> list[int]:
+    """Return the labels of the areas along a side."""
     return sorted({label for label, _ in side if label})
 
 
@@ -165,7 +166,10 @@ def _gap_at(gaps: Mapping[int, list[Gap]], row: int, col: int) -> Gap:
 
 
 def _facing(gap: Gap, row: int, gaps: Mapping[int, list[Gap]], columns: Mapping[int, list[int]]) -> list[Gap]:
-    """Return the gaps of ``row``, above or below a gap, that touch the gap, and `BEYOND_ALL` if it reaches beyond."""
+    """Return the gaps of an adjacent row of blocks that touch a gap.
+
+    `BEYOND_ALL` is one of them if the gap extends beyond the first or last block of that row, or if the row is missing.
+    """
     touching_gaps = []
     for other in gaps.get(row, ()):
         if other.first <= gap.last and gap.first <= other.last:
@@ -191,18 +195,20 @@ def voids_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
 
 
 def fill_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
-    """Yield a task for each block of a model. A task depends on the surroundings of all voids in its block."""
+    """Yield a task for each block of a model. A task depends on everything around the voids in its block."""
     spec = g.spec
     model, survey, voids = raster.inputs
     rasters = VoidRasters(model, spec, survey, g.coarse, voids)
     records = g.records(voids)
     voids_of: dict[str, list[tuple[Void, str]]] = defaultdict(list)
     for pieces in g.areas(voids, corners=True).areas.values():
-        runs = list(chain.from_iterable(records[p.row, p.col]["blocks"][p.label - 1] for p in pieces))
-        near = sorted({block.name for block in blocks_of(runs, spec, BLOCK_PIXELS)})
-        piece_blocks = block_names({(p.row, p.col) for p in pieces})
-        void_digest = digest_of(g.checksums(model, near), g.checksums(voids, sorted(piece_blocks)))
-        for key in near:
+        runs = []
+        for piece in pieces:
+            runs += records[piece.row, piece.col]["blocks"][piece.label - 1]
+        model_blocks = sorted({block.name for block in blocks_of(runs, spec, BLOCK_PIXELS)})
+        void_blocks = sorted(block_names({(piece.row, piece.col) for piece in pieces}))
+        void_digest = digest_of(g.checksums(model, model_blocks), g.checksums(voids, void_blocks))
+        for key in model_blocks:
             voids_of[key].append((Void(pieces), void_digest))
     for key in sorted(voids_of.keys() | g.made[model].keys()):
         block_voids = voids_of.get(key, [])
@@ -218,6 +224,6 @@ def fill_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
 
 
 def surveyed_blocks(g: GridContext, survey: str) -> list[Block]:
-    """Return the products' blocks that overlap the inside of the survey, from the north-west."""
+    """Return the blocks of the products that overlap the inside of the survey, from the north-west."""
     runs = list(chain.from_iterable(record["blocks"] for record in g.records(survey).values()))
     return sorted(set(blocks_of(runs, g.spec, BLOCK_PIXELS)), key=north_west)

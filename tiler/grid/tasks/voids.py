@@ -17,9 +17,9 @@ from tiler.runs.job import Job
 from tiler.store import Commits
 
 MAX_LISTED = 1000
-"""Maximum number of voids that run.json lists. Smaller voids are left out."""
+"""run.json lists at most this many voids, the largest ones."""
 TOUCHING = 1.5
-"""Largest distance between the centres of touching cells: longer than a diagonal, shorter than two cells."""
+"""Cells touch if their centres are at most this far apart, in cells. Diagonal neighbours touch, too."""
 
 
 def report_voids(job: Job, spec: RasterSpec, outlined: Commits) -> None:
@@ -27,13 +27,14 @@ def report_voids(job: Job, spec: RasterSpec, outlined: Commits) -> None:
     records = [record for _, record in outlined.values()]
     n_holes: Counter[int] = Counter()
     for record in records:
-        for edit, number in record["edit_holes"]:
-            n_holes[edit] += number
+        for edit, n_pixels in record["edit_holes"]:
+            n_holes[edit] += n_pixels
     for fact in job.facts.get("edits", ()):
         fact["holes"] = n_holes[fact["number"]]
     cells = chain.from_iterable(record["holes"] for record in records)
     pixel_m2 = float(job.plan.resolution) ** 2
     voids = [{**void, "area_m2": void["pixels"] * pixel_m2} for void in voids_of(cells, spec)]
+    # ``asked_pixels`` are pixels without a height because an edit asks for that.
     job.facts["voids"] = {
         "surveyed_pixels": sum(record["surveyed"] for record in records),
         "pixels": sum(void["pixels"] for void in voids),
@@ -54,12 +55,12 @@ def voids_of(cells: Iterable[list[int]], spec: RasterSpec) -> list[dict[str, Any
     n_holes, first_pixel, last_pixel = table[:, 0], table[:, 1:3], table[:, 3:]
     pairs = scipy.spatial.cKDTree(first_pixel // CELL_PIXELS).query_pairs(TOUCHING, output_type="ndarray")
     graph = scipy.sparse.coo_array((np.ones(len(pairs)), pairs.T), (len(table), len(table)))
-    count, number = scipy.sparse.csgraph.connected_components(graph, directed=False)
-    pixels = np.bincount(number, n_holes, count).astype(np.int64)
-    first = np.full((count, 2), np.iinfo(np.int64).max)
-    last = np.zeros((count, 2), np.int64)
-    np.minimum.at(first, number, first_pixel)
-    np.maximum.at(last, number, last_pixel)
+    n_voids, void_of_cell = scipy.sparse.csgraph.connected_components(graph, directed=False)
+    pixels = np.bincount(void_of_cell, n_holes, n_voids).astype(np.int64)
+    first = np.full((n_voids, 2), np.iinfo(np.int64).max)
+    last = np.zeros((n_voids, 2), np.int64)
+    np.minimum.at(first, void_of_cell, first_pixel)
+    np.maximum.at(last, void_of_cell, last_pixel)
     order = np.lexsort((first[:, 1], first[:, 0], -pixels))
     return [{"pixels": int(pixels[i]), "bounds": _bounds(spec, first[i], last[i])} for i in order]
 

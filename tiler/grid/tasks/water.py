@@ -29,14 +29,15 @@ from tiler.schedule import Task, digest_of
 from tiler.version import __version__
 
 FINDING, STAGE = "water-search", "water"
+"""Names of the stages: outlines of bodies of water, and levels of bodies."""
 CELLS, CROWNS = "water-cells", "water-crowns"
-"""Rasters of the labels of water, and of the crowns near it."""
+"""Rasters of the labels of water, and of the crowns near water."""
 SOURCES = ("occupancy", "water-ground", "domain")
-"""Rasters for the search for water."""
+"""Rasters that the search for water reads."""
 MAX_SLOPE = 1 / 30
-"""Largest fall of a river relative to its length."""
+"""A river falls at most this much per length. Steeper areas without returns are ravines."""
 SHORE_MARGIN = POCKET_PIXELS + 2
-"""Margin around a body of water, in pixels, on which its level may depend."""
+"""The level of a body of water may depend on pixels up to this distance from the body, in pixels."""
 
 
 def find_waters(job: Job, g: GridContext) -> Waters:
@@ -100,7 +101,8 @@ def _body_tasks(g: GridContext) -> Iterator[Task]:
             continue
         pieces = joined.areas[name]
         places = sorted({(piece.row, piece.col) for piece in pieces})
-        confidence = round(hundredths / 100 / max(n_known, 1), 2)  # The sum is in hundredths.
+        # `finish_water` adds up the confidences of the cells in hundredths. Not all cells have a confidence.
+        confidence = round(hundredths / 100 / max(n_known, 1), 2)
         work = DescribeBody(
             pieces, CELLS, CROWNS, Sources(*SOURCES), g.rule, coarse, sure=confidence,
             lake_m2=float(config.water_min_lake), river_width_m=float(config.water_min_river_width),
@@ -114,15 +116,17 @@ def _body_tasks(g: GridContext) -> Iterator[Task]:
 
 
 def _buckets_near(g: GridContext, places: list[Place]) -> list[Cell]:
-    """Return the buckets of the points in blocks of coarse cells and near them."""
+    """Return the buckets in and near some blocks of coarse cells."""
     buckets, coarse = g.plan.meta.bucket, g.coarse
-    blocks = [padded(coarse.block_at(*place, BLOCK_PIXELS), BANK_MARGIN) for place in places]
-    cells = {cell for block in blocks for cell in buckets.among(coarse.block_bounds(block), g.labels)}
+    cells: set[Cell] = set()
+    for place in places:
+        block = padded(coarse.block_at(*place, BLOCK_PIXELS), BANK_MARGIN)
+        cells.update(buckets.among(coarse.block_bounds(block), g.labels))
     return sorted(cells, key=row_by_row)
 
 
 def _is_gentle(g: GridContext, body: Water) -> bool:
-    """Return whether a body falls no more steeply than rivers do. Ravines without returns are steeper."""
+    """Return whether a body is level, or falls no more steeply than a river (`MAX_SLOPE`)."""
     high, low = body.range
     if body.flow is None or high == low:
         return True

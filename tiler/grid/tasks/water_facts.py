@@ -16,13 +16,13 @@ from tiler.runs.job import Job
 from tiler.store import Commits
 
 MIN_CONFIDENCE = 0.8
-"""Confidence below which a body of water causes a warning."""
+"""A body of water with a confidence below this causes a warning."""
 MAX_FLOATING = 0.005
-"""Largest share of the shore that may lie below the level of the water without a warning."""
+"""A body of water causes a warning if more than this share of its shore lies below its level."""
 
 
 def report_levels(job: Job, waters: Waters, records: Mapping[int, Mapping[str, Any]]) -> None:
-    """Note the rivers whose levels are known at too few positions, and warn about bodies that need to be checked.
+    """Report the rivers whose levels are known at too few positions, and warn about bodies that need to be checked.
 
     Parameters
     ----------
@@ -65,8 +65,8 @@ def _doubts(body: Water, record: Mapping[str, Any], unit: Fraction) -> list[dict
         doubts.append((text, (x, y)))
     if record.get("uneven"):
         text = (
-            f"{_named(body)}: its returns differ in height by more than waves, as if from two strips; the lower level "
-            "is used (to change it, set `level` in water.gpkg and give it with --water)"
+            f"{_named(body)}: its returns differ in height by more than waves, as if from two flight strips; the lower "
+            "level is used (to change it, set `level` in water.gpkg and give it with --water)"
         )
         doubts.append((text, _first_vertex(body)))
     return [{"text": text, "place": list(position)} for text, position in doubts]
@@ -84,7 +84,7 @@ def _named(body: Water) -> str:
 
 
 def report_waters(job: Job, waters: Waters, terrain: Commits) -> None:
-    """Write the bodies of water and their numbers of pixels of the terrain into run.json."""
+    """Add the bodies of water to run.json, each with its number of pixels of the terrain."""
     pixels: dict[str, int] = {}
     for _, record in terrain.values():
         for area, count in record.get("water", ()):

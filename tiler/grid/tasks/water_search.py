@@ -1,4 +1,9 @@
-"""Tasks that search for water block by block, and decisions between them (see `tiler.grid.water_search`)."""
+"""Tasks that search for water block by block, and the decisions on whole areas between these tasks.
+
+A candidate is a connected area of cells that may be water (see `tiler.grid.water_search`). A plane is a level area that
+may be water (see `tiler.grid.water_planes`). Both are areas that can extend over several blocks. The name of an area is
+its first `Piece`. The rim of an area is the land around it.
+"""
 
 from __future__ import annotations
 
@@ -32,7 +37,7 @@ from tiler.schedule import Task
 
 
 def ground_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
-    """Yield a task for each block of coarse cells that overlaps the terrain."""
+    """Yield a task for each block of coarse cells that overlaps a block of the terrain with heights."""
     if not g.water_is_sought:
         return
     pixels, cells, occupancy = raster.inputs
@@ -65,7 +70,8 @@ def ground_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
 def areas_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
     """Yield a task for each block of the survey that may have water.
 
-    The usual number of returns is that of the block and its neighbours.
+    A block may have water if cells have a usual number of returns in the block and its neighbours, or if the input has
+    the class of water there.
     """
     occupancy, ground, domain = raster.inputs
     records = g.records(occupancy)
@@ -77,16 +83,16 @@ def areas_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
         has_water_class = any(records[other]["water"] for other in near)
         if not record["filled"] or (usual is None and not has_water_class):
             continue
-        times, median = usual or (1, None)
+        n_merged, median = usual or (1, None)
         work = FindAreas(
             name=raster.name, spec=g.coarse, block=g.coarse.block_at(*place, BLOCK_PIXELS),
-            sources=Sources(occupancy, ground, domain), times=times, usual=median,
+            sources=Sources(occupancy, ground, domain), times=n_merged, usual=median,
         )  # fmt: skip
         yield g.block_task(raster, work, _near_checksums(g, raster.inputs, place))
 
 
 def rims_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
-    """Yield a task for each block near a candidate."""
+    """Yield a task for each block with a candidate and for its neighbours. The task counts the rims of candidates."""
     areas = raster.inputs[0]
     for place in _near_labels(g, areas):
         work = CountRims(**_on_areas(raster, g, place))
@@ -94,7 +100,7 @@ def rims_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
 
 
 def plane_rims_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
-    """Yield a task for each block near a plane that may be water."""
+    """Yield a task for each block with a plane that may be water, and for its neighbours."""
     planes = raster.inputs[0]
     evident, others = _likely_planes(g, planes)
     evident_at = _by_place(g.areas(planes), evident)
@@ -109,7 +115,7 @@ def plane_rims_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
 
 
 def plane_sure_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
-    """Yield a task for each block near a plane that is water."""
+    """Yield a task for each block with a plane that is water, and for its neighbours."""
     rims, *inputs = raster.inputs
     kept = _kept_planes(g, inputs[0], rims)
     names_by_place = _by_place(g.areas(inputs[0]), kept)
@@ -120,7 +126,7 @@ def plane_sure_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
 
 
 def sure_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
-    """Yield a task for each block of a candidate that is water."""
+    """Yield a task for each block with a candidate that is water."""
     rims, *inputs = raster.inputs
     areas = inputs[0]
     kept = _kept_areas(g, areas, rims)
@@ -130,7 +136,7 @@ def sure_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
 
 
 def crowns_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
-    """Yield a task for each block near water in LiDAR clouds, whose pulses pass through crowns."""
+    """Yield a task for each block with water, and for its neighbours, if the pulses pass through crowns (LiDAR)."""
     if not g.returns_show_water:
         return
     sure, planes, occupancy, ground = raster.inputs
@@ -145,8 +151,8 @@ def crowns_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
             ground=ground,
             rule=g.rule,
         )
-        cell = int(g.coarse.lattice.size) + 1
-        near = g.plan.meta.bucket.among(g.coarse.block_bounds(block).pad(cell), g.labels)
+        margin = int(g.coarse.lattice.size) + 1
+        near = g.plan.meta.bucket.among(g.coarse.block_bounds(block).pad(margin), g.labels)
         yield g.block_task(raster, work, [*_near_checksums(g, raster.inputs, place), g.label_digests(near)])
 
 
@@ -162,7 +168,7 @@ def _near_water(g: GridContext, *confidences: str) -> list[Place]:
 
 
 def cells_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
-    """Yield a task for each block near water."""
+    """Yield a task for each block with water, and for its neighbours."""
     sure, planes, crowns, *sources = raster.inputs
     config = g.plan.config
     for place in _near_water(g, sure, planes):
@@ -187,17 +193,17 @@ def _decks_near(g: GridContext, place: Place) -> tuple[tuple[int, ...], ...]:
 
 
 def _on_areas(raster: RasterStep, g: GridContext, place: Place) -> dict[str, Any]:
-    """Return the arguments that all tasks on candidates have."""
-    name, occupancy, ground, domain = raster.inputs[-4:]
-    record = g.records(name).get(place)
+    """Return the arguments that all tasks on candidates or planes have."""
+    areas, occupancy, ground, domain = raster.inputs[-4:]
+    record = g.records(areas).get(place)
     return {
         "name": raster.name,
         "spec": g.coarse,
         "block": g.coarse.block_at(*place, BLOCK_PIXELS),
         "sources": Sources(occupancy, ground, domain),
         "times": 1 if record is None else record["times"],
-        "areas": name,
-        "joins": g.areas(name).joins(around(*place)),
+        "areas": areas,
+        "joins": g.areas(areas).joins(around(*place)),
     }
 
 
@@ -208,12 +214,13 @@ def _near_checksums(g: GridContext, rasters: Sequence[str], place: Place) -> lis
 
 
 def _near_labels(g: GridContext, areas: str) -> list[Place]:
+    """Return the places of blocks with labels in a raster of areas, and of their neighbours."""
     labelled = [place for place, record in g.records(areas).items() if record["labels"]]
     return near_places(g.coarse, labelled)
 
 
 def _by_place(joined: Joined, names: Iterable[Piece]) -> dict[Place, list[Piece]]:
-    """Return the names of the areas in each block."""
+    """Return the names of the areas that extend into each block, for some areas."""
     names_by_place: dict[Place, list[Piece]] = defaultdict(list)
     for name in sorted(names):
         for place in sorted({(piece.row, piece.col) for piece in joined.areas[name]}):
@@ -222,7 +229,7 @@ def _by_place(joined: Joined, names: Iterable[Piece]) -> dict[Place, list[Piece]
 
 
 def _names_near(names_by_place: Mapping[Place, Sequence[Piece]], place: Place) -> tuple[Piece, ...]:
-    """Return the names of the areas in a block and its neighbours."""
+    """Return the names of the areas that extend into a block or its neighbours."""
     names: set[Piece] = set()
     for other in around(*place):
         names.update(names_by_place.get(other, ()))
@@ -230,7 +237,7 @@ def _names_near(names_by_place: Mapping[Place, Sequence[Piece]], place: Place) -
 
 
 def _sizes(g: GridContext, areas: str) -> dict[Piece, tuple[int, ...]]:
-    """Return the sums of the ``sizes`` of the pieces of each area."""
+    """Return the sums of ``sizes`` over the pieces of each area of a raster."""
     return area_sums(g.areas(areas), g.records(areas))
 
 
@@ -238,13 +245,13 @@ def area_sums(joined: Joined, records: Mapping[Place, Mapping[str, Any]]) -> dic
     """Return the sums of ``sizes`` over the pieces of each area, by the name of the area."""
     sums = {}
     for name, pieces in joined.areas.items():
-        parts = (records[p.row, p.col]["sizes"][p.label - 1] for p in pieces)
-        sums[name] = tuple(map(sum, zip(*parts, strict=True)))
+        sizes = [records[p.row, p.col]["sizes"][p.label - 1] for p in pieces]
+        sums[name] = tuple(map(sum, zip(*sizes, strict=True)))
     return sums
 
 
 def _kept_areas(g: GridContext, areas: str, rims: str) -> dict[Piece, float]:
-    """Return the candidates that are water, with confidences."""
+    """Return the candidates that are water, each with its confidence."""
     rim_by_area = _rims(g, rims)
     kept = {}
     for name, size in _sizes(g, areas).items():
@@ -255,9 +262,9 @@ def _kept_areas(g: GridContext, areas: str, rims: str) -> dict[Piece, float]:
 
 
 def _rims(g: GridContext, rims: str, number: int = 0) -> dict[Piece, Rim]:
-    """Return the land around each area, added up over blocks.
+    """Return the rim of each area, added up over blocks.
 
-    If the records have several rims per area, ``number`` selects one of them.
+    With ``number`` 1, it is the second rim of areas that have two rims.
     """
     rim_by_area: dict[Piece, Rim] = {}
     for record in g.records(rims).values():
@@ -268,19 +275,26 @@ def _rims(g: GridContext, rims: str, number: int = 0) -> dict[Piece, Rim]:
 
 
 def _likely_planes(g: GridContext, planes: str) -> tuple[list[Piece], list[Piece]]:
-    """Return the planes that may be water by themselves, and other planes that may lie next to these."""
-    config, joined, records = g.plan.config, g.areas(planes), g.records(planes)
+    """Return the evident planes that are large enough, and other planes that may lie next to evident planes.
+
+    The rims of the planes are not used.
+    """
+    config = g.plan.config
+    joined, records = g.areas(planes), g.records(planes)
     min_m2 = float(min(config.water_min_lake, MIN_LENGTH * config.water_min_river_width**2))
-    # A plane lacks its shore, so half of the area is enough.
+    # The cells along the shore are not part of a plane, so half of the area is enough.
     min_cells = min_m2 / float(g.coarse_m) ** 2 / 2
-    sizes = {name: Plane(*size) for name, size in area_sums(joined, records).items() if size[0] >= min_cells}
+    sizes = {}
+    for name, size in area_sums(joined, records).items():
+        if size[0] >= min_cells:
+            sizes[name] = Plane(*size)
     boxes = {name: _box(joined.areas[name], records) for name in sizes}
     evident = [name for name, plane in sizes.items() if plane.is_evident]
     max_gap = DAM_M / float(g.coarse_m) + SHORE_CELLS
-    others = [
-        name for name in sizes.keys() - set(evident)
-        if any(_are_near(boxes[name], boxes[other], max_gap) for other in evident)
-    ]  # fmt: skip
+    others = []
+    for name in sizes.keys() - set(evident):
+        if any(_are_near(boxes[name], boxes[other], max_gap) for other in evident):
+            others.append(name)
     return sorted(evident), sorted(others)
 
 
@@ -297,7 +311,7 @@ def _are_near(box: Sequence[int], other: Sequence[int], max_gap: float) -> bool:
 
 
 def _kept_planes(g: GridContext, planes: str, rims: str) -> dict[Piece, float]:
-    """Return the planes that are water, with confidences: evident planes, and planes next to them."""
+    """Return the planes that are water, each with its confidence: evident planes, and other planes next to these."""
     evident, others = _likely_planes(g, planes)
     confidences = _plane_confidences(g, rims, 0)
     confidences_without_others = _plane_confidences(g, rims, 1)
@@ -307,12 +321,19 @@ def _kept_planes(g: GridContext, planes: str, rims: str) -> dict[Piece, float]:
             neighbours[Piece(*name)].add(Piece(*other))
     kept = {name: confidences[name] for name in evident if name in confidences}
     other_water = {name: confidences[name] for name in others if name in confidences}
-    # Planes above and below a dam may both be water. So the other plane does not count as land around the evident one.
-    next_to_others = set().union(*(neighbours[name] for name in other_water))
+    # The planes above and below a dam may both be water. So the other plane does not count as land in the rim of the
+    # evident plane.
+    next_to_others: set[Piece] = set()
+    for name in other_water:
+        next_to_others |= neighbours[name]
     for name in evident:
         if name in next_to_others and name in confidences_without_others:
             kept[name] = confidences_without_others[name]
-    return kept | {name: value for name, value in other_water.items() if neighbours[name] & kept.keys()}
+    evident_water = set(kept)
+    for name, confidence in other_water.items():
+        if neighbours[name] & evident_water:
+            kept[name] = confidence
+    return kept
 
 
 def _plane_confidences(g: GridContext, rims: str, number: int) -> dict[Piece, float]:
