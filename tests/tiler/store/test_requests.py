@@ -31,4 +31,7 @@ def test_reading_an_object_is_one_request_whether_it_exists_or_not(monkeypatch: 
     monkeypatch.setattr(s3fs.S3FileSystem, "_call_s3", answer)
     storage = Storage("s3://bucket/store.zarr")
     assert storage.get_many(["there.json", "missing.json"]) == [b"bytes", None]
-    assert sorted(calls) == [("get_object", "store.zarr/missing.json"), ("get_object", "store.zarr/there.json")]
+    assert sorted(calls) == [
+        ("get_object", "store.zarr/missing.json"),
+        ("get_object", "store.zarr/there.json"),
+    ]
