@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-import dataclasses
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import replace
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
@@ -155,24 +155,29 @@ def _locked_run(job: Job, until: str, started: float) -> RunResult:
     plan, listener = job.plan, job.listener
     for text in plan.notes:
         listener(Note(text))
-    left_out = [f"{path}: left out: {error.removeprefix(f'{path}: ')}" for path, error in plan.unreadable]
+    left_out = [
+        f"{path}: left out: {error.removeprefix(f'{path}: ')}" for path, error in plan.inputs.left_out
+    ]
     for text in (*left_out, *plan.warnings):
         listener(Warned(text))
     if not (limits_memory() or plan.config.in_process):
         job.note(
             "this system cannot limit the memory of a process: a worker that needs more than planned is not stopped"
         )
-    if plan.candidate_cell_m and not plan.on_candidates:
+    if plan.method.candidate_cell_m and not plan.on_candidates:
         job.note(
-            f"passes read all points: the store has one candidate per cell of {float(plan.fine_m):g} m, which does not "
-            f"divide the method's cells of {plan.candidate_cell_m:g} m; --overwrite rebuilds the store for this method"
+            f"passes read all points: the store has one candidate per cell of {float(plan.grid.fine_m):g} m, "
+            f"which does not divide the method's cells of {plan.method.candidate_cell_m:g} m; "
+            "--overwrite rebuilds the store for this method"
         )
     if is_url(job.products):
         job.note(
             f"{RUN}, {EVENTS} and {REPORT} are in {job.out}/; copies go to {job.products} when the run ends"
         )
     seconds = stage_seconds(plan, [raster.stage for raster in required_rasters(plan.config)], until)
-    stages = [ExpectedStage(stage=s, title=plan.title_of(s), seconds=round(t, 3)) for s, t in seconds.items()]
+    stages = [
+        ExpectedStage(stage=s, title=plan.method.title_of(s), seconds=round(t, 3)) for s, t in seconds.items()
+    ]
     listener(JobStarted(stages))
     try:
         _healing_stages(job, until)
@@ -223,7 +228,7 @@ def _healing_stages(job: Job, until: str) -> None:
     for number in range(ROUNDS + 1):
         job.record.failed, job.record.quarantined = (
             [],
-            [{"path": p, "error": e} for p, e in job.plan.unreadable],
+            [{"path": p, "error": e} for p, e in job.plan.inputs.left_out],
         )
         try:
             _stages(job, until)
@@ -236,8 +241,8 @@ def _healing_stages(job: Job, until: str) -> None:
 
 def _stages(job: Job, until: str) -> None:
     """Run the stages in their order, up to the stage ``until``."""
-    if job.plan.area is not None:
-        job.store.put_area(job.plan.area)
+    if job.plan.inputs.area is not None:
+        job.store.put_area(job.plan.inputs.area)
     sources = numbered(job)
     if job.plan.config.scheduler is None and not job.store.committed("spool"):
         # Kernels are compiled while the points are read, which does not need kernels.
@@ -272,15 +277,15 @@ def _frozen(plan: Plan, url: str) -> tuple[Plan, TileStore]:
     """
     if plan.config.overwrite or not store_exists(url):
         first = {
-            "tile": str(plan.tile),
-            "resolution": str(plan.resolution),
-            "memory": plan.memory,
+            "tile": str(plan.method.tile),
+            "resolution": str(plan.grid.resolution),
+            "memory": plan.resources.memory,
             "thin": plan.thin_ground,
-            "workers": plan.tile_workers,
+            "workers": plan.method.tile_workers,
         }
-        return plan, create_store(url, plan.meta, first, anew=plan.config.overwrite)
+        return plan, create_store(url, plan.grid.meta, first, anew=plan.config.overwrite)
     store = open_store(url)
-    old, new = store.meta, plan.meta
+    old, new = store.meta, plan.grid.meta
     if (old.frame.crs_wkt, old.frame.units) != (new.frame.crs_wkt, new.frame.units):
         raise ConfigError(
             f"{url}: contains points in {crs_name(old.frame.crs_wkt)}, "
@@ -295,21 +300,24 @@ def _frozen(plan: Plan, url: str) -> tuple[Plan, TileStore]:
         frozen = Fraction(settled["tile"])
         tile = config.tile_size or frozen
         resolution = config.resolution or Fraction(settled["resolution"])
-        memory, thin = settled["memory"] if tile == frozen else plan.memory, settled["thin"]
-        workers = int(settled.get("workers", 0)) if tile == frozen else plan.tile_workers
+        memory, thin = settled["memory"] if tile == frozen else plan.resources.memory, settled["thin"]
+        workers = int(settled.get("workers", 0)) if tile == frozen else plan.method.tile_workers
     except (KeyError, TypeError, ValueError, ZeroDivisionError) as error:
         raise StoreError(
             f"{url}: its description is damaged ({error}); run again with --overwrite"
         ) from error
-    plan = dataclasses.replace(
-        plan, meta=old, tile=tile, resolution=resolution, tile_memory=memory, thin=thin, tile_workers=workers
+    plan = replace(
+        plan,
+        grid=replace(plan.grid, meta=old, resolution=resolution, thin=thin),
+        method=replace(plan.method, tile=tile, tile_memory=memory, tile_workers=workers),
     )
 
     def changed(memory: int, tile_size: Fraction | None = None, **_: Any) -> Plan:
         """Return the plan with more memory or another tile size. All other values are fixed."""
-        if tile_size in (None, plan.tile):
-            return dataclasses.replace(plan, memory=memory)
-        return dataclasses.replace(plan, memory=memory, tile=tile_size, tile_memory=memory, tile_workers=0)
+        method = plan.method
+        if tile_size is not None and tile_size != method.tile:
+            method = replace(method, tile=tile_size, tile_memory=memory, tile_workers=0)
+        return replace(plan, method=method, resources=replace(plan.resources, memory=memory))
 
     validate(plan, None, changed)
     return plan, store

@@ -7,7 +7,8 @@ import math
 from tiler.core.crs import crs_name, point_scale_factor
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.units_text import length_option, whole_length
-from tiler.plan.model import Plan, steps_of
+from tiler.plan.method import steps_of
+from tiler.plan.model import Plan
 
 MAX_RELIEF_M = 9000
 """Largest height difference that terrain can have."""
@@ -31,8 +32,8 @@ def warnings_of(plan: Plan) -> list[str]:
 
 def _too_high(plan: Plan) -> list[str]:
     """Warn about heights that terrain cannot have."""
-    units = plan.meta.frame.units
-    boxes = [(s.path, s.bounds) for s in plan.sources if s.points and s.bounds is not None]
+    units = plan.grid.meta.frame.units
+    boxes = [(s.path, s.bounds) for s in plan.inputs.sources if s.points and s.bounds is not None]
     warnings = []
     relief = (max(b[5] for _, b in boxes) - min(b[2] for _, b in boxes)) * float(units.vertical)
     if relief > MAX_RELIEF_M:
@@ -53,16 +54,16 @@ def _too_high(plan: Plan) -> list[str]:
 
 def _much_overlap(plan: Plan) -> list[str]:
     """Warn about halos that multiply the work. A cloud of unknown kind counts as a LiDAR cloud."""
-    steps = steps_of(plan.passes, plan.kind or "lidar")
+    steps = steps_of(plan.method.passes, plan.method.kind or "lidar")
     halos = [step.halo_m for step in steps if not plan.joins(step)]
-    tile = float(plan.tile)
+    tile = float(plan.method.tile)
     work = []
     for halo in halos:
         padded = [min(tile + 2 * halo, side) / min(tile, side) for side in plan.sides_m]
         work.append(math.prod(padded))
     if sum(work) <= MUCH_OVERLAP * len(work):
         return []
-    unit = plan.meta.frame.units.horizontal
+    unit = plan.grid.meta.frame.units.horizontal
     wider = length_option(whole_length(WIDE_TILE * max(halos), unit, math.ceil), unit)
     return [
         f"tiles of {tile:g} m with up to {max(halos):g} m of halo need {sum(work) / len(work):.1f} times "
@@ -72,7 +73,7 @@ def _much_overlap(plan: Plan) -> list[str]:
 
 def _stretched(plan: Plan) -> list[str]:
     """Warn about a CRS whose lengths are not those on the ground, such as Web Mercator."""
-    wkt, extent = plan.meta.frame.crs_wkt, plan.extent
+    wkt, extent = plan.grid.meta.frame.crs_wkt, plan.inputs.extent
     if wkt is None:
         return []
     x = (extent.x0 + extent.x1) / 2 / COUNTS_PER_UNIT

@@ -59,7 +59,7 @@ class Corrections:
 
     def add_to_task(self, plan: Plan, name: str, task: Task) -> Task:
         """Return a task of a raster with the edits and breaklines, and with those near its block in its digest."""
-        bounds = task.arguments.place(plan.meta.bucket) if isinstance(task.arguments, Placed) else None
+        bounds = task.arguments.place(plan.grid.meta.bucket) if isinstance(task.arguments, Placed) else None
         if bounds is None:
             return task
         digests: list[Any] = []
@@ -76,9 +76,9 @@ class Corrections:
     def _lines_near(self, plan: Plan, bounds: Bounds) -> list[Any]:
         """Return the buckets whose breaklines can change a block through a facet, with their digests."""
         digests = self.line_digests or {}
-        facet_reach = full_halo(plan.meta.frame.counts(plan.config.max_edge))
-        facet_reach += math.ceil(3 * plan.meta.frame.counts(plan.resolution))
-        near = plan.meta.bucket.among(bounds.pad(facet_reach), digests)
+        facet_reach = full_halo(plan.grid.meta.frame.counts(plan.config.max_edge))
+        facet_reach += math.ceil(3 * plan.grid.meta.frame.counts(plan.grid.resolution))
+        near = plan.grid.meta.bucket.among(bounds.pad(facet_reach), digests)
         return [[cell.ix, cell.iy, digests[cell]] for cell in near]
 
 
@@ -94,27 +94,28 @@ def correct(job: Job, assembled: IngestResult, labelled: Labelled) -> tuple[Labe
     """Apply the user features of the plan and the bridges. Return the edited labels, and the `Corrections`."""
     plan, labels, corrections = job.plan, labelled.digests, Corrections()
     deck_edits, decks = find_bridges(job, assembled, labels)
-    if deck_edits or plan.edits:
-        cell = Lattice(plan.meta.frame.counts(plan.resolution))
+    if deck_edits or plan.inputs.edits:
+        cell = Lattice(plan.grid.meta.frame.counts(plan.grid.resolution))
         edits = Edits((*deck_edits, *_user_edits(job, assembled, labels, cell)), cell)
         job.store.put_edits(edits)
         corrections = replace(corrections, edits=edits, decks=decks)
         labelled = replace(labelled, digests=_labels(plan, edits, labels))
-    if plan.lines:
-        pixel = plan.meta.frame.counts(plan.resolution)
-        lines = Breaklines.of(plan.lines, pixel, plan.meta.frame.counts(MIN_LENGTH_M), assembled.bounds)
+    if plan.inputs.lines:
+        counts = plan.grid.meta.frame.counts
+        pixel, min_length = counts(plan.grid.resolution), counts(MIN_LENGTH_M)
+        lines = Breaklines.of(plan.inputs.lines, pixel, min_length, assembled.bounds)
         job.store.put_breaklines(lines)
-        vertices, on_map = len(lines.vertices), drawn(plan.lines)
-        job.facts["breaklines"] = {"lines": len(plan.lines), "vertices": vertices, "drawn": on_map}
-        corrections = replace(corrections, lines=lines, line_digests=lines.digests(plan.meta.bucket))
+        vertices, on_map = len(lines.vertices), drawn(plan.inputs.lines)
+        job.facts["breaklines"] = {"lines": len(plan.inputs.lines), "vertices": vertices, "drawn": on_map}
+        corrections = replace(corrections, lines=lines, line_digests=lines.digests(plan.grid.meta.bucket))
     return labelled, corrections
 
 
 def _labels(plan: Plan, edits: Edits, labels: Mapping[Cell, str]) -> dict[Cell, str]:
     """Return the digests of labels, changed for each bucket that an edit intersects."""
     digests = dict(labels)
-    for cell, near in edits.by_cell(plan.meta.bucket, labels).items():
-        digests[cell] = digest_of(digests[cell], [edit.digest for edit in near], str(plan.resolution))
+    for cell, near in edits.by_cell(plan.grid.meta.bucket, labels).items():
+        digests[cell] = digest_of(digests[cell], [edit.digest for edit in near], str(plan.grid.resolution))
     return digests
 
 
@@ -122,21 +123,21 @@ def _user_edits(
     job: Job, assembled: IngestResult, labels: Mapping[Cell, str], cell: Lattice
 ) -> tuple[Edit, ...]:
     """Count the points inside the user's edits. Return the edits, with `lowest` set according to the counts."""
-    if not job.plan.edits:
+    if not job.plan.inputs.edits:
         return ()
-    user_edits = Edits(job.plan.edits, cell)
+    user_edits = Edits(job.plan.inputs.edits, cell)
     job.store.put_edits(user_edits)
     tasks = list(_count_tasks(job.plan, user_edits, assembled, labels))
     made = run_stage(job, "edits", tasks)
     if len(made) < len(tasks):
         raise ProcessingError(f"--edits: could not be applied: {job.record.first_error('edits')}")
-    counts = {edit.number: np.zeros(5, np.int64) for edit in job.plan.edits}
+    counts = {edit.number: np.zeros(5, np.int64) for edit in job.plan.inputs.edits}
     for _, record in made.values():
         for number, *of_bucket in record["edits"]:
             counts[number] += of_bucket
     has_no_labels = ground_rule(job.plan).labels is None
     edits = []
-    for edit in job.plan.edits:
+    for edit in job.plan.inputs.edits:
         has_no_ground = has_no_labels or not counts[edit.number][-1]
         edits.append(replace(edit, lowest=edit.action == TO_GROUND and has_no_ground))
     job.facts["edits"] = [_fact(edit, counts[edit.number].tolist()) for edit in edits]
@@ -149,7 +150,7 @@ def _count_tasks(
 ) -> Iterator[Task]:
     """Yield a task for each bucket that an edit of points intersects."""
     rule = ground_rule(plan)
-    for cell, near in edits.by_cell(plan.meta.bucket, labels).items():
+    for cell, near in edits.by_cell(plan.grid.meta.bucket, labels).items():
         edit_digests = [[edit.number, *edit.digest] for edit in near]
         digest = digest_of(__version__, rule, edits.cell, cell, labels[cell], edit_digests)
         work = SurveyEdits(rule, edits.key, cell)

@@ -39,7 +39,7 @@ CANOPY = "canopy"
 
 def terrain_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
     """Yield a task for each block that a facet of the terrain could reach."""
-    plan, frame, share = g.plan, g.plan.meta.frame, g.plan.surface_share
+    plan, frame, share = g.plan, g.plan.grid.meta.frame, g.plan.surface_cells
     widest = full_halo(frame.counts(plan.config.max_edge))
     make = partial(
         GridBlock,
@@ -47,7 +47,7 @@ def terrain_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
         max_halo=widest,
         interpolation=plan.config.interpolation,
         percent=plan.config.surface_percent,
-        thin=None if share is None else Lattice(frame.counts(plan.resolution / share)),
+        thin=None if share is None else Lattice(frame.counts(plan.grid.resolution / share)),
         max_points=plan.block_points,
     )
     return _block_tasks(raster, g, make, widest)
@@ -65,24 +65,26 @@ def point_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
 
 def distance_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
     """Yield a task for each block that is nearer to points than the cap of the distance."""
-    cap = g.plan.meta.frame.counts(g.plan.config.max_edge)
+    cap = g.plan.grid.meta.frame.counts(g.plan.config.max_edge)
     return _block_tasks(raster, g, partial(DistanceBlock, cap=cap), math.ceil(cap) + 1)
 
 
 def surface_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
     """Yield a task for each block that a facet of the surface could reach, with the terrain as lower limit."""
-    plan, frame, pixels = g.plan, g.plan.meta.frame, reach_pixels(g.plan.resolution)
+    plan, frame, pixels = g.plan, g.plan.grid.meta.frame, reach_pixels(g.plan.grid.resolution)
     (terrain,) = raster.inputs
     spike = plan.config.spike / frame.metres_z
     make = partial(SurfaceBlock, **_tin(g), spike=spike, reach=pixels, terrain=terrain)
     widest = full_halo(frame.counts(plan.config.max_edge))
-    return _block_tasks(raster, g, make, widest + math.ceil((pixels + 1) * frame.counts(plan.resolution)))
+    return _block_tasks(
+        raster, g, make, widest + math.ceil((pixels + 1) * frame.counts(plan.grid.resolution))
+    )
 
 
 def _tin(g: GridContext) -> dict[str, Any]:
     """Return the common arguments of all blocks on a TIN."""
-    counts, plan = g.plan.meta.frame.counts, g.plan
-    halo = math.ceil(counts(plan.grid_halo))
+    counts, plan = g.plan.grid.meta.frame.counts, g.plan
+    halo = math.ceil(counts(plan.grid.halo_m))
     return {"data": g.assembled.bounds, "max_edge": counts(plan.config.max_edge), "halo": halo}
 
 
@@ -104,8 +106,8 @@ def _block_tasks(
 
 def _near(g: GridContext, spec: RasterSpec, margin: int = 0) -> dict[Block, list[Cell]]:
     """Return the blocks within ``margin`` counts (plus `--erode`) of buckets, each with the buckets near it."""
-    margin += math.ceil(g.plan.meta.frame.counts(g.plan.config.erosion))
-    return spec.blocks_near(g.plan.meta.bucket, g.labels, BLOCK_PIXELS, margin)
+    margin += math.ceil(g.plan.grid.meta.frame.counts(g.plan.config.erosion))
+    return spec.blocks_near(g.plan.grid.meta.bucket, g.labels, BLOCK_PIXELS, margin)
 
 
 def canopy_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
@@ -146,7 +148,7 @@ def outline_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
             canopy=canopy,
             waters=waters.key if water_digest else None,
             finds_water=g.plan.config.water == AUTO_WATER,
-            area=g.plan.area_key,
+            area=g.plan.inputs.area_key,
         )
         digest = digest_of(
             __version__,
@@ -182,7 +184,7 @@ def mask_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
             coarse=coarse,
             canopy=canopy if g.made[canopy] else None,
             holes=tuple(holes.get(block, ())),
-            area=g.plan.area_key,
+            area=g.plan.inputs.area_key,
             waters=g.water_key,
         )
         digest = digest_of(
@@ -210,7 +212,7 @@ def derived_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
 
 def sigma_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
     """Yield a task for each block of the terrain. A task also reads points and pixels around its block."""
-    spec, frame = g.spec, g.plan.meta.frame
+    spec, frame = g.spec, g.plan.grid.meta.frame
     terrain, mask = raster.inputs
     cap = frame.counts(g.plan.config.max_edge)
     near = _near(g, spec, reach_of(frame, spec.lattice.size, cap))

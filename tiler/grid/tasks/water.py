@@ -42,7 +42,7 @@ SHORE_MARGIN = POCKET_PIXELS + 2
 def find_waters(job: Job, g: GridContext) -> Waters:
     """Find the bodies of water and their levels, and put them into the store for the tasks."""
     auto = g.plan.config.water == AUTO_WATER
-    bodies = _bodies_in_data(job, g) if auto else g.plan.waters
+    bodies = _bodies_in_data(job, g) if auto else g.plan.inputs.waters
     tasks = list(level_tasks(g, bodies))
     made = run_stage(job, STAGE, tasks) if tasks else {}
     levelled: list[Water] = []
@@ -115,7 +115,7 @@ def _body_tasks(g: GridContext) -> Iterator[Task]:
 
 def _buckets_near(g: GridContext, places: list[Place]) -> list[Cell]:
     """Return the buckets of the points in blocks of coarse cells and near them."""
-    buckets, coarse = g.plan.meta.bucket, g.coarse
+    buckets, coarse = g.plan.grid.meta.bucket, g.coarse
     blocks = [padded(coarse.block_at(*place, BLOCK_PIXELS), BANK_MARGIN) for place in places]
     cells = {cell for block in blocks for cell in buckets.among(coarse.block_bounds(block), g.labels)}
     return sorted(cells, key=row_by_row)
@@ -126,7 +126,7 @@ def _is_gentle(g: GridContext, body: Water) -> bool:
     high, low = body.range
     if body.flow is None or high == low:
         return True
-    units = g.plan.meta.frame.units
+    units = g.plan.grid.meta.frame.units
     length = lengths_along(body.flow)[-1] / COUNTS_PER_UNIT * float(units.horizontal)
     return bool((high - low) * float(units.vertical) <= MAX_SLOPE * length)
 
