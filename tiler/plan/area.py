@@ -158,6 +158,7 @@ def _without_damaged(
 
 def _narrower_margins(plan: Plan) -> str:
     """Return a text with the kinds of clouds that need a narrower margin, or "" if there are none."""
+    # With --statistics, the earlier run decides the kind.
     if not plan.method.kinds or plan.method.statistics is not None:
         return ""
     texts = []

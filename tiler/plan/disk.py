@@ -154,8 +154,9 @@ def sparse_raster_remedy(plan: Plan, out: Path | None) -> str | None:
     if out is not None:
         with suppress(OSError):  # `validate` reports the error of the folder.
             free = free_bytes(out)
-    full = free is not None and needed_bytes(plan) > free >= needed_bytes(plan) - empty
-    if pixels.largest <= MAX_PIXELS and not full:
+    needed = needed_bytes(plan)
+    fits_without_empty = free is not None and needed - empty <= free < needed
+    if pixels.largest <= MAX_PIXELS and not fits_without_empty:
         return None
     return (
         f"a single raster would have {pixels.largest:.2g} pixels, nearly all of them empty; "

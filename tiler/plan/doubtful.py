@@ -18,7 +18,8 @@ WIDE_TILE = 2 + 2 * math.sqrt(2)
 """Ratio of the side of a tile to its halo at which halos double the work."""
 
 MUCH_OVERLAP = 3.0
-"""Mean ratio of padded area to core area of the passes above which a warning recommends larger tiles."""
+"""Ratio of a tile's padded area to its core area, as a mean of all passes, above which a warning recommends larger
+tiles."""
 
 STRETCHED = 1.05
 """Ratio of lengths in the CRS to lengths on the ground, or its inverse, above which a warning recommends reprojection.

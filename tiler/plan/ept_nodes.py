@@ -1,6 +1,6 @@
 """Inputs that are Entwine Point Tiles (EPT): nodes that a run may need, and their CRS.
 
-If ``ept.json`` and the files of its nodes contradict each other, the files count, and notes report it.
+If ``ept.json`` contradicts the files of its nodes, the values in the files are used and a note reports it.
 """
 
 from __future__ import annotations
@@ -96,7 +96,7 @@ class EptInputs:
 
 
 def validate_distances(plan: Plan, inputs: Sequence[str]) -> None:
-    """Raise ConfigError if a run needs points farther away than EPT nodes were considered."""
+    """Raise ConfigError if a run needs points farther from the area than EPT nodes were read."""
     margin_m = _margin_m(plan.config)
     if plan.inputs.area is None or not any(map(is_ept, inputs)):
         return
@@ -145,7 +145,7 @@ def contradictions(
         if faults:
             path, text = faults[0]
             more = f" ({len(faults)} of {len(sources)} files)" if len(sources) > 1 else ""
-            yield f"{tiles.text}: {text} in {path.name}{more}; the files are used; create it again"
+            yield f"{tiles.text}: {text} in {path.name}{more}; the values in the files are used; create ept.json again"
 
 
 def _check_points(counts: Mapping[Path, int], source: SourceInfo) -> Contradiction:

@@ -147,7 +147,7 @@ def output_names(
     for source in sources:
         name = Path(source.path.name)
         for folder in folders:
-            # A URL may be a folder or the source itself, whose relative path would be empty.
+            # A URL among the folders may be the source itself, whose path relative to it would be empty.
             same_kind = type(folder) is type(source.path)
             if same_kind and folder != source.path and source.path.is_relative_to(folder):
                 name = Path(str(source.path.relative_to(folder)))

@@ -105,7 +105,7 @@ def make_plan(
     metres = float(crs.units.horizontal)
     inspected = inspected.without(files_beyond_frame(inspected.filled, area, crs.wkt, metres), config)
     plan = _plan_for(inspected, config, params)
-    validate_resolution(plan)  # This comes first, so that bad pixels are not reported as a large raster.
+    validate_resolution(plan)  # Otherwise a pixel of impossible size could be reported as a large raster.
     validate_pixel_count(plan, folder)
     while remedy := sparse_raster_remedy(plan, folder):
         inspected = inspected.without(outlying_files(plan.inputs.filled, crs.wkt, metres, remedy), config)

@@ -17,7 +17,7 @@ KEEP = "keep"
 """Name of the method that keeps the classes of the input."""
 
 MIN_CANDIDATES = 500_000
-"""Minimum number of candidates in a half of a tile that is split only to occupy workers."""
+"""Minimum mean number of candidates of joined tiles. Smaller tiles are made only if the memory requires it."""
 
 MIN_MATCHED_M2 = 0.5
 """Density in points per square metre below which clouds of unknown kind are planned as LiDAR clouds. From positions
@@ -97,7 +97,8 @@ class MethodPlan:
         There is one tile per worker, rounded up to a power of two, or fewer if tiles would have less than
         `MIN_CANDIDATES`.
         """
-        return min(1 << (self.tile_workers - 1).bit_length(), max(candidates // MIN_CANDIDATES, 1))
+        power_of_two = 1 << (self.tile_workers - 1).bit_length()
+        return min(power_of_two, max(candidates // MIN_CANDIDATES, 1))
 
 
 def known_kind(

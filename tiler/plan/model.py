@@ -162,8 +162,8 @@ class Plan:
     def thin_ground(self) -> bool:
         """Whether the surface is made of one ground point per cell of a quarter of a pixel's side.
 
-        In the first run on a store, it is if a part of a block would have more than `MAX_GROUND` points with the mean
-        density, or if the smallest part would have more in the densest place. Later runs do the same as the first.
+        The first run on a store decides it, and later runs do the same. It is true if a part of a block would have more
+        than `MAX_GROUND` points with the mean density, or if the smallest part would have more in the densest place.
         """
         if self.grid.thin is not None:
             return self.grid.thin

@@ -138,7 +138,7 @@ def _halo_in_words(plan: Plan) -> str:
     unit = plan.grid.meta.frame.units.horizontal
 
     def words(halo_m: float, steps: Iterable[PlannedPass]) -> str:
-        return f"{length_text(halo_m, unit)} of halo, overlap work {overlap_of(plan, steps):.2f}"
+        return f"{length_text(halo_m, unit)} of halo ({overlap_of(plan, steps):.2f} times the work)"
 
     if not plan.method.kinds:
         return words(plan.method.halo_m, plan.method.steps)

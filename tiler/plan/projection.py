@@ -37,7 +37,9 @@ def projected_memory(plan: Plan) -> dict[str, int]:
 def _pass_bytes(plan: Plan, step: PlannedPass) -> int:
     """Estimate the peak bytes of a worker in a pass.
 
-    A tile of mean density may get the widest halo. The densest tile is divided until it fits or is one bucket.
+    It is the peak of a tile of mean density with the widest halo, or of the densest tile with the first halo if that is
+    higher. A tile that does not fit into the memory is divided, down to single buckets. So the peak is at most that
+    memory, or the peak of the densest bucket if that is higher.
     """
     if plan.joins(step):
         side = math.sqrt(plan.inputs.covered_m2)

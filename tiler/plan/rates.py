@@ -88,7 +88,7 @@ def stage_seconds(plan: Plan, rasters: Iterable[str], until: str = "export") -> 
     known = _read()
     steps, kinds = plan.method.steps, plan.method.kinds
     filters = {f"filter{number}": step for number, step in enumerate(plan.method.passes) if step in steps}
-    # If earlier runs did some of the passes that do not always apply, the others of these passes do not count.
+    # Some passes are skipped for some clouds. Once earlier runs did some of these passes, the others are not expected.
     did = [stage for stage, step in filters.items() if step.sometimes and _name(plan, stage) in known]
     if did:
         filters = {stage: step for stage, step in filters.items() if stage in did or not step.sometimes}

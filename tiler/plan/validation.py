@@ -49,7 +49,7 @@ Replan = Callable[..., Plan]
 """Function that makes a plan with other values of settings, given by name."""
 
 MAX_DENOMINATOR = 511
-"""Largest denominator of a pixel's side in counts with which gridding is exact in int64."""
+"""Maximum denominator of a pixel's side, which is a fraction of counts, with which gridding is exact in int64."""
 MAX_PIXEL = 1 << 26
 """Side of a pixel in counts below which gridding is exact in int64."""
 
@@ -159,7 +159,9 @@ def validate_resolution(plan: Plan) -> None:
 def validate_pixel_count(plan: Plan, out: Path | None) -> None:
     """Raise ConfigError if a raster is too large only because of its fine pixels."""
     usual = _usual_pixel(plan)
-    if usual is None or not sparse_raster_remedy(plan, out) or sparse_raster_remedy(usual, out):
+    if usual is None:
+        return
+    if not sparse_raster_remedy(plan, out) or sparse_raster_remedy(usual, out):
         return
     pixels, spacing = pixels_of(plan).largest, 1 / math.sqrt(plan.inputs.density)
     raise _error(
@@ -248,7 +250,7 @@ def enough_memory(plan: Plan, replan: Replan) -> int:
     """
     required_bytes = max(projected_memory(plan).values())
     while True:
-        allowed = -(-required_bytes >> 20) << 20
+        allowed = math.ceil(required_bytes / 2**20) << 20
         needed = max(projected_memory(replan(memory=allowed)).values())
         if needed <= allowed:
             return allowed

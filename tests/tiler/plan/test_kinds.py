@@ -42,7 +42,7 @@ def test_passes_of_another_kind_are_not_reckoned_with(make_cloud: MakeCloud) -> 
     assert plan_json(laser)["halo_by_kind_m"] == {}
 
     words = {kind: "\n".join(plan_lines(plan)) for kind, plan in ((None, unknown), ("als", laser))}
-    assert "229 m of halo, overlap work 3.59 for a LiDAR cloud, or 622 m of halo" in words[None]
+    assert "229 m of halo (3.59 times the work) for a LiDAR cloud, or 622 m of halo" in words[None]
     assert "some of them only for some clouds" in words[None]
     assert "(229 m are enough with --kind als)" in " ".join(words[None].split())
     assert "622 m" not in words["als"]
