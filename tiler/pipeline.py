@@ -5,13 +5,11 @@ from __future__ import annotations
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
-from dataclasses import replace
-from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 from tiler.config import RunConfig
-from tiler.errors import ConfigError, CorruptStoreError, ProcessingError, StoreError, exit_code_of
+from tiler.errors import ConfigError, CorruptStoreError, ProcessingError, exit_code_of
 from tiler.export.stage import export
 from tiler.filter.stage import filter_points
 from tiler.grid.stage import grid
@@ -35,7 +33,7 @@ from tiler.observe.events import (
     ignore_events,
     redacting,
 )
-from tiler.plan import Plan, crs_name, make_plan, remember, stage_seconds, validate
+from tiler.plan import Plan, make_plan, remember, settled, settled_by, stage_seconds
 from tiler.preparation import prepare_workers
 from tiler.redaction import without_secrets
 from tiler.report.html import write_report
@@ -106,7 +104,7 @@ def run(
         products = str(out.resolve())  # Workers have other current folders.
         url = config.store or joined(products, STORE)
     with _held(out, products, url) as leases, _copied(out, products):
-        plan, store = _frozen(plan, url)
+        plan, store = _with_store(plan, url)
         job = Job(plan, out, products, store, redacting(listener), LeaseWatch(leases))
         job.facts["products_at"] = products if is_url(products) else None
         job.facts["given"] = [str(source) for source in inputs]
@@ -270,54 +268,9 @@ def _make_folder(out: Path) -> None:
         ) from error
 
 
-def _frozen(plan: Plan, url: str) -> tuple[Plan, TileStore]:
-    """Return the plan with the settings of the store's first run, and the store.
-
-    These settings are frame, buckets, tiles, resolution and thinning.
-    """
+def _with_store(plan: Plan, url: str) -> tuple[Plan, TileStore]:
+    """Return the plan and its store, which is new or settles the plan."""
     if plan.config.overwrite or not store_exists(url):
-        first = {
-            "tile": str(plan.method.tile),
-            "resolution": str(plan.grid.resolution),
-            "memory": plan.resources.memory,
-            "thin": plan.thin_ground,
-            "workers": plan.method.tile_workers,
-        }
-        return plan, create_store(url, plan.grid.meta, first, anew=plan.config.overwrite)
+        return plan, create_store(url, plan.grid.meta, settled(plan), anew=plan.config.overwrite)
     store = open_store(url)
-    old, new = store.meta, plan.grid.meta
-    if (old.frame.crs_wkt, old.frame.units) != (new.frame.crs_wkt, new.frame.units):
-        raise ConfigError(
-            f"{url}: contains points in {crs_name(old.frame.crs_wkt)}, "
-            f"the inputs are in {crs_name(new.frame.crs_wkt)}; use --overwrite or another -o"
-        )
-    if new.has_rgb and not old.has_rgb:
-        raise ConfigError(
-            f"{url}: contains no colours, which --method {plan.config.method} needs; use --overwrite or another -o"
-        )
-    config, settled = plan.config, store.settled
-    try:
-        frozen = Fraction(settled["tile"])
-        tile = config.tile_size or frozen
-        resolution = config.resolution or Fraction(settled["resolution"])
-        memory, thin = settled["memory"] if tile == frozen else plan.resources.memory, settled["thin"]
-        workers = int(settled.get("workers", 0)) if tile == frozen else plan.method.tile_workers
-    except (KeyError, TypeError, ValueError, ZeroDivisionError) as error:
-        raise StoreError(
-            f"{url}: its description is damaged ({error}); run again with --overwrite"
-        ) from error
-    plan = replace(
-        plan,
-        grid=replace(plan.grid, meta=old, resolution=resolution, thin=thin),
-        method=replace(plan.method, tile=tile, tile_memory=memory, tile_workers=workers),
-    )
-
-    def changed(memory: int, tile_size: Fraction | None = None, **_: Any) -> Plan:
-        """Return the plan with more memory or another tile size. All other values are fixed."""
-        method = plan.method
-        if tile_size is not None and tile_size != method.tile:
-            method = replace(method, tile=tile_size, tile_memory=memory, tile_workers=0)
-        return replace(plan, method=method, resources=replace(plan.resources, memory=memory))
-
-    validate(plan, None, changed)
-    return plan, store
+    return settled_by(plan, store), store
