@@ -1,6 +1,6 @@
-"""Sums of points by cells, and residuals of points from the planes through them in windows of cells.
+"""Sums of points by cells, and variance of the points in a window of cells about their plane.
 
-Sums are whole numbers, so they depend neither on the order of points nor on other points in the raster of cells.
+Sums are whole numbers, so they do not depend on the order of points. The sums of a cell do not depend on other cells.
 """
 
 from __future__ import annotations
@@ -18,9 +18,9 @@ Int64 = npt.NDArray[np.int64]
 Float64 = npt.NDArray[np.float64]
 
 PLANE_POINTS = 6
-"""Least number of points in a window for a plane and their residuals: three more than a plane needs."""
+"""A plane with residuals needs at least this many points in a window: three more than a plane alone."""
 FLATTEST = 0.01
-"""Determinant of the spread of a window's points, relative to that of a disk, up to which they lie on a line."""
+"""Points lie on a line if the determinant of their spread is at most this share of the determinant of a disk."""
 SUMS = 10
 """Number of sums: number, x, y, z, xx, xy, xz, yy, yz, zz."""
 
@@ -33,7 +33,7 @@ class CellWindow(NamedTuple):
     p, q : int
         The side of a cell is p / q counts.
     west, north : int
-        Global indices of the western column and of the northern row; the latter grow to the north.
+        Global indices of the western column and of the northern row. Indices of rows grow to the north.
     rows, columns : int
     origin_x, origin_y : int
         Absolute counts of the points' local 0.
@@ -51,7 +51,7 @@ class CellWindow(NamedTuple):
 
 @kernel
 def _sums(x: Int32, y: Int32, z: Int32, window: tuple[int, ...], start: tuple[int, int, int]) -> Int64:
-    """Sums [10, rows, columns] of points, from ``start`` (absolute x and y, height)."""
+    """Return sums [10, rows, columns] of coordinates relative to ``start`` (absolute x and y, height)."""
     p, q, west, north, rows, columns, ox, oy = window
     sums = np.zeros((SUMS, rows, columns), np.int64)
     for i in range(x.size):
@@ -123,7 +123,7 @@ def _plane_variances(
 
 
 def plane_variance(xyz: Int32, window: CellWindow, half_widths: Sequence[int]) -> Float64:
-    """Return the variance of heights about their plane, around each cell in the smallest window with enough points.
+    """Return the variance of heights about their plane, in the smallest window around each cell with enough points.
 
     Parameters
     ----------
@@ -137,8 +137,8 @@ def plane_variance(xyz: Int32, window: CellWindow, half_widths: Sequence[int]) -
     Returns
     -------
     float64 [rows - 2 * margin, columns - 2 * margin]
-        Squared vertical counts, with n - 3 degrees of freedom; NaN where in no window `PLANE_POINTS` points span a
-        plane. The margin is the widest of the half widths.
+        Squared vertical counts, with n - 3 degrees of freedom; NaN if no window around a cell has a plane through
+        `PLANE_POINTS` points. The margin is the widest of the half widths.
     """
     x, y, z = (np.ascontiguousarray(axis) for axis in xyz)
     low = int(z.min()) if z.size else 0

@@ -51,7 +51,8 @@ class HighestReturns:
     Attributes
     ----------
     top : int32 [rows * columns, 2, 3]
-        x, y, z of the highest return and of the next different one; z is `NOTHING` without a return.
+        x, y, z of the highest return, and of the next highest at another position or height; z is `NOTHING` without a
+        return.
     """
 
     def __init__(self, rows: int, columns: int) -> None:
@@ -80,8 +81,8 @@ class HighestReturns:
         Parameters
         ----------
         reach : int
-            Pixels compared to each side, at least 1. Within this distance of the block's edge the result is right
-            only if nothing lies beyond the edge.
+            Number of pixels that are compared on each side, at least 1. Within this distance of the block's edge the
+            result is right only if nothing lies beyond the edge.
         spike : float
             Counts.
 

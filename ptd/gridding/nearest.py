@@ -51,7 +51,7 @@ class _Bins(NamedTuple):
     order : int32
         Indices of the points, pixel by pixel.
     empty : int32 [rows, columns]
-        Empty rings around each pixel.
+        Number of empty rings around each pixel.
     pad : int
         Pixels around the raster on each side.
     """
@@ -114,7 +114,7 @@ def _look_in(
     index: Int32,
     found: int,
 ) -> int:
-    """Merge the points of a cell (first, last) into the ``found`` nearest of a pixel, and return their new number.
+    """Merge the points of a cell (first, end) into the ``found`` nearest of a pixel, and return their new number.
 
     Only points within the disk (x, y, squared radius) count.
     """
@@ -200,7 +200,7 @@ def nearest_points(x: Int32, y: Int32, z: Int32, pixels: Pixels, k: int, reach: 
     Raises
     ------
     ValueError
-        If ``k`` is below 1, or ``reach`` is below 0 or 2**26 counts and more.
+        If ``k`` is below 1, or ``reach`` is negative or at least 2**26 counts.
     """
     if k < 1 or not 0 <= reach < 2**26:
         raise ValueError(f"k is {k}, reach {reach} counts: need k >= 1 and 0 <= reach < 2**26")

@@ -72,9 +72,9 @@ def multidirectional_hillshade(east: Float64, north: Float64) -> Float64:
     the angle between its azimuth and the aspect, so that slopes of every direction are lit. The weights sum to 2.
 
     The source is Mark (1992, Multidirectional, oblique-weighted, shaded-relief image of the Island of Hawaii, USGS OFR
-    92-422), as `gdaldem hillshade -multidirectional` computes it: it takes the squared sine of Mark's text from an
-    aspect a quarter turn away, which is this squared cosine. Shades are scaled to 1 + 254 times the cosine of
-    incidence, as there, so level ground is 181.
+    92-422), as `gdaldem hillshade -multidirectional` computes it. Mark has a squared sine, but gdaldem turns the aspect
+    by a quarter, so the sine becomes this cosine. As in gdaldem, shades are scaled to 1 + 254 times the cosine of
+    incidence, so level ground is 181.
     """
     squared = east * east + north * north
     sin_h, cos_h = math.sin(math.radians(ALTITUDE_DEG)), math.cos(math.radians(ALTITUDE_DEG))

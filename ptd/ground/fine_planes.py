@@ -19,17 +19,17 @@ from ptd.ground.morphology import EMPTY
 from ptd.kernel import as_int64, inlined, kernel
 
 FILLED = 9
-"""Least number of the 25 cells of a dense block with a point near the TIN: about 3 points/m2."""
+"""A block is dense if at least this many of its 25 cells have a point near the TIN: about 3 points/m2."""
 ENOUGH, ENOUGH_WIDE = 6, 9
-"""Least number of cells for a plane of 3 x 3 cells, and otherwise for one of 5 x 5 cells."""
+"""A plane of 3 x 3 cells needs at least the first number of them. If there are fewer, 5 x 5 cells need the second."""
 AROUND = 2
 """Number of cells that the wider planes extend to each side. It is at most `SIDE`, so the blocks around suffice."""
 SPIKE_M = 0.07
-"""Height above its plane from which on a cell is not ground and is left out of the planes around it."""
+"""A cell at least this high above its plane, in metres, is left out of the planes around it."""
 ROUGH_M = 0.1
-"""Scatter of cells about their plane above which the TIN decides, as at a step or a wall."""
+"""If cells scatter by more than this about their plane, in metres, the TIN decides, as at a step or a wall."""
 THIN = 0.05
-"""Part of the largest possible determinant up to which cells lie on a line, so that there is no plane."""
+"""Cells lie on a line, so that there is no plane, if the determinant is at most this share of the largest one."""
 
 Bool = npt.NDArray[np.bool_]
 UInt8 = npt.NDArray[np.uint8]

@@ -7,8 +7,8 @@ Images show no ground below closed crowns. Two properties of the points distingu
   falls one way only, and lava and grass leave smaller residuals. Crowns are bounded: over 25 m the surface is not much
   rougher. The surface consists of the crowns, so little stands above it. The surface next to trees on a steep slope
   bends as well, but these trees stand above it.
-- Cells are *tall* if they stand above the ground found and are rough over 5 m. Halls are not rough. Adjacent roofs are
-  rough, but many of their cells lie in one plane with their neighbours.
+- Cells are *tall* if they stand above the ground that was found. Of tall cells, those that are rough over 5 m may be
+  crowns. Halls are not rough. Adjacent roofs are rough, but many of their cells lie in one plane with their neighbours.
 
 The canopy is the area that wavy and tall cells cover together, with small openings filled. A square must fit into it: a
 smaller one if half of it is wavy, a larger one if all of it is tall, as gardens and gables are rough, too. In the

@@ -28,11 +28,11 @@ COLOUR, NO_COLOUR = 2.4, -1.5
 coloured photogrammetric clouds are published."""
 
 SEVERAL_SHARE = 0.001
-"""Share of points that are one of several returns from which on the cloud is a LiDAR cloud."""
+"""Several returns are evidence for LiDAR if at least this share of the points is one of several."""
 TRACED_SHARE = 0.2
-"""Share of the area from which on a sensor's trace counts in full."""
+"""A trace of a sensor has its full weight if at least this share of the area has it."""
 SAME = 0.95
-"""Correlation with the grey of the colours from which on intensities are this grey; at most 0.71 in LiDAR clouds."""
+"""Intensities are the grey of the colours if they correlate at least this well; at most 0.71 in LiDAR clouds."""
 TIMES_PER_POINT = 0.01
 """Number of different GPS times per point above which a sensor measured them: each block of a photogrammetric cloud has
 a single time."""

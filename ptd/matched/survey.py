@@ -20,7 +20,7 @@ from ptd.passes import Pass, Points, RunHints, State, StatisticsModel, add_notes
 from ptd.places import PLACES, Figures, name_of
 
 SEEN_THROUGH_SHARE = 0.004
-"""Share of cells that are seen through from which on the cloud is a LiDAR cloud, whatever its returns are.
+"""Penetration is evidence for LiDAR if at least this share of the cells is seen through.
 
 The share is 0.006 to 0.28 in real LiDAR clouds of 4 points/m2 or more (0.0002 in a simulated one without trees). It is
 0 to 0.003 in photogrammetric clouds, and largest at wooded cliffs.
@@ -28,14 +28,15 @@ The share is 0.006 to 0.28 in real LiDAR clouds of 4 points/m2 or more (0.0002 i
 WIDE_M2, MIN_DENSITY_M2 = 4.0, 1.0
 """Densities in points per square metre: wide cells are used below the first and are reliable from the second on."""
 WIDE_SHARE, STANDING = 0.05, 100
-"""Share of wide cells that are seen through from which on the cloud is a LiDAR cloud, and least number with a gap.
+"""In a sparse cloud, penetration is evidence for LiDAR if at least this share of the wide cells is seen through.
+Missing penetration is evidence against it only if at least this many wide cells have a gap.
 
 The share is 0.054 to 0.33 in LiDAR clouds with plants, thinned to 1 to 3 points/m2, and 0 to 0.047 in photogrammetric
 clouds except wooded cliffs (0.06 to 0.12). With fewer gaps, for example next to walls, nothing stands there that a
-laser would penetrate. Sparse LiDAR clouds of single returns are common, so the cloud is classified as LiDAR then.
+laser would penetrate. Sparse LiDAR clouds of single returns are common, so a lack of gaps is weak evidence for LiDAR.
 """
 SPARSE_LASER_SIGMA_M, FLAT = 0.04, 10
-"""Noise of flat patches up to which a sparse cloud is a LiDAR cloud, and least number of patches for it.
+"""Low noise is evidence for LiDAR in a sparse cloud: flat patches have at most this noise, and there are this many.
 
 Thinned to 1 to 3 points/m2, LiDAR clouds without penetrated plants have 0.016 to 0.036 m, photogrammetric clouds 0.044
 to 0.17 m. Two clouds matched from close range have 0.016 and 0.027 m. For these two, the passes for LiDAR clouds are as

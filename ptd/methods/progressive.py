@@ -51,7 +51,11 @@ class Progressive:
     )  # fmt: skip
     low_radius_m: float = parameter(5.0, "low outliers: radius of the search", 1.0, 50.0, "m")
     low_depth_m: float = parameter(
-        4.0, "low outliers: depth below all other points within the radius", 0.1, 100.0, "m"
+        4.0,
+        "low outliers: depth below all points within the radius that are not in the same clump",
+        0.1,
+        100.0,
+        "m",
     )
     low_group: int = parameter(
         5, "low outliers: largest number of points in a clump of them; 0: no search", 0, 1000

@@ -350,5 +350,5 @@ def test_statistics_of_a_run_that_did_other_passes(
     file: Path, whole: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(MedianPass, "name", "other")
-    with pytest.raises(ConfigError, match="has no results of the pass other; use the same --kind"):
+    with pytest.raises(ConfigError, match="has no results of the pass other; use the --kind of the run"):
         filtered(file, tmp_path / "out", statistics=str(whole))

@@ -58,5 +58,5 @@ def test_a_part_has_the_figures_of_places_of_the_run_on_everything(tmp_path: Pat
     run = json.loads(run_file.read_text())
     del run["statistics"]["survey"]["places"]
     run_file.write_text(json.dumps(run))
-    with pytest.raises(ConfigError, match="which did not measure each place"):
+    with pytest.raises(ConfigError, match="which did not measure density and noise"):
         do(files[1], tmp_path / "old", statistics=str(tmp_path / "whole"), **how)

@@ -67,10 +67,10 @@ class TileReader:
     def window(self, bounds: Bounds, cell_m: float) -> tuple[Points, bool]:
         """Read the points of a window for a pass. Return the points, and whether one has an uncertified label.
 
-        - A pass on elected points is passed elected points.
-        - A pass that needs every point is passed all points that take part in filtering.
-        - Any other pass is passed the candidates of the store. They suffice if the cells of the method, with a side of
-          ``cell_m``, consist of whole fine cells of the store. Otherwise it is passed all points as well.
+        - A pass on elected points gets elected points.
+        - A pass that needs every point gets all points that take part in filtering.
+        - Any other pass gets the candidates of the store if they suffice: if each cell of the method, with a side of
+          ``cell_m``, consists of whole fine cells of the store. Otherwise it gets all points that take part.
         """
         slices_by_cell: dict[Cell, slice] = {}
         self._window = None  # This frees memory for the new window.
@@ -139,7 +139,7 @@ class TileReader:
         if not candidates_only:  # All candidates take part, so their classes and flags are not needed.
             columns = (*columns, "classification", "flags")
         block = self._store.read_bucket(cell, columns, candidates_only)
-        # All points cannot be read with labels if only candidates have labels.
+        # If only candidates have labels, a bucket with all its points is read without labels.
         if self._labels is not None and (candidates_only or not self._work.in_of_candidates):
             labels = self._store.read_labels(self._labels, cell, candidates_only)
             block = dataclasses.replace(block, labels=labels)

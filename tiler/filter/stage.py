@@ -104,16 +104,17 @@ def _without_known_places(state_after: Mapping[str, Any], state: State) -> dict[
 
 
 def _known_state(job: Job, step: Pass, state: State) -> dict[str, Any]:
-    """Return the state after a pass as recorded by the run that ``--statistics`` gives."""
+    """Return the state after a pass as recorded in the file of ``--statistics``."""
     state_after: dict[str, Any] | None = (job.plan.method.statistics or {}).get(step.name)
     if state_after is None:
         raise ConfigError(
-            f"--statistics {job.plan.config.statistics}: has no results of the pass {step.name}; use the same --kind"
+            f"--statistics {job.plan.config.statistics}: has no results of the pass {step.name}; use the --kind "
+            "of the run that wrote it"
         )
     if step.name == SurveyPass.name and PLACES not in state_after:
         raise ConfigError(
             f"--statistics {job.plan.config.statistics}: was written by an earlier version, which did not measure "
-            "each place; repeat that run with this version"
+            "density and noise in each place; repeat that run with this version"
         )
     if PLACES in state:
         state_after = {PLACES: state[PLACES], **state_after}
@@ -126,7 +127,7 @@ def _known_state(job: Job, step: Pass, state: State) -> dict[str, Any]:
 
 
 def _reduced(job: Job, step: Pass, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
-    """Return the state after a pass. Write the notes that the pass added to the log."""
+    """Return the state after a pass. Write the new notes of the pass to the log."""
     try:
         state_after = step.reduce(partials, state)
     except MethodRefusal as error:

@@ -24,7 +24,7 @@ from tiler.store import TileStore, open_store
 LABELS = "labels"
 """Name of the final labels in the store."""
 
-KEEP = 0
+KEPT_LABEL = 0
 """Label of a point that does not take part in filtering and keeps the class of its source."""
 
 REACH_CELLS = 4
@@ -76,8 +76,10 @@ def filter_tile(store_url: str, work: FilterTile) -> dict[str, Any]:
                 continue
             labels[cell], near_uncertified = _label(reader, cell, model)
             inputs_uncertified |= near_uncertified
-        marked = sum(int(np.count_nonzero(cell_labels & UNCERTIFIED_BIT)) for cell_labels in labels.values())
-        if (marked == 0 and model.uncertain() == 0) or halo >= work.max_halo:
+        n_uncertified = sum(
+            int(np.count_nonzero(cell_labels & UNCERTIFIED_BIT)) for cell_labels in labels.values()
+        )
+        if (n_uncertified == 0 and model.uncertain() == 0) or halo >= work.max_halo:
             break
         halo = min(2 * halo, work.max_halo)
         del points, model  # This frees memory for the wider window.
@@ -86,7 +88,7 @@ def filter_tile(store_url: str, work: FilterTile) -> dict[str, Any]:
             cell: cell_labels | (cell_labels > 0) * np.uint8(UNCERTIFIED_BIT)
             for cell, cell_labels in labels.items()
         }
-        marked = sum(int(np.count_nonzero(cell_labels)) for cell_labels in labels.values())
+        n_uncertified = sum(int(np.count_nonzero(cell_labels)) for cell_labels in labels.values())
     elected, elected_points = _elect(store, work.cells, model, work.elected_out)
     for cell, cell_labels in labels.items():
         if work.of_elected or step.elects:
@@ -101,8 +103,8 @@ def filter_tile(store_url: str, work: FilterTile) -> dict[str, Any]:
         ground=int(counts[GROUND]),
         low_noise=int(counts[LOW_NOISE]),
         unclassified=int(counts[UNCLASSIFIED]),
-        kept=int(counts[KEEP]),
-        marked=marked,
+        kept=int(counts[KEPT_LABEL]),
+        marked=n_uncertified,
         tries=tries,
         halo=halo,
         window_points=len(points),
@@ -125,7 +127,7 @@ def _label(reader: TileReader, cell: Cell, model: Model) -> tuple[npt.NDArray[np
     """
     bucket = reader.bucket(cell)
     points_around, near_uncertified = reader.points_around(cell)
-    bucket_labels = np.full(bucket.mask.size, KEEP, np.uint8)
+    bucket_labels = np.full(bucket.mask.size, KEPT_LABEL, np.uint8)
     n = len(bucket.points)
     if n:
         points = joined([bucket.points, *points_around]) if points_around else bucket.points

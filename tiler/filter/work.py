@@ -28,7 +28,8 @@ class FilterTile:
     halo, max_halo : int
         First and largest halo in counts.
     keep_classes, skip_flags : tuple of int, int
-        Classes and flags of points that are excluded, see `tiler.core.classes.participates`.
+        Points with one of these classes or flags keep their class and take no part in filtering, see
+        `tiler.core.classes.participates`.
     labels_in : str or None
         Name in the store of the labels that this pass reads; None if it reads none.
     labels_out : str

@@ -41,9 +41,9 @@ The halves may differ from that by this share of all points.
 """
 
 EQUAL_HALF = 0.05
-"""The share for tiles that are halved only to occupy all workers.
+"""Like `NEAR_HALF`, for tiles that are halved only to occupy all workers.
 
-It is smaller than `NEAR_HALF`, because the slowest tile determines the total time.
+It is smaller, because the slowest tile determines the total time.
 """
 
 DIVISOR_OF_ZERO = 1 << 62
@@ -71,8 +71,8 @@ class Tile:
     Attributes
     ----------
     name : str
-        Name of the tile's cell in the lattice of tiles, with level and cell of a quarter. In a survey that is halved:
-        name of the south-west bucket of the tile's rectangle, with its numbers of columns and rows.
+        For a tile of a lattice: the name of its cell, and for a quarter also its level and cell. For a tile of a survey
+        that was halved: the name of the south-west bucket of its rectangle, and numbers of columns and rows.
     cells : tuple of Cell
         Sorted buckets whose centres lie in the tile.
     halo, max_halo : int

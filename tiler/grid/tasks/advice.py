@@ -27,7 +27,7 @@ def advise(job: Job, labelled: Labelled, spec: RasterSpec, made: Commits, waters
     ``waters`` is the key of the bodies of water in the store, if there are any.
     """
     building = job.plan.method.parameters.get("max_building_size_m")
-    # If the filter has searched for canopies, there is a warning about crowns already.
+    # A filter that searches for canopies reports crowns itself.
     checks_crowns = labelled.matched and CanopyPass.name not in labelled.statistics
     if not (building or checks_crowns):
         return

@@ -32,7 +32,7 @@ from tiler.store import Commits
 from tiler.version import __version__
 
 REMOVE = "remove"
-"""Value of ``--bridges`` with which bridges are searched."""
+"""Value of ``--bridges`` that searches for bridges and removes them."""
 CELLS, DECKS = "deck-cells", "decks"
 """Names of the stages: search for cells that may be part of a deck, and examination of candidates."""
 MAX_EXTENT_M = 600.0
@@ -55,7 +55,7 @@ def find_bridges(
 ) -> tuple[tuple[Edit, ...], tuple[DrawnDeck, ...]]:
     """Find the decks in the terrain. Return edits that remove the decks, and the outlines of the decks for output.
 
-    Edits and outlines are empty if bridges stay in the terrain.
+    Edits and outlines are empty unless ``--bridges`` is `REMOVE`.
     """
     if job.plan.config.bridges != REMOVE:
         return (), ()
@@ -150,7 +150,7 @@ def _without_parts(records: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
 
 def _edit(number: int, record: Mapping[str, Any], metres_z: float) -> Edit:
     """Return the edit that removes a deck: the points inside its outline and near its surface."""
-    # Points that lie lower than this below the surface may be ground under the bridge.
+    # Points more than ``low`` below the surface may be ground under the bridge.
     low = min(record["clearance_m"] / 2, DROP_M)
     values = (*record["surface"], low / metres_z, MAX_ABOVE_M / metres_z)
     surface = DeckSurface(*(float(value) for value in values))

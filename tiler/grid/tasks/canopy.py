@@ -58,7 +58,7 @@ class CanopyCells:
 
 
 def canopy_cells(job: Job, assembled: IngestResult, labelled: Labelled) -> CanopyCells | None:
-    """Return the cells in which the filter found a canopy, or None if it found none or did not search for canopies.
+    """Return where the store has the cells of the canopy search, or None if the filter found no canopy.
 
     Add the result to run.json as ``canopy``, and warn about a large canopy.
     """
@@ -71,7 +71,7 @@ def canopy_cells(job: Job, assembled: IngestResult, labelled: Labelled) -> Canop
         return None
     passes = METHODS[job.plan.config.method].params(**job.plan.method.parameters).passes
     number = next(n for n, step in enumerate(passes) if step.name == CanopyPass.name)
-    # The cells are the points that the last electing pass before the search made.
+    # The last electing pass before the search elected its cells.
     electing = max(n for n, step in enumerate(passes[:number]) if step.elects and step.applies(state))
     made = job.store.committed(f"filter{number}")
     _report(job, share, made)
@@ -96,8 +96,8 @@ def _report(job: Job, share: float, made: Commits) -> None:
     job.facts["canopy_doubts"] = [_doubt(block, blocks[block] / BLOCK_M**2, unit) for block in fullest]
     around = " and ".join(f"x {x:.0f}, y {y:.0f}" for x, y in centres)
     effect = (
-        "the terrain there is bridged from the ground around the canopy, up to --max-edge (mask 6; use --voids fill to "
-        "bridge wider gaps as well, or --canopy void for a terrain without heights there)"
+        "the terrain there is bridged from the ground around the canopy, up to --max-edge, and has the value 6 in the "
+        "mask; use --voids fill to bridge wider gaps as well, or --canopy void to leave it without heights"
     )
     if job.plan.config.canopy == VOID_CANOPY:
         effect = "the terrain has no heights there (use --canopy fill to bridge it from the ground around the canopy)"

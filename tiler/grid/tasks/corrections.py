@@ -1,6 +1,6 @@
-"""User features of a run: edits of points and heights, and breaklines.
+"""Edits of points and heights, and breaklines: those of the user, and the edits that remove bridges.
 
-A feature changes only the digests of the buckets and blocks that it can affect, so that no others are processed again.
+A correction changes only the digests of the buckets and blocks that it can affect. No others are processed again.
 """
 
 from __future__ import annotations
@@ -62,18 +62,18 @@ class Corrections:
 
         The digest of the task includes the edits and breaklines that can change its block.
         """
-        bounds = task.arguments.place(plan.grid.meta.bucket) if isinstance(task.arguments, Placed) else None
-        if bounds is None:
+        extent = task.arguments.place(plan.grid.meta.bucket) if isinstance(task.arguments, Placed) else None
+        if extent is None:
             return task
         digests: list[Any] = []
         if self.edits is not None:
             task = _with_edits(task, self.edits.key)
             if name in EDITED:
                 actions = ACTIONS if name == HOLES_COUNTED_IN else OF_PIXELS
-                digests += self.edits.digest(bounds, actions)
+                digests += self.edits.digest(extent, actions)
         if self.lines is not None and name in FOLLOWS_LINES:
             task = replace(task, arguments=replace(task.arguments, breaklines=self.lines.key))
-            digests += self._lines_near(plan, bounds)
+            digests += self._lines_near(plan, extent)
         return replace(task, digest=digest_of(task.digest, digests)) if digests else task
 
     def _lines_near(self, plan: Plan, bounds: Bounds) -> list[Any]:
@@ -105,7 +105,7 @@ def correct(job: Job, assembled: IngestResult, labelled: Labelled) -> tuple[Labe
         edits = Edits((*deck_edits, *_user_edits(job, assembled, labels, pixels)), pixels)
         job.store.put_edits(edits)
         corrections = replace(corrections, edits=edits, decks=decks)
-        labelled = replace(labelled, digests=_labels(plan, edits, labels))
+        labelled = replace(labelled, digests=_label_digests(plan, edits, labels))
     if plan.inputs.lines:
         min_length = plan.grid.meta.frame.counts(MIN_LENGTH_M)
         lines = Breaklines.of(plan.inputs.lines, pixels.size, min_length, assembled.bounds)
@@ -119,7 +119,7 @@ def correct(job: Job, assembled: IngestResult, labelled: Labelled) -> tuple[Labe
     return labelled, corrections
 
 
-def _labels(plan: Plan, edits: Edits, labels: Mapping[Cell, str]) -> dict[Cell, str]:
+def _label_digests(plan: Plan, edits: Edits, labels: Mapping[Cell, str]) -> dict[Cell, str]:
     """Return the digests of labels. If an edit intersects a bucket, its digest includes the edit."""
     digests = dict(labels)
     for cell, near in edits.by_cell(plan.grid.meta.bucket, labels).items():
@@ -132,8 +132,8 @@ def _user_edits(
 ) -> tuple[Edit, ...]:
     """Count the points inside the user's edits for run.json. Return the edits.
 
-    An edit to ground applies to points with a class of ground in the input. If there are none, or if the terrain is
-    made from the classes of the input anyway, the edit applies to the lowest points instead (`Edit.lowest`).
+    An edit with the action `ground` applies to points with a class of ground in the input. It applies to the lowest
+    points instead (`Edit.lowest`) if there are none, or if the terrain is made from the classes of the input anyway.
     """
     if not job.plan.inputs.edits:
         return ()

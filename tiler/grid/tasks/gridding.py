@@ -29,15 +29,15 @@ from tiler.version import __version__
 COARSE_CELL_M = 2
 """Side of a coarse cell in metres, unless ``--max-edge`` is small or pixels are large.
 
-The side does not depend on the size of smaller pixels, so that their size does not change which water is found.
+Pixels up to `MAX_USUAL_PIXEL_M` do not change the side, so that the same water is found with all of them.
 """
 MAX_USUAL_PIXEL_M = 10
 """Pixels larger than this, in metres, are the coarse cells themselves.
 
-Points are then too sparse to find water.
+Clouds for which such pixels are chosen are too sparse to find water.
 """
 GAP_M = 20
-"""Gaps up to this width, in metres, belong to every survey: shadows of buildings, gaps between flight strips."""
+"""Gaps up to this width, in metres, count as surveyed: shadows of buildings, gaps between flight strips."""
 ERODE_RISE_M = 1
 """Objects at least this much higher than a ground point near them exclude the point (``--erode``), in metres."""
 Place = tuple[int, int]
@@ -135,7 +135,7 @@ class GridContext:
     labels : mapping of Cell to str
         Digest of the contents and labels of each bucket.
     holes : sequence of Bounds
-        Bounds of tiles that failed. Heights there, if any, come from points around the tiles.
+        Bounds of the tiles that failed. Heights there, if any, come from points around the tiles.
     made : dict of str to Commits
         Commits of the blocks of each raster that was made.
     decks : sequence of DrawnDeck
@@ -223,7 +223,7 @@ class GridContext:
 
     @property
     def water_is_sought(self) -> bool:
-        """Whether water can be distinguished from land, by few returns or by the class of water in the input."""
+        """Whether water can be found, because few returns show it or because the input has the class of water."""
         return self.returns_show_water or any(
             record["water"] for record in self.records("occupancy").values()
         )

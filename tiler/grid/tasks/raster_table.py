@@ -3,11 +3,12 @@
 Besides the products there are rasters that are only in the store. Rasters of coarse cells:
 
 - ``occupancy``: the number of points of each cell.
-- ``survey-open`` and ``survey``: the extent of the survey (see `tiler.grid.coverage`).
-- ``domain-open`` and ``domain``: the same with wider gaps, which may be water.
+- ``survey-open`` and ``survey``: labels of the open areas without points, and the extent of the survey, which closes
+  gaps among the open areas (see `tiler.grid.coverage`).
+- ``domain-open`` and ``domain``: the same, but wider gaps are closed, because they may be water.
 - ``water-...``: the steps of the search for water (`tiler.grid.water_search`, `tiler.grid.water_finish`).
-  ``water-sure`` and ``water-plane-sure`` are confidences. ``water-rims`` and ``water-plane-rims`` are records of blocks
-  without cells.
+  ``water-sure`` and ``water-plane-sure`` are confidences. ``water-rims`` and ``water-plane-rims`` have no cells, but a
+  record for each block.
 - ``<name>-voids``: the voids of a model that are to be filled.
 
 Rasters of pixels:

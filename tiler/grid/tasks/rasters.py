@@ -56,7 +56,7 @@ def terrain_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
 
 
 def coarse_terrain_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
-    """Yield the tasks of the terrain in coarse cells. Only the search for water needs it, if pixels are larger."""
+    """Yield the tasks of the terrain in coarse cells, which the search for water needs if pixels are larger."""
     return terrain_tasks(raster, g) if g.water_is_sought and g.has_large_pixels else iter(())
 
 
@@ -66,7 +66,10 @@ def point_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
 
 
 def distance_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
-    """Yield a task for each block that may have pixels within ``--max-edge`` of points. Distances are cut there."""
+    """Yield a task for each block that may have pixels within ``--max-edge`` of points.
+
+    Larger distances are set to ``--max-edge``.
+    """
     cap = g.plan.grid.meta.frame.counts(g.plan.config.max_edge)
     return _block_tasks(raster, g, partial(DistanceBlock, cap=cap), math.ceil(cap) + 1)
 
@@ -164,7 +167,7 @@ def outline_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
 
 
 def mask_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
-    """Yield a task for each block with points or heights, within the survey, or within a tile that failed."""
+    """Yield a task for each block that has points or heights, or that overlaps the survey or a failed tile."""
     spec, coarse, rule = g.spec, g.coarse, g.rule
     dtm, delivered, survey, canopy = raster.inputs
     near = _near(g, spec)

@@ -26,7 +26,7 @@ MAX_PIXELS = 16 * BLOCK_PIXELS**2
 TASKS_PER_WORKER = 4
 """Tasks are divided until there are this many per worker, if that makes all workers finish earlier."""
 WORTH_DIVIDING = 0.95
-"""Divided groups are used only if all workers then finish within this share of the time without dividing."""
+"""A division into more groups is used only if it takes at most this share of the shortest time so far."""
 
 Records = Mapping[Cell, BucketRecord]
 Ints = npt.NDArray[np.int64]

@@ -38,7 +38,7 @@ class Gap(NamedTuple):
 BEYOND_ALL = Gap("outside", 0, 0, 0)
 """Area around all blocks."""
 SIDES = {"north": (-1, 0), "south": (1, 0), "west": (0, -1), "east": (0, 1)}
-"""Number of blocks down and to the right from a block to its neighbour at each side."""
+"""Offset of the neighbour at each side of a block: blocks down, and blocks to the right."""
 
 
 def survey_gaps(raster: RasterStep, g: GridContext) -> Iterator[Task]:
@@ -116,7 +116,7 @@ def outside_of(
     -------
     outside : dict
         For the place of a block, its open areas that are connected with the outside.
-    empty : set
+    enclosed : set
         Places of the missing blocks that the survey encloses.
     """
     columns: dict[int, list[int]] = defaultdict(list)
@@ -139,11 +139,11 @@ def outside_of(
     outside: dict[Place, list[Piece]] = defaultdict(list)
     for piece in sorted(node for node in beyond if isinstance(node, Piece)):
         outside[piece.row, piece.col].append(piece)
-    empty: set[Place] = set()
+    enclosed: set[Place] = set()
     for gap in all_gaps:
         if gap not in beyond:
-            empty.update((gap.row, col) for col in range(gap.first, gap.last + 1, BLOCK_PIXELS))
-    return outside, empty
+            enclosed.update((gap.row, col) for col in range(gap.first, gap.last + 1, BLOCK_PIXELS))
+    return outside, enclosed
 
 
 def _labels(side: Side) -> list[int]:

@@ -23,14 +23,14 @@ TOUCHING = 1.5
 
 
 def report_voids(job: Job, spec: RasterSpec, outlined: Commits) -> None:
-    """Add to run.json the voids of the delivered terrain, and the holes inside each edit."""
+    """Add to run.json the voids of the delivered terrain, and the pixels without a height inside each edit."""
     records = [record for _, record in outlined.values()]
-    n_holes: Counter[int] = Counter()
+    hole_pixels: Counter[int] = Counter()
     for record in records:
         for edit, n_pixels in record["edit_holes"]:
-            n_holes[edit] += n_pixels
+            hole_pixels[edit] += n_pixels
     for fact in job.facts.get("edits", ()):
-        fact["holes"] = n_holes[fact["number"]]
+        fact["holes"] = hole_pixels[fact["number"]]
     cells = chain.from_iterable(record["holes"] for record in records)
     pixel_m2 = float(job.plan.grid.resolution) ** 2
     voids = [{**void, "area_m2": void["pixels"] * pixel_m2} for void in voids_of(cells, spec)]
@@ -45,7 +45,7 @@ def report_voids(job: Job, spec: RasterSpec, outlined: Commits) -> None:
 
 
 def voids_of(cells: Iterable[list[int]], spec: RasterSpec) -> list[dict[str, Any]]:
-    """Merge the holes of cells that touch (see `tiler.grid.holes.hole_cells`) into voids.
+    """Merge touching cells with holes (see `tiler.grid.holes.hole_cells`) into voids.
 
     Return voids with ``pixels`` and ``bounds`` in units of the CRS, the largest first.
     """

@@ -70,8 +70,8 @@ def ground_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
 def areas_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
     """Yield a task for each block of the survey that may have water.
 
-    A block may have water if cells have a usual number of returns in the block and its neighbours, or if the input has
-    the class of water there.
+    A block may have water if the usual number of returns per cell is known in the block and its neighbours, or if the
+    input has the class of water there.
     """
     occupancy, ground, domain = raster.inputs
     records = g.records(occupancy)
@@ -237,12 +237,12 @@ def _names_near(names_by_place: Mapping[Place, Sequence[Piece]], place: Place) -
 
 
 def _sizes(g: GridContext, areas: str) -> dict[Piece, tuple[int, ...]]:
-    """Return the sums of ``sizes`` over the pieces of each area of a raster."""
+    """Return `area_sums` for the areas of a raster."""
     return area_sums(g.areas(areas), g.records(areas))
 
 
 def area_sums(joined: Joined, records: Mapping[Place, Mapping[str, Any]]) -> dict[Piece, tuple[int, ...]]:
-    """Return the sums of ``sizes`` over the pieces of each area, by the name of the area."""
+    """Return the sums of ``sizes`` in the records (as of `FindAreas`) over the pieces of each area, by its name."""
     sums = {}
     for name, pieces in joined.areas.items():
         sizes = [records[p.row, p.col]["sizes"][p.label - 1] for p in pieces]
@@ -264,7 +264,7 @@ def _kept_areas(g: GridContext, areas: str, rims: str) -> dict[Piece, float]:
 def _rims(g: GridContext, rims: str, number: int = 0) -> dict[Piece, Rim]:
     """Return the rim of each area, added up over blocks.
 
-    With ``number`` 1, it is the second rim of areas that have two rims.
+    Evident planes have two rims. In the second one, with ``number`` 1, other planes do not count as land.
     """
     rim_by_area: dict[Piece, Rim] = {}
     for record in g.records(rims).values():
@@ -321,8 +321,8 @@ def _kept_planes(g: GridContext, planes: str, rims: str) -> dict[Piece, float]:
             neighbours[Piece(*name)].add(Piece(*other))
     kept = {name: confidences[name] for name in evident if name in confidences}
     other_water = {name: confidences[name] for name in others if name in confidences}
-    # The planes above and below a dam may both be water. So the other plane does not count as land in the rim of the
-    # evident plane.
+    # The planes above and below a dam may both be water. So planes of ``others`` that are water do not count as land in
+    # the rims of the evident planes next to them.
     next_to_others: set[Piece] = set()
     for name in other_water:
         next_to_others |= neighbours[name]
