@@ -22,12 +22,12 @@ from tiler.grid.pieces import Piece, cells_of, components
 from tiler.grid.reach import box_around
 from tiler.grid.water_banks import (
     BANK_MARGIN,
-    NOTHING_SEEN,
-    SeenGround,
+    NO_DETAILS,
     Shore,
+    ShoreDetails,
     dense_quays,
     highest_near,
-    seen_at_shore,
+    shore_details,
 )
 from tiler.grid.water_crowns import REED, is_hidden
 from tiler.grid.water_extent import SPECK_CELLS, smoothed, water_heights
@@ -132,7 +132,7 @@ def describe_body(store_url: str, work: DescribeBody) -> dict[str, Any]:
 
 def _whole(
     store: TileStore, work: DescribeBody, bays: Any, lowest: float | None
-) -> tuple[Any, list[SeenGround]]:
+) -> tuple[Any, list[ShoreDetails]]:
     """Return the shape of a body in coarse cells, and the corrections of its shore.
 
     If ``lowest`` is not None, levels above ``lowest`` metres are lowered to it.
@@ -153,7 +153,7 @@ def _whole(
     return _without_islands(shapely.union(water, bays), SPECK_CELLS * side**2), seen
 
 
-def _detailed(whole: Any, seen: list[SeenGround], side: float) -> Any:
+def _detailed(whole: Any, seen: list[ShoreDetails], side: float) -> Any:
     """Return the shape of a body with the corrections of its shore, without specks."""
     import shapely
 
@@ -253,7 +253,7 @@ def _kind(area_m2: float, shore_m: float, size_m: float, n_exits: int) -> tuple[
 
 def _shapes(
     store: TileStore, work: DescribeBody, block: Block, lowest: float | None
-) -> tuple[list[Any], SeenGround]:
+) -> tuple[list[Any], ShoreDetails]:
     """Return polygons of the water of a block in absolute counts, and the corrections of its shore.
 
     Polygons and corrections overlap with those of neighbouring blocks.
@@ -274,14 +274,14 @@ def _shapes(
     cut = inner_window(padded(block, 1), REACH_CELLS - 1)
     polygons = shore_polygons(field[cut], work.coarse, padded(block, 1))
     if level is None:
-        return polygons, NOTHING_SEEN
+        return polygons, NO_DETAILS
     levels = np.full(wet.shape, np.nan)
     levels[box] = np.where(beneath, np.nan, highest_near(level))
-    is_upright = np.zeros(wet.shape, np.bool_)
-    is_upright[box] = dense_quays(cells.with_ground(smooth), wet[box], level)
+    is_dense_quay = np.zeros(wet.shape, np.bool_)
+    is_dense_quay[box] = dense_quays(cells.with_ground(smooth), wet[box], level)
     cut = inner_window(padded(block, BANK_MARGIN), REACH_CELLS - BANK_MARGIN)
-    shore = Shore(field[cut], levels[cut], is_upright[cut])
-    return polygons, seen_at_shore(store, work.rule, work.coarse, padded(block, BANK_MARGIN), shore)
+    shore = Shore(field[cut], levels[cut], is_dense_quay[cut])
+    return polygons, shore_details(store, work.rule, work.coarse, padded(block, BANK_MARGIN), shore)
 
 
 def _without_specks(shape: Any, min_area: float) -> Any:

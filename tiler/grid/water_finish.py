@@ -30,7 +30,7 @@ from tiler.grid.water_search import SMOOTHING_CELLS, Sources, inner_window, read
 from tiler.grid.work import BlockWork
 from tiler.store import TileStore, open_store, read_cells
 
-SHORE_M = 20.0
+MAX_EXTENSION_M = 20.0
 """Water extends over low ground up to this distance, in metres."""
 MAX_ISLAND_CELLS = 128
 """Windows have a margin for islands up to this length, in coarse cells."""
@@ -74,7 +74,7 @@ class FinishWater(BlockWork):
 
 def finish_margin(work: FinishWater, size_m: float) -> int:
     """Return the width in coarse cells of the margin around a block that can change the water of the block."""
-    base_margin = math.ceil(SHORE_M / size_m) + math.ceil(2 * BRIDGE_M / size_m)
+    base_margin = math.ceil(MAX_EXTENSION_M / size_m) + math.ceil(2 * BRIDGE_M / size_m)
     return base_margin + math.ceil(2 * work.river_width_m / size_m) + 2 + _longest_island(work, size_m)
 
 
@@ -99,7 +99,7 @@ def finish_water(store_url: str, work: FinishWater) -> dict[str, Any]:
     sure = np.max([read_cells(store, name, spec, padded(block, margin)) for name in work.sure], axis=0)
     water = sure > 0
     if water.any():
-        rows, cols = box_around(water, math.ceil((SHORE_M + BRIDGE_M) / size_m) + SMOOTHING_CELLS)
+        rows, cols = box_around(water, math.ceil((MAX_EXTENSION_M + BRIDGE_M) / size_m) + SMOOTHING_CELLS)
         near = water[rows, cols]
         window = Block(block.row - margin + rows.start, block.col - margin + cols.start, *near.shape)
         water[rows, cols] = _finished(store, work, near, window, size_m)
@@ -135,7 +135,7 @@ def _finished(store: TileStore, work: FinishWater, water: Bools, window: Block, 
         water |= among_reed(smooth, crowns, water, level)
         beneath = water & without_bank(crowns, smooth.ground - level)
         smooth = smooth.with_ground(np.where(beneath, np.nan, smooth.ground))
-        water = shore_area(smooth, water, level, math.ceil(SHORE_M / size_m))
+        water = shore_area(smooth, water, level, math.ceil(MAX_EXTENSION_M / size_m))
     min_island = DRY_SHARE * work.island_m2 / size_m**2
     below_deck = _below_decks(work, window, DECK_EDGE_M / size_m)
     longest_island = _longest_island(work, size_m)

@@ -195,7 +195,7 @@ def count_plane_rims(store_url: str, work: CountPlaneRims) -> dict[str, Any]:
             rims = [rim_of(cells, water, np.zeros_like(water), counted, evident_water)]
         if any(any(rim) for rim in rims):
             named_rims.append([list(name), *(list(rim) for rim in rims)])
-        is_near = distances(plane_mask, DAM_M / cells.size + 1) * cells.size <= DAM_M
+        is_near = distances(plane_mask, DAM_M / cells.size_m + 1) * cells.size_m <= DAM_M
         for other in np.unique(numbers[evident_water & counted & is_near]):
             beside.append([list(name), list(near.names[other - 1])])
     return {"rims": named_rims, "beside": beside}

@@ -26,7 +26,7 @@ from tiler.grid.water_cells import (
     RING_M,
     WaterCells,
     rim_of,
-    water_areas,
+    water_candidates,
 )
 from tiler.grid.work import BlockWork
 from tiler.store import TileStore, open_store, read_cells
@@ -52,7 +52,7 @@ class Sources:
     Attributes
     ----------
     occupancy : str
-        Number of points in each cell.
+        Number of points in each cell, negative in cells that are water by the input.
     ground : str
         Heights of the terrain.
     domain : str
@@ -74,7 +74,7 @@ class FindAreas(BlockWork):
     times : int
         Number of cells that are merged along a side. A merged cell is so large that it is not empty by chance.
     usual : float or None
-        Usual number of returns, see `tiler.grid.water_cells.water_areas`.
+        Usual number of returns, see `tiler.grid.water_cells.water_candidates`.
     """
 
     sources: Sources
@@ -128,11 +128,11 @@ def find_areas(store_url: str, work: FindAreas) -> dict[str, Any]:
     -------
     dict
         ``sides`` and ``labels`` (number of labels), see `tiler.grid.pieces`; ``sizes``:
-        `tiler.grid.water_cells.Size` of each label; ``times``; ``filled``; ``checksum``.
+        `tiler.grid.water_cells.CellCounts` of each label; ``times``; ``filled``; ``checksum``.
     """
     store, block = open_store(store_url), work.block
     cells = read_search_cells(store, work.sources, work.spec, padded(block, MARGIN), work.times)
-    candidate_mask = water_areas(cells, work.usual).repeat(work.times, axis=0).repeat(work.times, axis=1)
+    candidate_mask = water_candidates(cells, work.usual).repeat(work.times, axis=0).repeat(work.times, axis=1)
     fine = cells.finer(work.times).cut(inner_window(block, MARGIN))
     labels, sides = label_block(candidate_mask[inner_window(block, MARGIN)], corners=False)
     values = labels.astype(np.float32)

@@ -19,7 +19,7 @@ MAX_DEPTH_M = 2.0
 """Heights relative to the level are clipped to at most this, above and below the level, in metres."""
 MIN_DEPTH_M = 0.02
 """Heights relative to the level are clipped to at least this, above and below the level, in metres."""
-BANK_CELLS = 2
+BANK_WIDTH_CELLS = 2
 """The outermost cells of the water may be bank: a border of this width, in cells.
 
 Gravel that rises by 4 % has two cells below `tiler.grid.water_extent.LEVEL_M`.
@@ -58,7 +58,7 @@ def depths(cells: WaterCells, wet: Bools, level: Floats | None, is_lowered: bool
     if level is None:
         return np.where(wet, -MAX_DEPTH_M, MAX_DEPTH_M)
     above = cells.ground - level
-    for _ in range(BANK_CELLS):
+    for _ in range(BANK_WIDTH_CELLS):
         banks, heights = _banks(above, wet, cells.returns > 0)
         if is_lowered:
             above[banks] = heights[banks]
@@ -97,7 +97,7 @@ def _cut_cells(cells: WaterCells, above: Floats, wet: Bools) -> Bools:
     """
     land_returns = np.where(wet, 0.0, cells.returns)
     is_cut = np.zeros_like(wet)
-    for axis, step, upright in _upright_sides(above, wet, cells.size):
+    for axis, step, upright in _upright_sides(above, wet, cells.size_m):
         returns, next_returns = (np.roll(land_returns, n * step, axis) for n in (1, 2))
         few = cells.returns < CUT_SHARE * (returns + next_returns) / 2
         is_cut |= upright & few & (np.minimum(returns, next_returns) > 0)
@@ -107,12 +107,12 @@ def _cut_cells(cells: WaterCells, above: Floats, wet: Bools) -> Bools:
 def quays(cells: WaterCells, wet: Bools, level: Floats) -> Bools:
     """Return a mask of the outermost cells of upright banks. Parameters are those of `depths`."""
     is_quay = np.zeros_like(wet)
-    for _, _, upright in _upright_sides(cells.ground - level, wet, cells.size):
+    for _, _, upright in _upright_sides(cells.ground - level, wet, cells.size_m):
         is_quay |= upright
     return is_quay
 
 
-def _upright_sides(above: Floats, wet: Bools, size: float) -> Iterator[tuple[int, int, Bools]]:
+def _upright_sides(above: Floats, wet: Bools, size_m: float) -> Iterator[tuple[int, int, Bools]]:
     """Yield axis and step of each side (`SIDES`), and a mask of the cells with an upright bank on that side.
 
     The next two cells on that side are high, level bank. The next cell on the opposite side is water.
@@ -122,7 +122,7 @@ def _upright_sides(above: Floats, wet: Bools, size: float) -> Iterator[tuple[int
         heights, next_heights = (np.roll(bank, n * step, axis) for n in (1, 2))
         with np.errstate(invalid="ignore"):
             upright = np.minimum(heights, next_heights) >= UPRIGHT_M
-            upright &= np.abs(heights - next_heights) <= MAX_QUAY_SLOPE * size
+            upright &= np.abs(heights - next_heights) <= MAX_QUAY_SLOPE * size_m
         yield axis, step, upright & np.roll(wet, -step, axis) & ~wet
 
 

@@ -12,7 +12,7 @@ import numpy as np
 from tiler.grid.coarse import Bools
 from tiler.grid.profile import MIN_PIXELS, SMOOTH_M
 from tiler.grid.reach import Floats
-from tiler.grid.water_shore import BANK_CELLS, SIDES
+from tiler.grid.water_shore import BANK_WIDTH_CELLS, SIDES
 
 
 def bank_rises(ground: Floats, wet: Bools, measured: Bools) -> Floats:
@@ -49,6 +49,6 @@ def lower_level(heights: Floats, rises: Floats) -> float | None:
     if min(len(heights), len(rises)) < MIN_PIXELS:
         return None
     low, high = np.percentile(heights, (25, 75))
-    if not SMOOTH_M < high - low <= BANK_CELLS * np.median(rises):
+    if not SMOOTH_M < high - low <= BANK_WIDTH_CELLS * np.median(rises):
         return None
     return float(low)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tiler.grid.water_cells import WaterCells
-from tiler.grid.water_crowns import HIDDEN, OPEN, beneath_crowns, continued_bank, roughness
+from tiler.grid.water_crowns import CROWN_WITH_GROUND, HIDDEN, beneath_crowns, continued_bank, roughness
 from tiler.grid.water_extent import remove_narrow_parts, without_border_islands
 from tiler.grid.water_shore import MAX_DEPTH_M, depths
 
@@ -58,7 +58,7 @@ def test_a_plane_is_continued_exactly() -> None:
 def crowns_over(reach: int) -> np.ndarray:
     """Return plants from ``reach`` cells before the shore to 4 cells behind it, with ground on land alone."""
     plants = (SHORE - reach <= COLUMNS) & (COLUMNS < SHORE + 4)
-    return np.where(plants, np.where(COLUMNS < SHORE, HIDDEN, OPEN), 0)
+    return np.where(plants, np.where(COLUMNS < SHORE, HIDDEN, CROWN_WITH_GROUND), 0)
 
 
 LEVEL = np.zeros(ROWS.shape)
