@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import dataclasses
 import time
 from collections.abc import Iterator, Sequence
 from contextlib import ExitStack, contextmanager, suppress
-from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
 from tiler.config import RunConfig
-from tiler.errors import ConfigError, CorruptStoreError, ProcessingError, StoreError, exit_code_of
+from tiler.errors import ConfigError, CorruptStoreError, ProcessingError, exit_code_of
 from tiler.export.stage import export
 from tiler.filter.stage import filter_points
 from tiler.grid.stage import grid
@@ -35,7 +33,7 @@ from tiler.observe.events import (
     ignore_events,
     redacting,
 )
-from tiler.plan import Plan, crs_name, make_plan, remember, stage_seconds, validate
+from tiler.plan import Plan, make_plan, remember, settled, settled_by, stage_seconds
 from tiler.preparation import prepare_workers
 from tiler.redaction import without_secrets
 from tiler.report.html import write_report
@@ -106,7 +104,7 @@ def run(
         products = str(out.resolve())  # Workers have other current folders.
         url = config.store or joined(products, STORE)
     with _held(out, products, url) as leases, _copied(out, products):
-        plan, store = _frozen(plan, url)
+        plan, store = _with_store(plan, url)
         job = Job(plan, out, products, store, redacting(listener), LeaseWatch(leases))
         job.facts["products_at"] = products if is_url(products) else None
         job.facts["given"] = [str(source) for source in inputs]
@@ -155,24 +153,29 @@ def _locked_run(job: Job, until: str, started: float) -> RunResult:
     plan, listener = job.plan, job.listener
     for text in plan.notes:
         listener(Note(text))
-    left_out = [f"{path}: left out: {error.removeprefix(f'{path}: ')}" for path, error in plan.unreadable]
+    left_out = [
+        f"{path}: left out: {error.removeprefix(f'{path}: ')}" for path, error in plan.inputs.left_out
+    ]
     for text in (*left_out, *plan.warnings):
         listener(Warned(text))
     if not (limits_memory() or plan.config.in_process):
         job.note(
             "this system cannot limit the memory of a process: a worker that needs more than planned is not stopped"
         )
-    if plan.candidate_cell_m and not plan.on_candidates:
+    if plan.method.candidate_cell_m and not plan.on_candidates:
         job.note(
-            f"passes read all points: the store has one candidate per cell of {float(plan.fine_m):g} m, which does not "
-            f"divide the method's cells of {plan.candidate_cell_m:g} m; --overwrite rebuilds the store for this method"
+            f"passes read all points: the store has one candidate per cell of {float(plan.grid.fine_m):g} m, "
+            f"which does not divide the method's cells of {plan.method.candidate_cell_m:g} m; "
+            "--overwrite rebuilds the store for this method"
         )
     if is_url(job.products):
         job.note(
             f"{RUN}, {EVENTS} and {REPORT} are in {job.out}/; copies go to {job.products} when the run ends"
         )
     seconds = stage_seconds(plan, [raster.stage for raster in required_rasters(plan.config)], until)
-    stages = [ExpectedStage(stage=s, title=plan.title_of(s), seconds=round(t, 3)) for s, t in seconds.items()]
+    stages = [
+        ExpectedStage(stage=s, title=plan.method.title_of(s), seconds=round(t, 3)) for s, t in seconds.items()
+    ]
     listener(JobStarted(stages))
     try:
         _healing_stages(job, until)
@@ -223,7 +226,7 @@ def _healing_stages(job: Job, until: str) -> None:
     for number in range(ROUNDS + 1):
         job.record.failed, job.record.quarantined = (
             [],
-            [{"path": p, "error": e} for p, e in job.plan.unreadable],
+            [{"path": p, "error": e} for p, e in job.plan.inputs.left_out],
         )
         try:
             _stages(job, until)
@@ -236,8 +239,8 @@ def _healing_stages(job: Job, until: str) -> None:
 
 def _stages(job: Job, until: str) -> None:
     """Run the stages in their order, up to the stage ``until``."""
-    if job.plan.area is not None:
-        job.store.put_area(job.plan.area)
+    if job.plan.inputs.area is not None:
+        job.store.put_area(job.plan.inputs.area)
     sources = numbered(job)
     if job.plan.config.scheduler is None and not job.store.committed("spool"):
         # Kernels are compiled while the points are read, which does not need kernels.
@@ -265,51 +268,9 @@ def _make_folder(out: Path) -> None:
         ) from error
 
 
-def _frozen(plan: Plan, url: str) -> tuple[Plan, TileStore]:
-    """Return the plan with the settings of the store's first run, and the store.
-
-    These settings are frame, buckets, tiles, resolution and thinning.
-    """
+def _with_store(plan: Plan, url: str) -> tuple[Plan, TileStore]:
+    """Return the plan and its store, which is new or settles the plan."""
     if plan.config.overwrite or not store_exists(url):
-        first = {
-            "tile": str(plan.tile),
-            "resolution": str(plan.resolution),
-            "memory": plan.memory,
-            "thin": plan.thin_ground,
-            "workers": plan.tile_workers,
-        }
-        return plan, create_store(url, plan.meta, first, anew=plan.config.overwrite)
+        return plan, create_store(url, plan.grid.meta, settled(plan), anew=plan.config.overwrite)
     store = open_store(url)
-    old, new = store.meta, plan.meta
-    if (old.frame.crs_wkt, old.frame.units) != (new.frame.crs_wkt, new.frame.units):
-        raise ConfigError(
-            f"{url}: contains points in {crs_name(old.frame.crs_wkt)}, "
-            f"the inputs are in {crs_name(new.frame.crs_wkt)}; use --overwrite or another -o"
-        )
-    if new.has_rgb and not old.has_rgb:
-        raise ConfigError(
-            f"{url}: contains no colours, which --method {plan.config.method} needs; use --overwrite or another -o"
-        )
-    config, settled = plan.config, store.settled
-    try:
-        frozen = Fraction(settled["tile"])
-        tile = config.tile_size or frozen
-        resolution = config.resolution or Fraction(settled["resolution"])
-        memory, thin = settled["memory"] if tile == frozen else plan.memory, settled["thin"]
-        workers = int(settled.get("workers", 0)) if tile == frozen else plan.tile_workers
-    except (KeyError, TypeError, ValueError, ZeroDivisionError) as error:
-        raise StoreError(
-            f"{url}: its description is damaged ({error}); run again with --overwrite"
-        ) from error
-    plan = dataclasses.replace(
-        plan, meta=old, tile=tile, resolution=resolution, tile_memory=memory, thin=thin, tile_workers=workers
-    )
-
-    def changed(memory: int, tile_size: Fraction | None = None, **_: Any) -> Plan:
-        """Return the plan with more memory or another tile size. All other values are fixed."""
-        if tile_size in (None, plan.tile):
-            return dataclasses.replace(plan, memory=memory)
-        return dataclasses.replace(plan, memory=memory, tile=tile_size, tile_memory=memory, tile_workers=0)
-
-    validate(plan, None, changed)
-    return plan, store
+    return settled_by(plan, store), store

@@ -119,10 +119,10 @@ def simulate_buckets(number: int, memory: bool = False) -> dict[str, Any]:
         config = RunConfig.from_mapping({"products": ["dtm", "hillshade", "density"], "sheets": "1000"})
         plan = make_plan([str(Path(scratch) / "in")], config)
         side = int(np.ceil(np.sqrt(number)))
-        west, south = (int(plan.meta.bucket.index_of(v)) for v in plan.extent.to_json()[:2])
+        west, south = (int(plan.grid.meta.bucket.index_of(v)) for v in plan.inputs.extent.to_json()[:2])
         cells = [Cell(west + i % side, south + i // side) for i in range(number)]
-        plan = replace(plan, tile=Fraction(512))
-        lattice = plan.meta.bucket
+        plan = replace(plan, method=replace(plan.method, tile=Fraction(512)))
+        lattice = plan.grid.meta.bucket
         if memory:
             tracemalloc.start()
         counts = {"n": 100_000, "n_candidates": 40_000}
@@ -130,7 +130,7 @@ def simulate_buckets(number: int, memory: bool = False) -> dict[str, Any]:
             c: bucket_record(cell=[c.ix, c.iy], bounds=lattice.bounds(c).to_json(), **counts) for c in cells
         }
         assembled = IngestResult(records, {c: f"{i:032x}" for i, c in enumerate(cells)})
-        store = create_store(str(Path(scratch) / "store.zarr"), plan.meta)
+        store = create_store(str(Path(scratch) / "store.zarr"), plan.grid.meta)
 
         def publish() -> None:
             store.allocate(dict.fromkeys(cells, 100_000))
@@ -149,7 +149,7 @@ def simulate_buckets(number: int, memory: bool = False) -> dict[str, Any]:
             f"s{i:06d}-{0:012d}": ("", {"buckets": [[c.ix, c.iy, 1] for c in cells[i * 20 : i * 20 + 20]]})
             for i in range(number // 20)
         }
-        sources = [Source(plan.sources[0], i, f"{i:032x}") for i in range(number // 20)]
+        sources = [Source(plan.inputs.sources[0], i, f"{i:032x}") for i in range(number // 20)]
         inputs = inputs_of(sources, spooled)
         g.sheets = timed("sheets", lambda: sheets(g, with_points(g)))
         facts["sheets"] = len(timed("tasks_sheets", lambda: list(cog_tasks(g, inputs, "x", scratch))))

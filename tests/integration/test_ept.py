@@ -144,7 +144,7 @@ def test_what_the_files_do_not_say_is_told(
     changes: dict[str, object], parts: tuple[str, ...], city: laspy.LasData, tmp_path: Path
 ) -> None:
     (note,) = told(write_ept(tmp_path / "ept", city, 1500, **changes))
-    for part in (*parts, "; the files are used; create it again"):
+    for part in (*parts, "; the values in the files are used; create ept.json again"):
         assert part in note
     assert "\n" not in note
 

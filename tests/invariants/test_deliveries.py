@@ -103,10 +103,11 @@ def without_counts(texts: tuple[str, ...]) -> set[str]:
 def test_the_plan_is_the_same(delivered: dict[str, Path]) -> None:
     plans = {way: plan_of(path) for way, path in delivered.items()}
     whole = plans["1"]
-    assert {way: float(plan.resolution) for way, plan in plans.items()} == dict.fromkeys(plans, 1.5)
+    assert {way: float(plan.grid.resolution) for way, plan in plans.items()} == dict.fromkeys(plans, 1.5)
     for way, plan in plans.items():
-        assert plan.density == pytest.approx(whole.density, rel=0.01), way
-        assert (plan.tile, plan.bucket_m, plan.tiles) == (whole.tile, whole.bucket_m, whole.tiles), way
+        assert plan.inputs.density == pytest.approx(whole.inputs.density, rel=0.01), way
+        assert plan.method.tile == whole.method.tile, way
+        assert (plan.grid.bucket_m, plan.tiles) == (whole.grid.bucket_m, whole.tiles), way
         assert without_counts(plan.notes) == without_counts(whole.notes), way
         assert without_counts(plan.warnings) == without_counts(whole.warnings), way
         for stage, size in projected_memory(plan).items():
@@ -122,7 +123,7 @@ def test_what_is_refused_is_the_same(delivered: dict[str, Path]) -> None:
     for way, path in delivered.items():
         with pytest.raises(ConfigError, match=r"use --memory 4\d\dMiB"):
             plan_of(path, memory="300MiB")
-        assert plan_of(path, memory="430MiB").memory == 430 << 20, way
+        assert plan_of(path, memory="430MiB").resources.memory == 430 << 20, way
 
 
 def test_a_part_has_the_density_of_the_whole(delivered: dict[str, Path]) -> None:
@@ -131,8 +132,8 @@ def test_a_part_has_the_density_of_the_whole(delivered: dict[str, Path]) -> None
     settings = {"bounds": bounds, "method": "classic", "halo": "5", "max_edge": "5"}
     parts = {way: plan_of(path, **settings) for way, path in delivered.items() if way != "ept"}
     for way, part in parts.items():
-        assert part.density == pytest.approx(parts["1"].density, rel=0.01), way
-        assert part.resolution == parts["1"].resolution, way
+        assert part.inputs.density == pytest.approx(parts["1"].inputs.density, rel=0.01), way
+        assert part.grid.resolution == parts["1"].grid.resolution, way
 
 
 @pytest.mark.parametrize(
@@ -157,6 +158,6 @@ def test_files_mostly_void_are_not_thinned_out_over_their_bounds(tmp_path: Path)
     strip = Cloud(np.round(xyz, 3), np.ones(len(xyz), np.uint8))
     for way in ("1", "6", "40", "shuffled"):
         plan = plan_of(WAYS[way](tmp_path / way, strip), method="classic")
-        assert plan.resolution == 1, way
-        assert 1 < plan.density < 8, way
+        assert plan.grid.resolution == 1, way
+        assert 1 < plan.inputs.density < 8, way
         assert any("mostly void" in text for text in plan.notes), way

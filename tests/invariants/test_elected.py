@@ -313,7 +313,7 @@ def test_a_part_with_the_statistics_of_the_whole(scene: Any, file: Path, whole: 
 
 def test_the_plan_knows_elected_points_and_margins(file: Path) -> None:
     plan = make_plan([str(file)], settings(method="medians", tile_size=None, halo=None))
-    step = {step.name: step for step in plan.passes}
+    step = {step.name: step for step in plan.method.passes}
     assert step["spread"].pass_.label_margin_m == 3.0
     assert (step["mean"].pass_.elected, step["medians"].pass_.elected) == (True, False)
     assert (step["medians"].sometimes, step["census"].sometimes) == (True, False)
@@ -329,7 +329,7 @@ def test_passes_of_another_branch_make_no_tile_smaller(file: Path, monkeypatch: 
         for memory in ("420MiB", "500MiB", "1GiB"):
             how = settings(method="medians", tile_size=None, halo=None, memory=memory)
             plan = make_plan([str(file)], how)
-            found.append((float(plan.tile), plan.halo_m, plan.margin))
+            found.append((float(plan.method.tile), plan.method.halo_m, plan.margin))
         return found
 
     with monkeypatch.context() as patch:

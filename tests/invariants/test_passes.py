@@ -21,7 +21,7 @@ from tests.ptd import medians
 from tests.ptd.medians import HIGH, LOW, Census, Split
 from tests.ptd.tiling import inside
 from tiler.errors import ConfigError
-from tiler.plan import make_plan, plan_json, plan_lines, projected_memory
+from tiler.plan import Plan, make_plan, plan_json, plan_lines, projected_memory
 from tiler.plan.projection import overlap_of, widest_halo_m
 from tiler.store import open_store
 
@@ -117,20 +117,20 @@ def test_tiles_do_not_show(tmp_path: Path) -> None:
 def test_the_plan_says_how_far_each_pass_sees(tmp_path: Path) -> None:
     path = clouds.write(tmp_path / "city.laz", clouds.city(150.0))
 
-    def plan(**changes: Any) -> Any:
+    def plan(**changes: Any) -> Plan:
         return make_plan([str(path)], settings(method="lonely", tile_size="32", **changes))
 
     ours = plan(halo=None)
-    assert [step.halo_m for step in ours.passes] == [0.0, 8.0, 8.0]
+    assert [step.halo_m for step in ours.method.passes] == [0.0, 8.0, 8.0]
     line = "method      lonely, 3 passes: mean (halo 0 m), split (halo 8 m), lonely (halo 8 m)"
     assert line in plan_lines(ours)
     assert plan_json(ours)["halos_m"] == {"mean": 0.0, "split": 8.0, "lonely": 8.0}
-    assert overlap_of(ours, ours.steps) == pytest.approx(48**2 / 32**2)
-    assert [widest_halo_m(ours, step) for step in ours.passes] == [0.0, 32.0, 8.0]
+    assert overlap_of(ours, ours.method.steps) == pytest.approx(48**2 / 32**2)
+    assert [widest_halo_m(ours, step) for step in ours.method.passes] == [0.0, 32.0, 8.0]
     assert not any("--halo" in note for note in ours.notes)
     wider = plan(halo="40")
-    assert [step.halo_m for step in wider.passes] == [0.0, 40.0, 8.0]
-    assert overlap_of(wider, wider.steps) == pytest.approx(112**2 / 32**2)
+    assert [step.halo_m for step in wider.method.passes] == [0.0, 40.0, 8.0]
+    assert overlap_of(wider, wider.method.steps) == pytest.approx(112**2 / 32**2)
     assert any("with a fixed radius: mean 0 m, lonely 8 m" in note for note in wider.notes)
     assert projected_memory(wider)["filter"] > projected_memory(ours)["filter"]
 

@@ -130,12 +130,12 @@ def classify_files(
     with _scratch_beside(folder / "file", config) as (scratch, settings):
         result = run(list(sources), scratch, settings, listener, until="filter")
         store = open_store(str(Path(scratch) / STORE))
-        targets = {path: folder / name for path, name in result.plan.names.items()}
+        targets = {path: folder / name for path, name in result.plan.inputs.cloud_names.items()}
         check_targets([Target("", target) for target in targets.values()], targets)
         works = list(_works(store, result.plan, targets))
         for work in works:
             Path(work.out).parent.mkdir(parents=True, exist_ok=True)
-        with ChildPool(result.plan.workers) as guards:
+        with ChildPool(result.plan.resources.workers) as guards:
             made = guards.each(lambda guard, work: _written(guard, store.url, work, config), works)
             records, failed = _records(works, made)
     if not records:
@@ -182,7 +182,7 @@ def _works(store: TileStore, plan: Plan, targets: Mapping[Path, Path]) -> Iterat
     """Yield the arguments of `write_classified` for each source that was decoded."""
     spooled, buckets = store.committed("spool"), store.buckets()
     numbers, pieces, records = store.get_state("sources") or {}, kept_pieces(spooled), by_source(spooled)
-    for info in plan.sources:
+    for info in plan.inputs.sources:
         known = numbers.get(without_secrets(location(info.path)))
         if known is None:
             continue

@@ -109,13 +109,14 @@ def make_preview(
     picture = Target("-o", target, (".png",))
     check_targets([picture], [])
     plan = make_plan(inputs, config)
-    check_targets([picture], [*(s.path for s in plan.sources), *(path for path, _ in plan.unreadable)])
+    reads: list[str | Path] = [source.path for source in plan.inputs.sources]
+    check_targets([picture], [*reads, *(path for path, _ in plan.inputs.left_out)])
     tell = _once(listener)
     for text in plan.notes:
         listener(Note(text))
     for text in plan.warnings:
         tell(Warned(text))
-    sources = [s for s in plan.sources if s.points and s.bounds is not None]
+    sources = plan.inputs.filled
     side = _side(plan, side_m)
     with TemporaryDirectory(prefix=".tiler-preview-") as scratch, ChildProcess() as guard:
         positions = _places(guard, sources, config.salvage)
@@ -148,9 +149,9 @@ def _once(listener: Listener) -> Listener:
 
 def _side(plan: Plan, side_m: float | None) -> float:
     if side_m is None:
-        side_m = min(MAX_WIDTH_M, math.sqrt(MAX_POINTS / plan.density))
+        side_m = min(MAX_WIDTH_M, math.sqrt(MAX_POINTS / plan.inputs.density))
         side_m = max(side_m // 10 * 10, MIN_WIDTH_M)
-    return side_m / float(plan.meta.frame.units.horizontal)
+    return side_m / float(plan.grid.meta.frame.units.horizontal)
 
 
 def _places(guard: ChildProcess, sources: Sequence[SourceInfo], salvage: bool) -> list[tuple[float, float]]:
@@ -225,7 +226,7 @@ def _settings(plan: Plan) -> RunConfig:
     """Return the settings of the run of a window, without extent, output and resources of the plan."""
     return plan.config.updated(
         products=("dtm", "dsm"),
-        resolution=plan.resolution,
+        resolution=plan.grid.resolution,
         sheets=None,
         bounds=None,
         aoi=None,
@@ -237,7 +238,7 @@ def _settings(plan: Plan) -> RunConfig:
         force=False,
         clean_store=False,
         salvage=False,
-        crs=plan.config.crs or plan.meta.frame.crs_wkt or "none",
+        crs=plan.config.crs or plan.grid.meta.frame.crs_wkt or "none",
     )
 
 

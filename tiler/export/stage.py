@@ -80,7 +80,7 @@ def export(
     # The store keeps the code, so that a run without new results does not search for it again.
     known = job.store.get_state("crs")
     with ThreadPoolExecutor(1) as meanwhile:  # The workers write at the same time.
-        computed = None if known else meanwhile.submit(horizontal_code, job.plan.meta.frame.crs_wkt)
+        computed = None if known else meanwhile.submit(horizontal_code, job.plan.grid.meta.frame.crs_wkt)
         made = _write(job, "export", tasks, out)
     crs_code = known["code"] if computed is None else computed.result()
     if computed is not None:
@@ -100,7 +100,7 @@ def export(
     _make_folders(catalogue, out)
     made |= _write(job, STAGE, catalogue, out)
     files = [task.key for task in (*tasks, *mosaics, *catalogue) if task.key.endswith(PRODUCTS)]
-    if gridding.plan.area is not None:
+    if gridding.plan.inputs.area is not None:
         terrain = [
             task.key
             for task in tasks
@@ -142,7 +142,7 @@ def _report_contours(job: Job) -> None:
     commit = job.store.committed("export").get(f"{CONTOURS}.gpkg")
     if CONTOURS not in job.plan.config.drawn or commit is None:
         return
-    record, unit = commit[1], short_unit(job.plan.meta.frame.units.vertical)
+    record, unit = commit[1], short_unit(job.plan.grid.meta.frame.units.vertical)
     job.facts["contours"] = {name: record[name] for name in ("interval", "lines", "vertices", "cut", "short")}
     if job.plan.config.contour_interval is None and record["low"] is not None:
         job.note(
@@ -185,7 +185,7 @@ def _basis(gridding: GridContext) -> str:
     into = [str(config.sheets), config.sheet_name, config.empty_sheets] if config.sheets else None
     water = gridding.water_key
     return digest_of(
-        terrain, config.voids, config.outline, str(config.spike), into, gridding.plan.area_key, water
+        terrain, config.voids, config.outline, str(config.spike), into, gridding.plan.inputs.area_key, water
     )
 
 

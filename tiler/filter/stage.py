@@ -32,16 +32,16 @@ def filter_points(job: Job, assembled: IngestResult) -> Labelled:
     """Run the passes of the method. Return the labels and the results of the passes."""
     if job.plan.config.method == KEEP:
         return Labelled.of(job.plan.config, assembled.digests, {})
-    passes = METHODS[job.plan.config.method].params(**job.plan.parameters).passes
+    passes = METHODS[job.plan.config.method].params(**job.plan.method.parameters).passes
     # An earlier run may have used a method with more passes. The commits of the additional passes are removed, because
     # the labels of those passes may be overwritten.
     max_passes = max(job.store.get_state("passes") or 0, len(passes))
     job.store.put_state("passes", max_passes)
     for number in range(len(passes), max_passes):
         job.store.clear(f"filter{number}")
-    config, known_states = job.plan.config, job.plan.statistics
+    config, known_states = job.plan.config, job.plan.method.statistics
     sigma = None if config.sigma is None else float(config.sigma)
-    facts = run_facts(sigma, config.source_kind, job.plan.evidence)
+    facts = run_facts(sigma, config.source_kind, job.plan.inputs.evidence)
     state: dict[str, Any] = {"run": dataclasses.asdict(facts)}
     pass_inputs = PassInputs(assembled.digests)
     statistics = job.facts["statistics"] = {}
@@ -105,7 +105,7 @@ def _without_known_places(state_after: Mapping[str, Any], state: State) -> dict[
 
 def _known_state(job: Job, step: Pass, state: State) -> dict[str, Any]:
     """Return the state after a pass as recorded by the run that ``--statistics`` gives."""
-    state_after: dict[str, Any] | None = (job.plan.statistics or {}).get(step.name)
+    state_after: dict[str, Any] | None = (job.plan.method.statistics or {}).get(step.name)
     if state_after is None:
         raise ConfigError(
             f"--statistics {job.plan.config.statistics}: has no results of the pass {step.name}; use the same --kind"
@@ -130,7 +130,7 @@ def _reduced(job: Job, step: Pass, partials: Iterable[dict[str, Any]], state: St
     try:
         state_after = step.reduce(partials, state)
     except MethodRefusal as error:
-        text = in_unit_of_crs(str(error), job.plan.meta.frame.units)
+        text = in_unit_of_crs(str(error), job.plan.grid.meta.frame.units)
         raise ConfigError(f"--method {job.plan.config.method}: {text}") from error
     for text in state_after.get("notes", [])[len(state.get("notes", [])) :]:
         job.note(text)
@@ -152,7 +152,7 @@ def _warn_of_uncertain_kind(job: Job, survey: Mapping[str, Any]) -> None:
 def _leave_out(job: Job, task: Task, step: Pass, inputs: PassInputs) -> None:
     """Write empty results for a tile that failed, so that no results of an earlier run remain."""
     work: FilterTile = task.arguments
-    buckets = job.store.buckets_within(job.plan.meta.bucket.hull(work.cells))
+    buckets = job.store.buckets_within(job.plan.grid.meta.bucket.hull(work.cells))
     for cell in work.cells:
         if work.elected_out is not None:
             job.store.write_elected(work.elected_out, cell, np.zeros((3, 0), np.int32))

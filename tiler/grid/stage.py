@@ -93,7 +93,7 @@ def _settle_surface(job: Job) -> None:
     surface = config.surface or MATCHED_SURFACE
     erode = MATCHED_EROSION if config.erode is None else config.erode
     if (surface, erode) != (config.surface, config.erode):
-        erode_text = length_text(erode, plan.meta.frame.units.horizontal)
+        erode_text = length_text(erode, plan.grid.meta.frame.units.horizontal)
         job.note(
             f"decided: the surface is the {surface} of the heights in half a pixel, without ground within "
             f"{erode_text} of objects, because the cloud is photogrammetric (--surface, --erode)"
@@ -158,7 +158,7 @@ def _report_outline(job: Job, gridding: GridContext) -> None:
         "gap_m": usual, "widest_gap_m": widest, "cell_m": float(gridding.coarse_m), "cut_pixels": cut,
     }  # fmt: skip
     if cut:
-        unit = job.plan.meta.frame.units.horizontal
+        unit = job.plan.grid.meta.frame.units.horizontal
         sparse = f" ({length_text(widest, unit)} where points are sparse)" if widest > usual else ""
         job.note(
             f"{counted(cut, 'pixel')} outside the survey left without a height; gaps of up to "
@@ -205,7 +205,7 @@ def _report_terrain(job: Job, spec: RasterSpec, tasks: list[Task], made: Mapping
     job.facts["dtm"] = {
         "width": spec.width,
         "height": spec.height,
-        "resolution_m": float(job.plan.resolution),
+        "resolution_m": float(job.plan.grid.resolution),
         **{k: sum(r[k] for r in records) for k in ("filled", "marked")},
         "blocks": len(tasks),
         "blocks_done_again": sum(r["tries"] > 1 for r in records),

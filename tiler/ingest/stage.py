@@ -99,7 +99,7 @@ def spool(job: Job, sources: list[Source]) -> tuple[Commits, list[Source]]:
     ]
     if any(is_url(s.info.path) for s in sources):
         points = sum(record.fetched for record in records)
-        job.facts["fetched"] = {"plan": sum(s.fetched for s in job.plan.sources), "points": points}
+        job.facts["fetched"] = {"plan": sum(s.fetched for s in job.plan.inputs.sources), "points": points}
     if rounding > 0:
         job.note(
             f"the filter's coordinates were rounded by up to {rounding:.3g} CRS units; classified clouds keep the "
@@ -165,7 +165,7 @@ def _far_away(plan: Plan, out: Path | None, sources: list[Source], spooled: Comm
 
     The result is empty if the raster is not too large.
     """
-    records, lattice = by_source(spooled), plan.meta.bucket
+    records, lattice = by_source(spooled), plan.grid.meta.bucket
     told = {s.name: bounds_of(s.info).pad(lattice.p + int(FAR) * COUNTS_PER_UNIT) for s in sources}
     doubtful = [
         s
@@ -184,10 +184,11 @@ def _far_away(plan: Plan, out: Path | None, sources: list[Source], spooled: Comm
         hull = hull if source_strays.extent is None else hull.intersection(source_strays.extent)
         if told[source.name].union(hull) != told[source.name]:
             extents[source.name] = hull
-    extent = reduce(Bounds.union, extents.values(), plan.extent)
-    if plan.area is not None:
-        extent = extent.intersection(plan.area.bounds)
-    remedy = sparse_raster_remedy(dataclasses.replace(plan, extent=extent), out) if extents else None
+    extent = reduce(Bounds.union, extents.values(), plan.inputs.extent)
+    if plan.inputs.area is not None:
+        extent = extent.intersection(plan.inputs.area.bounds)
+    wider = dataclasses.replace(plan, inputs=dataclasses.replace(plan.inputs, extent=extent))
+    remedy = sparse_raster_remedy(wider, out) if extents else None
     if remedy is None:
         return {}
     return dict.fromkeys(extents, f"holds points far outside of the bounds that its header gives: {remedy}")
@@ -208,7 +209,7 @@ def assemble(job: Job, sources: list[Source], spooled: Commits) -> IngestResult:
     assembled = IngestResult.of(commits)
     if not commits:
         raise ProcessingError(f"no bucket could be written; the first: {job.record.first_error('assemble')}")
-    area = job.plan.area
+    area = job.plan.inputs.area
     if area is not None and area.bounds.intersection(assembled.bounds).empty:
         raise InputError(
             "no point of the clouds lies in the area, though some lie near it; give another area"

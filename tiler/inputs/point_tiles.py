@@ -65,7 +65,8 @@ class EptDataset:
         if self.points in (None, total):
             return []
         return [
-            f"{self.text}: says {self.points} points, its hierarchy {total}; the files are used; create it again"
+            f"{self.text}: says {self.points} points, its hierarchy {total}; the values in the files are used; "
+            "create ept.json again"
         ]
 
     def place(self, folder: str, name: str) -> str:

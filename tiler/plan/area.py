@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 
+from ptd.matched.evidence import DIM, LIDAR
 from tiler.config import RunConfig
 from tiler.core.area import Area, Runs
 from tiler.core.frame import COUNTS_PER_UNIT
@@ -68,20 +69,21 @@ def part_of(plan: Plan) -> Plan:
     InputError
         The octree of a file near the area is damaged, and the run stops on errors or no other file is left.
     """
-    if plan.area is None:
+    inputs, area = plan.inputs, plan.inputs.area
+    if area is None:
         return plan
     option = "--bounds" if plan.config.aoi is None else f"--aoi {plan.config.aoi}"
-    near = [s for s in plan.sources if s.points and plan.area.touches(bounds_of(s).pad(plan.margin))]
+    near = [s for s in inputs.sources if s.points and area.touches(bounds_of(s).pad(plan.margin))]
     near, damaged = _without_damaged(plan, near, option)
     near = [s for s in near if chunks_of(plan, s) != []]  # None stands for all chunks.
-    if not near or not plan.area.touches(plan.extent):
-        west, south, east, north = (v / COUNTS_PER_UNIT for v in plan.area.bounds.to_json())
-        x0, y0, x1, y1 = (v / COUNTS_PER_UNIT for v in plan.extent.to_json())
+    if not near or not area.touches(inputs.extent):
+        west, south, east, north = (v / COUNTS_PER_UNIT for v in area.bounds.to_json())
+        x0, y0, x1, y1 = (v / COUNTS_PER_UNIT for v in inputs.extent.to_json())
         raise ConfigError(
             f"{option}: ({west:.10g}, {south:.10g}) to ({east:.10g}, {north:.10g}) contains no part of the clouds, "
             f"which lie in ({x0:.10g}, {y0:.10g}) to ({x1:.10g}, {y1:.10g}); give an area there, in units of their CRS"
         )
-    n_far = sum(bool(s.points) for s in plan.sources) - len(near) - len(damaged)
+    n_far = sum(bool(s.points) for s in inputs.sources) - len(near) - len(damaged)
     notes = [
         f"{option}: points within {_length(plan, plan.margin)} of it are read as well, so that its border is "
         f"not visible in the results{_narrower_margins(plan)}"
@@ -90,28 +92,27 @@ def part_of(plan: Plan) -> Plan:
         notes.append(f"{option}: {n_far} files lie farther away and are not read")
     shares = [_share(plan, source) for source in near]
     points = max(round(sum(s.points * share for s, share in zip(near, shares, strict=True))), 1)
-    extent = plan.extent.intersection(plan.area.bounds)
     read = {source.path for source in near}
-    return dataclasses.replace(
-        plan,
+    part = replace(
+        inputs,
         sources=tuple(near),
-        unreadable=(*plan.unreadable, *damaged),
+        left_out=(*inputs.left_out, *damaged),
         points=points,
-        area_m2=points / plan.density,
-        extent=extent,
-        names={path: name for path, name in plan.names.items() if path in read},
-        notes=(*plan.notes, *notes),
+        covered_m2=points / inputs.density,
+        extent=inputs.extent.intersection(area.bounds),
+        cloud_names={path: name for path, name in inputs.cloud_names.items() if path in read},
     )
+    return replace(plan, inputs=part, notes=(*plan.notes, *notes))
 
 
 def buckets_of(plan: Plan, source: SourceInfo) -> Runs | None:
     """Return the buckets for which points of a source are read, or None for all buckets."""
-    if plan.area is None:
+    if plan.inputs.area is None:
         return None
     extent = header_bounds(source)
     if extent is None:  # The header gives no valid bounds, so the points may be anywhere.
-        extent = plan.area.bounds.pad(plan.margin)
-    return plan.area.cells(plan.meta.bucket, extent, plan.margin)
+        extent = plan.inputs.area.bounds.pad(plan.margin)
+    return plan.inputs.area.cells(plan.grid.meta.bucket, extent, plan.margin)
 
 
 def chunks_of(plan: Plan, source: SourceInfo, margin: int | None = None) -> list[int] | None:
@@ -126,13 +127,13 @@ def chunks_of(plan: Plan, source: SourceInfo, margin: int | None = None) -> list
     margin : int, optional
         Distance around the area within which points are needed, in counts; the plan's by default.
     """
-    if plan.area is None or source.octree is None or buckets_of(plan, source) is None:
+    if plan.inputs.area is None or source.octree is None or buckets_of(plan, source) is None:
         return None
     if margin is None:
         margin = plan.margin
     near = set()
     for key in set(source.octree.keys):
-        if plan.area.touches(_around(source.octree.box(key)).pad(margin)):
+        if plan.inputs.area.touches(_around(source.octree.box(key)).pad(margin)):
             near.add(key)
     return [chunk for chunk, key in enumerate(source.octree.keys) if key in near]
 
@@ -157,18 +158,19 @@ def _without_damaged(
 
 def _narrower_margins(plan: Plan) -> str:
     """Return a text with the kinds of clouds that need a narrower margin, or "" if there are none."""
-    if not plan.kinds:
+    # With --statistics, the earlier run decides the kind.
+    if not plan.method.kinds or plan.method.statistics is not None:
         return ""
     texts = []
-    for kind in ("als", "dim"):
-        margin = dataclasses.replace(plan, config=plan.config.updated(kind=kind)).margin
+    for option, kind in (("als", LIDAR), ("dim", DIM)):
+        margin = replace(plan, method=replace(plan.method, kind=kind)).margin
         if margin < plan.margin:
-            texts.append(f" ({_length(plan, margin)} are enough with --kind {kind})")
+            texts.append(f" ({_length(plan, margin)} are enough with --kind {option})")
     return "".join(texts)
 
 
 def _length(plan: Plan, counts: int) -> str:
-    unit = plan.meta.frame.units.horizontal
+    unit = plan.grid.meta.frame.units.horizontal
     return length_text(counts / COUNTS_PER_UNIT * float(unit), unit)
 
 
@@ -178,4 +180,4 @@ def _share(plan: Plan, source: SourceInfo) -> float:
     if runs is None:
         return 1.0
     cells = sum(end - first for _, first, end in runs)
-    return min(cells * float(plan.meta.bucket.size) ** 2 / bounds_of(source).area(), 1.0)
+    return min(cells * float(plan.grid.meta.bucket.size) ** 2 / bounds_of(source).area(), 1.0)

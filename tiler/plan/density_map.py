@@ -140,7 +140,7 @@ def _shares(
     box_area = np.bincount(box, area, minlength=len(boxes))
     points = area / box_area[box] * boxes[box, 4]
     columns_covered, rows_covered = _parts(low - west_south, high - west_south, cell).T
-    # The product repeats the bits of the covered columns in each covered row.
+    # A product with the lowest bits of the covered rows copies the bits of the covered columns into each of these rows.
     return cells, points, columns_covered * _row_starts(rows_covered)
 
 

@@ -53,12 +53,12 @@ class Pixels:
 
 def pixels_of(plan: Plan) -> Pixels:
     """Estimate the numbers of pixels of a product from a sample of the points."""
-    resolution, metres = float(plan.resolution), float(plan.meta.frame.metres_xy)
-    whole = plan.extent.area() * metres**2 / resolution**2
-    west, south, east, north = (v * metres for v in plan.extent.to_json())
+    resolution, metres = float(plan.grid.resolution), float(plan.grid.meta.frame.metres_xy)
+    whole = plan.inputs.extent.area() * metres**2 / resolution**2
+    west, south, east, north = (v * metres for v in plan.inputs.extent.to_json())
 
     def in_squares_with_points(side_m: float) -> float:
-        squares = plan.density_map.squares(side_m, (west, south), (east, north))
+        squares = plan.inputs.density_map.squares(side_m, (west, south), (east, north))
         return squares * (side_m / resolution) ** 2
 
     filled = min(in_squares_with_points(BLOCK_PIXELS * resolution) or whole, whole)
@@ -79,7 +79,9 @@ def projected_disk(plan: Plan) -> dict[str, int]:
     names = {"dtm", *plan.config.exported}
     sizes = [np.dtype(PRODUCTS[name].dtype).itemsize for name in names]
     return {
-        "store": int(plan.points * _stored_bytes(plan) + STORED_PIXEL_BYTES * pixels.filled * len(names)),
+        "store": int(
+            plan.inputs.points * _stored_bytes(plan) + STORED_PIXEL_BYTES * pixels.filled * len(names)
+        ),
         "rasters": int(pixels.filled * sum(sizes) + pixels.empty * EMPTY_PIXEL_BYTES * len(names)),
         "drawn": int(pixels.filled * DRAWN_PIXEL_BYTES * len(plan.config.drawn)),
         "classified": _classified_bytes(plan),
@@ -89,7 +91,7 @@ def projected_disk(plan: Plan) -> dict[str, int]:
 
 def _stored_bytes(plan: Plan) -> float:
     """Return the bytes per point in the store."""
-    labels = max(sum(not step.pass_.elected for step in plan.steps) - 1, 0)
+    labels = max(sum(not step.pass_.elected for step in plan.method.steps) - 1, 0)
     size = SPOOL_BYTES + COLUMN_BYTES + LABEL_BYTES * labels
     if plan.writes_clouds:
         size += RECORD_BYTES
@@ -100,8 +102,8 @@ def _classified_bytes(plan: Plan) -> int:
     if not plan.writes_clouds:
         return 0
     if plan.config.classified == "las":
-        return sum(source.points * source.record_length for source in plan.sources)
-    return int(CLASSIFIED_SHARE * sum(source.size for source in plan.sources))
+        return sum(source.points * source.record_length for source in plan.inputs.sources)
+    return int(CLASSIFIED_SHARE * sum(source.size for source in plan.inputs.sources))
 
 
 def _raster_scratch(plan: Plan, pixels: Pixels, sizes: list[int]) -> float:
@@ -110,10 +112,10 @@ def _raster_scratch(plan: Plan, pixels: Pixels, sizes: list[int]) -> float:
     ``sizes`` are the bytes per pixel of the rasters.
     """
     if plan.config.sheets is None:
-        workers = min(plan.workers, len(sizes))
+        workers = min(plan.resources.workers, len(sizes))
         largest = sum(sorted(sizes)[-workers:])
     else:
-        workers = plan.workers
+        workers = plan.resources.workers
         largest = workers * max(sizes)
     filled = min(pixels.filled, pixels.largest)
     return filled * largest + (pixels.largest - filled) * EMPTY_PIXEL_BYTES * workers
@@ -123,8 +125,8 @@ def _copc_scratch(plan: Plan) -> int:
     """Return the bytes of the records of the largest clouds that become COPC at the same time."""
     if not plan.writes_clouds or plan.config.classified != "copc":
         return 0
-    sizes = sorted(s.points * newer_bytes(s.point_format, s.record_length) for s in plan.sources)
-    return sum(sizes[-plan.workers :])
+    sizes = sorted(s.points * newer_bytes(s.point_format, s.record_length) for s in plan.inputs.sources)
+    return sum(sizes[-plan.resources.workers :])
 
 
 def needed_bytes(plan: Plan) -> int:
@@ -152,8 +154,9 @@ def sparse_raster_remedy(plan: Plan, out: Path | None) -> str | None:
     if out is not None:
         with suppress(OSError):  # `validate` reports the error of the folder.
             free = free_bytes(out)
-    full = free is not None and needed_bytes(plan) > free >= needed_bytes(plan) - empty
-    if pixels.largest <= MAX_PIXELS and not full:
+    needed = needed_bytes(plan)
+    fits_without_empty = free is not None and needed - empty <= free < needed
+    if pixels.largest <= MAX_PIXELS and not fits_without_empty:
         return None
     return (
         f"a single raster would have {pixels.largest:.2g} pixels, nearly all of them empty; "

@@ -29,7 +29,7 @@ FRAME = 2 * (INT32_LIMIT - 10_000 * COUNTS_PER_UNIT)
 PARTS = 16
 """Number of cells along the longer side of the whole extent, on which groups of files are separated."""
 FILES_PER_OUTLIER = 4
-"""Least number of files per outlying file with which the outlying files are left out."""
+"""Minimum ratio of all files to the outlying files, if these are left out because they are few."""
 MAX_DISTANCE_M = 5e7
 """Largest coordinate of any CRS in metres, more than the circumference of the Earth."""
 TOLERANCE_DEG = 5.0
@@ -89,6 +89,10 @@ def _far_from_area(sources: Sequence[SourceInfo], area: Area | None, metres: flo
 
 def outlying_files(sources: Sequence[SourceInfo], wkt: str | None, metres: float, remedy: str) -> LeftOut:
     """Return the files that lie apart from most others, each with a reason that ends with ``remedy``.
+
+    These are the files outside the largest part, if only that part lies in the area of use of the CRS. They are also
+    left out if they are few, unless only they lie in that area. Otherwise files that are each wider than half of the
+    whole extent are left out if they are few.
 
     Raises
     ------
@@ -202,6 +206,7 @@ def _in_use(source: SourceInfo, wkt: str | None) -> int:
         return 0
     if not all(map(math.isfinite, (east, north, *back))) or math.dist(back, (x, y)) > 1:
         return -1
+    # Longitudes are compared modulo 360, because an area of use may contain the antimeridian.
     width = (use.east - use.west) % 360 or 360
     east_fits = (east - use.west + TOLERANCE_DEG) % 360 <= width + 2 * TOLERANCE_DEG
     if east_fits and use.south - TOLERANCE_DEG <= north <= use.north + TOLERANCE_DEG:

@@ -7,7 +7,8 @@ import math
 from tiler.core.crs import crs_name, point_scale_factor
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.units_text import length_option, whole_length
-from tiler.plan.model import Plan, steps_of
+from tiler.plan.method import steps_of
+from tiler.plan.model import Plan
 
 MAX_RELIEF_M = 9000
 """Largest height difference that terrain can have."""
@@ -17,7 +18,8 @@ WIDE_TILE = 2 + 2 * math.sqrt(2)
 """Ratio of the side of a tile to its halo at which halos double the work."""
 
 MUCH_OVERLAP = 3.0
-"""Mean ratio of padded area to core area of the passes above which a warning recommends larger tiles."""
+"""Ratio of a tile's padded area to its core area, as a mean of all passes, above which a warning recommends larger
+tiles."""
 
 STRETCHED = 1.05
 """Ratio of lengths in the CRS to lengths on the ground, or its inverse, above which a warning recommends reprojection.
@@ -31,8 +33,8 @@ def warnings_of(plan: Plan) -> list[str]:
 
 def _too_high(plan: Plan) -> list[str]:
     """Warn about heights that terrain cannot have."""
-    units = plan.meta.frame.units
-    boxes = [(s.path, s.bounds) for s in plan.sources if s.points and s.bounds is not None]
+    units = plan.grid.meta.frame.units
+    boxes = [(s.path, s.bounds) for s in plan.inputs.sources if s.points and s.bounds is not None]
     warnings = []
     relief = (max(b[5] for _, b in boxes) - min(b[2] for _, b in boxes)) * float(units.vertical)
     if relief > MAX_RELIEF_M:
@@ -53,16 +55,16 @@ def _too_high(plan: Plan) -> list[str]:
 
 def _much_overlap(plan: Plan) -> list[str]:
     """Warn about halos that multiply the work. A cloud of unknown kind counts as a LiDAR cloud."""
-    steps = steps_of(plan.passes, plan.kind or "lidar")
+    steps = steps_of(plan.method.passes, plan.method.kind or "lidar")
     halos = [step.halo_m for step in steps if not plan.joins(step)]
-    tile = float(plan.tile)
+    tile = float(plan.method.tile)
     work = []
     for halo in halos:
         padded = [min(tile + 2 * halo, side) / min(tile, side) for side in plan.sides_m]
         work.append(math.prod(padded))
     if sum(work) <= MUCH_OVERLAP * len(work):
         return []
-    unit = plan.meta.frame.units.horizontal
+    unit = plan.grid.meta.frame.units.horizontal
     wider = length_option(whole_length(WIDE_TILE * max(halos), unit, math.ceil), unit)
     return [
         f"tiles of {tile:g} m with up to {max(halos):g} m of halo need {sum(work) / len(work):.1f} times "
@@ -72,7 +74,7 @@ def _much_overlap(plan: Plan) -> list[str]:
 
 def _stretched(plan: Plan) -> list[str]:
     """Warn about a CRS whose lengths are not those on the ground, such as Web Mercator."""
-    wkt, extent = plan.meta.frame.crs_wkt, plan.extent
+    wkt, extent = plan.grid.meta.frame.crs_wkt, plan.inputs.extent
     if wkt is None:
         return []
     x = (extent.x0 + extent.x1) / 2 / COUNTS_PER_UNIT

@@ -51,10 +51,9 @@ def with_user_features(plan: Plan) -> Plan:
     waters: tuple[Water, ...] = ()
     if config.water_file is not None:
         drawing = _read(plan, Path(config.water_file), DRAWN_WATER, False, notes, warnings, all_layers=True)
-        waters = tuple(waters_of(drawing.features, plan.extent))
-    return replace(
-        plan, lines=tuple(lines), edits=edits, waters=waters, notes=tuple(notes), warnings=tuple(warnings)
-    )
+        waters = tuple(waters_of(drawing.features, plan.inputs.extent))
+    inputs = replace(plan.inputs, lines=tuple(lines), edits=edits, waters=waters)
+    return replace(plan, inputs=inputs, notes=tuple(notes), warnings=tuple(warnings))
 
 
 def _warn_two_heights(lines: list[Counts]) -> list[str]:
@@ -99,13 +98,13 @@ def _read(
     All layers are read with ``all_layers``, or if the features need heights (``needs_z``).
     """
     all_layers |= needs_z
-    wkt = plan.meta.frame.crs_wkt
+    wkt = plan.grid.meta.frame.crs_wkt
     if plan.config.in_process:
         features = read_in_crs(path, kind, wkt, all_layers, needs_z)
     else:
         features = call_isolated(read_in_crs, path, kind, wkt, all_layers, needs_z, paths=(path,))
     notes += features.notes
-    x0, y0, x1, y1 = (v / COUNTS_PER_UNIT for v in plan.extent.to_json())
+    x0, y0, x1, y1 = (v / COUNTS_PER_UNIT for v in plan.inputs.extent.to_json())
     warnings += warn_outside(path, features, (x0, y0, x1, y1))
     return features
 

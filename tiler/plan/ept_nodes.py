@@ -1,6 +1,6 @@
 """Inputs that are Entwine Point Tiles (EPT): nodes that a run may need, and their CRS.
 
-If ``ept.json`` and the files of its nodes contradict each other, the files count, and notes report it.
+If ``ept.json`` contradicts the files of its nodes, the values in the files are used and a note reports it.
 """
 
 from __future__ import annotations
@@ -96,11 +96,11 @@ class EptInputs:
 
 
 def validate_distances(plan: Plan, inputs: Sequence[str]) -> None:
-    """Raise ConfigError if a run needs points farther away than EPT nodes were considered."""
+    """Raise ConfigError if a run needs points farther from the area than EPT nodes were read."""
     margin_m = _margin_m(plan.config)
-    if plan.area is None or not any(map(is_ept, inputs)):
+    if plan.inputs.area is None or not any(map(is_ept, inputs)):
         return
-    if plan.margin > plan.meta.frame.counts(margin_m):
+    if plan.margin > plan.grid.meta.frame.counts(margin_m):
         raise ConfigError(
             f"--halo: nodes of ept.json are read up to {float(margin_m):g} m around the area, but this run needs "
             "points farther away; use a smaller --halo, or leave out --bounds"
@@ -145,7 +145,7 @@ def contradictions(
         if faults:
             path, text = faults[0]
             more = f" ({len(faults)} of {len(sources)} files)" if len(sources) > 1 else ""
-            yield f"{tiles.text}: {text} in {path.name}{more}; the files are used; create it again"
+            yield f"{tiles.text}: {text} in {path.name}{more}; the values in the files are used; create ept.json again"
 
 
 def _check_points(counts: Mapping[Path, int], source: SourceInfo) -> Contradiction:

@@ -33,7 +33,7 @@ def cores() -> int:
 
 
 def default_workers() -> int:
-    """Return the default number of workers: one per core, or as many as have `MIN_BYTES` each."""
+    """Return the default number of workers: one per core, or fewer if the memory is below `MIN_BYTES` per core."""
     return max(min(cores(), memory_bytes() // MIN_BYTES), 1)
 
 
@@ -45,7 +45,7 @@ def memory_bytes() -> int:
 def fair_share(workers: int) -> int:
     """Return the default memory per worker in bytes.
 
-    Fewer workers than cores do not get more memory each.
+    The memory is divided by the number of cores, or of workers if there are more workers than cores.
     """
     return min(max(memory_bytes() // (SHARE * max(workers, cores())), MIN_BYTES), MAX_BYTES)
 

@@ -1,4 +1,4 @@
-"""Evidence in the fields of the points on the source of the clouds of a run."""
+"""Source of the clouds of a run, decided by evidence in the fields of their points."""
 
 from __future__ import annotations
 

@@ -33,7 +33,7 @@ BUCKET_POINT_BYTES = 200
 HELD_BYTES = 64 << 20
 """Maximum bytes of decoded buckets that a worker keeps to label their neighbours."""
 HELD_SHARE = 16
-"""Smallest ratio of the memory above `BASE_BYTES` to the bytes of such buckets."""
+"""Ratio of the memory above `BASE_BYTES` to the bytes of these buckets, if the result is below `HELD_BYTES`."""
 ASSEMBLY_POINT_BYTES = 800
 """Bytes per point while its bucket is assembled: fragments, keys and their order."""
 SPOOL_POINT_BYTES = 160
@@ -45,7 +45,7 @@ PIECE_BYTES = 160
 NEAR_PIECE_BYTES = 650
 """Further bytes per piece of a breakline in a block's window, which is a vertex of the TIN (460 measured)."""
 JOINED_BYTES = 1 << 30
-"""Maximum bytes of a worker with a tile of a pass on candidates, enough for 1.4 km of dense LiDAR and a halo of 229 m.
+"""Maximum memory of a worker for a joined tile, in bytes. A tile of 1.4 km of dense LiDAR with a halo of 229 m fits.
 
 Larger tiles do not save time (213 M points: 413 CPU s in 18 tiles per pass, 415 in 12), and smaller tiles are
 distributed more evenly among workers.
@@ -92,7 +92,7 @@ class PlannedPass:
 
 
 def breakline_bytes(lines: Sequence[npt.NDArray[np.int64]], pixel: float, window: float) -> int:
-    """Return the bytes for breaklines in the block with most of them.
+    """Return the bytes that a worker needs for breaklines in the block with most of them.
 
     The breaklines are divided into pieces of half a pixel or more.
 
@@ -166,7 +166,8 @@ def filter_bytes(points: float, area_m2: float, cell_m: float, step: PlannedPass
     elif not step.pass_.every_point and nested(cell_m, fine_m):
         read = min(points, area_m2 / float(fine_m) ** 2)
     if step.pass_.raster_cell_m:
-        vertices = area_m2 / step.pass_.raster_cell_m**2
+        raster_cells = area_m2 / step.pass_.raster_cell_m**2
+        return read * READ_BYTES + raster_cells * VERTEX_BYTES
     return read * READ_BYTES + vertices * VERTEX_BYTES
 
 

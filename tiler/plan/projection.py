@@ -17,16 +17,18 @@ from tiler.plan.memory import (
     held_bytes,
     ingest_bytes,
 )
+from tiler.plan.method import expected_passes
 from tiler.plan.model import PIECE_POINTS, Plan
 
 
 def projected_memory(plan: Plan) -> dict[str, int]:
     """Estimate the peak bytes of a worker by stage."""
-    ground = int(min(plan.points, max(plan.block_points, plan.max_part_points))) * GROUND_BYTES
-    largest = min(max(source.points for source in plan.sources), EXPORT_POINTS)
+    ground = int(min(plan.inputs.points, max(plan.block_points, plan.max_part_points))) * GROUND_BYTES
+    largest = min(max(source.points for source in plan.inputs.sources), EXPORT_POINTS)
+    expected = expected_passes(plan.method.passes, plan.method.kind, plan.inputs.density)
     return {
         "ingest": ingest_bytes(PIECE_POINTS, plan.max_bucket_points),
-        "filter": max((_pass_bytes(plan, step) for step in plan.expected_passes), default=0),
+        "filter": max((_pass_bytes(plan, step) for step in expected), default=0),
         "grid": BASE_BYTES + ground + plan.line_bytes,
         "export": BASE_BYTES + EXPORT_BYTES + largest,
     }
@@ -35,16 +37,18 @@ def projected_memory(plan: Plan) -> dict[str, int]:
 def _pass_bytes(plan: Plan, step: PlannedPass) -> int:
     """Estimate the peak bytes of a worker in a pass.
 
-    A tile of mean density may get the widest halo. The densest tile is divided until it fits or is one bucket.
+    It is the peak of a tile of mean density with the widest halo, or of the densest tile with the first halo if that is
+    higher. A tile that does not fit into the memory is divided, down to single buckets. So the peak is at most that
+    memory, or the peak of the densest bucket if that is higher.
     """
     if plan.joins(step):
-        side = math.sqrt(plan.area_m2)
+        side = math.sqrt(plan.inputs.covered_m2)
         mean_tile = 0
     else:
-        side = float(plan.tile)
+        side = float(plan.method.tile)
         mean_tile = filter_peak(plan, step, side, widest_halo_m(plan, step))
     densest_tile = filter_peak(plan, step, side, step.halo_m, densest=True)
-    densest_bucket = filter_peak(plan, step, plan.bucket_m, step.halo_m, densest=True)
+    densest_bucket = filter_peak(plan, step, plan.grid.bucket_m, step.halo_m, densest=True)
     return min(max(mean_tile, densest_tile), max(plan.tile_memory_of(step), densest_bucket))
 
 
@@ -54,25 +58,25 @@ def filter_peak(plan: Plan, step: PlannedPass, side_m: float, halo_m: float, den
     The tile has the mean density, or with ``densest`` it lies in the densest place.
     """
     side = side_m + 2 * halo_m
-    bucket_m = plan.bucket_m + 2 * step.pass_.label_margin_m
-    area = min(side**2, plan.area_m2)
-    points = plan.density * area
-    bucket = plan.density * bucket_m**2
+    bucket_m = plan.grid.bucket_m + 2 * step.pass_.label_margin_m
+    area = min(side**2, plan.inputs.covered_m2)
+    points = plan.inputs.density * area
+    bucket = plan.inputs.density * bucket_m**2
     if densest:
-        points = max(points, plan.density_map.max_points(side))
-        bucket = max(bucket, plan.density_map.max_points(bucket_m))
+        points = max(points, plan.inputs.density_map.max_points(side))
+        bucket = plan.inputs.max_points(bucket_m)
     if step.pass_.raster_cell_m:
         area = min(side**2, math.prod(plan.sides_m))
-    window = filter_bytes(points, area, plan.candidate_cell_m, step, plan.fine_m)
+    window = filter_bytes(points, area, plan.method.candidate_cell_m, step, plan.grid.fine_m)
     kept_buckets = 0
     if step.pass_.label_margin_m:
-        kept_buckets = held_bytes(plan.memory)
+        kept_buckets = held_bytes(plan.resources.memory)
     return int(BASE_BYTES + window + bucket_bytes(bucket) + kept_buckets)
 
 
 def widest_halo_m(plan: Plan, step: PlannedPass) -> float:
     """Return the widest halo, in metres, of a tile with mean density and uncertified labels."""
-    side, memory = float(plan.tile), plan.tile_memory
+    side, memory = float(plan.method.tile), plan.method.tile_memory
     return widest_halo(step, step.halo_m, lambda halo: filter_peak(plan, step, side, halo) <= memory)
 
 
@@ -97,10 +101,10 @@ def _overlap(plan: Plan, step: PlannedPass) -> float:
 def _tile_sides_m(plan: Plan, step: PlannedPass) -> tuple[float, float]:
     """Estimate the sides in metres of the tiles of a pass, which `tiler.filter.tasks.tiles` cuts."""
     if not plan.joins(step):
-        return float(plan.tile), float(plan.tile)
+        return float(plan.method.tile), float(plan.method.tile)
     sides = list(plan.sides_m)
-    n_tiles = plan.n_joined_tiles(plan.points)
-    while max(sides) > plan.bucket_m:
+    n_tiles = plan.method.n_joined_tiles(plan.inputs.points)
+    while max(sides) > plan.grid.bucket_m:
         peak = filter_peak(plan, step, math.sqrt(math.prod(sides)), step.halo_m)
         if n_tiles <= 1 and peak <= plan.tile_memory_of(step):
             break

@@ -46,12 +46,12 @@ def remember(plan: Plan, stages: Mapping[str, Mapping[str, Any]]) -> None:
         Name of each stage -> ``tasks``, ``computed`` (the number of tasks done in this run) and ``seconds``, as in
         ``run.json``.
     """
-    if plan.points < MIN_POINTS or plan.config.scheduler is not None:
+    if plan.inputs.points < MIN_POINTS or plan.config.scheduler is not None:
         return
     known = _read()
     for stage, record in stages.items():
         if record["computed"] and record["computed"] == record["tasks"]:
-            rate = record["seconds"] * plan.workers / plan.points * 1e6
+            rate = record["seconds"] * plan.resources.workers / plan.inputs.points * 1e6
             name = _name(plan, stage)
             if name in known:
                 rate = (1 - _NEWEST) * known[name] + _NEWEST * rate
@@ -86,13 +86,14 @@ def stage_seconds(plan: Plan, rasters: Iterable[str], until: str = "export") -> 
         Last part of the job: ``ingest``, ``filter``, ``grid`` or ``export``.
     """
     known = _read()
-    filters = {f"filter{number}": step for number, step in enumerate(plan.passes) if step in plan.steps}
-    # If earlier runs did some of the passes that do not always apply, the others of these passes do not count.
+    steps, kinds = plan.method.steps, plan.method.kinds
+    filters = {f"filter{number}": step for number, step in enumerate(plan.method.passes) if step in steps}
+    # Some passes are skipped for some clouds. Once earlier runs did some of these passes, the others are not expected.
     did = [stage for stage, step in filters.items() if step.sometimes and _name(plan, stage) in known]
     if did:
         filters = {stage: step for stage, step in filters.items() if stage in did or not step.sometimes}
-    if plan.kinds:  # The kind is not known yet, so the passes of the slowest kind count.
-        costs = dict.fromkeys(plan.kinds, 0.0)
+    if kinds:  # The kind is not known yet, so the passes of the slowest kind count.
+        costs = dict.fromkeys(kinds, 0.0)
         for stage, step in filters.items():
             if step.kind in costs:
                 costs[step.kind] += _rate(plan, known, stage)
@@ -101,7 +102,8 @@ def stage_seconds(plan: Plan, rasters: Iterable[str], until: str = "export") -> 
     parts = {"ingest": ["spool", "assemble"], "filter": filters, "grid": rasters, "export": ["export"]}
     names = list(parts)
     stages = chain.from_iterable(parts[name] for name in names[: names.index(until) + 1])
-    return {stage: _rate(plan, known, stage) * plan.points / 1e6 / plan.workers for stage in stages}
+    points, workers = plan.inputs.points, plan.resources.workers
+    return {stage: _rate(plan, known, stage) * points / 1e6 / workers for stage in stages}
 
 
 def _rate(plan: Plan, known: Mapping[str, float], stage: str) -> float:

@@ -42,8 +42,8 @@ MATCHED_POINTS = 9.0
 """Minimum mean number of points per pixel of a photogrammetric cloud. The mean of several heights is more accurate than
 a single height, and smaller pixels would not show more relief."""
 MOSTLY_VOID = 0.5
-"""Share of the files' bounds that a sample of the points must cover for the bounds to count as the area. Otherwise the
-area that the sample covers counts, although it is rough."""
+"""Minimum share of the files' bounds that a sample of the points covers if the area of the bounds is used. Below it,
+the area that the sample covers is used, although it is only approximate."""
 
 
 def covered_m2(
@@ -134,6 +134,7 @@ def tile_m(
     """
     passes = tuple(passes)
     passes = tuple(step for step in passes if not step.pass_.every_point) or passes
+    # If `BASE_BYTES` leaves less than a quarter of the memory, a quarter is assumed.
     budget = max(memory - BASE_BYTES, memory // 4) * 3 / 4
     fine_m = meta.fine.size * meta.frame.metres_xy
     sides = [
@@ -152,9 +153,10 @@ def resolution_of(
     """Return the side of a pixel in metres, as given by the user, or else a default.
 
     The default is 1 m, or about the mean spacing of the points if that is coarser, up to ``--max-edge``. For
-    photogrammetric clouds it is the finest of `FINE_PIXELS_M` with at least `MATCHED_POINTS` points. If the unit is
-    not the metre, it is one of `PIXELS_FT` in that unit, 2 ft instead of 1 m. Sheets of round numbers of feet then
-    have whole numbers of pixels.
+    photogrammetric clouds it is the finest of `FINE_PIXELS_M` with at least `MATCHED_POINTS` points.
+
+    If the unit of the CRS is not the metre, the default is one of `PIXELS_FT` in that unit, and 2 ft replace 1 m. Then
+    sheets of round numbers of feet have whole numbers of pixels.
 
     Parameters
     ----------

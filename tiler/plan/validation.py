@@ -49,7 +49,7 @@ Replan = Callable[..., Plan]
 """Function that makes a plan with other values of settings, given by name."""
 
 MAX_DENOMINATOR = 511
-"""Largest denominator of a pixel's side in counts with which gridding is exact in int64."""
+"""Maximum denominator of a pixel's side, which is a fraction of counts, with which gridding is exact in int64."""
 MAX_PIXEL = 1 << 26
 """Side of a pixel in counts below which gridding is exact in int64."""
 
@@ -126,56 +126,58 @@ def _targets(plan: Plan) -> list[str]:
     names.append(STAC)
     if plan.writes_clouds:
         names.append(VIRTUAL)
-        names += [f"{CLASSIFIED}/{name}" for name in plan.names.values()]
+        names += [f"{CLASSIFIED}/{name}" for name in plan.inputs.cloud_names.values()]
     return names
 
 
 def _error(plan: Plan, text: str) -> ConfigError:
     """Return an error whose text has lengths in the unit of the CRS."""
-    return ConfigError(in_unit_of_crs(text, plan.meta.frame.units))
+    return ConfigError(in_unit_of_crs(text, plan.grid.meta.frame.units))
 
 
 def _option(plan: Plan, metres: Fraction) -> str:
-    return length_option(metres, plan.meta.frame.units.horizontal)
+    return length_option(metres, plan.grid.meta.frame.units.horizontal)
 
 
 def validate_resolution(plan: Plan) -> None:
     """Raise ConfigError if gridding would not be exact with the pixels of a plan."""
-    pixel = plan.meta.frame.counts(plan.resolution)
+    pixel = plan.grid.meta.frame.counts(plan.grid.resolution)
     if pixel.denominator > MAX_DENOMINATOR:
         raise _error(
             plan,
-            f"--resolution {float(plan.resolution):g} m: {float(pixel) / COUNTS_PER_UNIT:.9g} CRS units "
+            f"--resolution {float(plan.grid.resolution):g} m: {float(pixel) / COUNTS_PER_UNIT:.9g} CRS units "
             "is not a simple fraction; give it in the unit of the CRS",
         )
     if pixel >= MAX_PIXEL:
-        limit_m = float(MAX_PIXEL * plan.meta.frame.metres_xy)
+        limit_m = float(MAX_PIXEL * plan.grid.meta.frame.metres_xy)
         raise _error(
             plan,
-            f"--resolution {float(plan.resolution):g} m: pixels must be below {limit_m:.0f} m; use smaller pixels",
+            f"--resolution {float(plan.grid.resolution):g} m: pixels must be below {limit_m:.0f} m; use smaller pixels",
         )
 
 
 def validate_pixel_count(plan: Plan, out: Path | None) -> None:
     """Raise ConfigError if a raster is too large only because of its fine pixels."""
     usual = _usual_pixel(plan)
-    if usual is None or not sparse_raster_remedy(plan, out) or sparse_raster_remedy(usual, out):
+    if usual is None:
         return
-    pixels, spacing = pixels_of(plan).largest, 1 / math.sqrt(plan.density)
+    if not sparse_raster_remedy(plan, out) or sparse_raster_remedy(usual, out):
+        return
+    pixels, spacing = pixels_of(plan).largest, 1 / math.sqrt(plan.inputs.density)
     raise _error(
         plan,
-        f"--resolution {float(plan.resolution):g} m: a single raster would have {pixels:.2g} pixels, but the points "
-        f"are {spacing:.2g} m apart; use --resolution {_option(plan, usual.resolution)}, or --sheets",
+        f"--resolution {float(plan.grid.resolution):g} m: a single raster would have {pixels:.2g} pixels, but the "
+        f"points are {spacing:.2g} m apart; use --resolution {_option(plan, usual.grid.resolution)}, or --sheets",
     )
 
 
 def _usual_pixel(plan: Plan) -> Plan | None:
     """Return the plan with the default pixel, or None if the requested pixel is not finer."""
-    config, unit = plan.config.updated(resolution=None), plan.meta.frame.units.horizontal
-    usual = resolution_of(config, plan.density, plan.kind, unit, [])
-    if usual <= plan.resolution:
+    config, unit = plan.config.updated(resolution=None), plan.grid.meta.frame.units.horizontal
+    usual = resolution_of(config, plan.inputs.density, plan.method.kind, unit, [])
+    if usual <= plan.grid.resolution:
         return None
-    return replace(plan, resolution=usual)
+    return replace(plan, grid=replace(plan.grid, resolution=usual))
 
 
 def validate(plan: Plan, out: Path | None, replan: Replan) -> None:
@@ -192,11 +194,11 @@ def validate(plan: Plan, out: Path | None, replan: Replan) -> None:
     _validate_memory(plan, replan)
     validate_resolution(plan)
     sheets = plan.config.sheets
-    if sheets is not None and (sheets / plan.resolution).denominator != 1:
-        whole = max(round(sheets / plan.resolution), 1) * plan.resolution
+    if sheets is not None and (sheets / plan.grid.resolution).denominator != 1:
+        whole = max(round(sheets / plan.grid.resolution), 1) * plan.grid.resolution
         raise _error(
             plan,
-            f"--sheets {float(sheets):g} m: is not a whole number of pixels of {float(plan.resolution):g} m; "
+            f"--sheets {float(sheets):g} m: is not a whole number of pixels of {float(plan.grid.resolution):g} m; "
             f"use --sheets {_option(plan, whole)} or another --resolution",
         )
     if sheets is not None and len(plan.config.exported) > 1 and "{name" not in plan.config.sheet_name:
@@ -212,7 +214,7 @@ def _validate_name_lengths(plan: Plan) -> None:
     """Raise ConfigError if the name of a classified cloud would be too long for a file system."""
     if not plan.writes_clouds:
         return
-    for source, name in plan.names.items():
+    for source, name in plan.inputs.cloud_names.items():
         size = name_bytes(name)
         if size > MAX_NAME_LENGTH:
             shorter = ""
@@ -228,9 +230,9 @@ def _validate_memory(plan: Plan, replan: Replan) -> None:
     memory = projected_memory(plan)
     stage = max(memory, key=lambda name: memory[name])
     need = memory[stage]
-    if need > plan.memory:
+    if need > plan.resources.memory:
         raise ConfigError(
-            f"{stage} needs {need / 2**20:,.0f} MiB per worker, but {plan.memory / 2**20:,.0f} MiB are "
+            f"{stage} needs {need / 2**20:,.0f} MiB per worker, but {plan.resources.memory / 2**20:,.0f} MiB are "
             f"allowed; use --memory {enough_memory(plan, replan) >> 20}MiB{_instead(plan, stage, replan)}"
         )
     workers, machine = plan.config.workers or 1, memory_bytes()
@@ -248,7 +250,7 @@ def enough_memory(plan: Plan, replan: Replan) -> int:
     """
     required_bytes = max(projected_memory(plan).values())
     while True:
-        allowed = -(-required_bytes >> 20) << 20
+        allowed = math.ceil(required_bytes / 2**20) << 20
         needed = max(projected_memory(replan(memory=allowed)).values())
         if needed <= allowed:
             return allowed
@@ -257,25 +259,25 @@ def enough_memory(plan: Plan, replan: Replan) -> int:
 
 def _instead(plan: Plan, stage: str, replan: Replan) -> str:
     """Recommend a setting other than more memory with which a stage fits, or return ""."""
-    if stage == "grid" and plan.grid_halo > plan.resolution:
+    if stage == "grid" and plan.grid.halo_m > plan.grid.resolution:
         return " or a smaller --max-edge"
     if stage != "filter":
         return ""
 
     def suffices(**values: Fraction) -> bool:
-        other = replan(memory=plan.memory, **values)
-        return max(projected_memory(other).values()) <= plan.memory
+        other = replan(memory=plan.resources.memory, **values)
+        return max(projected_memory(other).values()) <= plan.resources.memory
 
-    unit = plan.meta.frame.units.horizontal
-    side = Fraction(plan.tile)
-    bucket = Fraction(plan.bucket_m)
+    unit = plan.grid.meta.frame.units.horizontal
+    side = Fraction(plan.method.tile)
+    bucket = Fraction(plan.grid.bucket_m)
     smallest = whole_length(bucket, unit, math.ceil)
     while side >= bucket:
         tile = whole_length(side, unit, math.ceil)
         if suffices(tile_size=tile):
             return f" or --tile-size {_option(plan, tile)}"
         side = side / 2 // bucket * bucket
-    halo = whole_length(plan.halo_m / 2, unit, math.floor)
+    halo = whole_length(plan.method.halo_m / 2, unit, math.floor)
     while halo >= 1:
         if suffices(tile_size=smallest, halo=halo):
             return f" or --halo {_option(plan, halo)} --tile-size {_option(plan, smallest)}"
@@ -303,7 +305,7 @@ def _validate_disk(plan: Plan, out: Path) -> None:
         remedy = "free some space, or use --store on another disk or fewer --products"
         usual = _usual_pixel(plan)
         if usual is not None and needed_bytes(usual) <= free:
-            coarser, present = _option(plan, usual.resolution), _option(plan, plan.resolution)
+            coarser, present = _option(plan, usual.grid.resolution), _option(plan, plan.grid.resolution)
             remedy = f"use --resolution {coarser} instead of {present}, or free some space"
         raise ConfigError(
             f"{out}: needs about {need / 1e6:,.0f} MB, but {free / 1e6:,.0f} MB are free; {remedy}"

@@ -37,8 +37,8 @@ def waters_of(features: Sequence[Feature], extent: Bounds) -> list[Water]:
     Parameters
     ----------
     features : sequence of Feature
-        Polygons, lines, and stations of reaches, in the CRS of the run. Levels of stations take precedence over those
-        of lines.
+        Polygons, lines, and stations of reaches, in the CRS of the run. At a station, its level replaces the
+        height of the line.
     extent : Bounds
         Extent of the points. Water outside it is left out.
 
@@ -189,7 +189,10 @@ def _with_stations(bodies: list[Water], stations: Sequence[Feature]) -> list[Wat
 
 
 def _at_stations(body: Water, line: Any, stations: Sequence[Feature]) -> Water:
-    """Return a river with the levels of its stations. Between stations, steps in the heights of its line remain."""
+    """Return a river whose line has the levels of its stations.
+
+    Between stations the change of the heights is interpolated, so steps in the heights of the line remain.
+    """
     import shapely
 
     levels = [_level(station) for station in stations]

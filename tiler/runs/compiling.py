@@ -64,12 +64,12 @@ def grid_kernels(interpolation: str) -> Kernels:
 
 def likely_kind(plan: Plan) -> str:
     """Return the probable kind of the clouds, to compile kernels before the points are read."""
-    if plan.kind is not None:
-        return plan.kind
-    several = any(source.returns > 1 for source in plan.sources)
-    if several or plan.density < MIN_MATCHED_M2:
+    if plan.method.kind is not None:
+        return plan.method.kind
+    several = any(source.returns > 1 for source in plan.inputs.sources)
+    if several or plan.inputs.density < MIN_MATCHED_M2:
         return LIDAR
-    pieces = plan.evidence.pieces() if plan.evidence else []
+    pieces = plan.inputs.evidence.pieces()
     return concluded(pieces).kind if pieces else DIM
 
 

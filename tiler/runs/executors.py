@@ -75,14 +75,15 @@ def look_at_cluster(plan: Plan, store_url: str | None, products: str | None) -> 
     finally:
         executor.close()
     threads = sum(machine.threads for machine in machines)
-    return replace(plan, workers=threads), Cluster(machines, access.out_seen)
+    resources = replace(plan.resources, workers=threads)
+    return replace(plan, resources=resources), Cluster(machines, access.out_seen)
 
 
 def _look_at_workers(
     plan: Plan, executor: Executor, store_url: str | None, products: str | None
 ) -> tuple[ClusterAccess, list[Machine]]:
     """Check the workers of a cluster, now and when they join, and the memory of their machines."""
-    sources = [(location(s.path), s.state) for s in plan.sources]
+    sources = [(location(s.path), s.state) for s in plan.inputs.sources]
     there = store_url is not None and store_exists(store_url)
     access = ClusterAccess(str(plan.config.scheduler), sources, store_url, products, there)
     executor.on_each_worker(access)
@@ -93,9 +94,9 @@ def _look_at_workers(
 
 def _executor(plan: Plan, scheduler: str | None) -> Executor:
     config = plan.config
-    memory = MEMORY_TIMES * plan.memory + MEMORY_MORE_BYTES
-    limits = TaskLimits(memory, config.task_seconds, partial(prepare, plan.memory))
-    return make_executor(plan.workers, scheduler, config.in_process, limits)
+    memory = MEMORY_TIMES * plan.resources.memory + MEMORY_MORE_BYTES
+    limits = TaskLimits(memory, config.task_seconds, partial(prepare, plan.resources.memory))
+    return make_executor(plan.resources.workers, scheduler, config.in_process, limits)
 
 
 class Executors:

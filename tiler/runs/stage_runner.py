@@ -64,7 +64,7 @@ def run_stage(
     todo = [task for key, task in wanted.items() if key not in done]
     begin = StageStarted(
         stage=stage,
-        title=job.plan.title_of(stage),
+        title=job.plan.method.title_of(stage),
         tasks=len(wanted),
         done=len(done),
         points=sum(t.points for t in todo),
@@ -140,7 +140,8 @@ def _report(job: Job, outcome: Outcome) -> None:
         )
         job.listener(done)
         return
-    title, error, error_kind = job.plan.title_of(task.stage), outcome.error or "", outcome.error_kind or ""
+    title = job.plan.method.title_of(task.stage)
+    error, error_kind = outcome.error or "", outcome.error_kind or ""
     _validate_folders_exist(job)
     if outcome.fatal and not outcome.again:
         kind = DiskFullError if outcome.error_kind == DiskFullError.__name__ else StoreAccessError
@@ -170,7 +171,7 @@ def _place(job: Job, task: Task) -> list[float] | None:
     """Return lowest x, y and highest x, y of a task in units of the CRS, or None if it has no extent."""
     if not isinstance(task.arguments, Placed):
         return None
-    bounds = task.arguments.place(job.plan.meta.bucket)
+    bounds = task.arguments.place(job.plan.grid.meta.bucket)
     if bounds is None:
         return None
     return [v / COUNTS_PER_UNIT for v in bounds.to_json()]

@@ -52,7 +52,9 @@ def gridding(plan: Plan, **bounds: tuple[int, int, int, int]) -> GridContext:
 
 def spooled(first: str, second: str, plan: Plan) -> Inputs:
     """Two files, of these contents: one with points in both buckets, one in the east alone."""
-    sources = [Source(plan.sources[0], number, content) for number, content in enumerate((first, second))]
+    sources = [
+        Source(plan.inputs.sources[0], number, content) for number, content in enumerate((first, second))
+    ]
     pieces: Any = {
         "s000000-0": ("", spool_record(buckets=[[0, 0, 3], [1, 0, 1]]).to_json()),
         "s000001-0": ("", spool_record(buckets=[[1, 0, 2]]).to_json()),

@@ -31,7 +31,9 @@ def paths(make_cloud: MakeCloud) -> list[Path]:
 def numbered(paths: list[Path], store: TileStore, **settings: Any) -> tuple[list[Source], Any]:
     """The sources, and what stood for the run."""
     plan = SimpleNamespace(
-        sources=[inspect(path) for path in paths], config=RunConfig(**settings), title_of=str
+        inputs=SimpleNamespace(sources=[inspect(path) for path in paths]),
+        config=RunConfig(**settings),
+        method=SimpleNamespace(title_of=str),
     )
     executors = SimpleNamespace(choose=lambda writes_out: SerialExecutor())
     job: Any = SimpleNamespace(

@@ -81,7 +81,7 @@ def test_any_name_is_read_and_kept(name: bytes, make_cloud: Any, tmp_path: Path)
     path.parent.mkdir()
     shutil.move(make_cloud("plain.las", n=50), path)
     plan = make_plan([str(tmp_path / "in")], RunConfig(in_process=True))
-    assert plan.names == {path: Path(path.name).with_suffix(".laz")}
+    assert plan.inputs.cloud_names == {path: Path(path.name).with_suffix(".laz")}
 
 
 def test_classified_files_stay_below_their_folder(

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any
 
 import pytest
 
 from ptd.matched.evidence import Finding
 from tests.tiler.conftest import MakeCloud
+from tests.tiler.plans import changed
 from tiler.config import RunConfig
 from tiler.core.lattice import Bounds
 from tiler.plan import make_plan
@@ -63,7 +63,7 @@ def test_small_tiles_are_told_of_where_there_are_several(
 ) -> None:
     settings = {"method": "classic", "tile_size": tile, "halo": 100, "in_process": True}
     plan = make_plan([str(make_cloud())], RunConfig.from_mapping(settings))
-    found = warnings_of(replace(plan, extent=Bounds(0, 0, 1000 * side, 1000 * side)))
+    found = warnings_of(changed(plan, extent=Bounds(0, 0, 1000 * side, 1000 * side)))
     assert [
         f"need {times} times the work; use --tile-size 483 or more --memory" in text for text in found
     ] == ([True] if times else [])

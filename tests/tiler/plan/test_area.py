@@ -118,12 +118,12 @@ def test_files_far_off_are_not_read(make_cloud: Any, tmp_path: Path) -> None:
     everything = make_plan([str(near), str(far)], RunConfig())
     bounds = (499_000.0, 5_399_000.0, 500_000.0, 5_400_000.0)
     plan = make_plan([str(near), str(far)], RunConfig(bounds=bounds))
-    assert [source.path for source in plan.sources] == list(plan.names) == [near]
+    assert [source.path for source in plan.inputs.sources] == list(plan.inputs.cloud_names) == [near]
     assert any(note.endswith("1 files lie farther away and are not read") for note in plan.notes)
-    assert 0 < plan.points < 1000 < everything.points
-    for name in ("meta", "resolution", "tile"):
-        assert getattr(plan, name) == getattr(everything, name)
-    assert plan.extent == Bounds(499_000_000, 5_399_000_000, 500_000_000, 5_400_000_000)
+    assert 0 < plan.inputs.points < 1000 < everything.inputs.points
+    assert plan.grid == everything.grid
+    assert plan.method.tile == everything.method.tile
+    assert plan.inputs.extent == Bounds(499_000_000, 5_399_000_000, 500_000_000, 5_400_000_000)
 
 
 @pytest.mark.parametrize(

@@ -50,7 +50,7 @@ def test_candidates_are_those_of_the_method(wide: Path) -> None:
     """Finer ones would only be read, never used; where buckets are not made of its cells, the usual ones are."""
     for cell, fine in (("1", 1.0), ("0.25", 0.25), ("2", 2.0), ("0.3", 0.5), ("0.7", 0.5)):
         plan = planned(wide, parameters={"thin_cell": cell})
-        assert (plan.fine_m, plan.on_candidates) == (fine, cell not in ("0.3", "0.7"))
+        assert (plan.grid.fine_m, plan.on_candidates) == (fine, cell not in ("0.3", "0.7"))
 
 
 def test_ground_beside_objects_is_left_out_before_it_is_thinned(spot: Path) -> None:
@@ -90,7 +90,7 @@ def test_what_is_written_is_projected(spot: Path) -> None:
 def test_workers_that_no_machine_can_hold_are_refused(wide: Path) -> None:
     with pytest.raises(ConfigError, match=r"--workers 1000000: each needs \d+ MiB .* use --workers \d+"):
         make_plan([str(wide)], RunConfig(method="classic", workers=1_000_000))
-    assert make_plan([str(wide)], RunConfig(method="classic", workers=1)).workers == 1
+    assert make_plan([str(wide)], RunConfig(method="classic", workers=1)).resources.workers == 1
 
 
 def test_keep_without_a_class_to_grid_is_refused(wide: Path) -> None:

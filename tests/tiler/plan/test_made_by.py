@@ -25,9 +25,9 @@ def test_files_decide_before_a_point_is_filtered(make_cloud: MakeCloud) -> None:
     matched = make_plan(
         [str(make_cloud("drone.las", point_format=2, edit=without_sensor))], RunConfig(in_process=True)
     )
-    assert (laser.kind, matched.kind) == (LIDAR, DIM)
+    assert (laser.method.kind, matched.method.kind) == (LIDAR, DIM)
     said = make_plan([str(make_cloud("laser.las"))], RunConfig(in_process=True, kind="dim"))
-    assert said.kind == DIM
+    assert said.method.kind == DIM
 
 
 def test_both_kinds_in_one_run_are_refused_unless_the_user_says_which(make_cloud: MakeCloud) -> None:
@@ -39,8 +39,8 @@ def test_both_kinds_in_one_run_are_refused_unless_the_user_says_which(make_cloud
     told = r"drone.las is a photogrammetric cloud \(98 % .*laser.las is a LiDAR cloud \(99 %"
     with pytest.raises(ConfigError, match=told):
         make_plan(clouds, RunConfig(in_process=True))
-    assert make_plan(clouds, RunConfig(in_process=True, kind="als")).kind == LIDAR
-    assert make_plan(clouds, RunConfig(in_process=True, method="classic")).kind is not None
+    assert make_plan(clouds, RunConfig(in_process=True, kind="als")).method.kind == LIDAR
+    assert make_plan(clouds, RunConfig(in_process=True, method="classic")).method.kind is not None
 
 
 def test_a_quiet_piece_of_the_same_writer_is_no_other_kind(make_cloud: MakeCloud) -> None:
@@ -49,4 +49,4 @@ def test_a_quiet_piece_of_the_same_writer_is_no_other_kind(make_cloud: MakeCloud
         str(make_cloud(f"{i}.las", offsets=place, seed=i, edit=without_sensor if i == 3 else None))
         for i, place in enumerate(places)
     ]
-    assert make_plan(clouds, RunConfig(in_process=True)).kind == LIDAR
+    assert make_plan(clouds, RunConfig(in_process=True)).method.kind == LIDAR

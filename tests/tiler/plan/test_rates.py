@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from tests.tiler.plans import changed
 from tiler.config import RunConfig
 from tiler.plan import Plan, make_plan, remember
 from tiler.plan.rates import projected_seconds
@@ -19,7 +20,7 @@ def plan(make_cloud: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Pl
     small = make_plan(
         [str(make_cloud("a.las", n=50))], RunConfig(method="classic", in_process=True, workers=2)
     )
-    return replace(small, points=4_000_000)
+    return changed(small, points=4_000_000)
 
 
 def stages(seconds: float, computed: int = 8) -> dict[str, dict[str, Any]]:
@@ -33,10 +34,10 @@ def test_time_follows_from_the_rates_of_earlier_runs(plan: Plan) -> None:
     assert guess > 0
     remember(plan, stages(10.0))
     assert projected_seconds(plan) == (pytest.approx(50.0), True)
-    assert projected_seconds(replace(plan, points=8_000_000, workers=4)) == (pytest.approx(50.0), True)
+    assert projected_seconds(changed(plan, points=8_000_000, workers=4)) == (pytest.approx(50.0), True)
     remember(plan, stages(20.0))
     assert projected_seconds(plan) == (pytest.approx(75.0), True), "half of it is the newest"
-    other = replace(plan, config=plan.config.updated(method="keep"), passes=())
+    other = changed(replace(plan, config=plan.config.updated(method="keep")), passes=())
     assert projected_seconds(other) == (pytest.approx(60.0), True)
     assert not projected_seconds(replace(plan, config=plan.config.updated(method="rarefy")))[1]
 
@@ -45,7 +46,7 @@ def test_parts_of_stages_and_small_runs_are_no_rates(plan: Plan) -> None:
     before = projected_seconds(plan)
     remember(plan, stages(10.0, computed=7))
     remember(plan, stages(0.0, computed=0))
-    remember(replace(plan, points=999_999), stages(10.0))
+    remember(changed(plan, points=999_999), stages(10.0))
     assert projected_seconds(plan) == before
 
 

@@ -51,7 +51,9 @@ def test_the_memory_that_is_named_suffices(wide: Path, method: str, memory: str)
     text = refusal(wide, memory=memory, **settings)
     named = re.search(r"use --memory (\d+MiB)", text)
     assert named, text
-    assert planned(wide, memory=named[1], **settings).memory == int(named[1].removesuffix("MiB")) << 20
+    assert (
+        planned(wide, memory=named[1], **settings).resources.memory == int(named[1].removesuffix("MiB")) << 20
+    )
 
 
 @pytest.mark.usefixtures("dear")
@@ -62,7 +64,7 @@ def test_the_halo_that_is_named_suffices(metres: float, units: str, unit: str, t
     text = refusal(wide, **settings, halo="200")
     named = re.search(rf" or --halo (\d+{unit}) --tile-size (\d+{unit})$", text)
     assert named, text
-    assert 1 < planned(wide, **settings, halo=named[1], tile_size=named[2]).halo_m < 200
+    assert 1 < planned(wide, **settings, halo=named[1], tile_size=named[2]).method.halo_m < 200
 
 
 def test_pixels_far_too_fine_are_the_cause_not_the_coordinates(wide: Path, tmp_path: Path) -> None:
@@ -72,7 +74,7 @@ def test_pixels_far_too_fine_are_the_cause_not_the_coordinates(wide: Path, tmp_p
         r"use --resolution 1, or --sheets",
         text,
     )
-    assert planned(wide, resolution="1").resolution == 1
+    assert planned(wide, resolution="1").grid.resolution == 1
 
 
 @pytest.mark.parametrize(
@@ -106,4 +108,4 @@ def test_a_disk_too_small_for_fine_pixels(
         ConfigError, match=r"MB are free; use --resolution 1 instead of 0.01, or free some space$"
     ):
         planned(wide, tmp_path / "out", resolution="0.01")
-    assert planned(wide, tmp_path / "out").resolution == 1
+    assert planned(wide, tmp_path / "out").grid.resolution == 1

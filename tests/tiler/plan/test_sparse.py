@@ -26,8 +26,8 @@ def sparse(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def test_few_tiles_and_buckets(sparse: Path) -> None:
     plan = make_plan([str(sparse)], RunConfig(in_process=True))
-    assert plan.bucket_m == 1024
-    assert plan.tile == 4096
+    assert plan.grid.bucket_m == 1024
+    assert plan.method.tile == 4096
 
 
 @pytest.mark.slow

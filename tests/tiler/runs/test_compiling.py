@@ -14,6 +14,7 @@ import pytest
 
 from ptd.matched.evidence import Evidence
 from tests.tiler.conftest import MakeCloud
+from tests.tiler.plans import changed
 from tiler.config import RunConfig
 from tiler.observe.events import Event, Note, StageFinished, StageStarted, Warned
 from tiler.plan import make_plan
@@ -87,8 +88,8 @@ def test_the_kind_of_a_cloud_is_guessed(make_cloud: MakeCloud) -> None:
     assert likely_kind(make_plan([path], RunConfig(kind="als", in_process=True))) == "lidar"
     assert likely_kind(make_plan([path], RunConfig(kind="dim", in_process=True))) == "dim"
     plan = make_plan([path], RunConfig(in_process=True))
-    single = tuple(dataclasses.replace(source, returns=1) for source in plan.sources)
-    plan = dataclasses.replace(plan, sources=single, area_m2=1.0)
+    single = tuple(dataclasses.replace(source, returns=1) for source in plan.inputs.sources)
+    plan = changed(plan, sources=single, covered_m2=1.0, kind=None)
     no_trace, measured = Evidence(trace=0.0), Evidence(own_intensity=1.0, grey_intensity=0.0, colour=1.0)
-    for evidence, kind in ((None, "dim"), (no_trace, "dim"), (measured, "lidar")):
-        assert likely_kind(dataclasses.replace(plan, evidence=evidence)) == kind
+    for evidence, kind in ((Evidence(), "dim"), (no_trace, "dim"), (measured, "lidar")):
+        assert likely_kind(changed(plan, evidence=evidence)) == kind

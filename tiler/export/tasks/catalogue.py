@@ -133,13 +133,13 @@ class _Catalogue:
     ) -> None:
         self._gridding, self._plan, self._written = gridding, gridding.plan, written
         self._crs_code = crs_code
-        self._globe = stac.Globe(self._plan.meta.frame.crs_wkt)
+        self._globe = stac.Globe(self._plan.grid.meta.frame.crs_wkt)
         self._type = "eopc" if kind == "dim" else "lidar"
         self._sources = sources
         self._suffix = CLOUD_SUFFIXES[self._plan.config.classified]
         self._media, self._encoding = _CLOUDS.get(self._plan.config.classified, ("", ""))
         self.clouds = [
-            Cloud(f"{CLASSIFIED}/{self._plan.names[s.info.path].as_posix()}", s, written[key][1])
+            Cloud(f"{CLASSIFIED}/{self._plan.inputs.cloud_names[s.info.path].as_posix()}", s, written[key][1])
             for s in sources
             if (key := f"c{s.number:06d}") in written
         ]
@@ -158,7 +158,7 @@ class _Catalogue:
 
     def _virtual(self, cloud: Cloud) -> dict[str, Any]:
         """Return a classified cloud as a feature of the virtual cloud."""
-        wkt, fields = self._plan.meta.frame.crs_wkt, cloud.record["statistics"]["fields"]
+        wkt, fields = self._plan.grid.meta.frame.crs_wkt, cloud.record["statistics"]["fields"]
         schema = stac.schema([self._format(cloud)])
         names = [entry["name"] for entry in schema]
         low, high = ([round(fields[axis][end], _DIGITS) for axis in "XYZ"] for end in ("minimum", "maximum"))
@@ -239,7 +239,7 @@ class _Catalogue:
             "geometry": self._globe.polygon(box), **({} if bbox is None else {"bbox": bbox}),
             "properties": {
                 "title": "Terrain", "description": self._description, **self._dates(),
-                "proj:code": self._crs_code, "proj:wkt2": self._plan.meta.frame.crs_wkt,
+                "proj:code": self._crs_code, "proj:wkt2": self._plan.grid.meta.frame.crs_wkt,
                 "proj:bbox": list(box), "proj:geometry": {"type": "Polygon", "coordinates": [stac.corners(box)]},
                 "proj:shape": [spec.height, spec.width], "proj:transform": list(spec.transform(COUNTS_PER_UNIT)),
             },
@@ -261,7 +261,7 @@ class _Catalogue:
         return assets
 
     def _band(self, name: str, record: Mapping[str, Any]) -> dict[str, Any]:
-        product, units = PRODUCTS[name], self._plan.meta.frame.units
+        product, units = PRODUCTS[name], self._plan.grid.meta.frame.units
         nodata = nodata_of(self._plan, name)
         nodata = product.nodata if nodata is None else nodata
         unit = unit_label(units.vertical) if product.unit == HEIGHT else product.unit
@@ -271,7 +271,7 @@ class _Catalogue:
             "name": name, "description": product.description, "data_type": product.dtype,
             **({} if nodata is None else {"nodata": plain_value(nodata)}), **({"unit": unit} if unit else {}),
             "statistics": {**{k: v for k, v in figures.items() if v is not None}, **shares},
-            "raster:sampling": "area", "raster:spatial_resolution": float(self._plan.resolution),
+            "raster:sampling": "area", "raster:spatial_resolution": float(self._plan.grid.resolution),
         }  # fmt: skip
 
     def _besides(self) -> dict[str, Any]:
@@ -305,7 +305,7 @@ class _Catalogue:
 
     @property
     def _description(self) -> str:
-        pixel, method = float(self._plan.resolution), self._plan.config.method
+        pixel, method = float(self._plan.grid.resolution), self._plan.config.method
         return f"Terrain of {pixel:g} m pixels, ground by {method}, made by tiler {__version__}"
 
 

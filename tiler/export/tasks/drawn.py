@@ -44,14 +44,14 @@ def vector_tasks(g: GridContext, out: str, noise_m: float) -> Iterator[Task]:
         "raster": terrain,
         "spec": g.spec,
         "out": out,
-        "area": plan.area_key,
+        "area": plan.inputs.area_key,
         "waters": g.water_key,
-        "noise": noise_m / float(plan.meta.frame.units.vertical),
-        "interval": None if interval is None else interval / plan.meta.frame.units.vertical,
+        "noise": noise_m / float(plan.grid.meta.frame.units.vertical),
+        "interval": None if interval is None else interval / plan.grid.meta.frame.units.vertical,
     }
     smooth = config.contour_smooth
-    sigma = Fraction(SMOOTH_PIXELS) if smooth is None else smooth / plan.resolution
-    spot_reach = min(math.ceil(SPOT_REACH_M / plan.resolution), MAX_REACH)
+    sigma = Fraction(SMOOTH_PIXELS) if smooth is None else smooth / plan.grid.resolution
+    spot_reach = min(math.ceil(SPOT_REACH_M / plan.grid.resolution), MAX_REACH)
     works: dict[str, tuple[Work, VectorFile]] = {
         CONTOURS: (write_contours, WriteContours(**common, sigma=float(sigma))),
         SPOTS: (write_spots, WriteSpots(**common, reach=spot_reach)),
@@ -59,7 +59,7 @@ def vector_tasks(g: GridContext, out: str, noise_m: float) -> Iterator[Task]:
     if config.outline == "survey":
         outline = WriteOutline(
             name=OUTLINE, out=out, terrain=terrain, spec=g.spec, survey="survey", coarse=g.coarse,
-            blocks=tuple(sorted(g.made[terrain])), area=plan.area_key,
+            blocks=tuple(sorted(g.made[terrain])), area=plan.inputs.area_key,
         )  # fmt: skip
         digest = digest_of(__version__, outline, g.checksums("survey"), g.checksums(terrain))
         yield Task("export", OUTLINE, digest, write_outline, outline)

@@ -78,7 +78,7 @@ def cog_tasks(g: GridContext, inputs: Inputs, whole_inputs: str, out: str) -> It
             spec=g.spec,
             compress=g.plan.config.compress,
             fill=rasters[raster].fill,
-            area=g.plan.area_key,
+            area=g.plan.inputs.area_key,
         )
         if g.plan.config.sheets is None:
             yield _cog_task(whole, g.checksums(raster))
@@ -161,7 +161,7 @@ def nodata_of(plan: Plan, name: str) -> float | None:
 
 def _tags(plan: Plan, name: str, inputs: str) -> dict[str, str]:
     config = plan.config
-    datum = vertical_name(plan.meta.frame.crs_wkt) if name in MODELS else None
+    datum = vertical_name(plan.grid.meta.frame.crs_wkt) if name in MODELS else None
     settings: dict[str, Any] = {
         "interpolation": config.interpolation,
         "surface": config.surface or "all",
@@ -173,7 +173,7 @@ def _tags(plan: Plan, name: str, inputs: str) -> dict[str, str]:
     return {
         "TILER_VERSION": __version__,
         "TILER_METHOD": config.method,
-        "TILER_PARAMETERS": json.dumps(plan.parameters, sort_keys=True),
+        "TILER_PARAMETERS": json.dumps(plan.method.parameters, sort_keys=True),
         "TILER_GRID": json.dumps(settings, sort_keys=True),
         "TILER_INPUTS": inputs,
         **({} if datum is None else {"VERTICAL_DATUM": datum}),
@@ -214,30 +214,30 @@ def classified_tasks(
     wet = _wet(plan, waters, labels)
     records, pieces, sources = by_source(spooled), kept_pieces(spooled), list(sources)
     # On a cluster a task has only one core, since its workers run on other machines.
-    threads = 1 if plan.config.scheduler else max(plan.workers // max(len(sources), 1), 1)
+    threads = 1 if plan.config.scheduler else max(plan.resources.workers // max(len(sources), 1), 1)
     for source in sources:
         touched = {Cell(ix, iy) for r in records[source.name] for ix, iy, _ in r.buckets}
         cells = sorted(touched & labels.keys())  # A bucket has no labels if its task failed.
         extent = header_bounds(source.info)
-        whole = plan.area is None or (extent is not None and plan.area.covers(extent))
+        whole = plan.inputs.area is None or (extent is not None and plan.inputs.area.covers(extent))
         work = WriteClassified(
             path=location(source.info.path),
             source=source.number,
-            out=joined(out, CLASSIFIED, str(plan.names[source.info.path])),
+            out=joined(out, CLASSIFIED, str(plan.inputs.cloud_names[source.info.path])),
             labels=LABELS,
             cells=tuple(cells),
             salvage=plan.config.salvage,
             waters=waters.key if wet else None,
             low_is_noise=bool(wet) and plan.config.water_low == LOW_AS_NOISE,
             reclass=plan.config.reclass,
-            area=None if whole else plan.area_key,
+            area=None if whole else plan.inputs.area_key,
             edits=edits,
             stamp=source.info.stamp,
             ranges=_window(plan, source.info),
             copc=plan.config.classified == "copc",
             pieces=tuple(pieces[source.name]),
             threads=threads,
-            wkt=None if source.info.has_crs else plan.meta.frame.crs_wkt,
+            wkt=None if source.info.has_crs else plan.grid.meta.frame.crs_wkt,
         )
         digest = digest_of(__version__, source.identity, work, [[labels[c], wet.get(c)] for c in cells])
         points = sum(count for _, count in work.ranges) or source.info.points
@@ -246,7 +246,7 @@ def classified_tasks(
 
 def _wet(plan: Plan, waters: Waters, cells: Iterable[Cell]) -> dict[Cell, list[str]]:
     """Return the digests of the bodies of water that overlap each bucket, or {} if points do not become water."""
-    lattice, known, digests = plan.meta.bucket, frozenset(cells), defaultdict(list)
+    lattice, known, digests = plan.grid.meta.bucket, frozenset(cells), defaultdict(list)
     if plan.config.reclass != ONLY_GROUND:
         return {}
     for body in waters.bodies:

@@ -47,7 +47,7 @@ def height_tasks(g: GridContext) -> Iterator[Task]:
     rasters = tuple(
         name for name in (final_raster(model, g.plan.config) for model in MODELS) if name in g.made
     )
-    side, area = _pixels(g), g.plan.area_key
+    side, area = _pixels(g), g.plan.inputs.area_key
     keys = {key for name in rasters for key, (_, record) in g.made[name].items() if record["filled"]}
     for key in sorted(keys):
         block = g.spec.block_named(key, BLOCK_PIXELS)
@@ -79,7 +79,7 @@ def name_of(g: GridContext, product: str, sheet: Sheet) -> str:
 
 def with_points(g: GridContext) -> dict[Cell, list[Cell]]:
     """Return for each sheet in the raster and the area the buckets whose points may lie in it (by their bounds)."""
-    lattice, area = _lattice(g), g.plan.area
+    lattice, area = _lattice(g), g.plan.inputs.area
     whole = g.spec.block_bounds(g.spec.block_at(0, 0, max(g.spec.height, g.spec.width)))
     buckets: dict[Cell, list[Cell]] = defaultdict(list)
     for bucket, record in g.assembled.records.items():
@@ -95,7 +95,7 @@ def with_points(g: GridContext) -> dict[Cell, list[Cell]]:
 
 def _lattice(g: GridContext) -> Lattice:
     """Return the lattice of the sheets."""
-    return Lattice(g.plan.meta.frame.counts(g.plan.config.sheets or Fraction(0)))
+    return Lattice(g.plan.grid.meta.frame.counts(g.plan.config.sheets or Fraction(0)))
 
 
 def _pixels(g: GridContext) -> int:

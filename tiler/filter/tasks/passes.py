@@ -105,7 +105,7 @@ def elected_name(number: int) -> str:
 
 def labels_given(plan: Plan, number: int, state: Mapping[str, Any]) -> tuple[bool, bool]:
     """Return whether the labels of a pass are final, and whether the pass labels only candidates."""
-    params = METHODS[plan.config.method].params(**plan.parameters)
+    params = METHODS[plan.config.method].params(**plan.method.parameters)
     step = params.passes[number]
     if not step.gives_labels:
         return False, False
@@ -122,8 +122,8 @@ def filter_tasks(
 
     ``state`` and ``inputs`` are the state and the results after the earlier passes.
     """
-    frame = plan.meta.frame
-    params = METHODS[plan.config.method].params(**plan.parameters)
+    frame = plan.grid.meta.frame
+    params = METHODS[plan.config.method].params(**plan.method.parameters)
     step = params.passes[number]
     is_last, candidates_only = labels_given(plan, number, state)
     if step.elected and inputs.elected is None:
@@ -136,12 +136,12 @@ def filter_tasks(
         for cell, record in assembled.records.items()
     }
     scale = Scale(frame.metres_xy, frame.metres_z, frame.origin)
-    for tile in tiles_of(plan, records, plan.passes[number]):
+    for tile in tiles_of(plan, records, plan.method.passes[number]):
         margin = max(tile.max_halo + influence_margin, label_margin)
-        influence = plan.meta.bucket.hull(tile.cells).pad(margin)
+        influence = plan.grid.meta.bucket.hull(tile.cells).pad(margin)
         work = FilterTile(
             plan.config.method,
-            plan.parameters,
+            plan.method.parameters,
             number,
             step.local(state, local_window(influence, frame.origin), scale),
             tile.cells,
@@ -157,10 +157,10 @@ def filter_tasks(
             of_elected=step.elected and not is_last,
             of_candidates=candidates_only,
             in_of_candidates=reads_labels and inputs.of_candidates,
-            held_bytes=held_bytes(plan.memory),
+            held_bytes=held_bytes(plan.resources.memory),
         )
         digests = inputs.digests if reads_labels else assembled.digests
-        near = plan.meta.bucket.among(influence, digests)
+        near = plan.grid.meta.bucket.among(influence, digests)
         bucket_digests = [[c.ix, c.iy, digests[c]] for c in near]
         elected_digests = [inputs.elected_digests[c] for c in near] if step.elected else []
         points = sum(assembled.records[c].n for c in tile.cells)

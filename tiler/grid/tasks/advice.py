@@ -26,7 +26,7 @@ def advise(job: Job, labelled: Labelled, spec: RasterSpec, made: Commits, waters
 
     ``waters`` is the key of the bodies of water in the store, if there are any.
     """
-    building = job.plan.parameters.get("max_building_size_m")
+    building = job.plan.method.parameters.get("max_building_size_m")
     # If the filter has searched for canopies, there is a warning about crowns already.
     checks_crowns = labelled.matched and CanopyPass.name not in labelled.statistics
     if not (building or checks_crowns):
@@ -54,7 +54,7 @@ def advise(job: Job, labelled: Labelled, spec: RasterSpec, made: Commits, waters
 
 
 def _roofs(job: Job, spec: RasterSpec, filled: tuple[str, ...], waters: str | None) -> Advice | None:
-    parameters = job.plan.parameters
+    parameters = job.plan.method.parameters
     building_m, roof_m = parameters["max_building_size_m"], parameters.get("roof_size_m")
     work = FindRoofs(spec, filled, building_m, roof_m, waters)
     (record,) = _run_tasks(job, [Task("advice", "roofs", digest_of(work), find_roofs, work)])

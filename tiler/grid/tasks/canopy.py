@@ -69,13 +69,13 @@ def canopy_cells(job: Job, assembled: IngestResult, labelled: Labelled) -> Canop
     job.facts["canopy"] = {"share": share, "mode": job.plan.config.canopy}
     if not share:
         return None
-    passes = METHODS[job.plan.config.method].params(**job.plan.parameters).passes
+    passes = METHODS[job.plan.config.method].params(**job.plan.method.parameters).passes
     number = next(n for n, step in enumerate(passes) if step.name == CanopyPass.name)
     # The cells are the points that the last electing pass before the search made.
     electing = max(n for n, step in enumerate(passes[:number]) if step.elects and step.applies(state))
     made = job.store.committed(f"filter{number}")
     _report(job, share, made)
-    side = job.plan.meta.frame.counts(Fraction(repr(CELL_M)))
+    side = job.plan.grid.meta.frame.counts(Fraction(repr(CELL_M)))
     return CanopyCells(elected_name(electing), labels_name(number), side, label_digests(assembled, made))
 
 
@@ -85,7 +85,7 @@ def _report(job: Job, share: float, made: Commits) -> None:
     for tile in tile_records(made):
         for column, row, area_m2 in tile.partial["blocks"]:
             blocks[column, row] += area_m2
-    unit = float(job.plan.meta.frame.units.horizontal)
+    unit = float(job.plan.grid.meta.frame.units.horizontal)
     fullest = sorted(blocks, key=lambda block: (-blocks[block], block))[:MAX_POSITIONS]
     centres = []
     for column, row in fullest:

@@ -62,7 +62,7 @@ class Corrections:
 
         The digest of the task includes the edits and breaklines that can change its block.
         """
-        bounds = task.arguments.place(plan.meta.bucket) if isinstance(task.arguments, Placed) else None
+        bounds = task.arguments.place(plan.grid.meta.bucket) if isinstance(task.arguments, Placed) else None
         if bounds is None:
             return task
         digests: list[Any] = []
@@ -79,9 +79,9 @@ class Corrections:
     def _lines_near(self, plan: Plan, bounds: Bounds) -> list[Any]:
         """Return column, row and digest of the buckets whose breaklines can change the facets of a block."""
         digests = self.line_digests or {}
-        facet_reach = full_halo(plan.meta.frame.counts(plan.config.max_edge))
-        facet_reach += math.ceil(3 * plan.meta.frame.counts(plan.resolution))
-        near = plan.meta.bucket.among(bounds.pad(facet_reach), digests)
+        facet_reach = full_halo(plan.grid.meta.frame.counts(plan.config.max_edge))
+        facet_reach += math.ceil(3 * plan.grid.meta.frame.counts(plan.grid.resolution))
+        near = plan.grid.meta.bucket.among(bounds.pad(facet_reach), digests)
         return [[cell.ix, cell.iy, digests[cell]] for cell in near]
 
 
@@ -99,31 +99,31 @@ def correct(job: Job, assembled: IngestResult, labelled: Labelled) -> tuple[Labe
     Return the labels with digests that include the edits, and the `Corrections`.
     """
     plan, labels, corrections = job.plan, labelled.digests, Corrections()
-    pixels = Lattice(plan.meta.frame.counts(plan.resolution))
+    pixels = Lattice(plan.grid.meta.frame.counts(plan.grid.resolution))
     deck_edits, decks = find_bridges(job, assembled, labels)
-    if deck_edits or plan.edits:
+    if deck_edits or plan.inputs.edits:
         edits = Edits((*deck_edits, *_user_edits(job, assembled, labels, pixels)), pixels)
         job.store.put_edits(edits)
         corrections = replace(corrections, edits=edits, decks=decks)
         labelled = replace(labelled, digests=_labels(plan, edits, labels))
-    if plan.lines:
-        min_length = plan.meta.frame.counts(MIN_LENGTH_M)
-        lines = Breaklines.of(plan.lines, pixels.size, min_length, assembled.bounds)
+    if plan.inputs.lines:
+        min_length = plan.grid.meta.frame.counts(MIN_LENGTH_M)
+        lines = Breaklines.of(plan.inputs.lines, pixels.size, min_length, assembled.bounds)
         job.store.put_breaklines(lines)
         job.facts["breaklines"] = {
-            "lines": len(plan.lines),
+            "lines": len(plan.inputs.lines),
             "vertices": len(lines.vertices),
-            "drawn": drawn(plan.lines),
+            "drawn": drawn(plan.inputs.lines),
         }
-        corrections = replace(corrections, lines=lines, line_digests=lines.digests(plan.meta.bucket))
+        corrections = replace(corrections, lines=lines, line_digests=lines.digests(plan.grid.meta.bucket))
     return labelled, corrections
 
 
 def _labels(plan: Plan, edits: Edits, labels: Mapping[Cell, str]) -> dict[Cell, str]:
     """Return the digests of labels. If an edit intersects a bucket, its digest includes the edit."""
     digests = dict(labels)
-    for cell, near in edits.by_cell(plan.meta.bucket, labels).items():
-        digests[cell] = digest_of(digests[cell], [edit.digest for edit in near], str(plan.resolution))
+    for cell, near in edits.by_cell(plan.grid.meta.bucket, labels).items():
+        digests[cell] = digest_of(digests[cell], [edit.digest for edit in near], str(plan.grid.resolution))
     return digests
 
 
@@ -135,21 +135,21 @@ def _user_edits(
     An edit to ground applies to points with a class of ground in the input. If there are none, or if the terrain is
     made from the classes of the input anyway, the edit applies to the lowest points instead (`Edit.lowest`).
     """
-    if not job.plan.edits:
+    if not job.plan.inputs.edits:
         return ()
-    user_edits = Edits(job.plan.edits, pixels)
+    user_edits = Edits(job.plan.inputs.edits, pixels)
     job.store.put_edits(user_edits)
     tasks = list(_count_tasks(job.plan, user_edits, assembled, labels))
     made = run_stage(job, "edits", tasks)
     if len(made) < len(tasks):
         raise ProcessingError(f"--edits: could not be applied: {job.record.first_error('edits')}")
-    counts = {edit.number: np.zeros(5, np.int64) for edit in job.plan.edits}
+    counts = {edit.number: np.zeros(5, np.int64) for edit in job.plan.inputs.edits}
     for _, record in made.values():
         for number, *bucket_counts in record["edits"]:
             counts[number] += bucket_counts
     has_no_labels = ground_rule(job.plan).labels is None
     edits = []
-    for edit in job.plan.edits:
+    for edit in job.plan.inputs.edits:
         has_no_ground = has_no_labels or not counts[edit.number][-1]
         edits.append(replace(edit, lowest=edit.action == TO_GROUND and has_no_ground))
     job.facts["edits"] = [_fact(edit, counts[edit.number].tolist()) for edit in edits]
@@ -162,7 +162,7 @@ def _count_tasks(
 ) -> Iterator[Task]:
     """Yield a task for each bucket that an edit of points intersects."""
     rule = ground_rule(plan)
-    for cell, near in edits.by_cell(plan.meta.bucket, labels).items():
+    for cell, near in edits.by_cell(plan.grid.meta.bucket, labels).items():
         edit_digests = [[edit.number, *edit.digest] for edit in near]
         digest = digest_of(__version__, rule, edits.cell, cell, labels[cell], edit_digests)
         work = SurveyEdits(rule, edits.key, cell)

@@ -51,9 +51,9 @@ def raster_spec(plan: Plan, assembled: IngestResult) -> RasterSpec:
     pixels.
     """
     extent = assembled.bounds
-    if plan.area is not None:
-        extent = extent.intersection(plan.area.bounds)
-    return RasterSpec.enclosing(Lattice(plan.meta.frame.counts(plan.resolution)), extent)
+    if plan.inputs.area is not None:
+        extent = extent.intersection(plan.inputs.area.bounds)
+    return RasterSpec.enclosing(Lattice(plan.grid.meta.frame.counts(plan.grid.resolution)), extent)
 
 
 def ground_rule(plan: Plan) -> GroundSelection:
@@ -63,8 +63,8 @@ def ground_rule(plan: Plan) -> GroundSelection:
         None if keep else LABELS,
         plan.config.ground_classes if keep else (GROUND,),
         skip_flags(plan),
-        plan.meta.frame.counts(plan.config.erosion),
-        math.ceil(ERODE_RISE_M / plan.meta.frame.metres_z),
+        plan.grid.meta.frame.counts(plan.config.erosion),
+        math.ceil(ERODE_RISE_M / plan.grid.meta.frame.metres_z),
     )
 
 
@@ -236,20 +236,20 @@ class GridContext:
     @property
     def coarse(self) -> RasterSpec:
         """Raster of the coarse cells, in blocks whose positions do not depend on the run."""
-        return coarse_raster(Lattice(self.plan.meta.frame.counts(self.coarse_m)), self.assembled.bounds)
+        return coarse_raster(Lattice(self.plan.grid.meta.frame.counts(self.coarse_m)), self.assembled.bounds)
 
     @property
     def coarse_m(self) -> Fraction:
         """Side of a coarse cell in metres."""
         usual = min(Fraction(COARSE_CELL_M), self.plan.config.max_edge / 4)
-        if self.plan.resolution <= MAX_USUAL_PIXEL_M:
+        if self.plan.grid.resolution <= MAX_USUAL_PIXEL_M:
             return usual
-        return max(usual, self.plan.resolution)
+        return max(usual, self.plan.grid.resolution)
 
     @property
     def has_large_pixels(self) -> bool:
         """Whether a pixel is larger than a coarse cell."""
-        return self.plan.resolution > self.coarse_m
+        return self.plan.grid.resolution > self.coarse_m
 
     def spec_of(self, raster: RasterStep) -> RasterSpec:
         """Return the grid of a raster: pixels or coarse cells."""

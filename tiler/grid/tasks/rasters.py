@@ -39,10 +39,10 @@ CANOPY = "canopy"
 
 def terrain_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
     """Yield a task for each block that a facet of the terrain could reach."""
-    plan, frame = g.plan, g.plan.meta.frame
+    plan, frame = g.plan, g.plan.grid.meta.frame
     widest = full_halo(frame.counts(plan.config.max_edge))
-    share = plan.surface_share
-    thinning_cells = None if share is None else Lattice(frame.counts(plan.resolution / share))
+    share = plan.surface_cells
+    thinning_cells = None if share is None else Lattice(frame.counts(plan.grid.resolution / share))
     make = partial(
         GridBlock,
         **_tin(g),
@@ -67,26 +67,26 @@ def point_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
 
 def distance_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
     """Yield a task for each block that may have pixels within ``--max-edge`` of points. Distances are cut there."""
-    cap = g.plan.meta.frame.counts(g.plan.config.max_edge)
+    cap = g.plan.grid.meta.frame.counts(g.plan.config.max_edge)
     return _block_tasks(raster, g, partial(DistanceBlock, cap=cap), math.ceil(cap) + 1)
 
 
 def surface_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
     """Yield a task for each block that a facet of the surface could reach, with the terrain as lower limit."""
-    plan, frame = g.plan, g.plan.meta.frame
-    reach = reach_pixels(plan.resolution)
+    plan, frame = g.plan, g.plan.grid.meta.frame
+    reach = reach_pixels(plan.grid.resolution)
     (terrain,) = raster.inputs
     spike = plan.config.spike / frame.metres_z
     make = partial(SurfaceBlock, **_tin(g), spike=spike, reach=reach, terrain=terrain)
     margin = full_halo(frame.counts(plan.config.max_edge))
-    margin += math.ceil((reach + 1) * frame.counts(plan.resolution))
+    margin += math.ceil((reach + 1) * frame.counts(plan.grid.resolution))
     return _block_tasks(raster, g, make, margin)
 
 
 def _tin(g: GridContext) -> dict[str, Any]:
     """Return the common arguments of all blocks on a TIN."""
-    plan, counts = g.plan, g.plan.meta.frame.counts
-    halo = math.ceil(counts(plan.grid_halo))
+    plan, counts = g.plan, g.plan.grid.meta.frame.counts
+    halo = math.ceil(counts(plan.grid.halo_m))
     return {"data": g.assembled.bounds, "max_edge": counts(plan.config.max_edge), "halo": halo}
 
 
@@ -108,8 +108,8 @@ def _block_tasks(
 
 def _near(g: GridContext, spec: RasterSpec, margin: int = 0) -> dict[Block, list[Cell]]:
     """Return the blocks with buckets within ``margin`` counts (plus ``--erode``), each with these buckets."""
-    margin += math.ceil(g.plan.meta.frame.counts(g.plan.config.erosion))
-    return spec.blocks_near(g.plan.meta.bucket, g.labels, BLOCK_PIXELS, margin)
+    margin += math.ceil(g.plan.grid.meta.frame.counts(g.plan.config.erosion))
+    return spec.blocks_near(g.plan.grid.meta.bucket, g.labels, BLOCK_PIXELS, margin)
 
 
 def canopy_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
@@ -150,7 +150,7 @@ def outline_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
             canopy=canopy,
             waters=waters.key if water_digest else None,
             finds_water=g.plan.config.water == AUTO_WATER,
-            area=g.plan.area_key,
+            area=g.plan.inputs.area_key,
         )
         digest = digest_of(
             __version__,
@@ -186,7 +186,7 @@ def mask_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
             coarse=coarse,
             canopy=canopy if g.made[canopy] else None,
             holes=tuple(holes.get(block, ())),
-            area=g.plan.area_key,
+            area=g.plan.inputs.area_key,
             waters=g.water_key,
         )
         digest = digest_of(
@@ -213,7 +213,7 @@ def derived_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
 
 def sigma_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
     """Yield a task for each block of the terrain. A task also reads points and pixels around its block."""
-    spec, frame = g.spec, g.plan.meta.frame
+    spec, frame = g.spec, g.plan.grid.meta.frame
     terrain, mask = raster.inputs
     cap = frame.counts(g.plan.config.max_edge)
     near = _near(g, spec, reach_of(frame, spec.lattice.size, cap))

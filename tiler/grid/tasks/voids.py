@@ -32,7 +32,7 @@ def report_voids(job: Job, spec: RasterSpec, outlined: Commits) -> None:
     for fact in job.facts.get("edits", ()):
         fact["holes"] = n_holes[fact["number"]]
     cells = chain.from_iterable(record["holes"] for record in records)
-    pixel_m2 = float(job.plan.resolution) ** 2
+    pixel_m2 = float(job.plan.grid.resolution) ** 2
     voids = [{**void, "area_m2": void["pixels"] * pixel_m2} for void in voids_of(cells, spec)]
     # ``asked_pixels`` are pixels without a height because an edit asks for that.
     job.facts["voids"] = {

@@ -43,7 +43,7 @@ SHORE_MARGIN = POCKET_PIXELS + 2
 def find_waters(job: Job, g: GridContext) -> Waters:
     """Find the bodies of water and their levels, and put them into the store for the tasks."""
     auto = g.plan.config.water == AUTO_WATER
-    bodies = _bodies_in_data(job, g) if auto else g.plan.waters
+    bodies = _bodies_in_data(job, g) if auto else g.plan.inputs.waters
     tasks = list(level_tasks(g, bodies))
     made = run_stage(job, STAGE, tasks) if tasks else {}
     levelled: list[Water] = []
@@ -117,7 +117,7 @@ def _body_tasks(g: GridContext) -> Iterator[Task]:
 
 def _buckets_near(g: GridContext, places: list[Place]) -> list[Cell]:
     """Return the buckets in and near some blocks of coarse cells."""
-    buckets, coarse = g.plan.meta.bucket, g.coarse
+    buckets, coarse = g.plan.grid.meta.bucket, g.coarse
     cells: set[Cell] = set()
     for place in places:
         block = padded(coarse.block_at(*place, BLOCK_PIXELS), BANK_MARGIN)
@@ -130,7 +130,7 @@ def _is_gentle(g: GridContext, body: Water) -> bool:
     high, low = body.range
     if body.flow is None or high == low:
         return True
-    units = g.plan.meta.frame.units
+    units = g.plan.grid.meta.frame.units
     length = lengths_along(body.flow)[-1] / COUNTS_PER_UNIT * float(units.horizontal)
     return bool((high - low) * float(units.vertical) <= MAX_SLOPE * length)
 

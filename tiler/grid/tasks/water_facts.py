@@ -31,7 +31,7 @@ def report_levels(job: Job, waters: Waters, records: Mapping[int, Mapping[str, A
     records : mapping
         Record of `tiler.grid.level_water` by the number of the body.
     """
-    unit = job.plan.meta.frame.units.vertical
+    unit = job.plan.grid.meta.frame.units.vertical
     doubts: list[dict[str, Any]] = []
     for body in waters.bodies:
         record = records.get(body.number, {})
@@ -89,7 +89,7 @@ def report_waters(job: Job, waters: Waters, terrain: Commits) -> None:
     for _, record in terrain.values():
         for area, count in record.get("water", ()):
             pixels[area] = pixels.get(area, 0) + count
-    pixel_m2 = float(job.plan.resolution) ** 2
+    pixel_m2 = float(job.plan.grid.resolution) ** 2
     body_facts = [_fact(body, pixels.get(body.area.key, 0), pixel_m2) for body in waters.bodies]
     add_rings(body_facts, [body.area for body in waters.bodies])
     job.facts["water"] = body_facts

@@ -44,7 +44,7 @@ def numbered(job: Job) -> list[Source]:
     """
     known: dict[str, dict[str, Any]] = job.store.get_state("sources") or {}
     # Passwords and tokens are removed, because a link that is signed daily leads to the same file.
-    info_by_location = {without_secrets(location(info.path)): info for info in job.plan.sources}
+    info_by_location = {without_secrets(location(info.path)): info for info in job.plan.inputs.sources}
     todo = []
     for file_location, info in info_by_location.items():
         entry = known.setdefault(file_location, {"number": len(known)})
@@ -111,7 +111,7 @@ def contents(
     if not tasks:
         return
     points, start = sum(task.points for task in tasks), time.monotonic()
-    job.listener(StageStarted(stage, job.plan.title_of(stage), tasks=len(tasks), points=points))
+    job.listener(StageStarted(stage, job.plan.method.title_of(stage), tasks=len(tasks), points=points))
     for outcome in job.executors.choose(writes_out).run(compute, job.store.url, tasks):
         if outcome.again:
             continue
@@ -127,7 +127,7 @@ def contents(
 
 def _leave_out(job: Job, unreadable: dict[str, str]) -> None:
     for file_location, reason in sorted(unreadable.items()):
-        if job.plan.config.on_error == "stop" or len(job.plan.sources) == 1:
+        if job.plan.config.on_error == "stop" or len(job.plan.inputs.sources) == 1:
             raise InputError(reason)
         job.record.quarantined.append({"path": file_location, "error": reason})
         job.listener(Warned(f"{file_location}: left out: {reason.removeprefix(f'{file_location}: ')}"))

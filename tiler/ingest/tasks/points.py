@@ -50,13 +50,13 @@ class Source:
 
 def spool_tasks(plan: Plan, sources: Iterable[Source], keep: bool) -> Iterator[Task]:
     """Yield a task per piece of each source. With ``keep``, the tasks keep the records."""
-    selection = plan.config.selection
+    selection, meta = plan.config.selection, plan.grid.meta.to_json()
     for source in sources:
         buckets = buckets_of(plan, source.info)
         claimed = header_bounds(source.info)
         for start, count, ranges in _pieces(plan, source.info):
             key = f"{source.name}-{start:012d}"
-            parts = [source.identity, source.number, start, count, claimed, plan.meta.to_json(), selection]
+            parts = [source.identity, source.number, start, count, claimed, meta, selection]
             identity = digest_of(*parts, *([ranges] if ranges else []))
             work = SpoolPiece(
                 location(source.info.path),
@@ -130,7 +130,7 @@ def strays_of(plan: Plan, sources: Iterable[Source], spooled: Commits) -> dict[i
     strays_by_source = {}
     for source in sources:
         strays = find_strays(
-            held[source.name], plan.meta.bucket, header_bounds(source.info), outside[source.name]
+            held[source.name], plan.grid.meta.bucket, header_bounds(source.info), outside[source.name]
         )
         if strays != Strays():
             strays_by_source[source.number] = strays
@@ -147,7 +147,7 @@ def assemble_tasks(
 
     def bucket(cell: Cell) -> BucketParts:
         sources = {int(source_of(piece)[1:]) for piece, _, _ in fragments[cell]} & strays.keys()
-        rules = ((n, strays[n].rule(plan.meta.bucket, cell)) for n in sorted(sources))
+        rules = ((n, strays[n].rule(plan.grid.meta.bucket, cell)) for n in sorted(sources))
         return BucketParts(
             cell, tuple(fragments[cell]), tuple((n, rule) for n, rule in rules if rule is not None)
         )
