@@ -3,10 +3,9 @@
 Laser scanners get few returns from water, often none, and returns of water are at one height. The same is true of
 shadows of buildings, gaps between flight strips, wet asphalt and dark lawns, but only water is lower than everything
 around it. So a candidate is a connected area of cells that are empty, or flat with few returns, or classified as
-water in the input.
-A candidate is water if the ground some metres from its shore is higher than the shore almost all around, and lower
-almost nowhere. The land around an area is counted block by block and added up, so that large areas need not be in
-memory.
+water in the input. A candidate is water if the ground some metres from its shore is higher than the shore almost all
+around, and lower almost nowhere. The land around an area is counted block by block and added up, so that large areas
+need not be in memory.
 """
 
 from __future__ import annotations

@@ -28,7 +28,7 @@ from tiler.grid.water_cells import (
     rim_of,
     sparse_cells,
 )
-from tiler.grid.water_extent import shore_area, smoothed, water_heights
+from tiler.grid.water_extent import extended_to_shore, smoothed, water_heights
 from tiler.grid.water_search import (
     MARGIN,
     AreasAround,
@@ -186,7 +186,7 @@ def count_plane_rims(store_url: str, work: CountPlaneRims) -> dict[str, Any]:
         numbers = near.numbers[window]
         counted = near.counted[window]
         plane_mask = numbers == number
-        water = shore_area(cells, plane_mask, water_heights(cells, plane_mask), SHORE_CELLS)
+        water = extended_to_shore(cells, plane_mask, water_heights(cells, plane_mask), SHORE_CELLS)
         evident_water = is_evident[numbers] & ~water
         if name in evident:
             any_water = is_plane[numbers] & ~water
@@ -222,7 +222,7 @@ def keep_planes(store_url: str, work: KeepPlanes) -> dict[str, Any]:
     confidence = np.zeros(near.numbers.shape, np.float32)
     for number, window in near.windows(kept):
         cells, mask = near.cells.cut(window), near.numbers[window] == number
-        water = shore_area(cells, mask, water_heights(cells, mask), SHORE_CELLS)
+        water = extended_to_shore(cells, mask, water_heights(cells, mask), SHORE_CELLS)
         confidence[window][water] = np.maximum(confidence[window][water], kept[near.names[number - 1]])
     values = near.block_values(confidence)
     open_store(store_url).write_block(work.name, block, values)

@@ -49,10 +49,10 @@ def among_reed(cells: WaterCells, crowns: npt.NDArray[Any], wet: Bools, level: F
     return connected(reed, wet, reach)
 
 
-def without_bank(crowns: npt.NDArray[Any], above: Floats) -> Bools:
-    """Return a mask of the cells whose ground height is not the height of a bank, for cells that are water.
+def has_no_bank(crowns: npt.NDArray[Any], above: Floats) -> Bools:
+    """Return a mask of the cells whose ground is not bank, for cells of water.
 
-    These are hidden cells, and cells of reed whose ground is above the water.
+    In hidden cells, the ground is interpolated. In cells of reed, ground above the water comes from plants.
 
     Parameters
     ----------

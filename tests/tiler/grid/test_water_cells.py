@@ -21,8 +21,8 @@ from tiler.grid.water_cells import (
 )
 from tiler.grid.water_extent import (
     close_bridge_gaps,
+    extended_to_shore,
     remove_narrow_parts,
-    shore_area,
     smoothed,
     water_heights,
     without_islands,
@@ -119,7 +119,7 @@ def test_what_returns_little_elsewhere_is_no_water(ground: np.ndarray, few: np.n
 def test_water_goes_on_where_the_ground_is_as_low_however_many_returns_it_has() -> None:
     given = cells(VALLEY, RIVER & ~STRIP, 0.3)
     smooth = given.with_ground(smoothed(given.ground))
-    water = shore_area(smooth, RIVER & ~STRIP, water_heights(smooth, RIVER & ~STRIP), 10)
+    water = extended_to_shore(smooth, RIVER & ~STRIP, water_heights(smooth, RIVER & ~STRIP), 10)
     assert (water & RIVER & STRIP).sum() > 0.95 * (RIVER & STRIP).sum()
     assert (water & ~RIVER).sum() < 0.1 * RIVER.sum()  # a cell along its banks
 
