@@ -56,7 +56,7 @@ class Shore(NamedTuple):
     Attributes
     ----------
     field : float64
-        Heights above the water in metres, negative in the water, see `tiler.grid.water_shore.depths`.
+        Heights above the water in metres, negative in the water, see `tiler.grid.water_shore.heights_above_water`.
     level : float64
         Highest level of the water in the `NEAR_SIDE` square around each cell in metres, NaN for cells whose ground is
         not a bank.
@@ -141,7 +141,7 @@ def highest_near(level: Floats) -> Floats:
 def dense_quays(cells: WaterCells, wet: Bools, level: Floats) -> Bools:
     """Return a mask of the cells at upright banks near which fine cells of land have `ENOUGH_POINTS` on average.
 
-    Parameters are those of `tiler.grid.water_shore.depths`.
+    Parameters are those of `tiler.grid.water_shore.heights_above_water`.
     """
 
     def total(values: npt.NDArray[Any]) -> Floats:

@@ -33,7 +33,7 @@ from tiler.grid.water_crowns import REED, is_hidden
 from tiler.grid.water_extent import SPECK_CELLS, smoothed, water_heights
 from tiler.grid.water_reed import has_no_bank
 from tiler.grid.water_search import Sources, inner_window, read_search_cells
-from tiler.grid.water_shore import MAX_DEPTH_M, REACH_CELLS, depths, shore_polygons
+from tiler.grid.water_shore import MAX_HEIGHT_M, REACH_CELLS, heights_above_water, shore_polygons
 from tiler.grid.water_strips import bank_rises, lower_level
 from tiler.store import TileStore, open_store, read_cells
 
@@ -270,10 +270,10 @@ def _shapes(
     level = water_heights(cells.with_ground(smooth), wet[box] & ~is_hidden(crowns) & (crowns < REED))
     # The ground in hidden cells and in reed is not bank.
     no_bank = wet[box] & (is_hidden(crowns) if level is None else has_no_bank(crowns, smooth - level))
-    field = np.full(wet.shape, MAX_DEPTH_M)
+    field = np.full(wet.shape, MAX_HEIGHT_M)
     bank = cells.with_ground(np.where(no_bank, np.nan, smooth))
     final = level if level is None or lower_level_m is None else np.minimum(level, lower_level_m)
-    field[box] = depths(bank, wet[box], final, lower_level_m is not None)
+    field[box] = heights_above_water(bank, wet[box], final, lower_level_m is not None)
     cut = inner_window(padded(block, 1), REACH_CELLS - 1)
     polygons = shore_polygons(field[cut], work.coarse, padded(block, 1))
     if level is None:

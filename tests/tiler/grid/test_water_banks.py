@@ -26,7 +26,7 @@ from tiler.grid.water_banks import (
     shore_details,
 )
 from tiler.grid.water_cells import WaterCells
-from tiler.grid.water_shore import MAX_DEPTH_M, shore_polygons
+from tiler.grid.water_shore import MAX_HEIGHT_M, shore_polygons
 
 ROWS, COLUMNS = np.mgrid[0:40, 0:40]
 SHORE = 20
@@ -104,7 +104,7 @@ def test_a_quay_aslant_to_the_cells_has_no_seen_ground_in_the_water(make_scene: 
     window = padded(block, BANK_MARGIN)
     middle_x, middle_y = (values / METRE for values in coarse.centres(window))
     field = np.where(
-        middle_x < quay_line(middle_y) + 0.8, -MAX_DEPTH_M, QUAY_M
+        middle_x < quay_line(middle_y) + 0.8, -MAX_HEIGHT_M, QUAY_M
     )  # half a cell too far in the land
     shore = Shore(field, np.full(field.shape, LEVEL_M), np.ones(field.shape, np.bool_))
     near = padded(block, 1)
