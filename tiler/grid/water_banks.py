@@ -29,13 +29,13 @@ from tiler.store import TileStore
 FINER = 2
 """A coarse cell has this many fine cells along its side.
 
-With 2 points per m2, six of seven cells of 1 m2 have a point.
+Fine cells are usually 1 m wide. With 2 points per m2, six of seven of them have a point.
 """
 HIGH_M = 0.3
 """Ground in a fine cell is land if it is more than this above the water, in metres. Broken water is lower."""
-REACH_CELLS = 4
-"""Such ground is land only up to this distance from the land of the coarse cells, in fine cells."""
-BANK_MARGIN = math.ceil(2 * REACH_CELLS / FINER)
+BANK_REACH_FINE_CELLS = 4
+"""High ground becomes land only up to this distance from cells that are already land, in fine cells."""
+BANK_MARGIN = math.ceil(2 * BANK_REACH_FINE_CELLS / FINER)
 """The fine cells of a block depend on cells up to this distance from the block, in coarse cells."""
 ENOUGH_POINTS = 5
 """A fine cell without points is water only if fine cells of the land near it have this many points on average.
@@ -43,7 +43,10 @@ ENOUGH_POINTS = 5
 By chance, 1 % of such cells are empty.
 """
 NEAR_SIDE = 11
-"""The highest level and the mean number of points of land near a cell come from a square of this side, in cells."""
+"""The highest level near a cell is the highest in a square of this side, in coarse cells.
+
+The mean number of points of land near a cell also comes from such a square.
+"""
 AROUND = np.ones((3, 3), np.bool_)
 
 
@@ -53,40 +56,41 @@ class Shore(NamedTuple):
     Attributes
     ----------
     field : float64
-        Heights above the water in metres, negative in the water, see `tiler.grid.water_shore.depths`.
+        Heights above the water in metres, negative in the water, see `tiler.grid.water_shore.heights_above_water`.
     level : float64
-        Level of the water near each cell in metres, NaN for cells whose ground is not a bank.
-    is_quay : bool
-        Mask of the cells at upright banks with many points.
+        Highest level of the water in the `NEAR_SIDE` square around each cell in metres, NaN for cells whose ground is
+        not a bank.
+    is_dense_quay : bool
+        Mask of the cells at upright banks whose land has many points, see `dense_quays`.
     """
 
     field: Floats
     level: Floats
-    is_quay: Bools
+    is_dense_quay: Bools
 
 
-class SeenGround(NamedTuple):
-    """Corrections of a shore, as shapes in absolute counts.
+class ShoreDetails(NamedTuple):
+    """Details of a shore that fine cells show, as shapes in absolute counts.
 
     Attributes
     ----------
     dry : shapely.Geometry or None
-        Part of the water that is land.
+        Part of the water of the coarse cells that is land.
     wet : shapely.Geometry or None
-        Part of the land that is water.
+        Part of the land of the coarse cells that is water.
     """
 
     dry: Any
     wet: Any
 
 
-NOTHING_SEEN = SeenGround(None, None)
+NO_DETAILS = ShoreDetails(None, None)
 
 
-def seen_at_shore(
+def shore_details(
     store: TileStore, rule: GroundSelection, coarse: RasterSpec, window: Block, shore: Shore
-) -> SeenGround:
-    """Return the corrections of the shore of the coarse cells, from the points at the shore.
+) -> ShoreDetails:
+    """Return the details of the shore of the coarse cells, from the points at the shore.
 
     Parameters
     ----------
@@ -100,19 +104,20 @@ def seen_at_shore(
     """
     fine, fine_window = finer_raster(coarse), finer_window(window)
     field = finer_field(shore.field)
-    ground, has_points = seen_cells(store, rule, fine, fine_window, _near_shore(field, REACH_CELLS))
+    ground, has_points = fine_cells(store, rule, fine, fine_window, _near_shore(field, BANK_REACH_FINE_CELLS))
     above = ground - each_finer(shore.level)
-    banks = seen_banks(field, above)
-    water = seen_water(field, each_finer(shore.is_quay), above, has_points)
+    banks = high_banks(field, above)
+    water = quay_water(field, each_finer(shore.is_dense_quay), above, has_points)
     dry = _shape(banks, field >= 0, fine, fine_window)
     wet = _shape(water, field < 0, fine, fine_window)
-    return SeenGround(dry, wet)
+    return ShoreDetails(dry, wet)
 
 
 def _shape(cells: Bools, among: Bools, fine: RasterSpec, window: Block) -> Any:
     """Return the shape of some cells of a window, in absolute counts.
 
-    Their neighbours in the mask ``among`` are included, so that there is no gap between the shape and these neighbours.
+    The shape is extended over their neighbours in the mask ``among``. Otherwise it would end half a cell before the
+    centres of these neighbours, and leave a gap.
     """
     import shapely
 
@@ -125,7 +130,10 @@ def _shape(cells: Bools, among: Bools, fine: RasterSpec, window: Block) -> Any:
 
 
 def highest_near(level: Floats) -> Floats:
-    """Return the highest level in the square around each cell. Returns from below the surface lower some levels."""
+    """Return the highest level in the square around each cell.
+
+    Some levels are too low, because a few points lie below the water surface.
+    """
     highest: Floats = scipy.ndimage.maximum_filter(level, NEAR_SIDE)
     return highest
 
@@ -133,7 +141,7 @@ def highest_near(level: Floats) -> Floats:
 def dense_quays(cells: WaterCells, wet: Bools, level: Floats) -> Bools:
     """Return a mask of the cells at upright banks near which fine cells of land have `ENOUGH_POINTS` on average.
 
-    Parameters are those of `tiler.grid.water_shore.depths`.
+    Parameters are those of `tiler.grid.water_shore.heights_above_water`.
     """
 
     def total(values: npt.NDArray[Any]) -> Floats:
@@ -183,7 +191,7 @@ def _near_shore(field: Floats, radius: int) -> Bools:
     return np.asarray((lowest < 0) & (highest >= 0))
 
 
-def seen_cells(
+def fine_cells(
     store: TileStore, rule: GroundSelection, fine: RasterSpec, window: Block, selected: Bools
 ) -> tuple[Floats, Bools]:
     """Return the mean height of the ground points of each cell in metres, and a mask of the cells with points.
@@ -193,8 +201,8 @@ def seen_cells(
     """
     frame, bounds = store.meta.frame, fine.block_bounds(window)
     total, number, objects = np.zeros((3, selected.size))
-    for cell in store.buckets_within(bounds):
-        inside = store.meta.bucket.bounds(cell).intersection(bounds)
+    for bucket in store.buckets_within(bounds):
+        inside = store.meta.bucket.bounds(bucket).intersection(bounds)
         part = fine.part(window, inside)
         top, left = part.row - window.row, part.col - window.col
         if not selected[top : top + part.height, left : left + part.width].any():
@@ -211,7 +219,7 @@ def seen_cells(
     return heights_m, (number + objects > 0).reshape(selected.shape)
 
 
-def seen_banks(field: Floats, above: Floats) -> Bools:
+def high_banks(field: Floats, above: Floats) -> Bools:
     """Return a mask of the cells of water with high ground that is connected with the land.
 
     Parameters
@@ -222,24 +230,24 @@ def seen_banks(field: Floats, above: Floats) -> Bools:
         Mean height of the ground points above the water in metres, NaN if there are none.
     """
     land, high = field >= 0, above > HIGH_M
-    return _spread(land, high, REACH_CELLS)
+    return _spread(land, high, BANK_REACH_FINE_CELLS)
 
 
-def seen_water(field: Floats, upright: Bools, above: Floats, has_points: Bools) -> Bools:
+def quay_water(field: Floats, is_dense_quay: Bools, above: Floats, has_points: Bools) -> Bools:
     """Return a mask of the cells at upright banks that are water and connected with the water.
 
-    They have no points, because water returns few pulses, or they have ground about as high as the water.
+    They have no points, because water returns few pulses, or their ground is at most `LEVEL_M` above the water.
 
     Parameters
     ----------
     field, above : float64 (h, w)
-        See `seen_banks`.
-    upright : bool (h, w)
+        See `high_banks`.
+    is_dense_quay : bool (h, w)
         Mask of the cells at upright banks whose land has many points, see `dense_quays`.
     has_points : bool (h, w)
         Mask of the cells with points.
     """
-    return _spread(field < 0, upright & (~has_points | (above <= LEVEL_M)), FINER)
+    return _spread(field < 0, is_dense_quay & (~has_points | (above <= LEVEL_M)), FINER)
 
 
 def _spread(start: Bools, over: Bools, reach: int) -> Bools:

@@ -2,10 +2,10 @@
 
 Laser scanners get few returns from water, often none, and returns of water are at one height. The same is true of
 shadows of buildings, gaps between flight strips, wet asphalt and dark lawns, but only water is lower than everything
-around it. So a candidate is a connected area of cells that are empty, or flat with few returns, or water by the input.
-A candidate is water if the ground some metres from its shore is higher than the shore almost all around, and lower
-almost nowhere. The land around an area is counted block by block and added up, so that large areas need not be in
-memory.
+around it. So a candidate is a connected area of cells that are empty, or flat with few returns, or classified as
+water in the input. A candidate is water if the ground some metres from its shore is higher than the shore almost all
+around, and lower almost nowhere. The land around an area is counted block by block and added up, so that large areas
+need not be in memory.
 """
 
 from __future__ import annotations
@@ -29,18 +29,19 @@ ENOUGH_RETURNS = 8
 With fewer returns, a cell may be empty by chance.
 """
 SPARSE = 0.6
-"""A flat cell has few returns if the mean around the cell is below this share of the median in the region.
+"""A flat cell has few returns if the mean around the cell is below this share of a median.
 
-Mean and median are numbers of returns per cell, of cells with returns.
+Mean and median are numbers of returns per cell, of cells with returns. The median is that of the block and its
+neighbours.
 """
-SPARSE_CELLS = 5
+MEAN_SIDE_CELLS = 5
 """The mean around a cell is computed in a square of this side, in cells."""
 FLAT_M = 0.35
 """A cell is flat if the heights of the cell and its eight neighbours differ by less than this, in metres."""
 MIN_WIDTH_M = 6
 """Narrower parts of candidates are left out, in metres. This excludes shadows and hedges."""
 
-SHORE_M = 3.0
+SHORE_BAND_M = 3.0
 """The shore of an area consists of cells up to this distance from the area, in metres."""
 RING_M = (7.0, 13.0)
 """The ring of an area consists of cells between these distances from the area, in metres.
@@ -78,12 +79,12 @@ class WaterCells:
     returns : float32
         Number of points in each cell.
     given : bool
-        Whether most points of a cell are water by the input.
+        Whether most points of a cell are water by the input. After merging, whether this is so for any merged cell.
     ground : float64
         Height of the terrain in metres, NaN if there is none.
     domain : bool
         Whether a cell lies in the survey, or in a gap of the survey that may be water.
-    size : float
+    size_m : float
         Side of a cell in metres.
     """
 
@@ -91,7 +92,7 @@ class WaterCells:
     given: Bools
     ground: Floats
     domain: Bools
-    size: float
+    size_m: float
 
     def coarser(self) -> WaterCells:
         """Merge squares of two by two cells. A remaining row or column is merged with empty cells."""
@@ -110,7 +111,7 @@ class WaterCells:
         mean = np.where(number > 0, total / np.maximum(number, 1), np.nan)
         return WaterCells(
             fours(self.returns, 0.0).sum(axis=2), fours(self.given, False).max(axis=2), mean,
-            fours(self.domain, False).max(axis=2), 2 * self.size,
+            fours(self.domain, False).max(axis=2), 2 * self.size_m,
         )  # fmt: skip
 
     def finer(self, times: int) -> WaterCells:
@@ -121,7 +122,7 @@ class WaterCells:
 
         return WaterCells(
             repeated(self.returns), repeated(self.given), repeated(self.ground), repeated(self.domain),
-            self.size / times,
+            self.size_m / times,
         )  # fmt: skip
 
     def with_ground(self, ground: Floats) -> WaterCells:
@@ -141,23 +142,23 @@ class Rim(NamedTuple):
 
     Attributes
     ----------
-    beside : int
-        Cells of the domain next to the area.
-    shore : int
+    n_shore : int
+        Cells of the shore, in the domain.
+    n_known_shore : int
         Cells of the shore with a height and returns.
-    ring : int
-        Cells of the ring with a height and returns.
-    rising : int
-        Cells of the ring that are above the shore.
-    falling : int
-        Cells of the ring that are below the shore.
+    n_ring : int
+        Cells of the ring with a height, and with returns or water.
+    n_rising : int
+        Cells of the ring that rise (`RISE_M`).
+    n_falling : int
+        Cells of the ring that fall (`FALL_M`).
     """
 
-    beside: int = 0
-    shore: int = 0
-    ring: int = 0
-    rising: int = 0
-    falling: int = 0
+    n_shore: int = 0
+    n_known_shore: int = 0
+    n_ring: int = 0
+    n_rising: int = 0
+    n_falling: int = 0
 
     def plus(self, other: Rim) -> Rim:
         """Return the sums of the numbers of two rims."""
@@ -166,25 +167,30 @@ class Rim(NamedTuple):
     @property
     def known(self) -> bool:
         """Whether enough cells of the land have heights and returns to classify the area."""
-        return min(self.shore, self.ring) >= MIN_CELLS and self.shore >= MIN_KNOWN * self.beside
+        return (
+            min(self.n_known_shore, self.n_ring) >= MIN_CELLS
+            and self.n_known_shore >= MIN_KNOWN * self.n_shore
+        )
 
     @property
-    def rises(self) -> float:
+    def rising_share(self) -> float:
         """Share of the ring that rises."""
-        return self.rising / self.ring
+        return self.n_rising / self.n_ring
 
     @property
-    def falls(self) -> float:
+    def falling_share(self) -> float:
         """Share of the ring that falls."""
-        return self.falling / self.ring
+        return self.n_falling / self.n_ring
 
     @property
-    def sure(self) -> float:
+    def confidence(self) -> float:
         """Confidence that the area is water, for areas with enough of the ring rising."""
-        return round(0.5 + 0.45 * (self.rises - MIN_RISING) / (1 - MIN_RISING) - 2 * self.falls, 2)
+        return round(
+            0.5 + 0.45 * (self.rising_share - MIN_RISING) / (1 - MIN_RISING) - 2 * self.falling_share, 2
+        )
 
 
-class Size(NamedTuple):
+class CellCounts(NamedTuple):
     """Numbers of cells of an area, added up over blocks: all cells, and cells that are water by the input."""
 
     cells: int = 0
@@ -196,7 +202,7 @@ class Size(NamedTuple):
         return 0 < self.given >= GIVEN_SHARE * self.cells
 
 
-def water_areas(cells: WaterCells, usual: float | None) -> Bools:
+def water_candidates(cells: WaterCells, usual: float | None) -> Bools:
     """Return a mask of the cells that may be water. Connected cells are one candidate.
 
     Parameters
@@ -204,13 +210,13 @@ def water_areas(cells: WaterCells, usual: float | None) -> Bools:
     cells : WaterCells
         Cells of a size at which a cell without returns is significant.
     usual : float or None
-        Median number of returns in the region, of the cells with returns. None if few returns are not a sign of water,
-        as in photogrammetric clouds. Then only the class of the input decides.
+        Median number of returns in the block and its neighbours, of the cells with returns. None if few returns are not
+        a sign of water, as in photogrammetric clouds. Then only the class of the input decides.
     """
     candidates = cells.given
     if usual is not None:
         candidates = candidates | sparse_cells(cells, flat_cells(cells), usual)
-    candidates = scipy.ndimage.binary_opening(candidates, disk(MIN_WIDTH_M / 2 / cells.size))
+    candidates = scipy.ndimage.binary_opening(candidates, disk(MIN_WIDTH_M / 2 / cells.size_m))
     candidates |= cells.given & scipy.ndimage.binary_dilation(candidates, np.ones((3, 3), np.bool_))
     return np.asarray(candidates)
 
@@ -223,18 +229,21 @@ def flat_cells(cells: WaterCells) -> Bools:
 def sparse_cells(cells: WaterCells, flat: Bools, usual: float) -> Bools:
     """Return a mask of the cells of the domain that have no returns, or are flat with few returns around them."""
     has_returns = cells.returns > 0
-    returns = scipy.ndimage.uniform_filter(cells.returns.astype(np.float64), SPARSE_CELLS)
-    share = scipy.ndimage.uniform_filter(has_returns.astype(np.float64), SPARSE_CELLS)
+    returns = scipy.ndimage.uniform_filter(cells.returns.astype(np.float64), MEAN_SIDE_CELLS)
+    share = scipy.ndimage.uniform_filter(has_returns.astype(np.float64), MEAN_SIDE_CELLS)
     return cells.domain & (~has_returns | (flat & (returns < SPARSE * usual * share)))
 
 
-def water_confidence(size: Size, rim: Rim) -> float | None:
-    """Return the confidence that an area is water, from the input and the land around it, or None if it is land."""
-    if size.is_given:
-        return None if rim.known and rim.falls >= 5 * MAX_FALLING else 0.95
-    if not rim.known or rim.rises < MIN_RISING or rim.falls > MAX_FALLING:
+def water_confidence(counts: CellCounts, rim: Rim) -> float | None:
+    """Return the confidence that an area is water, from the input and the land around it, or None if it is land.
+
+    An area that is not water by the input counts as land also if too little of the land around it is known.
+    """
+    if counts.is_given:
+        return None if rim.known and rim.falling_share >= 5 * MAX_FALLING else 0.95
+    if not rim.known or rim.rising_share < MIN_RISING or rim.falling_share > MAX_FALLING:
         return None
-    return rim.sure
+    return rim.confidence
 
 
 def rim_of(cells: WaterCells, area: Bools, others: Bools, counted: Bools, water: Bools | None = None) -> Rim:
@@ -250,22 +259,23 @@ def rim_of(cells: WaterCells, area: Bools, others: Bools, counted: Bools, water:
     counted : bool, shape of the cells
         Mask of the cells that are counted. Cells of the ring are also compared with shore cells outside of the mask.
     water : bool, shape of the cells, optional
-        Mask of cells that count in the ring even without returns. So the ring of a dam falls to the water.
+        Mask of cells that count in the ring even without returns. The ring around the level crest of a dam includes
+        this water, so it falls.
     """
-    distance = distances(area, RING_M[1] / cells.size + 1)
-    distance *= cells.size
+    distance = distances(area, RING_M[1] / cells.size_m + 1)
+    distance *= cells.size_m
     land = ~np.isnan(cells.ground) & ~others & cells.domain
     has_returns = cells.returns > 0
-    beside = (distance > 0) & (distance <= SHORE_M + 0.1 * cells.size)
+    beside = (distance > 0) & (distance <= SHORE_BAND_M + 0.1 * cells.size_m)
     shore = beside & land & has_returns
     ring = (distance > RING_M[0]) & (distance <= RING_M[1]) & land & counted
     ring &= has_returns if water is None else has_returns | water
-    n_beside = int((beside & cells.domain & counted).sum())
-    counts = Rim(n_beside, int((shore & counted).sum()), int(ring.sum()))
-    if not shore.any() or not counts.ring:
+    n_shore = int((beside & cells.domain & counted).sum())
+    counts = Rim(n_shore, int((shore & counted).sum()), int(ring.sum()))
+    if not shore.any() or not counts.n_ring:
         return counts
     rise = cells.ground[ring] - _low_shore(cells.ground, shore, np.argwhere(ring))
-    return counts._replace(rising=int((rise > RISE_M).sum()), falling=int((rise < -FALL_M).sum()))
+    return counts._replace(n_rising=int((rise > RISE_M).sum()), n_falling=int((rise < -FALL_M).sum()))
 
 
 def _low_shore(ground: Floats, shore: Bools, cells: npt.NDArray[np.int64]) -> Floats:

@@ -29,7 +29,7 @@ from tiler.grid.water_search import ground_in
 from tiler.grid.work import BlockWork
 from tiler.store import TileStore, open_store, read_cells
 
-OPEN = 1
+CROWN_WITH_GROUND = 1
 """Value of a cell with a crown and with ground."""
 HIDDEN = 2
 """Value of a cell with a crown and without ground."""
@@ -48,14 +48,17 @@ REED_ROUGH_M = 0.2
 """Cells of reed are rougher than this, in metres. Boats and pontoons are smoother."""
 REED_M = 3.0
 """Reed is at most this high above the terrain, in metres. Trees are higher."""
-MIN_OPEN = 0.3
+MIN_GROUND_SHARE = 0.3
 """A lack of ground is a sign of water only if at least this share of the cells with crowns nearby have ground."""
 AMONG_M = 8.0
 """Hidden cells in a gap between cells with ground are land if the gap is narrower than twice this, in metres."""
-BANK_CELLS = 20
+N_BANK_CELLS = 20
 """The bank is continued by a plane through this many of its cells with ground, the nearest ones."""
 MAX_QUAY_SLOPE = 0.15
-"""Land that is at most this steep ends at an upright bank, as at a quay. All hidden cells next to it are water."""
+"""If the continued bank is at most this steep, the bank is assumed to be upright, as at a quay.
+
+Then hidden cells are water at any height of the continued bank.
+"""
 LOW_M = 0.15
 """A hidden cell is water if the continued bank is at most this high above the water there, in metres."""
 
@@ -69,7 +72,7 @@ class CrownsBlock(BlockWork):
     sure : tuple of str
         Rasters of the confidence that each cell is water.
     occupancy : str
-        Raster of the number of points in each cell.
+        Raster of the number of points in each cell, negative in cells that are water by the input.
     ground : str
         Raster of the heights of the terrain.
     rule : GroundSelection
@@ -84,7 +87,7 @@ class CrownsBlock(BlockWork):
 def crowns_block(store_url: str, work: CrownsBlock) -> dict[str, Any]:
     """Write the kinds of plants in the cells of a block that are near water. This is a `tiler.schedule.task.Work`.
 
-    The value of a cell is `OPEN` or `HIDDEN` for a crown, `REED` for reed, or the sum for both; otherwise 0.
+    The value of a cell is `CROWN_WITH_GROUND` or `HIDDEN` for a crown, `REED` for reed, the sum for both, or 0.
 
     Returns
     -------
@@ -116,9 +119,9 @@ def _crowns(store: TileStore, work: CrownsBlock, window: Block, examined: Bools)
     """
     frame, spec = store.meta.frame, work.spec
     point_cells, are_objects = [np.empty(0, np.int64)], [np.empty(0, np.bool_)]
-    counts = [np.empty((3, 0), np.int32)]
-    for cell in store.buckets_within(spec.block_bounds(window)):
-        bounds = store.meta.bucket.bounds(cell).intersection(spec.block_bounds(window))
+    xyz_parts = [np.empty((3, 0), np.int32)]
+    for bucket in store.buckets_within(spec.block_bounds(window)):
+        bounds = store.meta.bucket.bounds(bucket).intersection(spec.block_bounds(window))
         part = spec.part(window, bounds)
         top, left = part.row - window.row, part.col - window.col
         if not examined[top : top + part.height, left : left + part.width].any():
@@ -130,8 +133,8 @@ def _crowns(store: TileStore, work: CrownsBlock, window: Block, examined: Bools)
             chosen = examined.ravel()[cells]
             point_cells.append(cells[chosen])
             are_objects.append(np.full(int(chosen.sum()), is_object))
-            counts.append(xyz[:, chosen])
-    xyz, cells = np.concatenate(counts, axis=1), np.concatenate(point_cells)
+            xyz_parts.append(xyz[:, chosen])
+    xyz, cells = np.concatenate(xyz_parts, axis=1), np.concatenate(point_cells)
     terrain = ground_in(store, work.ground, spec, window)
     return plant_kinds(xyz, cells, np.concatenate(are_objects), terrain, frame.metres_z)
 
@@ -168,7 +171,7 @@ def plant_kinds(
     has_objects = cells_with(objects)
 
     def rough_cells(chosen: Bools, limit: float) -> Bools:
-        """Return a mask of the cells with objects in whose surroundings most cells are rougher than a limit.
+        """Return a mask of the cells that have objects, and around which most cells are rougher than ``limit``.
 
         Roughness is measured with the chosen points.
         """
@@ -180,7 +183,7 @@ def plant_kinds(
     # Reed may be so low that its lowest points count as ground.
     reed = rough_cells(np.ones_like(objects), REED_ROUGH_M)
     reed &= tops.reshape(terrain.shape) - terrain <= REED_M
-    kinds = np.where(has_ground, OPEN, HIDDEN)
+    kinds = np.where(has_ground, CROWN_WITH_GROUND, HIDDEN)
     return np.where(rough_cells(objects, ROUGH_M), kinds, 0) + np.where(reed, REED, 0)
 
 
@@ -253,20 +256,20 @@ def beneath_crowns(cells: WaterCells, crowns: npt.NDArray[Any], wet: Bools, leve
         Level of the water near each cell in metres.
     """
     hidden = is_hidden(crowns) & ~wet & cells.domain
-    hidden &= _open_share(crowns, round(4 * CROWN_M / cells.size)) >= MIN_OPEN
+    hidden &= _ground_share(crowns, round(4 * CROWN_M / cells.size_m)) >= MIN_GROUND_SHARE
     bank = ~is_hidden(crowns) & ~wet & (cells.returns > 0) & ~np.isnan(cells.ground)
     if not hidden.any() or not bank.any():
         return np.zeros_like(hidden)
-    radius = AMONG_M / cells.size
+    radius = AMONG_M / cells.size_m
     # Cells in narrow gaps between cells of the bank are land.
     hidden &= within(~within(bank, radius), radius)
-    hidden = connected(hidden, wet, math.ceil(CROWN_M / cells.size))
+    hidden = connected(hidden, wet, math.ceil(CROWN_M / cells.size_m))
     height, slope = continued_bank(np.argwhere(hidden), np.argwhere(bank), (cells.ground - level)[bank])
-    hidden[hidden] = (height <= LOW_M) | (slope <= MAX_QUAY_SLOPE * cells.size)
-    return connected(hidden, wet, math.ceil(CROWN_M / cells.size))
+    hidden[hidden] = (height <= LOW_M) | (slope <= MAX_QUAY_SLOPE * cells.size_m)
+    return connected(hidden, wet, math.ceil(CROWN_M / cells.size_m))
 
 
-def _open_share(crowns: npt.NDArray[Any], side: int) -> Floats:
+def _ground_share(crowns: npt.NDArray[Any], side: int) -> Floats:
     """Return the share of cells with ground among the cells with crowns, in a square around each cell.
 
     The square has ``side`` rows and columns, or one more if that is even.
@@ -278,8 +281,8 @@ def _open_share(crowns: npt.NDArray[Any], side: int) -> Floats:
         return np.asarray(scipy.ndimage.uniform_filter(mask.astype(np.float64), odd_side, mode="constant"))
 
     has_crown = crowns % REED > 0
-    open_share = share(crowns % REED == OPEN)
-    return np.divide(open_share, share(has_crown), out=np.zeros(crowns.shape), where=has_crown)
+    ground_share = share(crowns % REED == CROWN_WITH_GROUND)
+    return np.divide(ground_share, share(has_crown), out=np.zeros(crowns.shape), where=has_crown)
 
 
 def connected(hidden: Bools, wet: Bools, max_steps: int) -> Bools:
@@ -312,7 +315,7 @@ def continued_bank(
     slope : float64 (n,)
         Slope of the plane in metres per cell.
     """
-    count = min(BANK_CELLS, len(bank))
+    count = min(N_BANK_CELLS, len(bank))
     _, near = scipy.spatial.cKDTree(bank).query(cells, k=count)
     near = near.reshape(len(cells), count)
     offsets = (bank[near] - cells[:, None]).astype(np.float64)

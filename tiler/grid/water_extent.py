@@ -21,7 +21,7 @@ BELOW_M = 0.4
 Such ground is the foot of a dam, or other water.
 """
 DEEP_CELLS = 5
-"""Ground is that deep only in squares of at least this side, in cells. Smaller pits come from low returns."""
+"""Ground counts as deeper than `BELOW_M` only in squares of this side, in cells. Smaller pits come from low returns."""
 LEVEL_CELLS = 5
 """The level of water is the mean height in a square of this side, in cells."""
 LEVEL_STEP_M = 0.001
@@ -76,10 +76,12 @@ def water_heights(cells: WaterCells, wet: Bools) -> Floats | None:
     return levels
 
 
-def shore_area(cells: WaterCells, water: Bools, level: Floats | None, max_steps: int) -> Bools:
-    """Extend water by up to ``max_steps`` cells, over connected cells that are as low as the level of the water.
+def extended_to_shore(cells: WaterCells, water: Bools, level: Floats | None, max_steps: int) -> Bools:
+    """Extend water by up to ``max_steps`` cells over connected low cells of the domain.
 
-    ``level`` is the level near each cell. If it is None, water is not extended.
+    Cells are low if they have no height, or if they are at most `LEVEL_M` above the water and not in a deep square
+    (`DEEP_CELLS`). Low parts narrower than three cells are left out. ``level`` is the level near each cell. If it is
+    None, water is not extended.
     """
     extended_water = water.copy()
     if level is None:
@@ -100,8 +102,8 @@ def close_bridge_gaps(
     """Close gaps in water under bridges: below known decks, and where the terrain is about as low as the shores.
 
     Land that water encloses is not a bridge, because bridges are connected with the bank. Such land is an island and
-    stays, if it has at most ``longest_island`` rows and columns. Longer land may be cut by the border of the array, so
-    it does not count as an island.
+    stays, if it has at most ``longest_island`` rows and columns. Longer land may be cut by the border of the array in
+    the window of another block. Blocks have to agree, so it does not count as an island.
     """
     pad = math.ceil(BRIDGE_M / size_m)
     padded = np.pad(water, pad)

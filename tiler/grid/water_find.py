@@ -22,28 +22,31 @@ from tiler.grid.pieces import Piece, cells_of, components
 from tiler.grid.reach import box_around
 from tiler.grid.water_banks import (
     BANK_MARGIN,
-    NOTHING_SEEN,
-    SeenGround,
+    NO_DETAILS,
     Shore,
+    ShoreDetails,
     dense_quays,
     highest_near,
-    seen_at_shore,
+    shore_details,
 )
 from tiler.grid.water_crowns import REED, is_hidden
 from tiler.grid.water_extent import SPECK_CELLS, smoothed, water_heights
-from tiler.grid.water_reed import without_bank
+from tiler.grid.water_reed import has_no_bank
 from tiler.grid.water_search import Sources, inner_window, read_search_cells
-from tiler.grid.water_shore import MAX_DEPTH_M, REACH_CELLS, depths, shore_polygons
+from tiler.grid.water_shore import MAX_HEIGHT_M, REACH_CELLS, heights_above_water, shore_polygons
 from tiler.grid.water_strips import bank_rises, lower_level
 from tiler.store import TileStore, open_store, read_cells
 
 ROUND = 1 / 3
-"""Water is a lake if it is at least this round, and otherwise a river.
+"""Water with at most one exit from the survey is a lake if it is at least this round. Other water is a river.
 
 Roundness is 4 pi area / (shore length)^2, which is 1 for a disk.
 """
 MIN_LENGTH = 3
-"""A river is at least this many times as long as it is wide."""
+"""A river is assumed to be at least this many times as long as the least width of a river.
+
+Areas are left out if they are smaller than the smallest lake, and than a river of the least length and width.
+"""
 SIMPLER = 0.15
 """A simplified polygon is at most this far from the shore, in cells."""
 ONE_EXIT = 5
@@ -113,7 +116,7 @@ def describe_body(store_url: str, work: DescribeBody) -> dict[str, Any]:
     side = float(coarse.lattice.size)
     exits = _exits(np.concatenate(border_cells))
     bays = _bays(store, work, exits, MAX_BAY_M / size_m)
-    whole, seen = _whole(store, work, bays, None)
+    whole, details = _whole(store, work, bays, None)
     outline = shapely.get_exterior_ring(shapely.get_parts(whole))
     # Where water leaves the survey, the outline of its cells is not shore.
     length_m = (float(shapely.length(outline).sum()) / side - n_border_sides) * size_m
@@ -122,43 +125,43 @@ def describe_body(store_url: str, work: DescribeBody) -> dict[str, Any]:
     small = area_m2 < work.lake_m2 if kind == LAKE else width_m < work.river_width_m
     body = None
     if not small:
-        lowest = _lower_level(store, work) if kind == LAKE else None
-        if lowest is not None:
-            whole, seen = _whole(store, work, bays, lowest)
+        lower_level_m = _lower_level(store, work) if kind == LAKE else None
+        if lower_level_m is not None:
+            whole, details = _whole(store, work, bays, lower_level_m)
         # The details of the shore are added after the kind is decided, because they make the shore longer.
-        body = Water(0, kind, _area(_detailed(whole, seen, side), side), None, None, work.sure).to_json()
+        body = Water(0, kind, _area(_detailed(whole, details, side), side), None, None, work.sure).to_json()
     return {"body": body}
 
 
 def _whole(
-    store: TileStore, work: DescribeBody, bays: Any, lowest: float | None
-) -> tuple[Any, list[SeenGround]]:
-    """Return the shape of a body in coarse cells, and the corrections of its shore.
+    store: TileStore, work: DescribeBody, bays: Any, lower_level_m: float | None
+) -> tuple[Any, list[ShoreDetails]]:
+    """Return the shape of a body as drawn from coarse cells, in counts, and the details of its shore.
 
-    If ``lowest`` is not None, levels above ``lowest`` metres are lowered to it.
+    If ``lower_level_m`` is not None, higher levels are lowered to it.
     """
     import shapely
 
     side = float(work.coarse.lattice.size)
     min_area = work.island_m2 / float(store.meta.frame.metres_xy) ** 2
     polygons: list[Any] = []
-    seen = []
+    details = []
     for block, _ in _blocks(store, work):
-        shapes, seen_ground = _shapes(store, work, block, lowest)
+        shapes, block_details = _shapes(store, work, block, lower_level_m)
         polygons += shapes
-        seen.append(seen_ground)
+        details.append(block_details)
     water = _without_islands(shapely.union_all(polygons), min_area)
     # Islands are removed before bays are added. So land that only water and a bay together enclose stays, unless it is
     # a speck.
-    return _without_islands(shapely.union(water, bays), SPECK_CELLS * side**2), seen
+    return _without_islands(shapely.union(water, bays), SPECK_CELLS * side**2), details
 
 
-def _detailed(whole: Any, seen: list[SeenGround], side: float) -> Any:
-    """Return the shape of a body with the corrections of its shore, without specks."""
+def _detailed(whole: Any, details: list[ShoreDetails], side: float) -> Any:
+    """Return the shape of a body with the details of its shore, without specks."""
     import shapely
 
-    water = shapely.union_all([whole, *(ground.wet for ground in seen)])
-    water = shapely.difference(water, shapely.union_all([ground.dry for ground in seen]))
+    water = shapely.union_all([whole, *(shore.wet for shore in details)])
+    water = shapely.difference(water, shapely.union_all([shore.dry for shore in details]))
     detailed = _without_specks(_without_islands(water, SPECK_CELLS * side**2), SPECK_CELLS * side**2)
     return whole if shapely.is_empty(detailed) else detailed
 
@@ -172,9 +175,9 @@ def _lower_level(store: TileStore, work: DescribeBody) -> float | None:
         in_block = np.pad(body_mask, 2)
         cells = read_search_cells(store, work.sources, work.coarse, window, 1)
         crowns = read_cells(store, work.crowns, work.coarse, window)
-        seen = (cells.returns > 0) & (crowns == 0) & ~np.isnan(cells.ground)
-        seen &= scipy.ndimage.binary_erosion(wet, np.ones((3, 3), np.bool_))
-        heights.append(cells.ground[in_block & seen])
+        is_measured = (cells.returns > 0) & (crowns == 0) & ~np.isnan(cells.ground)
+        is_measured &= scipy.ndimage.binary_erosion(wet, np.ones((3, 3), np.bool_))
+        heights.append(cells.ground[in_block & is_measured])
         rises.append(bank_rises(cells.ground, wet, in_block))
     return lower_level(np.concatenate(heights), np.concatenate(rises))
 
@@ -206,10 +209,10 @@ def _exits(cells: npt.NDArray[np.int64]) -> list[npt.NDArray[np.int64]]:
 
 
 def _bays(store: TileStore, work: DescribeBody, exits: list[npt.NDArray[np.int64]], max_width: float) -> Any:
-    """Return the bays of the border of the survey at the exits of the water, as a shape in absolute counts.
+    """Return the bays at the exits of the water, as a shape in absolute counts.
 
-    A bay consists of triangles between the corners of the cells of one exit, without land. Triangles with edges longer
-    than ``max_width`` cells are left out.
+    Bays are places outside the survey between the cells of one exit. They are the union of triangles between the
+    corners of these cells, minus the land. Triangles with edges longer than ``max_width`` cells are left out.
     """
     import shapely
 
@@ -252,11 +255,11 @@ def _kind(area_m2: float, shore_m: float, size_m: float, n_exits: int) -> tuple[
 
 
 def _shapes(
-    store: TileStore, work: DescribeBody, block: Block, lowest: float | None
-) -> tuple[list[Any], SeenGround]:
-    """Return polygons of the water of a block in absolute counts, and the corrections of its shore.
+    store: TileStore, work: DescribeBody, block: Block, lower_level_m: float | None
+) -> tuple[list[Any], ShoreDetails]:
+    """Return polygons of the water of a block in absolute counts, and the details of its shore.
 
-    Polygons and corrections overlap with those of neighbouring blocks.
+    Polygons and details overlap with those of neighbouring blocks.
     """
     window = padded(block, REACH_CELLS)
     wet = cells_of(store, work.water, work.coarse, window, work.pieces)
@@ -265,27 +268,27 @@ def _shapes(
     crowns = read_cells(store, work.crowns, work.coarse, window)[box]
     smooth = smoothed(cells.ground)
     level = water_heights(cells.with_ground(smooth), wet[box] & ~is_hidden(crowns) & (crowns < REED))
-    # The ground heights of these cells are not heights of the bank.
-    beneath = wet[box] & (is_hidden(crowns) if level is None else without_bank(crowns, smooth - level))
-    field = np.full(wet.shape, MAX_DEPTH_M)
-    bank = cells.with_ground(np.where(beneath, np.nan, smooth))
-    final = level if level is None or lowest is None else np.minimum(level, lowest)
-    field[box] = depths(bank, wet[box], final, lowest is not None)
+    # The ground in hidden cells and in reed is not bank.
+    no_bank = wet[box] & (is_hidden(crowns) if level is None else has_no_bank(crowns, smooth - level))
+    field = np.full(wet.shape, MAX_HEIGHT_M)
+    bank = cells.with_ground(np.where(no_bank, np.nan, smooth))
+    final = level if level is None or lower_level_m is None else np.minimum(level, lower_level_m)
+    field[box] = heights_above_water(bank, wet[box], final, lower_level_m is not None)
     cut = inner_window(padded(block, 1), REACH_CELLS - 1)
     polygons = shore_polygons(field[cut], work.coarse, padded(block, 1))
     if level is None:
-        return polygons, NOTHING_SEEN
+        return polygons, NO_DETAILS
     levels = np.full(wet.shape, np.nan)
-    levels[box] = np.where(beneath, np.nan, highest_near(level))
-    is_upright = np.zeros(wet.shape, np.bool_)
-    is_upright[box] = dense_quays(cells.with_ground(smooth), wet[box], level)
+    levels[box] = np.where(no_bank, np.nan, highest_near(level))
+    is_dense_quay = np.zeros(wet.shape, np.bool_)
+    is_dense_quay[box] = dense_quays(cells.with_ground(smooth), wet[box], level)
     cut = inner_window(padded(block, BANK_MARGIN), REACH_CELLS - BANK_MARGIN)
-    shore = Shore(field[cut], levels[cut], is_upright[cut])
-    return polygons, seen_at_shore(store, work.rule, work.coarse, padded(block, BANK_MARGIN), shore)
+    shore = Shore(field[cut], levels[cut], is_dense_quay[cut])
+    return polygons, shore_details(store, work.rule, work.coarse, padded(block, BANK_MARGIN), shore)
 
 
 def _without_specks(shape: Any, min_area: float) -> Any:
-    """Return a shape without parts that have an area below ``min_area``, except the largest one."""
+    """Remove the parts of a shape with an area below ``min_area``, but keep the largest part."""
     import shapely
 
     parts = shapely.get_parts(shape)

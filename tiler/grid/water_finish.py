@@ -18,19 +18,19 @@ from tiler.grid.water_crowns import beneath_crowns
 from tiler.grid.water_extent import (
     BRIDGE_M,
     close_bridge_gaps,
+    extended_to_shore,
     remove_narrow_parts,
-    shore_area,
     smoothed,
     water_heights,
     without_border_islands,
     without_islands,
 )
-from tiler.grid.water_reed import among_reed, without_bank
+from tiler.grid.water_reed import among_reed, has_no_bank
 from tiler.grid.water_search import SMOOTHING_CELLS, Sources, inner_window, read_search_cells
 from tiler.grid.work import BlockWork
 from tiler.store import TileStore, open_store, read_cells
 
-SHORE_M = 20.0
+MAX_EXTENSION_M = 20.0
 """Water extends over low ground up to this distance, in metres."""
 MAX_ISLAND_CELLS = 128
 """Windows have a margin for islands up to this length, in coarse cells."""
@@ -38,7 +38,7 @@ MAX_ISLAND_CELLS = 128
 DECK_EDGE_M = 4.0
 """The terrain may have remains of a deck up to this distance from the deck, in metres."""
 DRY_SHARE = 0.25
-"""An island stays if this share of the least area of an island is clearly above the water.
+"""An island stays if the part of it clearly above the water has at least this share of ``island_m2``.
 
 Flat parts of an island become water in this step. The whole area of an island is known only after its shore is drawn
 (`tiler.grid.water_find`).
@@ -74,7 +74,7 @@ class FinishWater(BlockWork):
 
 def finish_margin(work: FinishWater, size_m: float) -> int:
     """Return the width in coarse cells of the margin around a block that can change the water of the block."""
-    base_margin = math.ceil(SHORE_M / size_m) + math.ceil(2 * BRIDGE_M / size_m)
+    base_margin = math.ceil(MAX_EXTENSION_M / size_m) + math.ceil(2 * BRIDGE_M / size_m)
     return base_margin + math.ceil(2 * work.river_width_m / size_m) + 2 + _longest_island(work, size_m)
 
 
@@ -89,9 +89,11 @@ def finish_water(store_url: str, work: FinishWater) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``sides`` and ``labels`` (number of labels), see `tiler.grid.pieces`; ``sizes``: for each label, the number of
-        cells, the number of cells with a confidence, and the sum of the confidences in hundredths; ``filled``;
-        ``checksum``. Cells that this step adds have no confidence.
+        - ``sides``, ``labels`` (number of labels): see `tiler.grid.pieces`
+        - ``sizes``: number of cells, number of cells with a confidence, and sum of the confidences in hundredths, of
+          each label; cells that this step adds have no confidence
+        - ``filled``: number of cells of water
+        - ``checksum``
     """
     store, block, spec = open_store(store_url), work.block, work.spec
     size_m = float(spec.lattice.size * store.meta.frame.metres_xy)
@@ -99,7 +101,7 @@ def finish_water(store_url: str, work: FinishWater) -> dict[str, Any]:
     sure = np.max([read_cells(store, name, spec, padded(block, margin)) for name in work.sure], axis=0)
     water = sure > 0
     if water.any():
-        rows, cols = box_around(water, math.ceil((SHORE_M + BRIDGE_M) / size_m) + SMOOTHING_CELLS)
+        rows, cols = box_around(water, math.ceil((MAX_EXTENSION_M + BRIDGE_M) / size_m) + SMOOTHING_CELLS)
         near = water[rows, cols]
         window = Block(block.row - margin + rows.start, block.col - margin + cols.start, *near.shape)
         water[rows, cols] = _finished(store, work, near, window, size_m)
@@ -133,9 +135,9 @@ def _finished(store: TileStore, work: FinishWater, water: Bools, window: Block, 
         crowns = read_cells(store, work.crowns, work.spec, window)
         water = water | beneath_crowns(smooth, crowns, water, level)
         water |= among_reed(smooth, crowns, water, level)
-        beneath = water & without_bank(crowns, smooth.ground - level)
-        smooth = smooth.with_ground(np.where(beneath, np.nan, smooth.ground))
-        water = shore_area(smooth, water, level, math.ceil(SHORE_M / size_m))
+        no_bank = water & has_no_bank(crowns, smooth.ground - level)
+        smooth = smooth.with_ground(np.where(no_bank, np.nan, smooth.ground))
+        water = extended_to_shore(smooth, water, level, math.ceil(MAX_EXTENSION_M / size_m))
     min_island = DRY_SHARE * work.island_m2 / size_m**2
     below_deck = _below_decks(work, window, DECK_EDGE_M / size_m)
     longest_island = _longest_island(work, size_m)
@@ -145,13 +147,13 @@ def _finished(store: TileStore, work: FinishWater, water: Bools, window: Block, 
     return water if level is None else without_border_islands(cells, water, level, min_island)
 
 
-def _below_decks(work: FinishWater, window: Block, edge: float) -> Bools:
-    """Return a mask of the cells of a window below decks and up to ``edge`` cells next to decks."""
+def _below_decks(work: FinishWater, window: Block, margin: float) -> Bools:
+    """Return a mask of the cells of a window below decks, and within ``margin`` cells of decks."""
     import shapely
 
     is_below = np.zeros((window.height, window.width), np.bool_)
     for ring in work.decks:
         deck = shapely.Polygon(np.array(ring).reshape(-1, 2))
-        area = area_of(deck.buffer(edge * float(work.spec.lattice.size)))
+        area = area_of(deck.buffer(margin * float(work.spec.lattice.size)))
         is_below |= work.spec.inside(window, area)
     return is_below

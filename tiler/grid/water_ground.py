@@ -95,8 +95,8 @@ def _water_class_heights(store: TileStore, work: GroundCells, occupancy: str) ->
     returns = read_cells(store, occupancy, work.spec, window)
     total, number = np.zeros(returns.size), np.zeros(returns.size, np.int64)
     bounds, origin = work.spec.block_bounds(window), store.meta.frame.origin
-    for cell in store.buckets_within(bounds):
-        points, chosen = surface_points(store, work.rule, cell)
+    for bucket in store.buckets_within(bounds):
+        points, chosen = surface_points(store, work.rule, bucket)
         if points.classification is None:
             continue
         chosen &= points.inside(bounds, origin) & (points.classification == WATER)

@@ -1,6 +1,6 @@
 """Level of a lake or river, from the terrain along its shore and from the heights of the water itself.
 
-The level is estimated from the returns of the water if their heights are smooth. Otherwise it is a low percentile of
+The level is estimated from the returns of the water if their heights differ little. Otherwise it is a low percentile of
 the heights of the shore. A lake has one level. A river has a level at each position along its centreline
 (`tiler.grid.profile`).
 """
@@ -80,18 +80,19 @@ def level_water(store_url: str, work: LevelWater) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``shore``: number of pixels of the shore with a height; ``body``: the water with its level (see
-        `Water.to_json`), None if shore and water have too few heights; ``floating``: share of the shore that lies more
-        than `NOISE_M` below the level, and its lowest position as counts x, y, None if the share is 0; ``uneven``:
-        whether the body has one level although its heights differ by more than waves.
+        - ``shore``: number of pixels of the shore with a height
+        - ``body``: the water with its level (see `Water.to_json`), None if shore and water have too few heights
+        - ``floating``: share of the shore that lies more than `NOISE_M` below the level, and the position deepest below
+          the level as counts x, y, None if the share is 0
+        - ``uneven``: whether the body has one level although its heights differ by more than waves cause
     """
     store, body = open_store(store_url), work.body
     frame = store.meta.frame
     scale = Scale(
         COUNTS_PER_UNIT / float(frame.units.horizontal), COUNTS_PER_UNIT / float(frame.units.vertical)
     )
-    beside, water = heights_of(store, work)
-    shore = beside.xyz[:, beside.distance <= SHORE_PIXELS]
+    near_pixels, water = heights_of(store, work)
+    shore = near_pixels.xyz[:, near_pixels.distance <= SHORE_PIXELS]
     levelled: Water | None = None
     if max(shore.shape[1], water.shape[1]) >= MIN_PIXELS:
         profile = None
@@ -105,10 +106,10 @@ def level_water(store_url: str, work: LevelWater) -> dict[str, Any]:
                 level = bank_level(shore[2] if shore.shape[1] else water[2])
             levelled = replace(body, level=math.floor(level), flow=None)
     if levelled is not None and work.joins_pockets:
-        in_pocket = pockets(levelled, beside, NOISE_M * scale.z)
+        in_pocket = pockets(levelled, near_pixels, NOISE_M * scale.z)
         if in_pocket.any():
-            levelled = with_pixels(levelled, beside.xyz[:2, in_pocket], float(work.spec.lattice.size))
-            shore = beside.xyz[:, (beside.distance <= SHORE_PIXELS) & ~in_pocket]
+            levelled = with_pixels(levelled, near_pixels.xyz[:2, in_pocket], float(work.spec.lattice.size))
+            shore = near_pixels.xyz[:, (near_pixels.distance <= SHORE_PIXELS) & ~in_pocket]
     low, high = np.percentile(water[2], (25, 75)) if water.shape[1] else (0.0, 0.0)
     return {
         "shore": shore.shape[1],
@@ -119,9 +120,9 @@ def level_water(store_url: str, work: LevelWater) -> dict[str, Any]:
 
 
 def _floating(body: Water | None, shore: Counts, noise: float) -> tuple[float, list[int] | None]:
-    """Return the share of the shore that lies more than ``noise`` counts below the level, and its lowest position.
+    """Return the share of the shore that lies more than ``noise`` counts below the level, and the deepest position.
 
-    The position is None if the share is 0.
+    That is the position deepest below the level. It is None if the share is 0.
     """
     if body is None or not shore.shape[1]:
         return 0.0, None
@@ -146,20 +147,20 @@ def heights_of(store: TileStore, work: LevelWater) -> tuple[Beside, Counts]:
         if not inside.any():
             continue
         distance = scipy.ndimage.distance_transform_cdt(~inside, "chessboard")
-        beside = ~inside & (distance <= POCKET_PIXELS)
+        is_beside = ~inside & (distance <= POCKET_PIXELS)
         for other in work.others:
-            beside &= ~spec.inside(window, other)
+            is_beside &= ~spec.inside(window, other)
         heights = store.read_block(work.heights, window)
         # Windows overlap, so only the pixels of the block itself are used.
-        known = np.zeros_like(beside)
+        known = np.zeros_like(is_beside)
         top, left = block.row - window.row, block.col - window.col
         known[top : top + block.height, left : left + block.width] = True
         known &= heights != np.float32(NODATA)
         x, y = spec.centres(window)
         xyz = np.stack((x, y, np.rint(heights.astype(np.float64) * COUNTS_PER_UNIT).astype(np.int64)))
-        beside &= known
-        rows_and_columns = np.argwhere(beside).T + np.array([[window.row], [window.col]])
-        beside_parts.append(np.concatenate((xyz[:, beside], rows_and_columns, distance[None, beside])))
+        is_beside &= known
+        rows_and_columns = np.argwhere(is_beside).T + np.array([[window.row], [window.col]])
+        beside_parts.append(np.concatenate((xyz[:, is_beside], rows_and_columns, distance[None, is_beside])))
         water_parts.append(xyz[:, inside & known & _sample(spec, window, step)])
     if work.cells is None:
         water = np.concatenate(water_parts, axis=1)
@@ -180,7 +181,7 @@ def _sample(spec: RasterSpec, window: Block, step: int) -> npt.NDArray[np.bool_]
 def _coarse_heights(store: TileStore, work: LevelWater, points: str, ground: str, crowns: str) -> Counts:
     """Return a sample of the coarse cells of the water in absolute counts x, y, z, int64 (3, n).
 
-    The cells have returns, are not at the shore, and are not covered by crowns or reed.
+    The cells have returns, and are not at the shore, hidden beneath crowns or covered by reed.
     """
     coarse, area = work.coarse, work.body.area
     xyz_parts = [np.empty((3, 0), np.int64)]

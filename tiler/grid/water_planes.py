@@ -28,7 +28,7 @@ from tiler.grid.water_cells import (
     rim_of,
     sparse_cells,
 )
-from tiler.grid.water_extent import shore_area, smoothed, water_heights
+from tiler.grid.water_extent import extended_to_shore, smoothed, water_heights
 from tiler.grid.water_search import (
     MARGIN,
     AreasAround,
@@ -41,7 +41,7 @@ from tiler.grid.water_search import (
 )
 from tiler.store import open_store
 
-LEVEL_CELLS = 3
+FLATNESS_SIDE_CELLS = 3
 """Smoothed heights are compared in squares of this side, in cells."""
 RELIEF_M = 0.08
 """A square is level if its heights differ by less than this, in metres.
@@ -117,8 +117,8 @@ class KeepPlanes(AreasWork):
 def plane_cells(ground: Floats, domain: Bools) -> Bools:
     """Return a mask of the cells whose smoothed heights are as level as water, without parts narrower than 3 cells."""
     unknown = np.isnan(ground)
-    high = scipy.ndimage.maximum_filter(np.where(unknown, np.inf, ground), LEVEL_CELLS)
-    low = scipy.ndimage.minimum_filter(np.where(unknown, -np.inf, ground), LEVEL_CELLS)
+    high = scipy.ndimage.maximum_filter(np.where(unknown, np.inf, ground), FLATNESS_SIDE_CELLS)
+    low = scipy.ndimage.minimum_filter(np.where(unknown, -np.inf, ground), FLATNESS_SIDE_CELLS)
     level = scipy.ndimage.binary_opening((high - low < RELIEF_M) & domain, np.ones((3, 3), np.bool_))
     return np.asarray(level)
 
@@ -129,9 +129,12 @@ def find_planes(store_url: str, work: FindAreas) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``sides`` and ``labels`` (number of labels), see `tiler.grid.pieces`; ``sizes``: `Plane` of each label;
-        ``boxes``: first row and column, and last row and column plus 1, of each label; ``times``; ``filled``;
-        ``checksum``.
+        - ``sides``, ``labels`` (number of labels): see `tiler.grid.pieces`
+        - ``sizes``: `Plane` of each label
+        - ``boxes``: first row and column, and last row and column plus 1, of each label
+        - ``times``: number of merged cells along a side
+        - ``filled``: number of labelled cells
+        - ``checksum``
     """
     store, block = open_store(store_url), work.block
     cells = read_search_cells(store, work.sources, work.spec, padded(block, MARGIN), 1)
@@ -164,7 +167,7 @@ def find_planes(store_url: str, work: FindAreas) -> dict[str, Any]:
 
 
 def count_plane_rims(store_url: str, work: CountPlaneRims) -> dict[str, Any]:
-    """Count the land around planes that lies in a block. This is a `tiler.schedule.task.Work`.
+    """Count the land of a block around planes. This is a `tiler.schedule.task.Work`.
 
     Returns
     -------
@@ -175,18 +178,18 @@ def count_plane_rims(store_url: str, work: CountPlaneRims) -> dict[str, Any]:
     """
     evident = set(work.evident)
     planes = {*work.evident, *work.others}
-    near = _planes(store_url, work, planes)
-    is_evident = np.array([False, *(name in evident for name in near.names)])
-    is_plane = np.array([False, *(name in planes for name in near.names)])
+    areas = _planes(store_url, work, planes)
+    is_evident = np.array([False, *(name in evident for name in areas.names)])
+    is_plane = np.array([False, *(name in planes for name in areas.names)])
     named_rims: list[list[Any]] = []
     beside: list[list[Any]] = []
-    for number, window in near.windows(planes):
-        name = near.names[number - 1]
-        cells = near.cells.cut(window)
-        numbers = near.numbers[window]
-        counted = near.counted[window]
+    for number, window in areas.windows(planes):
+        name = areas.names[number - 1]
+        cells = areas.cells.cut(window)
+        numbers = areas.numbers[window]
+        counted = areas.counted[window]
         plane_mask = numbers == number
-        water = shore_area(cells, plane_mask, water_heights(cells, plane_mask), SHORE_CELLS)
+        water = extended_to_shore(cells, plane_mask, water_heights(cells, plane_mask), SHORE_CELLS)
         evident_water = is_evident[numbers] & ~water
         if name in evident:
             any_water = is_plane[numbers] & ~water
@@ -195,9 +198,9 @@ def count_plane_rims(store_url: str, work: CountPlaneRims) -> dict[str, Any]:
             rims = [rim_of(cells, water, np.zeros_like(water), counted, evident_water)]
         if any(any(rim) for rim in rims):
             named_rims.append([list(name), *(list(rim) for rim in rims)])
-        is_near = distances(plane_mask, DAM_M / cells.size + 1) * cells.size <= DAM_M
+        is_near = distances(plane_mask, DAM_M / cells.size_m + 1) * cells.size_m <= DAM_M
         for other in np.unique(numbers[evident_water & counted & is_near]):
-            beside.append([list(name), list(near.names[other - 1])])
+            beside.append([list(name), list(areas.names[other - 1])])
     return {"rims": named_rims, "beside": beside}
 
 
@@ -208,7 +211,7 @@ def _rim(cells: WaterCells, water: Bools, not_land: Bools, counted: Bools) -> Ri
 
 
 def keep_planes(store_url: str, work: KeepPlanes) -> dict[str, Any]:
-    """Write the confidence that each cell is part of a plane of water with its shore, or 0.
+    """Write for each cell the confidence of the plane of water that covers it, shore included; otherwise 0.
 
     This is a `tiler.schedule.task.Work`.
 
@@ -218,13 +221,13 @@ def keep_planes(store_url: str, work: KeepPlanes) -> dict[str, Any]:
         ``filled`` (cells of water), ``checksum``.
     """
     kept, block = dict(work.kept), work.block
-    near = _planes(store_url, work, kept)
-    confidence = np.zeros(near.numbers.shape, np.float32)
-    for number, window in near.windows(kept):
-        cells, mask = near.cells.cut(window), near.numbers[window] == number
-        water = shore_area(cells, mask, water_heights(cells, mask), SHORE_CELLS)
-        confidence[window][water] = np.maximum(confidence[window][water], kept[near.names[number - 1]])
-    values = near.block_values(confidence)
+    areas = _planes(store_url, work, kept)
+    confidence = np.zeros(areas.numbers.shape, np.float32)
+    for number, window in areas.windows(kept):
+        cells, mask = areas.cells.cut(window), areas.numbers[window] == number
+        water = extended_to_shore(cells, mask, water_heights(cells, mask), SHORE_CELLS)
+        confidence[window][water] = np.maximum(confidence[window][water], kept[areas.names[number - 1]])
+    values = areas.block_values(confidence)
     open_store(store_url).write_block(work.name, block, values)
     return {"filled": int(np.count_nonzero(values)), "checksum": checksum(values)}
 
@@ -232,6 +235,6 @@ def keep_planes(store_url: str, work: KeepPlanes) -> dict[str, Any]:
 def _planes(store_url: str, work: AreasWork, selected: Collection[Piece]) -> AreasAround:
     """Return the planes in and around a block, with smoothed heights of the cells near the selected planes."""
     store = open_store(store_url)
-    near = areas_around(store, work, selected, BESIDE_M)
-    ground = ground_in(store, work.sources.ground, work.spec, near.window)
-    return replace(near, cells=near.cells.with_ground(smoothed(ground)))
+    areas = areas_around(store, work, selected, BESIDE_M)
+    ground = ground_in(store, work.sources.ground, work.spec, areas.window)
+    return replace(areas, cells=areas.cells.with_ground(smoothed(ground)))

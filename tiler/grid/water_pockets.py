@@ -28,7 +28,7 @@ The squares are larger than the pixels, because the shore may lie anywhere betwe
 
 
 class Beside(NamedTuple):
-    """Pixels with a height within `POCKET_PIXELS` of a body of water.
+    """Pixels within `POCKET_PIXELS` of a body of water that have a height.
 
     Attributes
     ----------

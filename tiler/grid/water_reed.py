@@ -34,25 +34,25 @@ def among_reed(cells: WaterCells, crowns: npt.NDArray[Any], wet: Bools, level: F
     Reed that is connected with water is water up to the line at which the continued bank reaches the level. Parameters
     are those of `tiler.grid.water_crowns.beneath_crowns`.
     """
-    reach = math.ceil(CROWN_M / cells.size)
+    reach = math.ceil(CROWN_M / cells.size_m)
     is_reed, hidden, beside = crowns >= REED, is_hidden(crowns), within(wet, BESIDE)
     # Cells next to reed are partly reed if they are hidden or next to water.
     reed = is_reed | (within(is_reed, BESIDE) & (hidden | beside))
     reed = connected(reed & ~wet & cells.domain, wet, reach)
     bank = ~is_reed & ~hidden & ~wet & ~beside & (cells.returns > 0) & ~np.isnan(cells.ground)
-    bank &= within(reed, CROWN_M / cells.size)
-    reed &= within(bank, CROWN_M / cells.size)  # Reed without a bank nearby cannot be decided.
+    bank &= within(reed, CROWN_M / cells.size_m)
+    reed &= within(bank, CROWN_M / cells.size_m)  # Reed without a bank nearby cannot be decided.
     if not reed.any() or not bank.any():
         return np.zeros_like(reed)
     height, slope = continued_bank(np.argwhere(reed), np.argwhere(bank), (cells.ground - level)[bank])
-    reed[reed] = (height <= LOW_M) & (slope > MIN_REED_SLOPE * cells.size)
+    reed[reed] = (height <= LOW_M) & (slope > MIN_REED_SLOPE * cells.size_m)
     return connected(reed, wet, reach)
 
 
-def without_bank(crowns: npt.NDArray[Any], above: Floats) -> Bools:
-    """Return a mask of the cells whose ground height is not the height of a bank, for cells that are water.
+def has_no_bank(crowns: npt.NDArray[Any], above: Floats) -> Bools:
+    """Return a mask of the cells whose ground is not bank, for cells of water.
 
-    These are hidden cells, and cells of reed whose ground is above the water.
+    In hidden cells, the ground is interpolated. In cells of reed, ground above the water comes from plants.
 
     Parameters
     ----------

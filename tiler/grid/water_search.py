@@ -26,7 +26,7 @@ from tiler.grid.water_cells import (
     RING_M,
     WaterCells,
     rim_of,
-    water_areas,
+    water_candidates,
 )
 from tiler.grid.work import BlockWork
 from tiler.store import TileStore, open_store, read_cells
@@ -42,7 +42,7 @@ BESIDE_M = RING_M[1] + 2
 """Cells up to this distance from an area are read to count the land around the area, in metres."""
 SMOOTHING_CELLS = 8
 """Cells farther away than this, in cells, do not change the smoothed height of a cell."""
-Window = tuple[slice, slice]
+Slices = tuple[slice, slice]
 
 
 @dataclass(frozen=True)
@@ -52,7 +52,7 @@ class Sources:
     Attributes
     ----------
     occupancy : str
-        Number of points in each cell.
+        Number of points in each cell, negative in cells that are water by the input.
     ground : str
         Heights of the terrain.
     domain : str
@@ -72,9 +72,10 @@ class FindAreas(BlockWork):
     ----------
     sources : Sources
     times : int
-        Number of cells that are merged along a side. A merged cell is so large that it is not empty by chance.
+        Number of cells that are merged along a side, a power of two. A merged cell is so large that it is not
+        empty by chance.
     usual : float or None
-        Usual number of returns, see `tiler.grid.water_cells.water_areas`.
+        Usual number of returns, see `tiler.grid.water_cells.water_candidates`.
     """
 
     sources: Sources
@@ -127,12 +128,15 @@ def find_areas(store_url: str, work: FindAreas) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``sides`` and ``labels`` (number of labels), see `tiler.grid.pieces`; ``sizes``:
-        `tiler.grid.water_cells.Size` of each label; ``times``; ``filled``; ``checksum``.
+        - ``sides``, ``labels`` (number of labels): see `tiler.grid.pieces`
+        - ``sizes``: `tiler.grid.water_cells.CellCounts` of each label
+        - ``times``: number of merged cells along a side
+        - ``filled``: number of labelled cells
+        - ``checksum``
     """
     store, block = open_store(store_url), work.block
     cells = read_search_cells(store, work.sources, work.spec, padded(block, MARGIN), work.times)
-    candidate_mask = water_areas(cells, work.usual).repeat(work.times, axis=0).repeat(work.times, axis=1)
+    candidate_mask = water_candidates(cells, work.usual).repeat(work.times, axis=0).repeat(work.times, axis=1)
     fine = cells.finer(work.times).cut(inner_window(block, MARGIN))
     labels, sides = label_block(candidate_mask[inner_window(block, MARGIN)], corners=False)
     values = labels.astype(np.float32)
@@ -150,7 +154,7 @@ def find_areas(store_url: str, work: FindAreas) -> dict[str, Any]:
 
 
 def count_rims(store_url: str, work: CountRims) -> dict[str, Any]:
-    """Count the land around the candidates that lies in a block. This is a `tiler.schedule.task.Work`.
+    """Count the land of a block around candidates. This is a `tiler.schedule.task.Work`.
 
     Returns
     -------
@@ -183,7 +187,7 @@ def keep_areas(store_url: str, work: KeepAreas) -> dict[str, Any]:
     return {"filled": int(np.count_nonzero(values)), "checksum": checksum(values)}
 
 
-def inner_window(block: Block, margin: int) -> Window:
+def inner_window(block: Block, margin: int) -> Slices:
     """Return the rows and columns of a block in an array of the block and a margin."""
     return slice(margin, margin + block.height), slice(margin, margin + block.width)
 
@@ -199,7 +203,10 @@ def ground_in(store: TileStore, name: str, spec: RasterSpec, window: Block) -> F
 def read_search_cells(
     store: TileStore, sources: Sources, spec: RasterSpec, window: Block, times: int
 ) -> WaterCells:
-    """Read returns, classes and ground in a window, and merge squares of ``times`` by ``times`` cells."""
+    """Read returns, classes and ground in a window, and merge squares of ``times`` by ``times`` cells.
+
+    ``times`` is a power of two.
+    """
     points = read_cells(store, sources.occupancy, spec, window)
     domain: Bools = read_cells(store, sources.domain, spec, window, float(BEYOND)) != BEYOND
     size_m = float(spec.lattice.size * store.meta.frame.metres_xy)
@@ -226,7 +233,7 @@ class AreasAround:
         Position of the cells in the raster.
     block : Block
     pad : int
-        Number of cells around an area that are needed.
+        Margin of an area's window, in cells.
     """
 
     cells: WaterCells
@@ -243,10 +250,10 @@ class AreasAround:
         block_mask[self._common_part(self.window)] = True
         return block_mask
 
-    def _common_part(self, origin: Block) -> Window:
-        """Return the rows and columns that window and block have in common, counted from the first of ``origin``.
+    def _common_part(self, origin: Block) -> Slices:
+        """Return the rows and columns that window and block have in common.
 
-        ``origin`` is the window or the block.
+        They are relative to the first row and column of ``origin``, which is the window or the block.
         """
         top = max(self.window.row, self.block.row)
         left = max(self.window.col, self.block.col)
@@ -264,7 +271,7 @@ class AreasAround:
         block_values[self._common_part(self.block)] = values[self._common_part(self.window)]
         return block_values
 
-    def windows(self, selected: Collection[Piece] | None) -> Iterator[tuple[int, Window]]:
+    def windows(self, selected: Collection[Piece] | None) -> Iterator[tuple[int, Slices]]:
         """Yield the number of each selected area, and the window of the area padded by `pad`.
 
         Areas are left out if that window does not overlap the block. None selects all areas.

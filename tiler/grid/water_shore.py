@@ -15,14 +15,14 @@ from tiler.grid.water_cells import WaterCells
 
 REACH_CELLS = 40
 """The level of the water in a block depends on cells up to this distance from the block, in cells."""
-MAX_DEPTH_M = 2.0
+MAX_HEIGHT_M = 2.0
 """Heights relative to the level are clipped to at most this, above and below the level, in metres."""
-MIN_DEPTH_M = 0.02
+MIN_HEIGHT_M = 0.02
 """Heights relative to the level are clipped to at least this, above and below the level, in metres."""
-BANK_CELLS = 2
+BANK_WIDTH_CELLS = 2
 """The outermost cells of the water may be bank: a border of this width, in cells.
 
-Gravel that rises by 4 % has two cells below `tiler.grid.water_extent.LEVEL_M`.
+With cells of 2 m, gravel that rises by 4 % has two cells below `tiler.grid.water_extent.LEVEL_M`.
 """
 UPRIGHT_M = 0.4
 """A bank is upright only if it is at least this high above the water, in metres.
@@ -38,11 +38,14 @@ SIDES = ((0, 1), (0, -1), (1, 1), (1, -1))
 AROUND = np.ones((3, 3), np.bool_)
 
 
-def depths(cells: WaterCells, wet: Bools, level: Floats | None, is_lowered: bool = False) -> Floats:
+def heights_above_water(
+    cells: WaterCells, wet: Bools, level: Floats | None, is_lowered: bool = False
+) -> Floats:
     """Return a field of heights relative to the level of the water. Its zero line is the shore.
 
-    On land, the field has the height of the bank. In the outermost cells of the water, it has the height of the bank
-    extrapolated below the level. If there are no heights, the shore lies halfway between cells.
+    In cells of land next to water, the field has the height of the bank. In the outermost cells of the water, it has
+    the height of the bank extrapolated below the level. Heights are clipped. In all other cells, the field is
+    `MAX_HEIGHT_M` on land and ``-MAX_HEIGHT_M`` in the water, so without heights the shore lies halfway between cells.
 
     Parameters
     ----------
@@ -56,9 +59,9 @@ def depths(cells: WaterCells, wet: Bools, level: Floats | None, is_lowered: bool
         Whether the level is below the returns of the water. Then the bank continues below these returns.
     """
     if level is None:
-        return np.where(wet, -MAX_DEPTH_M, MAX_DEPTH_M)
+        return np.where(wet, -MAX_HEIGHT_M, MAX_HEIGHT_M)
     above = cells.ground - level
-    for _ in range(BANK_CELLS):
+    for _ in range(BANK_WIDTH_CELLS):
         banks, heights = _banks(above, wet, cells.returns > 0)
         if is_lowered:
             above[banks] = heights[banks]
@@ -66,16 +69,16 @@ def depths(cells: WaterCells, wet: Bools, level: Floats | None, is_lowered: bool
     mostly_wet = _cut_cells(cells, above, wet)
     wet = wet | mostly_wet
     above[mostly_wet] = np.nan
-    bank_heights = np.where(wet, -MAX_DEPTH_M, MAX_DEPTH_M)
+    field = np.where(wet, -MAX_HEIGHT_M, MAX_HEIGHT_M)
     beside = ~wet & ~np.isnan(above) & scipy.ndimage.binary_dilation(wet, AROUND)
-    bank_heights[beside] = np.clip(above[beside], MIN_DEPTH_M, MAX_DEPTH_M)
+    field[beside] = np.clip(above[beside], MIN_HEIGHT_M, MAX_HEIGHT_M)
     beside_m, extrapolated_m = _extrapolated_bank(above, wet)
     outermost = ~np.isnan(extrapolated_m)
     # A high bank that hardly falls towards the water is upright, so the shore lies halfway between the cells.
     is_upright = (extrapolated_m > beside_m / 2) & (beside_m > UPRIGHT_M)
-    depth = np.where(is_upright, -beside_m, extrapolated_m)
-    bank_heights[outermost] = np.clip(depth[outermost], -MAX_DEPTH_M, -MIN_DEPTH_M)
-    return bank_heights
+    outer_heights = np.where(is_upright, -beside_m, extrapolated_m)
+    field[outermost] = np.clip(outer_heights[outermost], -MAX_HEIGHT_M, -MIN_HEIGHT_M)
+    return field
 
 
 def _banks(above: Floats, wet: Bools, has_returns: Bools) -> tuple[Bools, Floats]:
@@ -87,7 +90,7 @@ def _banks(above: Floats, wet: Bools, has_returns: Bools) -> tuple[Bools, Floats
     _, extrapolated_m = _extrapolated_bank(above, wet)
     with np.errstate(invalid="ignore"):
         heights = np.minimum(above, extrapolated_m)
-        return wet & has_returns & (heights > MIN_DEPTH_M), heights
+        return wet & has_returns & (heights > MIN_HEIGHT_M), heights
 
 
 def _cut_cells(cells: WaterCells, above: Floats, wet: Bools) -> Bools:
@@ -97,7 +100,7 @@ def _cut_cells(cells: WaterCells, above: Floats, wet: Bools) -> Bools:
     """
     land_returns = np.where(wet, 0.0, cells.returns)
     is_cut = np.zeros_like(wet)
-    for axis, step, upright in _upright_sides(above, wet, cells.size):
+    for axis, step, upright in _upright_sides(above, wet, cells.size_m):
         returns, next_returns = (np.roll(land_returns, n * step, axis) for n in (1, 2))
         few = cells.returns < CUT_SHARE * (returns + next_returns) / 2
         is_cut |= upright & few & (np.minimum(returns, next_returns) > 0)
@@ -105,14 +108,14 @@ def _cut_cells(cells: WaterCells, above: Floats, wet: Bools) -> Bools:
 
 
 def quays(cells: WaterCells, wet: Bools, level: Floats) -> Bools:
-    """Return a mask of the outermost cells of upright banks. Parameters are those of `depths`."""
+    """Return a mask of the outermost cells of upright banks. Parameters are those of `heights_above_water`."""
     is_quay = np.zeros_like(wet)
-    for _, _, upright in _upright_sides(cells.ground - level, wet, cells.size):
+    for _, _, upright in _upright_sides(cells.ground - level, wet, cells.size_m):
         is_quay |= upright
     return is_quay
 
 
-def _upright_sides(above: Floats, wet: Bools, size: float) -> Iterator[tuple[int, int, Bools]]:
+def _upright_sides(above: Floats, wet: Bools, size_m: float) -> Iterator[tuple[int, int, Bools]]:
     """Yield axis and step of each side (`SIDES`), and a mask of the cells with an upright bank on that side.
 
     The next two cells on that side are high, level bank. The next cell on the opposite side is water.
@@ -122,7 +125,7 @@ def _upright_sides(above: Floats, wet: Bools, size: float) -> Iterator[tuple[int
         heights, next_heights = (np.roll(bank, n * step, axis) for n in (1, 2))
         with np.errstate(invalid="ignore"):
             upright = np.minimum(heights, next_heights) >= UPRIGHT_M
-            upright &= np.abs(heights - next_heights) <= MAX_QUAY_SLOPE * size
+            upright &= np.abs(heights - next_heights) <= MAX_QUAY_SLOPE * size_m
         yield axis, step, upright & np.roll(wet, -step, axis) & ~wet
 
 
@@ -136,11 +139,11 @@ def _extrapolated_bank(above: Floats, wet: Bools) -> tuple[Floats, Floats]:
     totals = np.zeros((2, *wet.shape))
     number = np.zeros(wet.shape, np.int64)
     for axis, step in SIDES:
-        first, second = (np.clip(np.roll(bank, n * step, axis), MIN_DEPTH_M, MAX_DEPTH_M) for n in (1, 2))
+        first, second = (np.clip(np.roll(bank, n * step, axis), MIN_HEIGHT_M, MAX_HEIGHT_M) for n in (1, 2))
         extrapolated = 2 * first - second
         here = wet & ~np.isnan(extrapolated)
         totals[0, here] += first[here]
-        totals[1, here] += np.clip(extrapolated[here], -MAX_DEPTH_M, MAX_DEPTH_M)
+        totals[1, here] += np.clip(extrapolated[here], -MAX_HEIGHT_M, MAX_HEIGHT_M)
         number[here] += 1
     heights = np.full(totals.shape, np.nan)
     np.divide(totals, number, out=heights, where=number > 0)
@@ -148,7 +151,10 @@ def _extrapolated_bank(above: Floats, wet: Bools) -> tuple[Floats, Floats]:
 
 
 def shore_polygons(field: Floats, coarse: RasterSpec, window: Block) -> list[Any]:
-    """Return polygons in absolute counts of the water of a window, where the ``field`` of `depths` is below 0."""
+    """Return polygons in absolute counts of the water of a window, where ``field`` is below 0.
+
+    ``field`` is a result of `heights_above_water`.
+    """
     import shapely
     from contourpy import FillType, contour_generator
 
@@ -156,7 +162,7 @@ def shore_polygons(field: Floats, coarse: RasterSpec, window: Block) -> list[Any
     x = (coarse.west + window.col + np.arange(window.width) + 0.5) * side
     y = (coarse.north - window.row - np.arange(window.height) - 0.5) * side
     lines = contour_generator(x, y, field, fill_type=FillType.OuterOffset)
-    outers, offsets = lines.filled(-2 * MAX_DEPTH_M, 0.0)  # type: ignore[misc]
+    outers, offsets = lines.filled(-2 * MAX_HEIGHT_M, 0.0)  # type: ignore[misc]
     polygons = []
     for vertices, starts in zip(outers, offsets, strict=True):
         rings = np.split(vertices, starts[1:-1])

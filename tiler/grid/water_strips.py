@@ -1,8 +1,8 @@
-"""Lower level of a lake with two levels, because two flight strips were flown at different levels.
+"""Lower level of a lake that was scanned at two water levels, in different flight strips.
 
 The lake gets the lower level. At this level, the shore that was found is partly too high on the bank. So the bank is
-continued below the higher level, and the shore lies where the bank reaches the lower level. This is done only if that
-line lies in the outermost cells of the water.
+continued below the higher level, and the shore lies where the bank reaches the lower level. The lower level is used
+only if the shore at this level lies in the outermost cells of the water.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ import numpy as np
 from tiler.grid.coarse import Bools
 from tiler.grid.profile import MIN_PIXELS, SMOOTH_M
 from tiler.grid.reach import Floats
-from tiler.grid.water_shore import BANK_CELLS, SIDES
+from tiler.grid.water_shore import BANK_WIDTH_CELLS, SIDES
 
 
 def bank_rises(ground: Floats, wet: Bools, measured: Bools) -> Floats:
@@ -49,6 +49,6 @@ def lower_level(heights: Floats, rises: Floats) -> float | None:
     if min(len(heights), len(rises)) < MIN_PIXELS:
         return None
     low, high = np.percentile(heights, (25, 75))
-    if not SMOOTH_M < high - low <= BANK_CELLS * np.median(rises):
+    if not SMOOTH_M < high - low <= BANK_WIDTH_CELLS * np.median(rises):
         return None
     return float(low)

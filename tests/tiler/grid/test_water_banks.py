@@ -15,18 +15,18 @@ from tiler.core.raster import Block, RasterSpec
 from tiler.grid.coarse import padded
 from tiler.grid.water_banks import (
     BANK_MARGIN,
+    BANK_REACH_FINE_CELLS,
     FINER,
     HIGH_M,
-    REACH_CELLS,
     Shore,
     dense_quays,
     finer_field,
-    seen_at_shore,
-    seen_banks,
-    seen_water,
+    high_banks,
+    quay_water,
+    shore_details,
 )
 from tiler.grid.water_cells import WaterCells
-from tiler.grid.water_shore import MAX_DEPTH_M, shore_polygons
+from tiler.grid.water_shore import MAX_HEIGHT_M, shore_polygons
 
 ROWS, COLUMNS = np.mgrid[0:40, 0:40]
 SHORE = 20
@@ -46,19 +46,21 @@ def test_a_plane_keeps_its_heights_between_the_middles_of_cells() -> None:
 @pytest.mark.parametrize(("height", "is_land"), [(HIGH_M + 0.01, True), (HIGH_M - 0.01, False)])
 def test_high_ground_connected_with_land_is_land(height: float, is_land: bool) -> None:
     seen = (COLUMNS >= SHORE - 3) & (ROWS > 10)
-    banks = seen_banks(FIELD, np.where(seen, height, np.nan))
+    banks = high_banks(FIELD, np.where(seen, height, np.nan))
     np.testing.assert_array_equal(banks, seen & (COLUMNS < SHORE) & is_land)
 
 
 def test_high_ground_in_the_middle_of_the_water_stays_water() -> None:
     rock = (np.abs(ROWS - 20) < 3) & (np.abs(COLUMNS - 8) < 3)
-    assert not seen_banks(FIELD, np.where(rock, 2.0, np.nan)).any()
+    assert not high_banks(FIELD, np.where(rock, 2.0, np.nan)).any()
 
 
 def test_a_pier_is_land_no_farther_than_the_reach() -> None:
     pier = (np.abs(ROWS - 20) < 3) & (COLUMNS > 2)
-    banks = seen_banks(FIELD, np.where(pier, 2.0, np.nan))
-    np.testing.assert_array_equal(banks, pier & (COLUMNS >= SHORE - REACH_CELLS) & (COLUMNS < SHORE))
+    banks = high_banks(FIELD, np.where(pier, 2.0, np.nan))
+    np.testing.assert_array_equal(
+        banks, pier & (COLUMNS >= SHORE - BANK_REACH_FINE_CELLS) & (COLUMNS < SHORE)
+    )
 
 
 @pytest.mark.parametrize(
@@ -76,7 +78,7 @@ def test_water_at_the_foot_of_a_quay(
 ) -> None:
     foot = (COLUMNS >= SHORE) & (COLUMNS < SHORE + 2)
     heights = np.where(foot, above, 0.9)
-    found = seen_water(FIELD, NOWHERE | is_upright, heights, np.where(foot, has_points, True))
+    found = quay_water(FIELD, NOWHERE | is_upright, heights, np.where(foot, has_points, True))
     np.testing.assert_array_equal(found, foot & is_water)
 
 
@@ -102,13 +104,13 @@ def test_a_quay_aslant_to_the_cells_has_no_seen_ground_in_the_water(make_scene: 
     window = padded(block, BANK_MARGIN)
     middle_x, middle_y = (values / METRE for values in coarse.centres(window))
     field = np.where(
-        middle_x < quay_line(middle_y) + 0.8, -MAX_DEPTH_M, QUAY_M
+        middle_x < quay_line(middle_y) + 0.8, -MAX_HEIGHT_M, QUAY_M
     )  # half a cell too far in the land
     shore = Shore(field, np.full(field.shape, LEVEL_M), np.ones(field.shape, np.bool_))
     near = padded(block, 1)
     inner = np.s_[BANK_MARGIN - 1 : 1 - BANK_MARGIN, BANK_MARGIN - 1 : 1 - BANK_MARGIN]
     before = shore_polygons(field[inner], coarse, near)
-    seen = seen_at_shore(scene.store, FINAL, coarse, window, shore)
+    seen = shore_details(scene.store, FINAL, coarse, window, shore)
     after = [shapely.difference(shapely.union_all([*before, seen.wet]), seen.dry)]
 
     def seen_inside(polygons: list[shapely.Geometry]) -> int:

@@ -12,17 +12,17 @@ from tiler.grid import reach, water_cells
 from tiler.grid.returns import histograms, usual_returns
 from tiler.grid.water_cells import (
     ENOUGH_RETURNS,
+    CellCounts,
     Rim,
-    Size,
     WaterCells,
     rim_of,
-    water_areas,
+    water_candidates,
     water_confidence,
 )
 from tiler.grid.water_extent import (
     close_bridge_gaps,
+    extended_to_shore,
     remove_narrow_parts,
-    shore_area,
     smoothed,
     water_heights,
     without_islands,
@@ -59,11 +59,11 @@ def bodies(given: WaterCells, trusted: bool = True, pieces: int = 1) -> list[tup
     """Cells of each area of water, and how sure it is; the land around it is counted in strips."""
     times, median = usual(given) or (1, None)
     assert times == 1
-    labels, number = ndimage.label(water_areas(given, median if trusted else None))
+    labels, number = ndimage.label(water_candidates(given, median if trusted else None))
     strip, result = np.arange(SIDE) * pieces // SIDE, []
     for n in range(1, number + 1):
         mine, others = labels == n, (labels > 0) & (labels != n)
-        size = Size(int(mine.sum()), int(given.given[mine].sum()))
+        size = CellCounts(int(mine.sum()), int(given.given[mine].sum()))
         rim = Rim()
         for part in range(pieces):
             counted = np.repeat((strip == part)[:, None], SIDE, axis=1)
@@ -119,7 +119,7 @@ def test_what_returns_little_elsewhere_is_no_water(ground: np.ndarray, few: np.n
 def test_water_goes_on_where_the_ground_is_as_low_however_many_returns_it_has() -> None:
     given = cells(VALLEY, RIVER & ~STRIP, 0.3)
     smooth = given.with_ground(smoothed(given.ground))
-    water = shore_area(smooth, RIVER & ~STRIP, water_heights(smooth, RIVER & ~STRIP), 10)
+    water = extended_to_shore(smooth, RIVER & ~STRIP, water_heights(smooth, RIVER & ~STRIP), 10)
     assert (water & RIVER & STRIP).sum() > 0.95 * (RIVER & STRIP).sum()
     assert (water & ~RIVER).sum() < 0.1 * RIVER.sum()  # a cell along its banks
 
@@ -146,10 +146,10 @@ def test_cells_are_larger_where_points_are_sparse() -> None:
     assert times == 2
     assert 7 < median < 9.5
     sparse = replace(cells(FLAT, LAKE), returns=returns).coarser()
-    assert sparse.size == 4
-    assert not water_areas(sparse, median).any()
+    assert sparse.size_m == 4
+    assert not water_candidates(sparse, median).any()
     again = sparse.finer(2)
-    assert again.size == 2
+    assert again.size_m == 2
     assert (again.returns[::2, 1::2] == sparse.returns).all()
     assert usual(replace(cells(FLAT, LAKE), returns=returns * 0)) is None
 
@@ -221,5 +221,5 @@ def test_the_crest_of_a_dam_falls_to_the_water_beside_it():
     given, every = cells(ground, water), np.ones(crest.shape, np.bool_)
     alone = rim_of(given, crest, np.zeros_like(crest), every)
     beside = rim_of(given, crest, np.zeros_like(crest), every, water)
-    assert water_confidence(Size(), alone) is not None
-    assert water_confidence(Size(), beside) is None
+    assert water_confidence(CellCounts(), alone) is not None
+    assert water_confidence(CellCounts(), beside) is None

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 
 from tiler.grid.water_cells import WaterCells
-from tiler.grid.water_crowns import HIDDEN, OPEN, beneath_crowns, continued_bank, roughness
+from tiler.grid.water_crowns import CROWN_WITH_GROUND, HIDDEN, beneath_crowns, continued_bank, roughness
 from tiler.grid.water_extent import remove_narrow_parts, without_border_islands
-from tiler.grid.water_shore import MAX_DEPTH_M, depths
+from tiler.grid.water_shore import MAX_HEIGHT_M, heights_above_water
 
 ROWS, COLUMNS = np.mgrid[0:60, 0:60]
 SHORE = 30
@@ -58,7 +58,7 @@ def test_a_plane_is_continued_exactly() -> None:
 def crowns_over(reach: int) -> np.ndarray:
     """Return plants from ``reach`` cells before the shore to 4 cells behind it, with ground on land alone."""
     plants = (SHORE - reach <= COLUMNS) & (COLUMNS < SHORE + 4)
-    return np.where(plants, np.where(COLUMNS < SHORE, HIDDEN, OPEN), 0)
+    return np.where(plants, np.where(COLUMNS < SHORE, HIDDEN, CROWN_WITH_GROUND), 0)
 
 
 LEVEL = np.zeros(ROWS.shape)
@@ -124,14 +124,14 @@ def test_sloping_land_at_the_border_is_a_bank() -> None:
 
 
 def shore_of(ground: np.ndarray, in_first_cell: float = 20.0) -> float:
-    """Return the column at which `depths` has the shore, for water up to `SHORE` at the level 0.
+    """Return the column at which `heights_above_water` has the shore, for water up to `SHORE` at the level 0.
 
     The cells of land have 20 returns, but the first ones ``in_first_cell``.
     """
     wet = COLUMNS < SHORE
     returns = np.where(wet, 0.0, np.where(COLUMNS == SHORE, in_first_cell, 20.0))
-    field = depths(cells(ground, returns), wet, LEVEL)[30]
-    assert field.min() == -MAX_DEPTH_M
+    field = heights_above_water(cells(ground, returns), wet, LEVEL)[30]
+    assert field.min() == -MAX_HEIGHT_M
     return float(np.interp(0.0, field[SHORE - 2 : SHORE + 3], np.arange(SHORE - 2, SHORE + 3)))
 
 

@@ -12,9 +12,9 @@ from tiler.core.lattice import Bounds, Lattice
 from tiler.core.raster import BLOCK_PIXELS, RasterSpec
 from tiler.core.water import LAKE, Water
 from tiler.grid.water_cells import WaterCells
-from tiler.grid.water_crowns import HIDDEN, OPEN, REED, plant_kinds
+from tiler.grid.water_crowns import CROWN_WITH_GROUND, HIDDEN, REED, plant_kinds
 from tiler.grid.water_level import LevelWater, heights_of
-from tiler.grid.water_reed import among_reed, without_bank
+from tiler.grid.water_reed import among_reed, has_no_bank
 from tiler.store import TileStore
 
 ROWS, COLUMNS = np.mgrid[0:60, 0:60]
@@ -64,9 +64,9 @@ def test_plants_far_from_a_bank_that_is_seen_are_land() -> None:
 
 
 def test_the_ground_in_reed_is_no_bank_unless_it_is_as_low_as_the_water() -> None:
-    crowns = np.array([REED, REED, OPEN, HIDDEN, HIDDEN + REED])
+    crowns = np.array([REED, REED, CROWN_WITH_GROUND, HIDDEN, HIDDEN + REED])
     above = np.array([0.5, 0.1, 0.5, 0.5, 0.1])
-    np.testing.assert_array_equal(without_bank(crowns, above), [True, False, False, True, True])
+    np.testing.assert_array_equal(has_no_bank(crowns, above), [True, False, False, True, True])
 
 
 @pytest.mark.parametrize(

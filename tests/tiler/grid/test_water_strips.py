@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from tiler.grid.water_cells import WaterCells
-from tiler.grid.water_shore import depths
+from tiler.grid.water_shore import heights_above_water
 from tiler.grid.water_strips import bank_rises, lower_level
 
 ROWS, COLUMNS = np.mgrid[0:60, 0:60]
@@ -57,7 +57,7 @@ def test_the_shore_lies_where_the_bank_reaches_the_lower_level(lower: float) -> 
     every = np.ones(wet.shape, np.bool_)
     ground = np.where(wet, 0.0, 0.5 * (COLUMNS - SHORE + 0.5))
     cells = WaterCells(np.full(wet.shape, 8.0, np.float32), ~every, ground, every, CELL_M)
-    field = depths(cells, wet, np.full(wet.shape, -lower), is_lowered=True)[30]
+    field = heights_above_water(cells, wet, np.full(wet.shape, -lower), is_lowered=True)[30]
     last = int(np.flatnonzero(field < 0)[-1])
     found = last + field[last] / (field[last] - field[last + 1])
     assert found == pytest.approx(SHORE - 0.5 - lower / 0.5, abs=0.1)

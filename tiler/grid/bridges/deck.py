@@ -20,7 +20,7 @@ import numpy as np
 import numpy.typing as npt
 
 from tiler.grid.bridges.deck_cells import DROP_M, MAX_WIDTH_M
-from tiler.grid.bridges.deck_sides import BESIDE_M, TOLERANCE_M, Bools, DeckEdges, Floats, sides_of
+from tiler.grid.bridges.deck_sides import BESIDE_M, TOLERANCE_M, Bools, DeckEdges, Floats, find_edges
 
 Ints = npt.NDArray[np.intp]
 Surface = tuple[float, float, float, float]
@@ -50,9 +50,12 @@ STRAIGHT = 0.02
 ROAD_SLICES = 3
 """The road is searched in this many slices beyond each end of the free part."""
 MIN_ROAD_POINTS = 3
-"""The road goes on if at least this many points in those slices are ground as high as the deck."""
+"""The road goes on only if at least this many points in those slices are ground as high as the deck.
+
+Only points between the edges of the deck count.
+"""
 MIN_ROAD_SHARE = 0.5
-"""The road goes on if at least this share of the points in those slices is ground as high as the deck."""
+"""The road goes on only if also at least this share of those points is ground as high as the deck."""
 INNER_M = 0.7
 """A point beneath the deck is counted only if it is this far inside both edges, in metres."""
 WIDER_M = 0.3
@@ -65,7 +68,7 @@ ALIKE_M = 0.7
 
 @dataclass(frozen=True)
 class Deck:
-    """Free part of a deck, in metres from the origin of its points.
+    """Free part of a deck, in the coordinates of the points passed to `find_deck`, in metres.
 
     Attributes
     ----------
@@ -82,7 +85,7 @@ class Deck:
         Median of the widths of the slices.
     clearance_m : float
         Height above the ground next to the deck: the median over the slices, on the side where the ground is higher.
-    below : int
+    n_below : int
         Number of points beneath the free part.
     """
 
@@ -93,7 +96,7 @@ class Deck:
     length_m: float
     width_m: float
     clearance_m: float
-    below: int
+    n_below: int
 
 
 @dataclass(frozen=True)
@@ -110,7 +113,8 @@ class _View:
         Value of s at the start of each slice.
     slice_m : float
         Length of a slice along the deck.
-    sides : DeckEdges
+    edges : DeckEdges
+        Edges of each slice.
     """
 
     s: Floats
@@ -119,7 +123,7 @@ class _View:
     surface: Surface
     starts: Floats
     slice_m: float
-    sides: DeckEdges
+    edges: DeckEdges
 
 
 def find_deck(
@@ -147,7 +151,7 @@ def find_deck(
         view = _view(xyz, seeds, centre, along, spacing_m)
         if view is None:
             return None, "not smooth"
-        free = _longest_run(view.sides.both_free())
+        free = _longest_run(view.edges.both_free())
         if free is None:
             return None, "no part stands free on both sides"
         slope = _slope(view, free)
@@ -156,24 +160,24 @@ def find_deck(
         along = along + slope * np.array((-along[1], along[0]))
         along = along / np.hypot(*along)
         turns += 1
-    edges = view.sides.edge[free]
+    free_edges = view.edges.edge[free]
     length = len(free) * view.slice_m
-    width = float(np.median(edges[:, 1] - edges[:, 0]))
-    levels = np.median(view.sides.level[free], axis=0)
+    width = float(np.median(free_edges[:, 1] - free_edges[:, 0]))
+    levels = np.median(view.edges.level[free], axis=0)
     clearance = float(-levels.max())
     reason = (
         _wrong_size(length, width, len(free))
         or _wrong_levels(levels)
-        or _wrong_end(view, ground, edges, int(free[-1]), 1, clearance)
-        or _wrong_end(view, ground, edges, int(free[0]), -1, clearance)
+        or _wrong_end(view, ground, free_edges, int(free[-1]), 1, clearance)
+        or _wrong_end(view, ground, free_edges, int(free[0]), -1, clearance)
     )
     if reason:
         return None, reason
     ring = _ring(view, free) @ np.array((along, (-along[1], along[0]))) + centre
     position = (float(centre[0]), float(centre[1]))
     direction = (float(along[0]), float(along[1]))
-    below = _beneath(view, free, edges)
-    return Deck(ring, position, direction, view.surface, length, width, clearance, below), ""
+    n_below = _beneath(view, free, free_edges)
+    return Deck(ring, position, direction, view.surface, length, width, clearance, n_below), ""
 
 
 def _view(xyz: Floats, seeds: Bools, centre: Floats, along: Floats, spacing: float) -> _View | None:
@@ -187,8 +191,8 @@ def _view(xyz: Floats, seeds: Bools, centre: Floats, along: Floats, spacing: flo
     first = s[seeds].min() - 2 * END_M
     last = s[seeds].max() + 2 * END_M
     numbers = np.arange(np.floor(first / slice_m), np.ceil(last / slice_m))
-    sides = sides_of(s, t, off, numbers, slice_m, spacing)
-    return _View(s, t, off, surface, numbers * slice_m, slice_m, sides)
+    edges = find_edges(s, t, off, numbers, slice_m, spacing)
+    return _View(s, t, off, surface, numbers * slice_m, slice_m, edges)
 
 
 def _slope(view: _View, free: Ints) -> float:
@@ -197,7 +201,7 @@ def _slope(view: _View, free: Ints) -> float:
         return 0.0
     slopes = []
     for side in (0, 1):
-        slope, _ = np.polyfit(view.starts[free], view.sides.edge[free, side], 1)
+        slope, _ = np.polyfit(view.starts[free], view.edges.edge[free, side], 1)
         slopes.append(slope)
     return float(np.mean(slopes))
 
@@ -218,7 +222,7 @@ def _wrong_levels(levels: Floats) -> str:
     return f"sides differ by {difference:.1f} m" if difference > max(ALIKE_M, ALIKE * clearance) else ""
 
 
-def _wrong_end(view: _View, ground: Bools, edges: Floats, end: int, step: int, clearance: float) -> str:
+def _wrong_end(view: _View, ground: Bools, free_edges: Floats, end: int, step: int, clearance: float) -> str:
     """Check that the ground next to the deck rises beyond the slice ``end``, and that the road continues.
 
     Slices beyond the end have higher numbers if ``step`` is 1, and lower numbers if it is -1. Return the reason why
@@ -229,22 +233,23 @@ def _wrong_end(view: _View, ground: Bools, edges: Floats, end: int, step: int, c
     near = near[(near >= 0) & (near < len(view.starts))]
     # The ground has risen if it is less than half the clearance below the deck. It has also risen if points as high as
     # the deck lie well beyond the edges of the free part.
-    up = view.sides.level[near] > -0.5 * clearance
-    up |= (view.sides.edge[near] - np.median(edges, axis=0)) * (-1, 1) > BESIDE_M / 2
+    up = view.edges.level[near] > -0.5 * clearance
+    up |= (view.edges.edge[near] - np.median(free_edges, axis=0)) * (-1, 1) > BESIDE_M / 2
     if not up.any(axis=0).all():
         return "the ground next to the deck does not rise at an end"
     road_starts = view.starts[near[:ROAD_SLICES]]
     box = (view.s >= road_starts.min()) & (view.s < road_starts.max() + view.slice_m)
-    box &= (view.t > np.median(edges[:, 0])) & (view.t < np.median(edges[:, 1]))
+    box &= (view.t > np.median(free_edges[:, 0])) & (view.t < np.median(free_edges[:, 1]))
     n_road = int((box & ground & (np.abs(view.off) < 2 * TOLERANCE_M)).sum())
     if n_road >= max(MIN_ROAD_POINTS, MIN_ROAD_SHARE * int(box.sum())):
         return ""
     return "the road does not continue at an end"
 
 
-def _beneath(view: _View, free: Ints, edges: Floats) -> int:
+def _beneath(view: _View, free: Ints, free_edges: Floats) -> int:
     """Count the points beneath the free part of a deck, at least `INNER_M` inside its edges."""
-    inner = (view.t > np.median(edges[:, 0]) + INNER_M) & (view.t < np.median(edges[:, 1]) - INNER_M)
+    inner = view.t > np.median(free_edges[:, 0]) + INNER_M
+    inner &= view.t < np.median(free_edges[:, 1]) - INNER_M
     inner &= (view.s >= view.starts[free[0]]) & (view.s < view.starts[free[-1]] + view.slice_m)
     return int((inner & (view.off < -DROP_M)).sum())
 
@@ -252,13 +257,14 @@ def _beneath(view: _View, free: Ints, edges: Floats) -> int:
 def _ring(view: _View, free: Ints) -> Floats:
     """Return the corners (s, t) of the outline of the free part, `WIDER_M` wider on each side than its points.
 
-    The outline has a corner at the middle of each slice, but at the outer ends of the first and the last slice.
+    The outline has two corners (left and right) per slice: at its middle, or at its outer end for the first and last
+    slice.
     """
     s = view.starts[free] + view.slice_m / 2
     s[0] = view.starts[free[0]]
     s[-1] = view.starts[free[-1]] + view.slice_m
-    right = np.column_stack((s, view.sides.edge[free, 0] - WIDER_M))
-    left = np.column_stack((s, view.sides.edge[free, 1] + WIDER_M))
+    right = np.column_stack((s, view.edges.edge[free, 0] - WIDER_M))
+    left = np.column_stack((s, view.edges.edge[free, 1] + WIDER_M))
     return np.concatenate((right, left[::-1]))
 
 

@@ -23,7 +23,7 @@ Direction 0 points east. The others follow counterclockwise at equal angles, up 
 DROP_M = 1.0
 """A point counts as lower than a deck only if it is more than this far below the surface of the deck, in metres."""
 MIN_CELL_DROP_M = 1.8
-"""Cells at the edge of a deck have lower cells next to them, by at least this height difference in metres.
+"""A cell is at the edge of a deck only if a cell next to it is at least this much lower, in metres.
 
 The points of a deck are tested more strictly later (`tiler.grid.bridges.deck.CLEARANCE_M`).
 """
@@ -40,7 +40,7 @@ REACH_M = MAX_WIDTH_M + MAX_ROAD_DISTANCE_M + VOID_M
 
 
 @dataclass(frozen=True)
-class DeckCells:
+class CoarseHeights:
     """Heights of coarse cells in metres, NaN for cells without points.
 
     Attributes
@@ -78,36 +78,39 @@ class DeckCells:
         return cell_values
 
 
-def deck_cells(cells: DeckCells) -> tuple[Ints, Ints, Ints]:
-    """Return rows, columns and directions of the cells that may be part of a deck with that direction across it."""
+def candidate_cells(cells: CoarseHeights) -> tuple[Ints, Ints, Ints]:
+    """Return row, column and direction of each cell that may be part of a deck.
+
+    The direction points across the deck.
+    """
     spans = [_spans(cells, direction) for direction in range(DIRECTIONS)]
     marked = np.zeros(cells.top.shape, np.bool_)
     for rows, cols, _ in spans:
         marked[rows, cols] = True
     good_cells = [np.empty((3, 0), np.int64)]
-    for direction, (rows, cols, number) in enumerate(spans):
+    for direction, (rows, cols, span_of) in enumerate(spans):
         # The first cell of each span is its middle.
-        middle = np.unique(number, return_index=True)[1]
-        has_roads = np.ones(int(number.max(initial=-1)) + 1, np.bool_)
+        middle = np.unique(span_of, return_index=True)[1]
+        has_roads = np.ones(int(span_of.max(initial=-1)) + 1, np.bool_)
         for sign in (1, -1):
             has_roads &= _has_road(cells, marked, rows[middle], cols[middle], direction, sign)
-        good = has_roads[number]
+        good = has_roads[span_of]
         good_cells.append(np.stack((rows[good], cols[good], np.full(int(good.sum()), direction))))
     rows, cols, directions = np.concatenate(good_cells, axis=1)
     return rows, cols, directions
 
 
 def _offset(direction: int, steps: int) -> tuple[int, int]:
-    """Return how many rows down and columns to the right a number of steps in a direction leads."""
+    """Return the offset in rows and columns of a number of steps in a direction."""
     angle = math.pi * direction / DIRECTIONS
     return -round(steps * math.sin(angle)), round(steps * math.cos(angle))
 
 
-def _drops(cells: DeckCells, rows: Ints, cols: Ints, height: Floats, direction: int, sign: int) -> Bools:
+def _drops(cells: CoarseHeights, rows: Ints, cols: Ints, height: Floats, direction: int, sign: int) -> Bools:
     """Return a mask of the cells with a drop next to them, in a direction or (``sign`` -1) against it.
 
-    There is a drop if the next cell with points lies `MIN_CELL_DROP_M` below ``height``. Cells without points, such as
-    water, are skipped up to `VOID_M`.
+    There is a drop if the next cell with points lies at least `MIN_CELL_DROP_M` below ``height``. The second cell is
+    examined even if the first one has points. Cells without points, such as water, are skipped up to `VOID_M`.
     """
     has_drop = np.zeros(len(rows), np.bool_)
     waiting = np.ones(len(rows), np.bool_)
@@ -122,8 +125,8 @@ def _drops(cells: DeckCells, rows: Ints, cols: Ints, height: Floats, direction: 
     return has_drop
 
 
-def _spans(cells: DeckCells, direction: int) -> tuple[Ints, Ints, Ints]:
-    """Return the cells of all spans in a direction: rows, columns and numbers of the spans.
+def _spans(cells: CoarseHeights, direction: int) -> tuple[Ints, Ints, Ints]:
+    """Return the cells of all spans in a direction: row, column and number of the span of each cell.
 
     A span is a line of cells across a deck, from one drop to the other. The middle cell of a span comes first.
     """
@@ -135,7 +138,7 @@ def _spans(cells: DeckCells, direction: int) -> tuple[Ints, Ints, Ints]:
     spans = [np.empty((3, 0), np.int64)]
     for step in range(cells.steps(MAX_WIDTH_M)):
         ended = _drops(cells, rows, cols, previous_top, direction, -1)
-        if step:
+        if step:  # A span has at least two cells.
             spans.append(np.stack((start_rows[ended], start_cols[ended], np.full(int(ended.sum()), step))))
         down, right = _offset(direction, -(step + 1))
         rows, cols = start_rows + down, start_cols + right
@@ -156,17 +159,19 @@ def _spans(cells: DeckCells, direction: int) -> tuple[Ints, Ints, Ints]:
         not_middle = (step != last_step[spans_here] // 2).astype(np.int64)
         rows, cols = first_rows[spans_here] + down, first_cols[spans_here] + right
         span_cells.append(np.stack((spans_here, not_middle, rows, cols)))
-    number, not_middle, rows, cols = np.concatenate(span_cells, axis=1)
-    order = np.lexsort((not_middle, number))
-    return rows[order], cols[order], number[order]
+    span_of, not_middle, rows, cols = np.concatenate(span_cells, axis=1)
+    order = np.lexsort((not_middle, span_of))
+    return rows[order], cols[order], span_of[order]
 
 
-def _has_road(cells: DeckCells, marked: Bools, rows: Ints, cols: Ints, direction: int, sign: int) -> Bools:
+def _has_road(
+    cells: CoarseHeights, marked: Bools, rows: Ints, cols: Ints, direction: int, sign: int
+) -> Bools:
     """Return a mask of the cells from which a straight path along the deck leads to a road.
 
-    A road is two successive cells of ground that are not ``marked`` as deck; there may be cells without points between
-    them. The path has no steps above `STEP_M`, and at most two successive cells without points. ``direction`` points
-    across the deck. ``sign`` selects the end of the deck.
+    A road is two cells of ground that are not ``marked`` as deck, without other cells with points between them. The
+    path has no steps above `STEP_M`, and at most two successive cells without points. ``direction`` points across the
+    deck. ``sign`` selects the end of the deck.
     """
     has_road = np.zeros(len(rows), np.bool_)
     paths = np.arange(len(rows))  # Indices of the cells whose paths still go on.

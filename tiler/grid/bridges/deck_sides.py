@@ -17,13 +17,16 @@ TOLERANCE_M = 0.3
 BESIDE_M = 4.0
 """Points up to this distance beyond an edge are next to the edge, in metres."""
 FARTHER_M = 40.0
-"""If there are no points next to an edge, ground is searched up to this distance: water may not return pulses."""
+"""Ground is searched up to this distance if hardly any points are next to an edge, in metres.
+
+These are at most two points, none of them lower than the deck (`DROP_M`). Water often returns no pulses.
+"""
 MAX_ABOVE_M = 4.0
-"""In that search, points higher than this above the deck do not count as ground, in metres."""
+"""In the search up to `FARTHER_M`, points higher than this above the deck do not count as ground, in metres."""
 EDGE_M = 0.2
 """Points nearer to an edge than this do not count as next to the edge, in metres."""
 LOW = 0.6
-"""A point next to an edge counts as low if it is below this share of the drop to the ground."""
+"""A point next to an edge is low if its depth below the deck is more than this share of the depth of the ground."""
 BETWEEN = 0.34
 """An edge is free if at most this share of the points next to the edge is not low."""
 
@@ -35,7 +38,7 @@ class DeckEdges:
     Attributes
     ----------
     edge : float64
-        Position of the edge across the deck.
+        Coordinate t (across the deck) of the edge.
     free : bool
         Whether the ground next to the edge is lower, with few points in between.
     level : float64
@@ -52,7 +55,9 @@ class DeckEdges:
         return is_free
 
 
-def sides_of(s: Floats, t: Floats, off: Floats, numbers: Floats, slice_m: float, spacing: float) -> DeckEdges:
+def find_edges(
+    s: Floats, t: Floats, off: Floats, numbers: Floats, slice_m: float, spacing: float
+) -> DeckEdges:
     """Find the edges of a deck, and the heights next to the edges, in each slice.
 
     All lengths are in metres.

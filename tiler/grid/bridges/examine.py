@@ -15,7 +15,7 @@ from tiler.core.lattice import Bounds
 from tiler.core.points import PointBlock
 from tiler.core.raster import Block, RasterSpec
 from tiler.grid.bridges.deck import Deck, find_deck
-from tiler.grid.bridges.deck_cells import DIRECTIONS, REACH_M, DeckCells, deck_cells
+from tiler.grid.bridges.deck_cells import DIRECTIONS, REACH_M, CoarseHeights, candidate_cells
 from tiler.grid.ground import GroundSelection, read_classes, surface_points
 from tiler.grid.work import BlockWork
 from tiler.store import TileStore, open_store
@@ -23,7 +23,7 @@ from tiler.store import TileStore, open_store
 Bools = npt.NDArray[np.bool_]
 Counts = npt.NDArray[np.int64]
 CandidateCells = tuple[tuple[int, int, int], ...]
-"""Row, column and direction of each cell of a candidate (see `deck_cells`)."""
+"""Row, column and direction of each cell of a candidate (see `candidate_cells`)."""
 
 EXAMINED_M = 45.0
 """Points up to this distance from a candidate are examined, in metres."""
@@ -37,7 +37,7 @@ LOWEST = -(1 << 31)
 MIN_POINTS = 12
 """A candidate needs at least this many points in its cells."""
 MAX_DIRECTIONS = 3
-"""Number of directions of a candidate that are tried, the direction of the most cells first."""
+"""At most this many directions are tried per candidate, starting with the one that most cells have."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,7 +74,7 @@ def find_deck_cells(store_url: str, work: FindDeckCells) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``cells``: the `CandidateCells` of the block.
+        ``cells``: row, column and direction of each cell found.
     """
     store, spec, block = open_store(store_url), work.spec, work.block
     size_m = float(spec.lattice.size * store.meta.frame.metres_xy)
@@ -94,7 +94,7 @@ def find_deck_cells(store_url: str, work: FindDeckCells) -> dict[str, Any]:
     ground, known = np.isfinite(top), np.isfinite(low)
     top = np.where(ground, top, np.where(known, low, np.float32(np.nan)))
     low = np.where(known, low, np.float32(np.nan))
-    rows, cols, directions = deck_cells(DeckCells(top, low, ground, size_m))
+    rows, cols, directions = candidate_cells(CoarseHeights(top, low, ground, size_m))
     in_block = (rows >= pad) & (rows < pad + block.height) & (cols >= pad) & (cols < pad + block.width)
     block_cells = np.stack(
         (rows[in_block] + window.row, cols[in_block] + window.col, directions[in_block]), axis=1
@@ -165,12 +165,12 @@ def _examine(
     return None, reason
 
 
-def examined_bounds(spec: RasterSpec, cells: CandidateCells, metres: float) -> Bounds:
+def examined_bounds(spec: RasterSpec, cells: CandidateCells, metres_per_count: float) -> Bounds:
     """Return the bounds in counts of the points that are examined for a candidate."""
     rows, cols, _ = np.array(cells).T
     top, left = int(rows.min()), int(cols.min())
     block = Block(top, left, int(rows.max()) - top + 1, int(cols.max()) - left + 1)
-    return spec.block_bounds(block).pad(math.ceil(EXAMINED_M / metres))
+    return spec.block_bounds(block).pad(math.ceil(EXAMINED_M / metres_per_count))
 
 
 def _voxels(store: TileStore, rule: GroundSelection, bounds: Bounds, metres: Any) -> tuple[Counts, Bools]:
@@ -202,7 +202,10 @@ def _voxels(store: TileStore, rule: GroundSelection, bounds: Bounds, metres: Any
 def _points(
     store: TileStore, rule: GroundSelection, bucket: Any, bounds: Bounds
 ) -> tuple[PointBlock, Bools, Bools]:
-    """Return the points of a bucket, a mask of its surface points in ``bounds``, and a mask of its ground points."""
+    """Return the points of a bucket, a mask of its chosen points, and a mask of its ground points.
+
+    Chosen points are in ``bounds``, are not noise, and are not excluded by a flag.
+    """
     points, chosen = surface_points(store, rule, bucket)
     chosen &= points.inside(bounds, store.meta.frame.origin)
     if rule.labels is None:
@@ -224,17 +227,17 @@ def _record(deck: Deck, metres: Any, corner: Any) -> dict[str, Any]:
     """Return the record of a deck: outline (``ring``) and ``surface`` in counts, sizes in metres.
 
     ``surface`` has the first eight fields of `tiler.core.edits.DeckSurface`, without ``low`` and ``high``.
-    ``corner`` is the position in counts of the origin of the deck.
+    ``corner`` is the position in counts at which the coordinates of the deck are 0.
     """
     ring = np.rint(deck.ring / metres[:2] + corner[:2]).astype(np.int64)
     (x, y), (a, b, c, d) = deck.centre, deck.surface
-    flat, high = float(metres[0]), float(metres[2])
+    metres_xy, metres_z = float(metres[0]), float(metres[2])
     return {
         "ring": ring.tolist(),
         "surface": [
-            x / flat + float(corner[0]), y / flat + float(corner[1]), *deck.along,
-            a / high, b * flat / high, c * flat * flat / high, d * flat / high,
+            x / metres_xy + float(corner[0]), y / metres_xy + float(corner[1]), *deck.along,
+            a / metres_z, b * metres_xy / metres_z, c * metres_xy * metres_xy / metres_z, d * metres_xy / metres_z,
         ],
         "length_m": round(deck.length_m, 2), "width_m": round(deck.width_m, 2),
-        "clearance_m": round(deck.clearance_m, 2), "below": deck.below,
+        "clearance_m": round(deck.clearance_m, 2), "below": deck.n_below,
     }  # fmt: skip

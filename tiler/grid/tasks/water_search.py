@@ -29,7 +29,7 @@ from tiler.grid.pieces import Joined, Piece, around
 from tiler.grid.returns import usual_returns
 from tiler.grid.tasks.gridding import GridContext, Place, RasterStep
 from tiler.grid.tasks.survey import block_names, near_places
-from tiler.grid.water_cells import ENOUGH_RETURNS, Rim, Size, water_confidence
+from tiler.grid.water_cells import ENOUGH_RETURNS, CellCounts, Rim, water_confidence
 from tiler.grid.water_find import MIN_LENGTH
 from tiler.grid.water_ground import NEAR_CELLS
 from tiler.grid.water_planes import DAM_M, SHORE_CELLS, Plane
@@ -255,7 +255,7 @@ def _kept_areas(g: GridContext, areas: str, rims: str) -> dict[Piece, float]:
     rim_by_area = _rims(g, rims)
     kept = {}
     for name, size in _sizes(g, areas).items():
-        confidence = water_confidence(Size(*size), rim_by_area.get(name, Rim()))
+        confidence = water_confidence(CellCounts(*size), rim_by_area.get(name, Rim()))
         if confidence is not None:
             kept[name] = confidence
     return kept
@@ -340,7 +340,7 @@ def _plane_confidences(g: GridContext, rims: str, number: int) -> dict[Piece, fl
     """Return the confidences of the planes that are water according to the rim ``number`` (see `_rims`)."""
     confidences = {}
     for name, rim in _rims(g, rims, number).items():
-        confidence = water_confidence(Size(), rim)
+        confidence = water_confidence(CellCounts(), rim)
         if confidence:
             confidences[name] = confidence
     return confidences

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from tiler.grid.bridges.deck import Deck, find_deck
-from tiler.grid.bridges.deck_cells import DIRECTIONS, REACH_M, DeckCells, deck_cells
+from tiler.grid.bridges.deck_cells import DIRECTIONS, REACH_M, CoarseHeights, candidate_cells
 
 Floats = np.ndarray
 SIDE, SPACING, CELL = 120.0, 0.5, 2.0
@@ -64,7 +64,7 @@ def found(height: Callable[[Floats, Floats], Floats], turn: float, seed: int = 1
     np.maximum.at(top, (rows, cols), z.astype(np.float32))
     ground = np.isfinite(top)
     low[~ground] = top[~ground] = np.nan
-    r, c, directions = deck_cells(DeckCells(top, low, ground, CELL))
+    r, c, directions = candidate_cells(CoarseHeights(top, low, ground, CELL))
     decks = []
     for direction in np.unique(directions):
         mask = np.zeros((n, n), np.bool_)
@@ -118,5 +118,5 @@ def test_cells_depend_on_nothing_beyond_their_reach() -> None:
 
 
 def cells_of(low: Floats) -> set[tuple[int, int, int]]:
-    found = deck_cells(DeckCells(low, low, ~np.isnan(low), CELL))
+    found = candidate_cells(CoarseHeights(low, low, ~np.isnan(low), CELL))
     return set(zip(*(axis.tolist() for axis in found), strict=True))
