@@ -13,7 +13,7 @@ from tiler.errors import ConfigError, CorruptStoreError, ProcessingError, exit_c
 from tiler.export.stage import export
 from tiler.filter.stage import filter_points
 from tiler.grid.stage import grid
-from tiler.grid.tasks.corrections import correct
+from tiler.grid.tasks.correct import correct
 from tiler.grid.tasks.raster_table import required_rasters
 from tiler.ingest.stage import assemble, spool
 from tiler.ingest.tasks.fingerprints import numbered

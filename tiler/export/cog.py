@@ -164,15 +164,15 @@ def raster_metadata(frame: CoordFrame, work: ProductFile) -> RasterMetadata:
     if unit == HEIGHT:
         unit = unit_label(frame.units.vertical)
     return RasterMetadata(
-        frame.crs_wkt,
-        unit,
-        product.description,
-        work.tags,
-        product.dtype,
-        product.nodata,
-        product.colours,
-        {f"VALUE_{value}": text for value, text in product.values.items()},
-        product.categories,
+        crs=frame.crs_wkt,
+        unit=unit,
+        description=product.description,
+        tags=work.tags,
+        dtype=product.dtype,
+        nodata=product.nodata,
+        colours=product.colours,
+        meanings={f"VALUE_{value}": text for value, text in product.values.items()},
+        categories=product.categories,
     )
 
 

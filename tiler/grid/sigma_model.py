@@ -55,8 +55,28 @@ class Weights:
 
 
 WEIGHTS: Mapping[str, Weights] = {
-    LASER: Weights(FLOOR_M2, LINEAR, 0.609, 0.0, 0.0587, 0.429, 0.286, 0.0, 0.0466),
-    MATCHED: Weights(FLOOR_M2, 0.905, 0.0266, 0.379, 0.00361, 0.523, 0.881, 0.345, 0.0466),
+    LASER: Weights(
+        always=FLOOR_M2,
+        roughness=LINEAR,
+        gap_roughness=0.609,
+        gap_slope=0.0,
+        gap_objects=0.0587,
+        trend_objects=0.429,
+        trend_gap=0.286,
+        canopy=0.0,
+        water=0.0466,
+    ),
+    MATCHED: Weights(
+        always=FLOOR_M2,
+        roughness=0.905,
+        gap_roughness=0.0266,
+        gap_slope=0.379,
+        gap_objects=0.00361,
+        trend_objects=0.523,
+        trend_gap=0.881,
+        canopy=0.345,
+        water=0.0466,
+    ),
 }
 """Weights by kind of cloud, fitted by ``tests/benchmarks/sigma_constants.py``."""
 

@@ -24,7 +24,8 @@ from tiler.filter.tasks.labelled import Labelled
 from tiler.grid import DEEP_M, BlankBlocks, blank_blocks
 from tiler.grid.tasks.advice import advise
 from tiler.grid.tasks.canopy import canopy_cells
-from tiler.grid.tasks.corrections import Corrections, report_edited_pixels
+from tiler.grid.tasks.correct import report_edited_pixels
+from tiler.grid.tasks.corrections import Corrections
 from tiler.grid.tasks.gridding import GAP_M, GridContext, RasterStep
 from tiler.grid.tasks.raster_table import required_rasters
 from tiler.grid.tasks.shared_tins import join_blocks
@@ -55,16 +56,15 @@ def grid(job: Job, assembled: IngestResult, labelled: Labelled, corrections: Cor
     if labelled.matched and job.plan.config.method != KEEP:
         _settle_surface(job)
     gridding = GridContext(
-        job.plan, assembled, labelled.digests, _holes(job), decks=corrections.decks,
+        job.plan, assembled, labelled.digests, _holes(job), corrections=corrections,
         returns_show_water=not labelled.matched, kind=labelled.kind,
         canopy=canopy_cells(job, assembled, labelled),
-        edits=None if corrections.edits is None else corrections.edits.key,
     )  # fmt: skip
     for raster in required_rasters(job.plan.config):
         name = raster.name
         if name == "dtm-outlined" and job.plan.config.water != NO_WATER:
             gridding.waters = find_waters(job, gridding)
-        tasks = [corrections.add_to_task(job.plan, name, task) for task in raster.tasks(raster, gridding)]
+        tasks = list(raster.tasks(raster, gridding))
         join = partial(join_blocks, job.plan, assembled.records) if name == "dtm" else None
         gridding.made[name] = _make(job, raster, gridding.spec_of(raster), tasks, join)
         if name == "dtm":

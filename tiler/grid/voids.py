@@ -96,7 +96,7 @@ class FillBlock:
     voids: tuple[Void, ...]
     edits: str | None = field(default=None, metadata=NOT_IN_DIGEST)
 
-    def place(self, buckets: Lattice) -> Bounds | None:
+    def place(self, buckets: Lattice) -> Bounds:
         """Return the bounds of the block."""
         return self.rasters.spec.block_bounds(self.block)
 

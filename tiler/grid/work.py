@@ -29,7 +29,7 @@ class BlockWork:
     spec: RasterSpec
     block: Block
 
-    def place(self, buckets: Lattice) -> Bounds | None:
+    def place(self, buckets: Lattice) -> Bounds:
         """Return the bounds of the block."""
         return self.spec.block_bounds(self.block)
 

@@ -6,6 +6,9 @@ from pathlib import Path
 
 from tests.invariants import clouds
 from tiler.config import RunConfig
+from tiler.core.edits import Edits
+from tiler.core.lattice import Lattice
+from tiler.grid.tasks.corrections import Corrections
 from tiler.grid.tasks.gridding import GridContext, ground_rule
 from tiler.ingest.tasks.assembled import IngestResult
 from tiler.plan import make_plan
@@ -17,6 +20,7 @@ def test_every_task_that_reads_ground_gets_the_edits(tmp_path: Path) -> None:
     cloud = clouds.write(tmp_path / "in.laz", clouds.city(20.0, 1.0))
     plan = make_plan([str(cloud)], RunConfig.from_mapping({"in_process": True}))
     assert GridContext(plan, IngestResult({}, {}), {}).rule.edits is None
-    rule = GridContext(plan, IngestResult({}, {}), {}, edits="key").rule
-    assert rule.edits == "key"
+    edits = Edits((), Lattice(1))
+    rule = GridContext(plan, IngestResult({}, {}), {}, corrections=Corrections(edits)).rule
+    assert rule.edits == edits.key
     assert digest_of(rule) == digest_of(ground_rule(plan))

@@ -63,8 +63,8 @@ def vector_tasks(g: GridContext, out: str, noise_m: float) -> Iterator[Task]:
         )  # fmt: skip
         digest = digest_of(__version__, outline, g.checksums("survey"), g.checksums(terrain))
         yield Task("export", OUTLINE, digest, write_outline, outline)
-    if g.decks:
-        bridges = WriteBridges(name=BRIDGES, decks=tuple(g.decks), out=out)
+    if g.corrections.decks:
+        bridges = WriteBridges(name=BRIDGES, decks=g.corrections.decks, out=out)
         yield Task("export", BRIDGES, digest_of(__version__, bridges), write_bridges, bridges)
     if g.waters.bodies or config.water_file is not None:
         water = WriteWater(name=WATER, waters=g.waters.key, out=out)

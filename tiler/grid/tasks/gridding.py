@@ -10,15 +10,15 @@ from fractions import Fraction
 from typing import Any
 
 from tiler.core.classes import GROUND
-from tiler.core.edits import DrawnDeck
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec
 from tiler.core.water import Waters
 from tiler.filter import LABELS
-from tiler.grid import GroundSelection
+from tiler.grid import FillBlock, GroundSelection
 from tiler.grid.coarse import coarse_raster
 from tiler.grid.pieces import Joined, join_pieces
 from tiler.grid.tasks.canopy import CanopyCells
+from tiler.grid.tasks.corrections import Corrections
 from tiler.grid.work import BlockWork
 from tiler.ingest.tasks.assembled import IngestResult, skip_flags
 from tiler.plan import KEEP, Plan
@@ -92,6 +92,10 @@ class RasterStep:
         Function ``tasks(raster, g)`` that yields the tasks of the raster, with the digests of their inputs.
     fill : float
         Value of pixels in blocks that were not written.
+    edits : tuple of str
+        Actions of the edits that can change the raster.
+    follows_lines : bool
+        Whether the raster is made from a TIN that includes breaklines.
     """
 
     name: str
@@ -100,6 +104,8 @@ class RasterStep:
     grid: Grid
     tasks: Callable[[RasterStep, GridContext], Iterator[Task]]
     fill: float = 0.0
+    edits: tuple[str, ...] = ()
+    follows_lines: bool = False
 
     @property
     def stage(self) -> str:
@@ -138,8 +144,7 @@ class GridContext:
         Bounds of the tiles that failed. Heights there, if any, come from points around the tiles.
     made : dict of str to Commits
         Commits of the blocks of each raster that was made.
-    decks : sequence of DrawnDeck
-        Decks of bridges that are left out of the terrain.
+    corrections : Corrections
     waters : Waters
         Bodies of water. They are set after the terrain around them is made.
     returns_show_water : bool
@@ -149,8 +154,6 @@ class GridContext:
         Kind of the clouds (`ptd.passes.KINDS`); None if it is not known.
     canopy : CanopyCells or None
         Cells in which the filter found a closed canopy, if there is any.
-    edits : str or None
-        Key in the store of the edits of points and heights.
     sheets : sequence of Sheet
         Squares of the products. They are set after the models are made.
     """
@@ -160,19 +163,18 @@ class GridContext:
     labels: Mapping[Cell, str]
     holes: Sequence[Bounds] = ()
     made: dict[str, Commits] = field(default_factory=dict)
-    decks: Sequence[DrawnDeck] = ()
+    corrections: Corrections = field(default_factory=Corrections)
     waters: Waters = field(default_factory=lambda: Waters(()))
     returns_show_water: bool = True
     kind: str | None = None
     canopy: CanopyCells | None = None
-    edits: str | None = None
     sheets: Sequence[Sheet] = ()
     _areas: dict[str, Joined] = field(default_factory=dict)
 
     @property
     def rule(self) -> GroundSelection:
         """Rule for the points that are ground, with the edits."""
-        return replace(ground_rule(self.plan), edits=self.edits)
+        return replace(ground_rule(self.plan), edits=self.corrections.edits_key)
 
     @property
     def water_key(self) -> str | None:
@@ -215,11 +217,26 @@ class GridContext:
         under = self.coarse.blocks_within(self.spec.block_bounds(block), BLOCK_PIXELS)
         return self.checksums(raster, [other.name for other in under])
 
-    def block_task(self, raster: RasterStep, work: BlockWork, inputs: list[Any]) -> Task:
-        """Return the task of one block of a raster. ``inputs`` are digests of the data that the task reads."""
-        pixels = work.block.height * work.block.width
-        digest = digest_of(__version__, work, inputs)
-        return Task(raster.stage, work.block.name, digest, raster.function, work, pixels)
+    def block_task(
+        self, raster: RasterStep, work: BlockWork | FillBlock, *inputs: Any, points: int | None = None
+    ) -> Task:
+        """Return the task of one block of a raster.
+
+        ``inputs`` are digests of the data that the task reads. The digest of the task also includes the corrections
+        that can change the block. Without ``points``, the size of the task is the number of its pixels.
+        """
+        digest = digest_of(__version__, work, *inputs)
+        corrections = self._correction_digests(raster, work.place(self.plan.grid.meta.bucket))
+        if corrections:
+            digest = digest_of(digest, corrections)
+        n_points = work.block.height * work.block.width if points is None else points
+        return Task(raster.stage, work.block.name, digest, raster.function, work, n_points)
+
+    def _correction_digests(self, raster: RasterStep, extent: Bounds) -> list[Any]:
+        digests = self.corrections.edit_digests(extent, raster.edits)
+        if raster.follows_lines:
+            digests += self.corrections.line_digests_near(extent, self.plan)
+        return digests
 
     @property
     def water_is_sought(self) -> bool:

@@ -21,6 +21,7 @@ Rasters of pixels:
 from __future__ import annotations
 
 from tiler.config import AUTO_WATER, NO_WATER, VOID_CANOPY, RunConfig
+from tiler.core.edits import ACTIONS, OF_PIXELS
 from tiler.core.nodata import NODATA
 from tiler.core.products import PRODUCTS
 from tiler.grid import (
@@ -106,7 +107,16 @@ def raster_table(config: RunConfig) -> dict[str, RasterStep]:
     """Return all rasters that these settings allow, by name."""
     dtm, dsm = final_raster("dtm", config), final_raster("dsm", config)
     rows = [
-        RasterStep("dtm", (), grid_block, Grid.PIXELS, terrain_tasks, _nodata("dtm")),
+        RasterStep(
+            "dtm",
+            (),
+            grid_block,
+            Grid.PIXELS,
+            terrain_tasks,
+            _nodata("dtm"),
+            edits=OF_PIXELS,
+            follows_lines=True,
+        ),
         RasterStep("dsm", (dtm,), surface_block, Grid.PIXELS, surface_tasks, _nodata("dsm")),
         RasterStep("ndsm", (dsm, dtm), derive_block, Grid.PIXELS, derived_tasks, _nodata("ndsm")),
         RasterStep("hillshade", (dtm,), derive_block, Grid.PIXELS, derived_tasks, _nodata("hillshade")),
@@ -133,12 +143,15 @@ def raster_table(config: RunConfig) -> dict[str, RasterStep]:
                 Grid.PIXELS,
                 fill_tasks,
                 _nodata(model),
+                edits=OF_PIXELS if model == "dtm" else (),
             ),
         ]
     finds_water = config.water == AUTO_WATER
     if finds_water:
         rows += _water_rows()
     for model in _outlined(config):
+        # The records of the terrain count the holes inside edits of all actions.
+        edits = ACTIONS if model == "dtm" else ()
         inputs = [filled_raster(model, config), "survey"]
         if model == "dtm" and finds_water:
             inputs.append("water-cells")
@@ -152,6 +165,7 @@ def raster_table(config: RunConfig) -> dict[str, RasterStep]:
                 Grid.PIXELS,
                 outline_tasks,
                 _nodata(model),
+                edits=edits,
             )
         )
     return {row.name: row for row in rows}
@@ -164,7 +178,16 @@ def _water_rows() -> list[RasterStep]:
     return [
         RasterStep("domain-open", ("occupancy",), close_block, Grid.COARSE, domain_gaps, NO_PIECE),
         RasterStep("domain", ("domain-open",), survey_block, Grid.COARSE, survey_tasks),
-        RasterStep("water-terrain", (), grid_block, Grid.COARSE, coarse_terrain_tasks, NODATA),
+        RasterStep(
+            "water-terrain",
+            (),
+            grid_block,
+            Grid.COARSE,
+            coarse_terrain_tasks,
+            NODATA,
+            edits=OF_PIXELS,
+            follows_lines=True,
+        ),
         RasterStep(
             "water-ground",
             ("dtm", "water-terrain", "occupancy"),

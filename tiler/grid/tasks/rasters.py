@@ -30,8 +30,7 @@ from tiler.grid import (
 from tiler.grid.pieces import around
 from tiler.grid.tasks.gridding import GridContext, RasterStep
 from tiler.grid.tasks.survey import surveyed_blocks
-from tiler.schedule import Task, digest_of
-from tiler.version import __version__
+from tiler.schedule import Task
 
 CANOPY = "canopy"
 """Raster of the pixels in which a canopy hides the ground."""
@@ -51,6 +50,7 @@ def terrain_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
         percent=plan.config.surface_percent,
         thin=thinning_cells,
         max_points=plan.block_points,
+        breaklines=g.corrections.lines_key,
     )
     return _block_tasks(raster, g, make, widest)
 
@@ -105,8 +105,7 @@ def _block_tasks(
     for block, near in _near(g, spec, margin).items():
         work = make(name=raster.name, spec=spec, block=block, rule=rule)
         inputs = [g.checksums(name, [block.name]) for name in raster.inputs]
-        digest = digest_of(__version__, work, g.label_digests(near), inputs)
-        yield Task(raster.stage, block.name, digest, raster.function, work, g.n_points(near))
+        yield g.block_task(raster, work, g.label_digests(near), inputs, points=g.n_points(near))
 
 
 def _near(g: GridContext, spec: RasterSpec, margin: int = 0) -> dict[Block, list[Cell]]:
@@ -126,8 +125,7 @@ def canopy_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
             side=canopy.side,
         )  # fmt: skip
         canopy_digests = [canopy.digests[cell] for cell in near]
-        digest = digest_of(__version__, work, g.label_digests(near), canopy_digests)
-        yield Task(raster.stage, block.name, digest, raster.function, work, g.n_points(near))
+        yield g.block_task(raster, work, g.label_digests(near), canopy_digests, points=g.n_points(near))
 
 
 def outline_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
@@ -152,18 +150,18 @@ def outline_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
             cut=g.plan.config.outline == "survey",
             canopy=canopy,
             waters=waters.key if water_digest else None,
+            edits=g.corrections.edits_key,
             finds_water=g.plan.config.water == AUTO_WATER,
             area=g.plan.inputs.area_key,
         )
-        digest = digest_of(
-            __version__,
+        yield g.block_task(
+            raster,
             work,
             g.checksums(model, [key]),
             g.coarse_checksums(survey, block),
             water_digest,
             g.checksums(CANOPY, [key]) if canopy else [],
         )
-        yield Task(raster.stage, key, digest, raster.function, work, block.height * block.width)
 
 
 def mask_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
@@ -192,15 +190,14 @@ def mask_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
             area=g.plan.inputs.area_key,
             waters=g.water_key,
         )
-        digest = digest_of(
-            __version__,
+        yield g.block_task(
+            raster,
             work,
             g.coarse_checksums(survey, block),
             [g.checksums(name, [block.name]) for name in (dtm, delivered, canopy)],
             g.label_digests(near.get(block, [])),
             g.waters.digest(spec.block_bounds(block)),
         )
-        yield Task(raster.stage, block.name, digest, raster.function, work, block.height * block.width)
 
 
 def derived_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
@@ -210,8 +207,7 @@ def derived_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
     for block in sorted((spec.block_named(key, BLOCK_PIXELS) for key in keys), key=north_west):
         work = DeriveBlock(name=raster.name, spec=spec, block=block, sources=raster.inputs, fill=raster.fill)
         inputs = [g.checksums(name, _around(block)) for name in raster.inputs]
-        digest = digest_of(__version__, work, inputs)
-        yield Task(raster.stage, block.name, digest, raster.function, work, block.height * block.width)
+        yield g.block_task(raster, work, inputs)
 
 
 def sigma_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
@@ -226,8 +222,8 @@ def sigma_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
             name=raster.name, spec=spec, block=block, rule=g.rule, terrain=terrain, mask=mask, kind=g.kind, cap=cap
         )  # fmt: skip
         inputs = [g.checksums(terrain, _around(block)), g.checksums(mask, [key])]
-        digest = digest_of(__version__, work, g.label_digests(near.get(block, [])), inputs)
-        yield Task(raster.stage, key, digest, raster.function, work, g.n_points(near.get(block, [])))
+        buckets = near.get(block, [])
+        yield g.block_task(raster, work, g.label_digests(buckets), inputs, points=g.n_points(buckets))
 
 
 def _around(block: Block) -> list[str]:

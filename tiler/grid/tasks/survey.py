@@ -13,7 +13,6 @@ from tiler.grid import CloseBlock, FillBlock, FindVoids, SurveyBlock, Void, Void
 from tiler.grid.pieces import Piece, Side, components, touching
 from tiler.grid.tasks.gridding import GAP_M, GridContext, Place, RasterStep
 from tiler.schedule import Task, digest_of
-from tiler.version import __version__
 
 
 class Gap(NamedTuple):
@@ -213,14 +212,19 @@ def fill_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
     for key in sorted(voids_of.keys() | g.made[model].keys()):
         block_voids = voids_of.get(key, [])
         block = spec.block_named(key, BLOCK_PIXELS)
-        work = FillBlock(raster.name, block, rasters, tuple(void for void, _ in block_voids))
+        work = FillBlock(
+            name=raster.name,
+            block=block,
+            rasters=rasters,
+            voids=tuple(void for void, _ in block_voids),
+            edits=g.corrections.edits_key,
+        )
         inputs = [
             g.checksums(model, [key]),
             g.coarse_checksums(survey, block),
             [void_digest for _, void_digest in block_voids],
         ]
-        digest = digest_of(__version__, work, inputs)
-        yield Task(raster.stage, key, digest, raster.function, work, block.height * block.width)
+        yield g.block_task(raster, work, inputs)
 
 
 def surveyed_blocks(g: GridContext, survey: str) -> list[Block]:

@@ -185,7 +185,7 @@ def _decks_near(g: GridContext, place: Place) -> tuple[tuple[int, ...], ...]:
     block = g.coarse.block_at(*place, BLOCK_PIXELS)
     bounds = g.coarse.block_bounds(padded(block, BLOCK_PIXELS))
     rings = []
-    for ring, *_ in g.decks:
+    for ring, *_ in g.corrections.decks:
         x, y = ring[::2], ring[1::2]
         if bounds.overlaps(Bounds(min(x), min(y), max(x), max(y))):
             rings.append(ring)
