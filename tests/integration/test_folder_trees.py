@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from tests.integration.trees import STEPS, TREES, planted, put, tried
 
-FEW, MANY = 20, 120
+FEW, MANY = 20, 90
 
 pytestmark = pytest.mark.usefixtures("in_this_process")
 

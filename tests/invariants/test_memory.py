@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import json
 import re
@@ -24,10 +25,14 @@ do(Path(sys.argv[1]), Path(sys.argv[2]), water="auto", **json.loads(sys.argv[3])
 """
 
 
+@functools.cache
+def compile_kernels(method: str) -> None:
+    subprocess.run([sys.executable, "-m", "cli.main", "warm", method], check=True)
+
+
 def measured_run(path: Path, out: Path, **changes: object) -> dict:
     """run.json of a serial run in a process of its own, with kernels that were compiled before."""
-    method = str(changes.get("method", "classic"))
-    subprocess.run([sys.executable, "-m", "cli.main", "warm", method], check=True)
+    compile_kernels(str(changes.get("method", "classic")))
     subprocess.run([sys.executable, "-c", MEASURED, str(path), str(out), json.dumps(changes)], check=True)
     content: dict = json.loads((out / "run.json").read_text())
     return content

@@ -105,6 +105,6 @@ def test_many_mutants_of_odd_files(shared_data: Path, tmp_path: Path, guard: Chi
     total: Counter[str] = Counter()
     for path in paths:
         original = path.read_bytes()
-        total += hunt(guard, original, tmp_path / path.name, mutants(original, f"odd {path.name}", 60))
+        total += hunt(guard, original, tmp_path / path.name, mutants(original, f"odd {path.name}", 40))
     assert total["read"] > 50
     assert total["refused"] > 100
