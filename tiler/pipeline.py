@@ -106,10 +106,10 @@ def run(
     with _held(out, products, url) as leases, _copied(out, products):
         plan, store = _with_store(plan, url)
         job = Job(plan, out, products, store, redacting(listener), LeaseWatch(leases))
-        job.facts["products_at"] = products if is_url(products) else None
-        job.facts["given"] = [str(source) for source in inputs]
-        job.facts["earlier_outputs"] = earlier_outputs(out, products)
-        job.facts["digests"], job.earlier_settings = earlier_facts(out, products)
+        job.results.products_at = products if is_url(products) else None
+        job.results.given = [str(source) for source in inputs]
+        job.results.earlier_outputs = earlier_outputs(out, products)
+        job.results.digests, job.earlier_settings = earlier_facts(out, products)
         # run.json is written first, since it shows that the later files belong to this run.
         job.save("running")
         with EventLog(out / EVENTS) as log:
@@ -192,15 +192,15 @@ def _locked_run(job: Job, until: str, started: float) -> RunResult:
     finally:
         job.compiler.close()
         job.executors.close()
-    if until != "export" and job.record.computed and job.facts["earlier_outputs"]:
+    if until != "export" and job.record.computed and job.results.earlier_outputs:
         job.note(
             f"files in {job.products} are those of an earlier run until `tiler export` or `tiler run` replaces them"
         )
-    job.facts["seconds"] = round(time.monotonic() - started, 3)
+    job.results.seconds = round(time.monotonic() - started, 3)
     remember(plan, job.record.stages)
     job.record.exit_code = 5 if job.record.quarantined or job.record.failed else 0
     summary = _report(job)
-    listener(RunFinished(job.facts["seconds"]))
+    listener(RunFinished(job.results.seconds))
     return RunResult(
         job.record.exit_code, summary, job.record.computed == 0, without_secrets(job.products), plan
     )
@@ -208,7 +208,7 @@ def _locked_run(job: Job, until: str, started: float) -> RunResult:
 
 def _report(job: Job) -> dict[str, Any]:
     """Save run.json, write the report, and return the summary. If the report fails, the run is still finished."""
-    job.facts["report"] = REPORT
+    job.results.report = REPORT
     summary = job.save("done")
     try:
         write_report(job.out, summary, job.products)
@@ -216,7 +216,7 @@ def _report(job: Job) -> dict[str, Any]:
         text = f"{REPORT} could not be drawn: {error}; run `tiler report {job.out}` to try again"
         job.listener(Warned(text))
         job.record.notes.append(text)
-        job.facts["report"] = None
+        job.results.report = None
         summary = job.save("done")
     return summary
 

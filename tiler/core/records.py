@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import MISSING, dataclass
-from typing import Any, Self, TypedDict
+from typing import Any, Self, TypedDict, TypeVar
 
 from tiler.errors import StoreError
 
@@ -45,6 +45,22 @@ class Record:
             if value is not None or field.default is MISSING:
                 values[name] = value
         return values
+
+
+AnyRecord = TypeVar("AnyRecord", bound=Record)
+
+
+def records_of(
+    kind: type[AnyRecord], commits: Mapping[str, tuple[str, Mapping[str, Any]]]
+) -> list[AnyRecord]:
+    """Return the records of tasks in the order of their commits, with a type.
+
+    Raises
+    ------
+    StoreError
+        See `Record.of`.
+    """
+    return [kind.of(stored) for _, stored in commits.values()]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

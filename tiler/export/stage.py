@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
 from tiler.core.products import CONTOURS, SPOTS
+from tiler.core.results import ContourResult, SpotCounts
 from tiler.core.units_text import short_unit
 from tiler.errors import ProcessingError, write_error
 from tiler.export import WriteCog
@@ -50,7 +52,7 @@ def export(
     out = job.products
     gridding.sheets = cut(job, gridding)
     if job.plan.config.sheets is not None:
-        job.facts["sheets"] = len(gridding.sheets)
+        job.results.sheets = len(gridding.sheets)
     digest = digest_of(sorted(source.content for source in sources))
     tasks = [*cog_tasks(gridding, inputs_of(sources, spooled), digest, out), *legend_tasks(gridding, out)]
     tasks += vector_tasks(gridding, out, labelled.noise_m)
@@ -91,8 +93,9 @@ def export(
     _report_contours(job)
     _report_spots(job)
     _report_outline(job)
-    if "fetched" in job.facts:
-        job.facts["fetched"]["classified"] = sum(r.get("fetched", 0) for _, r in made.values())
+    if job.results.fetched is not None:
+        classified_bytes = sum(r.get("fetched", 0) for _, r in made.values())
+        job.results.fetched = replace(job.results.fetched, classified=classified_bytes)
     if mosaics or job.store.committed("mosaic"):
         mosaics += index_tasks(tasks, made, out)
         made |= _write(job, "mosaic", mosaics, out)
@@ -106,14 +109,15 @@ def export(
             for task in tasks
             if isinstance(task.arguments, WriteCog) and task.arguments.product == "dtm"
         ]
-        job.facts["dtm"]["filled"] = sum(made[key][1]["valid"] for key in terrain if key in made)
+        filled = sum(made[key][1]["valid"] for key in terrain if key in made)
+        job.results.dtm = replace(job.results.dtm, filled=filled)
     # The virtual cloud is valid as long as the clouds are, which have no basis in run.json.
     rasters_of = (path for key, path in written.items() if key.endswith(PRODUCTS) and path != VIRTUAL)
-    job.facts["made_of"] |= dict.fromkeys(rasters_of, basis)
-    unwritten = [path for path in written.values() if path not in job.facts["outputs"]]
+    job.results.made_of = {**job.results.made_of, **dict.fromkeys(rasters_of, basis)}
+    unwritten = [path for path in written.values() if path not in job.results.outputs]
     # If a task failed, the file of an earlier run may still be there.
     sizes = sizes_at([joined(out, path) for path in unwritten])
-    job.facts["earlier_outputs"] = {
+    job.results.earlier_outputs = {
         p: None for p, size in zip(unwritten, sizes, strict=True) if size is not None
     }
     _validate_outputs_exist(job)
@@ -133,9 +137,10 @@ def _make_folders(tasks: list[Task], out: str) -> None:
 
 def _report_outline(job: Job) -> None:
     commit = job.store.committed("export").get(OUTLINE)
-    if commit is not None and "outline" in job.facts:
-        more = {"rings": commit[1].get("rings", []), "polygons": commit[1]["polygons"]}
-        job.facts["outline"] = {**job.facts["outline"], **more}
+    outline = job.results.outline
+    if commit is not None and outline is not None:
+        rings, polygons = commit[1].get("rings", []), commit[1]["polygons"]
+        job.results.outline = replace(outline, rings=rings, polygons=polygons)
 
 
 def _report_contours(job: Job) -> None:
@@ -143,7 +148,9 @@ def _report_contours(job: Job) -> None:
     if CONTOURS not in job.plan.config.drawn or commit is None:
         return
     record, unit = commit[1], short_unit(job.plan.grid.meta.frame.units.vertical)
-    job.facts["contours"] = {name: record[name] for name in ("interval", "lines", "vertices", "cut", "short")}
+    job.results.contours = ContourResult(
+        record["interval"], record["lines"], record["vertices"], record["cut"], record["short"]
+    )
     if job.plan.config.contour_interval is None and record["low"] is not None:
         job.note(
             f"decided: contours every {record['interval']:g} {unit}, as nearly all of the terrain lies between "
@@ -159,12 +166,12 @@ def _report_contours(job: Job) -> None:
 def _report_spots(job: Job) -> None:
     commit = job.store.committed("export").get(f"{SPOTS}.gpkg")
     if SPOTS in job.plan.config.drawn and commit is not None:
-        job.facts["spots"] = {name: commit[1][name] for name in ("highs", "lows")}
+        job.results.spots = SpotCounts(commit[1]["highs"], commit[1]["lows"])
 
 
 def _validate_outputs_exist(job: Job) -> None:
     """Raise ProcessingError if files of the run were removed already, since a finished run must have them."""
-    outputs = list(job.facts["outputs"])
+    outputs = list(job.results.outputs)
     sizes = sizes_at([joined(job.products, path) for path in outputs])
     gone = [path for path, size in zip(outputs, sizes, strict=True) if size is None]
     if gone:
@@ -201,10 +208,13 @@ def _write(job: Job, stage: str, tasks: list[Task], out: str) -> Commits:
     files = _files(tasks)
     invalidate_changed_outputs(job, stage, files)
     written = run_stage(job, stage, tasks, writes_out=True)
-    job.facts["outputs"] |= {below(out, files[k]): record["bytes"] for k, (_, record) in written.items()}
-    job.facts["digests"] |= {
-        below(out, files[k]): record["digest"] for k, (_, record) in written.items() if "digest" in record
-    }
+    sizes, digests = dict(job.results.outputs), dict(job.results.digests)
+    for key, (_, record) in written.items():
+        path = below(out, files[key])
+        sizes[path] = record["bytes"]
+        if "digest" in record:
+            digests[path] = record["digest"]
+    job.results.outputs, job.results.digests = sizes, digests
     for text in dict.fromkeys(text for _, record in written.values() for text in record.get("notes", ())):
         job.note(text)
     return written

@@ -14,6 +14,7 @@ from ptd.methods import METHODS
 from ptd.passes import MethodRefusal, Pass, State
 from ptd.places import PLACES
 from tiler.core.records import TileRecord
+from tiler.core.results import LabelCounts
 from tiler.core.units_text import in_unit_of_crs
 from tiler.errors import ConfigError, ProcessingError
 from tiler.filter import FilterTile
@@ -44,7 +45,8 @@ def filter_points(job: Job, assembled: IngestResult) -> Labelled:
     facts = run_facts(sigma, config.source_kind, job.plan.inputs.evidence)
     state: dict[str, Any] = {"run": dataclasses.asdict(facts)}
     pass_inputs = PassInputs(assembled.digests)
-    statistics = job.facts["statistics"] = {}
+    statistics: dict[str, Any] = {}
+    job.results.statistics = statistics
     has_written, last_pass = False, ""
     for number, step in enumerate(passes):
         if not step.applies(state):
@@ -73,7 +75,7 @@ def filter_points(job: Job, assembled: IngestResult) -> Labelled:
             pass_inputs = pass_inputs.after(number, step, is_last, candidates_only, assembled, filtered)
             last_pass = step.name if is_last else ""
         if step.gives_labels:
-            job.facts["filter"] = _filter_facts(job, list(tile_records(filtered)), len(tasks))
+            job.results.filter = _label_counts(job, list(tile_records(filtered)), len(tasks))
         partials = (tile.partial for tile in tile_records(filtered))
         if known_states is None:
             state_after = _reduced(job, step, partials, state)
@@ -146,7 +148,7 @@ def _warn_of_uncertain_kind(job: Job, survey: Mapping[str, Any]) -> None:
     other = "als" if survey["kind"] == MATCHED else "dim"
     words = {"lidar": "laser scanning", MATCHED: "image matching"}[survey["kind"]]
     text = f"it is only {100 * sure:.0f} % sure that the clouds are from {words}; use --kind {other} if they are not"
-    job.facts["doubts"] = [text]
+    job.results.doubts = [text]
     job.listener(Warned(text))
 
 
@@ -168,21 +170,22 @@ def _leave_out(job: Job, task: Task, step: Pass, inputs: PassInputs) -> None:
             job.store.write_labels(work.labels_out, cell, labels, work.of_candidates)
 
 
-def _filter_facts(job: Job, records: list[TileRecord], tiles: int) -> dict[str, Any]:
-    def total(name: str) -> int:
-        return sum(getattr(record, name) for record in records)
-
-    names = ("points", "ground", "low_noise", "unclassified", "kept", "marked")
-    n_repeated = sum(record.tries > 1 for record in records)
-    summary: dict[str, Any] = {name: total(name) for name in names}
-    summary |= {
-        "tiles": tiles,
-        "tiles_done_again": n_repeated,
-        "overlap_work": total("window_area") / max(total("core_area"), 1),
-    }
-    if summary["marked"]:
+def _label_counts(job: Job, records: list[TileRecord], tiles: int) -> LabelCounts:
+    core_area = sum(record.core_area for record in records)
+    counts = LabelCounts(
+        points=sum(record.points for record in records),
+        ground=sum(record.ground for record in records),
+        low_noise=sum(record.low_noise for record in records),
+        unclassified=sum(record.unclassified for record in records),
+        kept=sum(record.kept for record in records),
+        marked=sum(record.marked for record in records),
+        tiles=tiles,
+        tiles_done_again=sum(record.tries > 1 for record in records),
+        overlap_work=sum(record.window_area for record in records) / max(core_area, 1),
+    )
+    if counts.marked:
         job.note(
-            f"{summary['marked']:,} labels are not certified: points beyond the widest halo could change them; "
+            f"{counts.marked:,} labels are not certified: points beyond the widest halo could change them; "
             "more --memory allows a wider halo"
         )
-    return summary
+    return counts

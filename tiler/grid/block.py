@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import astuple, replace
 from fractions import Fraction
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -25,9 +25,19 @@ from tiler.core.lattice import Bounds
 from tiler.core.raster import MIN_PART, NODATA, Block, RasterSpec, hull_of
 from tiler.errors import ProcessingError
 from tiler.grid.checksum import checksum
+from tiler.grid.records import TerrainRecord
 from tiler.grid.thinning import max_points_in_bucket, surface_ground
 from tiler.grid.work import GridBlock, GridBlocks, TinBlock
 from tiler.store import TileStore, open_store
+
+
+class _GroundCounts(NamedTuple):
+    """Numbers of ground points in a window: all, vertices of the TIN, and uncertified points."""
+
+    n_read: int
+    n_used: int
+    n_uncertified: int
+
 
 MAX_WINDOW = MAX_EXTENT // 2
 """Least side, in counts, of a window that is too wide for an exact TIN. Its block is divided."""
@@ -47,8 +57,7 @@ def grid_block(store_url: str, work: GridBlock) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``pixels``, ``filled``, ``nodata``; ``marked`` (uncertified pixels); ``tries``; of the last try, ``halo``
-        (counts) and numbers of ground points ``ground_read``, ``ground_used``, ``ground_marked``; ``checksum``.
+        `TerrainRecord` of the block.
 
     Raises
     ------
@@ -69,9 +78,10 @@ def grid_blocks(store_url: str, work: GridBlocks) -> dict[str, Any]:
     for block, heights, record in heights_of_blocks(store, work.blocks):
         edited = edit_heights(store, block.rule.edits, block.spec, block.block, heights)
         if edited:
-            record |= {**_counted(heights), "edited": edited}
+            filled = _n_filled(heights)
+            record = replace(record, filled=filled, nodata=heights.size - filled, edited=edited)
         store.write_block(block.name, block.block, heights)
-        parts.append({**record, "checksum": checksum(heights)})
+        parts.append(replace(record, checksum=checksum(heights)).to_json())
     return {"parts": parts}
 
 
@@ -88,15 +98,13 @@ def edit_heights(
     return [] if edits is None else edits.set_heights(spec, block, heights)
 
 
-def _counted(heights: Heights) -> dict[str, int]:
-    """Count the pixels with and without a height."""
-    filled = int(np.count_nonzero(heights != np.float32(NODATA)))
-    return {"filled": filled, "nodata": heights.size - filled}
+def _n_filled(heights: Heights) -> int:
+    return int(np.count_nonzero(heights != np.float32(NODATA)))
 
 
 def heights_of_blocks(
     store: TileStore, works: Sequence[GridBlock]
-) -> Iterator[tuple[GridBlock, Heights, dict[str, Any]]]:
+) -> Iterator[tuple[GridBlock, Heights, TerrainRecord]]:
     """Compute heights and records of blocks that differ only in their positions, without checksums.
 
     The blocks share a TIN if it is not too wide or too full. Otherwise each block has its own TIN, and a block that is
@@ -107,7 +115,8 @@ def heights_of_blocks(
     work : GridBlock
     heights : float32, shape (height, width)
         Heights in vertical units of the CRS, `NODATA` for pixels without a height.
-    record : dict
+    record : TerrainRecord
+        Record of the block without its checksum.
     """
     first = works[0]
     pixel = math.ceil(first.spec.lattice.size)
@@ -120,7 +129,7 @@ def _most_halo(work: GridBlock) -> int:
 
 def _heights(
     store: TileStore, works: Sequence[GridBlock], halo: int, tries: int
-) -> Iterator[tuple[GridBlock, Heights, dict[str, Any]]]:
+) -> Iterator[tuple[GridBlock, Heights, TerrainRecord]]:
     """Yield the heights of blocks in attempt number ``tries``, which uses this halo."""
     whole = replace(works[0], block=hull_of(work.block for work in works))
     if len(works) > 1 and _too_full(store, whole, halo):
@@ -142,15 +151,22 @@ def _heights(
             yield from _heights(store, (work,), min(2 * halo, _most_halo(work)), tries + 1)
             continue
         heights = heights_in_units(raster.heights[part])
-        record = {"pixels": heights.size, "marked": marked, "tries": tries, "halo": halo}
-        yield work, heights, {**record, **_counted(heights), **ground}
+        filled = _n_filled(heights)
+        record = TerrainRecord(
+            pixels=heights.size, filled=filled, nodata=heights.size - filled, marked=marked, tries=tries, halo=halo,
+            ground_read=ground.n_read, ground_used=ground.n_used, ground_marked=ground.n_uncertified,
+        )  # fmt: skip
+        yield work, heights, record
 
 
-def _nothing(block: Block, halo: int) -> tuple[Heights, dict[str, Any]]:
+def _nothing(block: Block, halo: int) -> tuple[Heights, TerrainRecord]:
     """Return heights and record of a block far from all points: it has no heights."""
     heights = np.full((block.height, block.width), NODATA, np.float32)
-    none = dict.fromkeys(("marked", "ground_read", "ground_used", "ground_marked"), 0)
-    return heights, {"pixels": heights.size, **_counted(heights), **none, "tries": 1, "halo": halo}
+    record = TerrainRecord(
+        pixels=heights.size, filled=0, nodata=heights.size, marked=0, tries=1, halo=halo,
+        ground_read=0, ground_used=0, ground_marked=0,
+    )  # fmt: skip
+    return heights, record
 
 
 def _window(work: GridBlock, halo: int) -> Bounds:
@@ -174,37 +190,46 @@ def _too_full(store: TileStore, work: GridBlock, halo: int) -> bool:
     return sum(max_points_in_bucket(info.n, store.meta.bucket, work.thin) for info in held) > work.max_points
 
 
-def _in_quarters(store: TileStore, work: GridBlock, tries: int) -> tuple[Heights, dict[str, Any]]:
+def _in_quarters(store: TileStore, work: GridBlock, tries: int) -> tuple[Heights, TerrainRecord]:
     """Compute a block quarter by quarter."""
     row, col, height, width = astuple(work.block)
     heights = np.empty((height, width), np.float32)
-    total: dict[str, Any] = {}
+    records = []
     for top, tall in ((0, height // 2), (height // 2, height - height // 2)):
         for left, wide in ((0, width // 2), (width // 2, width - width // 2)):
             if tall == 0 or wide == 0:
                 continue
             part, record = block_heights(store, replace(work, block=Block(row + top, col + left, tall, wide)))
             heights[top : top + tall, left : left + wide] = part
-            total = {
-                k: (max if k in ("tries", "halo") else int.__add__)(total.get(k, 0), v)
-                for k, v in record.items()
-            }
-    return heights, {**total, "tries": total["tries"] + tries - 1}
+            records.append(record)
+    filled = sum(record.filled for record in records)
+    total = TerrainRecord(
+        pixels=heights.size,
+        filled=filled,
+        nodata=heights.size - filled,
+        marked=sum(record.marked for record in records),
+        tries=max(record.tries for record in records) + tries - 1,
+        halo=max(record.halo for record in records),
+        ground_read=sum(record.ground_read for record in records),
+        ground_used=sum(record.ground_used for record in records),
+        ground_marked=sum(record.ground_marked for record in records),
+    )
+    return heights, total
 
 
-def block_heights(store: TileStore, work: GridBlock) -> tuple[Heights, dict[str, Any]]:
+def block_heights(store: TileStore, work: GridBlock) -> tuple[Heights, TerrainRecord]:
     """Return heights and record of any block, without the checksum (see `heights_of_blocks`)."""
     ((_, heights, record),) = heights_of_blocks(store, (work,))
     return heights, record
 
 
-def _attempt(store: TileStore, work: GridBlock, window: Bounds) -> tuple[TinRaster, dict[str, int]]:
+def _attempt(store: TileStore, work: GridBlock, window: Bounds) -> tuple[TinRaster, _GroundCounts]:
     """Return heights and uncertified pixels of a block, and the counts of its ground points."""
     ground, xyz = surface_ground(store, work, window)
     if work.breaklines is not None:
         lines = store.breaklines(work.breaklines)
         xyz = lines.applied(xyz, window, work.data, store.meta.frame.origin)
-    counts = {"ground_read": ground.read, "ground_used": xyz.shape[1], "ground_marked": ground.marked}
+    counts = _GroundCounts(ground.read, xyz.shape[1], ground.marked)
     return rasterise_window(store, work, window, xyz), counts
 
 

@@ -20,6 +20,7 @@ from tiler.core.lattice import Lattice
 from tiler.core.raster import Block, RasterSpec
 from tiler.grid.checksum import checksum
 from tiler.grid.density import ground_counts
+from tiler.grid.records import BlockRecord
 from tiler.grid.work import PointsBlock
 from tiler.store import TileStore, open_store
 
@@ -54,7 +55,7 @@ def canopy_block(store_url: str, work: CanopyBlock) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``pixels``, ``filled`` (pixels with a 1); ``checksum``.
+        `BlockRecord` of the block. ``filled`` is the number of pixels with a 1.
     """
     store, spec, block = open_store(store_url), work.spec, work.block
     hidden = _covered(store, work, spec, block)
@@ -62,7 +63,8 @@ def canopy_block(store_url: str, work: CanopyBlock) -> dict[str, Any]:
         hidden &= ground_counts(store, work.rule, spec, block) == 0
     values = hidden.astype(np.float32)
     store.write_block(work.name, block, values)
-    return {"pixels": values.size, "filled": int(np.count_nonzero(hidden)), "checksum": checksum(values)}
+    record = BlockRecord(pixels=values.size, filled=int(np.count_nonzero(hidden)), checksum=checksum(values))
+    return record.to_json()
 
 
 def _covered(store: TileStore, work: CanopyBlock, spec: RasterSpec, block: Block) -> npt.NDArray[np.bool_]:

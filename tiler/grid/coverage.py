@@ -24,6 +24,7 @@ from tiler.grid.density import pixel_indices
 from tiler.grid.ground import surface_points
 from tiler.grid.pieces import Piece, cells_of, label_block, part_of
 from tiler.grid.reach import box_around, within
+from tiler.grid.records import OccupancyRecord, OpenAreasRecord, SurveyRecord
 from tiler.grid.returns import histograms
 from tiler.grid.work import BlockWork, PointsBlock
 from tiler.store import open_store, read_cells
@@ -85,8 +86,7 @@ def occupancy_block(store_url: str, work: PointsBlock) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``filled`` (occupied cells); ``water`` (cells that are water by the input); ``returns``: histograms of points
-        per cell, see `tiler.grid.returns`; ``checksum``.
+        `OccupancyRecord` of the block.
     """
     store, spec, block = open_store(store_url), work.spec, work.block
     rule, bounds = work.rule, spec.block_bounds(block)
@@ -101,12 +101,13 @@ def occupancy_block(store_url: str, work: PointsBlock) -> dict[str, Any]:
     shape = block.height, block.width
     values = np.where(2 * water > counts, -counts, counts).astype(np.float32).reshape(shape)
     store.write_block(work.name, block, values)
-    return {
-        "filled": int(np.count_nonzero(values)),
-        "water": int((values < 0).sum()),
-        "returns": histograms(counts.reshape(shape)),
-        "checksum": checksum(values),
-    }
+    record = OccupancyRecord(
+        filled=int(np.count_nonzero(values)),
+        water=int((values < 0).sum()),
+        returns=histograms(counts.reshape(shape)),
+        checksum=checksum(values),
+    )
+    return record.to_json()
 
 
 def close_block(store_url: str, work: CloseBlock) -> dict[str, Any]:
@@ -115,8 +116,7 @@ def close_block(store_url: str, work: CloseBlock) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``sides`` and ``labels`` (number of labels), see `tiler.grid.pieces`; ``gaps``: each width of gaps in cells, and
-        the number of windows with points that have it; ``filled``; ``checksum``.
+        `OpenAreasRecord` of the block.
     """
     store, block = open_store(store_url), work.block
     pad = max(WINDOW, 2 * int(np.ceil(work.most_gap / 2)) + 2)
@@ -130,13 +130,14 @@ def close_block(store_url: str, work: CloseBlock) -> dict[str, Any]:
     inner = occupied[pad : pad + block.height, pad : pad + block.width]
     held = inner.reshape(len(gaps), WINDOW, -1, WINDOW).any(axis=(1, 3))
     widths, windows = np.unique(gaps[held], return_counts=True)
-    return {
-        "sides": sides,
-        "labels": int(labels.max(initial=0)),
-        "gaps": [[float(width), int(n)] for width, n in zip(widths, windows, strict=True)],
-        "filled": values.size,
-        "checksum": checksum(values),
-    }
+    record = OpenAreasRecord(
+        sides=sides,
+        labels=int(labels.max(initial=0)),
+        gaps=[(float(width), int(n)) for width, n in zip(widths, windows, strict=True)],
+        filled=values.size,
+        checksum=checksum(values),
+    )
+    return record.to_json()
 
 
 def gaps_of(occupied: Bools, gap: float, most: float) -> npt.NDArray[np.float64]:
@@ -213,8 +214,7 @@ def survey_block(store_url: str, work: SurveyBlock) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``inside`` (cells inside the survey) and ``cells``; ``blocks``: `block_runs` of the products' blocks that
-        overlap the inside; ``filled``; ``checksum``.
+        `SurveyRecord` of the block.
     """
     store, spec, block = open_store(store_url), work.spec, work.block
     window = padded(block, 1)
@@ -225,13 +225,14 @@ def survey_block(store_url: str, work: SurveyBlock) -> dict[str, Any]:
     values = survey_values(opened == 0, enclosed)[1:-1, 1:-1].astype(np.float32)
     store.write_block(work.name, block, values)
     inside = values >= SURVEYED
-    return {
-        "inside": int(inside.sum()),
-        "cells": values.size,
-        "blocks": block_runs(inside, spec.window(block), work.pixels, BLOCK_PIXELS),
-        "filled": int(np.count_nonzero(values)),
-        "checksum": checksum(values),
-    }
+    record = SurveyRecord(
+        inside=int(inside.sum()),
+        cells=values.size,
+        blocks=block_runs(inside, spec.window(block), work.pixels, BLOCK_PIXELS),
+        filled=int(np.count_nonzero(values)),
+        checksum=checksum(values),
+    )
+    return record.to_json()
 
 
 def survey_values(closed: Bools, enclosed: Bools) -> npt.NDArray[np.uint8]:

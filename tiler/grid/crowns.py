@@ -13,6 +13,7 @@ from ptd.matched.crowns import BLOCK, Crowns, crowns
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.nodata import NODATA
 from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec
+from tiler.grid.records import CrownsRecord
 from tiler.grid.roofs import Advice
 from tiler.store import TileStore, open_store
 
@@ -35,10 +36,11 @@ def find_crowns(store_url: str, work: FindCrowns) -> dict[str, Any]:
     store, spec = open_store(store_url), work.spec
     blocks = [spec.block_named(name, BLOCK_PIXELS) for name in work.names]
     parts = [crowns_in_block(store, "dtm", spec, block) for block in blocks]
-    return {
-        "looked_at": sum(part.looked_at for part in parts),
-        "found": list(chain.from_iterable(part.found for part in parts)),
-    }
+    record = CrownsRecord(
+        looked_at=sum(part.looked_at for part in parts),
+        found=list(chain.from_iterable(part.found for part in parts)),
+    )
+    return record.to_json()
 
 
 def crowns_in_block(store: TileStore, name: str, spec: RasterSpec, block: Block) -> Crowns:

@@ -10,6 +10,7 @@ import numpy.typing as npt
 from tiler.core.raster import Block, RasterSpec
 from tiler.grid.checksum import checksum
 from tiler.grid.ground import GroundSelection, read_ground
+from tiler.grid.records import DensityRecord
 from tiler.grid.work import PointsBlock
 from tiler.store import TileStore, open_store
 
@@ -20,19 +21,20 @@ def density_block(store_url: str, work: PointsBlock) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``pixels``, ``filled`` (pixels with a point), ``points``; ``checksum``.
+        `DensityRecord` of the block. ``filled`` is the number of pixels with a ground point.
     """
     store, spec, block = open_store(store_url), work.spec, work.block
     counts = ground_counts(store, work.rule, spec, block)
     area = (spec.lattice.size * store.meta.frame.metres_xy) ** 2
     values = (counts / float(area)).astype(np.float32)
     store.write_block(work.name, block, values)
-    return {
-        "pixels": values.size,
-        "filled": int(np.count_nonzero(counts)),
-        "points": int(counts.sum()),
-        "checksum": checksum(values),
-    }
+    record = DensityRecord(
+        pixels=values.size,
+        filled=int(np.count_nonzero(counts)),
+        points=int(counts.sum()),
+        checksum=checksum(values),
+    )
+    return record.to_json()
 
 
 def ground_counts(

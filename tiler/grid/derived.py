@@ -12,6 +12,7 @@ import numpy.typing as npt
 from ptd.gridding.shape import gradients, multidirectional_hillshade, slope_deg
 from tiler.core.raster import NODATA, Block, RasterSpec
 from tiler.grid.checksum import checksum
+from tiler.grid.records import BlockRecord
 from tiler.grid.work import BlockWork
 from tiler.store import TileStore, open_store
 
@@ -40,18 +41,19 @@ def derive_block(store_url: str, work: DeriveBlock) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``pixels``, ``filled``; ``checksum``.
+        `BlockRecord` of the block.
     """
     store, spec, block = open_store(store_url), work.spec, work.block
     computed_values = _PRODUCTS[work.name](store, spec, block, work.sources)
     fill = np.float32(work.fill)
     values = np.where(np.isnan(computed_values), fill, computed_values.astype(np.float32))
     store.write_block(work.name, block, values)
-    return {
-        "pixels": values.size,
-        "filled": int(np.count_nonzero(values != fill)),
-        "checksum": checksum(values),
-    }
+    record = BlockRecord(
+        pixels=values.size,
+        filled=int(np.count_nonzero(values != fill)),
+        checksum=checksum(values),
+    )
+    return record.to_json()
 
 
 def _read(store: TileStore, name: str, block: Block) -> Float64:

@@ -15,6 +15,7 @@ from tiler.core.raster import Block, RasterSpec
 from tiler.grid.block import pixels_of
 from tiler.grid.checksum import checksum
 from tiler.grid.ground import GroundSelection, read_ground
+from tiler.grid.records import BlockRecord
 from tiler.grid.work import PointsBlock
 from tiler.store import TileStore, open_store
 
@@ -37,7 +38,7 @@ def distance_block(store_url: str, work: DistanceBlock) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``pixels``, ``filled`` (pixels nearer than the cap); ``checksum``.
+        `BlockRecord` of the block. ``filled`` is the number of pixels nearer than the cap.
     """
     store, spec, block = open_store(store_url), work.spec, work.block
     cap, rule = work.cap, work.rule
@@ -47,11 +48,12 @@ def distance_block(store_url: str, work: DistanceBlock) -> dict[str, Any]:
     metres = float(store.meta.frame.metres_xy)
     values = (np.minimum(distances, float(cap)) * metres).astype(np.float32)
     store.write_block(work.name, block, values)
-    return {
-        "pixels": values.size,
-        "filled": int(np.isfinite(distances).sum()),
-        "checksum": checksum(values),
-    }
+    record = BlockRecord(
+        pixels=values.size,
+        filled=int(np.isfinite(distances).sum()),
+        checksum=checksum(values),
+    )
+    return record.to_json()
 
 
 def ground_distance(

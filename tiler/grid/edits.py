@@ -10,6 +10,7 @@ import numpy as np
 from tiler.core.edits import OF_POINTS, TO_GROUND, EditedPoints
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.grid.ground import GroundSelection, read_classes
+from tiler.grid.records import EditCountsRecord
 from tiler.store import open_store
 
 
@@ -34,14 +35,12 @@ def survey_edits(store_url: str, work: SurveyEdits) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``edits``: for each edit that touches the bucket, its number and five counts of points inside it: all, ground
-        before the edit, ground after it by the input's classes or by the lowest points, and ground by the input. The
-        last three are 0 unless the edit adds ground.
+        `EditCountsRecord` of the bucket.
     """
     store = open_store(store_url)
     edits = store.edits(work.edits, store.meta.bucket.bounds(work.cell), OF_POINTS)
     if edits is None:
-        return {"edits": []}
+        return EditCountsRecord([]).to_json()
     block, classes, is_ground = read_classes(store, work.rule, work.cell, needs_input=True)
     points = EditedPoints(block, classes, store.meta.frame.origin)
     counts = []
@@ -53,4 +52,4 @@ def survey_edits(store_url: str, work: SurveyEdits) -> dict[str, Any]:
             after = [ground_before + int(np.count_nonzero(~is_ground[more])) for more in becoming]
             given = len(becoming[0])
         counts.append([edit.number, len(rows), ground_before, *after, given])
-    return {"edits": counts}
+    return EditCountsRecord(counts).to_json()

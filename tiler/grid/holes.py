@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -21,6 +21,27 @@ LEAVE_HOLES = (NOT_GROUND, TO_GROUND, VOID)
 Mask = npt.NDArray[np.bool_]
 
 
+class BlockHoles(NamedTuple):
+    """Holes of a block.
+
+    Attributes
+    ----------
+    n_surveyed : int
+        Number of pixels that have a height or should have one.
+    n_voided : int
+        Number of holes that edits request.
+    cells : list of list of int
+        All other holes, see `hole_cells`.
+    by_edit : list of [number, pixels]
+        Number of each edit, and of the holes in it.
+    """
+
+    n_surveyed: int
+    n_voided: int
+    cells: list[list[int]]
+    by_edit: list[list[int]]
+
+
 def holes_of_block(
     store: TileStore,
     spec: RasterSpec,
@@ -29,7 +50,7 @@ def holes_of_block(
     surveyed: Mask,
     edits: str | None,
     area: Area | None,
-) -> dict[str, Any]:
+) -> BlockHoles:
     """Count and locate the holes of a block.
 
     Parameters
@@ -45,12 +66,6 @@ def holes_of_block(
         Key in the store of the edits.
     area : Area or None
         Area outside which holes do not count.
-
-    Returns
-    -------
-    dict
-        ``surveyed``: pixels that have a height or should have one; ``voided``: holes that edits request; ``holes``: all
-        other holes as `hole_cells` returns them; ``edit_holes``: number of each edit and of the holes in it.
     """
     empty, in_area = heights == np.float32(NODATA), spec.inside(block, area)
     holes = empty & surveyed & in_area
@@ -62,12 +77,12 @@ def holes_of_block(
         counts.append([edit.number, int(np.count_nonzero(inside & holes[part_in_block]))])
         if edit.action == VOID:
             asked[part_in_block] |= inside
-    return {
-        "surveyed": int(np.count_nonzero((~empty | surveyed) & in_area)),
-        "voided": int(np.count_nonzero(holes & asked)),
-        "holes": hole_cells(holes & ~asked, block),
-        "edit_holes": counts,
-    }
+    return BlockHoles(
+        n_surveyed=int(np.count_nonzero((~empty | surveyed) & in_area)),
+        n_voided=int(np.count_nonzero(holes & asked)),
+        cells=hole_cells(holes & ~asked, block),
+        by_edit=counts,
+    )
 
 
 def hole_cells(holes: Mask, block: Block) -> list[list[int]]:

@@ -24,6 +24,7 @@ from tiler.core.products import SURVEYED
 from tiler.core.raster import NODATA, Block, RasterSpec
 from tiler.grid.checksum import checksum
 from tiler.grid.density import ground_counts
+from tiler.grid.records import MaskRecord
 from tiler.grid.work import PointsBlock
 from tiler.schedule import NOT_IN_DIGEST
 from tiler.store import coarse_values, open_store
@@ -71,7 +72,7 @@ def mask_block(store_url: str, work: MaskBlock) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``pixels``, ``filled`` (pixels with a height), ``values`` (number of pixels for each value); ``checksum``.
+        `MaskRecord` of the block.
     """
     store, spec, block = open_store(store_url), work.spec, work.block
     nodata = np.float32(NODATA)
@@ -92,12 +93,13 @@ def mask_block(store_url: str, work: MaskBlock) -> dict[str, Any]:
         mask[_within(hole, spec, block)] = HOLE
     mask[~spec.inside(block, store.area(work.area))] = OUTSIDE
     store.write_block(work.name, block, mask)
-    return {
-        "pixels": mask.size,
-        "filled": int(filled.sum()),
-        "values": np.bincount(mask.ravel().astype(np.int64), minlength=len(MASK_VALUES)).tolist(),
-        "checksum": checksum(mask),
-    }
+    record = MaskRecord(
+        pixels=mask.size,
+        filled=int(filled.sum()),
+        values=np.bincount(mask.ravel().astype(np.int64), minlength=len(MASK_VALUES)).tolist(),
+        checksum=checksum(mask),
+    )
+    return record.to_json()
 
 
 def _within(bounds: Bounds, spec: RasterSpec, block: Block) -> tuple[slice, slice]:

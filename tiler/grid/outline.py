@@ -12,6 +12,7 @@ from tiler.core.raster import NODATA, RasterSpec
 from tiler.grid.block import edit_heights
 from tiler.grid.checksum import checksum
 from tiler.grid.holes import holes_of_block
+from tiler.grid.records import OutlineRecord
 from tiler.grid.work import BlockWork
 from tiler.schedule import NOT_IN_DIGEST
 from tiler.store import coarse_values, open_store
@@ -62,9 +63,7 @@ def outline_block(store_url: str, work: OutlineBlock) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``pixels``, ``filled`` (pixels with a height), ``hidden`` (pixels that lost it to a canopy), ``cut`` (pixels
-        that lost it otherwise), ``added`` (pixels that got one from water), ``water`` (key of the area and pixels of
-        each body), ``checksum``, and the entries of `holes_of_block`.
+        `OutlineRecord` of the block.
     """
     store, spec, block = open_store(store_url), work.spec, work.block
     nodata = np.float32(NODATA)
@@ -88,13 +87,18 @@ def outline_block(store_url: str, work: OutlineBlock) -> dict[str, Any]:
     store.write_block(work.name, block, heights)
     filled = int(np.count_nonzero(heights != nodata))
     lost = int(np.count_nonzero((heights_before != nodata) & (heights == nodata)))
-    return {
-        "pixels": heights.size,
-        "filled": filled,
-        "hidden": min(hidden, lost),
-        "cut": max(lost - hidden, 0),
-        "water": water,
-        "checksum": checksum(heights),
-        "added": filled + lost - int(np.count_nonzero(heights_before != nodata)),
-        **holes_of_block(store, spec, block, heights, cells >= SURVEYED, work.edits, store.area(work.area)),
-    }
+    holes = holes_of_block(store, spec, block, heights, cells >= SURVEYED, work.edits, store.area(work.area))
+    record = OutlineRecord(
+        pixels=heights.size,
+        filled=filled,
+        hidden=min(hidden, lost),
+        cut=max(lost - hidden, 0),
+        water=water,
+        checksum=checksum(heights),
+        added=filled + lost - int(np.count_nonzero(heights_before != nodata)),
+        surveyed=holes.n_surveyed,
+        voided=holes.n_voided,
+        holes=holes.cells,
+        edit_holes=holes.by_edit,
+    )
+    return record.to_json()

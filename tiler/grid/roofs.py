@@ -15,6 +15,7 @@ from ptd.ground.remaining_roofs import reach_m, remaining_roofs
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec, north_west
 from tiler.core.units_text import length_text
+from tiler.grid.records import RoofsRecord
 from tiler.store import TileStore, open_store
 
 Float64 = npt.NDArray[np.float64]
@@ -51,7 +52,7 @@ def find_roofs(store_url: str, work: FindRoofs) -> dict[str, Any]:
     blocks = (work.spec.block_named(key, BLOCK_PIXELS) for key in work.filled)
     store = open_store(store_url)
     advice = roofs_in_terrain(store, "dtm", work.spec, blocks, work.building_m, work.roof_m, work.waters)
-    return {"advice": advice}
+    return RoofsRecord(advice).to_json()
 
 
 def roofs_in_terrain(

@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
+from math import sqrt
 from typing import Any
 
 import numpy as np
@@ -11,8 +13,10 @@ import numpy.typing as npt
 
 from tiler.core.mask_values import CANOPY, FILLED, WATER
 from tiler.core.nodata import NODATA
+from tiler.core.results import SigmaGroup, SigmaResult
 from tiler.core.sigma_groups import COVERED_SHARE, EDGES_M, GROUPS
 from tiler.grid.checksum import checksum
+from tiler.grid.records import SigmaRecord
 from tiler.grid.sigma_measures import Measures, measures_of
 from tiler.grid.sigma_model import standard_error_m
 from tiler.grid.work import PointsBlock
@@ -48,13 +52,13 @@ def sigma_block(store_url: str, work: SigmaBlock) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``pixels``, ``filled`` (pixels with a height); ``groups``: number and sum of squares (mm2) of the pixels of each
-        group (`tiler.core.sigma_groups.GROUPS`); ``histogram``: number of its pixels by `EDGES_M`; ``checksum``.
+        `SigmaRecord` of the block.
     """
     store, spec, block = open_store(store_url), work.spec, work.block
     there = store.read_block(work.terrain, block) != np.float32(NODATA)
     values = np.full(there.shape, NODATA, np.float32)
-    record: dict[str, Any] = {"groups": {}, "histogram": {}}
+    groups: dict[str, list[int]] = {}
+    histogram: dict[str, list[int]] = {}
     if there.any():
         mask = store.read_block(work.mask, block)
         measures = measures_of(store, work.rule, spec, block, work.terrain, work.cap)
@@ -62,11 +66,14 @@ def sigma_block(store_url: str, work: SigmaBlock) -> dict[str, Any]:
         unit_m = float(store.meta.frame.units.vertical)
         values = np.where(there, sigma_m / unit_m, NODATA).astype(np.float32)
         for name, pixels in _groups(measures, mask, there).items():
-            record["groups"][name] = _squares(sigma_m[pixels])
-            record["histogram"][name] = _histogram(sigma_m[pixels])
+            groups[name] = _squares(sigma_m[pixels])
+            histogram[name] = _histogram(sigma_m[pixels])
     store.write_block(work.name, block, values)
     filled = int(np.count_nonzero(there))
-    return {"pixels": values.size, "filled": filled, **record, "checksum": checksum(values)}
+    record = SigmaRecord(
+        pixels=values.size, filled=filled, groups=groups, histogram=histogram, checksum=checksum(values)
+    )
+    return record.to_json()
 
 
 def _groups(found: Measures, mask: npt.NDArray[np.float32], there: Bools) -> dict[str, Bools]:
@@ -87,3 +94,27 @@ def _histogram(sigma_m: Float64) -> list[int]:
     bins = np.searchsorted(EDGES_M[1:-1], sigma_m, side="right")
     counts: list[int] = np.bincount(bins, minlength=len(EDGES_M) - 1).tolist()
     return counts
+
+
+def sigma_result(kind: str | None, records: Sequence[SigmaRecord]) -> SigmaResult:
+    """Return the summary of the standard error from the records of its blocks.
+
+    ``kind`` is the kind of cloud whose constants were used, or None for the larger error of both kinds.
+    """
+    groups = {name: _group(name, records) for name in GROUPS}
+    return SigmaResult(kind, list(EDGES_M), **groups)
+
+
+def _group(name: str, records: Sequence[SigmaRecord]) -> SigmaGroup:
+    """Return the pixels, the expected RMSE and the histogram of a group of ground."""
+    pixels, squares, histogram = 0, 0, [0] * (len(EDGES_M) - 1)
+    for record in records:
+        if name not in record.groups:
+            continue
+        n, sum_mm2 = record.groups[name]
+        pixels, squares = pixels + n, squares + sum_mm2
+        histogram = [a + b for a, b in zip(histogram, record.histogram[name], strict=True)]
+    rmse_m = None
+    if pixels:
+        rmse_m = round(sqrt(squares / pixels) / 1000, 4)
+    return SigmaGroup(pixels, rmse_m, histogram)

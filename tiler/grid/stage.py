@@ -16,12 +16,22 @@ from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds
 from tiler.core.mask_values import MASK_VALUES, OUTSIDE
 from tiler.core.raster import BLOCK_PIXELS, RasterSpec
-from tiler.core.sigma_groups import sigma_facts
+from tiler.core.records import records_of
+from tiler.core.results import OutlineResult, SurfaceResult, TerrainResult
 from tiler.core.units_text import length_text
 from tiler.core.words import counted
 from tiler.errors import ProcessingError
 from tiler.filter.tasks.labelled import Labelled
 from tiler.grid import DEEP_M, BlankBlocks, blank_blocks
+from tiler.grid.records import (
+    MaskRecord,
+    OpenAreasRecord,
+    OutlineRecord,
+    SigmaRecord,
+    SurfaceRecord,
+    TerrainRecord,
+)
+from tiler.grid.sigma import sigma_result
 from tiler.grid.tasks.advice import advise
 from tiler.grid.tasks.canopy import canopy_cells
 from tiler.grid.tasks.correct import report_edited_pixels
@@ -81,9 +91,7 @@ def grid(job: Job, assembled: IngestResult, labelled: Labelled, corrections: Cor
     if "mask" in gridding.made:
         _report_mask(job, gridding.spec, gridding.made["mask"])
     if "sigma" in gridding.made:
-        job.facts["sigma"] = sigma_facts(
-            gridding.kind, (record for _, record in gridding.made["sigma"].values())
-        )
+        job.results.sigma = sigma_result(gridding.kind, records_of(SigmaRecord, gridding.made["sigma"]))
     return gridding
 
 
@@ -117,12 +125,14 @@ def _make(job: Job, raster: RasterStep, spec: RasterSpec, tasks: list[Task], joi
     done, stale = job.split_commits(stage, tasks)
     job.invalidate(stage, stale)
     job.store.create_raster(name, spec.height, spec.width, raster.fill)
-    stored = {spec.block_at(*first_pixel, BLOCK_PIXELS).name for first_pixel in job.store.stored_blocks(name)}
-    lost = {key for key, (_, record) in done.items() if record.get("filled")} - stored
+    written = {
+        spec.block_at(*first_pixel, BLOCK_PIXELS).name for first_pixel in job.store.stored_blocks(name)
+    }
+    lost = {key for key, (_, stored) in done.items() if stored.get("filled")} - written
     if lost:
         job.note(f"gone from the store, and made again: {counted(len(lost), 'block')} of {name}")
     job.invalidate(stage, lost)
-    _blank(job, name, spec, stored - done.keys())
+    _blank(job, name, spec, written - done.keys())
     job.store.put_state(f"raster-{name}", spec.to_json())
     if not tasks:
         return {}
@@ -148,15 +158,16 @@ def _report_outline(job: Job, gridding: GridContext) -> None:
     made = gridding.made.get("dtm-outlined")
     if not made:
         return
-    names = ("cut", "added", "hidden")
-    cut, added, hidden = (sum(record[name] for _, record in made.values()) for name in names)
-    job.facts["dtm"]["filled"] += added - cut - hidden
+    terrain, records = job.results.dtm, records_of(OutlineRecord, made)
+    cut = sum(record.cut for record in records)
+    gained = sum(record.added - record.hidden for record in records) - cut
+    job.results.dtm = replace(terrain, filled=terrain.filled + gained)
     if job.plan.config.outline != "survey":
         return
     usual, widest = _gaps(gridding)
-    job.facts["outline"] = {
-        "gap_m": usual, "widest_gap_m": widest, "cell_m": float(gridding.coarse_m), "cut_pixels": cut,
-    }  # fmt: skip
+    job.results.outline = OutlineResult(
+        gap_m=usual, widest_gap_m=widest, cell_m=float(gridding.coarse_m), cut_pixels=cut
+    )
     if cut:
         unit = job.plan.grid.meta.frame.units.horizontal
         sparse = f" ({length_text(widest, unit)} where points are sparse)" if widest > usual else ""
@@ -169,8 +180,8 @@ def _report_outline(job: Job, gridding: GridContext) -> None:
 def _gaps(gridding: GridContext) -> tuple[float, float]:
     """Return the width in metres of the gaps inside the survey: in most windows with points, and the widest."""
     windows: Counter[float] = Counter()
-    for record in gridding.records("survey-open").values():
-        windows.update(dict(map(tuple, record["gaps"])))
+    for record in gridding.records("survey-open", OpenAreasRecord).values():
+        windows.update(dict(record.gaps))
     if not windows:
         return float(GAP_M), float(GAP_M)
     size = float(gridding.coarse_m)
@@ -179,20 +190,24 @@ def _gaps(gridding: GridContext) -> tuple[float, float]:
 
 
 def _report_surface(job: Job, made: Mapping[str, Any]) -> None:
-    records = [record for _, record in made.values()]
-    totals = {key: sum(record[key] for record in records) for key in ("filled", "measured", "deep")}
-    job.facts["dsm"] = totals
-    if totals["deep"]:
+    records = records_of(SurfaceRecord, made)
+    deep = sum(record.deep for record in records)
+    job.results.dsm = SurfaceResult(
+        filled=sum(record.filled for record in records),
+        measured=sum(record.measured for record in records),
+        deep=deep,
+    )
+    if deep:
         job.note(
-            f"in {counted(totals['deep'], 'pixel')} all returns lie more than {DEEP_M:g} m below the terrain (low "
+            f"in {counted(deep, 'pixel')} all returns lie more than {DEEP_M:g} m below the terrain (low "
             "noise, or steep ground classified as such): the surface model has the terrain's height there"
         )
 
 
 def _report_mask(job: Job, spec: RasterSpec, made: Mapping[str, Any]) -> None:
-    totals = np.sum([record["values"] for _, record in made.values()], axis=0).tolist()
-    totals[OUTSIDE] += spec.height * spec.width - sum(record["pixels"] for _, record in made.values())
-    job.facts["mask"] = {text.split(":")[0]: totals[value] for value, text in MASK_VALUES.items()}
+    totals = np.sum([record.values for record in records_of(MaskRecord, made)], axis=0).tolist()
+    totals[OUTSIDE] += spec.height * spec.width - sum(totals)
+    job.results.mask = {text.split(":")[0]: totals[value] for value, text in MASK_VALUES.items()}
 
 
 def _report_terrain(job: Job, spec: RasterSpec, tasks: list[Task], made: Mapping[str, Any]) -> None:
@@ -201,17 +216,18 @@ def _report_terrain(job: Job, spec: RasterSpec, tasks: list[Task], made: Mapping
             "decided: one ground point in each quarter of a pixel makes the surface, as all of them would need more "
             "memory in the densest place (--memory)"
         )
-    records = [record for _, record in made.values()]
-    job.facts["dtm"] = {
-        "width": spec.width,
-        "height": spec.height,
-        "resolution_m": float(job.plan.grid.resolution),
-        **{k: sum(r[k] for r in records) for k in ("filled", "marked")},
-        "blocks": len(tasks),
-        "blocks_done_again": sum(r["tries"] > 1 for r in records),
-        "thinned": any(task.arguments.thin for task in tasks),
-    }
-    if records and job.facts["dtm"]["filled"] == 0:
+    records = records_of(TerrainRecord, made)
+    job.results.dtm = TerrainResult(
+        width=spec.width,
+        height=spec.height,
+        resolution_m=float(job.plan.grid.resolution),
+        filled=sum(record.filled for record in records),
+        marked=sum(record.marked for record in records),
+        blocks=len(tasks),
+        blocks_done_again=sum(record.tries > 1 for record in records),
+        thinned=any(task.arguments.thin for task in tasks),
+    )
+    if records and job.results.dtm.filled == 0:
         text = f"the terrain model is empty: {_why_empty(job)}"
         job.record.notes.append(text)
         job.listener(Warned(text))
@@ -219,8 +235,8 @@ def _report_terrain(job: Job, spec: RasterSpec, tasks: list[Task], made: Mapping
 
 def _why_empty(job: Job) -> str:
     """Return why the terrain is empty, and a remedy."""
-    config, stored = job.plan.config, job.facts["counts"]["stored"]
-    if config.method != KEEP and job.facts["counts"]["kept_out"] == stored:
+    config, stored = job.plan.config, job.results.counts.stored
+    if config.method != KEEP and job.results.counts.kept_out == stored:
         return (
             f"none of the {stored:,} points takes part in the filter: all are withheld, skipped, left out by "
             "--returns or the like, or of a class that is kept (`tiler info` shows the classes); --keep-classes none "

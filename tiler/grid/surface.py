@@ -7,7 +7,7 @@ that the filter missed, or from steep ground that the filter classified as noise
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
 from typing import Any
 
@@ -23,6 +23,7 @@ from tiler.grid.block import full_halo, heights_in_units, rasterise_window
 from tiler.grid.checksum import checksum
 from tiler.grid.density import pixel_indices
 from tiler.grid.ground import surface_points
+from tiler.grid.records import SurfaceRecord
 from tiler.grid.work import TinBlock
 from tiler.store import TileStore, open_store
 
@@ -63,15 +64,15 @@ def surface_block(store_url: str, work: SurfaceBlock) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``pixels``, ``filled``, ``measured`` (pixels with a return), ``marked``, ``tries``, ``halo``; ``deep``: measured
-        pixels whose returns all lie more than `DEEP_M` below the terrain; ``checksum``.
+        `SurfaceRecord` of the block.
     """
     store = open_store(store_url)
     heights, measured, record = surface_heights(store, work)
     deep_m = DEEP_M / float(store.meta.frame.units.vertical)
     heights, deep = above_terrain(heights, store.read_block(work.terrain, work.block), deep_m)
     store.write_block(work.name, work.block, heights)
-    return {**record, "deep": int(np.count_nonzero(deep & measured)), "checksum": checksum(heights)}
+    record = replace(record, deep=int(np.count_nonzero(deep & measured)), checksum=checksum(heights))
+    return record.to_json()
 
 
 def above_terrain(heights: Heights, terrain: Heights, deep: float) -> tuple[Heights, npt.NDArray[np.bool_]]:
@@ -82,7 +83,7 @@ def above_terrain(heights: Heights, terrain: Heights, deep: float) -> tuple[Heig
 
 def surface_heights(
     store: TileStore, work: SurfaceBlock
-) -> tuple[Heights, npt.NDArray[np.bool_], dict[str, Any]]:
+) -> tuple[Heights, npt.NDArray[np.bool_], SurfaceRecord]:
     """Return the heights of any block, not yet raised to the terrain, a mask of measured pixels, and the record."""
     block, bounds, limit = work.block, work.spec.block_bounds(work.block), full_halo(work.max_edge)
     returns = _returns(store, work, block)
@@ -101,18 +102,15 @@ def surface_heights(
             break
         tries += 1
     filled = int(np.count_nonzero(heights != np.float32(NODATA)))
-    return (
-        heights,
-        measured,
-        {
-            "pixels": heights.size,
-            "filled": filled,
-            "measured": int(measured.sum()),
-            "marked": marked,
-            "tries": tries,
-            "halo": halo,
-        },
+    record = SurfaceRecord(
+        pixels=heights.size,
+        filled=filled,
+        measured=int(measured.sum()),
+        marked=marked,
+        tries=tries,
+        halo=halo,
     )
+    return heights, measured, record
 
 
 def _vertices(store: TileStore, work: SurfaceBlock, window: Bounds) -> Int32:

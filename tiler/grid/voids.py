@@ -23,6 +23,7 @@ from tiler.grid.block import edit_heights, heights_in_units, pixels_of
 from tiler.grid.checksum import checksum
 from tiler.grid.coarse import Bools, block_runs, blocks_of, blocks_under
 from tiler.grid.pieces import AROUND, Piece, cells_of, label_block
+from tiler.grid.records import FilledRecord, HolesRecord
 from tiler.grid.work import BlockWork
 from tiler.schedule import NOT_IN_DIGEST
 from tiler.store import TileStore, coarse_cells, coarse_values, coarse_window, open_store
@@ -110,8 +111,7 @@ def find_voids(store_url: str, work: FindVoids) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``sides`` and ``labels`` (number of labels), see `tiler.grid.pieces`; ``blocks``: for each label, the blocks of
-        the model within `NEAR` pixels, as `block_runs` returns them; ``filled``; ``checksum``.
+        `HolesRecord` of the block.
     """
     store, coarse, block = open_store(store_url), work.spec, work.block
     rasters, spec = work.rasters, work.rasters.spec
@@ -129,13 +129,14 @@ def find_voids(store_url: str, work: FindVoids) -> dict[str, Any]:
         )
         hole_mask = labels[down, right] == number
         blocks.append(block_runs(hole_mask, coarse.window(box), spec, BLOCK_PIXELS, NEAR))
-    return {
-        "sides": sides,
-        "labels": len(blocks),
-        "blocks": blocks,
-        "filled": int(np.count_nonzero(values)),
-        "checksum": checksum(values),
-    }
+    record = HolesRecord(
+        sides=sides,
+        labels=len(blocks),
+        blocks=blocks,
+        filled=int(np.count_nonzero(values)),
+        checksum=checksum(values),
+    )
+    return record.to_json()
 
 
 def _around_small_pixels(store: TileStore, rasters: VoidRasters, block: Block) -> Bools:
@@ -176,7 +177,7 @@ def fill_block(store_url: str, work: FillBlock) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``pixels``, ``filled`` (pixels with a height), ``added``; ``checksum``.
+        `FilledRecord` of the block.
     """
     store, block, rasters = open_store(store_url), work.block, work.rasters
     heights = store.read_block(rasters.heights, block)
@@ -191,12 +192,13 @@ def fill_block(store_url: str, work: FillBlock) -> dict[str, Any]:
     edit_heights(store, work.edits, rasters.spec, block, heights)
     store.write_block(work.name, block, heights)
     after = int(np.count_nonzero(heights != np.float32(NODATA)))
-    return {
-        "pixels": heights.size,
-        "filled": after,
-        "added": after - filled_before,
-        "checksum": checksum(heights),
-    }
+    record = FilledRecord(
+        pixels=heights.size,
+        filled=after,
+        added=after - filled_before,
+        checksum=checksum(heights),
+    )
+    return record.to_json()
 
 
 def _void(store: TileStore, rasters: VoidRasters, block: Block) -> npt.NDArray[np.bool_]:

@@ -24,6 +24,7 @@ from tiler.grid.coarse import Bools, padded
 from tiler.grid.density import pixel_indices
 from tiler.grid.ground import GroundSelection, read_ground, read_objects
 from tiler.grid.reach import Floats, box_around, within
+from tiler.grid.records import BlockRecord
 from tiler.grid.water_cells import WaterCells
 from tiler.grid.water_search import ground_in
 from tiler.grid.work import BlockWork
@@ -92,7 +93,7 @@ def crowns_block(store_url: str, work: CrownsBlock) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``filled`` (cells with plants), ``checksum``.
+        `BlockRecord` of the block. ``filled`` is the number of cells with plants.
     """
     store, spec = open_store(store_url), work.spec
     size_m = float(spec.lattice.size * store.meta.frame.metres_xy)
@@ -104,7 +105,8 @@ def crowns_block(store_url: str, work: CrownsBlock) -> dict[str, Any]:
     examined = near_water & (read_cells(store, work.occupancy, spec, window) != 0)
     values = np.where(examined, _crowns(store, work, window, examined), 0)[1:-1, 1:-1].astype(np.float32)
     store.write_block(work.name, work.block, values)
-    return {"filled": int(np.count_nonzero(values)), "checksum": checksum(values)}
+    record = BlockRecord(filled=int(np.count_nonzero(values)), checksum=checksum(values))
+    return record.to_json()
 
 
 def crowns_margin(size_m: float) -> int:

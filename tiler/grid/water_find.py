@@ -20,6 +20,7 @@ from tiler.grid.coarse import Bools, padded
 from tiler.grid.ground import GroundSelection
 from tiler.grid.pieces import Piece, cells_of, components
 from tiler.grid.reach import box_around
+from tiler.grid.records import BodyRecord
 from tiler.grid.water_banks import (
     BANK_MARGIN,
     NO_DETAILS,
@@ -99,7 +100,7 @@ def describe_body(store_url: str, work: DescribeBody) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``body``: result of `Water.to_json` without a level, with number 0; None if the body is too small.
+        `BodyRecord` of the body, which has the number 0.
     """
     import shapely
 
@@ -130,7 +131,7 @@ def describe_body(store_url: str, work: DescribeBody) -> dict[str, Any]:
             whole, details = _whole(store, work, bays, lower_level_m)
         # The details of the shore are added after the kind is decided, because they make the shore longer.
         body = Water(0, kind, _area(_detailed(whole, details, side), side), None, None, work.sure).to_json()
-    return {"body": body}
+    return BodyRecord(body).to_json()
 
 
 def _whole(

@@ -14,6 +14,7 @@ from tiler.grid.checksum import checksum
 from tiler.grid.coarse import Bools, padded
 from tiler.grid.pieces import label_block
 from tiler.grid.reach import box_around
+from tiler.grid.records import SizesRecord
 from tiler.grid.water_crowns import beneath_crowns
 from tiler.grid.water_extent import (
     BRIDGE_M,
@@ -89,11 +90,7 @@ def finish_water(store_url: str, work: FinishWater) -> dict[str, Any]:
     Returns
     -------
     dict
-        - ``sides``, ``labels`` (number of labels): see `tiler.grid.pieces`
-        - ``sizes``: number of cells, number of cells with a confidence, and sum of the confidences in hundredths, of
-          each label; cells that this step adds have no confidence
-        - ``filled``: number of cells of water
-        - ``checksum``
+        `SizesRecord` of the block. Cells that this step adds have no confidence.
     """
     store, block, spec = open_store(store_url), work.block, work.spec
     size_m = float(spec.lattice.size * store.meta.frame.metres_xy)
@@ -117,13 +114,14 @@ def finish_water(store_url: str, work: FinishWater) -> dict[str, Any]:
         np.bincount(labels[known], minlength=count + 1)[1:],
         np.bincount(labels[known], hundredths, minlength=count + 1)[1:],
     ]
-    return {
-        "sides": sides,
-        "labels": count,
-        "sizes": np.stack(counts, axis=1).astype(np.int64).tolist(),
-        "filled": int(np.count_nonzero(values)),
-        "checksum": checksum(values),
-    }
+    record = SizesRecord(
+        sides=sides,
+        labels=count,
+        sizes=np.stack(counts, axis=1).astype(np.int64).tolist(),
+        filled=int(np.count_nonzero(values)),
+        checksum=checksum(values),
+    )
+    return record.to_json()
 
 
 def _finished(store: TileStore, work: FinishWater, water: Bools, window: Block, size_m: float) -> Bools:

@@ -16,6 +16,7 @@ from tiler.grid.checksum import checksum
 from tiler.grid.coarse import blocks_under, padded
 from tiler.grid.density import pixel_indices
 from tiler.grid.ground import GroundSelection, surface_points
+from tiler.grid.records import BlockRecord
 from tiler.grid.work import BlockWork
 from tiler.store import TileStore, coarse_cells, open_store, read_cells
 
@@ -55,7 +56,7 @@ def ground_cells(store_url: str, work: GroundCells) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``filled`` (cells with a height), ``checksum``.
+        `BlockRecord` of the block. ``filled`` is the number of cells with a height.
     """
     store, block = open_store(store_url), work.block
     size = block.height * block.width
@@ -76,7 +77,10 @@ def ground_cells(store_url: str, work: GroundCells) -> dict[str, Any]:
         mean = np.where(water == NODATA, mean, water)
     values = mean.astype(np.float32)
     store.write_block(work.name, block, values)
-    return {"filled": int(np.count_nonzero(values != np.float32(NODATA))), "checksum": checksum(values)}
+    record = BlockRecord(
+        filled=int(np.count_nonzero(values != np.float32(NODATA))), checksum=checksum(values)
+    )
+    return record.to_json()
 
 
 def _means(total: Floats, number: npt.NDArray[np.int64]) -> Floats:

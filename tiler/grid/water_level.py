@@ -23,6 +23,7 @@ from tiler.core.water import RIVER, Counts, Water
 from tiler.grid.centreline import centreline, mean_width, polygon_of
 from tiler.grid.coarse import padded
 from tiler.grid.profile import MIN_PIXELS, SMOOTH_M, Profile, Scale, bank_level, profile_along, water_level
+from tiler.grid.records import LevelRecord
 from tiler.grid.water_crowns import REED, is_hidden
 from tiler.grid.water_pockets import POCKET_PIXELS, Beside, pockets, with_pixels
 from tiler.store import TileStore, open_store
@@ -80,11 +81,7 @@ def level_water(store_url: str, work: LevelWater) -> dict[str, Any]:
     Returns
     -------
     dict
-        - ``shore``: number of pixels of the shore with a height
-        - ``body``: the water with its level (see `Water.to_json`), None if shore and water have too few heights
-        - ``floating``: share of the shore that lies more than `NOISE_M` below the level, and the position deepest below
-          the level as counts x, y, None if the share is 0
-        - ``uneven``: whether the body has one level although its heights differ by more than waves cause
+        `LevelRecord` of the body.
     """
     store, body = open_store(store_url), work.body
     frame = store.meta.frame
@@ -111,12 +108,13 @@ def level_water(store_url: str, work: LevelWater) -> dict[str, Any]:
             levelled = with_pixels(levelled, near_pixels.xyz[:2, in_pocket], float(work.spec.lattice.size))
             shore = near_pixels.xyz[:, (near_pixels.distance <= SHORE_PIXELS) & ~in_pocket]
     low, high = np.percentile(water[2], (25, 75)) if water.shape[1] else (0.0, 0.0)
-    return {
-        "shore": shore.shape[1],
-        "body": None if levelled is None else levelled.to_json(),
-        "floating": _floating(levelled, shore, NOISE_M * scale.z),
-        "uneven": levelled is not None and levelled.flow is None and bool(high - low > SMOOTH_M * scale.z),
-    }
+    record = LevelRecord(
+        shore=shore.shape[1],
+        body=None if levelled is None else levelled.to_json(),
+        floating=_floating(levelled, shore, NOISE_M * scale.z),
+        uneven=levelled is not None and levelled.flow is None and bool(high - low > SMOOTH_M * scale.z),
+    )
+    return record.to_json()
 
 
 def _floating(body: Water | None, shore: Counts, noise: float) -> tuple[float, list[int] | None]:

@@ -20,6 +20,7 @@ from tiler.grid.checksum import checksum
 from tiler.grid.coarse import Bools, padded
 from tiler.grid.pieces import Piece, label_block
 from tiler.grid.reach import Floats, distances
+from tiler.grid.records import BlockRecord, RimsRecord, SizesRecord
 from tiler.grid.water_cells import (
     GIVEN_SHARE,
     Rim,
@@ -129,12 +130,7 @@ def find_planes(store_url: str, work: FindAreas) -> dict[str, Any]:
     Returns
     -------
     dict
-        - ``sides``, ``labels`` (number of labels): see `tiler.grid.pieces`
-        - ``sizes``: `Plane` of each label
-        - ``boxes``: first row and column, and last row and column plus 1, of each label
-        - ``times``: number of merged cells along a side
-        - ``filled``: number of labelled cells
-        - ``checksum``
+        `SizesRecord` of the block, with sizes as in `Plane`, ``times`` and ``boxes``.
     """
     store, block = open_store(store_url), work.block
     cells = read_search_cells(store, work.sources, work.spec, padded(block, MARGIN), 1)
@@ -155,15 +151,16 @@ def find_planes(store_url: str, work: FindAreas) -> dict[str, Any]:
         boxes.append(
             [block.row + rows.start, block.col + cols.start, block.row + rows.stop, block.col + cols.stop]
         )
-    return {
-        "sides": sides,
-        "labels": count,
-        "sizes": np.stack(counts, axis=1).tolist(),
-        "boxes": boxes,
-        "times": work.times,
-        "filled": int(np.count_nonzero(values)),
-        "checksum": checksum(values),
-    }
+    record = SizesRecord(
+        sides=sides,
+        labels=count,
+        sizes=np.stack(counts, axis=1).tolist(),
+        boxes=boxes,
+        times=work.times,
+        filled=int(np.count_nonzero(values)),
+        checksum=checksum(values),
+    )
+    return record.to_json()
 
 
 def count_plane_rims(store_url: str, work: CountPlaneRims) -> dict[str, Any]:
@@ -172,9 +169,7 @@ def count_plane_rims(store_url: str, work: CountPlaneRims) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``rims``: name of each plane, and its `tiler.grid.water_cells.Rim`. In the rim of an evident plane, other
-        evident planes do not count as land. An evident plane also has a second rim, in which ``others`` do not count as
-        land either. ``beside``: pairs of a plane and an evident plane near it.
+        `RimsRecord` of the block.
     """
     evident = set(work.evident)
     planes = {*work.evident, *work.others}
@@ -201,7 +196,8 @@ def count_plane_rims(store_url: str, work: CountPlaneRims) -> dict[str, Any]:
         is_near = distances(plane_mask, DAM_M / cells.size_m + 1) * cells.size_m <= DAM_M
         for other in np.unique(numbers[evident_water & counted & is_near]):
             beside.append([list(name), list(areas.names[other - 1])])
-    return {"rims": named_rims, "beside": beside}
+    record = RimsRecord(rims=named_rims, beside=beside)
+    return record.to_json()
 
 
 def _rim(cells: WaterCells, water: Bools, not_land: Bools, counted: Bools) -> Rim:
@@ -218,7 +214,7 @@ def keep_planes(store_url: str, work: KeepPlanes) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``filled`` (cells of water), ``checksum``.
+        `BlockRecord` of the block. ``filled`` is the number of cells of water.
     """
     kept, block = dict(work.kept), work.block
     areas = _planes(store_url, work, kept)
@@ -229,7 +225,8 @@ def keep_planes(store_url: str, work: KeepPlanes) -> dict[str, Any]:
         confidence[window][water] = np.maximum(confidence[window][water], kept[areas.names[number - 1]])
     values = areas.block_values(confidence)
     open_store(store_url).write_block(work.name, block, values)
-    return {"filled": int(np.count_nonzero(values)), "checksum": checksum(values)}
+    record = BlockRecord(filled=int(np.count_nonzero(values)), checksum=checksum(values))
+    return record.to_json()
 
 
 def _planes(store_url: str, work: AreasWork, selected: Collection[Piece]) -> AreasAround:

@@ -22,6 +22,7 @@ from tiler.grid.checksum import checksum
 from tiler.grid.coarse import Bools, padded
 from tiler.grid.pieces import Labels, Piece, areas_within, label_block
 from tiler.grid.reach import Floats, box_around
+from tiler.grid.records import BlockRecord, RimsRecord, SizesRecord
 from tiler.grid.water_cells import (
     RING_M,
     WaterCells,
@@ -128,11 +129,7 @@ def find_areas(store_url: str, work: FindAreas) -> dict[str, Any]:
     Returns
     -------
     dict
-        - ``sides``, ``labels`` (number of labels): see `tiler.grid.pieces`
-        - ``sizes``: `tiler.grid.water_cells.CellCounts` of each label
-        - ``times``: number of merged cells along a side
-        - ``filled``: number of labelled cells
-        - ``checksum``
+        `SizesRecord` of the block, with sizes as in `CellCounts`, and ``times``.
     """
     store, block = open_store(store_url), work.block
     cells = read_search_cells(store, work.sources, work.spec, padded(block, MARGIN), work.times)
@@ -143,14 +140,15 @@ def find_areas(store_url: str, work: FindAreas) -> dict[str, Any]:
     store.write_block(work.name, block, values)
     count = int(labels.max(initial=0))
     counts = [np.bincount(labels[mask], minlength=count + 1)[1:] for mask in (labels > 0, fine.given)]
-    return {
-        "sides": sides,
-        "labels": count,
-        "sizes": np.stack(counts, axis=1).tolist(),
-        "times": work.times,
-        "filled": int(np.count_nonzero(values)),
-        "checksum": checksum(values),
-    }
+    record = SizesRecord(
+        sides=sides,
+        labels=count,
+        sizes=np.stack(counts, axis=1).tolist(),
+        times=work.times,
+        filled=int(np.count_nonzero(values)),
+        checksum=checksum(values),
+    )
+    return record.to_json()
 
 
 def count_rims(store_url: str, work: CountRims) -> dict[str, Any]:
@@ -159,7 +157,7 @@ def count_rims(store_url: str, work: CountRims) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``rims``: name of each area, and its `tiler.grid.water_cells.Rim`.
+        `RimsRecord` of the block.
     """
     near = areas_around(open_store(store_url), work, None, BESIDE_M)
     named_rims = []
@@ -169,7 +167,8 @@ def count_rims(store_url: str, work: CountRims) -> dict[str, Any]:
         rim = rim_of(near.cells.cut(window), area_mask, other_areas_mask, near.counted[window])
         if any(rim):
             named_rims.append([list(near.names[number - 1]), list(rim)])
-    return {"rims": named_rims}
+    record = RimsRecord(rims=named_rims)
+    return record.to_json()
 
 
 def keep_areas(store_url: str, work: KeepAreas) -> dict[str, Any]:
@@ -178,13 +177,14 @@ def keep_areas(store_url: str, work: KeepAreas) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``filled`` (cells of water), ``checksum``.
+        `BlockRecord` of the block. ``filled`` is the number of cells of water.
     """
     store, kept = open_store(store_url), dict(work.kept)
     numbers, names = areas_within(store, work.areas, work.spec, work.block, work.joins)
     values = np.array([0.0, *(kept.get(name, 0.0) for name in names)], np.float32)[numbers]
     store.write_block(work.name, work.block, values)
-    return {"filled": int(np.count_nonzero(values)), "checksum": checksum(values)}
+    record = BlockRecord(filled=int(np.count_nonzero(values)), checksum=checksum(values))
+    return record.to_json()
 
 
 def inner_window(block: Block, margin: int) -> Slices:

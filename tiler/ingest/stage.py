@@ -13,6 +13,7 @@ from tiler.core.classes import sum_by_class
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds, Cell
 from tiler.core.records import SpoolRecord, buckets_in
+from tiler.core.results import ClassCounts, FetchedBytes, PointCounts, Stray
 from tiler.core.selection import WITHHELD
 from tiler.errors import InputError, ProcessingError
 from tiler.ingest import OUTSIDE_AREA, Strays
@@ -86,20 +87,22 @@ def spool(job: Job, sources: list[Source]) -> tuple[Commits, list[Source]]:
         unselected.update(record.unselected)
     read, stored = sum(record.read for record in records), sum(record.stored for record in records)
     rounding = max(record.largest_rounding for record in records)
-    job.facts["counts"] = {
-        "read": read,
-        "stored": stored,
-        "dropped": dict(dropped),
-        "unselected": {key: count for key, count in unselected.items() if count},
-        "largest_rounding": rounding,
-    }
+    job.results.counts = PointCounts(
+        read=read,
+        stored=stored,
+        dropped=dict(dropped),
+        unselected={key: count for key, count in unselected.items() if count},
+        largest_rounding=rounding,
+    )
     stored_of = {name: sum(r.stored for r in pieces) for name, pieces in by_source(spooled).items()}
-    job.facts["inputs"] = [
+    job.results.inputs = [
         {**s.info.to_json(), "content": s.content, "stored": stored_of.get(s.name, 0)} for s in sources
     ]
     if any(is_url(s.info.path) for s in sources):
         points = sum(record.fetched for record in records)
-        job.facts["fetched"] = {"plan": sum(s.fetched for s in job.plan.inputs.sources), "points": points}
+        job.results.fetched = FetchedBytes(
+            plan=sum(s.fetched for s in job.plan.inputs.sources), points=points
+        )
     if rounding > 0:
         job.note(
             f"the filter's coordinates were rounded by up to {rounding:.3g} CRS units; classified clouds keep the "
@@ -219,13 +222,14 @@ def assemble(job: Job, sources: list[Source], spooled: Commits) -> IngestResult:
     within = sum(bucket.duplicates["within"] for bucket in buckets)
     between = sum(bucket.duplicates["between"] for bucket in buckets)
     taking = sum(bucket.n_participating for bucket in buckets)
-    job.facts["counts"] |= {
-        "duplicates_within_files": within,
-        "duplicates_between_files": between,
-        "participating": taking,
-        "kept_out": job.facts["counts"]["stored"] - taking,
-        "buckets": len(assembled.records),
-    }
+    job.results.counts = dataclasses.replace(
+        job.results.counts,
+        duplicates_within_files=within,
+        duplicates_between_files=between,
+        participating=taking,
+        kept_out=job.results.counts.stored - taking,
+        buckets=len(assembled.records),
+    )
     _report_unfiltered(job, assembled)
     _report_strays(job, sources, assembled)
     if within or between:
@@ -243,7 +247,7 @@ def _report_unfiltered(job: Job, assembled: IngestResult) -> None:
         for code, n in input_counts.items()
         if int(code) in kept_out and int(code) not in config.drop_classes
     }
-    job.facts["classes"] = {"input": input_counts, "no_part": no_part}
+    job.results.classes = ClassCounts(input=input_counts, no_part=no_part)
     points = sum(input_counts.values())
     for code, n in no_part.items():
         if n > MANY * points:
@@ -267,12 +271,12 @@ def _bring_back(job: Job, sources: list[Source], todo: list[Task]) -> None:
 def _report_strays(job: Job, sources: list[Source], assembled: IngestResult) -> None:
     """List the stray points in run.json, and report their number."""
     paths = {source.number: str(source.info.path) for source in sources}
-    strays: list[dict[str, Any]] = []
+    strays: list[Stray] = []
     for record in assembled.records.values():
         for number, row, x, y, z in record.strays:
-            strays.append({"path": paths[number], "point": row, "x": x, "y": y, "z": z})
-    job.facts["counts"]["strays"] = len(strays)
-    job.facts["strays"] = strays
+            strays.append(Stray(paths[number], row, x, y, z))
+    job.results.counts = dataclasses.replace(job.results.counts, strays=len(strays))
+    job.results.strays = strays
     if strays:
         job.note(
             f"{len(strays)} points far from all others of their file, or outside of its bounds, are not filtered: "

@@ -19,7 +19,8 @@ from tiler.report.notebook import run_markup
 from tiler.report.sections import ResolvedSetting, noted, settled
 from tiler.runs.compiling import Compiler
 from tiler.runs.executors import Executors
-from tiler.runs.record import Facts, RunRecord
+from tiler.runs.record import RunRecord
+from tiler.runs.results import Results
 from tiler.schedule import Task
 from tiler.store import LEASE_SECONDS, Commits, Lease, TileStore
 
@@ -158,9 +159,9 @@ class Job:
         self.executors = Executors(self.plan, self.store.url, self.products, self.note)
 
     @property
-    def facts(self) -> Facts:
-        """Entries that the stages add to run.json."""
-        return self.record.facts
+    def results(self) -> Results:
+        """Results that the stages add to run.json."""
+        return self.record.results
 
     def note(self, text: str) -> None:
         """Show a note to the user and add it to run.json, with lengths in the unit of the CRS."""

@@ -10,13 +10,14 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import version
-from typing import Any, TypedDict
+from typing import Any
 
 from tiler.observe.events import Event
 from tiler.observe.json_lines import message_of
 from tiler.plan import Plan, plan_json
 from tiler.redaction import stored
 from tiler.report.problems import problems_of
+from tiler.runs.results import Results
 from tiler.schedule import Outcome, Task
 from tiler.schedule.worker import peak_rss_bytes
 from tiler.store import Commits
@@ -30,80 +31,6 @@ PLACED = ("filter", "grid-")
 LISTED_TILES = 20_000
 """Maximum number of tiles of a stage whose tiles are listed. run.json is written after each stage, so it must not
 become too long."""
-
-
-class Facts(TypedDict, total=False):
-    """Entries that the stages add to run.json, each once its stage is done.
-
-    Heights and distances in rasters are in units of the CRS, values with names ending in ``_m`` in metres.
-    """
-
-    products_at: str | None
-    """URL of OUT, if it is at a URL."""
-    given: list[str]
-    """INPUT as given by the user."""
-    seconds: float
-    report: str | None
-    """Name of the report; None if it could not be made."""
-    inputs: list[dict[str, Any]]
-    """Sources, with the digest of the bytes and the number of stored points."""
-    fetched: dict[str, int]
-    """Bytes of inputs at URLs that were read for the plan, for points, and for classified clouds."""
-    counts: dict[str, Any]
-    """Numbers of points read and stored, of points dropped by reason, and of duplicates, strays and buckets."""
-    classes: dict[str, Any]
-    """Points by class: in the input, excluded from filtering, and kept and written in clouds."""
-    strays: list[dict[str, Any]]
-    """Points far from all others of their file."""
-    statistics: dict[str, Any]
-    """State after each pass of the method."""
-    filter: dict[str, Any]
-    """Points by class, tiles, uncertified labels, ratio of the area of all windows to the area of the tiles."""
-    canopy: dict[str, Any]
-    """Share of the area that a closed canopy covers, the setting, and where most of it is."""
-    breaklines: dict[str, Any]
-    bridges: list[dict[str, Any]]
-    """Size and outline of each bridge that was removed."""
-    edits: list[dict[str, Any]]
-    """Changes by each edit."""
-    water: list[Any]
-    """Bodies of water, with level and number of pixels."""
-    dtm: dict[str, Any]
-    """Size of the raster, pixels with a height, uncertified pixels, blocks."""
-    dsm: dict[str, Any]
-    mask: dict[str, Any]
-    """Pixels by value."""
-    sigma: dict[str, Any]
-    """Expected RMSE and a histogram of the standard error, of open and covered ground and of water."""
-    voids: dict[str, Any]
-    """Number of pixels inside the survey without a height, and the largest voids."""
-    contours: dict[str, Any]
-    spots: dict[str, int]
-    """Number of tops and of bottoms."""
-    sheets: int
-    """Number of sheets."""
-    outline: dict[str, Any]
-    """Widest gap that counts as surveyed, and pixels cut."""
-    water_doubts: list[dict[str, Any]]
-    """Doubts about bodies of water: ``text`` and ``place`` (x, y) of each."""
-    canopy_doubts: list[dict[str, Any]]
-    """Doubts about closed canopy: ``text`` and ``place`` (west, south, east, north) of each."""
-    doubts: list[str]
-    """Decisions that are uncertain."""
-    advice: list[str]
-    """Settings that the data show to be wrong."""
-    advice_at: list[list[float]]
-    """Position x, y of each advice."""
-    outputs: dict[str, int]
-    """Files in OUT that this run wrote or found up to date, and their sizes in bytes."""
-    digests: dict[str, str]
-    """Digests of these files."""
-    made_of: dict[str, str]
-    """Digest of the inputs of each raster."""
-    earlier_outputs: dict[str, str | None]
-    """Files of earlier runs, until the export has removed or kept them."""
-    healed: list[str]
-    """Damaged objects of the store that the run repaired."""
 
 
 @dataclass
@@ -129,7 +56,7 @@ class RunRecord:
         Exit code of the run; None while it is running.
     tiles : dict
         State of each tile by stage and key, for the map in the report.
-    facts : Facts
+    results : Results
     """
 
     computed: int = 0
@@ -140,7 +67,7 @@ class RunRecord:
     warnings: list[str] = field(default_factory=list)
     exit_code: int | None = None
     tiles: dict[str, dict[str, dict[str, Any]]] = field(default_factory=dict)
-    facts: Facts = field(default_factory=Facts)
+    results: Results = field(default_factory=Results)
 
     def first_error(self, stage: str) -> str:
         """Return the error of the first failed task of a stage."""
@@ -196,7 +123,7 @@ class RunRecord:
             "quarantined": self.quarantined,
             "failed_tasks": self.failed,
             "peak_rss_bytes": max([peak_rss_bytes(), *peaks]),
-            **self.facts,
+            **self.results.to_json(),
         }
         found: dict[str, Any] = stored(content)
         found["problems"] = [problem._asdict() for problem in problems_of(found)]

@@ -50,7 +50,7 @@ def repair(job: Job, keys: Iterable[str]) -> None:
             job.store.forget("points")
             job.store.forget("labels")
             job.store.forget("elected")
-    job.facts["healed"] = sorted({*job.facts.get("healed", ()), *keys})
+    job.results.healed = sorted({*job.results.healed, *keys})
 
 
 def _passes(job: Job) -> list[str]:

@@ -106,7 +106,7 @@ def test_another_block_makes_new_files_of_its_raster(plan: Plan) -> None:
     g, inputs = gridding(plan), spooled("a", "b", plan)
     before = digests(g, inputs)
     (block,) = g.made["hillshade"]
-    g.made["hillshade"] = {block: ("digest", {"checksum": "other"})}
+    g.made["hillshade"] = {block: ("digest", {"filled": 1, "checksum": "other"})}
     after = digests(g, inputs)
     assert {key for key in before if before[key] != after[key]} == {k for k in before if "hillshade" in k}
 

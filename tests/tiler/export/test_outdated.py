@@ -11,6 +11,7 @@ import pytest
 from tiler.errors import ConfigError
 from tiler.export.tasks import outdated
 from tiler.export.tasks.outdated import archive_outdated, move_aside
+from tiler.runs.results import Results
 
 
 def write(out: Path, *paths: str) -> None:
@@ -36,13 +37,15 @@ def job_in(
     The store knows the tasks ``stored``.
     """
     config = SimpleNamespace(**{"force": False, "verify": False, **settings})
-    facts = {"earlier_outputs": earlier, "digests": {path: f"digest of {path}" for path in earlier}}
+    results = Results()
+    results.earlier_outputs = earlier
+    results.digests = {path: f"digest of {path}" for path in earlier}
     notes: list[str] = []
     plan = SimpleNamespace(config=config)
     return SimpleNamespace(
         products=str(out),
         plan=plan,
-        facts=facts,
+        results=results,
         notes=notes,
         note=notes.append,
         save=notes.append,
@@ -58,7 +61,7 @@ def test_what_holds_stays_and_what_does_not_is_moved(tmp_path: Path) -> None:
     assert files(tmp_path) == {"slope.tif", "outdated/dsm/dsm_0_0.tif", "dtm.tif", "mine.txt"}
     assert (tmp_path / "outdated/dsm/dsm_0_0.tif").read_text() == "content of dsm/dsm_0_0.tif"
     assert not (tmp_path / "dsm").exists()
-    assert job.facts == {
+    assert vars(job.results) == {
         "outputs": {"slope.tif": len("content of slope.tif")},
         "digests": {"slope.tif": "digest of slope.tif"},
         "made_of": {"slope.tif": "now"},
@@ -118,7 +121,7 @@ def test_a_damaged_file_that_is_not_made_again_is_moved(
     job = job_in(tmp_path, {"slope.tif": "now", "dsm.tif": "now"}, verify=True)
     archive_outdated(job, by_key("dtm.tif"), "now")
     assert files(tmp_path) == {"slope.tif", "outdated/dsm.tif"}
-    assert list(job.facts["made_of"]) == ["slope.tif"]
+    assert list(job.results.made_of) == ["slope.tif"]
     assert job.notes[0].startswith("dsm.tif: changed since a run wrote it; moved to outdated/")
 
 

@@ -44,8 +44,8 @@ def test_a_tilted_plane_is_exact_at_pixel_centres(make_scene, units, shift, size
     valid = heights != np.float32(NODATA)
     assert valid.mean() > 0.9
     assert np.abs(heights - truth)[valid].max() < 0.001 * min(1.0, float(units.vertical))
-    assert sum(r["marked"] for r in records) == 0
-    assert sum(r["filled"] for r in records) == int(valid.sum())
+    assert sum(r.marked for r in records) == 0
+    assert sum(r.filled for r in records) == int(valid.sum())
 
 
 @pytest.mark.parametrize(
@@ -59,11 +59,11 @@ def test_a_tilted_plane_is_exact_at_pixel_centres(make_scene, units, shift, size
 def test_blocks_do_not_show(make_scene, shape, max_edge):
     scene = make_scene(shape(scattered(4_500, 140_000)))
     whole, (record,) = scene.grid(METRE, max_edge=max_edge)
-    assert record["marked"] == 0
+    assert record.marked == 0
     for block, halo in ((37, 0), (64, 9_000), (101, 400_000)):
         tiled, records = scene.grid(METRE, block, max_edge=max_edge, halo=halo)
         assert tiled.tobytes() == whole.tobytes()
-        assert sum(r["marked"] for r in records) == 0
+        assert sum(r.marked for r in records) == 0
     assert 0 < np.count_nonzero(whole == np.float32(NODATA)) < whole.size
 
 
@@ -80,9 +80,9 @@ def test_blocks_that_share_a_tin_are_those_that_do_not(make_scene, options):
     for work, record in zip(works, records, strict=True):
         b, (heights, joined) = work.block, found[work.block]
         assert heights.tobytes() == alone[b.row : b.row + b.height, b.col : b.col + b.width].copy().tobytes()
-        assert joined["marked"] == record["marked"] == 0
-        assert (joined["pixels"], joined["filled"]) == (record["pixels"], record["filled"])
-    assert any(r["tries"] > 1 for _, r in found.values()) == (options["halo"] < 12_000)
+        assert joined.marked == record.marked == 0
+        assert (joined.pixels, joined.filled) == (record.pixels, record.filled)
+    assert any(r.tries > 1 for _, r in found.values()) == (options["halo"] < 12_000)
 
 
 def test_the_frame_does_not_show(make_scene):
@@ -115,7 +115,7 @@ def test_no_facet_no_heights(make_scene, points):
     labels[points] = 2
     heights, (record,) = make_scene(xyz, labels).grid(METRE)
     assert np.all(heights == np.float32(NODATA))
-    assert (record["filled"], record["ground_read"], record["marked"]) == (0, len(points), 0)
+    assert (record.filled, record.ground_read, record.marked) == (0, len(points), 0)
 
 
 def test_only_ground_counts_and_marks_are_carried(make_scene):
@@ -128,8 +128,8 @@ def test_only_ground_counts_and_marks_are_carried(make_scene):
     flags = np.zeros(len(labels), np.uint8)
     flags[-300:] = WITHHELD_FLAG
     heights, (record,) = make_scene(np.concatenate((xyz, roof, withheld)), labels, flags).grid(METRE)
-    assert record["ground_marked"] == 7
-    assert record["ground_read"] == len(xyz)
+    assert record.ground_marked == 7
+    assert record.ground_read == len(xyz)
     assert heights.max() < 30
     assert np.all((heights > 0) | (heights == np.float32(NODATA)))
 
@@ -137,17 +137,17 @@ def test_only_ground_counts_and_marks_are_carried(make_scene):
 def test_the_classes_of_the_input_are_trusted_for_keep(make_scene):
     scene = make_scene(scattered(500, 30_000))
     heights, (record,) = scene.grid(METRE, rule=GroundSelection(None, (1,)))
-    assert record["ground_read"] == 500
+    assert record.ground_read == 500
     assert heights.max() > 0
 
 
 def test_a_small_halo_is_widened_until_nothing_is_marked(make_scene):
     scene = make_scene(scattered(3_000, 200_000))
     _, records = scene.grid(METRE, 64, max_edge=40_000)
-    assert max(r["tries"] for r in records) > 1
-    assert all(r["halo"] <= full_halo(Fraction(40_000)) for r in records)
+    assert max(r.tries for r in records) > 1
+    assert all(r.halo <= full_halo(Fraction(40_000)) for r in records)
     _, capped = scene.grid(METRE, 64, max_edge=40_000, max_halo=1_000)
-    assert sum(r["marked"] for r in capped) > 0
+    assert sum(r.marked for r in capped) > 0
 
 
 def test_thinning_does_not_show_blocks_and_keeps_a_plane(make_scene):
@@ -155,7 +155,7 @@ def test_thinning_does_not_show_blocks_and_keeps_a_plane(make_scene):
     whole, (record,) = scene.grid(METRE, thin=Lattice(Fraction(250)))
     tiled, _ = scene.grid(METRE, 17, thin=Lattice(Fraction(250)))
     assert tiled.tobytes() == whole.tobytes()
-    assert record["ground_used"] < 0.75 * record["ground_read"]
+    assert record.ground_used < 0.75 * record.ground_read
     assert_plane(whole, scene)
 
 
@@ -180,12 +180,12 @@ def test_every_interpolation_fills_the_same_pixels_and_shows_no_block(make_scene
     linear, _ = scene.grid(METRE, max_edge=20_000)
     options = {"max_edge": 20_000, "interpolation": interpolation}
     whole, (record,) = scene.grid(METRE, **options)
-    assert record["marked"] == 0
+    assert record.marked == 0
     assert np.array_equal(whole == np.float32(NODATA), linear == np.float32(NODATA))
     valid = whole != np.float32(NODATA)
     assert 0 < np.abs(whole - linear)[valid].mean() < 0.5
     tiled, records = scene.grid(METRE, 37, **options)
-    marked = sum(r["marked"] for r in records)
+    marked = sum(r.marked for r in records)
     assert (tiled != whole).sum() <= marked
     assert marked == 0 or interpolation == "natural"  # whose neighbours at the hull nothing bounds
 
@@ -197,7 +197,7 @@ def test_a_robust_surface_keeps_planes_and_shows_no_block(make_scene, percent):
     whole, (record,) = scene.grid(METRE, **options)
     tiled, _ = scene.grid(METRE, 17, **options)
     assert tiled.tobytes() == whole.tobytes()
-    assert record["ground_used"] <= 100 * 100
+    assert record.ground_used <= 100 * 100
     assert_plane(whole, scene)
 
 
@@ -239,9 +239,9 @@ def test_a_wider_window_that_is_too_full_is_left_to_quarters(make_scene):
     scene = make_scene(scattered(3_000, 200_000), bucket=20_000)
     whole, (plain,) = scene.grid(METRE, max_edge=40_000, halo=1_000)
     tiled, records = scene.grid(METRE, 128, max_edge=40_000, halo=1_000, max_points=1_600)
-    assert max(r["tries"] for r in records) > 2
-    assert max(r["ground_read"] for r in records) < sum(r["pixels"] for r in records) * plain["ground_read"]
-    assert sum(r["pixels"] for r in records) == whole.size
+    assert max(r.tries for r in records) > 2
+    assert max(r.ground_read for r in records) < sum(r.pixels for r in records) * plain.ground_read
+    assert sum(r.pixels for r in records) == whole.size
     assert tiled.tobytes() == whole.tobytes()
 
 

@@ -24,9 +24,9 @@ def test_voids_are_connected_cells_whatever_the_blocks_are(seed: int) -> None:
     for row, col, size in zip(*rng.integers(0, 900, (2, 9)), SIZES, strict=True):
         holes[row : row + size, col : col + rng.integers(1, 60)] = True
     cells = [cell for block in spec.blocks(512) for cell in hole_cells(part(holes, block), block)]
-    found = voids_of(cells, spec)
-    assert sum(void["pixels"] for void in found) == holes.sum()
-    assert found == sorted(found, key=lambda void: -void["pixels"])
+    found = voids_of(cells, spec, 4.0)
+    assert sum(void.pixels for void in found) == holes.sum()
+    assert found == sorted(found, key=lambda void: -void.pixels)
     expected = []
     padded = np.pad(holes, ((0, -900 % CELL_PIXELS), (0, -1100 % CELL_PIXELS)))
     pooled = padded.reshape(-1, CELL_PIXELS, padded.shape[1] // CELL_PIXELS, CELL_PIXELS).any(axis=(1, 3))
@@ -36,7 +36,7 @@ def test_voids_are_connected_cells_whatever_the_blocks_are(seed: int) -> None:
         rows, cols = np.nonzero(of_pixel == i)
         west, north = 7 + cols.min(), 3000 - rows.min()
         expected.append((len(rows), [west, 3000 - rows.max() - 1, 7 + cols.max() + 1, north]))
-    assert sorted((void["pixels"], void["bounds"]) for void in found) == sorted(expected)
+    assert sorted((void.pixels, void.bounds) for void in found) == sorted(expected)
 
 
 def part(holes: np.ndarray, block: Block) -> np.ndarray:
@@ -46,4 +46,4 @@ def part(holes: np.ndarray, block: Block) -> np.ndarray:
 def test_no_holes_are_no_voids() -> None:
     spec = RasterSpec(Lattice(Fraction(1000)), 0, 64, 64, 64)
     (block,) = spec.blocks(512)
-    assert hole_cells(np.zeros((64, 64), bool), block) == voids_of([], spec) == []
+    assert hole_cells(np.zeros((64, 64), bool), block) == voids_of([], spec, 4.0) == []

@@ -14,10 +14,12 @@ from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Lattice
 from tiler.core.mask_values import CANOPY, MEASURED
 from tiler.core.raster import NODATA, Block, RasterSpec
-from tiler.core.sigma_groups import COVERED, GROUPS, OPEN, WET, sigma_facts
+from tiler.core.results import SigmaGroup
+from tiler.core.sigma_groups import EDGES_M, GROUPS
 from tiler.core.units import FOOT, METRE, Units
 from tiler.grid import SigmaBlock
-from tiler.grid.sigma import sigma_block
+from tiler.grid.records import SigmaRecord
+from tiler.grid.sigma import sigma_block, sigma_result
 from tiler.grid.sigma_measures import Measures, measures_of
 from tiler.grid.sigma_model import LASER, MATCHED, WEIGHTS, standard_error_m
 
@@ -185,13 +187,14 @@ def test_sigma_is_where_the_terrain_is_and_adds_up(make_scene) -> None:
     scene = make_scene(xyz, labels)
     found, records = sigma(scene)
     assert np.array_equal(np.isnan(found), np.isnan(heights_of(scene)))
-    facts = sigma_facts(LASER, records)
-    pixels = sum(facts[name]["pixels"] for name in GROUPS)
-    assert pixels == np.isfinite(found).sum() == sum(sum(facts[name]["histogram"]) for name in GROUPS)
-    squares = sum(facts[name]["pixels"] * (facts[name]["rmse_m"] or 0) ** 2 for name in GROUPS)
+    result = sigma_result(LASER, [SigmaRecord.of(record) for record in records])
+    groups = [getattr(result, name) for name in GROUPS]
+    pixels = sum(group.pixels for group in groups)
+    assert pixels == np.isfinite(found).sum() == sum(sum(group.histogram) for group in groups)
+    squares = sum(group.pixels * (group.rmse_m or 0) ** 2 for group in groups)
     assert np.sqrt(squares / pixels) == pytest.approx(np.sqrt(np.nanmean(found**2)), rel=1e-3)
-    assert facts[COVERED]["rmse_m"] > facts[OPEN]["rmse_m"]
-    assert facts[WET] == {"pixels": 0, "rmse_m": None, "histogram": [0] * (len(facts["edges_m"]) - 1)}
+    assert result.covered.rmse_m > result.open.rmse_m
+    assert result.water == SigmaGroup(0, None, [0] * (len(EDGES_M) - 1))
 
 
 def test_heights_in_feet_have_errors_in_feet(make_scene) -> None:

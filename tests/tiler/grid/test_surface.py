@@ -18,6 +18,7 @@ from tiler.core.raster import NODATA, Block, RasterSpec
 from tiler.core.units import FOOT, METRE, Units
 from tiler.grid import DistanceBlock, SurfaceBlock
 from tiler.grid.distance import distance_block
+from tiler.grid.records import SurfaceRecord
 from tiler.grid.surface import above_terrain, surface_block, surface_heights
 
 PIXEL = Fraction(2000)
@@ -29,7 +30,7 @@ def surface_work(scene: Scene, spec: RasterSpec, block: Block, **options: Any) -
     return SurfaceBlock(**{**where, **usual, **options})
 
 
-def dsm(scene: Scene, block: int = 512, **options: Any) -> tuple[np.ndarray, list[dict]]:
+def dsm(scene: Scene, block: int = 512, **options: Any) -> tuple[np.ndarray, list[SurfaceRecord]]:
     spec = RasterSpec.covering(Lattice(PIXEL), scene.data)
     heights, records = np.full((spec.height, spec.width), np.nan, np.float32), []
     for b in spec.blocks(block):
@@ -51,7 +52,7 @@ def test_each_pixel_has_its_highest_return(make_scene) -> None:
     truth = np.full(heights.shape, -np.inf)
     np.maximum.at(truth, pixels_of_points(scene, xyz), xyz[:, 2] / 1000)
     measured = np.isfinite(truth)
-    assert record["measured"] == measured.sum()
+    assert record.measured == measured.sum()
     assert np.array_equal(heights[measured], truth[measured].astype(np.float32))
     # A pixel without a return has a height between those of the others.
     gaps = ~measured & (heights != np.float32(NODATA))
@@ -82,11 +83,11 @@ def test_blocks_do_not_show(make_scene, shape) -> None:
     xyz[::97, 2] += 30_000
     scene = make_scene(xyz)
     whole, (record,) = dsm(scene)
-    assert record["marked"] == 0
+    assert record.marked == 0
     for block, halo in ((17, 0), (40, 60_000)):
         tiled, records = dsm(scene, block, halo=halo)
         assert tiled.tobytes() == whole.tobytes()
-        assert sum(r["marked"] for r in records) == 0
+        assert sum(r.marked for r in records) == 0
     other, _ = dsm(make_scene(xyz[::-1], frame=CoordFrame(origin=(-5_000, 70_001)), bucket=23_000), 25)
     assert other.tobytes() == whole.tobytes()
 

@@ -4,7 +4,10 @@ from __future__ import annotations
 
 from xml.etree import ElementTree
 
-from tiler.core.sigma_groups import EDGES_M, sigma_facts
+from tiler.core.results import to_json
+from tiler.core.sigma_groups import EDGES_M
+from tiler.grid.records import SigmaRecord
+from tiler.grid.sigma import sigma_result
 from tiler.report.expected import expected
 
 
@@ -15,13 +18,14 @@ def text_of(run: dict) -> str:
 
 def run_with(kind: str | None, vertical: float = 1.0) -> dict:
     empty = [0] * (len(EDGES_M) - 1)
-    one = {
-        "groups": {"open": [300, 300 * 100**2], "covered": [100, 100 * 500**2]},
-        "histogram": {"open": [0] * 5 + [300] + empty[6:], "covered": [0] * 9 + [100] + empty[10:]},
-    }
-    none = {"groups": {}, "histogram": {}}
+    one = SigmaRecord(
+        filled=400,
+        groups={"open": [300, 300 * 100**2], "covered": [100, 100 * 500**2]},
+        histogram={"open": [0] * 5 + [300] + empty[6:], "covered": [0] * 9 + [100] + empty[10:]},
+    )
+    none = SigmaRecord(filled=0, groups={}, histogram={})
     units = {"horizontal": 1.0, "vertical": vertical}
-    return {"plan": {"metres_per_unit": units}, "sigma": sigma_facts(kind, [one, none])}
+    return {"plan": {"metres_per_unit": units}, "sigma": to_json(sigma_result(kind, [one, none]))}
 
 
 def test_each_kind_of_ground_has_its_expected_rmse() -> None:
@@ -43,4 +47,4 @@ def test_heights_in_feet_have_errors_in_feet() -> None:
 def test_a_run_without_standard_errors_says_nothing_of_them() -> None:
     assert expected({"plan": {}}) == []
     assert "both" in text_of(run_with(None))
-    assert expected({"plan": {}, "sigma": sigma_facts("dim", [])})
+    assert expected({"plan": {}, "sigma": to_json(sigma_result("dim", []))})

@@ -11,6 +11,7 @@ from tests.scenes.records import bucket_record
 from tiler.core.lattice import Cell
 from tiler.core.raster import BLOCK_PIXELS, Block
 from tiler.runs.repair import repair
+from tiler.runs.results import Results
 from tiler.store import BucketInfo, TileStore
 from tiler.store.layout import ROW_POINTS
 
@@ -45,10 +46,11 @@ def undone(store: TileStore, *keys: str) -> dict[str, set[str]]:
     """Stage -> tasks that are no longer done after a repair."""
     notes: list[str] = []
     job: Any = SimpleNamespace(store=store, note=notes.append, invalidate=lambda s, k: store.uncommit(s, *k))
-    job.facts = {"healed": ["earlier"]}
+    job.results = Results()
+    job.results.healed = ["earlier"]
     repair(job, keys)
     assert len(notes) == len(keys)
-    assert job.facts["healed"] == sorted({"earlier", *keys})
+    assert job.results.healed == sorted({"earlier", *keys})
     left = {stage: set(tasks) - set(store.committed(stage)) for stage, tasks in STAGES.items()}
     return {stage: tasks for stage, tasks in left.items() if tasks}
 

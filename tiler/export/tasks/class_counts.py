@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
+from dataclasses import replace
 
 from tiler.core.classes import Counts, sum_by_class
 from tiler.core.reclass import ONLY_GROUND
@@ -17,9 +18,10 @@ def report_written_classes(job: Job, tasks: Iterable[Task], made: Commits) -> No
     records = [made[task.key][1] for task in tasks if task.key in made]
     kept = sum_by_class(record["kept"] for record in records)
     written = sum_by_class(record["classes"] for record in records)
-    class_facts = {"reclass": job.plan.config.reclass, "kept": kept, "written": written}
-    job.facts["classes"] = {**job.facts["classes"], **class_facts}
-    if text := kept_text(kept, job.facts["classes"]["no_part"]):
+    job.results.classes = replace(
+        job.results.classes, reclass=job.plan.config.reclass, kept=kept, written=written
+    )
+    if text := kept_text(kept, job.results.classes.no_part):
         job.note(text)
 
 
@@ -29,7 +31,7 @@ def report_earlier_classes(job: Job, tasks: Iterable[Task]) -> None:
         return
     commits = job.store.committed("export")
     stored = any("kept" not in commits[task.key][1] for task in tasks if task.key in commits)
-    listed = any(path.startswith(f"{CLASSIFIED}/") for path in job.facts["earlier_outputs"])
+    listed = any(path.startswith(f"{CLASSIFIED}/") for path in job.results.earlier_outputs)
     if stored or (listed and job.earlier_settings and "reclass" not in job.earlier_settings):
         job.note(
             "the classified clouds of an earlier version are written again: points that had class 1 there now keep "

@@ -53,7 +53,7 @@ def archive_outdated(job: Job, written: Mapping[str, str], basis: str) -> None:
     """
     wanted = set(written.values())
     # After a repair of the store the export runs again, and ``outputs`` lists files that this run has checked already.
-    earlier = {**job.facts["earlier_outputs"], **dict.fromkeys(job.facts.get("outputs", {}), basis)}
+    earlier = {**job.results.earlier_outputs, **dict.fromkeys(job.results.outputs, basis)}
     if not job.plan.config.force:
         _validate_own_files(job, [path for path in wanted if path not in earlier])
     there = {p: of for p, of in earlier.items() if p not in wanted and _inside(job.products, p)}
@@ -66,10 +66,10 @@ def archive_outdated(job: Job, written: Mapping[str, str], basis: str) -> None:
         text = f"{path}: changed since a run wrote it; moved to {move_aside(job.products, [path])}/"
         job.note(f"{text}, and not made again, as --products does not list it")
     _archive_changed(job, written)
-    job.facts["outputs"] = kept
-    job.facts["digests"] = {p: d for p, d in job.facts.get("digests", {}).items() if p in kept}
-    job.facts["made_of"] = dict.fromkeys(kept, basis)
-    job.facts["earlier_outputs"] = dict.fromkeys(wanted)
+    job.results.outputs = kept
+    job.results.digests = {p: d for p, d in job.results.digests.items() if p in kept}
+    job.results.made_of = dict.fromkeys(kept, basis)
+    job.results.earlier_outputs = dict.fromkeys(wanted)
     if stale:
         job.note(
             f"{named(stale)}: of an earlier run with other settings or inputs, and not of this one; "
@@ -95,7 +95,7 @@ def _changed_text(paths: Sequence[str], location: str) -> str:
 
 def _damaged(job: Job, paths: Collection[str]) -> list[str]:
     """Return the files whose bytes do not match their digest in run.json."""
-    known = {p: d for p, d in job.facts.get("digests", {}).items() if p in paths}
+    known = {p: d for p, d in job.results.digests.items() if p in paths}
     path_of = {joined(job.products, path): path for path in sorted(known)}
     states = zip(path_of, states_at(list(path_of)), strict=True)
     results = contents(

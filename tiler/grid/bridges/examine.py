@@ -17,6 +17,7 @@ from tiler.core.raster import Block, RasterSpec
 from tiler.grid.bridges.deck import Deck, find_deck
 from tiler.grid.bridges.deck_cells import DIRECTIONS, REACH_M, CoarseHeights, candidate_cells
 from tiler.grid.ground import GroundSelection, read_classes, surface_points
+from tiler.grid.records import DeckCellsRecord, DeckRecord, DecksRecord
 from tiler.grid.work import BlockWork
 from tiler.store import TileStore, open_store
 
@@ -74,7 +75,7 @@ def find_deck_cells(store_url: str, work: FindDeckCells) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``cells``: row, column and direction of each cell found.
+        `DeckCellsRecord` of the block.
     """
     store, spec, block = open_store(store_url), work.spec, work.block
     size_m = float(spec.lattice.size * store.meta.frame.metres_xy)
@@ -99,7 +100,7 @@ def find_deck_cells(store_url: str, work: FindDeckCells) -> dict[str, Any]:
     block_cells = np.stack(
         (rows[in_block] + window.row, cols[in_block] + window.col, directions[in_block]), axis=1
     )
-    return {"cells": block_cells.tolist()}
+    return DeckCellsRecord(block_cells.tolist()).to_json()
 
 
 def examine_decks(store_url: str, work: ExamineDecks) -> dict[str, Any]:
@@ -108,14 +109,15 @@ def examine_decks(store_url: str, work: ExamineDecks) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``decks``: the record of each deck (see `_record`). ``reasons``: why each other candidate is not a deck.
+        `DecksRecord` of the candidates.
     """
     store, spec = open_store(store_url), work.spec
     frame = store.meta.frame
     metres = np.array((frame.metres_xy, frame.metres_xy, frame.metres_z), np.float64)
     bounds = [examined_bounds(spec, cells, float(frame.metres_xy)) for cells in work.places]
     xyz, ground = _voxels(store, work.rule, reduce(Bounds.union, bounds), metres)
-    decks, reasons = [], []
+    decks: list[dict[str, Any]] = []
+    reasons: list[str] = []
     for cells, window in zip(work.places, bounds, strict=True):
         x, y = xyz[:, 0], xyz[:, 1]
         inside = (x >= window.x0) & (x < window.x1) & (y >= window.y0) & (y < window.y1)
@@ -123,13 +125,13 @@ def examine_decks(store_url: str, work: ExamineDecks) -> dict[str, Any]:
         if deck is None:
             reasons.append(reason)
         else:
-            decks.append(deck)
-    return {"decks": decks, "reasons": reasons}
+            decks.append(deck.to_json())
+    return DecksRecord(decks, reasons).to_json()
 
 
 def _examine(
     spec: RasterSpec, cells: CandidateCells, window: Bounds, points: Counts, ground: Bools, metres: Any
-) -> tuple[dict[str, Any] | None, str]:
+) -> tuple[DeckRecord | None, str]:
     """Find a deck among the points of a window. Return its record, or None and the reason why there is none.
 
     ``points`` (n, 3) are in counts. ``metres`` (3,) is the length of a count along each axis.
@@ -223,21 +225,20 @@ def _cells(
     return rows, spec.lattice.index(x) - spec.west - window.col
 
 
-def _record(deck: Deck, metres: Any, corner: Any) -> dict[str, Any]:
-    """Return the record of a deck: outline (``ring``) and ``surface`` in counts, sizes in metres.
-
-    ``surface`` has the first eight fields of `tiler.core.edits.DeckSurface`, without ``low`` and ``high``.
-    ``corner`` is the position in counts at which the coordinates of the deck are 0.
-    """
+def _record(deck: Deck, metres: Any, corner: Any) -> DeckRecord:
+    """Return the record of a deck. Its coordinates are 0 at the position ``corner`` in counts."""
     ring = np.rint(deck.ring / metres[:2] + corner[:2]).astype(np.int64)
     (x, y), (a, b, c, d) = deck.centre, deck.surface
     metres_xy, metres_z = float(metres[0]), float(metres[2])
-    return {
-        "ring": ring.tolist(),
-        "surface": [
-            x / metres_xy + float(corner[0]), y / metres_xy + float(corner[1]), *deck.along,
-            a / metres_z, b * metres_xy / metres_z, c * metres_xy * metres_xy / metres_z, d * metres_xy / metres_z,
-        ],
-        "length_m": round(deck.length_m, 2), "width_m": round(deck.width_m, 2),
-        "clearance_m": round(deck.clearance_m, 2), "below": deck.n_below,
-    }  # fmt: skip
+    surface = [
+        x / metres_xy + float(corner[0]), y / metres_xy + float(corner[1]), *deck.along,
+        a / metres_z, b * metres_xy / metres_z, c * metres_xy * metres_xy / metres_z, d * metres_xy / metres_z,
+    ]  # fmt: skip
+    return DeckRecord(
+        ring=ring.tolist(),
+        surface=surface,
+        length_m=round(deck.length_m, 2),
+        width_m=round(deck.width_m, 2),
+        clearance_m=round(deck.clearance_m, 2),
+        below=deck.n_below,
+    )

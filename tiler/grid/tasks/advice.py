@@ -10,6 +10,7 @@ from tiler.core.raster import RasterSpec
 from tiler.errors import CorruptStoreError, ProcessingError
 from tiler.filter.tasks.labelled import Labelled
 from tiler.grid.crowns import FindCrowns, crown_advice, find_crowns
+from tiler.grid.records import BlockRecord, CrownsRecord, RoofsRecord
 from tiler.grid.roofs import Advice, FindRoofs, find_roofs
 from tiler.observe.events import Warned
 from tiler.runs.job import Job
@@ -40,7 +41,7 @@ def advise(job: Job, labelled: Labelled, spec: RasterSpec, made: Commits, waters
         or advice_state.get("asked") != inputs
         or "at" not in advice_state
     ):
-        filled = tuple(key for key, (_, record) in made.items() if record["filled"])
+        filled = tuple(key for key, (_, stored) in made.items() if BlockRecord.of(stored).filled)
         found = [_roofs(job, spec, filled, waters) if building is not None else None]
         found.append(_crowns(job, spec, filled) if checks_crowns else None)
         advices = [advice for advice in found if advice is not None]
@@ -48,7 +49,7 @@ def advise(job: Job, labelled: Labelled, spec: RasterSpec, made: Commits, waters
         positions = [[advice.x, advice.y] for advice in advices]
         advice_state = {"asked": inputs, "texts": texts, "at": positions}
         job.store.put_state("advice", advice_state)
-    job.facts["advice"], job.facts["advice_at"] = advice_state["texts"], advice_state["at"]
+    job.results.advice, job.results.advice_at = advice_state["texts"], advice_state["at"]
     for line in advice_state["texts"]:
         job.listener(Warned(line))
 
@@ -57,14 +58,16 @@ def _roofs(job: Job, spec: RasterSpec, filled: tuple[str, ...], waters: str | No
     parameters = job.plan.method.parameters
     building_m, roof_m = parameters["max_building_size_m"], parameters.get("roof_size_m")
     work = FindRoofs(spec, filled, building_m, roof_m, waters)
-    (record,) = _run_tasks(job, [Task("advice", "roofs", digest_of(work), find_roofs, work)])
-    return None if record["advice"] is None else Advice(*record["advice"])
+    (stored,) = _run_tasks(job, [Task("advice", "roofs", digest_of(work), find_roofs, work)])
+    advice = RoofsRecord.of(stored).advice
+    return None if advice is None else Advice(*advice)
 
 
 def _crowns(job: Job, spec: RasterSpec, filled: tuple[str, ...]) -> Advice | None:
     works = [FindCrowns(spec, filled[i : i + CROWN_BLOCKS]) for i in range(0, len(filled), CROWN_BLOCKS)]
     tasks = [Task("advice", f"crowns{i:06d}", digest_of(w), find_crowns, w) for i, w in enumerate(works)]
-    parts = [Crowns(record["looked_at"], record["found"]) for record in _run_tasks(job, tasks)]
+    records = [CrownsRecord.of(stored) for stored in _run_tasks(job, tasks)]
+    parts = [Crowns(record.looked_at, record.found) for record in records]
     return crown_advice(parts, spec)
 
 

@@ -17,12 +17,15 @@ from tiler.core.edits import DECK, DeckSurface, DrawnDeck, Edit
 from tiler.core.frame import COUNTS_PER_UNIT, CoordFrame
 from tiler.core.lattice import Bounds, Cell
 from tiler.core.raster import BLOCK_PIXELS
+from tiler.core.records import records_of
+from tiler.core.results import BridgeResult
 from tiler.core.units_text import length_text
 from tiler.core.words import counted
 from tiler.grid import ExamineDecks, FindDeckCells, examine_decks, examined_bounds, find_deck_cells
 from tiler.grid.bridges.deck_cells import DROP_M, REACH_M
 from tiler.grid.bridges.examine import CandidateCells
 from tiler.grid.pieces import components
+from tiler.grid.records import DeckCellsRecord, DeckRecord, DecksRecord
 from tiler.grid.tasks.gridding import GridContext
 from tiler.ingest.tasks.assembled import IngestResult
 from tiler.runs.job import Job
@@ -62,30 +65,29 @@ def find_bridges(
     g = GridContext(job.plan, assembled, labels)
     cells = run_stage(job, CELLS, _cell_tasks(g))
     made = run_stage(job, DECKS, _deck_tasks(g, cells))
-    decks: list[dict[str, Any]] = []
-    for name in sorted(made):
-        _, record = made[name]
-        decks += record["decks"]
+    decks: list[DeckRecord] = []
+    for record in records_of(DecksRecord, dict(sorted(made.items()))):
+        decks += [DeckRecord.of(deck) for deck in record.decks]
     decks = _without_parts(decks)
-    job.facts["bridges"] = [_fact(deck) for deck in decks]
+    job.results.bridges = [_result(deck) for deck in decks]
     job.note(_note(decks, job.plan.grid.meta.frame))
     metres_z = float(job.plan.grid.meta.frame.metres_z)
     edits = tuple(_edit(-number, deck, metres_z) for number, deck in enumerate(decks, start=1))
     return edits, tuple(_outline(deck) for deck in decks)
 
 
-def _note(records: Sequence[Mapping[str, Any]], frame: CoordFrame) -> str:
+def _note(decks: Sequence[DeckRecord], frame: CoordFrame) -> str:
     """Return a line for the log about the bridges that were found."""
-    if not records:
+    if not decks:
         return "no bridge was found above the ground, so none was removed from the terrain (--bridges remove)"
     texts = []
-    for record in records[:MAX_REPORTED]:
-        x, y = np.mean(record["ring"], axis=0) / COUNTS_PER_UNIT
-        long = length_text(round(record["length_m"]), frame.units.horizontal)
-        wide = length_text(round(record["width_m"]), frame.units.horizontal)
+    for deck in decks[:MAX_REPORTED]:
+        x, y = np.mean(deck.ring, axis=0) / COUNTS_PER_UNIT
+        long = length_text(round(deck.length_m), frame.units.horizontal)
+        wide = length_text(round(deck.width_m), frame.units.horizontal)
         texts.append(f"{long} long and {wide} wide at x {x:.0f}, y {y:.0f}")
-    more = f", and {len(records) - MAX_REPORTED} more" if len(records) > MAX_REPORTED else ""
-    bridges_text = counted(len(records), "bridge")
+    more = f", and {len(decks) - MAX_REPORTED} more" if len(decks) > MAX_REPORTED else ""
+    bridges_text = counted(len(decks), "bridge")
     return f"left out of the terrain: {bridges_text} ({'; '.join(texts)}{more}; --bridges keep leaves bridges in)"
 
 
@@ -124,8 +126,8 @@ def _deck_tasks(g: GridContext, deck_cells: Commits) -> Iterator[Task]:
 def _candidates(deck_cells: Commits) -> Iterator[CandidateCells]:
     """Yield groups of touching cells in the order of rows and columns. Cells of different blocks can form a group."""
     distinct: set[tuple[int, ...]] = set()
-    for _, record in deck_cells.values():
-        distinct.update(map(tuple, record["cells"]))
+    for record in records_of(DeckCellsRecord, deck_cells):
+        distinct.update(map(tuple, record.cells))
     cells = sorted(distinct)
     if not cells:
         return
@@ -138,33 +140,31 @@ def _candidates(deck_cells: Commits) -> Iterator[CandidateCells]:
         yield tuple(candidate)
 
 
-def _without_parts(records: Sequence[dict[str, Any]]) -> list[dict[str, Any]]:
+def _without_parts(decks: Sequence[DeckRecord]) -> list[DeckRecord]:
     """Return the decks, without decks that lie mostly within a larger deck and are probably a part of it."""
-    kept: list[tuple[Any, dict[str, Any]]] = []
-    for record in sorted(records, key=lambda r: (-r["length_m"] * r["width_m"], r["ring"])):
-        shape = shapely.make_valid(shapely.Polygon(record["ring"]))
+    kept: list[tuple[Any, DeckRecord]] = []
+    for deck in sorted(decks, key=lambda deck: (-deck.length_m * deck.width_m, deck.ring)):
+        shape = shapely.make_valid(shapely.Polygon(deck.ring))
         if all(shape.intersection(other).area < shape.area / 2 for other, _ in kept):
-            kept.append((shape, record))
-    return [record for _, record in kept]
+            kept.append((shape, deck))
+    return [deck for _, deck in kept]
 
 
-def _edit(number: int, record: Mapping[str, Any], metres_z: float) -> Edit:
+def _edit(number: int, deck: DeckRecord, metres_z: float) -> Edit:
     """Return the edit that removes a deck: the points inside its outline and near its surface."""
     # Points more than ``low`` below the surface may be ground under the bridge.
-    low = min(record["clearance_m"] / 2, DROP_M)
-    values = (*record["surface"], low / metres_z, MAX_ABOVE_M / metres_z)
+    low = min(deck.clearance_m / 2, DROP_M)
+    values = (*deck.surface, low / metres_z, MAX_ABOVE_M / metres_z)
     surface = DeckSurface(*(float(value) for value in values))
-    outline = np.array(record["ring"], np.int64)
+    outline = np.array(deck.ring, np.int64)
     return Edit(number, DECK, Area(((outline,),)), deck=surface)
 
 
-def _outline(record: Mapping[str, Any]) -> DrawnDeck:
-    coordinates = tuple(np.array(record["ring"]).ravel().tolist())
-    return coordinates, record["length_m"], record["width_m"], record["clearance_m"], record["below"]
+def _outline(deck: DeckRecord) -> DrawnDeck:
+    coordinates = tuple(np.array(deck.ring).ravel().tolist())
+    return coordinates, deck.length_m, deck.width_m, deck.clearance_m, deck.below
 
 
-def _fact(record: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the entry of run.json for a bridge."""
-    ring = np.array([*record["ring"], record["ring"][0]]) / COUNTS_PER_UNIT
-    sizes = {name: record[name] for name in ("length_m", "width_m", "clearance_m", "below")}
-    return {**sizes, "rings": [ring.ravel().tolist()]}
+def _result(deck: DeckRecord) -> BridgeResult:
+    ring = np.array([*deck.ring, deck.ring[0]]) / COUNTS_PER_UNIT
+    return BridgeResult(deck.length_m, deck.width_m, deck.clearance_m, deck.below, [ring.ravel().tolist()])

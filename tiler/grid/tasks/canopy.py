@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from fractions import Fraction
-from typing import Any
 
 import numpy as np
 import shapely
@@ -18,6 +17,7 @@ from ptd.methods import METHODS
 from tiler.config import VOID_CANOPY
 from tiler.core.lattice import Cell
 from tiler.core.map_lines import rings_of
+from tiler.core.results import CanopyResult, Doubt
 from tiler.core.units_text import length_text
 from tiler.filter.tasks.labelled import Labelled
 from tiler.filter.tasks.passes import elected_name, label_digests, labels_name, tile_records
@@ -66,7 +66,7 @@ def canopy_cells(job: Job, assembled: IngestResult, labelled: Labelled) -> Canop
     if state is None:
         return None
     share = state["canopy"]["share"]
-    job.facts["canopy"] = {"share": share, "mode": job.plan.config.canopy}
+    job.results.canopy = CanopyResult(share=share, mode=job.plan.config.canopy)
     if not share:
         return None
     passes = METHODS[job.plan.config.method].params(**job.plan.method.parameters).passes
@@ -90,10 +90,10 @@ def _report(job: Job, share: float, made: Commits) -> None:
     centres = []
     for column, row in fullest:
         centres.append([round((column + 0.5) * BLOCK_M / unit, 1), round((row + 0.5) * BLOCK_M / unit, 1)])
-    job.facts["canopy"] |= {"places": centres, "rings": _rings(blocks, unit)}
+    job.results.canopy = replace(job.results.canopy, places=centres, rings=_rings(blocks, unit))
     if share < MIN_WARNED_SHARE:
         return
-    job.facts["canopy_doubts"] = [_doubt(block, blocks[block] / BLOCK_M**2, unit) for block in fullest]
+    job.results.canopy_doubts = [_doubt(block, blocks[block] / BLOCK_M**2, unit) for block in fullest]
     around = " and ".join(f"x {x:.0f}, y {y:.0f}" for x, y in centres)
     effect = (
         "the terrain there is bridged from the ground around the canopy, up to --max-edge, and has the value 6 in the "
@@ -105,12 +105,12 @@ def _report(job: Job, share: float, made: Commits) -> None:
     job.listener(Warned(f"{hidden}: {effect}"))
 
 
-def _doubt(block: tuple[int, int], share: float, unit: float) -> dict[str, Any]:
+def _doubt(block: tuple[int, int], share: float, unit: float) -> Doubt:
     """Return a text about the terrain in a block, and its west, south, east and north in units of the CRS."""
     side = BLOCK_M / unit
     west, south = (index * side for index in block)
     text = f"{HIDES} in {percent(share)} % of a square of {length_text(BLOCK_M, unit)}"
-    return {"text": text, "place": [west, south, west + side, south + side]}
+    return Doubt(text, [west, south, west + side, south + side])
 
 
 def _rings(blocks: Mapping[tuple[int, int], int], unit: float) -> list[list[float]]:

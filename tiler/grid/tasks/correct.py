@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 
@@ -12,10 +11,13 @@ from tiler.core.breaklines import MIN_LENGTH_M, Breaklines
 from tiler.core.edits import OF_PIXELS, OF_POINTS, TO_GROUND, Edit, Edits
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Cell, Lattice
-from tiler.core.map_lines import add_rings, drawn
+from tiler.core.map_lines import drawn, rings_of_areas
+from tiler.core.records import records_of
+from tiler.core.results import BreaklineCounts, EditResult
 from tiler.errors import ProcessingError
 from tiler.filter.tasks.labelled import Labelled
 from tiler.grid import SurveyEdits, survey_edits
+from tiler.grid.records import EditCountsRecord, TerrainRecord
 from tiler.grid.tasks.bridges import find_bridges
 from tiler.grid.tasks.corrections import Corrections
 from tiler.grid.tasks.gridding import ground_rule
@@ -45,11 +47,9 @@ def correct(job: Job, assembled: IngestResult, labelled: Labelled) -> tuple[Labe
         min_length = plan.grid.meta.frame.counts(MIN_LENGTH_M)
         lines = Breaklines.of(plan.inputs.lines, pixels.size, min_length, assembled.bounds)
         job.store.put_breaklines(lines)
-        job.facts["breaklines"] = {
-            "lines": len(plan.inputs.lines),
-            "vertices": len(lines.vertices),
-            "drawn": drawn(plan.inputs.lines),
-        }
+        job.results.breaklines = BreaklineCounts(
+            len(plan.inputs.lines), len(lines.vertices), drawn(plan.inputs.lines)
+        )
         corrections = replace(corrections, lines=lines, line_digests=lines.digests(plan.grid.meta.bucket))
     return labelled, corrections
 
@@ -79,16 +79,19 @@ def _user_edits(
     if len(made) < len(tasks):
         raise ProcessingError(f"--edits: could not be applied: {job.record.first_error('edits')}")
     counts = {edit.number: np.zeros(5, np.int64) for edit in job.plan.inputs.edits}
-    for _, record in made.values():
-        for number, *bucket_counts in record["edits"]:
+    for record in records_of(EditCountsRecord, made):
+        for number, *bucket_counts in record.edits:
             counts[number] += bucket_counts
     has_no_labels = ground_rule(job.plan).labels is None
     edits = []
     for edit in job.plan.inputs.edits:
         has_no_ground = has_no_labels or not counts[edit.number][-1]
         edits.append(replace(edit, lowest=edit.action == TO_GROUND and has_no_ground))
-    job.facts["edits"] = [_fact(edit, counts[edit.number].tolist()) for edit in edits]
-    add_rings(job.facts["edits"], [edit.area for edit in edits])
+    rings = rings_of_areas([edit.area for edit in edits])
+    job.results.edits = [
+        replace(_result(edit, counts[edit.number].tolist()), rings=rings_of_edit)
+        for edit, rings_of_edit in zip(edits, rings, strict=True)
+    ]
     return tuple(edits)
 
 
@@ -104,39 +107,43 @@ def _count_tasks(
         yield Task("edits", cell.name, digest, survey_edits, work, assembled.records[cell].n)
 
 
-def _fact(edit: Edit, counts: Sequence[int]) -> dict[str, Any]:
-    """Return the entry of run.json for an edit. ``counts`` are the sums of the five counts of `survey_edits`.
+def _result(edit: Edit, counts: Sequence[int]) -> EditResult:
+    """Return the changes by an edit. ``counts`` are the sums of the five counts of `survey_edits`.
 
     `report_edited_pixels` adds the number of pixels.
     """
     bounds = [v / COUNTS_PER_UNIT for v in edit.area.bounds.to_json()]
-    fact: dict[str, Any] = {"number": edit.number, "action": edit.action, "bounds": bounds}
-    if edit.action in OF_POINTS:
-        points, ground_before, by_classes, by_lowest, _ = counts
-        fact |= {"points": points, "ground_before": ground_before}
-        fact["ground_after"] = by_lowest if edit.lowest else by_classes
-        fact["by"] = "lowest points" if edit.lowest else "classes"
-    return fact
+    result = EditResult(number=edit.number, action=edit.action, bounds=bounds)
+    if edit.action not in OF_POINTS:
+        return result
+    points, ground_before, by_classes, by_lowest, _ = counts
+    return replace(
+        result,
+        points=points,
+        ground_before=ground_before,
+        ground_after=by_lowest if edit.lowest else by_classes,
+        by="lowest points" if edit.lowest else "classes",
+    )
 
 
 def report_edited_pixels(job: Job, terrain: Commits) -> None:
     """Add to run.json the number of pixels of the terrain that each edit set."""
     counts: dict[int, int] = {}
-    for _, record in terrain.values():
-        for number, pixels in record.get("edited", ()):
+    for record in records_of(TerrainRecord, terrain):
+        for number, pixels in record.edited or ():
             counts[number] = counts.get(number, 0) + pixels
-    for fact in job.facts.get("edits", ()):
-        if fact["action"] in OF_PIXELS:
-            fact["pixels"] = counts.get(fact["number"], 0)
-        fact["changed"] = _changed(fact)
-    unchanged = [fact for fact in job.facts.get("edits", ()) if not fact["changed"]]
+    if not job.results.edits:
+        return
+    job.results.edits = [_with_pixels(edit, counts.get(edit.number, 0)) for edit in job.results.edits]
+    unchanged = [edit for edit in job.results.edits if not edit.changed]
     if unchanged:
-        names = ", ".join(f"feature {fact['number']} ({fact['action']})" for fact in unchanged[:5])
+        names = ", ".join(f"feature {edit.number} ({edit.action})" for edit in unchanged[:5])
         more = f" and {len(unchanged) - 5} more" if len(unchanged) > 5 else ""
         job.note(f"--edits: {names}{more}: changed nothing")
 
 
-def _changed(fact: Mapping[str, Any]) -> bool:
-    if fact["action"] in OF_PIXELS:
-        return bool(fact["pixels"])
-    return bool(fact["ground_before"] != fact["ground_after"])
+def _with_pixels(edit: EditResult, pixels: int) -> EditResult:
+    """Return the changes by an edit with the number of pixels that it set."""
+    if edit.action in OF_PIXELS:
+        return replace(edit, pixels=pixels, changed=pixels > 0)
+    return replace(edit, changed=edit.ground_before != edit.ground_after)

@@ -12,11 +12,13 @@ from typing import Any
 from tiler.core.classes import GROUND
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec
+from tiler.core.records import AnyRecord
 from tiler.core.water import Waters
 from tiler.filter import LABELS
 from tiler.grid import FillBlock, GroundSelection
 from tiler.grid.coarse import coarse_raster
 from tiler.grid.pieces import Joined, join_pieces
+from tiler.grid.records import BlockRecord, LabelsRecord, OccupancyRecord
 from tiler.grid.tasks.canopy import CanopyCells
 from tiler.grid.tasks.corrections import Corrections
 from tiler.grid.work import BlockWork
@@ -193,22 +195,22 @@ class GridContext:
         """Return name and checksum of all finished blocks of a raster, or of the finished blocks among ``blocks``."""
         made = self.made[raster]
         names = sorted(made) if blocks is None else (name for name in blocks if name in made)
-        return [[name, made[name][1]["checksum"]] for name in names]
+        return [[name, BlockRecord.of(made[name][1]).checksum] for name in names]
 
-    def records(self, raster: str) -> dict[Place, dict[str, Any]]:
+    def records(self, raster: str, kind: type[AnyRecord]) -> dict[Place, AnyRecord]:
         """Return the record of each finished block of a raster of coarse cells, by place."""
         records = {}
-        for name, (_, record) in self.made[raster].items():
+        for name, (_, stored) in self.made[raster].items():
             block = self.coarse.block_named(name, BLOCK_PIXELS)
-            records[block.row, block.col] = record
+            records[block.row, block.col] = kind.of(stored)
         return records
 
     def areas(self, raster: str, corners: bool = False) -> Joined:
         """Return the connected areas of a raster of labels. ``corners``: cells may be connected by a corner."""
         if raster not in self._areas:
-            records = self.records(raster)
-            sides = {place: record["sides"] for place, record in records.items()}
-            counts = {place: record["labels"] for place, record in records.items()}
+            records = self.records(raster, LabelsRecord)
+            sides = {place: record.sides for place, record in records.items()}
+            counts = {place: record.labels for place, record in records.items()}
             self._areas[raster] = join_pieces(sides, counts, corners)
         return self._areas[raster]
 
@@ -242,7 +244,7 @@ class GridContext:
     def water_is_sought(self) -> bool:
         """Whether water can be found, because few returns show it or because the input has the class of water."""
         return self.returns_show_water or any(
-            record["water"] for record in self.records("occupancy").values()
+            record.water for record in self.records("occupancy", OccupancyRecord).values()
         )
 
     @property

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec, north_west
 from tiler.grid import CloseBlock, FillBlock, FindVoids, SurveyBlock, Void, VoidRasters, blocks_of
 from tiler.grid.pieces import Piece, Side, components, touching
+from tiler.grid.records import BlockRecord, HolesRecord, OpenAreasRecord, SurveyRecord
 from tiler.grid.tasks.gridding import GAP_M, GridContext, Place, RasterStep
 from tiler.schedule import Task, digest_of
 
@@ -58,7 +59,7 @@ def _close_tasks(raster: RasterStep, g: GridContext, gap: float) -> Iterator[Tas
     (occupancy,) = raster.inputs
     max_gap = float(g.plan.config.max_edge / g.coarse_m)
     reach_blocks = math.ceil((max_gap + 2) / BLOCK_PIXELS)
-    occupied = [place for place, record in g.records(occupancy).items() if record["filled"]]
+    occupied = [place for place, record in g.records(occupancy, BlockRecord).items() if record.filled]
     for place in near_places(coarse, occupied, reach_blocks):
         work = CloseBlock(
             name=raster.name, spec=coarse, block=coarse.block_at(*place, BLOCK_PIXELS), occupancy=occupancy,
@@ -88,8 +89,8 @@ def block_names(places: Iterable[Place]) -> list[str]:
 def survey_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
     """Yield a task for each block of the raster of open areas, and for each missing block that the survey encloses."""
     coarse, (opened,) = g.coarse, raster.inputs
-    records = g.records(opened)
-    outside, empty = outside_of({place: record["sides"] for place, record in records.items()})
+    records = g.records(opened, OpenAreasRecord)
+    outside, empty = outside_of({place: record.sides for place, record in records.items()})
     for place in sorted({*records, *empty}):
         near = near_places(coarse, [place])
         work = SurveyBlock(
@@ -184,8 +185,8 @@ def voids_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
     spec, coarse = g.spec, g.coarse
     model, survey = raster.inputs
     rasters = VoidRasters(model, spec, survey, coarse, raster.name)
-    for place, record in g.records(survey).items():
-        if not record["inside"]:
+    for place, record in g.records(survey, SurveyRecord).items():
+        if not record.inside:
             continue
         block = coarse.block_at(*place, BLOCK_PIXELS)
         work = FindVoids(name=raster.name, spec=coarse, block=block, rasters=rasters)
@@ -198,12 +199,12 @@ def fill_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
     spec = g.spec
     model, survey, voids = raster.inputs
     rasters = VoidRasters(model, spec, survey, g.coarse, voids)
-    records = g.records(voids)
+    records = g.records(voids, HolesRecord)
     voids_of: dict[str, list[tuple[Void, str]]] = defaultdict(list)
     for pieces in g.areas(voids, corners=True).areas.values():
         runs = []
         for piece in pieces:
-            runs += records[piece.row, piece.col]["blocks"][piece.label - 1]
+            runs += records[piece.row, piece.col].blocks[piece.label - 1]
         model_blocks = sorted({block.name for block in blocks_of(runs, spec, BLOCK_PIXELS)})
         void_blocks = sorted(block_names({(piece.row, piece.col) for piece in pieces}))
         void_digest = digest_of(g.checksums(model, model_blocks), g.checksums(voids, void_blocks))
@@ -229,5 +230,6 @@ def fill_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
 
 def surveyed_blocks(g: GridContext, survey: str) -> list[Block]:
     """Return the blocks of the products that overlap the inside of the survey, from the north-west."""
-    runs = list(chain.from_iterable(record["blocks"] for record in g.records(survey).values()))
+    records = g.records(survey, SurveyRecord).values()
+    runs = list(chain.from_iterable(record.blocks for record in records))
     return sorted(set(blocks_of(runs, g.spec, BLOCK_PIXELS)), key=north_west)

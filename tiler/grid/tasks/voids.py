@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable
+from dataclasses import replace
 from itertools import chain
 from typing import Any
 
@@ -12,7 +13,10 @@ import scipy
 
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.raster import Block, RasterSpec
+from tiler.core.records import records_of
+from tiler.core.results import VoidResult, VoidsResult
 from tiler.grid import CELL_PIXELS
+from tiler.grid.records import OutlineRecord
 from tiler.runs.job import Job
 from tiler.store import Commits
 
@@ -24,31 +28,27 @@ TOUCHING = 1.5
 
 def report_voids(job: Job, spec: RasterSpec, outlined: Commits) -> None:
     """Add to run.json the voids of the delivered terrain, and the pixels without a height inside each edit."""
-    records = [record for _, record in outlined.values()]
+    records = records_of(OutlineRecord, outlined)
     hole_pixels: Counter[int] = Counter()
     for record in records:
-        for edit, n_pixels in record["edit_holes"]:
+        for edit, n_pixels in record.edit_holes:
             hole_pixels[edit] += n_pixels
-    for fact in job.facts.get("edits", ()):
-        fact["holes"] = hole_pixels[fact["number"]]
-    cells = chain.from_iterable(record["holes"] for record in records)
+    if job.results.edits:
+        job.results.edits = [replace(edit, holes=hole_pixels[edit.number]) for edit in job.results.edits]
+    cells = chain.from_iterable(record.holes for record in records)
     pixel_m2 = float(job.plan.grid.resolution) ** 2
-    voids = [{**void, "area_m2": void["pixels"] * pixel_m2} for void in voids_of(cells, spec)]
-    # ``asked_pixels`` are pixels without a height because an edit asks for that.
-    job.facts["voids"] = {
-        "surveyed_pixels": sum(record["surveyed"] for record in records),
-        "pixels": sum(void["pixels"] for void in voids),
-        "asked_pixels": sum(record["voided"] for record in records),
-        "number": len(voids),
-        "largest": voids[:MAX_LISTED],
-    }
+    voids = voids_of(cells, spec, pixel_m2)
+    job.results.voids = VoidsResult(
+        surveyed_pixels=sum(record.surveyed for record in records),
+        pixels=sum(void.pixels for void in voids),
+        asked_pixels=sum(record.voided for record in records),
+        number=len(voids),
+        largest=voids[:MAX_LISTED],
+    )
 
 
-def voids_of(cells: Iterable[list[int]], spec: RasterSpec) -> list[dict[str, Any]]:
-    """Merge touching cells with holes (see `tiler.grid.holes.hole_cells`) into voids.
-
-    Return voids with ``pixels`` and ``bounds`` in units of the CRS, the largest first.
-    """
+def voids_of(cells: Iterable[list[int]], spec: RasterSpec, pixel_m2: float) -> list[VoidResult]:
+    """Merge touching cells with holes (see `tiler.grid.holes.hole_cells`) into voids, the largest first."""
     table = np.array(list(cells), np.int64).reshape(-1, 5)
     if not len(table):
         return []
@@ -62,7 +62,9 @@ def voids_of(cells: Iterable[list[int]], spec: RasterSpec) -> list[dict[str, Any
     np.minimum.at(first, void_of_cell, first_pixel)
     np.maximum.at(last, void_of_cell, last_pixel)
     order = np.lexsort((first[:, 1], first[:, 0], -pixels))
-    return [{"pixels": int(pixels[i]), "bounds": _bounds(spec, first[i], last[i])} for i in order]
+    return [
+        VoidResult(int(pixels[i]), _bounds(spec, first[i], last[i]), int(pixels[i]) * pixel_m2) for i in order
+    ]
 
 
 def _bounds(spec: RasterSpec, first: Any, last: Any) -> list[float]:

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import replace
-from typing import Any
 
 from tiler.config import AUTO_WATER
 from tiler.core.area_index import AreaIndex
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Cell, row_by_row
 from tiler.core.raster import BLOCK_PIXELS
+from tiler.core.records import records_of
 from tiler.core.water import LAKE, Water, Waters, lengths_along
 from tiler.core.words import counted
 from tiler.grid import DescribeBody, LevelWater, Sources, describe_body, level_water
 from tiler.grid.coarse import padded
+from tiler.grid.records import BodyRecord, LevelRecord, SizesRecord
 from tiler.grid.tasks.gridding import GridContext, Place
 from tiler.grid.tasks.survey import block_names, near_places
 from tiler.grid.tasks.water_facts import report_levels
@@ -47,14 +48,15 @@ def find_waters(job: Job, g: GridContext) -> Waters:
     tasks = list(level_tasks(g, bodies))
     made = run_stage(job, STAGE, tasks) if tasks else {}
     levelled: list[Water] = []
-    records: dict[int, dict[str, Any]] = {}
+    records: dict[int, LevelRecord] = {}
     for body in bodies:
-        _, record = made.get(_key(body), (None, {}))
-        records[body.number] = record
+        record = LevelRecord.of(made[_key(body)][1]) if _key(body) in made else None
+        if record is not None:
+            records[body.number] = record
         if body.levelled:
             levelled.append(body)
-        elif record.get("body"):
-            levelled.append(Water.from_json(record["body"]))
+        elif record is not None and record.body is not None:
+            levelled.append(Water.from_json(record.body))
     without_level = {b.number for b in bodies} - {b.number for b in levelled}
     if without_level and not auto:
         names = ", ".join(map(str, sorted(without_level)))
@@ -86,7 +88,8 @@ def _bodies_in_data(job: Job, g: GridContext) -> tuple[Water, ...]:
     """Return the bodies of water in the data, without levels, from the north-west."""
     tasks = list(_body_tasks(g))
     made = run_stage(job, FINDING, tasks) if tasks else {}
-    bodies = [Water.from_json(record["body"]) for _, record in made.values() if record["body"]]
+    found = [record.body for record in records_of(BodyRecord, made)]
+    bodies = [Water.from_json(body) for body in found if body is not None]
     bodies.sort(key=lambda body: (-body.area.bounds.y1, body.area.bounds.x0, body.area.key))
     return tuple(replace(body, number=number) for number, body in enumerate(bodies, start=1))
 
@@ -96,7 +99,7 @@ def _body_tasks(g: GridContext) -> Iterator[Task]:
     config, coarse = g.plan.config, g.coarse
     min_m2 = min(config.water_min_lake, MIN_LENGTH * config.water_min_river_width**2)
     joined = g.areas(CELLS)
-    for name, (n_cells, n_known, hundredths) in area_sums(joined, g.records(CELLS)).items():
+    for name, (n_cells, n_known, hundredths) in area_sums(joined, g.records(CELLS, SizesRecord)).items():
         if n_cells * g.coarse_m**2 < min_m2:
             continue
         pieces = joined.areas[name]

@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from fractions import Fraction
-from typing import Any
 
 from tiler.core.frame import COUNTS_PER_UNIT
-from tiler.core.map_lines import add_rings
+from tiler.core.map_lines import rings_of_areas
+from tiler.core.records import records_of
+from tiler.core.results import Doubt, StationResult, WaterResult
 from tiler.core.units_text import length_text
 from tiler.core.water import RIVER, Station, Water, Waters, lengths_along
+from tiler.grid.records import LevelRecord, OutlineRecord
 from tiler.grid.water_level import NOISE_M
 from tiler.observe.events import Warned
 from tiler.runs.job import Job
@@ -21,7 +24,7 @@ MAX_FLOATING = 0.005
 """A body of water causes a warning if more than this share of its shore lies below its level."""
 
 
-def report_levels(job: Job, waters: Waters, records: Mapping[int, Mapping[str, Any]]) -> None:
+def report_levels(job: Job, waters: Waters, records: Mapping[int, LevelRecord]) -> None:
     """Report the rivers whose levels are known at too few positions, and warn about bodies that need to be checked.
 
     Parameters
@@ -29,23 +32,23 @@ def report_levels(job: Job, waters: Waters, records: Mapping[int, Mapping[str, A
     job : Job
     waters : Waters
     records : mapping
-        Record of `tiler.grid.level_water` by the number of the body.
+        Record of each body by its number. Bodies with a given level have none.
     """
     unit = job.plan.grid.meta.frame.units.vertical
-    doubts: list[dict[str, Any]] = []
+    doubts: list[Doubt] = []
     for body in waters.bodies:
-        record = records.get(body.number, {})
-        if body.kind == RIVER and body.flow is None and record:
+        record = records.get(body.number)
+        if body.kind == RIVER and body.flow is None and record is not None:
             job.note(
                 f"decided: {_named(body)} is level: its height is known at fewer than two positions along it"
             )
         doubts += _doubts(body, record, unit)
-    job.facts["water_doubts"] = doubts
+    job.results.water_doubts = doubts
     for doubt in doubts:
-        job.listener(Warned(doubt["text"]))
+        job.listener(Warned(doubt.text))
 
 
-def _doubts(body: Water, record: Mapping[str, Any], unit: Fraction) -> list[dict[str, Any]]:
+def _doubts(body: Water, record: LevelRecord | None, unit: Fraction) -> list[Doubt]:
     """Return warnings about a body of water, each with a text and a position (x, y)."""
     doubts: list[tuple[str, tuple[float, float]]] = []
     if body.sure is not None and body.sure < MIN_CONFIDENCE:
@@ -54,7 +57,7 @@ def _doubts(body: Water, record: Mapping[str, Any], unit: Fraction) -> list[dict
             "water.gpkg and give that file with --water"
         )
         doubts.append((text, _first_vertex(body)))
-    share, lowest = record.get("floating", (0.0, None))
+    share, lowest = (0.0, None) if record is None else record.floating
     if share > MAX_FLOATING and lowest is not None:
         x, y = (value / COUNTS_PER_UNIT for value in lowest)
         text = (
@@ -63,13 +66,13 @@ def _doubts(body: Water, record: Mapping[str, Any], unit: Fraction) -> list[dict
             "with --water)"
         )
         doubts.append((text, (x, y)))
-    if record.get("uneven"):
+    if record is not None and record.uneven:
         text = (
             f"{_named(body)}: its returns differ in height by more than waves, as if from two flight strips; the lower "
             "level is used (to change it, set `level` in water.gpkg and give it with --water)"
         )
         doubts.append((text, _first_vertex(body)))
-    return [{"text": text, "place": list(position)} for text, position in doubts]
+    return [Doubt(text, list(position)) for text, position in doubts]
 
 
 def _first_vertex(body: Water) -> tuple[float, float]:
@@ -86,35 +89,34 @@ def _named(body: Water) -> str:
 def report_waters(job: Job, waters: Waters, terrain: Commits) -> None:
     """Add the bodies of water to run.json, each with its number of pixels of the terrain."""
     pixels: dict[str, int] = {}
-    for _, record in terrain.values():
-        for area, count in record.get("water", ()):
+    for record in records_of(OutlineRecord, terrain):
+        for area, count in record.water:
             pixels[area] = pixels.get(area, 0) + count
     pixel_m2 = float(job.plan.grid.resolution) ** 2
-    body_facts = [_fact(body, pixels.get(body.area.key, 0), pixel_m2) for body in waters.bodies]
-    add_rings(body_facts, [body.area for body in waters.bodies])
-    job.facts["water"] = body_facts
+    rings = rings_of_areas([body.area for body in waters.bodies])
+    job.results.water = [
+        replace(_result(body, pixels.get(body.area.key, 0), pixel_m2), rings=rings_of_body)
+        for body, rings_of_body in zip(waters.bodies, rings, strict=True)
+    ]
 
 
-def _fact(body: Water, pixels: int, pixel_m2: float) -> dict[str, Any]:
+def _result(body: Water, pixels: int, pixel_m2: float) -> WaterResult:
     high, low = body.range
-    return {
-        "number": body.number,
-        "kind": body.kind,
-        "level": high,
-        "level_end": low,
-        "pixels": pixels,
-        "area_m2": pixels * pixel_m2,
-        "sure": body.sure,
-        "bounds": [v / COUNTS_PER_UNIT for v in body.area.bounds.to_json()],
-        "stations": _stations(body),
-    }
+    return WaterResult(
+        number=body.number,
+        kind=body.kind,
+        level=high,
+        level_end=low,
+        pixels=pixels,
+        area_m2=pixels * pixel_m2,
+        sure=body.sure,
+        bounds=[v / COUNTS_PER_UNIT for v in body.area.bounds.to_json()],
+        stations=_stations(body),
+    )
 
 
-def _stations(body: Water) -> list[dict[str, Any]]:
-    """Return the stations of a river, in units of the CRS.
-
-    ``along`` is the distance from the first station. See `Station` for the other keys.
-    """
+def _stations(body: Water) -> list[StationResult]:
+    """Return the stations of a river, in units of the CRS."""
     import numpy as np
 
     if not body.stations:
@@ -123,7 +125,7 @@ def _stations(body: Water) -> list[dict[str, Any]]:
     return [_station(s, float(a)) for s, a in zip(body.stations, along, strict=True)]
 
 
-def _station(station: Station, along: float) -> dict[str, Any]:
-    heights = {"level": station.level, "left": station.left, "right": station.right}
-    units = {name: None if value is None else value / COUNTS_PER_UNIT for name, value in heights.items()}
-    return {"along": along / COUNTS_PER_UNIT, "seen": station.seen, **units}
+def _station(station: Station, along: float) -> StationResult:
+    left, right = (None if z is None else z / COUNTS_PER_UNIT for z in (station.left, station.right))
+    level = station.level / COUNTS_PER_UNIT
+    return StationResult(along / COUNTS_PER_UNIT, station.seen, level, left, right)

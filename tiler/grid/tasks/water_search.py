@@ -26,6 +26,7 @@ from tiler.grid import (
 )
 from tiler.grid.coarse import padded
 from tiler.grid.pieces import Joined, Piece, around
+from tiler.grid.records import BlockRecord, OccupancyRecord, RimsRecord, SizesRecord
 from tiler.grid.returns import usual_returns
 from tiler.grid.tasks.gridding import GridContext, Place, RasterStep
 from tiler.grid.tasks.survey import block_names, near_places
@@ -44,15 +45,15 @@ def ground_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
     coarse, spec, terrain = g.coarse, g.spec, pixels
     if g.has_large_pixels:
         spec, terrain = coarse, cells
-    records = g.records(occupancy)
+    records = g.records(occupancy, OccupancyRecord)
     places: set[Place] = set()
-    for key, (_, record) in g.made[terrain].items():
-        if record["filled"]:
+    for key, (_, stored) in g.made[terrain].items():
+        if BlockRecord.of(stored).filled:
             bounds = spec.block_bounds(spec.block_named(key, BLOCK_PIXELS))
             places.update((block.row, block.col) for block in coarse.blocks_within(bounds, BLOCK_PIXELS))
     for place in sorted(places):
         block = coarse.block_at(*place, BLOCK_PIXELS)
-        has_water_class = any(records[other]["water"] for other in around(*place) if other in records)
+        has_water_class = any(records[other].water for other in around(*place) if other in records)
         work = GroundCells(
             name=raster.name, spec=coarse, block=block, heights=terrain, pixels=spec,
             occupancy=occupancy if has_water_class else None, rule=g.rule,
@@ -74,14 +75,14 @@ def areas_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
     input has the class of water there.
     """
     occupancy, ground, domain = raster.inputs
-    records = g.records(occupancy)
-    for place, record in g.records(domain).items():
+    records = g.records(occupancy, OccupancyRecord)
+    for place, record in g.records(domain, BlockRecord).items():
         near = [other for other in around(*place) if other in records]
         usual = None
         if g.returns_show_water:
-            usual = usual_returns((records[other]["returns"] for other in near), ENOUGH_RETURNS)
-        has_water_class = any(records[other]["water"] for other in near)
-        if not record["filled"] or (usual is None and not has_water_class):
+            usual = usual_returns((records[other].returns for other in near), ENOUGH_RETURNS)
+        has_water_class = any(records[other].water for other in near)
+        if not record.filled or (usual is None and not has_water_class):
             continue
         n_merged, median = usual or (1, None)
         work = FindAreas(
@@ -163,7 +164,8 @@ def _near_water(g: GridContext, *confidences: str) -> list[Place]:
     """
     places: set[Place] = set()
     for name in confidences:
-        places.update(place for place, record in g.records(name).items() if record["filled"])
+        records = g.records(name, BlockRecord)
+        places.update(place for place, record in records.items() if record.filled)
     return near_places(g.coarse, places)
 
 
@@ -195,13 +197,13 @@ def _decks_near(g: GridContext, place: Place) -> tuple[tuple[int, ...], ...]:
 def _on_areas(raster: RasterStep, g: GridContext, place: Place) -> dict[str, Any]:
     """Return the arguments that all tasks on candidates or planes have."""
     areas, occupancy, ground, domain = raster.inputs[-4:]
-    record = g.records(areas).get(place)
+    record = g.records(areas, SizesRecord).get(place)
     return {
         "name": raster.name,
         "spec": g.coarse,
         "block": g.coarse.block_at(*place, BLOCK_PIXELS),
         "sources": Sources(occupancy, ground, domain),
-        "times": 1 if record is None else record["times"],
+        "times": 1 if record is None else record.times,
         "areas": areas,
         "joins": g.areas(areas).joins(around(*place)),
     }
@@ -215,7 +217,7 @@ def _near_checksums(g: GridContext, rasters: Sequence[str], place: Place) -> lis
 
 def _near_labels(g: GridContext, areas: str) -> list[Place]:
     """Return the places of blocks with labels in a raster of areas, and of their neighbours."""
-    labelled = [place for place, record in g.records(areas).items() if record["labels"]]
+    labelled = [place for place, record in g.records(areas, SizesRecord).items() if record.labels]
     return near_places(g.coarse, labelled)
 
 
@@ -238,14 +240,14 @@ def _names_near(names_by_place: Mapping[Place, Sequence[Piece]], place: Place) -
 
 def _sizes(g: GridContext, areas: str) -> dict[Piece, tuple[int, ...]]:
     """Return `area_sums` for the areas of a raster."""
-    return area_sums(g.areas(areas), g.records(areas))
+    return area_sums(g.areas(areas), g.records(areas, SizesRecord))
 
 
-def area_sums(joined: Joined, records: Mapping[Place, Mapping[str, Any]]) -> dict[Piece, tuple[int, ...]]:
+def area_sums(joined: Joined, records: Mapping[Place, SizesRecord]) -> dict[Piece, tuple[int, ...]]:
     """Return the sums of ``sizes`` in the records (as of `FindAreas`) over the pieces of each area, by its name."""
     sums = {}
     for name, pieces in joined.areas.items():
-        sizes = [records[p.row, p.col]["sizes"][p.label - 1] for p in pieces]
+        sizes = [records[p.row, p.col].sizes[p.label - 1] for p in pieces]
         sums[name] = tuple(map(sum, zip(*sizes, strict=True)))
     return sums
 
@@ -267,8 +269,8 @@ def _rims(g: GridContext, rims: str, number: int = 0) -> dict[Piece, Rim]:
     Evident planes have two rims. In the second one, with ``number`` 1, other planes do not count as land.
     """
     rim_by_area: dict[Piece, Rim] = {}
-    for record in g.records(rims).values():
-        for name, *counts in record["rims"]:
+    for record in g.records(rims, RimsRecord).values():
+        for name, *counts in record.rims:
             rim = Rim(*counts[min(number, len(counts) - 1)])
             rim_by_area[Piece(*name)] = rim_by_area.get(Piece(*name), Rim()).plus(rim)
     return rim_by_area
@@ -280,7 +282,7 @@ def _likely_planes(g: GridContext, planes: str) -> tuple[list[Piece], list[Piece
     The rims of the planes are not used.
     """
     config = g.plan.config
-    joined, records = g.areas(planes), g.records(planes)
+    joined, records = g.areas(planes), g.records(planes, SizesRecord)
     min_m2 = float(min(config.water_min_lake, MIN_LENGTH * config.water_min_river_width**2))
     # The cells along the shore are not part of a plane, so half of the area is enough.
     min_cells = min_m2 / float(g.coarse_m) ** 2 / 2
@@ -298,9 +300,9 @@ def _likely_planes(g: GridContext, planes: str) -> tuple[list[Piece], list[Piece
     return sorted(evident), sorted(others)
 
 
-def _box(pieces: Iterable[Piece], records: Mapping[Place, Mapping[str, Any]]) -> tuple[int, int, int, int]:
+def _box(pieces: Iterable[Piece], records: Mapping[Place, SizesRecord]) -> tuple[int, int, int, int]:
     """Return the first row and column, and the last row and column plus 1, of an area."""
-    boxes = [records[p.row, p.col]["boxes"][p.label - 1] for p in pieces]
+    boxes = [(records[p.row, p.col].boxes or [])[p.label - 1] for p in pieces]
     top, left, bottom, right = zip(*boxes, strict=True)
     return min(top), min(left), max(bottom), max(right)
 
@@ -316,8 +318,8 @@ def _kept_planes(g: GridContext, planes: str, rims: str) -> dict[Piece, float]:
     confidences = _plane_confidences(g, rims, 0)
     confidences_without_others = _plane_confidences(g, rims, 1)
     neighbours: dict[Piece, set[Piece]] = defaultdict(set)
-    for record in g.records(rims).values():
-        for name, other in record["beside"]:
+    for record in g.records(rims, RimsRecord).values():
+        for name, other in record.beside or ():
             neighbours[Piece(*name)].add(Piece(*other))
     kept = {name: confidences[name] for name in evident if name in confidences}
     other_water = {name: confidences[name] for name in others if name in confidences}

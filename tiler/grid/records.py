@@ -1,0 +1,340 @@
+"""Records of the tasks of the stage grid, with a type for each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from tiler.core.records import Record
+from tiler.grid.pieces import Side
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class BlockRecord(Record):
+    """Record of a block of a raster.
+
+    Attributes
+    ----------
+    filled : int
+        Number of pixels or cells that have a value.
+    checksum : str
+        Checksum of the pixels, empty before they are written.
+    pixels : int, optional
+        Number of pixels. Rasters of coarse cells do not have it.
+    """
+
+    filled: int
+    checksum: str = ""
+    pixels: int | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TerrainRecord(BlockRecord):
+    """Record of a block of the terrain.
+
+    Attributes
+    ----------
+    nodata, marked : int
+        Number of pixels without a height, and of uncertified pixels.
+    tries, halo : int
+        Number of tries, and the halo of the last one in counts.
+    ground_read, ground_used, ground_marked : int
+        Number of ground points in the window of the last try: all, vertices of the TIN, and uncertified points.
+    edited : list of [number, pixels], optional
+        Number of each edit in the block, and of the pixels that it changed.
+    """
+
+    nodata: int
+    marked: int
+    tries: int
+    halo: int
+    ground_read: int
+    ground_used: int
+    ground_marked: int
+    edited: list[tuple[int, int]] | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SurfaceRecord(BlockRecord):
+    """Record of a block of the surface model.
+
+    Attributes
+    ----------
+    measured : int
+        Number of pixels with a return.
+    deep : int
+        Number of measured pixels whose returns all lie far below the terrain.
+    marked, tries, halo : int
+        See `TerrainRecord`.
+    """
+
+    measured: int
+    marked: int
+    tries: int
+    halo: int
+    deep: int = 0
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OutlineRecord(BlockRecord):
+    """Record of a block of the delivered terrain.
+
+    Attributes
+    ----------
+    hidden, cut, added : int
+        Number of pixels that lost their height to a canopy, that lost it otherwise, and that got one from water.
+    water : list of [key, pixels]
+        Key of the area of each body of water, and the number of its pixels.
+    surveyed : int
+        Number of pixels that have a height or should have one.
+    voided : int
+        Number of holes that edits request.
+    holes : list of [pixels, row, col, last_row, last_col]
+        All other holes, see `tiler.grid.holes.hole_cells`.
+    edit_holes : list of [number, pixels]
+        Number of each edit in the block, and of the holes in it.
+    """
+
+    hidden: int
+    cut: int
+    added: int
+    water: list[tuple[str, int]]
+    surveyed: int
+    voided: int
+    holes: list[list[int]]
+    edit_holes: list[list[int]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class MaskRecord(BlockRecord):
+    """Record of a block of the mask: number of pixels of each value."""
+
+    values: list[int]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DensityRecord(BlockRecord):
+    """Record of a block of the density of ground points: number of ground points."""
+
+    points: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FilledRecord(BlockRecord):
+    """Record of a block with filled holes: number of pixels that got a height."""
+
+    added: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SigmaRecord(BlockRecord):
+    """Record of a block of the standard error.
+
+    Attributes
+    ----------
+    groups : dict of str to [pixels, squares]
+        Number of pixels of each group (`tiler.core.sigma_groups.GROUPS`), and sum of squares in mm2.
+    histogram : dict of str to list of int
+        Number of pixels of each group by the classes of `tiler.core.sigma_groups.EDGES_M`.
+    """
+
+    groups: dict[str, list[int]]
+    histogram: dict[str, list[int]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OccupancyRecord(BlockRecord):
+    """Record of a block of occupied cells.
+
+    Attributes
+    ----------
+    water : int
+        Number of cells that are water by the input.
+    returns : list of [times, counts]
+        Histograms of points per cell, see `tiler.grid.returns`.
+    """
+
+    water: int
+    returns: list[Any]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LabelsRecord(BlockRecord):
+    """Record of a block of labelled areas.
+
+    Attributes
+    ----------
+    sides : dict of str to Side
+        Labels along the sides of the block, see `tiler.grid.pieces`.
+    labels : int
+        Number of labels.
+    """
+
+    sides: dict[str, Side]
+    labels: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OpenAreasRecord(LabelsRecord):
+    """Record of a block of areas without points: each width of gaps in cells, and the number of its windows."""
+
+    gaps: list[tuple[float, int]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HolesRecord(LabelsRecord):
+    """Record of a block of holes: for each label, runs of the nearby blocks of the model (`coarse.block_runs`)."""
+
+    blocks: list[list[list[int]]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SizesRecord(LabelsRecord):
+    """Record of a block of areas that are or may be water.
+
+    Attributes
+    ----------
+    sizes : list of list of int
+        Counts of cells of each label: fields of `CellCounts` (candidates), fields of `Plane` (planes), or number of
+        cells, number of cells with a confidence and sum of the confidences in hundredths (water).
+    times : int, optional
+        Number of merged cells along a side, for candidates and planes.
+    boxes : list of [row, col, last_row + 1, last_col + 1], optional
+        Extent of each label, for planes.
+    """
+
+    sizes: list[list[int]]
+    times: int | None = None
+    boxes: list[list[int]] | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RimsRecord(Record):
+    """Record of the land of a block around areas.
+
+    Attributes
+    ----------
+    rims : list of [name, rim, ...]
+        Name (`Piece`) and `tiler.grid.water_cells.Rim` of each area. In the rim of an evident plane, other evident
+        planes do not count as land. An evident plane also has a second rim, in which no other plane counts as land.
+    beside : list of [name, name], optional
+        Pairs of a plane and an evident plane near it.
+    """
+
+    rims: list[list[Any]]
+    beside: list[list[Any]] | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SurveyRecord(BlockRecord):
+    """Record of a block of the survey.
+
+    Attributes
+    ----------
+    inside, cells : int
+        Number of cells inside the survey, and of all cells.
+    blocks : list of list of int
+        Runs of the blocks of the products that overlap the inside (`coarse.block_runs`).
+    """
+
+    inside: int
+    cells: int
+    blocks: list[list[int]]
+
+
+@dataclass(frozen=True, slots=True)
+class BodyRecord(Record):
+    """Record of a body of water without a level (`Water.to_json`), or None if it is too small."""
+
+    body: dict[str, Any] | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class LevelRecord(Record):
+    """Record of a body of water with its level.
+
+    Attributes
+    ----------
+    shore : int
+        Number of pixels of the shore with a height.
+    body : dict or None
+        Water with its level (`Water.to_json`), or None if shore and water have too few heights.
+    floating : (float, [x, y] or None)
+        Share of the shore that lies more than `tiler.grid.water_level.NOISE_M` below the level, and the position
+        deepest below the level in counts. None if the share is 0.
+    uneven : bool
+        Whether the body has one level although its heights differ by more than waves cause.
+    """
+
+    shore: int
+    body: dict[str, Any] | None
+    floating: tuple[float, list[int] | None]
+    uneven: bool
+
+
+@dataclass(frozen=True, slots=True)
+class DeckCellsRecord(Record):
+    """Record of cells that may be part of a deck: row, column and direction of each cell."""
+
+    cells: list[list[int]]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class DeckRecord(Record):
+    """Deck of a bridge.
+
+    Attributes
+    ----------
+    ring : list of [x, y]
+        Outline in counts.
+    surface : list of float
+        First eight fields of `tiler.core.edits.DeckSurface`, in counts.
+    length_m, width_m, clearance_m : float
+    below : int
+        Number of points below the deck.
+    """
+
+    ring: list[list[int]]
+    surface: list[float]
+    length_m: float
+    width_m: float
+    clearance_m: float
+    below: int
+
+
+@dataclass(frozen=True, slots=True)
+class DecksRecord(Record):
+    """Record of examined candidates: the decks as objects of `DeckRecord`, and why each other candidate is no deck."""
+
+    decks: list[dict[str, Any]]
+    reasons: list[str]
+
+
+@dataclass(frozen=True, slots=True)
+class EditCountsRecord(Record):
+    """Record of the points of a bucket inside edits.
+
+    Attributes
+    ----------
+    edits : list of list of int
+        For each edit that touches the bucket, its number and five counts of points inside it: all, ground before the
+        edit, ground after it by the input's classes or by the lowest points, and ground by the input. The last three
+        are 0 unless the edit adds ground.
+    """
+
+    edits: list[list[int]]
+
+
+@dataclass(frozen=True, slots=True)
+class RoofsRecord(Record):
+    """Record of the search for roofs: fields of `tiler.grid.roofs.Advice`, or None without a roof."""
+
+    advice: Any
+
+
+@dataclass(frozen=True, slots=True)
+class CrownsRecord(Record):
+    """Record of the search for crowns: number of examined blocks, and positions, see `ptd.matched.crowns.Crowns`."""
+
+    looked_at: int
+    found: list[Any]

@@ -1,0 +1,114 @@
+"""Results that the stages add to run.json."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from types import MappingProxyType
+from typing import Any
+
+from tiler.core.results import (
+    BreaklineCounts,
+    BridgeResult,
+    CanopyResult,
+    ClassCounts,
+    ContourResult,
+    Doubt,
+    EditResult,
+    FetchedBytes,
+    LabelCounts,
+    OutlineResult,
+    PointCounts,
+    SigmaResult,
+    SpotCounts,
+    Stray,
+    SurfaceResult,
+    TerrainResult,
+    VoidsResult,
+    WaterResult,
+    to_json,
+)
+
+
+class Results:
+    """Results of a run. Each attribute that was set is an entry of run.json.
+
+    An attribute exists once its stage is done. The values of attributes with a default are not written before.
+
+    Attributes
+    ----------
+    products_at : str or None
+        URL of OUT, if it is at a URL.
+    given : list of str
+        INPUT as given by the user.
+    seconds : float
+    report : str or None
+        Name of the report. None if it could not be made.
+    inputs : list of dict
+        Sources, with the digest of the bytes and the number of stored points.
+    fetched : FetchedBytes or None
+        None unless inputs are at URLs.
+    statistics : dict
+        State after each pass of the method.
+    mask : dict of str to int
+        Number of pixels by value of the mask.
+    sheets : int
+        Number of sheets.
+    water_doubts, canopy_doubts : list of Doubt
+        Doubts about bodies of water (with positions) and about closed canopy (with bounds).
+    doubts : list of str
+        Decisions that are uncertain.
+    advice : list of str
+        Settings that the data show to be wrong.
+    advice_at : list of [x, y]
+        Position of each advice.
+    outputs : mapping of str to int
+        Files in OUT that this run wrote or found up to date, and their sizes in bytes.
+    digests : mapping of str to str
+        Digests of these files.
+    made_of : mapping of str to str
+        Digest of the inputs of each raster.
+    earlier_outputs : mapping of str to str or None
+        Files of earlier runs, until the export has removed or kept them.
+    healed : sequence of str
+        Damaged objects of the store that the run repaired.
+    """
+
+    products_at: str | None
+    given: list[str]
+    seconds: float
+    report: str | None
+    inputs: list[dict[str, Any]]
+    fetched: FetchedBytes | None = None
+    counts: PointCounts
+    classes: ClassCounts
+    strays: list[Stray]
+    statistics: dict[str, Any]
+    filter: LabelCounts
+    canopy: CanopyResult
+    breaklines: BreaklineCounts
+    bridges: list[BridgeResult]
+    edits: Sequence[EditResult] = ()
+    water: list[WaterResult]
+    dtm: TerrainResult
+    dsm: SurfaceResult
+    mask: dict[str, int]
+    sigma: SigmaResult
+    voids: VoidsResult
+    contours: ContourResult
+    spots: SpotCounts
+    sheets: int
+    outline: OutlineResult | None = None
+    water_doubts: list[Doubt]
+    canopy_doubts: list[Doubt]
+    doubts: list[str]
+    advice: list[str]
+    advice_at: list[list[float]]
+    outputs: Mapping[str, int] = MappingProxyType({})
+    digests: Mapping[str, str] = MappingProxyType({})
+    made_of: Mapping[str, str]
+    earlier_outputs: Mapping[str, str | None]
+    healed: Sequence[str] = ()
+
+    def to_json(self) -> dict[str, Any]:
+        """Return the entries of run.json."""
+        return {name: to_json(value) for name, value in vars(self).items()}
