@@ -16,6 +16,7 @@ from tiler.core.classes import sum_by_class
 from tiler.core.lattice import Cell
 from tiler.errors import ConfigError, ProcessingError, TilerError
 from tiler.export import WriteClassified, write_classified
+from tiler.export.records import CloudRecord
 from tiler.export.tasks.class_counts import kept_text
 from tiler.export.tasks.files import kept_pieces
 from tiler.filter import LABELS
@@ -140,15 +141,18 @@ def classify_files(
             records, failed = _records(works, made)
     if not records:
         raise ProcessingError(f"no file could be written; the first: {failed[0]['error']}")
-    kept, classes = sum_by_class(r["kept"] for r in records), sum_by_class(r["classes"] for r in records)
+    kept = sum_by_class(record.kept or {} for record in records)
     if text := kept_text(kept, result.summary["classes"]["no_part"]):
         listener(Note(text))
-    written = {name: sum(record[name] for record in records) for name in ("points", "changed", "bytes")}
-    notes = dict.fromkeys(note for record in records for note in record["notes"])
+    notes: dict[str, None] = {}
+    for record in records:
+        notes |= dict.fromkeys(record.notes or ())
     return {
         "files": len(records),
-        **written,
-        "classes": classes,
+        "points": sum(record.points for record in records),
+        "changed": sum(record.changed for record in records),
+        "bytes": sum(record.bytes for record in records),
+        "classes": sum_by_class(record.classes for record in records),
         "kept": kept,
         "notes": list(notes),
         **_facts(result.summary, config),
@@ -166,8 +170,8 @@ def _validate_not_inputs(sources: Sequence[str], folder: Path) -> None:
 
 
 def _records(
-    works: Sequence[WriteClassified], made: Iterable[Callable[[], dict[str, Any]]]
-) -> tuple[list[dict[str, Any]], list[dict[str, str]]]:
+    works: Sequence[WriteClassified], made: Iterable[Callable[[], CloudRecord]]
+) -> tuple[list[CloudRecord], list[dict[str, str]]]:
     """Return the records of the files that were written, and path and error of the other files."""
     records, failed = [], []
     for work, record in zip(works, made, strict=True):
@@ -239,14 +243,14 @@ def _facts(summary: Mapping[str, Any], config: RunConfig) -> dict[str, Any]:
     }
 
 
-def _written(guard: ChildProcess, store_url: str, work: WriteClassified, config: RunConfig) -> dict[str, Any]:
+def _written(guard: ChildProcess, store_url: str, work: WriteClassified, config: RunConfig) -> CloudRecord:
     """Write a file, by default in a child process.
 
     Decoding may crash, because writing copies fields that the filter did not decode.
     """
     if config.in_process:
-        return write_classified(store_url, work)
-    return read_in_child(guard, _write, as_path(work.path), store_url, work)
+        return CloudRecord.of(write_classified(store_url, work))
+    return CloudRecord.of(read_in_child(guard, _write, as_path(work.path), store_url, work))
 
 
 def _classify(
@@ -268,10 +272,17 @@ def _classify(
         (work,) = _works(store, result.plan, {info.path: target})
         copc = target.name.lower().endswith(COPC_SUFFIX)
         record = _written(guard, store.url, replace(work, copc=copc), config)
-    if text := kept_text(record["kept"], result.summary["classes"]["no_part"]):
+    if text := kept_text(record.kept or {}, result.summary["classes"]["no_part"]):
         listener(Note(text))
-    written = {name: record[name] for name in ("points", "changed", "classes", "kept", "bytes", "notes")}
-    return {**written, **_facts(result.summary, config)}
+    return {
+        "points": record.points,
+        "changed": record.changed,
+        "classes": record.classes,
+        "kept": record.kept,
+        "bytes": record.bytes,
+        "notes": record.notes,
+        **_facts(result.summary, config),
+    }
 
 
 def _write(source: Path, store_url: str, work: WriteClassified) -> dict[str, Any]:

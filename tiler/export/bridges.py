@@ -23,12 +23,12 @@ def write_bridges(store_url: str, work: WriteBridges) -> dict[str, Any]:
     (height above the surface next to it) and ``points_below``. There are more than a few points below a deck only where
     the scanner looked from the side.
 
-    Return the record of `tiler.export.output_files.new_file`. Raise ProcessingError if the file cannot be written.
+    Return the `FileRecord`. Raise ProcessingError if the file cannot be written.
     """
     shapes = [shapely.Polygon(np.array(ring).reshape(-1, 2) / COUNTS_PER_UNIT) for ring, *_ in work.decks]
     sizes = np.array([deck[1:] for deck in work.decks], np.float64).reshape(-1, 4)
     columns = dict(zip(("length_m", "width_m", "clearance_m"), sizes.T, strict=False))
     crs = open_store(store_url).meta.frame.crs_wkt
-    with new_file(work.out, work.name) as (target, record), geopackage(target, crs) as file:
+    with new_file(work.out, work.name) as new, geopackage(new.path, crs) as file:
         file.add(LAYER, "Polygon", shapes, {**columns, "points_below": sizes[:, 3].astype(np.int32)})
-    return record
+    return new.record.to_json()

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -27,6 +27,7 @@ from tiler.errors import ProcessingError, write_error
 from tiler.export.cloud_crs import new_crs
 from tiler.export.cloud_frame import patch_window, write_back, write_copc_back, write_copc_front, write_front
 from tiler.export.cloud_statistics import CloudStatistics
+from tiler.export.records import CloudRecord
 from tiler.export.work import WriteClassified
 from tiler.io.atomic_files import partial_path, replace_file, sync_folder
 from tiler.io.cloud_reading import BLOCK_BYTES, digest_of_file, fetched_bytes, open_location
@@ -70,10 +71,7 @@ def write_classified(store_url: str, work: WriteClassified) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``points``, ``changed`` (number of points with a new class), ``classes`` (number of points by new class),
-        ``kept`` (number of filtered points, by class, that keep a class of the source outside `WITHOUT_OBJECT`),
-        ``statistics`` (see `CloudStatistics.to_json`), ``bytes``, ``digest`` (of all bytes), ``notes`` (list of str),
-        ``fetched`` (number of bytes read over the network), ``state`` (see `tiler.io.locations.FileState`).
+        `CloudRecord` of the file.
 
     Raises
     ------
@@ -92,12 +90,13 @@ def write_classified(store_url: str, work: WriteClassified) -> dict[str, Any]:
         # A salvaged file has fewer points than its header states.
         header = replace(header, point_count=count_decodable(header))
         record = _write(store, header, work, folder / name)
-        record["fetched"] = fetched_bytes() - bytes_before
-    return {**record, "state": state_of(as_path(work.out)).to_json()}
+        n_fetched = fetched_bytes() - bytes_before
+    state = state_of(as_path(work.out)).to_json()
+    return replace(record, fetched=n_fetched, state=state).to_json()
 
 
-def _write(store: TileStore, header: LasHeader, work: WriteClassified, out: Path) -> dict[str, Any]:
-    """Write a cloud on this machine and return the record of `write_classified` without ``fetched`` and ``state``."""
+def _write(store: TileStore, header: LasHeader, work: WriteClassified, out: Path) -> CloudRecord:
+    """Write a cloud on this machine and return its record without ``fetched`` and ``state``."""
     partial, compressed = partial_path(out), out.suffix.lower() == ".laz"
     form = upgraded_header(header) if work.copc else header
     crs = new_crs(header, work, store.meta.frame.crs_wkt)
@@ -110,13 +109,13 @@ def _write(store: TileStore, header: LasHeader, work: WriteClassified, out: Path
             if work.copc:
                 notes = write_copc_front(header, source, target, crs)
                 with CopcWriter(target, form, str(out.parent)) as copc:
-                    record, statistics = _write_points(header, form, copc, store, work)
+                    counts, statistics = _write_points(header, form, copc, store, work)
                     copc.close()
                 write_copc_back(header, source, target, crs, copc, statistics)
             else:
                 notes = write_front(header, source, target, compressed, crs)
                 writer = PointWriter(target, header, work.threads) if compressed else PlainWriter(target)
-                record, statistics = _write_points(header, form, writer, store, work)
+                counts, statistics = _write_points(header, form, writer, store, work)
                 writer.close()
                 if work.ranges:
                     patch_window(target, statistics)
@@ -131,14 +130,16 @@ def _write(store: TileStore, header: LasHeader, work: WriteClassified, out: Path
         raise write_error(str(out), error, out.parent) from error
     finally:
         partial.unlink(missing_ok=True)
-    return {
-        "points": statistics.points,
-        **record,
-        "statistics": statistics.to_json(),
-        "bytes": out.stat().st_size,
-        "digest": digest,
-        "notes": notes,
-    }
+    return CloudRecord(
+        points=statistics.points,
+        changed=counts.n_changed,
+        classes=counts.written,
+        kept=counts.kept,
+        statistics=statistics.to_json(),
+        bytes=out.stat().st_size,
+        digest=digest,
+        notes=notes,
+    )
 
 
 def _write_points(
@@ -147,7 +148,7 @@ def _write_points(
     writer: PointWriter | PlainWriter | CopcWriter,
     store: TileStore,
     work: WriteClassified,
-) -> tuple[dict[str, Any], CloudStatistics]:
+) -> tuple[_WrittenClasses, CloudStatistics]:
     """Write all records in their order, with new classes and in the format of the header ``form``."""
     table = written_classes(work.reclass)
     pairs = np.zeros(table.size, dtype=np.int64)  # number of points for each label and class of the source
@@ -192,8 +193,16 @@ def _steps(ranges: Iterable[tuple[int, int]], step: int) -> Iterator[tuple[int, 
             yield start, min(start + step, end)
 
 
-def _counts(pairs: npt.NDArray[np.int64], table: npt.NDArray[np.uint8]) -> dict[str, Any]:
-    """Return ``changed``, ``classes`` and ``kept`` of the record of `write_classified`.
+class _WrittenClasses(NamedTuple):
+    """Numbers of points with a new class, of all points by class, and of points that keep a class of the source."""
+
+    n_changed: int
+    written: dict[str, int]
+    kept: dict[str, int]
+
+
+def _counts(pairs: npt.NDArray[np.int64], table: npt.NDArray[np.uint8]) -> _WrittenClasses:
+    """Count the points of a classified cloud by class.
 
     ``pairs`` has the number of points, and ``table`` the new class, by label (row) and class of the source (column).
     """
@@ -204,11 +213,8 @@ def _counts(pairs: npt.NDArray[np.int64], table: npt.NDArray[np.uint8]) -> dict[
     kept[list(WITHOUT_OBJECT)] = 0
     classes = np.zeros(len(table), np.int64)
     np.add.at(classes, table.ravel(), pairs.ravel())
-    return {
-        "changed": int(pairs[table != source_classes].sum()),
-        "classes": _histogram(classes),
-        "kept": _histogram(kept),
-    }
+    n_changed = int(pairs[table != source_classes].sum())
+    return _WrittenClasses(n_changed, _histogram(classes), _histogram(kept))
 
 
 def _histogram(counts: npt.NDArray[np.int64]) -> dict[str, int]:

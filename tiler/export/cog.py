@@ -26,6 +26,7 @@ from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec
 from tiler.core.units import unit_label
 from tiler.errors import ProcessingError
 from tiler.export.output_files import new_file
+from tiler.export.records import RasterFileRecord
 from tiler.export.work import ProductFile, WriteCog
 from tiler.io.atomic_files import partial_path, replace_file, sync_folder
 from tiler.io.geotiff import CACHE_MB, RasterMetadata, plain_geotiff, raster_errors
@@ -81,20 +82,25 @@ def write_cog(store_url: str, work: WriteCog) -> dict[str, Any]:
     Returns
     -------
     dict
-        The record of `new_file`, and ``pixels``, ``valid`` (number of pixels with a value), ``min``, ``max`` and
-        ``mean``, which are None if no pixel is valid.
+        `RasterFileRecord` of the file.
 
     Raises
     ------
     ProcessingError
         The disk is full or the file cannot be written.
     """
-    with new_file(work.out, f"{work.name}.tif") as (target, record):
-        statistics = _write(open_store(store_url), work, target)
-    record |= {"pixels": work.spec.height * work.spec.width, "valid": statistics.n}
-    if statistics.n:
-        return record | {"min": statistics.low, "max": statistics.high, "mean": statistics.mean}
-    return record | {"min": None, "max": None, "mean": None}
+    with new_file(work.out, f"{work.name}.tif") as file:
+        statistics = _write(open_store(store_url), work, file.path)
+    is_empty = statistics.n == 0
+    record = RasterFileRecord(
+        **file.record.to_json(),
+        pixels=work.spec.height * work.spec.width,
+        valid=statistics.n,
+        min=None if is_empty else statistics.low,
+        max=None if is_empty else statistics.high,
+        mean=None if is_empty else statistics.mean,
+    )
+    return record.to_json()
 
 
 def _write(store: TileStore, work: WriteCog, target: Path) -> Statistics:

@@ -26,6 +26,7 @@ from tiler.export.contour_lines import (
     stays,
 )
 from tiler.export.output_files import new_file
+from tiler.export.records import ContoursRecord, SpotsRecord
 from tiler.export.spots import HIGH, LOW, spots_of_block
 from tiler.export.work import VectorFile, WriteContours, WriteSpots
 from tiler.io.vector import GeoPackage, geopackage
@@ -148,10 +149,7 @@ def write_contours(store_url: str, work: WriteContours) -> dict[str, Any]:
     Returns
     -------
     dict
-        The record of `new_file`, and ``interval`` (vertical units of the CRS), ``lines``, ``vertices``, ``cut``
-        (number of lines that were divided because too many vertices were waiting), ``short`` (number of rings that
-        were left out, see `tiler.export.contour_lines`), ``low`` and ``high`` (heights between which nearly all of the
-        terrain lies, or None if it is empty).
+        `ContoursRecord` of the file.
     """
     terrain = _terrain(store_url, work)
     low, high = terrain.relief()
@@ -159,7 +157,7 @@ def write_contours(store_url: str, work: WriteContours) -> dict[str, Any]:
     joiner, lines, vertices, held, short = Joiner(), 0, 0, 0, 0
     waiting: list[tuple[int, Floats]] = []
     crs = terrain.store.meta.frame.crs_wkt
-    with new_file(work.out, "contours.gpkg") as (target, record), geopackage(target, crs) as file:
+    with new_file(work.out, "contours.gpkg") as new, geopackage(new.path, crs) as file:
         for line in _lines(terrain, interval, work.sigma, joiner):
             if not _stays(terrain, work.sigma, interval, *line):
                 short += 1
@@ -170,16 +168,17 @@ def write_contours(store_url: str, work: WriteContours) -> dict[str, Any]:
                 _add_lines(file, terrain, interval, waiting)
                 waiting, held = [], 0
         _add_lines(file, terrain, interval, waiting)
-    return {
-        **record,
-        "interval": float(interval),
-        "lines": lines,
-        "vertices": vertices,
-        "cut": joiner.cut,
-        "short": short,
-        "low": None if np.isnan(low) else low,
-        "high": None if np.isnan(high) else high,
-    }
+    record = ContoursRecord(
+        **new.record.to_json(),
+        interval=float(interval),
+        lines=lines,
+        vertices=vertices,
+        cut=joiner.cut,
+        short=short,
+        low=None if np.isnan(low) else low,
+        high=None if np.isnan(high) else high,
+    )
+    return record.to_json()
 
 
 def _interval(work: VectorFile, terrain: _Terrain, low: float, high: float) -> Fraction:
@@ -239,15 +238,14 @@ def write_spots(store_url: str, work: WriteSpots) -> dict[str, Any]:
     Returns
     -------
     dict
-        The record of `new_file`, and ``interval`` (vertical units of the CRS), ``highs`` and ``lows`` (numbers of tops
-        and bottoms).
+        `SpotsRecord` of the file.
     """
     terrain, reach_pixels = _terrain(store_url, work), work.reach
     low, high = terrain.relief()
     interval = _interval(work, terrain, low, high)
     counts = {HIGH: 0, LOW: 0}
     crs = terrain.store.meta.frame.crs_wkt
-    with new_file(work.out, "spots.gpkg") as (target, record), geopackage(target, crs) as file:
+    with new_file(work.out, "spots.gpkg") as new, geopackage(new.path, crs) as file:
         for block in terrain.spec.blocks(BLOCK):
             heights, top, left = terrain.around(block, 2 * reach_pixels)
             wet = terrain.wet(block, NO_SPOT)
@@ -263,7 +261,10 @@ def write_spots(store_url: str, work: WriteSpots) -> dict[str, Any]:
                 columns = _columns_of_spots(heights[rows, cols], kind, terrain.decimals)
                 coordinates = terrain.places(pixels.astype(np.float64))
                 file.add("spots", "Point", shapely.points(coordinates), columns)
-    return {**record, "interval": float(interval), "highs": counts[HIGH], "lows": counts[LOW]}
+    record = SpotsRecord(
+        **new.record.to_json(), interval=float(interval), highs=counts[HIGH], lows=counts[LOW]
+    )
+    return record.to_json()
 
 
 def _columns_of_spots(heights: Floats, kind: str, decimals: int) -> dict[str, npt.NDArray[Any]]:

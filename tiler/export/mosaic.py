@@ -27,7 +27,7 @@ _TYPES = {"float32": "Float32", "uint8": "Byte"}
 def write_mosaic(store_url: str, work: WriteMosaic) -> dict[str, Any]:
     """Write ``<out>/<product>.vrt`` (a `tiler.schedule.task.Work`).
 
-    Return the record of `tiler.export.output_files.new_file`. Raise ProcessingError if the file cannot be written.
+    Return the `FileRecord`. Raise ProcessingError if the file cannot be written.
     """
     frame, product = open_store(store_url).meta.frame, PRODUCTS[work.product]
     whole = _hull([spec for _, spec in work.sheets])
@@ -118,7 +118,7 @@ def write_legend(store_url: str, work: WriteLegend) -> dict[str, Any]:
 
     A GeoTIFF contains the colours of its classes, but GDAL keeps their names in a file next to it.
 
-    Return the record of `tiler.export.output_files.new_file`. Raise ProcessingError if the file cannot be written.
+    Return the `FileRecord`. Raise ProcessingError if the file cannot be written.
     """
     root = ElementTree.Element("PAMDataset")
     band = ElementTree.SubElement(root, "PAMRasterBand", band="1")

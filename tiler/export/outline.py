@@ -17,6 +17,7 @@ from tiler.core.map_lines import rings_of
 from tiler.core.products import SURVEYED, VOID
 from tiler.core.raster import BLOCK_PIXELS, NODATA, Block, RasterSpec
 from tiler.export.output_files import new_file
+from tiler.export.records import OutlineFileRecord
 from tiler.export.work import WriteOutline
 from tiler.io.vector import geopackage
 from tiler.store import TileStore, coarse_values, open_store
@@ -35,8 +36,7 @@ def write_outline(store_url: str, work: WriteOutline) -> dict[str, Any]:
     Returns
     -------
     dict
-        The record of `new_file`, and ``polygons`` (their number) and ``rings`` for a map, each as x, y, x, y, ... in
-        units of the CRS, with no more detail than `tiler.core.map_lines.MAX_VERTICES` allow.
+        `OutlineFileRecord` of the file. Its rings have at most `tiler.core.map_lines.MAX_VERTICES` vertices.
 
     Raises
     ------
@@ -52,10 +52,11 @@ def write_outline(store_url: str, work: WriteOutline) -> dict[str, Any]:
     void = np.array([sum(shapely.Polygon(ring).area for ring in part.interiors) for part in parts]) * square
     columns = {"area_m2": land, "void_m2": void, "void_percent": 100 * void / np.maximum(land + void, 1e-9)}
     crs = store.meta.frame.crs_wkt
-    with new_file(work.out, work.name) as (target, record), geopackage(target, crs) as file:
+    with new_file(work.out, work.name) as new, geopackage(new.path, crs) as file:
         file.add(LAYER, "Polygon", list(parts), {k: np.asarray(v, np.float64) for k, v in columns.items()})
     size = float(spec.lattice.size / COUNTS_PER_UNIT)
-    return {**record, "polygons": len(parts), "rings": rings_of(parts, size)}
+    record = OutlineFileRecord(**new.record.to_json(), polygons=len(parts), rings=rings_of(parts, size))
+    return record.to_json()
 
 
 def _polygons(store: TileStore, work: WriteOutline, area: Area | None, block: Block) -> npt.NDArray[Any]:

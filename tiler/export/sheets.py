@@ -11,6 +11,7 @@ from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.nodata import NODATA
 from tiler.core.raster import RasterSpec
 from tiler.export.output_files import new_file
+from tiler.export.records import SheetsRecord
 from tiler.export.work import FindSheets, WriteSheetIndex
 from tiler.io.vector import geopackage
 from tiler.store import open_store
@@ -22,7 +23,7 @@ def find_sheets(store_url: str, work: FindSheets) -> dict[str, Any]:
     Returns
     -------
     dict
-        ``sheets``: pairs of column and row on the lattice of the sheets, ascending.
+        `SheetsRecord` of the block.
     """
     store, spec, block = open_store(store_url), work.spec, work.block
     there = np.zeros((block.height, block.width), np.bool_)
@@ -32,7 +33,7 @@ def find_sheets(store_url: str, work: FindSheets) -> dict[str, Any]:
     rows, cols = np.nonzero(there)
     ix = (spec.west + block.col + cols) // work.side
     iy = (spec.north - 1 - block.row - rows) // work.side
-    return {"sheets": np.unique(np.stack((ix, iy)), axis=1).T.tolist()}
+    return SheetsRecord(np.unique(np.stack((ix, iy)), axis=1).T.tolist()).to_json()
 
 
 COLUMNS = ("west", "south", "east", "north", "void_percent", "min", "max")
@@ -44,10 +45,10 @@ def write_sheet_index(store_url: str, work: WriteSheetIndex) -> dict[str, Any]:
     Columns are ``location`` (path relative to the folder of the file, with the column name of gdaltindex), ``west``,
     ``south``, ``east``, ``north``, ``void_percent`` (share of the pixels without a value), ``min`` and ``max``.
 
-    Return the record of `tiler.export.output_files.new_file`. Raise ProcessingError if the file cannot be written.
+    Return the `FileRecord`. Raise ProcessingError if the file cannot be written.
     """
     crs = open_store(store_url).meta.frame.crs_wkt
-    with new_file(work.out, work.name) as (target, record), geopackage(target, crs) as file:
+    with new_file(work.out, work.name) as new, geopackage(new.path, crs) as file:
         for product in dict.fromkeys(sheet.product for sheet in work.sheets):
             product_sheets = [sheet for sheet in work.sheets if sheet.product == product]
             edges = np.array([_edges(sheet.spec) for sheet in product_sheets])
@@ -56,7 +57,7 @@ def write_sheet_index(store_url: str, work: WriteSheetIndex) -> dict[str, Any]:
             numbers = dict(zip(COLUMNS, np.hstack((edges, figures)).T, strict=True))
             columns = {"location": np.array([sheet.path for sheet in product_sheets], object), **numbers}
             file.add(product, "Polygon", list(shapely.box(*edges.T)), columns)
-    return record
+    return new.record.to_json()
 
 
 def _edges(spec: RasterSpec) -> tuple[float, float, float, float]:

@@ -11,6 +11,14 @@ from tiler.core.results import ContourResult, SpotCounts
 from tiler.core.units_text import short_unit
 from tiler.errors import ProcessingError, write_error
 from tiler.export import WriteCog
+from tiler.export.records import (
+    CloudRecord,
+    ContoursRecord,
+    FileRecord,
+    OutlineFileRecord,
+    RasterFileRecord,
+    SpotsRecord,
+)
 from tiler.export.stac import horizontal_code
 from tiler.export.tasks.catalogue import STAGE, catalogue_tasks, planned
 from tiler.export.tasks.class_counts import report_earlier_classes, report_written_classes
@@ -94,7 +102,8 @@ def export(
     _report_spots(job)
     _report_outline(job)
     if job.results.fetched is not None:
-        classified_bytes = sum(r.get("fetched", 0) for _, r in made.values())
+        written_clouds = [CloudRecord.of(made[task.key][1]) for task in clouds if task.key in made]
+        classified_bytes = sum(record.fetched or 0 for record in written_clouds)
         job.results.fetched = replace(job.results.fetched, classified=classified_bytes)
     if mosaics or job.store.committed("mosaic"):
         mosaics += index_tasks(tasks, made, out)
@@ -109,7 +118,7 @@ def export(
             for task in tasks
             if isinstance(task.arguments, WriteCog) and task.arguments.product == "dtm"
         ]
-        filled = sum(made[key][1]["valid"] for key in terrain if key in made)
+        filled = sum(RasterFileRecord.of(made[key][1]).valid for key in terrain if key in made)
         job.results.dtm = replace(job.results.dtm, filled=filled)
     # The virtual cloud is valid as long as the clouds are, which have no basis in run.json.
     rasters_of = (path for key, path in written.items() if key.endswith(PRODUCTS) and path != VIRTUAL)
@@ -139,34 +148,35 @@ def _report_outline(job: Job) -> None:
     commit = job.store.committed("export").get(OUTLINE)
     outline = job.results.outline
     if commit is not None and outline is not None:
-        rings, polygons = commit[1].get("rings", []), commit[1]["polygons"]
-        job.results.outline = replace(outline, rings=rings, polygons=polygons)
+        record = OutlineFileRecord.of(commit[1])
+        job.results.outline = replace(outline, rings=record.rings or [], polygons=record.polygons)
 
 
 def _report_contours(job: Job) -> None:
     commit = job.store.committed("export").get(f"{CONTOURS}.gpkg")
     if CONTOURS not in job.plan.config.drawn or commit is None:
         return
-    record, unit = commit[1], short_unit(job.plan.grid.meta.frame.units.vertical)
+    record, unit = ContoursRecord.of(commit[1]), short_unit(job.plan.grid.meta.frame.units.vertical)
     job.results.contours = ContourResult(
-        record["interval"], record["lines"], record["vertices"], record["cut"], record["short"]
+        record.interval, record.lines, record.vertices, record.cut, record.short
     )
-    if job.plan.config.contour_interval is None and record["low"] is not None:
+    if job.plan.config.contour_interval is None and record.low is not None:
         job.note(
-            f"decided: contours every {record['interval']:g} {unit}, as nearly all of the terrain lies between "
-            f"{record['low']:.1f} and {record['high']:.1f} {unit} (--contour-interval)"
+            f"decided: contours every {record.interval:g} {unit}, as nearly all of the terrain lies between "
+            f"{record.low:.1f} and {record.high:.1f} {unit} (--contour-interval)"
         )
-    if record["cut"]:
+    if record.cut:
         job.note(
             f"contour lines that are written in two parts, as whole lines need more memory (--memory): "
-            f"{record['cut']:,}"
+            f"{record.cut:,}"
         )
 
 
 def _report_spots(job: Job) -> None:
     commit = job.store.committed("export").get(f"{SPOTS}.gpkg")
     if SPOTS in job.plan.config.drawn and commit is not None:
-        job.results.spots = SpotCounts(commit[1]["highs"], commit[1]["lows"])
+        record = SpotsRecord.of(commit[1])
+        job.results.spots = SpotCounts(record.highs, record.lows)
 
 
 def _validate_outputs_exist(job: Job) -> None:
@@ -209,12 +219,14 @@ def _write(job: Job, stage: str, tasks: list[Task], out: str) -> Commits:
     invalidate_changed_outputs(job, stage, files)
     written = run_stage(job, stage, tasks, writes_out=True)
     sizes, digests = dict(job.results.outputs), dict(job.results.digests)
-    for key, (_, record) in written.items():
-        path = below(out, files[key])
-        sizes[path] = record["bytes"]
-        if "digest" in record:
-            digests[path] = record["digest"]
+    notes: dict[str, None] = {}
+    for key, (_, stored) in written.items():
+        path, record = below(out, files[key]), FileRecord.of(stored)
+        sizes[path] = record.bytes
+        if record.digest is not None:
+            digests[path] = record.digest
+        notes |= dict.fromkeys(record.notes or ())
     job.results.outputs, job.results.digests = sizes, digests
-    for text in dict.fromkeys(text for _, record in written.values() for text in record.get("notes", ())):
+    for text in notes:
         job.note(text)
     return written

@@ -13,6 +13,7 @@ import shapely
 from tiler.core.frame import COUNTS_PER_UNIT, CoordFrame
 from tiler.core.water import Counts, Water, lengths_along
 from tiler.export.output_files import new_file
+from tiler.export.records import WaterFileRecord
 from tiler.export.work import WriteWater
 from tiler.io.vector import GeoPackage, geopackage
 from tiler.store import open_store
@@ -41,7 +42,7 @@ def write_water(store_url: str, work: WriteWater) -> dict[str, Any]:
     Returns
     -------
     dict
-        The record of `new_file`, and ``bodies`` (number of bodies).
+        `WaterFileRecord` of the file.
     """
     store = open_store(store_url)
     bodies = store.all_waters(work.waters).bodies
@@ -57,13 +58,13 @@ def write_water(store_url: str, work: WriteWater) -> dict[str, Any]:
     }
     rivers = [(b.number, b.flow) for b in bodies if b.flow is not None]
     crs = store.meta.frame.crs_wkt
-    with new_file(work.out, work.name) as (target, record), geopackage(target, crs) as file:
+    with new_file(work.out, work.name) as new, geopackage(new.path, crs) as file:
         file.add(POLYGONS, "MultiPolygon", shapes, columns)
         lines = [shapely.LineString(flow / COUNTS_PER_UNIT) for _, flow in rivers]
         file.add(FLOW, "LineString Z", lines, {"number": np.array([n for n, _ in rivers], np.int64)})
         _add_reaches(file, bodies, store.meta.frame)
         _add_breaklines(file, bodies)
-    return {**record, "bodies": len(bodies)}
+    return WaterFileRecord(**new.record.to_json(), bodies=len(bodies)).to_json()
 
 
 def _add_reaches(file: GeoPackage, bodies: Sequence[Water], frame: CoordFrame) -> None:

@@ -21,6 +21,7 @@ from tiler.core.products import HEIGHT, PRODUCTS
 from tiler.core.raster import RasterSpec
 from tiler.core.units import unit_label
 from tiler.export import WriteText, stac, write_text
+from tiler.export.records import CloudRecord, FileRecord, RasterFileRecord
 from tiler.export.tasks.files import nodata_of
 from tiler.export.tasks.sheets import name_of
 from tiler.grid.tasks.gridding import GridContext, Sheet
@@ -69,12 +70,12 @@ class Cloud:
 
     path: str
     source: Source
-    record: Mapping[str, Any]
+    record: CloudRecord
 
     @property
     def dates(self) -> Any:
         """First and last day by the GPS times of the points, or else by the date in the header of the source."""
-        return stac.dates_of_gps(self.record["statistics"]["gps"]) or stac.dates_of_header(
+        return stac.dates_of_gps(self.record.statistics["gps"]) or stac.dates_of_header(
             self.source.info.created
         )
 
@@ -138,17 +139,18 @@ class _Catalogue:
         self._sources = sources
         self._suffix = CLOUD_SUFFIXES[self._plan.config.classified]
         self._media, self._encoding = _CLOUDS.get(self._plan.config.classified, ("", ""))
-        self.clouds = [
-            Cloud(f"{CLASSIFIED}/{self._plan.inputs.cloud_names[s.info.path].as_posix()}", s, written[key][1])
-            for s in sources
-            if (key := f"c{s.number:06d}") in written
-        ]
+        self.clouds = []
+        for source in sources:
+            key = f"c{source.number:06d}"
+            if key in written:
+                path = f"{CLASSIFIED}/{self._plan.inputs.cloud_names[source.info.path].as_posix()}"
+                self.clouds.append(Cloud(path, source, CloudRecord.of(written[key][1])))
 
     def documents(self) -> dict[str, dict[str, Any]]:
         """Return the content of each document by its path in OUT."""
         documents: dict[str, dict[str, Any]] = {}
         if self._plan.writes_clouds:
-            features = [self._virtual(cloud) for cloud in self.clouds if cloud.record["statistics"]["fields"]]
+            features = [self._virtual(cloud) for cloud in self.clouds if cloud.record.statistics["fields"]]
             documents[VIRTUAL] = {"type": "FeatureCollection", "features": features}
         if self._plan.config.sheets is None:
             documents[STAC] = self._whole()
@@ -158,7 +160,7 @@ class _Catalogue:
 
     def _virtual(self, cloud: Cloud) -> dict[str, Any]:
         """Return a classified cloud as a feature of the virtual cloud."""
-        wkt, fields = self._plan.grid.meta.frame.crs_wkt, cloud.record["statistics"]["fields"]
+        wkt, fields = self._plan.grid.meta.frame.crs_wkt, cloud.record.statistics["fields"]
         schema = stac.schema([self._format(cloud)])
         names = [entry["name"] for entry in schema]
         low, high = ([round(fields[axis][end], _DIGITS) for axis in "XYZ"] for end in ("minimum", "maximum"))
@@ -170,9 +172,9 @@ class _Catalogue:
             "id": str(PurePosixPath(cloud.path).relative_to(CLASSIFIED)).removesuffix(self._suffix),
             "geometry": self._globe.polygon(box) or native, "bbox": [west, south, low[2], east, north, high[2]],
             "properties": {
-                **stac.dates([cloud.dates]), "pc:count": cloud.record["points"], "pc:type": self._type,
+                **stac.dates([cloud.dates]), "pc:count": cloud.record.points, "pc:type": self._type,
                 "pc:encoding": self._encoding, "pc:schemas": schema,
-                "pc:statistics": stac.statistics(fields, cloud.record["points"], names),
+                "pc:statistics": stac.statistics(fields, cloud.record.points, names),
                 **({"proj:wkt2": wkt} if wkt else {}), "proj:geometry": native, "proj:bbox": [*low, *high],
             },
             "links": [],
@@ -192,7 +194,7 @@ class _Catalogue:
         if self.clouds:
             item["stac_extensions"] = [*item["stac_extensions"], _POINTCLOUD]
             item["properties"] |= {
-                "pc:count": sum(cloud.record["points"] for cloud in self.clouds), "pc:type": self._type,
+                "pc:count": sum(cloud.record.points for cloud in self.clouds), "pc:type": self._type,
                 "pc:encoding": self._encoding,
                 "pc:schemas": stac.schema(self._format(c) for c in self.clouds),
             }  # fmt: skip
@@ -252,7 +254,7 @@ class _Catalogue:
         for name, path in paths.items():
             key = path.rpartition("/")[2]
             if key in self._written:
-                product, record = PRODUCTS[name], self._written[key][1]
+                product, record = PRODUCTS[name], RasterFileRecord.of(self._written[key][1])
                 assets[name] = {
                     "href": f"{base}/{quote(os.fsencode(path))}", "type": _COG, "title": product.description,
                     "roles": ["data"],
@@ -260,13 +262,13 @@ class _Catalogue:
                 }  # fmt: skip
         return assets
 
-    def _band(self, name: str, record: Mapping[str, Any]) -> dict[str, Any]:
+    def _band(self, name: str, record: RasterFileRecord) -> dict[str, Any]:
         product, units = PRODUCTS[name], self._plan.grid.meta.frame.units
         nodata = nodata_of(self._plan, name)
         nodata = product.nodata if nodata is None else nodata
         unit = unit_label(units.vertical) if product.unit == HEIGHT else product.unit
-        figures = {"minimum": record["min"], "maximum": record["max"], "mean": record["mean"]}
-        shares = {"valid_percent": round(100 * record["valid"] / max(record["pixels"], 1), 4)}
+        figures = {"minimum": record.min, "maximum": record.max, "mean": record.mean}
+        shares = {"valid_percent": round(100 * record.valid / max(record.pixels, 1), 4)}
         return {
             "name": name, "description": product.description, "data_type": product.dtype,
             **({} if nodata is None else {"nodata": plain_value(nodata)}), **({"unit": unit} if unit else {}),
@@ -283,7 +285,9 @@ class _Catalogue:
             assets[VIRTUAL] = _asset(VIRTUAL, _GEOJSON, "metadata", title="classified clouds as one")
         for cloud in self.clouds:
             # The schema of the extension is valid only for items, and with sheets this is a collection.
-            more = {"pc:count": cloud.record["points"]} if self._plan.config.sheets is None else {}
+            more: dict[str, Any] = (
+                {"pc:count": cloud.record.points} if self._plan.config.sheets is None else {}
+            )
             asset = _asset(
                 quote(os.fsencode(cloud.path)), self._media, title="points with their classes", **more
             )
@@ -300,7 +304,7 @@ class _Catalogue:
     def _id(self) -> str:
         """Identifier of the results, which depends only on the bytes of the rasters."""
         files = self._written.items()
-        rasters = [[key, record["digest"]] for key, (_, record) in files if key.endswith(".tif")]
+        rasters = [[key, FileRecord.of(stored).digest] for key, (_, stored) in files if key.endswith(".tif")]
         return f"terrain-{digest_of(sorted(rasters))[:16]}"
 
     @property

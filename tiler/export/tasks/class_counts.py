@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from tiler.core.classes import Counts, sum_by_class
 from tiler.core.reclass import ONLY_GROUND
+from tiler.export.records import CloudRecord
 from tiler.io.result_folder import CLASSIFIED
 from tiler.runs.job import Job
 from tiler.schedule import Task
@@ -15,9 +16,9 @@ from tiler.store import Commits
 
 def report_written_classes(job: Job, tasks: Iterable[Task], made: Commits) -> None:
     """Count the points of the classified clouds by class, and note which classes of the input they keep."""
-    records = [made[task.key][1] for task in tasks if task.key in made]
-    kept = sum_by_class(record["kept"] for record in records)
-    written = sum_by_class(record["classes"] for record in records)
+    records = [CloudRecord.of(made[task.key][1]) for task in tasks if task.key in made]
+    kept = sum_by_class(record.kept or {} for record in records)
+    written = sum_by_class(record.classes for record in records)
     job.results.classes = replace(
         job.results.classes, reclass=job.plan.config.reclass, kept=kept, written=written
     )
@@ -30,7 +31,8 @@ def report_earlier_classes(job: Job, tasks: Iterable[Task]) -> None:
     if job.plan.config.reclass != ONLY_GROUND:
         return
     commits = job.store.committed("export")
-    stored = any("kept" not in commits[task.key][1] for task in tasks if task.key in commits)
+    records = [CloudRecord.of(commits[task.key][1]) for task in tasks if task.key in commits]
+    stored = any(record.kept is None for record in records)
     listed = any(path.startswith(f"{CLASSIFIED}/") for path in job.results.earlier_outputs)
     if stored or (listed and job.earlier_settings and "reclass" not in job.earlier_settings):
         job.note(

@@ -29,6 +29,7 @@ from tiler.export import (
     write_mosaic,
     write_sheet_index,
 )
+from tiler.export.records import RasterFileRecord
 from tiler.export.tasks.sheets import name_of
 from tiler.export.work import SheetFile
 from tiler.filter import LABELS
@@ -141,11 +142,11 @@ def index_tasks(tasks: Iterable[Task], written: Commits, out: str) -> Iterator[T
     ]
     sheet_files = []
     for work in works:
-        record = written.get(f"{work.name}.tif", ("", None))[1]
-        if record is not None:
+        if f"{work.name}.tif" in written:
+            record = RasterFileRecord.of(written[f"{work.name}.tif"][1])
             path = raster_file(work.product, work.name)
-            void = 100 * (1 - record["valid"] / record["pixels"])
-            sheet_files.append(SheetFile(work.product, path, work.spec, void, record["min"], record["max"]))
+            void = 100 * (1 - record.valid / record.pixels)
+            sheet_files.append(SheetFile(work.product, path, work.spec, void, record.min, record.max))
     if sheet_files:
         index = WriteSheetIndex(name=SHEETS, sheets=tuple(sheet_files), out=out)
         yield Task("mosaic", SHEETS, digest_of(__version__, index), write_sheet_index, index)

@@ -19,6 +19,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from tiler.errors import ConfigError, write_error
+from tiler.export.records import FileRecord
 from tiler.ingest.tasks.fingerprints import contents
 from tiler.io.locations import is_url, joined, move_file, sizes_at, states_at
 from tiler.io.result_folder import OUTDATED, below
@@ -179,20 +180,21 @@ def invalidate_changed_outputs(job: Job, stage: str, files: Mapping[str, str]) -
     states = dict(zip(commits, states_at([files[key] for key in commits]), strict=True))
     gone = [key for key, state in states.items() if state is None]
     there = {key: state for key, state in states.items() if state is not None}
-    changed = [key for key, state in there.items() if state.size != commits[key][1]["bytes"]]
+    records = {key: FileRecord.of(stored) for key, (_, stored) in commits.items()}
+    changed = [key for key, state in there.items() if state.size != records[key].bytes]
     doubtful = {}
     for key in there.keys() - set(changed):
-        record = commits[key][1]
-        if job.plan.config.verify or there[key].to_json() != record.get("state", there[key].to_json()):
+        state = records[key].state
+        if job.plan.config.verify or (state is not None and state != there[key].to_json()):
             doubtful[files[key]] = key
     files_of = [(location, there[key], 0) for location, key in sorted(doubtful.items())]
     for location, result in contents(job, STAGE, files_of, writes_out=True):
         key = doubtful[location]
-        digest, record = commits[key]
-        if result.get("content") != record.get("digest", ""):
+        digest, stored = commits[key]
+        if result.get("content") != (records[key].digest or ""):
             changed.append(key)
         else:  # The bytes are the same, so the new time replaces the earlier one.
-            job.store.commit(stage, key, digest, {**record, "state": there[key].to_json()})
+            job.store.commit(stage, key, digest, {**stored, "state": there[key].to_json()})
     job.invalidate(stage, [*gone, *changed])
     if changed:
         paths = sorted(below(job.products, files[key]) for key in changed)

@@ -9,10 +9,13 @@ from fractions import Fraction
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.raster import BLOCK_PIXELS, RasterSpec
+from tiler.core.records import records_of
 from tiler.core.sheet_names import sheet_name
 from tiler.core.words import counted
 from tiler.errors import ProcessingError
 from tiler.export import FindSheets, find_sheets
+from tiler.export.records import SheetsRecord
+from tiler.grid.records import BlockRecord
 from tiler.grid.tasks.gridding import GridContext, Sheet
 from tiler.grid.tasks.raster_table import MODELS, final_raster
 from tiler.runs.job import Job
@@ -33,7 +36,9 @@ def cut(job: Job, g: GridContext) -> list[Sheet]:
         raise ProcessingError(
             f"--sheets: the search for heights failed; the first block: {job.record.first_error(STAGE)}"
         )
-    high = {Cell(*cell) for _, record in made.values() for cell in record["sheets"]}
+    high: set[Cell] = set()
+    for record in records_of(SheetsRecord, made):
+        high.update(Cell(*cell) for cell in record.sheets)
     every = high | set(with_points(g))
     if len(every) > len(high) and not g.plan.config.empty_sheets:
         number = len(every) - len(high)
@@ -48,7 +53,9 @@ def height_tasks(g: GridContext) -> Iterator[Task]:
         name for name in (final_raster(model, g.plan.config) for model in MODELS) if name in g.made
     )
     side, area = _pixels(g), g.plan.inputs.area_key
-    keys = {key for name in rasters for key, (_, record) in g.made[name].items() if record["filled"]}
+    keys: set[str] = set()
+    for name in rasters:
+        keys.update(key for key, (_, stored) in g.made[name].items() if BlockRecord.of(stored).filled)
     for key in sorted(keys):
         block = g.spec.block_named(key, BLOCK_PIXELS)
         work = FindSheets(rasters=rasters, spec=g.spec, block=block, side=side, area=area)

@@ -1,0 +1,138 @@
+"""Records of the tasks of the stage export, with a type for each."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from tiler.core.classes import Counts
+from tiler.core.records import Record
+from tiler.core.results import Rings
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class FileRecord(Record):
+    """Record of a file in OUT.
+
+    Attributes
+    ----------
+    bytes : int
+        Size of the file.
+    path : str, optional
+        Name of the file. Classified clouds do not have it.
+    digest : str, optional
+        Digest of all bytes. Earlier versions did not record it.
+    state : list, optional
+        `tiler.io.locations.FileState` as JSON. Earlier versions did not record it.
+    notes : list of str, optional
+        Notes for the user.
+    """
+
+    bytes: int
+    path: str | None = None
+    digest: str | None = None
+    state: list[Any] | None = None
+    notes: list[str] | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class RasterFileRecord(FileRecord):
+    """Record of a GeoTIFF.
+
+    Attributes
+    ----------
+    pixels, valid : int
+        Number of all pixels, and of pixels with a value.
+    min, max, mean : float or None
+        Statistics of the values. None if no pixel is valid.
+    """
+
+    pixels: int
+    valid: int
+    min: float | None
+    max: float | None
+    mean: float | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class ContoursRecord(FileRecord):
+    """Record of contour lines.
+
+    Attributes
+    ----------
+    interval : float
+        Difference of height between contours, in vertical units of the CRS.
+    lines, vertices : int
+    cut : int
+        Number of lines that were divided because too many vertices were waiting.
+    short : int
+        Number of rings that were left out, see `tiler.export.contour_lines`.
+    low, high : float or None
+        Heights between which nearly all of the terrain lies. None if it is empty.
+    """
+
+    interval: float
+    lines: int
+    vertices: int
+    cut: int
+    short: int
+    low: float | None
+    high: float | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class SpotsRecord(FileRecord):
+    """Record of spot heights: interval in vertical units of the CRS, and numbers of tops and bottoms."""
+
+    interval: float
+    highs: int
+    lows: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OutlineFileRecord(FileRecord):
+    """Record of the outline of the survey: number of polygons, and rings with few vertices for a map."""
+
+    polygons: int
+    rings: Rings | None = None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WaterFileRecord(FileRecord):
+    """Record of the bodies of water: their number."""
+
+    bodies: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CloudRecord(FileRecord):
+    """Record of a classified cloud.
+
+    Attributes
+    ----------
+    points, changed : int
+        Number of points, and of points with a new class.
+    classes : dict of str to int
+        Number of points by new class.
+    kept : dict of str to int, optional
+        Number of filtered points, by class, that keep a class of the source outside
+        `tiler.core.classes.WITHOUT_OBJECT`. Earlier versions kept none and did not record it.
+    statistics : dict
+        See `tiler.export.cloud_statistics.CloudStatistics.to_json`.
+    fetched : int, optional
+        Number of bytes that were read over the network.
+    """
+
+    points: int
+    changed: int
+    classes: Counts
+    kept: Counts | None = None
+    statistics: dict[str, Any]
+    fetched: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class SheetsRecord(Record):
+    """Record of the sheets in which a block has a height: column and row on the lattice of sheets, ascending."""
+
+    sheets: list[list[int]]
