@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any
 
 from tiler.config import RunConfig
+from tiler.core.results import LeftOut
 from tiler.errors import ConfigError, CorruptStoreError, ProcessingError, exit_code_of
 from tiler.export.stage import export
 from tiler.filter.stage import filter_points
@@ -224,10 +225,8 @@ def _report(job: Job) -> dict[str, Any]:
 def _healing_stages(job: Job, until: str) -> None:
     """Run the stages. If objects of the store are damaged, repair it and run the stages again."""
     for number in range(ROUNDS + 1):
-        job.record.failed, job.record.quarantined = (
-            [],
-            [{"path": p, "error": e} for p, e in job.plan.inputs.left_out],
-        )
+        job.record.failed = []
+        job.record.quarantined = [LeftOut(path, error) for path, error in job.plan.inputs.left_out]
         try:
             _stages(job, until)
             return

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from tiler.core.records import BucketRecord, SpoolRecord
+from tiler.core.records import BucketRecord, SpoolRecord, TileRecord
 
 
 def bucket_record(**values: Any) -> BucketRecord:
@@ -23,3 +23,13 @@ def spool_record(**values: Any) -> SpoolRecord:
         "left": [], "identity": "", "fetched": 0, "bounds": None, "z": None,
     }  # fmt: skip
     return SpoolRecord(**{**nothing, **values})
+
+
+def tile_record(**values: Any) -> TileRecord:
+    """A record of a tile; values that do not matter are 0 or empty."""
+    numbers = dict.fromkeys(
+        ("points", "ground", "low_noise", "unclassified", "kept", "marked", "tries", "halo"), 0
+    )
+    areas = dict.fromkeys(("window_points", "core_area", "window_area"), 0)
+    others: dict[str, Any] = {"cells": [], "labels": "", "partial": {}, "stats": {}}
+    return TileRecord(**{**numbers, **areas, **others, **values})

@@ -13,7 +13,7 @@ import shapely
 from tiler.core.area import Area
 from tiler.core.breaklines import Counts
 from tiler.core.frame import COUNTS_PER_UNIT
-from tiler.core.results import Rings
+from tiler.core.terrain_results import Rings
 
 MAX_PLACES = 20_000
 """Maximum number of vertices of all edits, all breaklines or all water on a page."""

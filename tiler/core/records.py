@@ -50,6 +50,17 @@ class Record:
 AnyRecord = TypeVar("AnyRecord", bound=Record)
 
 
+def to_json(value: Any) -> Any:
+    """Return a value as JSON can hold it: records as objects, at any depth."""
+    if isinstance(value, Record):
+        return {name: to_json(entry) for name, entry in value.to_json().items()}
+    if isinstance(value, list | tuple):
+        return [to_json(entry) for entry in value]
+    if isinstance(value, dict):
+        return {name: to_json(entry) for name, entry in value.items()}
+    return value
+
+
 def records_of(
     kind: type[AnyRecord], commits: Mapping[str, tuple[str, Mapping[str, Any]]]
 ) -> list[AnyRecord]:

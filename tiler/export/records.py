@@ -7,7 +7,7 @@ from typing import Any
 
 from tiler.core.classes import Counts
 from tiler.core.records import Record
-from tiler.core.results import Rings
+from tiler.core.terrain_results import Rings
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from tiler.core.products import CONTOURS, SPOTS
-from tiler.core.results import ContourResult, SpotCounts
+from tiler.core.terrain_results import ContourResult, SpotCounts
 from tiler.core.units_text import short_unit
 from tiler.errors import ProcessingError, write_error
 from tiler.export import WriteCog
@@ -132,7 +132,7 @@ def export(
     _validate_outputs_exist(job)
     if not all(key in made for key in files):
         raise ProcessingError(
-            f"{job.record.failed[-1]['key']} could not be written: {job.record.failed[-1]['error']}"
+            f"{job.record.failed[-1].key} could not be written: {job.record.failed[-1].error}"
         )
 
 

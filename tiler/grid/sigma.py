@@ -13,8 +13,8 @@ import numpy.typing as npt
 
 from tiler.core.mask_values import CANOPY, FILLED, WATER
 from tiler.core.nodata import NODATA
-from tiler.core.results import SigmaGroup, SigmaResult
 from tiler.core.sigma_groups import COVERED_SHARE, EDGES_M, GROUPS
+from tiler.core.terrain_results import SigmaGroup, SigmaResult
 from tiler.grid.checksum import checksum
 from tiler.grid.records import SigmaRecord
 from tiler.grid.sigma_measures import Measures, measures_of

@@ -17,7 +17,7 @@ from tiler.core.lattice import Bounds
 from tiler.core.mask_values import MASK_VALUES, OUTSIDE
 from tiler.core.raster import BLOCK_PIXELS, RasterSpec
 from tiler.core.records import records_of
-from tiler.core.results import OutlineResult, SurfaceResult, TerrainResult
+from tiler.core.terrain_results import OutlineResult, SurfaceResult, TerrainResult
 from tiler.core.units_text import length_text
 from tiler.core.words import counted
 from tiler.errors import ProcessingError
@@ -111,12 +111,11 @@ def _settle_surface(job: Job) -> None:
 
 def _holes(job: Job) -> list[Bounds]:
     """Return the bounds in absolute counts where tiles or buckets failed."""
-    failed_bounds = [
-        f["bounds"]
-        for f in job.record.failed
-        if f["stage"].startswith(("assemble", "filter")) and f["bounds"]
-    ]
-    return [Bounds(*(round(edge * COUNTS_PER_UNIT) for edge in bounds)) for bounds in failed_bounds]
+    holes = []
+    for task in job.record.failed:
+        if task.stage.startswith(("assemble", "filter")) and task.bounds:
+            holes.append(Bounds(*(round(edge * COUNTS_PER_UNIT) for edge in task.bounds)))
+    return holes
 
 
 def _make(job: Job, raster: RasterStep, spec: RasterSpec, tasks: list[Task], join: Join | None) -> Commits:

@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import dataclasses
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import reduce
 from pathlib import Path
-from typing import Any
 
 from tiler.core.classes import sum_by_class
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds, Cell
-from tiler.core.records import SpoolRecord, buckets_in
-from tiler.core.results import ClassCounts, FetchedBytes, PointCounts, Stray
+from tiler.core.records import SpoolRecord, TileRecord, buckets_in
+from tiler.core.results import ClassCounts, FetchedBytes, LeftOut, PointCounts, Stray
 from tiler.core.selection import WITHHELD
 from tiler.errors import InputError, ProcessingError
 from tiler.ingest import OUTSIDE_AREA, Strays
@@ -29,7 +28,7 @@ from tiler.ingest.tasks.points import (
 )
 from tiler.inputs import FAR
 from tiler.io.locations import is_url
-from tiler.observe.events import Warned
+from tiler.observe.events import TaskFailed, Warned
 from tiler.plan import KEEP, Plan, bounds_of, sparse_raster_remedy
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage
@@ -64,14 +63,14 @@ def spool(job: Job, sources: list[Source]) -> tuple[Commits, list[Source]]:
         A task failed because of the store or the system.
     """
     spooled = run_stage(job, "spool", spool_tasks(job.plan, sources, _keeps_records(job)))
-    failed = [f for f in job.record.failed if f["stage"] == "spool"]
+    failed = [task for task in job.record.failed if task.stage == "spool"]
     _validate_inputs_read(failed)
-    bad = {source_of(f["key"]): f["error"] for f in failed}
-    job.record.failed = [f for f in job.record.failed if f["stage"] != "spool"]
+    bad = {source_of(task.key): task.error for task in failed}
+    job.record.failed = [task for task in job.record.failed if task.stage != "spool"]
     bad |= _misplaced(job, [s for s in sources if s.name not in bad], spooled)
     good = [s for s in sources if s.name not in bad]
     left_out = [(str(s.info.path), bad[s.name]) for s in sources if s.name in bad]
-    job.record.quarantined += [{"path": path, "error": error} for path, error in left_out]
+    job.record.quarantined += [LeftOut(path, error) for path, error in left_out]
     # The error of a worker that died does not contain the path of the file.
     lines = [f"{path}: left out: {error.removeprefix(f'{path}: ')}" for path, error in left_out]
     if not good:
@@ -124,11 +123,11 @@ def spool(job: Job, sources: list[Source]) -> tuple[Commits, list[Source]]:
     return spooled, good
 
 
-def _validate_inputs_read(failed: Sequence[Mapping[str, Any]]) -> None:
+def _validate_inputs_read(failed: Sequence[TaskFailed]) -> None:
     """Raise ProcessingError if a task failed because of the store or the system."""
-    for failure in failed:
-        if failure["kind"] in OWN_FAULTS:
-            raise ProcessingError(f"{failure['title']} {failure['key']}: {failure['error']}")
+    for task in failed:
+        if task.kind in OWN_FAULTS:
+            raise ProcessingError(f"{task.title} {task.key}: {task.error}")
 
 
 def _keeps_records(job: Job) -> bool:
@@ -290,7 +289,8 @@ def _forget_labels(job: Job, stale: Commits) -> None:
     for number in range(job.store.get_state("passes") or 0):
         stage = f"filter{number}"
         tiles = job.store.committed(stage) if cells else {}
-        job.invalidate(
-            stage,
-            [key for key, (_, stored) in tiles.items() if not cells.isdisjoint(map(tuple, stored["cells"]))],
-        )
+        keys = []
+        for key, (_, stored) in tiles.items():
+            if not cells.isdisjoint(map(tuple, TileRecord.of(stored).cells)):
+                keys.append(key)
+        job.invalidate(stage, keys)

@@ -9,8 +9,8 @@ from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from itertools import chain
 from pathlib import Path
-from typing import Any
 
+from tiler.core.results import StageResult
 from tiler.io.atomic_files import replace_file
 from tiler.io.json_text import parse_json_object
 from tiler.plan.model import Plan
@@ -34,7 +34,7 @@ _NEWEST = 0.5
 """Weight of the newest run in the recorded rates."""
 
 
-def remember(plan: Plan, stages: Mapping[str, Mapping[str, Any]]) -> None:
+def remember(plan: Plan, stages: Mapping[str, StageResult]) -> None:
     """Record the rates of the stages that a run did completely.
 
     Errors of writing the cache are ignored. The plan then uses the rates of another machine.
@@ -43,15 +43,14 @@ def remember(plan: Plan, stages: Mapping[str, Mapping[str, Any]]) -> None:
     ----------
     plan : Plan
     stages : mapping
-        Name of each stage -> ``tasks``, ``computed`` (the number of tasks done in this run) and ``seconds``, as in
-        ``run.json``.
+        Work of each stage by its key.
     """
     if plan.inputs.points < MIN_POINTS or plan.config.scheduler is not None:
         return
     known = _read()
-    for stage, record in stages.items():
-        if record["computed"] and record["computed"] == record["tasks"]:
-            rate = record["seconds"] * plan.resources.workers / plan.inputs.points * 1e6
+    for stage, result in stages.items():
+        if result.computed and result.computed == result.tasks:
+            rate = result.seconds * plan.resources.workers / plan.inputs.points * 1e6
             name = _name(plan, stage)
             if name in known:
                 rate = (1 - _NEWEST) * known[name] + _NEWEST * rate

@@ -6,13 +6,15 @@ Only this module lists its entries. docs/run-json.md guarantees some of them.
 from __future__ import annotations
 
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from functools import cache
 from importlib.metadata import version
 from typing import Any
 
-from tiler.observe.events import Event
+from tiler.core.records import to_json
+from tiler.core.results import LeftOut, StageResult, TileResult
+from tiler.observe.events import Event, TaskFailed
 from tiler.observe.json_lines import message_of
 from tiler.plan import Plan, plan_json
 from tiler.redaction import stored
@@ -41,37 +43,35 @@ class RunRecord:
     ----------
     computed : int
         Number of tasks that this run did.
-    stages : dict
-        ``title``, ``tasks``, ``done`` (before this run), ``points``, ``pixels``, ``computed``, ``seconds`` and
-        ``peak_rss_bytes`` of each stage by its key.
-    quarantined : list
-        ``path`` and ``error`` of each input that is left out.
-    failed : list
-        ``stage``, ``title``, ``key``, ``error``, ``kind`` and ``bounds`` of each task that failed for good.
+    stages : dict of str to StageResult
+        Work of each stage by its key.
+    quarantined : list of LeftOut
+    failed : list of TaskFailed
+        Tasks that failed for good.
     notes : list of str
         Notes for the user.
     warnings : list of str
         Warnings for the user, which `keep_warning` collects.
     exit_code : int or None
         Exit code of the run; None while it is running.
-    tiles : dict
-        State of each tile by stage and key, for the map in the report.
+    tiles : dict of str to dict of str to TileResult
+        Tiles by stage and key, for the map in the report.
     results : Results
     """
 
     computed: int = 0
-    stages: dict[str, dict[str, Any]] = field(default_factory=dict)
-    quarantined: list[dict[str, str]] = field(default_factory=list)
-    failed: list[dict[str, Any]] = field(default_factory=list)
+    stages: dict[str, StageResult] = field(default_factory=dict)
+    quarantined: list[LeftOut] = field(default_factory=list)
+    failed: list[TaskFailed] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     exit_code: int | None = None
-    tiles: dict[str, dict[str, dict[str, Any]]] = field(default_factory=dict)
+    tiles: dict[str, dict[str, TileResult]] = field(default_factory=dict)
     results: Results = field(default_factory=Results)
 
     def first_error(self, stage: str) -> str:
         """Return the error of the first failed task of a stage."""
-        return next(str(failure["error"]) for failure in self.failed if failure["stage"] == stage)
+        return next(failure.error for failure in self.failed if failure.stage == stage)
 
     def list_tiles(self, stage: str, tasks: Iterable[tuple[Task, list[float] | None]], done: Commits) -> None:
         """Add the tiles of a stage, with their bounds, before the stage begins."""
@@ -79,15 +79,15 @@ class RunRecord:
 
     def update_tile(self, outcome: Outcome) -> None:
         """Set the state of a tile after a try. It stays ``waiting`` if another try follows."""
-        tile = self.tiles.get(outcome.task.stage, {}).get(outcome.task.key)
-        if tile is None:
+        tiles, key = self.tiles.get(outcome.task.stage, {}), outcome.task.key
+        if key not in tiles:
             return
         if outcome.record is not None:
-            tile.update(_made(outcome.record))
-            tile["seconds"] = round(outcome.seconds, 3)
-            tile["peak_rss_bytes"] = outcome.peak_rss_bytes
+            seconds = round(outcome.seconds, 3)
+            tile = replace(tiles[key], seconds=seconds, peak_rss_bytes=outcome.peak_rss_bytes)
+            tiles[key] = _done(tile, outcome.record)
         elif not (outcome.again or outcome.damaged):
-            tile["state"] = "failed"
+            tiles[key] = replace(tiles[key], state="failed")
 
     def keep_warning(self, event: Event) -> None:
         """Keep the text of an event if it is a warning. This method is a listener."""
@@ -105,9 +105,9 @@ class RunRecord:
             ``running``, ``interrupted``, ``failed`` or ``done``.
         """
         tiles = {}
-        for stage, by_key in self.tiles.items():
-            tiles[stage] = [{"key": key, **tile} for key, tile in by_key.items()]
-        peaks = [stage["peak_rss_bytes"] for stage in self.stages.values()]
+        for name, by_key in self.tiles.items():
+            tiles[name] = [{"key": key, **tile.to_json()} for key, tile in by_key.items()]
+        peaks = [stage.peak_rss_bytes for stage in self.stages.values()]
         content = {
             "state": state,
             "version": __version__,
@@ -119,9 +119,9 @@ class RunRecord:
             "warnings": self.warnings,
             "exit_code": self.exit_code,
             "tiles": tiles,
-            "stages": self.stages,
-            "quarantined": self.quarantined,
-            "failed_tasks": self.failed,
+            "stages": to_json(self.stages),
+            "quarantined": to_json(self.quarantined),
+            "failed_tasks": [task.to_json() for task in self.failed],
             "peak_rss_bytes": max([peak_rss_bytes(), *peaks]),
             **self.results.to_json(),
         }
@@ -136,17 +136,20 @@ def _libraries() -> dict[str, str]:
     return {name: version(name) for name in LIBRARIES}
 
 
-def _tile(task: Task, bounds: list[float] | None, done: Commits) -> dict[str, Any]:
-    """Return the state of a tile before its stage begins.
+def _tile(task: Task, bounds: list[float] | None, done: Commits) -> TileResult:
+    """Return a tile before its stage begins.
 
     If an earlier run did the tile, its time is only in the events of that run.
     """
-    made = {"state": "waiting", "tries": 0, "marked": 0}
+    tile = TileResult(bounds=bounds, points=task.points, seconds=None, peak_rss_bytes=None)
     if task.key in done:
-        _, record = done[task.key]
-        made = _made(record)
-    return {"bounds": bounds, "points": task.points, **made, "seconds": None, "peak_rss_bytes": None}
+        _, stored_record = done[task.key]
+        return _done(tile, stored_record)
+    return tile
 
 
-def _made(record: dict[str, Any]) -> dict[str, Any]:
-    return {"state": "done", "tries": record.get("tries", 1), "marked": record.get("marked", 0)}
+def _done(tile: TileResult, stored_record: dict[str, Any]) -> TileResult:
+    # Not all records have these entries: tasks of some rasters cannot be uncertified.
+    return replace(
+        tile, state="done", tries=stored_record.get("tries", 1), marked=stored_record.get("marked", 0)
+    )

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 
 from tiler.core.raster import BLOCK_PIXELS, Block
-from tiler.core.records import buckets_in
+from tiler.core.records import TileRecord, buckets_in
 from tiler.runs.job import Job
 from tiler.store import chunk_numbers
 
@@ -75,7 +75,7 @@ def _take_back_bucket(job: Job, kind: str, row: int) -> None:
         return
     for stage in _passes(job):
         for task, (_, record) in job.store.committed(stage).items():
-            if place in record["cells"]:
+            if place in TileRecord.of(record).cells:
                 job.invalidate(stage, [task])
 
 

@@ -6,26 +6,22 @@ from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
-from tiler.core.results import (
+from tiler.core.records import to_json
+from tiler.core.results import ClassCounts, FetchedBytes, LabelCounts, PointCounts, Stray
+from tiler.core.terrain_results import (
     BreaklineCounts,
     BridgeResult,
     CanopyResult,
-    ClassCounts,
     ContourResult,
     Doubt,
     EditResult,
-    FetchedBytes,
-    LabelCounts,
     OutlineResult,
-    PointCounts,
     SigmaResult,
     SpotCounts,
-    Stray,
     SurfaceResult,
     TerrainResult,
     VoidsResult,
     WaterResult,
-    to_json,
 )
 
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.raster import Block
+from tiler.core.results import StageResult
 from tiler.errors import CorruptStoreError, DiskFullError, ProcessingError, StoreAccessError
 from tiler.observe.events import StageFinished, StageStarted, TaskAgain, TaskDone, TaskFailed
 from tiler.runs import record
@@ -92,8 +93,17 @@ def run_stage(
     seconds = round(time.monotonic() - start, 3)
     job.record.computed += len(todo)
     job.store.compact(stage, PACKED_COMMITS)
-    measured = {"computed": len(todo), "seconds": seconds, "peak_rss_bytes": peak_rss}
-    job.record.stages[stage] = begin.to_json() | measured
+    job.record.stages[stage] = StageResult(
+        stage=stage,
+        title=begin.title,
+        tasks=begin.tasks,
+        done=begin.done,
+        points=begin.points,
+        pixels=begin.pixels,
+        computed=len(todo),
+        seconds=seconds,
+        peak_rss_bytes=peak_rss,
+    )
     job.listener(StageFinished(stage, seconds))
     job.save_if_due()
     return dict(sorted(done.items()))
@@ -151,7 +161,7 @@ def _report(job: Job, outcome: Outcome) -> None:
         return
     failed = TaskFailed(task.stage, title, task.key, error, error_kind, _place(job, task))
     job.listener(failed)
-    job.record.failed.append(failed.to_json())
+    job.record.failed.append(failed)
     if job.plan.config.on_error == "stop":
         raise ProcessingError(f"{title} {task.key}: {error}; use --on-error skip to continue without it")
 

@@ -14,8 +14,8 @@ from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Lattice
 from tiler.core.mask_values import CANOPY, MEASURED
 from tiler.core.raster import NODATA, Block, RasterSpec
-from tiler.core.results import SigmaGroup
 from tiler.core.sigma_groups import EDGES_M, GROUPS
+from tiler.core.terrain_results import SigmaGroup
 from tiler.core.units import FOOT, METRE, Units
 from tiler.grid import SigmaBlock
 from tiler.grid.records import SigmaRecord

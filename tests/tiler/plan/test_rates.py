@@ -10,6 +10,7 @@ import pytest
 
 from tests.tiler.plans import changed
 from tiler.config import RunConfig
+from tiler.core.results import StageResult
 from tiler.plan import Plan, make_plan, remember
 from tiler.plan.rates import projected_seconds
 
@@ -23,9 +24,13 @@ def plan(make_cloud: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Pl
     return changed(small, points=4_000_000)
 
 
-def stages(seconds: float, computed: int = 8) -> dict[str, dict[str, Any]]:
+def stages(seconds: float, computed: int = 8) -> dict[str, StageResult]:
     names = ("spool", "assemble", "filter0", "grid-dtm", "export")
-    return {name: {"tasks": 8, "computed": computed, "seconds": seconds} for name in names}
+    usual = StageResult(
+        stage="", title="", tasks=8, done=0, points=0, pixels=0, computed=computed, seconds=seconds,
+        peak_rss_bytes=0,
+    )  # fmt: skip
+    return {name: replace(usual, stage=name) for name in names}
 
 
 def test_time_follows_from_the_rates_of_earlier_runs(plan: Plan) -> None:

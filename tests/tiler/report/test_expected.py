@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from xml.etree import ElementTree
 
-from tiler.core.results import to_json
+from tiler.core.records import to_json
 from tiler.core.sigma_groups import EDGES_M
 from tiler.grid.records import SigmaRecord
 from tiler.grid.sigma import sigma_result

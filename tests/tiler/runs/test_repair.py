@@ -7,7 +7,7 @@ from typing import Any
 
 import pytest
 
-from tests.scenes.records import bucket_record
+from tests.scenes.records import bucket_record, tile_record
 from tiler.core.lattice import Cell
 from tiler.core.raster import BLOCK_PIXELS, Block
 from tiler.runs.repair import repair
@@ -36,7 +36,8 @@ def store(small_store: TileStore) -> TileStore:
     for stage, keys in STAGES.items():
         for key in keys:
             cells = [[int(key.endswith("east")), 0]]
-            record = {"cells": cells, "buckets": [bucket_record(cell=cell).to_json() for cell in cells]}
+            buckets = [bucket_record(cell=cell).to_json() for cell in cells]
+            record = {**tile_record(cells=cells).to_json(), "buckets": buckets}
             found.commit(stage, key, "digest", record)
     found.put_state("passes", 2)
     return found

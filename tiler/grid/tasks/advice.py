@@ -36,7 +36,7 @@ def advise(job: Job, labelled: Labelled, spec: RasterSpec, made: Commits, waters
     advice_state = job.store.get_state("advice")
     # The search is repeated if the terrain or the inputs changed, or if an earlier version stored no positions.
     if (
-        job.record.stages["grid-dtm"]["computed"]
+        job.record.stages["grid-dtm"].computed
         or not advice_state
         or advice_state.get("asked") != inputs
         or "at" not in advice_state

@@ -18,7 +18,7 @@ from tiler.core.frame import COUNTS_PER_UNIT, CoordFrame
 from tiler.core.lattice import Bounds, Cell
 from tiler.core.raster import BLOCK_PIXELS
 from tiler.core.records import records_of
-from tiler.core.results import BridgeResult
+from tiler.core.terrain_results import BridgeResult
 from tiler.core.units_text import length_text
 from tiler.core.words import counted
 from tiler.grid import ExamineDecks, FindDeckCells, examine_decks, examined_bounds, find_deck_cells

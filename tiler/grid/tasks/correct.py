@@ -13,7 +13,7 @@ from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Cell, Lattice
 from tiler.core.map_lines import drawn, rings_of_areas
 from tiler.core.records import records_of
-from tiler.core.results import BreaklineCounts, EditResult
+from tiler.core.terrain_results import BreaklineCounts, EditResult
 from tiler.errors import ProcessingError
 from tiler.filter.tasks.labelled import Labelled
 from tiler.grid import SurveyEdits, survey_edits

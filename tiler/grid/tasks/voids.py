@@ -14,7 +14,7 @@ import scipy
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.raster import Block, RasterSpec
 from tiler.core.records import records_of
-from tiler.core.results import VoidResult, VoidsResult
+from tiler.core.terrain_results import VoidResult, VoidsResult
 from tiler.grid import CELL_PIXELS
 from tiler.grid.records import OutlineRecord
 from tiler.runs.job import Job

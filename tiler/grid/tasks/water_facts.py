@@ -9,7 +9,7 @@ from fractions import Fraction
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.map_lines import rings_of_areas
 from tiler.core.records import records_of
-from tiler.core.results import Doubt, StationResult, WaterResult
+from tiler.core.terrain_results import Doubt, StationResult, WaterResult
 from tiler.core.units_text import length_text
 from tiler.core.water import RIVER, Station, Water, Waters, lengths_along
 from tiler.grid.records import LevelRecord, OutlineRecord

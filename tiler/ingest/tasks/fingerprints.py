@@ -10,6 +10,7 @@ import time
 from collections.abc import Iterable, Iterator
 from typing import Any
 
+from tiler.core.results import LeftOut
 from tiler.errors import InputError
 from tiler.ingest.contents import ReadFiles, read_files
 from tiler.ingest.tasks.points import Source
@@ -129,7 +130,7 @@ def _leave_out(job: Job, unreadable: dict[str, str]) -> None:
     for file_location, reason in sorted(unreadable.items()):
         if job.plan.config.on_error == "stop" or len(job.plan.inputs.sources) == 1:
             raise InputError(reason)
-        job.record.quarantined.append({"path": file_location, "error": reason})
+        job.record.quarantined.append(LeftOut(file_location, reason))
         job.listener(Warned(f"{file_location}: left out: {reason.removeprefix(f'{file_location}: ')}"))
 
 

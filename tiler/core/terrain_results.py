@@ -1,0 +1,268 @@
+"""Results of a run on its terrain, with a type for each entry of run.json.
+
+docs/run-json.md guarantees some of the names. Heights and distances in rasters are in units of the CRS, values with
+names that end in ``_m`` in metres.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from tiler.core.records import Record
+
+Rings = list[list[float]]
+"""Closed rings or lines, each as x, y, x, y, ... in units of the CRS."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CanopyResult(Record):
+    """Closed canopy that hides the ground.
+
+    Attributes
+    ----------
+    share : float, optional
+        Share of the area with points.
+    mode : str
+        Setting ``--canopy``.
+    places : list of [x, y]
+        Centres of the blocks with most canopy.
+    rings : Rings
+        Outlines of canopy for the map.
+    """
+
+    share: float | None
+    mode: str
+    places: list[list[float]] | None = None
+    rings: Rings | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class BreaklineCounts(Record):
+    """Numbers of breaklines and their vertices, and the lines for the map, unless they are too long."""
+
+    lines: int
+    vertices: int
+    drawn: Rings
+
+
+@dataclass(frozen=True, slots=True)
+class BridgeResult(Record):
+    """Bridge that was removed: its size, the number of points below it, and its outline."""
+
+    length_m: float
+    width_m: float
+    clearance_m: float
+    below: int
+    rings: Rings
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class EditResult(Record):
+    """Changes by an edit.
+
+    Attributes
+    ----------
+    number : int
+    action : str
+    bounds : [west, south, east, north]
+    points, ground_before, ground_after : int
+        Number of points inside an edit of points, and of ground points among them before and after the edit.
+    by : str
+        How the ground of an edit with the action `ground` is chosen.
+    rings : Rings
+        Outline for the map.
+    pixels : int
+        Number of pixels that an edit of pixels set.
+    changed : bool
+    holes : int
+        Number of pixels inside the edit without a height.
+    """
+
+    number: int
+    action: str
+    bounds: list[float]
+    points: int | None = None
+    ground_before: int | None = None
+    ground_after: int | None = None
+    by: str | None = None
+    rings: Rings | None = None
+    pixels: int | None = None
+    changed: bool | None = None
+    holes: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class StationResult(Record):
+    """Position along a river at which its level was estimated.
+
+    ``along`` is the distance from the first station. See `tiler.core.water.Station` for the others.
+    """
+
+    along: float
+    seen: int
+    level: float
+    left: float | None
+    right: float | None
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class WaterResult(Record):
+    """Body of water: highest and lowest level, size, confidence, and stations of a river."""
+
+    number: int
+    kind: str
+    level: float
+    level_end: float
+    pixels: int
+    area_m2: float
+    sure: float | None
+    bounds: list[float]
+    stations: list[StationResult]
+    rings: Rings | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class Doubt(Record):
+    """Result that should be checked: a text, and a position [x, y] or bounds [west, south, east, north]."""
+
+    text: str
+    place: list[float]
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class TerrainResult(Record):
+    """Terrain model.
+
+    Attributes
+    ----------
+    width, height : int
+        Size of the raster in pixels.
+    resolution_m : float
+    filled, marked : int
+        Number of pixels with a height, and of pixels that are not certified.
+    blocks, blocks_done_again : int
+        Number of blocks, and of blocks that needed more than one try.
+    thinned : bool
+        Whether only some of the ground points make the surface.
+    """
+
+    width: int
+    height: int
+    resolution_m: float
+    filled: int
+    marked: int
+    blocks: int
+    blocks_done_again: int
+    thinned: bool
+
+
+@dataclass(frozen=True, slots=True)
+class SurfaceResult(Record):
+    """Surface model: pixels with a height, pixels with returns, and pixels with returns only far below the terrain."""
+
+    filled: int
+    measured: int
+    deep: int
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class OutlineResult(Record):
+    """Outline of the survey.
+
+    Attributes
+    ----------
+    gap_m, widest_gap_m : float
+        Width of the gaps that count as surveyed, in most windows with points and at most.
+    cell_m : float
+        Size of the cells of the search.
+    cut_pixels : int
+        Number of pixels whose height was removed.
+    rings : Rings
+    polygons : int
+        Number of polygons of the outline.
+    """
+
+    gap_m: float
+    widest_gap_m: float
+    cell_m: float
+    cut_pixels: int
+    rings: Rings | None = None
+    polygons: int | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class SigmaGroup(Record):
+    """Standard error of one group of ground: pixels, expected RMSE, and pixels by class of the error."""
+
+    pixels: int
+    rmse_m: float | None
+    histogram: list[int]
+
+
+@dataclass(frozen=True, slots=True)
+class SigmaResult(Record):
+    """Standard error of the terrain.
+
+    Attributes
+    ----------
+    kind : str or None
+        Kind of cloud whose constants were used. None for the larger error of both kinds.
+    edges_m : list of float
+        Edges of the classes of the histograms.
+    open, covered, water : SigmaGroup
+    """
+
+    kind: str | None
+    edges_m: list[float]
+    open: SigmaGroup
+    covered: SigmaGroup
+    water: SigmaGroup
+
+
+@dataclass(frozen=True, slots=True)
+class VoidResult(Record):
+    """Connected pixels without a height: their number, bounds in units of the CRS, and area."""
+
+    pixels: int
+    bounds: list[float]
+    area_m2: float
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class VoidsResult(Record):
+    """Voids of the delivered terrain.
+
+    Attributes
+    ----------
+    surveyed_pixels, pixels, asked_pixels : int
+        Number of pixels inside the survey, of those without a height, and of those without a height because an edit
+        asks for that.
+    number : int
+        Number of voids.
+    largest : list of VoidResult
+    """
+
+    surveyed_pixels: int
+    pixels: int
+    asked_pixels: int
+    number: int
+    largest: list[VoidResult]
+
+
+@dataclass(frozen=True, slots=True)
+class ContourResult(Record):
+    """Contours: interval, numbers of lines and vertices, of lines cut in two, and of lines left out as too short."""
+
+    interval: float
+    lines: int
+    vertices: int
+    cut: int
+    short: int
+
+
+@dataclass(frozen=True, slots=True)
+class SpotCounts(Record):
+    """Numbers of tops and of bottoms."""
+
+    highs: int
+    lows: int
