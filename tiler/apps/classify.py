@@ -249,8 +249,8 @@ def _written(guard: ChildProcess, store_url: str, work: WriteClassified, config:
     Decoding may crash, because writing copies fields that the filter did not decode.
     """
     if config.in_process:
-        return CloudRecord.of(write_classified(store_url, work))
-    return CloudRecord.of(read_in_child(guard, _write, as_path(work.path), store_url, work))
+        return write_classified(store_url, work)
+    return read_in_child(guard, _write, as_path(work.path), store_url, work)
 
 
 def _classify(
@@ -285,5 +285,5 @@ def _classify(
     }
 
 
-def _write(source: Path, store_url: str, work: WriteClassified) -> dict[str, Any]:
+def _write(source: Path, store_url: str, work: WriteClassified) -> CloudRecord:
     return write_classified(store_url, replace(work, path=str(source)))

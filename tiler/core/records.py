@@ -51,13 +51,13 @@ AnyRecord = TypeVar("AnyRecord", bound=Record)
 
 
 def to_json(value: Any) -> Any:
-    """Return a value as JSON can hold it: records as objects, at any depth."""
+    """Return a value as JSON can hold it: a record as an object, also in lists, dicts and fields of records."""
     if isinstance(value, Record):
         return {name: to_json(entry) for name, entry in value.to_json().items()}
-    if isinstance(value, list | tuple):
-        return [to_json(entry) for entry in value]
     if isinstance(value, dict):
         return {name: to_json(entry) for name, entry in value.items()}
+    if isinstance(value, list) and any(isinstance(entry, Record) for entry in value):
+        return [to_json(entry) for entry in value]
     return value
 
 
@@ -153,6 +153,13 @@ class BucketRecord(Record):
     strays: list[list[Any]]
     bounds: list[int] | None
     z: list[int] | None
+
+
+@dataclass(frozen=True, slots=True)
+class AssembledRecord(Record):
+    """Record of a task of the assembly: the buckets that it wrote."""
+
+    buckets: list[BucketRecord]
 
 
 def buckets_in(assembled: Mapping[str, Any]) -> list[BucketRecord]:

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import shapely
 
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.export.output_files import new_file
+from tiler.export.records import FileRecord
 from tiler.export.work import WriteBridges
 from tiler.io.vector import geopackage
 from tiler.store import open_store
@@ -16,7 +15,7 @@ from tiler.store import open_store
 LAYER = "bridges"
 
 
-def write_bridges(store_url: str, work: WriteBridges) -> dict[str, Any]:
+def write_bridges(store_url: str, work: WriteBridges) -> FileRecord:
     """Write ``<out>/bridges.gpkg`` (a `tiler.schedule.task.Work`).
 
     The file has one polygon for the free part of each deck. Columns are ``length_m``, ``width_m``, ``clearance_m``
@@ -31,4 +30,4 @@ def write_bridges(store_url: str, work: WriteBridges) -> dict[str, Any]:
     crs = open_store(store_url).meta.frame.crs_wkt
     with new_file(work.out, work.name) as new, geopackage(new.path, crs) as file:
         file.add(LAYER, "Polygon", shapes, {**columns, "points_below": sizes[:, 3].astype(np.int32)})
-    return new.record.to_json()
+    return new.record

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -58,7 +58,7 @@ _WAVE_FORMATS = (9, 10)
 """Point formats with wave packets in layers."""
 
 
-def write_classified(store_url: str, work: WriteClassified) -> dict[str, Any]:
+def write_classified(store_url: str, work: WriteClassified) -> CloudRecord:
     """Write a copy of a source with its new classes (a `tiler.schedule.task.Work`).
 
     Parameters
@@ -70,8 +70,8 @@ def write_classified(store_url: str, work: WriteClassified) -> dict[str, Any]:
 
     Returns
     -------
-    dict
-        `CloudRecord` of the file.
+    CloudRecord
+        Record of the file.
 
     Raises
     ------
@@ -92,7 +92,7 @@ def write_classified(store_url: str, work: WriteClassified) -> dict[str, Any]:
         record = _write(store, header, work, folder / name)
         n_fetched = fetched_bytes() - bytes_before
     state = state_of(as_path(work.out)).to_json()
-    return replace(record, fetched=n_fetched, state=state).to_json()
+    return replace(record, fetched=n_fetched, state=state)
 
 
 def _write(store: TileStore, header: LasHeader, work: WriteClassified, out: Path) -> CloudRecord:

@@ -74,15 +74,15 @@ class Statistics:
         return tags
 
 
-def write_cog(store_url: str, work: WriteCog) -> dict[str, Any]:
+def write_cog(store_url: str, work: WriteCog) -> RasterFileRecord:
     """Write a raster of the store as ``<out>/<name>.tif`` (a `tiler.schedule.task.Work`).
 
     The same content gives the same bytes, since the file does not contain time, path, workers or tiles.
 
     Returns
     -------
-    dict
-        `RasterFileRecord` of the file.
+    RasterFileRecord
+        Record of the file.
 
     Raises
     ------
@@ -92,7 +92,7 @@ def write_cog(store_url: str, work: WriteCog) -> dict[str, Any]:
     with new_file(work.out, f"{work.name}.tif") as file:
         statistics = _write(open_store(store_url), work, file.path)
     is_empty = statistics.n == 0
-    record = RasterFileRecord(
+    return RasterFileRecord(
         **file.record.to_json(),
         pixels=work.spec.height * work.spec.width,
         valid=statistics.n,
@@ -100,7 +100,6 @@ def write_cog(store_url: str, work: WriteCog) -> dict[str, Any]:
         max=None if is_empty else statistics.high,
         mean=None if is_empty else statistics.mean,
     )
-    return record.to_json()
 
 
 def _write(store: TileStore, work: WriteCog, target: Path) -> Statistics:

@@ -143,13 +143,13 @@ class _Terrain:
         return np.stack(((self.spec.west + x) * size, (self.spec.north - y) * size), axis=1)
 
 
-def write_contours(store_url: str, work: WriteContours) -> dict[str, Any]:
+def write_contours(store_url: str, work: WriteContours) -> ContoursRecord:
     """Write contour lines as ``<out>/contours.gpkg`` (a `tiler.schedule.task.Work`).
 
     Returns
     -------
-    dict
-        `ContoursRecord` of the file.
+    ContoursRecord
+        Record of the file.
     """
     terrain = _terrain(store_url, work)
     low, high = terrain.relief()
@@ -168,7 +168,7 @@ def write_contours(store_url: str, work: WriteContours) -> dict[str, Any]:
                 _add_lines(file, terrain, interval, waiting)
                 waiting, held = [], 0
         _add_lines(file, terrain, interval, waiting)
-    record = ContoursRecord(
+    return ContoursRecord(
         **new.record.to_json(),
         interval=float(interval),
         lines=lines,
@@ -178,7 +178,6 @@ def write_contours(store_url: str, work: WriteContours) -> dict[str, Any]:
         low=None if np.isnan(low) else low,
         high=None if np.isnan(high) else high,
     )
-    return record.to_json()
 
 
 def _interval(work: VectorFile, terrain: _Terrain, low: float, high: float) -> Fraction:
@@ -232,13 +231,13 @@ def _decimals(interval: Fraction) -> int:
     return next((n for n in range(3) if (interval * 10**n).denominator == 1), 3)
 
 
-def write_spots(store_url: str, work: WriteSpots) -> dict[str, Any]:
+def write_spots(store_url: str, work: WriteSpots) -> SpotsRecord:
     """Write the tops and bottoms of the terrain as points to ``<out>/spots.gpkg`` (a `tiler.schedule.task.Work`).
 
     Returns
     -------
-    dict
-        `SpotsRecord` of the file.
+    SpotsRecord
+        Record of the file.
     """
     terrain, reach_pixels = _terrain(store_url, work), work.reach
     low, high = terrain.relief()
@@ -261,10 +260,7 @@ def write_spots(store_url: str, work: WriteSpots) -> dict[str, Any]:
                 columns = _columns_of_spots(heights[rows, cols], kind, terrain.decimals)
                 coordinates = terrain.places(pixels.astype(np.float64))
                 file.add("spots", "Point", shapely.points(coordinates), columns)
-    record = SpotsRecord(
-        **new.record.to_json(), interval=float(interval), highs=counts[HIGH], lows=counts[LOW]
-    )
-    return record.to_json()
+    return SpotsRecord(**new.record.to_json(), interval=float(interval), highs=counts[HIGH], lows=counts[LOW])
 
 
 def _columns_of_spots(heights: Floats, kind: str, decimals: int) -> dict[str, npt.NDArray[Any]]:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
 from xml.etree import ElementTree
 
 import rasterio.shutil
@@ -17,6 +16,7 @@ from tiler.core.raster import BLOCK_PIXELS, RasterSpec
 from tiler.errors import ProcessingError
 from tiler.export.cog import raster_metadata
 from tiler.export.output_files import write_bytes
+from tiler.export.records import FileRecord
 from tiler.export.work import WriteLegend, WriteMosaic
 from tiler.io.geotiff import RasterMetadata
 from tiler.store import open_store
@@ -24,7 +24,7 @@ from tiler.store import open_store
 _TYPES = {"float32": "Float32", "uint8": "Byte"}
 
 
-def write_mosaic(store_url: str, work: WriteMosaic) -> dict[str, Any]:
+def write_mosaic(store_url: str, work: WriteMosaic) -> FileRecord:
     """Write ``<out>/<product>.vrt`` (a `tiler.schedule.task.Work`).
 
     Return the `FileRecord`. Raise ProcessingError if the file cannot be written.
@@ -113,7 +113,7 @@ def _add_sheet(band: ElementTree.Element, path: str, spec: RasterSpec, whole: Ra
         ElementTree.SubElement(source, name, xOff=x, yOff=y, xSize=size[0], ySize=size[1])
 
 
-def write_legend(store_url: str, work: WriteLegend) -> dict[str, Any]:
+def write_legend(store_url: str, work: WriteLegend) -> FileRecord:
     """Write ``<out>/<product>.tif.aux.xml`` (a `tiler.schedule.task.Work`).
 
     A GeoTIFF contains the colours of its classes, but GDAL keeps their names in a file next to it.

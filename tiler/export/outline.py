@@ -27,7 +27,7 @@ POLYGON = 3
 """Number of the geometry type Polygon in shapely."""
 
 
-def write_outline(store_url: str, work: WriteOutline) -> dict[str, Any]:
+def write_outline(store_url: str, work: WriteOutline) -> OutlineFileRecord:
     """Write the outline of the survey as ``<out>/outline.gpkg`` (a `tiler.schedule.task.Work`).
 
     The outline is the edge of the terrain, pixel by pixel. The file has one polygon for each part of the survey, with
@@ -35,8 +35,8 @@ def write_outline(store_url: str, work: WriteOutline) -> dict[str, Any]:
 
     Returns
     -------
-    dict
-        `OutlineFileRecord` of the file. Its rings have at most `tiler.core.map_lines.MAX_VERTICES` vertices.
+    OutlineFileRecord
+        Record of the file. Its rings have at most `tiler.core.map_lines.MAX_VERTICES` vertices.
 
     Raises
     ------
@@ -55,8 +55,7 @@ def write_outline(store_url: str, work: WriteOutline) -> dict[str, Any]:
     with new_file(work.out, work.name) as new, geopackage(new.path, crs) as file:
         file.add(LAYER, "Polygon", list(parts), {k: np.asarray(v, np.float64) for k, v in columns.items()})
     size = float(spec.lattice.size / COUNTS_PER_UNIT)
-    record = OutlineFileRecord(**new.record.to_json(), polygons=len(parts), rings=rings_of(parts, size))
-    return record.to_json()
+    return OutlineFileRecord(**new.record.to_json(), polygons=len(parts), rings=rings_of(parts, size))
 
 
 def _polygons(store: TileStore, work: WriteOutline, area: Area | None, block: Block) -> npt.NDArray[Any]:

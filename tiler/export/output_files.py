@@ -6,7 +6,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
 
 from tiler.export.records import FileRecord
 from tiler.export.work import WriteText
@@ -43,13 +42,13 @@ def new_file(out: str, name: str) -> Iterator[NewFile]:
     file.record = FileRecord(path=name, bytes=n_bytes, digest=digest, state=state)
 
 
-def write_bytes(out: str, name: str, content: bytes) -> dict[str, Any]:
+def write_bytes(out: str, name: str, content: bytes) -> FileRecord:
     """Write a small file and return its `FileRecord`. Raise ProcessingError if it cannot be written."""
     with new_file(out, name) as file, raster_errors(file.path):
         write_atomic(file.path, content)
-    return file.record.to_json()
+    return file.record
 
 
-def write_text(store_url: str, work: WriteText) -> dict[str, Any]:
+def write_text(store_url: str, work: WriteText) -> FileRecord:
     """Write ``<out>/<name>`` and return its `FileRecord` (a `tiler.schedule.task.Work`)."""
     return write_bytes(work.out, work.name, work.text.encode())

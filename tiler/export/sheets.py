@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import shapely
 
@@ -11,19 +9,19 @@ from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.nodata import NODATA
 from tiler.core.raster import RasterSpec
 from tiler.export.output_files import new_file
-from tiler.export.records import SheetsRecord
+from tiler.export.records import FileRecord, SheetsRecord
 from tiler.export.work import FindSheets, WriteSheetIndex
 from tiler.io.vector import geopackage
 from tiler.store import open_store
 
 
-def find_sheets(store_url: str, work: FindSheets) -> dict[str, Any]:
+def find_sheets(store_url: str, work: FindSheets) -> SheetsRecord:
     """Find the sheets in which one block of the models has a height (a `tiler.schedule.task.Work`).
 
     Returns
     -------
-    dict
-        `SheetsRecord` of the block.
+    SheetsRecord
+        Record of the block.
     """
     store, spec, block = open_store(store_url), work.spec, work.block
     there = np.zeros((block.height, block.width), np.bool_)
@@ -33,13 +31,13 @@ def find_sheets(store_url: str, work: FindSheets) -> dict[str, Any]:
     rows, cols = np.nonzero(there)
     ix = (spec.west + block.col + cols) // work.side
     iy = (spec.north - 1 - block.row - rows) // work.side
-    return SheetsRecord(np.unique(np.stack((ix, iy)), axis=1).T.tolist()).to_json()
+    return SheetsRecord(np.unique(np.stack((ix, iy)), axis=1).T.tolist())
 
 
 COLUMNS = ("west", "south", "east", "north", "void_percent", "min", "max")
 
 
-def write_sheet_index(store_url: str, work: WriteSheetIndex) -> dict[str, Any]:
+def write_sheet_index(store_url: str, work: WriteSheetIndex) -> FileRecord:
     """Write ``<out>/sheets.gpkg``, a layer per product with a polygon per sheet (a `tiler.schedule.task.Work`).
 
     Columns are ``location`` (path relative to the folder of the file, with the column name of gdaltindex), ``west``,
@@ -57,7 +55,7 @@ def write_sheet_index(store_url: str, work: WriteSheetIndex) -> dict[str, Any]:
             numbers = dict(zip(COLUMNS, np.hstack((edges, figures)).T, strict=True))
             columns = {"location": np.array([sheet.path for sheet in product_sheets], object), **numbers}
             file.add(product, "Polygon", list(shapely.box(*edges.T)), columns)
-    return new.record.to_json()
+    return new.record
 
 
 def _edges(spec: RasterSpec) -> tuple[float, float, float, float]:

@@ -24,7 +24,7 @@ STEP_SLOPE = 1.0
 """Slope of a river's line above which a structure (a dam, a weir, a fall) is assumed to lie across it."""
 
 
-def write_water(store_url: str, work: WriteWater) -> dict[str, Any]:
+def write_water(store_url: str, work: WriteWater) -> WaterFileRecord:
     """Write bodies of water as ``<out>/water.gpkg`` (a `tiler.schedule.task.Work`).
 
     Layer ``water`` has polygons with ``number``, ``kind``, ``level`` (for a river, its upper level), ``level_end``,
@@ -41,8 +41,8 @@ def write_water(store_url: str, work: WriteWater) -> dict[str, Any]:
 
     Returns
     -------
-    dict
-        `WaterFileRecord` of the file.
+    WaterFileRecord
+        Record of the file.
     """
     store = open_store(store_url)
     bodies = store.all_waters(work.waters).bodies
@@ -64,7 +64,7 @@ def write_water(store_url: str, work: WriteWater) -> dict[str, Any]:
         file.add(FLOW, "LineString Z", lines, {"number": np.array([n for n, _ in rivers], np.int64)})
         _add_reaches(file, bodies, store.meta.frame)
         _add_breaklines(file, bodies)
-    return WaterFileRecord(**new.record.to_json(), bodies=len(bodies)).to_json()
+    return WaterFileRecord(**new.record.to_json(), bodies=len(bodies))
 
 
 def _add_reaches(file: GeoPackage, bodies: Sequence[Water], frame: CoordFrame) -> None:

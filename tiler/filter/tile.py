@@ -44,7 +44,7 @@ def influence_margin_m(step: Pass, params: Any) -> float:
     return float((REACH_CELLS + 1) * params.align_m + params.margin_m)
 
 
-def filter_tile(store_url: str, work: FilterTile) -> dict[str, Any]:
+def filter_tile(store_url: str, work: FilterTile) -> TileRecord:
     """Filter one tile.
 
     A core with uncertified labels or statistics is repeated with twice the halo, up to ``max_halo``. Labels that stay
@@ -98,7 +98,7 @@ def filter_tile(store_url: str, work: FilterTile) -> dict[str, Any]:
     counts = np.zeros(256, np.int64)
     for cell_labels in labels.values():
         counts += np.bincount(cell_labels & ~np.uint8(UNCERTIFIED_BIT), minlength=256)
-    record = TileRecord(
+    return TileRecord(
         points=int(counts.sum()),
         ground=int(counts[GROUND]),
         low_noise=int(counts[LOW_NOISE]),
@@ -117,7 +117,6 @@ def filter_tile(store_url: str, work: FilterTile) -> dict[str, Any]:
         partial=model.partial(),
         stats=model.stats,
     )
-    return record.to_json()
 
 
 def _label(reader: TileReader, cell: Cell, model: Model) -> tuple[npt.NDArray[np.uint8], bool]:

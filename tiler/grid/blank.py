@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 from tiler.core.raster import Block
+from tiler.grid.records import BlankRecord
 from tiler.store import open_store
 
 
@@ -17,15 +17,11 @@ class BlankBlocks:
     blocks: tuple[Block, ...]
 
 
-def blank_blocks(store_url: str, work: BlankBlocks) -> dict[str, Any]:
+def blank_blocks(store_url: str, work: BlankBlocks) -> BlankRecord:
     """Delete the stored pixels of blocks, which then read as the fill value.
 
     This is a `tiler.schedule.task.Work`.
 
-    Returns
-    -------
-    dict
-        ``blocks``: number of blocks.
     """
     open_store(store_url).erase_blocks(work.name, work.blocks)
-    return {"blocks": len(work.blocks)}
+    return BlankRecord(len(work.blocks))

@@ -11,7 +11,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import astuple, replace
 from fractions import Fraction
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -25,7 +25,7 @@ from tiler.core.lattice import Bounds
 from tiler.core.raster import MIN_PART, NODATA, Block, RasterSpec, hull_of
 from tiler.errors import ProcessingError
 from tiler.grid.checksum import checksum
-from tiler.grid.records import TerrainRecord
+from tiler.grid.records import JoinedRecord, TerrainRecord
 from tiler.grid.thinning import max_points_in_bucket, surface_ground
 from tiler.grid.work import GridBlock, GridBlocks, TinBlock
 from tiler.store import TileStore, open_store
@@ -51,24 +51,24 @@ def full_halo(max_edge: Fraction) -> int:
     return math.ceil(2 * max_edge * (1 + Fraction(1, 1 << 19))) + 4
 
 
-def grid_block(store_url: str, work: GridBlock) -> dict[str, Any]:
+def grid_block(store_url: str, work: GridBlock) -> TerrainRecord:
     """Write one block of a raster. This is a `tiler.schedule.task.Work`.
 
     Returns
     -------
-    dict
-        `TerrainRecord` of the block.
+    TerrainRecord
+        Record of the block.
 
     Raises
     ------
     ProcessingError
         The window is too wide for the TIN, or the denominator of the resolution in units of the CRS is too large.
     """
-    (record,) = grid_blocks(store_url, GridBlocks((work,)))["parts"]
-    return dict(record)
+    (record,) = grid_blocks(store_url, GridBlocks((work,))).parts
+    return record
 
 
-def grid_blocks(store_url: str, work: GridBlocks) -> dict[str, Any]:
+def grid_blocks(store_url: str, work: GridBlocks) -> JoinedRecord:
     """Write blocks of a raster that share a TIN. This is a `tiler.schedule.task.Work`.
 
     The pixels are those of `grid_block`. The record of each block, in ``parts``, is also the same except for the ground
@@ -81,8 +81,8 @@ def grid_blocks(store_url: str, work: GridBlocks) -> dict[str, Any]:
             filled = _n_filled(heights)
             record = replace(record, filled=filled, nodata=heights.size - filled, edited=edited)
         store.write_block(block.name, block.block, heights)
-        parts.append(replace(record, checksum=checksum(heights)).to_json())
-    return {"parts": parts}
+        parts.append(replace(record, checksum=checksum(heights)))
+    return JoinedRecord(parts)
 
 
 Heights = npt.NDArray[np.float32]

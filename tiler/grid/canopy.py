@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -47,15 +46,15 @@ class CanopyBlock(PointsBlock):
     side: Fraction
 
 
-def canopy_block(store_url: str, work: CanopyBlock) -> dict[str, Any]:
+def canopy_block(store_url: str, work: CanopyBlock) -> BlockRecord:
     """Write one block of the canopy. This is a `tiler.schedule.task.Work`.
 
     A pixel is 1 if its centre lies in a cell under a canopy and no ground point lies in the pixel, else 0.
 
     Returns
     -------
-    dict
-        `BlockRecord` of the block. ``filled`` is the number of pixels with a 1.
+    BlockRecord
+        Record of the block. ``filled`` is the number of pixels with a 1.
     """
     store, spec, block = open_store(store_url), work.spec, work.block
     hidden = _covered(store, work, spec, block)
@@ -63,8 +62,7 @@ def canopy_block(store_url: str, work: CanopyBlock) -> dict[str, Any]:
         hidden &= ground_counts(store, work.rule, spec, block) == 0
     values = hidden.astype(np.float32)
     store.write_block(work.name, block, values)
-    record = BlockRecord(pixels=values.size, filled=int(np.count_nonzero(hidden)), checksum=checksum(values))
-    return record.to_json()
+    return BlockRecord(pixels=values.size, filled=int(np.count_nonzero(hidden)), checksum=checksum(values))
 
 
 def _covered(store: TileStore, work: CanopyBlock, spec: RasterSpec, block: Block) -> npt.NDArray[np.bool_]:

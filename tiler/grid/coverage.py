@@ -9,7 +9,6 @@ with those of its neighbours to find the enclosed areas (`tiler.grid.tasks.surve
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -78,15 +77,15 @@ class SurveyBlock(BlockWork):
     pixels: RasterSpec
 
 
-def occupancy_block(store_url: str, work: PointsBlock) -> dict[str, Any]:
+def occupancy_block(store_url: str, work: PointsBlock) -> OccupancyRecord:
     """Write one block of the raster of occupied cells. This is a `tiler.schedule.task.Work`.
 
     The value of a cell is the number of its points, negated if the input classifies more than half of them as water.
 
     Returns
     -------
-    dict
-        `OccupancyRecord` of the block.
+    OccupancyRecord
+        Record of the block.
     """
     store, spec, block = open_store(store_url), work.spec, work.block
     rule, bounds = work.rule, spec.block_bounds(block)
@@ -101,22 +100,21 @@ def occupancy_block(store_url: str, work: PointsBlock) -> dict[str, Any]:
     shape = block.height, block.width
     values = np.where(2 * water > counts, -counts, counts).astype(np.float32).reshape(shape)
     store.write_block(work.name, block, values)
-    record = OccupancyRecord(
+    return OccupancyRecord(
         filled=int(np.count_nonzero(values)),
         water=int((values < 0).sum()),
         returns=histograms(counts.reshape(shape)),
         checksum=checksum(values),
     )
-    return record.to_json()
 
 
-def close_block(store_url: str, work: CloseBlock) -> dict[str, Any]:
+def close_block(store_url: str, work: CloseBlock) -> OpenAreasRecord:
     """Label the open areas of one block, 0 elsewhere. This is a `tiler.schedule.task.Work`.
 
     Returns
     -------
-    dict
-        `OpenAreasRecord` of the block.
+    OpenAreasRecord
+        Record of the block.
     """
     store, block = open_store(store_url), work.block
     pad = max(WINDOW, 2 * int(np.ceil(work.most_gap / 2)) + 2)
@@ -130,14 +128,13 @@ def close_block(store_url: str, work: CloseBlock) -> dict[str, Any]:
     inner = occupied[pad : pad + block.height, pad : pad + block.width]
     held = inner.reshape(len(gaps), WINDOW, -1, WINDOW).any(axis=(1, 3))
     widths, windows = np.unique(gaps[held], return_counts=True)
-    record = OpenAreasRecord(
+    return OpenAreasRecord(
         sides=sides,
         labels=int(labels.max(initial=0)),
         gaps=[(float(width), int(n)) for width, n in zip(widths, windows, strict=True)],
         filled=values.size,
         checksum=checksum(values),
     )
-    return record.to_json()
 
 
 def gaps_of(occupied: Bools, gap: float, most: float) -> npt.NDArray[np.float64]:
@@ -208,13 +205,13 @@ def closed_cells(occupied: Bools, gaps: npt.NDArray[np.float64], pad: int) -> Bo
     return closed
 
 
-def survey_block(store_url: str, work: SurveyBlock) -> dict[str, Any]:
+def survey_block(store_url: str, work: SurveyBlock) -> SurveyRecord:
     """Write one block of the survey (see `tiler.core.products.BEYOND`). This is a `tiler.schedule.task.Work`.
 
     Returns
     -------
-    dict
-        `SurveyRecord` of the block.
+    SurveyRecord
+        Record of the block.
     """
     store, spec, block = open_store(store_url), work.spec, work.block
     window = padded(block, 1)
@@ -225,14 +222,13 @@ def survey_block(store_url: str, work: SurveyBlock) -> dict[str, Any]:
     values = survey_values(opened == 0, enclosed)[1:-1, 1:-1].astype(np.float32)
     store.write_block(work.name, block, values)
     inside = values >= SURVEYED
-    record = SurveyRecord(
+    return SurveyRecord(
         inside=int(inside.sum()),
         cells=values.size,
         blocks=block_runs(inside, spec.window(block), work.pixels, BLOCK_PIXELS),
         filled=int(np.count_nonzero(values)),
         checksum=checksum(values),
     )
-    return record.to_json()
 
 
 def survey_values(closed: Bools, enclosed: Bools) -> npt.NDArray[np.uint8]:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass
 from itertools import chain
-from typing import Any
 
 import numpy as np
 
@@ -31,16 +30,15 @@ class FindCrowns:
     names: tuple[str, ...]
 
 
-def find_crowns(store_url: str, work: FindCrowns) -> dict[str, Any]:
+def find_crowns(store_url: str, work: FindCrowns) -> CrownsRecord:
     """Search blocks for crowns. Return ``looked_at`` and ``found``, see `ptd.matched.crowns.Crowns`."""
     store, spec = open_store(store_url), work.spec
     blocks = [spec.block_named(name, BLOCK_PIXELS) for name in work.names]
     parts = [crowns_in_block(store, "dtm", spec, block) for block in blocks]
-    record = CrownsRecord(
+    return CrownsRecord(
         looked_at=sum(part.looked_at for part in parts),
         found=list(chain.from_iterable(part.found for part in parts)),
     )
-    return record.to_json()
 
 
 def crowns_in_block(store: TileStore, name: str, spec: RasterSpec, block: Block) -> Crowns:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import numpy.typing as npt
 
@@ -15,26 +13,25 @@ from tiler.grid.work import PointsBlock
 from tiler.store import TileStore, open_store
 
 
-def density_block(store_url: str, work: PointsBlock) -> dict[str, Any]:
+def density_block(store_url: str, work: PointsBlock) -> DensityRecord:
     """Write one block of the density of ground points. This is a `tiler.schedule.task.Work`.
 
     Returns
     -------
-    dict
-        `DensityRecord` of the block. ``filled`` is the number of pixels with a ground point.
+    DensityRecord
+        Record of the block. ``filled`` is the number of pixels with a ground point.
     """
     store, spec, block = open_store(store_url), work.spec, work.block
     counts = ground_counts(store, work.rule, spec, block)
     area = (spec.lattice.size * store.meta.frame.metres_xy) ** 2
     values = (counts / float(area)).astype(np.float32)
     store.write_block(work.name, block, values)
-    record = DensityRecord(
+    return DensityRecord(
         pixels=values.size,
         filled=int(np.count_nonzero(counts)),
         points=int(counts.sum()),
         checksum=checksum(values),
     )
-    return record.to_json()
 
 
 def ground_counts(

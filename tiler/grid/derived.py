@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -35,25 +34,24 @@ class DeriveBlock(BlockWork):
     fill: float
 
 
-def derive_block(store_url: str, work: DeriveBlock) -> dict[str, Any]:
+def derive_block(store_url: str, work: DeriveBlock) -> BlockRecord:
     """Write one block of a raster that is computed from other rasters. This is a `tiler.schedule.task.Work`.
 
     Returns
     -------
-    dict
-        `BlockRecord` of the block.
+    BlockRecord
+        Record of the block.
     """
     store, spec, block = open_store(store_url), work.spec, work.block
     computed_values = _PRODUCTS[work.name](store, spec, block, work.sources)
     fill = np.float32(work.fill)
     values = np.where(np.isnan(computed_values), fill, computed_values.astype(np.float32))
     store.write_block(work.name, block, values)
-    record = BlockRecord(
+    return BlockRecord(
         pixels=values.size,
         filled=int(np.count_nonzero(values != fill)),
         checksum=checksum(values),
     )
-    return record.to_json()
 
 
 def _read(store: TileStore, name: str, block: Block) -> Float64:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -30,15 +29,15 @@ class DistanceBlock(PointsBlock):
     cap: Fraction
 
 
-def distance_block(store_url: str, work: DistanceBlock) -> dict[str, Any]:
+def distance_block(store_url: str, work: DistanceBlock) -> BlockRecord:
     """Write one block of the plan distance to the nearest ground point. This is a `tiler.schedule.task.Work`.
 
     The distance is in metres from the pixel's centre (rounded down to a whole count), and at most ``cap``.
 
     Returns
     -------
-    dict
-        `BlockRecord` of the block. ``filled`` is the number of pixels nearer than the cap.
+    BlockRecord
+        Record of the block. ``filled`` is the number of pixels nearer than the cap.
     """
     store, spec, block = open_store(store_url), work.spec, work.block
     cap, rule = work.cap, work.rule
@@ -48,12 +47,11 @@ def distance_block(store_url: str, work: DistanceBlock) -> dict[str, Any]:
     metres = float(store.meta.frame.metres_xy)
     values = (np.minimum(distances, float(cap)) * metres).astype(np.float32)
     store.write_block(work.name, block, values)
-    record = BlockRecord(
+    return BlockRecord(
         pixels=values.size,
         filled=int(np.isfinite(distances).sum()),
         checksum=checksum(values),
     )
-    return record.to_json()
 
 
 def ground_distance(

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -27,20 +26,20 @@ class SurveyEdits:
         return buckets.bounds(self.cell)
 
 
-def survey_edits(store_url: str, work: SurveyEdits) -> dict[str, Any]:
+def survey_edits(store_url: str, work: SurveyEdits) -> EditCountsRecord:
     """Count the points of a bucket inside each edit. This is a `tiler.schedule.task.Work`.
 
     Each edit is counted as if there were no other edits.
 
     Returns
     -------
-    dict
-        `EditCountsRecord` of the bucket.
+    EditCountsRecord
+        Record of the bucket.
     """
     store = open_store(store_url)
     edits = store.edits(work.edits, store.meta.bucket.bounds(work.cell), OF_POINTS)
     if edits is None:
-        return EditCountsRecord([]).to_json()
+        return EditCountsRecord([])
     block, classes, is_ground = read_classes(store, work.rule, work.cell, needs_input=True)
     points = EditedPoints(block, classes, store.meta.frame.origin)
     counts = []
@@ -52,4 +51,4 @@ def survey_edits(store_url: str, work: SurveyEdits) -> dict[str, Any]:
             after = [ground_before + int(np.count_nonzero(~is_ground[more])) for more in becoming]
             given = len(becoming[0])
         counts.append([edit.number, len(rows), ground_before, *after, given])
-    return EditCountsRecord(counts).to_json()
+    return EditCountsRecord(counts)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, field
 from fractions import Fraction
-from typing import Any
 
 import numpy as np
 
@@ -62,7 +61,7 @@ class MaskBlock(PointsBlock):
     waters: str | None = field(default=None, metadata=NOT_IN_DIGEST)
 
 
-def mask_block(store_url: str, work: MaskBlock) -> dict[str, Any]:
+def mask_block(store_url: str, work: MaskBlock) -> MaskRecord:
     """Write one block of the mask. This is a `tiler.schedule.task.Work`.
 
     A pixel with a height is measured if a ground point lies in it, else interpolated. A pixel without a height is a
@@ -71,8 +70,8 @@ def mask_block(store_url: str, work: MaskBlock) -> dict[str, Any]:
 
     Returns
     -------
-    dict
-        `MaskRecord` of the block.
+    MaskRecord
+        Record of the block.
     """
     store, spec, block = open_store(store_url), work.spec, work.block
     nodata = np.float32(NODATA)
@@ -93,13 +92,12 @@ def mask_block(store_url: str, work: MaskBlock) -> dict[str, Any]:
         mask[_within(hole, spec, block)] = HOLE
     mask[~spec.inside(block, store.area(work.area))] = OUTSIDE
     store.write_block(work.name, block, mask)
-    record = MaskRecord(
+    return MaskRecord(
         pixels=mask.size,
         filled=int(filled.sum()),
         values=np.bincount(mask.ravel().astype(np.int64), minlength=len(MASK_VALUES)).tolist(),
         checksum=checksum(mask),
     )
-    return record.to_json()
 
 
 def _within(bounds: Bounds, spec: RasterSpec, block: Block) -> tuple[slice, slice]:

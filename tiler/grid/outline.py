@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 
@@ -54,7 +53,7 @@ class OutlineBlock(BlockWork):
     area: str | None = None
 
 
-def outline_block(store_url: str, work: OutlineBlock) -> dict[str, Any]:
+def outline_block(store_url: str, work: OutlineBlock) -> OutlineRecord:
     """Write one block of a model, cut at the survey's outline and with level water.
 
     This is a `tiler.schedule.task.Work`. Facets span a concave border of the survey, so land that was never surveyed
@@ -62,8 +61,8 @@ def outline_block(store_url: str, work: OutlineBlock) -> dict[str, Any]:
 
     Returns
     -------
-    dict
-        `OutlineRecord` of the block.
+    OutlineRecord
+        Record of the block.
     """
     store, spec, block = open_store(store_url), work.spec, work.block
     nodata = np.float32(NODATA)
@@ -88,7 +87,7 @@ def outline_block(store_url: str, work: OutlineBlock) -> dict[str, Any]:
     filled = int(np.count_nonzero(heights != nodata))
     lost = int(np.count_nonzero((heights_before != nodata) & (heights == nodata)))
     holes = holes_of_block(store, spec, block, heights, cells >= SURVEYED, work.edits, store.area(work.area))
-    record = OutlineRecord(
+    return OutlineRecord(
         pixels=heights.size,
         filled=filled,
         hidden=min(hidden, lost),
@@ -101,4 +100,3 @@ def outline_block(store_url: str, work: OutlineBlock) -> dict[str, Any]:
         holes=holes.cells,
         edit_holes=holes.by_edit,
     )
-    return record.to_json()

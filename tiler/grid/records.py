@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -52,6 +53,13 @@ class TerrainRecord(BlockRecord):
     ground_used: int
     ground_marked: int
     edited: list[tuple[int, int]] | None = None
+
+
+@dataclass(frozen=True, slots=True)
+class JoinedRecord(Record):
+    """Record of blocks of the terrain that share a TIN."""
+
+    parts: list[TerrainRecord]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -304,10 +312,15 @@ class DeckRecord(Record):
 
 @dataclass(frozen=True, slots=True)
 class DecksRecord(Record):
-    """Record of examined candidates: the decks as objects of `DeckRecord`, and why each other candidate is no deck."""
+    """Record of examined candidates: the decks, and why each other candidate is not a deck."""
 
-    decks: list[dict[str, Any]]
+    decks: list[DeckRecord]
     reasons: list[str]
+
+
+def decks_in(examined: Mapping[str, Any]) -> list[DeckRecord]:
+    """Return the decks of a stored `DecksRecord`."""
+    return [DeckRecord.of(stored) for stored in examined["decks"]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -323,6 +336,13 @@ class EditCountsRecord(Record):
     """
 
     edits: list[list[int]]
+
+
+@dataclass(frozen=True, slots=True)
+class BlankRecord(Record):
+    """Record of removed blocks: their number."""
+
+    blocks: int
 
 
 @dataclass(frozen=True, slots=True)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -47,12 +47,12 @@ class FindRoofs:
     waters: str | None
 
 
-def find_roofs(store_url: str, work: FindRoofs) -> dict[str, Any]:
+def find_roofs(store_url: str, work: FindRoofs) -> RoofsRecord:
     """Search for roofs on a worker, which has loaded the kernels. Return ``advice``: a warning, or None."""
     blocks = (work.spec.block_named(key, BLOCK_PIXELS) for key in work.filled)
     store = open_store(store_url)
     advice = roofs_in_terrain(store, "dtm", work.spec, blocks, work.building_m, work.roof_m, work.waters)
-    return RoofsRecord(advice).to_json()
+    return RoofsRecord(advice)
 
 
 def roofs_in_terrain(

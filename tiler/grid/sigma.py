@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from fractions import Fraction
 from math import sqrt
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -46,13 +45,13 @@ class SigmaBlock(PointsBlock):
     cap: Fraction
 
 
-def sigma_block(store_url: str, work: SigmaBlock) -> dict[str, Any]:
+def sigma_block(store_url: str, work: SigmaBlock) -> SigmaRecord:
     """Write one block of the standard error in vertical units. This is a `tiler.schedule.task.Work`.
 
     Returns
     -------
-    dict
-        `SigmaRecord` of the block.
+    SigmaRecord
+        Record of the block.
     """
     store, spec, block = open_store(store_url), work.spec, work.block
     there = store.read_block(work.terrain, block) != np.float32(NODATA)
@@ -70,10 +69,9 @@ def sigma_block(store_url: str, work: SigmaBlock) -> dict[str, Any]:
             histogram[name] = _histogram(sigma_m[pixels])
     store.write_block(work.name, block, values)
     filled = int(np.count_nonzero(there))
-    record = SigmaRecord(
+    return SigmaRecord(
         pixels=values.size, filled=filled, groups=groups, histogram=histogram, checksum=checksum(values)
     )
-    return record.to_json()
 
 
 def _groups(found: Measures, mask: npt.NDArray[np.float32], there: Bools) -> dict[str, Bools]:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass, replace
 from fractions import Fraction
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -53,7 +52,7 @@ class SurfaceBlock(TinBlock):
     terrain: str
 
 
-def surface_block(store_url: str, work: SurfaceBlock) -> dict[str, Any]:
+def surface_block(store_url: str, work: SurfaceBlock) -> SurfaceRecord:
     """Write one block of the surface model. This is a `tiler.schedule.task.Work`.
 
     All points except withheld ones and noise (classes 7 and 18, by the input or by the filter) are used, since water
@@ -63,16 +62,15 @@ def surface_block(store_url: str, work: SurfaceBlock) -> dict[str, Any]:
 
     Returns
     -------
-    dict
-        `SurfaceRecord` of the block.
+    SurfaceRecord
+        Record of the block.
     """
     store = open_store(store_url)
     heights, measured, record = surface_heights(store, work)
     deep_m = DEEP_M / float(store.meta.frame.units.vertical)
     heights, deep = above_terrain(heights, store.read_block(work.terrain, work.block), deep_m)
     store.write_block(work.name, work.block, heights)
-    record = replace(record, deep=int(np.count_nonzero(deep & measured)), checksum=checksum(heights))
-    return record.to_json()
+    return replace(record, deep=int(np.count_nonzero(deep & measured)), checksum=checksum(heights))
 
 
 def above_terrain(heights: Heights, terrain: Heights, deep: float) -> tuple[Heights, npt.NDArray[np.bool_]]:

@@ -8,7 +8,6 @@ is unique, so borders of blocks are not visible.
 from __future__ import annotations
 
 from dataclasses import dataclass, field
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -102,7 +101,7 @@ class FillBlock:
         return self.rasters.spec.block_bounds(self.block)
 
 
-def find_voids(store_url: str, work: FindVoids) -> dict[str, Any]:
+def find_voids(store_url: str, work: FindVoids) -> HolesRecord:
     """Label the holes of a raster of heights in one block of coarse cells.
 
     This is a `tiler.schedule.task.Work`. Cells of a hole contain, or lie within, a pixel without a height inside the
@@ -110,8 +109,8 @@ def find_voids(store_url: str, work: FindVoids) -> dict[str, Any]:
 
     Returns
     -------
-    dict
-        `HolesRecord` of the block.
+    HolesRecord
+        Record of the block.
     """
     store, coarse, block = open_store(store_url), work.spec, work.block
     rasters, spec = work.rasters, work.rasters.spec
@@ -129,14 +128,13 @@ def find_voids(store_url: str, work: FindVoids) -> dict[str, Any]:
         )
         hole_mask = labels[down, right] == number
         blocks.append(block_runs(hole_mask, coarse.window(box), spec, BLOCK_PIXELS, NEAR))
-    record = HolesRecord(
+    return HolesRecord(
         sides=sides,
         labels=len(blocks),
         blocks=blocks,
         filled=int(np.count_nonzero(values)),
         checksum=checksum(values),
     )
-    return record.to_json()
 
 
 def _around_small_pixels(store: TileStore, rasters: VoidRasters, block: Block) -> Bools:
@@ -168,7 +166,7 @@ def _within_large_pixels(store: TileStore, rasters: VoidRasters, block: Block) -
     return empty
 
 
-def fill_block(store_url: str, work: FillBlock) -> dict[str, Any]:
+def fill_block(store_url: str, work: FillBlock) -> FilledRecord:
     """Write one block of the heights with holes filled. This is a `tiler.schedule.task.Work`.
 
     Heights are linear on the TIN of the centres of all pixels around a hole, with heights rounded to counts. Pixels
@@ -176,8 +174,8 @@ def fill_block(store_url: str, work: FillBlock) -> dict[str, Any]:
 
     Returns
     -------
-    dict
-        `FilledRecord` of the block.
+    FilledRecord
+        Record of the block.
     """
     store, block, rasters = open_store(store_url), work.block, work.rasters
     heights = store.read_block(rasters.heights, block)
@@ -192,13 +190,12 @@ def fill_block(store_url: str, work: FillBlock) -> dict[str, Any]:
     edit_heights(store, work.edits, rasters.spec, block, heights)
     store.write_block(work.name, block, heights)
     after = int(np.count_nonzero(heights != np.float32(NODATA)))
-    record = FilledRecord(
+    return FilledRecord(
         pixels=heights.size,
         filled=after,
         added=after - filled_before,
         checksum=checksum(heights),
     )
-    return record.to_json()
 
 
 def _void(store: TileStore, rasters: VoidRasters, block: Block) -> npt.NDArray[np.bool_]:

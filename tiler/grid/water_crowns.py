@@ -85,15 +85,15 @@ class CrownsBlock(BlockWork):
     rule: GroundSelection
 
 
-def crowns_block(store_url: str, work: CrownsBlock) -> dict[str, Any]:
+def crowns_block(store_url: str, work: CrownsBlock) -> BlockRecord:
     """Write the kinds of plants in the cells of a block that are near water. This is a `tiler.schedule.task.Work`.
 
     The value of a cell is `CROWN_WITH_GROUND` or `HIDDEN` for a crown, `REED` for reed, the sum for both, or 0.
 
     Returns
     -------
-    dict
-        `BlockRecord` of the block. ``filled`` is the number of cells with plants.
+    BlockRecord
+        Record of the block. ``filled`` is the number of cells with plants.
     """
     store, spec = open_store(store_url), work.spec
     size_m = float(spec.lattice.size * store.meta.frame.metres_xy)
@@ -105,8 +105,7 @@ def crowns_block(store_url: str, work: CrownsBlock) -> dict[str, Any]:
     examined = near_water & (read_cells(store, work.occupancy, spec, window) != 0)
     values = np.where(examined, _crowns(store, work, window, examined), 0)[1:-1, 1:-1].astype(np.float32)
     store.write_block(work.name, work.block, values)
-    record = BlockRecord(filled=int(np.count_nonzero(values)), checksum=checksum(values))
-    return record.to_json()
+    return BlockRecord(filled=int(np.count_nonzero(values)), checksum=checksum(values))
 
 
 def crowns_margin(size_m: float) -> int:

@@ -94,13 +94,13 @@ class DescribeBody:
     island_m2: float
 
 
-def describe_body(store_url: str, work: DescribeBody) -> dict[str, Any]:
+def describe_body(store_url: str, work: DescribeBody) -> BodyRecord:
     """Describe a body of water, block by block. This is a `tiler.schedule.task.Work`.
 
     Returns
     -------
-    dict
-        `BodyRecord` of the body, which has the number 0.
+    BodyRecord
+        Record of the body, which has the number 0.
     """
     import shapely
 
@@ -130,8 +130,8 @@ def describe_body(store_url: str, work: DescribeBody) -> dict[str, Any]:
         if lower_level_m is not None:
             whole, details = _whole(store, work, bays, lower_level_m)
         # The details of the shore are added after the kind is decided, because they make the shore longer.
-        body = Water(0, kind, _area(_detailed(whole, details, side), side), None, None, work.sure).to_json()
-    return BodyRecord(body).to_json()
+        body = Water(0, kind, _area(_detailed(whole, details, side), side), sure=work.sure).to_json()
+    return BodyRecord(body)
 
 
 def _whole(

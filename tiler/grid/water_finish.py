@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -84,13 +83,13 @@ def _longest_island(work: FinishWater, size_m: float) -> int:
     return min(math.ceil(work.island_m2 / size_m**2), MAX_ISLAND_CELLS)
 
 
-def finish_water(store_url: str, work: FinishWater) -> dict[str, Any]:
+def finish_water(store_url: str, work: FinishWater) -> SizesRecord:
     """Label the final water of a block. This is a `tiler.schedule.task.Work`.
 
     Returns
     -------
-    dict
-        `SizesRecord` of the block. Cells that this step adds have no confidence.
+    SizesRecord
+        Record of the block. Cells that this step adds have no confidence.
     """
     store, block, spec = open_store(store_url), work.block, work.spec
     size_m = float(spec.lattice.size * store.meta.frame.metres_xy)
@@ -114,14 +113,13 @@ def finish_water(store_url: str, work: FinishWater) -> dict[str, Any]:
         np.bincount(labels[known], minlength=count + 1)[1:],
         np.bincount(labels[known], hundredths, minlength=count + 1)[1:],
     ]
-    record = SizesRecord(
+    return SizesRecord(
         sides=sides,
         labels=count,
         sizes=np.stack(counts, axis=1).astype(np.int64).tolist(),
         filled=int(np.count_nonzero(values)),
         checksum=checksum(values),
     )
-    return record.to_json()
 
 
 def _finished(store: TileStore, work: FinishWater, water: Bools, window: Block, size_m: float) -> Bools:

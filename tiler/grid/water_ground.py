@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -47,7 +46,7 @@ class GroundCells(BlockWork):
     rule: GroundSelection
 
 
-def ground_cells(store_url: str, work: GroundCells) -> dict[str, Any]:
+def ground_cells(store_url: str, work: GroundCells) -> BlockRecord:
     """Write the mean height of each cell of a block in units of the CRS. This is a `tiler.schedule.task.Work`.
 
     In cells that are water by the input, heights are those of the points of class water. In other cells, heights are
@@ -55,8 +54,8 @@ def ground_cells(store_url: str, work: GroundCells) -> dict[str, Any]:
 
     Returns
     -------
-    dict
-        `BlockRecord` of the block. ``filled`` is the number of cells with a height.
+    BlockRecord
+        Record of the block. ``filled`` is the number of cells with a height.
     """
     store, block = open_store(store_url), work.block
     size = block.height * block.width
@@ -77,10 +76,7 @@ def ground_cells(store_url: str, work: GroundCells) -> dict[str, Any]:
         mean = np.where(water == NODATA, mean, water)
     values = mean.astype(np.float32)
     store.write_block(work.name, block, values)
-    record = BlockRecord(
-        filled=int(np.count_nonzero(values != np.float32(NODATA))), checksum=checksum(values)
-    )
-    return record.to_json()
+    return BlockRecord(filled=int(np.count_nonzero(values != np.float32(NODATA))), checksum=checksum(values))
 
 
 def _means(total: Floats, number: npt.NDArray[np.int64]) -> Floats:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -75,13 +74,13 @@ class LevelWater:
         return self.body.area.bounds
 
 
-def level_water(store_url: str, work: LevelWater) -> dict[str, Any]:
+def level_water(store_url: str, work: LevelWater) -> LevelRecord:
     """Estimate the level of a body of water. This is a `tiler.schedule.task.Work`.
 
     Returns
     -------
-    dict
-        `LevelRecord` of the body.
+    LevelRecord
+        Record of the body.
     """
     store, body = open_store(store_url), work.body
     frame = store.meta.frame
@@ -108,13 +107,12 @@ def level_water(store_url: str, work: LevelWater) -> dict[str, Any]:
             levelled = with_pixels(levelled, near_pixels.xyz[:2, in_pocket], float(work.spec.lattice.size))
             shore = near_pixels.xyz[:, (near_pixels.distance <= SHORE_PIXELS) & ~in_pocket]
     low, high = np.percentile(water[2], (25, 75)) if water.shape[1] else (0.0, 0.0)
-    record = LevelRecord(
+    return LevelRecord(
         shore=shore.shape[1],
         body=None if levelled is None else levelled.to_json(),
         floating=_floating(levelled, shore, NOISE_M * scale.z),
         uneven=levelled is not None and levelled.flow is None and bool(high - low > SMOOTH_M * scale.z),
     )
-    return record.to_json()
 
 
 def _floating(body: Water | None, shore: Counts, noise: float) -> tuple[float, list[int] | None]:

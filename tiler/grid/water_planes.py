@@ -124,13 +124,13 @@ def plane_cells(ground: Floats, domain: Bools) -> Bools:
     return np.asarray(level)
 
 
-def find_planes(store_url: str, work: FindAreas) -> dict[str, Any]:
+def find_planes(store_url: str, work: FindAreas) -> SizesRecord:
     """Label the planes in a block. This is a `tiler.schedule.task.Work`.
 
     Returns
     -------
-    dict
-        `SizesRecord` of the block, with sizes as in `Plane`, ``times`` and ``boxes``.
+    SizesRecord
+        Record of the block, with sizes as in `Plane`, ``times`` and ``boxes``.
     """
     store, block = open_store(store_url), work.block
     cells = read_search_cells(store, work.sources, work.spec, padded(block, MARGIN), 1)
@@ -151,7 +151,7 @@ def find_planes(store_url: str, work: FindAreas) -> dict[str, Any]:
         boxes.append(
             [block.row + rows.start, block.col + cols.start, block.row + rows.stop, block.col + cols.stop]
         )
-    record = SizesRecord(
+    return SizesRecord(
         sides=sides,
         labels=count,
         sizes=np.stack(counts, axis=1).tolist(),
@@ -160,16 +160,15 @@ def find_planes(store_url: str, work: FindAreas) -> dict[str, Any]:
         filled=int(np.count_nonzero(values)),
         checksum=checksum(values),
     )
-    return record.to_json()
 
 
-def count_plane_rims(store_url: str, work: CountPlaneRims) -> dict[str, Any]:
+def count_plane_rims(store_url: str, work: CountPlaneRims) -> RimsRecord:
     """Count the land of a block around planes. This is a `tiler.schedule.task.Work`.
 
     Returns
     -------
-    dict
-        `RimsRecord` of the block.
+    RimsRecord
+        Record of the block.
     """
     evident = set(work.evident)
     planes = {*work.evident, *work.others}
@@ -196,8 +195,7 @@ def count_plane_rims(store_url: str, work: CountPlaneRims) -> dict[str, Any]:
         is_near = distances(plane_mask, DAM_M / cells.size_m + 1) * cells.size_m <= DAM_M
         for other in np.unique(numbers[evident_water & counted & is_near]):
             beside.append([list(name), list(areas.names[other - 1])])
-    record = RimsRecord(rims=named_rims, beside=beside)
-    return record.to_json()
+    return RimsRecord(rims=named_rims, beside=beside)
 
 
 def _rim(cells: WaterCells, water: Bools, not_land: Bools, counted: Bools) -> Rim:
@@ -206,15 +204,15 @@ def _rim(cells: WaterCells, water: Bools, not_land: Bools, counted: Bools) -> Ri
     return rim_of(cells, water, with_shores, counted)
 
 
-def keep_planes(store_url: str, work: KeepPlanes) -> dict[str, Any]:
+def keep_planes(store_url: str, work: KeepPlanes) -> BlockRecord:
     """Write for each cell the confidence of the plane of water that covers it, shore included; otherwise 0.
 
     This is a `tiler.schedule.task.Work`.
 
     Returns
     -------
-    dict
-        `BlockRecord` of the block. ``filled`` is the number of cells of water.
+    BlockRecord
+        Record of the block. ``filled`` is the number of cells of water.
     """
     kept, block = dict(work.kept), work.block
     areas = _planes(store_url, work, kept)
@@ -225,8 +223,7 @@ def keep_planes(store_url: str, work: KeepPlanes) -> dict[str, Any]:
         confidence[window][water] = np.maximum(confidence[window][water], kept[areas.names[number - 1]])
     values = areas.block_values(confidence)
     open_store(store_url).write_block(work.name, block, values)
-    record = BlockRecord(filled=int(np.count_nonzero(values)), checksum=checksum(values))
-    return record.to_json()
+    return BlockRecord(filled=int(np.count_nonzero(values)), checksum=checksum(values))
 
 
 def _planes(store_url: str, work: AreasWork, selected: Collection[Piece]) -> AreasAround:

@@ -10,7 +10,6 @@ import math
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -123,13 +122,13 @@ class KeepAreas(AreasWork):
     kept: tuple[tuple[Piece, float], ...]
 
 
-def find_areas(store_url: str, work: FindAreas) -> dict[str, Any]:
+def find_areas(store_url: str, work: FindAreas) -> SizesRecord:
     """Label the candidates for water in a block. This is a `tiler.schedule.task.Work`.
 
     Returns
     -------
-    dict
-        `SizesRecord` of the block, with sizes as in `CellCounts`, and ``times``.
+    SizesRecord
+        Record of the block, with sizes as in `CellCounts`, and ``times``.
     """
     store, block = open_store(store_url), work.block
     cells = read_search_cells(store, work.sources, work.spec, padded(block, MARGIN), work.times)
@@ -140,7 +139,7 @@ def find_areas(store_url: str, work: FindAreas) -> dict[str, Any]:
     store.write_block(work.name, block, values)
     count = int(labels.max(initial=0))
     counts = [np.bincount(labels[mask], minlength=count + 1)[1:] for mask in (labels > 0, fine.given)]
-    record = SizesRecord(
+    return SizesRecord(
         sides=sides,
         labels=count,
         sizes=np.stack(counts, axis=1).tolist(),
@@ -148,16 +147,15 @@ def find_areas(store_url: str, work: FindAreas) -> dict[str, Any]:
         filled=int(np.count_nonzero(values)),
         checksum=checksum(values),
     )
-    return record.to_json()
 
 
-def count_rims(store_url: str, work: CountRims) -> dict[str, Any]:
+def count_rims(store_url: str, work: CountRims) -> RimsRecord:
     """Count the land of a block around candidates. This is a `tiler.schedule.task.Work`.
 
     Returns
     -------
-    dict
-        `RimsRecord` of the block.
+    RimsRecord
+        Record of the block.
     """
     near = areas_around(open_store(store_url), work, None, BESIDE_M)
     named_rims = []
@@ -167,24 +165,22 @@ def count_rims(store_url: str, work: CountRims) -> dict[str, Any]:
         rim = rim_of(near.cells.cut(window), area_mask, other_areas_mask, near.counted[window])
         if any(rim):
             named_rims.append([list(near.names[number - 1]), list(rim)])
-    record = RimsRecord(rims=named_rims)
-    return record.to_json()
+    return RimsRecord(rims=named_rims)
 
 
-def keep_areas(store_url: str, work: KeepAreas) -> dict[str, Any]:
+def keep_areas(store_url: str, work: KeepAreas) -> BlockRecord:
     """Write the confidence that each cell of a block is water, 0 for land. This is a `tiler.schedule.task.Work`.
 
     Returns
     -------
-    dict
-        `BlockRecord` of the block. ``filled`` is the number of cells of water.
+    BlockRecord
+        Record of the block. ``filled`` is the number of cells of water.
     """
     store, kept = open_store(store_url), dict(work.kept)
     numbers, names = areas_within(store, work.areas, work.spec, work.block, work.joins)
     values = np.array([0.0, *(kept.get(name, 0.0) for name in names)], np.float32)[numbers]
     store.write_block(work.name, work.block, values)
-    record = BlockRecord(filled=int(np.count_nonzero(values)), checksum=checksum(values))
-    return record.to_json()
+    return BlockRecord(filled=int(np.count_nonzero(values)), checksum=checksum(values))
 
 
 def inner_window(block: Block, margin: int) -> Slices:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import reduce
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -14,7 +13,7 @@ from tiler.core.classes import STRAY_FLAG, WITHHELD_FLAG, participates
 from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.points import SOURCE_SHIFT, PointBlock
-from tiler.core.records import BucketRecord
+from tiler.core.records import AssembledRecord, BucketRecord
 from tiler.ingest.spool import extent
 from tiler.ingest.strays import places, stray_mask
 from tiler.store import open_store
@@ -80,7 +79,7 @@ class AssembleBuckets:
         return reduce(Bounds.union, (buckets.bounds(bucket.cell) for bucket in self.buckets))
 
 
-def assemble_buckets(store_url: str, work: AssembleBuckets) -> dict[str, Any]:
+def assemble_buckets(store_url: str, work: AssembleBuckets) -> AssembledRecord:
     """Assemble buckets from their fragments in the spool, and write them.
 
     Parameters
@@ -110,7 +109,7 @@ def assemble_buckets(store_url: str, work: AssembleBuckets) -> dict[str, Any]:
         ordering = bucket_order(block, taking, meta.frame, meta.bucket, meta.fine, cell)
         store.write_bucket(cell, block.take(ordering.order), ordering.n_candidates)
         records.append(_record(cell, block, taking, strays, ordering, meta.frame))
-    return {"buckets": records}
+    return AssembledRecord(records)
 
 
 def _taking_part(block: PointBlock, keep: Sequence[int] | None, skip_flags: int) -> npt.NDArray[np.bool_]:
@@ -226,14 +225,14 @@ def _record(
     strays: npt.NDArray[np.bool_],
     found: BucketOrder,
     frame: CoordFrame,
-) -> dict[str, Any]:
+) -> BucketRecord:
     z = block.xyz[2][taking]
     classes = {}
     if block.classification is not None:
         counts = np.bincount(block.classification).tolist()
         classes = {str(number): count for number, count in enumerate(counts) if count}
     bounds, z_range = extent(block.take(~strays) if strays.any() else block, frame)
-    record = BucketRecord(
+    return BucketRecord(
         cell=[cell.ix, cell.iy],
         n=len(block),
         n_candidates=found.n_candidates,
@@ -245,4 +244,3 @@ def _record(
         bounds=bounds,
         z=z_range,
     )
-    return record.to_json()

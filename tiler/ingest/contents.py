@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
+from tiler.core.records import Record
 from tiler.errors import InputError
 from tiler.io.cloud_reading import digest_of_file
 from tiler.io.las.unchanged import validate_unchanged
@@ -19,21 +19,26 @@ class ReadFiles:
     files: tuple[tuple[str, FileState], ...]
 
 
-def read_files(store_url: str, work: ReadFiles) -> dict[str, Any]:
-    """Return the ``content`` (digest) or the ``error`` of some files by their location.
+@dataclass(frozen=True, slots=True)
+class DigestsRecord(Record):
+    """Record of files: digest of all bytes, or error, of each file by its location."""
 
-    This is the function of a task.
-    """
-    results = {}
+    digests: dict[str, str]
+    errors: dict[str, str]
+
+
+def read_files(store_url: str, work: ReadFiles) -> DigestsRecord:
+    """Read all bytes of some files. This is a `tiler.schedule.task.Work`."""
+    record = DigestsRecord({}, {})
     for location, state in work.files:
         try:
-            results[location] = {"content": _content(as_path(location), state)}
+            record.digests[location] = _digest(as_path(location), state)
         except InputError as error:
-            results[location] = {"error": str(error)}
-    return results
+            record.errors[location] = str(error)
+    return record
 
 
-def _content(path: Path, state: FileState) -> str:
+def _digest(path: Path, state: FileState) -> str:
     """Return the digest of all bytes of a file.
 
     Raise InputError if the file cannot be read, or is not in ``state`` before and after reading.

@@ -87,7 +87,7 @@ class SpoolPiece:
     selection: Selection = EVERY_POINT
 
 
-def spool_piece(store_url: str, work: SpoolPiece) -> dict[str, Any]:
+def spool_piece(store_url: str, work: SpoolPiece) -> SpoolRecord:
     """Decode a piece into the spool.
 
     Parameters
@@ -132,7 +132,7 @@ def spool_piece(store_url: str, work: SpoolPiece) -> dict[str, Any]:
     if len(block):
         store.write_piece(work.piece, block)
     bounds, z = extent(block, frame)
-    record = SpoolRecord(
+    return SpoolRecord(
         read=sum(count for _, count in ranges),
         stored=len(block),
         outside=sum(step.outside for step in read),
@@ -146,7 +146,6 @@ def spool_piece(store_url: str, work: SpoolPiece) -> dict[str, Any]:
         bounds=bounds,
         z=z,
     )
-    return record.to_json()
 
 
 @dataclass(frozen=True)

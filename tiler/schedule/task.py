@@ -16,12 +16,13 @@ from tiler.redaction import stored
 
 if TYPE_CHECKING:  # At run time, numpy is loaded later, while the children start.
     from tiler.core.lattice import Bounds, Lattice
+    from tiler.core.records import Record
 
-Work = Callable[[str, Any], dict[str, Any]]
+Work = Callable[[str, Any], "Record"]
 """Function ``work(store_url, arguments) -> record`` of a module, since it is pickled by name.
 
-The arguments are a frozen dataclass that defines the data to read and write and the parameters. The record is
-JSON-able."""
+The arguments are a frozen dataclass that defines the data to read and write and the parameters. The store keeps the
+record as JSON."""
 
 NOT_IN_DIGEST = {"digest": False}
 """Metadata of a field of the arguments that changes the execution of the work, but not its result."""

@@ -12,6 +12,7 @@ from typing import Any
 import psutil
 
 from ptd.kernel import as_int64
+from tiler.core.records import to_json
 from tiler.errors import CorruptStoreError, DiskFullError, StoreAccessError, TilerError
 from tiler.schedule import Outcome, Task
 from tiler.store import open_store, packed_by_one_thread
@@ -135,7 +136,7 @@ def _run(store_url: str, task: Task, commit: bool) -> Outcome:
     kind: type[BaseException]
     damaged: tuple[str, ...] = ()
     try:
-        record = task.work(store_url, task.arguments)
+        record: dict[str, Any] = to_json(task.work(store_url, task.arguments))
         if commit:
             store = open_store(store_url)
             for part in Outcome(task, record).of_parts():

@@ -15,6 +15,7 @@ from tiler.core.points import PointBlock, pack_origin
 from tiler.errors import InputError, ProcessingError
 from tiler.export import WriteClassified, classified
 from tiler.export.classified import write_classified
+from tiler.export.records import CloudRecord
 from tiler.io.las.headers import LasHeader, read_header, read_payload
 from tiler.io.las.reader import EVERYTHING, PointReader
 
@@ -36,7 +37,7 @@ def label(store: Any, labels: dict[int, int], source: int = 4) -> tuple[Cell, ..
     return cells
 
 
-def export(path: Path, out: Path, cells: tuple[Cell, ...], **options: Any) -> dict[str, Any]:
+def export(path: Path, out: Path, cells: tuple[Cell, ...], **options: Any) -> CloudRecord:
     work = WriteClassified(path=str(path), source=4, out=str(out), labels="final", cells=cells, **options)
     return write_classified("memory", work)
 
@@ -94,11 +95,11 @@ def test_all_but_the_classes_is_equal(
         expected[row] = 2 if value == 2 else before[row] if value == 0 or before[row] > 2 else 1
     np.testing.assert_array_equal(after, expected)
     kept = before[[row for row, value in labels.items() if value == 1 and before[row] > 2]]
-    assert record["kept"] == {str(code): int(n) for code, n in enumerate(np.bincount(kept)) if n}
-    assert record["points"] == 1000
-    assert record["changed"] == np.count_nonzero(before != expected)
-    assert record["bytes"] == out.stat().st_size
-    assert sum(record["classes"].values()) == 1000
+    assert record.kept == {str(code): int(n) for code, n in enumerate(np.bincount(kept)) if n}
+    assert record.points == 1000
+    assert record.changed == np.count_nonzero(before != expected)
+    assert record.bytes == out.stat().st_size
+    assert sum(record.classes.values()) == 1000
     assert [p.name for p in out.parent.iterdir()] == [f"a.{to}"]
 
 
@@ -141,7 +142,7 @@ def test_offset_times_of_las_1_5_become_standard_times_in_copc(
     found = laspy.read(out)
     assert str(found.header.version) == "1.4"
     np.testing.assert_allclose(np.sort(found.gps_time), np.sort(times) + 250e6, rtol=0, atol=1e-3)
-    assert record["notes"][:2] == [
+    assert record.notes[:2] == [
         "range of GPS times in the header left out: COPC is LAS 1.4",
         "GPS times written with an offset of 1000 million seconds, as COPC has them, instead of 1250",
     ]
@@ -193,7 +194,7 @@ def test_copc_becomes_plain_laz(shared_data: Path, memory_store: Any, tmp_path: 
     path = shared_data / "odd" / "simple.copc.laz"
     out = tmp_path / "c.laz"
     record = export(path, out, label(memory_store, {0: 2, 1064: 2}))
-    assert "COPC" in record["notes"][0]
+    assert "COPC" in record.notes[0]
     header = read_header(out)
     assert not any(r.is_copc for r in (*header.vlrs, *header.evlrs))
     assert header.evlrs == ()
@@ -223,7 +224,7 @@ def test_a_salvaged_file_says_how_many_points_it_has(
         with pytest.raises(InputError):
             export(path, tmp_path / "no.laz", ())
         out = tmp_path / "cut.laz"
-        kept = export(path, out, (), salvage=True)["points"]
+        kept = export(path, out, (), salvage=True).points
         assert 990 < kept < 1000
         assert laspy.read(out).header.point_count == kept == len(laspy.read(out))
 
@@ -235,7 +236,7 @@ def test_a_cut_laz_is_written_up_to_its_last_whole_chunk(
     path = make_cloud("cut.laz", n=60_000, point_format=point_format, version="1.4")
     path.write_bytes(path.read_bytes()[:-20_000])
     out = tmp_path / "out.laz"
-    assert export(path, out, (), salvage=True)["points"] == 50_000
+    assert export(path, out, (), salvage=True).points == 50_000
     assert len(laspy.read(out)) == 50_000
 
 

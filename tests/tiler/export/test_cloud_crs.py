@@ -56,7 +56,7 @@ def test_it_is_written_as_the_version_has_it(
     records = [v.record_id for v in found.header.vlrs if v.user_id == "LASF_Projection"]
     assert records == [2112 if is_wkt else 34735]
     assert header.prefers_wkt == (version == "1.4")
-    assert (record["notes"] != []) == (crs == LOCAL and version != "1.4")
+    assert (record.notes != []) == (crs == LOCAL and version != "1.4")
     source = laspy.read(path)
     assert found.points.array.tobytes() == source.points.array.tobytes()
     assert found.header.vlrs[0].record_data == source.header.vlrs[0].record_data
@@ -72,7 +72,7 @@ def test_records_that_cannot_be_read_are_replaced(make_cloud: Any, memory_store:
     wkt = CRS("EPSG:25832").to_wkt()
     path = make_cloud("a.las", point_format=6, version="1.4", crs=None, edit=broken)
     record = export(path, tmp_path / "a.laz", (), wkt=wkt)
-    assert record["notes"] == ["CRS of the run written in place of records of a CRS that cannot be read"]
+    assert record.notes == ["CRS of the run written in place of records of a CRS that cannot be read"]
     assert georeference(read_header(tmp_path / "a.laz")).name == "ETRS89 / UTM zone 32N"
     memory_store.meta.frame = type(memory_store.meta.frame)(crs_wkt=wkt)
     export(path, tmp_path / "a.copc.laz", (), wkt=wkt, copc=True)

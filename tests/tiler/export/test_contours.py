@@ -43,8 +43,8 @@ def test_one_tower_does_not_change_the_interval(tower: float, small_store: TileS
         sigma=0.0,
     )
     record = write_contours(small_store.url, work)
-    assert record["interval"] == 0.5
-    assert (record["low"], record["high"]) == pytest.approx((20.4, 39.6), abs=0.2)
+    assert record.interval == 0.5
+    assert (record.low, record.high) == pytest.approx((20.4, 39.6), abs=0.2)
 
 
 def test_no_spot_in_water_or_within_two_pixels_of_it(small_store: TileStore, tmp_path: Path) -> None:
@@ -67,7 +67,7 @@ def test_no_spot_in_water_or_within_two_pixels_of_it(small_store: TileStore, tmp
         record = write_spots(small_store.url, WriteSpots(**work, waters=key, reach=3))
         _, _, shapes, _ = raw.read(tmp_path / "spots.gpkg")
         places = shapely.get_coordinates(shapely.from_wkb(shapes))
-        assert len(places) == record["highs"] + record["lows"]
+        assert len(places) == record.highs + record.lows
         kept[key] = {tuple(place) for place in places}
     near = {place for place in kept[None] if all(58 < v < 142 for v in place)}
     assert near

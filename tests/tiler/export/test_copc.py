@@ -58,7 +58,7 @@ def test_all_but_what_formats_6_to_8_cannot_hold_is_that_of_the_laz(
     assert new.header.parse_crs() == old.header.parse_crs()
     assert new.header.creation_date == old.header.creation_date
     assert new.header.system_identifier == "a scanner"
-    told = " ".join(record["notes"])
+    told = " ".join(record.notes)
     assert ("as format" in told) == (point_format != NEWER[point_format])
     assert ("waveforms left out" in told) == (point_format in (4, 5, 9, 10))
     assert ("GPS time" in told) == (point_format in (0, 2))
@@ -135,7 +135,7 @@ def test_an_empty_cloud_and_one_of_a_point(make_cloud: Any, memory_store: Any, t
     for count in (0, 1):
         out = tmp_path / f"{count}.copc.laz"
         record = export(make_cloud(f"{count}.las", n=count), out, (), copc=True)
-        assert record["points"] == len(laspy.read(out)) == count
+        assert record.points == len(laspy.read(out)) == count
         with laspy.CopcReader.open(str(out)) as reader:
             assert len(reader.query()) == count
     np.testing.assert_array_equal(decoded(out)["X"], laspy.read(tmp_path / "1.las").X)
@@ -151,7 +151,7 @@ def test_its_crs_is_wkt_whatever_the_source_has(make_cloud: Any, memory_store: A
         cloud = laspy.read(tmp_path / "a.copc.laz")
         assert cloud.header.global_encoding.wkt
         assert [v.record_id for v in cloud.header.vlrs if v.user_id == "LASF_Projection"] == [2112]
-        assert ("CRS written as WKT, as COPC has it" in record["notes"]) == (crs == "geotiff")
+        assert ("CRS written as WKT, as COPC has it" in record.notes) == (crs == "geotiff")
         assert cloud.header.parse_crs().to_epsg() == (2992 if crs == "geotiff" else 25832)
         path = make_cloud("a.las", n=5, point_format=6, version="1.4")
 

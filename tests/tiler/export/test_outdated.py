@@ -11,6 +11,7 @@ import pytest
 from tiler.errors import ConfigError
 from tiler.export.tasks import outdated
 from tiler.export.tasks.outdated import archive_outdated, move_aside
+from tiler.ingest.tasks.fingerprints import FileContent
 from tiler.runs.results import Results
 
 
@@ -96,7 +97,7 @@ def contents(job: Any, stage: str, found: Any, writes_out: bool) -> Any:
     """Content of files, of which dsm.tif has changed."""
     for place, _, _ in found:
         name = Path(place).name
-        yield place, {"content": "other bytes" if name == "dsm.tif" else f"digest of {name}"}
+        yield place, FileContent("other bytes" if name == "dsm.tif" else f"digest of {name}", "")
 
 
 @pytest.mark.parametrize(("stored", "is_moved"), [((), True), (("dsm.tif",), False)])

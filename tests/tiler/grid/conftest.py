@@ -47,7 +47,7 @@ class Scene:
         self.store.create_raster(name, spec.height, spec.width)
         for b in spec.blocks(512):
             record = grid_block(self.store.url, self.work(name, spec, b, **{"halo": 10_000, **options}))
-            json.dumps(record)
+            json.dumps(record.to_json())
         return spec
 
     def work(self, name: str, spec: RasterSpec, block: Block, **options: Any) -> GridBlock:

@@ -50,7 +50,9 @@ def work_of(spec: RasterSpec, block: Block, kind: str | None = LASER) -> SigmaBl
     )
 
 
-def sigma(scene: Scene, size: Fraction = PIXEL, kind: str | None = LASER) -> tuple[np.ndarray, list[dict]]:
+def sigma(
+    scene: Scene, size: Fraction = PIXEL, kind: str | None = LASER
+) -> tuple[np.ndarray, list[SigmaRecord]]:
     """Sigma of the whole raster, NaN without a height, and the records."""
     spec = gridded(scene, size)
     records = [sigma_block(scene.store.url, work_of(spec, b, kind)) for b in spec.blocks(512)]
@@ -187,7 +189,7 @@ def test_sigma_is_where_the_terrain_is_and_adds_up(make_scene) -> None:
     scene = make_scene(xyz, labels)
     found, records = sigma(scene)
     assert np.array_equal(np.isnan(found), np.isnan(heights_of(scene)))
-    result = sigma_result(LASER, [SigmaRecord.of(record) for record in records])
+    result = sigma_result(LASER, records)
     groups = [getattr(result, name) for name in GROUPS]
     pixels = sum(group.pixels for group in groups)
     assert pixels == np.isfinite(found).sum() == sum(sum(group.histogram) for group in groups)
@@ -210,7 +212,7 @@ def test_heights_in_feet_have_errors_in_feet(make_scene) -> None:
 def test_few_points_and_none_are_no_error(make_scene) -> None:
     scene = make_scene(np.int64([[500, 500, 0], [9_500, 700, 100], [4_000, 9_000, 50]]))
     found, (record,) = sigma(scene)
-    assert record["filled"] == np.isfinite(found).sum() > 20
+    assert record.filled == np.isfinite(found).sum() > 20
     assert (found[np.isfinite(found)] > 0).all()
     spec = RasterSpec.covering(Lattice(PIXEL), scene.data)
     scene.store.create_raster("dtm", spec.height + 1, spec.width)
@@ -218,4 +220,4 @@ def test_few_points_and_none_are_no_error(make_scene) -> None:
     for name in ("mask", "sigma"):
         scene.store.create_raster(name, taller.height, taller.width)
     record = sigma_block(scene.store.url, work_of(taller, Block(0, 0, taller.height, taller.width)))
-    assert record["filled"] == 0
+    assert record.filled == 0

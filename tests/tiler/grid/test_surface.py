@@ -113,7 +113,7 @@ def test_the_surface_is_never_below_the_terrain(make_scene) -> None:
     plain, _ = dsm(scene)
     # Also of ground at the lower side of its pixel.
     assert (plain[both] < terrain[both] - 0.5).sum() > len(alone)
-    assert record["deep"] == len(alone) > 10
+    assert record.deep == len(alone) > 10
     deepest = plain[both] < terrain[both] - 20
     assert deepest.sum() == len(alone)
 
@@ -143,4 +143,4 @@ def test_the_distance_is_that_of_the_nearest_ground_point(make_scene, shape, uni
     truth = np.minimum(truth, cap).reshape(found.shape) * float(unit) / 1000
     assert np.abs(found - truth).max() < 1e-5
     assert found.max() == np.float32(15 * float(unit))
-    assert records[0]["filled"] < found.size
+    assert records[0].filled < found.size

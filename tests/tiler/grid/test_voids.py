@@ -65,7 +65,7 @@ def scene_with_holes(make_scene, monkeypatch: pytest.MonkeyPatch, pixel_m: int) 
     common = {"spec": coarse, "block": b}
     occupancy_block(url, PointsBlock(name="occupancy", rule=FINAL, **common))
     closing = CloseBlock(name="open", occupancy="occupancy", gap=gap, most_gap=gap, **common)
-    outside, empty = outside_of({(0, 0): close_block(url, closing)["sides"]})
+    outside, empty = outside_of({(0, 0): close_block(url, closing).sides})
     assert not empty
     survey_block(
         url,
@@ -75,7 +75,7 @@ def scene_with_holes(make_scene, monkeypatch: pytest.MonkeyPatch, pixel_m: int) 
     )
     rasters = VoidRasters("dtm", spec, "survey", coarse, "voids")
     record = find_voids(url, FindVoids(name="voids", rasters=rasters, **common))
-    voids = tuple(Void((Piece(0, 0, n + 1),)) for n in range(record["labels"]))
+    voids = tuple(Void((Piece(0, 0, n + 1),)) for n in range(record.labels))
     work = FillBlock("filled", Block(0, 0, spec.height, spec.width), rasters, voids)
     for name in ("filled", "mask"):
         scene.store.create_raster(name, spec.height, spec.width, NODATA if name == "filled" else OUTSIDE)
@@ -94,7 +94,7 @@ def test_a_plane_comes_back_below_its_lakes(filled) -> None:
     before, after = whole(scene, spec, "dtm"), whole(scene, spec, "filled")
     had, has = before != np.float32(NODATA), after != np.float32(NODATA)
     assert np.array_equal(before[had], after[had])
-    assert record["added"] == (has & ~had).sum() > 5_000
+    assert record.added == (has & ~had).sum() > 5_000
     assert np.abs(after - truth)[has].max() < 0.002
     x, y = (spec.west + np.arange(spec.width) + 0.5), (spec.north - np.arange(spec.height) - 0.5)
     in_lake = (x[None] - 70) ** 2 + (y[:, None] - 80) ** 2 < 30**2

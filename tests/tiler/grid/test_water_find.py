@@ -44,7 +44,7 @@ def body(store: TileStore, wet: np.ndarray, surveyed: np.ndarray) -> shapely.Geo
     sources = Sources("occupancy", "ground", "domain")
     rule = GroundSelection("final")
     work = DescribeBody((Piece(0, 0, 1),), "water", "crowns", sources, rule, spec, 0.95, 100.0, 15.0, 1000.0)
-    found = describe_body(store.url, work)["body"]
+    found = describe_body(store.url, work).body
     polygon = polygon_of(Water.from_json(found).area)
     return shapely.transform(
         polygon, lambda at: np.stack((at[:, 0] / CELL - WEST, NORTH - at[:, 1] / CELL), 1)

@@ -12,6 +12,7 @@ from tiler.core.classes import WITHHELD_FLAG
 from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Cell, Lattice
 from tiler.core.points import PointBlock, pack_origin
+from tiler.core.records import to_json
 from tiler.ingest.assemble import AssembleBuckets, BucketParts, assemble_buckets, bucket_order
 
 CELL = Cell(2, -1)
@@ -107,7 +108,7 @@ def test_a_bucket_is_gathered_written_and_described(memory_store: Any) -> None:
     memory_store.pieces["b"] = block_of([[30, 10, 5], [32, 12, 3]], source=1, flags=[0, WITHHELD_FLAG])
     work = AssembleBuckets((BucketParts(Cell(2, -1), (("a", 1, 3), ("b", 0, 2))),), (7, 18))
     record = assemble_buckets("memory", work)
-    assert record == {
+    assert to_json(record) == {
         "buckets": [
             {
                 "cell": [2, -1],
@@ -133,10 +134,10 @@ def test_a_bucket_is_gathered_written_and_described(memory_store: Any) -> None:
 def test_a_bucket_in_which_no_point_takes_part(memory_store: Any) -> None:
     memory_store.meta.frame, memory_store.meta.bucket, memory_store.meta.fine = FRAME, BUCKET, FINE
     memory_store.pieces["a"] = block_of([[30, 10, 5]], classes=18)
-    (bucket,) = assemble_buckets("memory", AssembleBuckets((BucketParts(Cell(2, -1), (("a", 0, 1),)),)))[
-        "buckets"
-    ]
-    assert (bucket["n"], bucket["n_candidates"], bucket["z_participating"]) == (1, 0, None)
+    (bucket,) = assemble_buckets(
+        "memory", AssembleBuckets((BucketParts(Cell(2, -1), (("a", 0, 1),)),))
+    ).buckets
+    assert (bucket.n, bucket.n_candidates, bucket.z_participating) == (1, 0, None)
 
 
 def test_fragments_without_classes_are_refused(memory_store: Any) -> None:

@@ -35,13 +35,13 @@ def ingest(
             piece = f"s{source:06d}p{number:06d}"
             record = spool_piece(url, SpoolPiece(str(path), source, piece, start, count, wanted))
             spooled.append(record)
-            stops = list(itertools.accumulate(n for _, _, n in record["buckets"]))
-            for (ix, iy, n), stop in zip(record["buckets"], stops, strict=True):
+            stops = list(itertools.accumulate(n for _, _, n in record.buckets))
+            for (ix, iy, n), stop in zip(record.buckets, stops, strict=True):
                 fragments[ix, iy].append((piece, stop - n, stop))
     store.allocate({Cell(*c): sum(b - a for _, a, b in f) for c, f in fragments.items()})
     parts = tuple(BucketParts(Cell(*c), tuple(f)) for c, f in sorted(fragments.items()))
-    made = assemble_buckets(url, AssembleBuckets(parts))["buckets"]
-    store.publish_index({Cell(*r["cell"]): BucketInfo(r["n"], r["n_candidates"]) for r in made})
+    made = assemble_buckets(url, AssembleBuckets(parts)).buckets
+    store.publish_index({Cell(*r.cell): BucketInfo(r.n, r.n_candidates) for r in made})
     return store, spooled, made
 
 
@@ -62,9 +62,9 @@ def test_a_las_beside_its_laz_is_found_to_be_double(make_cloud: Any, tmp_path: P
     one, other = make_cloud("a.las"), make_cloud(twin)
     store, spooled, made = ingest(str(tmp_path / "store.zarr"), find_inputs([str(one), str(other)]))
     _, _, alone = ingest(str(tmp_path / "alone.zarr"), [one])
-    assert sum(r["stored"] for r in spooled) == sum(r["n"] for r in made) == 2000
-    assert sum(r["duplicates"]["between"] for r in made) == 1000
-    assert [r["n_candidates"] for r in made] == [r["n_candidates"] for r in alone]
+    assert sum(r.stored for r in spooled) == sum(r.n for r in made) == 2000
+    assert sum(r.duplicates["between"] for r in made) == 1000
+    assert [r.n_candidates for r in made] == [r.n_candidates for r in alone]
     assert len(content(store)) == len(made)
 
 
@@ -94,7 +94,7 @@ def test_labels_go_back_to_the_rows_of_their_source(make_cloud: Any, tmp_path: P
         store.write_labels("final", cell, (1 + rows % 2).astype(np.uint8) | 0x80)
         for source in (0, 1):
             stored[source] |= set(rows[origin >> SOURCE_SHIFT == source].tolist())
-    assert 0 < sum(r["dropped"].get("outside the area", 0) for r in spooled) == 2000 - sum(map(len, stored))
+    assert 0 < sum(r.dropped.get("outside the area", 0) for r in spooled) == 2000 - sum(map(len, stored))
     cells = tuple(store.buckets())
     for source, path in enumerate(paths):
         out = tmp_path / "out" / f"{source}.laz"
@@ -118,5 +118,5 @@ def test_odd_clouds_through_the_store(shared_data: Path, tmp_path: Path) -> None
     meta = StoreMeta(frame, Lattice(Fraction(10**6)), Lattice(Fraction(1000)), True)
     store = create_store(str(tmp_path / "s.zarr"), meta)
     record = spool_piece(store.url, SpoolPiece(str(path), 0, "p", 0, 1065))
-    assert record["stored"] == 1065
+    assert record.stored == 1065
     assert len(store.read_fragment("p", 0, 1065)) == 1065

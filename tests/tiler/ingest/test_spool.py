@@ -14,13 +14,14 @@ from hypothesis import strategies as st
 from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Lattice
 from tiler.core.points import PointBlock, unpack_origin
+from tiler.core.records import SpoolRecord
 from tiler.ingest.spool import BEYOND_FRAME, OUTSIDE_AREA, SpoolPiece, sort_by_bucket, spool_piece
 from tiler.inputs.sources import inspect, pieces
 
 ORIGIN = (500_000_000, 5_400_000_000)
 
 
-def spool(store: Any, path: Any, source: int = 0, size: int = 10**6, **options: Any) -> list[dict[str, Any]]:
+def spool(store: Any, path: Any, source: int = 0, size: int = 10**6, **options: Any) -> list[SpoolRecord]:
     works = [
         SpoolPiece(str(path), source, f"s{source}p{k}", start, count, identity="of k", **options)
         for k, (start, count) in enumerate(pieces(inspect(path), size))
@@ -43,7 +44,7 @@ def test_the_spool_holds_what_the_file_holds(
     memory_store.meta.has_rgb = True
     path = make_cloud(f"a.{suffix}", n=120_000, point_format=point_format, version=version)
     records = spool(memory_store, path, source=3, size=50_000)
-    assert sum(r["read"] for r in records) == sum(r["stored"] for r in records) == 120_000
+    assert sum(r.read for r in records) == sum(r.stored for r in records) == 120_000
     cloud, block = laspy.read(path), gathered(memory_store)
     sources, rows = unpack_origin(block.origin)
     assert (sources == 3).all()
@@ -55,7 +56,7 @@ def test_the_spool_holds_what_the_file_holds(
         np.testing.assert_array_equal(block.rgb, [cloud.red, cloud.green, cloud.blue])
     else:
         assert not block.rgb.any()
-    assert all(r["largest_rounding"] == 0.0 for r in records)
+    assert all(r.largest_rounding == 0.0 for r in records)
 
 
 def test_pieces_are_sorted_by_bucket_and_keep_their_order_within(make_cloud: Any, memory_store: Any) -> None:
@@ -64,7 +65,7 @@ def test_pieces_are_sorted_by_bucket_and_keep_their_order_within(make_cloud: Any
     block, lattice = memory_store.pieces["s0p0"], memory_store.meta.bucket
     start = 0
     cells = []
-    for ix, iy, count in record["buckets"]:
+    for ix, iy, count in record.buckets:
         part = block.take(slice(start, start + count))
         assert (lattice.index(part.xyz[0].astype(np.int64) + ORIGIN[0]) == ix).all()
         assert (lattice.index(part.xyz[1].astype(np.int64) + ORIGIN[1]) == iy).all()
@@ -75,8 +76,8 @@ def test_pieces_are_sorted_by_bucket_and_keep_their_order_within(make_cloud: Any
     assert cells == sorted(set(cells))
     low, high = block.xyz.min(axis=1).tolist(), block.xyz.max(axis=1).tolist()
     west, south = ORIGIN
-    assert record["bounds"] == [low[0] + west, low[1] + south, high[0] + west + 1, high[1] + south + 1]
-    assert record["z"] == [low[2], high[2]]
+    assert record.bounds == [low[0] + west, low[1] + south, high[0] + west + 1, high[1] + south + 1]
+    assert record.z == [low[2], high[2]]
 
 
 def test_the_origin_of_the_frame_changes_nothing(make_cloud: Any, memory_store: Any) -> None:
@@ -88,7 +89,7 @@ def test_the_origin_of_the_frame_changes_nothing(make_cloud: Any, memory_store: 
         (record,) = spool(memory_store, path)
         block = gathered(memory_store)
         absolute = block.xyz.astype(np.int64) + np.array([[ORIGIN[0] + shift], [ORIGIN[1] - shift], [0]])
-        found.append((absolute.tolist(), record["buckets"], record["bounds"], record["largest_rounding"]))
+        found.append((absolute.tolist(), record.buckets, record.bounds, record.largest_rounding))
     assert found[0] == found[1] == found[2]
     assert 0 < found[0][3] <= 0.0005
 
@@ -108,12 +109,12 @@ def test_read_is_stored_and_dropped_by_reason(make_cloud_once: Any, data: st.Dat
     inside &= ((y0 - 108_000) * side <= cloud.Y) & ((y0 + height - 108_000) * side > cloud.Y)
     framed = np.abs(cloud.X.astype(np.int64) * 10 - shift) < 2**31
     for record in records:
-        assert record["read"] == record["stored"] + sum(record["dropped"].values())
-        assert record["stored"] == sum(n for _, _, n in record["buckets"])
-        assert record["dropped"].get(OUTSIDE_AREA, 0) == sum(n for _, _, n in record["left"])
-    assert sum(r["stored"] for r in records) == np.count_nonzero(inside & framed)
-    assert sum(r["dropped"].get(OUTSIDE_AREA, 0) for r in records) == np.count_nonzero(~inside & framed)
-    assert sum(r["dropped"].get(BEYOND_FRAME, 0) for r in records) == np.count_nonzero(~framed)
+        assert record.read == record.stored + sum(record.dropped.values())
+        assert record.stored == sum(n for _, _, n in record.buckets)
+        assert record.dropped.get(OUTSIDE_AREA, 0) == sum(n for _, _, n in record.left)
+    assert sum(r.stored for r in records) == np.count_nonzero(inside & framed)
+    assert sum(r.dropped.get(OUTSIDE_AREA, 0) for r in records) == np.count_nonzero(~inside & framed)
+    assert sum(r.dropped.get(BEYOND_FRAME, 0) for r in records) == np.count_nonzero(~framed)
 
 
 @pytest.fixture(scope="module")
@@ -143,10 +144,10 @@ def make_cloud_once(tmp_path_factory: pytest.TempPathFactory) -> Any:
 def test_a_piece_without_points_writes_nothing(make_cloud: Any, memory_store: Any) -> None:
     memory_store.meta.frame = CoordFrame(origin=ORIGIN)
     (record,) = spool(memory_store, make_cloud("a.las", n=10), wanted=[])
-    assert sum(n for _, _, n in record["left"]) == record["read"] == 10
-    assert (record["stored"], record["outside"], record["dropped"]) == (0, 0, {OUTSIDE_AREA: 10})
-    assert (record["buckets"], record["bounds"], record["z"]) == ([], None, None)
-    assert (record["identity"], record["fetched"], record["largest_rounding"]) == ("of k", 0, 0.0)
+    assert sum(n for _, _, n in record.left) == record.read == 10
+    assert (record.stored, record.outside, record.dropped) == (0, 0, {OUTSIDE_AREA: 10})
+    assert (record.buckets, record.bounds, record.z) == ([], None, None)
+    assert (record.identity, record.fetched, record.largest_rounding) == ("of k", 0, 0.0)
     assert memory_store.pieces == {}
 
 
@@ -156,8 +157,8 @@ def test_coordinates_that_are_not_finite_are_dropped(make_cloud: Any, memory_sto
     struct.pack_into("<d", data, 155, 1e306)
     path.write_bytes(data)
     (record,) = spool(memory_store, path)
-    assert record["stored"] == 0
-    assert record["dropped"]["not finite"] == 10
+    assert record.stored == 0
+    assert record.dropped["not finite"] == 10
 
 
 @pytest.mark.parametrize("size", [Fraction(1000), Fraction(10**7), Fraction(1000, 3), Fraction(1)])

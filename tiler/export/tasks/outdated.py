@@ -102,9 +102,7 @@ def _damaged(job: Job, paths: Collection[str]) -> list[str]:
     results = contents(
         job, "verify", [(location, s, 0) for location, s in states if s is not None], writes_out=True
     )
-    return [
-        path_of[location] for location, result in results if result.get("content") != known[path_of[location]]
-    ]
+    return [path_of[location] for location, result in results if result.digest != known[path_of[location]]]
 
 
 def _validate_own_files(job: Job, wanted: list[str]) -> None:
@@ -191,7 +189,7 @@ def invalidate_changed_outputs(job: Job, stage: str, files: Mapping[str, str]) -
     for location, result in contents(job, STAGE, files_of, writes_out=True):
         key = doubtful[location]
         digest, stored = commits[key]
-        if result.get("content") != (records[key].digest or ""):
+        if result.digest != (records[key].digest or ""):
             changed.append(key)
         else:  # The bytes are the same, so the new time replaces the earlier one.
             job.store.commit(stage, key, digest, {**stored, "state": there[key].to_json()})

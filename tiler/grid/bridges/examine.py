@@ -69,13 +69,13 @@ class ExamineDecks:
     places: tuple[CandidateCells, ...]
 
 
-def find_deck_cells(store_url: str, work: FindDeckCells) -> dict[str, Any]:
+def find_deck_cells(store_url: str, work: FindDeckCells) -> DeckCellsRecord:
     """Find the cells of a block that may be part of a deck. This is a `tiler.schedule.task.Work`.
 
     Returns
     -------
-    dict
-        `DeckCellsRecord` of the block.
+    DeckCellsRecord
+        Record of the block.
     """
     store, spec, block = open_store(store_url), work.spec, work.block
     size_m = float(spec.lattice.size * store.meta.frame.metres_xy)
@@ -100,23 +100,23 @@ def find_deck_cells(store_url: str, work: FindDeckCells) -> dict[str, Any]:
     block_cells = np.stack(
         (rows[in_block] + window.row, cols[in_block] + window.col, directions[in_block]), axis=1
     )
-    return DeckCellsRecord(block_cells.tolist()).to_json()
+    return DeckCellsRecord(block_cells.tolist())
 
 
-def examine_decks(store_url: str, work: ExamineDecks) -> dict[str, Any]:
+def examine_decks(store_url: str, work: ExamineDecks) -> DecksRecord:
     """Decide which candidates are decks of bridges. This is a `tiler.schedule.task.Work`.
 
     Returns
     -------
-    dict
-        `DecksRecord` of the candidates.
+    DecksRecord
+        Record of the candidates.
     """
     store, spec = open_store(store_url), work.spec
     frame = store.meta.frame
     metres = np.array((frame.metres_xy, frame.metres_xy, frame.metres_z), np.float64)
     bounds = [examined_bounds(spec, cells, float(frame.metres_xy)) for cells in work.places]
     xyz, ground = _voxels(store, work.rule, reduce(Bounds.union, bounds), metres)
-    decks: list[dict[str, Any]] = []
+    decks: list[DeckRecord] = []
     reasons: list[str] = []
     for cells, window in zip(work.places, bounds, strict=True):
         x, y = xyz[:, 0], xyz[:, 1]
@@ -125,8 +125,8 @@ def examine_decks(store_url: str, work: ExamineDecks) -> dict[str, Any]:
         if deck is None:
             reasons.append(reason)
         else:
-            decks.append(deck.to_json())
-    return DecksRecord(decks, reasons).to_json()
+            decks.append(deck)
+    return DecksRecord(decks, reasons)
 
 
 def _examine(

@@ -25,7 +25,7 @@ from tiler.grid import ExamineDecks, FindDeckCells, examine_decks, examined_boun
 from tiler.grid.bridges.deck_cells import DROP_M, REACH_M
 from tiler.grid.bridges.examine import CandidateCells
 from tiler.grid.pieces import components
-from tiler.grid.records import DeckCellsRecord, DeckRecord, DecksRecord
+from tiler.grid.records import DeckCellsRecord, DeckRecord, decks_in
 from tiler.grid.tasks.gridding import GridContext
 from tiler.ingest.tasks.assembled import IngestResult
 from tiler.runs.job import Job
@@ -66,8 +66,8 @@ def find_bridges(
     cells = run_stage(job, CELLS, _cell_tasks(g))
     made = run_stage(job, DECKS, _deck_tasks(g, cells))
     decks: list[DeckRecord] = []
-    for record in records_of(DecksRecord, dict(sorted(made.items()))):
-        decks += [DeckRecord.of(deck) for deck in record.decks]
+    for name in sorted(made):
+        decks += decks_in(made[name][1])
     decks = _without_parts(decks)
     job.results.bridges = [_result(deck) for deck in decks]
     job.note(_note(decks, job.plan.grid.meta.frame))

@@ -8,11 +8,11 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterable, Iterator
-from typing import Any
+from typing import Any, NamedTuple
 
 from tiler.core.results import LeftOut
 from tiler.errors import InputError
-from tiler.ingest.contents import ReadFiles, read_files
+from tiler.ingest.contents import DigestsRecord, ReadFiles, read_files
 from tiler.ingest.tasks.points import Source
 from tiler.inputs import SourceInfo
 from tiler.io.locations import FileState, is_url, location
@@ -28,6 +28,14 @@ GROUP_BYTES, GROUP_FILES = 32 << 20, 64
 """Bytes and number of small files that one task reads together."""
 SAVED_SECONDS = 10.0
 """Interval in seconds at which the digests are saved in the store, so that a killed run does not lose them."""
+
+
+class FileContent(NamedTuple):
+    """Digest of all bytes of a file, or None and the error."""
+
+    digest: str | None
+    error: str
+
 
 File = tuple[str, FileState, int]
 """Location, state and number of points of a file."""
@@ -81,10 +89,10 @@ def _identify(
     files = [(location(info.path), info.state, info.points) for _, info in todo]
     for url, result in contents(job, STAGE, files):
         file_location = without_secrets(url)
-        if "content" in result:
-            known[file_location] |= {"stamp": stamps[file_location], "content": result["content"]}
+        if result.digest is not None:
+            known[file_location] |= {"stamp": stamps[file_location], "content": result.digest}
         else:
-            unreadable[file_location] = result["error"]
+            unreadable[file_location] = result.error
         if time.monotonic() - saved > SAVED_SECONDS:
             job.store.put_state("sources", known)
             saved = time.monotonic()
@@ -93,10 +101,8 @@ def _identify(
 
 def contents(
     job: Job, stage: str, files: Iterable[File], writes_out: bool = False
-) -> Iterator[tuple[str, dict[str, str]]]:
-    """Yield the location of each file and its ``content`` (digest of all bytes) or an ``error``.
-
-    The workers read the files.
+) -> Iterator[tuple[str, FileContent]]:
+    """Yield the location and content of each file. The workers read the files.
 
     Parameters
     ----------
@@ -118,10 +124,11 @@ def contents(
             continue
         task = outcome.task
         job.listener(TaskDone(stage, task.key, points=task.points, seconds=round(outcome.seconds, 3)))
-        results: dict[str, dict[str, str]] = outcome.record or {}
+        record = DigestsRecord({}, {}) if outcome.record is None else DigestsRecord.of(outcome.record)
         for file_location, _ in task.arguments.files:
             error = f"{file_location}: what reads it {outcome.error}; get the file again"
-            yield file_location, results.get(file_location, {"error": error})
+            digest = record.digests.get(file_location)
+            yield file_location, FileContent(digest, record.errors.get(file_location, error))
     seconds = round(time.monotonic() - start, 3)
     job.listener(StageFinished(stage, seconds))
 
