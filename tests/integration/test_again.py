@@ -284,6 +284,8 @@ def test_a_tile_that_fails_stops_a_strict_run(
     monkeypatch.setattr("tiler.filter.tasks.passes.filter_tile", work)
     with pytest.raises(ProcessingError, match="ZeroDivisionError: no tile succeeds .*--on-error skip"):
         do(list(demo.paths[:1]), tmp_path / "out", on_error="stop")
-    with pytest.raises(ProcessingError, match=r"^no tile could be filtered; the first: ZeroDivisionError"):
+    with pytest.raises(
+        ProcessingError, match=r"^no tile could be filtered; the first error: ZeroDivisionError"
+    ):
         do(list(demo.paths[:1]), tmp_path / "out")
     assert '"state": "failed"' in (tmp_path / "out" / "run.json").read_text()

@@ -176,7 +176,7 @@ def test_an_empty_file_and_one_that_went_away(
     empty = clouds.write(tmp_path / "in" / "empty.las", clouds.city(96.0).take(np.zeros(0, np.intp)))
     aside, line = (
         tmp_path / "aside.las",
-        r"^no input could be read; the first: .*east\.las: .*was removed during",
+        r"^no input could be read; the first error: .*east\.las: .*was removed during",
     )
     for module, name in ((fingerprints, "read_files"), (ingest_tasks, "spool_piece")):
         with monkeypatch.context() as patch:

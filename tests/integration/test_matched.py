@@ -38,7 +38,9 @@ def ran(cloud: Path, out: Path, *options: object) -> dict:
 def test_what_is_decided_of_a_matched_cloud_is_told_and_done(cloud: Path, tmp_path: Path) -> None:
     found = ran(cloud, tmp_path / "out")
     assert (found["configuration"]["surface"], found["configuration"]["erode"]) == ("median", "0.5")
-    assert any("the surface is the median of the heights in half a pixel" in note for note in found["notes"])
+    assert any(
+        "the surface is the median height of each cell half a pixel wide" in note for note in found["notes"]
+    )
     labels = np.asarray(laspy.read(tmp_path / "out/classified/village.laz").classification)
     assert np.array_equal(labels, ptd.classify(village()[0], kind="dim").classification)
     with rasterio.open(tmp_path / "out/dtm.tif") as raster:

@@ -140,7 +140,7 @@ def classify_files(
             made = guards.each(lambda guard, work: _written(guard, store.url, work, config), works)
             records, failed = _records(works, made)
     if not records:
-        raise ProcessingError(f"no file could be written; the first: {failed[0]['error']}")
+        raise ProcessingError(f"no file could be written; the first error: {failed[0]['error']}")
     kept = sum_by_class(record.kept or {} for record in records)
     if text := kept_text(kept, result.summary["classes"]["no_part"]):
         listener(Note(text))

@@ -1,4 +1,4 @@
-"""Reading of the points of a tile from the store: all points of a window, and the points to label in a bucket."""
+"""Reading of the points of a tile from the store: the points of a window, and the points to label in a bucket."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Bucket:
     mask : bool [n]
         Mask of these points among all points that are read for the bucket.
     uncertified : bool
-        Whether a label of these points is uncertified.
+        Whether a label of these points is uncertified. False for a part of the window, which `window` reports.
     """
 
     points: Points
@@ -43,7 +43,9 @@ class Bucket:
 
 
 class TileReader:
-    """Reader of the points of a tile. Buckets stay in memory for later requests.
+    """Reader of the points of a tile.
+
+    Buckets that are also margins of other buckets stay in memory, up to ``work.held_bytes``.
 
     Parameters
     ----------
@@ -109,7 +111,10 @@ class TileReader:
         return bucket
 
     def points_around(self, cell: Cell) -> tuple[list[Points], bool]:
-        """Return the points within `Pass.label_margin_m` around a bucket, and whether a label is uncertified."""
+        """Return the points within `Pass.label_margin_m` around a bucket.
+
+        Return also whether a label in their buckets is uncertified.
+        """
         if not self._margin:
             return [], False
         lattice, (ox, oy) = self._store.meta.bucket, self._store.meta.frame.origin

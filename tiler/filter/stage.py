@@ -19,7 +19,7 @@ from tiler.core.units_text import in_unit_of_crs
 from tiler.errors import ConfigError, ProcessingError
 from tiler.filter import FilterTile
 from tiler.filter.tasks.labelled import MATCHED, Labelled
-from tiler.filter.tasks.passes import PassInputs, filter_tasks, labels_given, tile_records
+from tiler.filter.tasks.passes import PassInputs, filter_tasks, labels_scope, tile_records
 from tiler.ingest.tasks.assembled import IngestResult
 from tiler.observe.events import StagesPassedOver, Warned
 from tiler.plan import KEEP
@@ -65,13 +65,13 @@ def filter_points(job: Job, assembled: IngestResult) -> Labelled:
         filtered = run_stage(job, f"filter{number}", tasks, filter_kernels(config.method, kind))
         if not filtered:
             raise ProcessingError(
-                f"no tile could be filtered; the first: {job.record.first_error(f'filter{number}')}"
+                f"no tile could be filtered; the first error: {job.record.first_error(f'filter{number}')}"
             )
         if step.elects or step.gives_labels:
-            is_last, candidates_only = labels_given(job.plan, number, state)
+            is_last, candidates_only = labels_scope(job.plan, number, state)
             for task in tasks:
                 if task.key not in filtered:
-                    _leave_out(job, task, step, pass_inputs)
+                    _write_empty_results(job, task, step, pass_inputs)
             pass_inputs = pass_inputs.after(number, step, is_last, candidates_only, assembled, filtered)
             last_pass = step.name if is_last else ""
         if step.gives_labels:
@@ -98,9 +98,9 @@ def _clear_passed_over(job: Job, passes: Sequence[Pass], state: State) -> None:
 
 
 def _without_known_places(state_after: Mapping[str, Any], state: State) -> dict[str, Any]:
-    """Return the state after a pass without the table of places if the state before the pass has the table.
+    """Return the state after a pass. Omit the table of places if the state before the pass has it.
 
-    So the table is stored only once: it may have a million places.
+    So the table, which may have a million places, is stored only once.
     """
     return {name: value for name, value in state_after.items() if name != PLACES or name not in state}
 
@@ -152,7 +152,7 @@ def _warn_of_uncertain_kind(job: Job, survey: Mapping[str, Any]) -> None:
     job.listener(Warned(text))
 
 
-def _leave_out(job: Job, task: Task, step: Pass, inputs: PassInputs) -> None:
+def _write_empty_results(job: Job, task: Task, step: Pass, inputs: PassInputs) -> None:
     """Write empty results for a tile that failed, so that no results of an earlier run remain."""
     work: FilterTile = task.arguments
     buckets = job.store.buckets_within(job.plan.grid.meta.bucket.hull(work.cells))
@@ -186,6 +186,6 @@ def _label_counts(job: Job, records: list[TileRecord], tiles: int) -> LabelCount
     if counts.marked:
         job.note(
             f"{counts.marked:,} labels are not certified: points beyond the widest halo could change them; "
-            "more --memory allows a wider halo"
+            "use a larger --halo"
         )
     return counts

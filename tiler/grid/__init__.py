@@ -22,7 +22,7 @@ from tiler.grid.coverage import (
 from tiler.grid.density import density_block
 from tiler.grid.derived import DeriveBlock, derive_block
 from tiler.grid.distance import DistanceBlock, distance_block
-from tiler.grid.edits import SurveyEdits, survey_edits
+from tiler.grid.edits import CountEditedPoints, count_edited_points
 from tiler.grid.ground import GroundSelection
 from tiler.grid.holes import CELL_PIXELS
 from tiler.grid.mask import MaskBlock, mask_block
@@ -63,6 +63,7 @@ __all__ = [
     "BlankBlocks",
     "CanopyBlock",
     "CloseBlock",
+    "CountEditedPoints",
     "CountPlaneRims",
     "CountRims",
     "CrownsBlock",
@@ -89,13 +90,13 @@ __all__ = [
     "Sources",
     "SurfaceBlock",
     "SurveyBlock",
-    "SurveyEdits",
     "Void",
     "VoidRasters",
     "blank_blocks",
     "blocks_of",
     "canopy_block",
     "close_block",
+    "count_edited_points",
     "count_plane_rims",
     "count_rims",
     "crowns_block",
@@ -127,5 +128,4 @@ __all__ = [
     "sigma_block",
     "surface_block",
     "survey_block",
-    "survey_edits",
 ]

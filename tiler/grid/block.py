@@ -2,7 +2,8 @@
 
 The pixels depend only on the data, not on the block or its halo. A facet fills a pixel only if its longest edge and its
 circumradius stay within a limit, so data farther away than twice that limit have no influence. A pixel is uncertified
-if nearer data outside the window could change it. A block with uncertified pixels is repeated with a larger halo.
+if data within that distance but outside the window could change it. A block with uncertified pixels is repeated with a
+larger halo.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ class _GroundCounts(NamedTuple):
 
 
 MAX_WINDOW = MAX_EXTENT // 2
-"""Least side, in counts, of a window that is too wide for an exact TIN. Its block is divided."""
+"""Side of a window, in counts, from which its block is divided: half of the extent that a TIN can have."""
 
 
 def full_halo(max_edge: Fraction) -> int:
@@ -180,7 +181,10 @@ def _too_wide(work: GridBlock, halo: int) -> bool:
 
 
 def _too_full(store: TileStore, work: GridBlock, halo: int) -> bool:
-    """Return whether a window is too wide or too full. Blocks up to `MIN_PART` pixels may exceed ``max_points``."""
+    """Return whether a window is too wide or too full.
+
+    Blocks with sides of at most `MIN_PART` pixels may exceed ``max_points``.
+    """
     side = max(work.block.height, work.block.width)
     if side > 1 and _too_wide(work, halo):
         return True
@@ -275,7 +279,8 @@ def rasterise_window(
         if work.interpolation != "idw":
             return raster
         heights, distance = inverse_distance(xyz[0], xyz[1], xyz[2], pixels, limit)
-        known = spec.block_bounds(block).x0 - window.x0  # the halo, beyond which there may be nearer points
+        # All points within the halo are known. If the search went farther, there may be nearer points.
+        known = spec.block_bounds(block).x0 - window.x0
         filled = ~np.isnan(raster.heights)
         return TinRaster(np.where(filled, heights, np.nan), raster.marks | (filled & (distance > known)))
     except ValueError as error:

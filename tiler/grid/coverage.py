@@ -33,21 +33,21 @@ WINDOW = 128
 MIN_GAP = 6
 """Least diameter of the disk in cells, as a smaller disk is not round."""
 ENOUGH_CELLS = 4
-"""Least mean number of occupied cells per occupied square, half a gap wide, at which points are not sparse."""
+"""Points are not sparse if occupied squares of half a gap's width have at least this many occupied cells on average."""
 NO_PIECE = -1.0
 """Value of a raster of open areas for a block that was not written: it is open everywhere."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class CloseBlock(BlockWork):
-    """Arguments of `close_block`: one block of the raster of areas outside the survey and its gaps.
+    """Arguments of `close_block`: one block of the raster of open areas, which have no points and are not closed gaps.
 
     Attributes
     ----------
     occupancy : str
         Name of the raster of occupied cells.
     gap, most_gap : float
-        Widest gap in cells that belongs to any survey, and the widest that belongs to a survey of sparse points.
+        Widest gap in cells where points are dense, and where they are sparse.
     """
 
     occupancy: str
@@ -66,7 +66,7 @@ class SurveyBlock(BlockWork):
     outside : tuple of Piece
         Open areas of this block and of its neighbours that are not enclosed by the survey.
     empty : tuple of (row, column)
-        First row and column of each of these blocks that is empty and enclosed.
+        First row and column of each missing block, among this block and its neighbours, that the survey encloses.
     pixels : RasterSpec
         Raster of the products.
     """
@@ -195,13 +195,13 @@ def closed_cells(occupied: Bools, gaps: npt.NDArray[np.float64], pad: int) -> Bo
     closed = occupied[pad : len(occupied) - pad, pad : occupied.shape[1] - pad].copy()
     if not occupied.any():
         return closed
-    wide = np.kron(gaps, np.ones((WINDOW, WINDOW)))
+    gap_of_cell = np.kron(gaps, np.ones((WINDOW, WINDOW)))
     for gap in np.unique(gaps):
         radius = gap / 2
         filled = within(occupied, radius)
         part = box_around(filled, 1)  # no cell beyond it is filled
         filled[part] = ~within(~filled[part], radius)
-        closed |= filled[pad : len(occupied) - pad, pad : occupied.shape[1] - pad] & (wide == gap)
+        closed |= filled[pad : len(occupied) - pad, pad : occupied.shape[1] - pad] & (gap_of_cell == gap)
     return closed
 
 

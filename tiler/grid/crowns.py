@@ -66,7 +66,7 @@ def crowns_in_block(store: TileStore, name: str, spec: RasterSpec, block: Block)
 
 
 def crown_advice(parts: Iterable[Crowns], spec: RasterSpec) -> Advice | None:
-    """Return a warning if a tenth of the terrain or more looks like crowns, else None."""
+    """Return a warning if `MIN_SHARE` of the terrain and `MIN_BLOCKS` blocks look like crowns, else None."""
     looked_at = 0
     pixels: list[tuple[int, int]] = []
     for part in parts:

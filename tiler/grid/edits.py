@@ -14,8 +14,8 @@ from tiler.store import open_store
 
 
 @dataclass(frozen=True)
-class SurveyEdits:
-    """Arguments of `survey_edits`: a bucket, and the key in the store of the edits."""
+class CountEditedPoints:
+    """Arguments of `count_edited_points`: a bucket, and the key in the store of the edits."""
 
     rule: GroundSelection
     edits: str
@@ -26,7 +26,7 @@ class SurveyEdits:
         return buckets.bounds(self.cell)
 
 
-def survey_edits(store_url: str, work: SurveyEdits) -> EditCountsRecord:
+def count_edited_points(store_url: str, work: CountEditedPoints) -> EditCountsRecord:
     """Count the points of a bucket inside each edit. This is a `tiler.schedule.task.Work`.
 
     Each edit is counted as if there were no other edits.

@@ -27,7 +27,7 @@ class GroundSelection:
     Attributes
     ----------
     labels : str or None
-        Pass whose labels are the classes; None for the classes of the input.
+        Name in the store of the labels that are the classes. None for the classes of the input.
     classes : tuple of int
     skip_flags : int
         Bits of `PointBlock.flags` that exclude a point. Withheld points are always excluded.
@@ -66,7 +66,7 @@ class Ground:
     xyz : int32 (3, n)
         Local counts of the points.
     read : int
-        Number of points that were read.
+        Number of ground points in the window, of which only some may be chosen.
     marked : int
         Number of uncertified ground points (`UNCERTIFIED_BIT`).
     """
@@ -131,7 +131,7 @@ def read_classes(
     needs_input |= rule.labels is None or edits is not None
     block = store.read_bucket(cell, ("xyz", "flags", *(("classification",) if needs_input else ())))
     column = block.classification if rule.labels is None else store.read_labels(rule.labels, cell)
-    classes = _there(column, store, cell)
+    classes = _required(column, store, cell)
     is_ground = rule.is_ground()[classes]
     if edits is not None:
         forced = edits.forced(block, classes, store.meta.frame.origin)
@@ -184,7 +184,7 @@ def _is_noise(
     block: PointBlock, labels: npt.NDArray[np.uint8] | None, store: TileStore, cell: Cell
 ) -> npt.NDArray[np.bool_]:
     """Return a mask of the points that are noise by the input, or by the filter if there are labels."""
-    noise = np.isin(_there(block.classification, store, cell), NOISE)
+    noise = np.isin(_required(block.classification, store, cell), NOISE)
     return noise if labels is None else noise | np.isin(labels & ~np.uint8(UNCERTIFIED_BIT), NOISE)
 
 
@@ -202,12 +202,12 @@ def surface_points(
 
 def _used(block: PointBlock, rule: GroundSelection, store: TileStore, cell: Cell) -> npt.NDArray[np.bool_]:
     """Return a mask of the points that are not excluded by a flag."""
-    flags = _there(block.flags, store, cell)
+    flags = _required(block.flags, store, cell)
     mask: npt.NDArray[np.bool_] = (flags & (rule.skip_flags | WITHHELD_FLAG)) == 0
     return mask
 
 
-def _there(column: npt.NDArray[np.uint8] | None, store: TileStore, cell: Cell) -> npt.NDArray[np.uint8]:
+def _required(column: npt.NDArray[np.uint8] | None, store: TileStore, cell: Cell) -> npt.NDArray[np.uint8]:
     if column is None:
         raise StoreError(
             f"{store.url}: bucket {cell.name} lacks its classes or flags; start anew with --overwrite"

@@ -33,7 +33,7 @@ class BlockHoles(NamedTuple):
     cells : list of list of int
         All other holes, see `hole_cells`.
     by_edit : list of [number, pixels]
-        Number of each edit, and of the holes in it.
+        Number (name) of each edit, and count of the holes in it.
     """
 
     n_surveyed: int

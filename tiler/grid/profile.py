@@ -98,7 +98,8 @@ def bank_level(heights: npt.NDArray[np.int64]) -> float:
 def water_level(heights: npt.NDArray[np.int64], scale: Scale) -> float | None:
     """Return the level of water from its own heights, or None if they are too few or not smooth.
 
-    If heights differ by more than waves do, for example between strips flown at two levels, the lower level counts.
+    If heights differ by more than waves do, for example between strips flown at different water levels, the lower level
+    counts.
     """
     if len(heights) < MIN_PIXELS:
         return None
@@ -174,8 +175,8 @@ def _left_of(line: Floats, xyz: Counts, along: Floats) -> npt.NDArray[np.bool_]:
 
 def _weighted_median(values: Floats, weights: Floats) -> float:
     order = np.argsort(values, kind="stable")
-    heap = np.cumsum(weights[order])
-    return float(values[order][np.searchsorted(heap, heap[-1] / 2)])
+    cumulative = np.cumsum(weights[order])
+    return float(values[order][np.searchsorted(cumulative, cumulative[-1] / 2)])
 
 
 def _with_steps(

@@ -42,7 +42,7 @@ class TerrainRecord(BlockRecord):
     ground_read, ground_used, ground_marked : int
         Number of ground points in the window of the last try: all, vertices of the TIN, and uncertified points.
     edited : list of [number, pixels], optional
-        Number of each edit in the block, and of the pixels that it changed.
+        Number (name) of each edit in the block, and count of the pixels that it changed.
     """
 
     nodata: int
@@ -85,7 +85,7 @@ class SurfaceRecord(BlockRecord):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OutlineRecord(BlockRecord):
-    """Record of a block of the delivered terrain.
+    """Record of a block of a delivered model.
 
     Attributes
     ----------
@@ -100,7 +100,7 @@ class OutlineRecord(BlockRecord):
     holes : list of [pixels, row, col, last_row, last_col]
         All other holes, see `tiler.grid.holes.hole_cells`.
     edit_holes : list of [number, pixels]
-        Number of each edit in the block, and of the holes in it.
+        Number (name) of each edit in the block, and count of the holes in it.
     """
 
     hidden: int
@@ -158,8 +158,8 @@ class OccupancyRecord(BlockRecord):
     ----------
     water : int
         Number of cells that are water by the input.
-    returns : list of [times, counts]
-        Histograms of points per cell, see `tiler.grid.returns`.
+    returns : list of list of [bin, cells]
+        Histogram of points per cell for each level of merging, see `tiler.grid.returns`.
     """
 
     water: int
@@ -218,7 +218,7 @@ class SizesRecord(LabelsRecord):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class RimsRecord(Record):
-    """Record of the land of a block around areas.
+    """Record of the rims of areas, which are the land around them, within a block.
 
     Attributes
     ----------
@@ -330,9 +330,9 @@ class EditCountsRecord(Record):
     Attributes
     ----------
     edits : list of list of int
-        For each edit that touches the bucket, its number and five counts of points inside it: all, ground before the
-        edit, ground after it by the input's classes or by the lowest points, and ground by the input. The last three
-        are 0 unless the edit adds ground.
+        For each edit that touches the bucket, its number, and five counts of points inside it: all; ground before the
+        edit; ground after it by the input's classes; ground after it by the lowest points; ground by the input. The
+        last three are 0 unless the edit adds ground.
     """
 
     edits: list[list[int]]

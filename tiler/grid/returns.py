@@ -64,8 +64,8 @@ def usual_returns(found: Iterable[list[Histogram]], enough: float) -> tuple[int,
         if not len(bins):
             return None
         bins = bins[np.argsort(bins[:, 0], kind="stable")]
-        heap = np.cumsum(bins[:, 1])
-        median = float(2 ** (bins[np.searchsorted(heap, heap[-1] / 2), 0] / BINS_PER_OCTAVE))
+        cumulative = np.cumsum(bins[:, 1])
+        median = float(2 ** (bins[np.searchsorted(cumulative, cumulative[-1] / 2), 0] / BINS_PER_OCTAVE))
         if median >= enough:
             return 1 << level, median
     return None

@@ -79,8 +79,8 @@ def roofs_in_terrain(
     roof_m : float, optional
         Widest roof for which the method itself searches, in metres.
     waters : str, optional
-        Key in the store of bodies of water. Their heights do not count, as land does not stand above a river as a roof
-        stands above the ground.
+        Key in the store of bodies of water. Their heights do not count, because land next to water is higher and would
+        look like a roof.
     """
     frame = store.meta.frame
     pixel = float(spec.lattice.size * frame.metres_xy)
@@ -137,10 +137,10 @@ def _part(
         bodies = store.waters(waters, spec.block_bounds(strip))
         if bodies is not None:
             heights[bodies.inside(spec, strip)] = NODATA
-        rows.append(pooled(heights, times))
+        rows.append(thinned(heights, times))
     return np.concatenate(rows)
 
 
-def pooled(heights: npt.NDArray[np.float32], times: int) -> Float64:
-    """Return the height of one pixel per ``times`` by ``times``. Thinning keeps steep edges, which means would blur."""
+def thinned(heights: npt.NDArray[np.float32], times: int) -> Float64:
+    """Return the height of one pixel per ``times`` by ``times``. Unlike averaging, thinning keeps steep edges."""
     return heights[times // 2 :: times, times // 2 :: times].astype(np.float64)

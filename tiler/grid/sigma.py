@@ -32,7 +32,7 @@ class SigmaBlock(PointsBlock):
     Attributes
     ----------
     terrain, mask : str
-        Rasters of the delivered heights, and of their origin (the mask).
+        Rasters of the delivered heights, and of the mask.
     kind : str or None
         Source of the cloud as methods name it (`ptd.passes.RunHints`); None if it is not known.
     cap : Fraction

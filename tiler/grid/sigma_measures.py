@@ -46,7 +46,7 @@ class Measures(NamedTuple):
     slope : rise over run
         Slope of the terrain over about 10 m.
     off_trend : metres
-        Absolute deviation from the median of the terrain within 17 m.
+        Absolute deviation from the median of the terrain in a window 17 m wide.
     near_objects, around_objects : share
         Share of objects among the points within 3.5 and 10.5 m.
     """

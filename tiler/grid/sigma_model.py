@@ -22,7 +22,7 @@ GAP_M = 0.5
 """Distance below which a ground point counts as if it were in the pixel."""
 
 MAX_TREND_M = 10.0
-"""Widest gap in the term of the deviation from the trend, as the window of the trend reaches only 8.5 m."""
+"""Upper limit of the gap in the term `Weights.trend_gap`, as the window of the trend reaches only 8.5 m."""
 FLOOR_M2 = 0.02**2
 """Least variance: strips, grids and geoids differ by some centimetres, which is not in any measure."""
 LINEAR = 0.5

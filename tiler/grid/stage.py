@@ -103,7 +103,7 @@ def _settle_surface(job: Job) -> None:
     if (surface, erode) != (config.surface, config.erode):
         erode_text = length_text(erode, plan.grid.meta.frame.units.horizontal)
         job.note(
-            f"decided: the surface is the {surface} of the heights in half a pixel, without ground within "
+            f"decided: the surface is the {surface} height of each cell half a pixel wide, without ground within "
             f"{erode_text} of objects, because the cloud is photogrammetric (--surface, --erode)"
         )
     job.plan = replace(plan, config=config.updated(surface=surface, erode=erode))
@@ -129,7 +129,7 @@ def _make(job: Job, raster: RasterStep, spec: RasterSpec, tasks: list[Task], joi
     }
     lost = {key for key, (_, stored) in done.items() if stored.get("filled")} - written
     if lost:
-        job.note(f"gone from the store, and made again: {counted(len(lost), 'block')} of {name}")
+        job.note(f"{counted(len(lost), 'block')} of {name} missing from the store; made again")
     job.invalidate(stage, lost)
     _blank(job, name, spec, written - done.keys())
     job.store.put_state(f"raster-{name}", spec.to_json())
@@ -137,7 +137,9 @@ def _make(job: Job, raster: RasterStep, spec: RasterSpec, tasks: list[Task], joi
         return {}
     made = run_stage(job, stage, tasks, grid_kernels(job.plan.config.interpolation), join=join)
     if not made:
-        raise ProcessingError(f"no block of {name} could be made; the first: {job.record.first_error(stage)}")
+        raise ProcessingError(
+            f"no block of {name} could be made; the first error: {job.record.first_error(stage)}"
+        )
     return made
 
 
@@ -198,8 +200,8 @@ def _report_surface(job: Job, made: Mapping[str, Any]) -> None:
     )
     if deep:
         job.note(
-            f"in {counted(deep, 'pixel')} all returns lie more than {DEEP_M:g} m below the terrain (low "
-            "noise, or steep ground classified as such): the surface model has the terrain's height there"
+            f"in {counted(deep, 'pixel')} all returns lie more than {DEEP_M:g} m below the terrain "
+            "(undetected low noise, or terrain that is too high): the surface model has the terrain's height there"
         )
 
 
@@ -212,8 +214,8 @@ def _report_mask(job: Job, spec: RasterSpec, made: Mapping[str, Any]) -> None:
 def _report_terrain(job: Job, spec: RasterSpec, tasks: list[Task], made: Mapping[str, Any]) -> None:
     if job.plan.thin_ground and job.plan.config.surface_percent is None:
         job.note(
-            "decided: one ground point in each quarter of a pixel makes the surface, as all of them would need more "
-            "memory in the densest place (--memory)"
+            "decided: one ground point in each cell a quarter of a pixel wide makes the surface, as all of them would "
+            "need more memory in the densest place (--memory)"
         )
     records = records_of(TerrainRecord, made)
     job.results.dtm = TerrainResult(
@@ -233,7 +235,7 @@ def _report_terrain(job: Job, spec: RasterSpec, tasks: list[Task], made: Mapping
 
 
 def _why_empty(job: Job) -> str:
-    """Return why the terrain is empty, and a remedy."""
+    """Return why the terrain is empty."""
     config, stored = job.plan.config, job.results.counts.stored
     if config.method != KEEP and job.results.counts.kept_out == stored:
         return (

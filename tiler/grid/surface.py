@@ -1,7 +1,7 @@
 """Surface model: the highest return of each pixel without spikes, elsewhere the TIN of these returns.
 
 The surface is never below the terrain. Returns below the terrain come from the slope within their pixel, from low noise
-that the filter missed, or from steep ground that the filter classified as noise.
+that the filter missed, or from places where the terrain is too high.
 """
 
 from __future__ import annotations
@@ -55,10 +55,10 @@ class SurfaceBlock(TinBlock):
 def surface_block(store_url: str, work: SurfaceBlock) -> SurfaceRecord:
     """Write one block of the surface model. This is a `tiler.schedule.task.Work`.
 
-    All points except withheld ones and noise (classes 7 and 18, by the input or by the filter) are used, since water
-    and bridges are surface. `HighestReturns.supported` removes spikes among the pixels within ``reach``. A pixel with a
-    return has its height. Other pixels are interpolated on the TIN of these returns under the same limit as the
-    terrain. All heights are at least those of the terrain.
+    All points except withheld or skipped ones and noise (classes 7 and 18, by the input or by the filter) are used,
+    since water and bridges are surface. `HighestReturns.supported` removes spikes among the pixels within ``reach``. A
+    pixel with a return has its height. Other pixels are interpolated on the TIN of these returns under the same limit
+    as the terrain. All heights are at least those of the terrain.
 
     Returns
     -------

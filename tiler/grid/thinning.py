@@ -54,7 +54,7 @@ def _whole_cells(
     cell: Cell,
     xyz: Counts,
 ) -> Index:
-    """Return the points of a bucket that may be in the TIN: one of each cell wholly inside it, and all others."""
+    """Return the points that may be in the TIN: one per cell that is wholly in the bucket, and all of other cells."""
     whole = PointBlock(xyz).inside(thin.within(buckets.bounds(cell)), origin)
     inner = np.flatnonzero(whole)
     return np.append(inner[choose(xyz[:, inner])], np.flatnonzero(~whole))

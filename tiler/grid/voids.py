@@ -29,8 +29,8 @@ from tiler.store import TileStore, coarse_cells, coarse_values, coarse_window, o
 
 Int32 = npt.NDArray[np.int32]
 
-PIECE = BLOCK_PIXELS
-"""Side in pixels of the pieces that are processed one at a time."""
+PART_PIXELS = BLOCK_PIXELS
+"""Side in pixels of the parts that are processed one at a time."""
 
 NEAR = 2
 """Distance from a hole, in pixels, beyond which heights do not influence how it is filled."""
@@ -141,10 +141,10 @@ def _around_small_pixels(store: TileStore, rasters: VoidRasters, block: Block) -
     """Return a mask of the cells of a block that contain the centre of an empty pixel."""
     coarse, spec = rasters.coarse, rasters.spec
     empty = np.zeros((block.height, block.width), np.bool_)
-    for piece in blocks_under(coarse, spec, block, PIECE):
-        rows, cols = np.nonzero(_void(store, rasters, piece))
+    for part in blocks_under(coarse, spec, block, PART_PIXELS):
+        rows, cols = np.nonzero(_void(store, rasters, part))
         if len(rows):
-            cell_rows, cell_cols = coarse_cells(coarse, spec, piece)
+            cell_rows, cell_cols = coarse_cells(coarse, spec, part)
             cells = cell_rows[rows] - block.row, cell_cols[cols] - block.col
             in_block = (
                 (cells[0] >= 0) & (cells[0] < block.height) & (cells[1] >= 0) & (cells[1] < block.width)
@@ -158,11 +158,11 @@ def _within_large_pixels(store: TileStore, rasters: VoidRasters, block: Block) -
     coarse, spec = rasters.coarse, rasters.spec
     empty = np.zeros((block.height, block.width), np.bool_)
     rows, cols = coarse_cells(spec, coarse, block)
-    for piece in blocks_under(coarse, spec, block, PIECE):
-        void = _void(store, rasters, piece)
-        down = np.flatnonzero((rows >= piece.row) & (rows < piece.row + piece.height))
-        right = np.flatnonzero((cols >= piece.col) & (cols < piece.col + piece.width))
-        empty[np.ix_(down, right)] = void[np.ix_(rows[down] - piece.row, cols[right] - piece.col)]
+    for part in blocks_under(coarse, spec, block, PART_PIXELS):
+        void = _void(store, rasters, part)
+        down = np.flatnonzero((rows >= part.row) & (rows < part.row + part.height))
+        right = np.flatnonzero((cols >= part.col) & (cols < part.col + part.width))
+        empty[np.ix_(down, right)] = void[np.ix_(rows[down] - part.row, cols[right] - part.col)]
     return empty
 
 
@@ -182,7 +182,7 @@ def fill_block(store_url: str, work: FillBlock) -> FilledRecord:
     empty = _void(store, rasters, block)
     filled_before = int(np.count_nonzero(heights != np.float32(NODATA)))
     for void in work.voids:
-        inside = empty & _holds(store, rasters, void, block)
+        inside = empty & _pixels_in_void(store, rasters, void, block)
         if inside.any():
             rim = _rim(store, rasters, void)
             raster = rasterise(Tin.build(*rim), pixels_of(rasters.spec, block, store.meta.frame.origin))
@@ -206,7 +206,7 @@ def _void(store: TileStore, rasters: VoidRasters, block: Block) -> npt.NDArray[n
     return empty
 
 
-def _holds(store: TileStore, rasters: VoidRasters, void: Void, block: Block) -> Bools:
+def _pixels_in_void(store: TileStore, rasters: VoidRasters, void: Void, block: Block) -> Bools:
     """Return a mask of the pixels of a block in the coarse cells of a void."""
     window = coarse_window(rasters.coarse, rasters.spec, block)
     cells = cells_of(store, rasters.numbers, rasters.coarse, window, void.pieces)
@@ -221,20 +221,22 @@ def _rim(store: TileStore, rasters: VoidRasters, void: Void) -> tuple[Int32, Int
     for area in void.pieces:
         cells = coarse.block_at(area.row, area.col, BLOCK_PIXELS)
         piece_mask = store.read_block(rasters.numbers, cells) == area.label
-        cores.update(blocks_of(block_runs(piece_mask, coarse.window(cells), spec, PIECE, 1), spec, PIECE))
-    rim_parts = [_rim_of_piece(store, rasters, void, piece) for piece in sorted(cores, key=north_west)]
+        cores.update(
+            blocks_of(block_runs(piece_mask, coarse.window(cells), spec, PART_PIXELS, 1), spec, PART_PIXELS)
+        )
+    rim_parts = [_rim_of_part(store, rasters, void, part) for part in sorted(cores, key=north_west)]
     x, y, z = np.concatenate([np.empty((3, 0), np.int64), *rim_parts], axis=1)
     east, north = store.meta.frame.origin
     return (x - east).astype(np.int32), (y - north).astype(np.int32), z.astype(np.int32)
 
 
-def _rim_of_piece(store: TileStore, rasters: VoidRasters, void: Void, core: Block) -> npt.NDArray[np.int64]:
-    """Return the absolute counts (3, n) of the rim's pixels in ``core``, also at its border."""
+def _rim_of_part(store: TileStore, rasters: VoidRasters, void: Void, core: Block) -> npt.NDArray[np.int64]:
+    """Return the absolute counts (3, n) of the rim's pixels in ``core``, including those beside holes outside it."""
     spec = rasters.spec
     top, left = max(core.row - 1, 0), max(core.col - 1, 0)
     bottom, right = min(core.row + core.height + 1, spec.height), min(core.col + core.width + 1, spec.width)
     wide = Block(top, left, bottom - top, right - left)
-    hole_cells_mask = _holds(store, rasters, void, wide)
+    hole_cells_mask = _pixels_in_void(store, rasters, void, wide)
     if not hole_cells_mask.any():
         return np.empty((3, 0), np.int64)
     heights = store.read_block(rasters.heights, wide)

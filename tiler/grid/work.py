@@ -73,11 +73,11 @@ class GridBlock(TinBlock):
         Largest halo in counts; None for `tiler.grid.full_halo`.
     thin : Lattice or None
         Cells in which only one ground point is used: the point at ``percent`` of their heights, or the central point if
-        that is None. It is the same for the whole run, as other cells make another surface.
+        ``percent`` is None. All blocks of a run have the same cells, since other cells make another surface.
     percent : int or None
         Percentile of heights.
     breaklines : str or None
-        Key in the store of lines that the surface follows. The digest includes those that touch the block.
+        Key in the store of lines that the surface follows. The digest includes those that may change the block.
     max_points : int or None
         Number of points in a window above which a block is divided into quarters; None for no limit. Pixels do not
         depend on it.

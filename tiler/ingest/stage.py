@@ -74,7 +74,7 @@ def spool(job: Job, sources: list[Source]) -> tuple[Commits, list[Source]]:
     # The error of a worker that died does not contain the path of the file.
     lines = [f"{path}: left out: {error.removeprefix(f'{path}: ')}" for path, error in left_out]
     if not good:
-        raise InputError(f"no input could be read; the first: {lines[0]}")
+        raise InputError(f"no input could be read; the first error: {lines[0]}")
     for text in lines:
         job.listener(Warned(text))
     spooled = {k: c for k, c in spooled.items() if source_of(k) not in bad}
@@ -210,7 +210,9 @@ def assemble(job: Job, sources: list[Source], spooled: Commits) -> IngestResult:
     commits = run_stage(job, "assemble", tasks)
     assembled = IngestResult.of(commits)
     if not commits:
-        raise ProcessingError(f"no bucket could be written; the first: {job.record.first_error('assemble')}")
+        raise ProcessingError(
+            f"no bucket could be written; the first error: {job.record.first_error('assemble')}"
+        )
     area = job.plan.inputs.area
     if area is not None and area.bounds.intersection(assembled.bounds).empty:
         raise InputError(

@@ -15,12 +15,12 @@ from tiler.core.raster import NODATA, RasterSpec
 from tiler.core.water import LAKE, Water, Waters
 from tiler.grid.centreline import area_of
 from tiler.grid.crowns import crown_advice, crowns_in_block
-from tiler.grid.roofs import pooled, roofs_in_terrain
+from tiler.grid.roofs import roofs_in_terrain, thinned
 from tiler.store import TileStore
 
 
 def test_pooling_keeps_the_place() -> None:
-    assert np.array_equal(pooled(ROWS, 4)[:3, 0], [2, 6, 10])
+    assert np.array_equal(thinned(ROWS, 4)[:3, 0], [2, 6, 10])
 
 
 @pytest.mark.parametrize("part_cells", [1000, 50])

@@ -33,7 +33,7 @@ from tiler.grid import (
 from tiler.grid.coarse import coarse_raster
 from tiler.grid.pieces import Piece
 from tiler.grid.tasks.survey import outside_of
-from tiler.grid.voids import PIECE
+from tiler.grid.voids import PART_PIXELS
 
 SIDE, LIMIT = 240_000, 16_000
 
@@ -48,7 +48,7 @@ def filled(make_scene, monkeypatch: pytest.MonkeyPatch) -> Filled:
 
 
 def scene_with_holes(make_scene, monkeypatch: pytest.MonkeyPatch, pixel_m: int) -> Filled:
-    monkeypatch.setattr("tiler.grid.voids.PIECE", 40)
+    monkeypatch.setattr("tiler.grid.voids.PART_PIXELS", 40)
     xyz = plane_points(40_000, SIDE)
     x, y = xyz[:, 0], xyz[:, 1]
     lakes = (x - 70_000) ** 2 + (y - 80_000) ** 2 < 40_000**2
@@ -136,8 +136,8 @@ def test_each_hole_is_one_and_blocks_do_not_show(filled, monkeypatch: pytest.Mon
     )
     fill_block(scene.store.url, work)
     (one,) = pixels
-    for size, chunk in ((64, PIECE), (101, 33)):
-        monkeypatch.setattr("tiler.grid.voids.PIECE", chunk)
+    for size, chunk in ((64, PART_PIXELS), (101, 33)):
+        monkeypatch.setattr("tiler.grid.voids.PART_PIXELS", chunk)
         tiled = np.empty_like(one)
         for b in spec.blocks(size):
             pixels.clear()

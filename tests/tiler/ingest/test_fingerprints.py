@@ -110,7 +110,7 @@ def test_a_file_that_changes_meanwhile_is_left_out(
     ("grown", "settings", "text"),
     [
         ([4], {"on_error": "stop"}, r"4\.las: was replaced or .* \(.* bytes before, .* now\); run"),
-        (range(10), {}, r"no input could be read; the first: .*0\.las: "),
+        (range(10), {}, r"no input could be read; the first error: .*0\.las: "),
     ],
 )
 def test_what_ends_the_run(

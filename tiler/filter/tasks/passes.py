@@ -68,7 +68,7 @@ class PassInputs:
     ) -> PassInputs:
         """Return the results after a finished pass that elects points or gives labels.
 
-        See `labels_given` for ``is_last`` and ``candidates_only``.
+        See `labels_scope` for ``is_last`` and ``candidates_only``.
         """
         if step.elects:
             counts = dict.fromkeys(assembled.records, 0)
@@ -103,7 +103,7 @@ def elected_name(number: int) -> str:
     return f"elected-{number}"
 
 
-def labels_given(plan: Plan, number: int, state: Mapping[str, Any]) -> tuple[bool, bool]:
+def labels_scope(plan: Plan, number: int, state: Mapping[str, Any]) -> tuple[bool, bool]:
     """Return whether the labels of a pass are final, and whether the pass labels only candidates."""
     params = METHODS[plan.config.method].params(**plan.method.parameters)
     step = params.passes[number]
@@ -125,7 +125,7 @@ def filter_tasks(
     frame = plan.grid.meta.frame
     params = METHODS[plan.config.method].params(**plan.method.parameters)
     step = params.passes[number]
-    is_last, candidates_only = labels_given(plan, number, state)
+    is_last, candidates_only = labels_scope(plan, number, state)
     if step.elected and inputs.elected is None:
         raise ValueError(f"pass {step.name} works on elected points, but no earlier pass elected any")
     influence_margin = math.ceil(frame.counts(Fraction(influence_margin_m(step, params))))
@@ -176,7 +176,7 @@ def tile_records(filtered: Commits) -> Iterator[TileRecord]:
 def label_digests(assembled: IngestResult, filtered: Commits) -> dict[Cell, str]:
     """Return a digest for each bucket, of its contents and of the labels of its tile.
 
-    The digest of a bucket whose tile failed stands for a bucket without labels.
+    If the tile of a bucket failed, the digest is that of a bucket without labels.
     """
     return _content_digests(assembled, ((tile, tile.labels) for tile in tile_records(filtered)))
 

@@ -86,7 +86,7 @@ class Tile:
 
 
 def tiles_of(plan: Plan, records: Records, step: PlannedPass) -> Iterator[Tile]:
-    """Yield the tiles of a pass, from the west."""
+    """Yield the tiles of a pass."""
     if plan.joins(step):
         n_candidates = sum(record.n_candidates for record in records.values())
         n_tiles = plan.method.n_joined_tiles(n_candidates)

@@ -71,7 +71,7 @@ def canopy_cells(job: Job, assembled: IngestResult, labelled: Labelled) -> Canop
         return None
     passes = METHODS[job.plan.config.method].params(**job.plan.method.parameters).passes
     number = next(n for n, step in enumerate(passes) if step.name == CanopyPass.name)
-    # The last electing pass before the search elected its cells.
+    # The cells of the search were elected by the last electing pass before it.
     electing = max(n for n, step in enumerate(passes[:number]) if step.elects and step.applies(state))
     made = job.store.committed(f"filter{number}")
     _report(job, share, made)

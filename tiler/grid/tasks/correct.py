@@ -16,7 +16,7 @@ from tiler.core.records import records_of
 from tiler.core.terrain_results import BreaklineCounts, EditResult
 from tiler.errors import ProcessingError
 from tiler.filter.tasks.labelled import Labelled
-from tiler.grid import SurveyEdits, survey_edits
+from tiler.grid import CountEditedPoints, count_edited_points
 from tiler.grid.records import EditCountsRecord, TerrainRecord
 from tiler.grid.tasks.bridges import find_bridges
 from tiler.grid.tasks.corrections import Corrections
@@ -103,12 +103,12 @@ def _count_tasks(
     for cell, near in edits.by_cell(plan.grid.meta.bucket, labels).items():
         edit_digests = [[edit.number, *edit.digest] for edit in near]
         digest = digest_of(__version__, rule, edits.cell, cell, labels[cell], edit_digests)
-        work = SurveyEdits(rule, edits.key, cell)
-        yield Task("edits", cell.name, digest, survey_edits, work, assembled.records[cell].n)
+        work = CountEditedPoints(rule, edits.key, cell)
+        yield Task("edits", cell.name, digest, count_edited_points, work, assembled.records[cell].n)
 
 
 def _result(edit: Edit, counts: Sequence[int]) -> EditResult:
-    """Return the changes by an edit. ``counts`` are the sums of the five counts of `survey_edits`.
+    """Return the changes by an edit. ``counts`` are the sums of the five counts of `count_edited_points`.
 
     `report_edited_pixels` adds the number of pixels.
     """

@@ -88,7 +88,7 @@ class RasterStep:
     inputs : tuple of str
         Names of the rasters from which it is made, in the order that ``tasks`` expects.
     function : Work
-        Function that makes a block, or the whole raster.
+        Function that makes a block.
     grid : Grid
     tasks : callable
         Function ``tasks(raster, g)`` that yields the tasks of the raster, with the digests of their inputs.

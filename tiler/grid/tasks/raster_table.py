@@ -3,8 +3,8 @@
 Besides the products there are rasters that are only in the store. Rasters of coarse cells:
 
 - ``occupancy``: the number of points of each cell.
-- ``survey-open`` and ``survey``: labels of the open areas without points, and the extent of the survey, which closes
-  gaps among the open areas (see `tiler.grid.coverage`).
+- ``survey-open`` and ``survey``: labels of the open areas that remain after gaps are closed, and the extent of the
+  survey (see `tiler.grid.coverage`).
 - ``domain-open`` and ``domain``: the same, but wider gaps are closed, because they may be water.
 - ``water-...``: the steps of the search for water (`tiler.grid.water_search`, `tiler.grid.water_finish`).
   ``water-sure`` and ``water-plane-sure`` are confidences. ``water-rims`` and ``water-plane-rims`` have no cells, but a
@@ -150,7 +150,7 @@ def raster_table(config: RunConfig) -> dict[str, RasterStep]:
     if finds_water:
         rows += _water_rows()
     for model in _outlined(config):
-        # The records of the terrain count the holes inside edits of all actions.
+        # The records of the terrain also count the holes inside edits of points, not only of pixels.
         edits = ACTIONS if model == "dtm" else ()
         inputs = [filled_raster(model, config), "survey"]
         if model == "dtm" and finds_water:

@@ -61,7 +61,7 @@ def coarse_terrain_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
 
 
 def point_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
-    """Yield a task for each block with points. A pixel depends only on points inside it."""
+    """Yield a task for each block with points. A pixel depends only on points inside it, and on objects near these."""
     return _block_tasks(raster, g, PointsBlock, 0)
 
 

@@ -1,7 +1,7 @@
 """Grouping of blocks of the terrain into tasks that make one TIN for several blocks.
 
 A TIN also includes the points around its blocks, so a few large TINs triangulate fewer points than many small TINs.
-Pixels, digests and commits of a block do not depend on its group, so finished blocks remain valid.
+Pixels and digests of a block do not depend on its group, so finished blocks remain valid.
 """
 
 from __future__ import annotations

@@ -16,7 +16,7 @@ from tiler.grid.tasks.gridding import GAP_M, GridContext, Place, RasterStep
 from tiler.schedule import Task, digest_of
 
 
-class Gap(NamedTuple):
+class MissingRun(NamedTuple):
     """Run of missing blocks in a row of blocks, between two existing blocks.
 
     Attributes
@@ -35,7 +35,7 @@ class Gap(NamedTuple):
     last: int
 
 
-BEYOND_ALL = Gap("outside", 0, 0, 0)
+BEYOND_ALL = MissingRun("outside", 0, 0, 0)
 """Area around all blocks."""
 SIDES = {"north": (-1, 0), "south": (1, 0), "west": (0, -1), "east": (0, 1)}
 """Offset of the neighbour at each side of a block: blocks down, and blocks to the right."""
@@ -122,13 +122,13 @@ def outside_of(
     columns: dict[int, list[int]] = defaultdict(list)
     for row, col in sorted(blocks):
         columns[row].append(col)
-    gaps = {row: _gaps(row, cols) for row, cols in columns.items()}
+    gaps = {row: _missing_runs(row, cols) for row, cols in columns.items()}
     pairs: list[tuple[Any, Any]] = [*touching(blocks, corners=False)]
     for (row, col), sides in blocks.items():
         for side, (down, right) in SIDES.items():
             neighbour = (row + down * BLOCK_PIXELS, col + right * BLOCK_PIXELS)
             if neighbour not in blocks:
-                gap = _gap_at(gaps, *neighbour)
+                gap = _missing_run_at(gaps, *neighbour)
                 pairs += [(Piece(row, col, label), gap) for label in _labels(sides[side])]
     all_gaps = list(chain.from_iterable(gaps.values()))
     for gap in all_gaps:
@@ -151,21 +151,23 @@ def _labels(side: Side) -> list[int]:
     return sorted({label for label, _ in side if label})
 
 
-def _gaps(row: int, cols: list[int]) -> list[Gap]:
+def _missing_runs(row: int, cols: list[int]) -> list[MissingRun]:
     """Return the gaps between the blocks of a row."""
     gaps = []
     for col, next_col in pairwise(cols):
         if next_col - col > BLOCK_PIXELS:
-            gaps.append(Gap("gap", row, col + BLOCK_PIXELS, next_col - BLOCK_PIXELS))
+            gaps.append(MissingRun("gap", row, col + BLOCK_PIXELS, next_col - BLOCK_PIXELS))
     return gaps
 
 
-def _gap_at(gaps: Mapping[int, list[Gap]], row: int, col: int) -> Gap:
+def _missing_run_at(gaps: Mapping[int, list[MissingRun]], row: int, col: int) -> MissingRun:
     """Return the gap at a place without a block, or `BEYOND_ALL`."""
     return next((gap for gap in gaps.get(row, ()) if gap.first <= col <= gap.last), BEYOND_ALL)
 
 
-def _facing(gap: Gap, row: int, gaps: Mapping[int, list[Gap]], columns: Mapping[int, list[int]]) -> list[Gap]:
+def _facing(
+    gap: MissingRun, row: int, gaps: Mapping[int, list[MissingRun]], columns: Mapping[int, list[int]]
+) -> list[MissingRun]:
     """Return the gaps of an adjacent row of blocks that touch a gap.
 
     `BEYOND_ALL` is one of them if the gap extends beyond the first or last block of that row, or if the row is missing.

@@ -41,10 +41,10 @@ def ground_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
     """Yield a task for each block of coarse cells that overlaps a block of the terrain with heights."""
     if not g.water_is_sought:
         return
-    pixels, cells, occupancy = raster.inputs
-    coarse, spec, terrain = g.coarse, g.spec, pixels
+    terrain, coarse_terrain, occupancy = raster.inputs
+    coarse, spec = g.coarse, g.spec
     if g.has_large_pixels:
-        spec, terrain = coarse, cells
+        spec, terrain = coarse, coarse_terrain
     records = g.records(occupancy, OccupancyRecord)
     places: set[Place] = set()
     for key, (_, stored) in g.made[terrain].items():
@@ -244,7 +244,7 @@ def _sizes(g: GridContext, areas: str) -> dict[Piece, tuple[int, ...]]:
 
 
 def area_sums(joined: Joined, records: Mapping[Place, SizesRecord]) -> dict[Piece, tuple[int, ...]]:
-    """Return the sums of ``sizes`` in the records (as of `FindAreas`) over the pieces of each area, by its name."""
+    """Return the sums of ``sizes`` of the records (see `SizesRecord`) over the pieces of each area, by its name."""
     sums = {}
     for name, pieces in joined.areas.items():
         sizes = [records[p.row, p.col].sizes[p.label - 1] for p in pieces]

@@ -73,7 +73,7 @@ def numbered(job: Job) -> list[Source]:
         if info.points and file_location not in unreadable
     ]
     if not sources:  # The plan contains a source with points, so the sources with points cannot be read.
-        raise InputError(f"no input could be read; the first: {min(unreadable.values())}")
+        raise InputError(f"no input could be read; the first error: {min(unreadable.values())}")
     return sources
 
 
