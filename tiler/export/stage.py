@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from tiler.core.products import CONTOURS, SPOTS
 from tiler.core.terrain_results import ContourResult, SpotCounts
 from tiler.core.units_text import short_unit
 from tiler.errors import ProcessingError, write_error
-from tiler.export import WriteCog
 from tiler.export.records import (
     CloudRecord,
     ContoursRecord,
@@ -48,6 +49,28 @@ PRODUCTS = (".tif", ".vrt", ".gpkg", ".vpc", ".json", LEGEND)
 """Endings of the files of products. Their tasks have the names of the files as keys."""
 
 
+@dataclass(frozen=True)
+class FileTasks:
+    """Tasks that write files.
+
+    Attributes
+    ----------
+    cogs : list of Task
+        GeoTIFFs.
+    drawn : list of Task
+        Legends of GeoTIFFs, and vector products.
+    clouds : list of Task
+        Classified clouds.
+    mosaics : list of Task
+        VRT files of products that are divided into sheets.
+    """
+
+    cogs: list[Task]
+    drawn: list[Task]
+    clouds: list[Task]
+    mosaics: list[Task]
+
+
 def export(
     job: Job,
     gridding: GridContext,
@@ -61,79 +84,109 @@ def export(
     gridding.sheets = cut(job, gridding)
     if job.plan.config.sheets is not None:
         job.results.sheets = len(gridding.sheets)
+    tasks = _file_tasks(job, gridding, sources, spooled, labelled, corrections)
+    basis, paths = _basis(gridding), _paths(gridding, tasks, out)
+    archive_outdated(job, paths, basis)
+    # Archiving may have removed the folder of the sheets, so the folders are made afterwards.
+    _make_folders([*tasks.cogs, *tasks.drawn], out)
+    with _crs_code(job) as crs_code:  # The search for the code takes as long as the workers write.
+        made = _write(job, "export", [*tasks.cogs, *tasks.drawn, *tasks.clouds], out)
+    job.store.drop_records()
+    _report_files(job, tasks, made)
+    mosaics = tasks.mosaics
+    if mosaics or job.store.committed("mosaic"):
+        mosaics = [*mosaics, *index_tasks(tasks.cogs, made, out)]
+        made |= _write(job, "mosaic", mosaics, out)
+    catalogue = list(catalogue_tasks(gridding, sources, labelled.kind, made, out, crs_code()))
+    _make_folders(catalogue, out)
+    made |= _write(job, STAGE, catalogue, out)
+    _record_files(job, paths, basis)
+    _validate_outputs_exist(job)
+    products = [*tasks.cogs, *tasks.drawn, *mosaics, *catalogue]
+    if not all(task.key in made for task in products):
+        raise ProcessingError(
+            f"{job.record.failed[-1].key} could not be written: {job.record.failed[-1].error}"
+        )
+
+
+def _file_tasks(
+    job: Job,
+    gridding: GridContext,
+    sources: list[Source],
+    spooled: Commits,
+    labelled: Labelled,
+    corrections: Corrections,
+) -> FileTasks:
+    """Return the tasks of all files but those of the index of the sheets and of the catalogue."""
+    out, edits = job.products, corrections.edits
     digest = digest_of(sorted(source.content for source in sources))
-    tasks = [*cog_tasks(gridding, inputs_of(sources, spooled), digest, out), *legend_tasks(gridding, out)]
-    tasks += vector_tasks(gridding, out, labelled.noise_m)
-    rasters = list(tasks)
     clouds: list[Task] = []
     if job.plan.writes_clouds:
-        edits = corrections.edits
-        clouds += classified_tasks(
-            job.plan,
-            sources,
-            spooled,
-            labelled.digests,
-            gridding.waters,
-            None if edits is None else edits.key,
-            out,
-        )
+        edits_key = None if edits is None else edits.key
+        digests, waters = labelled.digests, gridding.waters
+        clouds += classified_tasks(job.plan, sources, spooled, digests, waters, edits_key, out)
         report_earlier_classes(job, clouds)
-    tasks += clouds
-    mosaics = list(mosaic_tasks(gridding, digest, out))
-    basis = _basis(gridding)
-    written = {key: below(out, location) for key, location in _files([*tasks, *mosaics]).items()}
-    written |= {SHEETS: SHEETS} if mosaics else {}
-    written |= planned(gridding)
-    archive_outdated(job, written, basis)
-    # Archiving may have removed the folder of the sheets, so the folders are made afterwards.
-    _make_folders(rasters, out)
-    # The store keeps the code, so that a run without new results does not search for it again.
+    return FileTasks(
+        cogs=list(cog_tasks(gridding, inputs_of(sources, spooled), digest, out)),
+        drawn=[*legend_tasks(gridding, out), *vector_tasks(gridding, out, labelled.noise_m)],
+        clouds=clouds,
+        mosaics=list(mosaic_tasks(gridding, digest, out)),
+    )
+
+
+def _paths(gridding: GridContext, tasks: FileTasks, out: str) -> dict[str, str]:
+    """Return the path in OUT of each file that the run writes, by the key of its task."""
+    files = _files([*tasks.cogs, *tasks.drawn, *tasks.clouds, *tasks.mosaics])
+    paths = {key: below(out, location) for key, location in files.items()}
+    if tasks.mosaics:
+        paths[SHEETS] = SHEETS
+    return {**paths, **planned(gridding)}
+
+
+@contextmanager
+def _crs_code(job: Job) -> Iterator[Callable[[], str | None]]:
+    """Yield a function that returns the code of the horizontal CRS, for which a thread searches meanwhile.
+
+    The store keeps the code, so that a run without new results does not search for it again.
+    """
     known = job.store.get_state("crs")
-    with ThreadPoolExecutor(1) as meanwhile:  # The workers write at the same time.
-        computed = None if known else meanwhile.submit(horizontal_code, job.plan.grid.meta.frame.crs_wkt)
-        made = _write(job, "export", tasks, out)
-    crs_code = known["code"] if computed is None else computed.result()
-    if computed is not None:
-        job.store.put_state("crs", {"code": crs_code})
-    job.store.drop_records()
-    if clouds:
-        report_written_classes(job, clouds, made)
+    if known:
+        yield lambda: known["code"]
+        return
+    with ThreadPoolExecutor(1) as meanwhile:
+        search = meanwhile.submit(horizontal_code, job.plan.grid.meta.frame.crs_wkt)
+        yield search.result
+    job.store.put_state("crs", {"code": search.result()})
+
+
+def _report_files(job: Job, tasks: FileTasks, made: Commits) -> None:
+    """Add the results on classified clouds and vector products to run.json."""
+    if tasks.clouds:
+        report_written_classes(job, tasks.clouds, made)
     _report_contours(job)
     _report_spots(job)
     _report_outline(job)
     if job.results.fetched is not None:
-        written_clouds = [CloudRecord.of(made[task.key][1]) for task in clouds if task.key in made]
-        classified_bytes = sum(record.fetched or 0 for record in written_clouds)
-        job.results.fetched = replace(job.results.fetched, classified=classified_bytes)
-    if mosaics or job.store.committed("mosaic"):
-        mosaics += index_tasks(tasks, made, out)
-        made |= _write(job, "mosaic", mosaics, out)
-    catalogue = list(catalogue_tasks(gridding, sources, labelled.kind, made, out, crs_code))
-    _make_folders(catalogue, out)
-    made |= _write(job, STAGE, catalogue, out)
-    files = [task.key for task in (*tasks, *mosaics, *catalogue) if task.key.endswith(PRODUCTS)]
-    if gridding.plan.inputs.area is not None:
-        terrain = [
-            task.key
-            for task in tasks
-            if isinstance(task.arguments, WriteCog) and task.arguments.product == "dtm"
-        ]
-        filled = sum(RasterFileRecord.of(made[key][1]).valid for key in terrain if key in made)
+        clouds = [CloudRecord.of(made[task.key][1]) for task in tasks.clouds if task.key in made]
+        fetched = sum(record.fetched or 0 for record in clouds)
+        job.results.fetched = replace(job.results.fetched, classified=fetched)
+    if job.plan.inputs.area is not None:
+        terrain = [task.key for task in tasks.cogs if task.arguments.product == "dtm" and task.key in made]
+        filled = sum(RasterFileRecord.of(made[key][1]).valid for key in terrain)
         job.results.dtm = replace(job.results.dtm, filled=filled)
+
+
+def _record_files(job: Job, paths: Mapping[str, str], basis: str) -> None:
+    """Record from which data the products were made, and which files may still be those of an earlier run."""
     # The virtual cloud is valid as long as the clouds are, which have no basis in run.json.
-    rasters_of = (path for key, path in written.items() if key.endswith(PRODUCTS) and path != VIRTUAL)
-    job.results.made_of = {**job.results.made_of, **dict.fromkeys(rasters_of, basis)}
-    unwritten = [path for path in written.values() if path not in job.results.outputs]
+    products = [path for key, path in paths.items() if key.endswith(PRODUCTS) and path != VIRTUAL]
+    job.results.made_of = {**job.results.made_of, **dict.fromkeys(products, basis)}
     # If a task failed, the file of an earlier run may still be there.
-    sizes = sizes_at([joined(out, path) for path in unwritten])
+    unwritten = [path for path in paths.values() if path not in job.results.outputs]
+    sizes = sizes_at([joined(job.products, path) for path in unwritten])
     job.results.earlier_outputs = {
-        p: None for p, size in zip(unwritten, sizes, strict=True) if size is not None
+        path: None for path, size in zip(unwritten, sizes, strict=True) if size is not None
     }
-    _validate_outputs_exist(job)
-    if not all(key in made for key in files):
-        raise ProcessingError(
-            f"{job.record.failed[-1].key} could not be written: {job.record.failed[-1].error}"
-        )
 
 
 def _make_folders(tasks: list[Task], out: str) -> None:

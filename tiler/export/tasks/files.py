@@ -135,14 +135,15 @@ def legend_tasks(g: GridContext, out: str) -> Iterator[Task]:
             yield Task("export", work.name, digest_of(__version__, work), write_legend, work)
 
 
-def index_tasks(tasks: Iterable[Task], written: Commits, out: str) -> Iterator[Task]:
-    """Yield the task that writes the index of the sheets, from the records of the written sheets, if there are any."""
-    works = [
-        t.arguments for t in tasks if isinstance(t.arguments, WriteCog) and t.arguments.whole is not None
-    ]
+def index_tasks(cogs: Iterable[Task], written: Commits, out: str) -> Iterator[Task]:
+    """Yield the task that writes the index of the sheets, if sheets were written.
+
+    ``cogs`` are the tasks of `cog_tasks`.
+    """
     sheet_files = []
-    for work in works:
-        if f"{work.name}.tif" in written:
+    for task in cogs:
+        work: WriteCog = task.arguments
+        if work.whole is not None and f"{work.name}.tif" in written:
             record = RasterFileRecord.of(written[f"{work.name}.tif"][1])
             path = raster_file(work.product, work.name)
             void = 100 * (1 - record.valid / record.pixels)
