@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import pytest
 
+from tiler.core.digests import digest_of
 from tiler.errors import ConfigError, CorruptStoreError, InputError
 from tiler.io.locations import as_path, location
 from tiler.redaction import printable, shown, stored, without_secrets
-from tiler.schedule import digest_of
 from tiler.store.storage import Storage
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 from collections import deque
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -12,6 +11,7 @@ from itertools import chain, pairwise, product
 import numpy as np
 import numpy.typing as npt
 
+from tiler.core.digests import new_digest
 from tiler.core.lattice import Bounds, Lattice
 
 Counts = npt.NDArray[np.int64]
@@ -65,7 +65,7 @@ class Area:
     @cached_property
     def key(self) -> str:
         """Digest of the polygons."""
-        digest = hashlib.blake2b(digest_size=16)
+        digest = new_digest()
         for rings in self.polygons:
             digest.update(b"polygon %d" % len(rings))
             for ring in rings:

@@ -11,7 +11,6 @@ certify it.
 from __future__ import annotations
 
 import base64
-import hashlib
 import zlib
 from collections.abc import Iterable
 from dataclasses import dataclass
@@ -22,6 +21,7 @@ from itertools import product
 import numpy as np
 import numpy.typing as npt
 
+from tiler.core.digests import digest_of_arrays, digest_of_bytes
 from tiler.core.lattice import Bounds, Cell, Lattice
 
 Counts = npt.NDArray[np.int64]
@@ -78,7 +78,7 @@ class Breaklines:
     @cached_property
     def key(self) -> str:
         """Digest of the pieces and the pixel."""
-        return hashlib.blake2b(self.pieces.tobytes() + str(self.pixel).encode(), digest_size=16).hexdigest()
+        return digest_of_bytes(self.pieces.tobytes(), str(self.pixel).encode())
 
     def digests(self, lattice: Lattice) -> dict[Cell, str]:
         """Return the digest of the pieces that begin in each cell of a lattice."""
@@ -90,8 +90,7 @@ class Breaklines:
         for rows in np.split(order, ends):
             if len(rows):
                 cell = Cell(int(ix[rows[0]]), int(iy[rows[0]]))
-                content = np.ascontiguousarray(self.pieces[rows]).tobytes()
-                digest_by_cell[cell] = hashlib.blake2b(content, digest_size=16).hexdigest()
+                digest_by_cell[cell] = digest_of_arrays(self.pieces[rows])
         return digest_by_cell
 
     def applied(

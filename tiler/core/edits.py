@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Iterable
 from dataclasses import astuple, dataclass, replace
@@ -15,6 +14,7 @@ import numpy.typing as npt
 from tiler.core.area import Area, Places
 from tiler.core.area_index import AreaIndex
 from tiler.core.classes import BRIDGE, GROUND, NOISE, UNCERTIFIED_BIT, UNCLASSIFIED, UNSEEN_FLAGS, WATER
+from tiler.core.digests import digest_of_bytes
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.points import PointBlock
@@ -155,7 +155,7 @@ class Edits:
     def key(self) -> str:
         """Digest of all edits."""
         text = json.dumps([self.cell.to_json(), *([edit.number, *edit.digest] for edit in self.edits)])
-        return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+        return digest_of_bytes(text.encode())
 
     @cached_property
     def _index(self) -> AreaIndex:

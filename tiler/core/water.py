@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -13,6 +12,7 @@ import numpy.typing as npt
 
 from tiler.core.area import Area
 from tiler.core.area_index import AreaIndex
+from tiler.core.digests import digest_of_bytes
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds
 from tiler.core.raster import Block, RasterSpec, within
@@ -168,7 +168,7 @@ class Waters:
     def key(self) -> str:
         """Digest of all bodies."""
         text = json.dumps([[body.number, *body.digest] for body in self.bodies])
-        return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
+        return digest_of_bytes(text.encode())
 
     @cached_property
     def index(self) -> AreaIndex:

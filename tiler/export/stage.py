@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+from tiler.core.digests import digest_of
 from tiler.core.products import CONTOURS, SPOTS
 from tiler.core.terrain_results import ContourResult, SpotCounts
 from tiler.core.units_text import short_unit
@@ -42,7 +43,7 @@ from tiler.io.locations import is_url, joined, sizes_at
 from tiler.io.result_folder import LEGEND, OUTLINE, SHEETS, VIRTUAL, below
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage
-from tiler.schedule import Task, digest_of
+from tiler.schedule import Task
 from tiler.store import Commits
 
 PRODUCTS = (".tif", ".vrt", ".gpkg", ".vpc", ".json", LEGEND)

@@ -7,11 +7,11 @@ from dataclasses import dataclass, field
 from fractions import Fraction
 from typing import Any
 
+from tiler.core.digests import NOT_IN_DIGEST
 from tiler.core.edits import DrawnDeck
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.raster import Block, RasterSpec
 from tiler.core.reclass import ONLY_GROUND
-from tiler.schedule import NOT_IN_DIGEST
 from tiler.store import KeptPiece
 
 

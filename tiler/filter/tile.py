@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from fractions import Fraction
 from typing import Any
 
@@ -15,6 +14,7 @@ from ptd.frame import OPEN, Scale, Window
 from ptd.methods import METHODS
 from ptd.passes import Model, Pass, Points, joined
 from tiler.core.classes import GROUND, LOW_NOISE, UNCERTIFIED_BIT, UNCLASSIFIED
+from tiler.core.digests import digest_of_arrays
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.records import TileRecord
 from tiler.filter.reading import TileReader
@@ -111,7 +111,7 @@ def filter_tile(store_url: str, work: FilterTile) -> TileRecord:
         core_area=core.area(),
         window_area=area,
         cells=[[cell.ix, cell.iy] for cell in work.cells],
-        labels=digest_of_arrays(labels.values()),
+        labels=digest_of_arrays(*labels.values()),
         elected=elected,
         elected_points=elected_points,
         partial=model.partial(),
@@ -156,7 +156,7 @@ def _elect(
         elected_by_cell[cell] = model.elect(_local(store.meta.bucket.bounds(cell), store))
         store.write_elected(name, cell, elected_by_cell[cell])
     numbers = [int(xyz.shape[1]) for xyz in elected_by_cell.values()]
-    return digest_of_arrays(elected_by_cell.values()), numbers
+    return digest_of_arrays(*elected_by_cell.values()), numbers
 
 
 def _window(store: TileStore, padded: Bounds, step: Pass, params: Any) -> tuple[Bounds, Window]:
@@ -205,11 +205,3 @@ def local_window(bounds: Bounds, origin: tuple[int, int]) -> Window:
     """Convert bounds from absolute counts to local counts, which start at the origin."""
     ox, oy = origin
     return Window(bounds.x0 - ox, bounds.y0 - oy, bounds.x1 - ox, bounds.y1 - oy)
-
-
-def digest_of_arrays(columns: Iterable[npt.NDArray[Any]]) -> str:
-    """Return one digest of the values of all arrays."""
-    digest = hashlib.blake2b(digest_size=16)
-    for column in columns:
-        digest.update(column.tobytes())
-    return digest.hexdigest()

@@ -12,11 +12,11 @@ import numpy.typing as npt
 
 from ptd.gridding.wall_feet import near_objects
 from tiler.core.classes import GROUND, NOISE, UNCERTIFIED_BIT, WITHHELD_FLAG
+from tiler.core.digests import NOT_IN_DIGEST
 from tiler.core.edits import OF_POINTS, ground_with
 from tiler.core.lattice import Bounds, Cell
 from tiler.core.points import PointBlock
 from tiler.errors import StoreError
-from tiler.schedule import NOT_IN_DIGEST
 from tiler.store import TileStore
 
 

@@ -8,6 +8,7 @@ from fractions import Fraction
 
 import numpy as np
 
+from tiler.core.digests import NOT_IN_DIGEST
 from tiler.core.lattice import Bounds
 from tiler.core.mask_values import (
     CANOPY,
@@ -25,7 +26,6 @@ from tiler.grid.checksum import checksum
 from tiler.grid.density import ground_counts
 from tiler.grid.records import MaskRecord
 from tiler.grid.work import PointsBlock
-from tiler.schedule import NOT_IN_DIGEST
 from tiler.store import coarse_values, open_store
 
 

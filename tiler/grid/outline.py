@@ -6,6 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
+from tiler.core.digests import NOT_IN_DIGEST
 from tiler.core.products import BEYOND, SURVEYED
 from tiler.core.raster import NODATA, RasterSpec
 from tiler.grid.block import edit_heights
@@ -13,7 +14,6 @@ from tiler.grid.checksum import checksum
 from tiler.grid.holes import holes_of_block
 from tiler.grid.records import OutlineRecord
 from tiler.grid.work import BlockWork
-from tiler.schedule import NOT_IN_DIGEST
 from tiler.store import coarse_values, open_store
 
 

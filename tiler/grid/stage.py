@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from tiler.config import NO_WATER
+from tiler.core.digests import digest_of
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds
 from tiler.core.mask_values import MASK_VALUES, OUTSIDE
@@ -48,7 +49,7 @@ from tiler.plan import KEEP
 from tiler.runs.compiling import grid_kernels
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import Join, run_stage
-from tiler.schedule import Task, digest_of
+from tiler.schedule import Task
 from tiler.schedule.worker import compute
 from tiler.store import Commits
 

@@ -14,6 +14,7 @@ import numpy.typing as npt
 import scipy
 
 from ptd.tin import Tin, rasterise
+from tiler.core.digests import NOT_IN_DIGEST
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds, Lattice
 from tiler.core.products import SURVEYED
@@ -24,7 +25,6 @@ from tiler.grid.coarse import Bools, block_runs, blocks_of, blocks_under
 from tiler.grid.pieces import AROUND, Piece, cells_of, label_block
 from tiler.grid.records import FilledRecord, HolesRecord
 from tiler.grid.work import BlockWork
-from tiler.schedule import NOT_IN_DIGEST
 from tiler.store import TileStore, coarse_cells, coarse_values, coarse_window, open_store
 
 Int32 = npt.NDArray[np.int32]

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from fractions import Fraction
 
+from tiler.core.digests import NOT_IN_DIGEST
 from tiler.core.lattice import Bounds, Lattice
 from tiler.core.raster import Block, RasterSpec
 from tiler.grid.ground import GroundSelection
-from tiler.schedule import NOT_IN_DIGEST
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -12,6 +12,7 @@ import numpy.typing as npt
 
 from tiler.core.area import Runs, in_runs
 from tiler.core.classes import UNSELECTED_FLAG, WITHHELD_FLAG
+from tiler.core.digests import NOT_IN_DIGEST
 from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Bounds, Lattice
 from tiler.core.points import PointBlock, pack_origin
@@ -25,7 +26,6 @@ from tiler.io.las.headers import LasHeader
 from tiler.io.las.reader import EVERYTHING, NEEDED, TO_SELECT, PointReader, Records
 from tiler.io.las.unchanged import unchanged
 from tiler.io.locations import as_path
-from tiler.schedule.task import NOT_IN_DIGEST
 from tiler.store import MAX_NAME_BYTES, SPOOL_CHUNK, RecordKeeper, StoreMeta, TileStore, open_store
 
 NOT_FINITE = "not finite"

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import hashlib
 import os
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from tiler.core.digests import digest_of_bytes
 from tiler.errors import first_line
 
 _ONE_MORE_BYTES = 1 << 22
@@ -41,7 +41,7 @@ def partial_path(target: Path, kind: str = "") -> Path:
     """
     name = f"{SCRATCH_PREFIX}{target.name}{kind and f'.{kind}'}.partial"
     if name_bytes(name) > MAX_NAME_LENGTH:
-        short = hashlib.blake2b(os.fsencode(name), digest_size=16).hexdigest()
+        short = digest_of_bytes(os.fsencode(name))
         name = f"{SCRATCH_PREFIX}{short}.partial"
     return target.with_name(name)
 

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import hashlib
 import io
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, BinaryIO, cast
 
+from tiler.core.digests import new_digest
 from tiler.io.locations import is_url, storage_errors
 
 BLOCK_BYTES = 1 << 22
@@ -68,7 +68,7 @@ def _read_parts(opened: Any, path: Any, parts: Sequence[tuple[int, int]]) -> lis
 
 def digest_of_file(path: Path) -> str:
     """Return the digest of all bytes of a path or URL. Raise OSError if it cannot be read."""
-    digest = hashlib.blake2b(digest_size=16)
+    digest = new_digest()
     with open_location(path) as stream:
         while part := stream.read(BLOCK_BYTES):
             digest.update(part)

@@ -12,7 +12,6 @@ from tiler.schedule.isolated_reading import call_isolated, half_of_memory, secon
 from tiler.schedule.parallel_calls import ChildPool
 from tiler.schedule.serial import SerialExecutor
 from tiler.schedule.task import (
-    NOT_IN_DIGEST,
     TRIES,
     Executor,
     Look,
@@ -23,12 +22,10 @@ from tiler.schedule.task import (
     Task,
     TaskLimits,
     Work,
-    digest_of,
 )
 
 __all__ = [
     "FORKS",
-    "NOT_IN_DIGEST",
     "TRIES",
     "ChildDiedError",
     "ChildPool",
@@ -45,7 +42,6 @@ __all__ = [
     "TaskLimits",
     "Work",
     "call_isolated",
-    "digest_of",
     "fork_server_running",
     "half_of_memory",
     "import_dask",

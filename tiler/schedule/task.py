@@ -5,14 +5,9 @@ A task is a pure function of the store: it reads whole arrays, and writes keys t
 
 from __future__ import annotations
 
-import hashlib
-import json
 from collections.abc import Callable, Iterable, Iterator
-from dataclasses import dataclass, fields, is_dataclass, replace
-from fractions import Fraction
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any, Protocol, runtime_checkable
-
-from tiler.redaction import stored
 
 if TYPE_CHECKING:  # At run time, numpy is loaded later, while the children start.
     from tiler.core.lattice import Bounds, Lattice
@@ -23,9 +18,6 @@ Work = Callable[[str, Any], "Record"]
 
 The arguments are a frozen dataclass that defines the data to read and write and the parameters. The store keeps the
 record as JSON."""
-
-NOT_IN_DIGEST = {"digest": False}
-"""Metadata of a field of the arguments that changes the execution of the work, but not its result."""
 
 
 @runtime_checkable
@@ -204,25 +196,3 @@ class Executor(Protocol):
     def close(self) -> None:
         """Release the workers."""
         ...
-
-
-def digest_of(*parts: Any) -> str:
-    """Return a short stable digest of JSON-able values and dataclasses, without fields that are `NOT_IN_DIGEST`.
-
-    The digest does not depend on the order of keys, or on passwords and tokens in URLs.
-    """
-    text = json.dumps(parts, sort_keys=True, separators=(",", ":"), default=to_json)
-    if ":/" in text:
-        text = json.dumps(stored(json.loads(text)), sort_keys=True, separators=(",", ":"))
-    return hashlib.blake2b(text.encode(), digest_size=16).hexdigest()
-
-
-def to_json(value: Any) -> Any:
-    """Convert a value in the arguments of a task for JSON: a dataclass to its fields, a fraction to text."""
-    if isinstance(value, Fraction):
-        return str(value)
-    if is_dataclass(value):
-        return {f.name: getattr(value, f.name) for f in fields(value) if f.metadata.get("digest", True)}
-    raise TypeError(
-        f"{type(value).__name__} is not allowed in the arguments of a task; use a JSON-able value"
-    )

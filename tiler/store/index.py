@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import io
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
@@ -11,6 +10,7 @@ from functools import lru_cache
 import numpy as np
 import numpy.typing as npt
 
+from tiler.core.digests import digest_of_bytes
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.errors import CorruptStoreError, StoreError
 from tiler.store import layout
@@ -191,7 +191,7 @@ def _loaded(storage: Storage, digest: str) -> BucketIndex | None:
 
 
 def _digest(data: bytes) -> str:
-    return hashlib.blake2b(data, digest_size=16).hexdigest()
+    return digest_of_bytes(data)
 
 
 def _bucket(line: list[int]) -> Bucket:

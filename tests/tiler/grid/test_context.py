@@ -6,13 +6,13 @@ from pathlib import Path
 
 from tests.invariants import clouds
 from tiler.config import RunConfig
+from tiler.core.digests import digest_of
 from tiler.core.edits import Edits
 from tiler.core.lattice import Lattice
 from tiler.grid.tasks.corrections import Corrections
 from tiler.grid.tasks.gridding import GridContext, ground_rule
 from tiler.ingest.tasks.assembled import IngestResult
 from tiler.plan import make_plan
-from tiler.schedule import digest_of
 
 
 def test_every_task_that_reads_ground_gets_the_edits(tmp_path: Path) -> None:

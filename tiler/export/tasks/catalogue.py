@@ -16,6 +16,7 @@ from typing import Any
 from urllib.parse import quote
 
 from tiler.config import plain_value
+from tiler.core.digests import digest_of
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.products import HEIGHT, PRODUCTS
 from tiler.core.raster import RasterSpec
@@ -42,7 +43,7 @@ from tiler.io.result_folder import (
     mosaic_file,
     raster_file,
 )
-from tiler.schedule import Task, digest_of
+from tiler.schedule import Task
 from tiler.store import Commits
 from tiler.version import __version__
 

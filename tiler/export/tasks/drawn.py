@@ -7,6 +7,7 @@ from collections.abc import Iterator
 from fractions import Fraction
 from typing import Any
 
+from tiler.core.digests import digest_of
 from tiler.core.products import CONTOURS, SPOTS
 from tiler.export import (
     WriteBridges,
@@ -24,7 +25,7 @@ from tiler.export.work import VectorFile
 from tiler.grid.tasks.gridding import GridContext
 from tiler.grid.tasks.raster_table import final_raster
 from tiler.io.result_folder import BRIDGES, OUTLINE, WATER
-from tiler.schedule import Task, Work, digest_of
+from tiler.schedule import Task, Work
 from tiler.version import __version__
 
 SMOOTH_PIXELS = 2

@@ -10,6 +10,7 @@ from typing import Any
 
 from tiler.config import LOW_AS_NOISE
 from tiler.core.crs import vertical_name
+from tiler.core.digests import digest_of
 from tiler.core.lattice import Cell
 from tiler.core.products import NODATA, PRODUCTS
 from tiler.core.raster import BLOCK_PIXELS
@@ -40,7 +41,7 @@ from tiler.inputs import SourceInfo, header_bounds, window_pieces
 from tiler.io.locations import is_url, joined, location
 from tiler.io.result_folder import CLASSIFIED, LEGEND, SHEETS, mosaic_file, raster_file
 from tiler.plan import PIECE_POINTS, Plan, chunks_of
-from tiler.schedule import Task, digest_of
+from tiler.schedule import Task
 from tiler.store import Commits, KeptPiece
 from tiler.version import __version__
 

@@ -6,6 +6,7 @@ from collections import defaultdict
 from collections.abc import Iterable, Iterator
 from fractions import Fraction
 
+from tiler.core.digests import digest_of
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.raster import BLOCK_PIXELS, RasterSpec
@@ -20,7 +21,7 @@ from tiler.grid.tasks.gridding import GridContext, Sheet
 from tiler.grid.tasks.raster_table import MODELS, final_raster
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage
-from tiler.schedule import Task, digest_of
+from tiler.schedule import Task
 from tiler.version import __version__
 
 STAGE = "sheets"

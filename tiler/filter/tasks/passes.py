@@ -15,6 +15,7 @@ from typing import Any
 from ptd.frame import Scale
 from ptd.methods import METHODS
 from ptd.passes import Pass, later_passes, read_at_candidates
+from tiler.core.digests import digest_of
 from tiler.core.lattice import Cell
 from tiler.core.records import TileRecord
 from tiler.filter import LABELS, FilterTile, filter_tile, influence_margin_m, local_window
@@ -22,7 +23,7 @@ from tiler.filter.tasks.tiles import BucketPoints, tiles_of
 from tiler.ingest.tasks.assembled import IngestResult, skip_flags
 from tiler.plan import Plan
 from tiler.plan.memory import held_bytes
-from tiler.schedule import Task, digest_of
+from tiler.schedule import Task
 from tiler.store import Commits
 from tiler.version import __version__
 

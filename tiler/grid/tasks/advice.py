@@ -6,6 +6,7 @@ from typing import Any
 
 from ptd.matched.canopy_pass import CanopyPass
 from ptd.matched.crowns import Crowns
+from tiler.core.digests import digest_of
 from tiler.core.raster import RasterSpec
 from tiler.errors import CorruptStoreError, ProcessingError
 from tiler.filter.tasks.labelled import Labelled
@@ -14,7 +15,7 @@ from tiler.grid.records import BlockRecord, CrownsRecord, RoofsRecord
 from tiler.grid.roofs import Advice, FindRoofs, find_roofs
 from tiler.observe.events import Warned
 from tiler.runs.job import Job
-from tiler.schedule import Task, digest_of
+from tiler.schedule import Task
 from tiler.schedule.worker import compute
 from tiler.store import Commits
 

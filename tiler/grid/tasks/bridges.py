@@ -13,6 +13,7 @@ import scipy
 import shapely
 
 from tiler.core.area import Area
+from tiler.core.digests import digest_of
 from tiler.core.edits import DECK, DeckSurface, DrawnDeck, Edit
 from tiler.core.frame import COUNTS_PER_UNIT, CoordFrame
 from tiler.core.lattice import Bounds, Cell
@@ -30,7 +31,7 @@ from tiler.grid.tasks.gridding import GridContext
 from tiler.ingest.tasks.assembled import IngestResult
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage
-from tiler.schedule import Task, digest_of
+from tiler.schedule import Task
 from tiler.store import Commits
 from tiler.version import __version__
 

@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from tiler.core.breaklines import MIN_LENGTH_M, Breaklines
+from tiler.core.digests import digest_of
 from tiler.core.edits import OF_PIXELS, OF_POINTS, TO_GROUND, Edit, Edits
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Cell, Lattice
@@ -25,7 +26,7 @@ from tiler.ingest.tasks.assembled import IngestResult
 from tiler.plan import Plan
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage
-from tiler.schedule import Task, digest_of
+from tiler.schedule import Task
 from tiler.store import Commits
 from tiler.version import __version__
 

@@ -10,6 +10,7 @@ from fractions import Fraction
 from typing import Any
 
 from tiler.core.classes import GROUND
+from tiler.core.digests import digest_of
 from tiler.core.lattice import Bounds, Cell, Lattice
 from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec
 from tiler.core.records import AnyRecord
@@ -24,7 +25,7 @@ from tiler.grid.tasks.corrections import Corrections
 from tiler.grid.work import BlockWork
 from tiler.ingest.tasks.assembled import IngestResult, skip_flags
 from tiler.plan import KEEP, Plan
-from tiler.schedule import Task, Work, digest_of
+from tiler.schedule import Task, Work
 from tiler.store import Commits
 from tiler.version import __version__
 

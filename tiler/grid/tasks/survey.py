@@ -8,12 +8,13 @@ from collections.abc import Iterable, Iterator, Mapping
 from itertools import chain, pairwise, product
 from typing import Any, NamedTuple
 
+from tiler.core.digests import digest_of
 from tiler.core.raster import BLOCK_PIXELS, Block, RasterSpec, north_west
 from tiler.grid import CloseBlock, FillBlock, FindVoids, SurveyBlock, Void, VoidRasters, blocks_of
 from tiler.grid.pieces import Piece, Side, components, touching
 from tiler.grid.records import BlockRecord, HolesRecord, OpenAreasRecord, SurveyRecord
 from tiler.grid.tasks.gridding import GAP_M, GridContext, Place, RasterStep
-from tiler.schedule import Task, digest_of
+from tiler.schedule import Task
 
 
 class MissingRun(NamedTuple):

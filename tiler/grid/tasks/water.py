@@ -7,6 +7,7 @@ from dataclasses import replace
 
 from tiler.config import AUTO_WATER
 from tiler.core.area_index import AreaIndex
+from tiler.core.digests import digest_of
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.lattice import Cell, row_by_row
 from tiler.core.raster import BLOCK_PIXELS
@@ -26,7 +27,7 @@ from tiler.grid.water_pockets import POCKET_PIXELS
 from tiler.io.result_folder import WATER
 from tiler.runs.job import Job
 from tiler.runs.stage_runner import run_stage
-from tiler.schedule import Task, digest_of
+from tiler.schedule import Task
 from tiler.version import __version__
 
 FINDING, STAGE = "water-search", "water"

@@ -10,6 +10,7 @@ import time
 from collections.abc import Iterable, Iterator
 from typing import Any, NamedTuple
 
+from tiler.core.digests import digest_of
 from tiler.core.results import LeftOut
 from tiler.errors import InputError
 from tiler.ingest.contents import DigestsRecord, ReadFiles, read_files
@@ -20,7 +21,7 @@ from tiler.observe.events import StageFinished, StageStarted, TaskDone, Warned
 from tiler.plan import chunks_of
 from tiler.redaction import without_secrets
 from tiler.runs.job import Job
-from tiler.schedule import Task, digest_of
+from tiler.schedule import Task
 from tiler.schedule.worker import compute
 
 STAGE = "identify"

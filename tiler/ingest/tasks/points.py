@@ -7,6 +7,7 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
 
+from tiler.core.digests import digest_of
 from tiler.core.lattice import Cell
 from tiler.core.records import SpoolRecord
 from tiler.ingest import (
@@ -22,7 +23,7 @@ from tiler.ingest.tasks.assembled import skip_flags
 from tiler.inputs import SourceInfo, header_bounds, pieces, window_pieces
 from tiler.io.locations import location
 from tiler.plan import PIECE_POINTS, Plan, buckets_of, chunks_of
-from tiler.schedule import Task, digest_of
+from tiler.schedule import Task
 from tiler.store import Commits
 
 GROUP = 4

@@ -6,13 +6,13 @@ to 1.4 are prefixes of it.
 
 from __future__ import annotations
 
-import hashlib
 import math
 import struct
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, BinaryIO, NoReturn
 
+from tiler.core.digests import new_digest
 from tiler.errors import InputError
 from tiler.io.cloud_reading import open_location
 from tiler.io.las.laz import (
@@ -382,7 +382,7 @@ def _extended(header: LasHeader, stream: BinaryIO, salvage: bool) -> LasHeader:
 
 
 def _digest(header: LasHeader, stream: BinaryIO) -> str:
-    digest = hashlib.blake2b(digest_size=16)
+    digest = new_digest()
     left = header.points_offset
     stream.seek(0)
     while left > 0 and (part := stream.read(min(left, 1 << 20))):

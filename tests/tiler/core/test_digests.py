@@ -8,8 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from tiler.core.digests import NOT_IN_DIGEST, digest_of
 from tiler.core.lattice import Bounds, Cell
-from tiler.schedule import NOT_IN_DIGEST, digest_of
 
 
 @dataclass(frozen=True)
