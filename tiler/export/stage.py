@@ -12,6 +12,7 @@ from tiler.core.digests import digest_of
 from tiler.core.products import CONTOURS, SPOTS
 from tiler.core.terrain_results import ContourResult, SpotCounts
 from tiler.core.units_text import short_unit
+from tiler.core.words import listed
 from tiler.errors import ProcessingError, write_error
 from tiler.export.records import (
     CloudRecord,
@@ -239,11 +240,8 @@ def _validate_outputs_exist(job: Job) -> None:
     sizes = sizes_at([joined(job.products, path) for path in outputs])
     gone = [path for path, size in zip(outputs, sizes, strict=True) if size is None]
     if gone:
-        more = f" and {len(gone) - 1:,} more files" if len(gone) > 1 else ""
-        raise ProcessingError(
-            f"{joined(job.products, gone[0])}{more}: removed during the run; run again to "
-            "make the missing files"
-        )
+        files = listed([joined(job.products, path) for path in gone], 1, "files")
+        raise ProcessingError(f"{files}: removed during the run; run again to make the missing files")
 
 
 def _basis(gridding: GridContext) -> str:

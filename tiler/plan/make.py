@@ -15,6 +15,7 @@ from tiler.config import RunConfig
 from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Lattice
 from tiler.core.units_text import in_unit_of_crs
+from tiler.core.words import listed
 from tiler.errors import ConfigError, InputError
 from tiler.inputs import SourceInfo, find_inputs, resolve_common_crs
 from tiler.io.locations import is_url
@@ -237,4 +238,4 @@ def _params_of(config: RunConfig) -> Any:
 
 
 def _names(sources: Sequence[SourceInfo]) -> str:
-    return f"{sources[0].path}" + (f" and {len(sources) - 1} more files" if len(sources) > 1 else "")
+    return listed([str(source.path) for source in sources], 1, "files")

@@ -11,7 +11,7 @@ from ptd.matched.survey import in_words
 from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.units import unit_label
 from tiler.core.units_text import length_text, short_unit
-from tiler.core.words import counted
+from tiler.core.words import counted, name_in_wkt
 from tiler.plan.disk import projected_disk
 from tiler.plan.memory import PlannedPass
 from tiler.plan.method import steps_of
@@ -64,7 +64,7 @@ def plan_lines(plan: Plan) -> list[str]:
         f"{inputs.density:.3g} per m2",
         f"extent      {width_m / float(unit):,.0f} x {height_m / float(unit):,.0f} {short_unit(unit)} from "
         f"({west:,.1f}, {south:,.1f})",
-        f"CRS         {crs_name(plan.grid.meta.frame.crs_wkt)}; x, y in {unit_label(unit)}, "
+        f"CRS         {name_in_wkt(plan.grid.meta.frame.crs_wkt, 'unknown')}; x, y in {unit_label(unit)}, "
         f"z in {unit_label(units.vertical)}",
         *([] if plan.finding is None else [f"made by     {in_words(plan.finding)}"]),
         f"method      {plan.config.method}" + _passes_in_words(plan),
@@ -160,10 +160,3 @@ def _passes_in_words(plan: Plan) -> str:
     unit = plan.grid.meta.frame.units.horizontal
     halos = [f"{step.title} (halo {length_text(step.halo_m, unit)})" for step in steps]
     return f"{text}: {', '.join(halos)}"
-
-
-def crs_name(wkt: str | None) -> str:
-    """Return the name of a CRS in WKT, or "unknown" if it is None."""
-    if wkt is None:
-        return "unknown"
-    return wkt.split('"', 2)[1] if '"' in wkt else wkt

@@ -6,9 +6,9 @@ from dataclasses import replace
 from fractions import Fraction
 from typing import Any
 
+from tiler.core.words import name_in_wkt
 from tiler.errors import ConfigError, StoreError
 from tiler.plan.model import Plan
-from tiler.plan.plan_text import crs_name
 from tiler.plan.validation import validate
 from tiler.store import TileStore
 
@@ -69,8 +69,8 @@ def _validate_store(plan: Plan, store: TileStore) -> None:
     old, new = store.meta, plan.grid.meta
     if (old.frame.crs_wkt, old.frame.units) != (new.frame.crs_wkt, new.frame.units):
         raise ConfigError(
-            f"{store.url}: contains points in {crs_name(old.frame.crs_wkt)}, "
-            f"the inputs are in {crs_name(new.frame.crs_wkt)}; use --overwrite or another -o"
+            f"{store.url}: contains points in {name_in_wkt(old.frame.crs_wkt, 'unknown')}, "
+            f"the inputs are in {name_in_wkt(new.frame.crs_wkt, 'unknown')}; use --overwrite or another -o"
         )
     if new.has_rgb and not old.has_rgb:
         raise ConfigError(

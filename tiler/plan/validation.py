@@ -14,6 +14,7 @@ from tiler.core.frame import COUNTS_PER_UNIT
 from tiler.core.products import PRODUCTS
 from tiler.core.sheet_names import name_prefix
 from tiler.core.units_text import in_unit_of_crs, length_option, whole_length
+from tiler.core.words import listed
 from tiler.errors import ConfigError
 from tiler.io.atomic_files import MAX_NAME_LENGTH, name_bytes
 from tiler.io.locations import joined
@@ -100,9 +101,8 @@ def validate_targets(plan: Plan, products: str, paths: Sequence[Path]) -> None:
         sheet_prefixes = {name: name_prefix(plan.config.sheet_name, name) for name in names}
     foreign_paths = foreign_files(out, products, file_names, sheet_prefixes)
     if foreign_paths:
-        more = f" and {len(foreign_paths) - MAX_LISTED:,} more" if len(foreign_paths) > MAX_LISTED else ""
         raise ConfigError(
-            f"-o {products}: {', '.join(foreign_paths[:MAX_LISTED])}{more}: already exists and was not written by a "
+            f"-o {products}: {listed(foreign_paths, MAX_LISTED)}: already exists and was not written by a "
             "run in this folder; use another -o, or --force to replace them"
         )
 

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 from ptd.places import PLACES
 from tiler.core.units_text import area_text, length_text
-from tiler.core.words import counted
+from tiler.core.words import counted, name_in_wkt
 from tiler.observe.progress import count_text, duration_text, size_text
 from tiler.report.document import Content, Node, el, section, table
 from tiler.report.pictures import Pictures
@@ -140,7 +140,7 @@ def settled(run: Run) -> list[ResolvedSetting]:
         "workers": (str(plan["workers"]), "the cores that tiler may use"),
         "memory": (size_text(memory), "a fair share of the machine, at most 4 GiB"),
         "units": (units, declared),
-        "crs": (_crs_name(plan["crs"]), declared),
+        "crs": (name_in_wkt(plan["crs"], "none"), declared),
     }
     return [
         ResolvedSetting(
@@ -205,11 +205,6 @@ def _measured(run: Run) -> Iterator[tuple[str, str, str]]:
                 if name in FIGURES_IN_WORDS and name.endswith("_m"):
                     text = _length(run, float(text))
                 yield step, FIGURES_IN_WORDS.get(name, name), text
-
-
-def _crs_name(wkt: str | None) -> str:
-    """Return the name at the beginning of a WKT: ``PROJCRS["name", ...``."""
-    return "none" if wkt is None else wkt.split('"')[1] if wkt.count('"') > 1 else wkt
 
 
 def _flat(prefix: str, value: Any) -> Iterator[tuple[str, str]]:

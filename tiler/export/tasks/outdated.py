@@ -18,6 +18,7 @@ from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 
+from tiler.core.words import listed
 from tiler.errors import ConfigError, write_error
 from tiler.export.records import FileRecord
 from tiler.ingest.tasks.fingerprints import contents
@@ -73,7 +74,7 @@ def archive_outdated(job: Job, written: Mapping[str, str], basis: str) -> None:
     job.results.earlier_outputs = dict.fromkeys(wanted)
     if stale:
         job.note(
-            f"{named(stale)}: of an earlier run with other settings or inputs, and not of this one; "
+            f"{listed(stale, NAMED)}: of an earlier run with other settings or inputs, and not of this one; "
             f"moved to {aside}/"
         )
     job.save("running")
@@ -91,7 +92,7 @@ def _archive_changed(job: Job, written: Mapping[str, str]) -> None:
 
 
 def _changed_text(paths: Sequence[str], location: str) -> str:
-    return f"{named(paths)}: changed since a run wrote them; moved to {location}/ and made again"
+    return f"{listed(paths, NAMED)}: changed since a run wrote them; moved to {location}/ and made again"
 
 
 def _damaged(job: Job, paths: Collection[str]) -> list[str]:
@@ -133,12 +134,6 @@ def move_aside(out: str, paths: Sequence[str]) -> str:
     for path in paths:
         _move(out, path, joined(out, folder, path))
     return folder
-
-
-def named(paths: Sequence[str]) -> str:
-    """Return a text with the first names of files, and the number of further files."""
-    more = f" and {len(paths) - NAMED:,} more" if len(paths) > NAMED else ""
-    return ", ".join(paths[:NAMED]) + more
 
 
 def _taken(out: str, places: list[str]) -> bool:

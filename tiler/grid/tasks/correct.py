@@ -15,6 +15,7 @@ from tiler.core.lattice import Cell, Lattice
 from tiler.core.map_lines import drawn, rings_of_areas
 from tiler.core.records import records_of
 from tiler.core.terrain_results import BreaklineCounts, EditResult
+from tiler.core.words import listed
 from tiler.errors import ProcessingError
 from tiler.filter.tasks.labelled import Labelled
 from tiler.grid import CountEditedPoints, count_edited_points
@@ -138,9 +139,8 @@ def report_edited_pixels(job: Job, terrain: Commits) -> None:
     job.results.edits = [_with_pixels(edit, counts.get(edit.number, 0)) for edit in job.results.edits]
     unchanged = [edit for edit in job.results.edits if not edit.changed]
     if unchanged:
-        names = ", ".join(f"feature {edit.number} ({edit.action})" for edit in unchanged[:5])
-        more = f" and {len(unchanged) - 5} more" if len(unchanged) > 5 else ""
-        job.note(f"--edits: {names}{more}: changed nothing")
+        names = [f"feature {edit.number} ({edit.action})" for edit in unchanged]
+        job.note(f"--edits: {listed(names, 5)}: changed nothing")
 
 
 def _with_pixels(edit: EditResult, pixels: int) -> EditResult:
