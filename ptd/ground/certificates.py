@@ -30,6 +30,21 @@ UInt8 = npt.NDArray[np.uint8]
 Bool = npt.NDArray[np.bool_]
 
 
+class CheckedMesh(NamedTuple):
+    """The arrays of a TIN and a mask of its uncertified triangles, as one argument of kernels.
+
+    Attributes
+    ----------
+    vertices, triangles : int32 arrays, see `ptd.tin.layout`
+    uncertified : uint8 [triangles]
+        Result of `UncertifiedRegion.triangles`.
+    """
+
+    vertices: Int32Array
+    triangles: Int32Array
+    uncertified: UInt8
+
+
 @kernel
 def _mark_places(
     mask: UInt8, west: int, south: int, cell: int, x: Int32Array, y: Int32Array, which: npt.NDArray[np.bool_]
@@ -97,20 +112,15 @@ class _Sides(NamedTuple):
 
 @inlined
 def _circle_in_doubt(
-    bx: float,
-    by: float,
-    cx: float,
-    cy: float,
-    ax: float,
-    ay: float,
-    sides: _Sides,
-    cell: float,
-    free: Float32,
+    a: tuple[int, int], b: tuple[int, int], c: tuple[int, int], sides: _Sides, cell: float, free: Float32
 ) -> bool:
-    """Return whether the circle through a, a + b, a + c may contain an uncertified position.
+    """Return whether the circle through three positions may contain an uncertified position.
 
     A false yes is possible but rare, a false no is impossible.
     """
+    ax, ay = float(a[0]), float(a[1])
+    bx, by = float(b[0] - a[0]), float(b[1] - a[1])
+    cx, cy = float(c[0] - a[0]), float(c[1] - a[1])
     area = 2.0 * (bx * cy - by * cx)
     b2, c2 = bx * bx + by * by, cx * cx + cy * cy
     if abs(area) <= 1e-9 * (abs(bx * cy) + abs(by * cx)):
@@ -152,19 +162,13 @@ def _doubtful_triangles(mesh: Mesh, sides: _Sides, cell: int, free: Float32, out
         if is_ghost(triangles, t):
             out[t] = 1
             continue
-        a, b, c = triangles[8 * t + 4], triangles[8 * t + 5], triangles[8 * t + 6]
-        ax, ay = vertices[4 * a], vertices[4 * a + 1]
-        out[t] = _circle_in_doubt(
-            float(vertices[4 * b] - ax),
-            float(vertices[4 * b + 1] - ay),
-            float(vertices[4 * c] - ax),
-            float(vertices[4 * c + 1] - ay),
-            float(ax),
-            float(ay),
-            sides,
-            float(cell),
-            free,
+        i, j, k = 4 * triangles[8 * t + 4], 4 * triangles[8 * t + 5], 4 * triangles[8 * t + 6]
+        a, b, c = (
+            (vertices[i], vertices[i + 1]),
+            (vertices[j], vertices[j + 1]),
+            (vertices[k], vertices[k + 1]),
         )
+        out[t] = _circle_in_doubt(a, b, c, sides, float(cell), free)
 
 
 @kernel

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from ptd.cells import Int32, Xyz
 from ptd.frame import CellLattice, Scale, Window
-from ptd.ground.certificates import UInt8, UncertifiedRegion
+from ptd.ground.certificates import CheckedMesh, UInt8, UncertifiedRegion
 from ptd.ground.criteria import FacetLimits, accepts
 from ptd.ground.seeds import RING, box_with_ring, choose_seeds
 from ptd.kernel import as_int64, kernel
@@ -48,10 +48,9 @@ class _Candidates(NamedTuple):
 
 @kernel
 def _test_round(
-    mesh: Mesh,
+    mesh: CheckedMesh,
     points: Xyz,
     candidates: _Candidates,
-    in_doubt: UInt8,
     limits: FacetLimits,
     stamp: int,
     chosen: Int32,
@@ -62,7 +61,7 @@ def _test_round(
     candidate whose result depends on other triangles as well (mirrored, or on an edge) is tested in every round
     (`again`).
     """
-    vertices, triangles = mesh
+    vertices, triangles, uncertified = mesh
     x, y, z = points
     state, home, again, doubtful = candidates
     n_chosen = 0
@@ -73,15 +72,15 @@ def _test_round(
         if home[i] >= 0:
             t = as_int64(home[i])
         if home[i] >= 0 and not again[i] and triangles[8 * t + STAMP] < stamp - 1:
-            doubtful[i] = doubtful[i] or in_doubt[t] != 0
+            doubtful[i] = doubtful[i] or uncertified[t] != 0
             continue
         px, py, pz = as_int64(x[i]), as_int64(y[i]), as_int64(z[i])
         t = locate(vertices, triangles, px, py, t)
         home[i] = t
         if is_ghost(triangles, t):
-            doubtful[i] = doubtful[i] or in_doubt[t] != 0
+            doubtful[i] = doubtful[i] or uncertified[t] != 0
             continue
-        passed, elsewhere, unsure = accepts(vertices, triangles, t, px, py, pz, limits, in_doubt)
+        passed, elsewhere, unsure = accepts(mesh, t, px, py, pz, limits)
         again[i] = elsewhere
         doubtful[i] = doubtful[i] or unsure
         if passed:
@@ -142,8 +141,8 @@ def densify(
     stamp = 0
     while rounds == 0 or stamp < rounds:
         stamp += 1
-        in_doubt = doubt.triangles(tin)
-        n = _test_round(tin.mesh, points, candidates, in_doubt, limits, stamp, room)
+        mesh = CheckedMesh(*tin.mesh, doubt.triangles(tin))
+        n = _test_round(mesh, points, candidates, limits, stamp, room)
         spread = doubt.add_points(points.x, points.y, doubtful)
         if n == 0 and not spread:
             break

@@ -187,7 +187,7 @@ class FineLabels(TinLabels):
     def judged(self, tin: Tin, points: Xyz) -> tuple[UInt8, Bool]:
         """Return labels and a mask of uncertified labels. The rule must come from `with_fine_surface`."""
         labels, marked, close = label_by_height(
-            tin, self.locator, points, self.in_doubt, self.rule, self.bands
+            tin, self.locator, points, self.uncertified, self.rule, self.bands
         )
         ground, marked = fine_ground(points, close, labels == GROUND, marked, self._scale)
         return np.where(ground, np.uint8(GROUND), np.uint8(UNCLASSIFIED)), marked

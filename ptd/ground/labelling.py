@@ -9,14 +9,14 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.cells import Xyz
-from ptd.ground.certificates import UInt8
+from ptd.ground.certificates import CheckedMesh, UInt8
 from ptd.ground.criteria import FacetLimits, across, facet_measures, judge
 from ptd.ground.outliers import LowNoise
 from ptd.kernel import as_int64, inlined, kernel
 from ptd.passes import Model, Points
 from ptd.places import Field, everywhere, value_at
 from ptd.tin.interpolation import canonical_facet
-from ptd.tin.layout import Int32Array, Mesh, is_ghost, real_neighbour
+from ptd.tin.layout import Int32Array, is_ghost, real_neighbour
 from ptd.tin.location import coincident_vertex, locate, walk
 from ptd.tin.locator import Locator, start_near
 from ptd.tin.mesh import Tin
@@ -31,15 +31,7 @@ FAR, CROP, NEAR, ON = 0, 1, 2, 3
 
 @kernel
 def is_terrain(
-    vertices: Int32Array,
-    triangles: Int32Array,
-    t: int,
-    x: int,
-    y: int,
-    z: int,
-    in_doubt: UInt8,
-    limits: FacetLimits,
-    floor: float,
+    mesh: CheckedMesh, t: int, x: int, y: int, z: int, limits: FacetLimits, floor: float
 ) -> tuple[bool, bool, bool]:
     """Apply the rule of `label_points` to a point in triangle t, which may be a ghost.
 
@@ -48,22 +40,23 @@ def is_terrain(
     terrain : bool
     elsewhere : bool
         Whether the result depends on other triangles than t.
-    doubtful : bool
+    is_uncertified : bool
         Whether the result depends on an uncertified triangle.
     """
-    doubtful = in_doubt[t] != 0
+    vertices, triangles, uncertified = mesh
+    is_uncertified = uncertified[t] != 0
     if is_ghost(triangles, t):
-        return False, False, doubtful
+        return False, False, is_uncertified
     v = coincident_vertex(vertices, triangles, x, y, t)
     if v >= 0:
-        return abs(float(z - vertices[4 * v + 2])) * limits.z_ratio <= floor, False, doubtful
+        return abs(float(z - vertices[4 * v + 2])) * limits.z_ratio <= floor, False, is_uncertified
     beside = across(vertices, triangles, t, x, y)
-    doubtful = doubtful or in_doubt[beside] != 0
+    is_uncertified = is_uncertified or uncertified[beside] != 0
     measures = facet_measures(vertices, triangles, t, x, y, z, limits.z_ratio)
     if abs(measures[0]) <= floor:
-        return True, beside != t, doubtful
-    passed, mirrored, unsure = judge(vertices, triangles, t, x, y, z, measures, limits, in_doubt)
-    return passed, mirrored or beside != t, doubtful or unsure
+        return True, beside != t, is_uncertified
+    passed, mirrored, mirror_is_uncertified = judge(mesh, t, x, y, z, measures, limits)
+    return passed, mirrored or beside != t, is_uncertified or mirror_is_uncertified
 
 
 class Closeness(NamedTuple):
@@ -210,31 +203,24 @@ def _on_vertex(height: int, x: int, y: int, z: int, rule: LabelRule, bands: Band
 
 @kernel
 def _is_near(
-    vertices: Int32Array,
-    triangles: Int32Array,
-    t: int,
-    x: int,
-    y: int,
-    z: int,
-    in_doubt: UInt8,
-    rule: LabelRule,
-    bands: Bands,
+    mesh: CheckedMesh, t: int, x: int, y: int, z: int, rule: LabelRule, bands: Bands
 ) -> tuple[bool, int, bool]:
     """Return whether a point in triangle t is ground by its height, its closeness, and whether it is uncertified.
 
     Triangle t may be a ghost.
     """
-    doubtful = in_doubt[t] != 0
+    vertices, triangles, uncertified = mesh
+    is_uncertified = uncertified[t] != 0
     if is_ghost(triangles, t):
-        return False, FAR, doubtful
+        return False, FAR, is_uncertified
     v = coincident_vertex(vertices, triangles, x, y, t)
     if v >= 0:
-        return *_on_vertex(as_int64(vertices[4 * v + 2]), x, y, z, rule, bands), doubtful
-    doubtful = doubtful or in_doubt[across(vertices, triangles, t, x, y)] != 0
+        return *_on_vertex(as_int64(vertices[4 * v + 2]), x, y, z, rule, bands), is_uncertified
+    is_uncertified = is_uncertified or uncertified[across(vertices, triangles, t, x, y)] != 0
     f = _facet(vertices, triangles, t, rule.limits.z_ratio)
     distance = _distance(f, x, y, z, rule.limits.z_ratio)
     fits = _fits(f, distance, x, y, bands)
-    return fits, _closeness(distance, f.cos, f.sin, rule.close), doubtful
+    return fits, _closeness(distance, f.cos, f.sin, rule.close), is_uncertified
 
 
 @inlined
@@ -246,10 +232,10 @@ def _inside(f: _Facet, x: int, y: int) -> bool:
 
 @kernel
 def _label_by_height(
-    mesh: Mesh, locator: Locator, points: Xyz, in_doubt: UInt8, rule: LabelRule, bands: Bands
+    mesh: CheckedMesh, locator: Locator, points: Xyz, rule: LabelRule, bands: Bands
 ) -> tuple[UInt8, npt.NDArray[np.bool_], UInt8]:
     """Label points by height only, and measure their closeness. Consecutive points often lie in one facet."""
-    vertices, triangles = mesh
+    vertices, triangles, uncertified = mesh
     x, y, z = points
     labels, marked, close = np.empty(x.size, np.uint8), np.empty(x.size, np.bool_), np.empty(x.size, np.uint8)
     limits, z_ratio = _limits(bands), rule.limits.z_ratio
@@ -262,15 +248,13 @@ def _label_by_height(
             if v >= 0:  # One point in ten is at a vertex. `_is_near` would locate it again.
                 fits, close[i] = _on_vertex(as_int64(vertices[4 * v + 2]), px, py, pz, rule, bands)
                 labels[i] = GROUND if fits else UNCLASSIFIED
-                marked[i] = in_doubt[t] != 0
+                marked[i] = uncertified[t] != 0
                 continue
             if not is_ghost(triangles, t):
                 facet = _facet(vertices, triangles, t, z_ratio)
             if is_ghost(triangles, t) or not _inside(facet, px, py):
                 t = locate(vertices, triangles, px, py, t)
-                terrain, close[i], marked[i] = _is_near(
-                    vertices, triangles, t, px, py, pz, in_doubt, rule, bands
-                )
+                terrain, close[i], marked[i] = _is_near(mesh, t, px, py, pz, rule, bands)
                 labels[i] = GROUND if terrain else UNCLASSIFIED
                 continue
         distance = _distance(facet, px, py, pz, z_ratio)
@@ -279,15 +263,15 @@ def _label_by_height(
         if not fits and not never:
             fits = _fits(facet, distance, px, py, bands)
         labels[i] = GROUND if fits else UNCLASSIFIED
-        marked[i] = in_doubt[facet.t] != 0
+        marked[i] = uncertified[facet.t] != 0
     return labels, marked, close
 
 
 @kernel
 def _label(
-    mesh: Mesh, locator: Locator, points: Xyz, in_doubt: UInt8, rule: LabelRule
+    mesh: CheckedMesh, locator: Locator, points: Xyz, rule: LabelRule
 ) -> tuple[UInt8, npt.NDArray[np.bool_]]:
-    vertices, triangles = mesh
+    vertices, triangles, uncertified = mesh
     x, y, z = points
     labels, marked = np.empty(x.size, np.uint8), np.empty(x.size, np.bool_)
     for i in range(x.size):
@@ -296,17 +280,15 @@ def _label(
         if rule.vertices_only and (
             is_ghost(triangles, t) or coincident_vertex(vertices, triangles, px, py, t) < 0
         ):
-            labels[i], marked[i] = UNCLASSIFIED, in_doubt[t] != 0
+            labels[i], marked[i] = UNCLASSIFIED, uncertified[t] != 0
             continue
-        terrain, _, marked[i] = is_terrain(
-            vertices, triangles, t, px, py, pz, in_doubt, rule.limits, rule.floor
-        )
+        terrain, _, marked[i] = is_terrain(mesh, t, px, py, pz, rule.limits, rule.floor)
         labels[i] = GROUND if terrain else UNCLASSIFIED
     return labels, marked
 
 
 def label_points(
-    tin: Tin, locator: Locator, points: Xyz, in_doubt: UInt8, rule: LabelRule, bands: Bands | None = None
+    tin: Tin, locator: Locator, points: Xyz, uncertified: UInt8, rule: LabelRule, bands: Bands | None = None
 ) -> tuple[UInt8, npt.NDArray[np.bool_]]:
     """Label points as ground or not by the finished TIN.
 
@@ -321,7 +303,7 @@ def label_points(
         Locator of the TIN in its current state.
     points : Xyz
         Points in any order. Labelling is fast if successive points are neighbours.
-    in_doubt : uint8 [triangles]
+    uncertified : uint8 [triangles]
         Mask of uncertified triangles (`ptd.ground.certificates.UncertifiedRegion.triangles`).
     rule : LabelRule
     bands : Bands, optional
@@ -335,14 +317,14 @@ def label_points(
         Mask of the labels that points outside the window could change.
     """
     if rule.heights_only and not rule.vertices_only:
-        return label_by_height(tin, locator, points, in_doubt, rule, bands)[:2]
+        return label_by_height(tin, locator, points, uncertified, rule, bands)[:2]
     if points.x.size and tin.n_triangles:
-        return _label(tin.mesh, locator, points, in_doubt, rule)
+        return _label(CheckedMesh(*tin.mesh, uncertified), locator, points, rule)
     return np.full(points.x.size, UNCLASSIFIED, np.uint8), np.zeros(points.x.size, np.bool_)
 
 
 def label_by_height(
-    tin: Tin, locator: Locator, points: Xyz, in_doubt: UInt8, rule: LabelRule, bands: Bands | None = None
+    tin: Tin, locator: Locator, points: Xyz, uncertified: UInt8, rule: LabelRule, bands: Bands | None = None
 ) -> tuple[UInt8, npt.NDArray[np.bool_], UInt8]:
     """Label points like `label_points` by a rule of ``heights_only``.
 
@@ -350,7 +332,7 @@ def label_by_height(
     """
     if points.x.size and tin.n_triangles:
         bands = bands or Bands(everywhere(rule.floor), everywhere(rule.per_slope))
-        return _label_by_height(tin.mesh, locator, points, in_doubt, rule, bands)
+        return _label_by_height(CheckedMesh(*tin.mesh, uncertified), locator, points, rule, bands)
     n = points.x.size
     return np.full(n, UNCLASSIFIED, np.uint8), np.zeros(n, np.bool_), np.full(n, FAR, np.uint8)
 
@@ -370,15 +352,15 @@ class TinLabels(Model):
         self.stats, self.low, self._closed = stats, low, closed
         self.tin: Tin | None = None
 
-    def finish(self, tin: Tin, in_doubt: UInt8, rule: LabelRule, bands: Bands | None = None) -> None:
+    def finish(self, tin: Tin, uncertified: UInt8, rule: LabelRule, bands: Bands | None = None) -> None:
         """Set the finished TIN and the rule of labelling. `label_points` describes the parameters."""
-        self.tin, self.in_doubt, self.rule, self.bands = tin, in_doubt, rule, bands
+        self.tin, self.uncertified, self.rule, self.bands = tin, uncertified, rule, bands
         self.locator = Locator.of(tin)
         self.stats.update(vertices=tin.n_vertices)
 
     def judged(self, tin: Tin, points: Xyz) -> tuple[UInt8, npt.NDArray[np.bool_]]:
         """Return labels and a mask of uncertified labels by the finished TIN (`label_points`)."""
-        return label_points(tin, self.locator, points, self.in_doubt, self.rule, self.bands)
+        return label_points(tin, self.locator, points, self.uncertified, self.rule, self.bands)
 
     def label(self, points: Points) -> tuple[UInt8, npt.NDArray[np.bool_]]:
         """Return ASPRS classes (uint8 [n]) and a mask of uncertified labels (bool [n]) of points in any order."""

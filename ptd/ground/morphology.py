@@ -51,7 +51,7 @@ class CellRaster:
         col0, row0 = cells.column(int(x.min())), cells.row(int(y.min()))
         width = cells.column(int(x.max())) - col0 + 1
         self.shape = (cells.row(int(y.max())) - row0 + 1, width)
-        self.keys = cell_keys(x, y, cells.p, cells.q, cells.origin_x, cells.origin_y, col0, row0, width)
+        self.keys = cell_keys(x, y, cells, col0, row0, width)
 
     def lowest(self, z: Int32, which: Bool) -> Int32:
         """Return the height of the lowest chosen point in each cell, or `EMPTY` if there is none: int32, of `shape`."""

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -130,6 +130,14 @@ class Plateaus:
         return self.widest + max(self.gap, self.view) + 1
 
 
+class _Rays(NamedTuple):
+    """Fields of `Plateaus` by which the result of a ray follows, as an argument of kernels."""
+
+    view: int
+    fall: float
+    slope: float
+
+
 def on_plateaus(z: Int32, ground: Bool, before: Bool, raster: CellRaster, rule: Plateaus) -> Bool:
     """Find the ground points on surfaces above their surroundings: bool [n].
 
@@ -184,7 +192,7 @@ def plateaus(
     data = heights != EMPTY if data is None else data
     limit = math.floor(rule.step) + 1  # heights are whole numbers
     surface, n = connected_surfaces(heights, limit, limit, rule.gap)
-    looks, box = _looks(heights, surface, removed, data, passed, n, rule.view, rule.fall, rule.slope)
+    looks, box = _looks(heights, surface, removed, data, passed, n, _Rays(rule.view, rule.fall, rule.slope))
     seen, border = looks[:, _FALLS] + looks[:, _OTHERS], looks[:, _BORDER:]
     unseen = looks[:, _UNSEEN] + border.sum(axis=1)
     every = seen + unseen + looks[:, _PAST]
@@ -206,11 +214,10 @@ def _looks(
     data: Bool,
     passed: Bool,
     n: int,
-    view: int,
-    fall: float,
-    slope: float,
+    rays: _Rays,
 ) -> tuple[Int64, npt.NDArray[np.int64]]:
     """Count the cells and rays of each surface (columns `_AREA` to `_BORDER` + 7), and find its bounding box."""
+    view, fall, slope = rays
     rows, columns = heights.shape
     looks, box = np.zeros((n, _BORDER + 8), np.int64), np.zeros((n, 4), np.int64)
     for row in range(rows):

@@ -239,7 +239,7 @@ def patches(xyz: Int32, core: Window, scale: Scale) -> Patches:
     # With a margin of columns around the occupied ones, a key beyond the raster is never a cell of another row.
     col0, row0 = cells.column(int(x.min())) - REACH_CELLS, cells.row(int(y.min()))
     width = cells.column(int(x.max())) + REACH_CELLS + 1 - col0
-    point_keys = cell_keys(x, y, cells.p, cells.q, cells.origin_x, cells.origin_y, col0, row0, width)
+    point_keys = cell_keys(x, y, cells, col0, row0, width)
     keys, slot = occupied(point_keys, width * (cells.row(int(y.max())) - row0 + 1))
     columns, rows = keys % width + col0, keys // width + row0
     corners = cells.corners(columns, rows)

@@ -211,7 +211,7 @@ def cell_heights(
         return np.zeros((3, 0), np.int32)
     col0, row0 = cells.column(int(x.min())) - 1, cells.row(int(y.min())) - 1
     columns, rows = cells.column(int(x.max())) - col0 + 2, cells.row(int(y.max())) - row0 + 2
-    keys = cell_keys(x, y, cells.p, cells.q, cells.origin_x, cells.origin_y, col0, row0, columns)
+    keys = cell_keys(x, y, cells, col0, row0, columns)
     starts, order = by_cell(keys, columns * rows)
     noise = on_cells(sigma_m, cells, row0, col0, (rows, columns)).ravel()
     window = np.maximum(np.rint(scale.counts_z(1.0) * (MODE_SIGMAS * noise)), 1.0).astype(np.int64)
@@ -270,7 +270,7 @@ def raster_of(xyz: Int32, cells: CellLattice) -> CellHeights:
         cells.column(int(x.max())) - column + 1 + MARGIN,
         cells.row(int(y.max())) - row + 1 + MARGIN,
     )
-    keys = cell_keys(x, y, cells.p, cells.q, cells.origin_x, cells.origin_y, column, row, width)
+    keys = cell_keys(x, y, cells, column, row, width)
     heights = np.full(height * width, EMPTY, np.int32)
     heights[keys] = z
     return CellHeights(heights.reshape(height, width), keys, column, row)

@@ -46,6 +46,14 @@ class Place(NamedTuple):
     row: int
 
 
+class _Limits(NamedTuple):
+    """Fields of the `Surface` and the value of `GROUND_M` that limit the distance of ground from the surface."""
+
+    sigma: Float64
+    narrowing: Float64
+    ground_m: float
+
+
 @dataclass(frozen=True)
 class Ground:
     """The ground surface of a window, and the settings of the comparison with points.
@@ -77,7 +85,8 @@ class Ground:
         above, residual = _heights_above(x, y, z, height, self.place, metre, unit)
         asked = np.abs(above) < CLEAR_M  # NaN, where there is no surface, gives False.
         voted = voting.votes(x, y, residual, asked, self.radius_m, self.sigma_m, self.scale)
-        labels = _classes(x, y, above, voted, sigma, narrowing, self.place, unit, GROUND_M)
+        limits = _Limits(sigma, narrowing, GROUND_M)
+        labels = _classes(x, y, above, voted, limits, self.place, unit)
         if self.around is None:
             return labels
         heights = last_look.Heights.of(x, y, above, np.where(asked, voted / unit, above), labels)
@@ -180,10 +189,10 @@ def _heights_above(
 
 @kernel
 def _classes(
-    x: Int32, y: Int32, above: Float64, voted: Int32, sigma: Float64, narrowing: Float64, place: Place, unit: float,
-    ground_m: float,
-) -> UInt8:  # fmt: skip
+    x: Int32, y: Int32, above: Float64, voted: Int32, limits: _Limits, place: Place, unit: float
+) -> UInt8:
     """Return ASPRS classes of points from their heights above the surface, or from the vote for points near it."""
+    sigma, narrowing, ground_m = limits
     classes = np.full(x.size, UNCLASSIFIED, np.uint8)
     for k in range(x.size):
         near = abs(above[k]) < CLEAR_M

@@ -19,12 +19,13 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from ptd.cells import Int32, Int64, quotient
-from ptd.frame import CellLattice, Scale
+from ptd.frame import CellGrid, CellLattice, Scale
 from ptd.ground.labelling import GROUND, UNCLASSIFIED
 from ptd.ground.morphology import Bool
 from ptd.kernel import as_int64, kernel
@@ -88,6 +89,16 @@ class Heights:
         return cls(x, y, _millimetres(above_m), _millimetres(voted_m), labels)
 
 
+class _Points(NamedTuple):
+    """Column and row of each point's cell, and fields of the `Heights`, as an argument of kernels."""
+
+    column: Int32
+    row: Int32
+    own: Int32
+    voted: Int32
+    labels: UInt8
+
+
 @kernel
 def _millimetres(metres: Float64) -> Int32:
     """Return heights in whole millimetres, cut off at `CLEAR_MM`, which also stands for NaN."""
@@ -99,11 +110,14 @@ def _millimetres(metres: Float64) -> Int32:
 
 
 @kernel
-def _summed(
-    index: Int32, column: Int32, row: Int32, voted: Int32, labels: UInt8, west: int, south: int, side: int
-) -> Int64:
-    """Return the sums of a block's points over all cells to the south-west: int64 [6, side + 1, side + 1]."""
-    sums = np.zeros((6, side + 1, side + 1), np.int64)
+def _summed(index: Int32, points: _Points, first: tuple[int, int], size: int) -> Int64:
+    """Return the sums of a block's points over all cells to the south-west: int64 [6, size + 1, size + 1].
+
+    The first cell has the column and row ``first``.
+    """
+    column, row, _own, voted, labels = points
+    west, south = first
+    sums = np.zeros((6, size + 1, size + 1), np.int64)
     for k in index:
         i, j, v = row[k] - south + 1, column[k] - west + 1, np.int64(voted[k])
         sums[COUNT, i, j] += 1
@@ -113,9 +127,9 @@ def _summed(
         sums[LOW, i, j] += LOW_MM < v < HIGH_MM
         sums[HIGH, i, j] += v >= HIGH_MM
     for q in range(6):
-        for i in range(1, side + 1):
+        for i in range(1, size + 1):
             along = 0
-            for j in range(1, side + 1):
+            for j in range(1, size + 1):
                 along += sums[q, i, j]
                 sums[q, i, j] = along + sums[q, i - 1, j]
     return sums
@@ -146,13 +160,15 @@ def _describe(sums: Int64, i: int, j: int, r: int, found: Int32) -> None:
 
 @kernel
 def _features(
-    index: Int32, column: Int32, row: Int32, own: Int32, voted: Int32, labels: UInt8, sums: Int64, west: int,
-    south: int, cell: Int32, around: Int32,
-) -> tuple[Int32, Int32]:  # fmt: skip
+    index: Int32, points: _Points, sums: Int64, first: tuple[int, int], cell: Int32, around: Int32
+) -> tuple[Int32, Int32]:
     """Return the indices of the points that may change, and their features: int32 [m], int32 [m, features].
 
-    ``cell`` is the index of each point's cell of the surface, ``around`` the features of these cells.
+    ``sums`` begin at the cell with the column and row ``first``. ``cell`` is the index of each point's cell of the
+    surface, ``around`` the features of these cells.
     """
+    column, row, own, voted, labels = points
+    west, south = first
     chosen, n = np.empty(index.size, np.int32), 0
     features = np.empty((index.size, 13 + around.shape[1] - 1), np.int32)
     for k in index:
@@ -282,7 +298,8 @@ def features_by_block(
         (last - first) // PART + 2
         for last, first in ((cells.column(int(x.max())), west), (cells.row(int(y.max())), south))
     )
-    column, row = _places(x, y, cells.p, cells.q, cells.origin_x, cells.origin_y, west, south)
+    column, row = _columns_and_rows(x, y, cells.grid(west, south))
+    points = _Points(column, row, heights.own, heights.voted, heights.labels)
     starts, order = by_cell(row.astype(np.int64) // PART * columns + column // PART, columns * rows)
     for i in range(1, rows - 1, BLOCK):
         for j in range(1, columns - 1, BLOCK):
@@ -298,27 +315,15 @@ def features_by_block(
                 (i - 1, min(i + BLOCK + 1, rows)),
                 (j - 1, min(j + BLOCK + 1, columns)),
             )
-            at = ((j - 1) * PART, (i - 1) * PART)
-            sums = _summed(near, column, row, heights.voted, heights.labels, *at, (BLOCK + 2) * PART)
-            yield _features(
-                inside,
-                column,
-                row,
-                heights.own,
-                heights.voted,
-                heights.labels,
-                sums,
-                *at,
-                cell,
-                around.features,
-            )
+            first = (j - 1) * PART, (i - 1) * PART
+            sums = _summed(near, points, first, (BLOCK + 2) * PART)
+            yield _features(inside, points, sums, first, cell, around.features)
 
 
 @kernel
-def _places(
-    x: Int32, y: Int32, p: int, q: int, ox: int, oy: int, west: int, south: int
-) -> tuple[Int32, Int32]:
-    """Return column and row of each point, counted from the cell in the south-west."""
+def _columns_and_rows(x: Int32, y: Int32, grid: CellGrid) -> tuple[Int32, Int32]:
+    """Return the column and row of each point in a grid."""
+    p, q, ox, oy, west, south = grid
     column, row, inverse = np.empty(x.size, np.int32), np.empty(x.size, np.int32), 1.0 / p
     for k in range(x.size):
         column[k] = quotient((as_int64(x[k]) + ox) * q, p, inverse) - west

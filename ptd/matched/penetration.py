@@ -222,7 +222,7 @@ class _Raster:
         cells = CellLattice.of(side_m, scale)
         col0, row0 = cells.column(int(x.min())) - 1, cells.row(int(y.min()))
         width = cells.column(int(x.max())) + 2 - col0
-        point_keys = cell_keys(x, y, cells.p, cells.q, cells.origin_x, cells.origin_y, col0, row0, width)
+        point_keys = cell_keys(x, y, cells, col0, row0, width)
         keys, slot = occupied(point_keys, width * (cells.row(int(y.max())) - row0 + 1))
         return cls(keys, slot, lowest_by_key(x, y, z, slot, keys.size), col0, row0, width)
 

@@ -200,7 +200,7 @@ def votes(
     column, row = cells.column(int(px.min())) - most, cells.row(int(py.min())) - most
     width = cells.column(int(px.max())) - column + 1 + most
     height = cells.row(int(py.max())) - row + 1 + most
-    keys = cell_keys(px, py, cells.p, cells.q, cells.origin_x, cells.origin_y, column, row, width)
+    keys = cell_keys(px, py, cells, column, row, width)
     starts, order = by_cell(keys, width * height)
     finer = max(math.ceil(math.log2(scale.counts(RADIUS_M[1]) / FINEST)), 0)  # Larger squares would overflow.
     per_radius, per_metre = scale.counts(1.0) / 2**finer, PARTS * scale.counts_z(1.0)

@@ -41,7 +41,7 @@ from typing import Any, ClassVar
 import numpy as np
 import numpy.typing as npt
 
-from ptd.cells import Xyz, keys_in, lowest_per_cell
+from ptd.cells import Xyz, cell_keys, lowest_per_cell
 from ptd.frame import CellLattice, Scale, Window
 from ptd.ground.criteria import FacetLimits
 from ptd.ground.densify import densify_seeds
@@ -130,7 +130,7 @@ def thinned(columns: tuple[Int32, Int32, Int32], cell_m: float, scale: Scale) ->
     else:
         cells = CellLattice.of(1.0, scale)
         col0, row0 = cells.column(int(x.min())), cells.row(int(y.min()))
-        keys = keys_in(x, y, cells, col0, row0, 1 << 31)
+        keys = cell_keys(x, y, cells, col0, row0, 1 << 31)
         keep = np.lexsort((z, y, x, keys))
     return x[keep], y[keep], z[keep]
 

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.cells import Int32, Int64, Xyz
-from ptd.ground.certificates import UInt8, UncertifiedRegion
+from ptd.ground.certificates import CheckedMesh, UInt8, UncertifiedRegion
 from ptd.ground.criteria import FacetLimits, accepts
 from ptd.ground.labelling import is_terrain
 from ptd.kernel import as_int64, kernel
@@ -28,7 +28,7 @@ Bool = npt.NDArray[np.bool_]
 
 @kernel
 def _test_stacks(
-    mesh: Mesh, points: Xyz, starts: Int64, limits: FacetLimits, in_doubt: UInt8, vertex: Bool, doubtful: Bool
+    mesh: CheckedMesh, points: Xyz, starts: Int64, limits: FacetLimits, vertex: Bool, doubtful: Bool
 ) -> Bool:
     """One round: mask of the lowest terrain points of their cells.
 
@@ -36,7 +36,7 @@ def _test_stacks(
     can become the cell's vertex. Points that may become it depending on data outside the window are added to
     `doubtful`: points below the certain one whose test is uncertain, and in that case the certain one as well.
     """
-    vertices, triangles = mesh
+    vertices, triangles, uncertified = mesh
     x, y, z = points
     kept = np.zeros(x.size, np.bool_)
     t = 0
@@ -49,9 +49,9 @@ def _test_stacks(
             if not passed:
                 t = locate(vertices, triangles, x[i], y[i], t)
                 if is_ghost(triangles, t):
-                    unsure = unsure or in_doubt[t] != 0
+                    unsure = unsure or uncertified[t] != 0
                 else:
-                    passed, _, on_doubt = accepts(vertices, triangles, t, x[i], y[i], z[i], limits, in_doubt)
+                    passed, _, on_doubt = accepts(mesh, t, x[i], y[i], z[i], limits)
                     unsure = unsure or on_doubt
             if passed and lowest < 0:
                 lowest = i
@@ -102,9 +102,8 @@ class _Labelled(NamedTuple):
 @kernel
 def _tally(
     last: Mesh,
-    mesh: Mesh,
+    mesh: CheckedMesh,
     points: Xyz,
-    in_doubt: UInt8,
     limits: FacetLimits,
     floor: float,
     now: Int32,
@@ -121,7 +120,7 @@ def _tally(
     now : int32 [triangles of `last`]
         Filled with -1; receives the present number of each triangle, -2 for changed ones.
     """
-    vertices, triangles = mesh
+    vertices, triangles, uncertified = mesh
     x, y, z = points
     home, again, terrain = labelled
     n_gained = n_unsure = t = 0
@@ -129,18 +128,16 @@ def _tally(
         h = as_int64(home[i])
         if h >= 0 and not again[i] and now[h] == -1:
             t = locate(vertices, triangles, x[i], y[i], t)
-            same = _same_corners(last, h, mesh, t)
+            same = _same_corners(last, h, Mesh(vertices, triangles), t)
             now[h] = -2
             if same:
                 now[h] = t
         if h >= 0 and not again[i] and now[h] >= 0:
             t = as_int64(now[h])
-            unsure = in_doubt[t] != 0
+            unsure = uncertified[t] != 0
         else:
             t = locate(vertices, triangles, x[i], y[i], t)
-            is_now, again[i], unsure = is_terrain(
-                vertices, triangles, t, x[i], y[i], z[i], in_doubt, limits, floor
-            )
+            is_now, again[i], unsure = is_terrain(mesh, t, x[i], y[i], z[i], limits, floor)
             n_gained += is_now and not terrain[i]
             terrain[i] = is_now
         home[i] = t
@@ -175,7 +172,8 @@ class GrowthCounter:
         self._tin = tin
         now = np.full(last.n_triangles, -1, np.int32)
         points, limits, floor = self._points, self._limits, self._floor
-        return _tally(last.mesh, tin.mesh, points, in_doubt, limits, floor, now, self._labelled)
+        mesh = CheckedMesh(*tin.mesh, in_doubt)
+        return _tally(last.mesh, mesh, points, limits, floor, now, self._labelled)
 
 
 class Round(NamedTuple):
@@ -231,7 +229,8 @@ def densify_thinned(
         tin = Tin.build(*(np.concatenate([c[chosen], virtual[:, k]]) for k, c in enumerate((x, y, z))))
         in_doubt = doubt.triangles(tin)
         yield Round(tin, in_doubt, vertex)
-        kept = _test_stacks(tin.mesh, Xyz(x, y, z), stacks.starts, limits, in_doubt, vertex, doubtful)
+        mesh = CheckedMesh(*tin.mesh, in_doubt)
+        kept = _test_stacks(mesh, Xyz(x, y, z), stacks.starts, limits, vertex, doubtful)
         spread = doubt.add_points(x, y, doubtful)
         if not spread and np.array_equal(kept, vertex):
             return

@@ -11,6 +11,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from ptd.frame import Scale
+from ptd.ground.certificates import CheckedMesh
 from ptd.ground.criteria import FacetLimits, accepts, facet_measures, mirror_facet, within
 from ptd.tin.mesh import Tin
 from tests.ptd.tin.meshes import corners_of, outside, triangle_at
@@ -44,7 +45,7 @@ def judge(
     """Passed, elsewhere, doubtful; `doubt` are triangles in doubt."""
     in_doubt = np.array([t in doubt for t in range(tin.n_triangles)], np.uint8)
     t = triangle_at(tin, x, y)
-    return accepts(tin.vertex_array, tin.triangle_array, t, *in_counts(x, y, z), limits(**values), in_doubt)
+    return accepts(CheckedMesh(*tin.mesh, in_doubt), t, *in_counts(x, y, z), limits(**values))
 
 
 # Equilateral, 10 m in plan to within a millimetre; the middle is 5774 mm from each corner.
@@ -98,9 +99,8 @@ def test_on_a_vertex_only_the_vertex_passes(z: int, passed: bool) -> None:
     found = set()
     for t in range(tin.n_triangles):
         if 0 in (tin.vertices[v, :2].any() for v in corners_of(tin, t) if v >= 0) and not outside(tin, t):
-            facet = tin.vertex_array, tin.triangle_array, t
-            in_doubt = np.zeros(tin.n_triangles, np.uint8)
-            found.add(accepts(*facet, *in_counts(0, 0, z), limits(), in_doubt))
+            mesh = CheckedMesh(*tin.mesh, np.zeros(tin.n_triangles, np.uint8))
+            found.add(accepts(mesh, t, *in_counts(0, 0, z), limits()))
     assert found == {(passed, False, False)}
 
 

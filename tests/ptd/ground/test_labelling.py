@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 from ptd.cells import Xyz
-from ptd.frame import CellLattice, Scale
+from ptd.frame import CellGrid, CellLattice, Scale
+from ptd.ground.certificates import CheckedMesh
 from ptd.ground.criteria import FacetLimits
 from ptd.ground.labelling import Bands, LabelRule, _is_near, label_points
 from ptd.ground.outliers import LowNoise
@@ -130,14 +131,14 @@ def test_heights_are_judged_as_point_by_point(seed: int) -> None:
     in_doubt = (random.random(tin.n_triangles) < 0.3).astype(np.uint8)
     in_doubt[[outside(tin, t) for t in range(tin.n_triangles)]] = 1  # as it always is
     rule = LabelRule(LIMITS, 1.0, heights_only=True)
-    floors = Field(random.uniform(0.5, 2.0, (4, 4)), -1, -1, 7, 1, 0, 0, False, 0.5, 2.0)
+    floors = Field(random.uniform(0.5, 2.0, (4, 4)), CellGrid(7, 1, 0, 0, -1, -1), False, 0.5, 2.0)
     bands = Bands(floors, everywhere(0.5))
     labels, marked = label_points(tin, Locator.of(tin), points, in_doubt, rule, bands)
+    mesh = CheckedMesh(*tin.mesh, in_doubt)
 
     for label, mark, x, y, z in zip(labels, marked, *points, strict=True):
         t = triangle_at(tin, int(x), int(y))
         on_a_vertex = (tin.vertices[:, :2] == (x, y)).all(axis=1).any()
-        facet = tin.vertex_array, tin.triangle_array, t
-        near, _, doubtful = _is_near(*facet, int(x), int(y), int(z), in_doubt, rule, bands)
+        near, _, doubtful = _is_near(mesh, t, int(x), int(y), int(z), rule, bands)
         assert label == (2 if near else 1)
         assert on_a_vertex or mark == doubtful  # on a vertex any of its triangles may have a say
