@@ -66,7 +66,7 @@ class CellGrid(NamedTuple):
 
 @dataclass(frozen=True)
 class CellLattice:
-    """Lattice of square cells with a side of ``p / q`` counts, anchored at absolute count 0. Positions are local.
+    """Lattice of square cells with a size of ``p / q`` counts, anchored at absolute count 0. Positions are local.
 
     Local count ``x`` lies in column ``((x + origin_x) * q) // p``.
     """

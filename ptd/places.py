@@ -20,7 +20,7 @@ from ptd.frame import OPEN, CellGrid, CellLattice, Scale, Window
 from ptd.kernel import as_int64, kernel
 
 PLACE_M = 256.0
-"""Side of a place in metres. A place has some hundred planar patches, and is no wider than a flight strip."""
+"""Size of a place in metres. A place has some hundred planar patches, and is no wider than a flight strip."""
 PLACES = "places"
 """Name of the table in the state of a run."""
 
@@ -131,7 +131,7 @@ def _between(position: int, p: int, q: int, first: int, n: int) -> tuple[int, fl
     The position is in absolute counts. ``first`` is the number of the place with the index 0, and ``n`` is the number
     of places.
     """
-    # The distance from the middle of place 0, in units of 1 / (2 q) counts. In these units a place has the side 2 p.
+    # The distance from the middle of place 0, in units of 1 / (2 q) counts. In these units a place has the size 2 p.
     scaled = 2 * q * position - p
     place = scaled // (2 * p)
     index = place - first

@@ -21,7 +21,7 @@ from ptd.tin.layout import Int32Array, Mesh, is_ghost
 from ptd.tin.mesh import Tin
 
 DOUBT_CELL_M = 2.0
-"""Smallest side of the cells of the raster of uncertified positions."""
+"""Smallest size of the cells of the raster of uncertified positions."""
 MAX_RASTER = 1024
 """Largest number of cells of that raster along its longer side."""
 

@@ -17,16 +17,16 @@ from ptd.ground.labelling import FAR, NEAR
 from ptd.kernel import as_int64, kernel
 
 CELL_M = 0.4
-"""Side of the fine cells."""
-SIDE = 5
+"""Size of the fine cells."""
+BLOCK_SIZE = 5
 """Number of cells along a side of a block."""
-CELLS = SIDE * SIDE
+CELLS = BLOCK_SIZE * BLOCK_SIZE
 
 Bool = npt.NDArray[np.bool_]
 UInt8 = npt.NDArray[np.uint8]
 
 
-class Placed(NamedTuple):
+class LocatedPoints(NamedTuple):
     """Points that are near a TIN or uncertified, with their blocks and cells.
 
     Attributes
@@ -45,7 +45,7 @@ class Placed(NamedTuple):
 
 
 class Blocks(NamedTuple):
-    """Blocks with placed points, by rows.
+    """Blocks with located points, by rows.
 
     Attributes
     ----------
@@ -64,7 +64,7 @@ class Blocks(NamedTuple):
     doubtful: Bool
 
 
-def placed(points: Xyz, close: UInt8, marked: Bool, scale: Scale) -> tuple[Placed, Blocks]:
+def located_points(points: Xyz, close: UInt8, marked: Bool, scale: Scale) -> tuple[LocatedPoints, Blocks]:
     """Find the blocks and cells of all points that are uncertified or not `FAR`.
 
     Parameters
@@ -80,12 +80,12 @@ def placed(points: Xyz, close: UInt8, marked: Bool, scale: Scale) -> tuple[Place
     if index.size == 0:
         none = np.zeros(0, np.int32)
         nothing = np.zeros(0, np.bool_)
-        where = Placed(index, none.astype(np.int64), none.astype(np.uint8))
+        where = LocatedPoints(index, none.astype(np.int64), none.astype(np.uint8))
         return where, Blocks(np.zeros((0, 9), np.int32), none, none, nothing, nothing)
     lattice = CellLattice.of(CELL_M, scale)
     keys, cell, width, height = _keys(points, index, lattice.p, lattice.q, lattice.origin_x, lattice.origin_y)
     blocks, block = occupied(keys, width * height)
-    where = Placed(index, block, cell)
+    where = LocatedPoints(index, block, cell)
     around = neighbours_of_blocks(blocks, width)
     return where, Blocks(around, *_counted(where, close, marked, blocks.size))
 
@@ -112,17 +112,17 @@ def _keys(points: Xyz, index: Int32, p: int, q: int, ox: int, oy: int) -> tuple[
         west, east = min(west, as_int64(x[i])), max(east, as_int64(x[i]))
         south, north = min(south, as_int64(y[i])), max(north, as_int64(y[i]))
     inverse = 1.0 / p
-    column = quotient((west + ox) * q, p, inverse) // SIDE - 1
-    row = quotient((south + oy) * q, p, inverse) // SIDE
-    width = quotient((east + ox) * q, p, inverse) // SIDE - column + 2
-    height = quotient((north + oy) * q, p, inverse) // SIDE - row + 1
+    column = quotient((west + ox) * q, p, inverse) // BLOCK_SIZE - 1
+    row = quotient((south + oy) * q, p, inverse) // BLOCK_SIZE
+    width = quotient((east + ox) * q, p, inverse) // BLOCK_SIZE - column + 2
+    height = quotient((north + oy) * q, p, inverse) // BLOCK_SIZE - row + 1
     keys, cell = np.empty(index.size, np.int64), np.empty(index.size, np.uint8)
     for k in range(index.size):
         i = index[k]
-        across = quotient((as_int64(x[i]) + ox) * q, p, inverse) - column * SIDE
-        up = quotient((as_int64(y[i]) + oy) * q, p, inverse) - row * SIDE
-        keys[k] = up // SIDE * width + across // SIDE
-        cell[k] = up % SIDE * SIDE + across % SIDE
+        across = quotient((as_int64(x[i]) + ox) * q, p, inverse) - column * BLOCK_SIZE
+        up = quotient((as_int64(y[i]) + oy) * q, p, inverse) - row * BLOCK_SIZE
+        keys[k] = up // BLOCK_SIZE * width + across // BLOCK_SIZE
+        cell[k] = up % BLOCK_SIZE * BLOCK_SIZE + across % BLOCK_SIZE
     return keys, cell, width, height
 
 
@@ -148,7 +148,9 @@ def neighbours_of_blocks(keys: Int64, width: int) -> Int32:
 
 
 @kernel
-def _counted(where: Placed, close: UInt8, marked: Bool, n_blocks: int) -> tuple[Int32, Int32, Bool, Bool]:
+def _counted(
+    where: LocatedPoints, close: UInt8, marked: Bool, n_blocks: int
+) -> tuple[Int32, Int32, Bool, Bool]:
     """Return the fields ``points``, ``near``, ``settled`` and ``doubtful`` of `Blocks`."""
     index, block, _ = where
     points, near = np.zeros(n_blocks, np.int32), np.zeros(n_blocks, np.int32)

@@ -15,7 +15,15 @@ import numpy.typing as npt
 
 from ptd.cells import Int32, Xyz
 from ptd.frame import Scale
-from ptd.ground.fine_cells import CELL_M, CELLS, SIDE, Blocks, Placed, pages_of_blocks, placed
+from ptd.ground.fine_cells import (
+    BLOCK_SIZE,
+    CELL_M,
+    CELLS,
+    Blocks,
+    LocatedPoints,
+    located_points,
+    pages_of_blocks,
+)
 from ptd.ground.fine_planes import FILLED, ROUGH_M, SPIKE_M, PlaneLimits, Planes, elect, fit
 from ptd.ground.labelling import (
     FAR,
@@ -32,7 +40,7 @@ from ptd.ground.outliers import LowNoise
 from ptd.kernel import kernel
 from ptd.tin.mesh import Tin
 
-REACH_M = 3 * SIDE * CELL_M
+REACH_M = 3 * BLOCK_SIZE * CELL_M
 """Distance beyond which points do not change a point's label. The label depends on planes in the point's block and the
 eight around it, and these depend on points one block farther."""
 NEAR_M, NEAR_SLOPE_M = 0.2, 0.5
@@ -75,7 +83,7 @@ class Heights(NamedTuple):
 
 @kernel
 def _judge(
-    points: Xyz, where: Placed, close: UInt8, blocks: Blocks, pages: Int32, planes: Planes, heights: Heights,
+    points: Xyz, where: LocatedPoints, close: UInt8, blocks: Blocks, pages: Int32, planes: Planes, heights: Heights,
     ground: Bool,
 ) -> None:  # fmt: skip
     """Update the mask of ground points by their heights above the plane of their cell, if there is one."""
@@ -139,7 +147,7 @@ def fine_ground(points: Xyz, close: UInt8, ground: Bool, marked: Bool, scale: Sc
     ground, marked : bool [n]
         Masks of the ground points and of the uncertified points.
     """
-    where, blocks = placed(points, close, marked, scale)
+    where, blocks = located_points(points, close, marked, scale)
     if where.point.size == 0 or blocks.points.max() < FILLED:
         return ground, marked  # No block can be dense, even if all uncertified points count.
     is_chosen = ~blocks.settled & (blocks.near >= FILLED)

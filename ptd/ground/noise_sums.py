@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 PATCH_M = 4.0
-"""Side of the cells that are counted."""
+"""Size of the cells that are counted."""
 MAX_SIGMA_M = 0.3
 """Largest noise of patches that are counted."""
 BIN_M = 0.001

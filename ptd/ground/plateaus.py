@@ -32,7 +32,7 @@ _AREA, _FALLS, _OTHERS, _PAST, _UNSEEN, _BORDER = range(6)
 direction, for rays that leave the data."""
 
 ROOF_CELL_M = 2.0
-"""Side of the cells of ground from which surfaces are made. They bridge the gaps of sparse clouds."""
+"""Size of the cells of ground from which surfaces are made. They bridge the gaps of sparse clouds."""
 ROOF_FALL_M = 1.5
 """Height difference above which ground is below a roof."""
 ROOF_STEPS_M = (ROOF_FALL_M, ROOF_FALL_M, ROOF_FALL_M, 1.0)

@@ -48,7 +48,7 @@ def remaining_roofs(
     heights : float64, shape (rows, columns)
         Heights in metres, NaN where unknown.
     cell_m : float
-        Side of a cell in metres.
+        Size of a cell in metres.
     min_width_m : float
         Width in metres below which surfaces are left out.
     """
@@ -79,7 +79,7 @@ def _rises(heights: Float64, known: Bool) -> Float64:
 def _measured(piece: Bool, box: tuple[slice, ...], cell_m: float) -> RemainingRoof:
     """Return the roof with the given cells. A row of cells at its edge was too steep to be found."""
     depth = scipy.ndimage.distance_transform_edt(np.pad(piece, 1))
-    row, column = ((side.start + side.stop) / 2 for side in box)
+    row, column = ((extent.start + extent.stop) / 2 for extent in box)
     return RemainingRoof(2 * (float(depth.max()) + 1) * cell_m, row, column)
 
 

@@ -67,12 +67,12 @@ class _Moments(NamedTuple):
 
 @kernel
 def _sums(
-    points: Xyz, slot: Int64, corners: tuple[Int64, Int64], side: tuple[int, int], tallest: float
+    points: Xyz, slot: Int64, corners: tuple[Int64, Int64], size: tuple[int, int], tallest: float
 ) -> _Moments:
-    """Compute the moments of cells of side p / q counts, only n and z for cells taller than a limit."""
+    """Compute the moments of cells of size p / q counts, only n and z for cells taller than a limit."""
     x, y, z = points
     corner_x, corner_y = corners
-    p, q = side
+    p, q = size
     low, high = np.full(corner_x.size, 2**40, np.int64), np.full(corner_x.size, -(2**40), np.int64)
     sums = np.zeros((corner_x.size, 4, MOMENTS), np.int64)
     first = np.full(corner_x.size, -1, np.int64)
@@ -165,7 +165,7 @@ def _drop_raised(
     moments: _Moments,
     whole: Int64,
     planes: Float64,
-    side: float,
+    size: float,
     drop: float,
     z_ratio: float,
 ) -> Bool:
@@ -181,7 +181,7 @@ def _drop_raised(
             while j < keys.size and keys[j] <= keys[k] + row * width + REACH_CELLS:
                 if whole[j, 0] >= MIN_POINTS:
                     mean = (whole[j, 3] / whole[j, 0] + (low[j] - low[k])) * z_ratio
-                    px, py = moments.x[j] - moments.x[k] + side / 2, moments.y[j] - moments.y[k] + side / 2
+                    px, py = moments.x[j] - moments.x[k] + size / 2, moments.y[j] - moments.y[k] + size / 2
                     if mean < a * px + b * py + c - drop:
                         ground[k] = False
                 j += 1
@@ -248,8 +248,8 @@ def patches(xyz: Int32, core: Window, scale: Scale) -> Patches:
     whole = moments.sums.sum(axis=1)
     planes = _patches(moments, whole, tallest, scale.counts(MAX_SIGMA_M), ratio)
     _drop_bent(points, slot, moments, planes, ratio)
-    side, drop = scale.counts(PATCH_M), scale.counts(DROP_M)
-    ground = _drop_raised(keys, width, moments, whole, planes, side, drop, ratio)
+    size, drop = scale.counts(PATCH_M), scale.counts(DROP_M)
+    ground = _drop_raised(keys, width, moments, whole, planes, size, drop, ratio)
     held = np.bincount(slot[inside], minlength=keys.size) if core.closed else whole[:, 0]
     quarters = _quarters(moments.sums[held > 0], ratio)
     quarters[quarters >= scale.counts(MAX_SIGMA_M)] = -1.0

@@ -64,13 +64,13 @@ most `TILT` times their mean: steep ground bends in many ways next to what stand
 """
 CLOSED_M = 7.0
 """Side of openings that are part of a canopy."""
-WAVY_M, WAVY_SHARE, TALL_SIDE_M = 24.0, 0.5, 40.0
+WAVY_M, WAVY_SHARE, TALL_SIZE_M = 24.0, 0.5, 40.0
 """Side of the squares that fit into a canopy of wavy cells, the share of wavy cells that they need, and side of the
 squares that fit into any other canopy."""
 PLANE_CELLS, PLANE_M, PLANE_SHARE = 3, 0.15, 0.25
 """Limits of roofs: cells on a side of the windows of planes, largest residual of a plane, and share of planes.
 
-Tall cells are roofs if more than this share of those in a square of `TALL_SIDE_M` is planes. Crowns have hardly any.
+Tall cells are roofs if more than this share of those in a square of `TALL_SIZE_M` is planes. Crowns have hardly any.
 """
 GROWN_M, STEEPEST = 8.0, 0.3
 """Distance in metres to which seen ground continues into wavy cells, and its largest slope from cell to cell."""
@@ -102,9 +102,13 @@ class Canopy(NamedTuple):
 
 def reach_cells(cell_m: float) -> int:
     """Return the distance in cells beyond which heights do not change `canopy`, for a given surface."""
-    wavy = 2 * (_side(AROUND_M, cell_m) // 2)
-    shape = 2 * (_side(CLOSED_M, cell_m) // 2 + _side(TALL_SIDE_M, cell_m) // 2)
-    pits = 2 * (_side(WIDE_M, cell_m) // 2) + _side(PIT_M, cell_m) // 2 + _side(TREES_M, cell_m) // 2
+    wavy = 2 * (_odd_cells(AROUND_M, cell_m) // 2)
+    shape = 2 * (_odd_cells(CLOSED_M, cell_m) // 2 + _odd_cells(TALL_SIZE_M, cell_m) // 2)
+    pits = (
+        2 * (_odd_cells(WIDE_M, cell_m) // 2)
+        + _odd_cells(PIT_M, cell_m) // 2
+        + _odd_cells(TREES_M, cell_m) // 2
+    )
     return wavy + shape + _steps(cell_m) + pits
 
 
@@ -120,7 +124,7 @@ def canopy(heights: Float64, surface: Surface, ground: Bool, cell_m: float) -> C
     ground : bool [rows, columns]
         Cells near the surface.
     cell_m : float
-        Side of the cells in metres.
+        Size of the cells in metres.
     """
     there, around = np.isfinite(heights), _Squares(cell_m)
     known_surface = np.where(there & np.isfinite(surface.narrowing), surface.height, np.nan)
@@ -129,7 +133,7 @@ def canopy(heights: Float64, surface: Surface, ground: Bool, cell_m: float) -> C
     closed = around.closed(wavy | tall & _rough(heights, cell_m), CLOSED_M)
     half = around.mean(wavy.astype(np.float64), there, WAVY_M) > WAVY_SHARE
     climbed = there & around.opened(closed, WAVY_M) & half
-    wide = there & around.opened(closed, TALL_SIDE_M)
+    wide = there & around.opened(closed, TALL_SIZE_M)
     if wide.any():
         wide &= ~_roofs(heights, tall, around)
     seen = _grown(heights, ground & ~wide & ~climbed & ~wavy, ground & climbed, cell_m)
@@ -140,39 +144,43 @@ def canopy(heights: Float64, surface: Surface, ground: Bool, cell_m: float) -> C
 def may_be(heights: Float64, cell_m: float) -> Bool:
     """Return the cells that a canopy may cover, whatever the surface is: those that squares of rough cells cover."""
     around = _Squares(cell_m)
-    waves = _rough_around(residuals(heights, _side(WAVES_M, cell_m)), around)
-    closed = around.closed(waves | _rough(heights, cell_m), CLOSED_M)
-    half = around.mean(waves.astype(np.float64), np.isfinite(heights), WAVY_M) > WAVY_SHARE
-    may_have_canopy: Bool = around.opened(closed, WAVY_M) & half | around.opened(closed, TALL_SIDE_M)
+    rough = _rough_around(residuals(heights, _odd_cells(WAVES_M, cell_m)), around)
+    closed = around.closed(rough | _rough(heights, cell_m), CLOSED_M)
+    half = around.mean(rough.astype(np.float64), np.isfinite(heights), WAVY_M) > WAVY_SHARE
+    may_have_canopy: Bool = around.opened(closed, WAVY_M) & half | around.opened(closed, TALL_SIZE_M)
     return may_have_canopy
 
 
 def _rough(heights: Float64, cell_m: float) -> Bool:
     """Return the cells around which heights differ as much as in a crown."""
-    is_rough: Bool = residuals(heights, _side(TEXTURE_M, cell_m)) > TEXTURE
+    is_rough: Bool = residuals(heights, _odd_cells(TEXTURE_M, cell_m)) > TEXTURE
     return is_rough
 
 
-def _rough_around(waves: Float64, around: _Squares) -> Bool:
+def _rough_around(residual: Float64, around: _Squares) -> Bool:
     """Return the cells with rough ones nearly everywhere around them, from residuals over several crowns."""
-    known = np.isfinite(waves)
+    known = np.isfinite(residual)
     has_rough_around: Bool = known & (
-        around.mean((waves > WAVE_M).astype(np.float64), known, AROUND_M) > ROUGH_SHARE
+        around.mean((residual > WAVE_M).astype(np.float64), known, AROUND_M) > ROUGH_SHARE
     )
     return has_rough_around
 
 
 def _wavy(heights: Float64, found: Float64, around: _Squares) -> Bool:
     """Return the cells around which the ground surface (`found`) runs over crowns."""
-    waves, all_waves = (residuals(v, _side(WAVES_M, around.cell_m)) for v in (found, heights))
-    wavy = _rough_around(waves, around) & _rough_around(all_waves, around)
+    surface_residual, height_residual = (
+        residuals(v, _odd_cells(WAVES_M, around.cell_m)) for v in (found, heights)
+    )
+    wavy = _rough_around(surface_residual, around) & _rough_around(height_residual, around)
     if not wavy.any():  # Nearly all rasters end here; the rest is most of the work.
         return wavy
     scatter, one_way, tilt = _slopes(found, around)
     wavy &= (scatter > SCATTER) & (one_way < ONE_WAY)
-    surface = _mean_around(waves, around)
-    bounded = surface > BOUNDED * _mean_around(residuals(found, _side(AROUND_M, around.cell_m)), around)
-    seen = _mean_around(all_waves, around) < OVER * surface
+    mean_residual = _mean_around(surface_residual, around)
+    bounded = mean_residual > BOUNDED * _mean_around(
+        residuals(found, _odd_cells(AROUND_M, around.cell_m)), around
+    )
+    seen = _mean_around(height_residual, around) < OVER * mean_residual
     found_wavy: Bool = wavy & bounded & (seen | (scatter > TILT * tilt))
     return found_wavy
 
@@ -184,7 +192,7 @@ def _mean_around(left: Float64, around: _Squares) -> Float64:
 def _roofs(heights: Float64, tall: Bool, around: _Squares) -> Bool:
     """Return the cells around which many of the tall cells lie in one plane with their neighbours."""
     plane = tall & (residuals(heights, PLANE_CELLS) < PLANE_M)
-    is_roof: Bool = around.mean(plane.astype(np.float64), tall, TALL_SIDE_M) > PLANE_SHARE
+    is_roof: Bool = around.mean(plane.astype(np.float64), tall, TALL_SIZE_M) > PLANE_SHARE
     return is_roof
 
 
@@ -234,8 +242,8 @@ def _pits(heights: Float64, ground: Bool, covered: Bool, around: _Squares) -> Bo
     tops = around.highest(crowns, PIT_M)
     beside = ground & np.isfinite(tops)
     depth = np.where(beside, tops - heights, 0.0)
-    trees = around.mean(depth, beside & around.opened(ground, WIDE_M), TREES_M)
-    pits: Bool = beside & (depth < PIT_SHARE * trees)
+    tree_height = around.mean(depth, beside & around.opened(ground, WIDE_M), TREES_M)
+    pits: Bool = beside & (depth < PIT_SHARE * tree_height)
     return pits
 
 
@@ -245,9 +253,9 @@ class _Squares:
 
     cell_m: float
 
-    def mean(self, values: Float64, known: Bool, side_m: float) -> Float64:
+    def mean(self, values: Float64, known: Bool, size_m: float) -> Float64:
         """Return the mean of the known values around each cell, or 0 where none is known."""
-        weights = np.ones(_side(side_m, self.cell_m))
+        weights = np.ones(_odd_cells(size_m, self.cell_m))
 
         # Each square is summed separately, because running sums depend on where the raster begins.
         def total(of: Float64) -> Float64:
@@ -257,28 +265,28 @@ class _Squares:
 
         return total(np.where(known, values, 0.0)) / np.maximum(total(known.astype(np.float64)), 1.0)
 
-    def highest(self, values: Float64, side_m: float) -> Float64:
+    def highest(self, values: Float64, size_m: float) -> Float64:
         """Return the highest value around each cell, with minus infinity beyond the raster."""
-        side = _side(side_m, self.cell_m)
-        highest_values: Float64 = scipy.ndimage.maximum_filter(values, side, mode="constant", cval=-np.inf)
+        size = _odd_cells(size_m, self.cell_m)
+        highest_values: Float64 = scipy.ndimage.maximum_filter(values, size, mode="constant", cval=-np.inf)
         return highest_values
 
-    def closed(self, cells: Bool, side_m: float) -> Bool:
+    def closed(self, cells: Bool, size_m: float) -> Bool:
         """Return the cells and the openings among them into which no square of this side fits (closing)."""
-        side = _side(side_m, self.cell_m)
-        wide: Bool = scipy.ndimage.maximum_filter(cells, side, mode="constant")
-        is_closed: Bool = scipy.ndimage.minimum_filter(wide, side, mode="constant")
+        size = _odd_cells(size_m, self.cell_m)
+        wide: Bool = scipy.ndimage.maximum_filter(cells, size, mode="constant")
+        is_closed: Bool = scipy.ndimage.minimum_filter(wide, size, mode="constant")
         return is_closed
 
-    def opened(self, cells: Bool, side_m: float) -> Bool:
+    def opened(self, cells: Bool, size_m: float) -> Bool:
         """Return the cells that are covered by squares of this side that contain no other cells (opening)."""
-        side = _side(side_m, self.cell_m)
-        inner: Bool = scipy.ndimage.minimum_filter(cells, side, mode="constant")
-        is_covered: Bool = scipy.ndimage.maximum_filter(inner, side, mode="constant")
+        size = _odd_cells(size_m, self.cell_m)
+        inner: Bool = scipy.ndimage.minimum_filter(cells, size, mode="constant")
+        is_covered: Bool = scipy.ndimage.maximum_filter(inner, size, mode="constant")
         return is_covered
 
 
-def _side(metres: float, cell_m: float) -> int:
+def _odd_cells(metres: float, cell_m: float) -> int:
     """Return the number of cells on the side of a square, an odd number."""
     return 2 * round(metres / cell_m / 2 - 0.25) + 1
 

@@ -18,12 +18,12 @@ from ptd.kernel import kernel
 from ptd.places import Field, on_cells
 
 CELL_M = 1.0
-"""Side of a cell, which limits the detail of the surface. The noise of tens of points averages out in a cell, and a car
+"""Size of a cell, which limits the detail of the surface. The noise of tens of points averages out in a cell, and a car
 fills several cells."""
 SPARSE_M2 = 3.0
 """Density in points per square metre below which cells are wider: in most cells of 1 m no two points would agree."""
 SPARSE_CELL_M = 2.0
-"""Side of the cells of clouds below that density."""
+"""Size of the cells of clouds below that density."""
 MODE_SIGMAS = 4.0
 """Height of the window that moves up from a cell's lowest point, in standard deviations of the noise."""
 STEEPEST = 2.0
@@ -179,8 +179,8 @@ def _tilted_heights(
     return heights
 
 
-def cell_side_m(density_m2: float) -> float:
-    """Return the side of the cells in metres for a density in points per square metre."""
+def cell_size_m(density_m2: float) -> float:
+    """Return the size of the cells in metres for a density in points per square metre."""
     return SPARSE_CELL_M if density_m2 < SPARSE_M2 else CELL_M
 
 
@@ -198,7 +198,7 @@ def cell_heights(
     sigma_m : float or Field
         Noise of the place in metres.
     cell_m : float
-        Side of the cells in metres.
+        Size of the cells in metres.
 
     Returns
     -------

@@ -30,7 +30,7 @@ ONE_WAY = 0.7
 MIN_FILLED = 0.3
 
 Float64 = npt.NDArray[np.float64]
-Place = tuple[slice, slice]
+BlockSlices = tuple[slice, slice]
 """Rows and columns of a block."""
 
 
@@ -39,13 +39,13 @@ class Crowns(NamedTuple):
 
     Attributes
     ----------
-    looked_at : int
+    n_tested : int
         Number of blocks with enough heights to be tested.
     found : list of (int, int)
         First row and column of each block that looks like crowns.
     """
 
-    looked_at: int
+    n_tested: int
     found: list[tuple[int, int]]
 
 
@@ -74,7 +74,7 @@ def crowns(heights: Float64) -> Crowns:
     return Crowns(len(filled), crown_blocks)
 
 
-def _blocks(heights: Float64) -> Iterator[Place]:
+def _blocks(heights: Float64) -> Iterator[BlockSlices]:
     for row in range(0, heights.shape[0], BLOCK):
         for column in range(0, heights.shape[1], BLOCK):
             yield slice(row, row + BLOCK), slice(column, column + BLOCK)
@@ -94,7 +94,7 @@ def one_way(down: Float64, right: Float64) -> float:
     return float(np.hypot(down[known].mean(), right[known].mean()) / lengths.mean())
 
 
-def residuals(heights: Float64, side: int) -> Float64:
+def residuals(heights: Float64, size: int) -> Float64:
     """Return the root mean square of the residuals of planes in windows around each cell: float64 [rows, columns].
 
     It is NaN where the cell is empty or fewer than half of the cells of its window have a height. Every window is
@@ -102,8 +102,8 @@ def residuals(heights: Float64, side: int) -> Float64:
     """
     held = np.isfinite(heights)
     weight, z = held.astype(np.float64), np.where(held, heights, 0.0)
-    one: Float64 = np.ones(side)
-    away: Float64 = np.arange(side, dtype=np.float64) - side // 2
+    one: Float64 = np.ones(size)
+    away: Float64 = np.arange(size, dtype=np.float64) - size // 2
 
     squared: Float64 = away * away
 
@@ -123,4 +123,4 @@ def residuals(heights: Float64, side: int) -> Float64:
     determinant = np.maximum(xx * yy - xy * xy, 1e-9)
     a, b = (xz * yy - yz * xy) / determinant, (yz * xx - xz * xy) / determinant
     left = np.sqrt(np.maximum(zz - a * xz - b * yz, 0.0) * points / np.maximum(points - 3, 1.0))
-    return np.where(held & (n >= side**2 / 2), left, np.nan)
+    return np.where(held & (n >= size**2 / 2), left, np.nan)

@@ -175,7 +175,7 @@ def grown(
     sigma, narrowing : float64 [rows, columns]
         Noise in metres, and factor of the largest distance to the plane (`ptd.matched.surface.Surface`).
     cell_m : float
-        Side of the cells in metres.
+        Size of the cells in metres.
     """
     rows, columns = np.nonzero(may_join)
     near = (NEAR_M + NEAR_SIGMAS * sigma) * narrowing

@@ -51,7 +51,7 @@ class Envelope:
     fall_m : float
         Fall in metres, from the top, at which paraboloids end.
     cell_m : float
-        Side of the cells in metres.
+        Size of the cells in metres.
     """
 
     curvature: float

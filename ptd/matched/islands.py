@@ -127,7 +127,7 @@ def islands(heights: Int32, ground: Bool, scale: Scale, cell_m: float) -> Bool:
         Cells of ground.
     scale : Scale
     cell_m : float
-        Side of the cells in metres.
+        Size of the cells in metres.
     """
     rule = _rule(scale, cell_m)
     levels = np.where(ground, heights, EMPTY).astype(np.int32)
@@ -149,7 +149,7 @@ def without_islands(surface: Surface, fitted: Int32, heights: Int32, scale: Scal
         Heights of the cells to which the surface was fitted, and of all cells, in vertical counts; `EMPTY` elsewhere.
     scale : Scale
     cell_m : float
-        Side of the cells in metres.
+        Size of the cells in metres.
     """
     near = np.abs(fitted / scale.counts_z(1.0) - surface.height) < band(surface.sigma, surface.narrowing)
     ground = (fitted != EMPTY) & near  # Without a surface, the comparison with NaN gives False.

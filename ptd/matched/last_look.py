@@ -1,9 +1,9 @@
-"""The last look at each point of a photogrammetric cloud: trees decide from its surroundings whether its label stays.
+"""The last look at each point of a photogrammetric cloud: decision trees check its label.
 
 The label by the surface compares one height with one threshold. The last look also reads the heights of the neighbours:
 how many of them are ground, how they scatter, and how many stand just above. It reads the cells of the surface up to
-10 m away as well. Trees turn these features into the log-odds of ground. A script fitted them to scenes with known
-labels (``tests/benchmarks/last_look_weights.py``). Rules limit the changes:
+10 m away as well. Decision trees turn these features into the log-odds of ground. A script fitted them to scenes with
+known labels (``tests/benchmarks/last_look_weights.py``). Rules limit the changes:
 
 - Low noise stays. A point that is not ground stays so if it lies farther than `MAX_DISTANCE_M` from the surface.
 - A label changes only if the odds against it are large enough (`CHANGE_ODDS`).
@@ -30,11 +30,11 @@ from ptd.ground.labelling import GROUND, UNCLASSIFIED
 from ptd.ground.morphology import Bool
 from ptd.kernel import as_int64, kernel
 from ptd.matched.cells import by_cell
-from ptd.matched.trees import UNIT, Trees, scores
+from ptd.matched.decision_trees import UNIT, DecisionTrees, scores
 from ptd.passes import UInt8
 
 CELL_M = 0.25
-"""Side of the cells in which points are counted."""
+"""Size of the cells in which points are counted."""
 MIN_POINTS, WIDEST = 20, 5
 """Least number of points in a window, and largest r. A window is a square with 2 r + 1 cells on a side, where r is the
 smallest number that gives enough points."""
@@ -238,7 +238,7 @@ def around_cells(
     sigma_m, band_m : float64 [rows, columns]
         Noise, and largest distance of ground from the surface, in metres.
     cell_m : float
-        Side of the cells in metres.
+        Size of the cells in metres.
     """
     known = there & ~np.isnan(ground_m)
     surface = np.where(np.isnan(ground_m), 0, np.rint(1000 * np.nan_to_num(ground_m))).astype(np.int64)
@@ -339,7 +339,7 @@ def _of_parts(
     return np.concatenate(lines)
 
 
-def looked_at(heights: Heights, cell: Int32, around: Around, scale: Scale, trees: Trees) -> UInt8:
+def relabelled(heights: Heights, cell: Int32, around: Around, scale: Scale, trees: DecisionTrees) -> UInt8:
     """Return the labels after the last look. `features_by_block` describes the parameters."""
     labels = heights.labels.copy()
     if labels.size == 0:
@@ -350,7 +350,7 @@ def looked_at(heights: Heights, cell: Int32, around: Around, scale: Scale, trees
 
 
 def decided(labels: UInt8, score: Int32) -> UInt8:
-    """Decide the labels of points that may change, from the labels by the surface and the trees' scores: uint8 [n]."""
+    """Return labels of points that may change, from labels by the surface and scores of the decision trees: uint8 [n]."""
     enough = round(UNIT * math.log(CHANGE_ODDS))
     required_score = np.where(labels == GROUND, -enough, enough)
     return np.where(score >= required_score, GROUND, UNCLASSIFIED).astype(np.uint8)

@@ -134,7 +134,7 @@ def judged(
         Noise of the place in metres.
     scale : Scale
     cell_m : float
-        Side of the cells in metres.
+        Size of the cells in metres.
 
     Returns
     -------
@@ -150,8 +150,8 @@ def judged(
     near_counts, fall_counts = round(scale.counts_z(NEAR_M)), round(scale.counts_z(FALL_M))
     counts, box = _rims(heights, surface, n, hull, removed, near_counts, fall_counts)
     area, near, rim, falls, inside, cut, level = counts.T
-    sides_m = np.stack([box[:, 1] - box[:, 0] + 1, box[:, 3] - box[:, 2] + 1]) * cell_m
-    width_m = sides_m.max(axis=0)
+    sizes_m = np.stack([box[:, 1] - box[:, 0] + 1, box[:, 3] - box[:, 2] + 1]) * cell_m
+    width_m = sizes_m.max(axis=0)
     within = np.where(area * cell_m**2 < YARD_M2, inside, level)
     enclosed = (within > INSIDE_SHARE * rim) & (area * cell_m**2 < INSIDE_M2)
     large = (area * cell_m**2 >= AREA_M2) | enclosed
@@ -160,7 +160,7 @@ def judged(
     around &= (cut <= (1.0 - ALL_FALLS) * rim) | (near < CUT_NEAR * area)
     stands = (near < NEAR_SHARE * area) & (fallen > FALL_SHARE) | around
     objects = large & stands & (width_m <= MAX_WIDTH_M)
-    wide = (width_m > TERRAIN_M) | (sides_m.min(axis=0) > ON_HULL_M) & (near >= ON_HULL_SHARE * area)
+    wide = (width_m > TERRAIN_M) | (sizes_m.min(axis=0) > ON_HULL_M) & (near >= ON_HULL_SHARE * area)
     terrain = wide & (fallen <= TERRAIN_FALLS) & (rim <= TERRAIN_RIM * area) & ~objects | (
         width_m > MAX_WIDTH_M
     )

@@ -33,7 +33,7 @@ def noise_m(state: State, scale: Scale) -> Field:
 
 
 def cell_m(state: State) -> float:
-    """Return the side in metres of the cells of a run, for methods whose cells have one side."""
+    """Return the size in metres of the cells of a run, for methods whose cells have one size."""
     return float(state["survey"]["cell_m"])
 
 
@@ -49,11 +49,11 @@ class MatchedPass(Pass):
 
 
 @dataclass(frozen=True)
-class OneSidePass(MatchedPass):
-    """A pass of a method whose cells have one side in a run."""
+class OneSizePass(MatchedPass):
+    """A pass of a method whose cells have one size in a run."""
 
     def local(self, state: State, window: Window, scale: Scale) -> dict[str, Any]:
-        """Return the state that `fit` needs, with the side of the cells."""
+        """Return the state that `fit` needs, with the size of the cells."""
         local_state = super().local(state, window, scale)
         return {**local_state, "survey": {**local_state["survey"], "cell_m": cell_m(state)}}
 

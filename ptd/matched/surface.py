@@ -178,7 +178,7 @@ def ground_surface(
     row, column : int
         Row and column of the first cell on its lattice.
     cell_m : float
-        Side of the cells in metres.
+        Size of the cells in metres.
     """
     heights = _without_pockets(heights, replace(STIFF, cell_m=cell_m).cut_cells)
     there = heights != EMPTY
@@ -216,13 +216,13 @@ def with_noise(
         Noise of the place in metres.
     scale : Scale
     cell_m : float
-        Side of the cells in metres.
+        Size of the cells in metres.
     """
     there = (heights != EMPTY) & ~np.isnan(ground)
     metres = 1.0 / scale.counts_z(1.0)
     cells = CellsLeft(np.where(there, heights * metres, 0.0), there, cell_m)
     below: Float64 = np.where(there, ground * metres, 0.0)
-    sigma, narrowing, _, _ = _about(cells, np.zeros_like(there), below, sigma_m)
+    sigma, narrowing, _, _ = _noise_and_band(cells, np.zeros_like(there), below, sigma_m)
     return _extended(cells, below, sigma, narrowing)
 
 
@@ -297,13 +297,13 @@ def _refined(
 
     Returns the surface, the noise of the cells, and the narrowing of the band in plants (`Surface`).
     """
-    _, _, above, below = _about(cells, terrain, surface, sigma_m)
+    _, _, above, below = _noise_and_band(cells, terrain, surface, sigma_m)
     for k in range(ROUNDS):
         weight = _weights(cells, surface, above, below, 1.0 if k < PLAIN_ROUNDS else BESIDE)
         for std in _scales(cells.cell_m):
             mean = smoothed(weight * (cells.height - surface), std) / (smoothed(weight, std) + FEW)
             surface = surface + np.where(cells.there, mean, 0.0)
-    sigma, narrowing, above, below = _about(cells, terrain, surface, sigma_m)
+    sigma, narrowing, above, below = _noise_and_band(cells, terrain, surface, sigma_m)
     surface = _to_edges(cells, terrain, surface, sigma, narrowing, above, below)
     std = _fine_scale(cells.cell_m)
     for _ in range(FINE_ROUNDS):
@@ -353,7 +353,7 @@ def _to_edges(
     return surface
 
 
-def _about(
+def _noise_and_band(
     cells: CellsLeft, terrain: Bool, surface: Float64, sigma_m: float | Float64
 ) -> tuple[Float64, Float64, Float64, Float64]:
     """Return noise and narrowing of the band of cells near a surface, and its extent above and below the surface."""

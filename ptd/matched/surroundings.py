@@ -24,7 +24,7 @@ SHARE_BLOCK_M = 4.0
 
 @dataclass(frozen=True)
 class CellsLeft:
-    """Heights of cells in metres, a mask of the cells that have a height, and the side of cells in metres."""
+    """Heights of cells in metres, a mask of the cells that have a height, and the size of cells in metres."""
 
     height: Float64
     there: Bool

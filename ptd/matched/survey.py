@@ -13,9 +13,9 @@ from ptd.frame import Scale, Window
 from ptd.ground import noise_by_place, noise_sums, roughness
 from ptd.ground.noise_sums import Roughness
 from ptd.matched import penetration
-from ptd.matched.cells import SPARSE_M2, cell_side_m
+from ptd.matched.cells import SPARSE_M2, cell_size_m
 from ptd.matched.evidence import DIM, SEVERAL_SHARE, Evidence, Finding, Piece, concluded, decided_by, percent
-from ptd.matched.place_figures import with_sides
+from ptd.matched.place_figures import with_cell_sizes
 from ptd.passes import Pass, Points, RunHints, State, StatisticsModel, add_notes
 from ptd.places import PLACES, Figures, name_of
 
@@ -100,7 +100,7 @@ def surveyed(found: Roughness, seen: ReturnStatistics, run: Mapping[str, Any]) -
     survey : dict
         Figures of the whole run: ``kind`` (`LIDAR`, or `DIM` for image matching), ``sure`` (probability that the kind
         is right; None if the user gives it), ``density_m2``, ``sigma_m`` (None: unknown), ``cell_sigma_m`` (noise from
-        which the rules for photogrammetric clouds start), ``cell_m`` (side of the cells of photogrammetric clouds) and
+        which the rules for photogrammetric clouds start), ``cell_m`` (size of the cells of photogrammetric clouds) and
         ``several`` (share of the points that are one of several returns).
     note : str
     """
@@ -109,11 +109,11 @@ def surveyed(found: Roughness, seen: ReturnStatistics, run: Mapping[str, Any]) -
     density, sigma, cell_sigma = figures(found, run)
     survey = {
         "kind": made.kind, "sure": made.sure, "density_m2": density, "sigma_m": sigma,
-        "cell_sigma_m": cell_sigma, "cell_m": cell_side_m(density), "several": share,
+        "cell_sigma_m": cell_sigma, "cell_m": cell_size_m(density), "several": share,
     }  # fmt: skip
     noise = cell_sigma if made.kind == DIM else sigma
-    told = "noise not measurable" if noise is None else f"noise {noise:.3g} m"
-    return survey, f"decided: {in_words(made)}; {found.density_m2:.3g} points/m2, {told}"
+    noise_text = "noise not measurable" if noise is None else f"noise {noise:.3g} m"
+    return survey, f"decided: {in_words(made)}; {found.density_m2:.3g} points/m2, {noise_text}"
 
 
 def figures(found: Roughness, run: Mapping[str, Any]) -> tuple[float, float | None, float]:
@@ -159,10 +159,10 @@ def made_by(found: Roughness, seen: ReturnStatistics, run: Mapping[str, Any]) ->
     """
     if run.get("kind") is not None:
         return Finding(run["kind"], run.get("sure"), run.get("why") or "given by --kind or the preset")
-    told = Evidence(**(run.get("evidence") or {}))
+    evidence = Evidence(**(run.get("evidence") or {}))
     if seen.told:
-        told = replace(told, several=seen.several / seen.told)
-    return concluded([*told.pieces(), *geometry(found, seen)])
+        evidence = replace(evidence, several=seen.several / seen.told)
+    return concluded([*evidence.pieces(), *geometry(found, seen)])
 
 
 def geometry(found: Roughness, seen: ReturnStatistics) -> list[Piece]:
@@ -214,8 +214,8 @@ class SurveyPass(Pass):
             of = points.returns[1, core.contains(*points.xyz[:2])] if core.closed else points.returns[1]
             counts |= {"told": int(np.count_nonzero(of)), "several": int(np.count_nonzero(of > 1))}
         measured_places = noise_by_place.measure_places(points.xyz, core, scale)
-        told = not core.closed and counts["several"] >= SEVERAL_SHARE * max(counts["told"], 1)
-        if state["run"].get("kind") is None and not told:
+        returns_decide = not core.closed and counts["several"] >= SEVERAL_SHARE * max(counts["told"], 1)
+        if state["run"].get("kind") is None and not returns_decide:
             dense = not core.closed and noise_sums.merge(measured_places).density_m2 >= WIDE_M2
             counts |= penetration.seen_through(points.xyz, core, scale, wide_cells=not dense)
         return StatisticsModel(
@@ -229,7 +229,7 @@ class SurveyPass(Pass):
         seen = ReturnStatistics(*(sum(p[name] for p in parts) for name in ReturnStatistics._fields))
         counted = [place for p in parts for place in p["places"]]
         measured = noise_by_place.by_place(counted).items()
-        table = with_sides(
+        table = with_cell_sizes(
             {
                 name_of(*place): [*figures(place_roughness, state["run"])]
                 for place, place_roughness in measured

@@ -86,7 +86,7 @@ class Classic(Progressive):
 
     @property
     def candidate_cell_m(self) -> float:
-        """Side of the cells whose lowest point is the candidate."""
+        """Size of the cells whose lowest point is the candidate."""
         return self.thin_cell_m
 
 

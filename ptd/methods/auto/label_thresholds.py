@@ -13,7 +13,7 @@ from ptd.ground.labelling import Bands
 from ptd.ground.noise_sums import Roughness
 from ptd.matched.evidence import DIM
 from ptd.matched.ground_model import GROUND_M
-from ptd.matched.place_figures import CELL_SIGMA, DENSITY, SIDE, known
+from ptd.matched.place_figures import CELL_SIGMA, CELL_SIZE, DENSITY, known
 from ptd.matched.survey import ReturnStatistics, surveyed
 from ptd.methods.auto.params import AutoParameters
 from ptd.passes import State
@@ -93,10 +93,12 @@ def decided(
     if not held:
         return survey, [note]
     if survey["kind"] == DIM:
-        noise, side = (span([known(figures, figure) for figures in held], 2) for figure in (CELL_SIGMA, SIDE))
+        noise, size_m = (
+            span([known(figures, figure) for figures in held], 2) for figure in (CELL_SIGMA, CELL_SIZE)
+        )
         line = (
             f"decided: ground is up to {GROUND_M:g} m and twice the local noise from the surface, "
-            f"after a vote of neighbours; noise of the place {noise} m, cells of {side} m"
+            f"after a vote of neighbours; noise of the place {noise} m, cells of {size_m} m"
         )
         return survey, [note, line]
     densities = sorted(known(figures, DENSITY) for figures in held)

@@ -90,7 +90,7 @@ class Lowest:
         Local counts of one point per cell, at least one.
     cells : CellLattice
     cell_m : float
-        Side of the cells in metres.
+        Size of the cells in metres.
     scale : Scale
     """
 

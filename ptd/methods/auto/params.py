@@ -19,7 +19,7 @@ from ptd.methods.progressive import Progressive
 from ptd.params import check, like, parameter
 
 RING_M = 20.0
-"""Side of the cells of virtual seeds around the ground."""
+"""Size of the cells of virtual seeds around the ground."""
 ROUND_HALO_M = 8.0
 """Distance by which the uncertified region grows in a round; it seldom grows farther."""
 TERRAIN_ANGLE_DEG = 88.0
@@ -90,7 +90,7 @@ class AutoParameters:
         "stay in the terrain, lower it if hill tops are cut off", unit="m", minimum=2.0, maximum=1000.0,
     )  # fmt: skip
     thin_cell_m: float = parameter(
-        1.0, "the lowest point of a cell of this side decides for the cell; about the detail of the terrain", unit="m",
+        1.0, "the lowest point of a cell of this size decides for the cell; about the detail of the terrain", unit="m",
         minimum=0.1, maximum=100.0,
     )  # fmt: skip
     low_radius_m: float = like(Progressive, "low_radius_m")
@@ -124,8 +124,8 @@ class AutoParameters:
     label_floor_m: float = like(Progressive, "label_floor_m", 0.24)
     label_slope_m: float = parameter(1.0, "last pass: extra height allowed per unit of slope", 0.0, 10.0, "m")
     refine: bool = parameter(
-        True, "photogrammetric clouds: trees fitted to scenes with reference classes classify each point near the edge "
-        "of the ground once more; no: only the height above the surface decides",
+        True, "photogrammetric clouds: decision trees fitted to scenes with reference classes classify each point near "
+        "the edge of the ground once more; no: only the height above the surface decides",
     )  # fmt: skip
 
     fine_surface: bool = parameter(
@@ -197,7 +197,7 @@ class AutoParameters:
 
     @property
     def align_m(self) -> float:
-        """Side of the cells of the ring. Windows of TINs contain whole cells of it."""
+        """Size of the cells of the ring. Windows of TINs contain whole cells of it."""
         return RING_M
 
     @property
@@ -207,5 +207,5 @@ class AutoParameters:
 
     @property
     def candidate_cell_m(self) -> float:
-        """Side of the cells whose lowest points are the candidates."""
+        """Size of the cells whose lowest points are the candidates."""
         return self.thin_cell_m

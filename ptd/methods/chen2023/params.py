@@ -113,7 +113,7 @@ class Chen2023Parameters(Progressive):
 
     @property
     def ring_cell_m(self) -> float:
-        """Side of the cells of virtual points around the border: half the largest building."""
+        """Size of the cells of virtual points around the border: half the largest building."""
         return self.max_building_size_m / 2.0
 
     @property
@@ -126,7 +126,7 @@ class Chen2023Parameters(Progressive):
 
     @property
     def candidate_cell_m(self) -> float:
-        """Side of the cells whose lowest point is the candidate."""
+        """Size of the cells whose lowest point is the candidate."""
         return self.thin_cell_m
 
     def opening(self, scale: Scale) -> Opening:

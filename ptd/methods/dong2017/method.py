@@ -164,7 +164,7 @@ class Dong2017(Dong2017Parameters):
 
     @property
     def align_m(self) -> float:
-        """Side of the cells of the first densification. Windows consist of whole cells of it."""
+        """Size of the cells of the first densification. Windows consist of whole cells of it."""
         return self.first_spacing_m
 
     @property

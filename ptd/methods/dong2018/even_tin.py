@@ -37,7 +37,7 @@ class EvenTin:
         Points of the window, local counts, in any order.
     ground : bool [n]
     scale_m : float
-        Side of the cells; each gives one ground point as a vertex.
+        Size of the cells; each gives one ground point as a vertex.
     window : Window
     scale : Scale
     """

@@ -8,7 +8,7 @@ themselves, scale by scale.
 2. ``DEN_thr = k tan^2(alpha) / (3 sqrt(3) sigma^2)`` (eq. 3): in a denser TIN, noise decides.
 3. Stage one is `classic`; a facet denser than DEN_thr takes no more vertices. A cloud sparser than DEN_thr ends here,
    with exactly the labels that `classic` gives with the same parameters.
-4. Stage two, for scales s = 4, 2, 1 m: one random ground point per cell of side s makes an even TIN. The distances and
+4. Stage two, for scales s = 4, 2, 1 m: one random ground point per cell of size s makes an even TIN. The distances and
    angles of all other ground points to it make a 2-D histogram, and the reach of its outer contour gives a new pair of
    thresholds. Every unclassified point below both joins the ground.
 

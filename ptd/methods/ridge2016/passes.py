@@ -19,7 +19,7 @@ from ptd.ground.labelling import GROUND, LOW_NOISE, UNCLASSIFIED, LabelRule, Tin
 from ptd.ground.seeds import RING, box_with_ring, choose_seeds
 from ptd.methods.ridge2016.params import Ridge2016Parameters
 from ptd.methods.ridge2016.seeds import Prepared
-from ptd.methods.ridge2016.sorted_cells import places_in_stacks
+from ptd.methods.ridge2016.sorted_cells import indices_in_stacks
 from ptd.methods.ridge2016.thinned_densification import GrowthCounter
 from ptd.passes import Pass, Points, State, UInt8, add_notes
 from ptd.tin.mesh import Tin
@@ -143,7 +143,7 @@ class GrowthModel(TinLabels):
         if self._prepared is None:
             return super().label(points)
         s, (x, y, z) = self._prepared.stacks, points.columns()
-        indices = places_in_stacks(x, y, z, s.x, s.y, s.z, s.raster)
+        indices = indices_in_stacks(x, y, z, s.x, s.y, s.z, s.raster)
         labels = np.where(indices >= 0, self._codes[indices], np.uint8(UNCLASSIFIED))
         labels[self._prepared.low.holds(x, y, z)] = LOW_NOISE
         return labels, self._prepared.doubt.covers(x, y)
