@@ -20,7 +20,7 @@ from ptd.kernel import inlined, kernel
 from ptd.tin.layout import Int32Array, Mesh, is_ghost
 from ptd.tin.mesh import Tin
 
-DOUBT_CELL_M = 2.0
+UNCERTIFIED_CELL_M = 2.0
 """Smallest size of the cells of the raster of uncertified positions."""
 MAX_RASTER = 1024
 """Largest number of cells of that raster along its longer side."""
@@ -46,7 +46,7 @@ class CheckedMesh(NamedTuple):
 
 
 @kernel
-def _mark_places(
+def _add_positions(
     mask: UInt8, west: int, south: int, cell: int, x: Int32Array, y: Int32Array, which: npt.NDArray[np.bool_]
 ) -> bool:
     """Make the positions of the chosen points uncertified, and return whether any of them was certified before."""
@@ -71,7 +71,7 @@ def _distance_to_side(ax: float, ay: float, bx: float, by: float) -> float:
 
 
 @kernel
-def _mark_triangles(
+def _add_triangles(
     mask: UInt8, west: int, south: int, cell: int, mesh: Mesh, which: UInt8, reach: float
 ) -> None:
     """Make all cells within `reach` of the chosen real triangles uncertified, and a few more."""
@@ -111,7 +111,7 @@ class _Sides(NamedTuple):
 
 
 @inlined
-def _circle_in_doubt(
+def _circle_is_uncertified(
     a: tuple[int, int], b: tuple[int, int], c: tuple[int, int], sides: _Sides, cell: float, free: Float32
 ) -> bool:
     """Return whether the circle through three positions may contain an uncertified position.
@@ -127,11 +127,13 @@ def _circle_in_doubt(
         return True
     ux, uy = (cy * b2 - by * c2) / area, (bx * c2 - cx * b2) / area
     radius = math.sqrt(ux * ux + uy * uy) * (1.0 + 1e-6) + 1.0
-    return _disk_in_doubt(ax + ux, ay + uy, radius, sides, cell, free)
+    return _disk_is_uncertified(ax + ux, ay + uy, radius, sides, cell, free)
 
 
 @inlined
-def _disk_in_doubt(x: float, y: float, radius: float, sides: _Sides, cell: float, free: Float32) -> bool:
+def _disk_is_uncertified(
+    x: float, y: float, radius: float, sides: _Sides, cell: float, free: Float32
+) -> bool:
     """Return whether a disk may contain an uncertified position."""
     if not _within(x, y, radius, sides.known):
         return True
@@ -156,7 +158,7 @@ def _within(x: float, y: float, radius: float, sides: tuple[float, float, float,
 
 
 @kernel
-def _doubtful_triangles(mesh: Mesh, sides: _Sides, cell: int, free: Float32, out: UInt8) -> None:
+def _uncertified_triangles(mesh: Mesh, sides: _Sides, cell: int, free: Float32, out: UInt8) -> None:
     vertices, triangles = mesh
     for t in range(out.size):
         if is_ghost(triangles, t):
@@ -168,15 +170,15 @@ def _doubtful_triangles(mesh: Mesh, sides: _Sides, cell: int, free: Float32, out
             (vertices[j], vertices[j + 1]),
             (vertices[k], vertices[k + 1]),
         )
-        out[t] = _circle_in_doubt(a, b, c, sides, float(cell), free)
+        out[t] = _circle_is_uncertified(a, b, c, sides, float(cell), free)
 
 
 @kernel
-def _disks_in_doubt(
+def _uncertified_disks(
     x: Int32Array, y: Int32Array, radius: float, sides: _Sides, cell: float, free: Float32, out: Bool
 ) -> None:
     for i in range(x.size):
-        out[i] = _disk_in_doubt(float(x[i]), float(y[i]), radius, sides, cell, free)
+        out[i] = _disk_is_uncertified(float(x[i]), float(y[i]), radius, sides, cell, free)
 
 
 class UncertifiedRegion:
@@ -196,7 +198,9 @@ class UncertifiedRegion:
     def __init__(self, known: Window, deep: Window, box: tuple[int, int, int, int], scale: Scale) -> None:
         self.active, self.known, self.box = known.closed, known, box
         span = max(box[2] - box[0], box[3] - box[1], 1)
-        self.cell = max(int(scale.counts(DOUBT_CELL_M)), -(-span // MAX_RASTER)) if self.active else span
+        self.cell = (
+            max(int(scale.counts(UNCERTIFIED_CELL_M)), -(-span // MAX_RASTER)) if self.active else span
+        )
         self.west, self.south = box[0], box[1]
         width, height = (box[2] - box[0]) // self.cell + 1, (box[3] - box[1]) // self.cell + 1
         self.mask = np.zeros((height, width), np.uint8)
@@ -219,14 +223,14 @@ class UncertifiedRegion:
 
     def add_points(self, x: Int32Array, y: Int32Array, which: npt.NDArray[np.bool_]) -> bool:
         """Make the positions of points in a mask uncertified, and return whether any of them was certified before."""
-        new = self.active and _mark_places(self.mask, self.west, self.south, self.cell, x, y, which)
+        new = self.active and _add_positions(self.mask, self.west, self.south, self.cell, x, y, which)
         self._stale = self._stale or new
         return new
 
     def add_triangles(self, tin: Tin, which: UInt8, reach: float) -> None:
         """Make all positions within `reach` counts of the chosen real triangles uncertified."""
         if self.active:
-            _mark_triangles(self.mask, self.west, self.south, self.cell, tin.mesh, which, reach)
+            _add_triangles(self.mask, self.west, self.south, self.cell, tin.mesh, which, reach)
             self._stale = True
 
     def covers(self, x: Int32Array, y: Int32Array) -> npt.NDArray[np.bool_]:
@@ -247,7 +251,7 @@ class UncertifiedRegion:
         """
         out = np.zeros(tin.n_triangles, np.uint8)
         if self.active:
-            _doubtful_triangles(tin.mesh, self._sides, self.cell, self._fresh(), out)
+            _uncertified_triangles(tin.mesh, self._sides, self.cell, self._fresh(), out)
         return out
 
     def near(self, x: Int32Array, y: Int32Array, radius: float) -> Bool:
@@ -257,7 +261,7 @@ class UncertifiedRegion:
         """
         out = np.zeros(x.size, np.bool_)
         if self.active:
-            _disks_in_doubt(x, y, float(radius), self._sides, float(self.cell), self._fresh(), out)
+            _uncertified_disks(x, y, float(radius), self._sides, float(self.cell), self._fresh(), out)
         return out
 
     def _fresh(self) -> Float32:

@@ -53,7 +53,7 @@ class Blocks(NamedTuple):
         Numbers of the 3 x 3 blocks around each block, with the block itself, row by row; -1 for those not occupied.
     points, near : int32 [n]
         Number of points in the block, and number of those that are `NEAR` or `ON`.
-    settled, doubtful : bool [n]
+    settled, has_uncertified : bool [n]
         Whether no point is just `NEAR`, so that there is nothing to decide, and whether any point is uncertified.
     """
 
@@ -61,10 +61,12 @@ class Blocks(NamedTuple):
     points: Int32
     near: Int32
     settled: Bool
-    doubtful: Bool
+    has_uncertified: Bool
 
 
-def located_points(points: Xyz, close: UInt8, marked: Bool, scale: Scale) -> tuple[LocatedPoints, Blocks]:
+def located_points(
+    points: Xyz, close: UInt8, uncertified: Bool, scale: Scale
+) -> tuple[LocatedPoints, Blocks]:
     """Find the blocks and cells of all points that are uncertified or not `FAR`.
 
     Parameters
@@ -72,11 +74,11 @@ def located_points(points: Xyz, close: UInt8, marked: Bool, scale: Scale) -> tup
     points : Xyz
     close : uint8 [n]
         Closeness of each point to the TIN (`ptd.ground.labelling.Closeness`).
-    marked : bool [n]
+    uncertified : bool [n]
         Mask of the uncertified points.
     scale : Scale
     """
-    index = _chosen(close, marked)
+    index = _chosen(close, uncertified)
     if index.size == 0:
         none = np.zeros(0, np.int32)
         nothing = np.zeros(0, np.bool_)
@@ -87,15 +89,15 @@ def located_points(points: Xyz, close: UInt8, marked: Bool, scale: Scale) -> tup
     blocks, block = occupied(keys, width * height)
     where = LocatedPoints(index, block, cell)
     around = neighbours_of_blocks(blocks, width)
-    return where, Blocks(around, *_counted(where, close, marked, blocks.size))
+    return where, Blocks(around, *_counted(where, close, uncertified, blocks.size))
 
 
 @kernel
-def _chosen(close: UInt8, marked: Bool) -> Int32:
+def _chosen(close: UInt8, uncertified: Bool) -> Int32:
     index, n = np.empty(close.size, np.int32), 0
     for i in range(close.size):
         index[n] = i
-        n += (close[i] != FAR) | marked[i]
+        n += (close[i] != FAR) | uncertified[i]
     return index[:n].copy()
 
 
@@ -149,19 +151,19 @@ def neighbours_of_blocks(keys: Int64, width: int) -> Int32:
 
 @kernel
 def _counted(
-    where: LocatedPoints, close: UInt8, marked: Bool, n_blocks: int
+    where: LocatedPoints, close: UInt8, uncertified: Bool, n_blocks: int
 ) -> tuple[Int32, Int32, Bool, Bool]:
-    """Return the fields ``points``, ``near``, ``settled`` and ``doubtful`` of `Blocks`."""
+    """Return the fields ``points``, ``near``, ``settled`` and ``has_uncertified`` of `Blocks`."""
     index, block, _ = where
     points, near = np.zeros(n_blocks, np.int32), np.zeros(n_blocks, np.int32)
-    settled, doubtful = np.ones(n_blocks, np.bool_), np.zeros(n_blocks, np.bool_)
+    settled, has_uncertified = np.ones(n_blocks, np.bool_), np.zeros(n_blocks, np.bool_)
     for k in range(index.size):
         b, how = block[k], close[index[k]]
         points[b] += 1
         near[b] += how >= NEAR
         settled[b] &= how != NEAR
-        doubtful[b] |= marked[index[k]]
-    return points, near, settled, doubtful
+        has_uncertified[b] |= uncertified[index[k]]
+    return points, near, settled, has_uncertified
 
 
 @kernel

@@ -129,7 +129,9 @@ def _is_open(around: Int32, b: int, seen: Int32, on: Int32) -> bool:
     return n_on >= CROP_SHARE * n_seen
 
 
-def fine_ground(points: Xyz, close: UInt8, ground: Bool, marked: Bool, scale: Scale) -> tuple[Bool, Bool]:
+def fine_ground(
+    points: Xyz, close: UInt8, ground: Bool, uncertified: Bool, scale: Scale
+) -> tuple[Bool, Bool]:
     """Find the ground points, by a fine surface where points are dense.
 
     Parameters
@@ -138,21 +140,21 @@ def fine_ground(points: Xyz, close: UInt8, ground: Bool, marked: Bool, scale: Sc
         Points to classify, and all points within `REACH_M` of them.
     close : uint8 [n]
         Closeness of each point to the TIN (`Closeness`).
-    ground, marked : bool [n]
+    ground, uncertified : bool [n]
         Masks of the points that are ground by the TIN, and of those for which this or ``close`` is uncertified.
     scale : Scale
 
     Returns
     -------
-    ground, marked : bool [n]
+    ground, uncertified : bool [n]
         Masks of the ground points and of the uncertified points.
     """
-    where, blocks = located_points(points, close, marked, scale)
+    where, blocks = located_points(points, close, uncertified, scale)
     if where.point.size == 0 or blocks.points.max() < FILLED:
-        return ground, marked  # No block can be dense, even if all uncertified points count.
+        return ground, uncertified  # No block can be dense, even if all uncertified points count.
     is_chosen = ~blocks.settled & (blocks.near >= FILLED)
     pages, n_pages = pages_of_blocks(is_chosen, blocks.around)
-    ground, marked = ground.copy(), marked.copy()
+    ground, uncertified = ground.copy(), uncertified.copy()
     if n_pages:
         planes = Planes.none(n_pages)
         elect(points, where, close, pages, planes)
@@ -164,12 +166,14 @@ def fine_ground(points: Xyz, close: UInt8, ground: Bool, marked: Bool, scale: Sc
             PlaneLimits(scale.counts_z(SPIKE_M), scale.counts_z(ROUGH_M)),
         )
         _judge(points, where, close, blocks, pages, planes, Heights.of(scale), ground)
-    if blocks.doubtful.any():
-        unsure = blocks.doubtful
+    if blocks.has_uncertified.any():
+        near_uncertified = blocks.has_uncertified
         for _ in range(2):
-            unsure = np.asarray((unsure[blocks.around] & (blocks.around >= 0)).any(axis=1))
-        marked[where.point] |= unsure[where.block]
-    return ground, marked
+            near_uncertified = np.asarray(
+                (near_uncertified[blocks.around] & (blocks.around >= 0)).any(axis=1)
+            )
+        uncertified[where.point] |= near_uncertified[where.block]
+    return ground, uncertified
 
 
 def with_fine_surface(rule: LabelRule, scale: Scale) -> LabelRule:
@@ -194,8 +198,8 @@ class FineLabels(TinLabels):
 
     def judged(self, tin: Tin, points: Xyz) -> tuple[UInt8, Bool]:
         """Return labels and a mask of uncertified labels. The rule must come from `with_fine_surface`."""
-        labels, marked, close = label_by_height(
+        labels, uncertified, close = label_by_height(
             tin, self.locator, points, self.uncertified, self.rule, self.bands
         )
-        ground, marked = fine_ground(points, close, labels == GROUND, marked, self._scale)
-        return np.where(ground, np.uint8(GROUND), np.uint8(UNCLASSIFIED)), marked
+        ground, uncertified = fine_ground(points, close, labels == GROUND, uncertified, self._scale)
+        return np.where(ground, np.uint8(GROUND), np.uint8(UNCLASSIFIED)), uncertified

@@ -237,7 +237,11 @@ def _label_by_height(
     """Label points by height only, and measure their closeness. Consecutive points often lie in one facet."""
     vertices, triangles, uncertified = mesh
     x, y, z = points
-    labels, marked, close = np.empty(x.size, np.uint8), np.empty(x.size, np.bool_), np.empty(x.size, np.uint8)
+    labels, uncertified_labels, close = (
+        np.empty(x.size, np.uint8),
+        np.empty(x.size, np.bool_),
+        np.empty(x.size, np.uint8),
+    )
     limits, z_ratio = _limits(bands), rule.limits.z_ratio
     facet = _facet(vertices, triangles, real_neighbour(triangles, as_int64(0)), z_ratio)
     for i in range(x.size):
@@ -248,13 +252,13 @@ def _label_by_height(
             if v >= 0:  # One point in ten is at a vertex. `_is_near` would locate it again.
                 fits, close[i] = _on_vertex(as_int64(vertices[4 * v + 2]), px, py, pz, rule, bands)
                 labels[i] = GROUND if fits else UNCLASSIFIED
-                marked[i] = uncertified[t] != 0
+                uncertified_labels[i] = uncertified[t] != 0
                 continue
             if not is_ghost(triangles, t):
                 facet = _facet(vertices, triangles, t, z_ratio)
             if is_ghost(triangles, t) or not _inside(facet, px, py):
                 t = locate(vertices, triangles, px, py, t)
-                terrain, close[i], marked[i] = _is_near(mesh, t, px, py, pz, rule, bands)
+                terrain, close[i], uncertified_labels[i] = _is_near(mesh, t, px, py, pz, rule, bands)
                 labels[i] = GROUND if terrain else UNCLASSIFIED
                 continue
         distance = _distance(facet, px, py, pz, z_ratio)
@@ -263,8 +267,8 @@ def _label_by_height(
         if not fits and not never:
             fits = _fits(facet, distance, px, py, bands)
         labels[i] = GROUND if fits else UNCLASSIFIED
-        marked[i] = uncertified[facet.t] != 0
-    return labels, marked, close
+        uncertified_labels[i] = uncertified[facet.t] != 0
+    return labels, uncertified_labels, close
 
 
 @kernel
@@ -273,18 +277,18 @@ def _label(
 ) -> tuple[UInt8, npt.NDArray[np.bool_]]:
     vertices, triangles, uncertified = mesh
     x, y, z = points
-    labels, marked = np.empty(x.size, np.uint8), np.empty(x.size, np.bool_)
+    labels, uncertified_labels = np.empty(x.size, np.uint8), np.empty(x.size, np.bool_)
     for i in range(x.size):
         px, py, pz = as_int64(x[i]), as_int64(y[i]), as_int64(z[i])
         t = locate(vertices, triangles, px, py, as_int64(start_near(locator, x[i], y[i])))
         if rule.vertices_only and (
             is_ghost(triangles, t) or coincident_vertex(vertices, triangles, px, py, t) < 0
         ):
-            labels[i], marked[i] = UNCLASSIFIED, uncertified[t] != 0
+            labels[i], uncertified_labels[i] = UNCLASSIFIED, uncertified[t] != 0
             continue
-        terrain, _, marked[i] = is_terrain(mesh, t, px, py, pz, rule.limits, rule.floor)
+        terrain, _, uncertified_labels[i] = is_terrain(mesh, t, px, py, pz, rule.limits, rule.floor)
         labels[i] = GROUND if terrain else UNCLASSIFIED
-    return labels, marked
+    return labels, uncertified_labels
 
 
 def label_points(
@@ -313,7 +317,7 @@ def label_points(
     -------
     labels : uint8 [n]
         ASPRS classes: 1 unclassified, 2 ground.
-    marked : bool [n]
+    uncertified_labels : bool [n]
         Mask of the labels that points outside the window could change.
     """
     if rule.heights_only and not rule.vertices_only:
@@ -366,9 +370,12 @@ class TinLabels(Model):
         """Return ASPRS classes (uint8 [n]) and a mask of uncertified labels (bool [n]) of points in any order."""
         xyz = Xyz(*points.columns())
         if self.tin is None:
-            labels, marked = np.full(len(points), UNCLASSIFIED, np.uint8), np.full(len(points), self._closed)
+            labels, uncertified_labels = (
+                np.full(len(points), UNCLASSIFIED, np.uint8),
+                np.full(len(points), self._closed),
+            )
         else:
-            labels, marked = self.judged(self.tin, xyz)
+            labels, uncertified_labels = self.judged(self.tin, xyz)
         if self.low is not None:
             labels[self.low.holds(*xyz, among=labels != GROUND)] = LOW_NOISE
-        return labels, marked
+        return labels, uncertified_labels

@@ -39,8 +39,8 @@ def choose_seeds(
     z: Int32,
     eligible: npt.NDArray[np.bool_],
     cells: CellLattice,
-    doubt: UncertifiedRegion,
-    unsure: npt.NDArray[np.bool_] | None = None,
+    region: UncertifiedRegion,
+    uncertified: npt.NDArray[np.bool_] | None = None,
 ) -> Seeds:
     """Choose the lowest eligible point per cell of a lattice anchored at CRS coordinate 0, and the ring around them.
 
@@ -52,9 +52,9 @@ def choose_seeds(
         Mask of the points that are not outliers.
     cells : CellLattice
         Lattice of cells as wide as the largest building.
-    doubt : UncertifiedRegion
+    region : UncertifiedRegion
         Uncertified region, to which cells with an uncertified seed are added.
-    unsure : bool [n], optional
+    uncertified : bool [n], optional
         Mask of the points for which ``eligible`` is uncertified; none by default.
     """
     index = np.flatnonzero(eligible).astype(np.int32)
@@ -62,12 +62,14 @@ def choose_seeds(
     filled = cells_of(x[chosen], y[chosen], cells)
     heights = {cell: int(h) for cell, h in zip(filled, z[chosen], strict=True)}
     virtual = _ring(heights)
-    if doubt.active and unsure is None:
-        _doubt_cells(set(filled), set(), cells, doubt)
-    elif doubt.active and unsure is not None:
-        certain = eligible & ~unsure
-        sure, not_sure = (set(cells_of(x[w], y[w], cells)) for w in (certain, unsure))
-        _doubt_cells(sure, not_sure, cells, doubt)
+    if region.active and uncertified is None:
+        _add_uncertified_cells(set(filled), set(), cells, region)
+    elif region.active and uncertified is not None:
+        certain = eligible & ~uncertified
+        certified_cells, uncertified_cells = (
+            set(cells_of(x[w], y[w], cells)) for w in (certain, uncertified)
+        )
+        _add_uncertified_cells(certified_cells, uncertified_cells, cells, region)
     half = cells.p // (2 * cells.q)
     points = [(cells.west(c) + half, cells.south(r) + half, h) for (c, r), h in sorted(virtual.items())]
     return Seeds(chosen, np.array(points, np.int32).reshape(-1, 3))
@@ -105,26 +107,29 @@ def _ring(heights: dict[tuple[int, int], int]) -> dict[tuple[int, int], int]:
     return added
 
 
-def _doubt_cells(
-    filled: set[tuple[int, int]], unsure: set[tuple[int, int]], cells: CellLattice, doubt: UncertifiedRegion
+def _add_uncertified_cells(
+    filled: set[tuple[int, int]],
+    uncertified: set[tuple[int, int]],
+    cells: CellLattice,
+    region: UncertifiedRegion,
 ) -> None:
     """Make the cells uncertified that may have another seed in the untiled run.
 
     These are cells that are not wholly known, and empty cells within the ring around them. A point beyond the border
     could add or remove the virtual seed of an empty cell near it, or change its height. The same applies to cells near
-    cells with points of uncertified eligibility (`unsure`). Cells of `filled` contain a point that is certainly
+    cells with points of uncertified eligibility (`uncertified`). Cells of `filled` contain a point that is certainly
     eligible.
     """
-    known, deep = doubt.known.inside(cells), doubt.known.inside(cells, RING)
-    reached = unsure.union(*(_neighbours(cell, RING) for cell in unsure))
-    west, south, east, north = doubt.box
+    known, deep = region.known.inside(cells), region.known.inside(cells, RING)
+    reached = uncertified.union(*(_neighbours(cell, RING) for cell in uncertified))
+    west, south, east, north = region.box
     for row in range(cells.row(south), cells.row(north - 1) + 1):
         for column in range(cells.column(west), cells.column(east - 1) + 1):
             box = cells.west(column), cells.south(row), cells.west(column + 1), cells.south(row + 1)
             if known.contains_box(*box) and (column, row) in filled:
                 continue
             if not deep.contains_box(*box) or (column, row) in reached:
-                doubt.add_box(*box)
+                region.add_box(*box)
 
 
 def box_with_ring(x: Int32, y: Int32, cells: CellLattice) -> tuple[int, int, int, int]:

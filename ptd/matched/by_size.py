@@ -77,12 +77,12 @@ class ModelOfCells(Model):
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
         """Label each cell with the model of its size."""
-        labels, marks = np.zeros(len(points), np.uint8), np.zeros(len(points), np.bool_)
+        labels, uncertified = np.zeros(len(points), np.uint8), np.zeros(len(points), np.bool_)
         sizes_m = size_of_cells(points, self._scale)
         for size_m, model in self._models.items():
             of_size = sizes_m == size_m
-            labels[of_size], marks[of_size] = model.label(points.take(of_size))
-        return labels, marks
+            labels[of_size], uncertified[of_size] = model.label(points.take(of_size))
+        return labels, uncertified
 
 
 class ModelOfPoints(ModelOfCells):
@@ -94,11 +94,11 @@ class ModelOfPoints(ModelOfCells):
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
         """Label each point with the model of its place, which also reads the points of other places around it."""
-        labels, marks = np.zeros(len(points), np.uint8), np.zeros(len(points), np.bool_)
+        labels, uncertified = np.zeros(len(points), np.uint8), np.zeros(len(points), np.bool_)
         place_sizes = of_places(self._state[PLACES], CELL_SIZE, points.xyz[0], points.xyz[1], self._scale)
         for size_m, model in self._models.items():
             of_size = place_sizes == size_m
             if of_size.any():
-                model_labels, doubtful = model.label(points)
-                labels[of_size], marks[of_size] = model_labels[of_size], doubtful[of_size]
-        return labels, marks
+                model_labels, model_uncertified = model.label(points)
+                labels[of_size], uncertified[of_size] = model_labels[of_size], model_uncertified[of_size]
+        return labels, uncertified

@@ -350,7 +350,7 @@ def relabelled(heights: Heights, cell: Int32, around: Around, scale: Scale, tree
 
 
 def decided(labels: UInt8, score: Int32) -> UInt8:
-    """Return labels of points that may change, from labels by the surface and scores of the decision trees: uint8 [n]."""
+    """Return labels of points that may change, from labels by the surface and scores of decision trees: uint8 [n]."""
     enough = round(UNIT * math.log(CHANGE_ODDS))
     required_score = np.where(labels == GROUND, -enough, enough)
     return np.where(score >= required_score, GROUND, UNCLASSIFIED).astype(np.uint8)

@@ -111,12 +111,12 @@ class ClassicPass(Pass):
         # In a cell cut by the window another point may be the lowest. Outliers are certified one search radius inside.
         known = window.inside(cells, p.margin_cells)
         seed_cells = CellLattice.of(p.max_building_size_m, scale)
-        tin, in_doubt, rounds = densify_seeds(
+        tin, uncertified, rounds = densify_seeds(
             Xyz(x, y, z), outlier, seed_cells, limits, p.rounds, known, scale
         )
         stats.update(rounds=rounds, low_outliers=int(outlier.sum()))
         model.low = LowNoise(x[outlier], y[outlier], z[outlier], cells)
-        model.finish(tin, in_doubt, p.ground_rule(limits, scale))
+        model.finish(tin, uncertified, p.ground_rule(limits, scale))
         return model
 
 

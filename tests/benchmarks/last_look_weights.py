@@ -141,7 +141,7 @@ def trees_of(model: dict[str, Any]) -> DecisionTrees:
 
 
 def file_of(trees: DecisionTrees) -> bytes:
-    """DecisionTrees as an .npz with the same bytes each time."""
+    """Decision trees as an .npz with the same bytes each time."""
     kept = io.BytesIO()
     with zipfile.ZipFile(kept, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, values in trees._asdict().items():

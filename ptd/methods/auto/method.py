@@ -186,15 +186,15 @@ class DensifyPass(LidarPass):
         cells = CellLattice.of(p.thin_cell_m, scale)
         x, y, z, codes = lowest_points(points, cells)
         known, seed = window.inside(cells), codes == SEED
-        doubtful, rounds = np.full(x.size, window.closed), 0
+        uncertified, rounds = np.full(x.size, window.closed), 0
         if seed.any():
-            tin, doubt = first_tin(x, y, z, seed, known, scale)
+            tin, region = first_tin(x, y, z, seed, known, scale)
             rest = np.where(codes == OUTLIER, np.uint8(REFUSED), np.uint8(WAITING))
             todo = np.where(seed, np.uint8(VERTEX), rest)
-            doubtful, rounds = densify(tin, Xyz(x, y, z), todo, p.limits(scale), p.rounds, doubt)
+            uncertified, rounds = densify(tin, Xyz(x, y, z), todo, p.limits(scale), p.rounds, region)
             codes = np.where((todo == VERTEX) & ~seed, np.uint8(DENSIFIED), codes)
         stats = {"rounds": rounds, "densified": int((codes == DENSIFIED).sum())}
-        return CellCodes(x, y, codes, cells, known, stats, doubtful)
+        return CellCodes(x, y, codes, cells, known, stats, uncertified)
 
 
 @dataclass(frozen=True)
@@ -281,12 +281,12 @@ class LabelPass(LidarPass):
             model = FineLabels(window.closed, {"vertices": 0}, noise, scale)
         if not ground.any():
             return model
-        tin, doubt = first_tin(x, y, z, ground, window.inside(cells), scale)
+        tin, region = first_tin(x, y, z, ground, window.inside(cells), scale)
         todo = np.where(ground, VERTEX, np.where(low | (codes == ROOF), REFUSED, WAITING)).astype(np.uint8)
-        densify(tin, Xyz(x, y, z), todo, p.limits(scale, REGROWTH), 1, doubt)
+        densify(tin, Xyz(x, y, z), todo, p.limits(scale, REGROWTH), 1, region)
         rule = LabelRule(p.limits(scale), scale.counts(p.label_floor_m), heights_only=True)
         rule = with_fine_surface(rule, scale) if p.fine_surface else rule
-        model.finish(tin, doubt.triangles(tin), rule, label_bands(p, state, scale))
+        model.finish(tin, region.triangles(tin), rule, label_bands(p, state, scale))
         return model
 
 
@@ -298,10 +298,10 @@ def first_tin(
     The choice is certified within the known window.
     """
     cells = CellLattice.of(RING_M, scale)
-    doubt = UncertifiedRegion(known, known.inside(cells, RING), box_with_ring(x, y, cells), scale)
-    ring = choose_seeds(x, y, z, chosen, cells, doubt).virtual
+    region = UncertifiedRegion(known, known.inside(cells, RING), box_with_ring(x, y, cells), scale)
+    ring = choose_seeds(x, y, z, chosen, cells, region).virtual
     corners = [np.concatenate([c[chosen], r]) for c, r in zip((x, y, z), ring.T, strict=True)]
-    return Tin.build(*corners, max_vertices=x.size + len(ring)), doubt
+    return Tin.build(*corners, max_vertices=x.size + len(ring)), region
 
 
 METHOD = Method(

@@ -146,44 +146,50 @@ class ChenModel(TinLabels):
         ring_cells = CellLattice.of(p.ring_cell_m, scale)
         # In a cell cut by the window another point may be the lowest. Outliers are certain one search radius inside.
         known = window.inside(self._cells, p.margin_cells)
-        doubt = UncertifiedRegion(
+        region = UncertifiedRegion(
             known, known.inside(ring_cells, RING), box_with_ring(x, y, ring_cells), scale
         )
-        seeds, unsure = potential_seeds(x, y, z, ~outlier, self._cells, p.opening(scale), known)
-        doubt.add_points(x, y, unsure)
-        ring = choose_seeds(x, y, z, seeds, ring_cells, doubt, unsure).virtual
+        seeds, uncertified = potential_seeds(x, y, z, ~outlier, self._cells, p.opening(scale), known)
+        region.add_points(x, y, uncertified)
+        ring = choose_seeds(x, y, z, seeds, ring_cells, region, uncertified).virtual
         tin = _triangulate(x, y, z, seeds, ring)
-        noise = self._noise(tin, x, y, np.flatnonzero(seeds), ring, doubt)
+        noise = self._noise(tin, x, y, np.flatnonzero(seeds), ring, region)
         self.stats.update(potential_seeds=int(seeds.sum()), noisy_seeds=int(noise.size))
         if noise.size:
             seeds[noise] = False
             tin = _triangulate(x, y, z, seeds, ring)
         state = np.where(outlier, REFUSED, np.where(seeds, VERTEX, 0)).astype(np.uint8)
-        _, rounds = densify(tin, Xyz(x, y, z), state, limits, p.rounds, doubt)
+        _, rounds = densify(tin, Xyz(x, y, z), state, limits, p.rounds, region)
         floor = 0.0
         if p.label_pass:
             floor = scale.counts(p.label_floor_m)
-        self.finish(tin, doubt.triangles(tin), LabelRule(limits, floor, vertices_only=not p.label_pass))
+        self.finish(tin, region.triangles(tin), LabelRule(limits, floor, vertices_only=not p.label_pass))
         self.stats.update(rounds=rounds)
 
     def _noise(
-        self, tin: Tin, x: Int32, y: Int32, seeds: npt.NDArray[np.intp], ring: Int32, doubt: UncertifiedRegion
+        self,
+        tin: Tin,
+        x: Int32,
+        y: Int32,
+        seeds: npt.NDArray[np.intp],
+        ring: Int32,
+        region: UncertifiedRegion,
     ) -> npt.NDArray[np.intp]:
         """Step 4: return the seeds that are noise. Positions where that is uncertain become uncertified."""
         vx, vy = (np.ascontiguousarray(tin.vertices[:, axis]) for axis in (0, 1))
         # Seeds share no position with one another, nor with the ring, which lies in cells without seeds.
         real = np.isin(position_keys(vx, vy), position_keys(ring[:, 0], ring[:, 1]), invert=True)
-        noise, unsure = noisy_seeds(tin, real, self.params.clusters(self._scale), doubt.triangles(tin))
-        doubt.add_points(vx, vy, unsure)
+        noise, uncertified = noisy_seeds(tin, real, self.params.clusters(self._scale), region.triangles(tin))
+        region.add_points(vx, vy, uncertified)
         return seeds[np.isin(position_keys(x[seeds], y[seeds]), position_keys(vx[noise], vy[noise]))]
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
         """Label the points of the window, and return a mask of the uncertified labels too."""
-        labels, marked = super().label(points)
+        labels, uncertified_labels = super().label(points)
         if self.tin is not None:
             below, _ = outside(points.xyz[2], self._scale, self._tails)
             labels[below & (labels != GROUND)] = LOW_NOISE
-        return labels, marked
+        return labels, uncertified_labels
 
 
 def _triangulate(x: Int32, y: Int32, z: Int32, seeds: Bool, ring: Int32) -> Tin:

@@ -141,7 +141,7 @@ def _sums(
     return size, total, around, total_around
 
 
-def noisy_seeds(tin: Tin, real: Bool, limits: ClusterLimits, in_doubt: UInt8) -> tuple[Bool, Bool]:
+def noisy_seeds(tin: Tin, real: Bool, limits: ClusterLimits, uncertified: UInt8) -> tuple[Bool, Bool]:
     """Masks of the seeds that are noise, and of those for which that is uncertain.
 
     1. If a facet has an over-long side in space, its highest corner is noise. All facets are judged in one TIN.
@@ -158,44 +158,50 @@ def noisy_seeds(tin: Tin, real: Bool, limits: ClusterLimits, in_doubt: UInt8) ->
     real : bool [vertices]
         False for virtual seeds.
     limits : ClusterLimits
-    in_doubt : uint8 [triangles]
+    uncertified : uint8 [triangles]
         Mask of uncertified triangles (`ptd.ground.certificates.UncertifiedRegion.triangles`).
 
     Returns
     -------
     noise : bool [vertices]
-    unsure : bool [vertices]
+    uncertified_seeds : bool [vertices]
     """
     vertices = tin.vertex_array[: 4 * tin.n_vertices].reshape(-1, 4)
     facets = real_facets(tin.vertex_array, tin.triangle_array, tin.counters)
     corners = tin.triangle_array[: 8 * tin.n_triangles].reshape(-1, 8)[:, VERTEX : VERTEX + 3]
-    shaky = in_doubt[(corners >= 0).all(axis=1)] != 0
-    doubtful = corners[in_doubt != 0]  # also beyond the hull, where a vertex may have unknown facets
+    uncertified_facets = uncertified[(corners >= 0).all(axis=1)] != 0
+    uncertified_corners = corners[
+        uncertified != 0
+    ]  # also beyond the hull, where a vertex may have unknown facets
     tips, joins = _judge_facets(vertices, facets, real, limits.long_side, limits.narrow_cos, limits.z_ratio)
     noise = np.zeros(real.size, np.bool_)
     noise[tips[tips >= 0]] = True
-    unsure = np.zeros(real.size, np.bool_)
-    if doubtful.size:
-        unsure[doubtful[doubtful >= 0]] = True
-        unsure &= real
-        unsure[tips[(tips >= 0) & ~shaky]] = False
-        shaky |= unsure[facets].any(axis=1)
+    uncertified_seeds = np.zeros(real.size, np.bool_)
+    if uncertified_corners.size:
+        uncertified_seeds[uncertified_corners[uncertified_corners >= 0]] = True
+        uncertified_seeds &= real
+        uncertified_seeds[tips[(tips >= 0) & ~uncertified_facets]] = False
+        uncertified_facets |= uncertified_seeds[facets].any(axis=1)
     joins &= ~noise[facets].any(axis=1)
     clusters = _flood(facets, joins, real.size)
     size, total, around, total_around = _sums(vertices, facets, clusters, real & ~noise)
     small = (size <= limits.small) & (size > 0) & (around > 0)
     rise = total / np.maximum(size, 1) - total_around / np.maximum(around, 1)
     is_noise = noise | ((small & (rise > limits.prominence))[clusters] & real)
-    if shaky.any():
-        unsure |= _unsure_clusters(facets, joins, shaky, clusters, limits.small) & real
-    return is_noise, unsure
+    if uncertified_facets.any():
+        uncertified_seeds |= (
+            _uncertified_clusters(facets, joins, uncertified_facets, clusters, limits.small) & real
+        )
+    return is_noise, uncertified_seeds
 
 
-def _unsure_clusters(facets: Int32Array, joins: Bool, shaky: Bool, clusters: Int32Array, small: int) -> Bool:
+def _uncertified_clusters(
+    facets: Int32Array, joins: Bool, uncertified_facets: Bool, clusters: Int32Array, small: int
+) -> Bool:
     """Return the vertices of clusters that touch an uncertified facet, unless certified facets make them large."""
     touched = np.zeros(clusters.size, np.bool_)
-    touched[clusters[facets[shaky]]] = True
-    certain = _flood(facets, joins & ~shaky, clusters.size)
+    touched[clusters[facets[uncertified_facets]]] = True
+    certain = _flood(facets, joins & ~uncertified_facets, clusters.size)
     members = np.bincount(certain, minlength=clusters.size)
-    is_unsure: Bool = touched[clusters] & (members[certain] <= small)
-    return is_unsure
+    is_uncertified: Bool = touched[clusters] & (members[certain] <= small)
+    return is_uncertified

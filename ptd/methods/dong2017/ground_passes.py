@@ -144,9 +144,9 @@ class FinalGrowth(Growth):
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
         """Label the points, with vegetation as unclassified."""
-        labels, marked = super().label(points)
+        labels, uncertified_labels = super().label(points)
         labels[labels == VEGETATION] = UNCLASSIFIED
-        return labels, marked
+        return labels, uncertified_labels
 
 
 def _measured(trial: Trial, points: Points, core: Window, which: Bool) -> StatisticsModel:

@@ -153,9 +153,9 @@ class JoinModel(Model):
             return labels, np.zeros(len(points), np.bool_)
         x, y, z = points.columns()
         waiting = previous_labels == UNCLASSIFIED
-        passed, marked = self._even.near(x, y, z, waiting, self._distance_m, self._angle_deg)
+        passed, uncertified_labels = self._even.near(x, y, z, waiting, self._distance_m, self._angle_deg)
         labels[passed] = self._label
-        return labels, marked
+        return labels, uncertified_labels
 
 
 def _goes_on(state: State) -> bool:

@@ -131,7 +131,7 @@ class GrowthModel(TinLabels):
             self._codes[step.vertex & (self._codes == UNCLASSIFIED)] = SEED + k
             if k == 0 or self._gained[k - 1] > enough:
                 # Rounds that are not run would add no points, and leave the uncertain points as they are.
-                self._gained[k], self._unsure[k:] = tally.count(step.tin, step.in_doubt)
+                self._gained[k], self._unsure[k:] = tally.count(step.tin, step.uncertified)
             done = k + 1
         return done
 
@@ -146,7 +146,7 @@ class GrowthModel(TinLabels):
         indices = indices_in_stacks(x, y, z, s.x, s.y, s.z, s.raster)
         labels = np.where(indices >= 0, self._codes[indices], np.uint8(UNCLASSIFIED))
         labels[self._prepared.low.holds(x, y, z)] = LOW_NOISE
-        return labels, self._prepared.doubt.covers(x, y)
+        return labels, self._prepared.region.covers(x, y)
 
     def partial(self) -> dict[str, Any]:
         """Number of ``points`` in the core, and in each round ``gained`` and ``unsure`` (see `last_round`)."""
@@ -191,24 +191,24 @@ class TerrainModel(TinLabels):
             CellLattice.of(size, scale) for size in (params.thin_cell_m, params.max_building_size_m)
         )
         known = window.inside(thin)
-        doubt = UncertifiedRegion(known, known.inside(cells, RING), box_with_ring(x, y, cells), scale)
-        virtual = choose_seeds(x, y, z, np.ones(x.size, np.bool_), cells, doubt).virtual
+        region = UncertifiedRegion(known, known.inside(cells, RING), box_with_ring(x, y, cells), scale)
+        virtual = choose_seeds(x, y, z, np.ones(x.size, np.bool_), cells, region).virtual
         vertices = points.take((labels >= SEED) & (labels < SEED + rounds)).columns()
         if rounds > 1:  # all seeds are vertices, however close together
             lowest = lowest_per_cell(*vertices, thin)
             vertices = vertices[0][lowest], vertices[1][lowest], vertices[2][lowest]
         tin = Tin.build(*(np.concatenate([c, v]) for c, v in zip(vertices, virtual.T, strict=True)))
         rule = LabelRule(params.limits(scale), scale.counts(params.label_floor_m))
-        self.finish(tin, doubt.triangles(tin), rule)
+        self.finish(tin, region.triangles(tin), rule)
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
         """Label the points, and return a mask of the uncertified labels too.
 
         Earlier low noise stays unless it is ground.
         """
-        labels, marked = super().label(points)
+        labels, uncertified_labels = super().label(points)
         labels[(labels != GROUND) & (points.known_labels() == LOW_NOISE)] = LOW_NOISE
-        return labels, marked
+        return labels, uncertified_labels
 
 
 @dataclass(frozen=True)
@@ -228,5 +228,5 @@ class RidgePass(Pass):
         done, last = deque(enumerate(islice(prepared.rounds(), self.params.rounds), 1), maxlen=1).pop()
         model.low = prepared.low
         model.stats.update(prepared.counts, rounds=done)
-        model.finish(last.tin, last.in_doubt, LabelRule(prepared.limits, prepared.floor))
+        model.finish(last.tin, last.uncertified, LabelRule(prepared.limits, prepared.floor))
         return model

@@ -40,12 +40,12 @@ def limits(**values: float) -> FacetLimits:
 
 
 def judge(
-    tin: Tin, x: int, y: int, z: int, doubt: set[int] = frozenset(), **values: float
+    tin: Tin, x: int, y: int, z: int, uncertified_facets: set[int] = frozenset(), **values: float
 ) -> tuple[bool, bool, bool]:  # type: ignore[assignment]
-    """Passed, elsewhere, doubtful; `doubt` are triangles in doubt."""
-    in_doubt = np.array([t in doubt for t in range(tin.n_triangles)], np.uint8)
+    """Passed, elsewhere, is uncertified."""
+    uncertified = np.array([t in uncertified_facets for t in range(tin.n_triangles)], np.uint8)
     t = triangle_at(tin, x, y)
-    return accepts(CheckedMesh(*tin.mesh, in_doubt), t, *in_counts(x, y, z), limits(**values))
+    return accepts(CheckedMesh(*tin.mesh, uncertified), t, *in_counts(x, y, z), limits(**values))
 
 
 # Equilateral, 10 m in plan to within a millimetre; the middle is 5774 mm from each corner.
@@ -191,9 +191,9 @@ def test_an_answer_in_doubt() -> None:
     steep, image = triangle_at(tin, 5_500, 7_000), triangle_at(tin, 6_500, 2 * 12_000 - 7_000)
     assert outside(tin, image)
     for t in range(tin.n_triangles):
-        doubtful = judge(tin, 5_500, 7_000, 0, {t}, terrain_deg=60.0)[2]
+        is_uncertified = judge(tin, 5_500, 7_000, 0, {t}, terrain_deg=60.0)[2]
         top = mirror_facet(tin.vertex_array, tin.triangle_array, steep, *in_counts(5_500, 7_000))[0]
-        assert doubtful == (t in (steep, top))
+        assert is_uncertified == (t in (steep, top))
 
 
 counts = st.integers(-20_000, 20_000)

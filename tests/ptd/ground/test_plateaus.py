@@ -72,7 +72,7 @@ def test_the_border_of_the_data_may_cut_a_roof_but_not_two_of_its_ends() -> None
     assert not plateaus(across, rule).any()
     across[:, 9] = 0
     assert np.array_equal(plateaus(across, rule), across == 5000)
-    # DecisionTrees at both ends are no border.
+    # Trees at both ends are no border.
     across[12:18, 9] = across[12:18, 0] = EMPTY
     data = np.ones(across.shape, bool)
     assert np.array_equal(plateaus(across, rule, None, data), across == 5000)

@@ -76,9 +76,9 @@ def test_elected_cells_are_those_of_the_bounds_and_are_labelled_by_cell() -> Non
     raster = raster_of(half, cells)
     codes = rng.integers(1, 4, 200).astype(np.uint8)
     order = rng.permutation(200)
-    labels, doubtful = Codes(raster, codes, cells).label(Points(half[:, order]))
+    labels, is_uncertified = Codes(raster, codes, cells).label(Points(half[:, order]))
     assert np.array_equal(labels, codes[order])
-    assert not doubtful.any()
+    assert not is_uncertified.any()
 
 
 def test_objects_found_before_stay_objects() -> None:

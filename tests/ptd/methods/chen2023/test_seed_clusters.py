@@ -144,23 +144,25 @@ def test_doubt_covers_all_effects_of_doubtful_facets(seed: int) -> None:
     near = x < 4500
     window = Tin.build(x[near], y[near], z[near])
     facets = {frozenset(map(tuple, f)) for f in whole.vertices[real_triangles(whole)].tolist()}
-    in_doubt = np.zeros(window.n_triangles, np.uint8)
+    uncertified = np.zeros(window.n_triangles, np.uint8)
     for t in range(window.n_triangles):
         corners = list(corners_of(window, t))
-        in_doubt[t] = -1 in corners or frozenset(map(tuple, window.vertices[corners].tolist())) not in facets
+        uncertified[t] = (
+            -1 in corners or frozenset(map(tuple, window.vertices[corners].tolist())) not in facets
+        )
     real = np.ones(window.n_vertices, bool)
-    noise, unsure = noisy_seeds(window, real, limits, in_doubt)
+    noise, unsure = noisy_seeds(window, real, limits, uncertified)
     truth, _ = noisy_seeds(whole, np.ones(n, bool), limits, np.zeros(whole.n_triangles, np.uint8))
     true_noise = set(map(tuple, whole.vertices[truth, :2].tolist()))
-    for (a, b, _z), found, doubtful in zip(window.vertices.tolist(), noise, unsure, strict=True):
-        assert doubtful or found == ((a, b) in true_noise)
+    for (a, b, _z), found, is_uncertified in zip(window.vertices.tolist(), noise, unsure, strict=True):
+        assert is_uncertified or found == ((a, b) in true_noise)
 
 
-@pytest.mark.parametrize("in_doubt", [0, 1])
-def test_with_all_facets_in_doubt_nothing_is_certain(in_doubt: int) -> None:
+@pytest.mark.parametrize("uncertified", [0, 1])
+def test_with_all_facets_in_doubt_nothing_is_certain(uncertified: int) -> None:
     x, y, z = np.ascontiguousarray(np.array(block(6000), np.int32).T)
     tin = Tin.build(x, y, z)
-    doubt = np.full(tin.n_triangles, in_doubt, np.uint8)
-    _, unsure = noisy_seeds(tin, np.ones(tin.n_vertices, bool), CLUSTERS, doubt)
-    assert unsure.all() == bool(in_doubt)
-    assert unsure.any() == bool(in_doubt)
+    triangles = np.full(tin.n_triangles, uncertified, np.uint8)
+    _, unsure = noisy_seeds(tin, np.ones(tin.n_vertices, bool), CLUSTERS, triangles)
+    assert unsure.all() == bool(uncertified)
+    assert unsure.any() == bool(uncertified)
