@@ -31,8 +31,8 @@ class Nearest(NamedTuple):
     Attributes
     ----------
     squared : int64 [rows, columns, k]
-        Squared distances to the centre (rounded down to whole counts), in counts squared and rising order. 2**63 - 1
-        for `NONE`.
+        Squared distances in ascending order, in counts squared. They are measured to the centre after its coordinates
+        are rounded down to whole counts. 2**63 - 1 for `NONE`.
     points : int32 [rows, columns, k]
         Indices of the points, `NONE` if fewer than k lie within reach.
     """

@@ -25,7 +25,7 @@ voting
 last_look, decision_trees
     Correction of labels from the surroundings of each point, by decision trees that were fitted to known labels.
 passes, by_size
-    These steps as passes of `ptd.methods.auto.method`, also where cells of two sizes meet.
+    These steps as passes of `ptd.methods.auto.method`, also where cells of 1 m and cells of 2 m meet.
 place_figures
     Density, noise and size of the cells of each place.
 survey, penetration

@@ -1,6 +1,7 @@
 """Passes of photogrammetric clouds where cells of 1 m and 2 m meet.
 
-Each pass works on the cells of each size separately. A point is labelled with the cells of the size of its place.
+Each pass works on the cells of each size separately. A point is labelled with the cells of the size that its
+place (a square of 256 m, `ptd.places`) uses.
 """
 
 from __future__ import annotations
@@ -57,9 +58,9 @@ def of_each_size(
     if len(present) == 1:
         return of_size(points, scale, state, present[0])
     sizes_m = size_of_cells(points, scale)
-    asked = near(state[PLACES], core, scale)
+    near_places = near(state[PLACES], core, scale)
     requested_sizes = (
-        cell_sizes(asked) if cells else {known(figures, CELL_SIZE) for figures in asked.values()}
+        cell_sizes(near_places) if cells else {known(figures, CELL_SIZE) for figures in near_places.values()}
     )
     models = {
         size_m: of_size(points.take(sizes_m == size_m), scale, state, size_m) for size_m in requested_sizes
@@ -93,7 +94,10 @@ class ModelOfPoints(ModelOfCells):
         self._state = state
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
-        """Label each point with the model of its place, which also reads the points of other places around it."""
+        """Label each point with the model of its place's cell size.
+
+        That model is passed all points, because points of other places around it vote as well.
+        """
         labels, uncertified = np.zeros(len(points), np.uint8), np.zeros(len(points), np.bool_)
         place_sizes = of_places(self._state[PLACES], CELL_SIZE, points.xyz[0], points.xyz[1], self._scale)
         for size_m, model in self._models.items():

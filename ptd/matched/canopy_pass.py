@@ -112,21 +112,21 @@ class CanopyPass(MatchedPass):
 class CanopyModel(Model):
     """Codes of the cells, and the area of the core that a canopy covers.
 
-    Where cells of two sizes meet, only cells of the size of their place get the code of covered cells. Other cells are
-    only read by the passes.
+    Where both cell sizes occur, only cells of the size of their place get the code `COVERED`. Cells of the other size
+    only give context.
     """
 
-    def __init__(self, found: Model, own: Points, scale: Scale, state: State) -> None:
-        self._found, self._scale, self._state = found, scale, state
-        labels, _ = self.label(own)
-        sizes_m = by_size.size_of_cells(own, scale)
-        counted, covered = self._of_place(own), labels >= COVERED
+    def __init__(self, model: Model, core_cells: Points, scale: Scale, state: State) -> None:
+        self._model, self._scale, self._state = model, scale, state
+        labels, _ = self.label(core_cells)
+        sizes_m = by_size.size_of_cells(core_cells, scale)
+        counted, covered = self._of_place(core_cells), labels >= COVERED
         self._partial = {
             "area_m2": int((sizes_m[counted] ** 2).sum()),
             "covered_m2": int((sizes_m[covered] ** 2).sum()),
-            "blocks": _by_block(own.xyz[:, covered], sizes_m[covered], scale),
+            "blocks": _by_block(core_cells.xyz[:, covered], sizes_m[covered], scale),
         }
-        self.stats = {**found.stats, "covered": int(covered.sum())}
+        self.stats = {**model.stats, "covered": int(covered.sum())}
 
     def _of_place(self, points: Points) -> Bool:
         """Return a mask of the cells whose size is that of their place."""
@@ -136,8 +136,10 @@ class CanopyModel(Model):
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
         """Return the codes of cells."""
-        labels, marks = self._found.label(points)
-        return np.where(self._of_place(points), labels, labels & ~np.uint8(COVERED)).astype(np.uint8), marks
+        labels, uncertified = self._model.label(points)
+        return np.where(self._of_place(points), labels, labels & ~np.uint8(COVERED)).astype(
+            np.uint8
+        ), uncertified
 
     def partial(self) -> dict[str, Any]:
         """Return the areas of all cells and of covered cells in square metres, and the covered area by blocks."""

@@ -125,10 +125,11 @@ class _ByCell(NamedTuple):
 
 
 @kernel
-def _rise(level: Int64, counts: Int64, k: int, step: int, cell_counts: float) -> int:
+def _rise(level: Int64, counts: Int64, k: int, step: int, cell_counts_z: float) -> int:
     """Return the rise over two cells along an axis, or `UNKNOWN` if it is too steep or no neighbour has a height.
 
-    If only one neighbour has a height, the rise to it counts twice.
+    If only one neighbour has a height, the rise to it counts twice. ``cell_counts_z`` is the size of a cell in vertical
+    counts.
     """
     before, after = counts[k - step] > 0, counts[k + step] > 0
     if before and after:
@@ -139,7 +140,7 @@ def _rise(level: Int64, counts: Int64, k: int, step: int, cell_counts: float) ->
         rise, steepest = 2 * (level[k] - level[k - step]), STEEPEST_AT_GAPS
     else:
         return UNKNOWN
-    return rise if abs(rise) <= round(2 * steepest * cell_counts) else UNKNOWN
+    return rise if abs(rise) <= round(2 * steepest * cell_counts_z) else UNKNOWN
 
 
 @kernel
@@ -148,7 +149,7 @@ def _tilted_heights(
     centre_x: Int64,
     centre_y: Int64,
     window: Int64,
-    cell_counts: float,
+    cell_counts_z: float,
     level: Int64,
     counts: Int64,
 ) -> Int64:
@@ -160,8 +161,8 @@ def _tilted_heights(
         begin, n = starts[k], starts[k + 1] - starts[k]
         if counts[k] == 0 or counts[k] == n:
             continue
-        eastward = _rise(level, counts, k, 1, cell_counts)
-        northward = _rise(level, counts, k, columns, cell_counts)
+        eastward = _rise(level, counts, k, 1, cell_counts_z)
+        northward = _rise(level, counts, k, columns, cell_counts_z)
         if eastward == UNKNOWN or northward == UNKNOWN:
             continue
         cx, cy = centre_x[k % columns], centre_y[k // columns]
@@ -257,7 +258,7 @@ EMPTY = 2**31 - 1
 ALIGN = 8
 """Multiple of cells of the lattice at which rasters begin, so that all rasters have the same blocks of cells."""
 MARGIN = 4
-"""Number of empty cells around a raster, so that its edge is the same for any content."""
+"""Minimum number of empty cells on each side of a raster, so that its edge is the same for any content."""
 
 
 def raster_of(xyz: Int32, cells: CellLattice) -> CellHeights:

@@ -6,7 +6,8 @@ Rocks, rough grass and noise are rough over 3 m already, and smooth hills over n
 the terrain, its slopes fall one way; slopes of crowns fall all ways.
 
 On terrain of 1 m, 62 % of the blocks look like crowns in the closed forest of a drone survey. The share is 4 % in a
-village in a gorge, 0 to 2 % in seven semi-real scenes, a park and rough fields, and one of 15 in a lava field.
+village in a gorge, and 0 to 2 % in seven semi-real scenes, a park and rough fields. In a lava field, 1 of 15 blocks
+looks like crowns.
 """
 
 from __future__ import annotations
@@ -26,7 +27,8 @@ ROUGH_M, SMOOTHER = 0.3, 0.35
 """Limits of a block that looks like crowns: the median residual over large windows exceeds `ROUGH_M`, and the median
 ratio of residuals over small and large windows is below `SMOOTHER`."""
 ONE_WAY = 0.7
-"""Length of the mean gradient of a block, in parts of the mean length, from which on its slopes fall one way."""
+"""Ratio of the length of a block's mean gradient to the mean length of its gradients. From this ratio on, its slopes
+fall one way."""
 MIN_FILLED = 0.3
 
 Float64 = npt.NDArray[np.float64]
@@ -86,7 +88,7 @@ def _share_held(block: Float64) -> float:
 
 
 def one_way(down: Float64, right: Float64) -> float:
-    """Return the length of the mean gradient in parts of the mean length: 1 if all slopes fall one way."""
+    """Return the length of the mean gradient as a fraction of the mean length: 1 if all slopes fall one way."""
     known = np.isfinite(down) & np.isfinite(right)
     lengths = np.hypot(down[known], right[known])
     if not lengths.any():
@@ -122,5 +124,5 @@ def residuals(heights: Float64, size: int) -> Float64:
     xz, yz = total(z, away, one) / points - mx * mz, total(z, one, away) / points - my * mz
     determinant = np.maximum(xx * yy - xy * xy, 1e-9)
     a, b = (xz * yy - yz * xy) / determinant, (yz * xx - xz * xy) / determinant
-    left = np.sqrt(np.maximum(zz - a * xz - b * yz, 0.0) * points / np.maximum(points - 3, 1.0))
-    return np.where(held & (n >= size**2 / 2), left, np.nan)
+    residual = np.sqrt(np.maximum(zz - a * xz - b * yz, 0.0) * points / np.maximum(points - 3, 1.0))
+    return np.where(held & (n >= size**2 / 2), residual, np.nan)

@@ -12,14 +12,14 @@ from ptd.cells import Int32
 from ptd.kernel import kernel
 
 UNIT = 2**16
-"""Number of parts of 1 in which leaves give log-odds."""
+"""Fixed-point scale: leaves are log-odds multiplied by this number."""
 DEPTH = 3
 """Number of questions between the root of a decision tree and each leaf."""
 NODES, LEAVES = 2**DEPTH - 1, 2**DEPTH
 
 
 class DecisionTrees(NamedTuple):
-    """Decision trees whose sum is the log-odds in parts of `UNIT`.
+    """Decision trees whose sum is the log-odds multiplied by `UNIT`.
 
     Attributes
     ----------

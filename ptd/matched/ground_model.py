@@ -23,9 +23,9 @@ from ptd.places import PLACES, Field, field
 GROUND_M, GROUND_SIGMAS = 0.15, 2.0
 """Largest distance of ground from the surface after the vote: metres, plus this multiple of the local noise."""
 LOW_M, LOW_SIGMAS = 0.5, 4.0
-"""Depth below the surface from which on a point is low noise: metres, plus this multiple of the local noise."""
+"""Depth below the surface beyond which a point is low noise: metres, plus this multiple of the local noise."""
 CLEAR_M = 2.0
-"""Height above or below the surface from which on a point does not vote."""
+"""Points at least this far above or below the surface do not vote."""
 
 Float64 = npt.NDArray[np.float64]
 
@@ -133,10 +133,10 @@ class GroundModel(Model):
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
         """Return ASPRS classes. All are certified, because the pass has a fixed radius."""
-        certain = np.zeros(len(points), np.bool_)
+        uncertified = np.zeros(len(points), np.bool_)
         if self._ground is None or len(points) == 0:
-            return np.full(len(points), UNCLASSIFIED, np.uint8), certain
-        return self._ground.classes(*points.columns()), certain
+            return np.full(len(points), UNCLASSIFIED, np.uint8), uncertified
+        return self._ground.classes(*points.columns()), uncertified
 
 
 @kernel

@@ -47,7 +47,7 @@ class Envelope:
     Attributes
     ----------
     curvature : float
-        Curvature of the paraboloids per metre: 0.04 bends over a circle of 25 m.
+        Curvature of the paraboloids per metre: 0.04 is a radius of curvature of 25 m.
     fall_m : float
         Fall in metres, from the top, at which paraboloids end.
     cell_m : float
@@ -148,13 +148,13 @@ class _EnvelopeSearch(NamedTuple):
 
 
 @kernel
-def _highest_fit(
+def _lowest_limits(
     heights: Int32, blocks: _Blocks, falls: Int64, r: int, c: int, found: _EnvelopeSearch
 ) -> None:
     """Find the lowest paraboloids around a centre, each limited by one cell, in rising order.
 
     ``best`` gets their tops and ``held`` the cells that limit them (-1: none). On entry ``held`` has the cells of the
-    last centre. The tops are not above those that these cells allow, so most blocks are skipped.
+    last centre. These cells give an upper limit of the tops, so most blocks can be skipped.
     """
     block, lowest = blocks.cells, blocks.lowest
     north, east = blocks.north[r // block, c // block], blocks.east[r // block, c // block]
@@ -230,7 +230,7 @@ def _union(
                     near |= heights[rr, cc] != EMPTY
             if not near:
                 continue
-            _highest_fit(heights, blocks, falls, r, c, search)
+            _lowest_limits(heights, blocks, falls, r, c, search)
             if held[cut] < 0:
                 continue
             n, e = blocks.north[r // block, c // block], blocks.east[r // block, c // block]
@@ -255,7 +255,8 @@ def lower_envelope(
     rule : Envelope
     scale : Scale
     row, column : int
-        Row and column of the first cell on its lattice, multiples of a block's cells. Centres are anchored at 0 there.
+        Row and column of the first cell on the lattice, multiples of `Envelope.block`. Centres of paraboloids lie at
+        multiples of the stride on this lattice.
     tilt_blocks : float
         Standard deviation, in blocks, of the surroundings from which the slope of the terrain is computed.
 

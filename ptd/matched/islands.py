@@ -5,7 +5,7 @@ object (`ptd.matched.objects`). So the ground surface passes through them, and t
 height of the roof. A connected surface of ground cells is such an island under these conditions:
 
 - The surface is narrow, and it is a plateau (`ptd.ground.plateaus`): nearly all other ground that rays from it meet
-  beyond objects is lower. Most rays may not meet any ground, because the roof may be wide.
+  beyond objects is lower. Most rays need not meet other ground, because the roof may be wide.
 - Most cells around the surface are objects. Around terraces, tops of walls and rocks, most cells are ground.
 - Most of these objects have the height of the surface, like the rest of a roof. Crowns around a spot of ground are
   higher.
@@ -31,7 +31,7 @@ from ptd.matched.surface import Surface
 MAX_WIDTH_M = 50.0
 """Width above which a surface is not an island."""
 VIEW_M, SLOPE, UNSEEN_SHARE = 40.0, 0.1, 0.9
-"""Length of the rays that search for other ground, slope of a ray above which this ground is lower, and largest share
+"""Length of the rays that search for other ground, slope down to it above which it counts as lower, and largest share
 of rays that do not meet ground. The slope is less than for whole roofs, because the objects around an island already
 distinguish it from the top of a hill."""
 AROUND_M, GROUND_SHARE = 3.0, 0.5
@@ -96,7 +96,7 @@ def _surroundings(
     return counts, box
 
 
-def _carried(
+def _on_level_objects(
     heights: Int32, ground: Bool, levels: Int32, rule: Plateaus, scale: Scale, cell_m: float
 ) -> Bool:
     """Find the cells of narrow surfaces of ground between objects of the same height: bool [rows, columns]."""
@@ -107,10 +107,12 @@ def _carried(
     counts, box = _surroundings(heights, ground, surface, n, _around_cells(cell_m), above, below)
     n_cells, n_ground, n_level = counts.T
     width = np.maximum(box[:, 1] - box[:, 0], box[:, 3] - box[:, 2]) + 1
-    is_carried = (n_ground < GROUND_SHARE * n_cells) & (n_level >= LEVEL_SHARE * (n_cells - n_ground))
+    is_on_level_objects = (n_ground < GROUND_SHARE * n_cells) & (
+        n_level >= LEVEL_SHARE * (n_cells - n_ground)
+    )
     # Cells without a surface have the number -1, which selects the appended value.
-    carried: Bool = np.append(is_carried & (width <= rule.widest), False)[surface]
-    return carried
+    on_level_objects: Bool = np.append(is_on_level_objects & (width <= rule.widest), False)[surface]
+    return on_level_objects
 
 
 def islands(heights: Int32, ground: Bool, scale: Scale, cell_m: float) -> Bool:
@@ -131,8 +133,10 @@ def islands(heights: Int32, ground: Bool, scale: Scale, cell_m: float) -> Bool:
     """
     rule = _rule(scale, cell_m)
     levels = np.where(ground, heights, EMPTY).astype(np.int32)
-    carried = _carried(heights, ground, levels, rule, scale, cell_m)
-    is_island: Bool = carried & plateaus(levels, rule, data=heights != EMPTY, passed=carried)
+    on_level_objects = _on_level_objects(heights, ground, levels, rule, scale, cell_m)
+    is_island: Bool = on_level_objects & plateaus(
+        levels, rule, data=heights != EMPTY, passed=on_level_objects
+    )
     return is_island
 
 

@@ -43,7 +43,7 @@ REACH_M = (2 * WIDEST + 1) * CELL_M
 MAX_DISTANCE_M = 0.5
 """Distance from the surface within which a point that is not ground can become ground."""
 CHANGE_ODDS = 1.5
-"""Odds against a label from which on it changes."""
+"""Minimum odds against a label for a change of the label."""
 CLEAR_MM = 2000
 """Limit at which heights above and below the surface are cut off, as trees and roofs need not be distinguished."""
 LOW_MM, HIGH_MM = 200, 1000
@@ -212,13 +212,13 @@ CELL_FEATURES = ("noise", "slope", "bend_2", "bend_5", "low_5", "low_10", "groun
 """Features of a cell. The first four are noise and slope of the surface, and its height above its mean within 2 and
 5 m. The others are the shares of low plants among the cells within 5 and 10 m, and of ground within 5 m."""
 CELL_REACH_M = 10.0
-"""Distance beyond which cells do not change these features, except that the slope reads one more cell."""
+"""Distance beyond which cells do not change these features."""
 STEEPEST = 5.0
 """Limit at which slopes are cut off."""
 
 
 def reach_cells(cell_m: float) -> int:
-    """Return the distance in cells beyond which the surface does not change a point's label, with the point's cell."""
+    """Return the distance in cells beyond which the surface does not change a point's label, own cell included."""
     return math.ceil(CELL_REACH_M / cell_m) + 1
 
 

@@ -15,8 +15,8 @@ with its lowest point, so the counts of tiles add up. There are three kinds of c
   At least `BELOW` points must lie below, as blunders are fewer. A wide cell is seen through if it and at least
   `MIN_MIXED` of the 3 x 3 cells around it are mixed. It has `MIN_POINTS` to `MAX_POINTS` points: fewer show nothing,
   and with more points cells of `CELL_M` suffice.
-- Cells with *overhangs* are counted in an eighth of the area. They are about eight points wide: of all sides in
-  `OVERHANG_CELLS_M`, cells with `HANGING_FEWEST` to `HANGING_MOST` points count. A cell has an overhang if at least two
+- Cells with *overhangs* are counted in an eighth of the area. Lattices of all sizes in `OVERHANG_CELLS_M` are tried,
+  and cells with `HANGING_FEWEST` to `HANGING_MOST` points, about 8 x 8, count. A cell has an overhang if at least two
   points lie below and two above a gap of `HANGING_GAP_M` in height. Lasers see below crowns and eaves, and
   photogrammetric clouds have hardly any overhangs.
 """
@@ -129,14 +129,14 @@ def _hanging(z: Int32, starts: Int64, order: Int32, gap_counts: float) -> tuple[
 
 
 @kernel
-def _seen_through(keys: Int64, gap: Bool, own: Bool, width: int, least: int) -> int:
+def _seen_through(keys: Int64, gap: Bool, in_core: Bool, width: int, least: int) -> int:
     """Count the cells of a core that are seen through.
 
     The keys are sorted. They belong to a raster with an empty column at each end of its rows.
     """
     n = 0
     for k in range(keys.size):
-        if not (own[k] and gap[k]):
+        if not (in_core[k] and gap[k]):
             continue
         around = 0
         for row in range(-1, 2):

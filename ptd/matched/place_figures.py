@@ -1,4 +1,6 @@
-"""Figures of each place from which the rules for photogrammetric and LiDAR clouds start: ``places`` of the state.
+"""Figures per place from which the rules for photogrammetric and LiDAR clouds start: ``places`` of the state.
+
+A place is a square of 256 m (`ptd.places`).
 
 Cells of photogrammetric clouds have a size of 1 m, or of 2 m where points are sparse. A point gets the same label as if
 the whole survey had cells of the size of its place. So cells of both sizes are made where places of both kinds are near
@@ -24,7 +26,8 @@ DENSITY, SIGMA, CELL_SIGMA, CELL_SIZE, BOTH = range(5)
 CELL_SIZES_M = (CELL_M, SPARSE_CELL_M)
 """Possible sizes of cells."""
 SIZES_AROUND = 8
-"""Distance in places within which cells of a place's size are needed: the radius of all passes on cells together."""
+"""Number of places around a place in which cells of its size are needed. This distance covers the summed radii of all
+passes on cells."""
 
 
 def known(figures: Figures, figure: int) -> float:

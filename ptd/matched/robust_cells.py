@@ -32,7 +32,7 @@ from ptd.passes import Model, Pass, Points, State, add_notes
 
 @dataclass(frozen=True)
 class RobustCells:
-    """The parameter of methods with passes from `for_both_kinds`, for `ptd.params.like`."""
+    """Parameter of methods that use `for_both_kinds`, which copy it with `ptd.params.like`."""
 
     robust_cells: bool = parameter(
         True, "photogrammetric clouds: start from one robust height per cell of 1 m (2 m if sparse), and judge points "

@@ -50,7 +50,7 @@ class MatchedPass(Pass):
 
 @dataclass(frozen=True)
 class OneSizePass(MatchedPass):
-    """A pass of a method whose cells have one size in a run."""
+    """A pass of a method that uses one cell size for the whole run."""
 
     def local(self, state: State, window: Window, scale: Scale) -> dict[str, Any]:
         """Return the state that `fit` needs, with the size of the cells."""
@@ -70,9 +70,9 @@ class Codes(Model):
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
         """Return the codes of cells. All are certified, because the pass has a fixed radius."""
-        certain = np.zeros(len(points), np.bool_)
+        uncertified = np.zeros(len(points), np.bool_)
         if self._raster is None or len(points) == 0:
-            return np.zeros(len(points), np.uint8), certain
+            return np.zeros(len(points), np.uint8), uncertified
         columns, rows = self._cells.cell_indices(points.xyz[0], points.xyz[1])
         width = self._raster.heights.shape[1]
-        return self._codes[(rows - self._raster.row) * width + columns - self._raster.column], certain
+        return self._codes[(rows - self._raster.row) * width + columns - self._raster.column], uncertified

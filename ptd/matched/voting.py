@@ -37,11 +37,12 @@ ROUNDED = 1e-9
 FAR = 2**30
 """Residual that is not alike any other."""
 FINEST = 2**13
-"""Largest number of units of positions in the largest radius. The cloud's own counts are used if they are coarser."""
+"""Positions are rounded so that the largest radius has at most this many units. Counts that are coarser do not
+change."""
 
 
 def radius_m(density_m2: float) -> float:
-    """Return the radius of the neighbourhood in whole centimetres, so that cells of this size have few digits."""
+    """Return the radius of the neighbourhood in metres, with two decimals so that cell sizes have few digits."""
     return round(
         min(max(math.sqrt(NEIGHBOURS / (math.pi * max(density_m2, 1e-9))), RADIUS_M[0]), RADIUS_M[1]), 2
     )
@@ -129,7 +130,7 @@ def _averaged(voters: _Voters, residual: Int32, width: int) -> Int32:
 
 
 def _cell_size_m(least: float, most: float) -> float:
-    """Return the size of the cells for radii between two limits, in whole centimetres, which have few digits."""
+    """Return the size of the cells in metres, rounded up to 0.01 m, for radii between two limits."""
     return math.ceil(100.0 * most / round(most / least) - ROUNDED) / 100.0
 
 
@@ -144,8 +145,8 @@ def _limits(
 ) -> tuple[Int32, Int32, Int64]:
     """Return ``square``, ``alike`` and ``reach`` of `_Voters`.
 
-    ``counts`` are the horizontal counts in a radius of 1 m, the vertical counts in 1 m of residual, and the size of the
-    cells in metres.
+    ``counts`` are the units of positions per metre, the units of residuals (`PARTS` of a vertical count) per metre, and
+    the size of the cells in metres.
     """
     per_radius, per_metre, cell_m = counts
     square, alike = np.empty(order.size, np.int32), np.empty(order.size, np.int32)

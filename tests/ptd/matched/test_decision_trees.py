@@ -6,7 +6,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ptd.matched import last_look, trees
+from ptd.matched import decision_trees, last_look
 from ptd.matched.decision_trees import LEAVES, NODES, UNIT, DecisionTrees, last_look_trees, scores
 
 
@@ -46,7 +46,7 @@ def test_one_tree_of_known_answers() -> None:
 def test_trees_of_the_last_look_are_small_and_know_its_features() -> None:
     found = last_look_trees()
     assert last_look_trees() is found
-    assert Path(trees.__file__).with_name("last_look.npz").stat().st_size < 20_000
+    assert Path(decision_trees.__file__).with_name("last_look.npz").stat().st_size < 20_000
     many = len(last_look.POINT_FEATURES) + len(last_look.WINDOW_FEATURES) + len(last_look.CELL_FEATURES)
     assert 0 <= found.feature.min() <= found.feature.max() < many
     assert found.leaf.size * NODES == found.feature.size * LEAVES
