@@ -174,7 +174,7 @@ def densify_seeds(
     rounds : int
         Largest number of rounds (`densify`).
     known : Window
-        Window in which all candidates, and which of them are outliers, are known.
+        Window in which all candidates and the mask of outliers are known.
     scale : Scale
 
     Returns

@@ -49,7 +49,7 @@ class Bins(NamedTuple):
     angles: int
 
 
-class Tested(NamedTuple):
+class TrialArrays(NamedTuple):
     """Arrays and settings with which kernels test points.
 
     Attributes
@@ -120,7 +120,7 @@ def _owner(
 
 @kernel
 def _test(
-    tested: Tested, points: Xyz, which: Bool, near: Bool, distance: float, sine: float
+    tested: TrialArrays, points: Xyz, which: Bool, near: Bool, distance: float, sine: float
 ) -> tuple[Bool, Bool]:
     (vertices, triangles), usable, uncertified, locator, z_ratio, largest = tested
     x, y, z = points
@@ -143,7 +143,9 @@ def _test(
 
 
 @kernel
-def _count(tested: Tested, points: Xyz, which: Bool, distance: float, angle: float, counts: Int64) -> None:
+def _count(
+    tested: TrialArrays, points: Xyz, which: Bool, distance: float, angle: float, counts: Int64
+) -> None:
     (vertices, triangles), usable, uncertified, locator, z_ratio, largest = tested
     x, y, z = points
     for i in range(x.size):
@@ -197,7 +199,9 @@ class Trial:
         self.usable = _usable(tin.mesh, tin.n_triangles, Rule(ANY_EDGE, self.radius))
         if self.usable.size:
             uncertified = np.zeros(tin.n_triangles, np.uint8) if region is None else region.triangles(tin)
-            self._tested = Tested(tin.mesh, self.usable, uncertified, Locator.of(tin), scale.z_ratio, largest)
+            self._tested = TrialArrays(
+                tin.mesh, self.usable, uncertified, Locator.of(tin), scale.z_ratio, largest
+            )
 
     def test(
         self, x: Int32, y: Int32, z: Int32, which: Bool, threshold: Threshold, region: UncertifiedRegion

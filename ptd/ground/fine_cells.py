@@ -54,7 +54,8 @@ class Blocks(NamedTuple):
     points, near : int32 [n]
         Number of points in the block, and number of those that are `NEAR` or `ON`.
     settled, has_uncertified : bool [n]
-        Whether no point is just `NEAR`, so that there is nothing to decide, and whether any point is uncertified.
+        Whether no point has the closeness `NEAR`, so that nothing is left to decide, and whether any point is
+        uncertified.
     """
 
     around: Int32
@@ -133,7 +134,7 @@ def neighbours_of_blocks(keys: Int64, width: int) -> Int32:
     """Return the indices of the 3 x 3 blocks around each block, row by row: int32 [m, 9].
 
     The index is -1 for blocks that are not occupied. ``keys`` are sorted. Rasters have an empty column on both sides,
-    so keys of successive rows are never neighbours.
+    so the last block of a row and the first of the next never have adjacent keys.
     """
     neighbours = np.full((keys.size, 9), -1, np.int32)
     for row in range(3):

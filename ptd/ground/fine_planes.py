@@ -25,11 +25,12 @@ ENOUGH, ENOUGH_WIDE = 6, 9
 AROUND = 2
 """Number of cells that the wider planes extend to each side. At most `BLOCK_SIZE`, so the blocks around suffice."""
 SPIKE_M = 0.07
-"""A cell at least this high above its plane, in metres, is left out of the planes around it."""
+"""A cell more than this high above its plane, in metres, is left out of the planes around it."""
 ROUGH_M = 0.1
 """If cells scatter by more than this about their plane, in metres, the TIN decides, as at a step or a wall."""
 THIN = 0.05
-"""Cells lie on a line, so that there is no plane, if the determinant is at most this share of the largest one."""
+"""Cells lie on a line, so that there is no plane, if the determinant is at most this share of its largest possible
+value."""
 
 Bool = npt.NDArray[np.bool_]
 UInt8 = npt.NDArray[np.uint8]
@@ -53,7 +54,7 @@ class Planes(NamedTuple):
         Local counts of the point that represents each cell; z is `EMPTY` if there is none.
     east, north, height : float32 [pages * 25]
         Rise of the plane to the east and to the north in vertical counts per horizontal count, and its height above the
-        point in vertical counts; NaN if there is no plane.
+        point in vertical counts. `height` is NaN if there is no plane.
     """
 
     x: Int32
@@ -111,7 +112,7 @@ class _Sums(NamedTuple):
     patch : float64 [PATCH * PATCH * MOMENTS]
         Moments of each cell of a block and around it.
     three_rows, five_rows : float64 [PATCH * MOMENTS]
-        Sums of the moments of 3 and of 5 cells above each other.
+        Sums of the moments of 3 and of 5 successive cells of a column.
     three, five : float64 [BLOCK_SIZE * BLOCK_SIZE * MOMENTS]
         Sums of the moments of the 3 x 3 and of the 5 x 5 cells around each cell of the block.
     """
@@ -161,7 +162,7 @@ def _fill_patch(
 
 @inlined
 def _add_up(sums: _Sums) -> None:
-    """Compute the sums around each cell of the block, first of cells above each other, then of adjacent sums."""
+    """Compute the sums around each cell of the block, first of successive cells of columns, then of adjacent sums."""
     patch, three_rows, five_rows, three, five = sums
     for row in range(BLOCK_SIZE):
         south = row * PATCH_ROW

@@ -53,7 +53,8 @@ CROP_BELOW_M, CROP_ABOVE_M, CROP_ON_M, CROP_SHARE = 0.1, 0.4, 0.05, 0.5
 """Limits of a crop.
 
 Points from `CROP_BELOW_M` below to `CROP_ABOVE_M` above the fine surface, in a block and those around it, are counted.
-If less than `CROP_SHARE` of them is within `CROP_ON_M`, there is a crop, and no further points become ground.
+In settled blocks all points that are not `FAR` from the TIN are counted, and those that are `ON` are on the surface. If
+less than `CROP_SHARE` of them is within `CROP_ON_M`, there is a crop, and no further points become ground.
 """
 
 Bool = npt.NDArray[np.bool_]
@@ -115,12 +116,12 @@ def _judge(
         ground[i] = ground[i] and fits
     for k in range(index.size):
         if joins[k]:
-            ground[index[k]] = _is_open(blocks.around, block[k], seen, on)
+            ground[index[k]] = _has_no_crop(blocks.around, block[k], seen, on)
 
 
 @kernel
-def _is_open(around: Int32, b: int, seen: Int32, on: Int32) -> bool:
-    """Return whether enough of the points in a block and around it lie on the surface."""
+def _has_no_crop(around: Int32, b: int, seen: Int32, on: Int32) -> bool:
+    """Return whether there is no crop: enough points in a block and around it lie on the surface."""
     n_on = n_seen = 0
     for n in range(9):
         if around[b, n] >= 0:

@@ -24,7 +24,11 @@ from ptd.tin.mesh import Tin
 UNCLASSIFIED, GROUND, LOW_NOISE = 1, 2, 7
 """ASPRS classes that a filter gives."""
 CLEAR = 1.0 - 1e-9
-"""Factor of the smallest limit of all places, and divisor of the largest. It outweighs rounding errors."""
+"""Factor just below 1 that outweighs rounding errors.
+
+A point within `CLEAR` times the smallest limit of all places is ground, and one beyond the largest limit / `CLEAR` is
+not.
+"""
 FAR, CROP, NEAR, ON = 0, 1, 2, 3
 """Degrees of closeness of a point to a TIN (`Closeness`)."""
 
@@ -202,12 +206,12 @@ def _on_vertex(height: int, x: int, y: int, z: int, rule: LabelRule, bands: Band
 
 
 @kernel
-def _is_near(
+def _by_height(
     mesh: CheckedMesh, t: int, x: int, y: int, z: int, rule: LabelRule, bands: Bands
 ) -> tuple[bool, int, bool]:
-    """Return whether a point in triangle t is ground by its height, its closeness, and whether it is uncertified.
+    """Return whether the height of a point in triangle t makes it ground, and its closeness.
 
-    Triangle t may be a ghost.
+    The third result is whether both are uncertified. Triangle t may be a ghost.
     """
     vertices, triangles, uncertified = mesh
     is_uncertified = uncertified[t] != 0
@@ -249,7 +253,7 @@ def _label_by_height(
         if not _inside(facet, px, py):
             t = walk(vertices, triangles, px, py, as_int64(start_near(locator, x[i], y[i])))
             v = coincident_vertex(vertices, triangles, px, py, t)
-            if v >= 0:  # One point in ten is at a vertex. `_is_near` would locate it again.
+            if v >= 0:  # One point in ten is at a vertex. `locate` and `_by_height` would search again.
                 fits, close[i] = _on_vertex(as_int64(vertices[4 * v + 2]), px, py, pz, rule, bands)
                 labels[i] = GROUND if fits else UNCLASSIFIED
                 uncertified_labels[i] = uncertified[t] != 0
@@ -258,7 +262,7 @@ def _label_by_height(
                 facet = _facet(vertices, triangles, t, z_ratio)
             if is_ghost(triangles, t) or not _inside(facet, px, py):
                 t = locate(vertices, triangles, px, py, t)
-                terrain, close[i], uncertified_labels[i] = _is_near(mesh, t, px, py, pz, rule, bands)
+                terrain, close[i], uncertified_labels[i] = _by_height(mesh, t, px, py, pz, rule, bands)
                 labels[i] = GROUND if terrain else UNCLASSIFIED
                 continue
         distance = _distance(facet, px, py, pz, z_ratio)

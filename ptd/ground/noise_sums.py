@@ -19,8 +19,8 @@ MIN_SHARE = 0.005
 """Least share of planar patches among cells with enough points. In a wood the few planar patches do not show the
 noise."""
 SMOOTHEST_SHARE, SMOOTHEST_FACTOR = 0.05, 1.25
-"""Quantile of all quarters of patches and its factor, which give the noise of the smoothest patches, whatever stands on
-the ground."""
+"""Quantile of the noise of all quarters of patches, and the factor by which it is multiplied to estimate the noise of
+the smoothest patches, even where no ground is visible."""
 
 Int64 = npt.NDArray[np.int64]
 

@@ -23,7 +23,7 @@ class _Search(NamedTuple):
     Attributes
     ----------
     radius, depth : float
-        Radius in horizontal counts, and height difference in vertical counts from which on a point is far away.
+        Radius in horizontal counts, and height difference in vertical counts above which a point is far away.
     group : int
         Largest number of points near an outlier, itself included.
     both : bool

@@ -28,8 +28,15 @@ from ptd.ground.morphology import EMPTY, Bool, CellRaster
 from ptd.kernel import kernel
 
 _AREA, _FALLS, _OTHERS, _PAST, _UNSEEN, _BORDER = range(6)
-"""Columns of the counts of each surface: its cells, then its rays by result. From the last on there is one column per
-direction, for rays that leave the data."""
+"""Columns of the counts of each surface.
+
+- `_AREA`: cells.
+- `_FALLS`: rays that met lower ground.
+- `_OTHERS`: rays that met other ground.
+- `_PAST`: rays hidden by a roof found before.
+- `_UNSEEN`: rays that met no ground.
+- From `_BORDER` on: rays that leave the data, one column per direction.
+"""
 
 ROOF_CELL_M = 2.0
 """Size of the cells of ground from which surfaces are made. They bridge the gaps of sparse clouds."""
@@ -43,7 +50,7 @@ two flat roofs whose heights differ by a value in between would keep each other 
 terrain next to it. The last and smaller step separates them.
 """
 ROOF_GAP_M = 8.0
-"""Largest distance of neighbours on a surface, as parts of a roof lie among higher ones."""
+"""Largest distance of neighbours on a surface. Higher parts of a building may separate the parts of a roof."""
 ROOF_VIEW_M = 24.0
 """Length of the rays that search for other ground, beyond objects around a roof."""
 ROOF_SLOPE = 0.2
@@ -53,16 +60,17 @@ ROOF_BELOW_SHARE = 0.9
 ROOF_UNSEEN_SHARE = 0.6
 """Largest share of the rays around a roof that meet no ground (trees, walls of courtyards, the border of the data)."""
 CUT_SIZE = 0.6
-"""Part of the largest width for roofs that the border of the data cuts, as a terrace may continue there."""
+"""Factor of the largest width for roofs that the border of the data cuts. They may be terraces that continue beyond
+it."""
 
 BESIDE = 2
-"""Distance in cells from a roof found before within which a ray that meets no ground is left out, because this roof
-hides the ground."""
+"""A ray that meets no ground is not counted if a roof found before lies within this many cells of its start, because
+this roof hides the ground."""
 CUT = 0.02
 """Share of rays that leave the data above which the border of the data cuts a surface."""
 THROUGH = 3
-"""Number of rays that leave the data on each of two opposite sides from which on a surface is terrain: it continues
-through a narrow survey."""
+"""A surface is terrain if at least this many of its rays leave the data on each of two opposite sides, because it
+continues through a narrow survey."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +111,7 @@ class Plateaus:
     def of(
         cls, scale: Scale, widest_m: float, step_m: float = ROOF_FALL_M, cell_m: float = ROOF_CELL_M
     ) -> Self:
-        """Convert lengths in metres to the rule for roofs up to a width, whose neighbours differ by at most a step."""
+        """Return the rule for roofs up to a width, whose neighbouring cells differ by at most a step, from metres."""
 
         def cells(metres: float) -> int:
             return max(round(metres / cell_m), 1)
@@ -124,8 +132,9 @@ class Plateaus:
     def reach(self) -> int:
         """Distance in cells beyond which heights do not change the result.
 
-        The part within this distance of a surface that continues beyond it is already wider than `widest`, as its last
-        cell is at most `gap` from the limit. One further cell is for the edges (`on_plateaus`).
+        If a surface continues beyond this distance, its part within the distance is already wider than `widest`,
+        because the last cell of this part is at most `gap` cells from the limit. One further cell is for the edges
+        (`on_plateaus`).
         """
         return self.widest + max(self.gap, self.view) + 1
 
@@ -141,8 +150,9 @@ class _Rays(NamedTuple):
 def on_plateaus(z: Int32, ground: Bool, before: Bool, raster: CellRaster, rule: Plateaus) -> Bool:
     """Find the ground points on surfaces above their surroundings: bool [n].
 
-    These are all ground points in cells of such surfaces. The lowest point of a cell at their edges lies next to the
-    roof. There, points that are higher than it by more than `Plateaus.fall` are on the roof.
+    These are all ground points in cells of such surfaces. A cell next to such a surface can
+    contain both ground and roof, and its lowest point is the ground. Points more than `Plateaus.fall` above this point
+    are on the roof, too.
 
     Parameters
     ----------

@@ -41,7 +41,7 @@ def remaining_roofs(
 ) -> list[RemainingRoof]:
     """Find the connected surfaces of a terrain model that lie above their surroundings.
 
-    Heights farther than `reach_m` from a cell do not change whether it is on such a surface.
+    Each search depends on heights up to `reach_m` from a cell, and on the roofs found by the searches before.
 
     Parameters
     ----------
@@ -84,5 +84,5 @@ def _measured(piece: Bool, box: tuple[slice, ...], cell_m: float) -> RemainingRo
 
 
 def reach_m(cell_m: float = ROOF_CELL_M) -> float:
-    """Return the distance in metres beyond which heights do not change whether a cell is on a roof."""
+    """Return the distance in metres beyond which heights do not change the result of one search for roofs."""
     return (Plateaus.of(MILLIMETRES, MAX_WIDTH_M, cell_m=cell_m).reach + 1) * cell_m

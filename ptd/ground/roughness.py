@@ -3,10 +3,11 @@
 The paper averages nine patches picked by hand. Here patches are the cells of a lattice of `PATCH_M` anchored at CRS
 coordinate 0. A patch counts if it passes three tests:
 
-- *Many* points: at least `MIN_POINTS`, and `MIN_QUARTER` in each quarter of the cell. At least a share of `MIN_SHARE`
-  of such cells has to pass the other tests.
-- *Planar*: residuals are at most `MAX_SIGMA_M`, and none is beyond `MAX_RESIDUAL` times their root mean square.
-  Planes of the quarters leave at least `MIN_QUARTERS` of the variance, so a bend or a step is less than the noise.
+- *Many* points: at least `MIN_POINTS`, and `MIN_QUARTER` in each quarter of the cell. At least a share of
+  `MIN_SHARE` of all cells with `MIN_POINTS` has to pass the other tests.
+- *Planar*: the root mean square of the residuals is at most `MAX_SIGMA_M`, and none is beyond `MAX_RESIDUAL` times this
+  value. The residual variance of separate planes for the quarters is at least `MIN_QUARTERS` of that of the one plane,
+  so a bend or a step is less than the noise.
 - *Ground*: the plane is no steeper than 45 degrees, and no patch within `REACH_CELLS` cells lies more than `DROP_M`
   below it.
 
@@ -41,7 +42,7 @@ DROP_M = 2.0
 REACH_CELLS = 5
 REACH_M = PATCH_M * (REACH_CELLS + 1)
 """Margin around the core that a window needs so that `measure` gives the same result with any tiles."""
-CELL_POINTS = 12
+MIN_QUARTER_PLANE_POINTS = 12
 """Least number of points in a quarter of a patch for measuring its roughness by a plane."""
 TALLEST_M = 8.0
 """Largest height range of the points of a planar patch, which keeps the sums small."""
@@ -132,7 +133,7 @@ def _quarters(sums: Int64, z_ratio: float) -> Float64:
     for k in range(sums.shape[0]):
         for quarter in range(4):
             n = sums[k, quarter, 0]
-            if n < CELL_POINTS or sums[k, quarter, 9] == 0:
+            if n < MIN_QUARTER_PLANE_POINTS or sums[k, quarter, 9] == 0:
                 continue
             squares = fit_plane(sums[k, quarter], z_ratio)[3]
             if squares >= 0.0:
@@ -159,7 +160,7 @@ def _drop_bent(points: Xyz, slot: Int64, moments: _Moments, planes: Float64, z_r
 
 
 @kernel
-def _drop_raised(
+def _is_ground(
     keys: Int64,
     width: int,
     moments: _Moments,
@@ -169,7 +170,10 @@ def _drop_raised(
     drop: float,
     z_ratio: float,
 ) -> Bool:
-    """Return a mask of the patches of ground: no cell with many points around them has a mean far below their plane."""
+    """Return a mask of the patches that are ground.
+
+    A patch is not ground if the mean height of a nearby cell with many points is far below its plane.
+    """
     low = moments.low
     ground = planes[:, 3] >= 0.0
     for k in range(keys.size):
@@ -249,7 +253,7 @@ def patches(xyz: Int32, core: Window, scale: Scale) -> Patches:
     planes = _patches(moments, whole, tallest, scale.counts(MAX_SIGMA_M), ratio)
     _drop_bent(points, slot, moments, planes, ratio)
     size, drop = scale.counts(PATCH_M), scale.counts(DROP_M)
-    ground = _drop_raised(keys, width, moments, whole, planes, size, drop, ratio)
+    ground = _is_ground(keys, width, moments, whole, planes, size, drop, ratio)
     held = np.bincount(slot[inside], minlength=keys.size) if core.closed else whole[:, 0]
     quarters = _quarters(moments.sums[held > 0], ratio)
     quarters[quarters >= scale.counts(MAX_SIGMA_M)] = -1.0

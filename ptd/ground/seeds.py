@@ -12,9 +12,9 @@ from ptd.frame import CellLattice
 from ptd.ground.certificates import UncertifiedRegion
 
 RING = 2
-"""Width in cells of the ring of virtual seeds around occupied cells. A circle around or through a point of the data
-with a radius above sqrt(2) cells would contain a whole cell within two cells of the point, and so a seed. Therefore the
-circles that matter are bounded, and extend less than three cells from the data."""
+"""Width in cells of the ring of virtual seeds around occupied cells. A circle through or around a data point with a
+radius above sqrt(2) cells would contain a whole cell within two cells of the point, and so a seed. So an empty circle
+(one without vertices) has a radius of at most sqrt(2) cells and extends less than three cells from the data."""
 
 
 @dataclass(frozen=True)
@@ -49,9 +49,9 @@ def choose_seeds(
     x, y, z : int32 [n]
         Local counts. At least one point is eligible.
     eligible : bool [n]
-        Mask of the points that are not outliers.
+        Mask of the points that may be seeds.
     cells : CellLattice
-        Lattice of cells as wide as the largest building.
+        Lattice of the seed cells.
     region : UncertifiedRegion
         Uncertified region, to which cells with an uncertified seed are added.
     uncertified : bool [n], optional
@@ -133,7 +133,7 @@ def _add_uncertified_cells(
 
 
 def box_with_ring(x: Int32, y: Int32, cells: CellLattice) -> tuple[int, int, int, int]:
-    """Return west, south, east and north, in local counts, of all circles that can contain data (`RING`)."""
+    """Return west, south, east and north (local counts) of the box of all circles that can contain data (`RING`)."""
     c0, c1 = cells.column(int(x.min())), cells.column(int(x.max()))
     r0, r1 = cells.row(int(y.min())), cells.row(int(y.max()))
     margin = RING + 1

@@ -84,7 +84,7 @@ def test_nothing_is_in_doubt_where_everything_is_known() -> None:
     assert not region.mask.any()
 
 
-def uncertified(region: UncertifiedRegion, column: int, row: int) -> bool:
+def is_uncertified(region: UncertifiedRegion, column: int, row: int) -> bool:
     """Whether the middle of a cell is in doubt; no cell is so by half."""
     x, y = column * SIDE - region.west, row * SIDE - region.south
     step = SIDE // region.cell
@@ -99,23 +99,23 @@ def test_cells_in_doubt_at_a_closed_side(cut: int) -> None:
     row = [middle(c, 0, 10) for c in range(10) if c not in (2, 7)]
     _, region = choose(row, Window(cut, -OPEN, OPEN, OPEN))
     first = 0 if cut == 0 else 1
-    assert uncertified(region, first - 1, 0)
+    assert is_uncertified(region, first - 1, 0)
     for column in range(first, first + 8):
         empty = column in (2, 7)
-        assert uncertified(region, column, 0) == (empty and column < first + RING)
+        assert is_uncertified(region, column, 0) == (empty and column < first + RING)
         # Above the row all cells are empty: those near the side could get another height from a point beyond it.
-        assert uncertified(region, column, 1) == (column < first + RING)
-        assert uncertified(region, column, -2) == (column < first + RING)
+        assert is_uncertified(region, column, 1) == (column < first + RING)
+        assert is_uncertified(region, column, -2) == (column < first + RING)
 
 
 def test_cells_in_doubt_at_the_other_sides() -> None:
     points = [middle(c, r, 10) for c in range(8) for r in range(8) if (c, r) != (6, 5)]
     _, region = choose(points, Window(-OPEN, -OPEN, 8 * SIDE, 8 * SIDE - 1))
-    assert uncertified(region, 6, 5)
-    assert uncertified(region, 4, 7)
-    assert not uncertified(region, 7, 6)
-    assert uncertified(region, 8, 3)
-    assert not uncertified(region, -1, 3)
+    assert is_uncertified(region, 6, 5)
+    assert is_uncertified(region, 4, 7)
+    assert not is_uncertified(region, 7, 6)
+    assert is_uncertified(region, 8, 3)
+    assert not is_uncertified(region, -1, 3)
 
 
 def test_cells_that_may_lose_their_seed_are_in_doubt_and_so_are_empty_ones_around_them() -> None:
@@ -125,8 +125,8 @@ def test_cells_that_may_lose_their_seed_are_in_doubt_and_so_are_empty_ones_aroun
     uncertified = [x // SIDE == 4 or (x // SIDE == 5 and z == 10) for x, _, z in points]
     far = Window(-900 * SIDE, -OPEN, OPEN, OPEN)
     _, region = choose(points, far, uncertified=uncertified)
-    assert [column for column in range(12) if uncertified(region, column, 0)] == [4, 7]
-    assert [column for column in range(12) if uncertified(region, column, 1)] == [2, 3, 4, 5, 6, 7]
+    assert [column for column in range(12) if is_uncertified(region, column, 0)] == [4, 7]
+    assert [column for column in range(12) if is_uncertified(region, column, 1)] == [2, 3, 4, 5, 6, 7]
 
 
 def test_the_box_holds_three_cells_around_the_data() -> None:

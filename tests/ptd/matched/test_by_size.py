@@ -44,8 +44,8 @@ def test_cells_are_made_as_far_as_the_passes_after_them_see() -> None:
     assert reach <= SIZES_AROUND * PLACE_M
 
 
-@pytest.mark.parametrize("side", CELL_SIZES_M)
-def test_the_middle_of_a_cell_tells_its_side(size_m: float) -> None:
+@pytest.mark.parametrize("size_m", CELL_SIZES_M)
+def test_the_middle_of_a_cell_tells_its_size(size_m: float) -> None:
     xyz = np.random.default_rng(1).integers(0, 30_000, (3, 4000)).astype(np.int32)
     scale = Scale(origin=(-123_457, 77))
     cells = cell_heights(xyz, Window.everything(), scale, 0.05, size_m)
@@ -65,8 +65,8 @@ def test_boxes_are_told_on_both_sides_and_tiles_do_not_show() -> None:
     assert not marks.any()
 
 
-@pytest.mark.parametrize("side", CELL_SIZES_M)
-def test_a_place_gets_what_it_would_get_if_all_cells_had_its_side(
+@pytest.mark.parametrize("size_m", CELL_SIZES_M)
+def test_a_place_gets_what_it_would_get_if_all_cells_had_its_size(
     size_m: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     xyz, _ = strip(2)
