@@ -19,7 +19,8 @@ edge_length_reduce  L1: 5, an illustration     5 m      keeps the wide angle fro
 edge_length_stop    L2: 2, an illustration     0 (off)  the TIN would lose points without a gain
 rounds              none: until no point       8        later rounds are chains that climb roofs, and need wider
                     passes                              halos
-thin_cell           m: about the DTM's         1 m      half the time and memory, 0.03 points of error
+thin_cell           m: about the DTM's         1 m      halves time and memory, costs 0.03 percentage
+                                                        points of error
                     resolution (003)
 low_radius, _depth, TerraScan's low points,    5 m, 4 m, a depth of 1.5 m deletes courtyards
 low_group           no values                  5

@@ -1,8 +1,8 @@
 """Coarse-to-fine insertion order along a space-filling curve.
 
 Inserting along a curve alone keeps each walk short but makes slivers that are replaced again and again; a
-random order makes long walks. Taking every 2**k-th point of the curve, then the points halfway between
-these, and so on, has neither fault. The idea is that of the biased randomized insertion order (Amenta, Choi
+random order makes long walks. Taking every 4**k-th point of the curve, then the three points between each
+two of these, and so on, has neither fault. The idea is that of the biased randomized insertion order (Amenta, Choi
 and Rote, Incremental constructions con BRIO, 2003), here without random numbers.
 """
 

@@ -1,8 +1,8 @@
 """``auto``: decides the source of the cloud, and finds the ground of LiDAR and photogrammetric clouds differently.
 
-This is our own method and the default. It has one setting for all clouds and decides differences from the cloud. In
-photogrammetric clouds heights scatter to both sides and blunders lie below. So a robust height per cell, large objects
-classified as a whole, and a surface of limited curvature find the ground (`ptd.matched`).
+This is our own method and the default. The same settings serve all clouds, and the method derives all differences from
+the cloud itself. In photogrammetric clouds heights scatter to both sides and blunders lie below. So a robust height per
+cell, large objects classified as a whole, and a surface of limited curvature find the ground (`ptd.matched`).
 
 The passes below are for LiDAR clouds and work on the lowest point of each cell of 1 m. They find morphological seeds,
 densify in a few rounds, and remove what still rises like an object. ``docs/filters.md`` has figures, the reasons for
@@ -30,22 +30,23 @@ label
 parameter             origin                      default   reason
 ====================  ==========================  ========  ============================================================
 max_building_size     Chen 2023; Zhang 2003       36 m      wide enough for halls of towns; wider openings cut hill tops
-thin_cell             as `classic`                1 m       the terrain's detail; noise of dense clouds averages to its
-                                                            lower side
+thin_cell             as `classic`                1 m       the terrain's detail; the lowest of many points lies at the
+                                                            lower side of the noise everywhere
 low_radius, _depth,   as `classic`                5 m, 4 m, larger groups are not noise of a laser
 low_group                                         5
-seed_rise, _slope     Pingel 2013 (slope, scale)  0.06, 0.2 ground that rises by 0.06 beside flat ground is kept; a
-                                                            fifth of the slope more on slopes
+seed_rise, _slope     Pingel 2013 (slope, scale)  0.06, 0.2 keeps ground that rises by 0.06 m per m next to flat
+                                                            ground, and by a fifth of the slope more on slopes
 rounds                ours                        4         more rounds change little and need wider halos
 iteration_distance,   as `classic`                1.4 m,    the seeds are dense already: L1 keeps the angle small there
 _angle, edge_length_                              28 deg,
 reduce                                            5 m
 object_size, _rise    ours                        12 m, 0.1 wider objects were found before; lower ones are within the
-                                                            height of the last pass
+                                                            floor of the last pass
 roof_size             ours                        200 m     the largest halls, except those of industry
-label_floor           as `classic`                0.24 m    below 1 point/m2: rough ground between sparse points against
-                                                            low plants; from 2 on 0.12 m, or 0.05 m and three times
-                                                            the noise given by the user, up to this
+label_floor           as `classic`                0.24 m    below 1 point/m2, a compromise between rough ground between
+                                                            sparse points and low plants; from 2 points/m2 on
+                                                            0.12 m, or 0.05 m plus three times the user's noise if
+                                                            that is more, but at most this value
 label_slope           ours                        1 m       the spacing of the points on a slope; half of it from 2
                                                             points/m2 on
 refine                ours                        yes       photogrammetric clouds: `ptd.matched.last_look`

@@ -23,7 +23,8 @@ RING_M = 20.0
 ROUND_HALO_M = 8.0
 """Distance by which the uncertified region grows in a round; it seldom grows farther."""
 TERRAIN_ANGLE_DEG = 88.0
-"""Steepest terrain of the facet test, as in all methods; 60 or 90 degrees change the mean by 0.01 points."""
+"""Steepest terrain of the facet test, as in all methods; 60 or 90 degrees change the mean error by 0.01
+percentage points."""
 REGROWTH = 0.5
 """Share of the iteration distance and angle within which the last TIN adds edges of banks that were removed with
 objects. Shares of 0.3 and 0.7 gain less; with 0.7, low roofs and shrubs return as well."""
@@ -64,7 +65,7 @@ class Rise:
     per_slope : float
         Extra drop allowed per unit of slope.
     enough : float
-        Share of objects around from which on `LACK` does not matter.
+        Share of objects around at and above which `LACK` does not matter.
     """
 
     drop_m: float
@@ -75,7 +76,8 @@ class Rise:
 LACK = 2.0
 """Extra rise allowed where no objects are around, as a bump is more likely terrain there."""
 OBJECTS = Rise(drop_m=0.2, per_slope=0.2, enough=0.3)
-"""Limits among all cells. A drop below 0.2 m is within the height of the last pass."""
+"""Limits among all cells. A drop below 0.2 m is less than the largest distance of ground from the TIN in the
+last pass."""
 BUMPS = Rise(drop_m=0.1, per_slope=0.4, enough=0.1)
 """Limits among the remaining cells of ground. Their mean no longer contains removed objects, so a smaller drop is
 allowed, but more per unit of slope."""
@@ -90,8 +92,8 @@ class AutoParameters:
         "stay in the terrain, lower it if hill tops are cut off", unit="m", minimum=2.0, maximum=1000.0,
     )  # fmt: skip
     thin_cell_m: float = parameter(
-        1.0, "the lowest point of a cell of this size decides for the cell; about the detail of the terrain", unit="m",
-        minimum=0.1, maximum=100.0,
+        1.0, "the lowest point of a cell of this size decides for the cell; choose about the size of the smallest "
+        "terrain features", unit="m", minimum=0.1, maximum=100.0,
     )  # fmt: skip
     low_radius_m: float = like(Progressive, "low_radius_m")
     low_depth_m: float = like(Progressive, "low_depth_m")

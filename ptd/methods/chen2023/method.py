@@ -9,11 +9,11 @@ parameter            paper's name                default   reason
 max_building_size    max building size           30 m      000's value (003: 20, which leaves a hall of sample 22)
 initial_window       initial window size, W_0    1         the finest steps separate small drops from large ones
 terrain_angle        max terrain angle           88 deg    as `classic`
-rounds               number of iterations        4         the seeds are dense: more rounds change 0.05 points of
-                                                           error and need wider halos
+rounds               number of iterations        4         the seeds are dense: more rounds change 0.05 percentage
+                                                           points of error and need wider halos
 iteration_angle      iterator angle              25 deg    as `classic`
 iteration_distance   iterator distance           1.4 m     as `classic`
-exponential_windows  equation 2 for 1            off       fewer windows, more error: with wide steps the thresholds
+exponential_windows  equation 2 instead of 1     off       fewer windows, more error: with wide steps the thresholds
                                                            let low roofs pass or cut hill tops
 thin_cell            c                           1 m       as `classic`
 terrain_slope        s                           0.3       17 degrees; with c = 1 m and W_0 = 1 ground may drop by
@@ -25,7 +25,8 @@ tail_gap, _share     thresholds seen in a plot   20 m,     so few candidates bey
                                                  0.001     terrain
 low_radius, _depth   "surrounding points"        5 m, 4 m  as `classic`
 low_group            correction by hand          5         as `classic`: low groups, which are not isolated
-long_side            "larger side length"        1.5       largest buildings: about the diagonal of a removed one
+long_side            "larger side length"        1.5       times max_building_size: about the diagonal of the
+                                                           largest building that is removed
 narrow_angle         "narrow"                    15 deg    facets that climb a storey within 0.7 m are narrower
 cluster_seeds        "small"                     50        a small building
 prominence           "locally prominent"         1 m       densification would bring back lower clusters

@@ -1,9 +1,9 @@
 """Progressive morphological opening of a minimum raster, which finds cells of objects (Chen 2023, 2.2 B).
 
-The paper opens the surface repeatedly with growing square windows, each time the result of the last opening. An opening
-with a square after one with a smaller square equals the opening of the first surface with the larger square, because a
-square is a union of smaller ones. So each surface here is an opening of the first one, and only cells within one
-window's width decide on a cell, however many windows there are.
+The paper opens the surface with growing square windows, and each opening starts from the result of the last one. An
+opening with a square after one with a smaller square equals the opening of the first surface with the larger square,
+because a square is a union of smaller ones. So each surface here is an opening of the first one, and only cells within
+one window's width decide on a cell, however many windows there are.
 """
 
 from __future__ import annotations

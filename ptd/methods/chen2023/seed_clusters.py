@@ -77,7 +77,7 @@ def _highest(vertices: Int32Array, facet: Int32Array) -> int:
 def _judge_facets(
     vertices: Int32Array, facets: Int32Array, real: Bool, long_side: float, narrow_cos: float, z_ratio: float
 ) -> tuple[Int32Array, Bool]:
-    """The corner of each facet that is noise (-1: none), and whether a facet joins its corners to a cluster."""
+    """Return, for each facet, the corner that is noise (-1: none), and whether it joins its corners to a cluster."""
     tips = np.full(facets.shape[0], -1, np.int32)
     joins = np.zeros(facets.shape[0], np.bool_)
     for i in range(facets.shape[0]):
@@ -122,7 +122,7 @@ def _sums(
 ) -> tuple[Int64, Int64, Int64, Int64]:
     """Return, by cluster, the number and the sum of heights of its seeds and of neighbours across its border.
 
-    A neighbour counts once per facet.
+    A neighbour counts once per facet and corner of the cluster in it.
     """
     n = clusters.size
     size, total = np.zeros(n, np.int64), np.zeros(n, np.int64)
@@ -142,15 +142,16 @@ def _sums(
 
 
 def noisy_seeds(tin: Tin, real: Bool, limits: ClusterLimits, uncertified: UInt8) -> tuple[Bool, Bool]:
-    """Masks of the seeds that are noise, and of those for which that is uncertain.
+    """Return masks of the seeds that are noise, and of those for which that is uncertified.
 
     1. If a facet has an over-long side in space, its highest corner is noise. All facets are judged in one TIN.
     2. Facets that are not narrow and hold no such noise join their corners to clusters. A small cluster that lies
        higher than its neighbours, on average, is noise.
 
     The paper gives neither the limits nor the reference of "locally prominent". Here it is the mean height of the seeds
-    that share a facet with the cluster, each counted once per facet. Facets join over common corners, so each seed
-    belongs to one cluster. Virtual seeds are never noise, join nothing, and are not compared with.
+    that share a facet with the cluster, each counted once per facet and corner of the cluster in it. Facets join over
+    common corners, so each seed belongs to one cluster. Virtual seeds are never noise, join nothing, and are not
+    compared with.
 
     Parameters
     ----------

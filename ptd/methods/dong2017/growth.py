@@ -30,14 +30,14 @@ class Stage(NamedTuple):
     Attributes
     ----------
     cell_m : float
-        Side in metres of the cells. Each cell with ground gives one vertex.
+        Size of the cells in metres. Each cell with ground gives one vertex.
     widest_m : float
         Largest circumradius of a facet that tests points.
     tins : int
         Number of TINs, one after the other.
     rim : bool
-        Whether virtual points surround the ground, so that it grows outward too. Without them, each cell holds one
-        ground point.
+        Whether virtual points surround the ground, so that it grows outward too. Without them, each cell must
+        contain at most one ground point.
     """
 
     cell_m: float

@@ -21,7 +21,7 @@ NOISE_QUANTILE = 1.65
 
 
 @kernel
-def _overhung(
+def _too_high(
     points: Xyz,
     table: CellTable,
     cells: tuple[Int64, Int64],
@@ -77,4 +77,4 @@ def on_podium(
     index = CellIndex(x, y, CellLattice.of(radius_m, scale))
     noise = NOISE_QUANTILE * math.sqrt(2.0) * scale.counts(sigma_m)
     cells, radius = index.cell_indices(x, y), scale.counts(radius_m)
-    return _overhung(Xyz(x, y, z), index.table, cells, radius, slope, noise, scale.z_ratio)
+    return _too_high(Xyz(x, y, z), index.table, cells, radius, slope, noise, scale.z_ratio)

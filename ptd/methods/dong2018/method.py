@@ -48,7 +48,7 @@ Figures are in ``docs/filters.md``. Deviations, and answers to questions that th
   photogrammetric clouds have a blunder below the ground under nearly every cell.
 - "Until the TIN's density passes DEN_thr" is decided facet by facet. In batches, the mean density of a run would pass
   it in the first round, before slopes and corners are reached.
-- If no point passes before the TIN is so dense, stage two follows too, because noise ended stage one.
+- If densification ends before the TIN reaches DEN_thr, stage two follows as well, because noise ended stage one.
 - Points are thinned in stage one, so that the TIN can just pass DEN_thr. A thinning cell that cannot reach it is
   refused.
 - A random choice is a hash of the point's absolute position. Facets of a circumradius above 20 m test no points in
@@ -73,7 +73,8 @@ from ptd.methods.dong2018.stage_two import JoinPass, MeasurePass
 from ptd.passes import Method, Pass
 
 STAGE_ONE_ALONE = (
-    "dong2018: such heights are too sparse and too good for noise to matter, so there is no stage two"
+    "dong2018: robust heights of cells are too sparse and too accurate for noise to matter, so there is no "
+    "stage two"
 )
 """Note for runs on a photogrammetric cloud."""
 

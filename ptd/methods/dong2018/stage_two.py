@@ -19,7 +19,7 @@ from ptd.methods.dong2018.stage_one import with_notes
 from ptd.passes import Model, Pass, Points, State, StatisticsModel, UInt8
 
 JOINED = 4
-"""Label of points that joined at the last scale; other labels between passes are ASPRS classes."""
+"""Label of points that joined at the most recent scale; other labels between passes are ASPRS classes."""
 
 
 @dataclass(frozen=True)

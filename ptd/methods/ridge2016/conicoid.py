@@ -31,8 +31,8 @@ MIN_NEIGHBOURS = 10
 DEPENDENT = 1e-6
 """Smallest share of a column that has to be independent of the other columns.
 
-Otherwise the conicoid is undetermined. In the same way, the fit must leave this share of a seed's own height open, or
-there is no residual. In both cases the seed stays.
+Otherwise the conicoid is undetermined. If 1 - leverage of the seed is at most this share, its own height determines
+the fit, and there is no residual. In both cases the seed stays.
 """
 
 
@@ -47,7 +47,7 @@ def _gather(
     n: int,
     uncertified: UInt8,
 ) -> tuple[int, bool]:
-    """Append the new data vertices around v to the n found before, relative to the centre.
+    """Append the data vertices around v that were not yet found for this centre to the n found before.
 
     Returns the new number, and whether a triangle around v is uncertified.
     """

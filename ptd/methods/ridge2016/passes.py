@@ -130,7 +130,7 @@ class GrowthModel(TinLabels):
         for k, step in enumerate(islice(prepared.rounds(), self._gained.size)):
             self._codes[step.vertex & (self._codes == UNCLASSIFIED)] = SEED + k
             if k == 0 or self._gained[k - 1] > enough:
-                # Rounds that are not run would add no points, and leave the uncertain points as they are.
+                # Fill `_unsure` up to the end, because rounds that are not run would not change these points.
                 self._gained[k], self._unsure[k:] = tally.count(step.tin, step.uncertified)
             done = k + 1
         return done
@@ -194,7 +194,8 @@ class TerrainModel(TinLabels):
         region = UncertifiedRegion(known, known.inside(cells, RING), box_with_ring(x, y, cells), scale)
         virtual = choose_seeds(x, y, z, np.ones(x.size, np.bool_), cells, region).virtual
         vertices = points.take((labels >= SEED) & (labels < SEED + rounds)).columns()
-        if rounds > 1:  # all seeds are vertices, however close together
+        # In the first TIN all seeds are vertices, also several per cell. Later TINs have one per cell.
+        if rounds > 1:
             lowest = lowest_per_cell(*vertices, thin)
             vertices = vertices[0][lowest], vertices[1][lowest], vertices[2][lowest]
         tin = Tin.build(*(np.concatenate([c, v]) for c, v in zip(vertices, virtual.T, strict=True)))

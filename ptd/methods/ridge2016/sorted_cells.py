@@ -11,7 +11,7 @@ from ptd.frame import CellLattice
 from ptd.kernel import as_int64, kernel
 
 SMALL_STACK = 24
-"""Largest number of points that insertion alone sorts faster."""
+"""Largest stack for which insertion sort alone is faster."""
 
 
 @kernel

@@ -214,7 +214,8 @@ def densify_thinned(
     limits : FacetLimits
         Thresholds with which a point is terrain.
     region : UncertifiedRegion
-        Uncertified region, to which the points are added that points outside the window could make vertices or not.
+        Uncertified region, to which the points are added whose becoming a vertex depends on points outside the
+        window.
 
     Yields
     ------
