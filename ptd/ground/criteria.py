@@ -10,7 +10,7 @@ import math
 from typing import NamedTuple
 
 from ptd.frame import Scale
-from ptd.ground.certificates import CheckedMesh
+from ptd.ground.certificates import UInt8
 from ptd.kernel import as_int64, kernel
 from ptd.tin.interpolation import canonical_facet
 from ptd.tin.layout import Int32Array, is_ghost
@@ -19,6 +19,8 @@ from ptd.tin.predicates import lexicographic_less
 
 Measures = tuple[float, float, float, float]
 """Result of `facet_measures`."""
+Point = tuple[int, int, int]
+"""x, y and z in local counts."""
 
 
 class FacetLimits(NamedTuple):
@@ -169,7 +171,7 @@ def across(vertices: Int32Array, triangles: Int32Array, t: int, x: int, y: int) 
 
 @kernel
 def accepts(
-    mesh: CheckedMesh, t: int, x: int, y: int, z: int, limits: FacetLimits
+    vertices: Int32Array, triangles: Int32Array, uncertified: UInt8, t: int, point: Point, limits: FacetLimits
 ) -> tuple[bool, bool, bool]:
     """Test a point in the real triangle t by Axelsson's criteria.
 
@@ -184,20 +186,28 @@ def accepts(
     is_uncertified : bool
         Whether the result depends on an uncertified triangle.
     """
-    vertices, triangles, uncertified = mesh
+    x, y, z = point
     v = coincident_vertex(vertices, triangles, x, y, t)
     if v >= 0:
         return z == vertices[4 * v + 2], False, uncertified[t] != 0
     beside = across(vertices, triangles, t, x, y)
     is_uncertified = uncertified[t] != 0 or uncertified[beside] != 0
     measures = facet_measures(vertices, triangles, t, x, y, z, limits.z_ratio)
-    passed, mirrored, mirror_is_uncertified = judge(mesh, t, x, y, z, measures, limits)
+    passed, mirrored, mirror_is_uncertified = judge(
+        vertices, triangles, uncertified, t, point, measures, limits
+    )
     return passed, mirrored or beside != t, is_uncertified or mirror_is_uncertified
 
 
 @kernel
 def judge(
-    mesh: CheckedMesh, t: int, x: int, y: int, z: int, measures: Measures, limits: FacetLimits
+    vertices: Int32Array,
+    triangles: Int32Array,
+    uncertified: UInt8,
+    t: int,
+    point: Point,
+    measures: Measures,
+    limits: FacetLimits,
 ) -> tuple[bool, bool, bool]:
     """Test a point that is not at a vertex, like `accepts`, from its `facet_measures`.
 
@@ -210,7 +220,7 @@ def judge(
     is_uncertified : bool
         Whether a triangle at the mirrored position is uncertified.
     """
-    vertices, triangles, uncertified = mesh
+    x, y, z = point
     distance, nearest, cos2, edge = measures
     if edge < limits.stop_edge:
         return False, False, False

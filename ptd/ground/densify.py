@@ -80,7 +80,7 @@ def _test_round(
         if is_ghost(triangles, t):
             uncertified_points[i] = uncertified_points[i] or uncertified[t] != 0
             continue
-        passed, elsewhere, is_uncertified = accepts(mesh, t, px, py, pz, limits)
+        passed, elsewhere, is_uncertified = accepts(vertices, triangles, uncertified, t, (px, py, pz), limits)
         again[i] = elsewhere
         uncertified_points[i] = uncertified_points[i] or is_uncertified
         if passed:

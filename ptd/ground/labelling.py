@@ -10,7 +10,7 @@ import numpy.typing as npt
 
 from ptd.cells import Xyz
 from ptd.ground.certificates import CheckedMesh, UInt8
-from ptd.ground.criteria import FacetLimits, across, facet_measures, judge
+from ptd.ground.criteria import FacetLimits, Point, across, facet_measures, judge
 from ptd.ground.outliers import LowNoise
 from ptd.kernel import as_int64, inlined, kernel
 from ptd.passes import Model, Points
@@ -35,7 +35,13 @@ FAR, CROP, NEAR, ON = 0, 1, 2, 3
 
 @kernel
 def is_terrain(
-    mesh: CheckedMesh, t: int, x: int, y: int, z: int, limits: FacetLimits, floor: float
+    vertices: Int32Array,
+    triangles: Int32Array,
+    uncertified: UInt8,
+    t: int,
+    point: Point,
+    limits: FacetLimits,
+    floor: float,
 ) -> tuple[bool, bool, bool]:
     """Apply the rule of `label_points` to a point in triangle t, which may be a ghost.
 
@@ -47,7 +53,7 @@ def is_terrain(
     is_uncertified : bool
         Whether the result depends on an uncertified triangle.
     """
-    vertices, triangles, uncertified = mesh
+    x, y, z = point
     is_uncertified = uncertified[t] != 0
     if is_ghost(triangles, t):
         return False, False, is_uncertified
@@ -59,7 +65,9 @@ def is_terrain(
     measures = facet_measures(vertices, triangles, t, x, y, z, limits.z_ratio)
     if abs(measures[0]) <= floor:
         return True, beside != t, is_uncertified
-    passed, mirrored, mirror_is_uncertified = judge(mesh, t, x, y, z, measures, limits)
+    passed, mirrored, mirror_is_uncertified = judge(
+        vertices, triangles, uncertified, t, point, measures, limits
+    )
     return passed, mirrored or beside != t, is_uncertified or mirror_is_uncertified
 
 
@@ -207,13 +215,19 @@ def _on_vertex(height: int, x: int, y: int, z: int, rule: LabelRule, bands: Band
 
 @kernel
 def _by_height(
-    mesh: CheckedMesh, t: int, x: int, y: int, z: int, rule: LabelRule, bands: Bands
+    vertices: Int32Array,
+    triangles: Int32Array,
+    uncertified: UInt8,
+    t: int,
+    point: Point,
+    rule: LabelRule,
+    bands: Bands,
 ) -> tuple[bool, int, bool]:
     """Return whether the height of a point in triangle t makes it ground, and its closeness.
 
     The third result is whether both are uncertified. Triangle t may be a ghost.
     """
-    vertices, triangles, uncertified = mesh
+    x, y, z = point
     is_uncertified = uncertified[t] != 0
     if is_ghost(triangles, t):
         return False, FAR, is_uncertified
@@ -262,7 +276,9 @@ def _label_by_height(
                 facet = _facet(vertices, triangles, t, z_ratio)
             if is_ghost(triangles, t) or not _inside(facet, px, py):
                 t = locate(vertices, triangles, px, py, t)
-                terrain, close[i], uncertified_labels[i] = _by_height(mesh, t, px, py, pz, rule, bands)
+                terrain, close[i], uncertified_labels[i] = _by_height(
+                    vertices, triangles, uncertified, t, (px, py, pz), rule, bands
+                )
                 labels[i] = GROUND if terrain else UNCLASSIFIED
                 continue
         distance = _distance(facet, px, py, pz, z_ratio)
@@ -290,7 +306,9 @@ def _label(
         ):
             labels[i], uncertified_labels[i] = UNCLASSIFIED, uncertified[t] != 0
             continue
-        terrain, _, uncertified_labels[i] = is_terrain(mesh, t, px, py, pz, rule.limits, rule.floor)
+        terrain, _, uncertified_labels[i] = is_terrain(
+            vertices, triangles, uncertified, t, (px, py, pz), rule.limits, rule.floor
+        )
         labels[i] = GROUND if terrain else UNCLASSIFIED
     return labels, uncertified_labels
 

@@ -52,7 +52,9 @@ def _test_stacks(
                 if is_ghost(triangles, t):
                     is_uncertified = is_uncertified or uncertified[t] != 0
                 else:
-                    passed, _, result_is_uncertified = accepts(mesh, t, x[i], y[i], z[i], limits)
+                    passed, _, result_is_uncertified = accepts(
+                        vertices, triangles, uncertified, t, (x[i], y[i], z[i]), limits
+                    )
                     is_uncertified = is_uncertified or result_is_uncertified
             if passed and lowest < 0:
                 lowest = i
@@ -138,7 +140,9 @@ def _tally(
             is_uncertified = uncertified[t] != 0
         else:
             t = locate(vertices, triangles, x[i], y[i], t)
-            is_now, again[i], is_uncertified = is_terrain(mesh, t, x[i], y[i], z[i], limits, floor)
+            is_now, again[i], is_uncertified = is_terrain(
+                vertices, triangles, uncertified, t, (x[i], y[i], z[i]), limits, floor
+            )
             n_gained += is_now and not terrain[i]
             terrain[i] = is_now
         home[i] = t

@@ -45,7 +45,7 @@ def judge(
     """Passed, elsewhere, is uncertified."""
     uncertified = np.array([t in uncertified_facets for t in range(tin.n_triangles)], np.uint8)
     t = triangle_at(tin, x, y)
-    return accepts(CheckedMesh(*tin.mesh, uncertified), t, *in_counts(x, y, z), limits(**values))
+    return accepts(*CheckedMesh(*tin.mesh, uncertified), t, in_counts(x, y, z), limits(**values))
 
 
 # Equilateral, 10 m in plan to within a millimetre; the middle is 5774 mm from each corner.
@@ -100,7 +100,7 @@ def test_on_a_vertex_only_the_vertex_passes(z: int, passed: bool) -> None:
     for t in range(tin.n_triangles):
         if 0 in (tin.vertices[v, :2].any() for v in corners_of(tin, t) if v >= 0) and not outside(tin, t):
             mesh = CheckedMesh(*tin.mesh, np.zeros(tin.n_triangles, np.uint8))
-            found.add(accepts(mesh, t, *in_counts(0, 0, z), limits()))
+            found.add(accepts(*mesh, t, in_counts(0, 0, z), limits()))
     assert found == {(passed, False, False)}
 
 

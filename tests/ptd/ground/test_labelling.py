@@ -139,6 +139,6 @@ def test_heights_are_judged_as_point_by_point(seed: int) -> None:
     for label, mark, x, y, z in zip(labels, marked, *points, strict=True):
         t = triangle_at(tin, int(x), int(y))
         on_a_vertex = (tin.vertices[:, :2] == (x, y)).all(axis=1).any()
-        near, _, is_uncertified = _by_height(mesh, t, int(x), int(y), int(z), rule, bands)
+        near, _, is_uncertified = _by_height(*mesh, t, (int(x), int(y), int(z)), rule, bands)
         assert label == (2 if near else 1)
         assert on_a_vertex or mark == is_uncertified  # on a vertex any of its triangles may have a say
