@@ -177,6 +177,11 @@ def accepts(
 
     At the position of a vertex, t may be any of its triangles, and only a point at the vertex's height passes.
 
+    Parameters
+    ----------
+    uncertified : uint8 [triangles]
+        Mask of uncertified triangles (`ptd.ground.certificates.UncertifiedRegion.triangles`).
+
     Returns
     -------
     passed : bool

@@ -1,4 +1,4 @@
-"""Box means and slopes at selected cells of a raster, any cell of which may be empty."""
+"""Box means and slopes at selected cells of a raster that may have empty cells."""
 
 from __future__ import annotations
 

@@ -20,8 +20,8 @@ from ptd.tin.location import locate
 from ptd.tin.mesh import Tin
 
 MAX_CIRCUMRADIUS_M = 30.0
-"""Largest circumradius of a facet that gives the height of the ground. Voids up to twice this radius wide
-are spanned."""
+"""Largest circumradius of a facet that gives the height of the ground. Voids up to twice this radius wide are
+spanned."""
 ANY_EDGE = 2**62
 """Square of a length that no edge reaches."""
 

@@ -6,7 +6,7 @@ surface joins in one of three cases:
 - It lies on the plane through the ground cells next to it. Objects on the ground rise from it at a wall, so they do not
   lie on the plane of the cells next to them.
 - It is level with the ground cells that touch it. At the top of a bank the plane of the bank passes above the level
-  cells behind its edge, and there are too few level cells for a plane of their own.
+  cells behind its edge, and there are too few level cells to define another plane.
 - It is terrain as a whole (`ptd.matched.objects`) and lies between ground cells on opposite sides and below the upper
   one. The faces of banks do not lie on a plane either.
 """

@@ -37,8 +37,8 @@ ALL_FALLS, FALL_LEAST = 0.9, 0.4
 objects found before, and `FALL_LEAST` of all rim cells. Such a surface may lie near the hull, as halls may be too wide
 for it."""
 CUT_NEAR = 0.5
-"""Share of cells near the hull from which a surface is not an object if its rim falls nearly everywhere but is partly
-the border of the data: the fall may be a quay or a bank."""
+"""A surface whose rim falls nearly everywhere, but is partly the border of the data, is not an object from this share
+of cells near the hull on: the fall may be a quay or a bank."""
 AREA_M2 = 40.0
 """Area of the smallest object that is classified as a whole; less stiff hulls pass below smaller ones."""
 MAX_WIDTH_M = 200.0

@@ -22,7 +22,7 @@ LIMIT = 2**30
 
 @kernel
 def _keep_lowest(lowest: Int32, values: Int32, first: int) -> None:
-    """For each column, insert a value into its sorted list of lowest values; row 0 has the lowest.
+    """Insert one value per column into its sorted list of lowest values. Row 0 has the lowest.
 
     The rows before ``first`` must not be higher than the values. ``values`` is changed.
     """

@@ -32,8 +32,8 @@ WIDE_SHARE, STANDING = 0.05, 100
 Missing penetration is evidence against it only if at least this many wide cells have a gap.
 
 The share is 0.054 to 0.33 in LiDAR clouds with plants, thinned to 1 to 3 points/m2, and 0 to 0.047 in photogrammetric
-clouds except wooded cliffs (0.06 to 0.12). Fewer gaps may come from walls alone, so there may be no
-plants to penetrate. Sparse LiDAR clouds of single returns are common, so a lack of gaps is weak evidence for LiDAR.
+clouds except wooded cliffs (0.06 to 0.12). Fewer gaps may come from walls alone, without any plants to penetrate.
+Sparse LiDAR clouds of single returns are common, so a lack of gaps is weak evidence for LiDAR.
 """
 SPARSE_LASER_SIGMA_M, FLAT = 0.04, 10
 """Low noise is evidence for LiDAR in a sparse cloud: flat patches have at most this noise, and there are this many.

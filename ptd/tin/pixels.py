@@ -71,8 +71,8 @@ def settle_marks(marks: UInt8Array) -> None:
     """Replace the bits of each pixel by its final mark: 1 if unknown data could change it, else 0.
 
     The circle of a facet that passes reaches at most twice `max_radius` from its pixel, and may hold unknown data. A
-    pixel without such a facet could get one from unknown data. But the corners of that facet would be no farther from
-    the pixel than the length of its longest edge. If all of them were known, the circle would be empty of known data
+    pixel without such a facet could get one from unknown data. But the corners of that facet would lie at most the
+    length of its longest edge from the pixel. If all of them were known, the circle would be empty of known data
     too, and the facet would be a triangle of this TIN. So a smaller reach suffices there.
     """
     for row in range(marks.shape[0]):

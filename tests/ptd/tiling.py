@@ -43,7 +43,11 @@ def classify_tiled(
     """
     n = len(points)
     labels, marks = np.zeros(n, np.uint8), np.zeros(n, bool)
-    elected, codes, doubts = Points(np.zeros((3, 0), np.int32)), np.zeros(0, np.uint8), np.zeros(0, bool)
+    elected, codes, uncertified_codes = (
+        Points(np.zeros((3, 0), np.int32)),
+        np.zeros(0, np.uint8),
+        np.zeros(0, bool),
+    )
     state: dict[str, Any] = {"run": asdict(RunHints(sigma_m, kind))}
     for number, step in enumerate(params.passes):
         if not step.applies(state):
@@ -77,16 +81,16 @@ def classify_tiled(
                 around = np.flatnonzero(inside(given, wide) & ~inside(given, core))
                 got, uncertified = model.label(given.take(np.concatenate([own, around])))
                 found[own], is_uncertified[own] = got[: own.size], uncertified[: own.size]
-                before = doubts if step.elected else marks
+                before = uncertified_codes if step.elected else marks
                 is_uncertified[own] |= "labels" in step.columns and bool(before[seen].any())
         if step.elects:
             elected = Points(np.concatenate([part.xyz for part in made], axis=1))
-            codes, doubts = np.zeros(len(elected), np.uint8), np.zeros(len(elected), bool)
+            codes, uncertified_codes = np.zeros(len(elected), np.uint8), np.zeros(len(elected), bool)
             if step.gives_labels:
                 both = np.concatenate([part.known_labels() for part in made])
-                codes, doubts = both & ~MARK, both >= MARK
+                codes, uncertified_codes = both & ~MARK, both >= MARK
         elif step.gives_labels and of_elected:
-            codes, doubts = found, is_uncertified
+            codes, uncertified_codes = found, is_uncertified
         elif step.gives_labels:
             labels, marks = found, is_uncertified
         state = step.reduce(partials, state)

@@ -176,7 +176,7 @@ class ChenModel(TinLabels):
         ring: Int32,
         region: UncertifiedRegion,
     ) -> npt.NDArray[np.intp]:
-        """Step 4: return the seeds that are noise. Positions where that is uncertain become uncertified."""
+        """Step 4: return the seeds that are noise. Positions of seeds for which this is open become uncertified."""
         vx, vy = (np.ascontiguousarray(tin.vertices[:, axis]) for axis in (0, 1))
         # Seeds share no position with one another, nor with the ring, which lies in cells without seeds.
         real = np.isin(position_keys(vx, vy), position_keys(ring[:, 0], ring[:, 1]), invert=True)

@@ -75,7 +75,7 @@ def last_round(points: int, gained: list[int], unsure: list[int], growth: float)
     gained : list of int
         Points that joined in each round.
     unsure : list of int
-        Points near the edge of a tile whose label is uncertain after each round.
+        Points near the edge of a tile whose label is uncertified after each round.
     growth : float
         p_min of equation 11.
     """
@@ -153,7 +153,7 @@ class GrowthModel(TinLabels):
         return {"points": self._points, "gained": self._gained.tolist(), "unsure": self._unsure.tolist()}
 
     def uncertain(self) -> int:
-        """Number of points whose label is uncertain after some round."""
+        """Number of points whose label is uncertified after some round."""
         return int(self._unsure.max(initial=0))
 
 

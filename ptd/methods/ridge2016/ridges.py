@@ -179,7 +179,7 @@ def _ridge_points(
     raster: StackIndex,
     known: tuple[int, int, int, int],
 ) -> tuple[Int32, Bool, Bool]:
-    """Ridge point of each facet that is or may be a ridge, whether it is uncertain, whether it is a ridge."""
+    """Ridge point of each facet that is or may be a ridge, whether it is uncertified, whether it is a ridge."""
     vertices, triangles = mesh
     x, y, z = stacks
     west, south, east, north = known

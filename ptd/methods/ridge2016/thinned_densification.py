@@ -114,7 +114,7 @@ def _tally(
 ) -> tuple[int, int]:
     """Label the points whose triangle changed.
 
-    Returns the number of new terrain points, and of all points whose label is uncertain.
+    Returns the number of new terrain points, and of all points whose label is uncertified.
 
     Parameters
     ----------
@@ -172,7 +172,7 @@ class GrowthCounter:
         self._tin: Tin | None = None
 
     def count(self, tin: Tin, uncertified: UInt8) -> tuple[int, int]:
-        """Number of points that joined the terrain class, and number of points whose label is uncertain."""
+        """Number of points that joined the terrain class, and number of points whose label is uncertified."""
         last = self._tin or tin
         self._tin = tin
         now = np.full(last.n_triangles, -1, np.int32)

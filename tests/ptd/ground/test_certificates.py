@@ -210,12 +210,12 @@ RIGHT = ((-5000, 0), (5000, 0), (0, 5000))
         (Window(-OPEN, -5100, OPEN, OPEN), False),
     ],
 )
-def test_a_circle_that_leaves_the_window_is_in_doubt(known: Window, uncertified: bool) -> None:
+def test_a_circle_that_leaves_the_window_is_uncertified(known: Window, uncertified: bool) -> None:
     region = UncertifiedRegion(known, known, (-30000, -30000, 30000, 30000), Scale())
     assert uncertified_of(triangle(*RIGHT), region) == [uncertified]
 
 
-def test_a_circle_that_leaves_the_raster_is_in_doubt_where_seeds_may_appear() -> None:
+def test_a_circle_that_leaves_the_raster_is_uncertified_where_seeds_may_appear() -> None:
     known = Window(-OPEN, -OPEN, 90000, OPEN)
     box = (-30000, -30000, 3000, 30000)
     assert uncertified_of(triangle(*RIGHT), UncertifiedRegion(known, known, box, Scale())) == [False]
@@ -224,7 +224,7 @@ def test_a_circle_that_leaves_the_raster_is_in_doubt_where_seeds_may_appear() ->
 
 
 @pytest.mark.parametrize("place", [(0, 0), (4900, 0), (3530, -3530), (-4000, 2900)])
-def test_a_place_in_the_circle_puts_it_in_doubt(place: tuple[int, int]) -> None:
+def test_a_position_in_the_circle_makes_it_uncertified(place: tuple[int, int]) -> None:
     known = Window(-OPEN, -OPEN, 90000, OPEN)
     region = UncertifiedRegion(known, known, (-30000, -30000, 30000, 30000), Scale())
     x, y = (np.array([v], np.int32) for v in place)
@@ -240,7 +240,9 @@ corners_of_one = st.lists(places, min_size=3, max_size=3, unique=True)
 
 @settings(max_examples=100, deadline=None)
 @given(corners=corners_of_one, place=places)
-def test_a_place_in_doubt_is_never_overlooked(corners: list[tuple[int, int]], place: tuple[int, int]) -> None:
+def test_an_uncertified_position_is_never_overlooked(
+    corners: list[tuple[int, int]], place: tuple[int, int]
+) -> None:
     (ax, ay), (bx, by), (cx, cy) = [(x - place[0], y - place[1]) for x, y in corners]
     area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
     if area == 0:
@@ -266,7 +268,7 @@ def test_across_gives_the_triangle_behind_an_edge() -> None:
     assert outside(tin, across(*arrays, triangle_at(tin, 5, 0), np.int32(5), np.int32(0)))
 
 
-def test_boxes_in_doubt_cover_each_cell_that_they_touch() -> None:
+def test_uncertified_boxes_cover_each_cell_that_they_touch() -> None:
     known = Window(-OPEN, -OPEN, 90000, OPEN)
     region = UncertifiedRegion(known, known, (0, 0, 20_000, 20_000), Scale())
     assert region.cell == 2000
@@ -286,7 +288,9 @@ def test_window_inside_whole_cells() -> None:
 
 @settings(max_examples=20, deadline=None)
 @given(corners=corners_of_one, reach=st.sampled_from([0.0, 2000.0, 5000.0]), seed=st.integers(0, 10**6))
-def test_places_near_triangles_are_in_doubt(corners: list[tuple[int, int]], reach: float, seed: int) -> None:
+def test_places_near_triangles_are_uncertified(
+    corners: list[tuple[int, int]], reach: float, seed: int
+) -> None:
     """All within the reach, none a few cells beyond it; distances by sampling the triangle."""
     (ax, ay), (bx, by), (cx, cy) = corners
     if (bx - ax) * (cy - ay) == (by - ay) * (cx - ax):
@@ -307,7 +311,7 @@ def test_places_near_triangles_are_in_doubt(corners: list[tuple[int, int]], reac
     assert not covered[distance > reach + 2 * region.cell + 4000].any()
 
 
-def test_places_beyond_the_known_window_are_in_doubt() -> None:
+def test_places_beyond_the_known_window_are_uncertified() -> None:
     known = Window(0, -OPEN, 9000, OPEN)
     region = UncertifiedRegion(known, known, (-5000, 0, 20_000, 20_000), Scale())
     x, y = np.array([-1, 0, 8999, 9000], np.int32), np.full(4, 10_000, np.int32)

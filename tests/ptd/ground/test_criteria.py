@@ -172,7 +172,7 @@ def test_mirrored_on_a_vertex_only_its_height_passes() -> None:
     assert judge(tin, 300, 200, 5_299, terrain_deg=60.0) == (False, True, False)
 
 
-def test_an_answer_in_doubt() -> None:
+def test_an_uncertified_answer() -> None:
     """It rests on its triangle, on that behind the edge it lies on, and on that of its mirror image."""
     tin = tin_of(*TERRACE)
     flat = triangle_at(tin, 1_000, 3_000)

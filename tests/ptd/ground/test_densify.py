@@ -91,7 +91,7 @@ def test_refused_candidates_stay_out() -> None:
 
 
 class Spreading(UncertifiedRegion):
-    """Says three times that doubt has spread."""
+    """Report three times that the region has grown."""
 
     left = 3
 
@@ -101,7 +101,9 @@ class Spreading(UncertifiedRegion):
 
 
 @pytest.mark.parametrize(("rounds", "done"), [(0, 4), (2, 2)])
-def test_while_doubt_spreads_there_are_rounds_though_nothing_passes(rounds: int, done: int) -> None:
+def test_while_the_uncertified_region_grows_there_are_rounds_though_nothing_passes(
+    rounds: int, done: int
+) -> None:
     seeds, _ = scene(2, 50, 50)
     tin = Tin.build(*seeds.T, max_vertices=100)
     x, y, z = (np.array([v], np.int32) for v in (50_000, 50_000, 90_000))

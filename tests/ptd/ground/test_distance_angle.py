@@ -99,8 +99,8 @@ def test_heights_may_have_another_unit() -> None:
     assert found.all()
 
 
-def test_what_passes_without_doubt_passes_whatever_lies_beyond_the_window() -> None:
-    """Cut random TINs by windows: where no doubt is told, the answer is that of the whole."""
+def test_certified_points_that_pass_do_so_whatever_lies_beyond_the_window() -> None:
+    """Cut random TINs by windows: where the result is certified, the answer is that of the whole."""
     rng = np.random.default_rng(6)
     threshold, certain = Threshold(0.5, 0.3), 0
     for _ in range(40):

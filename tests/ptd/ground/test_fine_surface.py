@@ -196,8 +196,8 @@ def test_what_lies_beyond_the_reach_has_no_part_and_neither_has_the_order(densit
         assert (found[core] == everything[core]).all()
 
 
-def test_doubt_spreads_as_far_as_a_point_has_a_part() -> None:
-    """Whatever the doubtful points' heights: what carries no mark keeps its label."""
+def test_uncertified_points_affect_labels_as_far_as_a_point_has_a_part() -> None:
+    """Whatever the heights of uncertified points: what is certified keeps its label."""
     scene, random = cloud(8.0), np.random.default_rng(8)
     everything, _ = scene.judged()
     is_uncertified = np.hypot(scene.x - 3, scene.y + 2) < 3.0

@@ -67,7 +67,7 @@ def test_without_a_last_pass_only_vertices_are_ground() -> None:
     assert label(flat(), points, vertices_only=True) == ([2, 1, 1, 2], [False] * 4)
 
 
-def test_what_rests_on_a_triangle_in_doubt_is_marked() -> None:
+def test_what_rests_on_an_uncertified_triangle_is_uncertified() -> None:
     points = [(10_000, 10_000, 0), (15_000, 12_000, 0), (15_000, 12_000, 9_000), (-5, 50_000, 0)]
     assert label(flat(), points, all_uncertified=True) == ([2, 2, 1, 1], [True] * 4)
 

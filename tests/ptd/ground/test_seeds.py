@@ -1,4 +1,4 @@
-"""Seeds: lowest points of cells, virtual points around them, and cells in doubt."""
+"""Seeds: lowest points of cells, virtual points around them, and uncertified cells."""
 
 from __future__ import annotations
 
@@ -78,14 +78,14 @@ def test_a_hole_is_filled_from_all_sides() -> None:
     assert ring[1, 1] == sum(10 * k for k in range(8)) // 8
 
 
-def test_nothing_is_in_doubt_where_everything_is_known() -> None:
+def test_nothing_is_uncertified_where_everything_is_known() -> None:
     _, region = choose([middle(0, 0), middle(5, 3)])
     assert not region.active
     assert not region.mask.any()
 
 
 def is_uncertified(region: UncertifiedRegion, column: int, row: int) -> bool:
-    """Whether the middle of a cell is in doubt; no cell is so by half."""
+    """Whether the middle of a cell is uncertified; no cell is so by half."""
     x, y = column * SIDE - region.west, row * SIDE - region.south
     step = SIDE // region.cell
     block = region.mask[y // region.cell :, x // region.cell :][:step, :step]
@@ -94,7 +94,7 @@ def is_uncertified(region: UncertifiedRegion, column: int, row: int) -> bool:
 
 
 @pytest.mark.parametrize("cut", [0, 1, SIDE - 1])
-def test_cells_in_doubt_at_a_closed_side(cut: int) -> None:
+def test_uncertified_cells_at_a_closed_side(cut: int) -> None:
     """The west side cuts column 0 (or lies on its edge): filled cells are certain where all of them is known."""
     row = [middle(c, 0, 10) for c in range(10) if c not in (2, 7)]
     _, region = choose(row, Window(cut, -OPEN, OPEN, OPEN))
@@ -108,7 +108,7 @@ def test_cells_in_doubt_at_a_closed_side(cut: int) -> None:
         assert is_uncertified(region, column, -2) == (column < first + RING)
 
 
-def test_cells_in_doubt_at_the_other_sides() -> None:
+def test_uncertified_cells_at_the_other_sides() -> None:
     points = [middle(c, r, 10) for c in range(8) for r in range(8) if (c, r) != (6, 5)]
     _, region = choose(points, Window(-OPEN, -OPEN, 8 * SIDE, 8 * SIDE - 1))
     assert is_uncertified(region, 6, 5)
@@ -118,7 +118,7 @@ def test_cells_in_doubt_at_the_other_sides() -> None:
     assert not is_uncertified(region, -1, 3)
 
 
-def test_cells_that_may_lose_their_seed_are_in_doubt_and_so_are_empty_ones_around_them() -> None:
+def test_cells_that_may_lose_their_seed_are_uncertified_and_so_are_empty_ones_around_them() -> None:
     """A row of cells: in column 4 it is not certain what is eligible; in column 5 neither, but another seed is sure."""
     row = [middle(c, 0, 10) for c in range(12) if c != 7]
     points = [*row, (5 * SIDE + 100, 100, 50)]

@@ -1,4 +1,4 @@
-"""Pixels have one owner each and the right height, and marks never miss a doubt."""
+"""Pixels have one owner each and the right height, and marks never miss a pixel that unknown data could change."""
 
 from __future__ import annotations
 

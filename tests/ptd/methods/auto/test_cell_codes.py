@@ -1,4 +1,4 @@
-"""A code for each cell: the same for all its points, in doubt beyond what is certain."""
+"""A code for each cell: the same for all its points, uncertified beyond what is certain."""
 
 from __future__ import annotations
 

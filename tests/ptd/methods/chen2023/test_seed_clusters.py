@@ -132,8 +132,8 @@ def test_joined_vertices_have_one_number() -> None:
 
 @settings(max_examples=50, deadline=None)
 @given(seed=st.integers(0, 10**6))
-def test_doubt_covers_all_effects_of_doubtful_facets(seed: int) -> None:
-    """In a cloud cut at a line, certain results equal those of the whole if the changed facets are in doubt."""
+def test_uncertified_seeds_cover_all_effects_of_uncertified_facets(seed: int) -> None:
+    """In a cloud cut at a line, certain results equal those of the whole if the changed facets are uncertified."""
     rng = np.random.default_rng(seed)
     n = 250
     xy = rng.choice(60 * 60, n, replace=False)
@@ -159,7 +159,7 @@ def test_doubt_covers_all_effects_of_doubtful_facets(seed: int) -> None:
 
 
 @pytest.mark.parametrize("uncertified", [0, 1])
-def test_with_all_facets_in_doubt_nothing_is_certain(uncertified: int) -> None:
+def test_with_all_facets_uncertified_nothing_is_certain(uncertified: int) -> None:
     x, y, z = np.ascontiguousarray(np.array(block(6000), np.int32).T)
     tin = Tin.build(x, y, z)
     triangles = np.full(tin.n_triangles, uncertified, np.uint8)

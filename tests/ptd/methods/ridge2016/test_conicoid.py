@@ -145,7 +145,7 @@ def test_fifteen_observations_cannot_reject_at_98_percent(n: int) -> None:
     assert (bound > limit) == (n == 16)
 
 
-def test_seeds_within_reach_of_doubt_are_in_doubt() -> None:
+def test_seeds_within_reach_of_the_uncertified_region_are_uncertified() -> None:
     points = hill(3, 50.0, 15).astype(np.int32)
     tin = Tin.build(*points.T)
     known = Window(-STEP, -STEP, 15 * STEP, 15 * STEP)

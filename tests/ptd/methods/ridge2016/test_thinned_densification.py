@@ -133,7 +133,7 @@ def test_the_tally_counts_what_labelling_gives() -> None:
         assert counts[0] > counts[2] > counts[4]
 
 
-def test_the_tally_counts_what_is_in_doubt() -> None:
+def test_the_tally_counts_what_is_uncertified() -> None:
     seeds, others = scene(11, 500, 900)
     points = np.unique(np.vstack([seeds[4:], others]), axis=0)
     limits = FacetLimits.of(Scale(), distance_m=4.0, angle_deg=25.0, terrain_deg=88.0)
