@@ -51,13 +51,13 @@ class GrowthPass(Pass):
 
         It holds the number of ``rounds`` to run, and ``points``, ``gained`` and ``unsure`` of the run.
         """
-        points, gained, unsure = 0, [0] * self.params.rounds, [0] * self.params.rounds
+        points, gained, uncertified = 0, [0] * self.params.rounds, [0] * self.params.rounds
         for part in partials:
             points += part["points"]
             gained = [a + b for a, b in zip(gained, part["gained"], strict=True)]
-            unsure = [a + b for a, b in zip(unsure, part["unsure"], strict=True)]
-        last, note = last_round(points, gained, unsure, self.params.growth)
-        figures = {"rounds": last, "points": points, "gained": gained[:last], "unsure": unsure[:last]}
+            uncertified = [a + b for a, b in zip(uncertified, part["unsure"], strict=True)]
+        last, note = last_round(points, gained, uncertified, self.params.growth)
+        figures = {"rounds": last, "points": points, "gained": gained[:last], "unsure": uncertified[:last]}
         return {**state, "ridge2016": figures, "notes": add_notes(state, note)}
 
 
@@ -66,7 +66,7 @@ def max_growth(points: int, growth: float) -> Fraction:
     return Fraction(repr(float(growth))) * points
 
 
-def last_round(points: int, gained: list[int], unsure: list[int], growth: float) -> tuple[int, str]:
+def last_round(points: int, gained: list[int], uncertified: list[int], growth: float) -> tuple[int, str]:
     """The first round in which few enough points joined the terrain class, and a note on it.
 
     Parameters
@@ -74,7 +74,7 @@ def last_round(points: int, gained: list[int], unsure: list[int], growth: float)
     points : int
     gained : list of int
         Points that joined in each round.
-    unsure : list of int
+    uncertified : list of int
         Points near the edge of a tile whose label is uncertified after each round.
     growth : float
         p_min of equation 11.
@@ -85,7 +85,7 @@ def last_round(points: int, gained: list[int], unsure: list[int], growth: float)
     note = f"densification ends after {last} rounds, the last of which added {share:.2f} % of all points to the terrain"
     if gained[last - 1] > limit:
         note += f": still more than {100 * growth:g} %, but no more rounds were allowed"
-    slack = [before + after for before, after in pairwise([0, *unsure[:last]])]
+    slack = [before + after for before, after in pairwise([0, *uncertified[:last]])]
     if any((n - s <= limit) != (n + s <= limit) for n, s in zip(gained[:last], slack, strict=True)):
         note += "; points near tile edges could change that: a wider halo makes it certain"
     return last, note
@@ -100,7 +100,7 @@ class GrowthModel(TinLabels):
         super().__init__(window.closed, {"points": len(points), "rounds": 0})
         self._points = int(core.contains(points.xyz[0], points.xyz[1]).sum())
         self._gained = np.zeros(params.rounds, np.int64)
-        self._unsure = np.zeros(params.rounds, np.int64)
+        self._uncertified = np.zeros(params.rounds, np.int64)
         self._prepared: Prepared | None = None
         if len(points):
             self._prepared = Prepared(params, points.columns(), window, scale)
@@ -130,8 +130,8 @@ class GrowthModel(TinLabels):
         for k, step in enumerate(islice(prepared.rounds(), self._gained.size)):
             self._codes[step.vertex & (self._codes == UNCLASSIFIED)] = SEED + k
             if k == 0 or self._gained[k - 1] > enough:
-                # Fill `_unsure` up to the end, because rounds that are not run would not change these points.
-                self._gained[k], self._unsure[k:] = tally.count(step.tin, step.uncertified)
+                # Fill `_uncertified` up to the end, because rounds that are not run would not change these points.
+                self._gained[k], self._uncertified[k:] = tally.count(step.tin, step.uncertified)
             done = k + 1
         return done
 
@@ -150,11 +150,11 @@ class GrowthModel(TinLabels):
 
     def partial(self) -> dict[str, Any]:
         """Number of ``points`` in the core, and in each round ``gained`` and ``unsure`` (see `last_round`)."""
-        return {"points": self._points, "gained": self._gained.tolist(), "unsure": self._unsure.tolist()}
+        return {"points": self._points, "gained": self._gained.tolist(), "unsure": self._uncertified.tolist()}
 
     def uncertain(self) -> int:
         """Number of points whose label is uncertified after some round."""
-        return int(self._unsure.max(initial=0))
+        return int(self._uncertified.max(initial=0))
 
 
 @dataclass(frozen=True)

@@ -223,27 +223,27 @@ def test_a_circle_that_leaves_the_raster_is_uncertified_where_seeds_may_appear()
     assert uncertified_of(triangle(*RIGHT), UncertifiedRegion(known, deep, box, Scale())) == [True]
 
 
-@pytest.mark.parametrize("place", [(0, 0), (4900, 0), (3530, -3530), (-4000, 2900)])
-def test_a_position_in_the_circle_makes_it_uncertified(place: tuple[int, int]) -> None:
+@pytest.mark.parametrize("position", [(0, 0), (4900, 0), (3530, -3530), (-4000, 2900)])
+def test_a_position_in_the_circle_makes_it_uncertified(position: tuple[int, int]) -> None:
     known = Window(-OPEN, -OPEN, 90000, OPEN)
     region = UncertifiedRegion(known, known, (-30000, -30000, 30000, 30000), Scale())
-    x, y = (np.array([v], np.int32) for v in place)
+    x, y = (np.array([v], np.int32) for v in position)
     assert not region.add_points(x, y, np.zeros(1, np.bool_))
     assert region.add_points(x, y, np.ones(1, np.bool_))
     assert not region.add_points(x, y, np.ones(1, np.bool_))
     assert uncertified_of(triangle(*RIGHT), region) == [True]
 
 
-places = st.tuples(st.integers(0, 59_999), st.integers(0, 59_999))
-corners_of_one = st.lists(places, min_size=3, max_size=3, unique=True)
+positions = st.tuples(st.integers(0, 59_999), st.integers(0, 59_999))
+corners_of_one = st.lists(positions, min_size=3, max_size=3, unique=True)
 
 
 @settings(max_examples=100, deadline=None)
-@given(corners=corners_of_one, place=places)
+@given(corners=corners_of_one, position=positions)
 def test_an_uncertified_position_is_never_overlooked(
-    corners: list[tuple[int, int]], place: tuple[int, int]
+    corners: list[tuple[int, int]], position: tuple[int, int]
 ) -> None:
-    (ax, ay), (bx, by), (cx, cy) = [(x - place[0], y - place[1]) for x, y in corners]
+    (ax, ay), (bx, by), (cx, cy) = [(x - position[0], y - position[1]) for x, y in corners]
     area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
     if area == 0:
         return
@@ -251,7 +251,7 @@ def test_an_uncertified_position_is_never_overlooked(
     inside = a2 * (bx * cy - by * cx) + b2 * (cx * ay - cy * ax) + c2 * (ax * by - ay * bx)
     known = Window(-OPEN, -OPEN, OPEN, OPEN - 1)
     region = UncertifiedRegion(known, known, (0, 0, 60_000, 60_000), Scale())
-    region.add_points(*(np.array([v], np.int32) for v in place), np.ones(1, np.bool_))
+    region.add_points(*(np.array([v], np.int32) for v in position), np.ones(1, np.bool_))
     found = uncertified_of(triangle(*corners), region)
     if inside * area >= 0:
         assert found == [True]
@@ -288,7 +288,7 @@ def test_window_inside_whole_cells() -> None:
 
 @settings(max_examples=20, deadline=None)
 @given(corners=corners_of_one, reach=st.sampled_from([0.0, 2000.0, 5000.0]), seed=st.integers(0, 10**6))
-def test_places_near_triangles_are_uncertified(
+def test_positions_near_triangles_are_uncertified(
     corners: list[tuple[int, int]], reach: float, seed: int
 ) -> None:
     """All within the reach, none a few cells beyond it; distances by sampling the triangle."""
@@ -311,7 +311,7 @@ def test_places_near_triangles_are_uncertified(
     assert not covered[distance > reach + 2 * region.cell + 4000].any()
 
 
-def test_places_beyond_the_known_window_are_uncertified() -> None:
+def test_positions_beyond_the_known_window_are_uncertified() -> None:
     known = Window(0, -OPEN, 9000, OPEN)
     region = UncertifiedRegion(known, known, (-5000, 0, 20_000, 20_000), Scale())
     x, y = np.array([-1, 0, 8999, 9000], np.int32), np.full(4, 10_000, np.int32)

@@ -25,8 +25,8 @@ def noise_of(
     x, y, z = np.ascontiguousarray(np.array(points, np.int32).T)
     tin = Tin.build(x, y, z)
     real = np.array([(int(a), int(b)) not in (virtual or set()) for a, b, _ in tin.vertices])
-    noise, unsure = noisy_seeds(tin, real, limits, np.zeros(tin.n_triangles, np.uint8))
-    assert not unsure.any()
+    noise, uncertified = noisy_seeds(tin, real, limits, np.zeros(tin.n_triangles, np.uint8))
+    assert not uncertified.any()
     return {(int(a), int(b)) for a, b, _ in tin.vertices[noise]}
 
 
@@ -151,10 +151,12 @@ def test_uncertified_seeds_cover_all_effects_of_uncertified_facets(seed: int) ->
             -1 in corners or frozenset(map(tuple, window.vertices[corners].tolist())) not in facets
         )
     real = np.ones(window.n_vertices, bool)
-    noise, unsure = noisy_seeds(window, real, limits, uncertified)
+    noise, uncertified_seeds = noisy_seeds(window, real, limits, uncertified)
     truth, _ = noisy_seeds(whole, np.ones(n, bool), limits, np.zeros(whole.n_triangles, np.uint8))
     true_noise = set(map(tuple, whole.vertices[truth, :2].tolist()))
-    for (a, b, _z), found, is_uncertified in zip(window.vertices.tolist(), noise, unsure, strict=True):
+    for (a, b, _z), found, is_uncertified in zip(
+        window.vertices.tolist(), noise, uncertified_seeds, strict=True
+    ):
         assert is_uncertified or found == ((a, b) in true_noise)
 
 
@@ -163,6 +165,6 @@ def test_with_all_facets_uncertified_nothing_is_certain(uncertified: int) -> Non
     x, y, z = np.ascontiguousarray(np.array(block(6000), np.int32).T)
     tin = Tin.build(x, y, z)
     triangles = np.full(tin.n_triangles, uncertified, np.uint8)
-    _, unsure = noisy_seeds(tin, np.ones(tin.n_vertices, bool), CLUSTERS, triangles)
-    assert unsure.all() == bool(uncertified)
-    assert unsure.any() == bool(uncertified)
+    _, uncertified_seeds = noisy_seeds(tin, np.ones(tin.n_vertices, bool), CLUSTERS, triangles)
+    assert uncertified_seeds.all() == bool(uncertified)
+    assert uncertified_seeds.any() == bool(uncertified)

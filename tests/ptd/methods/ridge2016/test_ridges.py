@@ -101,7 +101,7 @@ def candidates(centre: tuple[float, float]) -> np.ndarray:
 def place(
     known: Window, data: np.ndarray | None = None
 ) -> tuple[list[tuple[int, ...]], np.ndarray, UncertifiedRegion]:
-    """Ridge points of the roof among the points near the centre of the facet at (30, 3), the centre, the uncertified region."""
+    """Ridge points of the roof near the centre of the facet at (30, 3), this centre, and the uncertified region."""
     tin = Tin.build(*seeds(roof(1.0)))
     facet = tin.vertices[list(corners_of(tin, triangle_at(tin, 30 * M, 3 * M)))].astype(np.int64)
     centre = facet[:, :2].sum(axis=0) / 3 / M
