@@ -147,7 +147,7 @@ class _Rays(NamedTuple):
     slope: float
 
 
-def on_plateaus(z: Int32, ground: Bool, before: Bool, raster: CellRaster, rule: Plateaus) -> Bool:
+def on_plateaus(z: Int32, ground: Bool, before: Bool, raster: CellRaster, roof_rule: Plateaus) -> Bool:
     """Find the ground points on surfaces above their surroundings: bool [n].
 
     These are all ground points in cells of such surfaces. A cell next to such a surface can
@@ -162,23 +162,23 @@ def on_plateaus(z: Int32, ground: Bool, before: Bool, raster: CellRaster, rule: 
         Masks of the ground points, and of the points found on roofs before, which are not ground any more.
     raster : CellRaster
         Raster of the points.
-    rule : Plateaus
+    roof_rule : Plateaus
     """
     heights = raster.lowest(z, ground)
     removed = np.zeros(heights.size, np.bool_)
     removed[raster.keys[before]] = True
     data = np.zeros(heights.size, np.bool_)
     data[raster.keys] = True
-    roof = plateaus(heights, rule, removed.reshape(heights.shape), data.reshape(heights.shape))
+    roof = plateaus(heights, roof_rule, removed.reshape(heights.shape), data.reshape(heights.shape))
     beside = scipy.ndimage.maximum_filter(roof, size=3, mode="constant", cval=False)
-    higher = z - heights.reshape(-1)[raster.keys].astype(np.int64) > rule.fall
+    higher = z - heights.reshape(-1)[raster.keys].astype(np.int64) > roof_rule.fall
     is_on_plateau: Bool = ground & (roof.reshape(-1)[raster.keys] | beside.reshape(-1)[raster.keys] & higher)
     return is_on_plateau
 
 
 def plateaus(
     heights: Int32,
-    rule: Plateaus,
+    roof_rule: Plateaus,
     removed: Bool | None = None,
     data: Bool | None = None,
     passed: Bool | None = None,
@@ -189,7 +189,7 @@ def plateaus(
     ----------
     heights : int32 [rows, columns]
         Heights of ground in counts; `EMPTY` where there is none.
-    rule : Plateaus
+    roof_rule : Plateaus
     removed : bool [rows, columns], optional
         Cells of roofs found before; none by default.
     data : bool [rows, columns], optional
@@ -200,16 +200,18 @@ def plateaus(
     removed = np.zeros(heights.shape, np.bool_) if removed is None else removed
     passed = np.zeros(heights.shape, np.bool_) if passed is None else passed
     data = heights != EMPTY if data is None else data
-    limit = math.floor(rule.step) + 1  # heights are whole numbers
-    surface, n = connected_surfaces(heights, limit, limit, rule.gap)
-    looks, box = _looks(heights, surface, removed, data, passed, n, _Rays(rule.view, rule.fall, rule.slope))
+    limit = math.floor(roof_rule.step) + 1  # heights are whole numbers
+    surface, n = connected_surfaces(heights, limit, limit, roof_rule.gap)
+    looks, box = _looks(
+        heights, surface, removed, data, passed, n, _Rays(roof_rule.view, roof_rule.fall, roof_rule.slope)
+    )
     seen, border = looks[:, _FALLS] + looks[:, _OTHERS], looks[:, _BORDER:]
     unseen = looks[:, _UNSEEN] + border.sum(axis=1)
     every = seen + unseen + looks[:, _PAST]
-    above = (seen > 0) & (looks[:, _FALLS] >= rule.share * seen) & (unseen <= rule.unseen * every)
+    above = (seen > 0) & (looks[:, _FALLS] >= roof_rule.share * seen) & (unseen <= roof_rule.unseen * every)
     wide = np.maximum(box[:, 1] - box[:, 0], box[:, 3] - box[:, 2]) + 1
     cut = border.sum(axis=1) > CUT * every
-    ends = wide <= np.where(cut, rule.widest_cut, rule.widest)
+    ends = wide <= np.where(cut, roof_rule.widest_cut, roof_rule.widest)
     opposite = np.minimum(border[:, :2], border[:, 2:4])  # east and west, north and south
     through = (opposite >= THROUGH).any(axis=1)
     is_plateau: Bool = np.append(above & ends & ~through, False)[surface]  # -1: no surface

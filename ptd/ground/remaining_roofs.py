@@ -59,9 +59,9 @@ def remaining_roofs(
     counts[known] = np.rint(1000 * heights[known])
     is_roof = np.zeros(heights.shape, np.bool_)
     for step_m in ROOF_STEPS_M:
-        rule = Plateaus.of(MILLIMETRES, MAX_WIDTH_M, step_m, cell_m)
+        roof_rule = Plateaus.of(MILLIMETRES, MAX_WIDTH_M, step_m, cell_m)
         ground = np.where(is_roof | (rises > step_m), EMPTY, counts).astype(np.int32)
-        is_roof |= plateaus(ground, rule, is_roof, known)
+        is_roof |= plateaus(ground, roof_rule, is_roof, known)
     numbers, _ = scipy.ndimage.label(is_roof, np.ones((3, 3)))
     boxes = scipy.ndimage.find_objects(numbers)
     roofs = (_measured(numbers[box] == number, box, cell_m) for number, box in enumerate(boxes, start=1))

@@ -244,7 +244,7 @@ def _union(
 
 
 def lower_envelope(
-    heights: Int32, rule: Envelope, scale: Scale, row: int, column: int, tilt_blocks: float = TILT_BLOCKS
+    heights: Int32, envelope: Envelope, scale: Scale, row: int, column: int, tilt_blocks: float = TILT_BLOCKS
 ) -> Int32:
     """Compute the hull below a raster of cells.
 
@@ -252,7 +252,7 @@ def lower_envelope(
     ----------
     heights : int32 [rows, columns]
         Heights in vertical counts; `EMPTY` where there is no cell.
-    rule : Envelope
+    envelope : Envelope
     scale : Scale
     row, column : int
         Row and column of the first cell on the lattice, multiples of `Envelope.block`. Centres of paraboloids lie at
@@ -265,10 +265,12 @@ def lower_envelope(
     int32 [rows, columns]
         Heights of the hull in vertical counts; `LOWEST` where there is no paraboloid.
     """
-    falls, stride, lowest = rule.falls(scale), rule.stride, _block_minima(heights, rule.block)
-    north, east = tilts(heights, tilt_blocks, rule.block)
+    falls, stride, lowest = envelope.falls(scale), envelope.stride, _block_minima(heights, envelope.block)
+    north, east = tilts(heights, tilt_blocks, envelope.block)
     if stride == 1:
-        return hull_around_every_cell(heights, EMPTY, LOWEST, falls, rule.cut_cells, rule.block, north, east)
+        return hull_around_every_cell(
+            heights, EMPTY, LOWEST, falls, envelope.cut_cells, envelope.block, north, east
+        )
     first = -row % stride, -column % stride
-    blocks = _Blocks(rule.block, lowest, north, east)
-    return _union(heights, blocks, falls, stride, *first, rule.cut_cells)
+    blocks = _Blocks(envelope.block, lowest, north, east)
+    return _union(heights, blocks, falls, stride, *first, envelope.cut_cells)

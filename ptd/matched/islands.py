@@ -47,11 +47,11 @@ def _around_cells(cell_m: float) -> int:
     return max(round(AROUND_M / cell_m), 1)
 
 
-def _rule(scale: Scale, cell_m: float) -> Plateaus:
+def _roof_rule(scale: Scale, cell_m: float) -> Plateaus:
     """Return the rule by which the surface of an island is a plateau."""
-    rule = Plateaus.of(scale, MAX_WIDTH_M, cell_m=cell_m)
+    roof_rule = Plateaus.of(scale, MAX_WIDTH_M, cell_m=cell_m)
     view, slope = round(VIEW_M / cell_m), scale.counts_z(SLOPE * cell_m)
-    return replace(rule, view=view, slope=slope, unseen=UNSEEN_SHARE)
+    return replace(roof_rule, view=view, slope=slope, unseen=UNSEEN_SHARE)
 
 
 def reach_cells(cell_m: float) -> int:
@@ -60,8 +60,8 @@ def reach_cells(cell_m: float) -> int:
     Rays begin at the last cell of an island and may end at the first cell of another surface. A surface that continues
     beyond this distance is too wide for an island, as the part within the distance is wider than `MAX_WIDTH_M`.
     """
-    rule, around = _rule(Scale(), cell_m), _around_cells(cell_m)
-    return 2 * rule.widest + rule.view + max(rule.gap, around) + around + 1
+    roof_rule, around = _roof_rule(Scale(), cell_m), _around_cells(cell_m)
+    return 2 * roof_rule.widest + roof_rule.view + max(roof_rule.gap, around) + around + 1
 
 
 @kernel
@@ -97,11 +97,11 @@ def _surroundings(
 
 
 def _on_level_objects(
-    heights: Int32, ground: Bool, levels: Int32, rule: Plateaus, scale: Scale, cell_m: float
+    heights: Int32, ground: Bool, levels: Int32, roof_rule: Plateaus, scale: Scale, cell_m: float
 ) -> Bool:
     """Find the cells of narrow surfaces of ground between objects of the same height: bool [rows, columns]."""
-    limit = math.floor(rule.step) + 1  # The next whole number, as heights are whole numbers.
-    surface, n = connected_surfaces(levels, limit, limit, rule.gap)
+    limit = math.floor(roof_rule.step) + 1  # The next whole number, as heights are whole numbers.
+    surface, n = connected_surfaces(levels, limit, limit, roof_rule.gap)
     above = round(scale.counts_z(LEVEL_ABOVE_M))
     below = round(scale.counts_z(LEVEL_BELOW_M))
     counts, box = _surroundings(heights, ground, surface, n, _around_cells(cell_m), above, below)
@@ -111,7 +111,7 @@ def _on_level_objects(
         n_level >= LEVEL_SHARE * (n_cells - n_ground)
     )
     # Cells without a surface have the number -1, which selects the appended value.
-    on_level_objects: Bool = np.append(is_on_level_objects & (width <= rule.widest), False)[surface]
+    on_level_objects: Bool = np.append(is_on_level_objects & (width <= roof_rule.widest), False)[surface]
     return on_level_objects
 
 
@@ -131,11 +131,11 @@ def islands(heights: Int32, ground: Bool, scale: Scale, cell_m: float) -> Bool:
     cell_m : float
         Size of the cells in metres.
     """
-    rule = _rule(scale, cell_m)
+    roof_rule = _roof_rule(scale, cell_m)
     levels = np.where(ground, heights, EMPTY).astype(np.int32)
-    on_level_objects = _on_level_objects(heights, ground, levels, rule, scale, cell_m)
+    on_level_objects = _on_level_objects(heights, ground, levels, roof_rule, scale, cell_m)
     is_island: Bool = on_level_objects & plateaus(
-        levels, rule, data=heights != EMPTY, passed=on_level_objects
+        levels, roof_rule, data=heights != EMPTY, passed=on_level_objects
     )
     return is_island
 

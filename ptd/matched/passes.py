@@ -131,8 +131,8 @@ class ObjectPass(MatchedPass):
         is_object = np.zeros(raster.heights.size, np.bool_)
         is_object[raster.keys[codes == OBJECT]] = True
         removed = is_object.reshape(raster.heights.shape)
-        rule = replace(surface.STIFF, cell_m=size_m)
-        hull = lower_envelope(raster.heights, rule, scale, raster.row, raster.column, ROOFS_TILT_BLOCKS)
+        stiff = replace(surface.STIFF, cell_m=size_m)
+        hull = lower_envelope(raster.heights, stiff, scale, raster.row, raster.column, ROOFS_TILT_BLOCKS)
         noise = on_cells(noise_m(state, scale), cells, raster.row, raster.column, raster.heights.shape)
         large, terrain = objects.judged(raster.heights, hull, removed, noise, scale, size_m)
         codes[large.reshape(-1)[raster.keys]] = OBJECT

@@ -185,9 +185,9 @@ def ground_surface(
     metres = 1.0 / scale.counts_z(1.0)
     cells = RemainingCells(np.where(there, heights * metres, 0.0), there, cell_m)
 
-    def hull(rule: Envelope) -> Float64:
-        envelope = lower_envelope(heights, replace(rule, cell_m=cell_m), scale, row, column)
-        below: Float64 = np.where(there & (envelope != LOWEST), envelope * metres, 0.0)
+    def hull(envelope: Envelope) -> Float64:
+        lowest = lower_envelope(heights, replace(envelope, cell_m=cell_m), scale, row, column)
+        below: Float64 = np.where(there & (lowest != LOWEST), lowest * metres, 0.0)
         return below
 
     start = _bent(cells, terrain, hull, sigma_m)
@@ -256,13 +256,13 @@ def _bent(
     contrast, _ = _contrast(cells, ~terrain, pliable, sigma_m, CONTRAST_M)
     surface = pliable - _ramp(contrast, CONTRAST) * (pliable - stiff)
     left = np.maximum(cells.around(cells.there, RIDGE_M), MIN_SHARE_LEFT)
-    for rule in RIDGES:
+    for envelope in RIDGES:
         slope = _slope_around(cells, surface)
         share = _of_terrain(cells, terrain, surface, sigma_m)
-        crests = rule.curvature > OPEN_GROUND
+        crests = envelope.curvature > OPEN_GROUND
         if crests and (share <= RIDGE_SHARE[0]).all():
             continue
-        raised = np.maximum(hull(rule) - surface, 0.0)
+        raised = np.maximum(hull(envelope) - surface, 0.0)
         if crests:
             crest = _crest_cells(cells.cell_m)
             least = scipy.ndimage.minimum_filter(raised, crest, mode="constant")

@@ -246,14 +246,14 @@ class RoofPass(LidarPass):
         """Compare each connected surface with the ground around it."""
         p = self.params
         cells, wide = CellLattice.of(p.thin_cell_m, scale), CellLattice.of(ROOF_CELL_M, scale)
-        rule = Plateaus.of(scale, p.roof_size_m, self.step_m)
+        roof_rule = Plateaus.of(scale, p.roof_size_m, self.step_m)
         x, y, z, codes = lowest_points(points, cells)
         ground, earlier_roofs = codes == GROUND, codes == ROOF
         for index, inner in blocks(x, y, cells, p.roof_reach):
             if self.again and not earlier_roofs[index].any():
                 continue  # Without roofs found before, the result stays.
             raster = CellRaster(x[index], y[index], wide)
-            roofs = on_plateaus(z[index], ground[index], earlier_roofs[index], raster, rule)
+            roofs = on_plateaus(z[index], ground[index], earlier_roofs[index], raster, roof_rule)
             codes[index[roofs & inner]] = ROOF
         stats = {"roofs": int(ground.sum() - (codes == GROUND).sum())}
         return CellCodes(x, y, codes, cells, window.inside(cells, p.roof_reach), stats)
