@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ptd.frame import CellLattice
+from ptd.frame import CellGrid, CellLattice
 from ptd.kernel import as_int64, inlined, kernel
 
 Int32 = npt.NDArray[np.int32]
@@ -42,13 +42,8 @@ def quotient(value: int, divisor: int, inverse: float) -> int:
 
 
 @kernel
-def cell_keys(
-    x: Int32, y: Int32, p: int, q: int, ox: int, oy: int, col0: int, row0: int, width: int
-) -> Int64:
-    """Return the key of each point's cell, ``row * width + column`` relative to (col0, row0): int64 [n].
-
-    ``p``, ``q``, ``ox`` and ``oy`` are the fields of the `CellLattice`.
-    """
+def _keys(x: Int32, y: Int32, grid: CellGrid, width: int) -> Int64:
+    p, q, ox, oy, col0, row0 = grid
     out, inverse = np.empty(x.size, np.int64), 1.0 / p
     for i in range(x.size):
         column = quotient((as_int64(x[i]) + ox) * q, p, inverse) - col0
@@ -57,10 +52,9 @@ def cell_keys(
     return out
 
 
-def keys_in(x: Int32, y: Int32, cells: CellLattice, col0: int, row0: int, width: int) -> Int64:
-    """Return the `cell_keys` of points in a lattice."""
-    lattice = {"p": cells.p, "q": cells.q, "ox": cells.origin_x, "oy": cells.origin_y}
-    return cell_keys(x, y, **lattice, col0=col0, row0=row0, width=width)
+def cell_keys(x: Int32, y: Int32, cells: CellLattice, col0: int, row0: int, width: int) -> Int64:
+    """Return the key of each point's cell, ``row * width + column`` relative to (col0, row0): int64 [n]."""
+    return _keys(x, y, cells.grid(col0, row0), width)
 
 
 @kernel
@@ -128,7 +122,7 @@ def lowest_per_cell(x: Int32, y: Int32, z: Int32, cells: CellLattice) -> Int32:
     col0, row0 = cells.column(int(x.min())), cells.row(int(y.min()))
     width = cells.column(int(x.max())) - col0 + 1
     n_cells = width * (cells.row(int(y.max())) - row0 + 1)
-    keys = keys_in(x, y, cells, col0, row0, width)
+    keys = cell_keys(x, y, cells, col0, row0, width)
     if np.all(
         keys[1:] > keys[:-1]
     ):  # The cells are in order and have one point each, as after an earlier call.
@@ -224,7 +218,7 @@ class CellIndex:
         self.col0, self.row0 = cells.column(int(x.min())), cells.row(int(y.min()))
         width = cells.column(int(x.max())) - self.col0 + 1
         height = cells.row(int(y.max())) - self.row0 + 1
-        point_keys = keys_in(x, y, cells, self.col0, self.row0, width)
+        point_keys = cell_keys(x, y, cells, self.col0, self.row0, width)
         ordered = bool((point_keys[1:] >= point_keys[:-1]).all())
         order = np.arange(x.size)
         if not ordered:
@@ -245,8 +239,7 @@ class CellIndex:
 
     def find(self, x: Int32, y: Int32) -> Int32:
         """Return for each position the index of its cell into `CellTable.keys`, -1 for empty cells: int32 [n]."""
-        c = self.cells
-        return _find(x, y, c.p, c.q, c.origin_x, c.origin_y, self.col0, self.row0, self.table)
+        return _find(x, y, self.cells.grid(self.col0, self.row0), self.table)
 
 
 @kernel
@@ -268,9 +261,8 @@ def slot_of(table: CellTable, column: int, row: int) -> int:
 
 
 @kernel
-def _find(
-    x: Int32, y: Int32, p: int, q: int, ox: int, oy: int, col0: int, row0: int, table: CellTable
-) -> Int32:
+def _find(x: Int32, y: Int32, grid: CellGrid, table: CellTable) -> Int32:
+    p, q, ox, oy, col0, row0 = grid
     slots, keys, _starts, _order, width, height = table
     out, inverse = np.empty(x.size, np.int32), 1.0 / p
     for i in range(x.size):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from fractions import Fraction
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -44,9 +45,28 @@ class Scale:
         return float(self.metres_z / self.metres_xy)
 
 
+class CellGrid(NamedTuple):
+    """Lattice whose columns and rows are counted from a first cell, as an argument of kernels.
+
+    Attributes
+    ----------
+    p, q, origin_x, origin_y : int
+        Fields of the `CellLattice`.
+    column, row : int
+        Column and row of the first cell in the lattice.
+    """
+
+    p: int
+    q: int
+    origin_x: int
+    origin_y: int
+    column: int
+    row: int
+
+
 @dataclass(frozen=True)
 class CellLattice:
-    """Lattice of square cells with a side of ``p / q`` counts, anchored at absolute count 0. Positions are local.
+    """Lattice of square cells with a size of ``p / q`` counts, anchored at absolute count 0. Positions are local.
 
     Local count ``x`` lies in column ``((x + origin_x) * q) // p``.
     """
@@ -61,6 +81,10 @@ class CellLattice:
         """Return a lattice of cells of ``size_m`` metres. The exact size is the decimal number in ``repr(size_m)``."""
         size = Fraction(repr(float(size_m))) / scale.metres_xy
         return cls(size.numerator, size.denominator, scale.origin[0], scale.origin[1])
+
+    def grid(self, column: int, row: int) -> CellGrid:
+        """Return the lattice with columns and rows counted from a first cell."""
+        return CellGrid(self.p, self.q, self.origin_x, self.origin_y, column, row)
 
     def column(self, x: int) -> int:
         """Return the column of local count ``x``. Columns increase to the east."""

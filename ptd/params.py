@@ -11,7 +11,7 @@ UNIT_SUFFIXES = ("_m", "_deg")
 DECIMALS = 6
 """Lengths in metres have at most this many decimals.
 
-The side of a cell is an exact fraction of counts. With more decimals, products with the terms of the fraction could
+The size of a cell is an exact fraction of counts. With more decimals, products with the terms of the fraction could
 exceed int64.
 """
 

@@ -160,7 +160,7 @@ class Model(ABC):
 
         In a tiled run, the bounds are those of a bucket. A bucket can store at most as many elected points as it has
         points. One elected point per cell always fits if no cell lies in two buckets, that is, if 8 m is a multiple of
-        the side of a cell.
+        the size of a cell.
         """
         raise NotImplementedError("the pass elects no points")
 
@@ -234,7 +234,7 @@ class Pass(ABC):
     kind : {"lidar", "dim"} or None
         Origin of the clouds to which the pass applies. None: all clouds.
     raster_cell_m : float
-        Side of the cells of a raster of the whole window, if the pass makes one that determines its memory. 0: the
+        Size of the cells of a raster of the whole window, if the pass makes one that determines its memory. 0: the
         number of points determines its memory.
     by_place : bool
         Whether `fit` reads the table of places in the state.
@@ -313,9 +313,9 @@ class Method:
 
         - ``passes``: tuple of `Pass`.
         - ``halo_m``: width of the halo that usually suffices.
-        - ``align_m``: side of the lattice cells to which windows are widened.
+        - ``align_m``: size of the lattice cells to which windows are widened.
         - ``margin_m``: width by which windows are widened further.
-        - ``candidate_cell_m``: side of the cells with one candidate each, or 0 if every point is a candidate.
+        - ``candidate_cell_m``: size of the cells with one candidate each, or 0 if every point is a candidate.
     needs : tuple of str
         Columns that the method requires, such as ``rgb``.
     """

@@ -16,11 +16,11 @@ from typing import NamedTuple
 import numpy as np
 import numpy.typing as npt
 
-from ptd.frame import OPEN, CellLattice, Scale, Window
+from ptd.frame import OPEN, CellGrid, CellLattice, Scale, Window
 from ptd.kernel import as_int64, kernel
 
 PLACE_M = 256.0
-"""Side of a place in metres. A place has some hundred planar patches, and is no wider than a flight strip."""
+"""Size of a place in metres. A place has some hundred planar patches, and is no wider than a flight strip."""
 PLACES = "places"
 """Name of the table in the state of a run."""
 
@@ -64,10 +64,8 @@ class Field(NamedTuple):
     ----------
     values : float64 [rows, columns]
         Values at the middles of places, southern row first, at least two rows and columns.
-    column, row : int
-        Column and row of the first place.
-    p, q, origin_x, origin_y : int
-        Fields of the lattice (`ptd.frame.CellLattice`).
+    grid : CellGrid
+        Lattice of the places, counted from the first one.
     even : bool
         Whether the figure is the same everywhere.
     low, high : float
@@ -75,12 +73,7 @@ class Field(NamedTuple):
     """
 
     values: Float64
-    column: int
-    row: int
-    p: int
-    q: int
-    origin_x: int
-    origin_y: int
+    grid: CellGrid
     even: bool
     low: float
     high: float
@@ -92,7 +85,7 @@ class Field(NamedTuple):
 
 def everywhere(value: float) -> Field:
     """Return a figure that is the same everywhere."""
-    return Field(np.full((2, 2), float(value)), 0, 0, 1, 1, 0, 0, True, float(value), float(value))
+    return Field(np.full((2, 2), float(value)), CellGrid(1, 1, 0, 0, 0, 0), True, float(value), float(value))
 
 
 def field(table: Table, figure: int, scale: Scale, otherwise: float) -> Field:
@@ -122,9 +115,8 @@ def field(table: Table, figure: int, scale: Scale, otherwise: float) -> Field:
     even = len(set(known.values())) == 1
     if even:
         values[:] = next(iter(known.values()))
-    cells = CellLattice.of(PLACE_M, scale)
-    lattice = cells.p, cells.q, cells.origin_x, cells.origin_y
-    return Field(values, columns[0], rows[0], *lattice, even, float(values.min()), float(values.max()))
+    grid = CellLattice.of(PLACE_M, scale).grid(columns[0], rows[0])
+    return Field(values, grid, even, float(values.min()), float(values.max()))
 
 
 def as_field(figure: float | Field) -> Field:
@@ -139,7 +131,7 @@ def _between(position: int, p: int, q: int, first: int, n: int) -> tuple[int, fl
     The position is in absolute counts. ``first`` is the number of the place with the index 0, and ``n`` is the number
     of places.
     """
-    # The distance from the middle of place 0, in units of 1 / (2 q) counts. In these units a place has the side 2 p.
+    # The distance from the middle of place 0, in units of 1 / (2 q) counts. In these units a place has the size 2 p.
     scaled = 2 * q * position - p
     place = scaled // (2 * p)
     index = place - first
@@ -157,8 +149,9 @@ def value_at(field: Field, x: int, y: int) -> float:
     if field.even:
         return float(values[0, 0])
     rows, columns = values.shape
-    i, v = _between(as_int64(y) + field.origin_y, field.p, field.q, field.row, rows)
-    j, u = _between(as_int64(x) + field.origin_x, field.p, field.q, field.column, columns)
+    p, q, origin_x, origin_y, first_column, first_row = field.grid
+    i, v = _between(as_int64(y) + origin_y, p, q, first_row, rows)
+    j, u = _between(as_int64(x) + origin_x, p, q, first_column, columns)
     # This form of the interpolation returns exactly the same value if all four values are equal.
     lower = values[i, j] + u * (values[i, j + 1] - values[i, j])
     upper = values[i + 1, j] + u * (values[i + 1, j + 1] - values[i + 1, j])
@@ -183,8 +176,8 @@ def of_places(table: Table, figure: int, x: Int32, y: Int32, scale: Scale) -> Fl
         return np.full(x.size, by_place.values[0, 0])
     columns, rows = CellLattice.of(PLACE_M, scale).cell_indices(x, y)
     height, width = by_place.values.shape
-    rows = np.clip(rows - by_place.row, 0, height - 1)
-    columns = np.clip(columns - by_place.column, 0, width - 1)
+    rows = np.clip(rows - by_place.grid.row, 0, height - 1)
+    columns = np.clip(columns - by_place.grid.column, 0, width - 1)
     values: Float64 = by_place.values[rows, columns]
     return values
 

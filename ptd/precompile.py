@@ -21,7 +21,8 @@ from ptd.kernel import cache_folder
 Float64 = npt.NDArray[np.float64]
 
 GARBAGE_OBJECTS = 100_000
-"""Garbage is collected after this many new objects. With the default of 700, it takes a tenth of the time."""
+"""Garbage is collected after this many new objects. With Python's default of 700, collection takes a tenth of
+the compilation time."""
 
 
 def _scene() -> tuple[Float64, npt.NDArray[np.uint16]]:
@@ -116,7 +117,7 @@ def why_not_compiled(name: str) -> str:
     if folder is None:
         return "no folder for machine code can be written, so each process compiles for itself"
     if any(folder.glob("*.compiled")):
-        return f"the first run here that needs those of {name}; each method and kind of cloud has its own"
+        return f"those of {name} have not been compiled here yet; each method and kind of cloud has its own"
     if any(other != folder for other in folder.parent.iterdir()):
         return f"those in {folder.parent} are of another version or installation of tiler or numba"
     return f"the first run that keeps its machine code in {folder.parent}"

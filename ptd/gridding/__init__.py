@@ -1,1 +1,1 @@
-"""Surfaces other than the TIN: nearest points, inverse distances, highest returns, feet of walls, shading."""
+"""Surfaces other than the TIN, sums by cell, slope and shading, and ground points next to walls."""

@@ -31,7 +31,7 @@ class CellWindow(NamedTuple):
     Attributes
     ----------
     p, q : int
-        The side of a cell is p / q counts.
+        The size of a cell is p / q counts.
     west, north : int
         Global indices of the western column and of the northern row. Indices of rows grow to the north.
     rows, columns : int

@@ -73,10 +73,11 @@ class HighestReturns:
     def supported(self, reach: int, spike: float) -> Int32:
         """The highest return of each pixel that is not a spike.
 
-        A return is a spike (a bird, a cloud, a blunder of matching) if no other return in the pixels around it is
-        higher or within ``spike`` below it. Then the second return of the pixel takes its place, unless it is a spike
-        too, which leaves the pixel empty. Two spikes side by side support each other and stay. So does the lowest
-        return of a pixel with no returns around it to compare with.
+        A spike is a bird, a cloud or a blunder of matching. The highest return of a pixel is a spike if it is more than
+        ``spike`` higher than the second return of its pixel and the highest returns of all pixels around. Then the
+        second return replaces it. The second return is compared only with the pixels around; if it is a spike too, the
+        pixel is empty. Two adjacent spikes support each other and stay. A pixel with no returns around it keeps its
+        only return, or one of its two highest.
 
         Parameters
         ----------

@@ -28,7 +28,7 @@ def inverse_distance(x: Int32, y: Int32, z: Int32, pixels: Pixels, reach: float)
         Local counts.
     pixels : Pixels
     reach : float
-        Points farther away are ignored, counts.
+        Largest distance of a neighbour in horizontal counts.
 
     Returns
     -------

@@ -31,8 +31,8 @@ class Nearest(NamedTuple):
     Attributes
     ----------
     squared : int64 [rows, columns, k]
-        Squared distances to the centre (rounded down to whole counts), in counts squared and rising order. 2**63 - 1
-        for `NONE`.
+        Squared distances in ascending order, in counts squared. They are measured to the centre after its coordinates
+        are rounded down to whole counts. 2**63 - 1 for `NONE`.
     points : int32 [rows, columns, k]
         Indices of the points, `NONE` if fewer than k lie within reach.
     """
@@ -104,9 +104,7 @@ def _before(x: Int32, y: Int32, z: Int32, i: int, j: int) -> bool:
 
 @kernel
 def _look_in(
-    x: Int32,
-    y: Int32,
-    z: Int32,
+    points: Xyz,
     order: Int32,
     cell: tuple[int, int],
     disk: tuple[int, int, int],
@@ -118,6 +116,7 @@ def _look_in(
 
     Only points within the disk (x, y, squared radius) count.
     """
+    x, y, z = points
     k = index.size
     cx, cy, reach2 = disk
     for j in range(cell[0], cell[1]):
@@ -144,7 +143,6 @@ def _look_in(
 def _search(
     points: Xyz, bins: _Bins, lattice: PixelCentres, reach: float, squared: Int64, index: Int32
 ) -> None:
-    x, y, z = points
     starts, order, empty, pad = bins
     x0, y0, step, scale = lattice
     rows, columns, k = index.shape
@@ -174,7 +172,7 @@ def _search(
                             cell = r * width + c
                             if starts[cell + 1] > starts[cell]:
                                 held, disk = (starts[cell], starts[cell + 1]), (cx, cy, reach2)
-                                n_found = _look_in(x, y, z, order, held, disk, near, near_indices, n_found)
+                                n_found = _look_in(points, order, held, disk, near, near_indices, n_found)
                         c += 1 if whole or ring == 0 else 2 * ring
                 ring += 1
 

@@ -22,7 +22,7 @@ Int64 = npt.NDArray[np.int64]
 @kernel
 def _beside(
     ground: Xyz,
-    places: tuple[Int64, Int64],
+    cells: tuple[Int64, Int64],
     objects: Xyz,
     tops: Int32,
     table: CellTable,
@@ -31,10 +31,11 @@ def _beside(
 ) -> npt.NDArray[np.bool_]:
     """Return whether a point of an object lies near each ground point and is higher by at least ``rise``.
 
-    Objects are sorted by cell. ``tops`` has the greatest height in each cell.
+    ``cells`` are the columns and rows of the ground points. Objects are sorted by cell. ``tops`` has the greatest
+    height in each cell.
     """
     x, y, z = ground
-    columns, rows = places
+    columns, rows = cells
     ox, oy, oz = objects
     slots, keys, starts, _order, width, height = table
     out = np.zeros(x.size, np.bool_)
@@ -80,5 +81,5 @@ def near_objects(
     above = Xyz(*(axis[index.table.order] for axis in objects))
     below = Xyz(*(np.ascontiguousarray(axis) for axis in ground))
     tops = np.maximum.reduceat(above.z, index.table.starts[:-1])
-    places = index.cell_indices(below.x, below.y)
-    return _beside(below, places, above, tops, index.table, math.floor(reach * reach), rise)
+    cells_below = index.cell_indices(below.x, below.y)
+    return _beside(below, cells_below, above, tops, index.table, math.floor(reach * reach), rise)

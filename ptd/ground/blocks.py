@@ -10,12 +10,12 @@ from ptd.cells import Int32, Int64
 from ptd.frame import CellLattice
 from ptd.ground.morphology import Bool
 
-SIDE_CELLS = 2048
+BLOCK_CELLS = 2048
 """Side of a block in cells, without the margin around it."""
 
 
 def blocks(
-    x: Int32, y: Int32, cells: CellLattice, reach: int, side: int | None = None
+    x: Int32, y: Int32, cells: CellLattice, reach: int, size: int | None = None
 ) -> Iterator[tuple[Int64, Bool]]:
     """Divide points into square blocks of cells, each with all points within ``reach`` cells of the block.
 
@@ -29,8 +29,8 @@ def blocks(
     cells : CellLattice
     reach : int
         Margin around a block in cells.
-    side : int, optional
-        Number of cells along a side of a block; `SIDE_CELLS` by default.
+    size : int, optional
+        Number of cells along a side of a block; `BLOCK_CELLS` by default.
 
     Yields
     ------
@@ -41,16 +41,16 @@ def blocks(
     """
     if x.size == 0:
         return
-    side = SIDE_CELLS if side is None else side
+    size = BLOCK_CELLS if size is None else size
     columns, rows = cells.cell_indices(x, y)
     columns -= columns.min()
     rows -= rows[0]
-    if columns.max() < side + 2 * reach and rows[-1] < side + 2 * reach:
+    if columns.max() < size + 2 * reach and rows[-1] < size + 2 * reach:
         yield np.arange(x.size), np.ones(x.size, np.bool_)
         return
-    for south in range(0, int(rows[-1]) + 1, side):
-        first, last = np.searchsorted(rows, (south - reach, south + side + reach))
-        band, own_rows = columns[first:last], rows[first:last] // side == south // side
-        for west in np.unique(band[own_rows] // side) * side:
-            index = np.flatnonzero((band >= west - reach) & (band < west + side + reach))
-            yield index + first, own_rows[index] & (band[index] // side == west // side)
+    for south in range(0, int(rows[-1]) + 1, size):
+        first, last = np.searchsorted(rows, (south - reach, south + size + reach))
+        band, own_rows = columns[first:last], rows[first:last] // size == south // size
+        for west in np.unique(band[own_rows] // size) * size:
+            index = np.flatnonzero((band >= west - reach) & (band < west + size + reach))
+            yield index + first, own_rows[index] & (band[index] // size == west // size)

@@ -1,10 +1,10 @@
 """Certificates: the triangles of a window's TIN that points outside the window cannot change.
 
 Positions are uncertified if points outside the window could change the vertices there. A triangle is the same for any
-larger cloud if its circumcircle contains no uncertified position. A decision that used another triangle makes the
-position of its point uncertified too, since the point may or may not become a vertex. So the uncertified region grows
-round by round from the closed sides of the window. Everything that it has not reached is proven equal to the untiled
-run. The proof is in ``docs/filters.md``.
+larger cloud if its circumcircle contains no uncertified position. If a decision used an uncertified triangle, the
+position of the tested point becomes uncertified too, since the point may or may not become a vertex. So the uncertified
+region grows round by round from the closed sides of the window. Everything that it has not reached is proven equal to
+the untiled run. The proof is in ``docs/filters.md``.
 """
 
 from __future__ import annotations
@@ -20,18 +20,33 @@ from ptd.kernel import inlined, kernel
 from ptd.tin.layout import Int32Array, Mesh, is_ghost
 from ptd.tin.mesh import Tin
 
-DOUBT_CELL_M = 2.0
-"""Smallest side of the cells of the raster of uncertified positions."""
+UNCERTIFIED_CELL_M = 2.0
+"""Smallest size of the cells of the raster of uncertified positions."""
 MAX_RASTER = 1024
-"""Largest number of cells of that raster along its longer side."""
+"""Number of cells along the longer side of that raster above which its cells become larger."""
 
 Float32 = npt.NDArray[np.float32]
 UInt8 = npt.NDArray[np.uint8]
 Bool = npt.NDArray[np.bool_]
 
 
+class CheckedMesh(NamedTuple):
+    """The arrays of a TIN and a mask of its uncertified triangles, as one argument of kernels.
+
+    Attributes
+    ----------
+    vertices, triangles : int32 arrays, see `ptd.tin.layout`
+    uncertified : uint8 [triangles]
+        Result of `UncertifiedRegion.triangles`.
+    """
+
+    vertices: Int32Array
+    triangles: Int32Array
+    uncertified: UInt8
+
+
 @kernel
-def _mark_places(
+def _add_positions(
     mask: UInt8, west: int, south: int, cell: int, x: Int32Array, y: Int32Array, which: npt.NDArray[np.bool_]
 ) -> bool:
     """Make the positions of the chosen points uncertified, and return whether any of them was certified before."""
@@ -56,7 +71,7 @@ def _distance_to_side(ax: float, ay: float, bx: float, by: float) -> float:
 
 
 @kernel
-def _mark_triangles(
+def _add_triangles(
     mask: UInt8, west: int, south: int, cell: int, mesh: Mesh, which: UInt8, reach: float
 ) -> None:
     """Make all cells within `reach` of the chosen real triangles uncertified, and a few more."""
@@ -88,53 +103,54 @@ def _mark_triangles(
 
 
 class _Sides(NamedTuple):
-    """West, south, east and north of the known window, of the raster, and of the deep window."""
+    """West, south, east and north of the known window, of the raster, and of the seed window."""
 
     known: tuple[float, float, float, float]
     raster: tuple[float, float, float, float]
-    deep: tuple[float, float, float, float]
+    seed_window: tuple[float, float, float, float]
 
 
 @inlined
-def _circle_in_doubt(
-    bx: float,
-    by: float,
-    cx: float,
-    cy: float,
-    ax: float,
-    ay: float,
-    sides: _Sides,
-    cell: float,
-    free: Float32,
+def _circle_is_uncertified(
+    a: tuple[int, int], b: tuple[int, int], c: tuple[int, int], sides: _Sides, cell: float, distances: Float32
 ) -> bool:
-    """Return whether the circle through a, a + b, a + c may contain an uncertified position.
+    """Return whether the circle through three positions may contain an uncertified position.
 
-    A false yes is possible but rare, a false no is impossible.
+    A false yes is possible but rare, a false no is impossible. ``distances`` contains the distance in cells from
+    each cell to the nearest uncertified cell.
     """
+    ax, ay = float(a[0]), float(a[1])
+    bx, by = float(b[0] - a[0]), float(b[1] - a[1])
+    cx, cy = float(c[0] - a[0]), float(c[1] - a[1])
     area = 2.0 * (bx * cy - by * cx)
     b2, c2 = bx * bx + by * by, cx * cx + cy * cy
     if abs(area) <= 1e-9 * (abs(bx * cy) + abs(by * cx)):
         return True
     ux, uy = (cy * b2 - by * c2) / area, (bx * c2 - cx * b2) / area
     radius = math.sqrt(ux * ux + uy * uy) * (1.0 + 1e-6) + 1.0
-    return _disk_in_doubt(ax + ux, ay + uy, radius, sides, cell, free)
+    return _disk_is_uncertified(ax + ux, ay + uy, radius, sides, cell, distances)
 
 
 @inlined
-def _disk_in_doubt(x: float, y: float, radius: float, sides: _Sides, cell: float, free: Float32) -> bool:
+def _disk_is_uncertified(
+    x: float, y: float, radius: float, sides: _Sides, cell: float, distances: Float32
+) -> bool:
     """Return whether a disk may contain an uncertified position."""
     if not _within(x, y, radius, sides.known):
         return True
-    if not _within(x, y, radius, sides.raster) and not _within(x, y, radius, sides.deep):
+    if not _within(x, y, radius, sides.raster) and not _within(x, y, radius, sides.seed_window):
         return True
     column, row = (x - sides.raster[0]) / cell, (y - sides.raster[1]) / cell
-    near_x = min(max(column, 0.0), float(free.shape[1]))
-    near_y = min(max(row, 0.0), float(free.shape[0]))
-    # At the raster's nearest point, the lines to a centre beyond the raster and to a position in it enclose at least a
-    # right angle. So the squared distance is at least the sum of the squares of both lines.
+    near_x = min(max(column, 0.0), float(distances.shape[1]))
+    near_y = min(max(row, 0.0), float(distances.shape[0]))
+    # Let n be the raster's point nearest to a centre beyond it. The angle at n between the centre and any position in
+    # the raster is at least 90 degrees. So the squared distance from the centre to the position is at least the sum of
+    # their squared distances from n.
     beyond2 = (column - near_x) ** 2 + (row - near_y) ** 2
-    clear = float(free[min(int(near_y), free.shape[0] - 1), min(int(near_x), free.shape[1] - 1)])
-    return radius >= (math.sqrt(beyond2 + clear * clear) if beyond2 > 0.0 else clear) * cell
+    certified = float(
+        distances[min(int(near_y), distances.shape[0] - 1), min(int(near_x), distances.shape[1] - 1)]
+    )
+    return radius >= (math.sqrt(beyond2 + certified * certified) if beyond2 > 0.0 else certified) * cell
 
 
 @kernel
@@ -146,33 +162,27 @@ def _within(x: float, y: float, radius: float, sides: tuple[float, float, float,
 
 
 @kernel
-def _doubtful_triangles(mesh: Mesh, sides: _Sides, cell: int, free: Float32, out: UInt8) -> None:
+def _uncertified_triangles(mesh: Mesh, sides: _Sides, cell: int, distances: Float32, out: UInt8) -> None:
     vertices, triangles = mesh
     for t in range(out.size):
         if is_ghost(triangles, t):
             out[t] = 1
             continue
-        a, b, c = triangles[8 * t + 4], triangles[8 * t + 5], triangles[8 * t + 6]
-        ax, ay = vertices[4 * a], vertices[4 * a + 1]
-        out[t] = _circle_in_doubt(
-            float(vertices[4 * b] - ax),
-            float(vertices[4 * b + 1] - ay),
-            float(vertices[4 * c] - ax),
-            float(vertices[4 * c + 1] - ay),
-            float(ax),
-            float(ay),
-            sides,
-            float(cell),
-            free,
+        i, j, k = 4 * triangles[8 * t + 4], 4 * triangles[8 * t + 5], 4 * triangles[8 * t + 6]
+        a, b, c = (
+            (vertices[i], vertices[i + 1]),
+            (vertices[j], vertices[j + 1]),
+            (vertices[k], vertices[k + 1]),
         )
+        out[t] = _circle_is_uncertified(a, b, c, sides, float(cell), distances)
 
 
 @kernel
-def _disks_in_doubt(
-    x: Int32Array, y: Int32Array, radius: float, sides: _Sides, cell: float, free: Float32, out: Bool
+def _uncertified_disks(
+    x: Int32Array, y: Int32Array, radius: float, sides: _Sides, cell: float, distances: Float32, out: Bool
 ) -> None:
     for i in range(x.size):
-        out[i] = _disk_in_doubt(float(x[i]), float(y[i]), radius, sides, cell, free)
+        out[i] = _disk_is_uncertified(float(x[i]), float(y[i]), radius, sides, cell, distances)
 
 
 class UncertifiedRegion:
@@ -182,23 +192,28 @@ class UncertifiedRegion:
     ----------
     known : Window
         Window in which all candidates and their states are known.
-    deep : Window
-        Window within `known`. In its part beyond the raster, no seed (real or virtual) can appear or vanish.
+    seed_window : Window
+        Window within `known`. Outside the raster everything in it is certified: no real or virtual seed can appear or
+        vanish there.
     box : (int, int, int, int)
         West, south, east, north of the raster in local counts.
     scale : Scale
     """
 
-    def __init__(self, known: Window, deep: Window, box: tuple[int, int, int, int], scale: Scale) -> None:
+    def __init__(
+        self, known: Window, seed_window: Window, box: tuple[int, int, int, int], scale: Scale
+    ) -> None:
         self.active, self.known, self.box = known.closed, known, box
         span = max(box[2] - box[0], box[3] - box[1], 1)
-        self.cell = max(int(scale.counts(DOUBT_CELL_M)), -(-span // MAX_RASTER)) if self.active else span
+        self.cell = (
+            max(int(scale.counts(UNCERTIFIED_CELL_M)), -(-span // MAX_RASTER)) if self.active else span
+        )
         self.west, self.south = box[0], box[1]
         width, height = (box[2] - box[0]) // self.cell + 1, (box[3] - box[1]) // self.cell + 1
         self.mask = np.zeros((height, width), np.uint8)
         east, north = self.west + width * self.cell, self.south + height * self.cell
         self._sides = _Sides(
-            _floats(known), _floats(Window(self.west, self.south, east, north)), _floats(deep)
+            _floats(known), _floats(Window(self.west, self.south, east, north)), _floats(seed_window)
         )
         self._free = np.zeros((0, 0), np.float32)
         self._stale = True
@@ -215,14 +230,14 @@ class UncertifiedRegion:
 
     def add_points(self, x: Int32Array, y: Int32Array, which: npt.NDArray[np.bool_]) -> bool:
         """Make the positions of points in a mask uncertified, and return whether any of them was certified before."""
-        new = self.active and _mark_places(self.mask, self.west, self.south, self.cell, x, y, which)
+        new = self.active and _add_positions(self.mask, self.west, self.south, self.cell, x, y, which)
         self._stale = self._stale or new
         return new
 
     def add_triangles(self, tin: Tin, which: UInt8, reach: float) -> None:
         """Make all positions within `reach` counts of the chosen real triangles uncertified."""
         if self.active:
-            _mark_triangles(self.mask, self.west, self.south, self.cell, tin.mesh, which, reach)
+            _add_triangles(self.mask, self.west, self.south, self.cell, tin.mesh, which, reach)
             self._stale = True
 
     def covers(self, x: Int32Array, y: Int32Array) -> npt.NDArray[np.bool_]:
@@ -243,7 +258,7 @@ class UncertifiedRegion:
         """
         out = np.zeros(tin.n_triangles, np.uint8)
         if self.active:
-            _doubtful_triangles(tin.mesh, self._sides, self.cell, self._fresh(), out)
+            _uncertified_triangles(tin.mesh, self._sides, self.cell, self._fresh(), out)
         return out
 
     def near(self, x: Int32Array, y: Int32Array, radius: float) -> Bool:
@@ -253,7 +268,7 @@ class UncertifiedRegion:
         """
         out = np.zeros(x.size, np.bool_)
         if self.active:
-            _disks_in_doubt(x, y, float(radius), self._sides, float(self.cell), self._fresh(), out)
+            _uncertified_disks(x, y, float(radius), self._sides, float(self.cell), self._fresh(), out)
         return out
 
     def _fresh(self) -> Float32:

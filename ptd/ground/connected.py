@@ -36,10 +36,10 @@ def connected_surfaces(
     gap : int
         Largest distance of neighbours in cells, with empty cells between them.
     tilts : (int64, int64), optional
-        Slopes of the terrain at large to the north and to the east in counts per cell, for each block of cells.
+        Large-scale slopes of the terrain, to the north and to the east, in counts per cell, for each block of cells.
         Neighbours also belong to one surface if their height difference minus this slope is below the limit.
     block : int
-        Side of those blocks in cells.
+        Size of those blocks in cells.
 
     Returns
     -------

@@ -9,10 +9,8 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
-import numpy as np
-import numpy.typing as npt
-
 from ptd.frame import Scale
+from ptd.ground.certificates import UInt8
 from ptd.kernel import as_int64, kernel
 from ptd.tin.interpolation import canonical_facet
 from ptd.tin.layout import Int32Array, is_ghost
@@ -21,7 +19,8 @@ from ptd.tin.predicates import lexicographic_less
 
 Measures = tuple[float, float, float, float]
 """Result of `facet_measures`."""
-UInt8 = npt.NDArray[np.uint8]
+Point = tuple[int, int, int]
+"""x, y and z in local counts."""
 
 
 class FacetLimits(NamedTuple):
@@ -172,14 +171,7 @@ def across(vertices: Int32Array, triangles: Int32Array, t: int, x: int, y: int) 
 
 @kernel
 def accepts(
-    vertices: Int32Array,
-    triangles: Int32Array,
-    t: int,
-    x: int,
-    y: int,
-    z: int,
-    limits: FacetLimits,
-    in_doubt: UInt8,
+    vertices: Int32Array, triangles: Int32Array, uncertified: UInt8, t: int, point: Point, limits: FacetLimits
 ) -> tuple[bool, bool, bool]:
     """Test a point in the real triangle t by Axelsson's criteria.
 
@@ -187,7 +179,7 @@ def accepts(
 
     Parameters
     ----------
-    in_doubt : uint8 [triangles]
+    uncertified : uint8 [triangles]
         Mask of uncertified triangles (`ptd.ground.certificates.UncertifiedRegion.triangles`).
 
     Returns
@@ -196,30 +188,31 @@ def accepts(
         Whether the point belongs to the terrain.
     elsewhere : bool
         Whether the result depends on other triangles than t.
-    doubtful : bool
+    is_uncertified : bool
         Whether the result depends on an uncertified triangle.
     """
+    x, y, z = point
     v = coincident_vertex(vertices, triangles, x, y, t)
     if v >= 0:
-        return z == vertices[4 * v + 2], False, in_doubt[t] != 0
+        return z == vertices[4 * v + 2], False, uncertified[t] != 0
     beside = across(vertices, triangles, t, x, y)
-    doubtful = in_doubt[t] != 0 or in_doubt[beside] != 0
+    is_uncertified = uncertified[t] != 0 or uncertified[beside] != 0
     measures = facet_measures(vertices, triangles, t, x, y, z, limits.z_ratio)
-    passed, mirrored, unsure = judge(vertices, triangles, t, x, y, z, measures, limits, in_doubt)
-    return passed, mirrored or beside != t, doubtful or unsure
+    passed, mirrored, mirror_is_uncertified = judge(
+        vertices, triangles, uncertified, t, point, measures, limits
+    )
+    return passed, mirrored or beside != t, is_uncertified or mirror_is_uncertified
 
 
 @kernel
 def judge(
     vertices: Int32Array,
     triangles: Int32Array,
+    uncertified: UInt8,
     t: int,
-    x: int,
-    y: int,
-    z: int,
+    point: Point,
     measures: Measures,
     limits: FacetLimits,
-    in_doubt: UInt8,
 ) -> tuple[bool, bool, bool]:
     """Test a point that is not at a vertex, like `accepts`, from its `facet_measures`.
 
@@ -229,21 +222,22 @@ def judge(
         Whether the point belongs to the terrain.
     mirrored : bool
         Whether the point was tested at its mirrored position.
-    doubtful : bool
+    is_uncertified : bool
         Whether a triangle at the mirrored position is uncertified.
     """
+    x, y, z = point
     distance, nearest, cos2, edge = measures
     if edge < limits.stop_edge:
         return False, False, False
     if cos2 >= limits.steep_cos2:
         return within(distance, nearest, edge, limits), False, False
     other, mx, my = mirror_facet(vertices, triangles, t, x, y)
-    doubtful = in_doubt[other] != 0
+    is_uncertified = uncertified[other] != 0
     if is_ghost(triangles, other):
-        return False, True, doubtful
+        return False, True, is_uncertified
     v = coincident_vertex(vertices, triangles, mx, my, other)
     if v >= 0:
-        return z == vertices[4 * v + 2], True, doubtful
-    doubtful = doubtful or in_doubt[across(vertices, triangles, other, mx, my)] != 0
+        return z == vertices[4 * v + 2], True, is_uncertified
+    is_uncertified = is_uncertified or uncertified[across(vertices, triangles, other, mx, my)] != 0
     distance, nearest, cos2, edge = facet_measures(vertices, triangles, other, mx, my, z, limits.z_ratio)
-    return within(distance, nearest, edge, limits), True, doubtful
+    return within(distance, nearest, edge, limits), True, is_uncertified

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from ptd.cells import Int32, Xyz
 from ptd.frame import CellLattice, Scale, Window
-from ptd.ground.certificates import UInt8, UncertifiedRegion
+from ptd.ground.certificates import CheckedMesh, UInt8, UncertifiedRegion
 from ptd.ground.criteria import FacetLimits, accepts
 from ptd.ground.seeds import RING, box_with_ring, choose_seeds
 from ptd.kernel import as_int64, kernel
@@ -36,22 +36,21 @@ class _Candidates(NamedTuple):
         Triangle of the last test; -1 before the first one.
     again : bool [n]
         Whether the last result depended on other triangles as well.
-    doubtful : bool [n]
+    uncertified_points : bool [n]
         Whether points outside the window could change a decision.
     """
 
     state: UInt8
     home: Int32
     again: npt.NDArray[np.bool_]
-    doubtful: npt.NDArray[np.bool_]
+    uncertified_points: npt.NDArray[np.bool_]
 
 
 @kernel
 def _test_round(
-    mesh: Mesh,
+    mesh: CheckedMesh,
     points: Xyz,
     candidates: _Candidates,
-    in_doubt: UInt8,
     limits: FacetLimits,
     stamp: int,
     chosen: Int32,
@@ -62,9 +61,9 @@ def _test_round(
     candidate whose result depends on other triangles as well (mirrored, or on an edge) is tested in every round
     (`again`).
     """
-    vertices, triangles = mesh
+    vertices, triangles, uncertified = mesh
     x, y, z = points
-    state, home, again, doubtful = candidates
+    state, home, again, uncertified_points = candidates
     n_chosen = 0
     t = as_int64(0)
     for i in range(x.size):
@@ -73,17 +72,17 @@ def _test_round(
         if home[i] >= 0:
             t = as_int64(home[i])
         if home[i] >= 0 and not again[i] and triangles[8 * t + STAMP] < stamp - 1:
-            doubtful[i] = doubtful[i] or in_doubt[t] != 0
+            uncertified_points[i] = uncertified_points[i] or uncertified[t] != 0
             continue
         px, py, pz = as_int64(x[i]), as_int64(y[i]), as_int64(z[i])
         t = locate(vertices, triangles, px, py, t)
         home[i] = t
         if is_ghost(triangles, t):
-            doubtful[i] = doubtful[i] or in_doubt[t] != 0
+            uncertified_points[i] = uncertified_points[i] or uncertified[t] != 0
             continue
-        passed, elsewhere, unsure = accepts(vertices, triangles, t, px, py, pz, limits, in_doubt)
+        passed, elsewhere, is_uncertified = accepts(vertices, triangles, uncertified, t, (px, py, pz), limits)
         again[i] = elsewhere
-        doubtful[i] = doubtful[i] or unsure
+        uncertified_points[i] = uncertified_points[i] or is_uncertified
         if passed:
             chosen[n_chosen] = i
             n_chosen += 1
@@ -107,7 +106,7 @@ def _insert_points(
 
 
 def densify(
-    tin: Tin, points: Xyz, state: UInt8, limits: FacetLimits, rounds: int, doubt: UncertifiedRegion
+    tin: Tin, points: Xyz, state: UInt8, limits: FacetLimits, rounds: int, region: UncertifiedRegion
 ) -> tuple[npt.NDArray[np.bool_], int]:
     """Densify a TIN in rounds until no candidate passes any more, or for `rounds` rounds.
 
@@ -125,32 +124,32 @@ def densify(
     limits : FacetLimits
     rounds : int
         Largest number of rounds; 0: until no candidate passes.
-    doubt : UncertifiedRegion
+    region : UncertifiedRegion
         Uncertified region, which grows by the candidates whose decision points outside the window could change.
 
     Returns
     -------
-    doubtful : bool [n]
+    uncertified_points : bool [n]
         Mask of the candidates whose decision points outside the window could change.
     rounds : int
         Number of rounds that were run.
     """
     n_points = points.x.size
     home, room = np.full(n_points, -1, np.int32), np.empty(n_points, np.int32)
-    doubtful = np.zeros(n_points, np.bool_)
-    candidates = _Candidates(state, home, np.zeros(n_points, np.bool_), doubtful)
+    uncertified_points = np.zeros(n_points, np.bool_)
+    candidates = _Candidates(state, home, np.zeros(n_points, np.bool_), uncertified_points)
     stamp = 0
     while rounds == 0 or stamp < rounds:
         stamp += 1
-        in_doubt = doubt.triangles(tin)
-        n = _test_round(tin.mesh, points, candidates, in_doubt, limits, stamp, room)
-        spread = doubt.add_points(points.x, points.y, doubtful)
+        mesh = CheckedMesh(*tin.mesh, region.triangles(tin))
+        n = _test_round(mesh, points, candidates, limits, stamp, room)
+        spread = region.add_points(points.x, points.y, uncertified_points)
         if n == 0 and not spread:
             break
         chosen = room[:n]
         state[chosen] = VERTEX
         _insert_points(tin.mesh, tin.counters, points, home, chosen, stamp)
-    return doubtful, stamp
+    return uncertified_points, stamp
 
 
 def densify_seeds(
@@ -175,23 +174,23 @@ def densify_seeds(
     rounds : int
         Largest number of rounds (`densify`).
     known : Window
-        Window in which all candidates, and which of them are outliers, are known.
+        Window in which all candidates and the mask of outliers are known.
     scale : Scale
 
     Returns
     -------
     tin : Tin
-    in_doubt : uint8 [triangles]
+    uncertified : uint8 [triangles]
         Mask of uncertified triangles (`ptd.ground.certificates.UncertifiedRegion.triangles`).
     rounds : int
         Number of rounds that were run.
     """
     x, y, z = points
-    doubt = UncertifiedRegion(known, known.inside(seed_cells, RING), box_with_ring(x, y, seed_cells), scale)
-    seeds = choose_seeds(x, y, z, ~outlier, seed_cells, doubt)
+    region = UncertifiedRegion(known, known.inside(seed_cells, RING), box_with_ring(x, y, seed_cells), scale)
+    seeds = choose_seeds(x, y, z, ~outlier, seed_cells, region)
     state = np.where(outlier, np.uint8(REFUSED), np.uint8(WAITING)).astype(np.uint8)
     state[seeds.chosen] = VERTEX
     first = np.concatenate([np.stack([x, y, z])[:, seeds.chosen], seeds.virtual.T], axis=1)
     tin = Tin.build(*first, max_vertices=int(x.size) + seeds.virtual.shape[0])
-    _, run = densify(tin, points, state, limits, rounds, doubt)
-    return tin, doubt.triangles(tin), run
+    _, run = densify(tin, points, state, limits, rounds, region)
+    return tin, region.triangles(tin), run

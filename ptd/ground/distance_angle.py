@@ -49,7 +49,7 @@ class Bins(NamedTuple):
     angles: int
 
 
-class Tested(NamedTuple):
+class TrialArrays(NamedTuple):
     """Arrays and settings with which kernels test points.
 
     Attributes
@@ -57,7 +57,7 @@ class Tested(NamedTuple):
     mesh : Mesh
     usable : bool [triangles]
         Mask of the facets whose circumcircles are not too wide.
-    in_doubt : uint8 [triangles]
+    uncertified : uint8 [triangles]
         Mask of uncertified triangles (`ptd.ground.certificates.UncertifiedRegion.triangles`).
     locator : Locator
     z_ratio : float
@@ -68,7 +68,7 @@ class Tested(NamedTuple):
 
     mesh: Mesh
     usable: Bool
-    in_doubt: UInt8
+    uncertified: UInt8
     locator: Locator
     z_ratio: float
     largest: bool
@@ -106,7 +106,7 @@ def _usable(mesh: Mesh, n: int, rule: Rule) -> Bool:
 
 @kernel
 def _owner(
-    vertices: Int32Array, triangles: Int32Array, usable: Bool, in_doubt: UInt8, t: int, x: int, y: int
+    vertices: Int32Array, triangles: Int32Array, usable: Bool, uncertified: UInt8, t: int, x: int, y: int
 ) -> tuple[int, bool]:
     """Return the usable facet at a position that is not a vertex, or -1, and whether it is certified.
 
@@ -115,16 +115,16 @@ def _owner(
     """
     beside = across(vertices, triangles, t, x, y)
     owner = t if usable[t] else (beside if usable[beside] else -1)
-    return owner, bool(usable[t] and usable[beside] and in_doubt[t] == 0 and in_doubt[beside] == 0)
+    return owner, bool(usable[t] and usable[beside] and uncertified[t] == 0 and uncertified[beside] == 0)
 
 
 @kernel
 def _test(
-    tested: Tested, points: Xyz, which: Bool, near: Bool, distance: float, sine: float
+    tested: TrialArrays, points: Xyz, which: Bool, near: Bool, distance: float, sine: float
 ) -> tuple[Bool, Bool]:
-    (vertices, triangles), usable, in_doubt, locator, z_ratio, largest = tested
+    (vertices, triangles), usable, uncertified, locator, z_ratio, largest = tested
     x, y, z = points
-    passed, doubtful = np.zeros(x.size, np.bool_), np.zeros(x.size, np.bool_)
+    passed, uncertified_points = np.zeros(x.size, np.bool_), np.zeros(x.size, np.bool_)
     for i in range(x.size):
         if not which[i]:
             continue
@@ -132,19 +132,21 @@ def _test(
         v = coincident_vertex(vertices, triangles, x[i], y[i], t)
         if v >= 0:
             passed[i] = abs(float(z[i]) - float(vertices[4 * v + 2])) * z_ratio <= distance
-            doubtful[i] = near[i] and in_doubt[t] != 0
+            uncertified_points[i] = near[i] and uncertified[t] != 0
             continue
-        owner, sure = _owner(vertices, triangles, usable, in_doubt, t, x[i], y[i])
-        doubtful[i] = near[i] and not sure
+        owner, is_certified = _owner(vertices, triangles, usable, uncertified, t, x[i], y[i])
+        uncertified_points[i] = near[i] and not is_certified
         if owner >= 0:
             off, corner = _gauge(vertices, triangles, owner, x[i], y[i], z[i], z_ratio, largest)
             passed[i] = off <= distance and off <= corner * sine
-    return passed, doubtful
+    return passed, uncertified_points
 
 
 @kernel
-def _count(tested: Tested, points: Xyz, which: Bool, distance: float, angle: float, counts: Int64) -> None:
-    (vertices, triangles), usable, in_doubt, locator, z_ratio, largest = tested
+def _count(
+    tested: TrialArrays, points: Xyz, which: Bool, distance: float, angle: float, counts: Int64
+) -> None:
+    (vertices, triangles), usable, uncertified, locator, z_ratio, largest = tested
     x, y, z = points
     for i in range(x.size):
         if not which[i]:
@@ -152,7 +154,7 @@ def _count(tested: Tested, points: Xyz, which: Bool, distance: float, angle: flo
         t = locate(vertices, triangles, x[i], y[i], start_near(locator, x[i], y[i]))
         if coincident_vertex(vertices, triangles, x[i], y[i], t) >= 0:
             continue
-        owner, _sure = _owner(vertices, triangles, usable, in_doubt, t, x[i], y[i])
+        owner, _is_certified = _owner(vertices, triangles, usable, uncertified, t, x[i], y[i])
         if owner < 0:
             continue
         off, corner = _gauge(vertices, triangles, owner, x[i], y[i], z[i], z_ratio, largest)
@@ -179,7 +181,7 @@ class Trial:
     scale : Scale
     widest_m : float
         Largest circumradius in metres.
-    doubt : UncertifiedRegion, optional
+    region : UncertifiedRegion, optional
         Current uncertified region of the TIN.
     largest : bool
         Whether a point's angle is the largest of the three (Axelsson; Dong 2018), not the smallest (Dong 2017).
@@ -190,17 +192,19 @@ class Trial:
         tin: Tin,
         scale: Scale,
         widest_m: float,
-        doubt: UncertifiedRegion | None = None,
+        region: UncertifiedRegion | None = None,
         largest: bool = False,
     ) -> None:
         self.tin, self.scale, self.radius = tin, scale, scale.counts(widest_m)
         self.usable = _usable(tin.mesh, tin.n_triangles, Rule(ANY_EDGE, self.radius))
         if self.usable.size:
-            in_doubt = np.zeros(tin.n_triangles, np.uint8) if doubt is None else doubt.triangles(tin)
-            self._tested = Tested(tin.mesh, self.usable, in_doubt, Locator.of(tin), scale.z_ratio, largest)
+            uncertified = np.zeros(tin.n_triangles, np.uint8) if region is None else region.triangles(tin)
+            self._tested = TrialArrays(
+                tin.mesh, self.usable, uncertified, Locator.of(tin), scale.z_ratio, largest
+            )
 
     def test(
-        self, x: Int32, y: Int32, z: Int32, which: Bool, threshold: Threshold, doubt: UncertifiedRegion
+        self, x: Int32, y: Int32, z: Int32, which: Bool, threshold: Threshold, region: UncertifiedRegion
     ) -> tuple[Bool, Bool]:
         """Test the chosen points.
 
@@ -213,17 +217,17 @@ class Trial:
         threshold : Threshold
             Limits of distance and angle, which must both hold. At a vertex, where any of its facets may be found, only
             the height above the vertex counts.
-        doubt : UncertifiedRegion
+        region : UncertifiedRegion
             Uncertified region of the TIN, which may have grown since.
 
         Returns
         -------
         passed : bool [n]
-        doubtful : bool [n]
+        uncertified_points : bool [n]
             Mask of the results that points outside the window could change.
         """
         near = np.zeros(x.size, np.bool_)
-        near[which] = doubt.near(x[which], y[which], 2.0 * self.radius)
+        near[which] = region.near(x[which], y[which], 2.0 * self.radius)
         if not self.usable.size:
             return np.zeros(x.size, np.bool_), near
         distance, sine = self.scale.counts(threshold.distance_m), math.sin(threshold.angle_rad)

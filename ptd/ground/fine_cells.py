@@ -17,16 +17,16 @@ from ptd.ground.labelling import FAR, NEAR
 from ptd.kernel import as_int64, kernel
 
 CELL_M = 0.4
-"""Side of the fine cells."""
-SIDE = 5
+"""Size of the fine cells."""
+BLOCK_SIZE = 5
 """Number of cells along a side of a block."""
-CELLS = SIDE * SIDE
+CELLS = BLOCK_SIZE * BLOCK_SIZE
 
 Bool = npt.NDArray[np.bool_]
 UInt8 = npt.NDArray[np.uint8]
 
 
-class Placed(NamedTuple):
+class LocatedPoints(NamedTuple):
     """Points that are near a TIN or uncertified, with their blocks and cells.
 
     Attributes
@@ -45,7 +45,7 @@ class Placed(NamedTuple):
 
 
 class Blocks(NamedTuple):
-    """Blocks with placed points, by rows.
+    """Blocks with located points, by rows.
 
     Attributes
     ----------
@@ -53,18 +53,21 @@ class Blocks(NamedTuple):
         Numbers of the 3 x 3 blocks around each block, with the block itself, row by row; -1 for those not occupied.
     points, near : int32 [n]
         Number of points in the block, and number of those that are `NEAR` or `ON`.
-    settled, doubtful : bool [n]
-        Whether no point is just `NEAR`, so that there is nothing to decide, and whether any point is uncertified.
+    settled, has_uncertified : bool [n]
+        Whether no point has the closeness `NEAR`, so that nothing is left to decide, and whether any point is
+        uncertified.
     """
 
     around: Int32
     points: Int32
     near: Int32
     settled: Bool
-    doubtful: Bool
+    has_uncertified: Bool
 
 
-def placed(points: Xyz, close: UInt8, marked: Bool, scale: Scale) -> tuple[Placed, Blocks]:
+def located_points(
+    points: Xyz, close: UInt8, uncertified: Bool, scale: Scale
+) -> tuple[LocatedPoints, Blocks]:
     """Find the blocks and cells of all points that are uncertified or not `FAR`.
 
     Parameters
@@ -72,30 +75,30 @@ def placed(points: Xyz, close: UInt8, marked: Bool, scale: Scale) -> tuple[Place
     points : Xyz
     close : uint8 [n]
         Closeness of each point to the TIN (`ptd.ground.labelling.Closeness`).
-    marked : bool [n]
+    uncertified : bool [n]
         Mask of the uncertified points.
     scale : Scale
     """
-    index = _chosen(close, marked)
+    index = _chosen(close, uncertified)
     if index.size == 0:
         none = np.zeros(0, np.int32)
         nothing = np.zeros(0, np.bool_)
-        where = Placed(index, none.astype(np.int64), none.astype(np.uint8))
+        where = LocatedPoints(index, none.astype(np.int64), none.astype(np.uint8))
         return where, Blocks(np.zeros((0, 9), np.int32), none, none, nothing, nothing)
     lattice = CellLattice.of(CELL_M, scale)
     keys, cell, width, height = _keys(points, index, lattice.p, lattice.q, lattice.origin_x, lattice.origin_y)
     blocks, block = occupied(keys, width * height)
-    where = Placed(index, block, cell)
+    where = LocatedPoints(index, block, cell)
     around = neighbours_of_blocks(blocks, width)
-    return where, Blocks(around, *_counted(where, close, marked, blocks.size))
+    return where, Blocks(around, *_counted(where, close, uncertified, blocks.size))
 
 
 @kernel
-def _chosen(close: UInt8, marked: Bool) -> Int32:
+def _chosen(close: UInt8, uncertified: Bool) -> Int32:
     index, n = np.empty(close.size, np.int32), 0
     for i in range(close.size):
         index[n] = i
-        n += (close[i] != FAR) | marked[i]
+        n += (close[i] != FAR) | uncertified[i]
     return index[:n].copy()
 
 
@@ -112,17 +115,17 @@ def _keys(points: Xyz, index: Int32, p: int, q: int, ox: int, oy: int) -> tuple[
         west, east = min(west, as_int64(x[i])), max(east, as_int64(x[i]))
         south, north = min(south, as_int64(y[i])), max(north, as_int64(y[i]))
     inverse = 1.0 / p
-    column = quotient((west + ox) * q, p, inverse) // SIDE - 1
-    row = quotient((south + oy) * q, p, inverse) // SIDE
-    width = quotient((east + ox) * q, p, inverse) // SIDE - column + 2
-    height = quotient((north + oy) * q, p, inverse) // SIDE - row + 1
+    column = quotient((west + ox) * q, p, inverse) // BLOCK_SIZE - 1
+    row = quotient((south + oy) * q, p, inverse) // BLOCK_SIZE
+    width = quotient((east + ox) * q, p, inverse) // BLOCK_SIZE - column + 2
+    height = quotient((north + oy) * q, p, inverse) // BLOCK_SIZE - row + 1
     keys, cell = np.empty(index.size, np.int64), np.empty(index.size, np.uint8)
     for k in range(index.size):
         i = index[k]
-        across = quotient((as_int64(x[i]) + ox) * q, p, inverse) - column * SIDE
-        up = quotient((as_int64(y[i]) + oy) * q, p, inverse) - row * SIDE
-        keys[k] = up // SIDE * width + across // SIDE
-        cell[k] = up % SIDE * SIDE + across % SIDE
+        across = quotient((as_int64(x[i]) + ox) * q, p, inverse) - column * BLOCK_SIZE
+        up = quotient((as_int64(y[i]) + oy) * q, p, inverse) - row * BLOCK_SIZE
+        keys[k] = up // BLOCK_SIZE * width + across // BLOCK_SIZE
+        cell[k] = up % BLOCK_SIZE * BLOCK_SIZE + across % BLOCK_SIZE
     return keys, cell, width, height
 
 
@@ -131,7 +134,7 @@ def neighbours_of_blocks(keys: Int64, width: int) -> Int32:
     """Return the indices of the 3 x 3 blocks around each block, row by row: int32 [m, 9].
 
     The index is -1 for blocks that are not occupied. ``keys`` are sorted. Rasters have an empty column on both sides,
-    so keys of successive rows are never neighbours.
+    so the last block of a row and the first of the next never have adjacent keys.
     """
     neighbours = np.full((keys.size, 9), -1, np.int32)
     for row in range(3):
@@ -148,18 +151,20 @@ def neighbours_of_blocks(keys: Int64, width: int) -> Int32:
 
 
 @kernel
-def _counted(where: Placed, close: UInt8, marked: Bool, n_blocks: int) -> tuple[Int32, Int32, Bool, Bool]:
-    """Return the fields ``points``, ``near``, ``settled`` and ``doubtful`` of `Blocks`."""
+def _counted(
+    where: LocatedPoints, close: UInt8, uncertified: Bool, n_blocks: int
+) -> tuple[Int32, Int32, Bool, Bool]:
+    """Return the fields ``points``, ``near``, ``settled`` and ``has_uncertified`` of `Blocks`."""
     index, block, _ = where
     points, near = np.zeros(n_blocks, np.int32), np.zeros(n_blocks, np.int32)
-    settled, doubtful = np.ones(n_blocks, np.bool_), np.zeros(n_blocks, np.bool_)
+    settled, has_uncertified = np.ones(n_blocks, np.bool_), np.zeros(n_blocks, np.bool_)
     for k in range(index.size):
         b, how = block[k], close[index[k]]
         points[b] += 1
         near[b] += how >= NEAR
         settled[b] &= how != NEAR
-        doubtful[b] |= marked[index[k]]
-    return points, near, settled, doubtful
+        has_uncertified[b] |= uncertified[index[k]]
+    return points, near, settled, has_uncertified
 
 
 @kernel

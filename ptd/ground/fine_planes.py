@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.cells import Int32, Xyz
-from ptd.ground.fine_cells import CELLS, SIDE, Placed
+from ptd.ground.fine_cells import BLOCK_SIZE, CELLS, LocatedPoints
 from ptd.ground.labelling import NEAR
 from ptd.ground.morphology import EMPTY
 from ptd.kernel import as_int64, inlined, kernel
@@ -23,13 +23,14 @@ FILLED = 9
 ENOUGH, ENOUGH_WIDE = 6, 9
 """A plane of 3 x 3 cells needs at least the first number of them. If there are fewer, 5 x 5 cells need the second."""
 AROUND = 2
-"""Number of cells that the wider planes extend to each side. It is at most `SIDE`, so the blocks around suffice."""
+"""Number of cells that the wider planes extend to each side. At most `BLOCK_SIZE`, so the blocks around suffice."""
 SPIKE_M = 0.07
-"""A cell at least this high above its plane, in metres, is left out of the planes around it."""
+"""A cell more than this high above its plane, in metres, is left out of the planes around it."""
 ROUGH_M = 0.1
 """If cells scatter by more than this about their plane, in metres, the TIN decides, as at a step or a wall."""
 THIN = 0.05
-"""Cells lie on a line, so that there is no plane, if the determinant is at most this share of the largest one."""
+"""Cells lie on a line, so that there is no plane, if the determinant is at most this share of its largest possible
+value."""
 
 Bool = npt.NDArray[np.bool_]
 UInt8 = npt.NDArray[np.uint8]
@@ -53,7 +54,7 @@ class Planes(NamedTuple):
         Local counts of the point that represents each cell; z is `EMPTY` if there is none.
     east, north, height : float32 [pages * 25]
         Rise of the plane to the east and to the north in vertical counts per horizontal count, and its height above the
-        point in vertical counts; NaN if there is no plane.
+        point in vertical counts. `height` is NaN if there is no plane.
     """
 
     x: Int32
@@ -73,7 +74,7 @@ class Planes(NamedTuple):
 
 
 @kernel
-def elect(points: Xyz, where: Placed, close: UInt8, pages: Int32, planes: Planes) -> None:
+def elect(points: Xyz, where: LocatedPoints, close: UInt8, pages: Int32, planes: Planes) -> None:
     """Choose the lowest point near the TIN to represent each cell of a block with a page.
 
     Of equally low points the first in (x, y) is chosen.
@@ -93,11 +94,11 @@ def elect(points: Xyz, where: Placed, close: UInt8, pages: Int32, planes: Planes
             cell_x[plane_index], cell_y[plane_index], cell_z[plane_index] = x[i], y[i], z[i]
 
 
-PATCH = SIDE + 2 * AROUND
+PATCH = BLOCK_SIZE + 2 * AROUND
 """Number of cells along a side of a patch: a block and the cells around it that its planes read."""
 MOMENTS = 10
 """Number of moments of a cell: n, x, y, z, xx, xy, yy, xz, yz, zz."""
-PATCH_ROW, BLOCK_ROW = PATCH * MOMENTS, SIDE * MOMENTS
+PATCH_ROW, BLOCK_ROW = PATCH * MOMENTS, BLOCK_SIZE * MOMENTS
 """Number of moments in a row of cells of a patch and of a block."""
 
 
@@ -111,8 +112,8 @@ class _Sums(NamedTuple):
     patch : float64 [PATCH * PATCH * MOMENTS]
         Moments of each cell of a block and around it.
     three_rows, five_rows : float64 [PATCH * MOMENTS]
-        Sums of the moments of 3 and of 5 cells above each other.
-    three, five : float64 [SIDE * SIDE * MOMENTS]
+        Sums of the moments of 3 and of 5 successive cells of a column.
+    three, five : float64 [BLOCK_SIZE * BLOCK_SIZE * MOMENTS]
         Sums of the moments of the 3 x 3 and of the 5 x 5 cells around each cell of the block.
     """
 
@@ -126,8 +127,8 @@ class _Sums(NamedTuple):
 @kernel
 def _no_sums() -> _Sums:
     return _Sums(
-        np.zeros(PATCH * PATCH_ROW), np.zeros(PATCH_ROW), np.zeros(PATCH_ROW), np.zeros(SIDE * BLOCK_ROW),
-        np.zeros(SIDE * BLOCK_ROW),
+        np.zeros(PATCH * PATCH_ROW), np.zeros(PATCH_ROW), np.zeros(PATCH_ROW), np.zeros(BLOCK_SIZE * BLOCK_ROW),
+        np.zeros(BLOCK_SIZE * BLOCK_ROW),
     )  # fmt: skip
 
 
@@ -139,15 +140,15 @@ def _fill_patch(
     x, y, z = planes.x, planes.y, planes.z
     x0, y0, z0 = as_int64(x[origin]), as_int64(y[origin]), as_int64(z[origin])
     for n in range(9):
-        south, west = (n // 3 - 1) * SIDE + AROUND, (n % 3 - 1) * SIDE + AROUND
-        first_column, end_column = max(-west, 0), min(PATCH - west, SIDE)
+        south, west = (n // 3 - 1) * BLOCK_SIZE + AROUND, (n % 3 - 1) * BLOCK_SIZE + AROUND
+        first_column, end_column = max(-west, 0), min(PATCH - west, BLOCK_SIZE)
         page = as_int64(pages[around[k, n]]) if around[k, n] >= 0 else -1
-        for row in range(max(-south, 0), min(PATCH - south, SIDE)):
+        for row in range(max(-south, 0), min(PATCH - south, BLOCK_SIZE)):
             m = (south + row) * PATCH_ROW + (west + first_column) * MOMENTS
             if page < 0:
                 patch[m : m + (end_column - first_column) * MOMENTS] = 0.0
                 continue
-            first = page * CELLS + row * SIDE
+            first = page * CELLS + row * BLOCK_SIZE
             for plane_index in range(first + first_column, first + end_column):
                 # A product instead of a branch, which the processor could predict wrongly.
                 n_points = float(np.int64(kept[plane_index]))
@@ -161,9 +162,9 @@ def _fill_patch(
 
 @inlined
 def _add_up(sums: _Sums) -> None:
-    """Compute the sums around each cell of the block, first of cells above each other, then of adjacent sums."""
+    """Compute the sums around each cell of the block, first of successive cells of columns, then of adjacent sums."""
     patch, three_rows, five_rows, three, five = sums
-    for row in range(SIDE):
+    for row in range(BLOCK_SIZE):
         south = row * PATCH_ROW
         for i in range(PATCH_ROW):
             s = south + i
@@ -232,9 +233,9 @@ def _touched(around: Int32, k: int, first: int, kept: Bool, planes: Planes, touc
     for cell in range(CELLS):
         if kept[first + cell] or planes.z[first + cell] == EMPTY:
             continue
-        row, column = cell // SIDE, cell % SIDE
+        row, column = cell // BLOCK_SIZE, cell % BLOCK_SIZE
         for n in range(9):
-            south, west = n // 3 * SIDE - SIDE, n % 3 * SIDE - SIDE
+            south, west = n // 3 * BLOCK_SIZE - BLOCK_SIZE, n % 3 * BLOCK_SIZE - BLOCK_SIZE
             reached = _apart(row, south) <= AROUND and _apart(column, west) <= AROUND
             if around[k, n] >= 0 and reached:
                 touched[around[k, n]] = True
@@ -243,7 +244,7 @@ def _touched(around: Int32, k: int, first: int, kept: Bool, planes: Planes, touc
 @kernel
 def _apart(index: int, first: int) -> int:
     """Return the distance from row or column ``index`` to the block whose first row or column is ``first``."""
-    return max(first - index, index - first - SIDE + 1, 0)
+    return max(first - index, index - first - BLOCK_SIZE + 1, 0)
 
 
 @kernel

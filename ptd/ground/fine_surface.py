@@ -15,7 +15,15 @@ import numpy.typing as npt
 
 from ptd.cells import Int32, Xyz
 from ptd.frame import Scale
-from ptd.ground.fine_cells import CELL_M, CELLS, SIDE, Blocks, Placed, pages_of_blocks, placed
+from ptd.ground.fine_cells import (
+    BLOCK_SIZE,
+    CELL_M,
+    CELLS,
+    Blocks,
+    LocatedPoints,
+    located_points,
+    pages_of_blocks,
+)
 from ptd.ground.fine_planes import FILLED, ROUGH_M, SPIKE_M, PlaneLimits, Planes, elect, fit
 from ptd.ground.labelling import (
     FAR,
@@ -32,7 +40,7 @@ from ptd.ground.outliers import LowNoise
 from ptd.kernel import kernel
 from ptd.tin.mesh import Tin
 
-REACH_M = 3 * SIDE * CELL_M
+REACH_M = 3 * BLOCK_SIZE * CELL_M
 """Distance beyond which points do not change a point's label. The label depends on planes in the point's block and the
 eight around it, and these depend on points one block farther."""
 NEAR_M, NEAR_SLOPE_M = 0.2, 0.5
@@ -45,7 +53,8 @@ CROP_BELOW_M, CROP_ABOVE_M, CROP_ON_M, CROP_SHARE = 0.1, 0.4, 0.05, 0.5
 """Limits of a crop.
 
 Points from `CROP_BELOW_M` below to `CROP_ABOVE_M` above the fine surface, in a block and those around it, are counted.
-If less than `CROP_SHARE` of them is within `CROP_ON_M`, there is a crop, and no further points become ground.
+In settled blocks all points that are not `FAR` from the TIN are counted, and those that are `ON` are on the surface. If
+less than `CROP_SHARE` of them is within `CROP_ON_M`, there is a crop, and no further points become ground.
 """
 
 Bool = npt.NDArray[np.bool_]
@@ -75,7 +84,7 @@ class Heights(NamedTuple):
 
 @kernel
 def _judge(
-    points: Xyz, where: Placed, close: UInt8, blocks: Blocks, pages: Int32, planes: Planes, heights: Heights,
+    points: Xyz, where: LocatedPoints, close: UInt8, blocks: Blocks, pages: Int32, planes: Planes, heights: Heights,
     ground: Bool,
 ) -> None:  # fmt: skip
     """Update the mask of ground points by their heights above the plane of their cell, if there is one."""
@@ -107,12 +116,12 @@ def _judge(
         ground[i] = ground[i] and fits
     for k in range(index.size):
         if joins[k]:
-            ground[index[k]] = _is_open(blocks.around, block[k], seen, on)
+            ground[index[k]] = _has_no_crop(blocks.around, block[k], seen, on)
 
 
 @kernel
-def _is_open(around: Int32, b: int, seen: Int32, on: Int32) -> bool:
-    """Return whether enough of the points in a block and around it lie on the surface."""
+def _has_no_crop(around: Int32, b: int, seen: Int32, on: Int32) -> bool:
+    """Return whether there is no crop: enough points in a block and around it lie on the surface."""
     n_on = n_seen = 0
     for n in range(9):
         if around[b, n] >= 0:
@@ -121,7 +130,9 @@ def _is_open(around: Int32, b: int, seen: Int32, on: Int32) -> bool:
     return n_on >= CROP_SHARE * n_seen
 
 
-def fine_ground(points: Xyz, close: UInt8, ground: Bool, marked: Bool, scale: Scale) -> tuple[Bool, Bool]:
+def fine_ground(
+    points: Xyz, close: UInt8, ground: Bool, uncertified: Bool, scale: Scale
+) -> tuple[Bool, Bool]:
     """Find the ground points, by a fine surface where points are dense.
 
     Parameters
@@ -130,21 +141,21 @@ def fine_ground(points: Xyz, close: UInt8, ground: Bool, marked: Bool, scale: Sc
         Points to classify, and all points within `REACH_M` of them.
     close : uint8 [n]
         Closeness of each point to the TIN (`Closeness`).
-    ground, marked : bool [n]
+    ground, uncertified : bool [n]
         Masks of the points that are ground by the TIN, and of those for which this or ``close`` is uncertified.
     scale : Scale
 
     Returns
     -------
-    ground, marked : bool [n]
+    ground, uncertified : bool [n]
         Masks of the ground points and of the uncertified points.
     """
-    where, blocks = placed(points, close, marked, scale)
+    where, blocks = located_points(points, close, uncertified, scale)
     if where.point.size == 0 or blocks.points.max() < FILLED:
-        return ground, marked  # No block can be dense, even if all uncertified points count.
+        return ground, uncertified  # No block can be dense, even if all uncertified points count.
     is_chosen = ~blocks.settled & (blocks.near >= FILLED)
     pages, n_pages = pages_of_blocks(is_chosen, blocks.around)
-    ground, marked = ground.copy(), marked.copy()
+    ground, uncertified = ground.copy(), uncertified.copy()
     if n_pages:
         planes = Planes.none(n_pages)
         elect(points, where, close, pages, planes)
@@ -156,12 +167,14 @@ def fine_ground(points: Xyz, close: UInt8, ground: Bool, marked: Bool, scale: Sc
             PlaneLimits(scale.counts_z(SPIKE_M), scale.counts_z(ROUGH_M)),
         )
         _judge(points, where, close, blocks, pages, planes, Heights.of(scale), ground)
-    if blocks.doubtful.any():
-        unsure = blocks.doubtful
+    if blocks.has_uncertified.any():
+        near_uncertified = blocks.has_uncertified
         for _ in range(2):
-            unsure = np.asarray((unsure[blocks.around] & (blocks.around >= 0)).any(axis=1))
-        marked[where.point] |= unsure[where.block]
-    return ground, marked
+            near_uncertified = np.asarray(
+                (near_uncertified[blocks.around] & (blocks.around >= 0)).any(axis=1)
+            )
+        uncertified[where.point] |= near_uncertified[where.block]
+    return ground, uncertified
 
 
 def with_fine_surface(rule: LabelRule, scale: Scale) -> LabelRule:
@@ -186,8 +199,8 @@ class FineLabels(TinLabels):
 
     def judged(self, tin: Tin, points: Xyz) -> tuple[UInt8, Bool]:
         """Return labels and a mask of uncertified labels. The rule must come from `with_fine_surface`."""
-        labels, marked, close = label_by_height(
-            tin, self.locator, points, self.in_doubt, self.rule, self.bands
+        labels, uncertified, close = label_by_height(
+            tin, self.locator, points, self.uncertified, self.rule, self.bands
         )
-        ground, marked = fine_ground(points, close, labels == GROUND, marked, self._scale)
-        return np.where(ground, np.uint8(GROUND), np.uint8(UNCLASSIFIED)), marked
+        ground, uncertified = fine_ground(points, close, labels == GROUND, uncertified, self._scale)
+        return np.where(ground, np.uint8(GROUND), np.uint8(UNCLASSIFIED)), uncertified

@@ -9,14 +9,14 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.cells import Xyz
-from ptd.ground.certificates import UInt8
-from ptd.ground.criteria import FacetLimits, across, facet_measures, judge
+from ptd.ground.certificates import CheckedMesh, UInt8
+from ptd.ground.criteria import FacetLimits, Point, across, facet_measures, judge
 from ptd.ground.outliers import LowNoise
 from ptd.kernel import as_int64, inlined, kernel
 from ptd.passes import Model, Points
 from ptd.places import Field, everywhere, value_at
 from ptd.tin.interpolation import canonical_facet
-from ptd.tin.layout import Int32Array, Mesh, is_ghost, real_neighbour
+from ptd.tin.layout import Int32Array, is_ghost, real_neighbour
 from ptd.tin.location import coincident_vertex, locate, walk
 from ptd.tin.locator import Locator, start_near
 from ptd.tin.mesh import Tin
@@ -24,7 +24,11 @@ from ptd.tin.mesh import Tin
 UNCLASSIFIED, GROUND, LOW_NOISE = 1, 2, 7
 """ASPRS classes that a filter gives."""
 CLEAR = 1.0 - 1e-9
-"""Factor of the smallest limit of all places, and divisor of the largest. It outweighs rounding errors."""
+"""Factor just below 1 that outweighs rounding errors.
+
+A point within `CLEAR` times the smallest limit of all places is ground, and one beyond the largest limit / `CLEAR` is
+not.
+"""
 FAR, CROP, NEAR, ON = 0, 1, 2, 3
 """Degrees of closeness of a point to a TIN (`Closeness`)."""
 
@@ -33,11 +37,9 @@ FAR, CROP, NEAR, ON = 0, 1, 2, 3
 def is_terrain(
     vertices: Int32Array,
     triangles: Int32Array,
+    uncertified: UInt8,
     t: int,
-    x: int,
-    y: int,
-    z: int,
-    in_doubt: UInt8,
+    point: Point,
     limits: FacetLimits,
     floor: float,
 ) -> tuple[bool, bool, bool]:
@@ -48,22 +50,25 @@ def is_terrain(
     terrain : bool
     elsewhere : bool
         Whether the result depends on other triangles than t.
-    doubtful : bool
+    is_uncertified : bool
         Whether the result depends on an uncertified triangle.
     """
-    doubtful = in_doubt[t] != 0
+    x, y, z = point
+    is_uncertified = uncertified[t] != 0
     if is_ghost(triangles, t):
-        return False, False, doubtful
+        return False, False, is_uncertified
     v = coincident_vertex(vertices, triangles, x, y, t)
     if v >= 0:
-        return abs(float(z - vertices[4 * v + 2])) * limits.z_ratio <= floor, False, doubtful
+        return abs(float(z - vertices[4 * v + 2])) * limits.z_ratio <= floor, False, is_uncertified
     beside = across(vertices, triangles, t, x, y)
-    doubtful = doubtful or in_doubt[beside] != 0
+    is_uncertified = is_uncertified or uncertified[beside] != 0
     measures = facet_measures(vertices, triangles, t, x, y, z, limits.z_ratio)
     if abs(measures[0]) <= floor:
-        return True, beside != t, doubtful
-    passed, mirrored, unsure = judge(vertices, triangles, t, x, y, z, measures, limits, in_doubt)
-    return passed, mirrored or beside != t, doubtful or unsure
+        return True, beside != t, is_uncertified
+    passed, mirrored, mirror_is_uncertified = judge(
+        vertices, triangles, uncertified, t, point, measures, limits
+    )
+    return passed, mirrored or beside != t, is_uncertified or mirror_is_uncertified
 
 
 class Closeness(NamedTuple):
@@ -209,32 +214,31 @@ def _on_vertex(height: int, x: int, y: int, z: int, rule: LabelRule, bands: Band
 
 
 @kernel
-def _is_near(
+def _by_height(
     vertices: Int32Array,
     triangles: Int32Array,
+    uncertified: UInt8,
     t: int,
-    x: int,
-    y: int,
-    z: int,
-    in_doubt: UInt8,
+    point: Point,
     rule: LabelRule,
     bands: Bands,
 ) -> tuple[bool, int, bool]:
-    """Return whether a point in triangle t is ground by its height, its closeness, and whether it is uncertified.
+    """Return whether the height of a point in triangle t makes it ground, and its closeness.
 
-    Triangle t may be a ghost.
+    The third result is whether both are uncertified. Triangle t may be a ghost.
     """
-    doubtful = in_doubt[t] != 0
+    x, y, z = point
+    is_uncertified = uncertified[t] != 0
     if is_ghost(triangles, t):
-        return False, FAR, doubtful
+        return False, FAR, is_uncertified
     v = coincident_vertex(vertices, triangles, x, y, t)
     if v >= 0:
-        return *_on_vertex(as_int64(vertices[4 * v + 2]), x, y, z, rule, bands), doubtful
-    doubtful = doubtful or in_doubt[across(vertices, triangles, t, x, y)] != 0
+        return *_on_vertex(as_int64(vertices[4 * v + 2]), x, y, z, rule, bands), is_uncertified
+    is_uncertified = is_uncertified or uncertified[across(vertices, triangles, t, x, y)] != 0
     f = _facet(vertices, triangles, t, rule.limits.z_ratio)
     distance = _distance(f, x, y, z, rule.limits.z_ratio)
     fits = _fits(f, distance, x, y, bands)
-    return fits, _closeness(distance, f.cos, f.sin, rule.close), doubtful
+    return fits, _closeness(distance, f.cos, f.sin, rule.close), is_uncertified
 
 
 @inlined
@@ -246,12 +250,16 @@ def _inside(f: _Facet, x: int, y: int) -> bool:
 
 @kernel
 def _label_by_height(
-    mesh: Mesh, locator: Locator, points: Xyz, in_doubt: UInt8, rule: LabelRule, bands: Bands
+    mesh: CheckedMesh, locator: Locator, points: Xyz, rule: LabelRule, bands: Bands
 ) -> tuple[UInt8, npt.NDArray[np.bool_], UInt8]:
     """Label points by height only, and measure their closeness. Consecutive points often lie in one facet."""
-    vertices, triangles = mesh
+    vertices, triangles, uncertified = mesh
     x, y, z = points
-    labels, marked, close = np.empty(x.size, np.uint8), np.empty(x.size, np.bool_), np.empty(x.size, np.uint8)
+    labels, uncertified_labels, close = (
+        np.empty(x.size, np.uint8),
+        np.empty(x.size, np.bool_),
+        np.empty(x.size, np.uint8),
+    )
     limits, z_ratio = _limits(bands), rule.limits.z_ratio
     facet = _facet(vertices, triangles, real_neighbour(triangles, as_int64(0)), z_ratio)
     for i in range(x.size):
@@ -259,17 +267,17 @@ def _label_by_height(
         if not _inside(facet, px, py):
             t = walk(vertices, triangles, px, py, as_int64(start_near(locator, x[i], y[i])))
             v = coincident_vertex(vertices, triangles, px, py, t)
-            if v >= 0:  # One point in ten is at a vertex. `_is_near` would locate it again.
+            if v >= 0:  # One point in ten is at a vertex. `locate` and `_by_height` would search again.
                 fits, close[i] = _on_vertex(as_int64(vertices[4 * v + 2]), px, py, pz, rule, bands)
                 labels[i] = GROUND if fits else UNCLASSIFIED
-                marked[i] = in_doubt[t] != 0
+                uncertified_labels[i] = uncertified[t] != 0
                 continue
             if not is_ghost(triangles, t):
                 facet = _facet(vertices, triangles, t, z_ratio)
             if is_ghost(triangles, t) or not _inside(facet, px, py):
                 t = locate(vertices, triangles, px, py, t)
-                terrain, close[i], marked[i] = _is_near(
-                    vertices, triangles, t, px, py, pz, in_doubt, rule, bands
+                terrain, close[i], uncertified_labels[i] = _by_height(
+                    vertices, triangles, uncertified, t, (px, py, pz), rule, bands
                 )
                 labels[i] = GROUND if terrain else UNCLASSIFIED
                 continue
@@ -279,34 +287,34 @@ def _label_by_height(
         if not fits and not never:
             fits = _fits(facet, distance, px, py, bands)
         labels[i] = GROUND if fits else UNCLASSIFIED
-        marked[i] = in_doubt[facet.t] != 0
-    return labels, marked, close
+        uncertified_labels[i] = uncertified[facet.t] != 0
+    return labels, uncertified_labels, close
 
 
 @kernel
 def _label(
-    mesh: Mesh, locator: Locator, points: Xyz, in_doubt: UInt8, rule: LabelRule
+    mesh: CheckedMesh, locator: Locator, points: Xyz, rule: LabelRule
 ) -> tuple[UInt8, npt.NDArray[np.bool_]]:
-    vertices, triangles = mesh
+    vertices, triangles, uncertified = mesh
     x, y, z = points
-    labels, marked = np.empty(x.size, np.uint8), np.empty(x.size, np.bool_)
+    labels, uncertified_labels = np.empty(x.size, np.uint8), np.empty(x.size, np.bool_)
     for i in range(x.size):
         px, py, pz = as_int64(x[i]), as_int64(y[i]), as_int64(z[i])
         t = locate(vertices, triangles, px, py, as_int64(start_near(locator, x[i], y[i])))
         if rule.vertices_only and (
             is_ghost(triangles, t) or coincident_vertex(vertices, triangles, px, py, t) < 0
         ):
-            labels[i], marked[i] = UNCLASSIFIED, in_doubt[t] != 0
+            labels[i], uncertified_labels[i] = UNCLASSIFIED, uncertified[t] != 0
             continue
-        terrain, _, marked[i] = is_terrain(
-            vertices, triangles, t, px, py, pz, in_doubt, rule.limits, rule.floor
+        terrain, _, uncertified_labels[i] = is_terrain(
+            vertices, triangles, uncertified, t, (px, py, pz), rule.limits, rule.floor
         )
         labels[i] = GROUND if terrain else UNCLASSIFIED
-    return labels, marked
+    return labels, uncertified_labels
 
 
 def label_points(
-    tin: Tin, locator: Locator, points: Xyz, in_doubt: UInt8, rule: LabelRule, bands: Bands | None = None
+    tin: Tin, locator: Locator, points: Xyz, uncertified: UInt8, rule: LabelRule, bands: Bands | None = None
 ) -> tuple[UInt8, npt.NDArray[np.bool_]]:
     """Label points as ground or not by the finished TIN.
 
@@ -321,7 +329,7 @@ def label_points(
         Locator of the TIN in its current state.
     points : Xyz
         Points in any order. Labelling is fast if successive points are neighbours.
-    in_doubt : uint8 [triangles]
+    uncertified : uint8 [triangles]
         Mask of uncertified triangles (`ptd.ground.certificates.UncertifiedRegion.triangles`).
     rule : LabelRule
     bands : Bands, optional
@@ -331,18 +339,18 @@ def label_points(
     -------
     labels : uint8 [n]
         ASPRS classes: 1 unclassified, 2 ground.
-    marked : bool [n]
+    uncertified_labels : bool [n]
         Mask of the labels that points outside the window could change.
     """
     if rule.heights_only and not rule.vertices_only:
-        return label_by_height(tin, locator, points, in_doubt, rule, bands)[:2]
+        return label_by_height(tin, locator, points, uncertified, rule, bands)[:2]
     if points.x.size and tin.n_triangles:
-        return _label(tin.mesh, locator, points, in_doubt, rule)
+        return _label(CheckedMesh(*tin.mesh, uncertified), locator, points, rule)
     return np.full(points.x.size, UNCLASSIFIED, np.uint8), np.zeros(points.x.size, np.bool_)
 
 
 def label_by_height(
-    tin: Tin, locator: Locator, points: Xyz, in_doubt: UInt8, rule: LabelRule, bands: Bands | None = None
+    tin: Tin, locator: Locator, points: Xyz, uncertified: UInt8, rule: LabelRule, bands: Bands | None = None
 ) -> tuple[UInt8, npt.NDArray[np.bool_], UInt8]:
     """Label points like `label_points` by a rule of ``heights_only``.
 
@@ -350,7 +358,7 @@ def label_by_height(
     """
     if points.x.size and tin.n_triangles:
         bands = bands or Bands(everywhere(rule.floor), everywhere(rule.per_slope))
-        return _label_by_height(tin.mesh, locator, points, in_doubt, rule, bands)
+        return _label_by_height(CheckedMesh(*tin.mesh, uncertified), locator, points, rule, bands)
     n = points.x.size
     return np.full(n, UNCLASSIFIED, np.uint8), np.zeros(n, np.bool_), np.full(n, FAR, np.uint8)
 
@@ -370,23 +378,26 @@ class TinLabels(Model):
         self.stats, self.low, self._closed = stats, low, closed
         self.tin: Tin | None = None
 
-    def finish(self, tin: Tin, in_doubt: UInt8, rule: LabelRule, bands: Bands | None = None) -> None:
+    def finish(self, tin: Tin, uncertified: UInt8, rule: LabelRule, bands: Bands | None = None) -> None:
         """Set the finished TIN and the rule of labelling. `label_points` describes the parameters."""
-        self.tin, self.in_doubt, self.rule, self.bands = tin, in_doubt, rule, bands
+        self.tin, self.uncertified, self.rule, self.bands = tin, uncertified, rule, bands
         self.locator = Locator.of(tin)
         self.stats.update(vertices=tin.n_vertices)
 
     def judged(self, tin: Tin, points: Xyz) -> tuple[UInt8, npt.NDArray[np.bool_]]:
         """Return labels and a mask of uncertified labels by the finished TIN (`label_points`)."""
-        return label_points(tin, self.locator, points, self.in_doubt, self.rule, self.bands)
+        return label_points(tin, self.locator, points, self.uncertified, self.rule, self.bands)
 
     def label(self, points: Points) -> tuple[UInt8, npt.NDArray[np.bool_]]:
         """Return ASPRS classes (uint8 [n]) and a mask of uncertified labels (bool [n]) of points in any order."""
         xyz = Xyz(*points.columns())
         if self.tin is None:
-            labels, marked = np.full(len(points), UNCLASSIFIED, np.uint8), np.full(len(points), self._closed)
+            labels, uncertified_labels = (
+                np.full(len(points), UNCLASSIFIED, np.uint8),
+                np.full(len(points), self._closed),
+            )
         else:
-            labels, marked = self.judged(self.tin, xyz)
+            labels, uncertified_labels = self.judged(self.tin, xyz)
         if self.low is not None:
             labels[self.low.holds(*xyz, among=labels != GROUND)] = LOW_NOISE
-        return labels, marked
+        return labels, uncertified_labels

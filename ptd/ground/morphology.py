@@ -21,9 +21,10 @@ EMPTY = 2**31 - 1
 """Height of a cell without points."""
 
 OVERHANG = 1
-"""Largest distance in cells between the centre of a disk and a filled cell. If disks were centred only on filled cells,
-there would be fewer between sparse points, and fine ridges would be cut. If they were centred anywhere outside the
-data, they would extend into the data just far enough to spare a roof at the border."""
+"""Largest distance in cells between the centre of a disk and a filled cell. With disks
+centred only on filled cells, too few disks would lie between sparse points, and openings would cut fine ridges. With
+disks centred anywhere outside the data, a disk could reach just onto a roof at the border, and the opening would keep
+the roof."""
 
 Bool = npt.NDArray[np.bool_]
 Float32 = npt.NDArray[np.float32]
@@ -51,7 +52,7 @@ class CellRaster:
         col0, row0 = cells.column(int(x.min())), cells.row(int(y.min()))
         width = cells.column(int(x.max())) - col0 + 1
         self.shape = (cells.row(int(y.max())) - row0 + 1, width)
-        self.keys = cell_keys(x, y, cells.p, cells.q, cells.origin_x, cells.origin_y, col0, row0, width)
+        self.keys = cell_keys(x, y, cells, col0, row0, width)
 
     def lowest(self, z: Int32, which: Bool) -> Int32:
         """Return the height of the lowest chosen point in each cell, or `EMPTY` if there is none: int32, of `shape`."""

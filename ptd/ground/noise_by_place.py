@@ -3,8 +3,8 @@
 A single place may be a corner of the survey or may contain only wood. So it is measured together with the places up to
 two places away, and points beyond `REACH_M` do not count. Counts of noise are added up with larger weights for nearer
 places: the smooth patches of a neighbourhood give the noise of all of it, as they would in a small survey. The density
-of any part of a survey is known well. So it is the place's own density, and the (logarithmic) mean with its neighbours
-matters only if the place contains hardly any points.
+of any part of a survey is known well. So the density of a place is nearly its own. Its neighbours, in a weighted
+logarithmic mean, matter only if the place contains hardly any points.
 """
 
 from __future__ import annotations
@@ -24,11 +24,11 @@ from ptd.places import PLACE_M, Int32
 Place = tuple[int, int]
 Partial = Mapping[str, Any]
 
-WEIGHTS = (1, 4, 6, 4, 1)
+NOISE_WEIGHTS = (1, 4, 6, 4, 1)
 """Weights of counts of noise, by places along a row or column: nearly a Gaussian of 256 m."""
-OF_DENSITY = (1, 32, 1024, 32, 1)
+DENSITY_WEIGHTS = (1, 32, 1024, 32, 1)
 """Weights of densities, by places along a row or column. Numbers of occupied cells multiply them."""
-AROUND = len(WEIGHTS) // 2
+AROUND = len(NOISE_WEIGHTS) // 2
 """Largest distance, in places, of the places that are measured together."""
 REACH_M = (AROUND + 1.5) * PLACE_M
 """Distance beyond which points do not change the figures at a position. The four middles around it are up to a place
@@ -84,10 +84,10 @@ def _around(place: Place, held: Mapping[Place, list[Partial]]) -> Roughness:
         for column in range(2 * AROUND + 1):
             place_partials = held.get((place[0] + column - AROUND, place[1] + row - AROUND), ())
             for partial in place_partials:
-                sums.add(partial, WEIGHTS[row] * WEIGHTS[column])
+                sums.add(partial, NOISE_WEIGHTS[row] * NOISE_WEIGHTS[column])
             points, cells = (sum(partial[name] for partial in place_partials) for name in ("points", "cells"))
             if points and cells:
-                weight = OF_DENSITY[row] * OF_DENSITY[column] * cells
+                weight = DENSITY_WEIGHTS[row] * DENSITY_WEIGHTS[column] * cells
                 weights += weight
                 logarithms += weight * math.log(points / (cells * PATCH_M**2))
     roughness = sums.roughness()

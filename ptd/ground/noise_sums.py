@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 PATCH_M = 4.0
-"""Side of the cells that are counted."""
+"""Size of the cells that are counted."""
 MAX_SIGMA_M = 0.3
 """Largest noise of patches that are counted."""
 BIN_M = 0.001
@@ -19,8 +19,8 @@ MIN_SHARE = 0.005
 """Least share of planar patches among cells with enough points. In a wood the few planar patches do not show the
 noise."""
 SMOOTHEST_SHARE, SMOOTHEST_FACTOR = 0.05, 1.25
-"""Quantile of all quarters of patches and its factor, which give the noise of the smoothest patches, whatever stands on
-the ground."""
+"""Quantile of the noise of all quarters of patches, and the factor by which it is multiplied to estimate the noise of
+the smoothest patches, even where no ground is visible."""
 
 Int64 = npt.NDArray[np.int64]
 

@@ -23,7 +23,7 @@ class _Search(NamedTuple):
     Attributes
     ----------
     radius, depth : float
-        Radius in horizontal counts, and height difference in vertical counts from which on a point is far away.
+        Radius in horizontal counts, and height difference in vertical counts above which a point is far away.
     group : int
         Largest number of points near an outlier, itself included.
     both : bool
@@ -38,11 +38,11 @@ class _Search(NamedTuple):
 
 @kernel
 def _outliers(
-    points: Xyz, table: CellTable, places: tuple[Int64, Int64], reach: int, search: _Search
+    points: Xyz, table: CellTable, cells: tuple[Int64, Int64], reach: int, search: _Search
 ) -> npt.NDArray[np.bool_]:
     """Search cells ring by ring for the neighbours of each point, so that ordinary ground needs only a few points."""
     x, y, z = points
-    point_columns, point_rows = places
+    point_columns, point_rows = cells
     radius, depth, group, both = search
     slots, keys, starts, order, width, height = table
     out = np.zeros(x.size, np.bool_)

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Self
+from typing import NamedTuple, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -28,11 +28,18 @@ from ptd.ground.morphology import EMPTY, Bool, CellRaster
 from ptd.kernel import kernel
 
 _AREA, _FALLS, _OTHERS, _PAST, _UNSEEN, _BORDER = range(6)
-"""Columns of the counts of each surface: its cells, then its rays by result. From the last on there is one column per
-direction, for rays that leave the data."""
+"""Columns of the counts of each surface.
+
+- `_AREA`: cells.
+- `_FALLS`: rays that met lower ground.
+- `_OTHERS`: rays that met other ground.
+- `_PAST`: rays hidden by a roof found before.
+- `_UNSEEN`: rays that met no ground.
+- From `_BORDER` on: rays that leave the data, one column per direction.
+"""
 
 ROOF_CELL_M = 2.0
-"""Side of the cells of ground from which surfaces are made. They bridge the gaps of sparse clouds."""
+"""Size of the cells of ground from which surfaces are made. They bridge the gaps of sparse clouds."""
 ROOF_FALL_M = 1.5
 """Height difference above which ground is below a roof."""
 ROOF_STEPS_M = (ROOF_FALL_M, ROOF_FALL_M, ROOF_FALL_M, 1.0)
@@ -43,7 +50,7 @@ two flat roofs whose heights differ by a value in between would keep each other 
 terrain next to it. The last and smaller step separates them.
 """
 ROOF_GAP_M = 8.0
-"""Largest distance of neighbours on a surface, as parts of a roof lie among higher ones."""
+"""Largest distance of neighbours on a surface. Higher parts of a building may separate the parts of a roof."""
 ROOF_VIEW_M = 24.0
 """Length of the rays that search for other ground, beyond objects around a roof."""
 ROOF_SLOPE = 0.2
@@ -53,16 +60,17 @@ ROOF_BELOW_SHARE = 0.9
 ROOF_UNSEEN_SHARE = 0.6
 """Largest share of the rays around a roof that meet no ground (trees, walls of courtyards, the border of the data)."""
 CUT_SIZE = 0.6
-"""Part of the largest width for roofs that the border of the data cuts, as a terrace may continue there."""
+"""Factor of the largest width for roofs that the border of the data cuts. They may be terraces that continue beyond
+it."""
 
 BESIDE = 2
-"""Distance in cells from a roof found before within which a ray that meets no ground is left out, because this roof
-hides the ground."""
+"""A ray that meets no ground is not counted if a roof found before lies within this many cells of its start, because
+this roof hides the ground."""
 CUT = 0.02
 """Share of rays that leave the data above which the border of the data cuts a surface."""
 THROUGH = 3
-"""Number of rays that leave the data on each of two opposite sides from which on a surface is terrain: it continues
-through a narrow survey."""
+"""A surface is terrain if at least this many of its rays leave the data on each of two opposite sides, because it
+continues through a narrow survey."""
 
 
 @dataclass(frozen=True)
@@ -103,7 +111,7 @@ class Plateaus:
     def of(
         cls, scale: Scale, widest_m: float, step_m: float = ROOF_FALL_M, cell_m: float = ROOF_CELL_M
     ) -> Self:
-        """Convert lengths in metres to the rule for roofs up to a width, whose neighbours differ by at most a step."""
+        """Return the rule for roofs up to a width, whose neighbouring cells differ by at most a step, from metres."""
 
         def cells(metres: float) -> int:
             return max(round(metres / cell_m), 1)
@@ -124,17 +132,27 @@ class Plateaus:
     def reach(self) -> int:
         """Distance in cells beyond which heights do not change the result.
 
-        The part within this distance of a surface that continues beyond it is already wider than `widest`, as its last
-        cell is at most `gap` from the limit. One further cell is for the edges (`on_plateaus`).
+        If a surface continues beyond this distance, its part within the distance is already wider than `widest`,
+        because the last cell of this part is at most `gap` cells from the limit. One further cell is for the edges
+        (`on_plateaus`).
         """
         return self.widest + max(self.gap, self.view) + 1
 
 
-def on_plateaus(z: Int32, ground: Bool, before: Bool, raster: CellRaster, rule: Plateaus) -> Bool:
+class _Rays(NamedTuple):
+    """Fields of `Plateaus` by which the result of a ray follows, as an argument of kernels."""
+
+    view: int
+    fall: float
+    slope: float
+
+
+def on_plateaus(z: Int32, ground: Bool, before: Bool, raster: CellRaster, roof_rule: Plateaus) -> Bool:
     """Find the ground points on surfaces above their surroundings: bool [n].
 
-    These are all ground points in cells of such surfaces. The lowest point of a cell at their edges lies next to the
-    roof. There, points that are higher than it by more than `Plateaus.fall` are on the roof.
+    These are all ground points in cells of such surfaces. A cell next to such a surface can
+    contain both ground and roof, and its lowest point is the ground. Points more than `Plateaus.fall` above this point
+    are on the roof, too.
 
     Parameters
     ----------
@@ -144,23 +162,23 @@ def on_plateaus(z: Int32, ground: Bool, before: Bool, raster: CellRaster, rule: 
         Masks of the ground points, and of the points found on roofs before, which are not ground any more.
     raster : CellRaster
         Raster of the points.
-    rule : Plateaus
+    roof_rule : Plateaus
     """
     heights = raster.lowest(z, ground)
     removed = np.zeros(heights.size, np.bool_)
     removed[raster.keys[before]] = True
     data = np.zeros(heights.size, np.bool_)
     data[raster.keys] = True
-    roof = plateaus(heights, rule, removed.reshape(heights.shape), data.reshape(heights.shape))
+    roof = plateaus(heights, roof_rule, removed.reshape(heights.shape), data.reshape(heights.shape))
     beside = scipy.ndimage.maximum_filter(roof, size=3, mode="constant", cval=False)
-    higher = z - heights.reshape(-1)[raster.keys].astype(np.int64) > rule.fall
+    higher = z - heights.reshape(-1)[raster.keys].astype(np.int64) > roof_rule.fall
     is_on_plateau: Bool = ground & (roof.reshape(-1)[raster.keys] | beside.reshape(-1)[raster.keys] & higher)
     return is_on_plateau
 
 
 def plateaus(
     heights: Int32,
-    rule: Plateaus,
+    roof_rule: Plateaus,
     removed: Bool | None = None,
     data: Bool | None = None,
     passed: Bool | None = None,
@@ -171,7 +189,7 @@ def plateaus(
     ----------
     heights : int32 [rows, columns]
         Heights of ground in counts; `EMPTY` where there is none.
-    rule : Plateaus
+    roof_rule : Plateaus
     removed : bool [rows, columns], optional
         Cells of roofs found before; none by default.
     data : bool [rows, columns], optional
@@ -182,16 +200,18 @@ def plateaus(
     removed = np.zeros(heights.shape, np.bool_) if removed is None else removed
     passed = np.zeros(heights.shape, np.bool_) if passed is None else passed
     data = heights != EMPTY if data is None else data
-    limit = math.floor(rule.step) + 1  # heights are whole numbers
-    surface, n = connected_surfaces(heights, limit, limit, rule.gap)
-    looks, box = _looks(heights, surface, removed, data, passed, n, rule.view, rule.fall, rule.slope)
+    limit = math.floor(roof_rule.step) + 1  # heights are whole numbers
+    surface, n = connected_surfaces(heights, limit, limit, roof_rule.gap)
+    looks, box = _looks(
+        heights, surface, removed, data, passed, n, _Rays(roof_rule.view, roof_rule.fall, roof_rule.slope)
+    )
     seen, border = looks[:, _FALLS] + looks[:, _OTHERS], looks[:, _BORDER:]
     unseen = looks[:, _UNSEEN] + border.sum(axis=1)
     every = seen + unseen + looks[:, _PAST]
-    above = (seen > 0) & (looks[:, _FALLS] >= rule.share * seen) & (unseen <= rule.unseen * every)
+    above = (seen > 0) & (looks[:, _FALLS] >= roof_rule.share * seen) & (unseen <= roof_rule.unseen * every)
     wide = np.maximum(box[:, 1] - box[:, 0], box[:, 3] - box[:, 2]) + 1
     cut = border.sum(axis=1) > CUT * every
-    ends = wide <= np.where(cut, rule.widest_cut, rule.widest)
+    ends = wide <= np.where(cut, roof_rule.widest_cut, roof_rule.widest)
     opposite = np.minimum(border[:, :2], border[:, 2:4])  # east and west, north and south
     through = (opposite >= THROUGH).any(axis=1)
     is_plateau: Bool = np.append(above & ends & ~through, False)[surface]  # -1: no surface
@@ -206,11 +226,10 @@ def _looks(
     data: Bool,
     passed: Bool,
     n: int,
-    view: int,
-    fall: float,
-    slope: float,
+    rays: _Rays,
 ) -> tuple[Int64, npt.NDArray[np.int64]]:
     """Count the cells and rays of each surface (columns `_AREA` to `_BORDER` + 7), and find its bounding box."""
+    view, fall, slope = rays
     rows, columns = heights.shape
     looks, box = np.zeros((n, _BORDER + 8), np.int64), np.zeros((n, 4), np.int64)
     for row in range(rows):

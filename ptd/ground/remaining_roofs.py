@@ -41,14 +41,14 @@ def remaining_roofs(
 ) -> list[RemainingRoof]:
     """Find the connected surfaces of a terrain model that lie above their surroundings.
 
-    Heights farther than `reach_m` from a cell do not change whether it is on such a surface.
+    Each search depends on heights up to `reach_m` from a cell, and on the roofs found by the searches before.
 
     Parameters
     ----------
     heights : float64, shape (rows, columns)
         Heights in metres, NaN where unknown.
     cell_m : float
-        Side of a cell in metres.
+        Size of a cell in metres.
     min_width_m : float
         Width in metres below which surfaces are left out.
     """
@@ -59,9 +59,9 @@ def remaining_roofs(
     counts[known] = np.rint(1000 * heights[known])
     is_roof = np.zeros(heights.shape, np.bool_)
     for step_m in ROOF_STEPS_M:
-        rule = Plateaus.of(MILLIMETRES, MAX_WIDTH_M, step_m, cell_m)
+        roof_rule = Plateaus.of(MILLIMETRES, MAX_WIDTH_M, step_m, cell_m)
         ground = np.where(is_roof | (rises > step_m), EMPTY, counts).astype(np.int32)
-        is_roof |= plateaus(ground, rule, is_roof, known)
+        is_roof |= plateaus(ground, roof_rule, is_roof, known)
     numbers, _ = scipy.ndimage.label(is_roof, np.ones((3, 3)))
     boxes = scipy.ndimage.find_objects(numbers)
     roofs = (_measured(numbers[box] == number, box, cell_m) for number, box in enumerate(boxes, start=1))
@@ -79,10 +79,10 @@ def _rises(heights: Float64, known: Bool) -> Float64:
 def _measured(piece: Bool, box: tuple[slice, ...], cell_m: float) -> RemainingRoof:
     """Return the roof with the given cells. A row of cells at its edge was too steep to be found."""
     depth = scipy.ndimage.distance_transform_edt(np.pad(piece, 1))
-    row, column = ((side.start + side.stop) / 2 for side in box)
+    row, column = ((extent.start + extent.stop) / 2 for extent in box)
     return RemainingRoof(2 * (float(depth.max()) + 1) * cell_m, row, column)
 
 
 def reach_m(cell_m: float = ROOF_CELL_M) -> float:
-    """Return the distance in metres beyond which heights do not change whether a cell is on a roof."""
+    """Return the distance in metres beyond which heights do not change the result of one search for roofs."""
     return (Plateaus.of(MILLIMETRES, MAX_WIDTH_M, cell_m=cell_m).reach + 1) * cell_m

@@ -3,10 +3,11 @@
 The paper averages nine patches picked by hand. Here patches are the cells of a lattice of `PATCH_M` anchored at CRS
 coordinate 0. A patch counts if it passes three tests:
 
-- *Many* points: at least `MIN_POINTS`, and `MIN_QUARTER` in each quarter of the cell. At least a share of `MIN_SHARE`
-  of such cells has to pass the other tests.
-- *Planar*: residuals are at most `MAX_SIGMA_M`, and none is beyond `MAX_RESIDUAL` times their root mean square.
-  Planes of the quarters leave at least `MIN_QUARTERS` of the variance, so a bend or a step is less than the noise.
+- *Many* points: at least `MIN_POINTS`, and `MIN_QUARTER` in each quarter of the cell. At least a share of
+  `MIN_SHARE` of all cells with `MIN_POINTS` has to pass the other tests.
+- *Planar*: the root mean square of the residuals is at most `MAX_SIGMA_M`, and none is beyond `MAX_RESIDUAL` times this
+  value. The residual variance of separate planes for the quarters is at least `MIN_QUARTERS` of that of the one plane,
+  so a bend or a step is less than the noise.
 - *Ground*: the plane is no steeper than 45 degrees, and no patch within `REACH_CELLS` cells lies more than `DROP_M`
   below it.
 
@@ -41,7 +42,7 @@ DROP_M = 2.0
 REACH_CELLS = 5
 REACH_M = PATCH_M * (REACH_CELLS + 1)
 """Margin around the core that a window needs so that `measure` gives the same result with any tiles."""
-CELL_POINTS = 12
+MIN_QUARTER_PLANE_POINTS = 12
 """Least number of points in a quarter of a patch for measuring its roughness by a plane."""
 TALLEST_M = 8.0
 """Largest height range of the points of a planar patch, which keeps the sums small."""
@@ -67,12 +68,12 @@ class _Moments(NamedTuple):
 
 @kernel
 def _sums(
-    points: Xyz, slot: Int64, corners: tuple[Int64, Int64], side: tuple[int, int], tallest: float
+    points: Xyz, slot: Int64, corners: tuple[Int64, Int64], size: tuple[int, int], tallest: float
 ) -> _Moments:
-    """Compute the moments of cells of side p / q counts, only n and z for cells taller than a limit."""
+    """Compute the moments of cells of size p / q counts, only n and z for cells taller than a limit."""
     x, y, z = points
     corner_x, corner_y = corners
-    p, q = side
+    p, q = size
     low, high = np.full(corner_x.size, 2**40, np.int64), np.full(corner_x.size, -(2**40), np.int64)
     sums = np.zeros((corner_x.size, 4, MOMENTS), np.int64)
     first = np.full(corner_x.size, -1, np.int64)
@@ -132,7 +133,7 @@ def _quarters(sums: Int64, z_ratio: float) -> Float64:
     for k in range(sums.shape[0]):
         for quarter in range(4):
             n = sums[k, quarter, 0]
-            if n < CELL_POINTS or sums[k, quarter, 9] == 0:
+            if n < MIN_QUARTER_PLANE_POINTS or sums[k, quarter, 9] == 0:
                 continue
             squares = fit_plane(sums[k, quarter], z_ratio)[3]
             if squares >= 0.0:
@@ -159,17 +160,20 @@ def _drop_bent(points: Xyz, slot: Int64, moments: _Moments, planes: Float64, z_r
 
 
 @kernel
-def _drop_raised(
+def _is_ground(
     keys: Int64,
     width: int,
     moments: _Moments,
     whole: Int64,
     planes: Float64,
-    side: float,
+    size: float,
     drop: float,
     z_ratio: float,
 ) -> Bool:
-    """Return a mask of the patches of ground: no cell with many points around them has a mean far below their plane."""
+    """Return a mask of the patches that are ground.
+
+    A patch is not ground if the mean height of a nearby cell with many points is far below its plane.
+    """
     low = moments.low
     ground = planes[:, 3] >= 0.0
     for k in range(keys.size):
@@ -181,7 +185,7 @@ def _drop_raised(
             while j < keys.size and keys[j] <= keys[k] + row * width + REACH_CELLS:
                 if whole[j, 0] >= MIN_POINTS:
                     mean = (whole[j, 3] / whole[j, 0] + (low[j] - low[k])) * z_ratio
-                    px, py = moments.x[j] - moments.x[k] + side / 2, moments.y[j] - moments.y[k] + side / 2
+                    px, py = moments.x[j] - moments.x[k] + size / 2, moments.y[j] - moments.y[k] + size / 2
                     if mean < a * px + b * py + c - drop:
                         ground[k] = False
                 j += 1
@@ -239,7 +243,7 @@ def patches(xyz: Int32, core: Window, scale: Scale) -> Patches:
     # With a margin of columns around the occupied ones, a key beyond the raster is never a cell of another row.
     col0, row0 = cells.column(int(x.min())) - REACH_CELLS, cells.row(int(y.min()))
     width = cells.column(int(x.max())) + REACH_CELLS + 1 - col0
-    point_keys = cell_keys(x, y, cells.p, cells.q, cells.origin_x, cells.origin_y, col0, row0, width)
+    point_keys = cell_keys(x, y, cells, col0, row0, width)
     keys, slot = occupied(point_keys, width * (cells.row(int(y.max())) - row0 + 1))
     columns, rows = keys % width + col0, keys // width + row0
     corners = cells.corners(columns, rows)
@@ -248,8 +252,8 @@ def patches(xyz: Int32, core: Window, scale: Scale) -> Patches:
     whole = moments.sums.sum(axis=1)
     planes = _patches(moments, whole, tallest, scale.counts(MAX_SIGMA_M), ratio)
     _drop_bent(points, slot, moments, planes, ratio)
-    side, drop = scale.counts(PATCH_M), scale.counts(DROP_M)
-    ground = _drop_raised(keys, width, moments, whole, planes, side, drop, ratio)
+    size, drop = scale.counts(PATCH_M), scale.counts(DROP_M)
+    ground = _is_ground(keys, width, moments, whole, planes, size, drop, ratio)
     held = np.bincount(slot[inside], minlength=keys.size) if core.closed else whole[:, 0]
     quarters = _quarters(moments.sums[held > 0], ratio)
     quarters[quarters >= scale.counts(MAX_SIGMA_M)] = -1.0

@@ -12,9 +12,9 @@ from ptd.frame import CellLattice
 from ptd.ground.certificates import UncertifiedRegion
 
 RING = 2
-"""Width in cells of the ring of virtual seeds around occupied cells. A circle around or through a point of the data
-with a radius above sqrt(2) cells would contain a whole cell within two cells of the point, and so a seed. Therefore the
-circles that matter are bounded, and extend less than three cells from the data."""
+"""Width in cells of the ring of virtual seeds around occupied cells. A circle through or around a data point with a
+radius above sqrt(2) cells would contain a whole cell within two cells of the point, and so a seed. So an empty circle
+(one without vertices) has a radius of at most sqrt(2) cells and extends less than three cells from the data."""
 
 
 @dataclass(frozen=True)
@@ -39,8 +39,8 @@ def choose_seeds(
     z: Int32,
     eligible: npt.NDArray[np.bool_],
     cells: CellLattice,
-    doubt: UncertifiedRegion,
-    unsure: npt.NDArray[np.bool_] | None = None,
+    region: UncertifiedRegion,
+    uncertified: npt.NDArray[np.bool_] | None = None,
 ) -> Seeds:
     """Choose the lowest eligible point per cell of a lattice anchored at CRS coordinate 0, and the ring around them.
 
@@ -49,12 +49,12 @@ def choose_seeds(
     x, y, z : int32 [n]
         Local counts. At least one point is eligible.
     eligible : bool [n]
-        Mask of the points that are not outliers.
+        Mask of the points that may be seeds.
     cells : CellLattice
-        Lattice of cells as wide as the largest building.
-    doubt : UncertifiedRegion
+        Lattice of the seed cells.
+    region : UncertifiedRegion
         Uncertified region, to which cells with an uncertified seed are added.
-    unsure : bool [n], optional
+    uncertified : bool [n], optional
         Mask of the points for which ``eligible`` is uncertified; none by default.
     """
     index = np.flatnonzero(eligible).astype(np.int32)
@@ -62,12 +62,14 @@ def choose_seeds(
     filled = cells_of(x[chosen], y[chosen], cells)
     heights = {cell: int(h) for cell, h in zip(filled, z[chosen], strict=True)}
     virtual = _ring(heights)
-    if doubt.active and unsure is None:
-        _doubt_cells(set(filled), set(), cells, doubt)
-    elif doubt.active and unsure is not None:
-        certain = eligible & ~unsure
-        sure, not_sure = (set(cells_of(x[w], y[w], cells)) for w in (certain, unsure))
-        _doubt_cells(sure, not_sure, cells, doubt)
+    if region.active and uncertified is None:
+        _add_uncertified_cells(set(filled), set(), cells, region)
+    elif region.active and uncertified is not None:
+        certain = eligible & ~uncertified
+        certified_cells, uncertified_cells = (
+            set(cells_of(x[w], y[w], cells)) for w in (certain, uncertified)
+        )
+        _add_uncertified_cells(certified_cells, uncertified_cells, cells, region)
     half = cells.p // (2 * cells.q)
     points = [(cells.west(c) + half, cells.south(r) + half, h) for (c, r), h in sorted(virtual.items())]
     return Seeds(chosen, np.array(points, np.int32).reshape(-1, 3))
@@ -105,30 +107,33 @@ def _ring(heights: dict[tuple[int, int], int]) -> dict[tuple[int, int], int]:
     return added
 
 
-def _doubt_cells(
-    filled: set[tuple[int, int]], unsure: set[tuple[int, int]], cells: CellLattice, doubt: UncertifiedRegion
+def _add_uncertified_cells(
+    filled: set[tuple[int, int]],
+    uncertified: set[tuple[int, int]],
+    cells: CellLattice,
+    region: UncertifiedRegion,
 ) -> None:
     """Make the cells uncertified that may have another seed in the untiled run.
 
     These are cells that are not wholly known, and empty cells within the ring around them. A point beyond the border
     could add or remove the virtual seed of an empty cell near it, or change its height. The same applies to cells near
-    cells with points of uncertified eligibility (`unsure`). Cells of `filled` contain a point that is certainly
+    cells with points of uncertified eligibility (`uncertified`). Cells of `filled` contain a point that is certainly
     eligible.
     """
-    known, deep = doubt.known.inside(cells), doubt.known.inside(cells, RING)
-    reached = unsure.union(*(_neighbours(cell, RING) for cell in unsure))
-    west, south, east, north = doubt.box
+    known, deep = region.known.inside(cells), region.known.inside(cells, RING)
+    reached = uncertified.union(*(_neighbours(cell, RING) for cell in uncertified))
+    west, south, east, north = region.box
     for row in range(cells.row(south), cells.row(north - 1) + 1):
         for column in range(cells.column(west), cells.column(east - 1) + 1):
             box = cells.west(column), cells.south(row), cells.west(column + 1), cells.south(row + 1)
             if known.contains_box(*box) and (column, row) in filled:
                 continue
             if not deep.contains_box(*box) or (column, row) in reached:
-                doubt.add_box(*box)
+                region.add_box(*box)
 
 
 def box_with_ring(x: Int32, y: Int32, cells: CellLattice) -> tuple[int, int, int, int]:
-    """Return west, south, east and north, in local counts, of all circles that can contain data (`RING`)."""
+    """Return west, south, east and north (local counts) of the box of all circles that can contain data (`RING`)."""
     c0, c1 = cells.column(int(x.min())), cells.column(int(x.max()))
     r0, r1 = cells.row(int(y.min())), cells.row(int(y.max()))
     margin = RING + 1

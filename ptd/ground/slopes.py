@@ -1,4 +1,4 @@
-"""Means over boxes and slopes of rasters in which any cell may be empty, at some of their cells."""
+"""Box means and slopes at selected cells of a raster that may have empty cells."""
 
 from __future__ import annotations
 
@@ -107,8 +107,8 @@ class Boxes:
     def slopes(self, reach: int, cells: Int64) -> Float64:
         """Return the slope at some cells of a surface that may have empty cells, from the means of boxes.
 
-        The boxes contain the filled cells up to `reach` cells (in both directions) from the cell and from those `reach`
-        to the east, west, north and south. Along each axis the steeper of the two sides counts. At the edge of a
+        There are five boxes of half width `reach`: around the cell, and around the cells that lie `reach` cells to the
+        east, west, north and south of it. Along each axis the steeper of the two sides counts. At the edge of a
         terrace or the foot of a slope, a mean of both would hide the slope.
 
         Parameters

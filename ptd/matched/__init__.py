@@ -22,12 +22,12 @@ growth
     Growth of the ground up to the edges of terraces and banks.
 voting
     Comparison of points with the surface, after a vote of their neighbours.
-last_look, trees
-    Correction of labels from the surroundings of each point, by trees that were fitted to known labels.
-passes, by_side
-    These steps as passes of `ptd.methods.auto.method`, also where cells of two sides meet.
+last_look, decision_trees
+    Correction of labels from the surroundings of each point, by decision trees that were fitted to known labels.
+passes, by_size
+    These steps as passes of `ptd.methods.auto.method`, also where cells of 1 m and cells of 2 m meet.
 place_figures
-    Density, noise and side of the cells of each place.
+    Density, noise and size of the cells of each place.
 survey, penetration
     Source of a cloud: laser scanning or dense image matching.
 robust_cells, facets

@@ -2,19 +2,20 @@
 
 Images show no ground below closed crowns. Two properties of the points distinguish crowns from other surfaces:
 
-- The ground surface is *wavy* where it climbed onto crowns. Nearly everywhere around, residuals of planes over 9 m are
-  some decimetres, and its slopes scatter in every direction. A fold, a dam or a cliff bends one way only, steep terrain
-  falls one way only, and lava and grass leave smaller residuals. Crowns are bounded: over 25 m the surface is not much
-  rougher. The surface consists of the crowns, so little stands above it. The surface next to trees on a steep slope
-  bends as well, but these trees stand above it.
+- The ground surface is *wavy* where it climbed onto crowns. In most of the surroundings, residuals of planes over 9 m
+  are some decimetres, and its slopes scatter in every direction. A fold, a dam or a cliff bends one way only, steep
+  terrain falls one way only, and lava and grass leave smaller residuals. Crowns are bounded: over 25 m the surface is
+  not much rougher. The surface consists of the crowns, so little stands above it. The surface next to trees on a steep
+  slope bends as well, but these trees stand above it.
 - Cells are *tall* if they stand above the ground that was found. Of tall cells, those that are rough over 5 m may be
   crowns. Halls are not rough. Adjacent roofs are rough, but many of their cells lie in one plane with their neighbours.
 
 The canopy is the area that wavy and tall cells cover together, with small openings filled. A square must fit into it: a
-smaller one if half of it is wavy, a larger one if all of it is tall, as gardens and gables are rough, too. In the
-canopy, crowns that were classified as ground are not ground. Ground seen next to and between them stays as far as it
-continues without a step. Pits in crowns do not stay: they are far less deep than the height of the trees where their
-foot is seen. Every sum ends at a fixed distance, so cells farther than `reach_cells` do not change the result.
+smaller one if half of it is wavy, a larger one otherwise, as gardens and gables are rough, too. In the canopy, crowns
+that were classified as ground are not ground. Ground seen next to and between them stays as far as it continues without
+a step. Pits in crowns do not stay: they are far shallower than the trees are high. The height of trees is measured
+where the ground at their foot is visible. Every sum ends at a fixed distance, so cells farther than `reach_cells` do
+not change the result.
 
 Colours are not used, because a store contains them only for the few methods that need them. ``docs/filters.md`` reports
 what colours would add, and which canopies are found and missed.
@@ -37,13 +38,13 @@ Float64 = npt.NDArray[np.float64]
 
 AROUND_M = 25.0
 """Side of the squares in which shares and the scatter of slopes are computed: they contain several crowns."""
-WAVES_M, WAVE_M = 9.0, 0.3
+WAVE_WINDOW_M, MIN_WAVE_RESIDUAL_M = 9.0, 0.3
 """Side of the windows of planes over several crowns, and the residual above which a surface is rough over them. Noise
 and grass leave smaller residuals, and mostly rocks do, too."""
 TEXTURE_M, TEXTURE = 5.0, 0.3
-"""Side of the windows of planes over a crown, and the residual above which a tall cell is not a roof."""
+"""Side of the windows of planes over a crown, and the residual above which a tall cell may be a crown."""
 TALL_M = 1.0
-"""Smallest height above the ground of a crown that hides it."""
+"""Minimum height of a crown above the ground. Lower plants do not hide the ground."""
 SLOPE_M = 2.0
 """Distance, to both sides, of the cells between which slopes are computed."""
 ROUGH_SHARE, SCATTER, ONE_WAY = 0.6, 0.17, 0.8
@@ -53,8 +54,8 @@ The share is larger than `ROUGH_SHARE`. The standard deviation of the slopes, in
 least, is larger than `SCATTER`. The length of the mean slope is less than `ONE_WAY` times the mean length.
 """
 BOUNDED = 0.3
-"""Ratio of residuals of planes over `WAVES_M` to those over `AROUND_M` that crowns exceed, as they are bounded. On bare
-slopes, ridges and rocks the residuals continue to grow with the window."""
+"""Ratio of residuals of planes over `WAVE_WINDOW_M` to those over `AROUND_M` that crowns exceed, as they are bounded.
+On bare slopes, ridges and rocks the residuals continue to grow with the window."""
 OVER, TILT = 2.0, 1.1
 """Ratio of the residuals of all cells to those of the surface, and ratio of the scatter of slopes to their mean.
 
@@ -64,16 +65,17 @@ most `TILT` times their mean: steep ground bends in many ways next to what stand
 """
 CLOSED_M = 7.0
 """Side of openings that are part of a canopy."""
-WAVY_M, WAVY_SHARE, TALL_SIDE_M = 24.0, 0.5, 40.0
+WAVY_SQUARE_M, WAVY_SHARE, TALL_SIZE_M = 24.0, 0.5, 40.0
 """Side of the squares that fit into a canopy of wavy cells, the share of wavy cells that they need, and side of the
 squares that fit into any other canopy."""
 PLANE_CELLS, PLANE_M, PLANE_SHARE = 3, 0.15, 0.25
 """Limits of roofs: cells on a side of the windows of planes, largest residual of a plane, and share of planes.
 
-Tall cells are roofs if more than this share of those in a square of `TALL_SIDE_M` is planes. Crowns have hardly any.
+Tall cells are roofs if more than this share of those in a square of `TALL_SIZE_M` is planes. Crowns have hardly any.
 """
 GROWN_M, STEEPEST = 8.0, 0.3
-"""Distance in metres to which seen ground continues into wavy cells, and its largest slope from cell to cell."""
+"""Distance in metres to which seen ground continues into a canopy of wavy cells, and its largest slope from cell to
+cell."""
 
 
 PIT_M, WIDE_M, TREES_M, PIT_SHARE = 15.0, 6.0, 160.0, 0.5
@@ -93,7 +95,7 @@ class Canopy(NamedTuple):
     covered : bool [rows, columns]
         Cells of a closed canopy and of small openings in it.
     crowns : bool [rows, columns]
-        Cells of crowns that were classified as ground and are not ground.
+        Cells to remove: all cells of a canopy that the surface climbed, except visible ground, and pits.
     """
 
     covered: Bool
@@ -102,9 +104,13 @@ class Canopy(NamedTuple):
 
 def reach_cells(cell_m: float) -> int:
     """Return the distance in cells beyond which heights do not change `canopy`, for a given surface."""
-    wavy = 2 * (_side(AROUND_M, cell_m) // 2)
-    shape = 2 * (_side(CLOSED_M, cell_m) // 2 + _side(TALL_SIDE_M, cell_m) // 2)
-    pits = 2 * (_side(WIDE_M, cell_m) // 2) + _side(PIT_M, cell_m) // 2 + _side(TREES_M, cell_m) // 2
+    wavy = 2 * (_odd_cells(AROUND_M, cell_m) // 2)
+    shape = 2 * (_odd_cells(CLOSED_M, cell_m) // 2 + _odd_cells(TALL_SIZE_M, cell_m) // 2)
+    pits = (
+        2 * (_odd_cells(WIDE_M, cell_m) // 2)
+        + _odd_cells(PIT_M, cell_m) // 2
+        + _odd_cells(TREES_M, cell_m) // 2
+    )
     return wavy + shape + _steps(cell_m) + pits
 
 
@@ -120,16 +126,16 @@ def canopy(heights: Float64, surface: Surface, ground: Bool, cell_m: float) -> C
     ground : bool [rows, columns]
         Cells near the surface.
     cell_m : float
-        Side of the cells in metres.
+        Size of the cells in metres.
     """
     there, around = np.isfinite(heights), _Squares(cell_m)
     known_surface = np.where(there & np.isfinite(surface.narrowing), surface.height, np.nan)
     wavy = _wavy(heights, known_surface, around)
     tall = there & ~ground & ~(heights - surface.height < TALL_M)  # true where the surface is NaN, too
     closed = around.closed(wavy | tall & _rough(heights, cell_m), CLOSED_M)
-    half = around.mean(wavy.astype(np.float64), there, WAVY_M) > WAVY_SHARE
-    climbed = there & around.opened(closed, WAVY_M) & half
-    wide = there & around.opened(closed, TALL_SIDE_M)
+    half = around.mean(wavy.astype(np.float64), there, WAVY_SQUARE_M) > WAVY_SHARE
+    climbed = there & around.opened(closed, WAVY_SQUARE_M) & half
+    wide = there & around.opened(closed, TALL_SIZE_M)
     if wide.any():
         wide &= ~_roofs(heights, tall, around)
     seen = _grown(heights, ground & ~wide & ~climbed & ~wavy, ground & climbed, cell_m)
@@ -140,51 +146,55 @@ def canopy(heights: Float64, surface: Surface, ground: Bool, cell_m: float) -> C
 def may_be(heights: Float64, cell_m: float) -> Bool:
     """Return the cells that a canopy may cover, whatever the surface is: those that squares of rough cells cover."""
     around = _Squares(cell_m)
-    waves = _rough_around(residuals(heights, _side(WAVES_M, cell_m)), around)
-    closed = around.closed(waves | _rough(heights, cell_m), CLOSED_M)
-    half = around.mean(waves.astype(np.float64), np.isfinite(heights), WAVY_M) > WAVY_SHARE
-    may_have_canopy: Bool = around.opened(closed, WAVY_M) & half | around.opened(closed, TALL_SIDE_M)
+    rough = _rough_around(residuals(heights, _odd_cells(WAVE_WINDOW_M, cell_m)), around)
+    closed = around.closed(rough | _rough(heights, cell_m), CLOSED_M)
+    half = around.mean(rough.astype(np.float64), np.isfinite(heights), WAVY_SQUARE_M) > WAVY_SHARE
+    may_have_canopy: Bool = around.opened(closed, WAVY_SQUARE_M) & half | around.opened(closed, TALL_SIZE_M)
     return may_have_canopy
 
 
 def _rough(heights: Float64, cell_m: float) -> Bool:
     """Return the cells around which heights differ as much as in a crown."""
-    is_rough: Bool = residuals(heights, _side(TEXTURE_M, cell_m)) > TEXTURE
+    is_rough: Bool = residuals(heights, _odd_cells(TEXTURE_M, cell_m)) > TEXTURE
     return is_rough
 
 
-def _rough_around(waves: Float64, around: _Squares) -> Bool:
-    """Return the cells with rough ones nearly everywhere around them, from residuals over several crowns."""
-    known = np.isfinite(waves)
+def _rough_around(residual: Float64, around: _Squares) -> Bool:
+    """Return the cells with more than `ROUGH_SHARE` rough cells around, from residuals over several crowns."""
+    known = np.isfinite(residual)
     has_rough_around: Bool = known & (
-        around.mean((waves > WAVE_M).astype(np.float64), known, AROUND_M) > ROUGH_SHARE
+        around.mean((residual > MIN_WAVE_RESIDUAL_M).astype(np.float64), known, AROUND_M) > ROUGH_SHARE
     )
     return has_rough_around
 
 
 def _wavy(heights: Float64, found: Float64, around: _Squares) -> Bool:
     """Return the cells around which the ground surface (`found`) runs over crowns."""
-    waves, all_waves = (residuals(v, _side(WAVES_M, around.cell_m)) for v in (found, heights))
-    wavy = _rough_around(waves, around) & _rough_around(all_waves, around)
+    surface_residual, height_residual = (
+        residuals(v, _odd_cells(WAVE_WINDOW_M, around.cell_m)) for v in (found, heights)
+    )
+    wavy = _rough_around(surface_residual, around) & _rough_around(height_residual, around)
     if not wavy.any():  # Nearly all rasters end here; the rest is most of the work.
         return wavy
     scatter, one_way, tilt = _slopes(found, around)
     wavy &= (scatter > SCATTER) & (one_way < ONE_WAY)
-    surface = _mean_around(waves, around)
-    bounded = surface > BOUNDED * _mean_around(residuals(found, _side(AROUND_M, around.cell_m)), around)
-    seen = _mean_around(all_waves, around) < OVER * surface
-    found_wavy: Bool = wavy & bounded & (seen | (scatter > TILT * tilt))
+    mean_residual = _mean_around(surface_residual, around)
+    bounded = mean_residual > BOUNDED * _mean_around(
+        residuals(found, _odd_cells(AROUND_M, around.cell_m)), around
+    )
+    little_above = _mean_around(height_residual, around) < OVER * mean_residual
+    found_wavy: Bool = wavy & bounded & (little_above | (scatter > TILT * tilt))
     return found_wavy
 
 
-def _mean_around(left: Float64, around: _Squares) -> Float64:
-    return around.mean(left, np.isfinite(left), AROUND_M)
+def _mean_around(residual: Float64, around: _Squares) -> Float64:
+    return around.mean(residual, np.isfinite(residual), AROUND_M)
 
 
 def _roofs(heights: Float64, tall: Bool, around: _Squares) -> Bool:
     """Return the cells around which many of the tall cells lie in one plane with their neighbours."""
     plane = tall & (residuals(heights, PLANE_CELLS) < PLANE_M)
-    is_roof: Bool = around.mean(plane.astype(np.float64), tall, TALL_SIDE_M) > PLANE_SHARE
+    is_roof: Bool = around.mean(plane.astype(np.float64), tall, TALL_SIZE_M) > PLANE_SHARE
     return is_roof
 
 
@@ -192,7 +202,7 @@ def _slopes(found: Float64, around: _Squares) -> tuple[Float64, Float64, Float64
     """Describe the slopes around each cell.
 
     Returns the standard deviation of the slopes in the direction in which they scatter least, the length of the mean
-    slope in parts of the mean length, and the length of the mean slope.
+    slope as a fraction of the mean length, and the length of the mean slope.
     """
     far = _far(around.cell_m)
     north, east = np.full(found.shape, np.nan), np.full(found.shape, np.nan)
@@ -234,8 +244,8 @@ def _pits(heights: Float64, ground: Bool, covered: Bool, around: _Squares) -> Bo
     tops = around.highest(crowns, PIT_M)
     beside = ground & np.isfinite(tops)
     depth = np.where(beside, tops - heights, 0.0)
-    trees = around.mean(depth, beside & around.opened(ground, WIDE_M), TREES_M)
-    pits: Bool = beside & (depth < PIT_SHARE * trees)
+    tree_height = around.mean(depth, beside & around.opened(ground, WIDE_M), TREES_M)
+    pits: Bool = beside & (depth < PIT_SHARE * tree_height)
     return pits
 
 
@@ -245,9 +255,9 @@ class _Squares:
 
     cell_m: float
 
-    def mean(self, values: Float64, known: Bool, side_m: float) -> Float64:
+    def mean(self, values: Float64, known: Bool, size_m: float) -> Float64:
         """Return the mean of the known values around each cell, or 0 where none is known."""
-        weights = np.ones(_side(side_m, self.cell_m))
+        weights = np.ones(_odd_cells(size_m, self.cell_m))
 
         # Each square is summed separately, because running sums depend on where the raster begins.
         def total(of: Float64) -> Float64:
@@ -257,28 +267,28 @@ class _Squares:
 
         return total(np.where(known, values, 0.0)) / np.maximum(total(known.astype(np.float64)), 1.0)
 
-    def highest(self, values: Float64, side_m: float) -> Float64:
+    def highest(self, values: Float64, size_m: float) -> Float64:
         """Return the highest value around each cell, with minus infinity beyond the raster."""
-        side = _side(side_m, self.cell_m)
-        highest_values: Float64 = scipy.ndimage.maximum_filter(values, side, mode="constant", cval=-np.inf)
+        size = _odd_cells(size_m, self.cell_m)
+        highest_values: Float64 = scipy.ndimage.maximum_filter(values, size, mode="constant", cval=-np.inf)
         return highest_values
 
-    def closed(self, cells: Bool, side_m: float) -> Bool:
+    def closed(self, cells: Bool, size_m: float) -> Bool:
         """Return the cells and the openings among them into which no square of this side fits (closing)."""
-        side = _side(side_m, self.cell_m)
-        wide: Bool = scipy.ndimage.maximum_filter(cells, side, mode="constant")
-        is_closed: Bool = scipy.ndimage.minimum_filter(wide, side, mode="constant")
+        size = _odd_cells(size_m, self.cell_m)
+        wide: Bool = scipy.ndimage.maximum_filter(cells, size, mode="constant")
+        is_closed: Bool = scipy.ndimage.minimum_filter(wide, size, mode="constant")
         return is_closed
 
-    def opened(self, cells: Bool, side_m: float) -> Bool:
+    def opened(self, cells: Bool, size_m: float) -> Bool:
         """Return the cells that are covered by squares of this side that contain no other cells (opening)."""
-        side = _side(side_m, self.cell_m)
-        inner: Bool = scipy.ndimage.minimum_filter(cells, side, mode="constant")
-        is_covered: Bool = scipy.ndimage.maximum_filter(inner, side, mode="constant")
+        size = _odd_cells(size_m, self.cell_m)
+        inner: Bool = scipy.ndimage.minimum_filter(cells, size, mode="constant")
+        is_covered: Bool = scipy.ndimage.maximum_filter(inner, size, mode="constant")
         return is_covered
 
 
-def _side(metres: float, cell_m: float) -> int:
+def _odd_cells(metres: float, cell_m: float) -> int:
     """Return the number of cells on the side of a square, an odd number."""
     return 2 * round(metres / cell_m / 2 - 0.25) + 1
 

@@ -14,13 +14,13 @@ import scipy
 
 from ptd.frame import CellLattice, Scale, Window
 from ptd.ground.morphology import Bool
-from ptd.matched import by_side, surface
+from ptd.matched import by_size, surface
 from ptd.matched.canopy import canopy, may_be
 from ptd.matched.canopy import reach_cells as canopy_reach_cells
 from ptd.matched.cells import CELL_M, EMPTY, raster_of
 from ptd.matched.evidence import percent
 from ptd.matched.ground_model import band
-from ptd.matched.place_figures import SIDE, SIDES_M
+from ptd.matched.place_figures import CELL_SIZE, CELL_SIZES_M
 from ptd.matched.step import COVERED, CROWN, OBJECT, TERRAIN, Codes, MatchedPass, noise_m
 from ptd.passes import Int32, Model, Points, State, UInt8, add_notes
 from ptd.places import PLACES, of_places, on_cells
@@ -60,19 +60,19 @@ class CanopyPass(MatchedPass):
     elected: bool = True
     raster_cell_m: float = CELL_M
     influence_radius_m: float | None = max(
-        (surface.reach_cells(side) + canopy_reach_cells(side) + 3) * side for side in SIDES_M
+        (surface.reach_cells(size_m) + canopy_reach_cells(size_m) + 3) * size_m for size_m in CELL_SIZES_M
     )
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> CanopyModel:
-        """Find the canopy among the cells of each side, and count its cells in the core."""
-        of_side = partial(self.of_side, core=core)
-        model = by_side.of_each_side(of_side, points, core, scale, state, cells=True)
+        """Find the canopy among the cells of each size, and count its cells in the core."""
+        of_size = partial(self.of_size, core=core)
+        model = by_size.of_each_size(of_size, points, core, scale, state, cells=True)
         is_in_core = core.contains(points.xyz[0], points.xyz[1])
         return CanopyModel(model, points.take(is_in_core), scale, state)
 
-    def of_side(self, points: Points, scale: Scale, state: State, side: float, core: Window) -> Codes:
-        """Compute the surface of the cells of one side as if there were no canopy, and test it."""
-        cells, codes = CellLattice.of(side, scale), points.known_labels()
+    def of_size(self, points: Points, scale: Scale, state: State, size_m: float, core: Window) -> Codes:
+        """Compute the surface of the cells of one size as if there were no canopy, and test it."""
+        cells, codes = CellLattice.of(size_m, scale), points.known_labels()
         if not (codes != OBJECT).any():
             return Codes(None, codes, cells)
         raster = raster_of(points.xyz, cells)
@@ -80,15 +80,17 @@ class CanopyPass(MatchedPass):
         flat[raster.keys] = codes
         coded = flat.reshape(raster.heights.shape)
         metres = np.where(raster.heights == EMPTY, np.nan, raster.heights / scale.counts_z(1.0))
-        is_near_core = _widened(core, scale.counts(side)).contains(*points.xyz[:2])
+        is_near_core = _widened(core, scale.counts(size_m)).contains(*points.xyz[:2])
         # Without cells that a canopy may cover, no surface is needed. The surface is nearly all of the work.
-        if not may_be(metres, side).reshape(-1)[raster.keys[is_near_core]].any():
+        if not may_be(metres, size_m).reshape(-1)[raster.keys[is_near_core]].any():
             return Codes(raster, codes, cells)
         left = np.where(coded == OBJECT, EMPTY, raster.heights).astype(np.int32)
         noise = on_cells(noise_m(state, scale), cells, raster.row, raster.column, raster.heights.shape)
-        ground = surface.ground_surface(left, coded == TERRAIN, noise, scale, raster.row, raster.column, side)
+        ground = surface.ground_surface(
+            left, coded == TERRAIN, noise, scale, raster.row, raster.column, size_m
+        )
         near = band(ground.sigma, ground.narrowing)
-        covered, crowns = canopy(metres, ground, np.abs(metres - ground.height) < near, side)
+        covered, crowns = canopy(metres, ground, np.abs(metres - ground.height) < near, size_m)
         coded[crowns] |= CROWN
         coded[covered] |= COVERED
         return Codes(raster, coded.reshape(-1)[raster.keys], cells)
@@ -110,42 +112,44 @@ class CanopyPass(MatchedPass):
 class CanopyModel(Model):
     """Codes of the cells, and the area of the core that a canopy covers.
 
-    Where cells of two sides meet, only cells of the side of their place get the code of covered cells. Other cells are
-    only read by the passes.
+    Where both cell sizes occur, only cells of the size of their place get the code `COVERED`. Cells of the other size
+    only give context.
     """
 
-    def __init__(self, found: Model, own: Points, scale: Scale, state: State) -> None:
-        self._found, self._scale, self._state = found, scale, state
-        labels, _ = self.label(own)
-        sides_m = by_side.side_of_cells(own, scale)
-        counted, covered = self._of_place(own), labels >= COVERED
+    def __init__(self, model: Model, core_cells: Points, scale: Scale, state: State) -> None:
+        self._model, self._scale, self._state = model, scale, state
+        labels, _ = self.label(core_cells)
+        sizes_m = by_size.size_of_cells(core_cells, scale)
+        counted, covered = self._of_place(core_cells), labels >= COVERED
         self._partial = {
-            "area_m2": int((sides_m[counted] ** 2).sum()),
-            "covered_m2": int((sides_m[covered] ** 2).sum()),
-            "blocks": _by_block(own.xyz[:, covered], sides_m[covered], scale),
+            "area_m2": int((sizes_m[counted] ** 2).sum()),
+            "covered_m2": int((sizes_m[covered] ** 2).sum()),
+            "blocks": _by_block(core_cells.xyz[:, covered], sizes_m[covered], scale),
         }
-        self.stats = {**found.stats, "covered": int(covered.sum())}
+        self.stats = {**model.stats, "covered": int(covered.sum())}
 
     def _of_place(self, points: Points) -> Bool:
-        """Return a mask of the cells whose side is that of their place."""
-        place_sides = of_places(self._state[PLACES], SIDE, points.xyz[0], points.xyz[1], self._scale)
-        same: Bool = place_sides == by_side.side_of_cells(points, self._scale)
+        """Return a mask of the cells whose size is that of their place."""
+        place_sizes = of_places(self._state[PLACES], CELL_SIZE, points.xyz[0], points.xyz[1], self._scale)
+        same: Bool = place_sizes == by_size.size_of_cells(points, self._scale)
         return same
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
         """Return the codes of cells."""
-        labels, marks = self._found.label(points)
-        return np.where(self._of_place(points), labels, labels & ~np.uint8(COVERED)).astype(np.uint8), marks
+        labels, uncertified = self._model.label(points)
+        return np.where(self._of_place(points), labels, labels & ~np.uint8(COVERED)).astype(
+            np.uint8
+        ), uncertified
 
     def partial(self) -> dict[str, Any]:
         """Return the areas of all cells and of covered cells in square metres, and the covered area by blocks."""
         return self._partial
 
 
-def _by_block(xyz: Int32, sides_m: Float64, scale: Scale) -> list[list[int]]:
+def _by_block(xyz: Int32, sizes_m: Float64, scale: Scale) -> list[list[int]]:
     """Return column and row of each block of `BLOCK_M` that contains cells, and their area in square metres."""
     cell_blocks = np.stack(CellLattice.of(BLOCK_M, scale).cell_indices(xyz[0], xyz[1]))
     blocks, block_numbers = np.unique(cell_blocks, axis=1, return_inverse=True)
-    areas = np.bincount(block_numbers.ravel(), sides_m**2, blocks.shape[1]).astype(np.int64)
+    areas = np.bincount(block_numbers.ravel(), sizes_m**2, blocks.shape[1]).astype(np.int64)
     block_areas: list[list[int]] = np.column_stack([blocks.T, areas]).tolist()
     return block_areas

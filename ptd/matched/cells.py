@@ -18,12 +18,12 @@ from ptd.kernel import kernel
 from ptd.places import Field, on_cells
 
 CELL_M = 1.0
-"""Side of a cell, which limits the detail of the surface. The noise of tens of points averages out in a cell, and a car
+"""Size of a cell, which limits the detail of the surface. The noise of tens of points averages out in a cell, and a car
 fills several cells."""
 SPARSE_M2 = 3.0
 """Density in points per square metre below which cells are wider: in most cells of 1 m no two points would agree."""
 SPARSE_CELL_M = 2.0
-"""Side of the cells of clouds below that density."""
+"""Size of the cells of clouds below that density."""
 MODE_SIGMAS = 4.0
 """Height of the window that moves up from a cell's lowest point, in standard deviations of the noise."""
 STEEPEST = 2.0
@@ -125,10 +125,11 @@ class _ByCell(NamedTuple):
 
 
 @kernel
-def _rise(level: Int64, counts: Int64, k: int, step: int, cell_counts: float) -> int:
+def _rise(level: Int64, counts: Int64, k: int, step: int, cell_counts_z: float) -> int:
     """Return the rise over two cells along an axis, or `UNKNOWN` if it is too steep or no neighbour has a height.
 
-    If only one neighbour has a height, the rise to it counts twice.
+    If only one neighbour has a height, the rise to it counts twice. ``cell_counts_z`` is the size of a cell in vertical
+    counts.
     """
     before, after = counts[k - step] > 0, counts[k + step] > 0
     if before and after:
@@ -139,7 +140,7 @@ def _rise(level: Int64, counts: Int64, k: int, step: int, cell_counts: float) ->
         rise, steepest = 2 * (level[k] - level[k - step]), STEEPEST_AT_GAPS
     else:
         return UNKNOWN
-    return rise if abs(rise) <= round(2 * steepest * cell_counts) else UNKNOWN
+    return rise if abs(rise) <= round(2 * steepest * cell_counts_z) else UNKNOWN
 
 
 @kernel
@@ -148,7 +149,7 @@ def _tilted_heights(
     centre_x: Int64,
     centre_y: Int64,
     window: Int64,
-    cell_counts: float,
+    cell_counts_z: float,
     level: Int64,
     counts: Int64,
 ) -> Int64:
@@ -160,8 +161,8 @@ def _tilted_heights(
         begin, n = starts[k], starts[k + 1] - starts[k]
         if counts[k] == 0 or counts[k] == n:
             continue
-        eastward = _rise(level, counts, k, 1, cell_counts)
-        northward = _rise(level, counts, k, columns, cell_counts)
+        eastward = _rise(level, counts, k, 1, cell_counts_z)
+        northward = _rise(level, counts, k, columns, cell_counts_z)
         if eastward == UNKNOWN or northward == UNKNOWN:
             continue
         cx, cy = centre_x[k % columns], centre_y[k // columns]
@@ -179,8 +180,8 @@ def _tilted_heights(
     return heights
 
 
-def cell_side_m(density_m2: float) -> float:
-    """Return the side of the cells in metres for a density in points per square metre."""
+def cell_size_m(density_m2: float) -> float:
+    """Return the size of the cells in metres for a density in points per square metre."""
     return SPARSE_CELL_M if density_m2 < SPARSE_M2 else CELL_M
 
 
@@ -198,7 +199,7 @@ def cell_heights(
     sigma_m : float or Field
         Noise of the place in metres.
     cell_m : float
-        Side of the cells in metres.
+        Size of the cells in metres.
 
     Returns
     -------
@@ -211,7 +212,7 @@ def cell_heights(
         return np.zeros((3, 0), np.int32)
     col0, row0 = cells.column(int(x.min())) - 1, cells.row(int(y.min())) - 1
     columns, rows = cells.column(int(x.max())) - col0 + 2, cells.row(int(y.max())) - row0 + 2
-    keys = cell_keys(x, y, cells.p, cells.q, cells.origin_x, cells.origin_y, col0, row0, columns)
+    keys = cell_keys(x, y, cells, col0, row0, columns)
     starts, order = by_cell(keys, columns * rows)
     noise = on_cells(sigma_m, cells, row0, col0, (rows, columns)).ravel()
     window = np.maximum(np.rint(scale.counts_z(1.0) * (MODE_SIGMAS * noise)), 1.0).astype(np.int64)
@@ -257,7 +258,7 @@ EMPTY = 2**31 - 1
 ALIGN = 8
 """Multiple of cells of the lattice at which rasters begin, so that all rasters have the same blocks of cells."""
 MARGIN = 4
-"""Number of empty cells around a raster, so that its edge is the same for any content."""
+"""Minimum number of empty cells on each side of a raster, so that its edge is the same for any content."""
 
 
 def raster_of(xyz: Int32, cells: CellLattice) -> CellHeights:
@@ -270,7 +271,7 @@ def raster_of(xyz: Int32, cells: CellLattice) -> CellHeights:
         cells.column(int(x.max())) - column + 1 + MARGIN,
         cells.row(int(y.max())) - row + 1 + MARGIN,
     )
-    keys = cell_keys(x, y, cells.p, cells.q, cells.origin_x, cells.origin_y, column, row, width)
+    keys = cell_keys(x, y, cells, column, row, width)
     heights = np.full(height * width, EMPTY, np.int32)
     heights[keys] = z
     return CellHeights(heights.reshape(height, width), keys, column, row)

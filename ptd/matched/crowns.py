@@ -6,7 +6,8 @@ Rocks, rough grass and noise are rough over 3 m already, and smooth hills over n
 the terrain, its slopes fall one way; slopes of crowns fall all ways.
 
 On terrain of 1 m, 62 % of the blocks look like crowns in the closed forest of a drone survey. The share is 4 % in a
-village in a gorge, 0 to 2 % in seven semi-real scenes, a park and rough fields, and one of 15 in a lava field.
+village in a gorge, and 0 to 2 % in seven semi-real scenes, a park and rough fields. In a lava field, 1 of 15 blocks
+looks like crowns.
 """
 
 from __future__ import annotations
@@ -26,11 +27,12 @@ ROUGH_M, SMOOTHER = 0.3, 0.35
 """Limits of a block that looks like crowns: the median residual over large windows exceeds `ROUGH_M`, and the median
 ratio of residuals over small and large windows is below `SMOOTHER`."""
 ONE_WAY = 0.7
-"""Length of the mean gradient of a block, in parts of the mean length, from which on its slopes fall one way."""
+"""Ratio of the length of a block's mean gradient to the mean length of its gradients. From this ratio on, its slopes
+fall one way."""
 MIN_FILLED = 0.3
 
 Float64 = npt.NDArray[np.float64]
-Place = tuple[slice, slice]
+BlockSlices = tuple[slice, slice]
 """Rows and columns of a block."""
 
 
@@ -39,13 +41,13 @@ class Crowns(NamedTuple):
 
     Attributes
     ----------
-    looked_at : int
+    n_tested : int
         Number of blocks with enough heights to be tested.
     found : list of (int, int)
         First row and column of each block that looks like crowns.
     """
 
-    looked_at: int
+    n_tested: int
     found: list[tuple[int, int]]
 
 
@@ -74,7 +76,7 @@ def crowns(heights: Float64) -> Crowns:
     return Crowns(len(filled), crown_blocks)
 
 
-def _blocks(heights: Float64) -> Iterator[Place]:
+def _blocks(heights: Float64) -> Iterator[BlockSlices]:
     for row in range(0, heights.shape[0], BLOCK):
         for column in range(0, heights.shape[1], BLOCK):
             yield slice(row, row + BLOCK), slice(column, column + BLOCK)
@@ -86,7 +88,7 @@ def _share_held(block: Float64) -> float:
 
 
 def one_way(down: Float64, right: Float64) -> float:
-    """Return the length of the mean gradient in parts of the mean length: 1 if all slopes fall one way."""
+    """Return the length of the mean gradient as a fraction of the mean length: 1 if all slopes fall one way."""
     known = np.isfinite(down) & np.isfinite(right)
     lengths = np.hypot(down[known], right[known])
     if not lengths.any():
@@ -94,7 +96,7 @@ def one_way(down: Float64, right: Float64) -> float:
     return float(np.hypot(down[known].mean(), right[known].mean()) / lengths.mean())
 
 
-def residuals(heights: Float64, side: int) -> Float64:
+def residuals(heights: Float64, size: int) -> Float64:
     """Return the root mean square of the residuals of planes in windows around each cell: float64 [rows, columns].
 
     It is NaN where the cell is empty or fewer than half of the cells of its window have a height. Every window is
@@ -102,8 +104,8 @@ def residuals(heights: Float64, side: int) -> Float64:
     """
     held = np.isfinite(heights)
     weight, z = held.astype(np.float64), np.where(held, heights, 0.0)
-    one: Float64 = np.ones(side)
-    away: Float64 = np.arange(side, dtype=np.float64) - side // 2
+    one: Float64 = np.ones(size)
+    away: Float64 = np.arange(size, dtype=np.float64) - size // 2
 
     squared: Float64 = away * away
 
@@ -122,5 +124,5 @@ def residuals(heights: Float64, side: int) -> Float64:
     xz, yz = total(z, away, one) / points - mx * mz, total(z, one, away) / points - my * mz
     determinant = np.maximum(xx * yy - xy * xy, 1e-9)
     a, b = (xz * yy - yz * xy) / determinant, (yz * xx - xz * xy) / determinant
-    left = np.sqrt(np.maximum(zz - a * xz - b * yz, 0.0) * points / np.maximum(points - 3, 1.0))
-    return np.where(held & (n >= side**2 / 2), left, np.nan)
+    residual = np.sqrt(np.maximum(zz - a * xz - b * yz, 0.0) * points / np.maximum(points - 3, 1.0))
+    return np.where(held & (n >= size**2 / 2), residual, np.nan)

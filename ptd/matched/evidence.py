@@ -37,7 +37,7 @@ TIMES_PER_POINT = 0.01
 """Number of different GPS times per point above which a sensor measured them: each block of a photogrammetric cloud has
 a single time."""
 SURE = 0.9
-"""Confidence from which on the fields of the points decide alone."""
+"""Minimum confidence with which the fields of the points decide alone."""
 MAX_CONFIDENCE = 0.99
 """Largest confidence that the weights allow."""
 
@@ -60,7 +60,7 @@ class Finding(NamedTuple):
     sure : float or None
         Probability that the kind is right, 0.5 to `MAX_CONFIDENCE`; None if the user gives it.
     why : str
-        The two strongest pieces of evidence.
+        The two strongest pieces of evidence for the kind.
     """
 
     kind: str
@@ -80,7 +80,7 @@ class Evidence:
         Share of the area in which GPS times, scan angles, scan directions, edges of flight lines or source ids differ
         from point to point.
     own_intensity, grey_intensity : float or None
-        Share of the area in which intensities differ and are not, or are, the grey of the colours.
+        Shares of the area in which intensities vary: independent of the colours, or equal to their grey.
     colour : float or None
         Share of the area in which points are coloured.
     """
@@ -116,8 +116,8 @@ class Evidence:
         """
         several = None
         if returns is not None:
-            of = np.asarray(returns)[:, 1]
-            several = float(np.mean(of[of > 0] > 1)) if np.any(of) else None
+            n_returns = np.asarray(returns)[:, 1]
+            several = float(np.mean(n_returns[n_returns > 0] > 1)) if np.any(n_returns) else None
         differing = [None if v is None else _differs(np.asarray(v)) for v in (scan_angle, source_id, *flags)]
         differing.append(None if gps_time is None else _measured(np.asarray(gps_time)))
         known = [differs for differs in differing if differs is not None]
@@ -192,8 +192,8 @@ def decided_by(evidence: Evidence) -> Finding | None:
     At least two pieces of evidence must be known.
     """
     pieces = evidence.pieces()
-    made = concluded(pieces)
-    return made if len(pieces) > 1 and (made.sure or 0.0) >= SURE else None
+    finding = concluded(pieces)
+    return finding if len(pieces) > 1 and (finding.sure or 0.0) >= SURE else None
 
 
 def percent(share: float) -> str:

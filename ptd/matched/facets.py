@@ -19,8 +19,9 @@ from ptd.tin.layout import Int32Array
 from ptd.tin.location import locate
 from ptd.tin.mesh import Tin
 
-MAX_WIDTH_M = 30.0
-"""Largest circumradius of a facet that gives the height of the ground. Voids of twice this width are spanned."""
+MAX_CIRCUMRADIUS_M = 30.0
+"""Largest circumradius of a facet that gives the height of the ground. Voids up to twice this radius wide are
+spanned."""
 ANY_EDGE = 2**62
 """Square of a length that no edge reaches."""
 
@@ -30,10 +31,10 @@ Float64 = npt.NDArray[np.float64]
 def reach_m() -> float:
     """Return the distance in metres beyond which vertices do not change a height.
 
-    A facet is that of the untiled run if no vertex lies in its circumcircle (`docs/filters.md`, Certificates). The
-    circle ends within two of its radii from any position in it.
+    A facet is the same as in an untiled run if no vertex of the whole cloud lies in its circumcircle
+    (`docs/filters.md`, Certificates). No point of the circle is farther than two radii from a position in the facet.
     """
-    return 2.0 * MAX_WIDTH_M + 1.0
+    return 2.0 * MAX_CIRCUMRADIUS_M + 1.0
 
 
 def ground_heights(x: Int32, y: Int32, z: Int32, ground: Bool, scale: Scale) -> Float64:
@@ -52,7 +53,7 @@ def ground_heights(x: Int32, y: Int32, z: Int32, ground: Bool, scale: Scale) -> 
     tin = Tin.build(x[ground], y[ground], z[ground])
     heights = np.full(x.size, np.nan)
     if tin.n_triangles:
-        rule = Rule(ANY_EDGE, scale.counts(MAX_WIDTH_M))
+        rule = Rule(ANY_EDGE, scale.counts(MAX_CIRCUMRADIUS_M))
         _between_vertices(tin.vertex_array, tin.triangle_array, x, y, rule, heights)
     heights[ground] = z[ground]
     return heights

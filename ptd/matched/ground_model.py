@@ -14,18 +14,18 @@ from ptd.ground.morphology import Bool
 from ptd.kernel import as_int64, kernel
 from ptd.matched import last_look, surface, voting
 from ptd.matched.cells import EMPTY, CellHeights
+from ptd.matched.decision_trees import last_look_trees
 from ptd.matched.place_figures import DENSITY, known
 from ptd.matched.step import noise_m
-from ptd.matched.trees import last_look_trees
 from ptd.passes import Int32, Model, Points, State, UInt8
 from ptd.places import PLACES, Field, field
 
 GROUND_M, GROUND_SIGMAS = 0.15, 2.0
 """Largest distance of ground from the surface after the vote: metres, plus this multiple of the local noise."""
 LOW_M, LOW_SIGMAS = 0.5, 4.0
-"""Depth below the surface from which on a point is low noise: metres, plus this multiple of the local noise."""
+"""Depth below the surface beyond which a point is low noise: metres, plus this multiple of the local noise."""
 CLEAR_M = 2.0
-"""Height above or below the surface from which on a point does not vote."""
+"""Points at least this far above or below the surface do not vote."""
 
 Float64 = npt.NDArray[np.float64]
 
@@ -36,14 +36,22 @@ def vote_radius_m(state: State, scale: Scale) -> Field:
     return field(radii, 0, scale, voting.RADIUS_M[1])
 
 
-class Place(NamedTuple):
-    """Position of a raster: origin of the local counts, counts on a cell's side, and first column and row."""
+class RasterPosition(NamedTuple):
+    """Position of a raster: origin of the local counts, size of a cell in counts, and first column and row."""
 
     origin_x: int
     origin_y: int
-    side: float
+    cell: float
     column: int
     row: int
+
+
+class _Limits(NamedTuple):
+    """Fields of the `Surface` and the value of `GROUND_M` that limit the distance of ground from the surface."""
+
+    sigma: Float64
+    narrowing: Float64
+    ground_m: float
 
 
 @dataclass(frozen=True)
@@ -53,7 +61,7 @@ class Ground:
     Attributes
     ----------
     surface : Surface
-    place : Place
+    position : RasterPosition
         Position of the surface's raster.
     scale : Scale
     sigma_m, radius_m : Field
@@ -63,7 +71,7 @@ class Ground:
     """
 
     surface: surface.Surface
-    place: Place
+    position: RasterPosition
     scale: Scale
     sigma_m: Field
     radius_m: Field
@@ -74,15 +82,16 @@ class Ground:
         metre = self.scale.counts_z(1.0)
         unit = voting.PARTS * metre
         height, sigma, narrowing = self.surface
-        above, residual = _heights_above(x, y, z, height, self.place, metre, unit)
+        above, residual = _heights_above(x, y, z, height, self.position, metre, unit)
         asked = np.abs(above) < CLEAR_M  # NaN, where there is no surface, gives False.
         voted = voting.votes(x, y, residual, asked, self.radius_m, self.sigma_m, self.scale)
-        labels = _classes(x, y, above, voted, sigma, narrowing, self.place, unit, GROUND_M)
+        limits = _Limits(sigma, narrowing, GROUND_M)
+        labels = _classes(x, y, above, voted, limits, self.position, unit)
         if self.around is None:
             return labels
         heights = last_look.Heights.of(x, y, above, np.where(asked, voted / unit, above), labels)
-        cell = _cell_of(x, y, self.place, *height.shape)
-        return last_look.looked_at(heights, cell, self.around, self.scale, last_look_trees())
+        cell = _cell_of(x, y, self.position, *height.shape)
+        return last_look.relabelled(heights, cell, self.around, self.scale, last_look_trees())
 
 
 class GroundModel(Model):
@@ -96,8 +105,10 @@ class GroundModel(Model):
         cls, found: surface.Surface, raster: CellHeights, cells: CellLattice, scale: Scale, state: State
     ) -> GroundModel:
         """Return the model of a surface on the cells of a raster."""
-        place = Place(cells.origin_x, cells.origin_y, cells.p / cells.q, raster.column, raster.row)
-        ground = Ground(found, place, scale, noise_m(state, scale), vote_radius_m(state, scale))
+        position = RasterPosition(
+            cells.origin_x, cells.origin_y, cells.p / cells.q, raster.column, raster.row
+        )
+        ground = Ground(found, position, scale, noise_m(state, scale), vote_radius_m(state, scale))
         return cls(ground, {"cells": int(raster.keys.size)})
 
     def with_last_look(self, raster: CellHeights, cell_m: float) -> GroundModel:
@@ -122,20 +133,20 @@ class GroundModel(Model):
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
         """Return ASPRS classes. All are certified, because the pass has a fixed radius."""
-        certain = np.zeros(len(points), np.bool_)
+        uncertified = np.zeros(len(points), np.bool_)
         if self._ground is None or len(points) == 0:
-            return np.full(len(points), UNCLASSIFIED, np.uint8), certain
-        return self._ground.classes(*points.columns()), certain
+            return np.full(len(points), UNCLASSIFIED, np.uint8), uncertified
+        return self._ground.classes(*points.columns()), uncertified
 
 
 @kernel
-def _between(values: Float64, x: int, y: int, place: Place) -> float:
+def _between(values: Float64, x: int, y: int, position: RasterPosition) -> float:
     """Interpolate a raster bilinearly at a point.
 
     The result is NaN outside the raster and next to cells without a value.
     """
-    column = (x + place.origin_x) / place.side - place.column - 0.5
-    row = (y + place.origin_y) / place.side - place.row - 0.5
+    column = (x + position.origin_x) / position.cell - position.column - 0.5
+    row = (y + position.origin_y) / position.cell - position.row - 0.5
     i, j = int(np.floor(row)), int(np.floor(column))
     if not (0 <= i < values.shape[0] - 1 and 0 <= j < values.shape[1] - 1):
         return np.nan
@@ -152,19 +163,19 @@ def band(sigma: Float64, narrowing: Float64) -> Float64:
 
 
 @kernel
-def _cell_of(x: Int32, y: Int32, place: Place, rows: int, columns: int) -> Int32:
+def _cell_of(x: Int32, y: Int32, position: RasterPosition, rows: int, columns: int) -> Int32:
     """Return the index of each point's cell in the flattened raster, or of the nearest cell for points outside."""
     cell_indices = np.empty(x.size, np.int32)
     for k in range(x.size):
-        column = int(np.floor((as_int64(x[k]) + place.origin_x) / place.side)) - place.column
-        row = int(np.floor((as_int64(y[k]) + place.origin_y) / place.side)) - place.row
+        column = int(np.floor((as_int64(x[k]) + position.origin_x) / position.cell)) - position.column
+        row = int(np.floor((as_int64(y[k]) + position.origin_y) / position.cell)) - position.row
         cell_indices[k] = min(max(row, 0), rows - 1) * columns + min(max(column, 0), columns - 1)
     return cell_indices
 
 
 @kernel
 def _heights_above(
-    x: Int32, y: Int32, z: Int32, surface: Float64, place: Place, metre: float, unit: float
+    x: Int32, y: Int32, z: Int32, surface: Float64, position: RasterPosition, metre: float, unit: float
 ) -> tuple[Float64, Int32]:
     """Return the height of each point above the surface in metres and in whole units.
 
@@ -172,7 +183,7 @@ def _heights_above(
     """
     above, residual = np.empty(x.size, np.float64), np.zeros(x.size, np.int32)
     for k in range(x.size):
-        above[k] = z[k] / metre - _between(surface, as_int64(x[k]), as_int64(y[k]), place)
+        above[k] = z[k] / metre - _between(surface, as_int64(x[k]), as_int64(y[k]), position)
         if abs(above[k]) < CLEAR_M:
             residual[k] = np.int32(np.rint(above[k] * unit))
     return above, residual
@@ -180,22 +191,22 @@ def _heights_above(
 
 @kernel
 def _classes(
-    x: Int32, y: Int32, above: Float64, voted: Int32, sigma: Float64, narrowing: Float64, place: Place, unit: float,
-    ground_m: float,
-) -> UInt8:  # fmt: skip
+    x: Int32, y: Int32, above: Float64, voted: Int32, limits: _Limits, position: RasterPosition, unit: float
+) -> UInt8:
     """Return ASPRS classes of points from their heights above the surface, or from the vote for points near it."""
+    sigma, narrowing, ground_m = limits
     classes = np.full(x.size, UNCLASSIFIED, np.uint8)
     for k in range(x.size):
         near = abs(above[k]) < CLEAR_M
         height = voted[k] / unit if near else above[k]
         if not (near or height < 0.0):
             continue
-        noise = _between(sigma, as_int64(x[k]), as_int64(y[k]), place)
+        noise = _between(sigma, as_int64(x[k]), as_int64(y[k]), position)
         if height < -(LOW_M + LOW_SIGMAS * noise):
             classes[k] = LOW_NOISE
         elif near:
             band = (ground_m + GROUND_SIGMAS * noise) * _between(
-                narrowing, as_int64(x[k]), as_int64(y[k]), place
+                narrowing, as_int64(x[k]), as_int64(y[k]), position
             )
             if abs(height) < band:
                 classes[k] = GROUND

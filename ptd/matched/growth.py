@@ -5,8 +5,8 @@ surface joins in one of three cases:
 
 - It lies on the plane through the ground cells next to it. Objects on the ground rise from it at a wall, so they do not
   lie on the plane of the cells next to them.
-- It is level with the ground cells that touch it. At the top of a bank the plane of the bank leads above the level
-  cells behind it, and few cells do not define a plane.
+- It is level with the ground cells that touch it. At the top of a bank the plane of the bank passes above the level
+  cells behind its edge, and there are too few level cells to define another plane.
 - It is terrain as a whole (`ptd.matched.objects`) and lies between ground cells on opposite sides and below the upper
   one. The faces of banks do not lie on a plane either.
 """
@@ -32,18 +32,20 @@ PLANE_SQUARE = 5
 LEAST = 6
 """Least number of ground cells that define a plane."""
 BESIDE = 2
-"""Least number of ground cells that touch a cell that joins on a plane or level."""
+"""Minimum number of adjacent ground cells for a cell to join in the first two cases."""
 BETWEEN_CELLS, BETWEEN_SHARE = 3, 0.7
 """Largest distance in cells of ground cells on opposite sides, and the share of the way from the lower to the upper one
 up to which a cell between them joins."""
 LEVEL = 3.0
-"""Weight of a slope of 0 in square cells: a few cells in a row do not determine the slope across it."""
+"""Weight of a slope of 0 in the fit of a plane, in cells squared: a few cells in a row do not determine the slope
+across it."""
 NEAR_M, NEAR_SIGMAS = 0.12, 1.5
-"""Largest distance of a cell on the plane: metres, plus this multiple of the local noise. Among plants it is less."""
+"""Maximum distance of a cell from the plane: metres, plus this multiple of the local noise. It is multiplied by the
+narrowing, so it is smaller among plants."""
 
 LEVEL_SHARE = 0.7
-"""Part of that distance within which a cell is level with those that touch it: in plants some cell is level
-everywhere."""
+"""Fraction of that distance within which a cell is level with those that touch it. It is less than 1, because among
+plants a level neighbour is found nearly everywhere."""
 
 Float64 = npt.NDArray[np.float64]
 
@@ -60,7 +62,7 @@ def reach_cells(cell_m: float) -> int:
 
 @kernel
 def _above_level(height: Float64, ground: Bool, row: int, column: int) -> float:
-    """Return the mean height above a cell of the ground cells that touch it, or NaN if there are too few."""
+    """Return how far the adjacent ground cells lie above a cell on average, or NaN if there are too few."""
     n, total = 0, 0.0
     for r in range(row - 1, row + 2):
         for c in range(column - 1, column + 2):
@@ -72,7 +74,7 @@ def _above_level(height: Float64, ground: Bool, row: int, column: int) -> float:
 
 @kernel
 def _above_plane(height: Float64, ground: Bool, row: int, column: int) -> float:
-    """Return the height above a cell of the plane through the ground cells around it, or NaN if there are too few."""
+    """Return how far the plane through the ground cells around a cell lies above it, or NaN if there are too few."""
     n, s, sx, sy, sz = 0, 0.0, 0.0, 0.0, 0.0
     sxx, sxy, syy, sxz, syz = 0.0, 0.0, 0.0, 0.0, 0.0
     for dy in range(-PLANE_CELLS, PLANE_CELLS + 1):
@@ -162,7 +164,8 @@ def grown(
 ) -> Float64:
     """Return the heights of cells that join the ground: float64 [rows, columns].
 
-    The height is halfway between the cell and the plane, or NaN where no cell joins.
+    The height is halfway between the cell and the plane, or between the cell and the mean of the level cells that touch
+    it. Cells on a face keep their height. It is NaN where no cell joins.
 
     Parameters
     ----------
@@ -175,7 +178,7 @@ def grown(
     sigma, narrowing : float64 [rows, columns]
         Noise in metres, and factor of the largest distance to the plane (`ptd.matched.surface.Surface`).
     cell_m : float
-        Side of the cells in metres.
+        Size of the cells in metres.
     """
     rows, columns = np.nonzero(may_join)
     near = (NEAR_M + NEAR_SIGMAS * sigma) * narrowing

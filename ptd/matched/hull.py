@@ -47,11 +47,11 @@ class Envelope:
     Attributes
     ----------
     curvature : float
-        Curvature of the paraboloids per metre: 0.04 bends over a circle of 25 m.
+        Curvature of the paraboloids per metre: 0.04 is a radius of curvature of 25 m.
     fall_m : float
         Fall in metres, from the top, at which paraboloids end.
     cell_m : float
-        Side of the cells in metres.
+        Size of the cells in metres.
     """
 
     curvature: float
@@ -148,13 +148,13 @@ class _EnvelopeSearch(NamedTuple):
 
 
 @kernel
-def _highest_fit(
+def _lowest_limits(
     heights: Int32, blocks: _Blocks, falls: Int64, r: int, c: int, found: _EnvelopeSearch
 ) -> None:
     """Find the lowest paraboloids around a centre, each limited by one cell, in rising order.
 
     ``best`` gets their tops and ``held`` the cells that limit them (-1: none). On entry ``held`` has the cells of the
-    last centre. The tops are not above those that these cells allow, so most blocks are skipped.
+    last centre. These cells give an upper limit of the tops, so most blocks can be skipped.
     """
     block, lowest = blocks.cells, blocks.lowest
     north, east = blocks.north[r // block, c // block], blocks.east[r // block, c // block]
@@ -230,7 +230,7 @@ def _union(
                     near |= heights[rr, cc] != EMPTY
             if not near:
                 continue
-            _highest_fit(heights, blocks, falls, r, c, search)
+            _lowest_limits(heights, blocks, falls, r, c, search)
             if held[cut] < 0:
                 continue
             n, e = blocks.north[r // block, c // block], blocks.east[r // block, c // block]
@@ -244,7 +244,7 @@ def _union(
 
 
 def lower_envelope(
-    heights: Int32, rule: Envelope, scale: Scale, row: int, column: int, tilt_blocks: float = TILT_BLOCKS
+    heights: Int32, envelope: Envelope, scale: Scale, row: int, column: int, tilt_blocks: float = TILT_BLOCKS
 ) -> Int32:
     """Compute the hull below a raster of cells.
 
@@ -252,10 +252,11 @@ def lower_envelope(
     ----------
     heights : int32 [rows, columns]
         Heights in vertical counts; `EMPTY` where there is no cell.
-    rule : Envelope
+    envelope : Envelope
     scale : Scale
     row, column : int
-        Row and column of the first cell on its lattice, multiples of a block's cells. Centres are anchored at 0 there.
+        Row and column of the first cell on the lattice, multiples of `Envelope.block`. Centres of paraboloids lie at
+        multiples of the stride on this lattice.
     tilt_blocks : float
         Standard deviation, in blocks, of the surroundings from which the slope of the terrain is computed.
 
@@ -264,10 +265,12 @@ def lower_envelope(
     int32 [rows, columns]
         Heights of the hull in vertical counts; `LOWEST` where there is no paraboloid.
     """
-    falls, stride, lowest = rule.falls(scale), rule.stride, _block_minima(heights, rule.block)
-    north, east = tilts(heights, tilt_blocks, rule.block)
+    falls, stride, lowest = envelope.falls(scale), envelope.stride, _block_minima(heights, envelope.block)
+    north, east = tilts(heights, tilt_blocks, envelope.block)
     if stride == 1:
-        return hull_around_every_cell(heights, EMPTY, LOWEST, falls, rule.cut_cells, rule.block, north, east)
+        return hull_around_every_cell(
+            heights, EMPTY, LOWEST, falls, envelope.cut_cells, envelope.block, north, east
+        )
     first = -row % stride, -column % stride
-    blocks = _Blocks(rule.block, lowest, north, east)
-    return _union(heights, blocks, falls, stride, *first, rule.cut_cells)
+    blocks = _Blocks(envelope.block, lowest, north, east)
+    return _union(heights, blocks, falls, stride, *first, envelope.cut_cells)

@@ -5,7 +5,7 @@ object (`ptd.matched.objects`). So the ground surface passes through them, and t
 height of the roof. A connected surface of ground cells is such an island under these conditions:
 
 - The surface is narrow, and it is a plateau (`ptd.ground.plateaus`): nearly all other ground that rays from it meet
-  beyond objects is lower. Most rays may not meet any ground, because the roof may be wide.
+  beyond objects is lower. Most rays need not meet other ground, because the roof may be wide.
 - Most cells around the surface are objects. Around terraces, tops of walls and rocks, most cells are ground.
 - Most of these objects have the height of the surface, like the rest of a roof. Crowns around a spot of ground are
   higher.
@@ -31,7 +31,7 @@ from ptd.matched.surface import Surface
 MAX_WIDTH_M = 50.0
 """Width above which a surface is not an island."""
 VIEW_M, SLOPE, UNSEEN_SHARE = 40.0, 0.1, 0.9
-"""Length of the rays that search for other ground, slope of a ray above which this ground is lower, and largest share
+"""Length of the rays that search for other ground, slope down to it above which it counts as lower, and largest share
 of rays that do not meet ground. The slope is less than for whole roofs, because the objects around an island already
 distinguish it from the top of a hill."""
 AROUND_M, GROUND_SHARE = 3.0, 0.5
@@ -47,11 +47,11 @@ def _around_cells(cell_m: float) -> int:
     return max(round(AROUND_M / cell_m), 1)
 
 
-def _rule(scale: Scale, cell_m: float) -> Plateaus:
+def _roof_rule(scale: Scale, cell_m: float) -> Plateaus:
     """Return the rule by which the surface of an island is a plateau."""
-    rule = Plateaus.of(scale, MAX_WIDTH_M, cell_m=cell_m)
+    roof_rule = Plateaus.of(scale, MAX_WIDTH_M, cell_m=cell_m)
     view, slope = round(VIEW_M / cell_m), scale.counts_z(SLOPE * cell_m)
-    return replace(rule, view=view, slope=slope, unseen=UNSEEN_SHARE)
+    return replace(roof_rule, view=view, slope=slope, unseen=UNSEEN_SHARE)
 
 
 def reach_cells(cell_m: float) -> int:
@@ -60,8 +60,8 @@ def reach_cells(cell_m: float) -> int:
     Rays begin at the last cell of an island and may end at the first cell of another surface. A surface that continues
     beyond this distance is too wide for an island, as the part within the distance is wider than `MAX_WIDTH_M`.
     """
-    rule, around = _rule(Scale(), cell_m), _around_cells(cell_m)
-    return 2 * rule.widest + rule.view + max(rule.gap, around) + around + 1
+    roof_rule, around = _roof_rule(Scale(), cell_m), _around_cells(cell_m)
+    return 2 * roof_rule.widest + roof_rule.view + max(roof_rule.gap, around) + around + 1
 
 
 @kernel
@@ -96,21 +96,23 @@ def _surroundings(
     return counts, box
 
 
-def _carried(
-    heights: Int32, ground: Bool, levels: Int32, rule: Plateaus, scale: Scale, cell_m: float
+def _on_level_objects(
+    heights: Int32, ground: Bool, levels: Int32, roof_rule: Plateaus, scale: Scale, cell_m: float
 ) -> Bool:
     """Find the cells of narrow surfaces of ground between objects of the same height: bool [rows, columns]."""
-    limit = math.floor(rule.step) + 1  # The next whole number, as heights are whole numbers.
-    surface, n = connected_surfaces(levels, limit, limit, rule.gap)
+    limit = math.floor(roof_rule.step) + 1  # The next whole number, as heights are whole numbers.
+    surface, n = connected_surfaces(levels, limit, limit, roof_rule.gap)
     above = round(scale.counts_z(LEVEL_ABOVE_M))
     below = round(scale.counts_z(LEVEL_BELOW_M))
     counts, box = _surroundings(heights, ground, surface, n, _around_cells(cell_m), above, below)
     n_cells, n_ground, n_level = counts.T
     width = np.maximum(box[:, 1] - box[:, 0], box[:, 3] - box[:, 2]) + 1
-    is_carried = (n_ground < GROUND_SHARE * n_cells) & (n_level >= LEVEL_SHARE * (n_cells - n_ground))
+    is_on_level_objects = (n_ground < GROUND_SHARE * n_cells) & (
+        n_level >= LEVEL_SHARE * (n_cells - n_ground)
+    )
     # Cells without a surface have the number -1, which selects the appended value.
-    carried: Bool = np.append(is_carried & (width <= rule.widest), False)[surface]
-    return carried
+    on_level_objects: Bool = np.append(is_on_level_objects & (width <= roof_rule.widest), False)[surface]
+    return on_level_objects
 
 
 def islands(heights: Int32, ground: Bool, scale: Scale, cell_m: float) -> Bool:
@@ -127,12 +129,14 @@ def islands(heights: Int32, ground: Bool, scale: Scale, cell_m: float) -> Bool:
         Cells of ground.
     scale : Scale
     cell_m : float
-        Side of the cells in metres.
+        Size of the cells in metres.
     """
-    rule = _rule(scale, cell_m)
+    roof_rule = _roof_rule(scale, cell_m)
     levels = np.where(ground, heights, EMPTY).astype(np.int32)
-    carried = _carried(heights, ground, levels, rule, scale, cell_m)
-    is_island: Bool = carried & plateaus(levels, rule, data=heights != EMPTY, passed=carried)
+    on_level_objects = _on_level_objects(heights, ground, levels, roof_rule, scale, cell_m)
+    is_island: Bool = on_level_objects & plateaus(
+        levels, roof_rule, data=heights != EMPTY, passed=on_level_objects
+    )
     return is_island
 
 
@@ -149,7 +153,7 @@ def without_islands(surface: Surface, fitted: Int32, heights: Int32, scale: Scal
         Heights of the cells to which the surface was fitted, and of all cells, in vertical counts; `EMPTY` elsewhere.
     scale : Scale
     cell_m : float
-        Side of the cells in metres.
+        Size of the cells in metres.
     """
     near = np.abs(fitted / scale.counts_z(1.0) - surface.height) < band(surface.sigma, surface.narrowing)
     ground = (fitted != EMPTY) & near  # Without a surface, the comparison with NaN gives False.

@@ -1,9 +1,9 @@
-"""The last look at each point of a photogrammetric cloud: trees decide from its surroundings whether its label stays.
+"""The last look at each point of a photogrammetric cloud: decision trees check its label.
 
 The label by the surface compares one height with one threshold. The last look also reads the heights of the neighbours:
 how many of them are ground, how they scatter, and how many stand just above. It reads the cells of the surface up to
-10 m away as well. Trees turn these features into the log-odds of ground. A script fitted them to scenes with known
-labels (``tests/benchmarks/last_look_weights.py``). Rules limit the changes:
+10 m away as well. Decision trees turn these features into the log-odds of ground. A script fitted them to scenes with
+known labels (``tests/benchmarks/last_look_weights.py``). Rules limit the changes:
 
 - Low noise stays. A point that is not ground stays so if it lies farther than `MAX_DISTANCE_M` from the surface.
 - A label changes only if the odds against it are large enough (`CHANGE_ODDS`).
@@ -19,21 +19,22 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from ptd.cells import Int32, Int64, quotient
-from ptd.frame import CellLattice, Scale
+from ptd.frame import CellGrid, CellLattice, Scale
 from ptd.ground.labelling import GROUND, UNCLASSIFIED
 from ptd.ground.morphology import Bool
 from ptd.kernel import as_int64, kernel
 from ptd.matched.cells import by_cell
-from ptd.matched.trees import UNIT, Trees, scores
+from ptd.matched.decision_trees import UNIT, DecisionTrees, scores
 from ptd.passes import UInt8
 
 CELL_M = 0.25
-"""Side of the cells in which points are counted."""
+"""Size of the cells in which points are counted."""
 MIN_POINTS, WIDEST = 20, 5
 """Least number of points in a window, and largest r. A window is a square with 2 r + 1 cells on a side, where r is the
 smallest number that gives enough points."""
@@ -42,7 +43,7 @@ REACH_M = (2 * WIDEST + 1) * CELL_M
 MAX_DISTANCE_M = 0.5
 """Distance from the surface within which a point that is not ground can become ground."""
 CHANGE_ODDS = 1.5
-"""Odds against a label from which on it changes."""
+"""Minimum odds against a label for a change of the label."""
 CLEAR_MM = 2000
 """Limit at which heights above and below the surface are cut off, as trees and roofs need not be distinguished."""
 LOW_MM, HIGH_MM = 200, 1000
@@ -88,6 +89,16 @@ class Heights:
         return cls(x, y, _millimetres(above_m), _millimetres(voted_m), labels)
 
 
+class _Points(NamedTuple):
+    """Column and row of each point's cell, and fields of the `Heights`, as an argument of kernels."""
+
+    column: Int32
+    row: Int32
+    own: Int32
+    voted: Int32
+    labels: UInt8
+
+
 @kernel
 def _millimetres(metres: Float64) -> Int32:
     """Return heights in whole millimetres, cut off at `CLEAR_MM`, which also stands for NaN."""
@@ -99,11 +110,14 @@ def _millimetres(metres: Float64) -> Int32:
 
 
 @kernel
-def _summed(
-    index: Int32, column: Int32, row: Int32, voted: Int32, labels: UInt8, west: int, south: int, side: int
-) -> Int64:
-    """Return the sums of a block's points over all cells to the south-west: int64 [6, side + 1, side + 1]."""
-    sums = np.zeros((6, side + 1, side + 1), np.int64)
+def _summed(index: Int32, points: _Points, first: tuple[int, int], size: int) -> Int64:
+    """Return the sums of a block's points over all cells to the south-west: int64 [6, size + 1, size + 1].
+
+    The first cell has the column and row ``first``.
+    """
+    column, row, _own, voted, labels = points
+    west, south = first
+    sums = np.zeros((6, size + 1, size + 1), np.int64)
     for k in index:
         i, j, v = row[k] - south + 1, column[k] - west + 1, np.int64(voted[k])
         sums[COUNT, i, j] += 1
@@ -113,9 +127,9 @@ def _summed(
         sums[LOW, i, j] += LOW_MM < v < HIGH_MM
         sums[HIGH, i, j] += v >= HIGH_MM
     for q in range(6):
-        for i in range(1, side + 1):
+        for i in range(1, size + 1):
             along = 0
-            for j in range(1, side + 1):
+            for j in range(1, size + 1):
                 along += sums[q, i, j]
                 sums[q, i, j] = along + sums[q, i - 1, j]
     return sums
@@ -146,13 +160,15 @@ def _describe(sums: Int64, i: int, j: int, r: int, found: Int32) -> None:
 
 @kernel
 def _features(
-    index: Int32, column: Int32, row: Int32, own: Int32, voted: Int32, labels: UInt8, sums: Int64, west: int,
-    south: int, cell: Int32, around: Int32,
-) -> tuple[Int32, Int32]:  # fmt: skip
+    index: Int32, points: _Points, sums: Int64, first: tuple[int, int], cell: Int32, around: Int32
+) -> tuple[Int32, Int32]:
     """Return the indices of the points that may change, and their features: int32 [m], int32 [m, features].
 
-    ``cell`` is the index of each point's cell of the surface, ``around`` the features of these cells.
+    ``sums`` begin at the cell with the column and row ``first``. ``cell`` is the index of each point's cell of the
+    surface, ``around`` the features of these cells.
     """
+    column, row, own, voted, labels = points
+    west, south = first
     chosen, n = np.empty(index.size, np.int32), 0
     features = np.empty((index.size, 13 + around.shape[1] - 1), np.int32)
     for k in index:
@@ -196,13 +212,13 @@ CELL_FEATURES = ("noise", "slope", "bend_2", "bend_5", "low_5", "low_10", "groun
 """Features of a cell. The first four are noise and slope of the surface, and its height above its mean within 2 and
 5 m. The others are the shares of low plants among the cells within 5 and 10 m, and of ground within 5 m."""
 CELL_REACH_M = 10.0
-"""Distance beyond which cells do not change these features, except that the slope reads one more cell."""
+"""Distance beyond which cells do not change these features."""
 STEEPEST = 5.0
 """Limit at which slopes are cut off."""
 
 
 def reach_cells(cell_m: float) -> int:
-    """Return the distance in cells beyond which the surface does not change a point's label, with the point's cell."""
+    """Return the distance in cells beyond which the surface does not change a point's label, own cell included."""
     return math.ceil(CELL_REACH_M / cell_m) + 1
 
 
@@ -222,7 +238,7 @@ def around_cells(
     sigma_m, band_m : float64 [rows, columns]
         Noise, and largest distance of ground from the surface, in metres.
     cell_m : float
-        Side of the cells in metres.
+        Size of the cells in metres.
     """
     known = there & ~np.isnan(ground_m)
     surface = np.where(np.isnan(ground_m), 0, np.rint(1000 * np.nan_to_num(ground_m))).astype(np.int64)
@@ -282,7 +298,8 @@ def features_by_block(
         (last - first) // PART + 2
         for last, first in ((cells.column(int(x.max())), west), (cells.row(int(y.max())), south))
     )
-    column, row = _places(x, y, cells.p, cells.q, cells.origin_x, cells.origin_y, west, south)
+    column, row = _columns_and_rows(x, y, cells.grid(west, south))
+    points = _Points(column, row, heights.own, heights.voted, heights.labels)
     starts, order = by_cell(row.astype(np.int64) // PART * columns + column // PART, columns * rows)
     for i in range(1, rows - 1, BLOCK):
         for j in range(1, columns - 1, BLOCK):
@@ -298,27 +315,15 @@ def features_by_block(
                 (i - 1, min(i + BLOCK + 1, rows)),
                 (j - 1, min(j + BLOCK + 1, columns)),
             )
-            at = ((j - 1) * PART, (i - 1) * PART)
-            sums = _summed(near, column, row, heights.voted, heights.labels, *at, (BLOCK + 2) * PART)
-            yield _features(
-                inside,
-                column,
-                row,
-                heights.own,
-                heights.voted,
-                heights.labels,
-                sums,
-                *at,
-                cell,
-                around.features,
-            )
+            first = (j - 1) * PART, (i - 1) * PART
+            sums = _summed(near, points, first, (BLOCK + 2) * PART)
+            yield _features(inside, points, sums, first, cell, around.features)
 
 
 @kernel
-def _places(
-    x: Int32, y: Int32, p: int, q: int, ox: int, oy: int, west: int, south: int
-) -> tuple[Int32, Int32]:
-    """Return column and row of each point, counted from the cell in the south-west."""
+def _columns_and_rows(x: Int32, y: Int32, grid: CellGrid) -> tuple[Int32, Int32]:
+    """Return the column and row of each point in a grid."""
+    p, q, ox, oy, west, south = grid
     column, row, inverse = np.empty(x.size, np.int32), np.empty(x.size, np.int32), 1.0 / p
     for k in range(x.size):
         column[k] = quotient((as_int64(x[k]) + ox) * q, p, inverse) - west
@@ -334,7 +339,7 @@ def _of_parts(
     return np.concatenate(lines)
 
 
-def looked_at(heights: Heights, cell: Int32, around: Around, scale: Scale, trees: Trees) -> UInt8:
+def relabelled(heights: Heights, cell: Int32, around: Around, scale: Scale, trees: DecisionTrees) -> UInt8:
     """Return the labels after the last look. `features_by_block` describes the parameters."""
     labels = heights.labels.copy()
     if labels.size == 0:
@@ -345,7 +350,7 @@ def looked_at(heights: Heights, cell: Int32, around: Around, scale: Scale, trees
 
 
 def decided(labels: UInt8, score: Int32) -> UInt8:
-    """Decide the labels of points that may change, from the labels by the surface and the trees' scores: uint8 [n]."""
+    """Return labels of points that may change, from labels by the surface and scores of decision trees: uint8 [n]."""
     enough = round(UNIT * math.log(CHANGE_ODDS))
     required_score = np.where(labels == GROUND, -enough, enough)
     return np.where(score >= required_score, GROUND, UNCLASSIFIED).astype(np.uint8)

@@ -27,16 +27,18 @@ counts."""
 DIAGONAL = 1.4
 """Factor of that limit for neighbours across corners."""
 NEAR_M, NEAR_SHARE = 1.0, 0.2
-"""Height above the stiff hull below which a cell is near it, and least share of such cells in a terrain surface."""
+"""Height above the stiff hull below which a cell is near it, and share of such cells below which a surface may be
+an object."""
 FALL_M, FALL_CELLS, FALL_SHARE = 1.2, 2, 0.6
-"""Limits of an object's rim: more than this share of its cells has another surface this much lower within this many
-cells."""
+"""Limits of an object's rim: more than `FALL_SHARE` of its cells have another surface at least `FALL_M` lower within
+`FALL_CELLS` cells."""
 ALL_FALLS, FALL_LEAST = 0.9, 0.4
-"""Shares of the rim above which it falls nearly everywhere: of the rim cells that are not close to objects found
-before, and of the whole rim. Then the distance of the hull does not matter, as halls may be too wide for it."""
+"""The rim falls nearly everywhere if the falling cells exceed both `ALL_FALLS` of the rim cells that are not close to
+objects found before, and `FALL_LEAST` of all rim cells. Such a surface may lie near the hull, as halls may be too wide
+for it."""
 CUT_NEAR = 0.5
-"""Share of an object's cells that may be near the hull if the border of the data cuts a surface whose rim falls nearly
-everywhere: the fall may be a quay or a bank."""
+"""A surface whose rim falls nearly everywhere, but is partly the border of the data, is not an object from this share
+of cells near the hull on: the fall may be a quay or a bank."""
 AREA_M2 = 40.0
 """Area of the smallest object that is classified as a whole; less stiff hulls pass below smaller ones."""
 MAX_WIDTH_M = 200.0
@@ -47,8 +49,8 @@ TERRAIN_M, TERRAIN_FALLS, TERRAIN_RIM = 100.0, 0.35, 0.2
 a wood is full of gaps."""
 ON_HULL_M, ON_HULL_SHARE = 70.0, 0.5
 """Limits of the ground of a small survey: it is wider than this in both directions, this share of it is near the hull,
-and its rim falls as little as that of wide terrain. In a strip or a garden, plants that lean on the hull would
-contribute too much."""
+and its rim falls as little as that of wide terrain. In a strip or a garden, plants next to the border are
+near the hull and would contribute too much."""
 INSIDE_SHARE, INSIDE_M2, YARD_M2 = 0.5, 1000.0, 10.0
 """Limits of enclosed surfaces, for example equipment on a roof, which are classified even if they are small.
 
@@ -134,7 +136,7 @@ def judged(
         Noise of the place in metres.
     scale : Scale
     cell_m : float
-        Side of the cells in metres.
+        Size of the cells in metres.
 
     Returns
     -------
@@ -150,8 +152,8 @@ def judged(
     near_counts, fall_counts = round(scale.counts_z(NEAR_M)), round(scale.counts_z(FALL_M))
     counts, box = _rims(heights, surface, n, hull, removed, near_counts, fall_counts)
     area, near, rim, falls, inside, cut, level = counts.T
-    sides_m = np.stack([box[:, 1] - box[:, 0] + 1, box[:, 3] - box[:, 2] + 1]) * cell_m
-    width_m = sides_m.max(axis=0)
+    sizes_m = np.stack([box[:, 1] - box[:, 0] + 1, box[:, 3] - box[:, 2] + 1]) * cell_m
+    width_m = sizes_m.max(axis=0)
     within = np.where(area * cell_m**2 < YARD_M2, inside, level)
     enclosed = (within > INSIDE_SHARE * rim) & (area * cell_m**2 < INSIDE_M2)
     large = (area * cell_m**2 >= AREA_M2) | enclosed
@@ -160,7 +162,7 @@ def judged(
     around &= (cut <= (1.0 - ALL_FALLS) * rim) | (near < CUT_NEAR * area)
     stands = (near < NEAR_SHARE * area) & (fallen > FALL_SHARE) | around
     objects = large & stands & (width_m <= MAX_WIDTH_M)
-    wide = (width_m > TERRAIN_M) | (sides_m.min(axis=0) > ON_HULL_M) & (near >= ON_HULL_SHARE * area)
+    wide = (width_m > TERRAIN_M) | (sizes_m.min(axis=0) > ON_HULL_M) & (near >= ON_HULL_SHARE * area)
     terrain = wide & (fallen <= TERRAIN_FALLS) & (rim <= TERRAIN_RIM * area) & ~objects | (
         width_m > MAX_WIDTH_M
     )

@@ -8,12 +8,12 @@ import numpy as np
 
 from ptd.frame import CellLattice, Scale, Window
 from ptd.ground.morphology import Bool
-from ptd.matched import by_side, islands, last_look, objects, surface, voting
+from ptd.matched import by_size, islands, last_look, objects, surface, voting
 from ptd.matched.canopy_pass import CanopyPass, below_canopy
 from ptd.matched.cells import CELL_M, EMPTY, SPARSE_CELL_M, cell_heights, raster_of
 from ptd.matched.ground_model import GroundModel
 from ptd.matched.hull import ROOFS_TILT_BLOCKS, lower_envelope
-from ptd.matched.place_figures import SIDES_M, sides
+from ptd.matched.place_figures import CELL_SIZES_M, cell_sizes
 from ptd.matched.step import (
     CODE,
     COVERED,
@@ -23,7 +23,7 @@ from ptd.matched.step import (
     TERRAIN,
     Codes,
     MatchedPass,
-    OneSidePass,
+    OneSizePass,
     cell_m,
     noise_m,
 )
@@ -32,7 +32,7 @@ from ptd.places import PLACES, on_cells
 
 
 @dataclass(frozen=True)
-class CellPass(OneSidePass):
+class CellPass(OneSizePass):
     """Pass that elects a point with a robust height per cell, for the next passes."""
 
     name: str = "cells"
@@ -51,9 +51,9 @@ class CellPass(OneSidePass):
 
 @dataclass(frozen=True)
 class PlaceCellPass(MatchedPass):
-    """`CellPass` with cells whose side follows from the density of the place.
+    """`CellPass` with cells whose size follows from the density of the place.
 
-    Where two sides meet, cells of both are elected.
+    Where cells of two sizes meet, cells of both are elected.
     """
 
     name: str = CellPass.name
@@ -67,11 +67,11 @@ class PlaceCellPass(MatchedPass):
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> CellModel:
         """Compute the heights of all cells of the core, the smaller cells first."""
         around, noise = _widened(core, scale), noise_m(state, scale)
-        cells_by_side = [np.zeros((3, 0), np.int32)]
-        for side in sides(state[PLACES]):
-            cells = cell_heights(points.xyz, around, scale, noise, side)
-            cells_by_side.append(cells[:, by_side.needed(cells, side, state, scale)])
-        return CellModel(np.concatenate(cells_by_side, axis=1))
+        cells_by_size = [np.zeros((3, 0), np.int32)]
+        for size_m in cell_sizes(state[PLACES]):
+            cells = cell_heights(points.xyz, around, scale, noise, size_m)
+            cells_by_size.append(cells[:, by_size.needed(cells, size_m, state, scale)])
+        return CellModel(np.concatenate(cells_by_size, axis=1))
 
 
 def _widened(core: Window, scale: Scale) -> Window:
@@ -105,7 +105,8 @@ class ObjectPass(MatchedPass):
     elected: bool = True
     raster_cell_m: float = CELL_M
     influence_radius_m: float | None = max(
-        (objects.reach_cells(side) + replace(surface.STIFF, cell_m=side).reach + 1) * side for side in SIDES_M
+        (objects.reach_cells(size_m) + replace(surface.STIFF, cell_m=size_m).reach + 1) * size_m
+        for size_m in CELL_SIZES_M
     )
 
     @property
@@ -115,11 +116,11 @@ class ObjectPass(MatchedPass):
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Model:
         """Classify the surfaces of the cells that do not belong to objects yet."""
-        return by_side.of_each_side(self.of_side, points, core, scale, state, cells=True)
+        return by_size.of_each_size(self.of_size, points, core, scale, state, cells=True)
 
-    def of_side(self, points: Points, scale: Scale, state: State, side: float) -> Codes:
-        """Classify the surfaces of the cells of one side."""
-        cells = CellLattice.of(side, scale)
+    def of_size(self, points: Points, scale: Scale, state: State, size_m: float) -> Codes:
+        """Classify the surfaces of the cells of one size."""
+        cells = CellLattice.of(size_m, scale)
         known = points.known_labels()
         codes = np.where(known == OBJECT, np.uint8(OBJECT), np.uint8(LEFT))
         if len(points) == 0:
@@ -130,10 +131,10 @@ class ObjectPass(MatchedPass):
         is_object = np.zeros(raster.heights.size, np.bool_)
         is_object[raster.keys[codes == OBJECT]] = True
         removed = is_object.reshape(raster.heights.shape)
-        rule = replace(surface.STIFF, cell_m=side)
-        hull = lower_envelope(raster.heights, rule, scale, raster.row, raster.column, ROOFS_TILT_BLOCKS)
+        stiff = replace(surface.STIFF, cell_m=size_m)
+        hull = lower_envelope(raster.heights, stiff, scale, raster.row, raster.column, ROOFS_TILT_BLOCKS)
         noise = on_cells(noise_m(state, scale), cells, raster.row, raster.column, raster.heights.shape)
-        large, terrain = objects.judged(raster.heights, hull, removed, noise, scale, side)
+        large, terrain = objects.judged(raster.heights, hull, removed, noise, scale, size_m)
         codes[large.reshape(-1)[raster.keys]] = OBJECT
         codes[terrain.reshape(-1)[raster.keys]] = TERRAIN
         return Codes(raster, codes, cells)
@@ -150,19 +151,19 @@ class SurfacePass(MatchedPass):
     elected: bool = True
     raster_cell_m: float = CELL_M
     influence_radius_m: float | None = max(
-        (surface.reach_cells(side) + islands.reach_cells(side) + last_look.reach_cells(side)) * side
-        for side in SIDES_M
+        (surface.reach_cells(size_m) + islands.reach_cells(size_m) + last_look.reach_cells(size_m)) * size_m
+        for size_m in CELL_SIZES_M
     )
     label_margin_m: float = voting.REACH_M + last_look.REACH_M
     refine: bool = True
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Model:
         """Fit the surface to the cells that belong neither to large objects nor to crowns."""
-        return by_side.of_each_side(self.of_side, points, core, scale, state, cells=False)
+        return by_size.of_each_size(self.of_size, points, core, scale, state, cells=False)
 
-    def of_side(self, points: Points, scale: Scale, state: State, side: float) -> GroundModel:
-        """Fit the surface to the cells of one side."""
-        cells, known = CellLattice.of(side, scale), points.known_labels()
+    def of_size(self, points: Points, scale: Scale, state: State, size_m: float) -> GroundModel:
+        """Fit the surface to the cells of one size."""
+        cells, known = CellLattice.of(size_m, scale), points.known_labels()
         left = known & CODE != OBJECT
         if not left.any():
             return GroundModel(None, {"cells": 0})
@@ -177,17 +178,17 @@ class SurfacePass(MatchedPass):
 
         def ground(heights: Int32) -> surface.Surface:
             terrain = (codes & CODE == TERRAIN) & (heights != EMPTY)
-            return surface.ground_surface(heights, terrain, noise, scale, raster.row, raster.column, side)
+            return surface.ground_surface(heights, terrain, noise, scale, raster.row, raster.column, size_m)
 
         fitted_surface, crowns = ground(raster.heights), (codes & CROWN) > 0
         if crowns.any():
             raster = replace(raster, heights=np.where(crowns, EMPTY, raster.heights).astype(np.int32))
             fitted_surface = below_canopy(
-                fitted_surface, ground(raster.heights), crowns | (codes >= COVERED), side
+                fitted_surface, ground(raster.heights), crowns | (codes >= COVERED), size_m
             )
-        fitted_surface = islands.without_islands(fitted_surface, raster.heights, everything, scale, side)
+        fitted_surface = islands.without_islands(fitted_surface, raster.heights, everything, scale, size_m)
         model = GroundModel.of(fitted_surface, raster, cells, scale, state)
-        return model.with_last_look(raster, side) if self.refine else model
+        return model.with_last_look(raster, size_m) if self.refine else model
 
 
 PASSES: tuple[Pass, ...] = (

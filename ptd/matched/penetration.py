@@ -4,19 +4,19 @@ Image matching gives one surface. Its points lie above each other only next to w
 area where nothing stands, no sensor penetrates a cell, so the counts show nothing there. Each cell belongs to the core
 with its lowest point, so the counts of tiles add up. There are three kinds of cells:
 
-- *Cells* have a side of `CELL_M`, on a lattice anchored at CRS coordinate 0. A cell has a *gap* if at least `GAP_BINS`
+- *Cells* have a size of `CELL_M`, on a lattice anchored at CRS coordinate 0. A cell has a *gap* if at least `GAP_BINS`
   successive bins of height between two of its points are empty. Bins are `BIN_M` high and begin at the cell's lowest
   point. A cell is *seen through* if it and at least `MIN_OF_9` of the 3 x 3 cells around it have a gap, itself
   counted.
-- *Wide cells* have a side of `WIDE_M`, because smaller cells contain too few points in sparse clouds. In the plan,
+- *Wide cells* have a size of `WIDE_M`, because smaller cells contain too few points in sparse clouds. In the plan,
   points below plants lie among the points of the plants, and points below a wall or a cliff lie next to them. A wide
   cell is *mixed*
   if it has a gap of `GAP_M` in height, and no line in the plan separates the points below the gap from those above it.
   At least `BELOW` points must lie below, as blunders are fewer. A wide cell is seen through if it and at least
   `MIN_MIXED` of the 3 x 3 cells around it are mixed. It has `MIN_POINTS` to `MAX_POINTS` points: fewer show nothing,
   and with more points cells of `CELL_M` suffice.
-- Cells with *overhangs* are counted in an eighth of the area. They are about eight points wide: of all sides in
-  `OVERHANG_CELLS_M`, cells with `HANGING_FEWEST` to `HANGING_MOST` points count. A cell has an overhang if at least two
+- Cells with *overhangs* are counted in an eighth of the area. Lattices of all sizes in `OVERHANG_CELLS_M` are tried,
+  and cells with `HANGING_FEWEST` to `HANGING_MOST` points, about 8 x 8, count. A cell has an overhang if at least two
   points lie below and two above a gap of `HANGING_GAP_M` in height. Lasers see below crowns and eaves, and
   photogrammetric clouds have hardly any overhangs.
 """
@@ -129,14 +129,14 @@ def _hanging(z: Int32, starts: Int64, order: Int32, gap_counts: float) -> tuple[
 
 
 @kernel
-def _seen_through(keys: Int64, gap: Bool, own: Bool, width: int, least: int) -> int:
+def _seen_through(keys: Int64, gap: Bool, in_core: Bool, width: int, least: int) -> int:
     """Count the cells of a core that are seen through.
 
     The keys are sorted. They belong to a raster with an empty column at each end of its rows.
     """
     n = 0
     for k in range(keys.size):
-        if not (own[k] and gap[k]):
+        if not (in_core[k] and gap[k]):
             continue
         around = 0
         for row in range(-1, 2):
@@ -184,8 +184,8 @@ def seen_through(xyz: Int32, core: Window, scale: Scale, wide_cells: bool = True
 def _of_overhangs(x: Int32, y: Int32, z: Int32, core: Window, scale: Scale) -> dict[str, int]:
     """Count the cells of all sizes in a core, and those with an overhang."""
     looks = overhangs = 0
-    for side_m in OVERHANG_CELLS_M if x.size else ():
-        raster = _Raster.of(side_m, x, y, z, scale)
+    for size_m in OVERHANG_CELLS_M if x.size else ():
+        raster = _Raster.of(size_m, x, y, z, scale)
         asked, hanging = _hanging(z, *by_cell(raster.slot, raster.keys.size), scale.counts_z(HANGING_GAP_M))
         is_in_core = core.contains(x[raster.lowest], y[raster.lowest])
         looks += int((is_in_core & asked).sum())
@@ -217,12 +217,12 @@ class _Raster:
     width: int
 
     @classmethod
-    def of(cls, side_m: float, x: Int32, y: Int32, z: Int32, scale: Scale) -> Self:
-        """Find the occupied cells of a side in metres, on a lattice anchored at CRS coordinate 0."""
-        cells = CellLattice.of(side_m, scale)
+    def of(cls, size_m: float, x: Int32, y: Int32, z: Int32, scale: Scale) -> Self:
+        """Find the occupied cells of a size in metres, on a lattice anchored at CRS coordinate 0."""
+        cells = CellLattice.of(size_m, scale)
         col0, row0 = cells.column(int(x.min())) - 1, cells.row(int(y.min()))
         width = cells.column(int(x.max())) + 2 - col0
-        point_keys = cell_keys(x, y, cells.p, cells.q, cells.origin_x, cells.origin_y, col0, row0, width)
+        point_keys = cell_keys(x, y, cells, col0, row0, width)
         keys, slot = occupied(point_keys, width * (cells.row(int(y.max())) - row0 + 1))
         return cls(keys, slot, lowest_by_key(x, y, z, slot, keys.size), col0, row0, width)
 

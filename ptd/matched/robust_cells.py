@@ -23,8 +23,8 @@ from ptd.matched.cells import CELL_M, raster_of
 from ptd.matched.evidence import DIM, LIDAR
 from ptd.matched.ground_model import GROUND_M, GroundModel
 from ptd.matched.passes import CellPass
-from ptd.matched.place_figures import SIDES_M
-from ptd.matched.step import OneSidePass, cell_m, is_matched, noise_m
+from ptd.matched.place_figures import CELL_SIZES_M
+from ptd.matched.step import OneSizePass, cell_m, is_matched, noise_m
 from ptd.matched.survey import SurveyPass
 from ptd.params import parameter
 from ptd.passes import Model, Pass, Points, State, add_notes
@@ -32,7 +32,7 @@ from ptd.passes import Model, Pass, Points, State, add_notes
 
 @dataclass(frozen=True)
 class RobustCells:
-    """The parameter of methods with passes from `for_both_kinds`, for `ptd.params.like`."""
+    """Parameter of methods that use `for_both_kinds`, which copy it with `ptd.params.like`."""
 
     robust_cells: bool = parameter(
         True, "photogrammetric clouds: start from one robust height per cell of 1 m (2 m if sparse), and judge points "
@@ -72,8 +72,8 @@ class MethodSurveyPass(SurveyPass):
 
     def applies(self, state: State) -> bool:
         """Return whether the source has to be decided: not if the user gives laser scanning."""
-        said = state["run"].get("sure") is None
-        return not (said and state["run"].get("kind") == LIDAR)
+        given_by_user = state["run"].get("sure") is None
+        return not (given_by_user and state["run"].get("kind") == LIDAR)
 
     def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
         """Add the survey to the state, with notes on its consequences for a photogrammetric cloud."""
@@ -108,10 +108,10 @@ class _Wrapped(Pass):
     @classmethod
     def of(cls, step: Pass, name: str | None = None) -> Self:
         """Wrap a pass, under another name if one is given."""
-        told = {
+        copied = {
             f.name: getattr(step, f.name) for f in fields(cls) if f.name not in ("step", "name", "elected")
         }
-        return cls(step=step, name=name or step.name, **told)
+        return cls(step=step, name=name or step.name, **copied)
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> Model:
         """Fit the wrapped pass."""
@@ -146,7 +146,7 @@ class OnMatchedCells(_Wrapped):
 
 
 @dataclass(frozen=True)
-class NearGroundPass(OneSidePass):
+class NearGroundPass(OneSizePass):
     """Pass that classifies all points by their height above the TIN of the ground cells."""
 
     name: str = "near-ground"
@@ -154,7 +154,7 @@ class NearGroundPass(OneSidePass):
     columns: tuple[str, ...] = ("labels",)
     elected: bool = True
     influence_radius_m: float | None = facets.reach_m() + max(
-        (surface.noise_reach_cells(side) + 3) * side for side in SIDES_M
+        (surface.noise_reach_cells(size_m) + 3) * size_m for size_m in CELL_SIZES_M
     )
     label_margin_m: float = voting.REACH_M
     raster_cell_m: float = CELL_M
@@ -162,8 +162,8 @@ class NearGroundPass(OneSidePass):
 
     def fit(self, points: Points, window: Window, core: Window, scale: Scale, state: State) -> GroundModel:
         """Compute the heights of the TIN at the cells, and the noise about it."""
-        side = cell_m(state)
-        cells, ground = CellLattice.of(side, scale), points.known_labels() == GROUND
+        size_m = cell_m(state)
+        cells, ground = CellLattice.of(size_m, scale), points.known_labels() == GROUND
         if not ground.any():
             return GroundModel(None, {"cells": 0})
         heights = facets.ground_heights(*points.columns(), ground, scale)
@@ -172,6 +172,6 @@ class NearGroundPass(OneSidePass):
         below[raster.keys] = heights
         noise = places.on_cells(noise_m(state, scale), cells, raster.row, raster.column, raster.heights.shape)
         tin_surface = surface.with_noise(
-            raster.heights, below.reshape(raster.heights.shape), noise, scale, side
+            raster.heights, below.reshape(raster.heights.shape), noise, scale, size_m
         )
         return GroundModel.of(tin_surface, raster, cells, scale, state)

@@ -14,14 +14,15 @@ from ptd.cells import Int32, Int64
 from ptd.kernel import kernel
 
 HIGH, LOW = 2**30 + 2**29, -(2**30) - 2**29
-"""Heights that stand for no cell and no paraboloid: beyond all heights (less than 1,000 km), whatever is added."""
+"""Height of a missing cell, and of a missing paraboloid. They stay beyond real heights (less than 1,000 km) after any
+fall or tilt is added."""
 LIMIT = 2**30
 """Limit of real heights: values from `LIMIT` on, or down from `-LIMIT`, stand for none."""
 
 
 @kernel
 def _keep_lowest(lowest: Int32, values: Int32, first: int) -> None:
-    """Insert values into the lowest of each column, which are in rising order from the first row on.
+    """Insert one value per column into its sorted list of lowest values. Row 0 has the lowest.
 
     The rows before ``first`` must not be higher than the values. ``values`` is changed.
     """

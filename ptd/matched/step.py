@@ -33,7 +33,7 @@ def noise_m(state: State, scale: Scale) -> Field:
 
 
 def cell_m(state: State) -> float:
-    """Return the side in metres of the cells of a run, for methods whose cells have one side."""
+    """Return the size in metres of the cells of a run, for methods whose cells have one size."""
     return float(state["survey"]["cell_m"])
 
 
@@ -49,11 +49,11 @@ class MatchedPass(Pass):
 
 
 @dataclass(frozen=True)
-class OneSidePass(MatchedPass):
-    """A pass of a method whose cells have one side in a run."""
+class OneSizePass(MatchedPass):
+    """A pass of a method that uses one cell size for the whole run."""
 
     def local(self, state: State, window: Window, scale: Scale) -> dict[str, Any]:
-        """Return the state that `fit` needs, with the side of the cells."""
+        """Return the state that `fit` needs, with the size of the cells."""
         local_state = super().local(state, window, scale)
         return {**local_state, "survey": {**local_state["survey"], "cell_m": cell_m(state)}}
 
@@ -70,9 +70,9 @@ class Codes(Model):
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
         """Return the codes of cells. All are certified, because the pass has a fixed radius."""
-        certain = np.zeros(len(points), np.bool_)
+        uncertified = np.zeros(len(points), np.bool_)
         if self._raster is None or len(points) == 0:
-            return np.zeros(len(points), np.uint8), certain
+            return np.zeros(len(points), np.uint8), uncertified
         columns, rows = self._cells.cell_indices(points.xyz[0], points.xyz[1])
         width = self._raster.heights.shape[1]
-        return self._codes[(rows - self._raster.row) * width + columns - self._raster.column], certain
+        return self._codes[(rows - self._raster.row) * width + columns - self._raster.column], uncertified

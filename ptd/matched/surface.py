@@ -30,22 +30,22 @@ from ptd.ground.morphology import Bool
 from ptd.matched import growth
 from ptd.matched.cells import CELL_M, EMPTY
 from ptd.matched.hull import LOWEST, Envelope, lower_envelope
-from ptd.matched.surroundings import CellsLeft, gaussian_radius, share_radius, slope_radius, smoothed
+from ptd.matched.surroundings import RemainingCells, gaussian_radius, share_radius, slope_radius, smoothed
 
 Float64 = npt.NDArray[np.float64]
 
 STIFF, PLIABLE = Envelope(0.01, 11.5), Envelope(0.04, 11.5)
 RIDGES = (Envelope(0.08, 6.0), Envelope(0.2, 6.0), Envelope(0.5, 6.0))
 OPEN_GROUND = 0.3
-"""Curvature up to which a hull is used on open ground as well. Hulls of more curvature need terrain as a whole, because
-they would follow cars."""
+"""Curvature up to which a hull is used on open ground as well. Hulls of more curvature are used only on surfaces that
+are terrain as a whole (`ptd.matched.objects`), because they would follow cars."""
 CREST_SLOPE, CREST_M = (0.1, 0.2), 7.0
-"""Mean slopes of the surroundings (`TERRAIN_M`) from which on, and at which fully, hulls of more curvature than
-`OPEN_GROUND` are used. On level ground they are used only for features that are at least `CREST_M` wide, for example
-dams: some cell links cars to the ground, too."""
+"""Mean slopes of the surroundings (`TERRAIN_M`) at which hulls of more curvature than `OPEN_GROUND` begin to be used,
+and are used fully. On level ground they are used only for features that are at least `CREST_M` wide, for example dams.
+Cars are terrain as a whole as well if a single cell connects them to the ground."""
 STEEP = (0.3, 0.6)
-"""Mean slopes from which on, and at which fully, terrain just above a ridge's hull does not count as plants, because
-hulls cut crests."""
+"""Mean slopes at which terrain just above a ridge's hull begins to count less as plants, and does not count at all,
+because hulls cut crests."""
 BAND_M, BAND_SIGMAS, BAND_SLOPE = 0.15, 2.5, 0.15
 """Largest distance of cells on a hull: the sum of metres, a multiple of the noise, and metres per unit of slope."""
 CONTRAST_M, CONTRAST = 12.0, (0.5, 1.0)
@@ -56,20 +56,20 @@ RIDGE_M, RIDGE_SHARE, RIDGE_CONTRAST, CREST_CONTRAST = 6.0, (0.6, 0.85), (0.02, 
 """Settings of the hulls of ridges.
 
 - `RIDGE_M`: standard deviation of the surroundings in which cells are counted.
-- `RIDGE_SHARE`: shares of open ground or terrain from which on, and at which fully, the hulls are used.
-- `RIDGE_CONTRAST`: contrasts up to which they are used fully, and from which on not at all.
+- `RIDGE_SHARE`: shares of open ground or terrain at which the hulls begin to be used, and are used fully.
+- `RIDGE_CONTRAST`: contrasts up to which they are used fully, and at which they end to be used.
 - `CREST_CONTRAST`: the same contrasts for hulls of more curvature than `OPEN_GROUND`.
 """
 MIN_SHARE_LEFT = 0.3
-"""Least share of all cells that counts as left. Open ground is a share of the cells that are left, so that it is the
-same next to a roof or a pond as in the open."""
+"""Lower limit of the share of cells that remain after objects are removed. The share of open ground is relative to
+these cells, so that it is the same next to a roof or a pond as in the open."""
 TERRAIN_M = 8.0
 """Standard deviation of the surroundings in which cells above the surface are counted and slopes are averaged."""
 
 ROUNDS = 6
 SCALES_M, SCALES_CELLS = (3.0, 1.5), (2.0, 1.0)
-"""Standard deviations, in metres and in cells at least, of the surroundings whose mean residual is added. The mean of
-few cells is uncertain."""
+"""Standard deviations in metres, and their minimum in cells, of the surroundings whose mean residual is added. The mean
+of few cells is uncertain."""
 FEW = 0.05
 """Weight of a residual of 0, so that few cells move the surface little."""
 PLAIN_ROUNDS, BESIDE = 3, 0.2
@@ -79,9 +79,9 @@ banks."""
 FINE_ROUNDS, FINE_M, FINE_CELLS, FINE_BESIDE = 2, 1.0, 1.0, 0.1
 """Settings of the last rounds.
 
-They are the number of rounds, the standard deviation (in metres, and in cells at least) of the surroundings whose mean
-residual is added, and the weight of cells that rise next to objects. Where the ground bends, at the foot of a bank, a
-cell's own height is more accurate than a wide mean, as it is the median of many points. The weight is less than
+They are the number of rounds, the standard deviation (in metres, and its minimum in cells) of the surroundings whose
+mean residual is added, and the weight of cells that rise next to objects. Where the ground bends, at the foot of a
+bank, a cell's own height is more accurate than a wide mean, as it is the median of many points. The weight is less than
 `BESIDE`, as fewer cells are averaged.
 """
 EDGE_ROUNDS = 2
@@ -93,7 +93,7 @@ ABOUT_SLOPE = 0.15
 GAP, NARROWEST, GAP_TERRAIN = (0.1, 0.55), 0.25, 0.5
 """Settings of the band of ground among low plants.
 
-- `GAP`: contrasts up to which the band above the surface is whole, and from which on it is narrowest.
+- `GAP`: contrasts up to which the band above the surface is whole, and at which it becomes narrowest.
 - `NARROWEST`: narrowest part of the band.
 - `GAP_TERRAIN`: weight of cells that are terrain as a whole, which is less because they may be banks.
 """
@@ -168,8 +168,8 @@ def ground_surface(
     Parameters
     ----------
     heights : int32 [rows, columns]
-        Heights, in vertical counts, of the cells that do not belong to large objects; `EMPTY` elsewhere, at least at
-        the raster's edges.
+        Heights, in vertical counts, of the cells that do not belong to large objects; `EMPTY` elsewhere.
+        Cells at the raster's edges must be empty.
     terrain : bool [rows, columns]
         Cells of surfaces that are terrain as a whole (`ptd.matched.objects`).
     sigma_m : float or float64 [rows, columns]
@@ -178,16 +178,16 @@ def ground_surface(
     row, column : int
         Row and column of the first cell on its lattice.
     cell_m : float
-        Side of the cells in metres.
+        Size of the cells in metres.
     """
     heights = _without_pockets(heights, replace(STIFF, cell_m=cell_m).cut_cells)
     there = heights != EMPTY
     metres = 1.0 / scale.counts_z(1.0)
-    cells = CellsLeft(np.where(there, heights * metres, 0.0), there, cell_m)
+    cells = RemainingCells(np.where(there, heights * metres, 0.0), there, cell_m)
 
-    def hull(rule: Envelope) -> Float64:
-        envelope = lower_envelope(heights, replace(rule, cell_m=cell_m), scale, row, column)
-        below: Float64 = np.where(there & (envelope != LOWEST), envelope * metres, 0.0)
+    def hull(envelope: Envelope) -> Float64:
+        lowest = lower_envelope(heights, replace(envelope, cell_m=cell_m), scale, row, column)
+        below: Float64 = np.where(there & (lowest != LOWEST), lowest * metres, 0.0)
         return below
 
     start = _bent(cells, terrain, hull, sigma_m)
@@ -204,25 +204,26 @@ def noise_reach_cells(cell_m: float) -> int:
 def with_noise(
     heights: Int32, ground: Float64, sigma_m: float | Float64, scale: Scale, cell_m: float = CELL_M
 ) -> Surface:
-    """Add the noise of the cells to a surface of another method, and continue it beyond its cells.
+    """Complete the surface of another method: measure noise and narrowing, and extend it beyond its cells.
 
     Parameters
     ----------
     heights : int32 [rows, columns]
-        Heights of the cells in vertical counts; `EMPTY` elsewhere, at least at the raster's edges.
+        Heights of the cells in vertical counts; `EMPTY` elsewhere. Cells at the raster's edges must
+        be empty.
     ground : float64 [rows, columns]
         Height of the ground at the cells in vertical counts, NaN where unknown.
     sigma_m : float or float64 [rows, columns]
         Noise of the place in metres.
     scale : Scale
     cell_m : float
-        Side of the cells in metres.
+        Size of the cells in metres.
     """
     there = (heights != EMPTY) & ~np.isnan(ground)
     metres = 1.0 / scale.counts_z(1.0)
-    cells = CellsLeft(np.where(there, heights * metres, 0.0), there, cell_m)
+    cells = RemainingCells(np.where(there, heights * metres, 0.0), there, cell_m)
     below: Float64 = np.where(there, ground * metres, 0.0)
-    sigma, narrowing, _, _ = _about(cells, np.zeros_like(there), below, sigma_m)
+    sigma, narrowing, _, _ = _noise_and_band(cells, np.zeros_like(there), below, sigma_m)
     return _extended(cells, below, sigma, narrowing)
 
 
@@ -233,7 +234,7 @@ def _ramp(values: Float64, limits: tuple[float, float]) -> Float64:
 
 
 def _contrast(
-    cells: CellsLeft, counted: Bool | Float64, surface: Float64, sigma_m: float | Float64, std_m: float
+    cells: RemainingCells, counted: Bool | Float64, surface: Float64, sigma_m: float | Float64, std_m: float
 ) -> tuple[Float64, Float64]:
     """Return the contrast around each cell, and the share of cells on the surface.
 
@@ -247,7 +248,7 @@ def _contrast(
 
 
 def _bent(
-    cells: CellsLeft, terrain: Bool, hull: Callable[[Envelope], Float64], sigma_m: float | Float64
+    cells: RemainingCells, terrain: Bool, hull: Callable[[Envelope], Float64], sigma_m: float | Float64
 ) -> Float64:
     """Combine hulls so that the surface bends as much as the cells show."""
     stiff = hull(STIFF)
@@ -255,13 +256,13 @@ def _bent(
     contrast, _ = _contrast(cells, ~terrain, pliable, sigma_m, CONTRAST_M)
     surface = pliable - _ramp(contrast, CONTRAST) * (pliable - stiff)
     left = np.maximum(cells.around(cells.there, RIDGE_M), MIN_SHARE_LEFT)
-    for rule in RIDGES:
+    for envelope in RIDGES:
         slope = _slope_around(cells, surface)
         share = _of_terrain(cells, terrain, surface, sigma_m)
-        crests = rule.curvature > OPEN_GROUND
+        crests = envelope.curvature > OPEN_GROUND
         if crests and (share <= RIDGE_SHARE[0]).all():
             continue
-        raised = np.maximum(hull(rule) - surface, 0.0)
+        raised = np.maximum(hull(envelope) - surface, 0.0)
         if crests:
             crest = _crest_cells(cells.cell_m)
             least = scipy.ndimage.minimum_filter(raised, crest, mode="constant")
@@ -277,33 +278,33 @@ def _bent(
     return surface
 
 
-def _slope_around(cells: CellsLeft, surface: Float64) -> Float64:
+def _slope_around(cells: RemainingCells, surface: Float64) -> Float64:
     """Return the mean slope of the cells around each one."""
     return cells.around(cells.slope(surface), TERRAIN_M) / np.maximum(
         cells.around(cells.there, TERRAIN_M), 1e-3
     )
 
 
-def _of_terrain(cells: CellsLeft, terrain: Bool, surface: Float64, sigma_m: float | Float64) -> Float64:
+def _of_terrain(cells: RemainingCells, terrain: Bool, surface: Float64, sigma_m: float | Float64) -> Float64:
     """Return the share of terrain among the cells above a surface, around each cell."""
     above = cells.there & (cells.height - surface > BAND_M + BAND_SIGMAS * sigma_m)
     return cells.around(above & terrain, TERRAIN_M) / np.maximum(cells.around(above, TERRAIN_M), 1e-3)
 
 
 def _refined(
-    cells: CellsLeft, terrain: Bool, surface: Float64, sigma_m: float | Float64
+    cells: RemainingCells, terrain: Bool, surface: Float64, sigma_m: float | Float64
 ) -> tuple[Float64, Float64, Float64]:
     """Move a surface to the mean of the cells near it.
 
     Returns the surface, the noise of the cells, and the narrowing of the band in plants (`Surface`).
     """
-    _, _, above, below = _about(cells, terrain, surface, sigma_m)
+    _, _, above, below = _noise_and_band(cells, terrain, surface, sigma_m)
     for k in range(ROUNDS):
         weight = _weights(cells, surface, above, below, 1.0 if k < PLAIN_ROUNDS else BESIDE)
         for std in _scales(cells.cell_m):
             mean = smoothed(weight * (cells.height - surface), std) / (smoothed(weight, std) + FEW)
             surface = surface + np.where(cells.there, mean, 0.0)
-    sigma, narrowing, above, below = _about(cells, terrain, surface, sigma_m)
+    sigma, narrowing, above, below = _noise_and_band(cells, terrain, surface, sigma_m)
     surface = _to_edges(cells, terrain, surface, sigma, narrowing, above, below)
     std = _fine_scale(cells.cell_m)
     for _ in range(FINE_ROUNDS):
@@ -313,7 +314,9 @@ def _refined(
     return surface, sigma, narrowing
 
 
-def _weights(cells: CellsLeft, surface: Float64, above: Float64, below: Float64, beside: float) -> Float64:
+def _weights(
+    cells: RemainingCells, surface: Float64, above: Float64, below: Float64, beside: float
+) -> Float64:
     """Return the weights of cells: 1 for those near the surface, 0 for all others.
 
     Cells near and above the surface that touch one too high to be ground have the weight ``beside``.
@@ -327,7 +330,7 @@ def _weights(cells: CellsLeft, surface: Float64, above: Float64, below: Float64,
 
 
 def _to_edges(
-    cells: CellsLeft,
+    cells: RemainingCells,
     terrain: Bool,
     surface: Float64,
     sigma: Float64,
@@ -353,8 +356,8 @@ def _to_edges(
     return surface
 
 
-def _about(
-    cells: CellsLeft, terrain: Bool, surface: Float64, sigma_m: float | Float64
+def _noise_and_band(
+    cells: RemainingCells, terrain: Bool, surface: Float64, sigma_m: float | Float64
 ) -> tuple[Float64, Float64, Float64, Float64]:
     """Return noise and narrowing of the band of cells near a surface, and its extent above and below the surface."""
     slope, residual = cells.slope(surface), cells.height - surface
@@ -368,7 +371,7 @@ def _about(
     return sigma, narrowing, above * narrowing, below * (2.0 - narrowing)
 
 
-def _noise(cells: CellsLeft, residual: Float64, sigma_m: float | Float64) -> Float64:
+def _noise(cells: RemainingCells, residual: Float64, sigma_m: float | Float64) -> Float64:
     """Return the noise around each cell: the root mean square of the residuals below the surface.
 
     The place's noise counts as a further residual, so it prevails where there are few. The result is limited.
@@ -380,7 +383,7 @@ def _noise(cells: CellsLeft, residual: Float64, sigma_m: float | Float64) -> Flo
     return np.minimum(local, NOISE_MOST * sigma_m)
 
 
-def _extended(cells: CellsLeft, surface: Float64, sigma: Float64, narrowing: Float64) -> Surface:
+def _extended(cells: RemainingCells, surface: Float64, sigma: Float64, narrowing: Float64) -> Surface:
     """Return the surface at cells, the mean of near cells around them, and NaN beyond."""
     there = cells.there
     heights = np.where(there, surface, np.nan)

@@ -19,12 +19,15 @@ SLOPE_SMOOTHED_M, STEEPEST = 2.0, 2.0
 TRUNCATE = 2.0
 """Number of standard deviations at which Gaussian sums end."""
 SHARE_BLOCK_M = 4.0
-"""Side of the blocks for which shares of the surroundings are computed. The surroundings are much larger."""
+"""Size of the blocks for which shares of the surroundings are computed. The surroundings are much larger."""
 
 
 @dataclass(frozen=True)
-class CellsLeft:
-    """Heights of cells in metres, a mask of the cells that have a height, and the side of cells in metres."""
+class RemainingCells:
+    """Cells that remain after objects are removed.
+
+    Fields are heights in metres, a mask of the cells that have a height, and the size of cells in metres.
+    """
 
     height: Float64
     there: Bool

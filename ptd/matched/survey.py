@@ -13,9 +13,9 @@ from ptd.frame import Scale, Window
 from ptd.ground import noise_by_place, noise_sums, roughness
 from ptd.ground.noise_sums import Roughness
 from ptd.matched import penetration
-from ptd.matched.cells import SPARSE_M2, cell_side_m
+from ptd.matched.cells import SPARSE_M2, cell_size_m
 from ptd.matched.evidence import DIM, SEVERAL_SHARE, Evidence, Finding, Piece, concluded, decided_by, percent
-from ptd.matched.place_figures import with_sides
+from ptd.matched.place_figures import with_cell_sizes
 from ptd.passes import Pass, Points, RunHints, State, StatisticsModel, add_notes
 from ptd.places import PLACES, Figures, name_of
 
@@ -32,8 +32,8 @@ WIDE_SHARE, STANDING = 0.05, 100
 Missing penetration is evidence against it only if at least this many wide cells have a gap.
 
 The share is 0.054 to 0.33 in LiDAR clouds with plants, thinned to 1 to 3 points/m2, and 0 to 0.047 in photogrammetric
-clouds except wooded cliffs (0.06 to 0.12). With fewer gaps, for example next to walls, nothing stands there that a
-laser would penetrate. Sparse LiDAR clouds of single returns are common, so a lack of gaps is weak evidence for LiDAR.
+clouds except wooded cliffs (0.06 to 0.12). Fewer gaps may come from walls alone, without any plants to penetrate.
+Sparse LiDAR clouds of single returns are common, so a lack of gaps is weak evidence for LiDAR.
 """
 SPARSE_LASER_SIGMA_M, FLAT = 0.04, 10
 """Low noise is evidence for LiDAR in a sparse cloud: flat patches have at most this noise, and there are this many.
@@ -47,7 +47,7 @@ MATCHED_LOOK, SPARSE_LOOK = 1.9, -1.5
 too smooth for missing penetration to be evidence."""
 MIN_THROUGH, PER_DECADE = -1.0, -0.7
 """Weight of the smallest share of penetrated cells that decides, and additional weight per factor of ten."""
-NO_OVERHANGS, OVERHANG_WEIGHT, MAX_OVERHANG = 0.0966, 0.9, 0.95
+EVEN_OVERHANG_SHARE, OVERHANG_WEIGHT, MAX_OVERHANG = 0.0966, 0.9, 0.95
 """Weights of overhangs.
 
 Share of cells with overhangs, plus 0.01, at which the odds are even; weight per factor of e; largest weight, which is
@@ -100,33 +100,34 @@ def surveyed(found: Roughness, seen: ReturnStatistics, run: Mapping[str, Any]) -
     survey : dict
         Figures of the whole run: ``kind`` (`LIDAR`, or `DIM` for image matching), ``sure`` (probability that the kind
         is right; None if the user gives it), ``density_m2``, ``sigma_m`` (None: unknown), ``cell_sigma_m`` (noise from
-        which the rules for photogrammetric clouds start), ``cell_m`` (side of the cells of photogrammetric clouds) and
+        which the rules for photogrammetric clouds start), ``cell_m`` (size of the cells of photogrammetric clouds) and
         ``several`` (share of the points that are one of several returns).
     note : str
     """
-    made = made_by(found, seen, run)
+    finding = source_of(found, seen, run)
     share = seen.several / seen.told if seen.told else 0.0
     density, sigma, cell_sigma = figures(found, run)
     survey = {
-        "kind": made.kind, "sure": made.sure, "density_m2": density, "sigma_m": sigma,
-        "cell_sigma_m": cell_sigma, "cell_m": cell_side_m(density), "several": share,
+        "kind": finding.kind, "sure": finding.sure, "density_m2": density, "sigma_m": sigma,
+        "cell_sigma_m": cell_sigma, "cell_m": cell_size_m(density), "several": share,
     }  # fmt: skip
-    noise = cell_sigma if made.kind == DIM else sigma
-    told = "noise not measurable" if noise is None else f"noise {noise:.3g} m"
-    return survey, f"decided: {in_words(made)}; {found.density_m2:.3g} points/m2, {told}"
+    noise = cell_sigma if finding.kind == DIM else sigma
+    noise_text = "noise not measurable" if noise is None else f"noise {noise:.3g} m"
+    return survey, f"decided: {in_words(finding)}; {found.density_m2:.3g} points/m2, {noise_text}"
 
 
 def figures(found: Roughness, run: Mapping[str, Any]) -> tuple[float, float | None, float]:
     """Return density, noise and noise of cells of a run or a place.
 
-    Both noises are that given by the user, or else the measured one.
+    Both noises are that given by the user, or else the measured one. The noise of cells is also limited to
+    `MIN_CELL_SIGMA_M` and `MAX_CELL_SIGMA_M`.
     """
     if run["sigma_m"] is not None:
         sigma = cell_sigma = run["sigma_m"]
     else:
-        few = (
-            found.density_m2 < SPARSE_M2 and found.sigma_m is not None
-        )  # Quarters of patches contain too few points for planes.
+        # The smoothest noise is measured on quarters of patches. In sparse clouds these contain too few points for
+        # planes.
+        few = found.density_m2 < SPARSE_M2 and found.sigma_m is not None
         sigma, cell_sigma = found.sigma_m, found.sigma_m if few else found.smoothest_m
     cell_sigma = MIN_CELL_SIGMA_M if cell_sigma is None else cell_sigma
     return found.density_m2, sigma, min(max(cell_sigma, MIN_CELL_SIGMA_M), MAX_CELL_SIGMA_M)
@@ -139,30 +140,30 @@ def run_facts(sigma_m: float | None, kind: str | None, evidence: Evidence | None
     """
     if kind is not None or evidence is None:
         return RunHints(sigma_m, kind)
-    made = decided_by(evidence)
-    if made is None:
+    finding = decided_by(evidence)
+    if finding is None:
         return RunHints(sigma_m, evidence=asdict(evidence))
-    return RunHints(sigma_m, *made)
+    return RunHints(sigma_m, *finding)
 
 
-def in_words(made: Finding) -> str:
+def in_words(finding: Finding) -> str:
     """Describe the source of a cloud, its confidence and the evidence in words."""
-    named = "image matching" if made.kind == DIM else "laser scanning"
-    sure = "" if made.sure is None else f"{100 * made.sure:.0f} % sure: "
-    return f"{named} ({sure}{made.why})"
+    named = "image matching" if finding.kind == DIM else "laser scanning"
+    sure = "" if finding.sure is None else f"{100 * finding.sure:.0f} % sure: "
+    return f"{named} ({sure}{finding.why})"
 
 
-def made_by(found: Roughness, seen: ReturnStatistics, run: Mapping[str, Any]) -> Finding:
+def source_of(found: Roughness, seen: ReturnStatistics, run: Mapping[str, Any]) -> Finding:
     """Return the source of a run's clouds, given by the user or the files, or else decided by all evidence.
 
     `surveyed` describes the parameters.
     """
     if run.get("kind") is not None:
         return Finding(run["kind"], run.get("sure"), run.get("why") or "given by --kind or the preset")
-    told = Evidence(**(run.get("evidence") or {}))
+    evidence = Evidence(**(run.get("evidence") or {}))
     if seen.told:
-        told = replace(told, several=seen.several / seen.told)
-    return concluded([*told.pieces(), *geometry(found, seen)])
+        evidence = replace(evidence, several=seen.several / seen.told)
+    return concluded([*evidence.pieces(), *geometry(found, seen)])
 
 
 def geometry(found: Roughness, seen: ReturnStatistics) -> list[Piece]:
@@ -189,7 +190,7 @@ def geometry(found: Roughness, seen: ReturnStatistics) -> list[Piece]:
 
 
 def _overhangs(share: float) -> Piece:
-    weight = OVERHANG_WEIGHT * math.log(NO_OVERHANGS / (share + 0.01))
+    weight = OVERHANG_WEIGHT * math.log(EVEN_OVERHANG_SHARE / (share + 0.01))
     weight = min(max(weight, -MAX_OVERHANG), MAX_OVERHANG)
     return Piece(weight, f"{percent(share)} % of the cells have overhangs")
 
@@ -211,11 +212,16 @@ class SurveyPass(Pass):
         """Measure the places of the core, and count its returns and penetrated cells."""
         counts = dict.fromkeys(ReturnStatistics._fields, 0)
         if points.returns is not None:
-            of = points.returns[1, core.contains(*points.xyz[:2])] if core.closed else points.returns[1]
-            counts |= {"told": int(np.count_nonzero(of)), "several": int(np.count_nonzero(of > 1))}
+            n_returns = (
+                points.returns[1, core.contains(*points.xyz[:2])] if core.closed else points.returns[1]
+            )
+            counts |= {
+                "told": int(np.count_nonzero(n_returns)),
+                "several": int(np.count_nonzero(n_returns > 1)),
+            }
         measured_places = noise_by_place.measure_places(points.xyz, core, scale)
-        told = not core.closed and counts["several"] >= SEVERAL_SHARE * max(counts["told"], 1)
-        if state["run"].get("kind") is None and not told:
+        returns_decide = not core.closed and counts["several"] >= SEVERAL_SHARE * max(counts["told"], 1)
+        if state["run"].get("kind") is None and not returns_decide:
             dense = not core.closed and noise_sums.merge(measured_places).density_m2 >= WIDE_M2
             counts |= penetration.seen_through(points.xyz, core, scale, wide_cells=not dense)
         return StatisticsModel(
@@ -229,7 +235,7 @@ class SurveyPass(Pass):
         seen = ReturnStatistics(*(sum(p[name] for p in parts) for name in ReturnStatistics._fields))
         counted = [place for p in parts for place in p["places"]]
         measured = noise_by_place.by_place(counted).items()
-        table = with_sides(
+        table = with_cell_sizes(
             {
                 name_of(*place): [*figures(place_roughness, state["run"])]
                 for place, place_roughness in measured

@@ -37,11 +37,12 @@ ROUNDED = 1e-9
 FAR = 2**30
 """Residual that is not alike any other."""
 FINEST = 2**13
-"""Largest number of units of positions in the largest radius. The cloud's own counts are used if they are coarser."""
+"""Positions are rounded so that the largest radius has at most this many units. Counts that are coarser do not
+change."""
 
 
 def radius_m(density_m2: float) -> float:
-    """Return the radius of the neighbourhood in whole centimetres, so that cells of this side have few digits."""
+    """Return the radius of the neighbourhood in metres, with two decimals so that cell sizes have few digits."""
     return round(
         min(max(math.sqrt(NEIGHBOURS / (math.pi * max(density_m2, 1e-9))), RADIUS_M[0]), RADIUS_M[1]), 2
     )
@@ -128,8 +129,8 @@ def _averaged(voters: _Voters, residual: Int32, width: int) -> Int32:
     return means
 
 
-def _side_m(least: float, most: float) -> float:
-    """Return the side of the cells for radii between two limits, in whole centimetres, which have few digits."""
+def _cell_size_m(least: float, most: float) -> float:
+    """Return the size of the cells in metres, rounded up to 0.01 m, for radii between two limits."""
     return math.ceil(100.0 * most / round(most / least) - ROUNDED) / 100.0
 
 
@@ -144,10 +145,10 @@ def _limits(
 ) -> tuple[Int32, Int32, Int64]:
     """Return ``square``, ``alike`` and ``reach`` of `_Voters`.
 
-    ``counts`` are the horizontal counts in a radius of 1 m, the vertical counts in 1 m of residual, and the side of the
-    cells in metres.
+    ``counts`` are the units of positions per metre, the units of residuals (`PARTS` of a vertical count) per metre, and
+    the size of the cells in metres.
     """
-    per_radius, per_metre, side = counts
+    per_radius, per_metre, cell_m = counts
     square, alike = np.empty(order.size, np.int32), np.empty(order.size, np.int32)
     reach = np.zeros(starts.size - 1, np.int64)
     last_radius, last_noise, far, near, most = -1.0, -1.0, np.int64(0), np.int32(0), np.int32(0)
@@ -158,7 +159,7 @@ def _limits(
             if own_radius != last_radius:  # The radius is the same nearly everywhere.
                 last_radius = own_radius
                 near = np.int32(np.rint((per_radius * last_radius) ** 2))
-                far = np.int64(math.ceil(last_radius / side - ROUNDED))
+                far = np.int64(math.ceil(last_radius / cell_m - ROUNDED))
             if own_noise != last_noise:
                 last_noise = own_noise
                 most = np.int32(np.rint(per_metre * (ALIKE_M + ALIKE_SIGMAS * last_noise)))
@@ -195,16 +196,16 @@ def votes(
         return residual
     px, py = x[asking], y[asking]
     radius, noise = (_figures(as_field(figure), px, py) for figure in (radius_m, sigma_m))
-    side = _side_m(float(radius.min()), float(radius.max()))
-    cells, most = CellLattice.of(side, scale), math.ceil(radius.max() / side - ROUNDED)
+    cell_m = _cell_size_m(float(radius.min()), float(radius.max()))
+    cells, most = CellLattice.of(cell_m, scale), math.ceil(radius.max() / cell_m - ROUNDED)
     column, row = cells.column(int(px.min())) - most, cells.row(int(py.min())) - most
     width = cells.column(int(px.max())) - column + 1 + most
     height = cells.row(int(py.max())) - row + 1 + most
-    keys = cell_keys(px, py, cells.p, cells.q, cells.origin_x, cells.origin_y, column, row, width)
+    keys = cell_keys(px, py, cells, column, row, width)
     starts, order = by_cell(keys, width * height)
     finer = max(math.ceil(math.log2(scale.counts(RADIUS_M[1]) / FINEST)), 0)  # Larger squares would overflow.
     per_radius, per_metre = scale.counts(1.0) / 2**finer, PARTS * scale.counts_z(1.0)
-    square, alike, reach = _limits(radius, noise, starts, order, (per_radius, per_metre, side))
+    square, alike, reach = _limits(radius, noise, starts, order, (per_radius, per_metre, cell_m))
     voters = _Voters(px[order] >> finer, py[order] >> finer, starts, square, alike, reach)
     asking = asking[order]
     votes = residual[asking]

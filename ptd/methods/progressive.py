@@ -17,7 +17,7 @@ class Progressive:
     """Parameters of outliers, seeds, facet test and final labelling."""
 
     max_building_size_m: float = parameter(
-        20.0, "side of the cells whose lowest point is a seed; at least the width of the largest building", unit="m",
+        20.0, "size of the cells whose lowest point is a seed; at least the width of the largest building", unit="m",
         minimum=1.0, maximum=1000.0, source="Dong 2018, 2.1, Ridge 2016, 4.2",
     )  # fmt: skip
     terrain_angle_deg: float = parameter(
@@ -46,7 +46,7 @@ class Progressive:
         maximum=1000.0, source="Dong 2018, 2.3",
     )  # fmt: skip
     thin_cell_m: float = parameter(
-        1.0, "only the lowest point of a cell of this side can become a vertex; 0: every point", unit="m",
+        1.0, "only the lowest point of a cell of this size can become a vertex; 0: every point", unit="m",
         minimum=0.0, maximum=100.0, source="Ridge 2016, 3.3",
     )  # fmt: skip
     low_radius_m: float = parameter(5.0, "low outliers: radius of the search", 1.0, 50.0, "m")
@@ -81,12 +81,12 @@ class Progressive:
 
     @property
     def align_m(self) -> float:
-        """Side of the seed cells. Windows consist of whole seed cells."""
+        """Size of the seed cells. Windows consist of whole seed cells."""
         return self.max_building_size_m
 
     @property
     def low_cell_m(self) -> float:
-        """Side of the cells whose lowest points are searched for low outliers."""
+        """Size of the cells whose lowest points are searched for low outliers."""
         return self.thin_cell_m or 1.0
 
     @property

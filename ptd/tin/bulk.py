@@ -48,14 +48,14 @@ def _keep_distinct(vertices: Int32Array, n: int) -> int:
     for i in range(n):
         keys[i] = np.uint64((as_int64(vertices[4 * i + 1]) + (1 << 31)) << 32 | i)
     keys = sorted_by_key(keys)
-    for place in range(n):
-        i = as_int64(keys[place] & np.uint64(0xFFFFFFFF))
-        keys[place] = np.uint64((as_int64(vertices[4 * i]) + (1 << 31)) << 32 | i)
+    for rank in range(n):
+        i = as_int64(keys[rank] & np.uint64(0xFFFFFFFF))
+        keys[rank] = np.uint64((as_int64(vertices[4 * i]) + (1 << 31)) << 32 | i)
     keys = sorted_by_key(keys)
     rows = vertices[: 4 * n].copy()
     kept = 0
-    for place in range(n):
-        i = 4 * as_int64(keys[place] & np.uint64(0xFFFFFFFF))
+    for rank in range(n):
+        i = 4 * as_int64(keys[rank] & np.uint64(0xFFFFFFFF))
         last = 4 * kept - 4
         if kept > 0 and rows[i] == vertices[last] and rows[i + 1] == vertices[last + 1]:
             vertices[last + 2] = min(vertices[last + 2], rows[i + 2])

@@ -5,6 +5,8 @@ adjacencies is a tree. It is therefore enough to follow the contour of the disk:
 and the rim comes out in counter-clockwise order, ready to be linked to the new vertex.
 """
 
+from typing import NamedTuple
+
 import numpy as np
 
 from ptd.kernel import kernel
@@ -12,16 +14,31 @@ from ptd.tin.layout import HEADER, N_TRIANGLES, Int32Array, next_edge, previous_
 from ptd.tin.predicates import ghost_conflict, in_circle
 
 
+class _Corner(NamedTuple):
+    """Number of a vertex, -1 for the ghost, and its position relative to the new point."""
+
+    vertex: int
+    x: int
+    y: int
+
+
 @kernel
-def _conflict(a: int, ax: int, ay: int, b: int, bx: int, by: int, d: int, dx: int, dy: int) -> bool:
+def _corner(vertices: Int32Array, vertex: int, x: int, y: int) -> _Corner:
+    """Return a vertex relative to (x, y)."""
+    at = 4 * max(vertex, 0)
+    return _Corner(vertex, vertices[at] - x, vertices[at + 1] - y)
+
+
+@kernel
+def _conflict(a: _Corner, b: _Corner, d: _Corner) -> bool:
     """`in_circle` for the triangle (a, d, b), one of whose vertices may be the ghost."""
-    if (a | b | d) >= 0:
-        return in_circle(ax, ay, dx, dy, bx, by)
-    if d < 0:
-        return ghost_conflict(bx, by, ax, ay)
-    if a < 0:
-        return ghost_conflict(dx, dy, bx, by)
-    return ghost_conflict(ax, ay, dx, dy)
+    if (a.vertex | b.vertex | d.vertex) >= 0:
+        return in_circle(a.x, a.y, d.x, d.y, b.x, b.y)
+    if d.vertex < 0:
+        return ghost_conflict(b.x, b.y, a.x, a.y)
+    if a.vertex < 0:
+        return ghost_conflict(d.x, d.y, b.x, b.y)
+    return ghost_conflict(a.x, a.y, d.x, d.y)
 
 
 @kernel
@@ -49,20 +66,13 @@ def _collect(
     scratch[bottom] = row + 2
     scratch[bottom + 1] = row + 1
     edge = row
-    a = triangles[row + 5]
-    at = 4 * max(a, 0)
-    ax, ay = vertices[at] - x, vertices[at + 1] - y
+    start = _corner(vertices, triangles[row + 5], x, y)
     while True:
-        b = triangles[previous_edge(edge) + 4]
-        bt = 4 * max(b, 0)
-        bx, by = vertices[bt] - x, vertices[bt + 1] - y
-        end, ex, ey = b, bx, by
+        end = _corner(vertices, triangles[previous_edge(edge) + 4], x, y)
         while True:
             outer = triangles[edge]
-            d = triangles[outer + 4]
-            dt = 4 * max(d, 0)
-            dx, dy = vertices[dt] - x, vertices[dt + 1] - y
-            if not _conflict(a, ax, ay, end, ex, ey, d, dx, dy):
+            opposite = _corner(vertices, triangles[outer + 4], x, y)
+            if not _conflict(start, end, opposite):
                 break
             if n_conflicts + 4 > room:
                 return -1
@@ -71,13 +81,13 @@ def _collect(
             scratch[top] = previous_edge(outer)
             top += 1
             edge = next_edge(outer)
-            end, ex, ey = d, dx, dy
+            end = opposite
         scratch[rim] = outer
-        scratch[rim + 1] = a
+        scratch[rim + 1] = start.vertex
         rim += 2
         if top == bottom:
             return n_conflicts
-        a, ax, ay = end, ex, ey
+        start = end
         top -= 1
         edge = scratch[top]
 

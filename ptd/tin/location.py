@@ -28,7 +28,7 @@ def walk(vertices: Int32Array, triangles: Int32Array, x: int, y: int, hint: int)
     ax, ay = vertices[i] - x, vertices[i + 1] - y
     bx, by = vertices[j] - x, vertices[j + 1] - y
     cx, cy = vertices[k] - x, vertices[k + 1] - y
-    # (a, b) become the ends of the edge to cross, counter-clockwise in the triangle behind it.
+    # (a, b) become the ends of the edge to cross, counter-clockwise in the triangle that the walk leaves.
     if ax * by - ay * bx < 0:
         edge = row + 2
     elif bx * cy - by * cx < 0:

@@ -1,4 +1,4 @@
-"""Start triangles for point location: a raster that holds a triangle near each place."""
+"""Start triangles for point location: a raster that holds a triangle near each position."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Locator(NamedTuple):
     west, south : int
         South-west corner of the raster, local counts.
     cell : int
-        Side of a cell, counts.
+        Size of a cell, counts.
     inverse : float
         1 / cell.
     width, height : int

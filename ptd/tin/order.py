@@ -1,8 +1,8 @@
 """Coarse-to-fine insertion order along a space-filling curve.
 
 Inserting along a curve alone keeps each walk short but makes slivers that are replaced again and again; a
-random order makes long walks. Taking every 2**k-th point of the curve, then the points halfway between
-these, and so on, has neither fault. The idea is that of the biased randomized insertion order (Amenta, Choi
+random order makes long walks. Taking every 4**k-th point of the curve, then the three points between each
+two of these, and so on, has neither fault. The idea is that of the biased randomized insertion order (Amenta, Choi
 and Rote, Incremental constructions con BRIO, 2003), here without random numbers.
 """
 
@@ -20,22 +20,22 @@ _RATIO_BITS = 2  # each round multiplies the number of inserted points by 2**_RA
 
 
 def _hilbert_table() -> Int32Array:
-    """Four levels of the Hilbert curve at once: int32 [4 * 256], place | next state << 8.
+    """Four levels of the Hilbert curve at once: int32 [4 * 256], position | next state << 8.
 
     The index is state << 8 | four bits of x << 4 | four bits of y; in a state, 1 swaps x and y, and 2 inverts both.
     """
     table = np.empty(4 * 256, np.int32)
     for index in range(4 * 256):
-        state, x, y, place = index >> 8, (index >> 4) & 15, index & 15, 0
+        state, x, y, position = index >> 8, (index >> 4) & 15, index & 15, 0
         for level in (3, 2, 1, 0):
             bits = [(x >> level) & 1, (y >> level) & 1]
             if state & 1:
                 bits.reverse()
             rx, ry = bits[0] ^ (state >> 1), bits[1] ^ (state >> 1)
-            place = place << 2 | (3 * rx) ^ ry
+            position = position << 2 | (3 * rx) ^ ry
             if ry == 0:
                 state ^= 1 | rx << 1
-        table[index] = place | state << 8
+        table[index] = position | state << 8
     return table
 
 
@@ -44,7 +44,7 @@ _TABLE = _hilbert_table()
 
 @kernel
 def _curve_keys(x: Int32Array, y: Int32Array) -> UInt64Array:
-    """Sort key of each point: its place along the Hilbert curve of the bounding square, then its index."""
+    """Sort key of each point: its position along the Hilbert curve of the bounding square, then its index."""
     low_x, high_x, low_y, high_y = x[0], x[0], y[0], y[0]
     for i in range(x.size):
         low_x, high_x = min(low_x, x[i]), max(high_x, x[i])

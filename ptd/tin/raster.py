@@ -14,19 +14,28 @@ sides that fail counted as well, unknown data could change a pixel from any dist
 """
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
 from ptd.kernel import as_int64, kernel
 from ptd.tin.circles import KnownBounds, Rule, facet_certified, facet_passes
 from ptd.tin.interpolation import Float64Array, Plane, facet_plane, height_on
-from ptd.tin.layout import N_TRIANGLES, N_VERTICES, Int32Array, next_edge
+from ptd.tin.layout import N_TRIANGLES, N_VERTICES, Int32Array, Mesh, next_edge
 from ptd.tin.pixels import OWNED, PixelCentres, UInt8Array, mark_near_sides, settle_marks
 from ptd.tin.predicates import lexicographic_less
 
 NO_OWNER = -1  # owner of a pixel without one; an owner -2 - v is vertex v
 
 _WIDE = 6  # columns from which cutting each row to the triangle saves time
+
+
+class _Outputs(NamedTuple):
+    """Arrays that `scan` fills, as one argument of kernels."""
+
+    owners: Int32Array
+    heights: Float64Array
+    marks: UInt8Array
 
 
 @kernel
@@ -53,21 +62,15 @@ def _own_vertex(
 
 @kernel
 def _own_vertices(
-    vertices: Int32Array,
-    triangles: Int32Array,
-    counters: Int32Array,
-    owners: Int32Array,
-    heights: Float64Array,
-    marks: UInt8Array,
-    lattice: PixelCentres,
-    rule: Rule,
-    sides: KnownBounds,
+    mesh: Mesh, n_vertices: int, outputs: _Outputs, lattice: PixelCentres, rule: Rule, sides: KnownBounds
 ) -> None:
     """Assign the pixels whose centre is a vertex."""
+    vertices, triangles = mesh
+    owners, heights, marks = outputs
     x0, y0, step, scale = lattice
     inverse = 1.0 / float(step)
     rows, columns = marks.shape
-    for v in range(counters[N_VERTICES]):
+    for v in range(n_vertices):
         x = scale * as_int64(vertices[4 * v]) - x0
         column = math.floor(float(x) * inverse + 0.5)
         if column * step != x or column < 0 or column >= columns:
@@ -152,19 +155,18 @@ def _cut(value: int, slope: int, low: int, high: int) -> tuple[int, int]:
 
 @kernel
 def _own_facet(
-    vertices: Int32Array,
-    triangles: Int32Array,
+    mesh: Mesh,
     t: int,
-    owners: Int32Array,
-    heights: Float64Array,
-    marks: UInt8Array,
+    outputs: _Outputs,
     box: tuple[int, int, int, int],
     lattice: PixelCentres,
-    judged: tuple[Rule, KnownBounds],
+    rule: Rule,
+    sides: KnownBounds,
 ) -> None:
     """Assign the pixels of a box (top, bottom, left, right, inclusive) whose centre lies in real triangle `t`."""
+    vertices, triangles = mesh
+    owners, heights, marks = outputs
     x0, y0, step, scale = lattice
-    rule, sides = judged
     top, bottom, left, right = box
     i, j, k = 4 * triangles[8 * t + 4], 4 * triangles[8 * t + 5], 4 * triangles[8 * t + 6]
     ax, ay = as_int64(vertices[i]), as_int64(vertices[i + 1])
@@ -254,6 +256,7 @@ def scan(
         return
     x0, y0, step, scale = lattice
     inverse = 1.0 / float(step)
+    mesh, outputs = Mesh(vertices, triangles), _Outputs(owners, heights, marks)
     for t in range(as_int64(counters[N_TRIANGLES])):
         i, j, k = triangles[8 * t + 4], triangles[8 * t + 5], triangles[8 * t + 6]
         if (i | j | k) < 0:
@@ -273,6 +276,6 @@ def scan(
         if top > bottom:
             continue
         box = (top, bottom, left, right)
-        _own_facet(vertices, triangles, t, owners, heights, marks, box, lattice, (rule, sides))
-    _own_vertices(vertices, triangles, counters, owners, heights, marks, lattice, rule, sides)
+        _own_facet(mesh, t, outputs, box, lattice, rule, sides)
+    _own_vertices(mesh, counters[N_VERTICES], outputs, lattice, rule, sides)
     settle_marks(marks)

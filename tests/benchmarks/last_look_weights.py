@@ -27,7 +27,7 @@ import numpy as np
 import ptd
 from ptd.cells import Int32
 from ptd.matched import last_look
-from ptd.matched.trees import DEPTH, LEAVES, NODES, UNIT, Trees, scores
+from ptd.matched.decision_trees import DEPTH, LEAVES, NODES, UNIT, DecisionTrees, scores
 from tests.benchmarks.measuring import GROUND, dtm_rmse_m
 from tests.benchmarks.scan_scenes import scan_scenes
 from tests.benchmarks.scorecard import DATA
@@ -85,7 +85,7 @@ class Asked:
         truth = self.classes[self.index[chosen]] == GROUND
         return self.features[chosen], truth, np.full(chosen.size, weight)
 
-    def after(self, trees: Trees) -> np.ndarray:
+    def after(self, trees: DecisionTrees) -> np.ndarray:
         """Labels with a last look."""
         labels = self.labels.copy()
         labels[self.index] = last_look.decided(labels[self.index], scores(self.features, trees))
@@ -100,7 +100,7 @@ def asked(scene: BenchScene, cloud: Cloud) -> Asked:
         found.extend(last_look.features_by_block(heights, *rest[:-1]))
         return heights.labels
 
-    with mock.patch.object(last_look, "looked_at", seen):
+    with mock.patch.object(last_look, "relabelled", seen):
         labels = ptd.classify(cloud.xyz, "auto", kind="dim").classification
     index, features = (np.concatenate(parts) for parts in zip(*found, strict=True))
     order = np.argsort(index)
@@ -109,7 +109,7 @@ def asked(scene: BenchScene, cloud: Cloud) -> Asked:
     )
 
 
-def fitted(scenes: Sequence[Asked]) -> Trees:
+def fitted(scenes: Sequence[Asked]) -> DecisionTrees:
     """The trees that suit some scenes best."""
     import lightgbm
 
@@ -120,7 +120,7 @@ def fitted(scenes: Sequence[Asked]) -> Trees:
     return trees_of(lightgbm.train(SETTINGS, data, TREES).dump_model())
 
 
-def trees_of(model: dict[str, Any]) -> Trees:
+def trees_of(model: dict[str, Any]) -> DecisionTrees:
     """LightGBM's trees with thresholds and leaves of whole numbers; features are whole, so no decision changes."""
     roots = [tree["tree_structure"] for tree in model["tree_info"]]
     feature, threshold = (np.zeros((len(roots), NODES), np.int32) for _ in range(2))
@@ -137,11 +137,11 @@ def trees_of(model: dict[str, Any]) -> Trees:
 
     for tree, root in enumerate(roots):
         place(tree, 0, root)
-    return Trees(feature.ravel(), threshold.ravel(), leaf.ravel())
+    return DecisionTrees(feature.ravel(), threshold.ravel(), leaf.ravel())
 
 
-def file_of(trees: Trees) -> bytes:
-    """Trees as an .npz with the same bytes each time."""
+def file_of(trees: DecisionTrees) -> bytes:
+    """Decision trees as an .npz with the same bytes each time."""
     kept = io.BytesIO()
     with zipfile.ZipFile(kept, "w", zipfile.ZIP_DEFLATED) as archive:
         for name, values in trees._asdict().items():

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from ptd.matched.trees import UNIT, scores
+from ptd.matched.decision_trees import UNIT, scores
 from tests.benchmarks import last_look_weights
 from tests.benchmarks.last_look_weights import (
     SETTINGS,

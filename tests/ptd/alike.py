@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from ptd.matched.place_figures import with_sides
+from ptd.matched.place_figures import with_cell_sizes
 from ptd.places import name_of
 
 
@@ -11,4 +11,4 @@ def alike(
 ) -> dict[str, list[float | None]]:
     """Figures of the places around coordinate 0."""
     figures = [density_m2, sigma_m, cell_sigma_m]
-    return with_sides({name_of(c, r): figures for r in range(-3, 4) for c in range(-3, 4)})
+    return with_cell_sizes({name_of(c, r): figures for r in range(-3, 4) for c in range(-3, 4)})

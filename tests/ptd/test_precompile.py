@@ -88,6 +88,6 @@ def test_a_run_that_compiles_says_why(tmp_path: Path, monkeypatch: pytest.Monkey
     (folder.parent / "other").mkdir()
     assert "another version or installation" in precompile.why_not_compiled("auto-dim")
     (folder / "auto-lidar.compiled").touch()
-    assert "needs those of auto-dim" in precompile.why_not_compiled("auto-dim")
+    assert "those of auto-dim have not been compiled" in precompile.why_not_compiled("auto-dim")
     monkeypatch.setattr(precompile, "cache_folder", lambda: None)
     assert "each process compiles" in precompile.why_not_compiled("auto-dim")

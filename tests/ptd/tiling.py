@@ -43,7 +43,11 @@ def classify_tiled(
     """
     n = len(points)
     labels, marks = np.zeros(n, np.uint8), np.zeros(n, bool)
-    elected, codes, doubts = Points(np.zeros((3, 0), np.int32)), np.zeros(0, np.uint8), np.zeros(0, bool)
+    elected, codes, uncertified_codes = (
+        Points(np.zeros((3, 0), np.int32)),
+        np.zeros(0, np.uint8),
+        np.zeros(0, bool),
+    )
     state: dict[str, Any] = {"run": asdict(RunHints(sigma_m, kind))}
     for number, step in enumerate(params.passes):
         if not step.applies(state):
@@ -51,7 +55,7 @@ def classify_tiled(
         last = step.gives_labels and not later_passes(params.passes, number, state)
         sees, of_elected = _given(elected, step, codes), step.elected and not last
         given = sees if of_elected else _given(points, step, labels)
-        found, doubtful = np.zeros(len(given), np.uint8), np.zeros(len(given), bool)
+        found, is_uncertified = np.zeros(len(given), np.uint8), np.zeros(len(given), bool)
         made = []
         partials = []
         for core, window in _windows(points, scale, params, step, tile_m, halo_m):
@@ -68,27 +72,27 @@ def classify_tiled(
             if step.elects:
                 made.append(Points(model.elect(core)))
                 if step.gives_labels:
-                    got, doubt = model.label(made[-1])
+                    got, uncertified = model.label(made[-1])
                     near = "labels" in step.columns and bool(marks[seen].any())
-                    made[-1] = Points(made[-1].xyz, got | (doubt | near).astype(np.uint8) * MARK)
+                    made[-1] = Points(made[-1].xyz, got | (uncertified | near).astype(np.uint8) * MARK)
             elif step.gives_labels:
                 reach = math.ceil(scale.counts(step.label_margin_m))
                 wide = Window(core.west - reach, core.south - reach, core.east + reach, core.north + reach)
                 around = np.flatnonzero(inside(given, wide) & ~inside(given, core))
-                got, doubt = model.label(given.take(np.concatenate([own, around])))
-                found[own], doubtful[own] = got[: own.size], doubt[: own.size]
-                before = doubts if step.elected else marks
-                doubtful[own] |= "labels" in step.columns and bool(before[seen].any())
+                got, uncertified = model.label(given.take(np.concatenate([own, around])))
+                found[own], is_uncertified[own] = got[: own.size], uncertified[: own.size]
+                before = uncertified_codes if step.elected else marks
+                is_uncertified[own] |= "labels" in step.columns and bool(before[seen].any())
         if step.elects:
             elected = Points(np.concatenate([part.xyz for part in made], axis=1))
-            codes, doubts = np.zeros(len(elected), np.uint8), np.zeros(len(elected), bool)
+            codes, uncertified_codes = np.zeros(len(elected), np.uint8), np.zeros(len(elected), bool)
             if step.gives_labels:
                 both = np.concatenate([part.known_labels() for part in made])
-                codes, doubts = both & ~MARK, both >= MARK
+                codes, uncertified_codes = both & ~MARK, both >= MARK
         elif step.gives_labels and of_elected:
-            codes, doubts = found, doubtful
+            codes, uncertified_codes = found, is_uncertified
         elif step.gives_labels:
-            labels, marks = found, doubtful
+            labels, marks = found, is_uncertified
         state = step.reduce(partials, state)
     return labels, marks, state
 

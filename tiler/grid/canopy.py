@@ -11,7 +11,7 @@ import numpy.typing as npt
 import scipy
 
 from ptd.frame import Scale
-from ptd.matched.by_side import side_of_cells
+from ptd.matched.by_size import size_of_cells
 from ptd.matched.cells import CELL_M
 from ptd.matched.step import COVERED
 from ptd.passes import Points
@@ -73,7 +73,7 @@ def _covered(store: TileStore, work: CanopyBlock, spec: RasterSpec, block: Block
     shape = lattice.index_of(bounds.y1) - south + 2, lattice.index_of(bounds.x1) - west + 2
     cells = store.elected(work.elected, bounds, work.labels)
     frame = store.meta.frame
-    wide = side_of_cells(Points(cells.xyz), Scale(frame.metres_xy, frame.metres_z, frame.origin)) > CELL_M
+    wide = size_of_cells(Points(cells.xyz), Scale(frame.metres_xy, frame.metres_z, frame.origin)) > CELL_M
     labels = np.zeros(len(cells), np.uint8) if cells.labels is None else cells.labels
     x, y = (cells.xyz[axis].astype(np.int64) + frame.origin[axis] for axis in (0, 1))
     rows, columns = lattice.index(y) - south, lattice.index(x) - west

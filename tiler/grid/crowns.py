@@ -31,12 +31,12 @@ class FindCrowns:
 
 
 def find_crowns(store_url: str, work: FindCrowns) -> CrownsRecord:
-    """Search blocks for crowns. Return ``looked_at`` and ``found``, see `ptd.matched.crowns.Crowns`."""
+    """Search blocks for crowns. This is a `tiler.schedule.task.Work`."""
     store, spec = open_store(store_url), work.spec
     blocks = [spec.block_named(name, BLOCK_PIXELS) for name in work.names]
     parts = [crowns_in_block(store, "dtm", spec, block) for block in blocks]
     return CrownsRecord(
-        looked_at=sum(part.looked_at for part in parts),
+        n_tested=sum(part.n_tested for part in parts),
         found=list(chain.from_iterable(part.found for part in parts)),
     )
 
@@ -62,7 +62,7 @@ def crowns_in_block(store: TileStore, name: str, spec: RasterSpec, block: Block)
     pixels = []
     for row, column in cells.found:
         pixels.append((block.row + row * times + half, block.col + column * times + half))
-    return Crowns(cells.looked_at, pixels)
+    return Crowns(cells.n_tested, pixels)
 
 
 def crown_advice(parts: Iterable[Crowns], spec: RasterSpec) -> Advice | None:
@@ -70,7 +70,7 @@ def crown_advice(parts: Iterable[Crowns], spec: RasterSpec) -> Advice | None:
     looked_at = 0
     pixels: list[tuple[int, int]] = []
     for part in parts:
-        looked_at += part.looked_at
+        looked_at += part.n_tested
         pixels += part.found
     if len(pixels) < max(MIN_SHARE * looked_at, MIN_BLOCKS):
         return None

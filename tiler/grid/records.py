@@ -356,5 +356,5 @@ class RoofsRecord(Record):
 class CrownsRecord(Record):
     """Record of the search for crowns: number of examined blocks, and positions, see `ptd.matched.crowns.Crowns`."""
 
-    looked_at: int
+    n_tested: int
     found: list[Any]

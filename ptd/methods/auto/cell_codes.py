@@ -28,7 +28,7 @@ class CellCodes(Model):
     certain : Window
         Window outside which all cells are uncertified.
     stats : dict
-    doubtful : bool [m], optional
+    uncertified : bool [m], optional
         Mask of the codes that points outside the window could change; by default none within `certain`.
     """
 
@@ -40,11 +40,13 @@ class CellCodes(Model):
         cells: CellLattice,
         certain: Window,
         stats: dict[str, Any],
-        doubtful: Bool | None = None,
+        uncertified: Bool | None = None,
     ) -> None:
         self.stats, self._certain = {"cells": int(x.size), **stats}, certain
         self._codes = np.append(codes, np.uint8(UNCLASSIFIED))
-        self._doubtful = np.zeros(x.size + 1, np.bool_) if doubtful is None else np.append(doubtful, False)
+        self._uncertified = (
+            np.zeros(x.size + 1, np.bool_) if uncertified is None else np.append(uncertified, False)
+        )
         self._x, self._y, self._cells = x, y, cells
         self._index: CellIndex | None = None
 
@@ -54,14 +56,14 @@ class CellCodes(Model):
         if np.array_equal(x, self._x) and np.array_equal(
             y, self._y
         ):  # In an untiled run the points are those of the model.
-            codes, marked = self._codes[:-1].copy(), self._doubtful[:-1].copy()
+            codes, uncertified_codes = self._codes[:-1].copy(), self._uncertified[:-1].copy()
         else:
             slots = self._slots(x, y)
-            codes, marked = self._codes[slots], self._doubtful[slots]
+            codes, uncertified_codes = self._codes[slots], self._uncertified[slots]
         if self._certain.closed:
             w = self._certain
-            marked |= (x < w.west) | (y < w.south) | (x >= w.east) | (y >= w.north)
-        return codes, marked
+            uncertified_codes |= (x < w.west) | (y < w.south) | (x >= w.east) | (y >= w.north)
+        return codes, uncertified_codes
 
     def _slots(self, x: Int32, y: Int32) -> Int32:
         """Return the index of the model's cell in which each point lies, or -1 if there is none: int32 [n]."""

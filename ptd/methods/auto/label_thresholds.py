@@ -13,7 +13,7 @@ from ptd.ground.labelling import Bands
 from ptd.ground.noise_sums import Roughness
 from ptd.matched.evidence import DIM
 from ptd.matched.ground_model import GROUND_M
-from ptd.matched.place_figures import CELL_SIGMA, DENSITY, SIDE, known
+from ptd.matched.place_figures import CELL_SIGMA, CELL_SIZE, DENSITY, known
 from ptd.matched.survey import ReturnStatistics, surveyed
 from ptd.methods.auto.params import AutoParameters
 from ptd.passes import State
@@ -22,14 +22,15 @@ from ptd.places import PLACES, Figures, field, span
 SPARSE_M2 = 1.0
 """Density in points per square metre up to which the last pass uses the parameters unchanged."""
 DENSE_M2 = 2.0
-"""Density in points per square metre from which on the last pass is as narrow as noise allows."""
+"""Density in points per square metre at and above which the last pass is as narrow as noise allows."""
 DENSE_FLOOR_M = 0.12
 """Floor of the last pass for dense clouds: four times the noise of airborne lasers. A wider floor from the measured
 noise would classify low plants as ground, because meadows and fields look planar too."""
-SAID_BASE_M = 0.05
-"""Floor of the last pass for a noise of 0, if the user gives the noise. The result is at least `DENSE_FLOOR_M`."""
-SAID_SIGMAS = 3.0
-"""Multiple of the noise given by the user that is added to `SAID_BASE_M`."""
+GIVEN_BASE_M = 0.05
+"""Floor of the last pass for a noise of 0, if the user gives the noise. The result is at least
+`DENSE_FLOOR_M`, and at most `AutoParameters.label_floor_m`."""
+GIVEN_SIGMAS = 3.0
+"""Multiple of the noise given by the user that is added to `GIVEN_BASE_M`."""
 DENSE_SLOPE = 0.5
 """Share of ``label_slope_m`` for dense clouds."""
 
@@ -41,10 +42,16 @@ class LabelThresholds(NamedTuple):
     slope_m: float
 
 
-def label_thresholds(params: AutoParameters, density_m2: float, said_m: float | None) -> LabelThresholds:
+def label_thresholds(
+    params: AutoParameters, density_m2: float, given_sigma_m: float | None
+) -> LabelThresholds:
     """Return the thresholds for a density and the noise given by the user, if any."""
     dense = min(max((density_m2 - SPARSE_M2) / (DENSE_M2 - SPARSE_M2), 0.0), 1.0)
-    floor = DENSE_FLOOR_M if said_m is None else max(DENSE_FLOOR_M, SAID_BASE_M + SAID_SIGMAS * said_m)
+    floor = (
+        DENSE_FLOOR_M
+        if given_sigma_m is None
+        else max(DENSE_FLOOR_M, GIVEN_BASE_M + GIVEN_SIGMAS * given_sigma_m)
+    )
     floor = min(floor, params.label_floor_m)
     return LabelThresholds(
         params.label_floor_m + dense * (floor - params.label_floor_m),
@@ -93,10 +100,12 @@ def decided(
     if not held:
         return survey, [note]
     if survey["kind"] == DIM:
-        noise, side = (span([known(figures, figure) for figures in held], 2) for figure in (CELL_SIGMA, SIDE))
+        noise, size_m = (
+            span([known(figures, figure) for figures in held], 2) for figure in (CELL_SIGMA, CELL_SIZE)
+        )
         line = (
             f"decided: ground is up to {GROUND_M:g} m and twice the local noise from the surface, "
-            f"after a vote of neighbours; noise of the place {noise} m, cells of {side} m"
+            f"after a vote of neighbours; noise of the place {noise} m, cells of {size_m} m"
         )
         return survey, [note, line]
     densities = sorted(known(figures, DENSITY) for figures in held)

@@ -1,8 +1,8 @@
 """``auto``: decides the source of the cloud, and finds the ground of LiDAR and photogrammetric clouds differently.
 
-This is our own method and the default. It has one setting for all clouds and decides differences from the cloud. In
-photogrammetric clouds heights scatter to both sides and blunders lie below. So a robust height per cell, large objects
-classified as a whole, and a surface of limited curvature find the ground (`ptd.matched`).
+This is our own method and the default. The same settings serve all clouds, and the method derives all differences from
+the cloud itself. In photogrammetric clouds heights scatter to both sides and blunders lie below. So a robust height per
+cell, large objects classified as a whole, and a surface of limited curvature find the ground (`ptd.matched`).
 
 The passes below are for LiDAR clouds and work on the lowest point of each cell of 1 m. They find morphological seeds,
 densify in a few rounds, and remove what still rises like an object. ``docs/filters.md`` has figures, the reasons for
@@ -30,22 +30,23 @@ label
 parameter             origin                      default   reason
 ====================  ==========================  ========  ============================================================
 max_building_size     Chen 2023; Zhang 2003       36 m      wide enough for halls of towns; wider openings cut hill tops
-thin_cell             as `classic`                1 m       the terrain's detail; noise of dense clouds averages to its
-                                                            lower side
+thin_cell             as `classic`                1 m       the terrain's detail; the lowest of many points lies at the
+                                                            lower side of the noise everywhere
 low_radius, _depth,   as `classic`                5 m, 4 m, larger groups are not noise of a laser
 low_group                                         5
-seed_rise, _slope     Pingel 2013 (slope, scale)  0.06, 0.2 ground that rises by 0.06 beside flat ground is kept; a
-                                                            fifth of the slope more on slopes
+seed_rise, _slope     Pingel 2013 (slope, scale)  0.06, 0.2 keeps ground that rises by 0.06 m per m next to flat
+                                                            ground, and by a fifth of the slope more on slopes
 rounds                ours                        4         more rounds change little and need wider halos
 iteration_distance,   as `classic`                1.4 m,    the seeds are dense already: L1 keeps the angle small there
 _angle, edge_length_                              28 deg,
 reduce                                            5 m
 object_size, _rise    ours                        12 m, 0.1 wider objects were found before; lower ones are within the
-                                                            height of the last pass
+                                                            floor of the last pass
 roof_size             ours                        200 m     the largest halls, except those of industry
-label_floor           as `classic`                0.24 m    below 1 point/m2: rough ground between sparse points against
-                                                            low plants; from 2 on 0.12 m, or 0.05 m and three times
-                                                            the noise given by the user, up to this
+label_floor           as `classic`                0.24 m    below 1 point/m2, a compromise between rough ground between
+                                                            sparse points and low plants; from 2 points/m2 on
+                                                            0.12 m, or 0.05 m plus three times the user's noise if
+                                                            that is more, but at most this value
 label_slope           ours                        1 m       the spacing of the points on a slope; half of it from 2
                                                             points/m2 on
 refine                ours                        yes       photogrammetric clouds: `ptd.matched.last_look`
@@ -186,15 +187,15 @@ class DensifyPass(LidarPass):
         cells = CellLattice.of(p.thin_cell_m, scale)
         x, y, z, codes = lowest_points(points, cells)
         known, seed = window.inside(cells), codes == SEED
-        doubtful, rounds = np.full(x.size, window.closed), 0
+        uncertified, rounds = np.full(x.size, window.closed), 0
         if seed.any():
-            tin, doubt = first_tin(x, y, z, seed, known, scale)
+            tin, region = first_tin(x, y, z, seed, known, scale)
             rest = np.where(codes == OUTLIER, np.uint8(REFUSED), np.uint8(WAITING))
             todo = np.where(seed, np.uint8(VERTEX), rest)
-            doubtful, rounds = densify(tin, Xyz(x, y, z), todo, p.limits(scale), p.rounds, doubt)
+            uncertified, rounds = densify(tin, Xyz(x, y, z), todo, p.limits(scale), p.rounds, region)
             codes = np.where((todo == VERTEX) & ~seed, np.uint8(DENSIFIED), codes)
         stats = {"rounds": rounds, "densified": int((codes == DENSIFIED).sum())}
-        return CellCodes(x, y, codes, cells, known, stats, doubtful)
+        return CellCodes(x, y, codes, cells, known, stats, uncertified)
 
 
 @dataclass(frozen=True)
@@ -245,14 +246,14 @@ class RoofPass(LidarPass):
         """Compare each connected surface with the ground around it."""
         p = self.params
         cells, wide = CellLattice.of(p.thin_cell_m, scale), CellLattice.of(ROOF_CELL_M, scale)
-        rule = Plateaus.of(scale, p.roof_size_m, self.step_m)
+        roof_rule = Plateaus.of(scale, p.roof_size_m, self.step_m)
         x, y, z, codes = lowest_points(points, cells)
         ground, earlier_roofs = codes == GROUND, codes == ROOF
         for index, inner in blocks(x, y, cells, p.roof_reach):
             if self.again and not earlier_roofs[index].any():
                 continue  # Without roofs found before, the result stays.
             raster = CellRaster(x[index], y[index], wide)
-            roofs = on_plateaus(z[index], ground[index], earlier_roofs[index], raster, rule)
+            roofs = on_plateaus(z[index], ground[index], earlier_roofs[index], raster, roof_rule)
             codes[index[roofs & inner]] = ROOF
         stats = {"roofs": int(ground.sum() - (codes == GROUND).sum())}
         return CellCodes(x, y, codes, cells, window.inside(cells, p.roof_reach), stats)
@@ -281,12 +282,12 @@ class LabelPass(LidarPass):
             model = FineLabels(window.closed, {"vertices": 0}, noise, scale)
         if not ground.any():
             return model
-        tin, doubt = first_tin(x, y, z, ground, window.inside(cells), scale)
+        tin, region = first_tin(x, y, z, ground, window.inside(cells), scale)
         todo = np.where(ground, VERTEX, np.where(low | (codes == ROOF), REFUSED, WAITING)).astype(np.uint8)
-        densify(tin, Xyz(x, y, z), todo, p.limits(scale, REGROWTH), 1, doubt)
+        densify(tin, Xyz(x, y, z), todo, p.limits(scale, REGROWTH), 1, region)
         rule = LabelRule(p.limits(scale), scale.counts(p.label_floor_m), heights_only=True)
         rule = with_fine_surface(rule, scale) if p.fine_surface else rule
-        model.finish(tin, doubt.triangles(tin), rule, label_bands(p, state, scale))
+        model.finish(tin, region.triangles(tin), rule, label_bands(p, state, scale))
         return model
 
 
@@ -298,10 +299,10 @@ def first_tin(
     The choice is certified within the known window.
     """
     cells = CellLattice.of(RING_M, scale)
-    doubt = UncertifiedRegion(known, known.inside(cells, RING), box_with_ring(x, y, cells), scale)
-    ring = choose_seeds(x, y, z, chosen, cells, doubt).virtual
+    region = UncertifiedRegion(known, known.inside(cells, RING), box_with_ring(x, y, cells), scale)
+    ring = choose_seeds(x, y, z, chosen, cells, region).virtual
     corners = [np.concatenate([c[chosen], r]) for c, r in zip((x, y, z), ring.T, strict=True)]
-    return Tin.build(*corners, max_vertices=x.size + len(ring)), doubt
+    return Tin.build(*corners, max_vertices=x.size + len(ring)), region
 
 
 METHOD = Method(

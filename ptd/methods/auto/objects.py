@@ -64,7 +64,7 @@ class Residuals:
     lack : float
         Addition to the threshold where there are no objects around, in metres per metre.
     enough : float
-        Share of objects from which on the threshold does not grow.
+        Share of objects at and above which the threshold does not grow.
     """
 
     drop: Drop
@@ -90,7 +90,7 @@ class Lowest:
         Local counts of one point per cell, at least one.
     cells : CellLattice
     cell_m : float
-        Side of the cells in metres.
+        Size of the cells in metres.
     scale : Scale
     """
 
@@ -113,28 +113,28 @@ class Lowest:
         is_object: Bool = steepest.reshape(-1)[keys] > allowed
         return is_object
 
-    def residual_objects(self, ground: Bool, present: Bool, rule: Residuals) -> Bool:
+    def residual_objects(self, ground: Bool, present: Bool, limits: Residuals) -> Bool:
         """Return a mask of the points that rise like objects after subtracting the mean of the ground: bool [n].
 
         Without this trend slopes do not hide low objects, so small radii and thresholds suffice. Where there are no
         objects around, a rise is more likely a bump of the terrain, so the threshold grows (`lack`).
         """
-        boxes, drop, keys = Boxes(self.heights(ground)), rule.drop, self.raster.keys
-        means = boxes.means(rule.trend, keys)
+        boxes, drop, keys = Boxes(self.heights(ground)), limits.drop, self.raster.keys
+        means = boxes.means(limits.trend, keys)
         trend = np.where(np.isnan(means), self.z, np.rint(means))  # Without ground, a point is its own trend.
         residuals = self.raster.lowest((self.z - trend).astype(np.int32), present)
         steepest, _ = steepest_drops(
-            residuals, range(1, rule.radius + 1), self.scale.counts_z(drop.allowance_m)
+            residuals, range(1, limits.radius + 1), self.scale.counts_z(drop.allowance_m)
         )
-        allowed = drop.per_metre * self.unit + drop.per_slope * boxes.slopes(rule.slope, keys)
-        allowed += rule.lack * self.unit * self.lack_of_objects(ground, rule)
+        allowed = drop.per_metre * self.unit + drop.per_slope * boxes.slopes(limits.slope, keys)
+        allowed += limits.lack * self.unit * self.lack_of_objects(ground, limits)
         is_object: Bool = steepest.reshape(-1)[keys] > allowed
         return is_object
 
-    def lack_of_objects(self, ground: Bool, rule: Residuals) -> Float64:
+    def lack_of_objects(self, ground: Bool, limits: Residuals) -> Float64:
         """Return 1 where all cells around are ground, down to 0 where a share `enough` is not: float64 [n]."""
         objects = self.raster.lowest((~ground).astype(np.int32), np.ones(ground.size, np.bool_))
         share = Boxes(objects).means(
-            rule.around, self.raster.keys
+            limits.around, self.raster.keys
         )  # A mean is never NaN: the cell is filled.
-        return 1.0 - np.minimum(share / rule.enough, 1.0)
+        return 1.0 - np.minimum(share / limits.enough, 1.0)

@@ -19,11 +19,12 @@ from ptd.methods.progressive import Progressive
 from ptd.params import check, like, parameter
 
 RING_M = 20.0
-"""Side of the cells of virtual seeds around the ground."""
+"""Size of the cells of virtual seeds around the ground."""
 ROUND_HALO_M = 8.0
 """Distance by which the uncertified region grows in a round; it seldom grows farther."""
 TERRAIN_ANGLE_DEG = 88.0
-"""Steepest terrain of the facet test, as in all methods; 60 or 90 degrees change the mean by 0.01 points."""
+"""Steepest terrain of the facet test, as in all methods; 60 or 90 degrees change the mean error by 0.01
+percentage points."""
 REGROWTH = 0.5
 """Share of the iteration distance and angle within which the last TIN adds edges of banks that were removed with
 objects. Shares of 0.3 and 0.7 gain less; with 0.7, low roofs and shrubs return as well."""
@@ -64,7 +65,7 @@ class Rise:
     per_slope : float
         Extra drop allowed per unit of slope.
     enough : float
-        Share of objects around from which on `LACK` does not matter.
+        Share of objects around at and above which `LACK` does not matter.
     """
 
     drop_m: float
@@ -75,7 +76,8 @@ class Rise:
 LACK = 2.0
 """Extra rise allowed where no objects are around, as a bump is more likely terrain there."""
 OBJECTS = Rise(drop_m=0.2, per_slope=0.2, enough=0.3)
-"""Limits among all cells. A drop below 0.2 m is within the height of the last pass."""
+"""Limits among all cells. A drop below 0.2 m is less than the largest distance of ground from the TIN in the
+last pass."""
 BUMPS = Rise(drop_m=0.1, per_slope=0.4, enough=0.1)
 """Limits among the remaining cells of ground. Their mean no longer contains removed objects, so a smaller drop is
 allowed, but more per unit of slope."""
@@ -90,8 +92,8 @@ class AutoParameters:
         "stay in the terrain, lower it if hill tops are cut off", unit="m", minimum=2.0, maximum=1000.0,
     )  # fmt: skip
     thin_cell_m: float = parameter(
-        1.0, "the lowest point of a cell of this side decides for the cell; about the detail of the terrain", unit="m",
-        minimum=0.1, maximum=100.0,
+        1.0, "the lowest point of a cell of this size decides for the cell; choose about the size of the smallest "
+        "terrain features", unit="m", minimum=0.1, maximum=100.0,
     )  # fmt: skip
     low_radius_m: float = like(Progressive, "low_radius_m")
     low_depth_m: float = like(Progressive, "low_depth_m")
@@ -124,8 +126,8 @@ class AutoParameters:
     label_floor_m: float = like(Progressive, "label_floor_m", 0.24)
     label_slope_m: float = parameter(1.0, "last pass: extra height allowed per unit of slope", 0.0, 10.0, "m")
     refine: bool = parameter(
-        True, "photogrammetric clouds: trees fitted to scenes with reference classes classify each point near the edge "
-        "of the ground once more; no: only the height above the surface decides",
+        True, "photogrammetric clouds: decision trees fitted to scenes with reference classes classify each point near "
+        "the edge of the ground once more; no: only the height above the surface decides",
     )  # fmt: skip
 
     fine_surface: bool = parameter(
@@ -197,7 +199,7 @@ class AutoParameters:
 
     @property
     def align_m(self) -> float:
-        """Side of the cells of the ring. Windows of TINs contain whole cells of it."""
+        """Size of the cells of the ring. Windows of TINs contain whole cells of it."""
         return RING_M
 
     @property
@@ -207,5 +209,5 @@ class AutoParameters:
 
     @property
     def candidate_cell_m(self) -> float:
-        """Side of the cells whose lowest points are the candidates."""
+        """Size of the cells whose lowest points are the candidates."""
         return self.thin_cell_m

@@ -100,7 +100,7 @@ class ElevationsPass(Pass):
     Attributes
     ----------
     cell_m : float
-        Side of the cells of candidates.
+        Size of the cells of candidates.
     gap_m, share : float
         See `find_tails`; a gap of 0 finds no tails.
     """

@@ -9,11 +9,11 @@ parameter            paper's name                default   reason
 max_building_size    max building size           30 m      000's value (003: 20, which leaves a hall of sample 22)
 initial_window       initial window size, W_0    1         the finest steps separate small drops from large ones
 terrain_angle        max terrain angle           88 deg    as `classic`
-rounds               number of iterations        4         the seeds are dense: more rounds change 0.05 points of
-                                                           error and need wider halos
+rounds               number of iterations        4         the seeds are dense: more rounds change 0.05 percentage
+                                                           points of error and need wider halos
 iteration_angle      iterator angle              25 deg    as `classic`
 iteration_distance   iterator distance           1.4 m     as `classic`
-exponential_windows  equation 2 for 1            off       fewer windows, more error: with wide steps the thresholds
+exponential_windows  equation 2 instead of 1     off       fewer windows, more error: with wide steps the thresholds
                                                            let low roofs pass or cut hill tops
 thin_cell            c                           1 m       as `classic`
 terrain_slope        s                           0.3       17 degrees; with c = 1 m and W_0 = 1 ground may drop by
@@ -25,7 +25,8 @@ tail_gap, _share     thresholds seen in a plot   20 m,     so few candidates bey
                                                  0.001     terrain
 low_radius, _depth   "surrounding points"        5 m, 4 m  as `classic`
 low_group            correction by hand          5         as `classic`: low groups, which are not isolated
-long_side            "larger side length"        1.5       largest buildings: about the diagonal of a removed one
+long_side            "larger side length"        1.5       times max_building_size: about the diagonal of the
+                                                           largest building that is removed
 narrow_angle         "narrow"                    15 deg    facets that climb a storey within 0.7 m are narrower
 cluster_seeds        "small"                     50        a small building
 prominence           "locally prominent"         1 m       densification would bring back lower clusters
@@ -146,44 +147,50 @@ class ChenModel(TinLabels):
         ring_cells = CellLattice.of(p.ring_cell_m, scale)
         # In a cell cut by the window another point may be the lowest. Outliers are certain one search radius inside.
         known = window.inside(self._cells, p.margin_cells)
-        doubt = UncertifiedRegion(
+        region = UncertifiedRegion(
             known, known.inside(ring_cells, RING), box_with_ring(x, y, ring_cells), scale
         )
-        seeds, unsure = potential_seeds(x, y, z, ~outlier, self._cells, p.opening(scale), known)
-        doubt.add_points(x, y, unsure)
-        ring = choose_seeds(x, y, z, seeds, ring_cells, doubt, unsure).virtual
+        seeds, uncertified = potential_seeds(x, y, z, ~outlier, self._cells, p.opening(scale), known)
+        region.add_points(x, y, uncertified)
+        ring = choose_seeds(x, y, z, seeds, ring_cells, region, uncertified).virtual
         tin = _triangulate(x, y, z, seeds, ring)
-        noise = self._noise(tin, x, y, np.flatnonzero(seeds), ring, doubt)
+        noise = self._noise(tin, x, y, np.flatnonzero(seeds), ring, region)
         self.stats.update(potential_seeds=int(seeds.sum()), noisy_seeds=int(noise.size))
         if noise.size:
             seeds[noise] = False
             tin = _triangulate(x, y, z, seeds, ring)
         state = np.where(outlier, REFUSED, np.where(seeds, VERTEX, 0)).astype(np.uint8)
-        _, rounds = densify(tin, Xyz(x, y, z), state, limits, p.rounds, doubt)
+        _, rounds = densify(tin, Xyz(x, y, z), state, limits, p.rounds, region)
         floor = 0.0
         if p.label_pass:
             floor = scale.counts(p.label_floor_m)
-        self.finish(tin, doubt.triangles(tin), LabelRule(limits, floor, vertices_only=not p.label_pass))
+        self.finish(tin, region.triangles(tin), LabelRule(limits, floor, vertices_only=not p.label_pass))
         self.stats.update(rounds=rounds)
 
     def _noise(
-        self, tin: Tin, x: Int32, y: Int32, seeds: npt.NDArray[np.intp], ring: Int32, doubt: UncertifiedRegion
+        self,
+        tin: Tin,
+        x: Int32,
+        y: Int32,
+        seeds: npt.NDArray[np.intp],
+        ring: Int32,
+        region: UncertifiedRegion,
     ) -> npt.NDArray[np.intp]:
-        """Step 4: return the seeds that are noise. Positions where that is uncertain become uncertified."""
+        """Step 4: return the seeds that are noise. Positions of seeds for which this is open become uncertified."""
         vx, vy = (np.ascontiguousarray(tin.vertices[:, axis]) for axis in (0, 1))
         # Seeds share no position with one another, nor with the ring, which lies in cells without seeds.
         real = np.isin(position_keys(vx, vy), position_keys(ring[:, 0], ring[:, 1]), invert=True)
-        noise, unsure = noisy_seeds(tin, real, self.params.clusters(self._scale), doubt.triangles(tin))
-        doubt.add_points(vx, vy, unsure)
+        noise, uncertified = noisy_seeds(tin, real, self.params.clusters(self._scale), region.triangles(tin))
+        region.add_points(vx, vy, uncertified)
         return seeds[np.isin(position_keys(x[seeds], y[seeds]), position_keys(vx[noise], vy[noise]))]
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
         """Label the points of the window, and return a mask of the uncertified labels too."""
-        labels, marked = super().label(points)
+        labels, uncertified_labels = super().label(points)
         if self.tin is not None:
             below, _ = outside(points.xyz[2], self._scale, self._tails)
             labels[below & (labels != GROUND)] = LOW_NOISE
-        return labels, marked
+        return labels, uncertified_labels
 
 
 def _triangulate(x: Int32, y: Int32, z: Int32, seeds: Bool, ring: Int32) -> Tin:

@@ -64,8 +64,8 @@ class Chen2023Parameters(Progressive):
         maximum=0.1, source="Chen 2023, 2.1 a",
     )  # fmt: skip
     long_side: float = parameter(
-        1.5, "seeds: the highest corner of a facet is noise if a side is longer than this many largest buildings; 0: "
-        "off",
+        1.5, "seeds: the highest corner of a facet is noise if a side is longer than this multiple of "
+        "max_building_size; 0: off",
         minimum=0.0, maximum=1000.0, source="Chen 2023, 2.3 (1)",
     )  # fmt: skip
     narrow_angle_deg: float = parameter(
@@ -113,7 +113,7 @@ class Chen2023Parameters(Progressive):
 
     @property
     def ring_cell_m(self) -> float:
-        """Side of the cells of virtual points around the border: half the largest building."""
+        """Size of the cells of virtual points around the border: half the largest building."""
         return self.max_building_size_m / 2.0
 
     @property
@@ -126,7 +126,7 @@ class Chen2023Parameters(Progressive):
 
     @property
     def candidate_cell_m(self) -> float:
-        """Side of the cells whose lowest point is the candidate."""
+        """Size of the cells whose lowest point is the candidate."""
         return self.thin_cell_m
 
     def opening(self, scale: Scale) -> Opening:

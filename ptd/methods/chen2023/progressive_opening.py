@@ -1,9 +1,9 @@
 """Progressive morphological opening of a minimum raster, which finds cells of objects (Chen 2023, 2.2 B).
 
-The paper opens the surface repeatedly with growing square windows, each time the result of the last opening. An opening
-with a square after one with a smaller square equals the opening of the first surface with the larger square, because a
-square is a union of smaller ones. So each surface here is an opening of the first one, and only cells within one
-window's width decide on a cell, however many windows there are.
+The paper opens the surface with growing square windows, and each opening starts from the result of the last one. An
+opening with a square after one with a smaller square equals the opening of the first surface with the larger square,
+because a square is a union of smaller ones. So each surface here is an opening of the first one, and only cells within
+one window's width decide on a cell, however many windows there are.
 """
 
 from __future__ import annotations
@@ -157,12 +157,12 @@ def object_cells(heights: Int32, opening: Opening, known: Bool | None) -> tuple[
     for opened, drop in zip(opened_surfaces(surface, opening.widths), opening.drops, strict=True):
         objects |= previous_surface - opened > drop
         previous_surface = opened.astype(np.int64)
-    unsure = np.zeros(objects.shape, np.bool_)
+    uncertified = np.zeros(objects.shape, np.bool_)
     if known is not None and not known.all():
         to_unknown = scipy.ndimage.distance_transform_cdt(known, "chessboard")
-        doubtful = to_unknown <= np.where(layers < 0, reach, layers)
-        unsure = _runs(doubtful[inner], 2 * reach + 1, np.logical_or)
-    return objects, unsure
+        near_unknown = to_unknown <= np.where(layers < 0, reach, layers)
+        uncertified = _runs(near_unknown[inner], 2 * reach + 1, np.logical_or)
+    return objects, uncertified
 
 
 def potential_seeds(
@@ -185,12 +185,12 @@ def potential_seeds(
     Returns
     -------
     seeds : bool [n]
-    unsure : bool [n]
+    uncertified : bool [n]
         Mask of the points for which points outside the window could change the result.
     """
-    seeds, unsure = np.zeros(x.size, np.bool_), np.zeros(x.size, np.bool_)
+    seeds, uncertified = np.zeros(x.size, np.bool_), np.zeros(x.size, np.bool_)
     if not x.size:
-        return seeds, unsure
+        return seeds, uncertified
     columns, rows = cells.cell_indices(x, y)
     rim, order = 2 * opening.reach, np.argsort(rows, kind="stable")
     for part, inner in blocks(x[order], y[order], cells, rim, BLOCK_CELLS):
@@ -208,13 +208,13 @@ def potential_seeds(
         taken = taken[within]
         heights[rows[taken] - row, columns[taken] - column] = z[taken]
         inside = _known_cells(cells, known, int(row), int(column), heights.shape)
-        objects, doubtful = object_cells(heights, opening, inside)
+        objects, uncertified_cells = object_cells(heights, opening, inside)
         cell_positions = rows[inner_points] - row - rim, columns[inner_points] - column - rim
-        seeds[inner_points], unsure[inner_points] = (
+        seeds[inner_points], uncertified[inner_points] = (
             eligible[inner_points] & ~objects[cell_positions],
-            doubtful[cell_positions],
+            uncertified_cells[cell_positions],
         )
-    return seeds, unsure
+    return seeds, uncertified
 
 
 def _known_cells(

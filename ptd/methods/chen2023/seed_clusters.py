@@ -77,7 +77,7 @@ def _highest(vertices: Int32Array, facet: Int32Array) -> int:
 def _judge_facets(
     vertices: Int32Array, facets: Int32Array, real: Bool, long_side: float, narrow_cos: float, z_ratio: float
 ) -> tuple[Int32Array, Bool]:
-    """The corner of each facet that is noise (-1: none), and whether a facet joins its corners to a cluster."""
+    """Return, for each facet, the corner that is noise (-1: none), and whether it joins its corners to a cluster."""
     tips = np.full(facets.shape[0], -1, np.int32)
     joins = np.zeros(facets.shape[0], np.bool_)
     for i in range(facets.shape[0]):
@@ -122,7 +122,7 @@ def _sums(
 ) -> tuple[Int64, Int64, Int64, Int64]:
     """Return, by cluster, the number and the sum of heights of its seeds and of neighbours across its border.
 
-    A neighbour counts once per facet.
+    A neighbour counts once per facet and corner of the cluster in it.
     """
     n = clusters.size
     size, total = np.zeros(n, np.int64), np.zeros(n, np.int64)
@@ -141,16 +141,17 @@ def _sums(
     return size, total, around, total_around
 
 
-def noisy_seeds(tin: Tin, real: Bool, limits: ClusterLimits, in_doubt: UInt8) -> tuple[Bool, Bool]:
-    """Masks of the seeds that are noise, and of those for which that is uncertain.
+def noisy_seeds(tin: Tin, real: Bool, limits: ClusterLimits, uncertified: UInt8) -> tuple[Bool, Bool]:
+    """Return masks of the seeds that are noise, and of those for which that is uncertified.
 
     1. If a facet has an over-long side in space, its highest corner is noise. All facets are judged in one TIN.
     2. Facets that are not narrow and hold no such noise join their corners to clusters. A small cluster that lies
        higher than its neighbours, on average, is noise.
 
     The paper gives neither the limits nor the reference of "locally prominent". Here it is the mean height of the seeds
-    that share a facet with the cluster, each counted once per facet. Facets join over common corners, so each seed
-    belongs to one cluster. Virtual seeds are never noise, join nothing, and are not compared with.
+    that share a facet with the cluster, each counted once per facet and corner of the cluster in it. Facets join over
+    common corners, so each seed belongs to one cluster. Virtual seeds are never noise, join nothing, and are not
+    compared with.
 
     Parameters
     ----------
@@ -158,44 +159,50 @@ def noisy_seeds(tin: Tin, real: Bool, limits: ClusterLimits, in_doubt: UInt8) ->
     real : bool [vertices]
         False for virtual seeds.
     limits : ClusterLimits
-    in_doubt : uint8 [triangles]
+    uncertified : uint8 [triangles]
         Mask of uncertified triangles (`ptd.ground.certificates.UncertifiedRegion.triangles`).
 
     Returns
     -------
     noise : bool [vertices]
-    unsure : bool [vertices]
+    uncertified_seeds : bool [vertices]
     """
     vertices = tin.vertex_array[: 4 * tin.n_vertices].reshape(-1, 4)
     facets = real_facets(tin.vertex_array, tin.triangle_array, tin.counters)
     corners = tin.triangle_array[: 8 * tin.n_triangles].reshape(-1, 8)[:, VERTEX : VERTEX + 3]
-    shaky = in_doubt[(corners >= 0).all(axis=1)] != 0
-    doubtful = corners[in_doubt != 0]  # also beyond the hull, where a vertex may have unknown facets
+    uncertified_facets = uncertified[(corners >= 0).all(axis=1)] != 0
+    uncertified_corners = corners[
+        uncertified != 0
+    ]  # also beyond the hull, where a vertex may have unknown facets
     tips, joins = _judge_facets(vertices, facets, real, limits.long_side, limits.narrow_cos, limits.z_ratio)
     noise = np.zeros(real.size, np.bool_)
     noise[tips[tips >= 0]] = True
-    unsure = np.zeros(real.size, np.bool_)
-    if doubtful.size:
-        unsure[doubtful[doubtful >= 0]] = True
-        unsure &= real
-        unsure[tips[(tips >= 0) & ~shaky]] = False
-        shaky |= unsure[facets].any(axis=1)
+    uncertified_seeds = np.zeros(real.size, np.bool_)
+    if uncertified_corners.size:
+        uncertified_seeds[uncertified_corners[uncertified_corners >= 0]] = True
+        uncertified_seeds &= real
+        uncertified_seeds[tips[(tips >= 0) & ~uncertified_facets]] = False
+        uncertified_facets |= uncertified_seeds[facets].any(axis=1)
     joins &= ~noise[facets].any(axis=1)
     clusters = _flood(facets, joins, real.size)
     size, total, around, total_around = _sums(vertices, facets, clusters, real & ~noise)
     small = (size <= limits.small) & (size > 0) & (around > 0)
     rise = total / np.maximum(size, 1) - total_around / np.maximum(around, 1)
     is_noise = noise | ((small & (rise > limits.prominence))[clusters] & real)
-    if shaky.any():
-        unsure |= _unsure_clusters(facets, joins, shaky, clusters, limits.small) & real
-    return is_noise, unsure
+    if uncertified_facets.any():
+        uncertified_seeds |= (
+            _uncertified_clusters(facets, joins, uncertified_facets, clusters, limits.small) & real
+        )
+    return is_noise, uncertified_seeds
 
 
-def _unsure_clusters(facets: Int32Array, joins: Bool, shaky: Bool, clusters: Int32Array, small: int) -> Bool:
+def _uncertified_clusters(
+    facets: Int32Array, joins: Bool, uncertified_facets: Bool, clusters: Int32Array, small: int
+) -> Bool:
     """Return the vertices of clusters that touch an uncertified facet, unless certified facets make them large."""
     touched = np.zeros(clusters.size, np.bool_)
-    touched[clusters[facets[shaky]]] = True
-    certain = _flood(facets, joins & ~shaky, clusters.size)
+    touched[clusters[facets[uncertified_facets]]] = True
+    certain = _flood(facets, joins & ~uncertified_facets, clusters.size)
     members = np.bincount(certain, minlength=clusters.size)
-    is_unsure: Bool = touched[clusters] & (members[certain] <= small)
-    return is_unsure
+    is_uncertified: Bool = touched[clusters] & (members[certain] <= small)
+    return is_uncertified

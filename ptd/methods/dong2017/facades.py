@@ -178,9 +178,9 @@ def _variation(
 
 
 @kernel
-def _flat(points: Xyz, table: CellTable, seeds: Int32, places: tuple[Int64, Int64], rule: FacadeRule) -> Bool:
+def _flat(points: Xyz, table: CellTable, seeds: Int32, cells: tuple[Int64, Int64], rule: FacadeRule) -> Bool:
     x, y, z = points
-    columns, rows = places
+    columns, rows = cells
     out = np.zeros(seeds.size, np.bool_)
     for k in range(seeds.size):
         out[k] = _variation(x, y, z, table, columns[k], rows[k], seeds[k], rule.z_ratio) < rule.variation

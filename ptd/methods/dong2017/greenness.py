@@ -19,7 +19,7 @@ BINS = 128
 """Number of bins of the histogram of the index, which ranges from -1 to 1."""
 
 GREY = BINS // 2
-"""The first bin of colours greener than grey."""
+"""The bin that begins at grey. Greener colours are in it and above."""
 
 COLOURLESS = -1
 """Bin of black points. A source without colours has only such points."""

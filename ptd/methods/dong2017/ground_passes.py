@@ -20,7 +20,7 @@ from ptd.methods.dong2017.seed_passes import VEGETATION
 from ptd.passes import MethodRefusal, Pass, Points, State, StatisticsModel, UInt8, add_notes
 from ptd.tin.mesh import Tin
 
-PLANE = Bins(0.025, 120, 0.01, 60)
+HISTOGRAM_BINS = Bins(0.025, 120, 0.01, 60)
 """Histogram of distances and angles, which covers eight times the published distance and twice the angle."""
 
 JUMP_BINS = 2
@@ -46,7 +46,7 @@ class FirstMeasurement(Pass):
     def fit(
         self, points: Points, window: Window, core: Window, scale: Scale, state: State
     ) -> StatisticsModel:
-        """Count the open points of the core in compact facets."""
+        """Count the unclassified points of the core in facets that are not wide, by distance and angle."""
         labels = points.known_labels()
         tin = Tin.build(*points.xyz[:, labels == GROUND])
         trial = Trial(tin, scale, self.widest_m)
@@ -64,7 +64,7 @@ class FirstMeasurement(Pass):
                 f"no jump in the distances to the TIN of {state['seeds']} seeds: too few seeds near each other; "
                 "use another method, or --set seed_cell to something larger"
             )
-        threshold = Threshold(jump * JUMP_BINS * PLANE.distance_m, contour.angle_rad)
+        threshold = Threshold(jump * JUMP_BINS * HISTOGRAM_BINS.distance_m, contour.angle_rad)
         return _with_threshold(state, "first TIN of seeds", threshold)
 
 
@@ -144,18 +144,20 @@ class FinalGrowth(Growth):
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
         """Label the points, with vegetation as unclassified."""
-        labels, marked = super().label(points)
+        labels, uncertified_labels = super().label(points)
         labels[labels == VEGETATION] = UNCLASSIFIED
-        return labels, marked
+        return labels, uncertified_labels
 
 
 def _measured(trial: Trial, points: Points, core: Window, which: Bool) -> StatisticsModel:
-    counts = trial.count(*points.columns(), which & core.contains(points.xyz[0], points.xyz[1]), PLANE)
+    counts = trial.count(
+        *points.columns(), which & core.contains(points.xyz[0], points.xyz[1]), HISTOGRAM_BINS
+    )
     return StatisticsModel({"plane": counts.tolist()}, {"measured": int(counts.sum())})
 
 
 def _summed(partials: Iterable[dict[str, Any]]) -> Int64:
-    plane = np.zeros((PLANE.distances, PLANE.angles), np.int64)
+    plane = np.zeros((HISTOGRAM_BINS.distances, HISTOGRAM_BINS.angles), np.int64)
     for partial in partials:
         plane += np.array(partial["plane"], np.int64)
     return plane
@@ -168,7 +170,7 @@ def _contour(plane: Int64, level: float) -> Threshold | None:
     contour_bins = contour_reach(plane, max(level * plane.max(), 1.0))
     if contour_bins is None:
         return None
-    return Threshold(contour_bins[0] * PLANE.distance_m, contour_bins[1] * PLANE.angle_rad)
+    return Threshold(contour_bins[0] * HISTOGRAM_BINS.distance_m, contour_bins[1] * HISTOGRAM_BINS.angle_rad)
 
 
 def _with_threshold(state: State, where: str, found: Threshold, denser: bool = True) -> dict[str, Any]:

@@ -30,14 +30,14 @@ class Stage(NamedTuple):
     Attributes
     ----------
     cell_m : float
-        Side in metres of the cells. Each cell with ground gives one vertex.
+        Size of the cells in metres. Each cell with ground gives one vertex.
     widest_m : float
         Largest circumradius of a facet that tests points.
     tins : int
         Number of TINs, one after the other.
     rim : bool
-        Whether virtual points surround the ground, so that it grows outward too. Without them, each cell holds one
-        ground point.
+        Whether virtual points surround the ground, so that it grows outward too. Without them, each cell must
+        contain at most one ground point.
     """
 
     cell_m: float
@@ -92,15 +92,15 @@ class Growth(Model):
         box = (0, 0, 1, 1)
         if x.size:
             box = box_with_ring(x, y, cells)
-        self._doubt = UncertifiedRegion(known, known, box, scale)
+        self._region = UncertifiedRegion(known, known, box, scale)
         labels = points.known_labels()
         ground = labels == GROUND
         self._trials = [self._trial(points, ground, cells, 0)]
         for salt in range(1, stage.tins):
             todo = (labels == UNCLASSIFIED) & ~ground
-            passed, doubtful = self._trials[-1].test(x, y, z, todo, threshold, self._doubt)
+            passed, uncertified = self._trials[-1].test(x, y, z, todo, threshold, self._region)
             ground |= passed
-            _doubt_cells(self._doubt, cells, x, y, ground, doubtful)
+            _add_uncertified_cells(self._region, cells, x, y, ground, uncertified)
             self._trials.append(self._trial(points, ground, cells, salt))
         self.stats = {"tins": stage.tins, "vertices": self._trials[-1].tin.n_vertices}
 
@@ -109,21 +109,21 @@ class Growth(Model):
         if self.stage.rim:
             x, y, z = vertices
             vertices = np.concatenate([vertices, rim(x, y, z, cells).T], axis=1)
-        return Trial(Tin.build(*vertices), self.scale, self.stage.widest_m, self._doubt)
+        return Trial(Tin.build(*vertices), self.scale, self.stage.widest_m, self._region)
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
         """Label points that pass in one of the TINs as ground, and keep all other labels."""
         x, y, z = points.columns()
         labels = points.known_labels().copy()
-        todo, marked = labels == UNCLASSIFIED, np.zeros(x.size, np.bool_)
+        todo, uncertified_labels = labels == UNCLASSIFIED, np.zeros(x.size, np.bool_)
         for trial in self._trials:
-            passed, doubtful = trial.test(x, y, z, todo, self.threshold, self._doubt)
+            passed, uncertified = trial.test(x, y, z, todo, self.threshold, self._region)
             labels[passed] = GROUND
-            marked |= doubtful
-            sure = passed & ~doubtful
-            marked[sure] = False
+            uncertified_labels |= uncertified
+            sure = passed & ~uncertified
+            uncertified_labels[sure] = False
             todo &= ~sure
-        return labels, marked
+        return labels, uncertified_labels
 
 
 def picks(points: Points, ground: Bool, cells: CellLattice, salt: int) -> Int64:
@@ -133,18 +133,18 @@ def picks(points: Points, ground: Bool, cells: CellLattice, salt: int) -> Int64:
     return index[random_per_cell(x, y, z, cells, salt)]
 
 
-def _doubt_cells(
-    doubt: UncertifiedRegion, cells: CellLattice, x: Int32, y: Int32, ground: Bool, doubtful: Bool
+def _add_uncertified_cells(
+    region: UncertifiedRegion, cells: CellLattice, x: Int32, y: Int32, ground: Bool, uncertified: Bool
 ) -> None:
     """Make the cells of uncertified points uncertified, and the empty cells around them."""
-    if not doubt.active or not doubtful.any():
+    if not region.active or not uncertified.any():
         return
-    sure = ground & ~doubtful
-    doubtful_cells = set(cells_of(x[doubtful], y[doubtful], cells))
+    sure = ground & ~uncertified
+    uncertified_cells = set(cells_of(x[uncertified], y[uncertified], cells))
     filled = set(cells_of(x[sure], y[sure], cells))
     around: set[tuple[int, int]] = set()
-    for column, row in doubtful_cells:
+    for column, row in uncertified_cells:
         for r in range(row - REACH, row + REACH + 1):
             around.update((c, r) for c in range(column - REACH, column + REACH + 1))
-    for c, r in doubtful_cells | (around - filled):
-        doubt.add_box(cells.west(c), cells.south(r), cells.west(c + 1), cells.south(r + 1))
+    for c, r in uncertified_cells | (around - filled):
+        region.add_box(cells.west(c), cells.south(r), cells.west(c + 1), cells.south(r + 1))

@@ -42,7 +42,8 @@ Deviations:
 - A cell holds a facade only if chance does not explain its number of points.
 - A seed is dropped for a lower one only if ground cannot be so steep (equation 1). Otherwise only the lowest seed of a
   slope would stay.
-- The paper does not explain the first angle. Here it is the contour's among the points within the first distance.
+- The paper does not explain the first angle. Here it is the largest angle of the contour of the points within the
+  first distance.
 - The smallest of a point's angles counts, as the paper says in 3.3.4 (Axelsson takes the largest).
 - The paper tests only ground between facades. Here each TIN holds the points that passed in earlier ones of the same
   density, and a rim of virtual points on the planes of the ground, so ground grows beyond the facades. Facets across
@@ -164,7 +165,7 @@ class Dong2017(Dong2017Parameters):
 
     @property
     def align_m(self) -> float:
-        """Side of the cells of the first densification. Windows consist of whole cells of it."""
+        """Size of the cells of the first densification. Windows consist of whole cells of it."""
         return self.first_spacing_m
 
     @property
@@ -181,8 +182,8 @@ class Dong2017(Dong2017Parameters):
     def seed_reach_m(self) -> float:
         """Metres from a point within which points decide whether it is a seed.
 
-        The distance leads over the facade to the block on its other side, for the point and for its neighbours in
-        podium and seed cell.
+        It covers the way over the facade to the flatness block on the other side, and the same for all seeds in the
+        podium radius and in the seed cell.
         """
         point_reach_m = 2 * self.seed_distance_m + 2 * BLOCK_CELLS * self.facade_cell_m
         return point_reach_m + self.podium_radius_m + math.sqrt(2) * self.seed_cell_m

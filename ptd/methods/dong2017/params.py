@@ -13,7 +13,7 @@ class Dong2017Parameters:
     """Settings of `dong2017`, to which `ptd.methods.dong2017.method.Dong2017` adds the passes."""
 
     facade_cell_m: float = parameter(
-        1.0, "side of the cells in which projected points are counted", unit="m", minimum=0.25, maximum=10.0,
+        1.0, "size of the cells in which projected points are counted", unit="m", minimum=0.25, maximum=10.0,
         source="Dong 2017, 3.3.2: GRIDESIZE",
     )  # fmt: skip
     facade_height_m: float = parameter(
@@ -45,13 +45,13 @@ class Dong2017Parameters:
         0.3, "steepest slope between two seeds that are both ground", minimum=0.0, maximum=5.0,
         source="Dong 2017, equation 1: 0.3",
     )  # fmt: skip
-    seed_cell_m: float = parameter(15.0, "one seed, the lowest, per cell of this side", 2.0, 200.0, "m")
+    seed_cell_m: float = parameter(15.0, "one seed, the lowest, per cell of this size", 2.0, 200.0, "m")
     first_spacing_m: float = parameter(
-        4.0, "side of the cells of the first TIN of ground, halved until the last", unit="m", minimum=0.5,
+        4.0, "size of the cells of the first TIN of ground, halved until the last", unit="m", minimum=0.5,
         maximum=50.0, source="Dong 2017, table 4: 4 m",
     )  # fmt: skip
     last_spacing_m: float = parameter(
-        1.0, "side of the cells of the last TIN of ground", 0.25, 50.0, "m", source="Dong 2017, table 4: 2 m"
+        1.0, "size of the cells of the last TIN of ground", 0.25, 50.0, "m", source="Dong 2017, table 4: 2 m"
     )
     tins: int = parameter(
         8,
@@ -75,7 +75,7 @@ class Dong2017Parameters:
 
     @property
     def spacings_m(self) -> tuple[float, ...]:
-        """Sides of the cells of the TINs of ground, halved from the first down to the last."""
+        """Sizes of the cells of the TINs of ground, halved from the first down to the last."""
         spacings_m = [self.first_spacing_m]
         while spacings_m[-1] > self.last_spacing_m:
             spacings_m.append(max(spacings_m[-1] / 2, self.last_spacing_m))

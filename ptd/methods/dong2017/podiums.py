@@ -21,17 +21,17 @@ NOISE_QUANTILE = 1.65
 
 
 @kernel
-def _overhung(
+def _too_high(
     points: Xyz,
     table: CellTable,
-    places: tuple[Int64, Int64],
+    cells: tuple[Int64, Int64],
     radius: float,
     slope: float,
     noise: float,
     z_ratio: float,
 ) -> Bool:
     x, y, z = points
-    columns, rows = places
+    columns, rows = cells
     out = np.zeros(x.size, np.bool_)
     for i in range(x.size):
         for row in range(rows[i] - 1, rows[i] + 2):
@@ -76,5 +76,5 @@ def on_podium(
         return np.zeros(0, np.bool_)
     index = CellIndex(x, y, CellLattice.of(radius_m, scale))
     noise = NOISE_QUANTILE * math.sqrt(2.0) * scale.counts(sigma_m)
-    places, radius = index.cell_indices(x, y), scale.counts(radius_m)
-    return _overhung(Xyz(x, y, z), index.table, places, radius, slope, noise, scale.z_ratio)
+    cells, radius = index.cell_indices(x, y), scale.counts(radius_m)
+    return _too_high(Xyz(x, y, z), index.table, cells, radius, slope, noise, scale.z_ratio)

@@ -115,7 +115,8 @@ class SeedPass(Pass):
         if not total["seeds"]:
             raise MethodRefusal(
                 f"no seed found beside the facades ({total['facade_points']} points in them): no flat place "
-                f"{p.seed_distance_m:g} m from one; use another method, or other --set seed_distance, a larger --sigma"
+                f"{p.seed_distance_m:g} m from one; use another method, change --set seed_distance, or give a larger "
+                "--sigma"
             )
         note = (
             f"facades: {total['facade_points']:,} points in dense cells; {total['seeds']:,} seeds beside them"
@@ -203,7 +204,7 @@ def _sigma(state: State, patches: list[dict[str, Any]]) -> tuple[float, str]:
 
 
 def _points_by_count(x: Int32, y: Int32, cells: CellLattice, own: Bool) -> list[list[int]]:
-    """Pairs of a number and the core's points in cells with that number of points, in ascending order."""
+    """Return pairs (n, m), ascending in n: m points of the core lie in cells with n points."""
     if not x.size:
         return []
     columns, rows = cells.cell_indices(x, y)

@@ -10,7 +10,7 @@ import math
 
 import numpy as np
 
-from ptd.cells import CellTable, Int32, Int64, keys_in, slot_of
+from ptd.cells import CellTable, Int32, Int64, cell_keys, slot_of
 from ptd.frame import CellLattice
 from ptd.ground.planes import MOMENTS, add_point, fit_plane
 from ptd.ground.seeds import RING
@@ -73,7 +73,7 @@ def rim(x: Int32, y: Int32, z: Int32, cells: CellLattice) -> Int32:
     col0, row0 = cells.column(int(x.min())) - REACH, cells.row(int(y.min())) - REACH
     width = cells.column(int(x.max())) + REACH + 1 - col0
     height = cells.row(int(y.max())) + REACH + 1 - row0
-    keys = keys_in(x, y, cells, col0, row0, width)
+    keys = cell_keys(x, y, cells, col0, row0, width)
     order = np.argsort(keys)
     keys = keys[order]
     steps = np.arange(-RING, RING + 1, dtype=np.int64)

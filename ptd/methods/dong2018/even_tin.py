@@ -37,7 +37,7 @@ class EvenTin:
         Points of the window, local counts, in any order.
     ground : bool [n]
     scale_m : float
-        Side of the cells; each gives one ground point as a vertex.
+        Size of the cells; each gives one ground point as a vertex.
     window : Window
     scale : Scale
     """
@@ -56,8 +56,8 @@ class EvenTin:
         if picked.size:
             px, py = x[picked], y[picked]
             box = int(px.min()), int(py.min()), int(px.max()) + 1, int(py.max()) + 1
-        self._doubt = UncertifiedRegion(known, known, box, scale)
-        self._trial = Trial(tin, scale, MAX_WIDTH_M, self._doubt, largest=True)
+        self._region = UncertifiedRegion(known, known, box, scale)
+        self._trial = Trial(tin, scale, MAX_WIDTH_M, self._region, largest=True)
         self.vertices = int(picked.size)
 
     def histogram(self, x: Int32, y: Int32, z: Int32, which: Bool) -> Int64:
@@ -69,4 +69,4 @@ class EvenTin:
     ) -> tuple[Bool, Bool]:
         """Return masks of the chosen points within distance and angle of their facet, and of uncertified results."""
         threshold = Threshold(distance_m, math.radians(angle_deg))
-        return self._trial.test(x, y, z, which, threshold, self._doubt)
+        return self._trial.test(x, y, z, which, threshold, self._region)

@@ -8,7 +8,7 @@ themselves, scale by scale.
 2. ``DEN_thr = k tan^2(alpha) / (3 sqrt(3) sigma^2)`` (eq. 3): in a denser TIN, noise decides.
 3. Stage one is `classic`; a facet denser than DEN_thr takes no more vertices. A cloud sparser than DEN_thr ends here,
    with exactly the labels that `classic` gives with the same parameters.
-4. Stage two, for scales s = 4, 2, 1 m: one random ground point per cell of side s makes an even TIN. The distances and
+4. Stage two, for scales s = 4, 2, 1 m: one random ground point per cell of size s makes an even TIN. The distances and
    angles of all other ground points to it make a 2-D histogram, and the reach of its outer contour gives a new pair of
    thresholds. Every unclassified point below both joins the ground.
 
@@ -48,7 +48,7 @@ Figures are in ``docs/filters.md``. Deviations, and answers to questions that th
   photogrammetric clouds have a blunder below the ground under nearly every cell.
 - "Until the TIN's density passes DEN_thr" is decided facet by facet. In batches, the mean density of a run would pass
   it in the first round, before slopes and corners are reached.
-- If no point passes before the TIN is so dense, stage two follows too, because noise ended stage one.
+- If densification ends before the TIN reaches DEN_thr, stage two follows as well, because noise ended stage one.
 - Points are thinned in stage one, so that the TIN can just pass DEN_thr. A thinning cell that cannot reach it is
   refused.
 - A random choice is a hash of the point's absolute position. Facets of a circumradius above 20 m test no points in
@@ -73,7 +73,8 @@ from ptd.methods.dong2018.stage_two import JoinPass, MeasurePass
 from ptd.passes import Method, Pass
 
 STAGE_ONE_ALONE = (
-    "dong2018: such heights are too sparse and too good for noise to matter, so there is no stage two"
+    "dong2018: robust heights of cells are too sparse and too accurate for noise to matter, so there is no "
+    "stage two"
 )
 """Note for runs on a photogrammetric cloud."""
 

@@ -20,7 +20,7 @@ class Dong2018Parameters(Progressive):
         maximum=1000.0, source="Dong 2018, 2.3",
     )  # fmt: skip
     thin_cell_m: float = parameter(
-        0.0, "stage one: only the lowest point of a cell of this side can become a vertex; 0: as DEN_thr requires",
+        0.0, "stage one: only the lowest point of a cell of this size can become a vertex; 0: as DEN_thr requires",
         unit="m", minimum=0.0, maximum=100.0,
     )  # fmt: skip
     rounds: int = parameter(8, "rounds of stage one; 0: until no point passes", 0, 1000)
@@ -49,7 +49,7 @@ class Dong2018Parameters(Progressive):
 
     @property
     def scales_m(self) -> tuple[float, ...]:
-        """Sides of the cells of stage two, beginning with the largest."""
+        """Sizes of the cells of stage two, beginning with the largest."""
         n = int(math.log2(self.first_scale_m / self.last_scale_m) + 1e-9)
         return tuple(self.first_scale_m / 2**k for k in range(n + 1))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from ptd.cells import Int32, Int64, keys_in, lowest_per_cell
+from ptd.cells import Int32, Int64, cell_keys, lowest_per_cell
 from ptd.frame import CellLattice, Scale
 from ptd.ground.outliers import LowNoise
 from ptd.kernel import kernel
@@ -55,7 +55,7 @@ def pits(x: Int32, y: Int32, z: Int32, depth_m: float, scale: Scale) -> LowNoise
     cells = CellLattice.of(CELL_M, scale)
     lowest = lowest_per_cell(x, y, z, cells)
     x, y, heights = x[lowest], y[lowest], z[lowest].astype(np.int64)
-    keys = keys_in(x, y, cells, cells.column(0), cells.row(0), _ROW)
+    keys = cell_keys(x, y, cells, cells.column(0), cells.row(0), _ROW)
     order = np.argsort(keys)
     keys, heights = keys[order], heights[order]
     around = []

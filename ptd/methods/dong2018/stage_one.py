@@ -150,7 +150,7 @@ class StageOneModel(TinLabels):
         limits = replace(params, edge_length_stop_m=max(params.edge_length_stop_m, edge)).limits(scale)
         cells = CellLattice.of(cell, scale)
         known = window.inside(CellLattice.of(pits.CELL_M, scale), pits.REACH_CELLS).inside(cells)
-        tin, in_doubt, rounds = densify_seeds(
+        tin, uncertified, rounds = densify_seeds(
             Xyz(x, y, z),
             np.zeros(x.size, np.bool_),
             CellLattice.of(params.max_building_size_m, scale),
@@ -160,14 +160,14 @@ class StageOneModel(TinLabels):
             scale,
         )
         self.stats.update(candidates=int(x.size), rounds=rounds, pit_points=int(low.sum()))
-        self.finish(tin, in_doubt, LabelRule(limits, 0.0, vertices_only=True))
+        self.finish(tin, uncertified, LabelRule(limits, 0.0, vertices_only=True))
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
         """Label vertices as ground, and points in pits below the TIN as low noise."""
-        labels, marked = super().label(points)
+        labels, uncertified_labels = super().label(points)
         if self.tin is not None:
             x, y, z = points.columns()
             low = np.flatnonzero((labels != GROUND) & self._pits.holds(x, y, z))
             below = z[low] < self.tin.heights(x[low], y[low]) - self._depth
             labels[low[below]] = LOW_NOISE
-        return labels, marked
+        return labels, uncertified_labels

@@ -19,7 +19,7 @@ from ptd.methods.dong2018.stage_one import with_notes
 from ptd.passes import Model, Pass, Points, State, StatisticsModel, UInt8
 
 JOINED = 4
-"""Label of points that joined at the last scale; other labels between passes are ASPRS classes."""
+"""Label of points that joined at the most recent scale; other labels between passes are ASPRS classes."""
 
 
 @dataclass(frozen=True)
@@ -153,9 +153,9 @@ class JoinModel(Model):
             return labels, np.zeros(len(points), np.bool_)
         x, y, z = points.columns()
         waiting = previous_labels == UNCLASSIFIED
-        passed, marked = self._even.near(x, y, z, waiting, self._distance_m, self._angle_deg)
+        passed, uncertified_labels = self._even.near(x, y, z, waiting, self._distance_m, self._angle_deg)
         labels[passed] = self._label
-        return labels, marked
+        return labels, uncertified_labels
 
 
 def _goes_on(state: State) -> bool:

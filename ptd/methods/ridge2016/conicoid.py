@@ -31,27 +31,34 @@ MIN_NEIGHBOURS = 10
 DEPENDENT = 1e-6
 """Smallest share of a column that has to be independent of the other columns.
 
-Otherwise the conicoid is undetermined. In the same way, the fit must leave this share of a seed's own height open, or
-there is no residual. In both cases the seed stays.
+Otherwise the conicoid is undetermined. If 1 - leverage of the seed is at most this share, its own height determines
+the fit, and there is no residual. In both cases the seed stays.
 """
 
 
 @kernel
 def _gather(
-    mesh: Mesh, v: int, centre: int, data: Bool, seen: Int32Array, found: Int32Array, n: int, in_doubt: UInt8
+    mesh: Mesh,
+    v: int,
+    centre: int,
+    data: Bool,
+    seen: Int32Array,
+    found: Int32Array,
+    n: int,
+    uncertified: UInt8,
 ) -> tuple[int, bool]:
-    """Append the new data vertices around v to the n found before, relative to the centre.
+    """Append the data vertices around v that were not yet found for this centre to the n found before.
 
     Returns the new number, and whether a triangle around v is uncertified.
     """
     vertices, triangles = mesh
-    unsure = False
+    is_uncertified = False
     start = vertices[4 * v + 3]
     edge = np.int64(8) * start
     while triangles[edge + 4] != v:
         edge += 1
     while True:
-        unsure = unsure or in_doubt[edge >> 3] != 0
+        is_uncertified = is_uncertified or uncertified[edge >> 3] != 0
         other = triangles[next_edge(edge) + 4]
         if other >= 0 and data[other] and seen[other] != centre:
             seen[other] = centre
@@ -59,7 +66,7 @@ def _gather(
             n += 1
         edge = next_edge(triangles[next_edge(edge)])
         if edge >> 3 == start:
-            return n, unsure
+            return n, is_uncertified
 
 
 @kernel
@@ -112,7 +119,7 @@ def _fit(rows: Float64, n: int) -> tuple[float, float, float]:
 
 @kernel
 def _statistics(
-    mesh: Mesh, n_vertices: int, data: Bool, in_doubt: UInt8, length: float
+    mesh: Mesh, n_vertices: int, data: Bool, uncertified: UInt8, length: float
 ) -> tuple[Float64, Float64, Int32Array, Bool]:
     """Return normalised residual (0: not judged), residual in vertical counts, and number of observations by vertex.
 
@@ -120,7 +127,7 @@ def _statistics(
     """
     vertices = mesh[0]
     statistic, residual = np.zeros(n_vertices), np.zeros(n_vertices)
-    observations, unsure = np.zeros(n_vertices, np.int32), np.zeros(n_vertices, np.bool_)
+    observations, uncertified_vertices = np.zeros(n_vertices, np.int32), np.zeros(n_vertices, np.bool_)
     seen = np.full(n_vertices, -1, np.int32)
     neighbours = np.empty(n_vertices, np.int32)
     rows = np.empty((64, UNKNOWNS + 1), np.float64)
@@ -128,10 +135,12 @@ def _statistics(
         if not data[v]:
             continue
         seen[v] = v
-        m, unsure[v] = _gather(mesh, v, v, data, seen, neighbours, 0, in_doubt)
+        m, uncertified_vertices[v] = _gather(mesh, v, v, data, seen, neighbours, 0, uncertified)
         for k in range(m):
-            m, doubtful = _gather(mesh, neighbours[k], v, data, seen, neighbours, m, in_doubt)
-            unsure[v] = unsure[v] or doubtful
+            m, neighbour_is_uncertified = _gather(
+                mesh, neighbours[k], v, data, seen, neighbours, m, uncertified
+            )
+            uncertified_vertices[v] = uncertified_vertices[v] or neighbour_is_uncertified
         observations[v] = m + 1
         if m < MIN_NEIGHBOURS:
             continue
@@ -156,11 +165,11 @@ def _statistics(
         variance = squares / (m + 1 - UNKNOWNS - 1) * (1.0 - leverage)  # equations 8 and 9
         if variance > 0.0 and 1.0 - leverage > DEPENDENT:
             statistic[v] = abs(residual[v]) / math.sqrt(variance)
-    return statistic, residual, observations, unsure
+    return statistic, residual, observations, uncertified_vertices
 
 
 def conicoid_outliers(
-    tin: Tin, data: Bool, length: float, confidence: float, least: float, doubt: UncertifiedRegion
+    tin: Tin, data: Bool, length: float, confidence: float, least: float, region: UncertifiedRegion
 ) -> npt.NDArray[np.bool_]:
     """Return a mask of the seeds that do not fit the conicoid through their neighbours, all in the same TIN.
 
@@ -182,7 +191,7 @@ def conicoid_outliers(
         1 - alpha, two-sided, of t with n - u - 1 degrees of freedom; with 1 no seed is contradicted.
     least : float
         Smallest residual that contradicts a seed, vertical counts.
-    doubt : UncertifiedRegion
+    region : UncertifiedRegion
         Uncertified region. It is extended by the positions of seeds whose result depends on points outside the window.
 
     Returns
@@ -194,10 +203,12 @@ def conicoid_outliers(
     n = tin.n_vertices
     if confidence == 1.0:
         return np.zeros(n, np.bool_)
-    in_doubt = doubt.triangles(tin)
-    statistic, residual, observations, unsure = _statistics(tin.mesh, n, data, in_doubt, length)
+    uncertified = region.triangles(tin)
+    statistic, residual, observations, uncertified_vertices = _statistics(
+        tin.mesh, n, data, uncertified, length
+    )
     xyz = tin.vertices
-    doubt.add_points(np.ascontiguousarray(xyz[:, 0]), np.ascontiguousarray(xyz[:, 1]), unsure)
+    region.add_points(np.ascontiguousarray(xyz[:, 0]), np.ascontiguousarray(xyz[:, 1]), uncertified_vertices)
     freedom = np.maximum(observations - UNKNOWNS - 1, 1)
     limit = stdtrit(freedom, 0.5 + 0.5 * confidence)
     is_outlier: Bool = data & (statistic > limit) & (abs(residual) > least)

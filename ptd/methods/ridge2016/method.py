@@ -32,8 +32,8 @@ Equation 11 ends the rounds when the terrain class grows by at most p_min of all
 and are unknown in a tile. So a first pass runs all rounds and counts, in each, the points of its tile's core that join
 the class. The sums over all tiles determine the last round. The labels of the first pass say in which round a point
 became a vertex. A vertex is replaced only by a lower one of its cell, and never returns, so these labels give the
-second pass the TIN of the last round. No tile ends earlier than its neighbour. A tile with an uncertain count is
-repeated with a wider halo. The remaining uncertain points are summed as well. If they could change the last round, a
+second pass the TIN of the last round. No tile ends earlier than its neighbour. A tile with an uncertified count is
+repeated with a wider halo. The remaining uncertified points are summed as well. If they could change the last round, a
 note reports it.
 
 Deviations:

@@ -14,7 +14,7 @@ class Ridge2016Parameters(Progressive):
     """Settings of `ridge2016`, to which `ptd.methods.ridge2016.method.Ridge2016` adds the passes."""
 
     max_building_size_m: float = parameter(
-        20.0, "w: side of the cells whose lowest point is a seed", unit="m", minimum=5.0, maximum=1000.0,
+        20.0, "w: size of the cells whose lowest point is a seed", unit="m", minimum=5.0, maximum=1000.0,
         source="Ridge 2016, table 1",
     )  # fmt: skip
     edge_length_stop_m: float = parameter(
@@ -22,7 +22,7 @@ class Ridge2016Parameters(Progressive):
         maximum=1000.0, source="Ridge 2016, table 1",
     )  # fmt: skip
     thin_cell_m: float = parameter(
-        1.0, "m: only the lowest terrain point of a cell of this side stays in the TIN; about the DTM's resolution",
+        1.0, "m: only the lowest terrain point of a cell of this size stays in the TIN; about the DTM's resolution",
         unit="m", minimum=0.1, maximum=100.0, source="Ridge 2016, 2.3",
     )  # fmt: skip
     ridge_side: float = parameter(

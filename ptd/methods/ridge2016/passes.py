@@ -19,7 +19,7 @@ from ptd.ground.labelling import GROUND, LOW_NOISE, UNCLASSIFIED, LabelRule, Tin
 from ptd.ground.seeds import RING, box_with_ring, choose_seeds
 from ptd.methods.ridge2016.params import Ridge2016Parameters
 from ptd.methods.ridge2016.seeds import Prepared
-from ptd.methods.ridge2016.sorted_cells import places_in_stacks
+from ptd.methods.ridge2016.sorted_cells import indices_in_stacks
 from ptd.methods.ridge2016.thinned_densification import GrowthCounter
 from ptd.passes import Pass, Points, State, UInt8, add_notes
 from ptd.tin.mesh import Tin
@@ -51,13 +51,13 @@ class GrowthPass(Pass):
 
         It holds the number of ``rounds`` to run, and ``points``, ``gained`` and ``unsure`` of the run.
         """
-        points, gained, unsure = 0, [0] * self.params.rounds, [0] * self.params.rounds
+        points, gained, uncertified = 0, [0] * self.params.rounds, [0] * self.params.rounds
         for part in partials:
             points += part["points"]
             gained = [a + b for a, b in zip(gained, part["gained"], strict=True)]
-            unsure = [a + b for a, b in zip(unsure, part["unsure"], strict=True)]
-        last, note = last_round(points, gained, unsure, self.params.growth)
-        figures = {"rounds": last, "points": points, "gained": gained[:last], "unsure": unsure[:last]}
+            uncertified = [a + b for a, b in zip(uncertified, part["unsure"], strict=True)]
+        last, note = last_round(points, gained, uncertified, self.params.growth)
+        figures = {"rounds": last, "points": points, "gained": gained[:last], "unsure": uncertified[:last]}
         return {**state, "ridge2016": figures, "notes": add_notes(state, note)}
 
 
@@ -66,7 +66,7 @@ def max_growth(points: int, growth: float) -> Fraction:
     return Fraction(repr(float(growth))) * points
 
 
-def last_round(points: int, gained: list[int], unsure: list[int], growth: float) -> tuple[int, str]:
+def last_round(points: int, gained: list[int], uncertified: list[int], growth: float) -> tuple[int, str]:
     """The first round in which few enough points joined the terrain class, and a note on it.
 
     Parameters
@@ -74,8 +74,8 @@ def last_round(points: int, gained: list[int], unsure: list[int], growth: float)
     points : int
     gained : list of int
         Points that joined in each round.
-    unsure : list of int
-        Points near the edge of a tile whose label is uncertain after each round.
+    uncertified : list of int
+        Points near the edge of a tile whose label is uncertified after each round.
     growth : float
         p_min of equation 11.
     """
@@ -85,7 +85,7 @@ def last_round(points: int, gained: list[int], unsure: list[int], growth: float)
     note = f"densification ends after {last} rounds, the last of which added {share:.2f} % of all points to the terrain"
     if gained[last - 1] > limit:
         note += f": still more than {100 * growth:g} %, but no more rounds were allowed"
-    slack = [before + after for before, after in pairwise([0, *unsure[:last]])]
+    slack = [before + after for before, after in pairwise([0, *uncertified[:last]])]
     if any((n - s <= limit) != (n + s <= limit) for n, s in zip(gained[:last], slack, strict=True)):
         note += "; points near tile edges could change that: a wider halo makes it certain"
     return last, note
@@ -100,7 +100,7 @@ class GrowthModel(TinLabels):
         super().__init__(window.closed, {"points": len(points), "rounds": 0})
         self._points = int(core.contains(points.xyz[0], points.xyz[1]).sum())
         self._gained = np.zeros(params.rounds, np.int64)
-        self._unsure = np.zeros(params.rounds, np.int64)
+        self._uncertified = np.zeros(params.rounds, np.int64)
         self._prepared: Prepared | None = None
         if len(points):
             self._prepared = Prepared(params, points.columns(), window, scale)
@@ -130,8 +130,8 @@ class GrowthModel(TinLabels):
         for k, step in enumerate(islice(prepared.rounds(), self._gained.size)):
             self._codes[step.vertex & (self._codes == UNCLASSIFIED)] = SEED + k
             if k == 0 or self._gained[k - 1] > enough:
-                # Rounds that are not run would add no points, and leave the uncertain points as they are.
-                self._gained[k], self._unsure[k:] = tally.count(step.tin, step.in_doubt)
+                # Fill `_uncertified` up to the end, because rounds that are not run would not change these points.
+                self._gained[k], self._uncertified[k:] = tally.count(step.tin, step.uncertified)
             done = k + 1
         return done
 
@@ -143,18 +143,18 @@ class GrowthModel(TinLabels):
         if self._prepared is None:
             return super().label(points)
         s, (x, y, z) = self._prepared.stacks, points.columns()
-        indices = places_in_stacks(x, y, z, s.x, s.y, s.z, s.raster)
+        indices = indices_in_stacks(x, y, z, s.x, s.y, s.z, s.raster)
         labels = np.where(indices >= 0, self._codes[indices], np.uint8(UNCLASSIFIED))
         labels[self._prepared.low.holds(x, y, z)] = LOW_NOISE
-        return labels, self._prepared.doubt.covers(x, y)
+        return labels, self._prepared.region.covers(x, y)
 
     def partial(self) -> dict[str, Any]:
         """Number of ``points`` in the core, and in each round ``gained`` and ``unsure`` (see `last_round`)."""
-        return {"points": self._points, "gained": self._gained.tolist(), "unsure": self._unsure.tolist()}
+        return {"points": self._points, "gained": self._gained.tolist(), "unsure": self._uncertified.tolist()}
 
     def uncertain(self) -> int:
-        """Number of points whose label is uncertain after some round."""
-        return int(self._unsure.max(initial=0))
+        """Number of points whose label is uncertified after some round."""
+        return int(self._uncertified.max(initial=0))
 
 
 @dataclass(frozen=True)
@@ -191,24 +191,25 @@ class TerrainModel(TinLabels):
             CellLattice.of(size, scale) for size in (params.thin_cell_m, params.max_building_size_m)
         )
         known = window.inside(thin)
-        doubt = UncertifiedRegion(known, known.inside(cells, RING), box_with_ring(x, y, cells), scale)
-        virtual = choose_seeds(x, y, z, np.ones(x.size, np.bool_), cells, doubt).virtual
+        region = UncertifiedRegion(known, known.inside(cells, RING), box_with_ring(x, y, cells), scale)
+        virtual = choose_seeds(x, y, z, np.ones(x.size, np.bool_), cells, region).virtual
         vertices = points.take((labels >= SEED) & (labels < SEED + rounds)).columns()
-        if rounds > 1:  # all seeds are vertices, however close together
+        # In the first TIN all seeds are vertices, also several per cell. Later TINs have one per cell.
+        if rounds > 1:
             lowest = lowest_per_cell(*vertices, thin)
             vertices = vertices[0][lowest], vertices[1][lowest], vertices[2][lowest]
         tin = Tin.build(*(np.concatenate([c, v]) for c, v in zip(vertices, virtual.T, strict=True)))
         rule = LabelRule(params.limits(scale), scale.counts(params.label_floor_m))
-        self.finish(tin, doubt.triangles(tin), rule)
+        self.finish(tin, region.triangles(tin), rule)
 
     def label(self, points: Points) -> tuple[UInt8, Bool]:
         """Label the points, and return a mask of the uncertified labels too.
 
         Earlier low noise stays unless it is ground.
         """
-        labels, marked = super().label(points)
+        labels, uncertified_labels = super().label(points)
         labels[(labels != GROUND) & (points.known_labels() == LOW_NOISE)] = LOW_NOISE
-        return labels, marked
+        return labels, uncertified_labels
 
 
 @dataclass(frozen=True)
@@ -228,5 +229,5 @@ class RidgePass(Pass):
         done, last = deque(enumerate(islice(prepared.rounds(), self.params.rounds), 1), maxlen=1).pop()
         model.low = prepared.low
         model.stats.update(prepared.counts, rounds=done)
-        model.finish(last.tin, last.in_doubt, LabelRule(prepared.limits, prepared.floor))
+        model.finish(last.tin, last.uncertified, LabelRule(prepared.limits, prepared.floor))
         return model

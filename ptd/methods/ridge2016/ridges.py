@@ -174,16 +174,16 @@ def _ridge_points(
     n: int,
     data: Bool,
     rule: RidgeRule,
-    in_doubt: UInt8,
+    uncertified: UInt8,
     stacks: Xyz,
     raster: StackIndex,
     known: tuple[int, int, int, int],
 ) -> tuple[Int32, Bool, Bool]:
-    """Ridge point of each facet that is or may be a ridge, whether it is uncertain, whether it is a ridge."""
+    """Ridge point of each facet that is or may be a ridge, whether it is uncertified, whether it is a ridge."""
     vertices, triangles = mesh
     x, y, z = stacks
     west, south, east, north = known
-    points, doubtful, chosen = np.empty(n, np.int32), np.empty(n, np.bool_), np.empty(n, np.bool_)
+    points, uncertified_points, chosen = np.empty(n, np.int32), np.empty(n, np.bool_), np.empty(n, np.bool_)
     triangles_around = np.empty(AROUND, np.int32)
     m = 0
     for t in range(n):
@@ -191,11 +191,11 @@ def _ridge_points(
             continue
         if not _long_facet(vertices, triangles, t, data, rule.side):
             continue  # If t itself is uncertified, the positions near it are too.
-        unsure = False
+        is_uncertified = False
         for k in range(_around(triangles, t, triangles_around)):
-            unsure = unsure or in_doubt[triangles_around[k]] != 0
+            is_uncertified = is_uncertified or uncertified[triangles_around[k]] != 0
         ridge = ridge_facet(vertices, triangles, t, data, rule, triangles_around)
-        if not (ridge or unsure):
+        if not (ridge or is_uncertified):
             continue
         x3, y3 = as_int64(0), as_int64(0)
         for j in range(8 * t + 4, 8 * t + 7):
@@ -207,12 +207,12 @@ def _ridge_points(
         cx, cy = x3 / 3.0, y3 / 3.0
         inside = cx - rule.radius >= west and cx + rule.radius < east
         inside = inside and cy - rule.radius >= south and cy + rule.radius < north
-        points[m], doubtful[m], chosen[m] = i, unsure or not inside, ridge
+        points[m], uncertified_points[m], chosen[m] = i, is_uncertified or not inside, ridge
         m += 1
-    return points[:m].copy(), doubtful[:m].copy(), chosen[:m].copy()
+    return points[:m].copy(), uncertified_points[:m].copy(), chosen[:m].copy()
 
 
-def ridge_points(tin: Tin, data: Bool, stacks: Stacks, rule: RidgeRule, doubt: UncertifiedRegion) -> Int32:
+def ridge_points(tin: Tin, data: Bool, stacks: Stacks, rule: RidgeRule, region: UncertifiedRegion) -> Int32:
     """Indices of the lowest points near the centres of facets on ridges: int32, ascending, without repetition.
 
     Parameters
@@ -224,15 +224,17 @@ def ridge_points(tin: Tin, data: Bool, stacks: Stacks, rule: RidgeRule, doubt: U
     stacks : Stacks
         Points that may become seeds.
     rule : RidgeRule
-    doubt : UncertifiedRegion
+    region : UncertifiedRegion
         Uncertified region, to which the positions are added where points outside the window could make or move a ridge
         point. They lie within the radius of uncertified facets, or are ridge points of facets near those.
     """
     n = tin.n_triangles
-    in_doubt = doubt.triangles(tin)
-    xyz, known = Xyz(stacks.x, stacks.y, stacks.z), astuple(doubt.known)
-    points, doubtful, chosen = _ridge_points(tin.mesh, n, data, rule, in_doubt, xyz, stacks.raster, known)
-    doubt.add_triangles(tin, in_doubt, rule.radius)
-    doubt.add_points(stacks.x[points], stacks.y[points], doubtful)
+    uncertified = region.triangles(tin)
+    xyz, known = Xyz(stacks.x, stacks.y, stacks.z), astuple(region.known)
+    points, uncertified_points, chosen = _ridge_points(
+        tin.mesh, n, data, rule, uncertified, xyz, stacks.raster, known
+    )
+    region.add_triangles(tin, uncertified, rule.radius)
+    region.add_points(stacks.x[points], stacks.y[points], uncertified_points)
     indices: Int32 = np.unique(points[chosen])
     return indices

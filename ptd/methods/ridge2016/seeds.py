@@ -31,7 +31,7 @@ class Prepared:
     seeds : int32 [m]
         Indices into the stacks.
     virtual : int32 [k, 3]
-    doubt : UncertifiedRegion
+    region : UncertifiedRegion
     low : LowNoise
     limits : FacetLimits
     floor : float
@@ -58,9 +58,9 @@ class Prepared:
         self.stacks = Stacks(x, y, z, thin)
         cells = CellLattice.of(p.max_building_size_m, scale)
         known = window.inside(thin, p.margin_cells)
-        self.doubt = UncertifiedRegion(known, known.inside(cells, RING), box_with_ring(x, y, cells), scale)
+        self.region = UncertifiedRegion(known, known.inside(cells, RING), box_with_ring(x, y, cells), scale)
         selection = choose_seeds(
-            self.stacks.x, self.stacks.y, self.stacks.z, np.ones(x.size, np.bool_), cells, self.doubt
+            self.stacks.x, self.stacks.y, self.stacks.z, np.ones(x.size, np.bool_), cells, self.region
         )
         self.virtual = selection.virtual
         ridge = self._ridge_points(params, selection.chosen, scale)
@@ -76,7 +76,7 @@ class Prepared:
 
     def rounds(self) -> Iterator[Round]:
         """The TIN of each round, against which points are tested."""
-        return densify_thinned(self.stacks, self.seeds, self.virtual, self.limits, self.doubt)
+        return densify_thinned(self.stacks, self.seeds, self.virtual, self.limits, self.region)
 
     def _tin(self, seeds: Int32) -> tuple[Tin, npt.NDArray[np.bool_]]:
         """TIN of seeds and virtual seeds, and a mask of its vertices that are not virtual."""
@@ -88,12 +88,12 @@ class Prepared:
     def _ridge_points(self, p: Ridge2016Parameters, seeds: Int32, scale: Scale) -> Int32:
         side_m = p.ridge_side * p.max_building_size_m
         rule = RidgeRule.of(scale, side_m=side_m, angle_deg=p.ridge_angle_deg, radius_m=p.ridge_radius_m)
-        return ridge_points(*self._tin(seeds), self.stacks, rule, self.doubt)
+        return ridge_points(*self._tin(seeds), self.stacks, rule, self.region)
 
     def _refined(self, p: Ridge2016Parameters, seeds: Int32, scale: Scale) -> Int32:
         tin, data = self._tin(seeds)
         length = scale.counts(p.max_building_size_m)
         least = scale.counts_z(p.seed_residual_m)
-        wrong = conicoid_outliers(tin, data, length, p.seed_confidence, least, self.doubt)
+        wrong = conicoid_outliers(tin, data, length, p.seed_confidence, least, self.region)
         dropped = position_keys(*tin.vertices[wrong].T[:2])
         return seeds[np.isin(position_keys(self.stacks.x[seeds], self.stacks.y[seeds]), dropped, invert=True)]

@@ -11,7 +11,7 @@ from ptd.frame import CellLattice
 from ptd.kernel import as_int64, kernel
 
 SMALL_STACK = 24
-"""Largest number of points that insertion alone sorts faster."""
+"""Largest stack for which insertion sort alone is faster."""
 
 
 @kernel
@@ -106,7 +106,7 @@ def lowest_within(x: Int32, y: Int32, z: Int32, raster: StackIndex, x3: int, y3:
 
 
 @kernel
-def places_in_stacks(
+def indices_in_stacks(
     of_x: Int32, of_y: Int32, of_z: Int32, x: Int32, y: Int32, z: Int32, raster: StackIndex
 ) -> Int32:
     """Index of each point within `Stacks`, -1 for points that are not in it: int32 [n].

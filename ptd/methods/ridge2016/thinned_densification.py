@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from ptd.cells import Int32, Int64, Xyz
-from ptd.ground.certificates import UInt8, UncertifiedRegion
+from ptd.ground.certificates import CheckedMesh, UInt8, UncertifiedRegion
 from ptd.ground.criteria import FacetLimits, accepts
 from ptd.ground.labelling import is_terrain
 from ptd.kernel import as_int64, kernel
@@ -28,37 +28,40 @@ Bool = npt.NDArray[np.bool_]
 
 @kernel
 def _test_stacks(
-    mesh: Mesh, points: Xyz, starts: Int64, limits: FacetLimits, in_doubt: UInt8, vertex: Bool, doubtful: Bool
+    mesh: CheckedMesh, points: Xyz, starts: Int64, limits: FacetLimits, vertex: Bool, uncertified_points: Bool
 ) -> Bool:
     """One round: mask of the lowest terrain points of their cells.
 
     A cell is tested upwards from its lowest point until one belongs to the terrain for certain, because no higher point
     can become the cell's vertex. Points that may become it depending on data outside the window are added to
-    `doubtful`: points below the certain one whose test is uncertain, and in that case the certain one as well.
+    `uncertified_points`: points below the certain one whose test is uncertified, and in that case the
+    certain one as well.
     """
-    vertices, triangles = mesh
+    vertices, triangles, uncertified = mesh
     x, y, z = points
     kept = np.zeros(x.size, np.bool_)
     t = 0
     for k in range(starts.size - 1):
         lowest = -1
-        any_unsure = False
+        any_uncertified = False
         for i in range(starts[k], starts[k + 1]):
-            unsure = doubtful[i]
+            is_uncertified = uncertified_points[i]
             passed = vertex[i]
             if not passed:
                 t = locate(vertices, triangles, x[i], y[i], t)
                 if is_ghost(triangles, t):
-                    unsure = unsure or in_doubt[t] != 0
+                    is_uncertified = is_uncertified or uncertified[t] != 0
                 else:
-                    passed, _, on_doubt = accepts(vertices, triangles, t, x[i], y[i], z[i], limits, in_doubt)
-                    unsure = unsure or on_doubt
+                    passed, _, result_is_uncertified = accepts(
+                        vertices, triangles, uncertified, t, (x[i], y[i], z[i]), limits
+                    )
+                    is_uncertified = is_uncertified or result_is_uncertified
             if passed and lowest < 0:
                 lowest = i
-            if unsure:
-                doubtful[i] = any_unsure = True
+            if is_uncertified:
+                uncertified_points[i] = any_uncertified = True
             elif passed:
-                doubtful[i] = any_unsure
+                uncertified_points[i] = any_uncertified
                 break
         if lowest >= 0:
             kept[lowest] = True
@@ -102,9 +105,8 @@ class _Labelled(NamedTuple):
 @kernel
 def _tally(
     last: Mesh,
-    mesh: Mesh,
+    mesh: CheckedMesh,
     points: Xyz,
-    in_doubt: UInt8,
     limits: FacetLimits,
     floor: float,
     now: Int32,
@@ -112,7 +114,7 @@ def _tally(
 ) -> tuple[int, int]:
     """Label the points whose triangle changed.
 
-    Returns the number of new terrain points, and of all points whose label is uncertain.
+    Returns the number of new terrain points, and of all points whose label is uncertified.
 
     Parameters
     ----------
@@ -121,31 +123,31 @@ def _tally(
     now : int32 [triangles of `last`]
         Filled with -1; receives the present number of each triangle, -2 for changed ones.
     """
-    vertices, triangles = mesh
+    vertices, triangles, uncertified = mesh
     x, y, z = points
     home, again, terrain = labelled
-    n_gained = n_unsure = t = 0
+    n_gained = n_uncertified = t = 0
     for i in range(x.size):
         h = as_int64(home[i])
         if h >= 0 and not again[i] and now[h] == -1:
             t = locate(vertices, triangles, x[i], y[i], t)
-            same = _same_corners(last, h, mesh, t)
+            same = _same_corners(last, h, Mesh(vertices, triangles), t)
             now[h] = -2
             if same:
                 now[h] = t
         if h >= 0 and not again[i] and now[h] >= 0:
             t = as_int64(now[h])
-            unsure = in_doubt[t] != 0
+            is_uncertified = uncertified[t] != 0
         else:
             t = locate(vertices, triangles, x[i], y[i], t)
-            is_now, again[i], unsure = is_terrain(
-                vertices, triangles, t, x[i], y[i], z[i], in_doubt, limits, floor
+            is_now, again[i], is_uncertified = is_terrain(
+                vertices, triangles, uncertified, t, (x[i], y[i], z[i]), limits, floor
             )
             n_gained += is_now and not terrain[i]
             terrain[i] = is_now
         home[i] = t
-        n_unsure += unsure
-    return n_gained, n_unsure
+        n_uncertified += is_uncertified
+    return n_gained, n_uncertified
 
 
 class GrowthCounter:
@@ -169,13 +171,14 @@ class GrowthCounter:
         self._labelled = _Labelled(np.full(x.size, -1, np.int32), np.zeros(x.size, np.bool_), terrain)
         self._tin: Tin | None = None
 
-    def count(self, tin: Tin, in_doubt: UInt8) -> tuple[int, int]:
-        """Number of points that joined the terrain class, and number of points whose label is uncertain."""
+    def count(self, tin: Tin, uncertified: UInt8) -> tuple[int, int]:
+        """Number of points that joined the terrain class, and number of points whose label is uncertified."""
         last = self._tin or tin
         self._tin = tin
         now = np.full(last.n_triangles, -1, np.int32)
         points, limits, floor = self._points, self._limits, self._floor
-        return _tally(last.mesh, tin.mesh, points, in_doubt, limits, floor, now, self._labelled)
+        mesh = CheckedMesh(*tin.mesh, uncertified)
+        return _tally(last.mesh, mesh, points, limits, floor, now, self._labelled)
 
 
 class Round(NamedTuple):
@@ -184,19 +187,19 @@ class Round(NamedTuple):
     Attributes
     ----------
     tin : Tin
-    in_doubt : uint8 [triangles]
+    uncertified : uint8 [triangles]
         Mask of uncertified triangles (`ptd.ground.certificates.UncertifiedRegion.triangles`).
     vertex : bool [n]
         Whether a point of the stacks is a vertex of the TIN.
     """
 
     tin: Tin
-    in_doubt: UInt8
+    uncertified: UInt8
     vertex: Bool
 
 
 def densify_thinned(
-    stacks: Stacks, seeds: Int32, virtual: Int32, limits: FacetLimits, doubt: UncertifiedRegion
+    stacks: Stacks, seeds: Int32, virtual: Int32, limits: FacetLimits, region: UncertifiedRegion
 ) -> Iterator[Round]:
     """The TINs of successive rounds: first that of the seeds, then of the lowest terrain points per cell.
 
@@ -214,8 +217,9 @@ def densify_thinned(
         x, y, z of vertices that always stay.
     limits : FacetLimits
         Thresholds with which a point is terrain.
-    doubt : UncertifiedRegion
-        Uncertified region, to which the points are added that points outside the window could make vertices or not.
+    region : UncertifiedRegion
+        Uncertified region, to which the points are added whose becoming a vertex depends on points outside the
+        window.
 
     Yields
     ------
@@ -224,15 +228,16 @@ def densify_thinned(
     x, y, z = stacks.x, stacks.y, stacks.z
     vertex = np.zeros(x.size, np.bool_)
     vertex[seeds] = True
-    doubtful = np.zeros(x.size, np.bool_)
-    doubtful[seeds] = doubt.covers(x[seeds], y[seeds])
+    uncertified_points = np.zeros(x.size, np.bool_)
+    uncertified_points[seeds] = region.covers(x[seeds], y[seeds])
     while True:
         chosen = np.flatnonzero(vertex)
         tin = Tin.build(*(np.concatenate([c[chosen], virtual[:, k]]) for k, c in enumerate((x, y, z))))
-        in_doubt = doubt.triangles(tin)
-        yield Round(tin, in_doubt, vertex)
-        kept = _test_stacks(tin.mesh, Xyz(x, y, z), stacks.starts, limits, in_doubt, vertex, doubtful)
-        spread = doubt.add_points(x, y, doubtful)
+        uncertified = region.triangles(tin)
+        yield Round(tin, uncertified, vertex)
+        mesh = CheckedMesh(*tin.mesh, uncertified)
+        kept = _test_stacks(mesh, Xyz(x, y, z), stacks.starts, limits, vertex, uncertified_points)
+        spread = region.add_points(x, y, uncertified_points)
         if not spread and np.array_equal(kept, vertex):
             return
         vertex = kept

@@ -190,9 +190,9 @@ def triangle(*corners: tuple[int, int]) -> Tin:
     return Tin.build(x, y, np.zeros(x.size, np.int32))
 
 
-def doubt_of(tin: Tin, doubt: UncertifiedRegion) -> list[bool]:
+def uncertified_of(tin: Tin, region: UncertifiedRegion) -> list[bool]:
     """Of the real triangles."""
-    found = doubt.triangles(tin)
+    found = region.triangles(tin)
     return [bool(found[t]) for t in range(tin.n_triangles) if not outside(tin, t)]
 
 
@@ -201,7 +201,7 @@ RIGHT = ((-5000, 0), (5000, 0), (0, 5000))
 
 
 @pytest.mark.parametrize(
-    ("known", "in_doubt"),
+    ("known", "uncertified"),
     [
         (Window.everything(), False),
         (Window(-OPEN, -OPEN, 5100, OPEN), False),
@@ -210,47 +210,49 @@ RIGHT = ((-5000, 0), (5000, 0), (0, 5000))
         (Window(-OPEN, -5100, OPEN, OPEN), False),
     ],
 )
-def test_a_circle_that_leaves_the_window_is_in_doubt(known: Window, in_doubt: bool) -> None:
-    doubt = UncertifiedRegion(known, known, (-30000, -30000, 30000, 30000), Scale())
-    assert doubt_of(triangle(*RIGHT), doubt) == [in_doubt]
+def test_a_circle_that_leaves_the_window_is_uncertified(known: Window, uncertified: bool) -> None:
+    region = UncertifiedRegion(known, known, (-30000, -30000, 30000, 30000), Scale())
+    assert uncertified_of(triangle(*RIGHT), region) == [uncertified]
 
 
-def test_a_circle_that_leaves_the_raster_is_in_doubt_where_seeds_may_appear() -> None:
+def test_a_circle_that_leaves_the_raster_is_uncertified_where_seeds_may_appear() -> None:
     known = Window(-OPEN, -OPEN, 90000, OPEN)
     box = (-30000, -30000, 3000, 30000)
-    assert doubt_of(triangle(*RIGHT), UncertifiedRegion(known, known, box, Scale())) == [False]
+    assert uncertified_of(triangle(*RIGHT), UncertifiedRegion(known, known, box, Scale())) == [False]
     deep = Window(-OPEN, -OPEN, 4500, OPEN)
-    assert doubt_of(triangle(*RIGHT), UncertifiedRegion(known, deep, box, Scale())) == [True]
+    assert uncertified_of(triangle(*RIGHT), UncertifiedRegion(known, deep, box, Scale())) == [True]
 
 
-@pytest.mark.parametrize("place", [(0, 0), (4900, 0), (3530, -3530), (-4000, 2900)])
-def test_a_place_in_the_circle_puts_it_in_doubt(place: tuple[int, int]) -> None:
+@pytest.mark.parametrize("position", [(0, 0), (4900, 0), (3530, -3530), (-4000, 2900)])
+def test_a_position_in_the_circle_makes_it_uncertified(position: tuple[int, int]) -> None:
     known = Window(-OPEN, -OPEN, 90000, OPEN)
-    doubt = UncertifiedRegion(known, known, (-30000, -30000, 30000, 30000), Scale())
-    x, y = (np.array([v], np.int32) for v in place)
-    assert not doubt.add_points(x, y, np.zeros(1, np.bool_))
-    assert doubt.add_points(x, y, np.ones(1, np.bool_))
-    assert not doubt.add_points(x, y, np.ones(1, np.bool_))
-    assert doubt_of(triangle(*RIGHT), doubt) == [True]
+    region = UncertifiedRegion(known, known, (-30000, -30000, 30000, 30000), Scale())
+    x, y = (np.array([v], np.int32) for v in position)
+    assert not region.add_points(x, y, np.zeros(1, np.bool_))
+    assert region.add_points(x, y, np.ones(1, np.bool_))
+    assert not region.add_points(x, y, np.ones(1, np.bool_))
+    assert uncertified_of(triangle(*RIGHT), region) == [True]
 
 
-places = st.tuples(st.integers(0, 59_999), st.integers(0, 59_999))
-corners_of_one = st.lists(places, min_size=3, max_size=3, unique=True)
+positions = st.tuples(st.integers(0, 59_999), st.integers(0, 59_999))
+corners_of_one = st.lists(positions, min_size=3, max_size=3, unique=True)
 
 
 @settings(max_examples=100, deadline=None)
-@given(corners=corners_of_one, place=places)
-def test_a_place_in_doubt_is_never_overlooked(corners: list[tuple[int, int]], place: tuple[int, int]) -> None:
-    (ax, ay), (bx, by), (cx, cy) = [(x - place[0], y - place[1]) for x, y in corners]
+@given(corners=corners_of_one, position=positions)
+def test_an_uncertified_position_is_never_overlooked(
+    corners: list[tuple[int, int]], position: tuple[int, int]
+) -> None:
+    (ax, ay), (bx, by), (cx, cy) = [(x - position[0], y - position[1]) for x, y in corners]
     area = (bx - ax) * (cy - ay) - (by - ay) * (cx - ax)
     if area == 0:
         return
     a2, b2, c2 = ax * ax + ay * ay, bx * bx + by * by, cx * cx + cy * cy
     inside = a2 * (bx * cy - by * cx) + b2 * (cx * ay - cy * ax) + c2 * (ax * by - ay * bx)
     known = Window(-OPEN, -OPEN, OPEN, OPEN - 1)
-    doubt = UncertifiedRegion(known, known, (0, 0, 60_000, 60_000), Scale())
-    doubt.add_points(*(np.array([v], np.int32) for v in place), np.ones(1, np.bool_))
-    found = doubt_of(triangle(*corners), doubt)
+    region = UncertifiedRegion(known, known, (0, 0, 60_000, 60_000), Scale())
+    region.add_points(*(np.array([v], np.int32) for v in position), np.ones(1, np.bool_))
+    found = uncertified_of(triangle(*corners), region)
     if inside * area >= 0:
         assert found == [True]
 
@@ -266,14 +268,14 @@ def test_across_gives_the_triangle_behind_an_edge() -> None:
     assert outside(tin, across(*arrays, triangle_at(tin, 5, 0), np.int32(5), np.int32(0)))
 
 
-def test_boxes_in_doubt_cover_each_cell_that_they_touch() -> None:
+def test_uncertified_boxes_cover_each_cell_that_they_touch() -> None:
     known = Window(-OPEN, -OPEN, 90000, OPEN)
-    doubt = UncertifiedRegion(known, known, (0, 0, 20_000, 20_000), Scale())
-    assert doubt.cell == 2000
-    doubt.add_box(3999, 4000, 4001, 6000)
-    assert [tuple(cell) for cell in np.argwhere(doubt.mask)] == [(2, 1), (2, 2)]
-    doubt.add_box(-5000, -5000, -1, -1)
-    assert doubt.mask.sum() == 2
+    region = UncertifiedRegion(known, known, (0, 0, 20_000, 20_000), Scale())
+    assert region.cell == 2000
+    region.add_box(3999, 4000, 4001, 6000)
+    assert [tuple(cell) for cell in np.argwhere(region.mask)] == [(2, 1), (2, 2)]
+    region.add_box(-5000, -5000, -1, -1)
+    assert region.mask.sum() == 2
 
 
 def test_window_inside_whole_cells() -> None:
@@ -286,31 +288,33 @@ def test_window_inside_whole_cells() -> None:
 
 @settings(max_examples=20, deadline=None)
 @given(corners=corners_of_one, reach=st.sampled_from([0.0, 2000.0, 5000.0]), seed=st.integers(0, 10**6))
-def test_places_near_triangles_are_in_doubt(corners: list[tuple[int, int]], reach: float, seed: int) -> None:
+def test_positions_near_triangles_are_uncertified(
+    corners: list[tuple[int, int]], reach: float, seed: int
+) -> None:
     """All within the reach, none a few cells beyond it; distances by sampling the triangle."""
     (ax, ay), (bx, by), (cx, cy) = corners
     if (bx - ax) * (cy - ay) == (by - ay) * (cx - ax):
         return
     known = Window(-OPEN, -OPEN, OPEN, OPEN - 1)
-    doubt = UncertifiedRegion(known, known, (0, 0, 60_000, 60_000), Scale())
+    region = UncertifiedRegion(known, known, (0, 0, 60_000, 60_000), Scale())
     tin = triangle(*corners)
     which = np.ones(tin.n_triangles, np.uint8)
-    doubt.add_triangles(tin, which, reach)
+    region.add_triangles(tin, which, reach)
     u, v = np.random.default_rng(seed).random((2, 4000))
     u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
     a, b, c = np.array(corners)
     sample = a + np.outer(u, b - a) + np.outer(v, c - a)
     some = np.random.default_rng(seed + 1).integers(0, 60_000, (2, 300)).astype(np.int32)
     distance = np.sqrt(((some.T[:, None, :] - sample[None]) ** 2).sum(axis=2)).min(axis=1)
-    covered = doubt.covers(*some)
+    covered = region.covers(*some)
     assert covered[distance <= reach].all()
-    assert not covered[distance > reach + 2 * doubt.cell + 4000].any()
+    assert not covered[distance > reach + 2 * region.cell + 4000].any()
 
 
-def test_places_beyond_the_known_window_are_in_doubt() -> None:
+def test_positions_beyond_the_known_window_are_uncertified() -> None:
     known = Window(0, -OPEN, 9000, OPEN)
-    doubt = UncertifiedRegion(known, known, (-5000, 0, 20_000, 20_000), Scale())
+    region = UncertifiedRegion(known, known, (-5000, 0, 20_000, 20_000), Scale())
     x, y = np.array([-1, 0, 8999, 9000], np.int32), np.full(4, 10_000, np.int32)
-    assert doubt.covers(x, y).tolist() == [True, False, False, True]
+    assert region.covers(x, y).tolist() == [True, False, False, True]
     everything = Window.everything()
     assert not UncertifiedRegion(everything, everything, (0, 0, 9, 9), Scale()).covers(x, y).any()

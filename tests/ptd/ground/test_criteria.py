@@ -11,6 +11,7 @@ from hypothesis import assume, given, settings
 from hypothesis import strategies as st
 
 from ptd.frame import Scale
+from ptd.ground.certificates import CheckedMesh
 from ptd.ground.criteria import FacetLimits, accepts, facet_measures, mirror_facet, within
 from ptd.tin.mesh import Tin
 from tests.ptd.tin.meshes import corners_of, outside, triangle_at
@@ -39,12 +40,12 @@ def limits(**values: float) -> FacetLimits:
 
 
 def judge(
-    tin: Tin, x: int, y: int, z: int, doubt: set[int] = frozenset(), **values: float
+    tin: Tin, x: int, y: int, z: int, uncertified_facets: set[int] = frozenset(), **values: float
 ) -> tuple[bool, bool, bool]:  # type: ignore[assignment]
-    """Passed, elsewhere, doubtful; `doubt` are triangles in doubt."""
-    in_doubt = np.array([t in doubt for t in range(tin.n_triangles)], np.uint8)
+    """Passed, elsewhere, is uncertified."""
+    uncertified = np.array([t in uncertified_facets for t in range(tin.n_triangles)], np.uint8)
     t = triangle_at(tin, x, y)
-    return accepts(tin.vertex_array, tin.triangle_array, t, *in_counts(x, y, z), limits(**values), in_doubt)
+    return accepts(*CheckedMesh(*tin.mesh, uncertified), t, in_counts(x, y, z), limits(**values))
 
 
 # Equilateral, 10 m in plan to within a millimetre; the middle is 5774 mm from each corner.
@@ -98,9 +99,8 @@ def test_on_a_vertex_only_the_vertex_passes(z: int, passed: bool) -> None:
     found = set()
     for t in range(tin.n_triangles):
         if 0 in (tin.vertices[v, :2].any() for v in corners_of(tin, t) if v >= 0) and not outside(tin, t):
-            facet = tin.vertex_array, tin.triangle_array, t
-            in_doubt = np.zeros(tin.n_triangles, np.uint8)
-            found.add(accepts(*facet, *in_counts(0, 0, z), limits(), in_doubt))
+            mesh = CheckedMesh(*tin.mesh, np.zeros(tin.n_triangles, np.uint8))
+            found.add(accepts(*mesh, t, in_counts(0, 0, z), limits()))
     assert found == {(passed, False, False)}
 
 
@@ -172,7 +172,7 @@ def test_mirrored_on_a_vertex_only_its_height_passes() -> None:
     assert judge(tin, 300, 200, 5_299, terrain_deg=60.0) == (False, True, False)
 
 
-def test_an_answer_in_doubt() -> None:
+def test_an_uncertified_answer() -> None:
     """It rests on its triangle, on that behind the edge it lies on, and on that of its mirror image."""
     tin = tin_of(*TERRACE)
     flat = triangle_at(tin, 1_000, 3_000)
@@ -191,9 +191,9 @@ def test_an_answer_in_doubt() -> None:
     steep, image = triangle_at(tin, 5_500, 7_000), triangle_at(tin, 6_500, 2 * 12_000 - 7_000)
     assert outside(tin, image)
     for t in range(tin.n_triangles):
-        doubtful = judge(tin, 5_500, 7_000, 0, {t}, terrain_deg=60.0)[2]
+        is_uncertified = judge(tin, 5_500, 7_000, 0, {t}, terrain_deg=60.0)[2]
         top = mirror_facet(tin.vertex_array, tin.triangle_array, steep, *in_counts(5_500, 7_000))[0]
-        assert doubtful == (t in (steep, top))
+        assert is_uncertified == (t in (steep, top))
 
 
 counts = st.integers(-20_000, 20_000)

@@ -23,9 +23,9 @@ def run(
     tin = Tin.build(*seeds.T, max_vertices=len(seeds) + len(candidates))
     x, y, z = np.ascontiguousarray(candidates.T.astype(np.int32))
     state = np.zeros(x.size, np.uint8)
-    doubt = UncertifiedRegion(EVERYTHING, EVERYTHING, (0, 0, 1, 1), Scale())
-    doubtful, done = densify(tin, Xyz(x, y, z), state, limits, rounds, doubt)
-    assert not doubtful.any()
+    region = UncertifiedRegion(EVERYTHING, EVERYTHING, (0, 0, 1, 1), Scale())
+    is_uncertified, done = densify(tin, Xyz(x, y, z), state, limits, rounds, region)
+    assert not is_uncertified.any()
     return state == VERTEX, tin, done
 
 
@@ -84,14 +84,14 @@ def test_refused_candidates_stay_out() -> None:
     tin = Tin.build(*seeds.T, max_vertices=100)
     x, y, z = np.ascontiguousarray(candidates.T.astype(np.int32))
     state = np.full(x.size, REFUSED, np.uint8)
-    doubt = UncertifiedRegion(EVERYTHING, EVERYTHING, (0, 0, 1, 1), Scale())
-    assert densify(tin, Xyz(x, y, z), state, LIMITS, 0, doubt)[1] == 1
+    region = UncertifiedRegion(EVERYTHING, EVERYTHING, (0, 0, 1, 1), Scale())
+    assert densify(tin, Xyz(x, y, z), state, LIMITS, 0, region)[1] == 1
     assert tin.n_vertices == len(seeds)
     assert (state == REFUSED).all()
 
 
 class Spreading(UncertifiedRegion):
-    """Says three times that doubt has spread."""
+    """Report three times that the region has grown."""
 
     left = 3
 
@@ -101,9 +101,11 @@ class Spreading(UncertifiedRegion):
 
 
 @pytest.mark.parametrize(("rounds", "done"), [(0, 4), (2, 2)])
-def test_while_doubt_spreads_there_are_rounds_though_nothing_passes(rounds: int, done: int) -> None:
+def test_while_the_uncertified_region_grows_there_are_rounds_though_nothing_passes(
+    rounds: int, done: int
+) -> None:
     seeds, _ = scene(2, 50, 50)
     tin = Tin.build(*seeds.T, max_vertices=100)
     x, y, z = (np.array([v], np.int32) for v in (50_000, 50_000, 90_000))
-    doubt = Spreading(EVERYTHING, EVERYTHING, (0, 0, 1, 1), Scale())
-    assert densify(tin, Xyz(x, y, z), np.zeros(1, np.uint8), LIMITS, rounds, doubt)[1] == done
+    region = Spreading(EVERYTHING, EVERYTHING, (0, 0, 1, 1), Scale())
+    assert densify(tin, Xyz(x, y, z), np.zeros(1, np.uint8), LIMITS, rounds, region)[1] == done

@@ -45,9 +45,9 @@ def test_both_thresholds_hold(threshold: tuple[float, float], passes: bool) -> N
     """0.3 m and atan(0.3 / sqrt(73)) = 0.0351."""
     point = columns((300, 10, 130), (300, 10, 70))
     trial = Trial(right_triangle(), SCALE, 10.0)
-    found, doubtful = trial.test(*point, np.ones(2, bool), Threshold(*threshold), SURE)
+    found, is_uncertified = trial.test(*point, np.ones(2, bool), Threshold(*threshold), SURE)
     assert found.tolist() == [passes, passes]
-    assert not doubtful.any()
+    assert not is_uncertified.any()
 
 
 def test_largest_angle_by_hand() -> None:
@@ -99,8 +99,8 @@ def test_heights_may_have_another_unit() -> None:
     assert found.all()
 
 
-def test_what_passes_without_doubt_passes_whatever_lies_beyond_the_window() -> None:
-    """Cut random TINs by windows: where no doubt is told, the answer is that of the whole."""
+def test_certified_points_that_pass_do_so_whatever_lies_beyond_the_window() -> None:
+    """Cut random TINs by windows: where the result is certified, the answer is that of the whole."""
     rng = np.random.default_rng(6)
     threshold, certain = Threshold(0.5, 0.3), 0
     for _ in range(40):
@@ -113,10 +113,10 @@ def test_what_passes_without_doubt_passes_whatever_lies_beyond_the_window() -> N
         trial = Trial(Tin.build(*vertices), SCALE, widest)
         truth, _ = trial.test(*tests, np.ones(300, bool), threshold, SURE)
         inside = [window.contains(c[0], c[1]) for c in (vertices, tests)]
-        doubt = UncertifiedRegion(window, window, (0, 0, side, side), SCALE)
-        trial = Trial(Tin.build(*vertices[:, inside[0]]), SCALE, widest, doubt)
+        region = UncertifiedRegion(window, window, (0, 0, side, side), SCALE)
+        trial = Trial(Tin.build(*vertices[:, inside[0]]), SCALE, widest, region)
         own = tests[:, inside[1]]
-        found, doubtful = trial.test(*own, np.ones(own.shape[1], bool), threshold, doubt)
-        assert (doubtful | (found == truth[inside[1]])).all()
-        certain += int((~doubtful).sum())
+        found, is_uncertified = trial.test(*own, np.ones(own.shape[1], bool), threshold, region)
+        assert (is_uncertified | (found == truth[inside[1]])).all()
+        certain += int((~is_uncertified).sum())
     assert certain > 500

@@ -196,14 +196,16 @@ def test_what_lies_beyond_the_reach_has_no_part_and_neither_has_the_order(densit
         assert (found[core] == everything[core]).all()
 
 
-def test_doubt_spreads_as_far_as_a_point_has_a_part() -> None:
-    """Whatever the doubtful points' heights: what carries no mark keeps its label."""
+def test_uncertified_points_affect_labels_as_far_as_a_point_has_a_part() -> None:
+    """Whatever the heights of uncertified points: what is certified keeps its label."""
     scene, random = cloud(8.0), np.random.default_rng(8)
     everything, _ = scene.judged()
-    doubtful = np.hypot(scene.x - 3, scene.y + 2) < 3.0
-    changed = Cloud(scene.x, scene.y, np.where(doubtful, random.uniform(-0.5, 0.6, scene.x.size), scene.z))
-    found, marked = changed.judged(marked=doubtful)
-    assert marked[doubtful].all()
+    is_uncertified = np.hypot(scene.x - 3, scene.y + 2) < 3.0
+    changed = Cloud(
+        scene.x, scene.y, np.where(is_uncertified, random.uniform(-0.5, 0.6, scene.x.size), scene.z)
+    )
+    found, marked = changed.judged(marked=is_uncertified)
+    assert marked[is_uncertified].all()
     assert (found == everything)[~marked].all()
-    assert (found != everything)[marked & ~doubtful].any()
+    assert (found != everything)[marked & ~is_uncertified].any()
     assert not marked[np.hypot(scene.x - 3, scene.y + 2) > 13].any()

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from ptd.cells import Xyz
-from ptd.frame import CellLattice, Scale
+from ptd.frame import CellGrid, CellLattice, Scale
+from ptd.ground.certificates import CheckedMesh
 from ptd.ground.criteria import FacetLimits
-from ptd.ground.labelling import Bands, LabelRule, _is_near, label_points
+from ptd.ground.labelling import Bands, LabelRule, _by_height, label_points
 from ptd.ground.outliers import LowNoise
 from ptd.places import Field, everywhere
 from ptd.tin.locator import Locator
@@ -29,12 +30,12 @@ def flat() -> Tin:
 
 
 def label(
-    tin: Tin, points: list[tuple[int, int, int]], doubt: bool = False, **options: Any
+    tin: Tin, points: list[tuple[int, int, int]], all_uncertified: bool = False, **options: Any
 ) -> tuple[list[int], list[bool]]:
     xyz = Xyz(*np.ascontiguousarray(np.array(points, np.int32).reshape(-1, 3).T))
-    in_doubt = np.full(tin.n_triangles, doubt, np.uint8)
+    uncertified = np.full(tin.n_triangles, all_uncertified, np.uint8)
     rule = LabelRule(LIMITS, 0.0 if options.get("vertices_only") else FLOOR, **options)
-    labels, marked = label_points(tin, Locator.of(tin), xyz, in_doubt, rule)
+    labels, marked = label_points(tin, Locator.of(tin), xyz, uncertified, rule)
     return labels.tolist(), marked.tolist()
 
 
@@ -66,9 +67,9 @@ def test_without_a_last_pass_only_vertices_are_ground() -> None:
     assert label(flat(), points, vertices_only=True) == ([2, 1, 1, 2], [False] * 4)
 
 
-def test_what_rests_on_a_triangle_in_doubt_is_marked() -> None:
+def test_what_rests_on_an_uncertified_triangle_is_uncertified() -> None:
     points = [(10_000, 10_000, 0), (15_000, 12_000, 0), (15_000, 12_000, 9_000), (-5, 50_000, 0)]
-    assert label(flat(), points, doubt=True) == ([2, 2, 1, 1], [True] * 4)
+    assert label(flat(), points, all_uncertified=True) == ([2, 2, 1, 1], [True] * 4)
 
 
 def test_on_an_edge_the_triangle_behind_it_counts() -> None:
@@ -77,8 +78,8 @@ def test_on_an_edge_the_triangle_behind_it_counts() -> None:
     home = triangle_at(tin, 15_000, 20_000)
     beside = {triangle_at(tin, 15_000, 20_001), triangle_at(tin, 15_000, 19_999)} - {home}
     for t in range(tin.n_triangles):
-        in_doubt = (np.arange(tin.n_triangles) == t).astype(np.uint8)
-        _, marked = label_points(tin, Locator.of(tin), xyz, in_doubt, LabelRule(LIMITS, FLOOR))
+        uncertified = (np.arange(tin.n_triangles) == t).astype(np.uint8)
+        _, marked = label_points(tin, Locator.of(tin), xyz, uncertified, LabelRule(LIMITS, FLOOR))
         assert marked[0] == (t == home or t in beside)
 
 
@@ -127,17 +128,17 @@ def test_heights_are_judged_as_point_by_point(seed: int) -> None:
     random = np.random.default_rng(seed)
     tin = Tin.build(*random.integers(0, 12, (3, 60)))
     points = Xyz(*random.integers(-2, 14, (3, 2000)).astype(np.int32))
-    in_doubt = (random.random(tin.n_triangles) < 0.3).astype(np.uint8)
-    in_doubt[[outside(tin, t) for t in range(tin.n_triangles)]] = 1  # as it always is
+    uncertified = (random.random(tin.n_triangles) < 0.3).astype(np.uint8)
+    uncertified[[outside(tin, t) for t in range(tin.n_triangles)]] = 1  # as it always is
     rule = LabelRule(LIMITS, 1.0, heights_only=True)
-    floors = Field(random.uniform(0.5, 2.0, (4, 4)), -1, -1, 7, 1, 0, 0, False, 0.5, 2.0)
+    floors = Field(random.uniform(0.5, 2.0, (4, 4)), CellGrid(7, 1, 0, 0, -1, -1), False, 0.5, 2.0)
     bands = Bands(floors, everywhere(0.5))
-    labels, marked = label_points(tin, Locator.of(tin), points, in_doubt, rule, bands)
+    labels, marked = label_points(tin, Locator.of(tin), points, uncertified, rule, bands)
+    mesh = CheckedMesh(*tin.mesh, uncertified)
 
     for label, mark, x, y, z in zip(labels, marked, *points, strict=True):
         t = triangle_at(tin, int(x), int(y))
         on_a_vertex = (tin.vertices[:, :2] == (x, y)).all(axis=1).any()
-        facet = tin.vertex_array, tin.triangle_array, t
-        near, _, doubtful = _is_near(*facet, int(x), int(y), int(z), in_doubt, rule, bands)
+        near, _, is_uncertified = _by_height(*mesh, t, (int(x), int(y), int(z)), rule, bands)
         assert label == (2 if near else 1)
-        assert on_a_vertex or mark == doubtful  # on a vertex any of its triangles may have a say
+        assert on_a_vertex or mark == is_uncertified  # on a vertex any of its triangles may have a say

@@ -1,4 +1,4 @@
-"""Seeds: lowest points of cells, virtual points around them, and cells in doubt."""
+"""Seeds: lowest points of cells, virtual points around them, and uncertified cells."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ def choose(
     known: Window | None = None,
     eligible: list[bool] | None = None,
     scale: Scale | None = None,
-    unsure: list[bool] | None = None,
+    uncertified: list[bool] | None = None,
 ) -> tuple[Seeds, UncertifiedRegion]:
     scale = scale or Scale()
     x, y, z = np.ascontiguousarray(np.array(points, np.int32).T)
     cells = CellLattice.of(SIDE / 1000, scale)
     known = known or Window.everything()
-    doubt = UncertifiedRegion(known, known.inside(cells, RING), box_with_ring(x, y, cells), scale)
+    region = UncertifiedRegion(known, known.inside(cells, RING), box_with_ring(x, y, cells), scale)
     mask = np.ones(x.size, np.bool_) if eligible is None else np.array(eligible)
-    which = None if unsure is None else np.array(unsure)
-    return choose_seeds(x, y, z, mask, cells, doubt, which), doubt
+    which = None if uncertified is None else np.array(uncertified)
+    return choose_seeds(x, y, z, mask, cells, region, which), region
 
 
 def cells_of(seeds: Seeds) -> dict[tuple[int, int], int]:
@@ -78,55 +78,55 @@ def test_a_hole_is_filled_from_all_sides() -> None:
     assert ring[1, 1] == sum(10 * k for k in range(8)) // 8
 
 
-def test_nothing_is_in_doubt_where_everything_is_known() -> None:
-    _, doubt = choose([middle(0, 0), middle(5, 3)])
-    assert not doubt.active
-    assert not doubt.mask.any()
+def test_nothing_is_uncertified_where_everything_is_known() -> None:
+    _, region = choose([middle(0, 0), middle(5, 3)])
+    assert not region.active
+    assert not region.mask.any()
 
 
-def in_doubt(doubt: UncertifiedRegion, column: int, row: int) -> bool:
-    """Whether the middle of a cell is in doubt; no cell is so by half."""
-    x, y = column * SIDE - doubt.west, row * SIDE - doubt.south
-    step = SIDE // doubt.cell
-    block = doubt.mask[y // doubt.cell :, x // doubt.cell :][:step, :step]
+def is_uncertified(region: UncertifiedRegion, column: int, row: int) -> bool:
+    """Whether the middle of a cell is uncertified; no cell is so by half."""
+    x, y = column * SIDE - region.west, row * SIDE - region.south
+    step = SIDE // region.cell
+    block = region.mask[y // region.cell :, x // region.cell :][:step, :step]
     assert block.all() or not block.any()
     return bool(block.all())
 
 
 @pytest.mark.parametrize("cut", [0, 1, SIDE - 1])
-def test_cells_in_doubt_at_a_closed_side(cut: int) -> None:
+def test_uncertified_cells_at_a_closed_side(cut: int) -> None:
     """The west side cuts column 0 (or lies on its edge): filled cells are certain where all of them is known."""
     row = [middle(c, 0, 10) for c in range(10) if c not in (2, 7)]
-    _, doubt = choose(row, Window(cut, -OPEN, OPEN, OPEN))
+    _, region = choose(row, Window(cut, -OPEN, OPEN, OPEN))
     first = 0 if cut == 0 else 1
-    assert in_doubt(doubt, first - 1, 0)
+    assert is_uncertified(region, first - 1, 0)
     for column in range(first, first + 8):
         empty = column in (2, 7)
-        assert in_doubt(doubt, column, 0) == (empty and column < first + RING)
+        assert is_uncertified(region, column, 0) == (empty and column < first + RING)
         # Above the row all cells are empty: those near the side could get another height from a point beyond it.
-        assert in_doubt(doubt, column, 1) == (column < first + RING)
-        assert in_doubt(doubt, column, -2) == (column < first + RING)
+        assert is_uncertified(region, column, 1) == (column < first + RING)
+        assert is_uncertified(region, column, -2) == (column < first + RING)
 
 
-def test_cells_in_doubt_at_the_other_sides() -> None:
+def test_uncertified_cells_at_the_other_sides() -> None:
     points = [middle(c, r, 10) for c in range(8) for r in range(8) if (c, r) != (6, 5)]
-    _, doubt = choose(points, Window(-OPEN, -OPEN, 8 * SIDE, 8 * SIDE - 1))
-    assert in_doubt(doubt, 6, 5)
-    assert in_doubt(doubt, 4, 7)
-    assert not in_doubt(doubt, 7, 6)
-    assert in_doubt(doubt, 8, 3)
-    assert not in_doubt(doubt, -1, 3)
+    _, region = choose(points, Window(-OPEN, -OPEN, 8 * SIDE, 8 * SIDE - 1))
+    assert is_uncertified(region, 6, 5)
+    assert is_uncertified(region, 4, 7)
+    assert not is_uncertified(region, 7, 6)
+    assert is_uncertified(region, 8, 3)
+    assert not is_uncertified(region, -1, 3)
 
 
-def test_cells_that_may_lose_their_seed_are_in_doubt_and_so_are_empty_ones_around_them() -> None:
+def test_cells_that_may_lose_their_seed_are_uncertified_and_so_are_empty_ones_around_them() -> None:
     """A row of cells: in column 4 it is not certain what is eligible; in column 5 neither, but another seed is sure."""
     row = [middle(c, 0, 10) for c in range(12) if c != 7]
     points = [*row, (5 * SIDE + 100, 100, 50)]
-    unsure = [x // SIDE == 4 or (x // SIDE == 5 and z == 10) for x, _, z in points]
+    uncertified = [x // SIDE == 4 or (x // SIDE == 5 and z == 10) for x, _, z in points]
     far = Window(-900 * SIDE, -OPEN, OPEN, OPEN)
-    _, doubt = choose(points, far, unsure=unsure)
-    assert [column for column in range(12) if in_doubt(doubt, column, 0)] == [4, 7]
-    assert [column for column in range(12) if in_doubt(doubt, column, 1)] == [2, 3, 4, 5, 6, 7]
+    _, region = choose(points, far, uncertified=uncertified)
+    assert [column for column in range(12) if is_uncertified(region, column, 0)] == [4, 7]
+    assert [column for column in range(12) if is_uncertified(region, column, 1)] == [2, 3, 4, 5, 6, 7]
 
 
 def test_the_box_holds_three_cells_around_the_data() -> None:

@@ -32,7 +32,7 @@ def smooth(sigma: float, height: float) -> np.ndarray:
 
 def test_most_of_a_canopy_looks_like_crowns() -> None:
     found = crowns(canopy())
-    assert found.looked_at == 100
+    assert found.n_tested == 100
     assert len(found.found) > 70
 
 
@@ -50,7 +50,7 @@ def test_most_of_a_canopy_looks_like_crowns() -> None:
 )
 def test_other_terrain_does_not(heights: np.ndarray) -> None:
     found = crowns(heights)
-    assert found.looked_at == 100
+    assert found.n_tested == 100
     assert len(found.found) <= 5
 
 
@@ -58,9 +58,9 @@ def test_what_has_no_heights_is_not_looked_at() -> None:
     heights = canopy()
     heights[:, : SIDE // 2] = np.nan
     found = crowns(heights)
-    assert found.looked_at == 50
+    assert found.n_tested == 50
     assert min(column for _, column in found.found) >= SIDE // 2
-    assert crowns(np.full((SIDE, SIDE), np.nan)).looked_at == 0
+    assert crowns(np.full((SIDE, SIDE), np.nan)).n_tested == 0
 
 
 @pytest.mark.parametrize("shape", [(1, 512), (512, 1), (1, 1), (2, 30)])

@@ -10,8 +10,8 @@ import pytest
 import ptd
 from ptd.frame import CellLattice, Scale
 from ptd.matched import last_look
+from ptd.matched.decision_trees import DecisionTrees
 from ptd.matched.last_look import CELL_FEATURES, POINT_FEATURES, REACH_M, WINDOW_FEATURES, Around, Heights
-from ptd.matched.trees import Trees
 from ptd.methods.auto.method import Auto
 from tests.scenes.village import village
 
@@ -73,15 +73,15 @@ def test_a_slow_search_finds_the_same_features(n: int, scale: Scale) -> None:
     assert len(next(iter(found.values()))) == len(POINT_FEATURES) + len(WINDOW_FEATURES) + len(CELL_FEATURES)
 
 
-def by_ground_share(limit: int) -> Trees:
+def by_ground_share(limit: int) -> DecisionTrees:
     """One tree: ground where the share of ground in the narrow window is above a limit."""
     leaf = np.array([-(2**17)] * 4 + [2**17] * 4, np.int32)
-    return Trees(np.full(7, 3, np.int32), np.array([limit] + [0] * 6, np.int32), leaf)
+    return DecisionTrees(np.full(7, 3, np.int32), np.array([limit] + [0] * 6, np.int32), leaf)
 
 
 def look(heights: Heights, limit: int = 500, scale: Scale | None = None) -> np.ndarray:
     cell = np.zeros(heights.x.size, np.int32)
-    return last_look.looked_at(heights, cell, surroundings(2, 1), scale or Scale(), by_ground_share(limit))
+    return last_look.relabelled(heights, cell, surroundings(2, 1), scale or Scale(), by_ground_share(limit))
 
 
 def test_low_noise_and_what_lies_far_from_the_surface_stay() -> None:

@@ -11,7 +11,7 @@ from ptd.frame import CellLattice, Scale, Window
 from ptd.ground.labelling import GROUND, LOW_NOISE, UNCLASSIFIED
 from ptd.ground.noise_sums import Roughness
 from ptd.matched.cells import cell_heights, raster_of
-from ptd.matched.ground_model import Ground, Place, _heights_above
+from ptd.matched.ground_model import Ground, RasterPosition, _heights_above
 from ptd.matched.passes import PASSES, CellModel, ObjectPass
 from ptd.matched.step import OBJECT, Codes, noise_m
 from ptd.matched.surface import Surface
@@ -76,9 +76,9 @@ def test_elected_cells_are_those_of_the_bounds_and_are_labelled_by_cell() -> Non
     raster = raster_of(half, cells)
     codes = rng.integers(1, 4, 200).astype(np.uint8)
     order = rng.permutation(200)
-    labels, doubtful = Codes(raster, codes, cells).label(Points(half[:, order]))
+    labels, is_uncertified = Codes(raster, codes, cells).label(Points(half[:, order]))
     assert np.array_equal(labels, codes[order])
-    assert not doubtful.any()
+    assert not is_uncertified.any()
 
 
 def test_objects_found_before_stay_objects() -> None:
@@ -106,7 +106,11 @@ def test_points_are_ground_within_the_tolerance_about_the_surface_and_low_noise_
         shape = raster.heights.shape
         found = Surface(np.full(shape, 10.0), np.full(shape, 0.1), np.full(shape, narrowing))
         ground = Ground(
-            found, Place(0, 0, 1000.0, raster.column, raster.row), MM, everywhere(0.1), everywhere(0.5)
+            found,
+            RasterPosition(0, 0, 1000.0, raster.column, raster.row),
+            MM,
+            everywhere(0.1),
+            everywhere(0.5),
         )
         return ground.classes(x, np.full_like(x, 5300), np.rint(1000 * z).astype(np.int32)).tolist()
 
@@ -123,8 +127,8 @@ def test_heights_between_cells_are_those_of_a_plane() -> None:
         x, y = (
             np.rint(1000 * (np.array(a) + 0.5 + first)).astype(np.int32) for a, first in ((u, -2), (v, 3))
         )
-        place = Place(0, 0, 1000.0, -2, 3)
-        return -_heights_above(x, y, np.zeros_like(x), values, place, 1000.0, 16_000.0)[0]
+        position = RasterPosition(0, 0, 1000.0, -2, 3)
+        return -_heights_above(x, y, np.zeros_like(x), values, position, 1000.0, 16_000.0)[0]
 
     v, u = [0.0, 2.25, 4.99], [0.5, 3.75, 6.99]
     assert np.allclose(surface(2 * row - 3 * column, v, u), 2 * np.array(v) - 3 * np.array(u))

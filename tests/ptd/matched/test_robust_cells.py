@@ -63,7 +63,7 @@ def test_next_to_no_points_give_no_error(name: str, n: int) -> None:
 @pytest.fixture
 def short_sighted(monkeypatch: pytest.MonkeyPatch) -> NearGroundPass:
     """The last pass with narrow facets and surroundings, so that small scenes have places beyond its reach."""
-    monkeypatch.setattr(facets, "MAX_WIDTH_M", 4.0)
+    monkeypatch.setattr(facets, "MAX_CIRCUMRADIUS_M", 4.0)
     monkeypatch.setattr(surface, "CONTRAST_M", 2.0)
     monkeypatch.setattr(surface, "NOISE_M", 2.0)
     monkeypatch.setattr(surface, "EXTENDED_M", (1.0, 2.0))

@@ -47,17 +47,20 @@ def short_sighted(monkeypatch: pytest.MonkeyPatch) -> type[Auto]:
     monkeypatch.setattr(objects, "MAX_WIDTH_M", 14.0)
     monkeypatch.setattr(objects, "TERRAIN_M", 10.0)
     seen = max(
-        side * (objects.reach_cells(side) + replace(surface.STIFF, cell_m=side).reach + 1)
-        for side in passes.SIDES_M
+        size_m * (objects.reach_cells(size_m) + replace(surface.STIFF, cell_m=size_m).reach + 1)
+        for size_m in passes.CELL_SIZES_M
     )
     later = [replace(step, influence_radius_m=seen) for step in passes.PASSES[1:3]]
-    beyond = max(side * (surface.reach_cells(side) + canopy.reach_cells(side) + 3) for side in passes.SIDES_M)
+    beyond = max(
+        size_m * (surface.reach_cells(size_m) + canopy.reach_cells(size_m) + 3)
+        for size_m in passes.CELL_SIZES_M
+    )
     later.append(replace(passes.PASSES[3], influence_radius_m=beyond))
     monkeypatch.setattr(islands, "MAX_WIDTH_M", 6.0)
     monkeypatch.setattr(islands, "VIEW_M", 8.0)
     reach_m = max(
-        side * (surface.reach_cells(side) + islands.reach_cells(side) + last_look.reach_cells(side))
-        for side in passes.SIDES_M
+        size_m * (surface.reach_cells(size_m) + islands.reach_cells(size_m) + last_look.reach_cells(size_m))
+        for size_m in passes.CELL_SIZES_M
     )
     last = replace(passes.PASSES[4], influence_radius_m=reach_m)
 

@@ -7,7 +7,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
-from ptd.frame import Scale
+from ptd.frame import CellGrid, Scale
 from ptd.matched.voting import ALIKE_M, ALIKE_SIGMAS, PARTS, RADIUS_M, REACH_M, ROUNDS, radius_m, votes
 from ptd.places import Field, values_at
 
@@ -100,9 +100,9 @@ def test_each_point_asks_neighbours_by_the_radius_and_noise_of_its_place(narrowe
     rng = np.random.default_rng(8)
     x, y, residual, asked = cloud(9)
     places = rng.uniform(narrowest, 1.0, (12, 12))
-    lattice = (-5, -5, 1000, 1, 0, 0, False)
-    radii = Field(places, *lattice, places.min(), places.max())
-    noise = Field(0.1 * places.T, *lattice, 0.1 * places.min(), 0.1 * places.max())
+    grid = CellGrid(1000, 1, 0, 0, -5, -5)
+    radii = Field(places, grid, False, places.min(), places.max())
+    noise = Field(0.1 * places.T, grid, False, 0.1 * places.min(), 0.1 * places.max())
     radius, sigma = values_at(radii, x, y), values_at(noise, x, y)
     square = np.rint((1000 * radius) ** 2)
     alike = np.rint(PARTS * 1000 * (ALIKE_M + ALIKE_SIGMAS * sigma))

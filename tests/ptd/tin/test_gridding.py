@@ -1,4 +1,4 @@
-"""Pixels have one owner each and the right height, and marks never miss a doubt."""
+"""Pixels have one owner each and the right height, and marks never miss a pixel that unknown data could change."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def passing(facet: reference.Facet, max_edge2: float, max_radius2: float) -> boo
 
 
 def sides_of(facet: reference.Facet, p: tuple[Any, Any]) -> list[Any]:
-    """Side of the edge opposite each corner on which a place lies."""
+    """Side of the edge opposite each corner on which a position lies."""
     a, b, c = facet
     return [reference.area(*edge, p) for edge in ((b, c), (c, a), (a, b))]
 

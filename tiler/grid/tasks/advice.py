@@ -68,7 +68,7 @@ def _crowns(job: Job, spec: RasterSpec, filled: tuple[str, ...]) -> Advice | Non
     works = [FindCrowns(spec, filled[i : i + CROWN_BLOCKS]) for i in range(0, len(filled), CROWN_BLOCKS)]
     tasks = [Task("advice", f"crowns{i:06d}", digest_of(w), find_crowns, w) for i, w in enumerate(works)]
     records = [CrownsRecord.of(stored) for stored in _run_tasks(job, tasks)]
-    parts = [Crowns(record.looked_at, record.found) for record in records]
+    parts = [Crowns(record.n_tested, record.found) for record in records]
     return crown_advice(parts, spec)
 
 

@@ -284,5 +284,5 @@ def test_a_fixed_reach_leaves_no_mark_and_no_difference(tile_m: float, thin_cell
 def test_blocks_change_no_label(monkeypatch: pytest.MonkeyPatch) -> None:
     cloud = Points(SCENES["voids"](np.random.default_rng(2)))
     truth, _, _ = classify_tiled(cloud, SCALE, SMALL, None, kind="lidar")
-    monkeypatch.setattr(blocks, "SIDE_CELLS", 16)
+    monkeypatch.setattr(blocks, "BLOCK_CELLS", 16)
     assert np.array_equal(classify_tiled(cloud, SCALE, SMALL, None, kind="lidar")[0], truth)

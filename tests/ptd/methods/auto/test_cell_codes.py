@@ -1,4 +1,4 @@
-"""A code for each cell: the same for all its points, in doubt beyond what is certain."""
+"""A code for each cell: the same for all its points, uncertified beyond what is certain."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ def points(*rows: tuple[int, int, int], labels: list[int] | None = None) -> Poin
 def test_points_take_the_code_of_their_cell(far: int) -> None:
     """Cells start at 300 and 550 of local counts; whether the raster is kept or searched shows nowhere."""
     x, y = np.array([300, 1300, far], np.int32), np.array([550, 550, 1550], np.int32)
-    doubtful = np.array([False, True, False])
+    is_uncertified = np.array([False, True, False])
     window = Window(300, 550, 2_000_000_500, 2_550)
-    model = CellCodes(x, y, np.array([3, 4, 7], np.uint8), CELLS, window, {"seeds": 2}, doubtful)
+    model = CellCodes(x, y, np.array([3, 4, 7], np.uint8), CELLS, window, {"seeds": 2}, is_uncertified)
     given = points(
         (1299, 1549, 5), (300, 550, -5), (1300, 600, 0), (far + 9, 1600, 0), (299, 550, 0), (700, 1550, 0)
     )

@@ -86,8 +86,8 @@ def seeds_of(heights: np.ndarray, opening: Opening, keep: np.ndarray | None = No
     """A map of the potential seeds."""
     x, y, z = field(heights, keep)
     args = CellLattice.of(1.0, Scale()), opening, EVERYTHING
-    found, unsure = potential_seeds(x, y, z, np.ones(x.size, bool), *args)
-    assert not unsure.any()
+    found, uncertified = potential_seeds(x, y, z, np.ones(x.size, bool), *args)
+    assert not uncertified.any()
     seen = np.zeros(heights.shape, bool)
     seen[y // 1000, x // 1000] = found
     return seen
@@ -162,12 +162,12 @@ def test_certain_cells_lie_a_window_and_its_fill_inside() -> None:
     x, y, z = field(np.zeros((40, 40)))
     known = Window(10_000, -(2**40), 2**40, 2**40)
     args = CellLattice.of(1.0, Scale()), Opening([3, 5], [300, 300], 3)
-    _, unsure = potential_seeds(x, y, z, np.ones(x.size, bool), *args, known)
+    _, uncertified = potential_seeds(x, y, z, np.ones(x.size, bool), *args, known)
     middle = abs(y - 20_000) < 12_000
-    assert np.array_equal(unsure[middle], x[middle] < 14_000)
+    assert np.array_equal(uncertified[middle], x[middle] < 14_000)
     hole = (x // 1000 < 15) & (abs(y // 1000 - 20) < 3)  # 5 cells deep, and filled from unknown cells
     x, y, z = x[~hole], y[~hole], z[~hole]
-    _, unsure = potential_seeds(x, y, z, np.ones(x.size, bool), *args, known)
+    _, uncertified = potential_seeds(x, y, z, np.ones(x.size, bool), *args, known)
     beside = (y // 1000 == 20) & (x // 1000 == 15)
-    assert unsure[beside].all()
-    assert not unsure[x // 1000 > 20].any()
+    assert uncertified[beside].all()
+    assert not uncertified[x // 1000 > 20].any()

@@ -25,8 +25,8 @@ def noise_of(
     x, y, z = np.ascontiguousarray(np.array(points, np.int32).T)
     tin = Tin.build(x, y, z)
     real = np.array([(int(a), int(b)) not in (virtual or set()) for a, b, _ in tin.vertices])
-    noise, unsure = noisy_seeds(tin, real, limits, np.zeros(tin.n_triangles, np.uint8))
-    assert not unsure.any()
+    noise, uncertified = noisy_seeds(tin, real, limits, np.zeros(tin.n_triangles, np.uint8))
+    assert not uncertified.any()
     return {(int(a), int(b)) for a, b, _ in tin.vertices[noise]}
 
 
@@ -132,8 +132,8 @@ def test_joined_vertices_have_one_number() -> None:
 
 @settings(max_examples=50, deadline=None)
 @given(seed=st.integers(0, 10**6))
-def test_doubt_covers_all_effects_of_doubtful_facets(seed: int) -> None:
-    """In a cloud cut at a line, certain results equal those of the whole if the changed facets are in doubt."""
+def test_uncertified_seeds_cover_all_effects_of_uncertified_facets(seed: int) -> None:
+    """In a cloud cut at a line, certain results equal those of the whole if the changed facets are uncertified."""
     rng = np.random.default_rng(seed)
     n = 250
     xy = rng.choice(60 * 60, n, replace=False)
@@ -144,23 +144,27 @@ def test_doubt_covers_all_effects_of_doubtful_facets(seed: int) -> None:
     near = x < 4500
     window = Tin.build(x[near], y[near], z[near])
     facets = {frozenset(map(tuple, f)) for f in whole.vertices[real_triangles(whole)].tolist()}
-    in_doubt = np.zeros(window.n_triangles, np.uint8)
+    uncertified = np.zeros(window.n_triangles, np.uint8)
     for t in range(window.n_triangles):
         corners = list(corners_of(window, t))
-        in_doubt[t] = -1 in corners or frozenset(map(tuple, window.vertices[corners].tolist())) not in facets
+        uncertified[t] = (
+            -1 in corners or frozenset(map(tuple, window.vertices[corners].tolist())) not in facets
+        )
     real = np.ones(window.n_vertices, bool)
-    noise, unsure = noisy_seeds(window, real, limits, in_doubt)
+    noise, uncertified_seeds = noisy_seeds(window, real, limits, uncertified)
     truth, _ = noisy_seeds(whole, np.ones(n, bool), limits, np.zeros(whole.n_triangles, np.uint8))
     true_noise = set(map(tuple, whole.vertices[truth, :2].tolist()))
-    for (a, b, _z), found, doubtful in zip(window.vertices.tolist(), noise, unsure, strict=True):
-        assert doubtful or found == ((a, b) in true_noise)
+    for (a, b, _z), found, is_uncertified in zip(
+        window.vertices.tolist(), noise, uncertified_seeds, strict=True
+    ):
+        assert is_uncertified or found == ((a, b) in true_noise)
 
 
-@pytest.mark.parametrize("in_doubt", [0, 1])
-def test_with_all_facets_in_doubt_nothing_is_certain(in_doubt: int) -> None:
+@pytest.mark.parametrize("uncertified", [0, 1])
+def test_with_all_facets_uncertified_nothing_is_certain(uncertified: int) -> None:
     x, y, z = np.ascontiguousarray(np.array(block(6000), np.int32).T)
     tin = Tin.build(x, y, z)
-    doubt = np.full(tin.n_triangles, in_doubt, np.uint8)
-    _, unsure = noisy_seeds(tin, np.ones(tin.n_vertices, bool), CLUSTERS, doubt)
-    assert unsure.all() == bool(in_doubt)
-    assert unsure.any() == bool(in_doubt)
+    triangles = np.full(tin.n_triangles, uncertified, np.uint8)
+    _, uncertified_seeds = noisy_seeds(tin, np.ones(tin.n_vertices, bool), CLUSTERS, triangles)
+    assert uncertified_seeds.all() == bool(uncertified)
+    assert uncertified_seeds.any() == bool(uncertified)

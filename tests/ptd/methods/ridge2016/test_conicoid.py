@@ -27,8 +27,8 @@ def judge(
     flags = np.ones(len(xyz), np.bool_) if data.size == 0 else data
     real = {(int(x), int(y)) for x, y in xyz[flags][:, :2]}
     vertices = np.array([(int(x), int(y)) in real for x, y, _ in tin.vertices])
-    doubt = UncertifiedRegion(EVERYTHING, EVERYTHING, (0, 0, 1, 1), Scale())
-    wrong = conicoid_outliers(tin, vertices, float(STEP), confidence, least, doubt)
+    region = UncertifiedRegion(EVERYTHING, EVERYTHING, (0, 0, 1, 1), Scale())
+    wrong = conicoid_outliers(tin, vertices, float(STEP), confidence, least, region)
     return {(int(x), int(y)) for x, y, _ in tin.vertices[wrong]}
 
 
@@ -145,14 +145,14 @@ def test_fifteen_observations_cannot_reject_at_98_percent(n: int) -> None:
     assert (bound > limit) == (n == 16)
 
 
-def test_seeds_within_reach_of_doubt_are_in_doubt() -> None:
+def test_seeds_within_reach_of_the_uncertified_region_are_uncertified() -> None:
     points = hill(3, 50.0, 15).astype(np.int32)
     tin = Tin.build(*points.T)
     known = Window(-STEP, -STEP, 15 * STEP, 15 * STEP)
-    doubt = UncertifiedRegion(known, known, (-STEP, -STEP, 15 * STEP, 15 * STEP), Scale())
-    conicoid_outliers(tin, np.ones(tin.n_vertices, np.bool_), float(STEP), 0.98, 0.0, doubt)
+    region = UncertifiedRegion(known, known, (-STEP, -STEP, 15 * STEP, 15 * STEP), Scale())
+    conicoid_outliers(tin, np.ones(tin.n_vertices, np.bool_), float(STEP), 0.98, 0.0, region)
     x, y = (np.array([v], np.int32) for v in points[7 * 15 + 7, :2])
-    assert not doubt.covers(x, y).any()
+    assert not region.covers(x, y).any()
     for place in (15 * 1 + 7, 15 * 7 + 13):
         x, y = (np.array([v], np.int32) for v in points[place, :2])
-        assert doubt.covers(x, y).all()
+        assert region.covers(x, y).all()

@@ -101,17 +101,17 @@ def candidates(centre: tuple[float, float]) -> np.ndarray:
 def place(
     known: Window, data: np.ndarray | None = None
 ) -> tuple[list[tuple[int, ...]], np.ndarray, UncertifiedRegion]:
-    """Ridge points of the roof among the points near the centre of the facet at (30, 3), that centre, and the doubt."""
+    """Ridge points of the roof near the centre of the facet at (30, 3), this centre, and the uncertified region."""
     tin = Tin.build(*seeds(roof(1.0)))
     facet = tin.vertices[list(corners_of(tin, triangle_at(tin, 30 * M, 3 * M)))].astype(np.int64)
     centre = facet[:, :2].sum(axis=0) / 3 / M
     points = np.rint(candidates((centre[0], centre[1])) * M).astype(np.int32)
     stacks = Stacks(*np.ascontiguousarray(points.T), CellLattice.of(1.0, SCALE))
-    doubt = UncertifiedRegion(known, known, (-80 * M, -100 * M, 140 * M, 120 * M), SCALE)
+    region = UncertifiedRegion(known, known, (-80 * M, -100 * M, 140 * M, 120 * M), SCALE)
     data = np.ones(tin.n_vertices, np.bool_) if data is None else data
-    found = ridge_points(tin, data, stacks, RULE, doubt)
+    found = ridge_points(tin, data, stacks, RULE, region)
     picked = [(int(stacks.x[i]), int(stacks.y[i]), int(stacks.z[i])) for i in found]
-    return picked, points, doubt
+    return picked, points, region
 
 
 def test_the_ridge_point_is_the_lowest_within_2_m_of_the_centre() -> None:
@@ -121,24 +121,24 @@ def test_the_ridge_point_is_the_lowest_within_2_m_of_the_centre() -> None:
 
 
 def test_without_ridge_facets_no_points() -> None:
-    picked, _, doubt = place(Window.everything(), np.zeros(42, np.bool_))
+    picked, _, region = place(Window.everything(), np.zeros(42, np.bool_))
     assert picked == []
-    assert not doubt.mask.any()
+    assert not region.mask.any()
 
 
-def test_candidates_of_a_facet_in_doubt_are_in_doubt() -> None:
-    """The window ends close to the roof: places near its border are in doubt, the middle is certain."""
-    picked, points, doubt = place(Window(-35 * M, -65 * M, 95 * M, 68 * M))
+def test_candidates_of_an_uncertified_facet_are_uncertified() -> None:
+    """The window ends close to the roof: places near its border are uncertified, the middle is certain."""
+    picked, points, region = place(Window(-35 * M, -65 * M, 95 * M, 68 * M))
     assert picked == [tuple(points[2].tolist())]
     x, y = np.array([30 * M, 30 * M, 30 * M], np.int32), np.array([3 * M, -55 * M, 62 * M], np.int32)
-    assert doubt.covers(x, y).tolist() == [False, True, True]
+    assert region.covers(x, y).tolist() == [False, True, True]
 
 
-def test_the_pick_near_the_side_of_the_window_is_in_doubt() -> None:
+def test_the_pick_near_the_side_of_the_window_is_uncertified() -> None:
     """All facets are certain, but a lower point may lie within 2 m beyond the side."""
     _, points, _ = place(Window.everything())
     x, y = points[2:3, 0].copy(), points[2:3, 1].copy()
     east = int(points[0, 0]) + M
     for side, expected in ((OPEN - 1, False), (east, True)):
-        _, _, doubt = place(Window(-OPEN, -OPEN, side, OPEN))
-        assert doubt.covers(x, y).tolist() == [expected]
+        _, _, region = place(Window(-OPEN, -OPEN, side, OPEN))
+        assert region.covers(x, y).tolist() == [expected]

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from ptd.frame import CellLattice, Scale
-from ptd.methods.ridge2016.sorted_cells import Stacks, lowest_within, places_in_stacks
+from ptd.methods.ridge2016.sorted_cells import Stacks, indices_in_stacks, lowest_within
 
 SCALE = Scale(origin=(-12_345, 987))
 
@@ -61,9 +61,9 @@ def test_lowest_within_a_radius(
 def test_points_are_found_again_and_strangers_are_not() -> None:
     x, y, z = cloud(3, 400, 900, 100)  # many in one place
     s = Stacks(x, y, z, CellLattice.of(0.5, SCALE))
-    place = places_in_stacks(x, y, z, s.x, s.y, s.z, s.raster)
+    place = indices_in_stacks(x, y, z, s.x, s.y, s.z, s.raster)
     for own, sorted_ in ((x, s.x), (y, s.y), (z, s.z)):
         assert np.array_equal(sorted_[place], own)
     one = np.ones(x.size, np.int32)
     for moved in ((x + one, y, z), (x, y, z + one), (x + 10**6 * one, y, z)):
-        assert (places_in_stacks(*moved, s.x, s.y, s.z, s.raster) == -1).all()
+        assert (indices_in_stacks(*moved, s.x, s.y, s.z, s.raster) == -1).all()

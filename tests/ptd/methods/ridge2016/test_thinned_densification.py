@@ -31,9 +31,9 @@ def tins(
     stacks = Stacks(x, y, z, CellLattice.of(cell_m, Scale()))
     seeds = {tuple(p) for p in points[:n_seeds].tolist()}
     own = np.array([tuple(p) in seeds for p in np.column_stack([stacks.x, stacks.y, stacks.z]).tolist()])
-    doubt = UncertifiedRegion(EVERYTHING, EVERYTHING, (0, 0, 1, 1), Scale())
+    region = UncertifiedRegion(EVERYTHING, EVERYTHING, (0, 0, 1, 1), Scale())
     chosen = np.flatnonzero(own).astype(np.int32)
-    steps = densify_thinned(stacks, chosen, CORNERS.astype(np.int32), limits, doubt)
+    steps = densify_thinned(stacks, chosen, CORNERS.astype(np.int32), limits, region)
     return [step.tin for step in islice(steps, rounds)], stacks
 
 
@@ -133,17 +133,17 @@ def test_the_tally_counts_what_labelling_gives() -> None:
         assert counts[0] > counts[2] > counts[4]
 
 
-def test_the_tally_counts_what_is_in_doubt() -> None:
+def test_the_tally_counts_what_is_uncertified() -> None:
     seeds, others = scene(11, 500, 900)
     points = np.unique(np.vstack([seeds[4:], others]), axis=0)
     limits = FacetLimits.of(Scale(), distance_m=4.0, angle_deg=25.0, terrain_deg=88.0)
     (tin,), stacks = tins(points, 40, limits, 1, 2.0)
-    in_doubt = (np.arange(tin.n_triangles) % 3 == 0).astype(np.uint8)
+    uncertified = (np.arange(tin.n_triangles) % 3 == 0).astype(np.uint8)
     # On a vertex, the search may end in any of its triangles.
     off = [
         p not in rows(tin) for p in zip(stacks.x.tolist(), stacks.y.tolist(), stacks.z.tolist(), strict=True)
     ]
     x, y, z = stacks.x[off], stacks.y[off], stacks.z[off]
-    _, marked = label_points(tin, Locator.of(tin), Xyz(x, y, z), in_doubt, LabelRule(limits, 0.0))
+    _, marked = label_points(tin, Locator.of(tin), Xyz(x, y, z), uncertified, LabelRule(limits, 0.0))
     tally = GrowthCounter(x, y, z, limits, 0.0, np.zeros(x.size, np.bool_))
-    assert tally.count(tin, in_doubt)[1] == tally.count(tin, in_doubt)[1] == marked.sum() > 0
+    assert tally.count(tin, uncertified)[1] == tally.count(tin, uncertified)[1] == marked.sum() > 0

@@ -6,18 +6,18 @@ from pathlib import Path
 
 import numpy as np
 
-from ptd.matched import last_look, trees
-from ptd.matched.trees import LEAVES, NODES, UNIT, Trees, last_look_trees, scores
+from ptd.matched import decision_trees, last_look
+from ptd.matched.decision_trees import LEAVES, NODES, UNIT, DecisionTrees, last_look_trees, scores
 
 
-def random_trees(seed: int, n: int = 30) -> Trees:
+def random_trees(seed: int, n: int = 30) -> DecisionTrees:
     rng = np.random.default_rng(seed)
     feature, threshold = rng.integers(0, 5, NODES * n), rng.integers(-50, 50, NODES * n)
     leaf = rng.integers(-UNIT, UNIT, LEAVES * n)
-    return Trees(*(part.astype(np.int32) for part in (feature, threshold, leaf)))
+    return DecisionTrees(*(part.astype(np.int32) for part in (feature, threshold, leaf)))
 
 
-def slow_score(row: np.ndarray, found: Trees) -> int:
+def slow_score(row: np.ndarray, found: DecisionTrees) -> int:
     """Numbers of nodes are written in binary: 1 at the root, then a digit for each side that is taken."""
     score = 0
     for t in range(found.leaf.size // LEAVES):
@@ -36,7 +36,9 @@ def test_a_slow_walk_gives_the_same_sums() -> None:
 
 
 def test_one_tree_of_known_answers() -> None:
-    tree = Trees(*(np.array(v, np.int32) for v in ([0, 1, 1, 0, 0, 0, 0], [9, 5, 5, 3, 3, 20, 20], range(8))))
+    tree = DecisionTrees(
+        *(np.array(v, np.int32) for v in ([0, 1, 1, 0, 0, 0, 0], [9, 5, 5, 3, 3, 20, 20], range(8)))
+    )
     rows = np.array([[9, 5], [3, 5], [9, 6], [10, 5], [21, 6]], np.int32)
     assert scores(rows, tree).tolist() == [1, 0, 3, 4, 7]
 
@@ -44,7 +46,7 @@ def test_one_tree_of_known_answers() -> None:
 def test_trees_of_the_last_look_are_small_and_know_its_features() -> None:
     found = last_look_trees()
     assert last_look_trees() is found
-    assert Path(trees.__file__).with_name("last_look.npz").stat().st_size < 20_000
+    assert Path(decision_trees.__file__).with_name("last_look.npz").stat().st_size < 20_000
     many = len(last_look.POINT_FEATURES) + len(last_look.WINDOW_FEATURES) + len(last_look.CELL_FEATURES)
     assert 0 <= found.feature.min() <= found.feature.max() < many
     assert found.leaf.size * NODES == found.feature.size * LEAVES

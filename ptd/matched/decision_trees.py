@@ -1,4 +1,4 @@
-"""Boosted trees on whole numbers, which decide the same on each machine and in any order of the points."""
+"""Boosted decision trees on whole numbers, which decide the same on each machine and in any order of the points."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ from ptd.cells import Int32
 from ptd.kernel import kernel
 
 UNIT = 2**16
-"""Number of parts of 1 in which leaves give log-odds."""
+"""Fixed-point scale: leaves are log-odds multiplied by this number."""
 DEPTH = 3
-"""Number of questions between the root of a tree and each leaf."""
+"""Number of questions between the root of a decision tree and each leaf."""
 NODES, LEAVES = 2**DEPTH - 1, 2**DEPTH
 
 
-class Trees(NamedTuple):
-    """Trees whose sum is the log-odds in parts of `UNIT`.
+class DecisionTrees(NamedTuple):
+    """Decision trees whose sum is the log-odds multiplied by `UNIT`.
 
     Attributes
     ----------
@@ -36,14 +36,14 @@ class Trees(NamedTuple):
 
 
 @cache
-def last_look_trees() -> Trees:
-    """Read the trees of `ptd.matched.last_look` from the file next to this module."""
+def last_look_trees() -> DecisionTrees:
+    """Read the decision trees of `ptd.matched.last_look` from the file next to this module."""
     with files(__package__).joinpath("last_look.npz").open("rb") as file, np.load(file) as kept:
-        return Trees(*(kept[name].astype(np.int32) for name in Trees._fields))
+        return DecisionTrees(*(kept[name].astype(np.int32) for name in DecisionTrees._fields))
 
 
 @kernel
-def scores(features: Int32, trees: Trees) -> Int32:
+def scores(features: Int32, trees: DecisionTrees) -> Int32:
     """Return the sum of the leaves of each point, from its row of features: int32 [n].
 
     All seven questions of a tree are evaluated, for several points at a time. Without branches this is faster than

@@ -1,4 +1,4 @@
-"""Cells of two sides in one survey: each place as if the whole survey had the cells of that place, in any tiles."""
+"""Cells of two sizes in one survey: each place as if the whole survey had the cells of that place, in any tiles."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ import pytest
 
 import ptd
 from ptd.frame import Scale, Window
-from ptd.matched.by_side import side_of_cells
+from ptd.matched.by_size import size_of_cells
 from ptd.matched.cells import cell_heights
 from ptd.matched.passes import SurfacePass
-from ptd.matched.place_figures import BOTH, SIDE, SIDES_AROUND, SIDES_M, sides, with_sides
+from ptd.matched.place_figures import BOTH, CELL_SIZE, CELL_SIZES_M, SIZES_AROUND, cell_sizes, with_cell_sizes
 from ptd.methods.auto.method import Auto
 from ptd.passes import Points
 from ptd.places import PLACE_M, name_of
@@ -31,32 +31,32 @@ def strip(seed: int = 1) -> tuple[np.ndarray, np.ndarray]:
 
 
 def test_sides_follow_the_density_and_both_are_made_where_they_meet() -> None:
-    table = with_sides({name_of(c, 0): [8.0 if c < 0 else 1.0, None, 0.05] for c in range(-9, 9)})
-    assert [table[name_of(c, 0)][SIDE] for c in (-9, -1, 0, 8)] == [1.0, 1.0, 2.0, 2.0]
-    assert [c for c in range(-9, 9) if table[name_of(c, 0)][BOTH]] == list(range(-SIDES_AROUND, SIDES_AROUND))
-    assert sides(table) == SIDES_M
-    assert sides({name_of(0, 0): table[name_of(8, 0)]}) == (2.0,)
+    table = with_cell_sizes({name_of(c, 0): [8.0 if c < 0 else 1.0, None, 0.05] for c in range(-9, 9)})
+    assert [table[name_of(c, 0)][CELL_SIZE] for c in (-9, -1, 0, 8)] == [1.0, 1.0, 2.0, 2.0]
+    assert [c for c in range(-9, 9) if table[name_of(c, 0)][BOTH]] == list(range(-SIZES_AROUND, SIZES_AROUND))
+    assert cell_sizes(table) == CELL_SIZES_M
+    assert cell_sizes({name_of(0, 0): table[name_of(8, 0)]}) == (2.0,)
 
 
 def test_cells_are_made_as_far_as_the_passes_after_them_see() -> None:
     reach = sum(step.influence_radius_m or 0.0 for step in Auto().passes if step.elected)
     assert isinstance(Auto().passes[-1], SurfacePass)
-    assert reach <= SIDES_AROUND * PLACE_M
+    assert reach <= SIZES_AROUND * PLACE_M
 
 
-@pytest.mark.parametrize("side", SIDES_M)
-def test_the_middle_of_a_cell_tells_its_side(side: float) -> None:
+@pytest.mark.parametrize("size_m", CELL_SIZES_M)
+def test_the_middle_of_a_cell_tells_its_size(size_m: float) -> None:
     xyz = np.random.default_rng(1).integers(0, 30_000, (3, 4000)).astype(np.int32)
     scale = Scale(origin=(-123_457, 77))
-    cells = cell_heights(xyz, Window.everything(), scale, 0.05, side)
-    assert set(side_of_cells(Points(cells), scale)) == {side}
+    cells = cell_heights(xyz, Window.everything(), scale, 0.05, size_m)
+    assert set(size_of_cells(Points(cells), scale)) == {size_m}
 
 
 def test_boxes_are_told_on_both_sides_and_tiles_do_not_show() -> None:
     xyz, box = strip()
     counts = np.ascontiguousarray(np.rint(1000 * xyz).T.astype(np.int32))
     whole, _, state = classify_tiled(Points(counts), MM, Auto(), None, kind="dim")
-    assert {figures[SIDE] for figures in state["places"].values()} == set(SIDES_M)
+    assert {figures[CELL_SIZE] for figures in state["places"].values()} == set(CELL_SIZES_M)
     for half in (xyz[:, 0] < 800.0, xyz[:, 0] >= 800.0):
         assert (whole[half & ~box] == 2).mean() > 0.97
         assert (whole[half & box] == 2).mean() < 0.03
@@ -65,16 +65,16 @@ def test_boxes_are_told_on_both_sides_and_tiles_do_not_show() -> None:
     assert not marks.any()
 
 
-@pytest.mark.parametrize("side", SIDES_M)
-def test_a_place_gets_what_it_would_get_if_all_cells_had_its_side(
-    side: float, monkeypatch: pytest.MonkeyPatch
+@pytest.mark.parametrize("size_m", CELL_SIZES_M)
+def test_a_place_gets_what_it_would_get_if_all_cells_had_its_size(
+    size_m: float, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     xyz, _ = strip(2)
     mixed = ptd.classify(xyz, kind="dim")
-    own = {name: figures[SIDE] for name, figures in mixed.decisions["statistics"]["places"].items()}
-    monkeypatch.setattr("ptd.matched.place_figures.cell_side_m", lambda density_m2: side)
+    own = {name: figures[CELL_SIZE] for name, figures in mixed.decisions["statistics"]["places"].items()}
+    monkeypatch.setattr("ptd.matched.place_figures.cell_size_m", lambda density_m2: size_m)
     alike = ptd.classify(xyz, kind="dim").classification
     column = np.floor(xyz[:, 0] / PLACE_M).astype(int)
-    of_side = np.array([own[name_of(c, 0)] == side for c in range(7)])[column]
-    assert of_side.mean() > 0.1
-    assert np.array_equal(mixed.classification[of_side], alike[of_side])
+    of_size = np.array([own[name_of(c, 0)] == size_m for c in range(7)])[column]
+    assert of_size.mean() > 0.1
+    assert np.array_equal(mixed.classification[of_size], alike[of_size])
