@@ -18,7 +18,18 @@ from ptd.matched.evidence import Evidence
 from ptd.matched.survey import run_facts
 from ptd.methods import METHODS
 from ptd.params import to_json
-from ptd.passes import KINDS, Int32, Model, Pass, Points, RunHints, UInt8, later_passes, read_at_candidates
+from ptd.passes import (
+    KINDS,
+    Int32,
+    Model,
+    Pass,
+    Points,
+    RunHints,
+    Stats,
+    UInt8,
+    later_passes,
+    read_at_candidates,
+)
 from ptd.places import PLACES
 
 COUNTS_PER_METRE = 1000
@@ -56,7 +67,7 @@ class Result:
 
     classification: npt.NDArray[np.uint8]
     decisions: dict[str, Any]
-    stats: dict[str, Any] = field(repr=False)
+    stats: Stats = field(repr=False)
 
     @property
     def counts(self) -> dict[int, int]:

@@ -29,6 +29,11 @@ data; `Pass.reduce` may add lines. ``places`` is the table of the figures of eac
 a task have only the part of the state that the window of the task needs (`Pass.local`).
 """
 
+Partial = dict[str, Any]
+"""What the core of one window adds to the statistics of the run, as values that JSON can hold."""
+Stats = dict[str, Any]
+"""Counts and rounds for the log, as values that JSON can hold."""
+
 READ_NAMES = {"run": ("sigma_m", "kind"), "survey": ("kind",), "canopy": ()}
 """Names of the values that passes read from these entries of a state.
 
@@ -141,7 +146,7 @@ class Model(ABC):
         Counts and rounds for the log, JSON-able.
     """
 
-    stats: dict[str, Any]
+    stats: Stats
 
     @abstractmethod
     def label(self, points: Points) -> tuple[UInt8, npt.NDArray[np.bool_]]:
@@ -164,7 +169,7 @@ class Model(ABC):
         """
         raise NotImplementedError("the pass elects no points")
 
-    def partial(self) -> dict[str, Any]:
+    def partial(self) -> Partial:
         """Return what the core adds to the statistics of the run, as JSON-able values. Each point lies in one core."""
         return {}
 
@@ -186,14 +191,14 @@ class StatisticsModel(Model):
     stats : dict, optional
     """
 
-    def __init__(self, partial: dict[str, Any], stats: dict[str, Any] | None = None) -> None:
+    def __init__(self, partial: Partial, stats: Stats | None = None) -> None:
         self._partial, self.stats = partial, stats or {}
 
     def label(self, points: Points) -> tuple[UInt8, npt.NDArray[np.bool_]]:
         """Raise NotImplementedError, as the pass gives no labels."""
         raise NotImplementedError("the pass gives no labels")
 
-    def partial(self) -> dict[str, Any]:
+    def partial(self) -> Partial:
         """Return what the core adds to the statistics of the run."""
         return self._partial
 
@@ -270,7 +275,7 @@ class Pass(ABC):
         `Model.partial` counts only points of the core.
         """
 
-    def local(self, state: State, window: Window, scale: Scale) -> dict[str, Any]:
+    def local(self, state: State, window: Window, scale: Scale) -> State:
         """Return the part of a state that `fit` needs for a window. Distant files do not change this part."""
         part = {name: value for name, value in state.items() if name not in ("notes", places.PLACES)}
         for name, keys in READ_NAMES.items():
@@ -280,7 +285,7 @@ class Pass(ABC):
             part[places.PLACES] = places.near(state[places.PLACES], window, scale)
         return part
 
-    def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
+    def reduce(self, partials: Iterable[Partial], state: State) -> State:
         """Return the state after the pass, which must not depend on the order of the partials.
 
         Raise MethodRefusal to end the run.

@@ -8,7 +8,7 @@ instead (`ptd.ground.fine_planes`). ``docs/filters.md`` describes the rules and 
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -38,6 +38,7 @@ from ptd.ground.labelling import (
 )
 from ptd.ground.outliers import LowNoise
 from ptd.kernel import kernel
+from ptd.passes import Stats
 from ptd.tin.mesh import Tin
 
 REACH_M = 3 * BLOCK_SIZE * CELL_M
@@ -193,7 +194,7 @@ class FineLabels(TinLabels):
     scale : Scale
     """
 
-    def __init__(self, closed: bool, stats: dict[str, Any], low: LowNoise, scale: Scale) -> None:
+    def __init__(self, closed: bool, stats: Stats, low: LowNoise, scale: Scale) -> None:
         super().__init__(closed, stats, low)
         self._scale = scale
 

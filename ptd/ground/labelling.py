@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +13,7 @@ from ptd.ground.certificates import CheckedMesh, UInt8
 from ptd.ground.criteria import FacetLimits, Point, across, facet_measures, judge
 from ptd.ground.outliers import LowNoise
 from ptd.kernel import as_int64, inlined, kernel
-from ptd.passes import Model, Points
+from ptd.passes import Model, Points, Stats
 from ptd.places import Field, everywhere, value_at
 from ptd.tin.interpolation import canonical_facet
 from ptd.tin.layout import Int32Array, is_ghost, real_neighbour
@@ -374,7 +374,7 @@ class TinLabels(Model):
     low : LowNoise, optional
     """
 
-    def __init__(self, closed: bool, stats: dict[str, Any], low: LowNoise | None = None) -> None:
+    def __init__(self, closed: bool, stats: Stats, low: LowNoise | None = None) -> None:
         self.stats, self.low, self._closed = stats, low, closed
         self.tin: Tin | None = None
 

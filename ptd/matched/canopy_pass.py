@@ -6,7 +6,6 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import partial
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -22,7 +21,7 @@ from ptd.matched.evidence import percent
 from ptd.matched.ground_model import band
 from ptd.matched.place_figures import CELL_SIZE, CELL_SIZES_M
 from ptd.matched.step import COVERED, CROWN, OBJECT, TERRAIN, Codes, MatchedPass, noise_m
-from ptd.passes import Int32, Model, Points, State, UInt8, add_notes
+from ptd.passes import Int32, Model, Partial, Points, State, UInt8, add_notes
 from ptd.places import PLACES, of_places, on_cells
 
 BORDER_M = 8.0
@@ -95,7 +94,7 @@ class CanopyPass(MatchedPass):
         coded[covered] |= COVERED
         return Codes(raster, coded.reshape(-1)[raster.keys], cells)
 
-    def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
+    def reduce(self, partials: Iterable[Partial], state: State) -> State:
         """Add ``canopy`` to the state: its share of the area with points, None if there are no points."""
         parts = list(partials)
         area, covered = (sum(part[name] for part in parts) for name in ("area_m2", "covered_m2"))
@@ -141,7 +140,7 @@ class CanopyModel(Model):
             np.uint8
         ), uncertified
 
-    def partial(self) -> dict[str, Any]:
+    def partial(self) -> Partial:
         """Return the areas of all cells and of covered cells in square metres, and the covered area by blocks."""
         return self._partial
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -17,7 +17,7 @@ from ptd.matched.cells import EMPTY, CellHeights
 from ptd.matched.decision_trees import last_look_trees
 from ptd.matched.place_figures import DENSITY, known
 from ptd.matched.step import noise_m
-from ptd.passes import Int32, Model, Points, State, UInt8
+from ptd.passes import Int32, Model, Points, State, Stats, UInt8
 from ptd.places import PLACES, Field, field
 
 GROUND_M, GROUND_SIGMAS = 0.15, 2.0
@@ -97,7 +97,7 @@ class Ground:
 class GroundModel(Model):
     """Model that compares points with the ground surface, if there is one."""
 
-    def __init__(self, ground: Ground | None, stats: dict[str, Any]) -> None:
+    def __init__(self, ground: Ground | None, stats: Stats) -> None:
         self._ground, self.stats = ground, stats
 
     @classmethod

@@ -11,7 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
-from typing import Any, Self
+from typing import Self
 
 import numpy as np
 
@@ -27,7 +27,7 @@ from ptd.matched.place_figures import CELL_SIZES_M
 from ptd.matched.step import OneSizePass, cell_m, is_matched, noise_m
 from ptd.matched.survey import SurveyPass
 from ptd.params import parameter
-from ptd.passes import Model, Pass, Points, State, add_notes
+from ptd.passes import Model, Partial, Pass, Points, State, add_notes
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ class MethodSurveyPass(SurveyPass):
         given_by_user = state["run"].get("sure") is None
         return not (given_by_user and state["run"].get("kind") == LIDAR)
 
-    def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
+    def reduce(self, partials: Iterable[Partial], state: State) -> State:
         """Add the survey to the state, with notes on its consequences for a photogrammetric cloud."""
         after = super().reduce(partials, state)
         if after["survey"]["kind"] != DIM:
@@ -117,7 +117,7 @@ class _Wrapped(Pass):
         """Fit the wrapped pass."""
         return self.step.fit(points, window, core, scale, state)
 
-    def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
+    def reduce(self, partials: Iterable[Partial], state: State) -> State:
         """Reduce the partials of the wrapped pass."""
         return self.step.reduce(partials, state)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -52,7 +51,7 @@ class MatchedPass(Pass):
 class OneSizePass(MatchedPass):
     """A pass of a method that uses one cell size for the whole run."""
 
-    def local(self, state: State, window: Window, scale: Scale) -> dict[str, Any]:
+    def local(self, state: State, window: Window, scale: Scale) -> State:
         """Return the state that `fit` needs, with the size of the cells."""
         local_state = super().local(state, window, scale)
         return {**local_state, "survey": {**local_state["survey"], "cell_m": cell_m(state)}}

@@ -16,7 +16,7 @@ from ptd.matched import penetration
 from ptd.matched.cells import SPARSE_M2, cell_size_m
 from ptd.matched.evidence import DIM, SEVERAL_SHARE, Evidence, Finding, Piece, concluded, decided_by, percent
 from ptd.matched.place_figures import with_cell_sizes
-from ptd.passes import Pass, Points, RunHints, State, StatisticsModel, add_notes
+from ptd.passes import Partial, Pass, Points, RunHints, State, StatisticsModel, add_notes
 from ptd.places import PLACES, Figures, name_of
 
 SEEN_THROUGH_SHARE = 0.004
@@ -229,7 +229,7 @@ class SurveyPass(Pass):
             {"points": sum(place["points"] for place in measured_places)},
         )
 
-    def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
+    def reduce(self, partials: Iterable[Partial], state: State) -> State:
         """Add to the state ``survey`` (see `surveyed`) and ``places``, the figures of each place (`ptd.places`)."""
         parts = list(partials)
         seen = ReturnStatistics(*(sum(p[name] for p in parts) for name in ReturnStatistics._fields))

@@ -11,7 +11,7 @@ import numpy as np
 from ptd.matched.evidence import SURE
 from ptd.matched.survey import SurveyPass, run_facts
 from ptd.methods import METHODS
-from ptd.passes import MethodRefusal, Pass, State
+from ptd.passes import MethodRefusal, Partial, Pass, State
 from ptd.places import PLACES
 from tiler.core.records import TileRecord
 from tiler.core.results import LabelCounts
@@ -43,9 +43,9 @@ def filter_points(job: Job, assembled: IngestResult) -> Labelled:
     config, known_states = job.plan.config, job.plan.method.statistics
     sigma = None if config.sigma is None else float(config.sigma)
     facts = run_facts(sigma, config.source_kind, job.plan.inputs.evidence)
-    state: dict[str, Any] = {"run": dataclasses.asdict(facts)}
+    state: State = {"run": dataclasses.asdict(facts)}
     pass_inputs = PassInputs(assembled.digests)
-    statistics: dict[str, Any] = {}
+    statistics: dict[str, State] = {}
     job.results.statistics = statistics
     has_written, last_pass = False, ""
     for number, step in enumerate(passes):
@@ -97,7 +97,7 @@ def _clear_passed_over(job: Job, passes: Sequence[Pass], state: State) -> None:
             job.store.clear(f"filter{number}")
 
 
-def _without_known_places(state_after: Mapping[str, Any], state: State) -> dict[str, Any]:
+def _without_known_places(state_after: State, state: State) -> State:
     """Return the state after a pass. Omit the table of places if the state before the pass has it.
 
     So the table, which may have a million places, is stored only once.
@@ -105,9 +105,9 @@ def _without_known_places(state_after: Mapping[str, Any], state: State) -> dict[
     return {name: value for name, value in state_after.items() if name != PLACES or name not in state}
 
 
-def _known_state(job: Job, step: Pass, state: State) -> dict[str, Any]:
+def _known_state(job: Job, step: Pass, state: State) -> State:
     """Return the state after a pass as recorded in the file of ``--statistics``."""
-    state_after: dict[str, Any] | None = (job.plan.method.statistics or {}).get(step.name)
+    state_after: State | None = (job.plan.method.statistics or {}).get(step.name)
     if state_after is None:
         raise ConfigError(
             f"--statistics {job.plan.config.statistics}: has no results of the pass {step.name}; use the --kind "
@@ -128,7 +128,7 @@ def _known_state(job: Job, step: Pass, state: State) -> dict[str, Any]:
     return state_after
 
 
-def _reduced(job: Job, step: Pass, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
+def _reduced(job: Job, step: Pass, partials: Iterable[Partial], state: State) -> State:
     """Return the state after a pass. Write the new notes of the pass to the log."""
     try:
         state_after = step.reduce(partials, state)

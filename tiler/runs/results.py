@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from types import MappingProxyType
 from typing import Any
 
+from ptd.passes import State
 from tiler.core.records import to_json
 from tiler.core.results import ClassCounts, FetchedBytes, LabelCounts, PointCounts, Stray
 from tiler.core.terrain_results import (
@@ -78,7 +79,7 @@ class Results:
     counts: PointCounts
     classes: ClassCounts
     strays: list[Stray]
-    statistics: dict[str, Any]
+    statistics: Mapping[str, State]
     filter: LabelCounts
     canopy: CanopyResult
     breaklines: BreaklineCounts

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 import numpy.typing as npt
 
 from ptd.cells import CellIndex, Int32, lowest_per_cell
 from ptd.frame import CellLattice, Window
 from ptd.ground.labelling import UNCLASSIFIED
-from ptd.passes import Model, Points, UInt8
+from ptd.passes import Model, Points, Stats, UInt8
 
 Bool = npt.NDArray[np.bool_]
 
@@ -39,7 +37,7 @@ class CellCodes(Model):
         codes: UInt8,
         cells: CellLattice,
         certain: Window,
-        stats: dict[str, Any],
+        stats: Stats,
         uncertified: Bool | None = None,
     ) -> None:
         self.stats, self._certain = {"cells": int(x.size), **stats}, certain

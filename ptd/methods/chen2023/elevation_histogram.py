@@ -7,14 +7,14 @@ from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 import numpy.typing as npt
 
 from ptd.cells import Int32, lowest_per_cell
 from ptd.frame import CellLattice, Scale, Window
-from ptd.passes import Pass, Points, State, StatisticsModel, add_notes
+from ptd.passes import Partial, Pass, Points, State, StatisticsModel, add_notes
 
 BIN_M = 1.0
 Bool = npt.NDArray[np.bool_]
@@ -123,7 +123,7 @@ class ElevationsPass(Pass):
             {"elevations": sorted(histogram(z[keep], scale).items())}, {"candidates": keep.size}
         )
 
-    def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
+    def reduce(self, partials: Iterable[Partial], state: State) -> State:
         """Merge the counts, find the tails, and report the cut."""
         counts = merged({int(k): int(n) for k, n in part["elevations"]} for part in partials)
         tails = None

@@ -57,7 +57,6 @@ The six steps, with the deviations:
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -74,7 +73,7 @@ from ptd.methods.chen2023.elevation_histogram import ElevationsPass, outside
 from ptd.methods.chen2023.params import Chen2023Parameters
 from ptd.methods.chen2023.progressive_opening import potential_seeds
 from ptd.methods.chen2023.seed_clusters import noisy_seeds
-from ptd.passes import Int32, Method, Pass, Points, State, UInt8
+from ptd.passes import Int32, Method, Pass, Points, State, Stats, UInt8
 from ptd.tin.mesh import Tin
 
 Bool = npt.NDArray[np.bool_]
@@ -125,7 +124,7 @@ class ChenModel(TinLabels):
         x, y, z = x[keep], y[keep], z[keep]
         low, other = self._outliers(x, y, z)
         outliers = {"low_outliers": int(low.sum()), "other_outliers": int(other.sum())}
-        stats: dict[str, Any] = {"candidates": int(x.size), **outliers, "windows": params.widths}
+        stats: Stats = {"candidates": int(x.size), **outliers, "windows": params.widths}
         stats |= dict.fromkeys(("potential_seeds", "noisy_seeds", "rounds", "vertices"), 0)
         super().__init__(window.closed, stats)
         if not (low | other).all():

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -17,7 +16,7 @@ from ptd.methods.dong2017.distance_threshold import second_difference_jump
 from ptd.methods.dong2017.growth import Growth, Stage, picks
 from ptd.methods.dong2017.params import Dong2017Parameters
 from ptd.methods.dong2017.seed_passes import VEGETATION
-from ptd.passes import MethodRefusal, Pass, Points, State, StatisticsModel, UInt8, add_notes
+from ptd.passes import MethodRefusal, Partial, Pass, Points, State, StatisticsModel, UInt8, add_notes
 from ptd.tin.mesh import Tin
 
 HISTOGRAM_BINS = Bins(0.025, 120, 0.01, 60)
@@ -52,7 +51,7 @@ class FirstMeasurement(Pass):
         trial = Trial(tin, scale, self.widest_m)
         return _measured(trial, points, core, labels == UNCLASSIFIED)
 
-    def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
+    def reduce(self, partials: Iterable[Partial], state: State) -> State:
         """Take the first distance from the jump, and the angle from the contour below that distance."""
         plane = _summed(partials)
         rows = plane.sum(axis=1).reshape(-1, JUMP_BINS).sum(axis=1)
@@ -106,7 +105,7 @@ class Measurement(Pass):
         trial = Trial(Tin.build(*vertices), scale, MEASURED_CELLS * self.spacing_m)
         return _measured(trial, points, core, ground)
 
-    def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
+    def reduce(self, partials: Iterable[Partial], state: State) -> State:
         """Take both thresholds from the outer contour."""
         contour = _contour(_summed(partials), self.params.contour_level)
         if contour is None:
@@ -156,7 +155,7 @@ def _measured(trial: Trial, points: Points, core: Window, which: Bool) -> Statis
     return StatisticsModel({"plane": counts.tolist()}, {"measured": int(counts.sum())})
 
 
-def _summed(partials: Iterable[dict[str, Any]]) -> Int64:
+def _summed(partials: Iterable[Partial]) -> Int64:
     plane = np.zeros((HISTOGRAM_BINS.distances, HISTOGRAM_BINS.angles), np.int64)
     for partial in partials:
         plane += np.array(partial["plane"], np.int64)
@@ -173,7 +172,7 @@ def _contour(plane: Int64, level: float) -> Threshold | None:
     return Threshold(contour_bins[0] * HISTOGRAM_BINS.distance_m, contour_bins[1] * HISTOGRAM_BINS.angle_rad)
 
 
-def _with_threshold(state: State, where: str, found: Threshold, denser: bool = True) -> dict[str, Any]:
+def _with_threshold(state: State, where: str, found: Threshold, denser: bool = True) -> State:
     """The state with new thresholds. With `denser`, a note says if they develop unlike the paper's."""
     note = f"{where}: distance {found.distance_m:.3f} m, angle {found.angle_rad:.3f} rad"
     previous = state.get("threshold")

@@ -20,7 +20,7 @@ from ptd.methods.dong2017.facades import FacadeRule, Facades, density_of, facade
 from ptd.methods.dong2017.greenness import BINS, COLOURLESS, gli_bins, green_from, index_of_bin
 from ptd.methods.dong2017.params import Dong2017Parameters
 from ptd.methods.dong2017.podiums import on_podium
-from ptd.passes import MethodRefusal, Model, Pass, Points, State, StatisticsModel, UInt8, add_notes
+from ptd.passes import MethodRefusal, Model, Partial, Pass, Points, State, StatisticsModel, UInt8, add_notes
 
 VEGETATION = 5
 """Label of vegetation between passes. Seeds are `GROUND`, all other points `UNCLASSIFIED`."""
@@ -45,7 +45,7 @@ class ColourPass(Pass):
         counts = np.bincount(bins[is_in_core & (bins != COLOURLESS)], minlength=BINS)
         x, y, _ = points.columns()
         cells = CellLattice.of(self.params.facade_cell_m, scale)
-        partial: dict[str, Any] = {
+        partial: Partial = {
             "gli": counts.tolist(),
             "points": int(is_in_core.sum()),
             "cells": _points_by_count(x, y, cells, is_in_core),
@@ -54,7 +54,7 @@ class ColourPass(Pass):
             partial["patches"] = roughness.measure(points.xyz, window, core, scale)
         return StatisticsModel(partial, {"points": int(is_in_core.sum())})
 
-    def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
+    def reduce(self, partials: Iterable[Partial], state: State) -> State:
         """Find the threshold of greenness, the density and the noise of the run."""
         gli, cells, patches = np.zeros(BINS, np.int64), Counter[int](), []
         for partial in partials:
@@ -99,7 +99,7 @@ class SeedPass(Pass):
         """Find the window's seeds."""
         return SeedModel(self.params, points, core, scale, state)
 
-    def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
+    def reduce(self, partials: Iterable[Partial], state: State) -> State:
         """Refuse a run without facades or seeds."""
         total: Counter[str] = Counter()
         for partial in partials:
@@ -164,7 +164,7 @@ class SeedModel(Model):
         labels[_green(points, self.green)] = VEGETATION
         return labels, np.zeros(len(points), np.bool_)
 
-    def partial(self) -> dict[str, Any]:
+    def partial(self) -> Partial:
         """Number of points in facades, and of seeds, in the core."""
         return {"facade_points": self._facade_points, "seeds": self._own}
 

@@ -19,7 +19,7 @@ from ptd.methods.classic import ClassicPass, thinned
 from ptd.methods.dong2018 import pits
 from ptd.methods.dong2018.params import Dong2018Parameters
 from ptd.params import DECIMALS
-from ptd.passes import MethodRefusal, Model, Pass, Points, State, StatisticsModel, UInt8, add_notes
+from ptd.passes import MethodRefusal, Model, Partial, Pass, Points, State, StatisticsModel, UInt8, add_notes
 
 SPARSE_M2 = 1.0
 """Points per square metre below which no plausible noise has an effect."""
@@ -43,7 +43,7 @@ class NoisePass(Pass):
         """Measure density and planar patches."""
         return StatisticsModel(roughness.measure(points.xyz, window, core, scale))
 
-    def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
+    def reduce(self, partials: Iterable[Partial], state: State) -> State:
         """Add the figures of the run to the state.
 
         These are ``density_m2``, ``cells``, ``sigma_m``, ``patches``, ``threshold_m2``, ``thin_cell_m`` and ``dense``.
@@ -105,7 +105,7 @@ def _thin_cell(threshold_m2: float) -> float:
     return min(max(centimetres, 1), 100) / 100
 
 
-def with_notes(state: State, figures: dict[str, Any], *lines: str) -> dict[str, Any]:
+def with_notes(state: State, figures: dict[str, Any], *lines: str) -> State:
     """The state with more figures, and with notes about them."""
     return {**state, **figures, "notes": add_notes(state, *(f"dong2018: {line}" for line in lines))}
 

@@ -16,7 +16,7 @@ from ptd.ground.labelling import GROUND, UNCLASSIFIED
 from ptd.methods.dong2018.even_tin import ANGLE_BIN_DEG, BINS, DISTANCE_BIN_M, EvenTin
 from ptd.methods.dong2018.params import Dong2018Parameters
 from ptd.methods.dong2018.stage_one import with_notes
-from ptd.passes import Model, Pass, Points, State, StatisticsModel, UInt8
+from ptd.passes import Model, Partial, Pass, Points, State, StatisticsModel, UInt8
 
 JOINED = 4
 """Label of points that joined at the most recent scale; other labels between passes are ASPRS classes."""
@@ -54,7 +54,7 @@ class MeasurePass(Pass):
         }
         return StatisticsModel(partial, {"vertices": even.vertices, "left_out": int(counts.sum())})
 
-    def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
+    def reduce(self, partials: Iterable[Partial], state: State) -> State:
         """Add the thresholds and figures of this scale to the state.
 
         ``scales`` lists those of all scales, ``stopped`` is the reason of an early end or None.
@@ -69,7 +69,7 @@ class MeasurePass(Pass):
                 counts[i] += n
         return self._decided(counts.reshape(BINS.distances, BINS.angles), joined, ground, state)
 
-    def _decided(self, counts: Any, joined: int, ground: int, state: State) -> dict[str, Any]:
+    def _decided(self, counts: Any, joined: int, ground: int, state: State) -> State:
         previous_scales, lines = list(state.get("scales", [])), []
         if previous_scales:
             previous_scales[-1] = {**previous_scales[-1], "joined": joined}

@@ -7,7 +7,6 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from fractions import Fraction
 from itertools import islice, pairwise
-from typing import Any
 
 import numpy as np
 
@@ -21,7 +20,7 @@ from ptd.methods.ridge2016.params import Ridge2016Parameters
 from ptd.methods.ridge2016.seeds import Prepared
 from ptd.methods.ridge2016.sorted_cells import indices_in_stacks
 from ptd.methods.ridge2016.thinned_densification import GrowthCounter
-from ptd.passes import Pass, Points, State, UInt8, add_notes
+from ptd.passes import Partial, Pass, Points, State, UInt8, add_notes
 from ptd.tin.mesh import Tin
 
 SEED = 8
@@ -46,7 +45,7 @@ class GrowthPass(Pass):
         """Densify in all rounds."""
         return GrowthModel(self.params, points, window, core, scale)
 
-    def reduce(self, partials: Iterable[dict[str, Any]], state: State) -> dict[str, Any]:
+    def reduce(self, partials: Iterable[Partial], state: State) -> State:
         """Add the key ``ridge2016`` to the state.
 
         It holds the number of ``rounds`` to run, and ``points``, ``gained`` and ``unsure`` of the run.
@@ -148,7 +147,7 @@ class GrowthModel(TinLabels):
         labels[self._prepared.low.holds(x, y, z)] = LOW_NOISE
         return labels, self._prepared.region.covers(x, y)
 
-    def partial(self) -> dict[str, Any]:
+    def partial(self) -> Partial:
         """Number of ``points`` in the core, and in each round ``gained`` and ``unsure`` (see `last_round`)."""
         return {"points": self._points, "gained": self._gained.tolist(), "unsure": self._uncertified.tolist()}
 
