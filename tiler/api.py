@@ -196,12 +196,12 @@ def classify(
     with _listening(progress) as listener:
         both, chosen = combine(keep, listener), _settings(config, settings)
         if is_one_file(sources, path):
-            facts = classify_file(sources[0], path, chosen, both)
+            summary = classify_file(sources[0], path, chosen, both)
         else:
-            facts = classify_files(sources, path, chosen, both)
-    notes = tuple(dict.fromkeys([*told, *facts["notes"]]))
-    partial = facts["failed_tasks"] or facts.get("quarantined")
-    return ClassifyResult(5 if partial else 0, facts, Path(path), notes)
+            summary = classify_files(sources, path, chosen, both)
+    notes = tuple(dict.fromkeys([*told, *summary["notes"]]))
+    partial = summary["failed_tasks"] or summary.get("quarantined")
+    return ClassifyResult(5 if partial else 0, summary, Path(path), notes)
 
 
 @dataclass(frozen=True)

@@ -103,17 +103,21 @@ def _print_report(report: Mapping[str, Any]) -> None:
         say(f"drawn   {path}")
 
 
-def _print_accuracy(facts: Mapping[str, Any]) -> None:
-    rows = [(name.upper(), *_figures(facts[name])) for name in ("nva", "vva", "all") if facts[name]["points"]]
-    rows += [(name, *_figures(figures)) for name, figures in facts["land_cover"].items()]
-    print_table(f"DTM minus checkpoint, {facts['unit']}", HEADINGS, rows)
-    outside, none = facts["outside"], facts["no_height"]
+def _print_accuracy(accuracy: Mapping[str, Any]) -> None:
+    rows = [
+        (name.upper(), *_figures(accuracy[name]))
+        for name in ("nva", "vva", "all")
+        if accuracy[name]["points"]
+    ]
+    rows += [(name, *_figures(figures)) for name, figures in accuracy["land_cover"].items()]
+    print_table(f"DTM minus checkpoint, {accuracy['unit']}", HEADINGS, rows)
+    outside, none = accuracy["outside"], accuracy["no_height"]
     if outside or none:
         say(f"without a DTM height: {outside} outside the DTM, {none} at nodata pixels")
-    asprs = facts["asprs"]
-    few = f"{facts['nva']['points']} NVA checkpoints, at least {asprs['least_points']} are needed"
+    asprs = accuracy["asprs"]
+    few = f"{accuracy['nva']['points']} NVA checkpoints, at least {asprs['least_points']} are needed"
     say(asprs["statement"] or f"no accuracy statement by the ASPRS standards: {few}")
-    for note in facts["notes"]:
+    for note in accuracy["notes"]:
         say(f"note    {note}")
 
 
@@ -128,30 +132,32 @@ def _figures(figures: Mapping[str, Any]) -> tuple[str, ...]:
     return tuple(texts)
 
 
-def _print_seams(facts: Mapping[str, Any]) -> None:
+def _print_seams(seams: Mapping[str, Any]) -> None:
     keys = ("mean_step", "largest_step", "mean_jump", "largest_jump")
     rows = [
-        (name.replace("_", " "), f"{facts[name]['pairs']:,}", *(_number(facts[name][key]) for key in keys))
+        (name.replace("_", " "), f"{seams[name]['pairs']:,}", *(_number(seams[name][key]) for key in keys))
         for name in ("tiles", "beside_tiles", "blocks", "beside_blocks", "interior")
-        if name in facts
+        if name in seams
     ]
     columns = ("pixels across", "pairs", "mean step", "largest step", "mean jump", "largest jump")
-    edges = f"across edges of tiles of {facts['tile']:g} (unit of x and y)"
-    print_table(f"steps between pixels, {facts['unit']}, {edges}", columns, rows)
+    edges = f"across edges of tiles of {seams['tile']:g} (unit of x and y)"
+    print_table(f"steps between pixels, {seams['unit']}, {edges}", columns, rows)
 
 
-def _print_strips(facts: Mapping[str, Any]) -> None:
-    if not facts["pairs"]:
-        say(f"strips  none to compare: {len(facts['strips'])} point source ids, but no cell with two of them")
+def _print_strips(strips: Mapping[str, Any]) -> None:
+    if not strips["pairs"]:
+        say(
+            f"strips  none to compare: {len(strips['strips'])} point source ids, but no cell with two of them"
+        )
         return
     keys = ("rmse", "bias", "median", "nmad", "p95_abs")
     rows = [
         (f"{p['second']} - {p['first']}", f"{p['cells']:,}", *(_number(p[key]) for key in keys))
-        for p in facts["pairs"]
+        for p in strips["pairs"]
     ]
-    rows.append(("all", f"{facts['cells']:,}", *(_number(facts["all"][key]) for key in keys)))
+    rows.append(("all", f"{strips['cells']:,}", *(_number(strips["all"][key]) for key in keys)))
     columns = ("strips", "cells", "RMSE", "mean", "median", "NMAD", "95 % within")
-    print_table(f"strips in cells of {facts['cell_m']:g} m, {facts['unit']}", columns, rows)
+    print_table(f"strips in cells of {strips['cell_m']:g} m, {strips['unit']}", columns, rows)
 
 
 def _number(value: float | None) -> str:

@@ -136,20 +136,20 @@ def command(
             say(line)
 
 
-def _print_scores(facts: Mapping[str, Any]) -> None:
+def _print_scores(scores: Mapping[str, Any]) -> None:
     """Print the scores of all points, by class, and by scene if there are several."""
-    for line in score_lines(facts):
+    for line in score_lines(scores):
         say(line)
     rows = [
         (code, f"{c['points']:,}", f"{c['labelled_ground']:,}", percent_text(c["error"]))
-        for code, c in facts["classes"].items()
+        for code, c in scores["classes"].items()
     ]
     print_table("by reference class", ("class", "points", "classified as ground", "error"), rows)
-    scenes = facts["scenes"]
+    scenes = scores["scenes"]
     if len(scenes) > 1:
         names = ("type_1", "type_2", "total", "kappa", "f1")
         lines = [(s["name"], f"{s['points']:,}", *(percent_text(s[n]) for n in names)) for s in scenes]
-        lines.append(("mean", "", *(percent_text(facts["mean"][n]) for n in names)))
+        lines.append(("mean", "", *(percent_text(scores["mean"][n]) for n in names)))
         columns = ("scene", "points", "type I", "type II", "total", "kappa", "F1")
         print_table("by scene", columns, lines)
     for path in (path for scene in scenes for path in scene["maps"]):

@@ -8,7 +8,7 @@ at least 30 checkpoints (more above 1000 km2, 120 at most). Vegetated accuracy (
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -92,7 +92,7 @@ def check_dtm(dtm: Path | str, points: Checkpoints, options: PointOptions | None
             n: _figures(difference[covers == n], own_error) for n in sorted(set(points.covers)) if n
         },
     }
-    result["asprs"] = _statement(result, area_km2, float(metres))
+    result["asprs"] = _statement(result["nva"], result["vva"], area_km2, float(metres))
     columns: dict[str, Sequence[Any]] = {
         "name": points.names,
         "x": x.tolist(),
@@ -253,8 +253,11 @@ def _area_km2(raster: Any) -> float:
     return pixel * int(raster.width) * int(raster.height) / 1e6
 
 
-def _statement(facts: dict[str, Any], area_km2: float, metres: float) -> dict[str, Any]:
-    nva, vva, needed = facts["nva"], facts["vva"], min_points(area_km2)
+def _statement(
+    nva: Mapping[str, Any], vva: Mapping[str, Any], area_km2: float, metres: float
+) -> dict[str, Any]:
+    """Return the accuracy statement of the standard from the figures of NVA and VVA checkpoints."""
+    needed = min_points(area_km2)
     enough = nva["points"] >= needed
     text = None
     if enough:
