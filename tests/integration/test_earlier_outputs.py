@@ -40,7 +40,7 @@ def test_a_product_of_other_settings_is_put_aside_and_told(cloud: Path, tmp_path
     assert (out / "outdated" / "slope.tif").read_bytes() == before
     assert set(result.summary["outputs"]) == PLAIN
     (note,) = [text for text in result.summary["notes"] if "moved" in text]
-    assert note.startswith("slope.tif: of an earlier run with other settings or inputs")
+    assert note.startswith("slope.tif: written by an earlier run with other settings or inputs")
     assert result.summary["earlier_outputs"] == {}
     again = do(cloud, out, products=BOTH, resolution="2", overwrite=True)
     assert "slope.tif" in again.summary["outputs"]

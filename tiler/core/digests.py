@@ -14,7 +14,7 @@ if TYPE_CHECKING:  # Modules that start before numpy is loaded import this one.
     import numpy.typing as npt
 
 NOT_IN_DIGEST = {"digest": False}
-"""Metadata of a field of the arguments of a task that changes the execution of the work, but not its result."""
+"""Metadata of an argument of a task that affects how the task runs, but not its result."""
 
 
 def digest_of(*parts: Any) -> str:

@@ -84,7 +84,8 @@ class SpoolRecord(Record):
         Number of records that were read, of points in the spool, and of points outside of the bounds that the header
         gives.
     dropped, unselected : dict of str to int
-        Number of points that are not stored, by reason, and of points that are stored but not filtered, by selection.
+        Number of points that are not stored, by reason, and of points that are stored but not filtered, by the
+        setting that excludes them.
     largest_rounding : float
         Largest change of a coordinate in units of the CRS.
     buckets, left : list of [ix, iy, number]

@@ -85,7 +85,8 @@ class PointCounts(Record):
     read, stored : int
         Number of points that were read, and of points in the store.
     dropped, unselected : dict of str to int
-        Number of points that are not stored, by reason, and of points that are stored but not filtered, by selection.
+        Number of points that are not stored, by reason, and of points that are stored but not filtered, by the
+        setting that excludes them.
     largest_rounding : float
         Largest change of a coordinate in units of the CRS.
     duplicates_within_files, duplicates_between_files : int

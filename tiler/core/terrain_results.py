@@ -21,7 +21,7 @@ class CanopyResult(Record):
     Attributes
     ----------
     share : float, optional
-        Share of the area with points.
+        Share of canopy in the area that has points.
     mode : str
         Setting ``--canopy``.
     places : list of [x, y]
@@ -172,7 +172,7 @@ class OutlineResult(Record):
     Attributes
     ----------
     gap_m, widest_gap_m : float
-        Width of the gaps that count as surveyed, in most windows with points and at most.
+        Usual and largest width of the gaps that count as surveyed.
     cell_m : float
         Size of the cells of the search.
     cut_pixels : int

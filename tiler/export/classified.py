@@ -25,7 +25,13 @@ from tiler.core.lattice import Cell
 from tiler.core.points import unpack_origin
 from tiler.errors import ProcessingError, write_error
 from tiler.export.cloud_crs import new_crs
-from tiler.export.cloud_frame import patch_window, write_back, write_copc_back, write_copc_front, write_front
+from tiler.export.cloud_frame import (
+    patch_counts_and_bounds,
+    write_back,
+    write_copc_back,
+    write_copc_front,
+    write_front,
+)
 from tiler.export.cloud_statistics import CloudStatistics
 from tiler.export.records import CloudRecord
 from tiler.export.work import WriteClassified
@@ -118,7 +124,7 @@ def _write(store: TileStore, header: LasHeader, work: WriteClassified, out: Path
                 counts, statistics = _write_points(header, form, writer, store, work)
                 writer.close()
                 if work.ranges:
-                    patch_window(target, statistics)
+                    patch_counts_and_bounds(target, statistics)
                 write_back(header, source, target, crs)
             target.flush()
             os.fsync(target.fileno())

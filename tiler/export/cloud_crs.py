@@ -62,7 +62,7 @@ def new_crs(header: LasHeader, work: WriteClassified, run_wkt: str | None) -> Ne
     if work.copc and run_wkt is not None:
         has = any(r.user_id == PROJECTION_USER and r.record_id == _WKT for r in records)
         if work.wkt is not None or not (has and header.prefers_wkt):
-            return NewCrs(_wkt_record(run_wkt), True, "CRS written as WKT, as COPC has it")
+            return NewCrs(_wkt_record(run_wkt), True, "CRS written as WKT, which COPC requires")
     if work.wkt is None or work.copc:
         return None
     note = ""
@@ -91,7 +91,7 @@ def _is_crs(record: Vlr) -> bool:
 def geotiff_keys(crs: CRS) -> bytes | None:
     """Return GeoTIFF keys with the EPSG codes of a projected CRS, or None if it lacks such codes.
 
-    A vertical CRS is included. laspy writes such keys without units and heights, and rasterio only into images.
+    A vertical CRS is included. laspy omits units and the vertical CRS, and rasterio writes keys only into images.
     """
     horizontal, vertical = split(crs)
     if horizontal is None or not horizontal.is_projected:

@@ -104,7 +104,7 @@ def _patch_counts(header: LasHeader, target: BinaryIO) -> None:
         _patch(target, 107, "<I", header.point_count if legacy else 0)
 
 
-def patch_window(target: BinaryIO, statistics: CloudStatistics) -> None:
+def patch_counts_and_bounds(target: BinaryIO, statistics: CloudStatistics) -> None:
     """Write counts and bounds of the written points into a LAS 1.4 header."""
     fields = statistics.to_json()["fields"]
     ends = [0.0] * 6
@@ -183,7 +183,7 @@ def write_copc_back(
     kept = _kept_by_copc(header.evlrs, crs)
     for record in kept:
         _copy(source, target, record.start, record.end)
-    patch_window(target, statistics)
+    patch_counts_and_bounds(target, statistics)
     _patch(target, 227, "<QQI", 0, copc.hierarchy_start, 1 + len(kept))
     target.seek(0, os.SEEK_END)
 

@@ -36,7 +36,7 @@ def write_outline(store_url: str, work: WriteOutline) -> OutlineFileRecord:
     Returns
     -------
     OutlineFileRecord
-        Record of the file. Its rings have at most `tiler.core.map_lines.MAX_VERTICES` vertices.
+        Record of the file. Its rings are simplified for the map (`rings_of`).
 
     Raises
     ------

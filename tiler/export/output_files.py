@@ -25,7 +25,7 @@ class NewFile:
 
 @contextmanager
 def new_file(out: str, name: str) -> Iterator[NewFile]:
-    """Yield a new file, whose path is complete and has a record when the block ends.
+    """Yield a new file. When the block ends, the file is in place and its ``record`` is set.
 
     Parameters
     ----------

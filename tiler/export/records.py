@@ -115,8 +115,8 @@ class CloudRecord(FileRecord):
     classes : dict of str to int
         Number of points by new class.
     kept : dict of str to int, optional
-        Number of filtered points, by class, that keep a class of the source outside
-        `tiler.core.classes.WITHOUT_OBJECT`. Earlier versions kept none and did not record it.
+        Number of filtered points, by class, that keep the class of an object from the source (classes that are not in
+        `tiler.core.classes.WITHOUT_OBJECT`). None for clouds of earlier versions, which kept no classes.
     statistics : dict
         See `tiler.export.cloud_statistics.CloudStatistics.to_json`.
     fetched : int, optional

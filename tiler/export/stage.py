@@ -91,7 +91,7 @@ def export(
     archive_outdated(job, paths, basis)
     # Archiving may have removed the folder of the sheets, so the folders are made afterwards.
     _make_folders([*tasks.cogs, *tasks.drawn], out)
-    with _crs_code(job) as crs_code:  # The search for the code takes as long as the workers write.
+    with _crs_code(job) as crs_code:  # A thread searches for the code while the workers write.
         made = _write(job, "export", [*tasks.cogs, *tasks.drawn, *tasks.clouds], out)
     job.store.drop_records()
     _report_files(job, tasks, made)

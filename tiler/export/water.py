@@ -32,8 +32,8 @@ def write_water(store_url: str, work: WriteWater) -> WaterFileRecord:
 
     Layer ``flow`` has the line of each river, with the height of the water at each vertex.
 
-    Layer ``reaches`` has the stations of each river downstream, with ``number``, ``along`` (distance from the first
-    station in the unit of the CRS), ``level``, ``seen`` (number of pixels of the water from which the level was
+    Layer ``reaches`` has the stations of each river in downstream order, with ``number``, ``along`` (distance from the
+    first station in the unit of the CRS), ``level``, ``seen`` (number of pixels of the water from which the level was
     estimated), ``left``, ``right`` (levels estimated from the banks) and ``slope_permille`` (slope to the next one).
 
     Layer ``breaklines`` has shores at their level, lines of flow, and structures in 3D, with ``number`` and ``kind``

@@ -28,7 +28,8 @@ class Bucket:
     mask : bool [n]
         Mask of these points among all points that are read for the bucket.
     uncertified : bool
-        Whether a label of these points is uncertified. False for a part of the window, which `window` reports.
+        Whether a label of these points is uncertified. False for a bucket that was taken
+        from the window, because `window` reports its uncertified labels.
     """
 
     points: Points

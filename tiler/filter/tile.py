@@ -52,8 +52,8 @@ def filter_tile(store_url: str, work: FilterTile) -> TileRecord:
 
     Returns
     -------
-    dict
-        `TileRecord` as JSON.
+    TileRecord
+        Record of the tile.
     """
     store = open_store(store_url)
     params = METHODS[work.method].params(**work.parameters)

@@ -85,7 +85,7 @@ class SurfaceRecord(BlockRecord):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OutlineRecord(BlockRecord):
-    """Record of a block of a delivered model.
+    """Record of a block of a model after it was cut at the outline of the survey.
 
     Attributes
     ----------
@@ -96,11 +96,11 @@ class OutlineRecord(BlockRecord):
     surveyed : int
         Number of pixels that have a height or should have one.
     voided : int
-        Number of holes that edits request.
+        Number of pixels without a height that edits request.
     holes : list of [pixels, row, col, last_row, last_col]
-        All other holes, see `tiler.grid.holes.hole_cells`.
+        Cells with other pixels without a height, see `tiler.grid.holes.hole_cells`.
     edit_holes : list of [number, pixels]
-        Number (name) of each edit in the block, and count of the holes in it.
+        Number (name) of each edit in the block, and count of its pixels without a height.
     """
 
     hidden: int
@@ -184,7 +184,7 @@ class LabelsRecord(BlockRecord):
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class OpenAreasRecord(LabelsRecord):
-    """Record of a block of areas without points: each width of gaps in cells, and the number of its windows."""
+    """Record of a block of open areas: pairs of a gap width in cells and the number of windows with it."""
 
     gaps: list[tuple[float, int]]
 
@@ -331,8 +331,8 @@ class EditCountsRecord(Record):
     ----------
     edits : list of list of int
         For each edit that touches the bucket, its number, and five counts of points inside it: all; ground before the
-        edit; ground after it by the input's classes; ground after it by the lowest points; ground by the input. The
-        last three are 0 unless the edit adds ground.
+        edit; ground after it by the input's classes; ground after it by the lowest points; points that
+        the edit makes ground by the input's classes. The last three are 0 unless the edit adds ground.
     """
 
     edits: list[list[int]]

@@ -1,1 +1,1 @@
-"""A run: its record, its executors, and the work of a worker."""
+"""A run: its state, record, executors, kernels, stages and repair."""

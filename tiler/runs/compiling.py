@@ -150,7 +150,7 @@ class Compiler:
             ended.wait()
 
     def _start(self, kernels: Kernels) -> None:
-        # The run waits for an event, because in Python 3.11 a thread seems ended after Ctrl-C in `join`.
+        # In Python 3.11, Ctrl-C during `join` makes a running thread appear finished. So the run waits for an event.
         guard = ChildProcess(None)
         ended = threading.Event()
         # The reason is read now, because it changes once this run has compiled something.

@@ -27,10 +27,10 @@ from tiler.store import LEASE_SECONDS, Commits, Lease, TileStore
 if TYPE_CHECKING:
     import xarray
 
-# The time between two writes of run.json is the larger of two limits: stages may be short, and the file may be long.
 SAVED_SECONDS = 2.0
-SHARE = 20
-"""Ratio of the second limit to the duration of the last write. `SAVED_SECONDS` is the first limit."""
+"""Minimum time between two writes of run.json, since stages may be short."""
+SAVE_RATIO = 20
+"""Minimum ratio of the time between two writes to the duration of a write, since the file may be long."""
 
 
 @dataclass(frozen=True)
@@ -177,8 +177,10 @@ class Job:
         stale: Commits = {}
         for key, commit in self.store.committed(stage).items():
             digest, _ = commit
-            fits = done if digest == digests.get(key) else stale
-            fits[key] = commit
+            if digest == digests.get(key):
+                done[key] = commit
+            else:
+                stale[key] = commit
         return done, stale
 
     def invalidate(self, stage: str, keys: Iterable[str]) -> None:
@@ -190,7 +192,7 @@ class Job:
 
     def save_if_due(self) -> None:
         """Write run.json, unless it was written a moment ago."""
-        if time.monotonic() - self._saved > max(SAVED_SECONDS, SHARE * self._took):
+        if time.monotonic() - self._saved > max(SAVED_SECONDS, SAVE_RATIO * self._took):
             self.save("running")
 
     def save(self, state: str) -> dict[str, Any]:
@@ -198,7 +200,7 @@ class Job:
         began = time.monotonic()
         content = self.record.content(self.plan, state)
         write_run_file(self.out, content)
-        if is_url(self.products):  # Runs on other machines read in it which files tiler wrote.
+        if is_url(self.products):  # Runs on other machines read the list of files from it.
             upload_file(self.out / RUN, joined(self.products, RUN))
         self._saved = time.monotonic()
         self._took = self._saved - began

@@ -1,6 +1,6 @@
 """Content of run.json.
 
-Only this module lists its entries. docs/run-json.md guarantees some of them.
+This module and `tiler.runs.results` define its entries. docs/run-json.md guarantees some of them.
 """
 
 from __future__ import annotations

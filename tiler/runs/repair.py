@@ -26,13 +26,16 @@ def repair(job: Job, keys: Iterable[str]) -> None:
         Keys of the objects in the store, as in `tiler.errors.CorruptStoreError`.
     """
     for key in sorted(set(keys)):
-        job.note(f"store: {key} is damaged or missing; the task that wrote it is run again")
         kind, name, chunk = [*key.split("/"), "", ""][:3]
+        remedy = "the task that wrote it is run again"
+        if kind == "records":
+            remedy = "the source is decoded again"
+        job.note(f"store: {key} is damaged or missing; {remedy}")
         numbers = chunk_numbers(chunk)  # None for the whole array
         if kind == "spool":
             job.store.uncommit("spool", name)
         elif kind == "records":
-            job.store.forget(f"records/{name}")  # The export decodes the source instead.
+            job.store.forget(f"records/{name}")
         elif kind == "rasters" and numbers is None:
             job.store.clear(f"grid-{name}")
             job.store.forget(f"rasters/{name}")
@@ -63,7 +66,7 @@ def _clear_filters(job: Job) -> None:
 
 
 def _take_back_bucket(job: Job, kind: str, row: int) -> None:
-    """Invalidate the tasks that wrote the points, labels or elected points of a row's bucket."""
+    """Invalidate the tasks that wrote the points, labels or elected points of the bucket that owns a row of columns."""
     cell = job.store.owner_of(row)
     if cell is None:
         return

@@ -29,7 +29,7 @@ from tiler.core.terrain_results import (
 class Results:
     """Results of a run. Each attribute that was set is an entry of run.json.
 
-    An attribute exists once its stage is done. The values of attributes with a default are not written before.
+    An attribute is set by its stage. Defaults are not written to run.json.
 
     Attributes
     ----------
@@ -63,9 +63,9 @@ class Results:
     digests : mapping of str to str
         Digests of these files.
     made_of : mapping of str to str
-        Digest of the inputs of each raster.
+        Digest of the points, labels and settings from which each product was made.
     earlier_outputs : mapping of str to str or None
-        Files of earlier runs, until the export has removed or kept them.
+        Files in OUT that may be of earlier runs, with the digest in `made_of`, or None if it does not hold for them.
     healed : sequence of str
         Damaged objects of the store that the run repaired.
     """

@@ -151,7 +151,7 @@ def test_its_crs_is_wkt_whatever_the_source_has(make_cloud: Any, memory_store: A
         cloud = laspy.read(tmp_path / "a.copc.laz")
         assert cloud.header.global_encoding.wkt
         assert [v.record_id for v in cloud.header.vlrs if v.user_id == "LASF_Projection"] == [2112]
-        assert ("CRS written as WKT, as COPC has it" in record.notes) == (crs == "geotiff")
+        assert ("CRS written as WKT, which COPC requires" in record.notes) == (crs == "geotiff")
         assert cloud.header.parse_crs().to_epsg() == (2992 if crs == "geotiff" else 25832)
         path = make_cloud("a.las", n=5, point_format=6, version="1.4")
 

@@ -69,7 +69,7 @@ def test_what_holds_stays_and_what_does_not_is_moved(tmp_path: Path) -> None:
         "earlier_outputs": {"dtm.tif": None, "mask.tif": None},
     }
     moved, saved = job.notes
-    assert moved.startswith("dsm/dsm_0_0.tif: of an earlier run with other settings or inputs")
+    assert moved.startswith("dsm/dsm_0_0.tif: written by an earlier run with other settings or inputs")
     assert moved.endswith("moved to outdated/")
     assert saved == "running"
 

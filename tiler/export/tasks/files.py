@@ -66,7 +66,7 @@ def cog_tasks(g: GridContext, inputs: Inputs, whole_inputs: str, out: str) -> It
     The tags of a sheet depend on the inputs that have points in the sheet, and the digest of its task also on its
     blocks. So another input changes only the sheets where it has points.
     """
-    cut = [(sheet, _digest(inputs, sheet.cells)) for sheet in g.sheets]
+    sheet_inputs = [(sheet, _digest(inputs, sheet.cells)) for sheet in g.sheets]
     rasters = raster_table(g.plan.config)
     for name in g.plan.config.exported:
         raster = final_raster(name, g.plan.config)
@@ -85,7 +85,7 @@ def cog_tasks(g: GridContext, inputs: Inputs, whole_inputs: str, out: str) -> It
         if g.plan.config.sheets is None:
             yield _cog_task(whole, g.checksums(raster))
             continue
-        for sheet, read in cut:
+        for sheet, inputs_digest in sheet_inputs:
             spec = sheet.spec
             near = g.spec.blocks_within(spec.block_bounds(spec.block_at(0, 0, spec.height)), BLOCK_PIXELS)
             seen = g.checksums(raster, (block.name for block in near))
@@ -95,7 +95,7 @@ def cog_tasks(g: GridContext, inputs: Inputs, whole_inputs: str, out: str) -> It
                 out=joined(out, name),
                 spec=spec,
                 whole=g.spec,
-                tags=_tags(g.plan, name, read),
+                tags=_tags(g.plan, name, inputs_digest),
             )
             yield _cog_task(work, seen)
 
@@ -216,11 +216,11 @@ def classified_tasks(
     """
     wet = _wet(plan, waters, labels)
     records, pieces, sources = by_source(spooled), kept_pieces(spooled), list(sources)
-    # On a cluster a task has only one core, since its workers run on other machines.
+    # Workers of a cluster have one core per task, so only local tasks compress with several threads.
     threads = 1 if plan.config.scheduler else max(plan.resources.workers // max(len(sources), 1), 1)
     for source in sources:
         touched = {Cell(ix, iy) for r in records[source.name] for ix, iy, _ in r.buckets}
-        cells = sorted(touched & labels.keys())  # A bucket has no labels if its task failed.
+        cells = sorted(touched & labels.keys())  # A bucket is missing from `labels` if its assembly failed.
         extent = header_bounds(source.info)
         whole = plan.inputs.area is None or (extent is not None and plan.inputs.area.covers(extent))
         work = WriteClassified(

@@ -5,7 +5,8 @@ and the settings of the rasters are the same. Otherwise they are moved to ``OUT/
 of inputs that the run does not have.
 
 In run.json, ``outputs`` lists the files that a run wrote, and ``made_of`` the basis of its products.
-``earlier_outputs`` lists the files of earlier runs until the export has checked them.
+``earlier_outputs`` lists the files of earlier runs until the export has checked them. From then on it lists the files
+that this run has yet to write.
 
 Files may be missing, changed by a user, or damaged. Usually size and time show this. If the time differs, or with
 ``--verify``, all bytes are read. A file that differs is moved and not overwritten, since it may be a user's work.
@@ -74,14 +75,14 @@ def archive_outdated(job: Job, written: Mapping[str, str], basis: str) -> None:
     job.results.earlier_outputs = dict.fromkeys(wanted)
     if stale:
         job.note(
-            f"{listed(stale, NAMED)}: of an earlier run with other settings or inputs, and not of this one; "
-            f"moved to {aside}/"
+            f"{listed(stale, NAMED)}: written by an earlier run with other settings or inputs, and not made by this "
+            f"run; moved to {aside}/"
         )
     job.save("running")
 
 
 def _archive_changed(job: Job, written: Mapping[str, str]) -> None:
-    """Move files that this run replaces, that were changed, and that the store does not know, since it is a new one.
+    """Move changed files that this run replaces, if the store is new and has no record of them.
 
     `invalidate_changed_outputs` moves those that the store knows.
     """

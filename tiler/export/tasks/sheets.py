@@ -86,7 +86,7 @@ def name_of(g: GridContext, product: str, sheet: Sheet) -> str:
 
 
 def with_points(g: GridContext) -> dict[Cell, list[Cell]]:
-    """Return for each sheet in the raster and the area the buckets whose points may lie in it (by their bounds)."""
+    """Return the buckets of each sheet in the raster and the area, by the bounds of their points."""
     lattice, area = _lattice(g), g.plan.inputs.area
     whole = g.spec.block_bounds(g.spec.block_at(0, 0, max(g.spec.height, g.spec.width)))
     buckets: dict[Cell, list[Cell]] = defaultdict(list)
