@@ -22,7 +22,7 @@ from tiler.core.raster import Block
 from tiler.grid.checksum import checksum
 from tiler.grid.coarse import Bools, padded
 from tiler.grid.density import pixel_indices
-from tiler.grid.ground import GroundSelection, read_ground, read_objects
+from tiler.grid.ground import GroundSelection, read_ground_and_objects
 from tiler.grid.reach import Floats, box_around, within
 from tiler.grid.water_cells import WaterCells
 from tiler.grid.water_search import ground_in
@@ -126,8 +126,7 @@ def _crowns(store: TileStore, work: CrownsBlock, window: Block, examined: Bools)
         top, left = part.row - window.row, part.col - window.col
         if not examined[top : top + part.height, left : left + part.width].any():
             continue
-        ground = read_ground(store, work.rule, bounds).xyz
-        objects = read_objects(store, work.rule, bounds)
+        ground, objects = read_ground_and_objects(store, work.rule, bounds)
         for xyz, is_object in ((ground, False), (objects, True)):
             cells = pixel_indices(xyz, frame.origin, spec, window)
             chosen = examined.ravel()[cells]
