@@ -1,4 +1,4 @@
-"""Distances from set cells, in strips, as a distance transform takes 50 bytes per cell."""
+"""Cells near set cells, and distances from set cells in strips, as a distance transform takes 50 bytes per cell."""
 
 from __future__ import annotations
 
@@ -17,10 +17,23 @@ STRIP_ROWS = 256
 
 
 def within(cells: Bools, radius: float) -> Bools:
-    """Return a mask of the cells within a radius of a set cell, measured between centres in cells."""
+    """Return a mask of the cells within a radius of a set cell, measured between centres in cells.
+
+    The cells are spread sideways step by step, and shifted up and down from the most distant row of a disk to its
+    middle, where the disk is widest. For usual radii this takes a tenth of the time of a distance transform.
+    """
     near_mask = np.zeros(cells.shape, np.bool_)
-    for part, distance in _strips(cells, radius):
-        np.less_equal(distance, radius, out=near_mask[part])
+    box = box_around(cells, max(math.floor(radius), 0))
+    source, near = cells[box], near_mask[box]
+    spread = source.copy()
+    width = 0
+    for rows in range(min(math.floor(radius), len(source)), -1, -1):
+        while width < source.shape[1] and math.sqrt((width + 1) ** 2 + rows**2) <= radius:
+            width += 1
+            spread[:, width:] |= source[:, :-width]
+            spread[:, :-width] |= source[:, width:]
+        near[rows:] |= spread[: len(spread) - rows]
+        near[: len(near) - rows] |= spread[rows:]
     return near_mask
 
 
