@@ -37,6 +37,19 @@ def within(cells: Bools, radius: float) -> Bools:
     return near_mask
 
 
+def within_square(cells: Bools, radius: int) -> Bools:
+    """Return a mask of the cells with a set cell within ``radius`` rows and columns."""
+    near = cells.copy()
+    for step in range(1, radius + 1):
+        near[step:] |= cells[:-step]
+        near[:-step] |= cells[step:]
+    rows = near.copy()
+    for step in range(1, radius + 1):
+        near[:, step:] |= rows[:, :-step]
+        near[:, :-step] |= rows[:, step:]
+    return near
+
+
 def distances(cells: Bools, radius: float) -> Floats:
     """Return the distance of each cell from the nearest set cell, in cells, infinite beyond a radius."""
     near_distances = np.full(cells.shape, np.inf)

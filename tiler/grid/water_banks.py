@@ -20,7 +20,7 @@ from tiler.core.raster import within as within_window
 from tiler.grid.coarse import Bools, padded
 from tiler.grid.density import pixel_indices
 from tiler.grid.ground import GroundSelection, read_ground_and_objects
-from tiler.grid.reach import Floats, within
+from tiler.grid.reach import Floats, within, within_square
 from tiler.grid.water_cells import WaterCells
 from tiler.grid.water_extent import LEVEL_M
 from tiler.grid.water_search import inner_window
@@ -186,10 +186,7 @@ def each_finer(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
 
 def _near_shore(field: Floats, radius: int) -> Bools:
     """Return a mask of the cells that have both land and water within ``radius`` cells, also diagonally."""
-    side = 2 * radius + 1
-    lowest = scipy.ndimage.minimum_filter(field, side)
-    highest = scipy.ndimage.maximum_filter(field, side)
-    return np.asarray((lowest < 0) & (highest >= 0))
+    return within_square(field < 0, radius) & within_square(field >= 0, radius)
 
 
 def fine_cells(

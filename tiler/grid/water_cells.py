@@ -114,6 +114,13 @@ class WaterCells:
             fours(self.domain, False).max(axis=2), 2 * self.size_m,
         )  # fmt: skip
 
+    def merged(self, times: int) -> WaterCells:
+        """Merge squares of ``times`` by ``times`` cells. ``times`` is a power of two."""
+        cells = self
+        for _ in range(times.bit_length() - 1):
+            cells = cells.coarser()
+        return cells
+
     def finer(self, times: int) -> WaterCells:
         """Divide each cell into ``times`` by ``times`` cells with the same values."""
 
@@ -223,7 +230,7 @@ def water_candidates(cells: WaterCells, usual: float | None) -> Bools:
 
 def flat_cells(cells: WaterCells) -> Bools:
     """Return a mask of the flat cells, see `FLAT_M`."""
-    return _relief(cells.ground) < FLAT_M
+    return relief(cells.ground) < FLAT_M
 
 
 def sparse_cells(cells: WaterCells, flat: Bools, usual: float) -> Bools:
@@ -301,8 +308,15 @@ def disk(radius: float) -> Bools:
     return np.asarray(x * x + y * y <= max(radius, 1.0) ** 2)
 
 
-def _relief(ground: Floats) -> Floats:
+def relief(ground: Floats) -> Floats:
     """Return the range of heights of each cell and its neighbours, infinite if one of these cells has no ground."""
-    high = scipy.ndimage.maximum_filter(np.where(np.isnan(ground), np.inf, ground), 3)
-    low = scipy.ndimage.minimum_filter(np.where(np.isnan(ground), -np.inf, ground), 3)
-    return np.asarray(high - low)
+    unknown = np.isnan(ground)
+    high, low = np.where(unknown, np.inf, ground), np.where(unknown, -np.inf, ground)
+    for values, extreme in ((high, np.maximum), (low, np.minimum)):
+        pairs = extreme(values[1:], values[:-1])
+        extreme(values[1:], pairs, out=values[1:])
+        extreme(values[:-1], pairs, out=values[:-1])
+        pairs = extreme(values[:, 1:], values[:, :-1])
+        extreme(values[:, 1:], pairs, out=values[:, 1:])
+        extreme(values[:, :-1], pairs, out=values[:, :-1])
+    return high - low

@@ -188,7 +188,7 @@ def plant_kinds(
 
 def is_hidden(crowns: npt.NDArray[Any]) -> Bools:
     """Return a mask of the cells with crowns and without ground, from the values of `crowns_block`."""
-    return np.asarray(crowns % REED == HIDDEN)
+    return np.asarray((crowns == HIDDEN) | (crowns == HIDDEN + REED))
 
 
 def roughness(xyz: npt.NDArray[np.int32], cells: npt.NDArray[np.int64], size: int) -> Floats:
@@ -234,10 +234,14 @@ def roughness(xyz: npt.NDArray[np.int32], cells: npt.NDArray[np.int64], size: in
 
 def _mostly(chosen: Bools, known: Bools) -> Bools:
     """Return a mask of the cells for which more than half of the known cells around are chosen, in 3 by 3 cells."""
-    square = np.ones((3, 3), np.int64)
-    n_chosen = scipy.ndimage.convolve((chosen & known).astype(np.int64), square, mode="constant")
-    n_known = scipy.ndimage.convolve(known.astype(np.int64), square, mode="constant")
-    return np.asarray(2 * n_chosen > n_known)
+
+    def number(mask: Bools) -> npt.NDArray[np.uint8]:
+        """Return the number of cells of a mask in the 3 by 3 cells around each cell."""
+        cells = np.pad(mask.astype(np.uint8), 1)
+        rows = cells[:-2] + cells[1:-1] + cells[2:]
+        return np.asarray(rows[:, :-2] + rows[:, 1:-1] + rows[:, 2:])
+
+    return np.asarray(2 * number(chosen & known) > number(known))
 
 
 def beneath_crowns(cells: WaterCells, crowns: npt.NDArray[Any], wet: Bools, level: Floats) -> Bools:
@@ -279,8 +283,9 @@ def _ground_share(crowns: npt.NDArray[Any], side: int) -> Floats:
         """Return the share of the cells of a mask in the square around each cell."""
         return np.asarray(scipy.ndimage.uniform_filter(mask.astype(np.float64), odd_side, mode="constant"))
 
-    has_crown = crowns % REED > 0
-    ground_share = share(crowns % REED == CROWN_WITH_GROUND)
+    has_ground = (crowns == CROWN_WITH_GROUND) | (crowns == CROWN_WITH_GROUND + REED)
+    has_crown = has_ground | is_hidden(crowns)
+    ground_share = share(has_ground)
     return np.divide(ground_share, share(has_crown), out=np.zeros(crowns.shape), where=has_crown)
 
 

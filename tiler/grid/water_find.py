@@ -287,8 +287,10 @@ def _surroundings(
     window = padded(block, REACH_CELLS)
     wet = cells_of(store, work.water, work.coarse, window, work.pieces)
     box = box_around(wet, REACH_CELLS)
-    cells = read_search_cells(store, work.sources, work.coarse, window, 1).cut(box)
-    crowns = read_cells(store, work.crowns, work.coarse, window)[box]
+    rows, cols = box
+    around = Block(window.row + rows.start, window.col + cols.start, *wet[box].shape)
+    cells = read_search_cells(store, work.sources, work.coarse, around, 1)
+    crowns = read_cells(store, work.crowns, work.coarse, around)
     smooth = smoothed(cells.ground)
     level = water_heights(cells.with_ground(smooth), wet[box] & ~is_hidden(crowns) & (crowns < REED))
     # The ground in hidden cells and in reed is not bank.

@@ -25,6 +25,7 @@ from tiler.grid.water_cells import (
     Rim,
     WaterCells,
     flat_cells,
+    relief,
     rim_of,
     sparse_cells,
 )
@@ -41,10 +42,8 @@ from tiler.grid.water_search import (
 )
 from tiler.store import open_store
 
-FLATNESS_SIDE_CELLS = 3
-"""Smoothed heights are compared in squares of this side, in cells."""
 RELIEF_M = 0.08
-"""A square is level if its heights differ by less than this, in metres.
+"""Three by three cells are level if their smoothed heights differ by less than this, in metres.
 
 Waves and a fall of up to 1 % cause such differences on water.
 """
@@ -116,10 +115,7 @@ class KeepPlanes(AreasWork):
 
 def plane_cells(ground: Floats, domain: Bools) -> Bools:
     """Return a mask of the cells whose smoothed heights are as level as water, without parts narrower than 3 cells."""
-    unknown = np.isnan(ground)
-    high = scipy.ndimage.maximum_filter(np.where(unknown, np.inf, ground), FLATNESS_SIDE_CELLS)
-    low = scipy.ndimage.minimum_filter(np.where(unknown, -np.inf, ground), FLATNESS_SIDE_CELLS)
-    level = scipy.ndimage.binary_opening((high - low < RELIEF_M) & domain, np.ones((3, 3), np.bool_))
+    level = scipy.ndimage.binary_opening((relief(ground) < RELIEF_M) & domain, np.ones((3, 3), np.bool_))
     return np.asarray(level)
 
 
@@ -142,7 +138,7 @@ def find_planes(store_url: str, work: FindAreas) -> dict[str, Any]:
     labels, sides = label_block(plane_cells(smoothed(cells.ground), cells.domain)[inner], corners=False)
     sparse = np.zeros_like(labels, np.bool_)
     if work.usual is not None:
-        coarser = read_search_cells(store, work.sources, work.spec, padded(block, MARGIN), work.times)
+        coarser = cells.merged(work.times)
         coarse_sparse = sparse_cells(coarser, flat_cells(coarser), work.usual)
         sparse = coarse_sparse.repeat(work.times, axis=0).repeat(work.times, axis=1)[inner]
     values = labels.astype(np.float32)
