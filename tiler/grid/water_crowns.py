@@ -23,7 +23,7 @@ from tiler.grid.checksum import checksum
 from tiler.grid.coarse import Bools, padded
 from tiler.grid.density import pixel_indices
 from tiler.grid.ground import GroundSelection, read_ground_and_objects
-from tiler.grid.reach import Floats, box_around, within
+from tiler.grid.reach import Floats, box_around, within, within_square
 from tiler.grid.water_cells import WaterCells
 from tiler.grid.water_search import ground_in
 from tiler.grid.work import BlockWork
@@ -180,8 +180,8 @@ def plant_kinds(
     tops = np.full(terrain.size, -np.inf)
     np.maximum.at(tops, cells, xyz[2] * scale)
     # Reed may be so low that its lowest points count as ground.
-    reed = rough_cells(np.ones_like(objects), REED_ROUGH_M)
-    reed &= tops.reshape(terrain.shape) - terrain <= REED_M
+    is_low = has_objects & (tops.reshape(terrain.shape) - terrain <= REED_M)
+    reed = is_low & rough_cells(within_square(is_low, 1).ravel()[cells], REED_ROUGH_M)
     kinds = np.where(has_ground, CROWN_WITH_GROUND, HIDDEN)
     return np.where(rough_cells(objects, ROUGH_M), kinds, 0) + np.where(reed, REED, 0)
 
@@ -206,17 +206,21 @@ def roughness(xyz: npt.NDArray[np.int32], cells: npt.NDArray[np.int64], size: in
     size : int
         Number of cells.
     """
-    lowest = np.full((3, size), np.iinfo(np.int64).max)
+    has_points = np.zeros(size, np.bool_)
+    has_points[cells] = True
+    # Most cells have no points, so the cells with points are numbered anew.
+    cells = (np.cumsum(has_points) - 1)[cells]
+    count = int(has_points.sum())
+    lowest = np.full((3, count), np.iinfo(np.int64).max)
     offsets = xyz.astype(np.int64)
     for axis in range(3):
         np.minimum.at(lowest[axis], cells, offsets[axis])
     x, y, z = offsets - lowest[:, cells]
 
     def total(values: npt.NDArray[np.int64]) -> Floats:
-        return np.bincount(cells, values.astype(np.float64), size).astype(np.float64)
+        return np.bincount(cells, values.astype(np.float64), count).astype(np.float64)
 
-    number = np.bincount(cells, minlength=size).astype(np.float64)
-    n = np.maximum(number, 1.0)
+    n = np.bincount(cells, minlength=count).astype(np.float64)
     mean_x, mean_y, mean_z = total(x) / n, total(y) / n, total(z) / n
     xx = total(x * x) / n - mean_x**2
     xy = total(x * y) / n - mean_x * mean_y
@@ -225,11 +229,13 @@ def roughness(xyz: npt.NDArray[np.int32], cells: npt.NDArray[np.int64], size: in
     yz = total(y * z) / n - mean_y * mean_z
     zz = total(z * z) / n - mean_z**2
     determinant = xx * yy - xy * xy
-    has_plane = (number >= MIN_POINTS) & (determinant > 1e-6 * xx * yy)
+    has_plane = (n >= MIN_POINTS) & (determinant > 1e-6 * xx * yy)
     explained = np.divide(
-        xz * xz * yy - 2 * xz * yz * xy + yz * yz * xx, determinant, out=np.zeros(size), where=has_plane
+        xz * xz * yy - 2 * xz * yz * xy + yz * yz * xx, determinant, out=np.zeros(count), where=has_plane
     )
-    return np.where(has_plane, np.sqrt(np.maximum(zz - explained, 0.0)), np.nan)
+    rough = np.full(size, np.nan)
+    rough[has_points] = np.where(has_plane, np.sqrt(np.maximum(zz - explained, 0.0)), np.nan)
+    return rough
 
 
 def _mostly(chosen: Bools, known: Bools) -> Bools:

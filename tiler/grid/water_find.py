@@ -33,7 +33,7 @@ from tiler.grid.water_cells import WaterCells
 from tiler.grid.water_crowns import REED, is_hidden
 from tiler.grid.water_extent import SPECK_CELLS, smoothed, water_heights
 from tiler.grid.water_reed import has_no_bank
-from tiler.grid.water_search import Sources, inner_window, read_search_cells
+from tiler.grid.water_search import Sources, read_search_cells
 from tiler.grid.water_shore import MAX_HEIGHT_M, REACH_CELLS, heights_above_water, shore_polygons
 from tiler.grid.water_strips import bank_rises, lower_level
 from tiler.store import TileStore, open_store, read_cells
@@ -225,6 +225,8 @@ def _bays(store: TileStore, work: DescribeBody, exits: list[npt.NDArray[np.int64
     edges = np.diff(shapely.get_coordinates(triangles).reshape(-1, 4, 2), axis=1)
     lengths = np.hypot(edges[:, :, 0], edges[:, :, 1])
     bays = shapely.union_all(triangles[lengths.max(axis=1, initial=0.0) <= max_width])
+    if shapely.is_empty(bays):
+        return bays
     land = [np.empty(0, object)]
     for block, _ in _blocks(store, work):
         window = padded(block, math.ceil(max_width))
@@ -304,32 +306,45 @@ def _surroundings(
 
 def _polygons(store: TileStore, work: DescribeBody, block: Block, lower_level_m: float | None) -> list[Any]:
     """Return polygons of the water of a block in absolute counts. They overlap with those of neighbouring blocks."""
-    cut = inner_window(padded(block, 1), REACH_CELLS - 1)
-    return shore_polygons(
-        _surroundings(store, work, block, lower_level_m).field[cut], work.coarse, padded(block, 1)
-    )
+    around = _surroundings(store, work, block, lower_level_m)
+    rows, cols = _cut(around, REACH_CELLS - 1)
+    return shore_polygons(around.field[rows, cols], work.coarse, _part(block, rows, cols))
 
 
 def _details(store: TileStore, work: DescribeBody, block: Block, lower_level_m: float | None) -> ShoreDetails:
     """Return the details of the shore of a block. They overlap with those of neighbouring blocks."""
-    cells, wet, box, level, no_bank, field = _surroundings(store, work, block, lower_level_m)
+    around = _surroundings(store, work, block, lower_level_m)
+    cells, wet, box, level, no_bank, field = around
     if level is None:
         return NO_DETAILS
     levels = np.where(no_bank, np.nan, highest_near(level))
     is_dense_quay = dense_quays(cells, wet[box], level)
-    # Beyond the box there is no shore.
-    spare = REACH_CELLS - BANK_MARGIN
-    rows, cols = (
-        slice(max(sides.start, spare), min(sides.stop, length - spare))
-        for sides, length in zip(box, wet.shape, strict=True)
-    )
+    rows, cols = _cut(around, REACH_CELLS - BANK_MARGIN)
     in_box = (
         slice(rows.start - box[0].start, rows.stop - box[0].start),
         slice(cols.start - box[1].start, cols.stop - box[1].start),
     )
     shore = Shore(field[rows, cols], levels[in_box], is_dense_quay[in_box])
-    top, left = block.row - REACH_CELLS + rows.start, block.col - REACH_CELLS + cols.start
-    return shore_details(store, work.rule, work.coarse, Block(top, left, *shore.field.shape), shore)
+    return shore_details(store, work.rule, work.coarse, _part(block, rows, cols), shore)
+
+
+def _cut(around: _Surroundings, spare: int) -> tuple[slice, slice]:
+    """Return the rows and columns of the box, without the outermost ``spare`` cells of the window.
+
+    Beyond the box there is no shore.
+    """
+    height, width = around.wet.shape
+    rows, cols = around.box
+    return (
+        slice(max(rows.start, spare), min(rows.stop, height - spare)),
+        slice(max(cols.start, spare), min(cols.stop, width - spare)),
+    )
+
+
+def _part(block: Block, rows: slice, cols: slice) -> Block:
+    """Return the cells in some rows and columns of the window around a block."""
+    top, left = block.row - REACH_CELLS, block.col - REACH_CELLS
+    return Block(top + rows.start, left + cols.start, rows.stop - rows.start, cols.stop - cols.start)
 
 
 def _without_specks(shape: Any, min_area: float) -> Any:
