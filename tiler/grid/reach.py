@@ -37,6 +37,14 @@ def within(cells: Bools, radius: float) -> Bools:
     return near_mask
 
 
+def opened(cells: Bools, radius: float) -> Bools:
+    """Return a mask without the parts in which no disk of this radius fits. Cells beyond the border are not set."""
+    pad = math.floor(radius)
+    padded = np.pad(~cells, pad, constant_values=True)
+    eroded = ~within(padded, radius)[pad : pad + len(cells), pad : pad + cells.shape[1]]
+    return within(eroded, radius)
+
+
 def within_square(cells: Bools, radius: int) -> Bools:
     """Return a mask of the cells with a set cell within ``radius`` rows and columns."""
     near = cells.copy()

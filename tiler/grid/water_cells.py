@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from tiler.grid.reach import distances
+from tiler.grid.reach import distances, opened
 
 Bools = npt.NDArray[np.bool_]
 Floats = npt.NDArray[np.float64]
@@ -223,7 +223,7 @@ def water_candidates(cells: WaterCells, usual: float | None) -> Bools:
     candidates = cells.given
     if usual is not None:
         candidates = candidates | sparse_cells(cells, flat_cells(cells), usual)
-    candidates = scipy.ndimage.binary_opening(candidates, disk(MIN_WIDTH_M / 2 / cells.size_m))
+    candidates = opened(candidates, max(MIN_WIDTH_M / 2 / cells.size_m, 1.0))
     candidates |= cells.given & scipy.ndimage.binary_dilation(candidates, np.ones((3, 3), np.bool_))
     return np.asarray(candidates)
 
@@ -299,13 +299,6 @@ def _low_shore(ground: Floats, shore: Bools, cells: npt.NDArray[np.int64]) -> Fl
         near_heights = heights[near.reshape(len(batch), -1)]
         low_heights[first : first + len(batch)] = np.percentile(near_heights, LOW_PERCENT, axis=1)
     return low_heights
-
-
-def disk(radius: float) -> Bools:
-    """Return a mask of the cells within a radius of the middle cell."""
-    radius_cells = max(int(radius), 1)
-    y, x = np.mgrid[-radius_cells : radius_cells + 1, -radius_cells : radius_cells + 1]
-    return np.asarray(x * x + y * y <= max(radius, 1.0) ** 2)
 
 
 def relief(ground: Floats) -> Floats:

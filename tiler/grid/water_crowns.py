@@ -325,6 +325,8 @@ def continued_bank(
     slope : float64 (n,)
         Slope of the plane in metres per cell.
     """
+    if not len(cells):
+        return np.empty(0), np.empty(0)
     count = min(N_BANK_CELLS, len(bank))
     _, near = scipy.spatial.cKDTree(bank).query(cells, k=count)
     near = near.reshape(len(cells), count)

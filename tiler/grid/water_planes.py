@@ -9,6 +9,7 @@ evident plane of water, for example on the other side of a dam.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
@@ -19,7 +20,7 @@ import scipy
 from tiler.grid.checksum import checksum
 from tiler.grid.coarse import Bools, padded
 from tiler.grid.pieces import Piece, label_block
-from tiler.grid.reach import Floats, distances
+from tiler.grid.reach import Floats, distances, opened
 from tiler.grid.water_cells import (
     GIVEN_SHARE,
     Rim,
@@ -115,8 +116,7 @@ class KeepPlanes(AreasWork):
 
 def plane_cells(ground: Floats, domain: Bools) -> Bools:
     """Return a mask of the cells whose smoothed heights are as level as water, without parts narrower than 3 cells."""
-    level = scipy.ndimage.binary_opening((relief(ground) < RELIEF_M) & domain, np.ones((3, 3), np.bool_))
-    return np.asarray(level)
+    return opened((relief(ground) < RELIEF_M) & domain, math.sqrt(2))
 
 
 def find_planes(store_url: str, work: FindAreas) -> dict[str, Any]:
