@@ -37,8 +37,8 @@ def measured(site: Site, out: Path) -> dict[str, Any]:
         ``recall`` and ``precision`` of the area, ``level_rmse`` in metres where both are water, ``shore_rmse`` in
         metres, ``floating`` (share of the pixels beside water that lie below it), ``dug`` (share of the outermost
         pixels of water that lie on land above it), ``dug_far`` (the same, but only pixels farther than a pixel's
-        diagonal from true water: nearer ones may be cut by an upright bank), ``void`` (share of the water, up to the border, without a height),
-        ``rises`` (metres that the lines of flow rise), ``bodies``.
+        diagonal from true water: nearer ones may be cut by an upright bank), ``void`` (share of the water, up to the
+        border, without a height), ``rises`` (metres that the lines of flow rise), ``bodies``.
     """
     with rasterio.open(out / "dtm.tif") as raster:
         heights, bounds = raster.read(1), raster.bounds
