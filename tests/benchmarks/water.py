@@ -36,8 +36,9 @@ def measured(site: Site, out: Path) -> dict[str, Any]:
     dict
         ``recall`` and ``precision`` of the area, ``level_rmse`` in metres where both are water, ``shore_rmse`` in
         metres, ``floating`` (share of the pixels beside water that lie below it), ``dug`` (share of the outermost
-        pixels of water that lie on land above it), ``void`` (share of the water, up to the border, without a height),
-        ``rises`` (metres that the lines of flow rise), ``bodies``.
+        pixels of water that lie on land above it), ``dug_far`` (the same, but only pixels farther than a pixel's
+        diagonal from true water: nearer ones may be cut by an upright bank), ``void`` (share of the water, up to the
+        border, without a height), ``rises`` (metres that the lines of flow rise), ``bodies``.
     """
     with rasterio.open(out / "dtm.tif") as raster:
         heights, bounds = raster.read(1), raster.bounds
@@ -55,6 +56,8 @@ def measured(site: Site, out: Path) -> dict[str, Any]:
     near = scipy.ndimage.distance_transform_edt(~found, return_distances=False, return_indices=True)
     level = heights[tuple(near)]
     edge = found & ~scipy.ndimage.binary_erosion(found, np.ones((3, 3))) & inner
+    dug = edge & (truth > heights + 3 * BEYOND_NOISE_M)
+    from_water = scipy.ndimage.distance_transform_edt(~wet) if wet.any() else np.full(wet.shape, np.inf)
     return {
         "recall": _share(both, wet & inner),
         "precision": _share(both, found & inner),
@@ -62,7 +65,8 @@ def measured(site: Site, out: Path) -> dict[str, Any]:
         "shore_rmse": _shore(wet, found, inner) * size,
         "floating": _share(beside & (heights < level - BEYOND_NOISE_M), beside),
         "void": _share(wet & (heights == -9999), wet),
-        "dug": _share(edge & (truth > heights + 3 * BEYOND_NOISE_M), edge),
+        "dug": _share(dug, edge),
+        "dug_far": _share(dug & (from_water > 1.5), edge),
         **_profiles(out),
     }
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, NamedTuple
@@ -19,6 +20,7 @@ from tiler.core.raster import Block, RasterSpec, within
 
 Counts = npt.NDArray[np.int64]
 Bools = npt.NDArray[np.bool_]
+Floats = npt.NDArray[np.float64]
 
 LAKE, RIVER = "lake", "river"
 KINDS = {
@@ -26,6 +28,10 @@ KINDS = {
     RIVER: RIVER, "stream": RIVER, "canal": RIVER, "ditch": RIVER,
 }  # fmt: skip
 """Names of kinds in files, with the kind of each: level like a lake or falling like a river."""
+
+
+POINTS_AT_ONCE = 1 << 13
+"""Number of points that `places_along` compares with a segment at once, so that they stay in the cache."""
 
 
 class Station(NamedTuple):
@@ -103,11 +109,10 @@ class Water:
         """Return the levels at positions in absolute counts, in whole counts."""
         if self.level is not None or self.flow is None:
             return np.full(x.shape, float(self.level or 0))
-        import shapely
-
-        line, z = shapely.LineString(self.flow[:, :2]), self.flow[:, 2]
-        along = shapely.line_locate_point(line, shapely.points(x, y))
-        heights: npt.NDArray[np.float64] = np.rint(np.interp(along, lengths_along(self.flow), z))
+        along = places_along(self.flow, x, y)
+        heights: npt.NDArray[np.float64] = np.rint(
+            np.interp(along, lengths_along(self.flow), self.flow[:, 2])
+        )
         return heights
 
     def to_json(self) -> dict[str, Any]:
@@ -131,6 +136,58 @@ def lengths_along(line: npt.NDArray[Any]) -> npt.NDArray[np.float64]:
     """Return the length of a line up to each vertex, in counts."""
     steps = np.hypot(*np.diff(line[:, :2].astype(np.float64), axis=0).T)
     return np.concatenate(([0.0], np.cumsum(steps)))
+
+
+def places_along(line: npt.NDArray[Any], x: Counts, y: Counts) -> Floats:
+    """Return the distance along a line of the position nearest to each point, in counts.
+
+    Results are those of `shapely.line_locate_point`, which needs an object for each point.
+    """
+    ends = line[:, :2].astype(np.float64)
+    steps = np.diff(ends, axis=0)
+    squares = (steps**2).sum(axis=1)
+    lengths = np.concatenate(([0.0], np.cumsum(np.sqrt(squares))))
+    segments = np.column_stack((ends[:-1], steps, squares, lengths[:-1]))[squares > 0]
+    along = np.zeros(x.shape)
+    for first in range(0, x.size, POINTS_AT_ONCE):
+        part = slice(first, first + POINTS_AT_ONCE)
+        along[part] = _nearest_along(segments, x[part].astype(np.float64), y[part].astype(np.float64))
+    return along
+
+
+def _nearest_along(segments: Floats, x: Floats, y: Floats) -> Floats:
+    """Return `places_along` for a few points.
+
+    The columns of ``segments`` are x and y of the start, x and y from there to the end, the square of the length, and
+    the distance of the start along the line.
+    """
+    low_x, high_x, low_y, high_y = x.min(), x.max(), y.min(), y.max()
+    middle = (low_x + high_x) / 2, (low_y + high_y) / 2
+    far, _ = _from_segment(segments.T, *middle)
+    # Farther segments are not nearest to any of the points.
+    near = far <= far.min(initial=np.inf) + math.hypot(high_x - low_x, high_y - low_y) + 1
+    nearest, along = np.full(x.shape, np.inf), np.zeros(x.shape)
+    for segment in segments[near]:
+        distance, share = _from_segment(segment, x, y)
+        is_nearer = distance < nearest
+        np.copyto(nearest, distance, where=is_nearer)
+        np.copyto(along, segment[5] + share * math.sqrt(segment[4]), where=is_nearer)
+    return along
+
+
+def _from_segment(segment: Floats, x: Any, y: Any) -> tuple[Floats, Floats]:
+    """Return the distance of points from a segment, and the share of the segment before the nearest position.
+
+    Either the points or the segments are many.
+    """
+    x0, y0, dx, dy, square, _ = segment
+    from_x, from_y = x - x0, y - y0
+    share = (from_x * dx + from_y * dy) / square
+    aside = np.abs((from_x * dy - from_y * dx) / square) * np.sqrt(square)
+    end_x, end_y = np.where(share < 1, from_x, x - (x0 + dx)), np.where(share < 1, from_y, y - (y0 + dy))
+    is_beside = (share > 0) & (share < 1)
+    distance = np.where(is_beside, aside, np.sqrt(end_x * end_x + end_y * end_y))
+    return distance, np.minimum(np.maximum(share, 0.0), 1.0)
 
 
 def lifted_line(line: npt.NDArray[Any], places: npt.NDArray[Any], heights: npt.NDArray[Any]) -> Counts:

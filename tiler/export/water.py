@@ -23,6 +23,11 @@ POLYGONS, FLOW, REACHES, BREAKLINES = "water", "flow", "reaches", "breaklines"
 STEP_SLOPE = 1.0
 """Slope of a river's line above which a structure (a dam, a weir, a fall) is assumed to lie across it."""
 
+MAX_DAM_M, MIN_DAM_M = 40.0, 0.5
+"""A dam between two bodies is at most this wide, and its levels differ by at least this, in metres."""
+WIDER_DAM = 2.0
+"""A dam is at most this many times as wide as at its narrowest."""
+
 
 def write_water(store_url: str, work: WriteWater) -> WaterFileRecord:
     """Write bodies of water as ``<out>/water.gpkg`` (a `tiler.schedule.task.Work`).
@@ -37,7 +42,8 @@ def write_water(store_url: str, work: WriteWater) -> WaterFileRecord:
     estimated), ``left``, ``right`` (levels estimated from the banks) and ``slope_permille`` (slope to the next one).
 
     Layer ``breaklines`` has shores at their level, lines of flow, and structures in 3D, with ``number`` and ``kind``
-    (shore, flow or structure). A structure is a line from bank to bank at a step, with the level above the step.
+    (shore, flow or structure). A structure is a line from bank to bank at a step, with the level above the step, or the
+    upper shore at a dam between two bodies.
 
     Returns
     -------
@@ -63,7 +69,7 @@ def write_water(store_url: str, work: WriteWater) -> WaterFileRecord:
         lines = [shapely.LineString(flow / COUNTS_PER_UNIT) for _, flow in rivers]
         file.add(FLOW, "LineString Z", lines, {"number": np.array([n for n, _ in rivers], np.int64)})
         _add_reaches(file, bodies, store.meta.frame)
-        _add_breaklines(file, bodies)
+        _add_breaklines(file, bodies, store.meta.frame)
     return WaterFileRecord(**new.record.to_json(), bodies=len(bodies))
 
 
@@ -93,15 +99,17 @@ def _add_reaches(file: GeoPackage, bodies: Sequence[Water], frame: CoordFrame) -
     file.add(REACHES, "Point Z", points, columns)
 
 
-def _add_breaklines(file: GeoPackage, bodies: Sequence[Water]) -> None:
+def _add_breaklines(file: GeoPackage, bodies: Sequence[Water], frame: CoordFrame) -> None:
     """Write shores at their level, lines of flow, and structures, as layer ``breaklines``."""
     lines: list[Any] = []
     numbers, kinds = list[int](), list[str]()
-    for body in bodies:
+    dam_lines = dams(bodies, frame)
+    for body, body_dams in zip(bodies, dam_lines, strict=True):
         body_lines = [("shore", _lifted_ring(body, ring)) for rings in body.area.polygons for ring in rings]
         if body.flow is not None:
             body_lines.append(("flow", body.flow))
             body_lines += [("structure", line) for line in structures(body)]
+        body_lines += [("structure", line) for line in body_dams]
         for kind, line in body_lines:
             lines.append(shapely.LineString(line / COUNTS_PER_UNIT))
             numbers.append(body.number)
@@ -135,10 +143,37 @@ def structures(body: Water) -> list[npt.NDArray[np.float64]]:
     return lines_across
 
 
+def dams(bodies: Sequence[Water], frame: CoordFrame) -> list[list[npt.NDArray[np.float64]]]:
+    """Return the shores at dams to lower bodies for each body, as lines float64 (n, 3) in counts."""
+    max_width = MAX_DAM_M / float(frame.units.horizontal)
+    min_counts = MIN_DAM_M / float(frame.metres_z)
+    shapes = [shapely.make_valid(_shape(body)) for body in bodies]
+    pairs = shapely.STRtree(shapes).query(shapes, predicate="dwithin", distance=max_width)
+    lines: list[list[npt.NDArray[np.float64]]] = [[] for _ in bodies]
+    for upper, lower in pairs.T.tolist():
+        across = shapely.get_coordinates(shapely.shortest_line(shapes[upper], shapes[lower]))
+        x, y = np.rint(across * COUNTS_PER_UNIT).astype(np.int64).T
+        fall = bodies[upper].heights(x[:1], y[:1]) - bodies[lower].heights(x[1:], y[1:])
+        if fall[0] < min_counts:
+            continue
+        width = float(np.hypot(*(across[1] - across[0])))
+        near = shapely.buffer(shapes[lower], WIDER_DAM * width)
+        shore = shapely.line_merge(shapely.intersection(shapely.boundary(shapes[upper]), near))
+        parts = shapely.get_parts(shore)
+        for part in parts[shapely.length(parts) > width]:
+            lines[upper].append(_lifted(bodies[upper], shapely.get_coordinates(part) * COUNTS_PER_UNIT))
+    return lines
+
+
+def _lifted(body: Water, line: npt.NDArray[np.float64]) -> npt.NDArray[np.float64]:
+    """Return a line in counts at the level of the water."""
+    xy = np.rint(line).astype(np.int64)
+    return np.column_stack((xy, body.heights(xy[:, 0], xy[:, 1])))
+
+
 def _lifted_ring(body: Water, ring: Counts) -> Any:
     """Return the closed ring at the level of the water."""
-    closed = np.concatenate((ring, ring[:1]))
-    return np.column_stack((closed, body.heights(closed[:, 0], closed[:, 1])))
+    return _lifted(body, np.concatenate((ring, ring[:1])))
 
 
 def _shape(body: Water) -> Any:

@@ -171,11 +171,12 @@ def gap_of(occupied: Bools, gap: float, most: float) -> float:
         The usual gap and the widest gap, in cells.
     """
     gap = max(gap, MIN_GAP)
-    rows, cols = np.nonzero(occupied)
-    while gap < most and len(rows):
-        side = int(gap / 2)
-        squares = np.unique(rows // side * occupied.shape[1] + cols // side).size
-        if len(rows) >= ENOUGH_CELLS * squares:
+    n_occupied = np.count_nonzero(occupied)
+    while gap < most and n_occupied:
+        squares = occupied
+        for axis, length in enumerate(occupied.shape):
+            squares = np.logical_or.reduceat(squares, np.arange(0, length, int(gap / 2)), axis=axis)
+        if n_occupied >= ENOUGH_CELLS * np.count_nonzero(squares):
             break
         gap *= 2
     return min(gap, most)

@@ -118,6 +118,22 @@ def read_objects(store: TileStore, rule: GroundSelection, bounds: Bounds) -> npt
     return np.concatenate(parts, axis=1)
 
 
+def read_ground_and_objects(
+    store: TileStore, rule: GroundSelection, bounds: Bounds
+) -> tuple[npt.NDArray[np.int32], npt.NDArray[np.int32]]:
+    """Return the points of `read_ground` and of `read_objects`. Each bucket is read once if nothing is eroded."""
+    if rule.erode:
+        return read_ground(store, rule, bounds).xyz, read_objects(store, rule, bounds)
+    ground_parts, object_parts = [np.empty((3, 0), np.int32)], [np.empty((3, 0), np.int32)]
+    for cell in store.buckets_within(bounds):
+        block, classes, is_ground = read_classes(store, rule, cell, needs_input=True)
+        inside = block.inside(bounds, store.meta.frame.origin)
+        ground_parts.append(block.xyz[:, inside & is_ground & _used(block, rule, store, cell)])
+        is_object = inside & _is_object(block, classes, is_ground, rule, store, cell)
+        object_parts.append(block.xyz[:, is_object])
+    return np.concatenate(ground_parts, axis=1), np.concatenate(object_parts, axis=1)
+
+
 def read_classes(
     store: TileStore, rule: GroundSelection, cell: Cell, needs_input: bool = False
 ) -> tuple[PointBlock, npt.NDArray[np.uint8], npt.NDArray[np.bool_]]:

@@ -14,7 +14,7 @@ import numpy.typing as npt
 import scipy
 
 from tiler.core.frame import COUNTS_PER_UNIT
-from tiler.core.water import Counts, Station, lengths_along, lifted_line
+from tiler.core.water import Counts, Station, lengths_along, lifted_line, places_along
 
 Floats = npt.NDArray[np.float64]
 
@@ -116,9 +116,7 @@ def _stations(
     import shapely
 
     shape = shapely.LineString(line)
-    beside, inside = (
-        shapely.line_locate_point(shape, shapely.points(xyz[0], xyz[1])) for xyz in (shore, within)
-    )
+    beside, inside = (places_along(line, xyz[0], xyz[1]) for xyz in (shore, within))
     left = _left_of(line, shore, beside)
     distances = np.concatenate((beside, inside))
     if not len(distances):

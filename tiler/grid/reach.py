@@ -1,4 +1,4 @@
-"""Distances from set cells, in strips, as a distance transform takes 50 bytes per cell."""
+"""Cells near set cells, and distances from set cells in strips, as a distance transform takes 50 bytes per cell."""
 
 from __future__ import annotations
 
@@ -17,11 +17,45 @@ STRIP_ROWS = 256
 
 
 def within(cells: Bools, radius: float) -> Bools:
-    """Return a mask of the cells within a radius of a set cell, measured between centres in cells."""
+    """Return a mask of the cells within a radius of a set cell, measured between centres in cells.
+
+    The cells are spread sideways step by step, and shifted up and down from the most distant row of a disk to its
+    middle, where the disk is widest. For usual radii this takes a tenth of the time of a distance transform.
+    """
     near_mask = np.zeros(cells.shape, np.bool_)
-    for part, distance in _strips(cells, radius):
-        np.less_equal(distance, radius, out=near_mask[part])
+    box = box_around(cells, max(math.floor(radius), 0))
+    source, near = cells[box], near_mask[box]
+    spread = source.copy()
+    width = 0
+    for rows in range(min(math.floor(radius), len(source)), -1, -1):
+        while width < source.shape[1] and math.sqrt((width + 1) ** 2 + rows**2) <= radius:
+            width += 1
+            spread[:, width:] |= source[:, :-width]
+            spread[:, :-width] |= source[:, width:]
+        near[rows:] |= spread[: len(spread) - rows]
+        near[: len(near) - rows] |= spread[rows:]
     return near_mask
+
+
+def opened(cells: Bools, radius: float) -> Bools:
+    """Return a mask without the parts in which no disk of this radius fits. Cells beyond the border are not set."""
+    pad = math.floor(radius)
+    padded = np.pad(~cells, pad, constant_values=True)
+    eroded = ~within(padded, radius)[pad : pad + len(cells), pad : pad + cells.shape[1]]
+    return within(eroded, radius)
+
+
+def within_square(cells: Bools, radius: int) -> Bools:
+    """Return a mask of the cells with a set cell within ``radius`` rows and columns."""
+    near = cells.copy()
+    for step in range(1, radius + 1):
+        near[step:] |= cells[:-step]
+        near[:-step] |= cells[step:]
+    rows = near.copy()
+    for step in range(1, radius + 1):
+        near[:, step:] |= rows[:, :-step]
+        near[:, :-step] |= rows[:, step:]
+    return near
 
 
 def distances(cells: Bools, radius: float) -> Floats:

@@ -16,10 +16,11 @@ import scipy
 
 from tiler.core.lattice import Lattice
 from tiler.core.raster import Block, RasterSpec
+from tiler.core.raster import within as within_window
 from tiler.grid.coarse import Bools, padded
 from tiler.grid.density import pixel_indices
-from tiler.grid.ground import GroundSelection, read_ground, read_objects
-from tiler.grid.reach import Floats, within
+from tiler.grid.ground import GroundSelection, read_ground_and_objects
+from tiler.grid.reach import Floats, within, within_square
 from tiler.grid.water_cells import WaterCells
 from tiler.grid.water_extent import LEVEL_M
 from tiler.grid.water_search import inner_window
@@ -185,10 +186,7 @@ def each_finer(values: npt.NDArray[Any]) -> npt.NDArray[Any]:
 
 def _near_shore(field: Floats, radius: int) -> Bools:
     """Return a mask of the cells that have both land and water within ``radius`` cells, also diagonally."""
-    side = 2 * radius + 1
-    lowest = scipy.ndimage.minimum_filter(field, side)
-    highest = scipy.ndimage.maximum_filter(field, side)
-    return np.asarray((lowest < 0) & (highest >= 0))
+    return within_square(field < 0, radius) & within_square(field >= 0, radius)
 
 
 def fine_cells(
@@ -200,23 +198,23 @@ def fine_cells(
     ``selected`` cells are read, so the results for other cells may be incomplete.
     """
     frame, bounds = store.meta.frame, fine.block_bounds(window)
-    total, number, objects = np.zeros((3, selected.size))
+    total, number, objects = np.zeros((3, window.height, window.width))
     for bucket in store.buckets_within(bounds):
         inside = store.meta.bucket.bounds(bucket).intersection(bounds)
         part = fine.part(window, inside)
-        top, left = part.row - window.row, part.col - window.col
-        if not selected[top : top + part.height, left : left + part.width].any():
+        in_window = within_window(part, window)
+        if not selected[in_window].any():
             continue
-        ground = read_ground(store, rule, inside).xyz
-        cells = pixel_indices(ground, frame.origin, fine, window)
-        total += np.bincount(cells, ground[2].astype(np.float64), selected.size)
-        number += np.bincount(cells, minlength=selected.size)
-        others = pixel_indices(read_objects(store, rule, inside), frame.origin, fine, window)
-        objects += np.bincount(others, minlength=selected.size)
-    heights = np.full(selected.size, np.nan)
+        ground, others = read_ground_and_objects(store, rule, inside)
+        cells = pixel_indices(ground, frame.origin, fine, part)
+        shape, size = (part.height, part.width), part.height * part.width
+        total[in_window] += np.bincount(cells, ground[2].astype(np.float64), size).reshape(shape)
+        number[in_window] += np.bincount(cells, minlength=size).reshape(shape)
+        others_cells = pixel_indices(others, frame.origin, fine, part)
+        objects[in_window] += np.bincount(others_cells, minlength=size).reshape(shape)
+    heights = np.full(total.shape, np.nan)
     np.divide(total, number, out=heights, where=number > 0)
-    heights_m = (heights * float(frame.metres_z)).reshape(selected.shape)
-    return heights_m, (number + objects > 0).reshape(selected.shape)
+    return heights * float(frame.metres_z), number + objects > 0
 
 
 def high_banks(field: Floats, above: Floats) -> Bools:

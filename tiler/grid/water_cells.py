@@ -18,7 +18,7 @@ import numpy as np
 import numpy.typing as npt
 import scipy
 
-from tiler.grid.reach import distances
+from tiler.grid.reach import distances, opened
 
 Bools = npt.NDArray[np.bool_]
 Floats = npt.NDArray[np.float64]
@@ -113,6 +113,13 @@ class WaterCells:
             fours(self.returns, 0.0).sum(axis=2), fours(self.given, False).max(axis=2), mean,
             fours(self.domain, False).max(axis=2), 2 * self.size_m,
         )  # fmt: skip
+
+    def merged(self, times: int) -> WaterCells:
+        """Merge squares of ``times`` by ``times`` cells. ``times`` is a power of two."""
+        cells = self
+        for _ in range(times.bit_length() - 1):
+            cells = cells.coarser()
+        return cells
 
     def finer(self, times: int) -> WaterCells:
         """Divide each cell into ``times`` by ``times`` cells with the same values."""
@@ -216,14 +223,14 @@ def water_candidates(cells: WaterCells, usual: float | None) -> Bools:
     candidates = cells.given
     if usual is not None:
         candidates = candidates | sparse_cells(cells, flat_cells(cells), usual)
-    candidates = scipy.ndimage.binary_opening(candidates, disk(MIN_WIDTH_M / 2 / cells.size_m))
+    candidates = opened(candidates, max(MIN_WIDTH_M / 2 / cells.size_m, 1.0))
     candidates |= cells.given & scipy.ndimage.binary_dilation(candidates, np.ones((3, 3), np.bool_))
     return np.asarray(candidates)
 
 
 def flat_cells(cells: WaterCells) -> Bools:
     """Return a mask of the flat cells, see `FLAT_M`."""
-    return _relief(cells.ground) < FLAT_M
+    return relief(cells.ground) < FLAT_M
 
 
 def sparse_cells(cells: WaterCells, flat: Bools, usual: float) -> Bools:
@@ -294,15 +301,15 @@ def _low_shore(ground: Floats, shore: Bools, cells: npt.NDArray[np.int64]) -> Fl
     return low_heights
 
 
-def disk(radius: float) -> Bools:
-    """Return a mask of the cells within a radius of the middle cell."""
-    radius_cells = max(int(radius), 1)
-    y, x = np.mgrid[-radius_cells : radius_cells + 1, -radius_cells : radius_cells + 1]
-    return np.asarray(x * x + y * y <= max(radius, 1.0) ** 2)
-
-
-def _relief(ground: Floats) -> Floats:
+def relief(ground: Floats) -> Floats:
     """Return the range of heights of each cell and its neighbours, infinite if one of these cells has no ground."""
-    high = scipy.ndimage.maximum_filter(np.where(np.isnan(ground), np.inf, ground), 3)
-    low = scipy.ndimage.minimum_filter(np.where(np.isnan(ground), -np.inf, ground), 3)
-    return np.asarray(high - low)
+    unknown = np.isnan(ground)
+    high, low = np.where(unknown, np.inf, ground), np.where(unknown, -np.inf, ground)
+    for values, extreme in ((high, np.maximum), (low, np.minimum)):
+        pairs = extreme(values[1:], values[:-1])
+        extreme(values[1:], pairs, out=values[1:])
+        extreme(values[:-1], pairs, out=values[:-1])
+        pairs = extreme(values[:, 1:], values[:, :-1])
+        extreme(values[:, 1:], pairs, out=values[:, 1:])
+        extreme(values[:, :-1], pairs, out=values[:, :-1])
+    return high - low

@@ -22,8 +22,8 @@ from tiler.core.raster import Block
 from tiler.grid.checksum import checksum
 from tiler.grid.coarse import Bools, padded
 from tiler.grid.density import pixel_indices
-from tiler.grid.ground import GroundSelection, read_ground, read_objects
-from tiler.grid.reach import Floats, box_around, within
+from tiler.grid.ground import GroundSelection, read_ground_and_objects
+from tiler.grid.reach import Floats, box_around, within, within_square
 from tiler.grid.records import BlockRecord
 from tiler.grid.water_cells import WaterCells
 from tiler.grid.water_search import ground_in
@@ -127,8 +127,7 @@ def _crowns(store: TileStore, work: CrownsBlock, window: Block, examined: Bools)
         top, left = part.row - window.row, part.col - window.col
         if not examined[top : top + part.height, left : left + part.width].any():
             continue
-        ground = read_ground(store, work.rule, bounds).xyz
-        objects = read_objects(store, work.rule, bounds)
+        ground, objects = read_ground_and_objects(store, work.rule, bounds)
         for xyz, is_object in ((ground, False), (objects, True)):
             cells = pixel_indices(xyz, frame.origin, spec, window)
             chosen = examined.ravel()[cells]
@@ -182,15 +181,15 @@ def plant_kinds(
     tops = np.full(terrain.size, -np.inf)
     np.maximum.at(tops, cells, xyz[2] * scale)
     # Reed may be so low that its lowest points count as ground.
-    reed = rough_cells(np.ones_like(objects), REED_ROUGH_M)
-    reed &= tops.reshape(terrain.shape) - terrain <= REED_M
+    is_low = has_objects & (tops.reshape(terrain.shape) - terrain <= REED_M)
+    reed = is_low & rough_cells(within_square(is_low, 1).ravel()[cells], REED_ROUGH_M)
     kinds = np.where(has_ground, CROWN_WITH_GROUND, HIDDEN)
     return np.where(rough_cells(objects, ROUGH_M), kinds, 0) + np.where(reed, REED, 0)
 
 
 def is_hidden(crowns: npt.NDArray[Any]) -> Bools:
     """Return a mask of the cells with crowns and without ground, from the values of `crowns_block`."""
-    return np.asarray(crowns % REED == HIDDEN)
+    return np.asarray((crowns == HIDDEN) | (crowns == HIDDEN + REED))
 
 
 def roughness(xyz: npt.NDArray[np.int32], cells: npt.NDArray[np.int64], size: int) -> Floats:
@@ -208,17 +207,21 @@ def roughness(xyz: npt.NDArray[np.int32], cells: npt.NDArray[np.int64], size: in
     size : int
         Number of cells.
     """
-    lowest = np.full((3, size), np.iinfo(np.int64).max)
+    has_points = np.zeros(size, np.bool_)
+    has_points[cells] = True
+    # Most cells have no points, so the cells with points are numbered anew.
+    cells = (np.cumsum(has_points) - 1)[cells]
+    count = int(has_points.sum())
+    lowest = np.full((3, count), np.iinfo(np.int64).max)
     offsets = xyz.astype(np.int64)
     for axis in range(3):
         np.minimum.at(lowest[axis], cells, offsets[axis])
     x, y, z = offsets - lowest[:, cells]
 
     def total(values: npt.NDArray[np.int64]) -> Floats:
-        return np.bincount(cells, values.astype(np.float64), size).astype(np.float64)
+        return np.bincount(cells, values.astype(np.float64), count).astype(np.float64)
 
-    number = np.bincount(cells, minlength=size).astype(np.float64)
-    n = np.maximum(number, 1.0)
+    n = np.bincount(cells, minlength=count).astype(np.float64)
     mean_x, mean_y, mean_z = total(x) / n, total(y) / n, total(z) / n
     xx = total(x * x) / n - mean_x**2
     xy = total(x * y) / n - mean_x * mean_y
@@ -227,19 +230,25 @@ def roughness(xyz: npt.NDArray[np.int32], cells: npt.NDArray[np.int64], size: in
     yz = total(y * z) / n - mean_y * mean_z
     zz = total(z * z) / n - mean_z**2
     determinant = xx * yy - xy * xy
-    has_plane = (number >= MIN_POINTS) & (determinant > 1e-6 * xx * yy)
+    has_plane = (n >= MIN_POINTS) & (determinant > 1e-6 * xx * yy)
     explained = np.divide(
-        xz * xz * yy - 2 * xz * yz * xy + yz * yz * xx, determinant, out=np.zeros(size), where=has_plane
+        xz * xz * yy - 2 * xz * yz * xy + yz * yz * xx, determinant, out=np.zeros(count), where=has_plane
     )
-    return np.where(has_plane, np.sqrt(np.maximum(zz - explained, 0.0)), np.nan)
+    rough = np.full(size, np.nan)
+    rough[has_points] = np.where(has_plane, np.sqrt(np.maximum(zz - explained, 0.0)), np.nan)
+    return rough
 
 
 def _mostly(chosen: Bools, known: Bools) -> Bools:
     """Return a mask of the cells for which more than half of the known cells around are chosen, in 3 by 3 cells."""
-    square = np.ones((3, 3), np.int64)
-    n_chosen = scipy.ndimage.convolve((chosen & known).astype(np.int64), square, mode="constant")
-    n_known = scipy.ndimage.convolve(known.astype(np.int64), square, mode="constant")
-    return np.asarray(2 * n_chosen > n_known)
+
+    def number(mask: Bools) -> npt.NDArray[np.uint8]:
+        """Return the number of cells of a mask in the 3 by 3 cells around each cell."""
+        cells = np.pad(mask.astype(np.uint8), 1)
+        rows = cells[:-2] + cells[1:-1] + cells[2:]
+        return np.asarray(rows[:, :-2] + rows[:, 1:-1] + rows[:, 2:])
+
+    return np.asarray(2 * number(chosen & known) > number(known))
 
 
 def beneath_crowns(cells: WaterCells, crowns: npt.NDArray[Any], wet: Bools, level: Floats) -> Bools:
@@ -281,8 +290,9 @@ def _ground_share(crowns: npt.NDArray[Any], side: int) -> Floats:
         """Return the share of the cells of a mask in the square around each cell."""
         return np.asarray(scipy.ndimage.uniform_filter(mask.astype(np.float64), odd_side, mode="constant"))
 
-    has_crown = crowns % REED > 0
-    ground_share = share(crowns % REED == CROWN_WITH_GROUND)
+    has_ground = (crowns == CROWN_WITH_GROUND) | (crowns == CROWN_WITH_GROUND + REED)
+    has_crown = has_ground | is_hidden(crowns)
+    ground_share = share(has_ground)
     return np.divide(ground_share, share(has_crown), out=np.zeros(crowns.shape), where=has_crown)
 
 
@@ -316,6 +326,8 @@ def continued_bank(
     slope : float64 (n,)
         Slope of the plane in metres per cell.
     """
+    if not len(cells):
+        return np.empty(0), np.empty(0)
     count = min(N_BANK_CELLS, len(bank))
     _, near = scipy.spatial.cKDTree(bank).query(cells, k=count)
     near = near.reshape(len(cells), count)

@@ -10,7 +10,7 @@ import numpy.typing as npt
 import scipy
 
 from tiler.grid.coarse import Bools
-from tiler.grid.reach import Floats, box_around, within
+from tiler.grid.reach import Floats, box_around, opened, within
 from tiler.grid.water_cells import WaterCells
 
 LEVEL_M = 0.15
@@ -91,7 +91,7 @@ def extended_to_shore(cells: WaterCells, water: Bools, level: Floats | None, max
     above = near.ground - level[box]
     deep = scipy.ndimage.binary_opening(above < -BELOW_M, np.ones((DEEP_CELLS, DEEP_CELLS), np.bool_))
     low = near.domain & ~deep & ((above <= LEVEL_M) | np.isnan(above))
-    low = scipy.ndimage.binary_opening(low | wet, np.ones((3, 3), np.bool_)) | wet
+    low = opened(low | wet, math.sqrt(2)) | wet
     extended_water[box] = scipy.ndimage.binary_dilation(wet, iterations=max_steps, mask=low)
     return extended_water
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -19,7 +19,7 @@ from tiler.grid.centreline import area_of
 from tiler.grid.coarse import Bools, padded
 from tiler.grid.ground import GroundSelection
 from tiler.grid.pieces import Piece, cells_of, components
-from tiler.grid.reach import box_around
+from tiler.grid.reach import Floats, box_around
 from tiler.grid.records import BodyRecord
 from tiler.grid.water_banks import (
     BANK_MARGIN,
@@ -30,10 +30,11 @@ from tiler.grid.water_banks import (
     highest_near,
     shore_details,
 )
+from tiler.grid.water_cells import WaterCells
 from tiler.grid.water_crowns import REED, is_hidden
 from tiler.grid.water_extent import SPECK_CELLS, smoothed, water_heights
 from tiler.grid.water_reed import has_no_bank
-from tiler.grid.water_search import Sources, inner_window, read_search_cells
+from tiler.grid.water_search import Sources, read_search_cells
 from tiler.grid.water_shore import MAX_HEIGHT_M, REACH_CELLS, heights_above_water, shore_polygons
 from tiler.grid.water_strips import bank_rises, lower_level
 from tiler.store import TileStore, open_store, read_cells
@@ -117,7 +118,7 @@ def describe_body(store_url: str, work: DescribeBody) -> BodyRecord:
     side = float(coarse.lattice.size)
     exits = _exits(np.concatenate(border_cells))
     bays = _bays(store, work, exits, MAX_BAY_M / size_m)
-    whole, details = _whole(store, work, bays, None)
+    whole = _whole(store, work, bays, None)
     outline = shapely.get_exterior_ring(shapely.get_parts(whole))
     # Where water leaves the survey, the outline of its cells is not shore.
     length_m = (float(shapely.length(outline).sum()) / side - n_border_sides) * size_m
@@ -128,16 +129,15 @@ def describe_body(store_url: str, work: DescribeBody) -> BodyRecord:
     if not small:
         lower_level_m = _lower_level(store, work) if kind == LAKE else None
         if lower_level_m is not None:
-            whole, details = _whole(store, work, bays, lower_level_m)
+            whole = _whole(store, work, bays, lower_level_m)
         # The details of the shore are added after the kind is decided, because they make the shore longer.
-        body = Water(0, kind, _area(_detailed(whole, details, side), side), sure=work.sure).to_json()
+        detailed = _detailed(store, work, whole, lower_level_m)
+        body = Water(0, kind, _area(detailed, side), sure=work.sure).to_json()
     return BodyRecord(body)
 
 
-def _whole(
-    store: TileStore, work: DescribeBody, bays: Any, lower_level_m: float | None
-) -> tuple[Any, list[ShoreDetails]]:
-    """Return the shape of a body as drawn from coarse cells, in counts, and the details of its shore.
+def _whole(store: TileStore, work: DescribeBody, bays: Any, lower_level_m: float | None) -> Any:
+    """Return the shape of a body as drawn from coarse cells, in counts.
 
     If ``lower_level_m`` is not None, higher levels are lowered to it.
     """
@@ -146,21 +146,20 @@ def _whole(
     side = float(work.coarse.lattice.size)
     min_area = work.island_m2 / float(store.meta.frame.metres_xy) ** 2
     polygons: list[Any] = []
-    details = []
     for block, _ in _blocks(store, work):
-        shapes, block_details = _shapes(store, work, block, lower_level_m)
-        polygons += shapes
-        details.append(block_details)
+        polygons += _polygons(store, work, block, lower_level_m)
     water = _without_islands(shapely.union_all(polygons), min_area)
     # Islands are removed before bays are added. So land that only water and a bay together enclose stays, unless it is
     # a speck.
-    return _without_islands(shapely.union(water, bays), SPECK_CELLS * side**2), details
+    return _without_islands(shapely.union(water, bays), SPECK_CELLS * side**2)
 
 
-def _detailed(whole: Any, details: list[ShoreDetails], side: float) -> Any:
+def _detailed(store: TileStore, work: DescribeBody, whole: Any, lower_level_m: float | None) -> Any:
     """Return the shape of a body with the details of its shore, without specks."""
     import shapely
 
+    side = float(work.coarse.lattice.size)
+    details = [_details(store, work, block, lower_level_m) for block, _ in _blocks(store, work)]
     water = shapely.union_all([whole, *(shore.wet for shore in details)])
     water = shapely.difference(water, shapely.union_all([shore.dry for shore in details]))
     detailed = _without_specks(_without_islands(water, SPECK_CELLS * side**2), SPECK_CELLS * side**2)
@@ -227,6 +226,8 @@ def _bays(store: TileStore, work: DescribeBody, exits: list[npt.NDArray[np.int64
     edges = np.diff(shapely.get_coordinates(triangles).reshape(-1, 4, 2), axis=1)
     lengths = np.hypot(edges[:, :, 0], edges[:, :, 1])
     bays = shapely.union_all(triangles[lengths.max(axis=1, initial=0.0) <= max_width])
+    if shapely.is_empty(bays):
+        return bays
     land = [np.empty(0, object)]
     for block, _ in _blocks(store, work):
         window = padded(block, math.ceil(max_width))
@@ -255,18 +256,44 @@ def _kind(area_m2: float, shore_m: float, size_m: float, n_exits: int) -> tuple[
     return (RIVER if is_river else LAKE), 2 * area_m2 / length
 
 
-def _shapes(
-    store: TileStore, work: DescribeBody, block: Block, lower_level_m: float | None
-) -> tuple[list[Any], ShoreDetails]:
-    """Return polygons of the water of a block in absolute counts, and the details of its shore.
+class _Surroundings(NamedTuple):
+    """Water of a block and its surroundings, in the coarse cells of a window.
 
-    Polygons and details overlap with those of neighbouring blocks.
+    Attributes
+    ----------
+    cells : WaterCells
+        Cells of the box with smoothed heights, also in the water.
+    wet : bool
+        Mask of the water in the window.
+    box : tuple of slice
+        Rows and columns of the window in which water and its shore lie.
+    level : float64 or None
+        Level of the water near each cell of the box in metres, None if it is not known.
+    no_bank : bool
+        Mask of the cells of the box whose ground is not bank.
+    field : float64
+        Result of `heights_above_water` for the window.
     """
+
+    cells: WaterCells
+    wet: Bools
+    box: tuple[slice, slice]
+    level: Floats | None
+    no_bank: Bools
+    field: Floats
+
+
+def _surroundings(
+    store: TileStore, work: DescribeBody, block: Block, lower_level_m: float | None
+) -> _Surroundings:
+    """Return the water of a block and its surroundings, in a window with a margin of `REACH_CELLS`."""
     window = padded(block, REACH_CELLS)
     wet = cells_of(store, work.water, work.coarse, window, work.pieces)
     box = box_around(wet, REACH_CELLS)
-    cells = read_search_cells(store, work.sources, work.coarse, window, 1).cut(box)
-    crowns = read_cells(store, work.crowns, work.coarse, window)[box]
+    rows, cols = box
+    around = Block(window.row + rows.start, window.col + cols.start, *wet[box].shape)
+    cells = read_search_cells(store, work.sources, work.coarse, around, 1)
+    crowns = read_cells(store, work.crowns, work.coarse, around)
     smooth = smoothed(cells.ground)
     level = water_heights(cells.with_ground(smooth), wet[box] & ~is_hidden(crowns) & (crowns < REED))
     # The ground in hidden cells and in reed is not bank.
@@ -275,17 +302,50 @@ def _shapes(
     bank = cells.with_ground(np.where(no_bank, np.nan, smooth))
     final = level if level is None or lower_level_m is None else np.minimum(level, lower_level_m)
     field[box] = heights_above_water(bank, wet[box], final, lower_level_m is not None)
-    cut = inner_window(padded(block, 1), REACH_CELLS - 1)
-    polygons = shore_polygons(field[cut], work.coarse, padded(block, 1))
+    return _Surroundings(cells.with_ground(smooth), wet, box, level, no_bank, field)
+
+
+def _polygons(store: TileStore, work: DescribeBody, block: Block, lower_level_m: float | None) -> list[Any]:
+    """Return polygons of the water of a block in absolute counts. They overlap with those of neighbouring blocks."""
+    around = _surroundings(store, work, block, lower_level_m)
+    rows, cols = _cut(around, REACH_CELLS - 1)
+    return shore_polygons(around.field[rows, cols], work.coarse, _part(block, rows, cols))
+
+
+def _details(store: TileStore, work: DescribeBody, block: Block, lower_level_m: float | None) -> ShoreDetails:
+    """Return the details of the shore of a block. They overlap with those of neighbouring blocks."""
+    around = _surroundings(store, work, block, lower_level_m)
+    cells, wet, box, level, no_bank, field = around
     if level is None:
-        return polygons, NO_DETAILS
-    levels = np.full(wet.shape, np.nan)
-    levels[box] = np.where(no_bank, np.nan, highest_near(level))
-    is_dense_quay = np.zeros(wet.shape, np.bool_)
-    is_dense_quay[box] = dense_quays(cells.with_ground(smooth), wet[box], level)
-    cut = inner_window(padded(block, BANK_MARGIN), REACH_CELLS - BANK_MARGIN)
-    shore = Shore(field[cut], levels[cut], is_dense_quay[cut])
-    return polygons, shore_details(store, work.rule, work.coarse, padded(block, BANK_MARGIN), shore)
+        return NO_DETAILS
+    levels = np.where(no_bank, np.nan, highest_near(level))
+    is_dense_quay = dense_quays(cells, wet[box], level)
+    rows, cols = _cut(around, REACH_CELLS - BANK_MARGIN)
+    in_box = (
+        slice(rows.start - box[0].start, rows.stop - box[0].start),
+        slice(cols.start - box[1].start, cols.stop - box[1].start),
+    )
+    shore = Shore(field[rows, cols], levels[in_box], is_dense_quay[in_box])
+    return shore_details(store, work.rule, work.coarse, _part(block, rows, cols), shore)
+
+
+def _cut(around: _Surroundings, spare: int) -> tuple[slice, slice]:
+    """Return the rows and columns of the box, without the outermost ``spare`` cells of the window.
+
+    Beyond the box there is no shore.
+    """
+    height, width = around.wet.shape
+    rows, cols = around.box
+    return (
+        slice(max(rows.start, spare), min(rows.stop, height - spare)),
+        slice(max(cols.start, spare), min(cols.stop, width - spare)),
+    )
+
+
+def _part(block: Block, rows: slice, cols: slice) -> Block:
+    """Return the cells in some rows and columns of the window around a block."""
+    top, left = block.row - REACH_CELLS, block.col - REACH_CELLS
+    return Block(top + rows.start, left + cols.start, rows.stop - rows.start, cols.stop - cols.start)
 
 
 def _without_specks(shape: Any, min_area: float) -> Any:

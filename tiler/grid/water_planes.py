@@ -9,6 +9,7 @@ evident plane of water, for example on the other side of a dam.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Collection
 from dataclasses import dataclass, replace
 from typing import Any, NamedTuple
@@ -19,13 +20,14 @@ import scipy
 from tiler.grid.checksum import checksum
 from tiler.grid.coarse import Bools, padded
 from tiler.grid.pieces import Piece, label_block
-from tiler.grid.reach import Floats, distances
+from tiler.grid.reach import Floats, distances, opened
 from tiler.grid.records import BlockRecord, RimsRecord, SizesRecord
 from tiler.grid.water_cells import (
     GIVEN_SHARE,
     Rim,
     WaterCells,
     flat_cells,
+    relief,
     rim_of,
     sparse_cells,
 )
@@ -42,10 +44,8 @@ from tiler.grid.water_search import (
 )
 from tiler.store import open_store
 
-FLATNESS_SIDE_CELLS = 3
-"""Smoothed heights are compared in squares of this side, in cells."""
 RELIEF_M = 0.08
-"""A square is level if its heights differ by less than this, in metres.
+"""Three by three cells are level if their smoothed heights differ by less than this, in metres.
 
 Waves and a fall of up to 1 % cause such differences on water.
 """
@@ -117,11 +117,7 @@ class KeepPlanes(AreasWork):
 
 def plane_cells(ground: Floats, domain: Bools) -> Bools:
     """Return a mask of the cells whose smoothed heights are as level as water, without parts narrower than 3 cells."""
-    unknown = np.isnan(ground)
-    high = scipy.ndimage.maximum_filter(np.where(unknown, np.inf, ground), FLATNESS_SIDE_CELLS)
-    low = scipy.ndimage.minimum_filter(np.where(unknown, -np.inf, ground), FLATNESS_SIDE_CELLS)
-    level = scipy.ndimage.binary_opening((high - low < RELIEF_M) & domain, np.ones((3, 3), np.bool_))
-    return np.asarray(level)
+    return opened((relief(ground) < RELIEF_M) & domain, math.sqrt(2))
 
 
 def find_planes(store_url: str, work: FindAreas) -> SizesRecord:
@@ -138,7 +134,7 @@ def find_planes(store_url: str, work: FindAreas) -> SizesRecord:
     labels, sides = label_block(plane_cells(smoothed(cells.ground), cells.domain)[inner], corners=False)
     sparse = np.zeros_like(labels, np.bool_)
     if work.usual is not None:
-        coarser = read_search_cells(store, work.sources, work.spec, padded(block, MARGIN), work.times)
+        coarser = cells.merged(work.times)
         coarse_sparse = sparse_cells(coarser, flat_cells(coarser), work.usual)
         sparse = coarse_sparse.repeat(work.times, axis=0).repeat(work.times, axis=1)[inner]
     values = labels.astype(np.float32)

@@ -206,12 +206,8 @@ def read_search_cells(
     points = read_cells(store, sources.occupancy, spec, window)
     domain: Bools = read_cells(store, sources.domain, spec, window, float(BEYOND)) != BEYOND
     size_m = float(spec.lattice.size * store.meta.frame.metres_xy)
-    cells = WaterCells(
-        np.abs(points), points < 0, ground_in(store, sources.ground, spec, window), domain, size_m
-    )
-    for _ in range(times.bit_length() - 1):
-        cells = cells.coarser()
-    return cells
+    ground = ground_in(store, sources.ground, spec, window)
+    return WaterCells(np.abs(points), points < 0, ground, domain, size_m).merged(times)
 
 
 @dataclass(frozen=True)

@@ -7,8 +7,9 @@ import pytest
 import shapely
 
 from tiler.core.area import Area
+from tiler.core.frame import CoordFrame
 from tiler.core.water import LAKE, RIVER, Water
-from tiler.export.water import structures
+from tiler.export.water import dams, structures
 
 
 def river(shape: shapely.Geometry, flow: list[list[float]]) -> Water:
@@ -42,3 +43,19 @@ def test_rapids_and_lakes_have_no_structures() -> None:
     shape = shapely.box(0, -10, 200, 10)
     assert structures(river(shape, [[0, 0, 9], [100, 0, 5], [200, 0, 2]])) == []
     assert structures(Water(1, LAKE, river(shape, [[0, 0, 9], [9, 0, 9]]).area, level=9000)) == []
+
+
+def lake(number: int, shape: shapely.Geometry, level_m: float) -> Water:
+    """A lake from metres."""
+    return Water(number, LAKE, river(shape, [[0, 0, 9], [9, 0, 9]]).area, level=round(level_m * 1000))
+
+
+def test_the_upper_shore_at_a_dam_between_two_bodies_is_a_structure() -> None:
+    upper, lower = lake(1, shapely.box(0, 0, 100, 50), 9.0), lake(2, shapely.box(110, 0, 200, 50), 6.0)
+    at_level = lake(3, shapely.box(0, 60, 60, 90), 9.2)
+    far = lake(4, shapely.box(300, 0, 400, 50), 2.0)
+    (line,), *others = dams([upper, lower, at_level, far], CoordFrame())
+    assert others == [[], [], []]
+    shore = shapely.LineString([(90, 0), (100, 0), (100, 50), (90, 50)])
+    assert shapely.LineString(line[:, :2] / 1000).hausdorff_distance(shore) < 0.1
+    assert set(line[:, 2].tolist()) == {9000.0}
