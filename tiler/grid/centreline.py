@@ -1,4 +1,4 @@
-"""Line along which a river flows: through the middle of its polygon, from end to end."""
+"""Line along which a river flows: through the shore_distance of its polygon, from end to end."""
 
 from __future__ import annotations
 
@@ -67,8 +67,8 @@ def centreline(shape: Any) -> Floats | None:
     if number == 0:
         return None
     wet = parts == np.bincount(parts.ravel())[1:].argmax() + 1
-    middle = scipy.ndimage.distance_transform_edt(np.pad(wet, 1))[1:-1, 1:-1]
-    cells, plain, central = _graph(wet, middle)
+    shore_distance = scipy.ndimage.distance_transform_edt(np.pad(wet, 1))[1:-1, 1:-1]
+    cells, plain, central = _graph(wet, shore_distance)
     start = _farthest(plain, _farthest(plain, 0))
     end = _farthest(plain, start)
     _, predecessors = scipy.sparse.csgraph.dijkstra(
@@ -77,13 +77,13 @@ def centreline(shape: Any) -> Floats | None:
     way = [end]
     while way[-1] != start:
         way.append(int(predecessors[0, way[-1]]))
-    half = float(np.median(middle[wet.nonzero()[0][way], wet.nonzero()[1][way]]))
-    trim = min(round(half), max((len(way) - 3) // 2, 0))
+    half_width = float(np.median(shore_distance[wet.nonzero()[0][way], wet.nonzero()[1][way]]))
+    trim = min(round(half_width), max((len(way) - 3) // 2, 0))
     rows, cols = (axis[way][trim : len(way) - trim] for axis in cells)
     if len(rows) < 3:
         return None
     smooth = [
-        scipy.ndimage.gaussian_filter1d(axis.astype(np.float64), half, mode="nearest")
+        scipy.ndimage.gaussian_filter1d(axis.astype(np.float64), half_width, mode="nearest")
         for axis in (cols, rows)
     ]
     x, y = west - cell + (smooth[0] + 0.5) * cell, north + cell - (smooth[1] + 0.5) * cell
@@ -92,8 +92,11 @@ def centreline(shape: Any) -> Floats | None:
     return vertices
 
 
-def _graph(wet: npt.NDArray[np.bool_], middle: Floats) -> tuple[Any, Any, Any]:
-    """Return rows and columns of cells, and two graphs of neighbours: plain, and with steps longer near the shore."""
+def _graph(wet: npt.NDArray[np.bool_], shore_distance: Floats) -> tuple[Any, Any, Any]:
+    """Return rows and columns of cells, and two graphs of neighbouring cells.
+
+    The first graph has the lengths of steps. In the second graph, steps near the shore cost more.
+    """
     cells = np.nonzero(wet)
     number = np.full(wet.shape, -1, np.int32)  # scipy before 1.15 needs int32 indices in graphs
     number[cells] = np.arange(len(cells[0]), dtype=np.int32)
@@ -106,7 +109,7 @@ def _graph(wet: npt.NDArray[np.bool_], middle: Floats) -> tuple[Any, Any, Any]:
         other.append(near[both])
         lengths.append(np.full(int(both.sum()), math.hypot(down, right)))
     a, b, length = np.concatenate(one), np.concatenate(other), np.concatenate(lengths)
-    depth = middle[cells]
+    depth = shore_distance[cells]
     size = (len(depth), len(depth))
     plain = scipy.sparse.csr_array((length, (a, b)), size)
     central = scipy.sparse.csr_array((length / (depth[a] * depth[b]), (a, b)), size)

@@ -19,7 +19,7 @@ from tiler.core.water import Counts, Station, lengths_along, lifted_line, places
 Floats = npt.NDArray[np.float64]
 
 BANK_PERCENT = 10
-"""Percentile of a bank's heights that estimates the water level, at or just below the bank."""
+"""The level of the water is estimated as this percentile of the heights of a bank."""
 MIN_PIXELS = 5
 """Fewest heights of a bank, or of the water itself, from which a level is estimated."""
 SMOOTH_M = 0.3
@@ -27,11 +27,11 @@ SMOOTH_M = 0.3
 BANK_WEIGHT = 0.05
 """Weight of a pixel of a bank. A pixel of the water itself has weight 1."""
 NEAR_STATIONS = 3
-"""Distance, in stations, from a station with returns of the water within which banks are not used."""
+"""Banks are not used at stations up to this far from a station with returns of the water, in stations."""
 LEVEL_M = 0.1
 """Total fall below which a river is level: a tenth of a metre between its ends is within the errors of both."""
 STEP_M = 0.4
-"""Least fall between two stations that is a step at one position, if it is also steeper than `STEEPEST`."""
+"""A fall between two stations is a step at one position if it is more than this and steeper than `STEEPEST`."""
 STEEPEST = 1 / 30
 """Steepest slope of water without a step."""
 
@@ -54,7 +54,7 @@ class Profile(NamedTuple):
 
 
 def profile_along(
-    line: Floats, shore: Counts, within: Counts, spacing: float, scale: Scale = MILLIMETRES
+    line: Floats, shore: Counts, water: Counts, spacing: float, scale: Scale = MILLIMETRES
 ) -> Profile:
     """Estimate the level of a river along its line. The level never rises downstream.
 
@@ -62,15 +62,15 @@ def profile_along(
     ----------
     line : float64 (n, 2)
         Line of the river in absolute counts.
-    shore, within : int64 (3, n)
+    shore, water : int64 (3, n)
         Positions and heights of the terrain next to the water, and of the water itself where it has returns.
     spacing : float
         Distance of stations in counts.
     scale : Scale
     """
-    along, stations, weights = _stations(line, shore, within, spacing, scale)
+    along, stations, weights = _stations(line, shore, water, spacing, scale)
     if not len(stations):
-        level = bank_level(shore[2]) if shore.shape[1] else float(np.median(within[2]))
+        level = bank_level(shore[2]) if shore.shape[1] else float(np.median(water[2]))
         return Profile(lifted_line(line, np.zeros(1), np.array([level])), ())
     levels = np.array([station.level for station in stations])
     fits = [
@@ -82,7 +82,7 @@ def profile_along(
     if np.ptp(fit) < LEVEL_M * scale.z:
         fit = np.full_like(fit, _weighted_median(levels, weights))
     stations = [s._replace(level=round(float(level))) for s, level in zip(stations, fit, strict=True)]
-    distances, heights = _with_steps(along, fit, line, within, scale)
+    distances, heights = _with_steps(along, fit, line, water, scale)
     flow = lifted_line(line, distances, heights)
     if downstream:
         return Profile(flow, tuple(stations))
@@ -110,15 +110,15 @@ def water_level(heights: npt.NDArray[np.int64], scale: Scale) -> float | None:
 
 
 def _stations(
-    line: Floats, shore: Counts, within: Counts, spacing: float, scale: Scale
+    line: Floats, shore: Counts, water: Counts, spacing: float, scale: Scale
 ) -> tuple[Floats, list[Station], Floats]:
-    """Return the stations with a known level: distances along the line in counts, stations, and weights."""
+    """Return the stations to use: distances along the line in counts, stations, and weights."""
     import shapely
 
     shape = shapely.LineString(line)
-    beside, inside = (places_along(line, xyz[0], xyz[1]) for xyz in (shore, within))
-    left = _left_of(line, shore, beside)
-    distances = np.concatenate((beside, inside))
+    shore_along, water_along = (places_along(line, xyz[0], xyz[1]) for xyz in (shore, water))
+    left = _left_of(line, shore, shore_along)
+    distances = np.concatenate((shore_along, water_along))
     if not len(distances):
         return np.empty(0), [], np.empty(0)
     low, high = float(distances.min()), float(distances.max())
@@ -127,8 +127,8 @@ def _stations(
     stations: list[Station | None] = []
     weights = np.zeros(len(along))
     for i, distance in enumerate(along):
-        near = np.abs(beside - distance) <= spacing / 2
-        water_heights = within[2][np.abs(inside - distance) <= spacing / 2]
+        near = np.abs(shore_along - distance) <= spacing / 2
+        water_heights = water[2][np.abs(water_along - distance) <= spacing / 2]
         banks = [shore[2][near & side] for side in (left, ~left)]
         x, y = shapely.get_coordinates(shape.interpolate(distance))[0]
         station, weights[i] = _station(round(x), round(y), water_heights, banks, scale)
@@ -146,10 +146,10 @@ def _station(
 ) -> tuple[Station | None, float]:
     """Return a station and the weight of its level, or None and 0 without evidence."""
     levels = [round(bank_level(bank)) if len(bank) >= MIN_PIXELS else None for bank in banks]
-    seen = water_level(own, scale)
+    water_height = water_level(own, scale)
     known = [level for level in levels if level is not None]
-    if seen is not None:
-        return Station(x, y, round(seen), len(own), levels[0], levels[1]), float(len(own))
+    if water_height is not None:
+        return Station(x, y, round(water_height), len(own), levels[0], levels[1]), float(len(own))
     if known:
         return Station(x, y, min(known), 0, levels[0], levels[1]), BANK_WEIGHT * sum(map(len, banks))
     return None, 0.0
@@ -157,14 +157,16 @@ def _station(
 
 def _decisive(found: list[Station | None]) -> npt.NDArray[np.bool_]:
     """Return a mask of the stations to use: stations with returns of the water, and others far from them."""
-    seen = np.array([station is not None and station.seen > 0 for station in found])
-    near = scipy.ndimage.binary_dilation(seen, iterations=NEAR_STATIONS) if seen.any() else seen
+    has_returns = np.array([station is not None and station.seen > 0 for station in found])
+    near = has_returns
+    if has_returns.any():
+        near = scipy.ndimage.binary_dilation(has_returns, iterations=NEAR_STATIONS)
     known = np.array([station is not None for station in found])
-    return np.asarray(seen | (known & ~near))
+    return np.asarray(has_returns | (known & ~near))
 
 
 def _left_of(line: Floats, xyz: Counts, along: Floats) -> npt.NDArray[np.bool_]:
-    """Return a mask of the points to the left of a line, at distances ``along`` it."""
+    """Return a mask of the points to the left of a line. ``along`` is the distance of each point along the line."""
     lengths = lengths_along(line)
     segment = np.clip(np.searchsorted(lengths, along, side="right") - 1, 0, len(line) - 2)
     start, step = line[segment], line[segment + 1] - line[segment]
@@ -178,17 +180,17 @@ def _weighted_median(values: Floats, weights: Floats) -> float:
 
 
 def _with_steps(
-    along: Floats, levels: Floats, line: Floats, within: Counts, scale: Scale
+    along: Floats, levels: Floats, line: Floats, water: Counts, scale: Scale
 ) -> tuple[Floats, Floats]:
     """Return distances along the line and levels, with two of each where the water has a step."""
     import shapely
 
     distances, heights = [along[:1]], [levels[:1]]
-    inside = shapely.line_locate_point(shapely.LineString(line), shapely.points(within[0], within[1]))
+    inside = shapely.line_locate_point(shapely.LineString(line), shapely.points(water[0], water[1]))
     for i in range(len(along) - 1):
         fall, length = abs(levels[i + 1] - levels[i]) / scale.z, (along[i + 1] - along[i]) / scale.xy
         if fall > STEP_M and fall > STEEPEST * length:
-            step = _step_at(along[i], along[i + 1], levels[i], levels[i + 1], inside, within[2])
+            step = _step_at(along[i], along[i + 1], levels[i], levels[i + 1], inside, water[2])
             distances.append(np.array([step - 0.05 * scale.xy, step + 0.05 * scale.xy]))
             heights.append(levels[i : i + 2])
         distances.append(along[i + 1 : i + 2])

@@ -1,8 +1,9 @@
 """Correction of the shore by points, in cells that are finer than the coarse cells in which water is found.
 
 The shore runs between the middles of coarse cells. At an upright bank, a coarse cell has both bank and water. So the
-water may include ground high above the level, or lack water at the foot of a quay. In fine cells, high ground is land
-if it is connected with the bank. Fine cells of a quay are water if they have no points, or ground at the level.
+polygon of the water may include ground high above the level, or miss a strip of water at the foot of a quay. In fine
+cells, high ground is land if it is connected with the bank. Fine cells of a quay are water if they have no points, or
+ground at the level.
 """
 
 from __future__ import annotations

@@ -29,10 +29,9 @@ ENOUGH_RETURNS = 8
 With fewer returns, a cell may be empty by chance.
 """
 SPARSE = 0.6
-"""A flat cell has few returns if the mean around the cell is below this share of a median.
+"""A flat cell has few returns if the mean number of returns per cell around it is below this share of the median.
 
-Mean and median are numbers of returns per cell, of cells with returns. The median is that of the block and its
-neighbours.
+The median is that of the block and its neighbours. Mean and median leave out cells without returns.
 """
 MEAN_SIDE_CELLS = 5
 """The mean around a cell is computed in a square of this side, in cells."""
@@ -59,13 +58,13 @@ RISE_M = 0.3
 FALL_M = 0.2
 """A cell of the ring falls if it is more than this below the shore, in metres."""
 MIN_RISING = 0.6
-"""An area is water only if at least this share of its ring rises."""
+"""An area that is not water by the input is water only if at least this share of its ring rises."""
 MAX_FALLING = 0.05
-"""An area is water only if at most this share of its ring falls."""
+"""An area that is not water by the input is water only if at most this share of its ring falls."""
 MIN_KNOWN = 0.4
-"""An area can be classified only if at least this share of its shore has heights and returns."""
+"""The land around an area is used only if at least this share of its shore has heights and returns."""
 MIN_CELLS = 20
-"""An area can be classified only if shore and ring each have at least this many cells with heights and returns."""
+"""The land around an area is used only if shore and ring each have this many cells with heights and returns."""
 GIVEN_SHARE = 0.03
 """An area is water if at least this share of its cells is water by the input, unless much of its ring falls."""
 
@@ -266,8 +265,8 @@ def rim_of(cells: WaterCells, area: Bools, others: Bools, counted: Bools, water:
     counted : bool, shape of the cells
         Mask of the cells that are counted. Cells of the ring are also compared with shore cells outside of the mask.
     water : bool, shape of the cells, optional
-        Mask of cells that count in the ring even without returns. The ring around the level crest of a dam includes
-        this water, so it falls.
+        Mask of cells that count in the ring even without returns. With this water, the ring around the level crest of a
+        dam falls, so the crest is not water.
     """
     distance = distances(area, RING_M[1] / cells.size_m + 1)
     distance *= cells.size_m

@@ -297,7 +297,7 @@ def _ground_share(crowns: npt.NDArray[Any], side: int) -> Floats:
 
 
 def connected(hidden: Bools, wet: Bools, max_steps: int) -> Bools:
-    """Return a mask of the hidden cells that are connected with water by at most ``max_steps`` steps to a neighbour."""
+    """Return a mask of the hidden cells that a path of at most ``max_steps`` neighbouring cells connects with water."""
     whole = hidden | wet
     is_connected = np.zeros_like(hidden)
     box = box_around(whole, 0)
@@ -308,7 +308,7 @@ def connected(hidden: Bools, wet: Bools, max_steps: int) -> Bools:
 def continued_bank(
     cells: npt.NDArray[np.int64], bank: npt.NDArray[np.int64], above: Floats
 ) -> tuple[Floats, Floats]:
-    """Continue the bank to other cells, for each by a plane through the nearest cells of the bank.
+    """Extrapolate the bank to other cells. Each cell has its own plane through the nearest cells of the bank.
 
     Parameters
     ----------

@@ -102,8 +102,8 @@ def close_bridge_gaps(
     """Close gaps in water under bridges: below known decks, and where the terrain is about as low as the shores.
 
     Land that water encloses is not a bridge, because bridges are connected with the bank. Such land is an island and
-    stays, if it has at most ``longest_island`` rows and columns. Longer land may be cut by the border of the array in
-    the window of another block. Blocks have to agree, so it does not count as an island.
+    stays, if it has at most ``longest_island`` rows and columns. Longer land may extend beyond the window of another
+    block, where it would not look enclosed. Blocks have to agree, so no block treats longer land as an island.
     """
     pad = math.ceil(BRIDGE_M / size_m)
     padded = np.pad(water, pad)

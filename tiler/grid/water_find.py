@@ -47,7 +47,7 @@ Roundness is 4 pi area / (shore length)^2, which is 1 for a disk.
 MIN_LENGTH = 3
 """A river is assumed to be at least this many times as long as the least width of a river.
 
-Areas are left out if they are smaller than the smallest lake, and than a river of the least length and width.
+An area is left out if it is smaller than both the smallest lake and a river of the least length and width.
 """
 SIMPLER = 0.15
 """A simplified polygon is at most this far from the shore, in cells."""
@@ -149,8 +149,8 @@ def _whole(store: TileStore, work: DescribeBody, bays: Any, lower_level_m: float
     for block, _ in _blocks(store, work):
         polygons += _polygons(store, work, block, lower_level_m)
     water = _without_islands(shapely.union_all(polygons), min_area)
-    # Islands are removed before bays are added. So land that only water and a bay together enclose stays, unless it is
-    # a speck.
+    # Small islands are removed before bays are added. So land that is enclosed only after a bay was added stays, unless
+    # it is a speck.
     return _without_islands(shapely.union(water, bays), SPECK_CELLS * side**2)
 
 
@@ -296,7 +296,7 @@ def _surroundings(
     crowns = read_cells(store, work.crowns, work.coarse, around)
     smooth = smoothed(cells.ground)
     level = water_heights(cells.with_ground(smooth), wet[box] & ~is_hidden(crowns) & (crowns < REED))
-    # The ground in hidden cells and in reed is not bank.
+    # The ground in hidden cells and high ground in reed are not bank.
     no_bank = wet[box] & (is_hidden(crowns) if level is None else has_no_bank(crowns, smooth - level))
     field = np.full(wet.shape, MAX_HEIGHT_M)
     bank = cells.with_ground(np.where(no_bank, np.nan, smooth))

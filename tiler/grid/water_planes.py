@@ -50,7 +50,10 @@ RELIEF_M = 0.08
 Waves and a fall of up to 1 % cause such differences on water.
 """
 SHORE_CELLS = 5
-"""The shore is at most this far from the plane, in cells. Smoothing and the slope of the bank keep them apart."""
+"""The shore is at most this far from the plane, in cells.
+
+The plane ends before the shore because of smoothing and the slope of the bank.
+"""
 SPARSE_SHARE = 0.5
 """A plane is evident if at least this share of its cells has few returns."""
 DAM_M = 40.0

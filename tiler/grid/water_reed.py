@@ -50,7 +50,7 @@ def among_reed(cells: WaterCells, crowns: npt.NDArray[Any], wet: Bools, level: F
 
 
 def has_no_bank(crowns: npt.NDArray[Any], above: Floats) -> Bools:
-    """Return a mask of the cells whose ground is not bank, for cells of water.
+    """Return a mask of the cells whose ground height is not that of the bank. It is valid only for cells of water.
 
     In hidden cells, the ground is interpolated. In cells of reed, ground above the water comes from plants.
 

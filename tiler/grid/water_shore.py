@@ -56,7 +56,8 @@ def heights_above_water(
     level : float64, shape of the cells
         Level of the water near each cell in metres, see `tiler.grid.water_extent.water_heights`; None if not known.
     is_lowered : bool
-        Whether the level is below the returns of the water. Then the bank continues below these returns.
+        Whether the level was lowered below the returns of the water. If so, the extrapolated bank replaces the heights
+        of these returns.
     """
     if level is None:
         return np.where(wet, -MAX_HEIGHT_M, MAX_HEIGHT_M)

@@ -138,7 +138,7 @@ def find_deck(
     ground : bool (n,)
         Mask of the ground points.
     seeds : bool (n,)
-        Mask of the points in the cells of the candidate.
+        Mask of the points in those cells of the candidate that have the tried direction.
     across : (float, float)
         Unit vector that points roughly across the deck.
     spacing_m : float

@@ -35,7 +35,9 @@ MAX_ROAD_DISTANCE_M = 60.0
 """A cell is part of a deck only if a road begins within this distance in both directions along the deck, in metres."""
 VOID_M = 40.0
 """Ground next to a deck is searched up to this distance, as there may be water without points, in metres."""
-REACH_M = MAX_WIDTH_M + MAX_ROAD_DISTANCE_M + VOID_M
+ROUNDING_M = 4.0
+"""Distances are counted in whole cells, each of which may round up by some of this, in metres."""
+REACH_M = MAX_WIDTH_M + MAX_ROAD_DISTANCE_M + VOID_M + ROUNDING_M
 """Cells farther away than this cannot change the result for a cell, in metres."""
 
 
@@ -169,9 +171,9 @@ def _has_road(
 ) -> Bools:
     """Return a mask of the cells from which a straight path along the deck leads to a road.
 
-    A road is two cells of ground that are not ``marked`` as deck, without other cells with points between them. The
-    path has no steps above `STEP_M`, and at most two successive cells without points. ``direction`` points across the
-    deck. ``sign`` selects the end of the deck.
+    A road is two successive cells of ground that are not ``marked`` as deck. Cells without points may lie between them.
+    The path has no steps above `STEP_M`, and at most two successive cells without points. ``direction`` points across
+    the deck. ``sign`` selects the end of the deck.
     """
     has_road = np.zeros(len(rows), np.bool_)
     paths = np.arange(len(rows))  # Indices of the cells whose paths still go on.

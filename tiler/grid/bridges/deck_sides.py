@@ -17,9 +17,9 @@ TOLERANCE_M = 0.3
 BESIDE_M = 4.0
 """Points up to this distance beyond an edge are next to the edge, in metres."""
 FARTHER_M = 40.0
-"""Ground is searched up to this distance if hardly any points are next to an edge, in metres.
+"""Ground is searched up to this distance if an edge has next to it at most two points, none below the deck (`DROP_M`).
 
-These are at most two points, none of them lower than the deck (`DROP_M`). Water often returns no pulses.
+The distance is in metres. Water often returns no pulses.
 """
 MAX_ABOVE_M = 4.0
 """In the search up to `FARTHER_M`, points higher than this above the deck do not count as ground, in metres."""

@@ -219,7 +219,7 @@ def _points(
 def _cells(
     points: PointBlock, chosen: Bools, store: TileStore, spec: RasterSpec, window: Block
 ) -> tuple[npt.NDArray[np.int64], npt.NDArray[np.int64]]:
-    """Return row and column of the cell of each point, counted from the first row and column of a window."""
+    """Return row and column of the cell of each chosen point, counted from the first row and column of a window."""
     x, y = (points.xyz[axis][chosen].astype(np.int64) + store.meta.frame.origin[axis] for axis in (0, 1))
     rows = spec.north - 1 - spec.lattice.index(y) - window.row
     return rows, spec.lattice.index(x) - spec.west - window.col
