@@ -119,10 +119,10 @@ def simulate_buckets(number: int, memory: bool = False) -> dict[str, Any]:
         config = RunConfig.from_mapping({"products": ["dtm", "hillshade", "density"], "sheets": "1000"})
         plan = make_plan([str(Path(scratch) / "in")], config)
         side = int(np.ceil(np.sqrt(number)))
-        west, south = (int(plan.grid.meta.bucket.index_of(v)) for v in plan.inputs.extent.to_json()[:2])
+        west, south = (int(plan.buckets.index_of(v)) for v in plan.inputs.extent.to_json()[:2])
         cells = [Cell(west + i % side, south + i // side) for i in range(number)]
         plan = replace(plan, method=replace(plan.method, tile=Fraction(512)))
-        lattice = plan.grid.meta.bucket
+        lattice = plan.buckets
         if memory:
             tracemalloc.start()
         counts = {"n": 100_000, "n_candidates": 40_000}

@@ -151,7 +151,7 @@ def _side(plan: Plan, side_m: float | None) -> float:
     if side_m is None:
         side_m = min(MAX_WIDTH_M, math.sqrt(MAX_POINTS / plan.inputs.density))
         side_m = max(side_m // 10 * 10, MIN_WIDTH_M)
-    return side_m / float(plan.grid.meta.frame.units.horizontal)
+    return side_m / float(plan.frame.units.horizontal)
 
 
 def _places(guard: ChildProcess, sources: Sequence[SourceInfo], salvage: bool) -> list[tuple[float, float]]:
@@ -238,7 +238,7 @@ def _settings(plan: Plan) -> RunConfig:
         force=False,
         clean_store=False,
         salvage=False,
-        crs=plan.config.crs or plan.grid.meta.frame.crs_wkt or "none",
+        crs=plan.config.crs or plan.frame.crs_wkt or "none",
     )
 
 

@@ -156,7 +156,7 @@ def _crs_code(job: Job) -> Iterator[Callable[[], str | None]]:
         yield lambda: known["code"]
         return
     with ThreadPoolExecutor(1) as meanwhile:
-        search = meanwhile.submit(horizontal_code, job.plan.grid.meta.frame.crs_wkt)
+        search = meanwhile.submit(horizontal_code, job.plan.frame.crs_wkt)
         yield search.result
     job.store.put_state("crs", {"code": search.result()})
 
@@ -211,7 +211,7 @@ def _report_contours(job: Job) -> None:
     commit = job.store.committed("export").get(f"{CONTOURS}.gpkg")
     if CONTOURS not in job.plan.config.drawn or commit is None:
         return
-    record, unit = ContoursRecord.of(commit[1]), short_unit(job.plan.grid.meta.frame.units.vertical)
+    record, unit = ContoursRecord.of(commit[1]), short_unit(job.plan.frame.units.vertical)
     job.results.contours = ContourResult(
         record.interval, record.lines, record.vertices, record.cut, record.short
     )

@@ -133,7 +133,7 @@ def _reduced(job: Job, step: Pass, partials: Iterable[Partial], state: State) ->
     try:
         state_after = step.reduce(partials, state)
     except MethodRefusal as error:
-        text = in_unit_of_crs(str(error), job.plan.grid.meta.frame.units)
+        text = in_unit_of_crs(str(error), job.plan.frame.units)
         raise ConfigError(f"--method {job.plan.config.method}: {text}") from error
     for text in state_after.get("notes", [])[len(state.get("notes", [])) :]:
         job.note(text)
@@ -155,7 +155,7 @@ def _warn_of_uncertain_kind(job: Job, survey: Mapping[str, Any]) -> None:
 def _write_empty_results(job: Job, task: Task, step: Pass, inputs: PassInputs) -> None:
     """Write empty results for a tile that failed, so that no results of an earlier run remain."""
     work: FilterTile = task.arguments
-    buckets = job.store.buckets_within(job.plan.grid.meta.bucket.hull(work.cells))
+    buckets = job.store.buckets_within(job.plan.buckets.hull(work.cells))
     for cell in work.cells:
         if work.elected_out is not None:
             job.store.write_elected(work.elected_out, cell, np.zeros((3, 0), np.int32))

@@ -102,7 +102,7 @@ def _settle_surface(job: Job) -> None:
     surface = config.surface or MATCHED_SURFACE
     erode = MATCHED_EROSION if config.erode is None else config.erode
     if (surface, erode) != (config.surface, config.erode):
-        erode_text = length_text(erode, plan.grid.meta.frame.units.horizontal)
+        erode_text = length_text(erode, plan.frame.units.horizontal)
         job.note(
             f"decided: the surface is the {surface} height of each cell half a pixel wide, without ground within "
             f"{erode_text} of objects, because the cloud is photogrammetric (--surface, --erode)"
@@ -171,7 +171,7 @@ def _report_outline(job: Job, gridding: GridContext) -> None:
         gap_m=usual, widest_gap_m=widest, cell_m=float(gridding.coarse_m), cut_pixels=cut
     )
     if cut:
-        unit = job.plan.grid.meta.frame.units.horizontal
+        unit = job.plan.frame.units.horizontal
         sparse = f" ({length_text(widest, unit)} where points are sparse)" if widest > usual else ""
         job.note(
             f"{counted(cut, 'pixel')} outside the survey left without a height; gaps of up to "

@@ -167,7 +167,7 @@ def _far_away(plan: Plan, out: Path | None, sources: list[Source], spooled: Comm
 
     The result is empty if the raster is not too large.
     """
-    records, lattice = by_source(spooled), plan.grid.meta.bucket
+    records, lattice = by_source(spooled), plan.buckets
     told = {s.name: bounds_of(s.info).pad(lattice.p + int(FAR) * COUNTS_PER_UNIT) for s in sources}
     doubtful = [
         s

@@ -112,7 +112,7 @@ def buckets_of(plan: Plan, source: SourceInfo) -> Runs | None:
     extent = header_bounds(source)
     if extent is None:  # The header gives no valid bounds, so the points may be anywhere.
         extent = plan.inputs.area.bounds.pad(plan.margin)
-    return plan.inputs.area.cells(plan.grid.meta.bucket, extent, plan.margin)
+    return plan.inputs.area.cells(plan.buckets, extent, plan.margin)
 
 
 def chunks_of(plan: Plan, source: SourceInfo, margin: int | None = None) -> list[int] | None:
@@ -170,7 +170,7 @@ def _narrower_margins(plan: Plan) -> str:
 
 
 def _length(plan: Plan, counts: int) -> str:
-    unit = plan.grid.meta.frame.units.horizontal
+    unit = plan.frame.units.horizontal
     return length_text(counts / COUNTS_PER_UNIT * float(unit), unit)
 
 
@@ -180,4 +180,4 @@ def _share(plan: Plan, source: SourceInfo) -> float:
     if runs is None:
         return 1.0
     cells = sum(end - first for _, first, end in runs)
-    return min(cells * float(plan.grid.meta.bucket.size) ** 2 / bounds_of(source).area(), 1.0)
+    return min(cells * float(plan.buckets.size) ** 2 / bounds_of(source).area(), 1.0)

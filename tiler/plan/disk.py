@@ -53,7 +53,7 @@ class Pixels:
 
 def pixels_of(plan: Plan) -> Pixels:
     """Estimate the numbers of pixels of a product from a sample of the points."""
-    resolution, metres = float(plan.grid.resolution), float(plan.grid.meta.frame.metres_xy)
+    resolution, metres = float(plan.grid.resolution), float(plan.frame.metres_xy)
     whole = plan.inputs.extent.area() * metres**2 / resolution**2
     west, south, east, north = (v * metres for v in plan.inputs.extent.to_json())
 

@@ -33,7 +33,7 @@ def warnings_of(plan: Plan) -> list[str]:
 
 def _too_high(plan: Plan) -> list[str]:
     """Warn about heights that terrain cannot have."""
-    units = plan.grid.meta.frame.units
+    units = plan.frame.units
     boxes = [(s.path, s.bounds) for s in plan.inputs.sources if s.points and s.bounds is not None]
     warnings = []
     relief = (max(b[5] for _, b in boxes) - min(b[2] for _, b in boxes)) * float(units.vertical)
@@ -64,7 +64,7 @@ def _much_overlap(plan: Plan) -> list[str]:
         work.append(math.prod(padded))
     if sum(work) <= MUCH_OVERLAP * len(work):
         return []
-    unit = plan.grid.meta.frame.units.horizontal
+    unit = plan.frame.units.horizontal
     wider = length_option(whole_length(WIDE_TILE * max(halos), unit, math.ceil), unit)
     return [
         f"tiles of {tile:g} m with up to {max(halos):g} m of halo need {sum(work) / len(work):.1f} times "
@@ -74,7 +74,7 @@ def _much_overlap(plan: Plan) -> list[str]:
 
 def _stretched(plan: Plan) -> list[str]:
     """Warn about a CRS whose lengths are not those on the ground, such as Web Mercator."""
-    wkt, extent = plan.grid.meta.frame.crs_wkt, plan.inputs.extent
+    wkt, extent = plan.frame.crs_wkt, plan.inputs.extent
     if wkt is None:
         return []
     x = (extent.x0 + extent.x1) / 2 / COUNTS_PER_UNIT

@@ -98,7 +98,7 @@ def _read(
     All layers are read with ``all_layers``, or if the features need heights (``needs_z``).
     """
     all_layers |= needs_z
-    wkt = plan.grid.meta.frame.crs_wkt
+    wkt = plan.frame.crs_wkt
     if plan.config.in_process:
         features = read_in_crs(path, kind, wkt, all_layers, needs_z)
     else:

@@ -100,7 +100,7 @@ def validate_distances(plan: Plan, inputs: Sequence[str]) -> None:
     margin_m = _margin_m(plan.config)
     if plan.inputs.area is None or not any(map(is_ept, inputs)):
         return
-    if plan.margin > plan.grid.meta.frame.counts(margin_m):
+    if plan.margin > plan.frame.counts(margin_m):
         raise ConfigError(
             f"--halo: nodes of ept.json are read up to {float(margin_m):g} m around the area, but this run needs "
             "points farther away; use a smaller --halo, or leave out --bounds"

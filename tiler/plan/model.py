@@ -9,6 +9,8 @@ from functools import cached_property
 
 from ptd.matched.evidence import Finding, decided_by
 from tiler.config import RunConfig
+from tiler.core.frame import CoordFrame
+from tiler.core.lattice import Lattice
 from tiler.core.raster import BLOCK_PIXELS, MIN_PART
 from tiler.plan.inputs import Inputs
 from tiler.plan.memory import (
@@ -102,6 +104,16 @@ class Plan:
     resources: Resources
     notes: tuple[str, ...]
     warnings: tuple[str, ...]
+
+    @property
+    def frame(self) -> CoordFrame:
+        """Frame of the counts in the store."""
+        return self.grid.meta.frame
+
+    @property
+    def buckets(self) -> Lattice:
+        """Lattice of the buckets of the store."""
+        return self.grid.meta.bucket
 
     @property
     def writes_clouds(self) -> bool:

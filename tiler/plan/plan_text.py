@@ -55,7 +55,7 @@ def plan_json(plan: Plan) -> dict[str, Any]:
 
 def plan_lines(plan: Plan) -> list[str]:
     """Return the plan as lines of text."""
-    inputs, method, units = plan.inputs, plan.method, plan.grid.meta.frame.units
+    inputs, method, units = plan.inputs, plan.method, plan.frame.units
     unit = units.horizontal
     west, south = inputs.extent.x0 / COUNTS_PER_UNIT, inputs.extent.y0 / COUNTS_PER_UNIT
     width_m, height_m = plan.sides_m
@@ -64,7 +64,7 @@ def plan_lines(plan: Plan) -> list[str]:
         f"{inputs.density:.3g} per m2",
         f"extent      {width_m / float(unit):,.0f} x {height_m / float(unit):,.0f} {short_unit(unit)} from "
         f"({west:,.1f}, {south:,.1f})",
-        f"CRS         {name_in_wkt(plan.grid.meta.frame.crs_wkt, 'unknown')}; x, y in {unit_label(unit)}, "
+        f"CRS         {name_in_wkt(plan.frame.crs_wkt, 'unknown')}; x, y in {unit_label(unit)}, "
         f"z in {unit_label(units.vertical)}",
         *([] if plan.finding is None else [f"made by     {in_words(plan.finding)}"]),
         f"method      {plan.config.method}" + _passes_in_words(plan),
@@ -129,13 +129,13 @@ def _area_facts(plan: Plan) -> dict[str, Any] | None:
         "file": plan.config.aoi,
         "polygons": len(plan.inputs.area.polygons),
         "bounds": [v / COUNTS_PER_UNIT for v in plan.inputs.area.bounds.to_json()],
-        "margin_m": float(plan.margin / COUNTS_PER_UNIT * plan.grid.meta.frame.units.horizontal),
+        "margin_m": float(plan.margin / COUNTS_PER_UNIT * plan.frame.units.horizontal),
     }
 
 
 def _halo_in_words(plan: Plan) -> str:
     """Describe the widest halo and its work, for each possible kind if the kind is not known."""
-    unit = plan.grid.meta.frame.units.horizontal
+    unit = plan.frame.units.horizontal
 
     def words(halo_m: float, steps: Iterable[PlannedPass]) -> str:
         return f"{length_text(halo_m, unit)} of halo ({overlap_of(plan, steps):.2f} times the work)"
@@ -157,6 +157,6 @@ def _passes_in_words(plan: Plan) -> str:
     text = f", {len(steps)} passes"
     if any(step.sometimes and (step.kind is None or plan.method.kinds) for step in steps):
         text += ", some of them only for some clouds"
-    unit = plan.grid.meta.frame.units.horizontal
+    unit = plan.frame.units.horizontal
     halos = [f"{step.title} (halo {length_text(step.halo_m, unit)})" for step in steps]
     return f"{text}: {', '.join(halos)}"

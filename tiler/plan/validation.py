@@ -132,16 +132,16 @@ def _targets(plan: Plan) -> list[str]:
 
 def _error(plan: Plan, text: str) -> ConfigError:
     """Return an error whose text has lengths in the unit of the CRS."""
-    return ConfigError(in_unit_of_crs(text, plan.grid.meta.frame.units))
+    return ConfigError(in_unit_of_crs(text, plan.frame.units))
 
 
 def _option(plan: Plan, metres: Fraction) -> str:
-    return length_option(metres, plan.grid.meta.frame.units.horizontal)
+    return length_option(metres, plan.frame.units.horizontal)
 
 
 def validate_resolution(plan: Plan) -> None:
     """Raise ConfigError if gridding would not be exact with the pixels of a plan."""
-    pixel = plan.grid.meta.frame.counts(plan.grid.resolution)
+    pixel = plan.frame.counts(plan.grid.resolution)
     if pixel.denominator > MAX_DENOMINATOR:
         raise _error(
             plan,
@@ -149,7 +149,7 @@ def validate_resolution(plan: Plan) -> None:
             "is not a simple fraction; give it in the unit of the CRS",
         )
     if pixel >= MAX_PIXEL:
-        limit_m = float(MAX_PIXEL * plan.grid.meta.frame.metres_xy)
+        limit_m = float(MAX_PIXEL * plan.frame.metres_xy)
         raise _error(
             plan,
             f"--resolution {float(plan.grid.resolution):g} m: pixels must be below {limit_m:.0f} m; use smaller pixels",
@@ -173,7 +173,7 @@ def validate_pixel_count(plan: Plan, out: Path | None) -> None:
 
 def _usual_pixel(plan: Plan) -> Plan | None:
     """Return the plan with the default pixel, or None if the requested pixel is not finer."""
-    config, unit = plan.config.updated(resolution=None), plan.grid.meta.frame.units.horizontal
+    config, unit = plan.config.updated(resolution=None), plan.frame.units.horizontal
     usual = resolution_of(config, plan.inputs.density, plan.method.kind, unit, [])
     if usual <= plan.grid.resolution:
         return None
@@ -268,7 +268,7 @@ def _instead(plan: Plan, stage: str, replan: Replan) -> str:
         other = replan(memory=plan.resources.memory, **values)
         return max(projected_memory(other).values()) <= plan.resources.memory
 
-    unit = plan.grid.meta.frame.units.horizontal
+    unit = plan.frame.units.horizontal
     side = Fraction(plan.method.tile)
     bucket = Fraction(plan.grid.bucket_m)
     smallest = whole_length(bucket, unit, math.ceil)

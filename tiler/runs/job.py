@@ -165,7 +165,7 @@ class Job:
 
     def note(self, text: str) -> None:
         """Show a note to the user and add it to run.json, with lengths in the unit of the CRS."""
-        text = in_unit_of_crs(text, self.plan.grid.meta.frame.units)
+        text = in_unit_of_crs(text, self.plan.frame.units)
         if text not in self.record.notes:  # A stage that is run twice repeats its notes.
             self.record.notes.append(text)
         self.listener(Note(text))

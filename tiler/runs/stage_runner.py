@@ -181,7 +181,7 @@ def _place(job: Job, task: Task) -> list[float] | None:
     """Return lowest x, y and highest x, y of a task in units of the CRS, or None if it has no extent."""
     if not isinstance(task.arguments, Placed):
         return None
-    bounds = task.arguments.place(job.plan.grid.meta.bucket)
+    bounds = task.arguments.place(job.plan.buckets)
     if bounds is None:
         return None
     return [v / COUNTS_PER_UNIT for v in bounds.to_json()]

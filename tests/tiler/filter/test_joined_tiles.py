@@ -32,7 +32,7 @@ def buckets(columns: range, rows: range) -> Records:
 def plan(make_cloud: Callable[..., Path]) -> Plan:
     """Of laser scans, with buckets of 128 m."""
     plan = make_plan([str(make_cloud())], RunConfig(kind="als", in_process=True, workers=1, memory=8 << 30))
-    bucket = replace(plan.grid.meta.bucket, size=plan.grid.meta.frame.counts(Fraction(128)))
+    bucket = replace(plan.buckets, size=plan.frame.counts(Fraction(128)))
     return changed(plan, meta=replace(plan.grid.meta, bucket=bucket), tile=Fraction(512))
 
 

@@ -35,7 +35,7 @@ def tasks(blocks: list[Block] | None = None, **options: Any) -> list[Task]:
 def plan(most: int = 10**7, interpolation: str = "linear") -> Any:
     return SimpleNamespace(
         config=SimpleNamespace(interpolation=interpolation),
-        grid=SimpleNamespace(meta=SimpleNamespace(bucket=BUCKET)),
+        buckets=BUCKET,
         block_points=most,
     )
 

@@ -73,7 +73,7 @@ def test_rasters_of_windows_take_room_over_voids(make_cloud: MakeCloud) -> None:
 def test_passes_on_every_point_make_no_tile_smaller(make_cloud: MakeCloud) -> None:
     """At 700 points/m2 the survey's tiles are divided; those of passes with hundreds of metres around stay 512 m."""
     plan = make_plan([str(make_cloud())], RunConfig(kind="dim", memory=3 << 29, in_process=True))
-    meta = replace(plan.grid.meta, bucket=Lattice(plan.grid.meta.frame.counts(Fraction(16))))
+    meta = replace(plan.grid.meta, bucket=Lattice(plan.frame.counts(Fraction(16))))
     plan, steps = changed(plan, meta=meta), {step.name: step for step in plan.method.passes}
     assert tile_m(plan.resources.memory, 700.0, 1.0, plan.method.steps, meta) == 512
     dense = changed(plan, points=20_000_000, covered_m2=2e4, tile=Fraction(512))

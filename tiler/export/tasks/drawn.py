@@ -47,8 +47,8 @@ def vector_tasks(g: GridContext, out: str, noise_m: float) -> Iterator[Task]:
         "out": out,
         "area": plan.inputs.area_key,
         "waters": g.water_key,
-        "noise": noise_m / float(plan.grid.meta.frame.units.vertical),
-        "interval": None if interval is None else interval / plan.grid.meta.frame.units.vertical,
+        "noise": noise_m / float(plan.frame.units.vertical),
+        "interval": None if interval is None else interval / plan.frame.units.vertical,
     }
     smooth = config.contour_smooth
     sigma = Fraction(SMOOTH_PIXELS) if smooth is None else smooth / plan.grid.resolution

@@ -164,7 +164,7 @@ def nodata_of(plan: Plan, name: str) -> float | None:
 
 def _tags(plan: Plan, name: str, inputs: str) -> dict[str, str]:
     config = plan.config
-    datum = vertical_name(plan.grid.meta.frame.crs_wkt) if name in MODELS else None
+    datum = vertical_name(plan.frame.crs_wkt) if name in MODELS else None
     settings: dict[str, Any] = {
         "interpolation": config.interpolation,
         "surface": config.surface or "all",
@@ -240,7 +240,7 @@ def classified_tasks(
             copc=plan.config.classified == "copc",
             pieces=tuple(pieces[source.name]),
             threads=threads,
-            wkt=None if source.info.has_crs else plan.grid.meta.frame.crs_wkt,
+            wkt=None if source.info.has_crs else plan.frame.crs_wkt,
         )
         digest = digest_of(__version__, source.identity, work, [[labels[c], wet.get(c)] for c in cells])
         points = sum(count for _, count in work.ranges) or source.info.points
@@ -249,7 +249,7 @@ def classified_tasks(
 
 def _wet(plan: Plan, waters: Waters, cells: Iterable[Cell]) -> dict[Cell, list[str]]:
     """Return the digests of the bodies of water that overlap each bucket, or {} if points do not become water."""
-    lattice, known, digests = plan.grid.meta.bucket, frozenset(cells), defaultdict(list)
+    lattice, known, digests = plan.buckets, frozenset(cells), defaultdict(list)
     if plan.config.reclass != ONLY_GROUND:
         return {}
     for body in waters.bodies:

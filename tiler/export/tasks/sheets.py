@@ -103,7 +103,7 @@ def with_points(g: GridContext) -> dict[Cell, list[Cell]]:
 
 def _lattice(g: GridContext) -> Lattice:
     """Return the lattice of the sheets."""
-    return Lattice(g.plan.grid.meta.frame.counts(g.plan.config.sheets or Fraction(0)))
+    return Lattice(g.plan.frame.counts(g.plan.config.sheets or Fraction(0)))
 
 
 def _pixels(g: GridContext) -> int:

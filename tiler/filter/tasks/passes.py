@@ -123,7 +123,7 @@ def filter_tasks(
 
     ``state`` and ``inputs`` are the state and the results after the earlier passes.
     """
-    frame = plan.grid.meta.frame
+    frame = plan.frame
     params = METHODS[plan.config.method].params(**plan.method.parameters)
     step = params.passes[number]
     is_last, candidates_only = labels_scope(plan, number, state)
@@ -139,7 +139,7 @@ def filter_tasks(
     scale = Scale(frame.metres_xy, frame.metres_z, frame.origin)
     for tile in tiles_of(plan, records, plan.method.passes[number]):
         margin = max(tile.max_halo + influence_margin, label_margin)
-        influence = plan.grid.meta.bucket.hull(tile.cells).pad(margin)
+        influence = plan.buckets.hull(tile.cells).pad(margin)
         work = FilterTile(
             method=plan.config.method,
             parameters=plan.method.parameters,
@@ -161,7 +161,7 @@ def filter_tasks(
             held_bytes=held_bytes(plan.resources.memory),
         )
         digests = inputs.digests if reads_labels else assembled.digests
-        near = plan.grid.meta.bucket.among(influence, digests)
+        near = plan.buckets.among(influence, digests)
         bucket_digests = [[c.ix, c.iy, digests[c]] for c in near]
         elected_digests = [inputs.elected_digests[c] for c in near] if step.elected else []
         points = sum(assembled.records[c].n for c in tile.cells)

@@ -92,8 +92,8 @@ def tiles_of(plan: Plan, records: Records, step: PlannedPass) -> Iterator[Tile]:
         n_tiles = plan.method.n_joined_tiles(n_candidates)
         yield from _halved(plan, records, step, sorted(records), n_tiles)
         return
-    size = plan.grid.meta.frame.counts(plan.method.tile)
-    groups = _by_centre(plan.grid.meta.bucket, records, size)
+    size = plan.frame.counts(plan.method.tile)
+    groups = _by_centre(plan.buckets, records, size)
     for cell in sorted(groups):
         yield from _fitting(plan, records, step, groups[cell], cell.name, size, 0)
 
@@ -107,10 +107,10 @@ def _halved(
     memory.
     """
     halo = _halo(plan, step)
-    bounds = plan.grid.meta.bucket.hull(cells)
+    bounds = plan.buckets.hull(cells)
     side = max(bounds.x1 - bounds.x0, bounds.y1 - bounds.y0)
     too_large = (
-        side > plan.grid.meta.frame.counts(Fraction(SPARSE_TILE_M))
+        side > plan.frame.counts(Fraction(SPARSE_TILE_M))
         or _too_wide(plan, cells, halo)
         or _bytes(plan, records, step, cells, halo) > plan.tile_memory_of(step)
     )
@@ -171,7 +171,7 @@ def _fitting(
     halo = _halo(plan, step)
     too_full = _bytes(plan, records, step, cells, halo) > plan.method.tile_memory
     if len(cells) > 1 and (too_full or _too_wide(plan, cells, halo)):
-        quarters = _by_centre(plan.grid.meta.bucket, cells, size / 2)
+        quarters = _by_centre(plan.buckets, cells, size / 2)
         root = name.split(".")[0]
         for quarter in sorted(quarters):
             quarter_name = f"{root}.{level + 1}{quarter.name}"
@@ -181,11 +181,11 @@ def _fitting(
 
 
 def _halo(plan: Plan, step: PlannedPass) -> int:
-    return math.ceil(plan.grid.meta.frame.counts(Fraction(step.halo_m)))
+    return math.ceil(plan.frame.counts(Fraction(step.halo_m)))
 
 
 def _too_wide(plan: Plan, cells: Sequence[Cell], halo: int) -> bool:
-    window = plan.grid.meta.bucket.hull(cells).pad(MAX_HALO_FACTOR * halo)
+    window = plan.buckets.hull(cells).pad(MAX_HALO_FACTOR * halo)
     return max(window.x1 - window.x0, window.y1 - window.y0) > MAX_WINDOW
 
 
@@ -207,7 +207,7 @@ def _by_centre(lattice: Lattice, cells: Iterable[Cell], size: Fraction) -> dict[
 
 def _bytes(plan: Plan, records: Records, step: PlannedPass, cells: Sequence[Cell], halo: int) -> int:
     """Estimate the peak bytes of a worker for a tile with a halo, from the known points of the window."""
-    lattice = plan.grid.meta.bucket
+    lattice = plan.buckets
     window = lattice.hull(cells).pad(halo)
     near = lattice.among(window, records)
     if step.pass_.elected:
@@ -225,7 +225,7 @@ def _bytes(plan: Plan, records: Records, step: PlannedPass, cells: Sequence[Cell
     cell_m = plan.method.candidate_cell_m
     if step.pass_.raster_cell_m:
         # A raster also has cells in buckets without points.
-        area_m2 = lattice.hull(near).intersection(window).area() * float(plan.grid.meta.frame.metres_xy) ** 2
+        area_m2 = lattice.hull(near).intersection(window).area() * float(plan.frame.metres_xy) ** 2
         cell_m = 0.0
     elif step.pass_.elected:
         # Without a cell, `filter_bytes` uses the known number of points instead of the largest possible number.

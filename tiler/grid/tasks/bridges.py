@@ -71,8 +71,8 @@ def find_bridges(
         decks += decks_in(made[name][1])
     decks = _without_parts(decks)
     job.results.bridges = [_result(deck) for deck in decks]
-    job.note(_note(decks, job.plan.grid.meta.frame))
-    metres_z = float(job.plan.grid.meta.frame.metres_z)
+    job.note(_note(decks, job.plan.frame))
+    metres_z = float(job.plan.frame.metres_z)
     edits = tuple(_edit(-number, deck, metres_z) for number, deck in enumerate(decks, start=1))
     return edits, tuple(_outline(deck) for deck in decks)
 
@@ -94,8 +94,8 @@ def _note(decks: Sequence[DeckRecord], frame: CoordFrame) -> str:
 
 def _cell_tasks(g: GridContext) -> Iterator[Task]:
     """Yield a task for each block of coarse cells that has points."""
-    spec, rule, lattice = g.coarse, g.rule, g.plan.grid.meta.bucket
-    margin = math.ceil((REACH_M + float(g.coarse_m)) / float(g.plan.grid.meta.frame.metres_xy))
+    spec, rule, lattice = g.coarse, g.rule, g.plan.buckets
+    margin = math.ceil((REACH_M + float(g.coarse_m)) / float(g.plan.frame.metres_xy))
     for block, buckets in spec.blocks_near(lattice, g.labels, BLOCK_PIXELS).items():
         work = FindDeckCells(name=CELLS, spec=spec, block=block, rule=rule)
         near = lattice.among(spec.block_bounds(block).pad(margin), g.labels)
@@ -108,8 +108,8 @@ def _deck_tasks(g: GridContext, deck_cells: Commits) -> Iterator[Task]:
 
     A candidate belongs to the bucket at the south-west corner of the area that is examined for it.
     """
-    spec, rule, lattice = g.coarse, g.rule, g.plan.grid.meta.bucket
-    metres = float(g.plan.grid.meta.frame.metres_xy)
+    spec, rule, lattice = g.coarse, g.rule, g.plan.buckets
+    metres = float(g.plan.frame.metres_xy)
     groups: dict[Cell, list[CandidateCells]] = defaultdict(list)
     for cells in _candidates(deck_cells):
         bounds = examined_bounds(spec, cells, metres)

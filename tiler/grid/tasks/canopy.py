@@ -75,7 +75,7 @@ def canopy_cells(job: Job, assembled: IngestResult, labelled: Labelled) -> Canop
     electing = max(n for n, step in enumerate(passes[:number]) if step.elects and step.applies(state))
     made = job.store.committed(f"filter{number}")
     _report(job, share, made)
-    side = job.plan.grid.meta.frame.counts(Fraction(repr(CELL_M)))
+    side = job.plan.frame.counts(Fraction(repr(CELL_M)))
     return CanopyCells(elected_name(electing), labels_name(number), side, label_digests(assembled, made))
 
 
@@ -85,7 +85,7 @@ def _report(job: Job, share: float, made: Commits) -> None:
     for tile in tile_records(made):
         for column, row, area_m2 in tile.partial["blocks"]:
             blocks[column, row] += area_m2
-    unit = float(job.plan.grid.meta.frame.units.horizontal)
+    unit = float(job.plan.frame.units.horizontal)
     fullest = sorted(blocks, key=lambda block: (-blocks[block], block))[:MAX_POSITIONS]
     centres = []
     for column, row in fullest:

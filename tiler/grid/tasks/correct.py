@@ -38,7 +38,7 @@ def correct(job: Job, assembled: IngestResult, labelled: Labelled) -> tuple[Labe
     Return the labels with digests that include the edits, and the `Corrections`.
     """
     plan, labels, corrections = job.plan, labelled.digests, Corrections()
-    pixels = Lattice(plan.grid.meta.frame.counts(plan.grid.resolution))
+    pixels = Lattice(plan.frame.counts(plan.grid.resolution))
     deck_edits, decks = find_bridges(job, assembled, labels)
     if deck_edits or plan.inputs.edits:
         edits = Edits((*deck_edits, *_user_edits(job, assembled, labels, pixels)), pixels)
@@ -46,20 +46,20 @@ def correct(job: Job, assembled: IngestResult, labelled: Labelled) -> tuple[Labe
         corrections = replace(corrections, edits=edits, decks=decks)
         labelled = replace(labelled, digests=_label_digests(plan, edits, labels))
     if plan.inputs.lines:
-        min_length = plan.grid.meta.frame.counts(MIN_LENGTH_M)
+        min_length = plan.frame.counts(MIN_LENGTH_M)
         lines = Breaklines.of(plan.inputs.lines, pixels.size, min_length, assembled.bounds)
         job.store.put_breaklines(lines)
         job.results.breaklines = BreaklineCounts(
             len(plan.inputs.lines), len(lines.vertices), drawn(plan.inputs.lines)
         )
-        corrections = replace(corrections, lines=lines, line_digests=lines.digests(plan.grid.meta.bucket))
+        corrections = replace(corrections, lines=lines, line_digests=lines.digests(plan.buckets))
     return labelled, corrections
 
 
 def _label_digests(plan: Plan, edits: Edits, labels: Mapping[Cell, str]) -> dict[Cell, str]:
     """Return the digests of labels. If an edit intersects a bucket, its digest includes the edit."""
     digests = dict(labels)
-    for cell, near in edits.by_cell(plan.grid.meta.bucket, labels).items():
+    for cell, near in edits.by_cell(plan.buckets, labels).items():
         digests[cell] = digest_of(digests[cell], [edit.digest for edit in near], str(plan.grid.resolution))
     return digests
 
@@ -102,7 +102,7 @@ def _count_tasks(
 ) -> Iterator[Task]:
     """Yield a task for each bucket that an edit of points intersects."""
     rule = ground_rule(plan)
-    for cell, near in edits.by_cell(plan.grid.meta.bucket, labels).items():
+    for cell, near in edits.by_cell(plan.buckets, labels).items():
         edit_digests = [[edit.number, *edit.digest] for edit in near]
         digest = digest_of(__version__, rule, edits.cell, cell, labels[cell], edit_digests)
         work = CountEditedPoints(rule, edits.key, cell)

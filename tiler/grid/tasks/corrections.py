@@ -52,7 +52,7 @@ class Corrections:
 
     def line_digests_near(self, extent: Bounds, plan: Plan) -> list[Any]:
         """Return column, row and digest of the buckets whose breaklines can change facets within an extent."""
-        counts, lattice = plan.grid.meta.frame.counts, plan.grid.meta.bucket
+        counts, lattice = plan.frame.counts, plan.buckets
         facet_reach = full_halo(counts(plan.config.max_edge))
         facet_reach += math.ceil(3 * counts(plan.grid.resolution))
         near = lattice.among(extent.pad(facet_reach), self.line_digests)

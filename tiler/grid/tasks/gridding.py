@@ -56,7 +56,7 @@ def raster_spec(plan: Plan, assembled: IngestResult) -> RasterSpec:
     extent = assembled.bounds
     if plan.inputs.area is not None:
         extent = extent.intersection(plan.inputs.area.bounds)
-    return RasterSpec.enclosing(Lattice(plan.grid.meta.frame.counts(plan.grid.resolution)), extent)
+    return RasterSpec.enclosing(Lattice(plan.frame.counts(plan.grid.resolution)), extent)
 
 
 def ground_rule(plan: Plan) -> GroundSelection:
@@ -66,8 +66,8 @@ def ground_rule(plan: Plan) -> GroundSelection:
         None if keep else LABELS,
         plan.config.ground_classes if keep else (GROUND,),
         skip_flags(plan),
-        plan.grid.meta.frame.counts(plan.config.erosion),
-        math.ceil(ERODE_RISE_M / plan.grid.meta.frame.metres_z),
+        plan.frame.counts(plan.config.erosion),
+        math.ceil(ERODE_RISE_M / plan.frame.metres_z),
     )
 
 
@@ -229,7 +229,7 @@ class GridContext:
         that can change the block. Without ``points``, the size of the task is the number of its pixels.
         """
         digest = digest_of(__version__, work, *inputs)
-        corrections = self._correction_digests(raster, work.place(self.plan.grid.meta.bucket))
+        corrections = self._correction_digests(raster, work.place(self.plan.buckets))
         if corrections:
             digest = digest_of(digest, corrections)
         n_points = work.block.height * work.block.width if points is None else points
@@ -256,7 +256,7 @@ class GridContext:
     @property
     def coarse(self) -> RasterSpec:
         """Raster of the coarse cells, in blocks whose positions do not depend on the run."""
-        return coarse_raster(Lattice(self.plan.grid.meta.frame.counts(self.coarse_m)), self.assembled.bounds)
+        return coarse_raster(Lattice(self.plan.frame.counts(self.coarse_m)), self.assembled.bounds)
 
     @property
     def coarse_m(self) -> Fraction:

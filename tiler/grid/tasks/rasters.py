@@ -38,7 +38,7 @@ CANOPY = "canopy"
 
 def terrain_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
     """Yield a task for each block that a facet of the terrain could reach."""
-    plan, frame = g.plan, g.plan.grid.meta.frame
+    plan, frame = g.plan, g.plan.frame
     widest = full_halo(frame.counts(plan.config.max_edge))
     share = plan.surface_cells
     thinning_cells = None if share is None else Lattice(frame.counts(plan.grid.resolution / share))
@@ -70,13 +70,13 @@ def distance_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
 
     Larger distances are set to ``--max-edge``.
     """
-    cap = g.plan.grid.meta.frame.counts(g.plan.config.max_edge)
+    cap = g.plan.frame.counts(g.plan.config.max_edge)
     return _block_tasks(raster, g, partial(DistanceBlock, cap=cap), math.ceil(cap) + 1)
 
 
 def surface_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
     """Yield a task for each block that a facet of the surface could reach, with the terrain as lower limit."""
-    plan, frame = g.plan, g.plan.grid.meta.frame
+    plan, frame = g.plan, g.plan.frame
     reach = reach_pixels(plan.grid.resolution)
     (terrain,) = raster.inputs
     spike = plan.config.spike / frame.metres_z
@@ -88,7 +88,7 @@ def surface_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
 
 def _tin(g: GridContext) -> dict[str, Any]:
     """Return the common arguments of all blocks on a TIN."""
-    plan, counts = g.plan, g.plan.grid.meta.frame.counts
+    plan, counts = g.plan, g.plan.frame.counts
     halo = math.ceil(counts(plan.grid.halo_m))
     return {"data": g.assembled.bounds, "max_edge": counts(plan.config.max_edge), "halo": halo}
 
@@ -110,8 +110,8 @@ def _block_tasks(
 
 def _near(g: GridContext, spec: RasterSpec, margin: int = 0) -> dict[Block, list[Cell]]:
     """Return the blocks with buckets within ``margin`` counts (plus ``--erode``), each with these buckets."""
-    margin += math.ceil(g.plan.grid.meta.frame.counts(g.plan.config.erosion))
-    return spec.blocks_near(g.plan.grid.meta.bucket, g.labels, BLOCK_PIXELS, margin)
+    margin += math.ceil(g.plan.frame.counts(g.plan.config.erosion))
+    return spec.blocks_near(g.plan.buckets, g.labels, BLOCK_PIXELS, margin)
 
 
 def canopy_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
@@ -212,7 +212,7 @@ def derived_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
 
 def sigma_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
     """Yield a task for each block of the terrain. A task also reads points and pixels around its block."""
-    spec, frame = g.spec, g.plan.grid.meta.frame
+    spec, frame = g.spec, g.plan.frame
     terrain, mask = raster.inputs
     cap = frame.counts(g.plan.config.max_edge)
     near = _near(g, spec, reach_of(frame, spec.lattice.size, cap))

@@ -147,7 +147,7 @@ class _Layout:
     def __init__(self, plan: Plan, records: Records, works: Sequence[GridBlock]) -> None:
         self._spec = works[0].spec
         self._halo = works[0].halo
-        self._buckets = plan.grid.meta.bucket
+        self._buckets = plan.buckets
         blocks = [work.block for work in works]
         self._start = np.array([(b.row, b.col) for b in blocks])
         self._stop = np.array([(b.row + b.height, b.col + b.width) for b in blocks])

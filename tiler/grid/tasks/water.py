@@ -121,7 +121,7 @@ def _body_tasks(g: GridContext) -> Iterator[Task]:
 
 def _buckets_near(g: GridContext, places: list[Place]) -> list[Cell]:
     """Return the buckets in and near some blocks of coarse cells."""
-    buckets, coarse = g.plan.grid.meta.bucket, g.coarse
+    buckets, coarse = g.plan.buckets, g.coarse
     cells: set[Cell] = set()
     for place in places:
         block = padded(coarse.block_at(*place, BLOCK_PIXELS), BANK_MARGIN)
@@ -134,7 +134,7 @@ def _is_gentle(g: GridContext, body: Water) -> bool:
     high, low = body.range
     if body.flow is None or high == low:
         return True
-    units = g.plan.grid.meta.frame.units
+    units = g.plan.frame.units
     length = lengths_along(body.flow)[-1] / COUNTS_PER_UNIT * float(units.horizontal)
     return bool((high - low) * float(units.vertical) <= MAX_SLOPE * length)
 

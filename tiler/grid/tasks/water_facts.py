@@ -34,7 +34,7 @@ def report_levels(job: Job, waters: Waters, records: Mapping[int, LevelRecord]) 
     records : mapping
         Record of each body by its number. Bodies with a given level have none.
     """
-    unit = job.plan.grid.meta.frame.units.vertical
+    unit = job.plan.frame.units.vertical
     doubts: list[Doubt] = []
     for body in waters.bodies:
         record = records.get(body.number)

@@ -62,7 +62,7 @@ def ground_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
         inputs: list[Any] = [g.checksums(terrain, blocks)]
         if has_water_class:
             margin = int(NEAR_CELLS * coarse.lattice.size) + 1
-            near = g.plan.grid.meta.bucket.among(coarse.block_bounds(block).pad(margin), g.labels)
+            near = g.plan.buckets.among(coarse.block_bounds(block).pad(margin), g.labels)
             inputs.append(g.checksums(occupancy, block_names(near_places(coarse, [place]))))
             inputs.append(g.label_digests(near))
         yield g.block_task(raster, work, inputs)
@@ -153,7 +153,7 @@ def crowns_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
             rule=g.rule,
         )
         margin = int(g.coarse.lattice.size) + 1
-        near = g.plan.grid.meta.bucket.among(g.coarse.block_bounds(block).pad(margin), g.labels)
+        near = g.plan.buckets.among(g.coarse.block_bounds(block).pad(margin), g.labels)
         yield g.block_task(raster, work, [*_near_checksums(g, raster.inputs, place), g.label_digests(near)])
 
 

@@ -131,7 +131,7 @@ def strays_of(plan: Plan, sources: Iterable[Source], spooled: Commits) -> dict[i
     strays_by_source = {}
     for source in sources:
         strays = find_strays(
-            held[source.name], plan.grid.meta.bucket, header_bounds(source.info), outside[source.name]
+            held[source.name], plan.buckets, header_bounds(source.info), outside[source.name]
         )
         if strays != Strays():
             strays_by_source[source.number] = strays
@@ -148,7 +148,7 @@ def assemble_tasks(
 
     def bucket(cell: Cell) -> BucketParts:
         sources = {int(source_of(piece)[1:]) for piece, _, _ in fragments[cell]} & strays.keys()
-        rules = ((n, strays[n].rule(plan.grid.meta.bucket, cell)) for n in sorted(sources))
+        rules = ((n, strays[n].rule(plan.buckets, cell)) for n in sorted(sources))
         return BucketParts(
             cell, tuple(fragments[cell]), tuple((n, rule) for n, rule in rules if rule is not None)
         )
