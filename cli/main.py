@@ -16,7 +16,7 @@ import click
 
 from cli import exit_codes
 from cli.ending import InterruptState, end_at_once, ended_in_time
-from cli.output import say
+from cli.output import write_line
 from cli.session import Session
 from cli.streams import open_streams
 from tiler.errors import TilerError
@@ -165,7 +165,7 @@ def _tell(line: str, session: Session) -> None:
         from tiler.observe.json_lines import json_line
 
         line = json_line(line, "error")
-    say(line, error=True)
+    write_line(line, error=True)
 
 
 def _line_and_code(error: BaseException) -> tuple[str, int]:

@@ -17,7 +17,7 @@ SHARES = (0.3, 0.75, 1.5)
 """Upper limits of the shades of a map, as shares of the median density."""
 
 
-def say(line: str, error: bool = False) -> None:
+def write_line(line: str, error: bool = False) -> None:
     """Write one line to stdout or stderr.
 
     All output passes through this function, because it may contain names and texts from files. It escapes control
@@ -37,7 +37,7 @@ def print_json(value: Any) -> None:
         stored(value), indent=2, default=lambda v: without_secrets(str(v)), ensure_ascii=not is_utf8
     )
     for line in text.split("\n"):
-        say("".join(c if c.isprintable() else json.dumps(c)[1:-1] for c in line))
+        write_line("".join(c if c.isprintable() else json.dumps(c)[1:-1] for c in line))
 
 
 def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]]) -> None:
@@ -54,9 +54,9 @@ def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[str]
         return
     rows = [[shown(cell) for cell in row] for row in rows]
     widths = [max(len(line[i]) for line in (columns, *rows)) for i in range(len(columns))]
-    say(title)
+    write_line(title)
     for line in (columns, *rows):
-        say(("  " + "  ".join(c.ljust(w) for c, w in zip(line, widths, strict=True))).rstrip())
+        write_line(("  " + "  ".join(c.ljust(w) for c, w in zip(line, widths, strict=True))).rstrip())
 
 
 def map_lines(density: Mapping[str, Any], encoding: str | None) -> list[str]:
@@ -92,7 +92,7 @@ def map_lines(density: Mapping[str, Any], encoding: str | None) -> list[str]:
 def print_facts(facts: Mapping[str, Any]) -> None:
     """Print one line per fact with aligned names and nested facts below, but skip facts that are None."""
     for line in fact_lines(facts):
-        say(line)
+        write_line(line)
 
 
 def fact_lines(facts: Mapping[str, Any], indent: str = "") -> list[str]:

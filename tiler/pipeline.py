@@ -17,7 +17,7 @@ from tiler.grid.stage import grid
 from tiler.grid.tasks.correct import correct
 from tiler.grid.tasks.raster_table import required_rasters
 from tiler.ingest.stage import assemble, spool
-from tiler.ingest.tasks.fingerprints import numbered
+from tiler.ingest.tasks.fingerprints import register_sources
 from tiler.inputs import SourceInfo
 from tiler.io.locations import is_url, joined, upload_file
 from tiler.io.overwrite_check import check_names
@@ -240,7 +240,7 @@ def _stages(job: Job, until: str) -> None:
     """Run the stages in their order, up to the stage ``until``."""
     if job.plan.inputs.area is not None:
         job.store.put_area(job.plan.inputs.area)
-    sources = numbered(job)
+    sources = register_sources(job)
     if job.plan.config.scheduler is None and not job.store.committed("spool"):
         # Kernels are compiled while the points are read, which does not need kernels.
         job.compiler.begin(job.plan, until)

@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from cli.options import json_option
-from cli.output import print_json, print_table, say
+from cli.output import print_json, print_table, write_line
 from cli.session import TilerCommand
 
 FIGURES = ("points", "rmse_v", "bias", "median", "nmad", "p95_abs", "max_abs", "outliers")
@@ -98,9 +98,9 @@ def _print_report(report: Mapping[str, Any]) -> None:
         unit = " m" if METRICS[requirement["name"]].is_length else ""
         value = "not measured" if requirement["value"] is None else f"{requirement['value']:.4g}{unit}"
         state = "met" if requirement["met"] else "NOT met"
-        say(f"required {requirement['name']} {requirement['limit']:g}{unit}: {value}, {state}")
+        write_line(f"required {requirement['name']} {requirement['limit']:g}{unit}: {value}, {state}")
     for path in report["figures"]:
-        say(f"drawn   {path}")
+        write_line(f"drawn   {path}")
 
 
 def _print_accuracy(accuracy: Mapping[str, Any]) -> None:
@@ -113,12 +113,12 @@ def _print_accuracy(accuracy: Mapping[str, Any]) -> None:
     print_table(f"DTM minus checkpoint, {accuracy['unit']}", HEADINGS, rows)
     outside, none = accuracy["outside"], accuracy["no_height"]
     if outside or none:
-        say(f"without a DTM height: {outside} outside the DTM, {none} at nodata pixels")
+        write_line(f"without a DTM height: {outside} outside the DTM, {none} at nodata pixels")
     asprs = accuracy["asprs"]
     few = f"{accuracy['nva']['points']} NVA checkpoints, at least {asprs['least_points']} are needed"
-    say(asprs["statement"] or f"no accuracy statement by the ASPRS standards: {few}")
+    write_line(asprs["statement"] or f"no accuracy statement by the ASPRS standards: {few}")
     for note in accuracy["notes"]:
-        say(f"note    {note}")
+        write_line(f"note    {note}")
 
 
 def _figures(figures: Mapping[str, Any]) -> tuple[str, ...]:
@@ -146,7 +146,7 @@ def _print_seams(seams: Mapping[str, Any]) -> None:
 
 def _print_strips(strips: Mapping[str, Any]) -> None:
     if not strips["pairs"]:
-        say(
+        write_line(
             f"strips  none to compare: {len(strips['strips'])} point source ids, but no cell with two of them"
         )
         return

@@ -8,7 +8,7 @@ import click
 
 from cli.exit_codes import DONE, PARTIAL
 from cli.options import config_options, json_option, read_config
-from cli.output import print_facts, print_json, say
+from cli.output import print_facts, print_json, write_line
 from cli.session import TilerCommand, current_session, shown_progress
 from cli.summary import failed_lines
 
@@ -67,7 +67,7 @@ def command(source: tuple[str, ...], target: str, as_json: bool, **settings: Any
     elif not session.quiet:
         print_facts({n: value for n, value in summary.items() if n not in NOT_PRINTED})
         for file in summary.get("quarantined", ()):
-            say(f"left out    {file['path']}: {file['error']}")
+            write_line(f"left out    {file['path']}: {file['error']}")
         for line in failed_lines(summary["failed_tasks"]):
-            say(line)
+            write_line(line)
     return PARTIAL if summary["failed_tasks"] or summary.get("quarantined") else DONE

@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 
 from cli.options import json_option
-from cli.output import print_json, say
+from cli.output import print_json, write_line
 from cli.session import TilerCommand
 
 
@@ -31,5 +31,5 @@ def command(out: str, store: str | None, as_json: bool) -> None:
     if as_json:
         print_json(summary)
         return
-    say(f"removed  {summary['removed_objects']} objects, {summary['removed_bytes'] / 1e6:,.1f} MB")
-    say(f"store    {summary['store_bytes'] / 1e6:,.1f} MB")
+    write_line(f"removed  {summary['removed_objects']} objects, {summary['removed_bytes'] / 1e6:,.1f} MB")
+    write_line(f"store    {summary['store_bytes'] / 1e6:,.1f} MB")

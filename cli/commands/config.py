@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from cli.options import SETTINGS, config_options, describe_setting, read_config
-from cli.output import say
+from cli.output import write_line
 from cli.session import TilerCommand
 from tiler.config import RunConfig
 from tiler.config.presets import preset_text
@@ -31,7 +31,7 @@ def command(template: bool, **settings: Any) -> None:
     """
     config = read_config(settings)
     if config.store is not None and config.store != without_secrets(config.store):
-        say(
+        write_line(
             "tiler: warning: store: written without the user, password and query of its URL, which tiler never prints",
             error=True,
         )
@@ -49,7 +49,7 @@ def command(template: bool, **settings: Any) -> None:
             lines.append("")
     lines.extend(_parameter_lines(config, template))
     for line in "\n".join(lines).split("\n"):
-        say(line)
+        write_line(line)
 
 
 def toml_line(name: str, value: Any) -> str:

@@ -8,7 +8,7 @@ from typing import Any
 import click
 
 from cli.options import config_options, json_option, read_config
-from cli.output import print_json, say
+from cli.output import print_json, write_line
 from cli.session import TilerCommand, current_session, shown_progress
 from cli.summary import score_lines, summary_lines
 
@@ -60,5 +60,5 @@ def command(out: str, seed: int, as_json: bool, **settings: Any) -> int:
         print_json(asdict(result))
     elif not session.quiet:
         for line in (*summary_lines(result.summary, out), *score_lines(result.classes, result.dtm)):
-            say(line)
+            write_line(line)
     return result.exit_code

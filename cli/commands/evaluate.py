@@ -9,7 +9,7 @@ from typing import Any
 import click
 
 from cli.options import config_options, json_option, read_config
-from cli.output import print_json, print_table, say
+from cli.output import print_json, print_table, write_line
 from cli.session import TilerCommand, shown_progress
 from cli.summary import dtm_lines, percent_text, score_lines
 from tiler.config.parsing import parse_classes
@@ -133,13 +133,13 @@ def command(
         _print_scores(scores)
     if dtm is not None:
         for line in dtm_lines(scores["dtm"]):
-            say(line)
+            write_line(line)
 
 
 def _print_scores(scores: Mapping[str, Any]) -> None:
     """Print the scores of all points, by class, and by scene if there are several."""
     for line in score_lines(scores):
-        say(line)
+        write_line(line)
     rows = [
         (code, f"{c['points']:,}", f"{c['labelled_ground']:,}", percent_text(c["error"]))
         for code, c in scores["classes"].items()
@@ -153,4 +153,4 @@ def _print_scores(scores: Mapping[str, Any]) -> None:
         columns = ("scene", "points", "type I", "type II", "total", "kappa", "F1")
         print_table("by scene", columns, lines)
     for path in (path for scene in scenes for path in scene["maps"]):
-        say(f"map     {path}")
+        write_line(f"map     {path}")

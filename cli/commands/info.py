@@ -7,7 +7,7 @@ import sys
 import click
 
 from cli.options import json_option
-from cli.output import map_lines, print_facts, print_json, print_table, say
+from cli.output import map_lines, print_facts, print_json, print_table, write_line
 from cli.session import TilerCommand
 from tiler.core.words import counted
 
@@ -42,4 +42,4 @@ def command(paths: tuple[str, ...], as_json: bool) -> None:
         print_facts(description)
         if density is not None:
             for line in map_lines(density, sys.stdout.encoding):
-                say(line)
+                write_line(line)

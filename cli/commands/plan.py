@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from cli.options import config_options, inputs_argument, json_option, read_config
-from cli.output import print_json, say
+from cli.output import print_json, write_line
 from cli.session import TilerCommand
 
 
@@ -46,6 +46,6 @@ def command(inputs: tuple[str, ...], out: str | None, as_json: bool, **settings:
         print_json(plan_json(plan) | ({} if cluster is None else {"cluster": cluster.to_json()}))
         return
     for line in plan_lines(plan):
-        say(line)
+        write_line(line)
     for line in [] if cluster is None else cluster.lines(max(projected_memory(plan).values())):
-        say(line)
+        write_line(line)

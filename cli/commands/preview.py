@@ -9,7 +9,7 @@ import click
 
 from cli.exit_codes import DONE, PARTIAL
 from cli.options import SETTINGS, config_options, inputs_argument, json_option, read_config
-from cli.output import print_json, say
+from cli.output import print_json, write_line
 from cli.session import TilerCommand, current_session, shown_progress
 from cli.summary import percent_text
 
@@ -67,9 +67,11 @@ def command(
     if as_json:
         print_json({"picture": out, "windows": [dataclasses.asdict(window) for window in drawn_windows]})
     elif not session.quiet:
-        say(f"{out}: surface above, terrain below; from left to right:")
+        write_line(f"{out}: surface above, terrain below; from left to right:")
         for window in drawn_windows:
             x0, y0, x1, y1 = window.bounds
             share = percent_text(window.ground / window.points)
-            say(f"  --bounds {x0:.0f} {y0:.0f} {x1:.0f} {y1:.0f}: {window.points:,} points, {share} ground")
+            write_line(
+                f"  --bounds {x0:.0f} {y0:.0f} {x1:.0f} {y1:.0f}: {window.points:,} points, {share} ground"
+            )
     return PARTIAL if any(window.failed for window in drawn_windows) else DONE

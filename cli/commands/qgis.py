@@ -7,7 +7,7 @@ from pathlib import Path
 import click
 
 from cli import exit_codes
-from cli.output import say
+from cli.output import write_line
 from cli.qgis import installation
 from cli.session import TilerCommand
 
@@ -21,7 +21,7 @@ def command(context: click.Context) -> int:
     """
     if context.invoked_subcommand is None:
         for line in context.get_help().splitlines():
-            say(line, error=True)
+            write_line(line, error=True)
         return exit_codes.USAGE
     return exit_codes.DONE
 
@@ -41,12 +41,12 @@ def install(profile: str) -> None:
     after an update of tiler.
     """
     folder = installation.install(profile)
-    say(f"installed  {folder}")
-    say(
+    write_line(f"installed  {folder}")
+    write_line(
         "next       start QGIS and tick tiler under Plugins > Manage and Install Plugins > Installed, or, for scripts:"
     )
-    say("           qgis_process plugins enable tiler_qgis")
-    say("remove     with Uninstall Plugin in the same window, or by deleting that folder")
+    write_line("           qgis_process plugins enable tiler_qgis")
+    write_line("remove     with Uninstall Plugin in the same window, or by deleting that folder")
 
 
 @command.command("package", cls=TilerCommand)
@@ -63,4 +63,4 @@ def package(target: Path, upload: bool) -> None:
     PATH, unless the path is set under Settings > Options > Processing > Providers > tiler.
     """
     installation.package(target, upload)
-    say(f"written  {target}; QGIS: Plugins > Manage and Install Plugins > Install from ZIP")
+    write_line(f"written  {target}; QGIS: Plugins > Manage and Install Plugins > Install from ZIP")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import click
 
-from cli.output import say
+from cli.output import write_line
 from cli.session import TilerCommand
 
 
@@ -21,4 +21,4 @@ def command(out: str) -> None:
     """
     from tiler.report.html import write_report_at
 
-    say(write_report_at(out))
+    write_line(write_report_at(out))

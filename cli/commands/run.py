@@ -7,7 +7,7 @@ from typing import Any
 import click
 
 from cli.options import config_options, inputs_argument, json_option, out_option, read_config
-from cli.output import print_json, say
+from cli.output import print_json, write_line
 from cli.session import TilerCommand, current_session, shown_progress
 from cli.summary import summary_lines
 
@@ -65,7 +65,7 @@ def job_command(name: str, help: str, until: str) -> click.Command:
             print_json(result.summary)
         elif not session.quiet:
             for line in summary_lines(result.summary, out, result.did_nothing):
-                say(line)
+                write_line(line)
         return result.exit_code
 
     return command

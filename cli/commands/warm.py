@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 
 from cli.options import json_option
-from cli.output import print_json, say
+from cli.output import print_json, write_line
 from cli.session import TilerCommand
 
 
@@ -25,4 +25,4 @@ def command(methods: tuple[str, ...], as_json: bool) -> None:
     if as_json:
         print_json(summary)
         return
-    say(f"compiled  {summary['compiled']} kernels, {summary['kernels']} are in {summary['folder']}")
+    write_line(f"compiled  {summary['compiled']} kernels, {summary['kernels']} are in {summary['folder']}")

@@ -12,7 +12,7 @@ import pytest
 
 from tests.invariants.runs import do, output_digests
 from tests.scenes.small_stores import USUAL_ROW_POINTS, small_stores
-from tiler.schedule import Executor, Outcome, Perform, SerialExecutor, Task
+from tiler.schedule import Executor, Outcome, SerialExecutor, Task, TaskRunner
 from tiler.schedule.workers import DaskExecutor
 
 
@@ -22,19 +22,19 @@ class Shuffled(SerialExecutor):
     def __init__(self, seed: int) -> None:
         self.random = random.Random(seed)
 
-    def run(self, perform: Perform, store_url: str, tasks: Iterable[Task]) -> Iterator[Outcome]:
+    def run(self, run_task: TaskRunner, store_url: str, tasks: Iterable[Task]) -> Iterator[Outcome]:
         shuffled = list(tasks)
         self.random.shuffle(shuffled)
-        return super().run(perform, store_url, shuffled)
+        return super().run(run_task, store_url, shuffled)
 
 
 class Twice(SerialExecutor):
     """Each task is done twice, as when a worker is lost after its commit."""
 
-    def run(self, perform: Perform, store_url: str, tasks: Iterable[Task]) -> Iterator[Outcome]:
+    def run(self, run_task: TaskRunner, store_url: str, tasks: Iterable[Task]) -> Iterator[Outcome]:
         for task in tasks:
-            perform(store_url, task)
-            yield perform(store_url, task)
+            run_task(store_url, task)
+            yield run_task(store_url, task)
 
 
 class OnCluster(DaskExecutor):

@@ -54,7 +54,7 @@ def clean(out: str | Path, store_url: str | None = None) -> dict[str, Any]:
     store = open_store(str(store_url or joined(location, STORE)))
     with locked_folder(location), store.lock():
         before = store.usage()
-        store.tidy()
+        store.clean_up()
         after = store.usage()
         scratch = []
         if not is_url(out):  # Objects at a URL are never unfinished.

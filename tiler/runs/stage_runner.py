@@ -15,7 +15,7 @@ from tiler.runs import record
 from tiler.runs.compiling import Kernels
 from tiler.runs.job import Job
 from tiler.schedule import Outcome, Placed, Task
-from tiler.schedule.worker import perform
+from tiler.schedule.worker import run_task
 from tiler.store import Commits, store_exists
 
 PACKED_COMMITS = 256
@@ -117,7 +117,7 @@ def _outcomes(job: Job, tasks: list[Task], writes_out: bool, join: Join | None) 
     if join is not None:
         tasks = join(tasks, executor.workers)
     alone: list[Task] = []
-    for outcome in executor.run(perform, job.store.url, tasks):
+    for outcome in executor.run(run_task, job.store.url, tasks):
         parts = outcome.task.parts
         if parts and outcome.record is None:
             if not (outcome.again or outcome.fatal):
@@ -125,7 +125,7 @@ def _outcomes(job: Job, tasks: list[Task], writes_out: bool, join: Join | None) 
             outcome = replace(outcome, task=parts[0], again=outcome.again or not outcome.fatal)
         yield from outcome.of_parts()
     if alone:
-        yield from executor.run(perform, job.store.url, alone)
+        yield from executor.run(run_task, job.store.url, alone)
 
 
 def _pixels(task: Task) -> int:

@@ -17,7 +17,7 @@ import distributed
 from distributed.system import MEMORY_LIMIT
 
 from tiler.schedule.guard import ChildDiedError, ChildProcess, ChildStartError
-from tiler.schedule.task import Outcome, Perform, Task, TaskLimits
+from tiler.schedule.task import Outcome, Task, TaskLimits, TaskRunner
 
 WORKER_DIED = "WorkerDied"
 """Error kind of a task that killed its worker."""
@@ -47,11 +47,11 @@ class Children:
         self._busy: dict[ChildProcess, str] = {}
         self._ended: set[str] = set()
 
-    def perform(self, run: ExecutorSettings, perform: Perform, store_url: str, task: Task) -> Outcome:
+    def run_task(self, run: ExecutorSettings, run_task: TaskRunner, store_url: str, task: Task) -> Outcome:
         """Run a task in a child, and return its outcome."""
         guard = self._take(run)
         try:
-            outcome = guard.call(perform, store_url, task, seconds=run.limits.seconds_of(task))
+            outcome = guard.call(run_task, store_url, task, seconds=run.limits.seconds_of(task))
             if outcome.again:
                 guard.close()  # The next try gets a new process.
         except ChildStartError as error:
@@ -112,9 +112,9 @@ class Children:
         guard.close()
 
 
-def perform_in_child(run: ExecutorSettings, perform: Perform, store_url: str, task: Task) -> Outcome:
-    """Call `Children.perform` on a Dask worker."""
-    return _children(distributed.get_worker()).perform(run, perform, store_url, task)
+def run_task_in_child(run: ExecutorSettings, run_task: TaskRunner, store_url: str, task: Task) -> Outcome:
+    """Call `Children.run_task` on a Dask worker."""
+    return _children(distributed.get_worker()).run_task(run, run_task, store_url, task)
 
 
 async def call_in_child(

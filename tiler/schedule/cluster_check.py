@@ -42,7 +42,7 @@ def versions() -> dict[str, str]:
 
 
 class ClusterAccess:
-    """Check of the workers of a cluster. An instance is a `tiler.schedule.Look`.
+    """Check of the workers of a cluster. An instance is a `tiler.schedule.WorkerCheck`.
 
     Parameters
     ----------

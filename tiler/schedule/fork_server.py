@@ -109,7 +109,7 @@ class _Server:
     def __init__(self, setting: tuple[Any, ...]) -> None:
         self.setting = setting
         self.uses = 0
-        self.door, theirs = socket.socketpair()
+        self.control_socket, theirs = socket.socketpair()
         with theirs:
             self.process = subprocess.Popen(
                 [sys.executable, "-P", "-m", "tiler.schedule.guarded", SERVES],
@@ -143,12 +143,12 @@ class _Server:
 
     def _ask(self, what: _Child | Sequence[str], files: list[int]) -> None:
         request = pickle.dumps(what)
-        socket.send_fds(self.door, [len(request).to_bytes(_SIZE, "little")], files)
-        self.door.sendall(request)
+        socket.send_fds(self.control_socket, [len(request).to_bytes(_SIZE, "little")], files)
+        self.control_socket.sendall(request)
 
     def end(self) -> None:
         """End the server, which has no children."""
-        self.door.close()
+        self.control_socket.close()
         self.process.kill()
         self.process.wait()
 
@@ -244,7 +244,7 @@ def _folder() -> str:
         return ""
 
 
-def serve(door: socket.socket, answer_calls: Callable[[int | None], None]) -> None:
+def serve(control_socket: socket.socket, answer_calls: Callable[[int | None], None]) -> None:
     """Run the server: fork requested children, kill abandoned children, and report the exit code of each."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)  # Ctrl-C reaches every process, and the client handles it.
     ended, wake = socket.socketpair()
@@ -255,7 +255,7 @@ def serve(door: socket.socket, answer_calls: Callable[[int | None], None]) -> No
     lines: dict[socket.socket, int] = {}
     asked = True
     prepared = deque[str]()
-    selector.register(door, selectors.EVENT_READ)
+    selector.register(control_socket, selectors.EVENT_READ)
     selector.register(ended, selectors.EVENT_READ)
     gc.set_threshold(_GARBAGE_OBJECTS)
     while asked or lines:
@@ -265,11 +265,11 @@ def serve(door: socket.socket, answer_calls: Callable[[int | None], None]) -> No
         for source in [key.fileobj for key, _ in events]:
             if source is ended:
                 ended.recv(4096)
-            elif source is not door:  # The client has abandoned this child or has ended.
+            elif source is not control_socket:  # The client has abandoned this child or has ended.
                 selector.unregister(source)
                 os.kill(lines[source], signal.SIGKILL)  # type: ignore[index]
-            elif (request := _request(door)) is None:
-                selector.unregister(door)
+            elif (request := _request(control_socket)) is None:
+                selector.unregister(control_socket)
                 prepared.clear()
                 asked = False
             elif not request[1]:
@@ -286,7 +286,7 @@ def serve(door: socket.socket, answer_calls: Callable[[int | None], None]) -> No
                     continue
                 if pid == 0:
                     selector.close()
-                    for other in (door, ended, wake, line, *lines):
+                    for other in (control_socket, ended, wake, line, *lines):
                         other.close()
                     _become_child(calls, answers)
                     answer_calls(memory_bytes)
@@ -318,18 +318,18 @@ def _report(line: socket.socket, code: int) -> None:
         line.send(code.to_bytes(_CODE, "little", signed=True))
 
 
-def _request(door: socket.socket) -> tuple[Any, list[int]] | None:
+def _request(control_socket: socket.socket) -> tuple[Any, list[int]] | None:
     """Return a requested child with its two pipes and the socket for its exit code, or names of functions.
 
     The result is None if the client has ended.
     """
-    size, files, _, _ = socket.recv_fds(door, _SIZE, 3)
+    size, files, _, _ = socket.recv_fds(control_socket, _SIZE, 3)
     if len(size) < _SIZE:
         return None
     request = bytearray()
     length = int.from_bytes(size, "little")
     while len(request) < length:
-        part = door.recv(length - len(request))
+        part = control_socket.recv(length - len(request))
         if not part:
             return None
         request += part

@@ -141,13 +141,13 @@ class TaskLimits:
         return self.seconds * max(task.points / 1e6, 1.0)
 
 
-Perform = Callable[[str, Task], Outcome]
-"""Function ``perform(store_url, task)`` that runs the work on a worker and commits its record.
+TaskRunner = Callable[[str, Task], Outcome]
+"""Function ``run_task(store_url, task)`` that runs the work on a worker and commits its record.
 
 It returns an outcome and does not raise an exception if the task fails."""
 
 
-Look = Callable[[Callable[..., Any], str], None]
+WorkerCheck = Callable[[Callable[..., Any], str], None]
 """Function ``look(ask, worker)`` that checks a worker.
 
 ``ask(function, *arguments)`` returns the result of a function on the worker. An error that ``look`` raises ends the
@@ -178,7 +178,7 @@ class Executor(Protocol):
 
     workers: int
 
-    def on_each_worker(self, look: Look) -> None:
+    def on_each_worker(self, look: WorkerCheck) -> None:
         """Call `look` for each worker of a cluster, now and when workers join later."""
         ...
 
@@ -186,7 +186,7 @@ class Executor(Protocol):
         """Return the machines of a cluster that have workers now, by name. The list is empty without a cluster."""
         ...
 
-    def run(self, perform: Perform, store_url: str, tasks: Iterable[Task]) -> Iterator[Outcome]:
+    def run(self, run_task: TaskRunner, store_url: str, tasks: Iterable[Task]) -> Iterator[Outcome]:
         """Run tasks, a bounded number at a time, and yield an outcome per try, in any order.
 
         Raise ConnectionLostError if the connection to a cluster is permanently lost.

@@ -115,7 +115,7 @@ def prepare(memory_bytes: int) -> None:
     _kept_bytes = _resident_bytes() + memory_bytes // KEPT_SHARE
 
 
-def perform(store_url: str, task: Task) -> Outcome:
+def run_task(store_url: str, task: Task) -> Outcome:
     """Run a task and commit its record, so that it counts as done even if the command ends."""
     with packed_by_one_thread():
         return _run(store_url, task, commit=True)

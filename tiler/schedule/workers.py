@@ -29,10 +29,10 @@ from tiler.schedule.children import (
     call_in_child,
     end_children,
     machine_of,
-    perform_in_child,
+    run_task_in_child,
 )
 from tiler.schedule.local_cluster import cluster_here
-from tiler.schedule.task import Look, Machine, Outcome, Perform, Task, TaskLimits
+from tiler.schedule.task import Machine, Outcome, Task, TaskLimits, TaskRunner, WorkerCheck
 
 WAITING_PER_WORKER = 1
 """Number of tasks that wait at each worker of a cluster, so that it has work while a result is sent to the client."""
@@ -123,7 +123,7 @@ class DaskExecutor:
             self.workers = self._room = workers
             return
         self._judged: set[str] = set()
-        self._judge: Look | None = None
+        self._judge: WorkerCheck | None = None
         self.workers = 0
         began = time.monotonic()
         self._look()
@@ -167,7 +167,7 @@ class DaskExecutor:
         except _BROKEN:
             return None
 
-    def _judge_one(self, judge: Look, worker: str) -> None:
+    def _judge_one(self, judge: WorkerCheck, worker: str) -> None:
         try:
             judge(partial(self._ask, worker), worker)
             self._judged.add(worker)
@@ -179,7 +179,7 @@ class DaskExecutor:
             if worker in (self._threads() or ()):  # A worker that has left the cluster needs no error.
                 raise
 
-    def on_each_worker(self, look: Look) -> None:
+    def on_each_worker(self, look: WorkerCheck) -> None:
         """Call `look` for each worker of a cluster, now and when workers join later."""
         if self._cluster is None:
             self._judge = look
@@ -220,7 +220,7 @@ class DaskExecutor:
         except _BROKEN as error:
             raise self._lost() from error
 
-    def run(self, perform: Perform, store_url: str, tasks: Iterable[Task]) -> Iterator[Outcome]:
+    def run(self, run_task: TaskRunner, store_url: str, tasks: Iterable[Task]) -> Iterator[Outcome]:
         """Run tasks and yield an outcome per try. If `Outcome.again` is True, the task is retried."""
         waiting = iter(tasks)
         running: dict[str, _Try] = {}
@@ -231,7 +231,7 @@ class DaskExecutor:
             # before the number.
             self._submissions += 1
             name = f"{task.stage}-{self._submissions}/{task.key}"
-            arguments = (perform_in_child, self._run, perform, store_url, task)
+            arguments = (run_task_in_child, self._run, run_task, store_url, task)
             try:
                 future = self._client.submit(*arguments, pure=False, key=name)
             except Exception as error:  # The class of the error depends on the version of Dask.

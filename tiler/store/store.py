@@ -50,7 +50,7 @@ class TileStore(LabelStore, RasterStore, SpoolStore, RecordStore, StateStore, Co
         """Hold the lock of the store for one run. Raise LockedError if another run holds it."""
         return lock.locked(self._storage)
 
-    def tidy(self) -> None:
+    def clean_up(self) -> None:
         """Remove what later runs do not need, and pack the commits (*coordinator*, while no task runs).
 
         The spool is removed once its points are in buckets. Kept records, older indices and the temporary files of

@@ -10,7 +10,7 @@ import pytest
 
 from tiler.errors import ConfigError
 from tiler.export.tasks import outdated
-from tiler.export.tasks.outdated import archive_outdated, move_aside
+from tiler.export.tasks.outdated import archive, archive_outdated
 from tiler.ingest.tasks.fingerprints import FileContent
 from tiler.runs.results import Results
 
@@ -93,7 +93,7 @@ def test_paths_that_lead_out_of_the_folder_move_nothing(tmp_path: Path) -> None:
     assert files(tmp_path) == before
 
 
-def contents(job: Any, stage: str, found: Any, writes_out: bool) -> Any:
+def file_digests(job: Any, stage: str, found: Any, writes_out: bool) -> Any:
     """Content of files, of which dsm.tif has changed."""
     for place, _, _ in found:
         name = Path(place).name
@@ -106,7 +106,7 @@ def test_a_changed_file_that_a_new_store_does_not_know_is_moved(
 ) -> None:
     """Those that the store knows are compared with its records when their tasks begin."""
     write(tmp_path, "slope.tif", "dsm.tif")
-    monkeypatch.setattr(outdated, "contents", contents)
+    monkeypatch.setattr(outdated, "file_digests", file_digests)
     job = job_in(tmp_path, {"slope.tif": "now", "dsm.tif": "now"}, stored)
     archive_outdated(job, by_key("slope.tif", "dsm.tif"), "now")
     assert files(tmp_path) == {"slope.tif", "outdated/dsm.tif" if is_moved else "dsm.tif"}
@@ -118,7 +118,7 @@ def test_a_damaged_file_that_is_not_made_again_is_moved(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     write(tmp_path, "slope.tif", "dsm.tif")
-    monkeypatch.setattr(outdated, "contents", contents)
+    monkeypatch.setattr(outdated, "file_digests", file_digests)
     job = job_in(tmp_path, {"slope.tif": "now", "dsm.tif": "now"}, verify=True)
     archive_outdated(job, by_key("dtm.tif"), "now")
     assert files(tmp_path) == {"slope.tif", "outdated/dsm.tif"}
@@ -129,6 +129,6 @@ def test_a_damaged_file_that_is_not_made_again_is_moved(
 def test_files_are_moved_together_and_replace_none(tmp_path: Path) -> None:
     for number, folder in enumerate(["outdated", "outdated/2", "outdated/3"]):
         write(tmp_path, "dtm.tif", f"only_{number}.tif")
-        assert move_aside(str(tmp_path), ["dtm.tif", f"only_{number}.tif"]) == folder
+        assert archive(str(tmp_path), ["dtm.tif", f"only_{number}.tif"]) == folder
         assert (tmp_path / folder / f"only_{number}.tif").exists()
     assert len(files(tmp_path)) == 6

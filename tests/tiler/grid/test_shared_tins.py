@@ -76,7 +76,7 @@ def test_a_task_has_no_more_pixels_than_the_memory_is_planned_for(monkeypatch: p
     assert len(join_blocks(plan(), RECORDS, tasks(), 1)) >= 3
 
 
-def perform(_: str, task: Task) -> Outcome:
+def run_task(_: str, task: Task) -> Outcome:
     """A task of several fails, and one of the blocks; the others are made."""
     if task.parts or task.key.endswith("c0000512"):
         return Outcome(task, None, "too much", "MemoryError", again=True)
@@ -84,7 +84,7 @@ def perform(_: str, task: Task) -> Outcome:
 
 
 def test_what_fails_together_is_done_one_by_one(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("tiler.runs.stage_runner.perform", perform)
+    monkeypatch.setattr("tiler.runs.stage_runner.run_task", run_task)
     every = tasks()
     executors = SimpleNamespace(choose=lambda writes_out: SerialExecutor())
     job = SimpleNamespace(store=SimpleNamespace(url=""), executors=executors)

@@ -28,7 +28,7 @@ def paths(make_cloud: MakeCloud) -> list[Path]:
     return [make_cloud(f"{i}.las", n=30, seed=i) for i in range(10)]
 
 
-def numbered(paths: list[Path], store: TileStore, **settings: Any) -> tuple[list[Source], Any]:
+def register_sources(paths: list[Path], store: TileStore, **settings: Any) -> tuple[list[Source], Any]:
     """The sources, and what stood for the run."""
     plan = SimpleNamespace(
         inputs=SimpleNamespace(sources=[inspect(path) for path in paths]),
@@ -39,7 +39,7 @@ def numbered(paths: list[Path], store: TileStore, **settings: Any) -> tuple[list
     job: Any = SimpleNamespace(
         plan=plan, store=store, executors=executors, listener=ignore_events, record=RunRecord()
     )
-    return fingerprints.numbered(job), job
+    return fingerprints.register_sources(job), job
 
 
 @pytest.fixture
@@ -60,17 +60,17 @@ def test_all_bytes_once_and_again_where_something_changed(
     paths: list[Path], small_store: TileStore, seen: list[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(fingerprints, "GROUP_FILES", 4)
-    sources, _ = numbered(paths, small_store)
+    sources, _ = register_sources(paths, small_store)
     contents = [hashlib.blake2b(path.read_bytes(), digest_size=16).hexdigest() for path in paths]
     assert [(s.number, s.content) for s in sources] == list(enumerate(contents))
     assert seen == [4, 4, 2]
-    assert numbered(paths, small_store)[0] == sources
+    assert register_sources(paths, small_store)[0] == sources
     assert seen == [4, 4, 2]
     os.utime(paths[3], ns=(0, 1_000_000_007))  # a touch may leave the time as it was, which goes on in steps
-    again, _ = numbered(paths[2:], small_store)
+    again, _ = register_sources(paths[2:], small_store)
     assert [(s.number, s.content) for s in again] == list(enumerate(contents))[2:]
     assert seen == [4, 4, 2, 1]
-    numbered(paths, small_store, verify=True)
+    register_sources(paths, small_store, verify=True)
     assert seen == [4, 4, 2, 1, 4, 4, 2]
 
 
@@ -78,7 +78,7 @@ def test_large_files_are_read_alone(
     paths: list[Path], small_store: TileStore, seen: list[int], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(fingerprints, "GROUP_BYTES", 100)
-    numbered(paths, small_store)
+    register_sources(paths, small_store)
     assert seen == [1] * 10
 
 
@@ -97,13 +97,13 @@ def test_a_file_that_changes_meanwhile_is_left_out(
     paths: list[Path], small_store: TileStore, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     grow_while_it_is_read(monkeypatch, paths[4])
-    sources, job = numbered(paths, small_store)
+    sources, job = register_sources(paths, small_store)
     assert [s.number for s in sources] == [0, 1, 2, 3, 5, 6, 7, 8, 9]
     (left_out,) = job.record.quarantined
     assert left_out.path == str(paths[4])
     assert "during the run (" in left_out.error
     monkeypatch.undo()
-    assert [s.number for s in numbered(paths, small_store)[0]] == list(range(10))
+    assert [s.number for s in register_sources(paths, small_store)[0]] == list(range(10))
 
 
 @pytest.mark.parametrize(
@@ -123,4 +123,4 @@ def test_what_ends_the_run(
 ) -> None:
     grow_while_it_is_read(monkeypatch, *(paths[i] for i in grown))
     with pytest.raises(InputError, match=text):
-        numbered(paths, small_store, **settings)
+        register_sources(paths, small_store, **settings)

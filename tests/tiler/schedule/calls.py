@@ -103,8 +103,8 @@ def stumble() -> NoReturn:
     raise OSError("a passing fault")
 
 
-def perform(store_url: str, task: Task) -> Outcome:
-    """Like `tiler.schedule.worker.perform`, but without a store."""
+def run_task(store_url: str, task: Task) -> Outcome:
+    """Like `tiler.schedule.worker.run_task`, but without a store."""
     try:
         return Outcome(task, task.work(store_url, task.arguments))
     except InputError as error:

@@ -16,7 +16,7 @@ import pytest
 from tiler.core.frame import CoordFrame
 from tiler.core.lattice import Lattice
 from tiler.schedule import ChildProcess, Task, limits_memory
-from tiler.schedule.worker import peak_rss_bytes, perform, prepare
+from tiler.schedule.worker import peak_rss_bytes, prepare, run_task
 from tiler.store import StoreMeta, create_store
 
 
@@ -32,7 +32,7 @@ def test_each_task_reports_its_own_peak(tmp_path: Path) -> None:
     url = str(tmp_path / "store.zarr")
     create_store(url, StoreMeta(CoordFrame(), Lattice(Fraction(50_000)), Lattice(Fraction(500)), False))
     large, small = (
-        perform(url, Task("s", f"{size}", "d", takes, {"megabytes": size}, 1)) for size in (256, 1)
+        run_task(url, Task("s", f"{size}", "d", takes, {"megabytes": size}, 1)) for size in (256, 1)
     )
     assert large.record == {"pieces": 1024}
     assert large.peak_rss_bytes - small.peak_rss_bytes > 200 << 20
@@ -41,7 +41,7 @@ def test_each_task_reports_its_own_peak(tmp_path: Path) -> None:
 
 def resident_after(url: str) -> int:
     """Resident bytes of this process after a task that held 256 MB."""
-    perform(url, Task("s", "large", "d", takes, {"megabytes": 256}, 1))
+    run_task(url, Task("s", "large", "d", takes, {"megabytes": 256}, 1))
     return int(psutil.Process().memory_info().rss)
 
 
@@ -58,8 +58,8 @@ def test_a_worker_keeps_freed_memory_up_to_a_twentieth_of_what_it_may_have(tmp_p
 
 def peak_of_small_task(url: str, stage: str) -> int:
     """Peak of a small task of a stage after one of the stage `s` that held 256 MB."""
-    perform(url, Task("s", "large", "d", takes, {"megabytes": 256}, 1))
-    return perform(url, Task(stage, "small", "d", takes, {"megabytes": 1}, 1)).peak_rss_bytes
+    run_task(url, Task("s", "large", "d", takes, {"megabytes": 256}, 1))
+    return run_task(url, Task(stage, "small", "d", takes, {"megabytes": 1}, 1)).peak_rss_bytes
 
 
 @pytest.mark.skipif(not sys.platform.startswith("linux"), reason="peaks begin anew on Linux alone")

@@ -45,7 +45,7 @@ def run(executor: Executor, tasks: list[Task], folder: Path) -> tuple[dict[int, 
     """The last outcome of each task by its value, and how many were tried again."""
     ends: dict[int, Outcome] = {}
     again: Counter[int] = Counter()
-    for outcome in executor.run(calls.perform, str(folder), tasks):
+    for outcome in executor.run(calls.run_task, str(folder), tasks):
         value = outcome.task.arguments["value"]
         assert value not in ends, "an outcome after the last word"
         if outcome.again:
@@ -134,7 +134,7 @@ def test_workers_can_be_ended_during_their_work(tmp_path: Path) -> None:
     before = set(psutil.Process().children(recursive=True))
     level = logging.getLogger("distributed").level
     executor = DaskExecutor(2)
-    outcomes = executor.run(calls.perform, str(tmp_path), [task(1), task(2, wait=900), task(3, wait=900)])
+    outcomes = executor.run(calls.run_task, str(tmp_path), [task(1), task(2, wait=900), task(3, wait=900)])
     next(outcomes)
 
     def workers() -> set[psutil.Process]:
@@ -331,7 +331,7 @@ def test_the_dashboard_of_dask_groups_tasks_by_stage(two: DaskExecutor, tmp_path
     stages = ("ingest", "filter0", "grid-water-planes")
     tasks = [replace(task(value, wait=0.02), stage=stages[value % 3]) for value in range(9)]
     groups = set()
-    for _ in two.run(calls.perform, str(tmp_path), tasks):
+    for _ in two.run(calls.run_task, str(tmp_path), tasks):
         groups |= set(two._cluster.scheduler.task_prefixes)
     assert groups - {"stage"} == set(stages), "and those of earlier tests"
 

@@ -165,7 +165,7 @@ def test_only_files_of_the_store_are_removed(filled: TileStore) -> None:
     scratch.write_bytes(b"killed")
     filled.write_piece("s0", _no_points())
     filled.drop_spool()
-    filled.tidy()
+    filled.clean_up()
     assert not scratch.exists()
     left = remove_store(filled.url)
     assert left == ["a.partial", "clouds", "commits", "notes.txt", "points", "spool", "state"]

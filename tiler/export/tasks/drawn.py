@@ -34,19 +34,19 @@ SPOT_REACH_M, MAX_REACH = 50, 256
 """Distance from a spot within which no pixel is higher (or lower), in metres, and its largest value in pixels."""
 
 
-def vector_tasks(g: GridContext, out: str, noise_m: float) -> Iterator[Task]:
+def vector_tasks(context: GridContext, out: str, noise_m: float) -> Iterator[Task]:
     """Yield one task per vector file.
 
     ``noise_m`` is the standard deviation of the heights of ground in metres, or 0 if it is not known.
     """
-    plan, config = g.plan, g.plan.config
+    plan, config = context.plan, context.plan.config
     terrain, interval = final_raster("dtm", config), config.contour_interval
     common: dict[str, Any] = {
         "raster": terrain,
-        "spec": g.spec,
+        "spec": context.spec,
         "out": out,
         "area": plan.inputs.area_key,
-        "waters": g.water_key,
+        "waters": context.water_key,
         "noise": noise_m / float(plan.frame.units.vertical),
         "interval": None if interval is None else interval / plan.frame.units.vertical,
     }
@@ -59,18 +59,18 @@ def vector_tasks(g: GridContext, out: str, noise_m: float) -> Iterator[Task]:
     }
     if config.outline == "survey":
         outline = WriteOutline(
-            name=OUTLINE, out=out, terrain=terrain, spec=g.spec, survey="survey", coarse=g.coarse,
-            blocks=tuple(sorted(g.made[terrain])), area=plan.inputs.area_key,
+            name=OUTLINE, out=out, terrain=terrain, spec=context.spec, survey="survey", coarse=context.coarse,
+            blocks=tuple(sorted(context.made[terrain])), area=plan.inputs.area_key,
         )  # fmt: skip
-        digest = digest_of(__version__, outline, g.checksums("survey"), g.checksums(terrain))
+        digest = digest_of(__version__, outline, context.checksums("survey"), context.checksums(terrain))
         yield Task("export", OUTLINE, digest, write_outline, outline)
-    if g.corrections.decks:
-        bridges = WriteBridges(name=BRIDGES, decks=g.corrections.decks, out=out)
+    if context.corrections.decks:
+        bridges = WriteBridges(name=BRIDGES, decks=context.corrections.decks, out=out)
         yield Task("export", BRIDGES, digest_of(__version__, bridges), write_bridges, bridges)
-    if g.waters.bodies or config.water_file is not None:
-        water = WriteWater(name=WATER, waters=g.waters.key, out=out)
+    if context.waters.bodies or config.water_file is not None:
+        water = WriteWater(name=WATER, waters=context.waters.key, out=out)
         yield Task("export", WATER, digest_of(__version__, water), write_water, water)
     for name in config.drawn:
         write, work = works[name]
-        digest = digest_of(__version__, work, g.checksums(terrain))
-        yield Task("export", f"{name}.gpkg", digest, write, work, g.spec.height * g.spec.width)
+        digest = digest_of(__version__, work, context.checksums(terrain))
+        yield Task("export", f"{name}.gpkg", digest, write, work, context.spec.height * context.spec.width)

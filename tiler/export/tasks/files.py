@@ -60,42 +60,44 @@ def inputs_of(sources: Iterable[Source], spooled: Commits) -> Inputs:
     return inputs
 
 
-def cog_tasks(g: GridContext, inputs: Inputs, whole_inputs: str, out: str) -> Iterator[Task]:
+def cog_tasks(context: GridContext, inputs: Inputs, whole_inputs: str, out: str) -> Iterator[Task]:
     """Yield one task per raster file.
 
     The tags of a sheet depend on the inputs that have points in the sheet, and the digest of its task also on its
     blocks. So another input changes only the sheets where it has points.
     """
-    sheet_inputs = [(sheet, _digest(inputs, sheet.cells)) for sheet in g.sheets]
-    rasters = raster_table(g.plan.config)
-    for name in g.plan.config.exported:
-        raster = final_raster(name, g.plan.config)
+    sheet_inputs = [(sheet, _digest(inputs, sheet.cells)) for sheet in context.sheets]
+    rasters = raster_table(context.plan.config)
+    for name in context.plan.config.exported:
+        raster = final_raster(name, context.plan.config)
         whole = WriteCog(
             product=name,
             out=out,
-            tags=_tags(g.plan, name, whole_inputs),
-            nodata=nodata_of(g.plan, name),
+            tags=_tags(context.plan, name, whole_inputs),
+            nodata=nodata_of(context.plan, name),
             name=name,
             raster=raster,
-            spec=g.spec,
-            compress=g.plan.config.compress,
+            spec=context.spec,
+            compress=context.plan.config.compress,
             fill=rasters[raster].fill,
-            area=g.plan.inputs.area_key,
+            area=context.plan.inputs.area_key,
         )
-        if g.plan.config.sheets is None:
-            yield _cog_task(whole, g.checksums(raster))
+        if context.plan.config.sheets is None:
+            yield _cog_task(whole, context.checksums(raster))
             continue
         for sheet, inputs_digest in sheet_inputs:
             spec = sheet.spec
-            near = g.spec.blocks_within(spec.block_bounds(spec.block_at(0, 0, spec.height)), BLOCK_PIXELS)
-            seen = g.checksums(raster, (block.name for block in near))
+            near = context.spec.blocks_within(
+                spec.block_bounds(spec.block_at(0, 0, spec.height)), BLOCK_PIXELS
+            )
+            seen = context.checksums(raster, (block.name for block in near))
             work = replace(
                 whole,
-                name=name_of(g, name, sheet),
+                name=name_of(context, name, sheet),
                 out=joined(out, name),
                 spec=spec,
-                whole=g.spec,
-                tags=_tags(g.plan, name, inputs_digest),
+                whole=context.spec,
+                tags=_tags(context.plan, name, inputs_digest),
             )
             yield _cog_task(work, seen)
 
@@ -110,27 +112,27 @@ def _cog_task(work: WriteCog, blocks: list[list[str]]) -> Task:
     return Task("export", f"{work.name}.tif", digest_of(work, blocks), write_cog, work, pixels)
 
 
-def mosaic_tasks(g: GridContext, whole_inputs: str, out: str) -> Iterator[Task]:
+def mosaic_tasks(context: GridContext, whole_inputs: str, out: str) -> Iterator[Task]:
     """Yield one task per product that is divided into sheets, which writes its VRT."""
-    for name in g.plan.config.exported if g.sheets else ():
-        files = [(name_of(g, name, sheet), sheet.spec) for sheet in g.sheets]
-        validate_distinct_names(g.plan.config.sheet_name, (file for file, _ in files))
+    for name in context.plan.config.exported if context.sheets else ():
+        files = [(name_of(context, name, sheet), sheet.spec) for sheet in context.sheets]
+        validate_distinct_names(context.plan.config.sheet_name, (file for file, _ in files))
         work = WriteMosaic(
             product=name,
             out=out,
-            tags=_tags(g.plan, name, whole_inputs),
-            nodata=nodata_of(g.plan, name),
+            tags=_tags(context.plan, name, whole_inputs),
+            nodata=nodata_of(context.plan, name),
             sheets=tuple((raster_file(name, file), spec) for file, spec in files),
         )
         yield Task("mosaic", mosaic_file(name), digest_of(work), write_mosaic, work)
 
 
-def legend_tasks(g: GridContext, out: str) -> Iterator[Task]:
+def legend_tasks(context: GridContext, out: str) -> Iterator[Task]:
     """Yield one task per raster of classes that is a single file.
 
     If a product is divided into sheets, its VRT contains the names of the classes.
     """
-    for name in g.plan.config.exported if g.plan.config.sheets is None else ():
+    for name in context.plan.config.exported if context.plan.config.sheets is None else ():
         if PRODUCTS[name].values:
             work = WriteLegend(product=name, name=f"{raster_file(name)}{LEGEND}", out=out)
             yield Task("export", work.name, digest_of(__version__, work), write_legend, work)

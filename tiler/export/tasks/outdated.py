@@ -22,7 +22,7 @@ from pathlib import Path
 from tiler.core.words import listed
 from tiler.errors import ConfigError, write_error
 from tiler.export.records import FileRecord
-from tiler.ingest.tasks.fingerprints import contents
+from tiler.ingest.tasks.fingerprints import file_digests
 from tiler.io.locations import is_url, joined, move_file, sizes_at, states_at
 from tiler.io.result_folder import OUTDATED, below
 from tiler.runs.job import Job
@@ -63,10 +63,10 @@ def archive_outdated(job: Job, written: Mapping[str, str], basis: str) -> None:
     sizes = dict(zip(there, sizes_at([joined(job.products, p) for p in there]), strict=True))
     stale = sorted(path for path, of in there.items() if of != basis and sizes[path] is not None)
     kept = {path: size for path, size in sizes.items() if size is not None and path not in stale}
-    aside = move_aside(job.products, stale)
+    aside = archive(job.products, stale)
     for path in _damaged(job, kept) if job.plan.config.verify else ():
         del kept[path]
-        text = f"{path}: changed since a run wrote it; moved to {move_aside(job.products, [path])}/"
+        text = f"{path}: changed since a run wrote it; moved to {archive(job.products, [path])}/"
         job.note(f"{text}, and not made again, as --products does not list it")
     _archive_changed(job, written)
     job.results.outputs = kept
@@ -89,7 +89,7 @@ def _archive_changed(job: Job, written: Mapping[str, str]) -> None:
     known = {key for stage in WRITING for key in job.store.committed(stage)}
     changed = sorted(_damaged(job, {path for key, path in written.items() if key not in known}))
     if changed:
-        job.note(_changed_text(changed, move_aside(job.products, changed)))
+        job.note(_changed_text(changed, archive(job.products, changed)))
 
 
 def _changed_text(paths: Sequence[str], location: str) -> str:
@@ -101,7 +101,7 @@ def _damaged(job: Job, paths: Collection[str]) -> list[str]:
     known = {p: d for p, d in job.results.digests.items() if p in paths}
     path_of = {joined(job.products, path): path for path in sorted(known)}
     states = zip(path_of, states_at(list(path_of)), strict=True)
-    results = contents(
+    results = file_digests(
         job, "verify", [(location, s, 0) for location, s in states if s is not None], writes_out=True
     )
     return [path_of[location] for location, result in results if result.digest != known[path_of[location]]]
@@ -126,7 +126,7 @@ def _inside(out: str, path: str) -> bool:
     return whole.resolve().is_relative_to(Path(out).resolve()) and not whole.is_dir()
 
 
-def move_aside(out: str, paths: Sequence[str]) -> str:
+def archive(out: str, paths: Sequence[str]) -> str:
     """Move files of OUT into one folder in which none of their names exists, and return its path in OUT."""
     folder, number = OUTDATED, 1
     while _taken(out, [joined(out, folder, path) for path in paths]):
@@ -182,7 +182,7 @@ def invalidate_changed_outputs(job: Job, stage: str, files: Mapping[str, str]) -
         if job.plan.config.verify or (state is not None and state != there[key].to_json()):
             doubtful[files[key]] = key
     files_of = [(location, there[key], 0) for location, key in sorted(doubtful.items())]
-    for location, result in contents(job, STAGE, files_of, writes_out=True):
+    for location, result in file_digests(job, STAGE, files_of, writes_out=True):
         key = doubtful[location]
         digest, stored = commits[key]
         if result.digest != (records[key].digest or ""):
@@ -192,4 +192,4 @@ def invalidate_changed_outputs(job: Job, stage: str, files: Mapping[str, str]) -
     job.invalidate(stage, [*gone, *changed])
     if changed:
         paths = sorted(below(job.products, files[key]) for key in changed)
-        job.note(_changed_text(paths, move_aside(job.products, paths)))
+        job.note(_changed_text(paths, archive(job.products, paths)))

@@ -27,11 +27,11 @@ from tiler.version import __version__
 STAGE = "sheets"
 
 
-def cut(job: Job, g: GridContext) -> list[Sheet]:
+def cut(job: Job, context: GridContext) -> list[Sheet]:
     """Return the sheets of a run, or an empty list if its products are not divided."""
-    if g.plan.config.sheets is None:
+    if context.plan.config.sheets is None:
         return []
-    tasks = list(height_tasks(g))
+    tasks = list(height_tasks(context))
     made = run_stage(job, STAGE, tasks) if tasks else {}
     if len(made) < len(tasks):
         raise ProcessingError(
@@ -40,57 +40,61 @@ def cut(job: Job, g: GridContext) -> list[Sheet]:
     high: set[Cell] = set()
     for record in records_of(SheetsRecord, made):
         high.update(Cell(*cell) for cell in record.sheets)
-    every = high | set(with_points(g))
-    if len(every) > len(high) and not g.plan.config.empty_sheets:
+    every = high | set(with_points(context))
+    if len(every) > len(high) and not context.plan.config.empty_sheets:
         number = len(every) - len(high)
         written = "is not written" if number == 1 else "are not written"
         job.note(f"{counted(number, 'sheet')} without a height {written} (--empty-sheets)")
-    return sheets(g, every if g.plan.config.empty_sheets else high)
+    return sheets(context, every if context.plan.config.empty_sheets else high)
 
 
-def height_tasks(g: GridContext) -> Iterator[Task]:
+def height_tasks(context: GridContext) -> Iterator[Task]:
     """Yield one task per block of the models that has a height."""
     rasters = tuple(
-        name for name in (final_raster(model, g.plan.config) for model in MODELS) if name in g.made
+        name
+        for name in (final_raster(model, context.plan.config) for model in MODELS)
+        if name in context.made
     )
-    side, area = _pixels(g), g.plan.inputs.area_key
+    side, area = _pixels(context), context.plan.inputs.area_key
     keys: set[str] = set()
     for name in rasters:
-        keys.update(key for key, (_, stored) in g.made[name].items() if BlockRecord.of(stored).filled)
+        keys.update(key for key, (_, stored) in context.made[name].items() if BlockRecord.of(stored).filled)
     for key in sorted(keys):
-        block = g.spec.block_named(key, BLOCK_PIXELS)
-        work = FindSheets(rasters=rasters, spec=g.spec, block=block, side=side, area=area)
-        seen = [g.checksums(name, [key]) for name in rasters]
+        block = context.spec.block_named(key, BLOCK_PIXELS)
+        work = FindSheets(rasters=rasters, spec=context.spec, block=block, side=side, area=area)
+        seen = [context.checksums(name, [key]) for name in rasters]
         pixels = block.height * block.width
         yield Task(STAGE, key, digest_of(__version__, work, seen), find_sheets, work, pixels)
 
 
-def sheets(g: GridContext, cells: Iterable[Cell]) -> list[Sheet]:
+def sheets(context: GridContext, cells: Iterable[Cell]) -> list[Sheet]:
     """Return the sheets of these cells of the lattice of sheets, which is anchored at CRS 0."""
-    lattice, side = _lattice(g), _pixels(g)
-    buckets, sheets_of_cells = with_points(g), []
+    lattice, side = _lattice(context), _pixels(context)
+    buckets, sheets_of_cells = with_points(context), []
     for cell in sorted(cells):
         corner = (
             float(cell.ix * lattice.size / COUNTS_PER_UNIT),
             float(cell.iy * lattice.size / COUNTS_PER_UNIT),
         )
-        spec = RasterSpec(g.spec.lattice, cell.ix * side, (cell.iy + 1) * side, side, side)
+        spec = RasterSpec(context.spec.lattice, cell.ix * side, (cell.iy + 1) * side, side, side)
         sheets_of_cells.append(Sheet(corner, spec, buckets.get(cell, [])))
     return sheets_of_cells
 
 
-def name_of(g: GridContext, product: str, sheet: Sheet) -> str:
+def name_of(context: GridContext, product: str, sheet: Sheet) -> str:
     """Return the name of a product's file for a sheet, without its ending."""
-    side = float(_lattice(g).size / COUNTS_PER_UNIT)
-    return sheet_name(g.plan.config.sheet_name, product, *sheet.corner, side)
+    side = float(_lattice(context).size / COUNTS_PER_UNIT)
+    return sheet_name(context.plan.config.sheet_name, product, *sheet.corner, side)
 
 
-def with_points(g: GridContext) -> dict[Cell, list[Cell]]:
+def with_points(context: GridContext) -> dict[Cell, list[Cell]]:
     """Return the buckets of each sheet in the raster and the area, by the bounds of their points."""
-    lattice, area = _lattice(g), g.plan.inputs.area
-    whole = g.spec.block_bounds(g.spec.block_at(0, 0, max(g.spec.height, g.spec.width)))
+    lattice, area = _lattice(context), context.plan.inputs.area
+    whole = context.spec.block_bounds(
+        context.spec.block_at(0, 0, max(context.spec.height, context.spec.width))
+    )
     buckets: dict[Cell, list[Cell]] = defaultdict(list)
-    for bucket, record in g.assembled.records.items():
+    for bucket, record in context.assembled.records.items():
         if record.bounds:
             for cell in lattice.cells(Bounds.from_json(record.bounds).intersection(whole)):
                 buckets[cell].append(bucket)
@@ -101,11 +105,11 @@ def with_points(g: GridContext) -> dict[Cell, list[Cell]]:
     }
 
 
-def _lattice(g: GridContext) -> Lattice:
+def _lattice(context: GridContext) -> Lattice:
     """Return the lattice of the sheets."""
-    return Lattice(g.plan.frame.counts(g.plan.config.sheets or Fraction(0)))
+    return Lattice(context.plan.frame.counts(context.plan.config.sheets or Fraction(0)))
 
 
-def _pixels(g: GridContext) -> int:
+def _pixels(context: GridContext) -> int:
     """Return the side of a sheet in pixels."""
-    return int(_lattice(g).size / g.spec.lattice.size)
+    return int(_lattice(context).size / context.spec.lattice.size)

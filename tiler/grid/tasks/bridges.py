@@ -63,9 +63,9 @@ def find_bridges(
     """
     if job.plan.config.bridges != REMOVE:
         return (), ()
-    g = GridContext(job.plan, assembled, labels)
-    cells = run_stage(job, CELLS, _cell_tasks(g))
-    made = run_stage(job, DECKS, _deck_tasks(g, cells))
+    context = GridContext(job.plan, assembled, labels)
+    cells = run_stage(job, CELLS, _cell_tasks(context))
+    made = run_stage(job, DECKS, _deck_tasks(context, cells))
     decks: list[DeckRecord] = []
     for name in sorted(made):
         decks += decks_in(made[name][1])
@@ -92,24 +92,24 @@ def _note(decks: Sequence[DeckRecord], frame: CoordFrame) -> str:
     return f"left out of the terrain: {bridges_text} ({'; '.join(texts)}{more}; --bridges keep leaves bridges in)"
 
 
-def _cell_tasks(g: GridContext) -> Iterator[Task]:
+def _cell_tasks(context: GridContext) -> Iterator[Task]:
     """Yield a task for each block of coarse cells that has points."""
-    spec, rule, lattice = g.coarse, g.rule, g.plan.buckets
-    margin = math.ceil((REACH_M + float(g.coarse_m)) / float(g.plan.frame.metres_xy))
-    for block, buckets in spec.blocks_near(lattice, g.labels, BLOCK_PIXELS).items():
+    spec, rule, lattice = context.coarse, context.rule, context.plan.buckets
+    margin = math.ceil((REACH_M + float(context.coarse_m)) / float(context.plan.frame.metres_xy))
+    for block, buckets in spec.blocks_near(lattice, context.labels, BLOCK_PIXELS).items():
         work = FindDeckCells(name=CELLS, spec=spec, block=block, rule=rule)
-        near = lattice.among(spec.block_bounds(block).pad(margin), g.labels)
-        digest = digest_of(__version__, work, g.label_digests(near))
-        yield Task(CELLS, block.name, digest, find_deck_cells, work, g.n_points(buckets))
+        near = lattice.among(spec.block_bounds(block).pad(margin), context.labels)
+        digest = digest_of(__version__, work, context.label_digests(near))
+        yield Task(CELLS, block.name, digest, find_deck_cells, work, context.n_points(buckets))
 
 
-def _deck_tasks(g: GridContext, deck_cells: Commits) -> Iterator[Task]:
+def _deck_tasks(context: GridContext, deck_cells: Commits) -> Iterator[Task]:
     """Yield a task for each bucket with candidates.
 
     A candidate belongs to the bucket at the south-west corner of the area that is examined for it.
     """
-    spec, rule, lattice = g.coarse, g.rule, g.plan.buckets
-    metres = float(g.plan.frame.metres_xy)
+    spec, rule, lattice = context.coarse, context.rule, context.plan.buckets
+    metres = float(context.plan.frame.metres_xy)
     groups: dict[Cell, list[CandidateCells]] = defaultdict(list)
     for cells in _candidates(deck_cells):
         bounds = examined_bounds(spec, cells, metres)
@@ -119,9 +119,9 @@ def _deck_tasks(g: GridContext, deck_cells: Commits) -> Iterator[Task]:
     for cell, candidates in sorted(groups.items()):
         work = ExamineDecks(rule, spec, tuple(candidates))
         examined = [examined_bounds(spec, cells, metres) for cells in candidates]
-        near = lattice.among(reduce(Bounds.union, examined), g.labels)
-        digest = digest_of(__version__, work, g.label_digests(near))
-        yield Task(DECKS, cell.name, digest, examine_decks, work, g.n_points(near))
+        near = lattice.among(reduce(Bounds.union, examined), context.labels)
+        digest = digest_of(__version__, work, context.label_digests(near))
+        yield Task(DECKS, cell.name, digest, examine_decks, work, context.n_points(near))
 
 
 def _candidates(deck_cells: Commits) -> Iterator[CandidateCells]:

@@ -92,7 +92,7 @@ class RasterStep:
         Function that makes a block.
     grid : Grid
     tasks : callable
-        Function ``tasks(raster, g)`` that yields the tasks of the raster, with the digests of their inputs.
+        Function ``tasks(raster, context)`` that yields the tasks of the raster, with the digests of their inputs.
     fill : float
         Value of pixels in blocks that were not written.
     edits : tuple of str

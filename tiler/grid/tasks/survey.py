@@ -42,32 +42,32 @@ SIDES = {"north": (-1, 0), "south": (1, 0), "west": (0, -1), "east": (0, 1)}
 """Offset of the neighbour at each side of a block: blocks down, and blocks to the right."""
 
 
-def survey_gaps(raster: RasterStep, g: GridContext) -> Iterator[Task]:
+def survey_gaps(raster: RasterStep, context: GridContext) -> Iterator[Task]:
     """Yield a task for each block that gaps of the survey can extend into."""
-    return _close_tasks(raster, g, float(GAP_M / g.coarse_m))
+    return _close_tasks(raster, context, float(GAP_M / context.coarse_m))
 
 
-def domain_gaps(raster: RasterStep, g: GridContext) -> Iterator[Task]:
+def domain_gaps(raster: RasterStep, context: GridContext) -> Iterator[Task]:
     """Yield the tasks for gaps up to ``--max-edge``, which may be water."""
-    if not g.water_is_sought:
+    if not context.water_is_sought:
         return iter(())
-    return _close_tasks(raster, g, float(g.plan.config.max_edge / g.coarse_m))
+    return _close_tasks(raster, context, float(context.plan.config.max_edge / context.coarse_m))
 
 
-def _close_tasks(raster: RasterStep, g: GridContext, gap: float) -> Iterator[Task]:
+def _close_tasks(raster: RasterStep, context: GridContext, gap: float) -> Iterator[Task]:
     """Yield the tasks that close gaps up to ``gap`` cells, or up to ``--max-edge`` where points are sparse."""
-    coarse = g.coarse
+    coarse = context.coarse
     (occupancy,) = raster.inputs
-    max_gap = float(g.plan.config.max_edge / g.coarse_m)
+    max_gap = float(context.plan.config.max_edge / context.coarse_m)
     reach_blocks = math.ceil((max_gap + 2) / BLOCK_PIXELS)
-    occupied = [place for place, record in g.records(occupancy, BlockRecord).items() if record.filled]
+    occupied = [place for place, record in context.records(occupancy, BlockRecord).items() if record.filled]
     for place in near_places(coarse, occupied, reach_blocks):
         work = CloseBlock(
             name=raster.name, spec=coarse, block=coarse.block_at(*place, BLOCK_PIXELS), occupancy=occupancy,
             gap=min(gap, max_gap), most_gap=max_gap,
         )  # fmt: skip
-        inputs = g.checksums(occupancy, block_names(near_places(coarse, [place], reach_blocks)))
-        yield g.block_task(raster, work, [inputs])
+        inputs = context.checksums(occupancy, block_names(near_places(coarse, [place], reach_blocks)))
+        yield context.block_task(raster, work, [inputs])
 
 
 def near_places(coarse: RasterSpec, places: Iterable[Place], n_blocks: int = 1) -> list[Place]:
@@ -87,19 +87,19 @@ def block_names(places: Iterable[Place]) -> list[str]:
     return [Block(*place, 0, 0).name for place in places]
 
 
-def survey_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
+def survey_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
     """Yield a task for each block of the raster of open areas, and for each missing block that the survey encloses."""
-    coarse, (opened,) = g.coarse, raster.inputs
-    records = g.records(opened, OpenAreasRecord)
+    coarse, (opened,) = context.coarse, raster.inputs
+    records = context.records(opened, OpenAreasRecord)
     outside, empty = outside_of({place: record.sides for place, record in records.items()})
     for place in sorted({*records, *empty}):
         near = near_places(coarse, [place])
         work = SurveyBlock(
             name=raster.name, spec=coarse, block=coarse.block_at(*place, BLOCK_PIXELS), opened=opened,
             outside=tuple(chain.from_iterable(outside.get(other, ()) for other in near)),
-            empty=tuple(other for other in near if other in empty), pixels=g.spec,
+            empty=tuple(other for other in near if other in empty), pixels=context.spec,
         )  # fmt: skip
-        yield g.block_task(raster, work, [g.checksums(opened, block_names(near))])
+        yield context.block_task(raster, work, [context.checksums(opened, block_names(near))])
 
 
 def outside_of(
@@ -183,37 +183,39 @@ def _facing(
     return touching_gaps
 
 
-def voids_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
+def voids_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
     """Yield a task for each block of coarse cells that overlaps the inside of the survey."""
-    spec, coarse = g.spec, g.coarse
+    spec, coarse = context.spec, context.coarse
     model, survey = raster.inputs
     rasters = VoidRasters(model, spec, survey, coarse, raster.name)
-    for place, record in g.records(survey, SurveyRecord).items():
+    for place, record in context.records(survey, SurveyRecord).items():
         if not record.inside:
             continue
         block = coarse.block_at(*place, BLOCK_PIXELS)
         work = FindVoids(name=raster.name, spec=coarse, block=block, rasters=rasters)
         under = [other.name for other in spec.blocks_within(coarse.block_bounds(block), BLOCK_PIXELS)]
-        yield g.block_task(raster, work, [g.checksums(model, under), g.checksums(survey, [block.name])])
+        yield context.block_task(
+            raster, work, [context.checksums(model, under), context.checksums(survey, [block.name])]
+        )
 
 
-def fill_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
+def fill_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
     """Yield a task for each block of a model. A task depends on everything around the voids in its block."""
-    spec = g.spec
+    spec = context.spec
     model, survey, voids = raster.inputs
-    rasters = VoidRasters(model, spec, survey, g.coarse, voids)
-    records = g.records(voids, HolesRecord)
+    rasters = VoidRasters(model, spec, survey, context.coarse, voids)
+    records = context.records(voids, HolesRecord)
     voids_of: dict[str, list[tuple[Void, str]]] = defaultdict(list)
-    for pieces in g.areas(voids, corners=True).areas.values():
+    for pieces in context.areas(voids, corners=True).areas.values():
         runs = []
         for piece in pieces:
             runs += records[piece.row, piece.col].blocks[piece.label - 1]
         model_blocks = sorted({block.name for block in blocks_of(runs, spec, BLOCK_PIXELS)})
         void_blocks = sorted(block_names({(piece.row, piece.col) for piece in pieces}))
-        void_digest = digest_of(g.checksums(model, model_blocks), g.checksums(voids, void_blocks))
+        void_digest = digest_of(context.checksums(model, model_blocks), context.checksums(voids, void_blocks))
         for key in model_blocks:
             voids_of[key].append((Void(pieces), void_digest))
-    for key in sorted(voids_of.keys() | g.made[model].keys()):
+    for key in sorted(voids_of.keys() | context.made[model].keys()):
         block_voids = voids_of.get(key, [])
         block = spec.block_named(key, BLOCK_PIXELS)
         work = FillBlock(
@@ -221,18 +223,18 @@ def fill_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
             block=block,
             rasters=rasters,
             voids=tuple(void for void, _ in block_voids),
-            edits=g.corrections.edits_key,
+            edits=context.corrections.edits_key,
         )
         inputs = [
-            g.checksums(model, [key]),
-            g.coarse_checksums(survey, block),
+            context.checksums(model, [key]),
+            context.coarse_checksums(survey, block),
             [void_digest for _, void_digest in block_voids],
         ]
-        yield g.block_task(raster, work, inputs)
+        yield context.block_task(raster, work, inputs)
 
 
-def surveyed_blocks(g: GridContext, survey: str) -> list[Block]:
+def surveyed_blocks(context: GridContext, survey: str) -> list[Block]:
     """Return the blocks of the products that overlap the inside of the survey, from the north-west."""
-    records = g.records(survey, SurveyRecord).values()
+    records = context.records(survey, SurveyRecord).values()
     runs = list(chain.from_iterable(record.blocks for record in records))
-    return sorted(set(blocks_of(runs, g.spec, BLOCK_PIXELS)), key=north_west)
+    return sorted(set(blocks_of(runs, context.spec, BLOCK_PIXELS)), key=north_west)

@@ -42,11 +42,11 @@ SHORE_MARGIN = POCKET_PIXELS + 2
 """The level of a body of water may depend on pixels up to this distance from the body, in pixels."""
 
 
-def find_waters(job: Job, g: GridContext) -> Waters:
+def find_waters(job: Job, context: GridContext) -> Waters:
     """Find the bodies of water and their levels, and put them into the store for the tasks."""
-    auto = g.plan.config.water == AUTO_WATER
-    bodies = _bodies_in_data(job, g) if auto else g.plan.inputs.waters
-    tasks = list(level_tasks(g, bodies))
+    auto = context.plan.config.water == AUTO_WATER
+    bodies = _bodies_in_data(job, context) if auto else context.plan.inputs.waters
+    tasks = list(level_tasks(context, bodies))
     made = run_stage(job, STAGE, tasks) if tasks else {}
     levelled: list[Water] = []
     records: dict[int, LevelRecord] = {}
@@ -62,7 +62,7 @@ def find_waters(job: Job, g: GridContext) -> Waters:
     if without_level and not auto:
         names = ", ".join(map(str, sorted(without_level)))
         job.note(f"--water: no terrain along the shore of body {names}: it is left out; give it a `level`")
-    waters = Waters(tuple(b for b in levelled if not auto or _is_gentle(g, b)))
+    waters = Waters(tuple(b for b in levelled if not auto or _is_gentle(context, b)))
     if auto and waters.bodies:
         n_lakes = sum(b.kind == LAKE for b in waters.bodies)
         n_rivers = len(waters.bodies) - n_lakes
@@ -75,7 +75,7 @@ def find_waters(job: Job, g: GridContext) -> Waters:
             f"decided: found {' and '.join(counts)} and flattened the terrain there (edit {WATER} and give it with "
             "--water to change this, or use --water none)"
         )
-    if auto and not g.returns_show_water:
+    if auto and not context.returns_show_water:
         job.note(
             "decided: only class 9 of the input is water, as holes and false heights of a photogrammetric cloud may be "
             "anywhere (give drawn water with --water FILE)"
@@ -85,9 +85,9 @@ def find_waters(job: Job, g: GridContext) -> Waters:
     return waters
 
 
-def _bodies_in_data(job: Job, g: GridContext) -> tuple[Water, ...]:
+def _bodies_in_data(job: Job, context: GridContext) -> tuple[Water, ...]:
     """Return the bodies of water in the data, without levels, from the north-west."""
-    tasks = list(_body_tasks(g))
+    tasks = list(_body_tasks(context))
     made = run_stage(job, FINDING, tasks) if tasks else {}
     found = [record.body for record in records_of(BodyRecord, made)]
     bodies = [Water.from_json(body) for body in found if body is not None]
@@ -95,55 +95,57 @@ def _bodies_in_data(job: Job, g: GridContext) -> tuple[Water, ...]:
     return tuple(replace(body, number=number) for number, body in enumerate(bodies, start=1))
 
 
-def _body_tasks(g: GridContext) -> Iterator[Task]:
+def _body_tasks(context: GridContext) -> Iterator[Task]:
     """Yield a task for each connected area of water that is large enough."""
-    config, coarse = g.plan.config, g.coarse
+    config, coarse = context.plan.config, context.coarse
     min_m2 = min(config.water_min_lake, MIN_LENGTH * config.water_min_river_width**2)
-    joined = g.areas(CELLS)
-    for name, (n_cells, n_known, hundredths) in area_sums(joined, g.records(CELLS, SizesRecord)).items():
-        if n_cells * g.coarse_m**2 < min_m2:
+    joined = context.areas(CELLS)
+    for name, (n_cells, n_known, hundredths) in area_sums(
+        joined, context.records(CELLS, SizesRecord)
+    ).items():
+        if n_cells * context.coarse_m**2 < min_m2:
             continue
         pieces = joined.areas[name]
         places = sorted({(piece.row, piece.col) for piece in pieces})
         # `finish_water` adds up the confidences of the cells in hundredths. Not all cells have a confidence.
         confidence = round(hundredths / 100 / max(n_known, 1), 2)
         work = DescribeBody(
-            pieces, CELLS, CROWNS, Sources(*SOURCES), g.rule, coarse, sure=confidence,
+            pieces, CELLS, CROWNS, Sources(*SOURCES), context.rule, coarse, sure=confidence,
             lake_m2=float(config.water_min_lake), river_width_m=float(config.water_min_river_width),
             island_m2=float(config.water_min_island),
         )  # fmt: skip
         near = block_names(near_places(coarse, places))
-        rasters = [g.checksums(raster, near) for raster in (CELLS, CROWNS, *SOURCES)]
-        digest = digest_of(__version__, work, *rasters, g.label_digests(_buckets_near(g, places)))
+        rasters = [context.checksums(raster, near) for raster in (CELLS, CROWNS, *SOURCES)]
+        digest = digest_of(__version__, work, *rasters, context.label_digests(_buckets_near(context, places)))
         key = f"{block_names(places)[0]}a{name.label}"
         yield Task(FINDING, key, digest, describe_body, work, n_cells)
 
 
-def _buckets_near(g: GridContext, places: list[Place]) -> list[Cell]:
+def _buckets_near(context: GridContext, places: list[Place]) -> list[Cell]:
     """Return the buckets in and near some blocks of coarse cells."""
-    buckets, coarse = g.plan.buckets, g.coarse
+    buckets, coarse = context.plan.buckets, context.coarse
     cells: set[Cell] = set()
     for place in places:
         block = padded(coarse.block_at(*place, BLOCK_PIXELS), BANK_MARGIN)
-        cells.update(buckets.among(coarse.block_bounds(block), g.labels))
+        cells.update(buckets.among(coarse.block_bounds(block), context.labels))
     return sorted(cells, key=row_by_row)
 
 
-def _is_gentle(g: GridContext, body: Water) -> bool:
+def _is_gentle(context: GridContext, body: Water) -> bool:
     """Return whether a body is level, or falls no more steeply than a river (`MAX_SLOPE`)."""
     high, low = body.range
     if body.flow is None or high == low:
         return True
-    units = g.plan.frame.units
+    units = context.plan.frame.units
     length = lengths_along(body.flow)[-1] / COUNTS_PER_UNIT * float(units.horizontal)
     return bool((high - low) * float(units.vertical) <= MAX_SLOPE * length)
 
 
-def level_tasks(g: GridContext, bodies: tuple[Water, ...]) -> Iterator[Task]:
+def level_tasks(context: GridContext, bodies: tuple[Water, ...]) -> Iterator[Task]:
     """Yield a task for each body without a level."""
-    spec = g.spec
+    spec = context.spec
     pad = int(SHORE_MARGIN * spec.lattice.size) + 1
-    auto = g.plan.config.water == AUTO_WATER
+    auto = context.plan.config.water == AUTO_WATER
     index = AreaIndex([body.area for body in bodies])
     for body in bodies:
         if body.levelled:
@@ -151,12 +153,12 @@ def level_tasks(g: GridContext, bodies: tuple[Water, ...]) -> Iterator[Task]:
         near = body.area.bounds.pad(pad)
         other_areas = tuple(bodies[i].area for i in index.overlapping(near) if bodies[i] is not body)
         names = (*SOURCES[:2], CROWNS)
-        cells = names if all(name in g.made for name in names) else None
-        work = LevelWater(body, other_areas, "dtm", spec, cells, g.coarse, joins_pockets=auto)
-        inputs = [g.checksums("dtm", (block.name for block in spec.blocks_within(near, BLOCK_PIXELS)))]
+        cells = names if all(name in context.made for name in names) else None
+        work = LevelWater(body, other_areas, "dtm", spec, cells, context.coarse, joins_pockets=auto)
+        inputs = [context.checksums("dtm", (block.name for block in spec.blocks_within(near, BLOCK_PIXELS)))]
         if cells is not None:
-            blocks = [block.name for block in g.coarse.blocks_within(near, BLOCK_PIXELS)]
-            inputs += [g.checksums(name, blocks) for name in cells]
+            blocks = [block.name for block in context.coarse.blocks_within(near, BLOCK_PIXELS)]
+            inputs += [context.checksums(name, blocks) for name in cells]
         digest = digest_of(
             __version__, body.digest, body.number, auto, [other.key for other in other_areas], spec, inputs
         )

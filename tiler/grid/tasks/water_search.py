@@ -37,17 +37,17 @@ from tiler.grid.water_planes import DAM_M, SHORE_CELLS, Plane
 from tiler.schedule import Task
 
 
-def ground_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
+def ground_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
     """Yield a task for each block of coarse cells that overlaps a block of the terrain with heights."""
-    if not g.water_is_sought:
+    if not context.water_is_sought:
         return
     terrain, coarse_terrain, occupancy = raster.inputs
-    coarse, spec = g.coarse, g.spec
-    if g.has_large_pixels:
+    coarse, spec = context.coarse, context.spec
+    if context.has_large_pixels:
         spec, terrain = coarse, coarse_terrain
-    records = g.records(occupancy, OccupancyRecord)
+    records = context.records(occupancy, OccupancyRecord)
     places: set[Place] = set()
-    for key, (_, stored) in g.made[terrain].items():
+    for key, (_, stored) in context.made[terrain].items():
         if BlockRecord.of(stored).filled:
             bounds = spec.block_bounds(spec.block_named(key, BLOCK_PIXELS))
             places.update((block.row, block.col) for block in coarse.blocks_within(bounds, BLOCK_PIXELS))
@@ -56,169 +56,181 @@ def ground_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
         has_water_class = any(records[other].water for other in around(*place) if other in records)
         work = GroundCells(
             name=raster.name, spec=coarse, block=block, heights=terrain, pixels=spec,
-            occupancy=occupancy if has_water_class else None, rule=g.rule,
+            occupancy=occupancy if has_water_class else None, rule=context.rule,
         )  # fmt: skip
         blocks = [other.name for other in spec.blocks_within(coarse.block_bounds(block), BLOCK_PIXELS)]
-        inputs: list[Any] = [g.checksums(terrain, blocks)]
+        inputs: list[Any] = [context.checksums(terrain, blocks)]
         if has_water_class:
             margin = int(NEAR_CELLS * coarse.lattice.size) + 1
-            near = g.plan.buckets.among(coarse.block_bounds(block).pad(margin), g.labels)
-            inputs.append(g.checksums(occupancy, block_names(near_places(coarse, [place]))))
-            inputs.append(g.label_digests(near))
-        yield g.block_task(raster, work, inputs)
+            near = context.plan.buckets.among(coarse.block_bounds(block).pad(margin), context.labels)
+            inputs.append(context.checksums(occupancy, block_names(near_places(coarse, [place]))))
+            inputs.append(context.label_digests(near))
+        yield context.block_task(raster, work, inputs)
 
 
-def areas_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
+def areas_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
     """Yield a task for each block of the survey that may have water.
 
     A block may have water if the usual number of returns per cell is known in the block and its neighbours, or if the
     input has the class of water there.
     """
     occupancy, ground, domain = raster.inputs
-    records = g.records(occupancy, OccupancyRecord)
-    for place, record in g.records(domain, BlockRecord).items():
+    records = context.records(occupancy, OccupancyRecord)
+    for place, record in context.records(domain, BlockRecord).items():
         near = [other for other in around(*place) if other in records]
         usual = None
-        if g.returns_show_water:
+        if context.returns_show_water:
             usual = usual_returns((records[other].returns for other in near), ENOUGH_RETURNS)
         has_water_class = any(records[other].water for other in near)
         if not record.filled or (usual is None and not has_water_class):
             continue
         n_merged, median = usual or (1, None)
         work = FindAreas(
-            name=raster.name, spec=g.coarse, block=g.coarse.block_at(*place, BLOCK_PIXELS),
+            name=raster.name, spec=context.coarse, block=context.coarse.block_at(*place, BLOCK_PIXELS),
             sources=Sources(occupancy, ground, domain), times=n_merged, usual=median,
         )  # fmt: skip
-        yield g.block_task(raster, work, _near_checksums(g, raster.inputs, place))
+        yield context.block_task(raster, work, _near_checksums(context, raster.inputs, place))
 
 
-def rims_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
+def rims_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
     """Yield a task for each block with a candidate and for its neighbours. The task counts the rims of candidates."""
     areas = raster.inputs[0]
-    for place in _near_labels(g, areas):
-        work = CountRims(**_on_areas(raster, g, place))
-        yield g.block_task(raster, work, _near_checksums(g, raster.inputs, place))
+    for place in _near_labels(context, areas):
+        work = CountRims(**_on_areas(raster, context, place))
+        yield context.block_task(raster, work, _near_checksums(context, raster.inputs, place))
 
 
-def plane_rims_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
+def plane_rims_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
     """Yield a task for each block with a plane that may be water, and for its neighbours."""
     planes = raster.inputs[0]
-    evident, others = _likely_planes(g, planes)
-    evident_at = _by_place(g.areas(planes), evident)
-    others_at = _by_place(g.areas(planes), others)
-    for place in near_places(g.coarse, {*evident_at, *others_at}):
+    evident, others = _likely_planes(context, planes)
+    evident_at = _by_place(context.areas(planes), evident)
+    others_at = _by_place(context.areas(planes), others)
+    for place in near_places(context.coarse, {*evident_at, *others_at}):
         work = CountPlaneRims(
-            **_on_areas(raster, g, place),
+            **_on_areas(raster, context, place),
             evident=_names_near(evident_at, place),
             others=_names_near(others_at, place),
         )
-        yield g.block_task(raster, work, _near_checksums(g, raster.inputs, place))
+        yield context.block_task(raster, work, _near_checksums(context, raster.inputs, place))
 
 
-def plane_sure_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
+def plane_sure_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
     """Yield a task for each block with a plane that is water, and for its neighbours."""
     rims, *inputs = raster.inputs
-    kept = _kept_planes(g, inputs[0], rims)
-    names_by_place = _by_place(g.areas(inputs[0]), kept)
-    for place in near_places(g.coarse, names_by_place):
+    kept = _kept_planes(context, inputs[0], rims)
+    names_by_place = _by_place(context.areas(inputs[0]), kept)
+    for place in near_places(context.coarse, names_by_place):
         names = _names_near(names_by_place, place)
-        work = KeepPlanes(**_on_areas(raster, g, place), kept=tuple((name, kept[name]) for name in names))
-        yield g.block_task(raster, work, _near_checksums(g, inputs, place))
+        work = KeepPlanes(
+            **_on_areas(raster, context, place), kept=tuple((name, kept[name]) for name in names)
+        )
+        yield context.block_task(raster, work, _near_checksums(context, inputs, place))
 
 
-def sure_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
+def sure_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
     """Yield a task for each block with a candidate that is water."""
     rims, *inputs = raster.inputs
     areas = inputs[0]
-    kept = _kept_areas(g, areas, rims)
-    for place, names in _by_place(g.areas(areas), kept).items():
-        work = KeepAreas(**_on_areas(raster, g, place), kept=tuple((name, kept[name]) for name in names))
-        yield g.block_task(raster, work, [g.checksums(areas, block_names([place]))])
+    kept = _kept_areas(context, areas, rims)
+    for place, names in _by_place(context.areas(areas), kept).items():
+        work = KeepAreas(
+            **_on_areas(raster, context, place), kept=tuple((name, kept[name]) for name in names)
+        )
+        yield context.block_task(raster, work, [context.checksums(areas, block_names([place]))])
 
 
-def crowns_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
+def crowns_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
     """Yield a task for each block with water, and for its neighbours, if the pulses pass through crowns (LiDAR)."""
-    if not g.returns_show_water:
+    if not context.returns_show_water:
         return
     sure, planes, occupancy, ground = raster.inputs
-    for place in _near_water(g, sure, planes):
-        block = g.coarse.block_at(*place, BLOCK_PIXELS)
+    for place in _near_water(context, sure, planes):
+        block = context.coarse.block_at(*place, BLOCK_PIXELS)
         work = CrownsBlock(
             name=raster.name,
-            spec=g.coarse,
+            spec=context.coarse,
             block=block,
             sure=(sure, planes),
             occupancy=occupancy,
             ground=ground,
-            rule=g.rule,
+            rule=context.rule,
         )
-        margin = int(g.coarse.lattice.size) + 1
-        near = g.plan.buckets.among(g.coarse.block_bounds(block).pad(margin), g.labels)
-        yield g.block_task(raster, work, [*_near_checksums(g, raster.inputs, place), g.label_digests(near)])
+        margin = int(context.coarse.lattice.size) + 1
+        near = context.plan.buckets.among(context.coarse.block_bounds(block).pad(margin), context.labels)
+        yield context.block_task(
+            raster, work, [*_near_checksums(context, raster.inputs, place), context.label_digests(near)]
+        )
 
 
-def _near_water(g: GridContext, *confidences: str) -> list[Place]:
+def _near_water(context: GridContext, *confidences: str) -> list[Place]:
     """Return the places of blocks with water and of their neighbours.
 
     ``confidences`` are rasters of the confidence that cells are water.
     """
     places: set[Place] = set()
     for name in confidences:
-        records = g.records(name, BlockRecord)
+        records = context.records(name, BlockRecord)
         places.update(place for place, record in records.items() if record.filled)
-    return near_places(g.coarse, places)
+    return near_places(context.coarse, places)
 
 
-def cells_tasks(raster: RasterStep, g: GridContext) -> Iterator[Task]:
+def cells_tasks(raster: RasterStep, context: GridContext) -> Iterator[Task]:
     """Yield a task for each block with water, and for its neighbours."""
     sure, planes, crowns, *sources = raster.inputs
-    config = g.plan.config
-    for place in _near_water(g, sure, planes):
+    config = context.plan.config
+    for place in _near_water(context, sure, planes):
         work = FinishWater(
-            name=raster.name, spec=g.coarse, block=g.coarse.block_at(*place, BLOCK_PIXELS), sure=(sure, planes),
-            crowns=crowns, sources=Sources(*sources), river_width_m=float(config.water_min_river_width),
-            island_m2=float(config.water_min_island), decks=_decks_near(g, place),
-        )  # fmt: skip
-        yield g.block_task(raster, work, _near_checksums(g, raster.inputs, place))
+            name=raster.name,
+            spec=context.coarse,
+            block=context.coarse.block_at(*place, BLOCK_PIXELS),
+            sure=(sure, planes),
+            crowns=crowns,
+            sources=Sources(*sources),
+            river_width_m=float(config.water_min_river_width),
+            island_m2=float(config.water_min_island),
+            decks=_decks_near(context, place),
+        )
+        yield context.block_task(raster, work, _near_checksums(context, raster.inputs, place))
 
 
-def _decks_near(g: GridContext, place: Place) -> tuple[tuple[int, ...], ...]:
+def _decks_near(context: GridContext, place: Place) -> tuple[tuple[int, ...], ...]:
     """Return the outlines of the removed bridges in a block and its neighbours."""
-    block = g.coarse.block_at(*place, BLOCK_PIXELS)
-    bounds = g.coarse.block_bounds(padded(block, BLOCK_PIXELS))
+    block = context.coarse.block_at(*place, BLOCK_PIXELS)
+    bounds = context.coarse.block_bounds(padded(block, BLOCK_PIXELS))
     rings = []
-    for ring, *_ in g.corrections.decks:
+    for ring, *_ in context.corrections.decks:
         x, y = ring[::2], ring[1::2]
         if bounds.overlaps(Bounds(min(x), min(y), max(x), max(y))):
             rings.append(ring)
     return tuple(rings)
 
 
-def _on_areas(raster: RasterStep, g: GridContext, place: Place) -> dict[str, Any]:
+def _on_areas(raster: RasterStep, context: GridContext, place: Place) -> dict[str, Any]:
     """Return the arguments that all tasks on candidates or planes have."""
     areas, occupancy, ground, domain = raster.inputs[-4:]
-    record = g.records(areas, SizesRecord).get(place)
+    record = context.records(areas, SizesRecord).get(place)
     return {
         "name": raster.name,
-        "spec": g.coarse,
-        "block": g.coarse.block_at(*place, BLOCK_PIXELS),
+        "spec": context.coarse,
+        "block": context.coarse.block_at(*place, BLOCK_PIXELS),
         "sources": Sources(occupancy, ground, domain),
         "times": 1 if record is None else record.times,
         "areas": areas,
-        "joins": g.areas(areas).joins(around(*place)),
+        "joins": context.areas(areas).joins(around(*place)),
     }
 
 
-def _near_checksums(g: GridContext, rasters: Sequence[str], place: Place) -> list[Any]:
+def _near_checksums(context: GridContext, rasters: Sequence[str], place: Place) -> list[Any]:
     """Return the checksums of a block and its neighbours for some rasters."""
-    near = block_names(near_places(g.coarse, [place]))
-    return [g.checksums(name, near) for name in rasters]
+    near = block_names(near_places(context.coarse, [place]))
+    return [context.checksums(name, near) for name in rasters]
 
 
-def _near_labels(g: GridContext, areas: str) -> list[Place]:
+def _near_labels(context: GridContext, areas: str) -> list[Place]:
     """Return the places of blocks with labels in a raster of areas, and of their neighbours."""
-    labelled = [place for place, record in g.records(areas, SizesRecord).items() if record.labels]
-    return near_places(g.coarse, labelled)
+    labelled = [place for place, record in context.records(areas, SizesRecord).items() if record.labels]
+    return near_places(context.coarse, labelled)
 
 
 def _by_place(joined: Joined, names: Iterable[Piece]) -> dict[Place, list[Piece]]:
@@ -238,9 +250,9 @@ def _names_near(names_by_place: Mapping[Place, Sequence[Piece]], place: Place) -
     return tuple(sorted(names))
 
 
-def _sizes(g: GridContext, areas: str) -> dict[Piece, tuple[int, ...]]:
+def _sizes(context: GridContext, areas: str) -> dict[Piece, tuple[int, ...]]:
     """Return `area_sums` for the areas of a raster."""
-    return area_sums(g.areas(areas), g.records(areas, SizesRecord))
+    return area_sums(context.areas(areas), context.records(areas, SizesRecord))
 
 
 def area_sums(joined: Joined, records: Mapping[Place, SizesRecord]) -> dict[Piece, tuple[int, ...]]:
@@ -252,47 +264,47 @@ def area_sums(joined: Joined, records: Mapping[Place, SizesRecord]) -> dict[Piec
     return sums
 
 
-def _kept_areas(g: GridContext, areas: str, rims: str) -> dict[Piece, float]:
+def _kept_areas(context: GridContext, areas: str, rims: str) -> dict[Piece, float]:
     """Return the candidates that are water, each with its confidence."""
-    rim_by_area = _rims(g, rims)
+    rim_by_area = _rims(context, rims)
     kept = {}
-    for name, size in _sizes(g, areas).items():
+    for name, size in _sizes(context, areas).items():
         confidence = water_confidence(CellCounts(*size), rim_by_area.get(name, Rim()))
         if confidence is not None:
             kept[name] = confidence
     return kept
 
 
-def _rims(g: GridContext, rims: str, number: int = 0) -> dict[Piece, Rim]:
+def _rims(context: GridContext, rims: str, number: int = 0) -> dict[Piece, Rim]:
     """Return the rim of each area, added up over blocks.
 
     Evident planes have two rims. In the second one, with ``number`` 1, other planes do not count as land.
     """
     rim_by_area: dict[Piece, Rim] = {}
-    for record in g.records(rims, RimsRecord).values():
+    for record in context.records(rims, RimsRecord).values():
         for name, *counts in record.rims:
             rim = Rim(*counts[min(number, len(counts) - 1)])
             rim_by_area[Piece(*name)] = rim_by_area.get(Piece(*name), Rim()).plus(rim)
     return rim_by_area
 
 
-def _likely_planes(g: GridContext, planes: str) -> tuple[list[Piece], list[Piece]]:
+def _likely_planes(context: GridContext, planes: str) -> tuple[list[Piece], list[Piece]]:
     """Return the evident planes that are large enough, and other planes that may lie next to evident planes.
 
     The rims of the planes are not used.
     """
-    config = g.plan.config
-    joined, records = g.areas(planes), g.records(planes, SizesRecord)
+    config = context.plan.config
+    joined, records = context.areas(planes), context.records(planes, SizesRecord)
     min_m2 = float(min(config.water_min_lake, MIN_LENGTH * config.water_min_river_width**2))
     # The cells along the shore are not part of a plane, so half of the area is enough.
-    min_cells = min_m2 / float(g.coarse_m) ** 2 / 2
+    min_cells = min_m2 / float(context.coarse_m) ** 2 / 2
     sizes = {}
     for name, size in area_sums(joined, records).items():
         if size[0] >= min_cells:
             sizes[name] = Plane(*size)
     boxes = {name: _box(joined.areas[name], records) for name in sizes}
     evident = [name for name, plane in sizes.items() if plane.is_evident]
-    max_gap = DAM_M / float(g.coarse_m) + SHORE_CELLS
+    max_gap = DAM_M / float(context.coarse_m) + SHORE_CELLS
     others = []
     for name in sizes.keys() - set(evident):
         if any(_are_near(boxes[name], boxes[other], max_gap) for other in evident):
@@ -312,13 +324,13 @@ def _are_near(box: Sequence[int], other: Sequence[int], max_gap: float) -> bool:
     return all(gap <= max_gap for gap in gaps)
 
 
-def _kept_planes(g: GridContext, planes: str, rims: str) -> dict[Piece, float]:
+def _kept_planes(context: GridContext, planes: str, rims: str) -> dict[Piece, float]:
     """Return the planes that are water, each with its confidence: evident planes, and other planes next to these."""
-    evident, others = _likely_planes(g, planes)
-    confidences = _plane_confidences(g, rims, 0)
-    confidences_without_others = _plane_confidences(g, rims, 1)
+    evident, others = _likely_planes(context, planes)
+    confidences = _plane_confidences(context, rims, 0)
+    confidences_without_others = _plane_confidences(context, rims, 1)
     neighbours: dict[Piece, set[Piece]] = defaultdict(set)
-    for record in g.records(rims, RimsRecord).values():
+    for record in context.records(rims, RimsRecord).values():
         for name, other in record.beside or ():
             neighbours[Piece(*name)].add(Piece(*other))
     kept = {name: confidences[name] for name in evident if name in confidences}
@@ -338,10 +350,10 @@ def _kept_planes(g: GridContext, planes: str, rims: str) -> dict[Piece, float]:
     return kept
 
 
-def _plane_confidences(g: GridContext, rims: str, number: int) -> dict[Piece, float]:
+def _plane_confidences(context: GridContext, rims: str, number: int) -> dict[Piece, float]:
     """Return the confidences of the planes that are water according to the rim ``number`` (see `_rims`)."""
     confidences = {}
-    for name, rim in _rims(g, rims, number).items():
+    for name, rim in _rims(context, rims, number).items():
         confidence = water_confidence(CellCounts(), rim)
         if confidence:
             confidences[name] = confidence

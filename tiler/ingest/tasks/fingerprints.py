@@ -42,7 +42,7 @@ File = tuple[str, FileState, int]
 """Location, state and number of points of a file."""
 
 
-def numbered(job: Job) -> list[Source]:
+def register_sources(job: Job) -> list[Source]:
     """Return the sources with points that can be read completely.
 
     Sources that cannot be read are listed in ``job.record.quarantined``.
@@ -88,7 +88,7 @@ def _identify(
         time.monotonic(),
     )
     files = [(location(info.path), info.state, info.points) for _, info in todo]
-    for url, result in contents(job, STAGE, files):
+    for url, result in file_digests(job, STAGE, files):
         file_location = without_secrets(url)
         if result.digest is not None:
             known[file_location] |= {"stamp": stamps[file_location], "content": result.digest}
@@ -100,7 +100,7 @@ def _identify(
     return unreadable
 
 
-def contents(
+def file_digests(
     job: Job, stage: str, files: Iterable[File], writes_out: bool = False
 ) -> Iterator[tuple[str, FileContent]]:
     """Yield the location and content of each file. The workers read the files.
