@@ -95,7 +95,7 @@ class Canopy(NamedTuple):
     covered : bool [rows, columns]
         Cells of a closed canopy and of small openings in it.
     crowns : bool [rows, columns]
-        Cells to remove: all cells of a canopy that the surface climbed, except visible ground, and pits.
+        Cells to remove: pits, and all cells of a canopy that the surface climbed except visible ground.
     """
 
     covered: Bool

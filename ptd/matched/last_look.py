@@ -218,7 +218,7 @@ STEEPEST = 5.0
 
 
 def reach_cells(cell_m: float) -> int:
-    """Return the distance in cells beyond which the surface does not change a point's label, own cell included."""
+    """Return the distance in cells, including a point's own, beyond which the surface does not change its label."""
     return math.ceil(CELL_REACH_M / cell_m) + 1
 
 
