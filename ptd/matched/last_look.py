@@ -45,7 +45,7 @@ MAX_DISTANCE_M = 0.5
 CHANGE_ODDS = 1.5
 """Minimum odds against a label for a change of the label."""
 CLEAR_MM = 2000
-"""Limit at which heights above and below the surface are cut off, as trees and roofs need not be distinguished."""
+"""Limit at which heights above and below the surface are cut off, because trees and roofs need not be distinguished."""
 LOW_MM, HIGH_MM = 200, 1000
 """Heights between which low plants stand above the surface; higher plants are not confused with ground."""
 

@@ -75,7 +75,7 @@ class PlaceCellPass(MatchedPass):
 
 
 def _widened(core: Window, scale: Scale) -> Window:
-    """Return the core extended by half a metre, as bounds of buckets may be rounded differently."""
+    """Return the core extended by half a metre, because bounds of buckets may be rounded differently."""
     more = round(scale.counts(0.5))
     return Window(core.west - more, core.south - more, core.east + more, core.north + more)
 

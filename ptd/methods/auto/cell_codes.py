@@ -1,4 +1,4 @@
-"""Results of the passes of `auto` for the next pass: a code per cell, which all points in the cell get."""
+"""Results of the passes of `auto` for the next pass: each cell has a code that applies to all its points."""
 
 from __future__ import annotations
 

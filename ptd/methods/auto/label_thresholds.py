@@ -22,7 +22,7 @@ from ptd.places import PLACES, Figures, field, span
 SPARSE_M2 = 1.0
 """Density in points per square metre up to which the last pass uses the parameters unchanged."""
 DENSE_M2 = 2.0
-"""Density in points per square metre at and above which the last pass is as narrow as noise allows."""
+"""Density in points per square metre from which on the last pass is as narrow as noise allows."""
 DENSE_FLOOR_M = 0.12
 """Floor of the last pass for dense clouds: four times the noise of airborne lasers. A wider floor from the measured
 noise would classify low plants as ground, because meadows and fields look planar too."""

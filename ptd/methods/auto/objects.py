@@ -65,7 +65,7 @@ class Residuals:
     lack : float
         Addition to the threshold where there are no objects around, in metres per metre.
     enough : float
-        Share of objects at and above which the threshold does not grow.
+        Share of objects from which on the threshold does not grow.
     """
 
     drop: Drop
